@@ -5,8 +5,8 @@
 //! pixel. All cameras of a vehicle's rig are drawn in one submission, on any Vulkan 1.3 device,
 //! including lavapipe, which is software.
 //!
-//! This crate joins the engine's crates under one name and adds [`LiveScene`], a loaded scene on the
-//! device; [`session`], the interface for other programs: many scenes, worlds and views on one
+//! This crate joins the engine's crates under one name and adds [`LiveScene`], a loaded scene on
+//! the device; [`session`], the interface for other programs: many scenes, worlds and views on one
 //! device; [`episode`], the closed loop; and [`planner`], its planners.
 //!
 //! | module | content | depends on |
@@ -24,19 +24,17 @@
 //! in UTM coordinates keeps its millimeters.
 #![forbid(unsafe_code)]
 
-pub mod episode;
 pub mod explain;
-mod live_scene;
-mod movable_scene;
-pub mod planner;
-pub mod session;
 
 pub use decouplegs_asset as asset;
 pub use decouplegs_drive as drive;
 pub use decouplegs_gpu as gpu;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;
+pub use decouplegs_session::{
+    self as session, AgentInstance, LiveEditError, LiveScene, SceneSnapshot, measure_movable_scene,
+    open_movable_scene,
+};
+pub use decouplegs_sim::{episode, planner};
 pub use decouplegs_synth as synth;
 pub use decouplegs_train as train;
-pub use live_scene::{AgentInstance, LiveEditError, LiveScene, SceneSnapshot};
-pub use movable_scene::{measure_movable_scene, open_movable_scene};

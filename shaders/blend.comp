@@ -1,12 +1,13 @@
 #version 460
-// Blends one segment of one coarse tile's list, front to back, into its 64 x 32 pixels.
+// Alpha compositing: blends one segment of one coarse tile's list, front to back, into its 64 x 32
+// pixels. Early termination: a saturated fine tile takes no more splats.
 //
 // The list is taken in batches. Each thread stages some records and finds which of the 32 fine
 // tiles (8 x 8 pixels) they can reach; the masks are turned into one bit list per fine tile. Then
 // every subgroup works by itself: it finds which records of its tile can reach which 4 x 4 block of
-// it, and eight lanes blend the list of their block, two pixels a lane. So a splat costs only where
-// it is, and threads wait for each other only while a batch is staged. Sums are f32; the pixel
-// decides alpha >= 1/255 by itself, lists only leave out what that test would refuse.
+// it, and eight lanes blend the list of their block, two pixels per lane. So a splat costs only
+// where it is, and threads wait for each other only while a batch is staged. Sums are f32; the
+// pixel decides alpha >= 1/255 by itself, lists only leave out what that test would refuse.
 //
 // Where a segment is one batch, subgroups take their shares of the coarse tile from a counter, and
 // one that meets few records takes more of them. Where it is several, each keeps four shares in

@@ -1,5 +1,6 @@
 #version 460
-// Joins the segments of coarse tiles that were cut, front to back, and writes their pixels.
+// Alpha compositing of segments: joins the partial results of cut lists, front to back, and writes
+// their pixels.
 //
 // By an exclusive stop, the pixel is left to be finished in the segment in which it ends: see
 // blend.comp.

@@ -1,9 +1,9 @@
 #version 460
 // Frustum culling of clusters and splats: a bit per splat and camera of the rig.
 //
-// One workgroup a cluster, one thread a splat; attributes are read once for all cameras. A cluster
-// whose box cannot reach a camera's image is skipped with one test. Writes one bit a splat and the
-// count a (camera, cluster).
+// One workgroup per cluster, one thread per splat; attributes are read once for all cameras. A
+// cluster whose box cannot reach a camera's image is skipped with one test. Writes one bit per
+// splat and the count a (camera, cluster).
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"

@@ -1,8 +1,8 @@
 #version 460
 // Frustum culling of the agents' splats: a bit per splat and camera of the rig.
 //
-// One workgroup a cluster of an agent, one thread a splat. Which cameras may see the agent at all
-// is known from its box.
+// One workgroup per cluster of an agent, one thread per splat. Which cameras may see the agent at
+// all is known from its box.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"

@@ -2,7 +2,7 @@
 // Culling of contact shadows: a bit per shadow and cluster of the background. Where no agent stands
 // near, projection reads a zero.
 //
-// One thread a word: 32 shadows on one cluster.
+// One thread per word: 32 shadows on one cluster.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"

@@ -11,7 +11,7 @@
 // 3, then 4 to 7 and so on, so that a segment mostly starts when those before it are done and can
 // leave out what they have covered.
 //
-// One thread a tile and wave. Each workgroup adds up what stands before it by itself; no group
+// One thread per tile and wave. Each workgroup adds up what stands before it by itself; no group
 // waits for another.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require

@@ -1,10 +1,10 @@
 #version 460
-// Footprint, depth key and color of every visible (camera, splat) of the background, at the place
-// that the scan gave it.
+// Projection: footprint, depth key and color (spherical harmonics) of every visible (camera, splat)
+// of the background, at the index from the prefix sum.
 //
-// One workgroup a cluster, one thread a splat, all cameras: attributes are read once. Records of a
-// camera are in splat order: equal depth keys are drawn in the order of records. Where the keys of
-// a camera's direction are kept, they are read instead of computed.
+// One workgroup per cluster, one thread per splat, all cameras: attributes are read once. Records
+// of a camera are in splat order: equal depth keys are drawn in the order of records. Where the
+// keys of a camera's direction are kept, they are read instead of computed.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require

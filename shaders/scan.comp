@@ -1,5 +1,6 @@
 #version 460
-// Exclusive sums over a list of counts, and their total behind the last, in one dispatch.
+// Prefix sum (exclusive scan) over a list of counts, and their total behind the last, in one
+// dispatch.
 //
 // Each workgroup adds up everything before its block by itself: the counts are few (one for 256
 // splats), the reads are coalesced and wait for nothing, and no group waits for another, which

@@ -1,5 +1,6 @@
 #version 460
-// Sorts buckets of pairs front to back: by depth key, and by record where keys are equal.
+// Radix sort, last digits: sorts buckets of pairs front to back, by depth key, and by record where
+// keys are equal.
 //
 // One workgroup per bucket. The algorithm depends on the number of pairs:
 // - Up to FEW_PAIRS: each thread counts the pairs that come before its own.

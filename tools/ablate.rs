@@ -32,7 +32,8 @@ use placing::Drift;
 use reinsert::Reinsertion;
 use reinsertion_scene::ReinsertionScene;
 
-/// Put cars back into streets they were taken out of, and leave out parts of the system one by one
+/// Reinsert cars into streets that they were removed from, and leave out parts of the system one by
+/// one
 ///
 /// Streets are synthetic, so that the truth is known: what their cars look like in the light of the
 /// place, and the dark about them. Cars captured in neutral light are put where the true ones
@@ -43,7 +44,7 @@ pub struct Arguments {
     /// Light transfer: the effect of light on colors, written by `calibrate-light` (.safetensors)
     #[arg(long, value_name = "FILE")]
     light: PathBuf,
-    /// The light over the streets, one street each: clear, overcast, dusk, night; the system is
+    /// Weather of the streets, one street each: clear, overcast, dusk, night; the system is
     /// measured in the first
     #[arg(long, value_name = "WEATHER", value_delimiter = ',', default_value = "clear,overcast,dusk,night", value_parser = weather)]
     weather: Vec<Weather>,
@@ -56,43 +57,43 @@ pub struct Arguments {
     /// Splats of each car
     #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = at_least_one)]
     agent_splats: usize,
-    /// Draw the first so many cameras of six
+    /// Number of the six cameras to render, from the first
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=6))]
     cameras_used: u32,
     /// Size of every image
     #[arg(long, value_name = "WxH", default_value = "800x450")]
     size: Size,
-    /// Moments at which images are compared with the truth: of so many parts of the drive those
-    /// with most of the cars in sight
+    /// Number of moments at which images are compared with the ground truth: one per part of the
+    /// drive, the one with most cars in sight
     #[arg(long, value_name = "M", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     moments: u32,
-    /// Frames that are timed, a tenth of a second apart
+    /// Number of timed frames, 0.1 s apart
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: u32,
     /// Seed of all randomness: the street, the codebooks, the drift of tracks
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Each track is shifted by this, in a direction of its own, meters
+    /// Shift of each track, each in a random direction, meters
     #[arg(long, value_name = "METRES", default_value_t = 0.5, value_parser = not_negative)]
     drift_m: f64,
-    /// And turned by this about its middle, to the left or to the right, degrees
+    /// Turn of each track about its middle, left or right, degrees
     #[arg(long, value_name = "DEGREES", default_value_t = 0.4, value_parser = not_negative)]
     drift_deg: f64,
-    /// Deviation of each of its places along each axis, meters
+    /// Standard deviation of each position along each axis, meters
     #[arg(long, value_name = "METRES", default_value_t = 0.05, value_parser = not_negative)]
     noise_m: f64,
-    /// Pixels whose true color is shorter as a vector (of at most 1.73) have no hue
+    /// Length of a color, as a vector of at most 1.73, below which hue is ignored
     #[arg(long, value_name = "LENGTH", default_value_t = 0.05, value_parser = not_negative)]
     floor: f64,
-    /// Views all around a car from which its splats' visibility is measured for compression
+    /// Number of views around a car that measure the visibility of its splats for compression
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
     views: u32,
     #[command(flatten)]
     device: DeviceArguments,
-    /// Write all figures to this file
+    /// Write all figures to this JSON file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// The page to write, with tables and images
+    /// HTML page to write, with tables and images
     #[arg(long, value_name = "FILE.html")]
     out: PathBuf,
 }

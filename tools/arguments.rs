@@ -69,12 +69,12 @@ pub fn pixels(text: &str) -> Result<f64, String> {
         .ok_or_else(|| format!("expected pixels, 0 or more, found {text:?}"))
 }
 
-/// By whose definition splats become an image.
+/// Image formation rules of a renderer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum RulesName {
-    /// Alpha at most 0.99, no early stop, near plane at 0.01 m
+    /// Alpha at most 0.99, no early termination by the rules, near plane at 0.01 m
     Default,
-    /// gsplat 1.5: alpha at most 0.999, stops before the splat that would fill the pixel
+    /// gsplat 1.5: alpha at most 0.999, stops before the splat that would saturate the pixel
     Gsplat15,
     /// gsplat 1.6: alpha at most 0.99, the same stop
     Gsplat16,

@@ -24,70 +24,69 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
 
-/// Time frames on a GPU, stage by stage, with memory by purpose and the error against the f64
-/// definition
+/// Measure frames on a GPU: time per stage, memory by purpose, and error against the f64 reference
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
-    /// Frames that are timed
+    /// Number of timed frames
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
-    /// Frames before them that are not
+    /// Number of frames before them that are not timed
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(..=1_000_000))]
     warm_up: u32,
-    /// Draw the first so many cameras, in one submission (default: all)
+    /// Number of cameras to render in one submission, from the first (default: all)
     #[arg(long, value_name = "N")]
     cameras_used: Option<usize>,
     /// Storage format of color
     #[arg(long, value_enum, default_value_t = Color::Rgba8)]
     color: Color,
-    /// Draw the expected depth too
+    /// Render the expected depth too
     #[arg(long)]
     depth: bool,
-    /// Draw the instance ids too
+    /// Render the instance ids too
     #[arg(long)]
     instance: bool,
-    /// Compute the background's depth keys in every frame instead of keeping them while a camera
+    /// Compute the background's depth keys in every frame instead of reusing them while a camera
     /// does not turn
     #[arg(long)]
     compute_keys: bool,
-    /// Draw agents at the coarsest level of detail whose splats are at most this far apart
-    /// (default: always the finest)
+    /// Render agents at the coarsest level of detail whose splats are at most this many pixels
+    /// apart (default: always the finest)
     #[arg(long, value_name = "PX", value_parser = pixels)]
     level_pitch: Option<f64>,
-    /// Time from one frame to the next, in which the ego and the agents drive on (default: they
-    /// stand)
+    /// Time step between frames, in which the ego and the agents move, seconds (default: they stand
+    /// still)
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = finite)]
     step: f64,
-    /// Frames in flight: with 2, a frame is submitted before the one before it is waited for
+    /// Frames in flight: with 2, a frame is submitted before the previous one has finished
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     in_flight: u8,
-    /// Run the agents' part of a frame in line with the rest instead of on the queue for updates
+    /// Run the agents' part of a frame on the main queue instead of the update queue
     #[arg(long)]
     serial: bool,
-    /// Write what both queues and the host did when, as a trace for chrome://tracing or
-    /// ui.perfetto.dev
+    /// Write a timeline of both queues and the host, for chrome://tracing or ui.perfetto.dev
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
-    /// Write three frames of that trace as an image
+    /// Write three frames of the timeline as an SVG image
     #[arg(long, value_name = "FILE.svg")]
     trace_image: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArguments,
-    /// Middle of the first camera's image whose error is measured, in f32 whatever --color says
+    /// Size of the window in the middle of the first camera's image whose error is measured, in f32
+    /// for any --color
     #[arg(long, value_name = "WxH", default_value = "160x90")]
     error_window: Size,
-    /// Write all figures to this file
+    /// Write all figures to this JSON file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Color {
-    /// 8 bits a channel, what a camera delivers
+    /// 8 bits per channel, what a camera delivers
     Rgba8,
-    /// 32 bits a channel, unclamped
+    /// 32 bits per channel, unclamped
     F32,
 }
 

@@ -21,7 +21,7 @@ use decouplegs::train::calibrate::{
 use crate::arguments::{print, warn};
 use crate::progress;
 
-/// Calibrate how light changes the colors of agents
+/// Fit the effect of light on the colors of agents
 ///
 /// Fits Theta, which turns the colors of a place into a factor and a summand for each color
 /// coefficient of an agent that stands there, so that agents look as their surroundings are lit.
@@ -37,10 +37,10 @@ pub struct Arguments {
     /// Folder of lat-long images of linear radiance (.exr, .hdr), top row up
     #[arg(long, value_name = "DIR")]
     probes: PathBuf,
-    /// The light transfer to write (.safetensors)
+    /// Light transfer to write (.safetensors)
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Degree of the colors it is for (default: the highest among the assets)
+    /// Degree of the spherical harmonics (default: the highest among the assets)
     #[arg(long, value_name = "D", value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: Option<u8>,
     /// Ridge strength: pull of the weights to those of a pure brightness change, above 0 (default:
@@ -53,16 +53,16 @@ pub struct Arguments {
     /// Number of turns of each probe about the vertical
     #[arg(long, value_name = "N", default_value_t = 6, value_parser = clap::value_parser!(u64).range(1..=64))]
     rotations: u64,
-    /// Splats examined, shared by the assets
+    /// Number of sampled splats, shared by the assets
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
     samples: u64,
-    /// Linear albedo of the ground whose color tells of the light, above 0, at most 1
+    /// Linear albedo of the reference ground, above 0, at most 1
     #[arg(long, value_name = "A", default_value_t = Surroundings::default().albedo)]
     ground_albedo: f64,
     /// Seed of all randomness: the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Write a page with what was measured and images of the first asset
+    /// Write an HTML page with the measurements and images of the first asset
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
 }
@@ -70,9 +70,9 @@ pub struct Arguments {
 /// Quantity that the fit minimizes, by its name on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum ObjectiveName {
-    /// Each coefficient's error on its own, as in the paper
+    /// Error of each coefficient by itself, as in the paper
     Coefficients,
-    /// The error of colors in the directions in which they are seen
+    /// Error of colors in their visible directions
     Seen,
 }
 

@@ -11,9 +11,9 @@ use crate::arguments::{print, write_image};
 /// Measure the difference between two images (.png, .exr, .npy) of one size
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The first image
+    /// First image
     a: PathBuf,
-    /// The second image
+    /// Second image
     b: PathBuf,
     /// Print JSON
     #[arg(long)]

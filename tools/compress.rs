@@ -26,8 +26,8 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use visibility::VIEW_PX_MAX;
 
-/// Compress the splats of an agent: prune what matters little, and keep shapes and colors as
-/// entries of codebooks
+/// Compress the splats of an agent: prune unimportant splats, and quantize shapes and colors by
+/// codebooks
 ///
 /// An agent is what moves through a scene, such as a car. Its splats are drawn from all around;
 /// those that hardly show are dropped, and the shapes and colors of the others become entries of
@@ -38,21 +38,20 @@ pub struct Arguments {
     /// Splats in the agent's own frame: meters, x forward, y left, z up (.ply, .splat, .spz, .sog,
     /// .glb, .pt)
     file: PathBuf,
-    /// The asset to write (.safetensors)
+    /// Compressed asset to write (.safetensors)
     #[arg(long, value_name = "FILE", value_parser = asset_path)]
     out: PathBuf,
-    /// Share of the splats to keep, the most important ones, above 0 and at most 1 (default: by
-    /// --tau)
+    /// Share of the most important splats to keep, above 0 and at most 1 (default: by --tau)
     #[arg(long, value_name = "R", conflicts_with = "tau", value_parser = keep_ratio)]
     keep: Option<f32>,
-    /// Least importance that is kept, 0 to 1; anything above 0 drops what no view shows
+    /// Least importance to keep, 0 to 1; a value above 0 removes splats that no view shows
     #[arg(long, value_name = "T", default_value_t = THRESHOLD, value_parser = importance)]
     tau: f32,
-    /// Entries of the color codebook
+    /// Number of entries of the color codebook
     #[arg(long, value_name = "N", default_value_t = COLORS_MAX as u64,
         value_parser = clap::value_parser!(u64).range(1..=COLORS_MAX as u64))]
     colors: u64,
-    /// Entries of the shape codebook
+    /// Number of entries of the shape codebook
     #[arg(long, value_name = "N", default_value_t = SHAPES_MAX as u64,
         value_parser = clap::value_parser!(u64).range(1..=SHAPES_MAX as u64))]
     shapes: u64,
@@ -62,13 +61,13 @@ pub struct Arguments {
     /// Frame of colors that change with the viewing direction
     #[arg(long, value_name = "FRAME", value_enum, default_value_t = Frame::Canonical)]
     sh_frame: Frame,
-    /// Views all around the asset from which its splats' visibility is measured
+    /// Number of views around the asset that measure the visibility of its splats
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
     views: u32,
     /// Side of these views, pixels
     #[arg(long, value_name = "PX", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=VIEW_PX_MAX as i64))]
     view_size: u32,
-    /// Measure what is lost, with other settings too, and write report.html and report.json to this
+    /// Measure the loss, with other settings too, and write report.html and report.json to this
     /// folder; takes minutes
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
@@ -85,9 +84,9 @@ pub struct Arguments {
 /// Frame of an asset's colors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Frame {
-    /// They turn with the agent: object captures
+    /// Colors turn with the agent: captures of objects
     Canonical,
-    /// They stay as the world sees them: trained in place, as HUGSIM and drivestudio export
+    /// Colors stay in the world's frame: trained in place, as HUGSIM and drivestudio export
     World,
 }
 

@@ -16,8 +16,8 @@ use crate::progress;
 use format::Format;
 use report::Report;
 
-/// Convert splats from one format to another, or a checkpoint with actors to a scene, and say what
-/// was lost
+/// Convert splats from one format to another, or a checkpoint with actors to a scene, and report
+/// the loss
 ///
 /// Read are .ply (INRIA and PlayCanvas compressed), .spz, .splat, .sog (or its folder), .glb with
 /// KHR_gaussian_splatting, .pt of gsplat and .safetensors; written are .ply, .spz, .splat, .sog,
@@ -27,18 +27,18 @@ use report::Report;
 pub struct Arguments {
     /// Input to convert
     input: PathBuf,
-    /// The file to write, its format told by its extension, or the folder for a scene
+    /// File to write, in the format of its extension, or folder for a scene
     output: PathBuf,
-    /// The format to write, whatever the extension says
+    /// Format to write, regardless of the extension
     #[arg(long, value_name = "FORMAT", value_enum)]
     to: Option<Format>,
     /// Highest degree of spherical harmonics to write (default: all)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: Option<u8>,
-    /// Write what was lost as JSON
+    /// Write the loss to this JSON file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// Frames a second of a checkpoint whose frames have no times
+    /// Frames per second of a checkpoint whose frames have no times
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate)]
     frame_rate: f64,
     /// Trajectories of actors, for a checkpoint without tracks: a table of tracks whose ids are the

@@ -7,15 +7,15 @@ use decouplegs::asset::{inria_ply, read_coded};
 
 use crate::arguments::print;
 
-/// Turn a compressed asset back into splats that any viewer reads
+/// Convert a compressed asset back to a PLY of splats
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// A compressed asset (.safetensors)
+    /// Compressed asset (.safetensors)
     file: PathBuf,
-    /// The INRIA PLY to write
+    /// INRIA PLY to write
     #[arg(long, value_name = "FILE", value_parser = ply_path)]
     out: PathBuf,
-    /// Level of detail, 0 the finest
+    /// Level of detail; 0 is the finest
     #[arg(long, default_value_t = 0)]
     level: usize,
 }

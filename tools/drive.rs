@@ -14,7 +14,9 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::{AssetError, read_episode_log, read_light_transfer};
-use decouplegs::episode::{self, Driven, Look, ObservationRenderer, chosen, drive, render_options};
+use decouplegs::episode::{
+    self, Appearance, Driven, ObservationRenderer, chosen, drive, render_options,
+};
 use decouplegs::gpu::Gpu;
 use decouplegs::planner::{Cameras, Planner, PlannerChoice, Timeouts};
 use decouplegs::render::Renderer;
@@ -33,8 +35,8 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
 use crate::progress;
 
-/// Drive episodes in closed loop: cameras are drawn, a planner answers, the ego follows, traffic
-/// reacts. Finished episodes stay in --out; the same command goes on where a run was stopped
+/// Drive episodes in closed loop: render the cameras, ask the planner, move the ego, let traffic
+/// react. Finished episodes stay in --out; the same command resumes a stopped run
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Scenarios (.toml) to drive, one episode each
@@ -46,37 +48,36 @@ pub struct Arguments {
     /// Planner: constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND or unix:SOCKET
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerChoice,
-    /// Episodes of each level
+    /// Number of episodes per level
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     episodes: u32,
-    /// Scenarios that are synthetic follow from it
+    /// Seed of the generated scenarios
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Folder for the run; made if it does not exist
+    /// Folder of the run; created if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
     place: jobs::PlaceArguments,
-    /// Draw every N-th step, or `off` to draw nothing
+    /// Render every N-th step, or `off` for none
     #[arg(long, value_name = "N|off", default_value = "1")]
     render: Every,
     /// Size of the images
     #[arg(long, value_name = "WxH", default_value = "320x180")]
     size: Size,
-    /// Draw all cameras of the rig for a planner that looks at none, instead of the front one
+    /// Render all cameras of the rig for a planner that requests none, instead of the front one
     #[arg(long)]
     all_cameras: bool,
     /// Light transfer for the cars of a synthetic place, written by `calibrate-light`
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
-    /// Episodes that are driven side by side: two hide what one waits for, and a device has only so
-    /// much to give
+    /// Number of parallel workers. One device gains little beyond two
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
     workers: u32,
     /// Images to keep
     #[arg(long, value_enum, default_value_t = Images::Key)]
     images: Images,
-    /// Make a video of each camera of each episode, by ffmpeg; keeps all images
+    /// Write a video per camera and episode with ffmpeg; keeps all images
     #[arg(long)]
     video: bool,
     /// Time limit for an answer of an external planner: a later answer ends its episode
@@ -186,7 +187,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gpu = (arguments.render.0 > 0)
         .then(|| arguments.device.open())
         .transpose()?;
-    let look = Look {
+    let appearance = Appearance {
         transfer: arguments
             .light
             .as_deref()
@@ -194,7 +195,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             .transpose()?
             .map(|file| file.transfer),
     };
-    let sites = Sites::new(gpu.as_ref(), look);
+    let sites = Sites::new(gpu.as_ref(), appearance);
     let run = Run {
         arguments,
         folder: &folder,

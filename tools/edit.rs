@@ -22,25 +22,25 @@ use footing::{Footing, dims_of};
 /// are rewritten if the new file lies in another folder. Comments of the old file are lost.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The scene (.toml); it is left as it is
+    /// Scene (.toml); it is not changed
     scene: PathBuf,
-    /// The scene file to write
+    /// Scene file to write
     #[arg(long, value_name = "NEW.toml", value_parser = scene_path)]
     out: PathBuf,
-    /// Take an agent out; those behind it in the file get other instance ids
+    /// Remove an agent; later agents of the file get other instance ids
     #[arg(long, value_name = "NAME")]
     remove: Vec<String>,
-    /// Add an agent that stands
+    /// Add an agent at a fixed pose
     #[arg(
         long,
         value_name = "NAME=ASSET,X,Y,Z,YAW_DEG",
         allow_hyphen_values = true
     )]
     add: Vec<Addition>,
-    /// Show another asset; the pose stays, so that one of another height needs --ground
+    /// Use another asset; the pose stays, so an asset of another height needs --ground
     #[arg(long, value_name = "NAME=ASSET")]
     swap: Vec<Swap>,
-    /// Move an agent, with its whole trajectory, so that it begins there
+    /// Move an agent with its whole trajectory to a new start
     #[arg(
         long = "move",
         value_name = "NAME=X,Y,Z,YAW_DEG",
@@ -54,8 +54,7 @@ pub struct Arguments {
         allow_hyphen_values = true
     )]
     shift: Vec<Shift>,
-    /// Set the wheels of every agent that is added, swapped, moved or shifted on the ground that
-    /// was captured
+    /// Place the wheels of every added, swapped, moved or shifted agent on the captured ground
     #[arg(long)]
     ground: bool,
 }

@@ -15,8 +15,7 @@ use serde_json::Value;
 use crate::arguments::print;
 use summary::{Lines, splats_to_text};
 
-/// Describe a splat file, a compressed asset or a scene: counts, bounds, histograms, splats that
-/// cannot be drawn
+/// Describe a splat file, a compressed asset or a scene: counts, bounds, histograms, invalid splats
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Splats (.ply, .splat, .spz, .sog, .glb, .pt), a compressed asset (.safetensors) or a scene

@@ -16,13 +16,13 @@ use crate::arguments::print;
 use drawing::Drawing;
 use summary::{MapSummary, TrackSummary};
 
-/// Describe a map's lanes and draw them: kinds, lengths, heights, links; and tracks over them
+/// Describe and draw the lanes of a map: kinds, lengths, heights, links; and tracks on it
 #[derive(clap::Args)]
 pub struct Arguments {
     /// OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad (.xml)
     file: PathBuf,
-    /// Draw the lanes from above into an SVG file, with their ids where there is room. A browser
-    /// shows the id of any lane below the mouse
+    /// Draw the lanes from above into an SVG file, with their ids where there is room. In a
+    /// browser, hovering over a lane shows its id
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
     /// Write all lanes as lane JSON: ids, centerlines, borders, links. Scenarios name lanes by

@@ -11,7 +11,7 @@ use decouplegs::drive::oriented_box::time_to_collision;
 use decouplegs::drive::score::{Moments, TTC_HORIZON_S, plan_ade_m};
 use decouplegs::episode::open_loop::{Images, plans};
 use decouplegs::episode::{
-    EpisodeError, Look, ObservationRenderer, Simulation, chosen, render_options,
+    Appearance, EpisodeError, ObservationRenderer, Simulation, chosen, render_options,
 };
 use decouplegs::planner::{PlannerChoice, Timeouts};
 use decouplegs::render::{Image, Renderer};
@@ -25,15 +25,15 @@ use crate::drive::Sites;
 use crate::episode_report::spread;
 
 /// Show a planner two sources of images along the same log, such as real images and rendered ones,
-/// and compare what it answers. The ego drives as in the log whatever the answers are
+/// and compare its plans. The ego drives as in the log, regardless of the plans
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The log that the ego drives by
+    /// Log that the ego follows
     log: PathBuf,
     /// Planner, by its name in `drive`; not one that replays a log
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerChoice,
-    /// The reference: a folder of CAMERA_STEP.png, as `drive --images all` writes them
+    /// Reference images: a folder of CAMERA_STEP.png, as `drive --images all` writes them
     /// (front_0000.png), or `rendered`
     #[arg(long, value_name = "DIR|rendered", default_value = "rendered")]
     reference: PathBuf,
@@ -100,7 +100,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
         .unwrap_or(Path::new(""));
     let is_rendered = source == Path::new("rendered");
     let gpu = is_rendered.then(|| arguments.device.open()).transpose()?;
-    let look = Look {
+    let appearance = Appearance {
         transfer: arguments
             .light
             .as_deref()
@@ -108,7 +108,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
             .transpose()?
             .map(|file| file.transfer),
     };
-    let ready = Sites::new(gpu.as_ref(), look).get(&episode.head.scenario.place, base)?;
+    let ready = Sites::new(gpu.as_ref(), appearance).get(&episode.head.scenario.place, base)?;
     let size_px = episode
         .head
         .drawn_by

@@ -30,19 +30,18 @@ const FILLED: f64 = 0.8;
 /// Placement of cameras around a scene that has none.
 #[derive(clap::Args)]
 pub struct OrbitArguments {
-    /// Put N cameras in a circle around the scene (default: 8, if the scene has no cameras and no
+    /// Place N cameras in a circle around the scene (default: 8, if the scene has no cameras and no
     /// file names some)
     #[arg(long, value_name = "N", conflicts_with = "cameras", value_parser = clap::value_parser!(u32).range(1..=3600))]
     orbit: Option<u32>,
-    /// The place that the circle's cameras look at, in the scene's coordinates (default: the middle
-    /// of the splats)
+    /// Target of the circle's cameras, in the scene's coordinates (default: the middle of the
+    /// splats)
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     look_at: Option<Place>,
-    /// Distance of the circle's cameras from that place (default: so that the splats fill the
-    /// image)
+    /// Distance of the circle's cameras from the target (default: the splats fill the image)
     #[arg(long, value_name = "METERS", value_parser = positive)]
     distance: Option<f64>,
-    /// The direction that is up in the images of the circle: x, y, z, -x, -y or -z (default: z for
+    /// Up direction in the images of the circle: x, y, z, -x, -y or -z (default: z for
     /// scenes, y for .glb, -y for other splat files, which are mostly trained from COLMAP's
     /// coordinates)
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]

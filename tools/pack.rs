@@ -26,7 +26,7 @@ pub struct Arguments {
     /// The package to write
     #[arg(long, value_name = "OUT.usdz", value_parser = package_path)]
     usdz: PathBuf,
-    /// By which clients ask for the scene (default: the name of the scene's folder)
+    /// Id of the scene for clients (default: the name of the scene's folder)
     #[arg(long, value_name = "ID")]
     scene_id: Option<String>,
     /// An OpenDRIVE map of the scene's world
@@ -39,7 +39,7 @@ pub struct Arguments {
     /// (default: 1.35 m behind it, on the ground)
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     rig_origin: Option<Triple>,
-    /// Leave the ground out: finding it takes seconds
+    /// Omit the ground, whose search takes seconds
     #[arg(long)]
     no_ground: bool,
 }

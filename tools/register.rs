@@ -19,7 +19,7 @@ use crate::arguments::{print, warn};
 use crate::progress;
 use measure::Measured;
 
-/// Bring tracks onto the lanes of a map and the ground of a scene
+/// Register tracks to the lanes of a map and to the ground of a scene
 ///
 /// A log may drift: its cars drive beside their lanes, and float above the road or sink into it.
 /// Tracks are matched to their lanes, moved by planar motions where lanes show that the log
@@ -40,11 +40,11 @@ pub struct Arguments {
     /// y and z (.csv) (default: the heights of the map)
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
-    /// The poses to write (.csv or .json): time, id, position of the box's center, rotation as w,
-    /// x, y, z, what is to be known
+    /// Poses to write (.csv or .json): time, id, position of the box's center, rotation as w, x, y,
+    /// z, flags
     #[arg(long, value_name = "FILE", value_parser = pose_path)]
     out: PathBuf,
-    /// Tracks as they should be, by the same ids: errors are measured against them
+    /// Ground-truth tracks with the same ids, to measure errors against
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
     /// Clearances are measured against this ground: splats, a scene, or points of a survey as a
@@ -55,10 +55,11 @@ pub struct Arguments {
     /// Write a page with plots of each track, errors and clearances
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// Deviation of the log's noise, meters; 0 smooths nothing (default: told by each track itself)
+    /// Standard deviation of the log's noise, meters; 0 disables smoothing (default: estimated per
+    /// track)
     #[arg(long, value_name = "METRES", value_parser = not_negative)]
     sigma: Option<f64>,
-    /// Move all tracks together or not at all: for a log that drifts as a whole
+    /// Move all tracks together or none: for a log that drifts as a whole
     #[arg(long)]
     shared: bool,
     /// Deviation of drivers from the middle of their lane, meters; tracks are moved one by one only

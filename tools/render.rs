@@ -24,7 +24,7 @@ use crate::scene_source::{Scene, SceneArguments};
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
-    /// Folder for the images; made if it does not exist
+    /// Folder for the images; created if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Image file format
@@ -33,8 +33,8 @@ pub struct Arguments {
     /// Part of the scene to render
     #[arg(long, value_enum, default_value_t = LayerName::All)]
     layer: LayerName,
-    /// Draw agents at the coarsest level of detail whose splats are at most this far apart
-    /// (default: always the finest)
+    /// Render agents at the coarsest level of detail whose splats are at most this many pixels
+    /// apart (default: always the finest)
     #[arg(long, value_name = "PX", conflicts_with = "reference", value_parser = pixels)]
     level_pitch: Option<f64>,
     /// Write these planes beside each image too: depth (expected depth along the camera's z,
@@ -44,7 +44,7 @@ pub struct Arguments {
     planes: Vec<PlaneName>,
     #[command(flatten)]
     device: DeviceArguments,
-    /// Render with the f64 definition on the processor: exact and slow
+    /// Render with the f64 reference on the CPU: exact and slow
     #[arg(long, conflicts_with = "device")]
     reference: bool,
     /// Write all images side by side to this file too, which ends with .png
@@ -67,7 +67,8 @@ fn png_path(text: &str) -> Result<PathBuf, String> {
 /// Image file format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
-    /// 8 bits a channel, clamped; no alpha, but for `--layer agents`: RGBA, colors divided by alpha
+    /// 8 bits per channel, clamped; no alpha, but for `--layer agents`: RGBA, colors divided by
+    /// alpha
     Png,
     /// float32 RGBA as blended: premultiplied by alpha in `--layer agents`
     Exr,
@@ -99,9 +100,9 @@ enum PlaneName {
 enum LayerName {
     /// Background and agents
     All,
-    /// The scene as if no agent had ever been there: without agents and their shadows
+    /// The scene without agents and their shadows
     Background,
-    /// The agents over nothing, in the light of the whole scene, with their true coverage as alpha
+    /// The agents without background, in the light of the whole scene, with their coverage as alpha
     Agents,
 }
 

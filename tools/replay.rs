@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::{read_episode_log, read_light_transfer};
 use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{
-    EpisodeObserver, Look, ObservationRenderer, Replayed, Site, render_options, replay,
+    Appearance, EpisodeObserver, ObservationRenderer, Replayed, Site, render_options, replay,
 };
 use decouplegs::render::Renderer;
 use decouplegs::scene::Rig;
@@ -18,16 +18,16 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::drive::{ImageWriter, Images, Ready, Sites};
 use crate::progress;
 
-/// Drive a log's plans again and compare: the motion of all vehicles and the score to the last bit,
-/// images by their hashes. Exits with 1 where something differs
+/// Repeat the plans of a log and compare: the motion of all vehicles and the score to the last bit,
+/// images by their hashes. Exits with 1 if something differs
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The log of an episode, as `drive` writes it
+    /// Log of an episode, as `drive` writes it
     log: PathBuf,
     /// Folder that the scenario's files are relative to (default: the log's)
     #[arg(long, value_name = "DIR")]
     base: Option<PathBuf>,
-    /// Draw nothing: compare motion and score alone
+    /// Render nothing: compare motion and score only
     #[arg(long)]
     no_render: bool,
     /// Light transfer for the cars, as given to the run
@@ -67,7 +67,7 @@ fn drawn(
     base: &Path,
 ) -> Result<(Replayed, Option<String>)> {
     let gpu = arguments.device.open()?;
-    let look = Look {
+    let look = Appearance {
         transfer: arguments
             .light
             .as_deref()

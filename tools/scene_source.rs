@@ -26,17 +26,17 @@ pub struct SceneArguments {
     dataparser: Option<PathBuf>,
     #[command(flatten)]
     orbit: OrbitArguments,
-    /// The moment at which the scene is drawn, seconds (default: when the ego's trajectory begins)
+    /// Time of the scene, seconds (default: the start of the ego's trajectory)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
     /// Render every image at this size, with its horizontal and its vertical field of view
     /// (default: the camera's own)
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// By whose definition splats become an image (default: the scene's own rules)
+    /// Image formation rules (default: the scene's own)
     #[arg(long, value_enum)]
     rules: Option<RulesName>,
-    /// Keep thin splats from growing brighter when they are widened to a pixel (Mip-Splatting)
+    /// Compensate the dilation of thin splats by their opacity (Mip-Splatting)
     #[arg(long)]
     antialias: bool,
 }

@@ -4,14 +4,14 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use decouplegs::asset::read_episode_log;
-use decouplegs::episode::Look;
+use decouplegs::episode::Appearance;
 
 use crate::arguments::print;
 use crate::drive::Sites;
 use crate::episode_report::{self, Scored};
 use crate::progress;
 
-/// Score episodes again from their logs, without drawing anything
+/// Score episodes again from their logs, without rendering
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Logs of episodes, as `drive` writes them
@@ -38,7 +38,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     bar.finish_and_clear();
     scored.sort_by(|a, b| (a.level(), a.name()).cmp(&(b.level(), b.name())));
     let text = match &arguments.out {
-        Some(out) => episode_report::write(&scored, &Sites::new(None, Look::default()), out)?,
+        Some(out) => episode_report::write(&scored, &Sites::new(None, Appearance::default()), out)?,
         None => episode_report::text(&scored)?,
     };
     print(&text)

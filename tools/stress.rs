@@ -34,10 +34,10 @@ use mode::{Agents, Mode};
 use report::{Report, Thumbnails};
 use workload::{StreetWish, Workload};
 
-/// Measure frames, memory and error against the number of agents that drive, for several ways to
-/// draw them
+/// Measure frame time, memory and error against the number of moving agents, for several modes of
+/// rendering
 ///
-/// The ego drives through a scene file or a street synthetic, with more and more agents around it,
+/// The ego drives through a scene file or a generated street, with more and more agents around it,
 /// once for each mode. Every mode's frames are timed, its memory is counted, and its images are
 /// compared with those of vanilla. A table is printed; --report writes a page with plots, and says
 /// there how to read them.
@@ -47,12 +47,12 @@ pub struct Arguments {
     /// A scene (.toml) with agents, plain or compressed
     #[arg(group = "what")]
     scene: Option<PathBuf>,
-    /// Generate a street instead, with as many agents as are asked for, and compress its cars
+    /// Generate a street with the requested number of agents, and compress its cars
     #[arg(long, group = "what")]
     synth: bool,
     #[command(flatten)]
     street: StreetArguments,
-    /// Numbers of agents to measure with, always the first so many of the scene
+    /// Numbers of agents to measure, always the first ones of the scene
     #[arg(
         long,
         value_name = "N,...",
@@ -60,17 +60,17 @@ pub struct Arguments {
         default_value = "0,1,2,5,10,20,30,40,50"
     )]
     agents: Vec<usize>,
-    /// Cameras that stand: INRIA cameras.json or nerfstudio transforms.json (default: the ego's
+    /// Fixed cameras: INRIA cameras.json or nerfstudio transforms.json (default: the ego's
     /// rig, which drives)
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
-    /// Draw the first so many cameras, in one submission (default: all)
+    /// Number of cameras to render in one submission, from the first (default: all)
     #[arg(long, value_name = "N")]
     cameras_used: Option<usize>,
     /// Render every image at this size, with its field of view (default: the camera's own)
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// Frames that are timed
+    /// Number of timed frames
     #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
     /// Least number of frames before them that are not timed
@@ -83,11 +83,11 @@ pub struct Arguments {
     /// Time from one frame to the next, in which the ego and the agents drive on, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 0.1, value_parser = seconds)]
     step: f64,
-    /// The moment of the first timed frame, seconds (default: when the ego's trajectory begins)
+    /// Time of the first timed frame, seconds (default: the start of the ego's trajectory)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
-    /// Ways to draw: vanilla, prune[=SHARE], decoupled, decoupled-serial, lod[=PX], sh0, sh1, sh2,
-    /// keep=SHARE, colors=N
+    /// Modes of rendering: vanilla, prune[=SHARE], decoupled, decoupled-serial, lod[=PX], sh0, sh1,
+    /// sh2, keep=SHARE, colors=N
     ///
     /// vanilla: uncompressed copies of the agents, depth keys computed in every frame; the others
     /// are compared with it prune=SHARE: vanilla with a share of all splats kept (0.34) decoupled:
@@ -99,10 +99,10 @@ pub struct Arguments {
     /// colors and half as many shapes
     #[arg(long, verbatim_doc_comment, value_name = "MODE,...", value_delimiter = ',', default_value = mode::DEFAULT_MODES)]
     modes: Vec<Mode>,
-    /// Moments at which images are compared with vanilla's
+    /// Number of moments at which images are compared with vanilla's
     #[arg(long, value_name = "K", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
     samples: u32,
-    /// Report a mode that takes more device memory than this, such as 2GiB or 500MiB, as out of
+    /// Limit of device memory, such as 2GiB or 500MiB; a mode that needs more is reported as out of
     /// memory
     #[arg(long, value_name = "BYTES")]
     memory_limit: Option<ByteSize>,
@@ -112,10 +112,10 @@ pub struct Arguments {
     views: u32,
     #[command(flatten)]
     device: DeviceArguments,
-    /// Write all figures to this file
+    /// Write all figures to this JSON file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Write a page with plots, tables and images to this file
+    /// Write an HTML page with plots, tables and images to this file
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
 }

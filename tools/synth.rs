@@ -1,4 +1,4 @@
-//! `decouplegs synth`: scenes synthetic, of any size.
+//! `decouplegs synth`: synthetic scenes of any size.
 
 use std::fs;
 use std::io::Write;
@@ -79,22 +79,19 @@ struct StreetArguments {
     /// The light over the street
     #[arg(long, value_name = "WEATHER", value_enum, default_value = "clear")]
     weather: WeatherName,
-    /// Capture the cars in even white light, without sun, sheen and shadow: what relighting starts
-    /// from
+    /// Capture the cars in even white light, without sun, sheen and shadow, for relighting
     #[arg(long)]
     neutral_assets: bool,
-    /// Capture the street from all of its lanes instead of the ego's way: for those who drive where
-    /// they like
+    /// Capture the street from all of its lanes instead of the ego's path, for free driving
     #[arg(long)]
     all_lanes: bool,
     /// Size of the cameras' images
     #[arg(long, value_name = "WxH", default_value = "1600x900")]
     size: Size,
-    /// Write world.ply too: street and cars as one cloud of splats, for programs that know no
-    /// agents
+    /// Write world.ply too: street and cars as one cloud of splats, for programs without agents
     #[arg(long)]
     baked: bool,
-    /// Folder for the files; made if it does not exist
+    /// Folder for the files; created if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }

@@ -4,7 +4,7 @@
 // Included by blend.comp, whose buffers it reads.
 
 const uint SUBGROUPS = THREADS / LANES;
-const uint SHARES = LEFT_PIXELS / LANES; // of a coarse tile, for a subgroup each: two pixels a lane
+const uint SHARES = LEFT_PIXELS / LANES; // of a coarse tile, for a subgroup each: two pixels per lane
 
 const uint BATCH_WORDS = BATCH / 32u;
 

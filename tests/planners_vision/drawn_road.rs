@@ -62,7 +62,7 @@ pub fn camera() -> RigCamera {
 }
 
 impl DrawnRoad {
-    /// The road as `camera` sees it, four bytes a pixel.
+    /// The road as `camera` sees it, four bytes per pixel.
     pub fn image(&self, camera: &RigCamera) -> Vec<u8> {
         let at = &camera.intrinsics;
         let mut rgba = Vec::with_capacity(at.pixels() as usize * 4);

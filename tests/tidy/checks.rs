@@ -28,6 +28,28 @@ const MAY_USE: &[(&str, &[&str])] = &[
         "engine/render/Cargo.toml",
         &["decouplegs-scene", "decouplegs-gpu", "decouplegs-shaders"],
     ),
+    (
+        "engine/session/Cargo.toml",
+        &[
+            "decouplegs-asset",
+            "decouplegs-gpu",
+            "decouplegs-render",
+            "decouplegs-scene",
+            "decouplegs-train",
+        ],
+    ),
+    (
+        "engine/sim/Cargo.toml",
+        &[
+            "decouplegs-asset",
+            "decouplegs-drive",
+            "decouplegs-render",
+            "decouplegs-scene",
+            "decouplegs-session",
+            "decouplegs-synth",
+            "decouplegs-train",
+        ],
+    ),
     ("tools/Cargo.toml", &["decouplegs"]),
     ("tools/server/Cargo.toml", &["decouplegs"]),
     (
@@ -43,6 +65,7 @@ const MAY_TEST_WITH: &[(&str, &str)] = &[
     ("engine/drive/Cargo.toml", "decouplegs-asset"),
     ("engine/drive/Cargo.toml", "decouplegs-synth"),
     ("engine/train/Cargo.toml", "decouplegs-synth"),
+    ("engine/session/Cargo.toml", "decouplegs-synth"),
 ];
 
 /// Findings for the lines of `texts` in which `fault` sees one.

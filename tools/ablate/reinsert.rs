@@ -75,7 +75,7 @@ impl Arm {
 pub struct Sample {
     pub time_s: f64,
     pub cameras: Vec<Camera>,
-    /// With instances, one a camera.
+    /// With instances, one per camera.
     pub truth: Vec<Image>,
     /// For each image the pixels that show vehicles.
     pub vehicles: Vec<Vec<bool>>,

@@ -18,7 +18,7 @@ pub enum Format {
     Ply,
     /// SPZ version 4
     Spz,
-    /// antimatter15's 32 bytes a splat
+    /// antimatter15's 32 bytes per splat
     Splat,
     /// PlayCanvas' bundle of lossless images, version 2
     Sog,

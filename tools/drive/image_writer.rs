@@ -21,7 +21,7 @@ pub enum Images {
     None,
     /// Images of the first camera: the first, the last and some between, for the report
     Key,
-    /// Each of every camera, and the key frames
+    /// All images of all cameras, and the key images
     All,
 }
 

@@ -19,22 +19,22 @@ use crate::progress;
 /// Place of generated scenarios.
 #[derive(clap::Args)]
 pub struct PlaceArguments {
-    /// Drive on the roads of this map, drawn as asphalt and markings, instead of the synthetic
+    /// Drive on the roads of this map, rendered as asphalt and markings, instead of the synthetic
     /// street
     #[arg(long, value_name = "FILE", conflicts_with = "scenarios")]
     map: Option<PathBuf>,
     /// Light the roads of --map by the probes (.hdr, .exr) in this folder. Names with `night`,
-    /// `dusk`, `dawn`, `sunset`, `sunrise`, `overcast` or `cloud` tell what they show; all others
+    /// `dusk`, `dawn`, `sunset`, `sunrise`, `overcast` or `cloud` define the weather; all others
     /// count as clear days
     #[arg(long, value_name = "DIR", requires = "map")]
     probes: Option<PathBuf>,
     /// Drive in this captured scene (.toml), whose lanes are those of --map
     #[arg(long, value_name = "FILE", requires = "map", conflicts_with = "probes")]
     scene: Option<PathBuf>,
-    /// Splats of the static part of a place that is synthetic
+    /// Number of background splats of a synthetic place
     #[arg(long, value_name = "N", default_value_t = 200_000)]
     background: usize,
-    /// Splats of each car of a place that is synthetic
+    /// Number of splats of each car of a synthetic place
     #[arg(long, value_name = "N", default_value_t = 4_000)]
     agent_splats: usize,
 }

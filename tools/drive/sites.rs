@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result};
 use decouplegs::LiveScene;
-use decouplegs::episode::{Look, Site, render_options};
+use decouplegs::episode::{Appearance, Site, render_options};
 use decouplegs::gpu::Gpu;
 use decouplegs::render::Renderer;
 use decouplegs::scene::Lane;
@@ -24,17 +24,17 @@ pub struct Ready {
 /// Places by what describes them.
 pub struct Sites<'a> {
     gpu: Option<&'a Gpu>,
-    look: Look,
+    appearance: Appearance,
     kept: Mutex<Vec<(Place, PathBuf, Arc<Ready>)>>,
     lanes: Mutex<Vec<(Place, PathBuf, Vec<Lane>)>>,
 }
 
 impl<'a> Sites<'a> {
     /// Creates the renderer of sites; without a device nothing is rendered.
-    pub fn new(gpu: Option<&'a Gpu>, look: Look) -> Self {
+    pub fn new(gpu: Option<&'a Gpu>, appearance: Appearance) -> Self {
         Self {
             gpu,
-            look,
+            appearance,
             kept: Mutex::default(),
             lanes: Mutex::default(),
         }
@@ -59,7 +59,7 @@ impl<'a> Sites<'a> {
     }
 
     fn make(&self, place: &Place, directory: &Path) -> Result<Ready> {
-        let site = Site::open(place, directory, self.gpu.map(|_| &self.look))
+        let site = Site::open(place, directory, self.gpu.map(|_| &self.appearance))
             .context("the place of the scenario is not usable")?;
         let site = Arc::new(site);
         let Some(gpu) = self.gpu else {

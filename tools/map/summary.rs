@@ -41,7 +41,7 @@ pub struct MapSummary {
     /// Lanes that no lane continues in, and those that continue in none.
     first: usize,
     last: usize,
-    /// Least and largest, meters a second, and lanes that have one.
+    /// Least and largest, meters per second, and lanes that have one.
     speed_limits_mps: Option<(f64, f64)>,
     with_speed_limit: usize,
 }

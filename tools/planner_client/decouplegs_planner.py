@@ -1,4 +1,4 @@
-"""Planners for DecoupleGS in Python, as engine/planner/protocol.md has it. The standard library is enough; 3.9 or later.
+"""Planners for DecoupleGS in Python, as engine/sim/planner-protocol.md has it. The standard library is enough; 3.9 or later.
 
     import decouplegs_planner
 

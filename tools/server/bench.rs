@@ -60,13 +60,13 @@ pub struct BenchOptions {
         default_value_t = 10.0
     )]
     pub seconds: f64,
-    /// Rollouts that ask at the same time, each for itself
+    /// Number of concurrent rollouts
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub clients: usize,
-    /// Time of the scene from one request to the next, seconds
+    /// Time step of the scene between requests, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 0.1)]
     pub step: f64,
-    /// Device to draw on: an index, a part of its name or its UUID
+    /// Device to render on: an index, a part of its name or its UUID
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
     /// Write the figures to a file
@@ -81,7 +81,7 @@ pub enum FormatName {
     Png,
     /// JPEG
     Jpeg,
-    /// Planes of bytes, not compressed
+    /// Uncompressed planes of bytes
     Planar,
 }
 

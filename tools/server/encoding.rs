@@ -66,7 +66,8 @@ fn quality_of(quality: f32) -> Result<u8, Status> {
     }
 }
 
-/// The bytes of an image, `rgba` row by row from the top, four bytes a pixel; alpha is not stored.
+/// The bytes of an image, `rgba` row by row from the top, four bytes per pixel; alpha is not
+/// stored.
 ///
 /// # Errors
 /// A sentence, when the format cannot hold the size.

@@ -33,8 +33,7 @@ enum Command {
     /// Serve until SIGTERM or SIGINT
     #[command(name = "serve-grpc", visible_alias = "serve")]
     Serve(Box<ServerOptions>),
-    /// Start a server in this process, ask it for images over the loopback, and tell how long that
-    /// took
+    /// Start a server in this process, request images over the loopback, and report latencies
     Bench(Box<BenchOptions>),
 }
 

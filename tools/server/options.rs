@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::{Args, Parser, ValueEnum};
 use decouplegs::gpu::DeviceChoice;
 
-/// All that a server is told when it starts.
+/// Options of the server.
 #[derive(Args, Clone, Debug)]
 pub struct ServerOptions {
     /// Scenes: scene files (.toml) or splat files. A scene's id is the name of the folder of
@@ -20,13 +20,13 @@ pub struct ServerOptions {
     /// Address to listen on. Other machines reach it only if this is not the loopback
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     pub host: IpAddr,
-    /// Port to listen on; 0 takes a free one, which is said on standard output
+    /// Port to listen on; 0 takes a free one and prints it on standard output
     #[arg(long, value_name = "PORT", default_value_t = 8080)]
     pub port: u16,
     /// Port of the Prometheus metrics, on the same address; none without it
     #[arg(long, value_name = "PORT")]
     pub metrics_port: Option<u16>,
-    /// Device to draw on: an index, a part of its name or its UUID, as `decouplegs devices` lists
+    /// Device to render on: an index, a part of its name or its UUID, as `decouplegs devices` lists
     /// them
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
@@ -34,7 +34,7 @@ pub struct ServerOptions {
     /// simulators put it on the ground below the rear axle, scene files in the center of the box
     #[arg(long, value_name = "X,Y,Z", value_parser = meters, default_value = "0,0,0", allow_hyphen_values = true)]
     pub rig_origin: [f64; 3],
-    /// Read all scenes into the cache at the start instead of when they are first asked for
+    /// Load all scenes into the cache at the start instead of at their first request
     #[arg(long)]
     pub preload: bool,
     /// Limits of the server
@@ -76,7 +76,7 @@ struct Defaults {
 pub enum LogForm {
     /// Lines for people
     Text,
-    /// A JSON object a line
+    /// One JSON object per line
     Json,
 }
 
@@ -89,13 +89,13 @@ pub struct Limits {
     /// Largest message that is received, bytes; requests are far smaller than images
     #[arg(long, value_name = "BYTES", default_value_t = 16 << 20, value_parser = message_bytes)]
     pub request_bytes: usize,
-    /// Requests at a time; further ones are refused with RESOURCE_EXHAUSTED
+    /// Concurrent requests; further ones are refused with RESOURCE_EXHAUSTED
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub requests: u32,
-    /// Connections at a time; further ones are closed
+    /// Concurrent connections; further ones are closed
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub connections: u32,
-    /// Connections at a time from one address; further ones are closed
+    /// Concurrent connections from one address; further ones are closed
     #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub address_connections: u32,
     /// A connection without a request for so long is closed, seconds. Clients connect again by
@@ -111,13 +111,13 @@ pub struct Limits {
     /// Cameras of one request
     #[arg(long, value_name = "N", default_value_t = 16)]
     pub cameras: usize,
-    /// Objects that one camera is told of
+    /// Objects per camera of a request
     #[arg(long, value_name = "N", default_value_t = 4096)]
     pub objects: usize,
-    /// A request that takes longer is given up, seconds
+    /// Time limit of a request, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 300.0, value_parser = seconds)]
     pub deadline: f64,
-    /// A connection that says nothing after it was opened is closed, seconds
+    /// Time limit for the first bytes of a connection, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     pub handshake: f64,
     /// On SIGTERM and SIGINT, requests that have begun may take so long to finish, seconds. Then
@@ -125,7 +125,7 @@ pub struct Limits {
     /// done
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
     pub grace: f64,
-    /// Scenes that are kept on the device
+    /// Number of scenes that are kept on the device
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub cache_size: u32,
     /// Device memory that scenes in the cache may take, bytes

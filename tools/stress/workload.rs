@@ -43,7 +43,7 @@ pub struct Workload {
     source: Value,
 }
 
-/// A street that is synthetic.
+/// A generated street.
 pub struct StreetWish {
     pub background: usize,
     pub agents: usize,

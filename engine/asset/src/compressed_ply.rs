@@ -1,7 +1,7 @@
 //! PlayCanvas' compressed PLY: splats quantized within chunks of 256.
 //!
 //! Element `chunk` holds the extent of each chunk (means, log-scales and, from SuperSplat 2 on, DC
-//! colors), element `vertex` four words a splat: position and scale as 11-10-11 bits, rotation as
+//! colors), element `vertex` four words per splat: position and scale as 11-10-11 bits, rotation as
 //! an index of 2 bits and three times 10 bits, color and opacity as 8-8-8-8 bits. An optional
 //! element `sh` holds `f_rest_*` as bytes, channel-major.
 

@@ -79,8 +79,8 @@ pub(crate) fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, Dec
     })
 }
 
-/// The `f_dc` columns of an element, channel-major: one a channel, or the terms of its series over
-/// time.
+/// The `f_dc` columns of an element, channel-major: one per channel, or the terms of its series
+/// over time.
 struct DcColumns {
     columns: Vec<Column>,
     /// Mean of each term.

@@ -1,6 +1,6 @@
 //! File formats: splats, compressed assets, cameras, scene files, maps and tracks.
 //!
-//! One module a format. Each reader takes bytes that anyone may have written: it returns a
+//! One module per format. Each reader takes bytes that anyone may have written: it returns a
 //! [`DecodeError`] and neither panics nor allocates by a count that the bytes do not cover. Each
 //! writer goes through [`write_atomically`].
 #![forbid(unsafe_code)]

@@ -15,11 +15,11 @@ use crate::{
 /// The formats that are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SplatFormat {
-    /// PLY with one property a parameter.
+    /// PLY with one property per parameter.
     InriaPly,
     /// PlayCanvas' quantized PLY.
     CompressedPly,
-    /// antimatter15's 32 bytes a splat.
+    /// antimatter15's 32 bytes per splat.
     Splat,
     /// Niantic's, versions 1 to 4.
     Spz,

@@ -1,4 +1,4 @@
-//! The `.splat` of antimatter15's viewer: 32 bytes a splat and nothing else.
+//! The `.splat` of antimatter15's viewer: 32 bytes per splat and nothing else.
 //!
 //! Mean and linear scale as three floats each, color and opacity as four bytes, rotation w, x, y, z
 //! as four bytes around 128. No header, no spherical harmonics beyond DC.

@@ -271,7 +271,7 @@ fn a_bomb_takes_no_more_than_the_splats_that_are_believed() {
         5 * GZIP_HEAP,
     );
     let length = gzip_of_zeros(2, zeros).len();
-    // 20 bytes a splat in the file, 56 in memory, and a buffer that grows by doubling.
+    // 20 bytes per splat in the file, 56 in memory, and a buffer that grows by doubling.
     let believed = 16_384 + length;
     check(
         "gzip bomb of as many splats as are believed",

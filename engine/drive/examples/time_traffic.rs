@@ -1,5 +1,5 @@
-//! Prints how many steps a second traffic takes: `cargo run --release -p decouplegs-drive --example
-//! time_traffic`.
+//! Prints how many steps per second traffic takes: `cargo run --release -p decouplegs-drive
+//! --example time_traffic`.
 #![forbid(unsafe_code)]
 
 use std::f64::consts::FRAC_PI_2;

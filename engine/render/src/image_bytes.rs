@@ -9,7 +9,7 @@ use crate::{RenderError, Renderer};
 /// Pixels that a thread copies at once: a megabyte.
 const COPY_PIXELS: usize = 1 << 18;
 
-/// The images of a frame, four bytes a pixel: red, green, blue, alpha.
+/// The images of a frame, four bytes per pixel: red, green, blue, alpha.
 #[derive(Default)]
 pub struct ImageBytes {
     words: Vec<u32>,

@@ -4,8 +4,8 @@ use crate::rendered_image::Image;
 use crate::{RenderError, Renderer};
 
 impl Renderer {
-    /// The images of the frame that was finished last, one a camera, in the order the cameras were
-    /// given.
+    /// The images of the frame that was finished last, one per camera, in the order the cameras
+    /// were given.
     ///
     /// Colors of [`crate::ColorFormat::U8`] come back as multiples of 1/255. Empty before the first
     /// frame, and once its place is taken by a frame submitted later

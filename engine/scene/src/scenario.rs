@@ -40,7 +40,7 @@ impl Level {
     }
 }
 
-/// The light over a place that is synthetic.
+/// Light over a synthetic place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Weather {
     /// A sunny afternoon.

@@ -229,7 +229,7 @@ fn gather<T: Copy + Send + Sync>(values: &[T], order: &[u32]) -> Vec<T> {
         .collect()
 }
 
-/// 21 bits an axis, interleaved. The grid is cubic cells over the longest axis so that chunks are
+/// 21 bits per axis, interleaved. The grid is cubic cells over the longest axis so that chunks are
 /// compact.
 fn morton_code(mean: &[f32; 3], bounds: &Bounds) -> u64 {
     if !mean.iter().all(|x| x.is_finite()) {

@@ -58,7 +58,7 @@ impl VehicleState {
         DVec2::from_angle(self.yaw_rad)
     }
 
-    /// Velocity, meters a second.
+    /// Velocity, meters per second.
     #[must_use]
     pub fn velocity(&self) -> DVec2 {
         self.ahead() * self.speed_mps

@@ -24,7 +24,7 @@ def size(text: str) -> tuple[int, int]:
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scene", nargs="?", help="a scene file (.toml); a street is synthetic without one")
+    parser.add_argument("scene", nargs="?", help="a scene file (.toml); without one, a street is generated")
     parser.add_argument("--time", type=float, default=0.0, help="seconds")
     parser.add_argument("--size", type=size, default=(480, 270), metavar="WxH", help="pixels of each image")
     parser.add_argument("--device", help="a number, a part of a name, or uuid:...")

@@ -34,7 +34,7 @@ impl Views {
 
 /// Images one after the other, rows from the top.
 pub struct Layers {
-    /// Four values a pixel.
+    /// Four values per pixel.
     pub color: Values,
     /// Meters.
     pub depth: Option<Vec<f32>>,

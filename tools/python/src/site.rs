@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use decouplegs::asset::read_scenario;
 use decouplegs::drive::generate::{Generator, PlaceOptions};
-use decouplegs::episode::{Look, Site as EngineSite};
+use decouplegs::episode::{Appearance, Site as EngineSite};
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Level, Scenario, Weather};
 use decouplegs::session::SessionScene;
@@ -50,7 +50,7 @@ impl Site {
         } = self.place
         else {
             return Err(value_error(
-                "scenarios are synthetic on the synthetic street: name a scenario file for this place".to_owned(),
+                "scenarios are generated on the synthetic street only: name a scenario file for this place".to_owned(),
             ));
         };
         let options = PlaceOptions::Street {
@@ -110,11 +110,10 @@ impl Site {
             .as_ref()
             .map_or(street, |scenario| scenario.place.clone());
         py.detach(|| {
-            let site = EngineSite::open(&place, &directory, Some(&Look::default()))
+            let site = EngineSite::open(&place, &directory, Some(&Appearance::default()))
                 .map_err(|error| of_site(&error))?;
-            let scene = session
-                .inner
-                .add_site(&site)
+            let scene = site
+                .add_to(&session.inner)
                 .map_err(|error| of_session(&error))?;
             Ok(Self {
                 site: Arc::new(site),

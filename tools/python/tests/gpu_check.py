@@ -307,8 +307,8 @@ def many_worlds(options) -> dict:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scene", help="a scene file; a street is synthetic without one")
-    parser.add_argument("--background", type=int, default=400_000, help="splats of the street that is synthetic")
+    parser.add_argument("--scene", help="a scene file; without one, a street is generated")
+    parser.add_argument("--background", type=int, default=400_000, help="splats of the generated street")
     parser.add_argument("--frames", type=int, default=10_000, help="frames of the leak check")
     parser.add_argument("--device", help="a number, a part of a name, or uuid:...")
     parser.add_argument("--decouplegs", help="the program, whose PNG files are compared with")

@@ -103,8 +103,8 @@ impl<'a> Container<'a> {
             .collect()
     }
 
-    /// The bytes of a tensor of `columns` values a row (or of no second axis) and how many rows it
-    /// has.
+    /// The bytes of a tensor of `columns` values per row (or of no second axis) and how many rows
+    /// it has.
     pub(crate) fn rows(
         &self,
         name: &str,

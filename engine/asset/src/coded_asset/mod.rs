@@ -1,7 +1,7 @@
 //! The container of compressed assets: a [`CodedCloud`] and where it comes from, as one safetensors
 //! file.
 //!
-//! Twelve bytes a splat and two codebooks, readable from Python with the `safetensors` package
+//! Twelve bytes per splat and two codebooks, readable from Python with the `safetensors` package
 //! alone. The format is documented, with an example, in `engine/asset/coded-asset.md`.
 
 pub(crate) mod container;

@@ -22,7 +22,7 @@ struct Pieces {
 }
 
 impl Pieces {
-    /// Adds an attribute of `N` floats a splat.
+    /// Adds an attribute of `N` floats per splat.
     fn add<const N: usize>(&mut self, name: &str, rows: impl Iterator<Item = [f32; N]>) {
         let start = self.bytes.len();
         let mut count = 0;

@@ -1,8 +1,8 @@
 //! CommonRoad scenarios (`.xml`, versions 2018b and 2020a): lanelets between two bounds.
 //!
 //! A lanelet's kind is its `laneletType` (2020a; 2018b knows only roads). Its speed limit is its
-//! `speedLimit` (2018b) or that of the signs that it refers to (2020a), meters a second. Neighbors
-//! are kept where they run the same way. The road users of a scenario are
+//! `speedLimit` (2018b) or that of the signs that it refers to (2020a), meters per second.
+//! Neighbors are kept where they run the same way. The road users of a scenario are
 //! [`crate::tracks::commonroad`]'s.
 
 use std::collections::HashMap;

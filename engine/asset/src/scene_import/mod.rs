@@ -39,7 +39,7 @@ pub struct ImportOptions {
 }
 
 impl Default for ImportOptions {
-    /// Ten frames a second, as nearly all driving data sets have, and no tracks.
+    /// Ten frames per second, as nearly all driving data sets have, and no tracks.
     fn default() -> Self {
         Self {
             frame_rate_hz: 10.0,

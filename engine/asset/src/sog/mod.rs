@@ -1,7 +1,7 @@
 //! SOG version 2, PlayCanvas' splats in lossless WebP images: a zip (`.sog`) or the folder that was
 //! zipped.
 //!
-//! `meta.json` says how the pixels are meant, one pixel a splat, row by row: 16 bits an axis for
+//! `meta.json` says how the pixels are meant, one pixel per splat, row by row: 16 bits per axis for
 //! means, of which the logarithm is stored (`sign(x) ln(1 + |x|)` within an extent); rotations as
 //! the three smallest components in 8 bits each, alpha telling which was left out; scales (natural
 //! logarithms) and DC colors as indices into codebooks of 256 numbers; opacity in 8 bits; further
@@ -38,7 +38,7 @@ pub(crate) const META: &str = "meta.json";
 const META_BYTES_MAX: u64 = 1 << 20;
 /// A claim is believed up to this many splats however small the file is.
 const SPLATS_ALWAYS: u64 = 1 << 14;
-/// And up to this many for each of its bytes: real files take 10 to 20 bytes a splat.
+/// And up to this many for each of its bytes: real files take 10 to 20 bytes per splat.
 const SPLATS_PER_BYTE_MAX: u64 = 1;
 
 /// Reads the splats of a zipped bundle.

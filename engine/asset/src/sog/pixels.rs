@@ -108,7 +108,7 @@ fn rotation([a, b, c, tag]: [u8; 4]) -> [f32; 4] {
     }))
 }
 
-/// Three values a splat, each an index into `codebook`.
+/// Three values per splat, each an index into `codebook`.
 fn coded(
     codebook: &[f32],
     what: &str,

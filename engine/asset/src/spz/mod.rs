@@ -14,8 +14,8 @@
 //! rule, and arrive here turned.
 //!
 //! **Precision.** Means 2^-12 m (coarser beyond 2 km, see [`encode`]), scales a factor of e^(1/16)
-//! within 4.5e-5 m to 379 m, rotations 10 bits a component, opacities and DC colors 8 bits, further
-//! coefficients 8 bits within -1 to 1. Degree 4 is read to degree 3.
+//! within 4.5e-5 m to 379 m, rotations 10 bits per component, opacities and DC colors 8 bits,
+//! further coefficients 8 bits within -1 to 1. Degree 4 is read to degree 3.
 
 mod attributes;
 mod axes;

@@ -10,7 +10,7 @@ use crate::errors::{Errors, SMALLEST_THREE_MAX_RAD};
 use crate::sample::{self, cone, seed};
 
 /// `cloud` as text that keeps every bit: the shortest decimals that read back as the same numbers,
-/// one line a splat.
+/// one line per splat.
 fn text_of(cloud: &SplatCloud) -> String {
     let mut text = format!("{} splats of degree {}\n", cloud.len(), cloud.sh_degree);
     for splat in 0..cloud.len() {

@@ -2,7 +2,7 @@
 
 /// A plan whose rest of the way is shorter is at rest, meters.
 const REST_M: f64 = 0.02;
-/// A plan that ends slower than this ends at rest, meters a second.
+/// A plan that ends slower than this ends at rest, meters per second.
 const REST_MPS: f64 = 0.1;
 
 /// The way driven over time, through the times and places of a plan: a piecewise cubic that never
@@ -10,7 +10,7 @@ const REST_MPS: f64 = 0.1;
 /// the acceleration is constant.
 #[derive(Clone, Debug)]
 pub(super) struct SpeedProfile {
-    /// Time in seconds, way in meters, speed in meters a second; at time 0 the ego's own.
+    /// Time in seconds, way in meters, speed in meters per second; at time 0 the ego's own.
     knots: Vec<[f64; 3]>,
 }
 

@@ -32,7 +32,7 @@ const NEIGHBORS_MAX: usize = 60;
 const ROUNDS: usize = 3;
 /// Outliers are farther from the fit than this times its spread.
 const OUTLIER_SPREADS: f64 = 5.0;
-/// Slower than this nothing is told of where a car points, meters a second.
+/// Slower than this nothing is told of where a car points, meters per second.
 const MOVING_MPS: f64 = 0.7;
 
 /// A track without noise, in the frame of its log.
@@ -280,7 +280,7 @@ fn yaws(track: &Track, fits: &[Option<Fit>], positions: &[DVec2]) -> Vec<Option<
 mod tests {
     use super::*;
 
-    /// Ten meters a second through a corner of 45 degrees, ten times a second, with noise of
+    /// Ten meters per second through a corner of 45 degrees, ten times a second, with noise of
     /// `noise_m`.
     fn corner(noise_m: f64) -> (Track, Vec<DVec2>) {
         let mut seed = 7_u64;

@@ -1,4 +1,4 @@
-//! Scenarios that are synthetic keep what their level promises, and begin with nothing that cannot
+//! Generated scenarios keep what their level promises, and begin with nothing that cannot
 //! be survived.
 
 use decouplegs_asset::read_map;

@@ -1,4 +1,4 @@
-//! Blends segments of coarse tiles' lists.
+//! Alpha compositing of the segments of coarse tiles' lists.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};

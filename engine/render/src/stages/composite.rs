@@ -1,4 +1,4 @@
-//! Joins the segments of coarse tiles that were cut.
+//! Alpha compositing of partial results: joins the segments of cut lists.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder};

@@ -11,7 +11,7 @@ use crate::resident::GpuScene;
 
 /// Per-(camera, cluster) visibility bit mask and count.
 pub struct Visible {
-    /// One bit a splat, `[camera][cluster][8 words]`.
+    /// One bit per splat, `[camera][cluster][8 words]`.
     pub words: Buffer<u32>,
     /// Visible splats a `[camera][cluster]`.
     pub counts: Buffer<u32>,

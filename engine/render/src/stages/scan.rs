@@ -1,4 +1,4 @@
-//! Exclusive sums: where each list begins.
+//! Prefix sum (exclusive scan) of counts: the offset of each list.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};

@@ -18,7 +18,7 @@ const CLUSTER_WORDS: usize = CLUSTER_SPLATS / 32;
 /// Words that bands 1 to 3 of a color take, one behind the other.
 const COLOR_WORDS: usize = 24;
 
-/// Writes one bit a splat of the agents, `[camera][cluster][8 words]`, and the count a
+/// Writes one bit per splat of the agents, `[camera][cluster][8 words]`, and the count a
 /// `[camera][cluster]`; clusters are counted over all agents. Cameras are `[agent][camera]`.
 pub fn cull_agents(
     agents: &[AgentRecord],

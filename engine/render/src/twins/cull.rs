@@ -7,7 +7,7 @@ use crate::layout::{CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord};
 
 const CLUSTER_WORDS: usize = CLUSTER_SPLATS / 32;
 
-/// Writes one bit a splat, `[camera][cluster][8 words]`, and the count a `[camera][cluster]`.
+/// Writes one bit per splat, `[camera][cluster][8 words]`, and the count a `[camera][cluster]`.
 pub fn cull(
     cameras: &[CameraRecord],
     clusters: &[ClusterRecord],

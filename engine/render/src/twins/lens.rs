@@ -159,7 +159,7 @@ fn project_splat_unscented(
     (splat, drawn)
 }
 
-/// The lens of camera `camera` among `lenses`, one a camera or none at all; `None` for a pinhole.
+/// The lens of camera `camera` among `lenses`, one per camera or none at all; `None` for a pinhole.
 #[must_use]
 pub fn lens_of(lenses: &[LensRecord], camera: usize) -> Option<&LensRecord> {
     lenses

@@ -23,7 +23,7 @@ const STEP_M: f64 = 5.0;
 /// The same in turns: half a meter of the narrowest turn's border departs 5 mm from its chord.
 const TURN_STEP_M: f64 = 0.5;
 
-/// 50 km/h, meters a second.
+/// 50 km/h, meters per second.
 const SPEED_LIMIT_MPS: f64 = 50.0 / 3.6;
 
 /// Lanes in each direction.

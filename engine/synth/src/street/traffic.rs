@@ -13,11 +13,11 @@ use super::random::Stream;
 const EGO_CENTRE_Z_M: f64 = 0.85;
 /// Start of the ego, x in meters.
 const EGO_START_X_M: f64 = -62.0;
-/// Cruising speed of the ego, meters a second.
+/// Cruising speed of the ego, meters per second.
 const EGO_SPEED_MPS: f64 = 10.0;
-/// Speed in the turn, meters a second.
+/// Speed in the turn, meters per second.
 const EGO_TURN_SPEED_MPS: f64 = 5.0;
-/// Braking before the turn and accelerating after it, meters a second squared.
+/// Braking before the turn and accelerating after it, meters per second squared.
 const EGO_ACCELERATION_MPS2: f64 = 1.5;
 /// Radius of the ego's right turn into the crossing street: as wide as the kerb allows, meters.
 pub(super) const EGO_TURN_RADIUS_M: f64 = 9.0;

@@ -90,7 +90,7 @@ impl Moments {
         }
     }
 
-    /// Mean squared error over channels of the transfers `x`, one a channel, in one light.
+    /// Mean squared error over channels of the transfers `x`, one per channel, in one light.
     pub(super) fn error(&self, light: &LightMoments, x: &[Vec<f64>; 3]) -> f64 {
         let of_channel = |channel: usize| {
             let (gram, x) = (&self.gram[channel], &x[channel]);

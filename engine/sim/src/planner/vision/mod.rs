@@ -49,7 +49,7 @@ const RETURN_S: f64 = 0.9;
 const LOST_M: f64 = 60.0;
 /// Speed while the lane is lost, m/s.
 const LOST_MPS: f64 = 5.0;
-/// No speed beyond this is believed, meters a second.
+/// No speed beyond this is believed, meters per second.
 const SPEED_MPS_MAX: f64 = 60.0;
 /// No step takes longer than this, seconds.
 const STEP_S_MAX: f64 = 5.0;

@@ -7,7 +7,7 @@ use super::lead::Lead;
 use super::way::{REACH_M, RoadPath};
 use crate::planner::cadence::{HORIZON_S, SPACING_S};
 
-/// Sideways acceleration that is borne in bends, meters a second squared.
+/// Sideways acceleration that is borne in bends, meters per second squared.
 const LATERAL_MPS2: f64 = 2.0;
 /// Deceleration for curves, m/s^2.
 const BEND_BRAKING_MPS2: f64 = 1.8;

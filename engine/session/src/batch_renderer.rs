@@ -32,8 +32,8 @@ pub struct BatchRenderer {
     renderers: Vec<Renderer>,
 }
 
-/// Images on the host, four bytes a pixel: red, green, blue, alpha. Kept from frame to frame, their
-/// memory is used again.
+/// Images on the host, four bytes per pixel: red, green, blue, alpha. Kept from frame to frame,
+/// their memory is used again.
 #[derive(Default)]
 pub struct HostImages {
     frames: Vec<ImageBytes>,

@@ -50,7 +50,7 @@ pub struct Frame<'a> {
     /// Camera: its projection and its pose on the ego (x forward, y left, z up from the middle of
     /// its box).
     pub camera: &'a RigCamera,
-    /// Row by row from the top, four bytes a pixel, display-referred; the fourth is alpha.
+    /// Row by row from the top, four bytes per pixel, display-referred; the fourth is alpha.
     pub rgba: &'a [u8],
 }
 

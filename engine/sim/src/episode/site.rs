@@ -13,6 +13,7 @@ use decouplegs_scene::{
     CodedCloud, LaneMap, LightTransfer, Pose, Rig, SplatCloud, Trajectory, VehicleSize,
     VehicleState, Weather, World,
 };
+use decouplegs_session::{Session, SessionError, SessionScene};
 use decouplegs_synth::roads::{self, RoadsOptions};
 use decouplegs_synth::street::{AssetLight, Capture, Street, StreetOptions};
 use decouplegs_train::compress::{CompressError, compress_quickly};
@@ -25,7 +26,7 @@ pub enum SiteError {
     /// A file of it.
     #[error(transparent)]
     Asset(#[from] AssetError),
-    /// An asset that was synthetic.
+    /// A generated asset.
     #[error("a car of the street cannot be coded")]
     Compress(#[from] CompressError),
     /// The lanes form no roads, or the scene has no splats.
@@ -35,7 +36,7 @@ pub enum SiteError {
 
 /// Appearance options of a site.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Look {
+pub struct Appearance {
     /// Effect of light on the colors of agents on a synthetic site; `None`: they keep their
     /// captured colors. Scene files have their own.
     pub transfer: Option<LightTransfer>,
@@ -65,12 +66,16 @@ impl Site {
     /// Light is summed up along lanes in steps of this, meters: what its field is spaced by.
     pub const LIGHT_STEP_M: f64 = 1.0;
 
-    /// `place` made ready, its files relative to `directory`. Without a `look` nothing is made that
-    /// is only to be seen.
+    /// `place` made ready, its files relative to `directory`. Without a `appearance` nothing is
+    /// made that is only to be seen.
     ///
     /// # Errors
     /// When a file is at fault, or lanes or assets are missing.
-    pub fn open(place: &Place, directory: &Path, look: Option<&Look>) -> Result<Self, SiteError> {
+    pub fn open(
+        place: &Place,
+        directory: &Path,
+        appearance: Option<&Appearance>,
+    ) -> Result<Self, SiteError> {
         if let (
             Some(_),
             Place::Street {
@@ -83,7 +88,7 @@ impl Site {
                 agent_splats,
                 ..
             },
-        ) = (look, place)
+        ) = (appearance, place)
         {
             let splats = (*background as u64)
                 .saturating_add((*agent_splats as u64).saturating_mul(ALL_CARS as u64));
@@ -98,7 +103,7 @@ impl Site {
                 background,
                 agent_splats,
                 seed,
-            } => Self::street(*weather, [*background, *agent_splats], *seed, look),
+            } => Self::street(*weather, [*background, *agent_splats], *seed, appearance),
             Place::Roads {
                 map,
                 probe,
@@ -108,10 +113,10 @@ impl Site {
             } => {
                 let lanes = read_map(&directory.join(map))?;
                 let cars = cars(
-                    *agent_splats * usize::from(look.is_some()),
+                    *agent_splats * usize::from(appearance.is_some()),
                     AssetLight::Neutral,
                 );
-                let Some(look) = look else {
+                let Some(appearance) = appearance else {
                     return Self::bare(lanes, cars.sizes);
                 };
                 let read = |probe: &PathBuf| read_probe(&directory.join(probe));
@@ -123,12 +128,12 @@ impl Site {
                     sky: drawn.sky,
                     ..World::of(drawn.background)
                 };
-                Self::made_up(lanes, world, cars, look)
+                Self::made_up(lanes, world, cars, appearance)
             }
             Place::Scene { scene, map } => Self::captured(
                 &directory.join(scene),
                 read_map(&directory.join(map))?,
-                look,
+                appearance,
             ),
         }
     }
@@ -137,15 +142,18 @@ impl Site {
         weather: Weather,
         [background, agent_splats]: [usize; 2],
         seed: u64,
-        look: Option<&Look>,
+        appearance: Option<&Appearance>,
     ) -> Result<Self, SiteError> {
         // Cars that no light is put on are shown in the sun of their capture.
-        let asset_light = match look {
-            Some(Look { transfer: Some(_) }) => AssetLight::Neutral,
+        let asset_light = match appearance {
+            Some(Appearance { transfer: Some(_) }) => AssetLight::Neutral,
             _ => AssetLight::Sun,
         };
-        let cars = cars(agent_splats * usize::from(look.is_some()), asset_light);
-        let background = background * usize::from(look.is_some());
+        let cars = cars(
+            agent_splats * usize::from(appearance.is_some()),
+            asset_light,
+        );
+        let background = background * usize::from(appearance.is_some());
         let capture = Capture::Lanes;
         let options = StreetOptions {
             background,
@@ -156,14 +164,14 @@ impl Site {
             ..StreetOptions::default()
         };
         let street = Street::generate(&options);
-        let Some(look) = look else {
+        let Some(appearance) = appearance else {
             return Self::bare(street.lanes, cars.sizes);
         };
         let world = World {
             sky: street.sky,
             ..World::of(street.background)
         };
-        Self::made_up(street.lanes, world, cars, look)
+        Self::made_up(street.lanes, world, cars, appearance)
     }
 
     /// A place that nobody looks at.
@@ -175,7 +183,7 @@ impl Site {
         lanes: LaneMap,
         mut world: World,
         cars: Cars,
-        look: &Look,
+        appearance: &Appearance,
     ) -> Result<Self, SiteError> {
         world.splats = world.splats.select(&world.splats.spatial_order());
         let assets = cars
@@ -184,7 +192,7 @@ impl Site {
             .zip(&cars.sizes)
             .map(|(cloud, size)| coded(cloud, size));
         let light = LoadedLight {
-            transfer: look.transfer.clone(),
+            transfer: appearance.transfer.clone(),
             ambient: AmbientOptions::default(),
             shadows: Some(ShadowOptions::default()),
         };
@@ -197,20 +205,24 @@ impl Site {
         Self::of(loaded, lanes, cars.sizes, None)
     }
 
-    fn captured(scene: &Path, lanes: LaneMap, look: Option<&Look>) -> Result<Self, SiteError> {
-        let (mut loaded, dims_m) = match look {
+    fn captured(
+        scene: &Path,
+        lanes: LaneMap,
+        appearance: Option<&Appearance>,
+    ) -> Result<Self, SiteError> {
+        let (mut loaded, dims_m) = match appearance {
             Some(_) => {
-                let loaded = crate::open_movable_scene(scene)?.0;
+                let loaded = decouplegs_session::open_movable_scene(scene)?.0;
                 let dims_m = loaded.assets.iter().map(|asset| asset.dims_m).collect();
                 (loaded, dims_m)
             }
             // Cars of plain splats take time to compress: only where they are seen.
-            None => crate::measure_movable_scene(scene)?,
+            None => decouplegs_session::measure_movable_scene(scene)?,
         };
         // Traffic replaces the vehicles that drove when the scene was captured.
         loaded.agents.clear();
         loaded.agent_names.clear();
-        if look.is_some() && loaded.assets.is_empty() {
+        if appearance.is_some() && loaded.assets.is_empty() {
             let scene = scene.display();
             return Err(SiteError::Unfit(format!(
                 "{scene} has no agents, so there is no asset that traffic could show: add one"
@@ -269,7 +281,18 @@ impl Site {
         }
     }
 
-    /// Places all along its lanes, `step_m` apart: where light has to be known.
+    /// Adds the site to `session`, with light baked along its lanes. A [`super::Rollout`] moves the
+    /// agents of worlds over it.
+    ///
+    /// # Errors
+    /// Those of [`Session::add_scene`].
+    pub fn add_to(&self, session: &Session) -> Result<Arc<SessionScene>, SessionError> {
+        let scene = session.add_scene(&self.loaded)?;
+        scene.bake_light(self.places(Self::LIGHT_STEP_M));
+        Ok(scene)
+    }
+
+    /// Points along its lanes, `step_m` apart, at which light is baked.
     pub fn places(&self, step_m: f64) -> impl Iterator<Item = DVec3> + '_ {
         self.lanes.lanes.iter().flat_map(move |lane| {
             lane.centerline.windows(2).flat_map(move |pair| {

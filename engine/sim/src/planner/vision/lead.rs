@@ -20,7 +20,7 @@ const FORGET_S: f64 = 1.6;
 const UNDER_IMAGE_M: f64 = 6.0;
 /// For how long, seconds.
 const FORGET_NEAR_S: f64 = 4.0;
-/// No vehicle is faster, meters a second.
+/// No vehicle is faster, meters per second.
 const SPEED_MPS_MAX: f64 = 30.0;
 /// Assumed speed of a newly seen obstacle, as a share of the ego's speed.
 const SPEED_SHARE: f64 = 0.6;

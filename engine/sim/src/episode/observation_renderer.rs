@@ -7,8 +7,8 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::simulation::Simulation;
-use crate::LiveScene;
 use crate::planner::{Cameras, Frame};
+use decouplegs_session::LiveScene;
 
 /// Cameras that look at an episode.
 pub struct ObservationRenderer<'a> {

@@ -15,7 +15,7 @@ pub(super) const STEP_M: f64 = 0.25;
 pub(super) const REACH_M: f64 = 60.0;
 /// Navigation counts a turn from where the road begins to bend a little until it no longer does:
 /// its arc is shorter on each side, by 2 m where it is tight and by 1 m where its radius is 20 m
-/// (measured on arcs between straight lines). Meters, and meters a meter of radius.
+/// (measured on arcs between straight lines). Meters, and meters per meter of radius.
 const EASING: (f64, f64) = (2.6, 0.07);
 /// The least and the most easing, meters.
 const EASING_M: (f64, f64) = (0.5, 2.0);

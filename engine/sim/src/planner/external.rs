@@ -1,5 +1,5 @@
 //! Planners of others, in any language: a child process or a server on a Unix socket that speaks
-//! the protocol of `protocol.md`.
+//! the protocol of `planner-protocol.md`.
 //!
 //! Nothing that such a planner does ends more than its episode: an answer that is late, endless,
 //! wrong or missing is an error with a sentence, the process is ended with all that it started, and

@@ -10,8 +10,8 @@ use glam::DVec2;
 
 use super::EpisodeError;
 use super::site::Site;
-use crate::AgentInstance;
 use crate::planner::{EgoMotion, Navigation, Privileged, Turn};
+use decouplegs_session::AgentInstance;
 
 /// A wheel may be so far beyond the lanes' borders, meters: markings are as wide.
 const ROAD_SLACK_M: f64 = 0.15;

@@ -10,7 +10,7 @@ use super::site::Site;
 use super::{EpisodeError, Simulation};
 use crate::planner::{EpisodeInfo, Frame, Observation, Planner};
 
-/// Images of a step, four bytes a pixel, one a camera of the rig.
+/// Images of a step, four bytes per pixel, one per camera of the rig.
 pub type Images = Vec<Vec<u8>>;
 
 /// Shows `planner` the images that `images_of` has of each step, the ego moving as in `episode`.

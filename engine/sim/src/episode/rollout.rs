@@ -10,7 +10,7 @@ use decouplegs_scene::episode::{
 use decouplegs_scene::{Plan, Pose, Scenario};
 
 use super::{EpisodeError, Simulation, Site};
-use crate::session::{SessionError, World};
+use decouplegs_session::{SessionError, World};
 
 /// Planner and renderer of an episode, for its log.
 #[derive(Clone, Debug, Default)]

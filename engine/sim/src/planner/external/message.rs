@@ -1,4 +1,4 @@
-//! The words of the protocol, as `protocol.md` has them.
+//! Messages of the protocol, as in `planner-protocol.md`.
 
 use decouplegs_scene::plan::{Plan, PlanPoint};
 use decouplegs_scene::{RigCamera, VehicleSize, VehicleState};

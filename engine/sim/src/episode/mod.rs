@@ -29,7 +29,7 @@ pub use observation_renderer::{ObservationRenderer, chosen, render_options};
 pub use replay::{Replayed, replay};
 pub use rollout::{EpisodeMetadata, Rollout};
 pub use simulation::Simulation;
-pub use site::{Look, Site, SiteError, rig_of};
+pub use site::{Appearance, Site, SiteError, rig_of};
 
 /// Reason why an episode could not be driven: a fault of the run, not of the planner.
 #[derive(Debug, thiserror::Error)]
