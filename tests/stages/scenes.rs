@@ -228,19 +228,28 @@ impl Scene {
         buffers
     }
 
+    fn splats(&self) -> twins::SplatBuffers<'_> {
+        twins::SplatBuffers {
+            means_m: &self.means_m,
+            shapes: &self.shapes,
+            rotations: &self.rotations,
+        }
+    }
+
     /// The twin's visible words and counts.
     pub fn culled(&self, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
         let lists = self.view.cameras.len() * self.clusters.len();
         let (mut words, mut counts) = (vec![0; lists * CLUSTER_SPLATS / 32], vec![0; lists]);
+        let mut visible = twins::VisibleBits {
+            words: &mut words,
+            counts: &mut counts,
+        };
         twins::cull(
             &self.view.cameras,
-            &self.clusters,
-            &self.means_m,
-            &self.shapes,
-            &self.rotations,
-            &mut words,
-            &mut counts,
             &self.view.lenses,
+            &self.clusters,
+            self.splats(),
+            &mut visible,
             Variant::of(rules),
         );
         (words, counts)
@@ -340,6 +349,17 @@ pub struct ProjectedTwin {
     pub keys: Vec<u32>,
 }
 
+impl ProjectedTwin {
+    /// The buffers to write to.
+    pub fn records(&mut self) -> twins::Records<'_> {
+        twins::Records {
+            footprints: &mut self.footprints,
+            colors: &mut self.colors,
+            keys: &mut self.keys,
+        }
+    }
+}
+
 /// No depth keys are kept: buffers for stages that are given none.
 pub struct NoKeys {
     sets: Buffer<u32>,
@@ -414,28 +434,20 @@ impl Scene {
             colors: vec![[0.0; 4]; room],
             keys: vec![UNTOUCHED; room],
         };
-        twins::project(
-            &self.view.cameras,
-            &self.means_m,
-            &self.shapes,
-            &self.rotations,
-            &listed.words,
-            &listed.offsets,
-            &self.sh(),
-            variant.instances.then_some(self.instances.as_slice()),
-            &mut out.footprints,
-            &mut out.colors,
-            &mut out.keys,
-            &vec![NO_KEY_SET; self.view.cameras.len()],
-            &[],
-            &self.shadows,
-            &self.shadow_words(),
-            &self.view.lenses,
-            Variant::of(rules),
-            usize::from(variant.sh_degree),
-            rules.order == decouplegs::scene::DepthOrder::Radial,
-            variant.splat_ids,
-        );
+        let input = twins::ProjectBuffers {
+            cameras: &self.view.cameras,
+            lenses: &self.view.lenses,
+            splats: self.splats(),
+            sh: self.sh(),
+            instances: variant.instances.then_some(self.instances.as_slice()),
+            visible_words: &listed.words,
+            offsets: &listed.offsets,
+            key_sets: &vec![NO_KEY_SET; self.view.cameras.len()],
+            kept_keys: &[],
+            shadows: &self.shadows,
+            shadow_words: &self.shadow_words(),
+        };
+        twins::project(&input, &mut out.records(), rules, &variant);
         out
     }
 }

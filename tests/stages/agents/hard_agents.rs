@@ -248,6 +248,18 @@ impl AgentScene {
         )
     }
 
+    fn inputs(&self) -> twins::AgentInputs<'_> {
+        twins::AgentInputs {
+            agents: &self.agents,
+            agent_cameras: &self.cameras,
+            lenses: &self.lenses,
+            splats: &self.splats,
+            shapes: &self.shapes,
+            camera_count: self.counts.cameras,
+            cluster_count: self.counts.clusters,
+        }
+    }
+
     /// The twin's visible words and counts.
     pub fn culled(&self, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
         let AgentCounts {
@@ -257,17 +269,14 @@ impl AgentScene {
             vec![0; cameras * clusters * CLUSTER_SPLATS / 32],
             vec![0; cameras * clusters],
         );
+        let mut visible = twins::VisibleBits {
+            words: &mut words,
+            counts: &mut counts,
+        };
         twins::cull_agents(
-            &self.agents,
-            &self.cameras,
-            &self.splats,
-            &self.shapes,
+            &self.inputs(),
             &self.clusters,
-            &mut words,
-            &mut counts,
-            &self.lenses,
-            cameras,
-            clusters,
+            &mut visible,
             Variant::of(rules),
         );
         (words, counts)
@@ -315,28 +324,25 @@ impl AgentScene {
             colors: vec![[0.0; 4]; room],
             keys: vec![UNTOUCHED; room],
         };
+        let codebooks = twins::ColorCodebooks {
+            dc: &self.dc,
+            bands: &self.bands,
+            relit_dc: &self.relit_dc,
+            relit_bands: &self.relit_bands,
+        };
+        let listed = twins::ListedSplats {
+            visible_words: &listed.words,
+            offsets: &listed.offsets,
+            first_record: *static_offsets.last().expect("offsets end with a total"),
+        };
+        let degree = sh_degree.into();
         twins::project_agents(
-            &self.agents,
-            &self.cameras,
-            &self.splats,
-            &self.shapes,
-            &listed.words,
-            &listed.offsets,
-            &self.dc,
-            &self.bands,
-            static_offsets,
-            &self.relit_dc,
-            &self.relit_bands,
-            &mut out.footprints,
-            &mut out.colors,
-            &mut out.keys,
-            &self.lenses,
-            self.counts.cameras,
-            self.counts.clusters,
-            static_offsets.len() - 1,
-            Variant::of(rules),
-            sh_degree.into(),
-            rules.order == decouplegs::scene::DepthOrder::Radial,
+            &self.inputs(),
+            &codebooks,
+            &listed,
+            &mut out.records(),
+            rules,
+            degree,
         );
         out
     }

@@ -1,40 +1,80 @@
 //! Culling and projection of agents: `cull_agents.comp` and `project_agents.comp`.
 
+use decouplegs_scene::{DepthOrder, Rules};
 use glam::Vec3;
 
 use super::agent::{agent_of_cluster, axes_of, unpack_splat};
+use super::cull::VisibleBits;
 use super::depth_key::{depth_key, scaled_depth};
 use super::lens::{cluster_overlaps_any_lens, lens_of, project_splat_seen};
 use super::projection::{Variant, from_camera_m, to_camera_axes};
 use super::record::Record;
 use super::sh::{Stored, sh_color};
 use super::visibility::splat_overlaps;
-use super::write_record::write_record;
+use super::write_record::Records;
 use crate::layout::{AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord};
 use crate::sh_codec::words_of;
-
-const CLUSTER_WORDS: usize = CLUSTER_SPLATS / 32;
 
 /// Words that bands 1 to 3 of a color take, one behind the other.
 const COLOR_WORDS: usize = 24;
 
-/// Writes one bit per splat of the agents, `[camera][cluster][8 words]`, and the count a
-/// `[camera][cluster]`; clusters are counted over all agents. Cameras are `[agent][camera]`.
+/// Agents of a frame and their shared assets, by the names of the kernels' buffers.
+pub struct AgentInputs<'a> {
+    /// Agents of the frame.
+    pub agents: &'a [AgentRecord],
+    /// Cameras as each agent sees them, `[agent][camera]`.
+    pub agent_cameras: &'a [CameraRecord],
+    /// One per camera of the frame, or none at all.
+    pub lenses: &'a [LensRecord],
+    /// Splats of the assets, packed.
+    pub splats: &'a [[u32; 3]],
+    /// Codebook of shapes.
+    pub shapes: &'a [[f32; 6]],
+    /// Number of cameras of the frame.
+    pub camera_count: usize,
+    /// Number of clusters of all agents.
+    pub cluster_count: usize,
+}
+
+/// Codebooks of colors: DC terms and bands of the assets, and of those in their light.
+pub struct ColorCodebooks<'a> {
+    /// DC terms of the assets.
+    pub dc: &'a [[f32; 3]],
+    /// Bands of the assets.
+    pub bands: &'a [[u32; COLOR_WORDS]],
+    /// DC terms of relit codebooks.
+    pub relit_dc: &'a [[f32; 3]],
+    /// Bands of relit codebooks.
+    pub relit_bands: &'a [[u32; COLOR_WORDS]],
+}
+
+/// Visible splats of the agents.
+pub struct ListedSplats<'a> {
+    /// Visibility, as culling wrote it.
+    pub visible_words: &'a [u32],
+    /// First record of each `[camera][cluster]`, counted from `first_record`.
+    pub offsets: &'a [u32],
+    /// Number of the background's records.
+    pub first_record: u32,
+}
+
+/// Culls the splats of all agents; clusters are counted over all agents.
 pub fn cull_agents(
-    agents: &[AgentRecord],
-    agent_cameras: &[CameraRecord],
-    coded_splats: &[[u32; 3]],
-    coded_shapes: &[[f32; 6]],
+    input: &AgentInputs<'_>,
     asset_clusters: &[ClusterRecord],
-    visible_words: &mut [u32],
-    visible_counts: &mut [u32],
-    lenses: &[LensRecord],
-    camera_count: usize,
-    cluster_count: usize,
+    visible: &mut VisibleBits<'_>,
     variant: Variant,
 ) {
-    visible_words.fill(0);
-    visible_counts.fill(0);
+    let &AgentInputs {
+        agents,
+        agent_cameras,
+        lenses,
+        splats: coded_splats,
+        shapes: coded_shapes,
+        camera_count,
+        cluster_count,
+    } = input;
+    visible.clear();
     for (agent_index, agent) in agents.iter().enumerate() {
         for own_splat in 0..agent.splat_count as usize {
             let own_cluster = own_splat / CLUSTER_SPLATS;
@@ -60,9 +100,7 @@ pub fn cull_agents(
                 if drawn && splat_overlaps(&splat, camera) {
                     let list =
                         camera_index * cluster_count + agent.first_cluster as usize + own_cluster;
-                    visible_words[list * CLUSTER_WORDS + own_splat % CLUSTER_SPLATS / 32] |=
-                        1 << (own_splat % 32);
-                    visible_counts[list] += 1;
+                    visible.mark(list, own_splat % CLUSTER_SPLATS);
                 }
             }
         }
@@ -86,35 +124,30 @@ fn stored<'a>(dc: &'a [[f32; 3]; 1], bands: &'a [u32; COLOR_WORDS]) -> Stored<'a
     }
 }
 
-/// Writes a record, its color and depth key for every bit of `visible_words`, as far as there is
-/// room: behind the records of the background, of which there are `static_offsets[static_lists]`,
-/// the first of each `[camera][cluster]` at `offsets`.
+/// Writes a record, its color and depth key for every visible bit, as far as `records` have
+/// capacity, behind the records of the background.
 pub fn project_agents(
-    agents: &[AgentRecord],
-    agent_cameras: &[CameraRecord],
-    coded_splats: &[[u32; 3]],
-    coded_shapes: &[[f32; 6]],
-    visible_words: &[u32],
-    offsets: &[u32],
-    coded_dc: &[[f32; 3]],
-    coded_bands: &[[u32; COLOR_WORDS]],
-    static_offsets: &[u32],
-    relit_dc: &[[f32; 3]],
-    relit_bands: &[[u32; COLOR_WORDS]],
-    footprints: &mut [[f32; 4]],
-    colors: &mut [[f32; 4]],
-    keys: &mut [u32],
-    lenses: &[LensRecord],
-    camera_count: usize,
-    cluster_count: usize,
-    static_lists: usize,
-    variant: Variant,
+    input: &AgentInputs<'_>,
+    codebooks: &ColorCodebooks<'_>,
+    listed: &ListedSplats<'_>,
+    records: &mut Records<'_>,
+    rules: &Rules,
     sh_degree: usize,
-    radial: bool,
 ) {
-    let records_max = colors.len();
+    let &AgentInputs {
+        agents,
+        agent_cameras,
+        lenses,
+        splats: coded_splats,
+        shapes: coded_shapes,
+        camera_count,
+        cluster_count,
+    } = input;
+    let variant = Variant::of(rules);
+    let radial = rules.order == DepthOrder::Radial;
+    let records_max = records.colors.len();
     let visible = |list: usize, place: usize| {
-        visible_words[(list * CLUSTER_SPLATS + place) / 32] >> (place % 32) & 1 == 1
+        listed.visible_words[(list * CLUSTER_SPLATS + place) / 32] >> (place % 32) & 1 == 1
     };
     for camera_index in 0..camera_count {
         for cluster_index in 0..cluster_count {
@@ -122,7 +155,7 @@ pub fn project_agents(
             let agent_index = agent_of_cluster(cluster_index as u32, agents);
             let agent = &agents[agent_index];
             let camera = &agent_cameras[agent_index * camera_count + camera_index];
-            let first_slot = (static_offsets[static_lists] + offsets[list]) as usize;
+            let first_slot = (listed.first_record + listed.offsets[list]) as usize;
             let seen = (0..CLUSTER_SPLATS).filter(|&place| visible(list, place));
             for (slot, place) in (first_slot..records_max).zip(seen) {
                 let own_splat =
@@ -152,15 +185,15 @@ pub fn project_agents(
                 };
                 let entry = (agent.first_color + coded.color) as usize;
                 let (dc_of, bands_of) = if agent.colors_relit != 0 {
-                    (relit_dc, relit_bands)
+                    (codebooks.relit_dc, codebooks.relit_bands)
                 } else {
-                    (coded_dc, coded_bands)
+                    (codebooks.dc, codebooks.bands)
                 };
                 let residual = Vec3::from_array(agent.dc_residual_gain) * coded.dc_residual;
                 let dc = [(Vec3::from_array(dc_of[entry]) + residual).to_array()];
                 let color = sh_color(&stored(&dc, &bands_of[entry]), 0, 1, d, sh_degree);
-                write_record(slot, &record, color, footprints, colors);
-                keys[slot] = depth_key(scaled_depth(coded.mean_m, camera, radial));
+                let key = depth_key(scaled_depth(coded.mean_m, camera, radial));
+                records.write(slot, &record, color, key);
             }
         }
     }

@@ -7,42 +7,69 @@ use crate::layout::{CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord};
 
 const CLUSTER_WORDS: usize = CLUSTER_SPLATS / 32;
 
-/// Writes one bit per splat, `[camera][cluster][8 words]`, and the count a `[camera][cluster]`.
+/// Splats of the background, one entry each.
+#[derive(Clone, Copy)]
+pub struct SplatBuffers<'a> {
+    /// Means, meters.
+    pub means_m: &'a [[f32; 3]],
+    /// Scales and opacities.
+    pub shapes: &'a [[f32; 4]],
+    /// Rotations.
+    pub rotations: &'a [[f32; 4]],
+}
+
+/// Visibility that culling writes.
+pub struct VisibleBits<'a> {
+    /// One bit per splat, `[camera][cluster][8 words]`.
+    pub words: &'a mut [u32],
+    /// Number of bits, `[camera][cluster]`.
+    pub counts: &'a mut [u32],
+}
+
+impl VisibleBits<'_> {
+    /// Starts without visible splats.
+    pub(super) fn clear(&mut self) {
+        self.words.fill(0);
+        self.counts.fill(0);
+    }
+
+    /// Marks the splat at `place` of a cluster as visible; `list` counts `[camera][cluster]`.
+    pub(super) fn mark(&mut self, list: usize, place: usize) {
+        self.words[list * CLUSTER_WORDS + place / 32] |= 1 << (place % 32);
+        self.counts[list] += 1;
+    }
+}
+
+/// Culls the splats of the background for all cameras.
 pub fn cull(
     cameras: &[CameraRecord],
-    clusters: &[ClusterRecord],
-    means_m: &[[f32; 3]],
-    shapes: &[[f32; 4]],
-    rotations: &[[f32; 4]],
-    visible_words: &mut [u32],
-    visible_counts: &mut [u32],
     lenses: &[LensRecord],
+    clusters: &[ClusterRecord],
+    splats: SplatBuffers<'_>,
+    visible: &mut VisibleBits<'_>,
     variant: Variant,
 ) {
-    visible_words.fill(0);
-    visible_counts.fill(0);
+    visible.clear();
     for (camera_index, camera) in cameras.iter().enumerate() {
         let lens = lens_of(lenses, camera_index);
-        for (splat_index, &mean_m) in means_m.iter().enumerate() {
+        for (splat_index, &mean_m) in splats.means_m.iter().enumerate() {
             let cluster_index = splat_index / CLUSTER_SPLATS;
             if !cluster_overlaps_any_lens(&clusters[cluster_index], camera, lens, variant.near_m) {
                 continue;
             }
-            let shape = shapes[splat_index];
+            let shape = splats.shapes[splat_index];
             let t = to_camera_axes(camera, from_camera_m(mean_m, camera));
             let (splat, drawn) = project_splat_seen(
                 camera,
                 lens,
                 t,
-                axes_of(shape, rotations[splat_index]),
+                axes_of(shape, splats.rotations[splat_index]),
                 shape[3],
                 variant,
             );
             if drawn && splat_overlaps(&splat, camera) {
                 let list = camera_index * clusters.len() + cluster_index;
-                visible_words[list * CLUSTER_WORDS + splat_index % CLUSTER_SPLATS / 32] |=
-                    1 << (splat_index % 32);
-                visible_counts[list] += 1;
+                visible.mark(list, splat_index % CLUSTER_SPLATS);
             }
         }
     }

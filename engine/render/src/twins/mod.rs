@@ -2,9 +2,8 @@
 //!
 //! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `agent`, `depth_key`, `footprint`,
 //! `lens`, `output`, `projection`, `record`, `sh`, `shadow`, `visibility` and `write_record` what
-//! the shared GLSL of the same name does. Arguments have the shader's names and order: buffers
-//! first (outputs are written in place, as there), then push constants, then specialization
-//! constants. The stage tests feed both sides the same bytes. They use no workgroups and no shared
+//! the shared GLSL of the same name does. Arguments have the shader's names; outputs are written in
+//! place, as there. The stage tests feed both sides the same bytes. They use no workgroups and no shared
 //! memory.
 //!
 //! A twin shares the shader's formulas, so it shows that a kernel is implemented right, not that
@@ -38,16 +37,17 @@ mod scan;
 mod tile_sort;
 mod write_record;
 
-pub use agents::{cull_agents, project_agents};
+pub use agents::{AgentInputs, ColorCodebooks, ListedSplats, cull_agents, project_agents};
 pub use blend::{blend, log2_alpha_at};
 pub use composite::{Unfinished, composite};
-pub use cull::cull;
+pub use cull::{SplatBuffers, VisibleBits, cull};
 pub use cull_shadows::cull_shadows;
 pub use key_splats::key_splats;
 pub use lens::cluster_overlaps_any_lens;
 pub use plan_segments::plan_segments;
-pub use project::project;
+pub use project::{ProjectBuffers, project};
 pub use relight::relight;
 pub use scan::scan;
 pub use tile_sort::{bin_pairs, depth_slab, plan_buckets};
 pub use visibility::cluster_overlaps;
+pub use write_record::Records;

@@ -1,13 +1,17 @@
 //! Footprint, depth key and color of every visible (camera, splat): `project.comp`.
 
+use decouplegs_scene::{DepthOrder, Rules};
+
+use super::cull::SplatBuffers;
 use super::depth_key::{depth_key, scaled_depth};
 use super::lens::{lens_of, project_splat_seen};
 use super::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
 use super::record::Record;
 use super::sh::{Stored, sh_color};
 use super::shadow::shadow_factor;
-use super::write_record::write_record;
+use super::write_record::Records;
 use crate::layout::{CLUSTER_SPLATS, CameraRecord, LensRecord, NO_KEY_SET, ShadowRecord};
+use crate::stages::ProjectVariant;
 
 /// Share of a splat's light after all shadows that may lie on the cluster and that the camera sees.
 fn light_left(
@@ -28,44 +32,59 @@ fn light_left(
         .product()
 }
 
-/// Writes a record, its color and depth key for every bit of `visible_words`, the first of each
-/// `[camera][cluster]` at `offsets`, as far as there is room. `instances` holds two 16-bit ids a
-/// word, and is `None` where they are not asked for; with `splat_ids` the splat's index is written
-/// instead. Cameras that have a key set read their keys from it.
+/// Inputs of [`project`], by the names of the kernel's buffers.
+pub struct ProjectBuffers<'a> {
+    /// Cameras of the frame.
+    pub cameras: &'a [CameraRecord],
+    /// One per camera, or none at all.
+    pub lenses: &'a [LensRecord],
+    /// Splats of the background.
+    pub splats: SplatBuffers<'a>,
+    /// Spherical harmonics of the splats.
+    pub sh: Stored<'a>,
+    /// Two 16-bit instance ids per word; `None` if they are not requested.
+    pub instances: Option<&'a [u32]>,
+    /// Visibility, as culling wrote it.
+    pub visible_words: &'a [u32],
+    /// First record of each `[camera][cluster]`.
+    pub offsets: &'a [u32],
+    /// Key set of each camera in `kept_keys`, or [`NO_KEY_SET`].
+    pub key_sets: &'a [u32],
+    /// The persistent key buffer, `[set][splat]`.
+    pub kept_keys: &'a [u32],
+    /// Contact shadows.
+    pub shadows: &'a [ShadowRecord],
+    /// One bit per (cluster, shadow).
+    pub shadow_words: &'a [u32],
+}
+
+/// Writes a record, its color and depth key for every visible bit, as far as `records` have
+/// capacity. With [`ProjectVariant::splat_ids`], a record has the index of its splat instead of an
+/// instance id.
 pub fn project(
-    cameras: &[CameraRecord],
-    means_m: &[[f32; 3]],
-    shapes: &[[f32; 4]],
-    rotations: &[[f32; 4]],
-    visible_words: &[u32],
-    offsets: &[u32],
-    sh: &Stored<'_>,
-    instances: Option<&[u32]>,
-    footprints: &mut [[f32; 4]],
-    colors: &mut [[f32; 4]],
-    keys: &mut [u32],
-    key_sets: &[u32],
-    kept_keys: &[u32],
-    shadows: &[ShadowRecord],
-    shadow_words: &[u32],
-    lenses: &[LensRecord],
-    variant: Variant,
-    sh_degree: usize,
-    radial: bool,
-    splat_ids: bool,
+    input: &ProjectBuffers<'_>,
+    records: &mut Records<'_>,
+    rules: &Rules,
+    variant: &ProjectVariant,
 ) {
+    let SplatBuffers {
+        means_m,
+        shapes,
+        rotations,
+    } = input.splats;
+    let radial = rules.order == DepthOrder::Radial;
     let splat_count = means_m.len();
     let cluster_count = splat_count.div_ceil(CLUSTER_SPLATS);
-    let records_max = colors.len();
+    let records_max = records.colors.len();
     let visible = |list: usize, place: usize| {
-        visible_words[(list * CLUSTER_SPLATS + place) / 32] >> (place % 32) & 1 == 1
+        input.visible_words[(list * CLUSTER_SPLATS + place) / 32] >> (place % 32) & 1 == 1
     };
-    for (camera_index, camera) in cameras.iter().enumerate() {
-        let lens = lens_of(lenses, camera_index);
+    for (camera_index, camera) in input.cameras.iter().enumerate() {
+        let lens = lens_of(input.lenses, camera_index);
         for cluster_index in 0..cluster_count {
             let list = camera_index * cluster_count + cluster_index;
             let seen = (0..CLUSTER_SPLATS).filter(|&place| visible(list, place));
-            for (slot, place) in (offsets[list] as usize..records_max).zip(seen) {
+            for (slot, place) in (input.offsets[list] as usize..records_max).zip(seen) {
                 let splat_index = cluster_index * CLUSTER_SPLATS + place;
                 let offset = from_camera_m(means_m[splat_index], camera);
                 let t = to_camera_axes(camera, offset);
@@ -76,30 +95,40 @@ pub fn project(
                     t,
                     axes_of(shape, rotations[splat_index]),
                     shape[3],
-                    variant,
+                    Variant::of(rules),
                 );
-                let id = instances.map_or(0, |ids| {
+                let id = input.instances.map_or(0, |ids| {
                     ids[splat_index / 2] >> (16 * (splat_index % 2)) & 0xffff
                 });
                 let record = Record {
                     splat,
                     depth_m: if radial { offset.length() } else { t.z },
-                    instance: if splat_ids { splat_index as u32 } else { id },
+                    instance: if variant.splat_ids {
+                        splat_index as u32
+                    } else {
+                        id
+                    },
                 };
-                let color = sh_color(sh, splat_index, splat_count, offset.normalize(), sh_degree);
+                let degree = usize::from(variant.sh_degree);
+                let color = sh_color(
+                    &input.sh,
+                    splat_index,
+                    splat_count,
+                    offset.normalize(),
+                    degree,
+                );
                 let color = light_left(
                     cluster_index,
                     camera_index,
                     means_m[splat_index],
-                    shadows,
-                    shadow_words,
+                    input.shadows,
+                    input.shadow_words,
                 ) * color;
-                write_record(slot, &record, color, footprints, colors);
-                keys[slot] = if key_sets[camera_index] != NO_KEY_SET {
-                    kept_keys[key_sets[camera_index] as usize * splat_count + splat_index]
-                } else {
-                    depth_key(scaled_depth(means_m[splat_index], camera, radial))
+                let key = match input.key_sets[camera_index] {
+                    NO_KEY_SET => depth_key(scaled_depth(means_m[splat_index], camera, radial)),
+                    set => input.kept_keys[set as usize * splat_count + splat_index],
                 };
+                records.write(slot, &record, color, key);
             }
         }
     }
