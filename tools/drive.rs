@@ -3,7 +3,6 @@
 mod folder;
 mod image_writer;
 mod jobs;
-mod sites;
 mod video;
 
 use std::fs;
@@ -29,11 +28,11 @@ use self::folder::RunFolder;
 use self::image_writer::EpisodeImages;
 pub use self::image_writer::{ImageWriter, Images};
 use self::jobs::Job;
-pub use self::sites::{Ready, Sites};
 use crate::arguments::{Size, print, warn};
 use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
 use crate::progress;
+use crate::sites::Sites;
 
 /// Drive episodes in closed loop: render the cameras, ask the planner, move the ego, let traffic
 /// react. Finished episodes stay in --out; the same command resumes a stopped run
@@ -380,9 +379,4 @@ impl Worker<'_> {
         }
         Ok(())
     }
-}
-
-/// Milliseconds.
-pub fn to_ms(time: Duration) -> f64 {
-    1e3 * time.as_secs_f64()
 }

@@ -18,7 +18,7 @@ use decouplegs::scene::Level;
 use decouplegs::scene::episode::{Episode, EpisodeEnd};
 use serde_json::{Value, json};
 
-use crate::drive::Sites;
+use crate::sites::Sites;
 
 /// An episode and what it is worth.
 pub struct Scored {

@@ -31,6 +31,7 @@ mod render;
 mod replay;
 mod scene_source;
 mod score;
+mod sites;
 mod stress;
 mod synth;
 

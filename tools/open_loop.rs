@@ -21,8 +21,8 @@ use serde_json::{Value, json};
 
 use crate::arguments::print;
 use crate::device::DeviceArguments;
-use crate::drive::Sites;
 use crate::episode_report::spread;
+use crate::sites::Sites;
 
 /// Show a planner two sources of images along the same log, such as real images and rendered ones,
 /// and compare its plans. The ego drives as in the log, regardless of the plans

@@ -81,6 +81,11 @@ fn line(work: &str, done: u64, steps: Option<u64>, elapsed: Duration) -> String 
     }
 }
 
+/// Converts a duration to milliseconds.
+pub fn to_ms(time: Duration) -> f64 {
+    1e3 * time.as_secs_f64()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

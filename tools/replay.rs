@@ -15,8 +15,9 @@ use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
 
 use crate::arguments::print;
 use crate::device::{DeviceArguments, check_validation};
-use crate::drive::{ImageWriter, Images, Ready, Sites};
+use crate::drive::{ImageWriter, Images};
 use crate::progress;
+use crate::sites::{Ready, Sites};
 
 /// Repeat the plans of a log and compare: the motion of all vehicles and the score to the last bit,
 /// images by their hashes. Exits with 1 if something differs

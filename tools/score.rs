@@ -7,9 +7,9 @@ use decouplegs::asset::read_episode_log;
 use decouplegs::episode::Appearance;
 
 use crate::arguments::print;
-use crate::drive::Sites;
 use crate::episode_report::{self, Scored};
 use crate::progress;
+use crate::sites::Sites;
 
 /// Score episodes again from their logs, without rendering
 #[derive(clap::Args)]

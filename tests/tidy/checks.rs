@@ -69,7 +69,7 @@ const MAY_TEST_WITH: &[(&str, &str)] = &[
 ];
 
 /// Findings for the lines of `texts` in which `fault` sees one.
-fn lines_with(
+pub fn lines_with(
     file: &SourceFile,
     text: &str,
     fault: impl Fn(&str) -> Option<String>,
@@ -87,7 +87,7 @@ fn lines_with(
 }
 
 /// True if `word` stands in `text` with nothing of a name on either side.
-fn has_word(text: &str, word: &str) -> bool {
+pub fn has_word(text: &str, word: &str) -> bool {
     let part_of_a_name = |c: char| c.is_alphanumeric() || c == '_';
     text.match_indices(word).any(|(at, _)| {
         !text[..at].ends_with(part_of_a_name)
@@ -338,142 +338,6 @@ pub fn files_have_an_end(tree: &Tree) -> Vec<Finding> {
         what: format!("{lines} lines"),
     })
     .collect()
-}
-
-/// Words that a doc comment must not begin with: what follows them is a riddle away from the item.
-const RELATIVE_WORDS: [&str; 15] = [
-    "What",
-    "How",
-    "Where",
-    "Whether",
-    "When",
-    "Who",
-    "Whose",
-    "Whom",
-    "Which",
-    "Why",
-    "Its",
-    "Of",
-    "As",
-    concat!("Every", "body"),
-    "Nobody",
-];
-
-/// The text of a doc comment's line, if `line` is one.
-fn doc_text(line: &str) -> Option<&str> {
-    let line = line.trim_start();
-    let text = line
-        .strip_prefix("///")
-        .or_else(|| line.strip_prefix("//!"))?;
-    Some(text.trim())
-}
-
-pub fn docs_name_their_subject(tree: &Tree) -> Vec<Finding> {
-    let mut findings = Vec::new();
-    for file in tree.files.iter().filter(|file| file.is_rust()) {
-        let mut in_doc = false;
-        for (i, line) in file.text.lines().enumerate() {
-            let text = doc_text(line);
-            let begins = !in_doc;
-            in_doc = text.is_some();
-            let first = text
-                .and_then(|text| text.split_whitespace().next())
-                .unwrap_or_default();
-            if begins && RELATIVE_WORDS.contains(&first) {
-                findings.push(Finding {
-                    path: file.path.clone(),
-                    line: i + 1,
-                    what: format!("begins with {first:?}: name the thing, or what it does"),
-                });
-            }
-        }
-    }
-    findings
-}
-
-pub fn comments_are_narrow(tree: &Tree) -> Vec<Finding> {
-    const COLUMNS_MAX: usize = 100;
-    let fault = |line: &str| {
-        let comment = line
-            .trim_start()
-            .strip_prefix("//")?
-            .trim_start_matches(['/', '!'])
-            .trim();
-        // Tables, and what has no space to break at.
-        let breaks = !comment.starts_with('|') && comment.contains(' ');
-        let columns = line.chars().count();
-        (breaks && columns > COLUMNS_MAX).then(|| format!("a comment of {columns} columns"))
-    };
-    let sources = [".rs", ".comp", ".glsl"];
-    let files = tree
-        .files
-        .iter()
-        .filter(|file| sources.iter().any(|end| file.path.ends_with(end)));
-    files
-        .flat_map(|file| lines_with(file, &file.text, fault))
-        .collect()
-}
-
-/// Words that the field has better ones for, with those. `CHANGELOG.md` tells of them.
-const RETIRED_WORDS: &[(&str, &str)] = &[
-    (concat!("pict", "ure"), "image"),
-    (concat!("pict", "ures"), "images"),
-    (concat!("col", "our"), "color"),
-    (concat!("cen", "tre"), "center"),
-    (concat!("met", "re"), "meter"),
-    (concat!("met", "res"), "meters"),
-    (concat!("neigh", "bour"), "neighbor"),
-    (concat!("behav", "iour"), "behavior"),
-    (concat!("raster", "isation"), "rasterization"),
-    (concat!("fir", "sts"), "offsets"),
-    (concat!("macro ", "tile"), "coarse tile"),
-    (concat!("macro ", "tiles"), "coarse tiles"),
-    (concat!("macro_", "tile"), "coarse_tile"),
-    (concat!("render ", "tile"), "fine tile"),
-    (concat!("render ", "tiles"), "fine tiles"),
-    (concat!("who", "ever"), "the vehicle, caller or reader that"),
-    (concat!("Who", "ever"), "the vehicle, caller or reader that"),
-    (concat!("some", "body"), "a vehicle, a caller"),
-    (concat!("Some", "body"), "a vehicle, a caller"),
-    (concat!("every", "body"), "all vehicles"),
-    (concat!("Every", "body"), "all vehicles"),
-    (concat!("made ", "up"), "synthetic, generated"),
-    (concat!("looked ", "at"), "examined"),
-    (concat!("Resident", "World"), "GpuScene"),
-    (concat!("Frame", "Slot"), "FrameInFlight"),
-    (concat!("Yard", "stick"), "QualityMeter"),
-    (concat!("Show", "case"), "ExampleCrops"),
-];
-
-/// Exceptions for retired words: keys of files on disk, and compiled test kernels.
-const MAY_USE_RETIRED: &[(&str, &str)] = &[
-    ("engine/gpu/tests/", concat!("pict", "ure")),
-    (
-        "engine/asset/src/scenario_file/form.rs",
-        concat!("behav", "iour"),
-    ),
-];
-
-pub fn no_retired_words(tree: &Tree) -> Vec<Finding> {
-    let texts = [".rs", ".comp", ".glsl", ".md", ".py", ".pyi", ".c", ".h"];
-    let files = tree.files.iter().filter(|file| {
-        file.path != "CHANGELOG.md" && texts.iter().any(|end| file.path.ends_with(end))
-    });
-    let mut findings = Vec::new();
-    for file in files {
-        let allowed = |word: &str| {
-            let mut exceptions = MAY_USE_RETIRED.iter();
-            exceptions.any(|(path, other)| file.path.starts_with(path) && *other == word)
-        };
-        let fault = |line: &str| {
-            let found = RETIRED_WORDS
-                .iter()
-                .find(|(word, _)| has_word(line, word) && !allowed(word));
-            found.map(|(word, better)| format!("{word:?}: say {better:?}"))
-        };
-        findings.extend(lines_with(file, &file.text, fault));
-    }
-    findings
 }
 
 pub fn no_machine_paths(tree: &Tree) -> Vec<Finding> {

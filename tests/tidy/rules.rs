@@ -3,11 +3,12 @@
 
 use super::Rule;
 use super::checks::{
-    comments_are_narrow, crates_depend_one_way, crates_forbid_unsafe, docs_name_their_subject,
-    files_have_an_end, functions_fit_a_screen, kernel_has_its_stem, named_for_a_subject,
-    no_machine_paths, no_retired_words, nothing_undone, shader_says_what_it_is,
-    unsafe_is_explained, unsafe_only_in_gpu, vulkan_only_in_gpu,
+    crates_depend_one_way, crates_forbid_unsafe, files_have_an_end, functions_fit_a_screen,
+    kernel_has_its_stem, named_for_a_subject, no_machine_paths, nothing_undone,
+    shader_says_what_it_is, unsafe_is_explained, unsafe_only_in_gpu, vulkan_only_in_gpu,
 };
+use super::modules::modules_do_not_use_each_other;
+use super::words::{comments_are_narrow, docs_name_their_subject, no_retired_words};
 
 /// Every rule.
 pub const RULES: &[Rule] = &[
@@ -208,6 +209,16 @@ pub const RULES: &[Rule] = &[
                 "    // 789 123456789 123456789 123456789 123456789 123456789 123456789 123456789 123456789 123456789 1\n",
             ),
         ],
+    },
+    Rule {
+        name: "two modules of a crate do not use each other",
+        check: modules_do_not_use_each_other,
+        kept_by: &[
+            ("engine/a/src/c.rs", "use crate::{b::D, e};"),
+            ("engine/a/src/e.rs", "use crate::f::G;"),
+            ("engine/a/src/b/tests.rs", "use crate::c::D;"),
+        ],
+        broken_by: &[("engine/a/src/b.rs", "use crate::c::E;")],
     },
     Rule {
         name: "retired words stay retired",

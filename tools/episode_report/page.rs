@@ -10,8 +10,8 @@ use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Lane, VehicleState};
 
 use super::{Scored, birds_eye, rows, spread, summary, timing};
-use crate::drive::Sites;
 use crate::plot::{Axis, Plot, Series, Shape, escaped};
+use crate::sites::Sites;
 use crate::{data_uri, plot};
 
 /// Episodes that are shown; a page of hundreds would not be read.

@@ -4,7 +4,7 @@ use decouplegs::episode::StepTime;
 use serde_json::{Value, json};
 
 use super::Scored;
-use crate::drive::to_ms;
+use crate::progress::to_ms;
 
 /// A part of a step, as reports call it, and its milliseconds.
 type Part = (&'static str, fn(&StepTime) -> f64);

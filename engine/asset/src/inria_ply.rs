@@ -15,8 +15,12 @@ use rayon::prelude::*;
 
 use crate::activation::{log_of_scale, logit, normalized, scale_of_log, sigmoid};
 use crate::ply::{Column, Ply, Rows};
-use crate::scene_import::mean_weights;
 use crate::{AssetError, DecodeError, write_atomically};
+
+/// Moments over which colors that change with time are averaged.
+const MOMENTS: usize = 64;
+/// Most terms of a Fourier series that are read; the trainer's default is 5.
+const TERMS_MAX: usize = 1024;
 
 /// The element that holds the splats of a file with one model.
 const ELEMENT: &str = "vertex";
@@ -267,6 +271,35 @@ fn fill_row(row: &mut [u8], cloud: &SplatCloud, splat: usize) {
     for (to, value) in row.chunks_exact_mut(size_of::<f32>()).zip(values) {
         to.copy_from_slice(&value.to_le_bytes());
     }
+}
+
+/// Mean of each term of the series over time 0 to 1: cosines at even indices, sines at odd ones.
+///
+/// # Errors
+/// For more than 1024 terms.
+pub(crate) fn mean_weights(terms: usize) -> Result<Vec<f64>, DecodeError> {
+    if terms > TERMS_MAX {
+        let told =
+            format!("colors are Fourier series of {terms} terms; at most {TERMS_MAX} are read");
+        return Err(DecodeError::Malformed(told));
+    }
+    let term = |term: usize, time: f64| {
+        let angle = std::f64::consts::PI * time;
+        if term.is_multiple_of(2) {
+            (angle * term as f64).cos()
+        } else {
+            (angle * (term + 1) as f64).sin()
+        }
+    };
+    let moment = |index: usize| (index as f64 + 0.5) / MOMENTS as f64;
+    Ok((0..terms)
+        .map(|t| {
+            (0..MOMENTS)
+                .map(|index| term(t, moment(index)))
+                .sum::<f64>()
+                / MOMENTS as f64
+        })
+        .collect())
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@
  * do. Numbers and structs of a call that failed are not written; handles are set to NULL.
  *
  * Handles. A handle is a number in the clothes of a pointer: it points at nothing, is never given out twice, and one that was
- * closed, synthetic or is of another kind is DGS_STATUS_INVALID_HANDLE. Handles may be closed in any order: what others still need
+ * closed, invented or of another kind is DGS_STATUS_INVALID_HANDLE. Handles may be closed in any order: what others still need
  * stays alive without its handle. NULL may be closed. Where a fault of the library stopped a call midway (DGS_STATUS_PANIC), the
  * handles of that call can only be closed (DGS_STATUS_POISONED).
  *

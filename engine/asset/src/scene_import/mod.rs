@@ -26,8 +26,6 @@ use crate::error::read_bytes;
 use crate::ply::Ply;
 use crate::{AssetError, DecodeError, SceneAgent, SceneFile, inria_ply};
 
-pub(crate) use street_gaussians::mean_weights;
-
 /// Interpretation of data that the files do not define.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportOptions {

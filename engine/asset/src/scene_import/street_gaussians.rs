@@ -7,6 +7,7 @@ use decouplegs_scene::{Pose, SplatCloud, TimedPose, Track, Trajectory};
 
 use super::{ImportOptions, ImportedActor, ImportedScene};
 use crate::checkpoint::{Checkpoint, Names, Node, Tensor, cloud_of};
+use crate::inria_ply::mean_weights;
 use crate::memory::{cloud_bytes, decoded_bytes_max};
 use crate::ply::Ply;
 use crate::{DecodeError, inria_ply};
@@ -25,10 +26,6 @@ const BACKGROUND: &str = "background";
 const ACTOR: &str = "obj_";
 /// Prefix of the names of PLY elements, before the model's name.
 const ELEMENT: &str = "vertex_";
-/// Moments over which colors that change with time are averaged.
-const MOMENTS: usize = 64;
-/// Most terms of a Fourier series that are read; the trainer's default is 5.
-const TERMS_MAX: usize = 1024;
 
 /// The scene of a checkpoint, whose models are the values of `root`.
 pub(super) fn scene(
@@ -215,35 +212,6 @@ fn mean_dc(tensor: &Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError> {
         sum.map(|channel| channel as f32)
     };
     Ok((0..count).map(|_| color()).collect())
-}
-
-/// Mean of each term of the series over time 0 to 1: cosines at even indices, sines at odd ones.
-///
-/// # Errors
-/// For more than 1024 terms.
-pub(crate) fn mean_weights(terms: usize) -> Result<Vec<f64>, DecodeError> {
-    if terms > TERMS_MAX {
-        let told =
-            format!("colors are Fourier series of {terms} terms; at most {TERMS_MAX} are read");
-        return Err(DecodeError::Malformed(told));
-    }
-    let term = |term: usize, time: f64| {
-        let angle = std::f64::consts::PI * time;
-        if term.is_multiple_of(2) {
-            (angle * term as f64).cos()
-        } else {
-            (angle * (term + 1) as f64).sin()
-        }
-    };
-    let moment = |index: usize| (index as f64 + 0.5) / MOMENTS as f64;
-    Ok((0..terms)
-        .map(|t| {
-            (0..MOMENTS)
-                .map(|index| term(t, moment(index)))
-                .sum::<f64>()
-                / MOMENTS as f64
-        })
-        .collect())
 }
 
 #[cfg(test)]

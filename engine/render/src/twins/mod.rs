@@ -1,10 +1,10 @@
-//! The stages once more, for reading: sequential, f32, un-clever.
+//! CPU mirrors of the kernels, the oracle of the stage tests: sequential, f32, simple.
 //!
-//! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `agent`, `depth_key`, `footprint`,
-//! `lens`, `output`, `projection`, `record`, `sh`, `shadow`, `visibility` and `write_record` what
-//! the shared GLSL of the same name does. Arguments have the shader's names; outputs are written in
-//! place, as there. The stage tests feed both sides the same bytes. They use no workgroups and no shared
-//! memory.
+//! `twins/NAME.rs` computes what `shaders/NAME.comp` does. The modules `agent`, `depth_key`,
+//! `footprint`, `lens`, `output`, `projection`, `record`, `sh`, `shadow`, `visibility` and
+//! `write_record` correspond to the shared GLSL of the same name. Arguments have the shader's
+//! names; outputs are written in place, as there. The stage tests feed both sides the same bytes.
+//! Twins use no workgroups and no shared memory.
 //!
 //! A twin shares the shader's formulas, so it shows that a kernel is implemented right, not that
 //! the formulas are right: that is measured against [`crate::reference`].

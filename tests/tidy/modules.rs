@@ -1,0 +1,82 @@
+//! Modules of one crate that use each other.
+
+use super::Finding;
+use super::tree::{SourceFile, Tree};
+
+/// Pairs of modules of one crate that use each other, as `(crate, first, second)`.
+const MAY_USE_EACH_OTHER: &[(&str, &str, &str)] = &[
+    ("engine/asset/src", "packed_scene", "scene_file"),
+    ("engine/gpu/src", "queue", "ticket"),
+    ("tools/c/src", "types", "world"),
+];
+
+/// The folder of the crate of a source file, and the module in it; none for tests and crate roots.
+fn module_of(path: &str) -> Option<(&str, &str)> {
+    let products = [
+        "tools/server",
+        "tools/c/src",
+        "tools/python/src",
+        "tools/python/sharing/src",
+    ];
+    let product = products
+        .iter()
+        .find(|root| path.starts_with(&format!("{root}/")));
+    let root = match product {
+        Some(root) => root,
+        None if path.starts_with("tools/") => "tools",
+        None => &path[..path.find("/src/")? + "/src".len()],
+    };
+    let rest = path.strip_prefix(root)?.strip_prefix('/')?;
+    let module = rest.split(['/', '.']).next()?;
+    let counts =
+        rest.ends_with(".rs") && !rest.contains("tests") && !["lib", "main"].contains(&module);
+    counts.then_some((root, module))
+}
+
+/// The modules that `code` names behind `crate::`.
+fn modules_used(code: &str) -> impl Iterator<Item = &str> {
+    code.split("crate::").skip(1).flat_map(|rest| {
+        let list = rest
+            .strip_prefix('{')
+            .and_then(|list| list.split('}').next());
+        let names = list.unwrap_or_else(|| {
+            rest.split([':', ';', '(', ' ', ',', '>'])
+                .next()
+                .unwrap_or("")
+        });
+        names
+            .split([',', ' ', '\n'])
+            .map(|name| name.split(':').next().unwrap_or(name))
+    })
+}
+
+pub fn modules_do_not_use_each_other(tree: &Tree) -> Vec<Finding> {
+    let sources = tree
+        .files
+        .iter()
+        .filter_map(|file| Some((file, module_of(&file.path)?)));
+    let uses: Vec<(&SourceFile, &str, &str, &str)> = sources
+        .flat_map(|(file, (root, module))| {
+            modules_used(file.code.split("#[cfg(test)]").next().unwrap_or(""))
+                .filter(move |used| *used != module)
+                .map(move |used| (file, root, module, used))
+        })
+        .collect();
+    let back = |root: &str, module: &str, used: &str| {
+        uses.iter()
+            .any(|(_, other, from, to)| *other == root && *from == used && *to == module)
+    };
+    let mut findings: Vec<Finding> = Vec::new();
+    for &(file, root, module, used) in &uses {
+        let known = MAY_USE_EACH_OTHER.contains(&(root, module, used));
+        let finding = Finding {
+            path: file.path.clone(),
+            line: 0,
+            what: format!("{root}: {module} and {used} use each other"),
+        };
+        if module < used && back(root, module, used) && !known && !findings.contains(&finding) {
+            findings.push(finding);
+        }
+    }
+    findings
+}
