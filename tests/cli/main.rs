@@ -10,6 +10,7 @@ mod edit;
 mod exchange;
 mod first_hour;
 mod hostile;
+mod interfaces;
 mod map;
 mod register;
 mod rendering;

@@ -16,8 +16,8 @@ pub struct LogLimit {
 }
 
 impl LogLimit {
-    /// True if one more line may be written now. If so, also the number of lines suppressed since
-    /// the last one written.
+    /// Number of lines suppressed since the last one, if one more line may be written now; else
+    /// `None`.
     pub fn admit(&mut self) -> Option<u64> {
         self.admit_at(Instant::now())
     }

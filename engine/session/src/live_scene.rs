@@ -16,10 +16,10 @@ pub use editing::LiveEditError;
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use std::path::Path;
 ///
-/// use decouplegs::LiveScene;
-/// use decouplegs::asset::open_scene;
-/// use decouplegs::gpu::{DeviceOptions, Gpu};
-/// use decouplegs::render::{RenderOptions, Renderer};
+/// use decouplegs_session::LiveScene;
+/// use decouplegs_asset::open_scene;
+/// use decouplegs_gpu::{DeviceOptions, Gpu};
+/// use decouplegs_render::{RenderOptions, Renderer};
 ///
 /// let gpu = Gpu::open(&DeviceOptions::default())?;
 /// let mut renderer = Renderer::new(&gpu, RenderOptions::default());
