@@ -2,6 +2,7 @@
 //! `constants.rs` from the numbers that the shared GLSL names. Fails if a shader is newer than its
 //! SPIR-V.
 
+use std::collections::BTreeSet;
 use std::env;
 
 include!("sources.rs");
@@ -57,21 +58,15 @@ fn refuse_stale_kernels(shaders: &Path) {
         digests(shaders),
         text_of(&shaders.join("spirv").join(DIGESTS)),
     );
-    let only_in = |lines: &str, others: &str| -> Vec<String> {
-        let new = lines
-            .lines()
-            .filter(|line| !others.lines().any(|other| other == *line));
-        new.filter_map(|line| line.split_whitespace().last())
-            .map(str::to_owned)
-            .collect()
-    };
-    let mut stale = [only_in(&now, &compiled), only_in(&compiled, &now)].concat();
-    stale.sort();
-    stale.dedup();
+    let [now, compiled] = [&now, &compiled].map(|list| list.lines().collect::<BTreeSet<&str>>());
+    let changed = now.symmetric_difference(&compiled);
+    let stale: BTreeSet<&str> = changed
+        .filter_map(|line| line.split_whitespace().last())
+        .collect();
     assert!(
         stale.is_empty(),
         "shaders/spirv was compiled from another version of {}. Run `make shaders`, which compiles all shaders, and commit the result.",
-        stale.join(", ")
+        stale.into_iter().collect::<Vec<_>>().join(", ")
     );
 }
 

@@ -8,7 +8,7 @@
 //   pairs. A depth slab gets as many bins as it has pairs. Each thread then counts within the bin
 //   of its pair, which holds few.
 // - More, which is always a single slab: the pairs are distributed over bins of the slab in global
-//   memory, and each cluster of bins is sorted in shared memory. Two fallbacks handle many pairs of
+//   memory, and each chunk of bins is sorted in shared memory. Two fallbacks handle many pairs of
 //   almost one depth: a bitonic sort (Batcher, Sorting Networks and Their Applications, 1968) if a
 //   bin holds more than BIN_PAIRS_MAX, and a radix sort in global memory, four bits per pass, if a
 //   bin does not fit shared memory.
@@ -308,8 +308,8 @@ void sort_in_memory(uint first, uint count, uint thread, bool there) {
     }
 }
 
-// Pairs after which a cluster of bins ends with the next bin.
-const uint CLUSTER_PAIRS = SHARED_PAIRS / 2u;
+// Pairs after which a chunk of bins ends with the next bin.
+const uint CHUNK_PAIRS = SHARED_PAIRS / 2u;
 
 // End of the first bin that ends at `pairs` or later.
 uint bin_end_from(uint pairs) {
@@ -338,9 +338,9 @@ void sort_slab(Bucket bucket, float camera_depth, float key_scale, uint thread) 
     }
     memoryBarrierBuffer();
     barrier();
-    for (uint start = 0u; start < count; start += CLUSTER_PAIRS) {
+    for (uint start = 0u; start < count; start += CHUNK_PAIRS) {
         uint begin = bin_end_from(start);
-        uint end = bin_end_from(min(start + CLUSTER_PAIRS, count));
+        uint end = bin_end_from(min(start + CHUNK_PAIRS, count));
         if (end - begin > SHARED_PAIRS) {
             sort_in_memory(first + begin, end - begin, thread, true);
             continue;

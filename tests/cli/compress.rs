@@ -80,7 +80,7 @@ fn a_car_is_compressed_described_and_decompressed() {
         ),
         (&200.into(), &"canonical".into(), &200.into())
     );
-    let told = succeed(&["inspect", text(&asset)]);
+    let message = succeed(&["inspect", text(&asset)]);
     for part in [
         "car_00.ply",
         "keep = 0.5",
@@ -88,7 +88,7 @@ fn a_car_is_compressed_described_and_decompressed() {
         "views = 4",
         "view_size = 32",
     ] {
-        assert!(told.contains(part), "{part}: {told}");
+        assert!(message.contains(part), "{part}: {message}");
     }
 
     succeed(&["decompress", text(&asset), "--out", text(&decoded)]);

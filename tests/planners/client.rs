@@ -55,7 +55,7 @@ fn drive(planner: &mut dyn Planner) {
             .iter()
             .map(|rgba| DVec2::new(checksum(rgba) as f64 / 1000.0, 0.0))
             .collect();
-        let told = [
+        let message = [
             0.5 * f64::from(step),
             7.3,
             1.25,
@@ -68,7 +68,7 @@ fn drive(planner: &mut dyn Planner) {
         let places = plan.points().iter().map(|point| point.position_m);
         let all = expected
             .into_iter()
-            .chain(told.map(|value| DVec2::new(0.0, value)));
+            .chain(message.map(|value| DVec2::new(0.0, value)));
         assert_eq!(
             places.collect::<Vec<_>>(),
             all.collect::<Vec<_>>(),

@@ -317,11 +317,7 @@ fn is_test(file: &SourceFile) -> bool {
 pub fn files_have_an_end(tree: &Tree) -> Vec<Finding> {
     const LINES_MAX: usize = 550;
     const TEST_LINES_MAX: usize = 600;
-    let sources = tree.files.iter().filter(|file| {
-        [".rs", ".comp", ".glsl"]
-            .iter()
-            .any(|end| file.path.ends_with(end))
-    });
+    let sources = tree.files.iter().filter(|file| file.is_source());
     let long = sources
         .map(|file| (file, file.text.lines().count()))
         .filter(|(file, lines)| {

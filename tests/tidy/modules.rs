@@ -1,7 +1,9 @@
 //! Modules of one crate that use each other.
 
+use std::collections::BTreeSet;
+
 use super::Finding;
-use super::tree::{SourceFile, Tree};
+use super::tree::Tree;
 
 /// Pairs of modules of one crate that use each other, as `(crate, first, second)`.
 const MAY_USE_EACH_OTHER: &[(&str, &str, &str)] = &[
@@ -55,28 +57,21 @@ pub fn modules_do_not_use_each_other(tree: &Tree) -> Vec<Finding> {
         .files
         .iter()
         .filter_map(|file| Some((file, module_of(&file.path)?)));
-    let uses: Vec<(&SourceFile, &str, &str, &str)> = sources
+    let uses: BTreeSet<(&str, &str, &str)> = sources
         .flat_map(|(file, (root, module))| {
-            modules_used(file.code.split("#[cfg(test)]").next().unwrap_or(""))
-                .filter(move |used| *used != module)
-                .map(move |used| (file, root, module, used))
+            let product = file.code.split("#[cfg(test)]").next().unwrap_or("");
+            modules_used(product).map(move |used| (root, module, used))
         })
         .collect();
-    let back = |root: &str, module: &str, used: &str| {
-        uses.iter()
-            .any(|(_, other, from, to)| *other == root && *from == used && *to == module)
+    let each_other = uses.iter().filter(|&&(root, module, used)| {
+        module < used
+            && uses.contains(&(root, used, module))
+            && !MAY_USE_EACH_OTHER.contains(&(root, module, used))
+    });
+    let finding = |(root, module, used): &(&str, &str, &str)| Finding {
+        path: (*root).to_owned(),
+        line: 0,
+        what: format!("{module} and {used} use each other"),
     };
-    let mut findings: Vec<Finding> = Vec::new();
-    for &(file, root, module, used) in &uses {
-        let known = MAY_USE_EACH_OTHER.contains(&(root, module, used));
-        let finding = Finding {
-            path: file.path.clone(),
-            line: 0,
-            what: format!("{root}: {module} and {used} use each other"),
-        };
-        if module < used && back(root, module, used) && !known && !findings.contains(&finding) {
-            findings.push(finding);
-        }
-    }
-    findings
+    each_other.map(finding).collect()
 }

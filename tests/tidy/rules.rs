@@ -193,6 +193,10 @@ pub const RULES: &[Rule] = &[
         broken_by: &[
             ("engine/a.rs", "/// What culling finds.\nfn a() {}\n"),
             ("engine/a.rs", "//! How a world is stored.\n"),
+            (
+                "engine/a.rs",
+                "/// Reads.\n///\n/// # Errors\n/// When it fails.\nfn a() {}\n",
+            ),
         ],
     },
     Rule {

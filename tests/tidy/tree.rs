@@ -16,10 +16,7 @@ pub struct SourceFile {
 
 impl SourceFile {
     pub fn new(path: &str, text: &str) -> Self {
-        let code = if [".rs", ".comp", ".glsl"]
-            .iter()
-            .any(|end| path.ends_with(end))
-        {
+        let code = if is_source(path) {
             code_only(text)
         } else {
             String::new()
@@ -42,6 +39,17 @@ impl SourceFile {
     pub fn is_rust(&self) -> bool {
         self.path.ends_with(".rs")
     }
+
+    /// True for Rust and GLSL.
+    pub fn is_source(&self) -> bool {
+        is_source(&self.path)
+    }
+}
+
+fn is_source(path: &str) -> bool {
+    [".rs", ".comp", ".glsl"]
+        .iter()
+        .any(|end| path.ends_with(end))
 }
 
 /// All files that people write.

@@ -40,7 +40,8 @@ pub fn docs_name_their_subject(tree: &Tree) -> Vec<Finding> {
         for (i, line) in file.text.lines().enumerate() {
             let text = doc_text(line);
             let begins = !in_doc;
-            in_doc = text.is_some();
+            // The line below a heading begins too.
+            in_doc = text.is_some_and(|text| !text.starts_with("# "));
             let first = text
                 .and_then(|text| text.split_whitespace().next())
                 .unwrap_or_default();
@@ -69,11 +70,7 @@ pub fn comments_are_narrow(tree: &Tree) -> Vec<Finding> {
         let columns = line.chars().count();
         (breaks && columns > COLUMNS_MAX).then(|| format!("a comment of {columns} columns"))
     };
-    let sources = [".rs", ".comp", ".glsl"];
-    let files = tree
-        .files
-        .iter()
-        .filter(|file| sources.iter().any(|end| file.path.ends_with(end)));
+    let files = tree.files.iter().filter(|file| file.is_source());
     files
         .flat_map(|file| lines_with(file, &file.text, fault))
         .collect()

@@ -84,7 +84,7 @@ impl Format {
     /// Properties of `cloud` that the format cannot hold, one sentence each.
     pub fn limits(self, cloud: &SplatCloud) -> Vec<String> {
         let mut limits = Vec::new();
-        let mut say = |told: &str| limits.push(told.to_owned());
+        let mut say = |message: &str| limits.push(message.to_owned());
         match self {
             Self::Ply => say(
                 "opacities and scales are stored as logits and logarithms, rounded to 32-bit floats",

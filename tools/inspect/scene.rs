@@ -222,10 +222,10 @@ impl Light {
             ),
         );
         for Start { instance, light } in &self.starts {
-            let told = light.map_or("nothing is told of the light where it starts".into(), |([red, green, blue], starkness)| {
+            let message = light.map_or("nothing is told of the light where it starts".into(), |([red, green, blue], starkness)| {
                 format!("starts in light of ({red:.2}, {green:.2}, {blue:.2}), shadows {starkness:.2} stark")
             });
-            lines.line("", &format!("{instance}: {told}"));
+            lines.line("", &format!("{instance}: {message}"));
         }
     }
 

@@ -88,7 +88,7 @@ pub enum FormatName {
 /// Runs the bench in a program that started at `started`.
 ///
 /// # Errors
-/// When the server does not start, or a request fails.
+/// Returns an error if the server does not start, or a request fails.
 pub fn run(options: &BenchOptions, started: Instant) -> Result<()> {
     ensure!(
         options.clients > 0 && options.cameras > 0,

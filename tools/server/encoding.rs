@@ -119,7 +119,7 @@ impl Encoders {
     /// `threads` of them; 0: as many as there are processors.
     ///
     /// # Errors
-    /// When the operating system gives no threads.
+    /// Returns an error if the operating system gives no threads.
     pub fn new(threads: usize) -> anyhow::Result<Self> {
         let name = |index| format!("encode-{index}");
         Ok(Self {

@@ -75,14 +75,14 @@ fn serve(options: &ServerOptions) -> Result<()> {
         }
         said.flush()?;
         drop(said);
-        let told = async {
+        let message = async {
             tokio::select! {
                 _ = terminated.recv() => {}
                 _ = interrupted.recv() => {}
             }
             tracing::info!("told to stop: finishing what has begun");
         };
-        running.until(told).await
+        running.until(message).await
     });
     // Threads that still read a file may wait for it forever: a hung network drive.
     runtime.shutdown_timeout(THREADS_PATIENCE);

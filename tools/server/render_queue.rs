@@ -109,7 +109,7 @@ impl RenderQueue {
     /// Starts the threads, which draw scenes of `registry` on `gpu`.
     ///
     /// # Errors
-    /// When the operating system gives no threads.
+    /// Returns an error if the operating system gives no threads.
     pub fn start(
         gpu: Gpu,
         registry: Arc<SceneRegistry>,

@@ -58,7 +58,7 @@ impl Running {
     /// Lets what has begun finish, takes nothing new, and waits for the end.
     ///
     /// # Errors
-    /// When it had failed.
+    /// Returns an error if it had failed.
     pub async fn stop(mut self) -> Result<()> {
         if let Some(stop) = self.stop.take() {
             // It may have ended already.
@@ -76,7 +76,7 @@ impl Running {
     /// Runs until `end`, and then as [`Running::stop`]. Ends by itself only when it fails.
     ///
     /// # Errors
-    /// When it failed, or its device was lost.
+    /// Returns an error if it failed, or its device was lost.
     pub async fn until(mut self, end: impl Future<Output = ()>) -> Result<()> {
         tokio::select! {
             () = end => self.stop().await,
@@ -88,7 +88,8 @@ impl Running {
 /// Starts a server: it answers when this returns.
 ///
 /// # Errors
-/// When there are no scenes, no device, a file cannot be read, or the address is taken.
+/// Returns an error if there are no scenes, no device, a file cannot be read, or the address is
+/// taken.
 pub async fn start(options: &ServerOptions) -> Result<Running> {
     let rig_origin = DVec3::from_array(options.rig_origin);
     let registry = Arc::new(SceneRegistry::new(

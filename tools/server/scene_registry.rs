@@ -32,8 +32,8 @@ impl SceneRegistry {
     /// The scenes at `paths` and those that `patterns` find.
     ///
     /// # Errors
-    /// When a path does not exist, a pattern makes no sense, two scenes have one id, or there is no
-    /// scene at all.
+    /// Returns an error if a path does not exist, a pattern makes no sense, two scenes have one id,
+    /// or there is no scene at all.
     pub fn new(paths: &[PathBuf], patterns: &[String], rig_origin: DVec3) -> Result<Self> {
         let mut found = paths.to_vec();
         for pattern in patterns {
@@ -88,7 +88,7 @@ impl SceneRegistry {
     /// Metadata of the scene `id`; `None` if there is no such scene. Reads files the first time.
     ///
     /// # Errors
-    /// Of the scene file.
+    /// Returns an error if the scene file cannot be read.
     pub fn metadata(&self, id: &str) -> Result<Option<Arc<SceneMetadata>>, AssetError> {
         let known = || self.metadata.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(metadata) = known().get(id) {

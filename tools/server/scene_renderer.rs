@@ -37,7 +37,7 @@ impl SceneRenderer {
     /// `loaded` on the device.
     ///
     /// # Errors
-    /// When the device has not the memory, or an asset cannot be drawn.
+    /// Returns an error if the device has not the memory, or an asset cannot be drawn.
     pub fn new(gpu: &Gpu, loaded: &LoadedScene) -> Result<Self, RenderError> {
         let options = RenderOptions {
             rules: loaded.world.rules,
@@ -76,7 +76,8 @@ impl SceneRenderer {
     /// objects at the same places.
     ///
     /// # Errors
-    /// When a camera cannot make an image, the device has not the memory or was lost.
+    /// Returns an error if a camera cannot make an image, the device has not the memory or was
+    /// lost.
     pub fn draw(
         &mut self,
         requests: &[RenderRequest],

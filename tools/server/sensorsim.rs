@@ -135,12 +135,12 @@ impl Sensorsim {
         // Only the encoders keep it: its memory is free for another frame when they are done.
         drop(images);
         let encoded = join_all(encoded).await;
-        let told = |result: Result<Result<Vec<u8>, String>, _>| match result {
+        let text = |result: Result<Result<Vec<u8>, String>, _>| match result {
             Ok(Ok(bytes)) => Ok(Bytes::from(bytes)),
             Ok(Err(reason)) => Err(Status::invalid_argument(reason)),
             Err(_) => Err(Status::internal("the encoder ended")),
         };
-        encoded.into_iter().map(told).collect()
+        encoded.into_iter().map(text).collect()
     }
 
     /// Refuses images that are too large together.

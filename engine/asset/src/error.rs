@@ -166,9 +166,9 @@ mod tests {
     #[test]
     fn devices_folders_and_fifos_are_refused_at_once() {
         let folder = tempfile::tempdir().unwrap();
-        let told = |path: &Path| read_bytes(path).unwrap_err().to_string();
-        assert!(told(Path::new("/dev/zero")).contains("expected a regular file"));
-        assert!(told(folder.path()).contains("folder"));
+        let message = |path: &Path| read_bytes(path).unwrap_err().to_string();
+        assert!(message(Path::new("/dev/zero")).contains("expected a regular file"));
+        assert!(message(folder.path()).contains("folder"));
         let fifo = folder.path().join("fifo");
         rustix::fs::mknodat(
             rustix::fs::CWD,
@@ -178,7 +178,7 @@ mod tests {
             0,
         )
         .unwrap();
-        assert!(told(&fifo).contains("FIFO"));
+        assert!(message(&fifo).contains("FIFO"));
         let file = folder.path().join("file");
         std::fs::write(&file, b"content").unwrap();
         assert_eq!(read_bytes(&file).unwrap(), b"content");
@@ -187,6 +187,6 @@ mod tests {
             .unwrap()
             .set_len(1 << 43)
             .unwrap();
-        assert!(told(&file).contains("of memory"));
+        assert!(message(&file).contains("of memory"));
     }
 }

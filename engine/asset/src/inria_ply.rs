@@ -40,7 +40,7 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
 /// (`vertex_background`, `vertex_obj_007`) are read one model at a time.
 ///
 /// # Errors
-/// As [`decode`].
+/// Returns the errors of [`decode`].
 pub fn decode_element(bytes: &[u8], element: &str) -> Result<SplatCloud, DecodeError> {
     decode_ply(&Ply::parse(bytes)?, element)
 }
@@ -205,7 +205,7 @@ fn triples(rows: &Rows<'_>, columns: &[Column]) -> Vec<[f32; 3]> {
 /// Writes `cloud` to `path`, atomically.
 ///
 /// # Errors
-/// When the operating system refuses.
+/// Returns an error if the operating system refuses.
 pub fn write(path: &Path, cloud: &SplatCloud) -> Result<(), AssetError> {
     write_atomically(path, |file| write_to(file, cloud))
 }
@@ -279,9 +279,9 @@ fn fill_row(row: &mut [u8], cloud: &SplatCloud, splat: usize) {
 /// For more than 1024 terms.
 pub(crate) fn mean_weights(terms: usize) -> Result<Vec<f64>, DecodeError> {
     if terms > TERMS_MAX {
-        let told =
+        let message =
             format!("colors are Fourier series of {terms} terms; at most {TERMS_MAX} are read");
-        return Err(DecodeError::Malformed(told));
+        return Err(DecodeError::Malformed(message));
     }
     let term = |term: usize, time: f64| {
         let angle = std::f64::consts::PI * time;

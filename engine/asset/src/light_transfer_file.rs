@@ -187,7 +187,7 @@ pub(crate) fn read_from(bytes: &[u8], path: &Path) -> Result<LightTransferFile, 
 /// Writes `file` to `path`, atomically.
 ///
 /// # Errors
-/// As [`encode`], and when the operating system refuses.
+/// Returns the errors of [`encode`], and an error if the operating system refuses to write.
 pub fn write_light_transfer(path: &Path, file: &LightTransferFile) -> Result<(), AssetError> {
     let bytes = encode(file).map_err(|source| AssetError::Encode {
         path: path.to_owned(),

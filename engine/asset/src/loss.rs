@@ -62,7 +62,7 @@ impl LossReport {
     /// not.
     ///
     /// # Panics
-    /// When there are not equally many.
+    /// Panics if there are not equally many.
     #[must_use]
     pub fn between(before: &SplatCloud, after: &SplatCloud, axes_are_kept: bool) -> Self {
         assert_eq!(before.len(), after.len(), "loss is told of the same splats");

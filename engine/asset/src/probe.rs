@@ -21,7 +21,7 @@ const PIXELS_PER_BYTE_MAX: u64 = 1024;
 /// Reads an OpenEXR or Radiance HDR image from the bytes of its file.
 ///
 /// # Errors
-/// When they are neither, broken, or larger than 8192 x 4096 px.
+/// Returns an error if they are neither, broken, or larger than 8192 x 4096 px.
 pub fn decode(name: impl Into<String>, bytes: &[u8]) -> Result<Probe, DecodeError> {
     let broken = |error: image::ImageError| DecodeError::Malformed(error.to_string());
     let image = if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {

@@ -19,7 +19,7 @@ const SPLAT_BYTES: usize = 32;
 /// The format has no count: a file cut between two splats cannot be told from a shorter one.
 ///
 /// # Errors
-/// When there is no splat, or the bytes end inside one.
+/// Returns an error if there is no splat, or the bytes end inside one.
 pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     if bytes.is_empty() || !bytes.len().is_multiple_of(SPLAT_BYTES) {
         let expected_bytes = (bytes.len() / SPLAT_BYTES + 1) * SPLAT_BYTES;
@@ -81,7 +81,7 @@ pub fn encode(cloud: &SplatCloud) -> Vec<u8> {
 /// Writes `cloud` to `path`, atomically.
 ///
 /// # Errors
-/// When the operating system refuses.
+/// Returns an error if the operating system refuses.
 pub fn write(path: &Path, cloud: &SplatCloud) -> Result<(), AssetError> {
     write_atomically(path, |file| file.write_all(&encode(cloud)))
 }

@@ -45,7 +45,7 @@ fn check_attributes(bytes: &[u8]) -> Result<(), DecodeError> {
             None => {
                 let tag = Tag::at(rest);
                 namespaces += tag.namespaces;
-                let told = if tag.attributes > ATTRIBUTES_MAX {
+                let message = if tag.attributes > ATTRIBUTES_MAX {
                     format!(
                         "an element has {} attributes; at most {ATTRIBUTES_MAX} are read",
                         tag.attributes
@@ -61,7 +61,7 @@ fn check_attributes(bytes: &[u8]) -> Result<(), DecodeError> {
                     .filter(|&&byte| byte == b'\n')
                     .count();
                 return Err(DecodeError::Malformed(format!(
-                    "line {line}: {told}; maps and tracks have fewer"
+                    "line {line}: {message}; maps and tracks have fewer"
                 )));
             }
         };
@@ -253,12 +253,12 @@ mod tests {
                 .collect::<String>()
         };
         let since = std::time::Instant::now();
-        let told = parse(format!("<m>\n<e{}/></m>", attributes(400_000)).as_bytes())
+        let message = parse(format!("<m>\n<e{}/></m>", attributes(400_000)).as_bytes())
             .unwrap_err()
             .to_string();
         assert!(
-            told.contains("line 2") && told.contains("400000 attributes"),
-            "{told}"
+            message.contains("line 2") && message.contains("400000 attributes"),
+            "{message}"
         );
         let nested = (0..20_000)
             .map(|i| format!("<e xmlns:n{i} ='u{i}'>"))

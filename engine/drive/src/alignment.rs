@@ -53,7 +53,7 @@ pub fn against_truth(
     )
 }
 
-/// The same with the direction, radians, along which and across which each error is told: that of
+/// The same with the direction, radians, along which and across which each error is given: that of
 /// the lane, where one is known. Who changes lanes drives across them a little, and an error along
 /// the lane, which lanes do not show, would be one across his motion.
 #[must_use]

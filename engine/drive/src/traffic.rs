@@ -73,7 +73,7 @@ impl Traffic {
     /// the ego is at its beginning.
     ///
     /// # Panics
-    /// Where `dt_s` is not in that range.
+    /// Panics if `dt_s` is not in that range.
     pub fn step(&mut self, dt_s: f64, ego: Option<(&VehicleState, &VehicleSize)>) {
         assert!(
             dt_s > 0.0 && dt_s <= Scenario::SUBSTEP_S_MAX + 1e-9,

@@ -92,10 +92,10 @@ impl<T> Buffer<T> {
     /// own; the memory lives until the buffer and all that was imported are gone.
     ///
     /// # Errors
-    /// When the driver cannot.
+    /// Returns an error if the driver cannot.
     ///
     /// # Panics
-    /// When the buffer was not made with [`MemoryKind::Exported`].
+    /// Panics if the buffer was not made with [`MemoryKind::Exported`].
     pub fn export(&self) -> Result<ExportedMemory, GpuError> {
         self.memory.export()
     }
@@ -126,7 +126,7 @@ impl<T: Pod> Buffer<T> {
     /// must be done.
     ///
     /// # Panics
-    /// When the buffer lives on the device or `data` does not fit.
+    /// Panics if the buffer lives on the device or `data` does not fit.
     pub fn write_host(&self, first: usize, data: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         let range = self.byte_range(first, data.len());
@@ -137,7 +137,7 @@ impl<T: Pod> Buffer<T> {
     /// Elements as the host sees them. Submitted work that writes them must be done.
     ///
     /// # Panics
-    /// When the buffer lives on the device.
+    /// Panics if the buffer lives on the device.
     #[must_use]
     pub fn read_host(&self) -> Vec<T> {
         let mut data = vec![T::zeroed(); self.len];
@@ -149,7 +149,7 @@ impl<T: Pod> Buffer<T> {
     /// Submitted work that writes them must be done.
     ///
     /// # Panics
-    /// When the buffer lives on the device or has fewer values.
+    /// Panics if the buffer lives on the device or has fewer values.
     pub fn with_host<R>(&self, count: usize, see: impl FnOnce(&[T]) -> R) -> R {
         let range = self.byte_range(0, count);
         self.memory
@@ -159,7 +159,7 @@ impl<T: Pod> Buffer<T> {
     /// The values from element `first` on, into `data`.
     ///
     /// # Panics
-    /// When the buffer lives on the device or has fewer values.
+    /// Panics if the buffer lives on the device or has fewer values.
     pub fn read_host_into(&self, first: usize, data: &mut [T]) {
         let range = self.byte_range(first, data.len());
         let bytes: &mut [u8] = bytemuck::cast_slice_mut(data);
@@ -168,7 +168,7 @@ impl<T: Pod> Buffer<T> {
     }
 
     /// # Panics
-    /// When the elements are not all inside the buffer.
+    /// Panics if the elements are not all inside the buffer.
     pub(crate) fn byte_range(&self, first: usize, count: usize) -> std::ops::Range<usize> {
         let end = first.checked_add(count).filter(|&end| end <= self.len);
         let Some(end) = end else {

@@ -44,7 +44,7 @@ impl Gpu {
     /// All devices that the loader finds, whether they can do the work or not.
     ///
     /// # Errors
-    /// When there is no loader or no device; the sentence says what to install.
+    /// Returns an error if there is no loader or no device; the sentence says what to install.
     pub fn list() -> Result<Vec<DeviceInfo>, GpuError> {
         let devices = device::enumerate(&Instance::new(false)?)?;
         if devices.is_empty() {
@@ -56,9 +56,9 @@ impl Gpu {
     /// Opens a device.
     ///
     /// # Errors
-    /// When there is no loader, no validation layer where one is asked for, no such device, or the
-    /// device lacks what we require: Vulkan 1.3 with timeline semaphores, host query reset, scalar
-    /// block layout, synchronization2 and maintenance4, and `VK_KHR_push_descriptor`.
+    /// Returns an error if there is no loader, no validation layer where one is asked for, no such
+    /// device, or the device lacks what we require: Vulkan 1.3 with timeline semaphores, host query
+    /// reset, scalar block layout, synchronization2 and maintenance4, and `VK_KHR_push_descriptor`.
     pub fn open(options: &DeviceOptions) -> Result<Self, GpuError> {
         let context = Arc::new(Context::open(options)?);
         let families = context.families;
@@ -130,7 +130,7 @@ impl Gpu {
     /// an opaque descriptor, as of a timeline semaphore.
     ///
     /// # Errors
-    /// When the device cannot export.
+    /// Returns an error if the device cannot export.
     pub fn export_timeline(&self, role: QueueRole) -> Result<OwnedFd, GpuError> {
         self.0.context.export_semaphore(self.0.queue(role).timeline)
     }
@@ -153,7 +153,7 @@ impl Gpu {
     /// it, `purpose` what its bytes are counted under.
     ///
     /// # Errors
-    /// When memory is used up, or the buffer is longer than a kernel can see
+    /// Returns an error if memory is used up, or the buffer is longer than a kernel can see
     /// (`storage_buffer_bytes_max`).
     pub fn buffer<T: Pod>(
         &self,
@@ -187,10 +187,10 @@ impl Gpu {
     /// queue before, and waits for it. Work on the update queue that uses the buffer must be done.
     ///
     /// # Errors
-    /// When memory for staging is used up or the device is lost.
+    /// Returns an error if memory for staging is used up or the device is lost.
     ///
     /// # Panics
-    /// When `data` does not fit.
+    /// Panics if `data` does not fit.
     pub fn write<T: Pod>(
         &self,
         buffer: &Buffer<T>,
@@ -204,7 +204,7 @@ impl Gpu {
     /// update queue that writes the buffer must be done.
     ///
     /// # Errors
-    /// When memory for staging is used up or the device is lost.
+    /// Returns an error if memory for staging is used up or the device is lost.
     pub fn read<T: Pod>(&self, buffer: &Buffer<T>) -> Result<Vec<T>, GpuError> {
         transfer::read(self, buffer, self.piece_bytes())
     }
@@ -214,12 +214,12 @@ impl Gpu {
     /// `local_size_x`, `local_size_y` or `local_size_z`, as compilers drop its name.
     ///
     /// # Errors
-    /// When the device lacks a feature that the module uses, its workgroup is too large for the
-    /// device, the module binds something other than storage buffers in set 0, or the driver cannot
-    /// build it.
+    /// Returns an error if the device lacks a feature that the module uses, its workgroup is too
+    /// large for the device, the module binds something other than storage buffers in set 0, or the
+    /// driver cannot build it.
     ///
     /// # Panics
-    /// When the module has no constant of a name, or one of another type.
+    /// Panics if the module has no constant of a name, or one of another type.
     pub fn kernel(
         &self,
         name: &'static str,
@@ -238,10 +238,11 @@ impl Gpu {
     /// queue before.
     ///
     /// # Errors
-    /// When the device is lost or memory is used up, also where that happened while recording.
+    /// Returns an error if the device is lost or memory is used up, also where that happened while
+    /// recording.
     ///
     /// # Panics
-    /// When the recorder or a ticket belongs to another device.
+    /// Panics if the recorder or a ticket belongs to another device.
     pub fn submit(&self, recorder: Recorder, after: &[&Ticket]) -> Result<Ticket, GpuError> {
         let ours = |context: &Arc<Context>| Arc::ptr_eq(context, &self.0.context);
         assert!(
@@ -261,7 +262,7 @@ impl Gpu {
     /// before.
     ///
     /// # Errors
-    /// When the device is lost, or the queue has no timestamps.
+    /// Returns an error if the device is lost, or the queue has no timestamps.
     pub fn clock(&self) -> Result<DeviceClock, GpuError> {
         let mut best: Option<DeviceClock> = None;
         // The shortest way there and back says most.

@@ -341,7 +341,7 @@ impl Drop for KernelCore {
 /// The given constants by their ids.
 ///
 /// # Panics
-/// When the shader has no constant of a name, or one of another type.
+/// Panics if the shader has no constant of a name, or one of another type.
 fn specialize(
     kernel: &str,
     interface: &Interface,

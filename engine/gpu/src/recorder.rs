@@ -75,8 +75,8 @@ impl Recorder {
     /// has for it, and with the push constants `push`.
     ///
     /// # Panics
-    /// When a name is not the kernel's, a binding is not given, the push constants have another
-    /// size, or there are more workgroups than the device's limit.
+    /// Panics if a name is not the kernel's, a binding is not given, the push constants have
+    /// another size, or there are more workgroups than the device's limit.
     pub fn dispatch(
         &mut self,
         kernel: &Kernel,
@@ -104,8 +104,8 @@ impl Recorder {
     /// `dispatch_groups_max`.
     ///
     /// # Panics
-    /// As [`Recorder::dispatch`], and when the offset is not a multiple of 4 or reaches outside the
-    /// buffer.
+    /// Panics as [`Recorder::dispatch`] does, and if the offset is not a multiple of 4 or reaches
+    /// outside the buffer.
     pub fn dispatch_indirect(
         &mut self,
         kernel: &Kernel,
@@ -138,7 +138,7 @@ impl Recorder {
     /// Sets `byte_len` bytes from `byte_offset` on to repetitions of `value`.
     ///
     /// # Panics
-    /// When offset or length is not a multiple of 4, or the range is not inside the buffer.
+    /// Panics if offset or length is not a multiple of 4, or the range is not inside the buffer.
     pub fn fill(&mut self, buffer: Bound<'_>, byte_offset: u64, byte_len: u64, value: u32) {
         let end = byte_offset.checked_add(byte_len);
         let fits = end.is_some_and(|end| end <= buffer.memory.byte_len.next_multiple_of(4));
@@ -166,7 +166,7 @@ impl Recorder {
     /// Copies `count` values from element `from_first` on to element `to_first` on.
     ///
     /// # Panics
-    /// When the elements are not all inside their buffers, or are the same ones.
+    /// Panics if the elements are not all inside their buffers, or are the same ones.
     pub fn copy<T: Pod>(
         &mut self,
         from: &Buffer<T>,
@@ -336,7 +336,7 @@ fn note<'a>(
 /// The buffers in the order of the kernel's bindings.
 ///
 /// # Panics
-/// When a name is not the kernel's, comes twice, or a binding is not given.
+/// Panics if a name is not the kernel's, comes twice, or a binding is not given.
 fn resolve<'a>(
     core: &KernelCore,
     buffers: &[(&str, Bound<'a>)],

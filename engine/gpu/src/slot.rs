@@ -153,7 +153,8 @@ impl CommandSlot {
         let mut answers: Vec<Answer> = vec![[0; 2]; 2 + 2 * stages];
         let flags = vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WITH_AVAILABILITY;
         // Not ready, or a device lost, leaves the words of timestamps that are not there at zero:
-        // that is the answer then. SAFETY: the queries are inside the pool, and an answer has the
+        // that is the answer then.
+        // SAFETY: the queries are inside the pool, and an answer has the
         // two words that the flags ask for.
         let _ = unsafe {
             self.context

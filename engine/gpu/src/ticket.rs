@@ -37,8 +37,8 @@ impl Ticket {
     /// Waits until the work is done. What it wrote to readback buffers can be read then.
     ///
     /// # Errors
-    /// When the device is lost, or did not finish in minutes; both name the last stage known to
-    /// have finished.
+    /// Returns an error if the device is lost, or did not finish in minutes; both name the last
+    /// stage known to have finished.
     pub fn wait(&self) -> Result<(), GpuError> {
         self.queue.wait(self.value, &self.submission)
     }
@@ -52,7 +52,7 @@ impl Ticket {
     /// True if the work is done, without waiting.
     ///
     /// # Errors
-    /// When the device is lost.
+    /// Returns an error if the device is lost.
     pub fn is_done(&self) -> Result<bool, GpuError> {
         self.queue.is_done(self.value)
     }

@@ -131,7 +131,7 @@ impl AssetPool {
     /// A pool without assets.
     ///
     /// # Errors
-    /// When the device is out of memory.
+    /// Returns an error if the device is out of memory.
     pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
         let buffers = PoolBuffers {
             splats: gpu.buffer("coded_splats", PURPOSE, 0, MemoryKind::Device)?,
@@ -168,7 +168,8 @@ impl AssetPool {
     /// Copies `cloud` to the device. All agents that show it share it.
     ///
     /// # Errors
-    /// When the cloud cannot be drawn ([`CodedCloud::check`]), or the device has not the memory.
+    /// Returns an error if the cloud cannot be drawn ([`CodedCloud::check`]), or the device has not
+    /// the memory.
     pub fn add(&mut self, cloud: &CodedCloud) -> Result<AssetId, RenderError> {
         cloud.check().map_err(RenderError::Asset)?;
         let encoded = Encoded::of(cloud);
@@ -215,7 +216,7 @@ impl AssetPool {
     /// Gives the asset's memory back to the pool. Frames in flight still draw it.
     ///
     /// # Errors
-    /// When the pool does not hold it.
+    /// Returns an error if the pool does not hold it.
     pub fn remove(&mut self, id: AssetId) -> Result<(), RenderError> {
         let ranges = self.asset(id)?.ranges;
         self.assets[id.index as usize] = None;

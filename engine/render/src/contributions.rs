@@ -11,7 +11,7 @@ impl Renderer {
     /// not asked for.
     ///
     /// # Errors
-    /// When the device was lost.
+    /// Returns an error if the device was lost.
     pub fn read_contributions(&self) -> Result<Vec<f32>, RenderError> {
         let Some(slot) = self.shown_slot() else {
             return Ok(Vec::new());

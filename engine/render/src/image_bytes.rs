@@ -57,10 +57,10 @@ impl Renderer {
     /// cameras. None before the first frame.
     ///
     /// # Errors
-    /// When the device was lost or has not the memory.
+    /// Returns an error if the device was lost or has not the memory.
     ///
     /// # Panics
-    /// When the renderer does not store [`ColorFormat::U8`].
+    /// Panics if the renderer does not store [`ColorFormat::U8`].
     pub fn read_bytes(&self, bytes: &mut ImageBytes) -> Result<(), RenderError> {
         assert!(
             self.options().outputs.color == ColorFormat::U8,

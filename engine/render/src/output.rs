@@ -67,7 +67,7 @@ impl OutputBuffers {
     /// Buffers for `pixels` pixels of a background of `splats`.
     ///
     /// # Errors
-    /// When the device is out of memory.
+    /// Returns an error if the device is out of memory.
     pub fn new(
         gpu: &Gpu,
         pixels: usize,

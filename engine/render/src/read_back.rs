@@ -12,7 +12,7 @@ impl Renderer {
     /// ([`RenderOptions::frames_in_flight`]).
     ///
     /// # Errors
-    /// When the device was lost.
+    /// Returns an error if the device was lost.
     pub fn read_images(&self) -> Result<Vec<Image>, RenderError> {
         let Some(slot) = self.shown_slot() else {
             return Ok(Vec::new());

@@ -85,7 +85,7 @@ impl Renderer {
     /// Copies `world` to the device, its splats in the order given.
     ///
     /// # Errors
-    /// When it has too many splats, or the device not the memory.
+    /// Returns an error if it has too many splats, or the device not the memory.
     pub fn upload(&self, world: &World) -> Result<GpuScene, RenderError> {
         let splats = world.splats.len();
         if splats > SPLATS_MAX {
@@ -103,7 +103,8 @@ impl Renderer {
     /// submitted before are finished first, and what they took is dropped.
     ///
     /// # Errors
-    /// When a camera or an agent cannot make an image, the device has not the memory or was lost.
+    /// Returns an error if a camera or an agent cannot make an image, the device has not the memory
+    /// or was lost.
     pub fn render<'a>(
         &mut self,
         scene: impl Into<Scene<'a>>,
@@ -224,7 +225,8 @@ impl Renderer {
     /// Waits for the oldest frame in flight, whose images can be read then.
     ///
     /// # Errors
-    /// When there is none, the device has not the memory for what the frame needed, or was lost.
+    /// Returns an error if there is none, the device has not the memory for what the frame needed,
+    /// or was lost.
     pub fn finish(&mut self) -> Result<FrameStatistics, RenderError> {
         let slot = self
             .in_flight

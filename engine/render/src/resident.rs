@@ -63,7 +63,7 @@ impl GpuScene {
     /// 0.
     ///
     /// # Errors
-    /// When the device has not the memory, with the bytes wanted.
+    /// Returns an error if the device has not the memory, with the bytes wanted.
     pub fn upload(gpu: &Gpu, world: &World) -> Result<Self, RenderError> {
         let cloud = &world.splats;
         let prepared: Vec<Prepared> = (0..cloud.len())

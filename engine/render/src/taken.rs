@@ -94,8 +94,8 @@ impl Renderer {
     /// `None` before the first frame, and when they were taken already.
     ///
     /// # Errors
-    /// When as many are out as [`crate::RenderOptions::taken_max`] allows: memory stays bounded
-    /// where a caller forgets to drop.
+    /// Returns an error if as many are out as [`crate::RenderOptions::taken_max`] allows: memory
+    /// stays bounded where a caller forgets to drop.
     pub fn take_images(&mut self) -> Result<Option<TakenImages>, RenderError> {
         let (shelf, max) = (self.shelf().clone(), self.options().taken_max);
         let Some(slot) = self.shown_slot_mut() else {

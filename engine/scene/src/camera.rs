@@ -25,7 +25,7 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// A pinhole with square pixels, a centerd principal point and the given horizontal field of
+    /// A pinhole with square pixels, a centered principal point and the given horizontal field of
     /// view.
     #[must_use]
     pub fn from_horizontal_fov(width_px: u32, height_px: u32, fov_rad: f64) -> Self {

@@ -246,7 +246,7 @@ impl CodedCloud {
     /// One level of detail as an ordinary cloud.
     ///
     /// # Panics
-    /// When there is no such level, or [`CodedCloud::check`] fails.
+    /// Panics if there is no such level, or [`CodedCloud::check`] fails.
     #[must_use]
     pub fn decoded(&self, level: usize) -> SplatCloud {
         let shapes: Vec<shape::PrincipalAxes> =

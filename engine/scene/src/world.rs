@@ -59,7 +59,7 @@ impl World {
     /// It is returned.
     ///
     /// # Errors
-    /// When the 65,535 instances that an id can name are used up.
+    /// Returns an error if the 65,535 instances that an id can name are used up.
     pub fn bake_agent(
         &mut self,
         asset: &SplatCloud,

@@ -115,8 +115,8 @@ impl BatchRenderer {
     /// [`decouplegs_render::RenderOptions::frames_in_flight`] lets them.
     ///
     /// # Errors
-    /// When a camera or agent cannot make an image, the device has not the memory or was lost, or
-    /// images are floats.
+    /// Returns an error if a camera or agent cannot make an image, the device has not the memory or
+    /// was lost, or images are floats.
     pub fn draw(
         &mut self,
         views: &[WorldView<'_>],

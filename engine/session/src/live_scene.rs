@@ -87,7 +87,7 @@ impl LiveScene {
     /// where agents drive.
     ///
     /// # Errors
-    /// When the device has not the memory, or an asset cannot be drawn.
+    /// Returns an error if the device has not the memory, or an asset cannot be drawn.
     pub fn new(renderer: &Renderer, loaded: &LoadedScene) -> Result<Self, RenderError> {
         Self::layer(renderer, loaded, Layer::All)
     }
@@ -99,7 +99,7 @@ impl LiveScene {
     /// splats, as in the full image.
     ///
     /// # Errors
-    /// When the device has not the memory, or an asset cannot be drawn.
+    /// Returns an error if the device has not the memory, or an asset cannot be drawn.
     pub fn layer(
         renderer: &Renderer,
         loaded: &LoadedScene,
@@ -187,7 +187,7 @@ impl LiveScene {
     /// Any agents anywhere, in the light of the scene.
     ///
     /// # Panics
-    /// When an asset is not one of the scene's.
+    /// Panics if an asset is not one of the scene's.
     #[must_use]
     pub fn placed(&self, placed: &[AgentInstance]) -> SceneSnapshot {
         let sh_frame = |placed: &AgentInstance| {

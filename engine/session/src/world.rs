@@ -83,7 +83,7 @@ impl World {
     /// Moves an agent; world coordinates of its origin, the center of its box.
     ///
     /// # Errors
-    /// When there is none of that name, or it is part of the background.
+    /// Returns an error if there is none of that name, or it is part of the background.
     pub fn move_to(&mut self, name: &str, pose: Pose) -> Result<(), SessionError> {
         let index = self.index_of(name)?;
         self.agents[index].placed.pose = pose;
@@ -94,7 +94,7 @@ impl World {
     /// the asset's colors are meant; `None`: as the asset says. Returns its instance id.
     ///
     /// # Errors
-    /// When there is no such asset, or there are as many agents as ids.
+    /// Returns an error if there is no such asset, or there are as many agents as ids.
     pub fn place(
         &mut self,
         name: &str,
@@ -129,7 +129,8 @@ impl World {
     /// Replaces the agents: names, assets and poses. Names have to differ.
     ///
     /// # Errors
-    /// When there is no such asset, or there are more agents than ids; nothing is changed then.
+    /// Returns an error if there is no such asset, or there are more agents than ids; nothing is
+    /// changed then.
     pub fn set_agents(
         &mut self,
         agents: impl IntoIterator<Item = (String, AgentInstance)>,
@@ -155,7 +156,7 @@ impl World {
     /// Takes an agent out.
     ///
     /// # Errors
-    /// When there is none of that name, or it is part of the background.
+    /// Returns an error if there is none of that name, or it is part of the background.
     pub fn remove(&mut self, name: &str) -> Result<WorldAgent, SessionError> {
         let index = self.index_of(name)?;
         Ok(self.agents.remove(index))

@@ -57,13 +57,13 @@ fn choice_of(device: Option<&Bound<'_, PyAny>>) -> PyResult<DeviceChoice> {
 }
 
 fn rules_of(name: &str) -> PyResult<Rules> {
-    let told = || {
+    let message = || {
         value_error(format!(
             "rules: expected None, {}, found {name:?}",
             Rules::NAMES.map(|name| format!("{name:?}")).join(", ")
         ))
     };
-    Rules::by_name(name).ok_or_else(told)
+    Rules::by_name(name).ok_or_else(message)
 }
 
 /// CUDA functions on the device of `gpu`, or the reason why there are none.

@@ -45,11 +45,11 @@ pub(crate) fn cloud_of(
     let means = rows::<3>(&tensor(names.means)?, names.means)?;
     let count = means.len();
     let same = |found: usize, name: &str| {
-        let told = || format!("'{name}' has {found} rows for {count} means");
+        let message = || format!("'{name}' has {found} rows for {count} means");
         if found == count {
             Ok(())
         } else {
-            Err(DecodeError::Malformed(told()))
+            Err(DecodeError::Malformed(message()))
         }
     };
     let scales = rows::<3>(&tensor(names.scales)?, names.scales)?;

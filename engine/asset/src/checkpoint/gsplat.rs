@@ -31,8 +31,8 @@ pub(super) fn cloud(checkpoint: &Checkpoint<'_>) -> Result<SplatCloud, DecodeErr
     let (tree, root) = (&checkpoint.tree, checkpoint.tree.root());
     if let Some(splats) = tree.get(root, "splats") {
         if tree.get(splats, NAMES.dc).is_none() && tree.get(splats, "features").is_some() {
-            let told = "its colors come from a network (trained with app_opt), not from spherical harmonics; train without it";
-            return Err(DecodeError::Unsupported(told.into()));
+            let message = "its colors come from a network (trained with app_opt), not from spherical harmonics; train without it";
+            return Err(DecodeError::Unsupported(message.into()));
         }
         return cloud_of(checkpoint, splats, &NAMES, plain_dc);
     }
@@ -43,9 +43,9 @@ pub(super) fn cloud(checkpoint: &Checkpoint<'_>) -> Result<SplatCloud, DecodeErr
         return cloud_of(checkpoint, pipeline, &SPLATFACTO, plain_dc);
     }
     if tree.get(root, "models").is_some() || tree.get(root, "background").is_some() {
-        let told = "it holds a background and models that move (drivestudio or Street Gaussians); \
+        let message = "it holds a background and models that move (drivestudio or Street Gaussians); \
                     `decouplegs convert FILE FOLDER` makes a scene of it";
-        return Err(DecodeError::Unsupported(told.into()));
+        return Err(DecodeError::Unsupported(message.into()));
     }
     let found = match root {
         Node::Dictionary(_) => format!(

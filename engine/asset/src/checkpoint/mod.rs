@@ -75,8 +75,8 @@ impl<'a> Checkpoint<'a> {
     /// Reads the pickle of `bytes`.
     pub(crate) fn parse(bytes: &'a [u8]) -> Result<Self, DecodeError> {
         if bytes.starts_with(b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19.") {
-            let told = "saved in the form of PyTorch before 1.6; load it with torch.load and save it again with torch.save";
-            return Err(DecodeError::Unsupported(told.into()));
+            let message = "saved in the form of PyTorch before 1.6; load it with torch.load and save it again with torch.save";
+            return Err(DecodeError::Unsupported(message.into()));
         }
         let archive = Archive::parse(bytes)?;
         let Some(root) = root_of(&archive).map(str::to_owned) else {
@@ -92,11 +92,11 @@ impl<'a> Checkpoint<'a> {
         }
         let pickle = archive.stored(&format!("{root}{PICKLE}"))?;
         if pickle.len() > PICKLE_BYTES_MAX {
-            let told = format!(
+            let message = format!(
                 "its pickle has {} bytes; at most {PICKLE_BYTES_MAX} are read",
                 pickle.len()
             );
-            return Err(DecodeError::Unsupported(told));
+            return Err(DecodeError::Unsupported(message));
         }
         let tree = Unpickler::new(pickle).run()?;
         Ok(Self {

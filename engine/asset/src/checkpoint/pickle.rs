@@ -128,8 +128,8 @@ impl<'a> Unpickler<'a> {
         Ok(())
     }
 
-    /// An integer of up to 255 bytes: those beyond 64 bits are seeds and hashes, which nobody asks
-    /// for.
+    /// Reads an integer of up to 255 bytes. Integers beyond 64 bits are seeds and hashes, which are
+    /// not used.
     fn long(&mut self) -> Result<Node, DecodeError> {
         let length = usize::from(self.byte()?);
         let bytes = self.take(length)?;
@@ -242,8 +242,8 @@ impl<'a> Unpickler<'a> {
     }
 }
 
-fn malformed(told: String) -> DecodeError {
-    DecodeError::Malformed(told)
+fn malformed(message: String) -> DecodeError {
+    DecodeError::Malformed(message)
 }
 
 #[cfg(test)]
@@ -298,10 +298,10 @@ mod tests {
             (b"\x80\x02c__builtin__\nexec\n.", "__builtin__ exec"),
             (b"\x80\x02csubprocess\nPopen\n.", "subprocess Popen"),
         ] {
-            let told = run(pickle).unwrap_err().to_string();
+            let message = run(pickle).unwrap_err().to_string();
             assert!(
-                told.contains(name) && told.contains("Nothing was run"),
-                "{told}"
+                message.contains(name) && message.contains("Nothing was run"),
+                "{message}"
             );
         }
         // An instruction by which a class is called without its being named in a line.

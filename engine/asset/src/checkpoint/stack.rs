@@ -316,6 +316,6 @@ impl Machine {
     }
 }
 
-fn malformed(told: &str) -> DecodeError {
-    DecodeError::Malformed(told.to_owned())
+fn malformed(message: &str) -> DecodeError {
+    DecodeError::Malformed(message.to_owned())
 }

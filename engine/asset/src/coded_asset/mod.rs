@@ -163,7 +163,7 @@ pub(crate) fn read_from(bytes: &[u8], path: &Path) -> Result<CodedAsset, AssetEr
 /// Writes `asset` to `path`, atomically.
 ///
 /// # Errors
-/// As [`encode`], and when the operating system refuses.
+/// Returns the errors of [`encode`], and an error if the operating system refuses to write.
 pub fn write_coded(path: &Path, asset: &CodedAsset) -> Result<(), AssetError> {
     let bytes = encode(asset).map_err(|source| AssetError::Encode {
         path: path.to_owned(),

@@ -45,7 +45,7 @@ impl CodedSummary {
     /// Describes `asset`, whose file has `file_bytes`.
     ///
     /// # Panics
-    /// When the cloud does not pass its check.
+    /// Panics if the cloud does not pass its check.
     #[must_use]
     pub fn of(asset: &CodedAsset, file_bytes: u64) -> Self {
         let CodedAsset { cloud, provenance } = asset;

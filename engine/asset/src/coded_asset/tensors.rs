@@ -112,7 +112,7 @@ fn rows_of<const COUNT: usize, const SIZE: usize>(
 /// The tensors of a cloud that passes its check.
 ///
 /// # Errors
-/// When a color coefficient or a level has no code of its type.
+/// Returns an error if a color coefficient or a level has no code of its type.
 pub(super) fn write(cloud: &CodedCloud) -> Result<Vec<Tensor>, EncodeError> {
     let colors = cloud.colors.as_flattened();
     if let Some(color) = colors.iter().find(|&&color| !stored(color).is_finite()) {

@@ -27,8 +27,9 @@ pub const VERSION: u32 = 1;
 /// The episode in the bytes of a log.
 ///
 /// # Errors
-/// When a line was changed, moved, left out or put in, when the end is missing or something follows
-/// it, or when a record does not hold together; the sentence names the first line at fault.
+/// Returns an error if a line was changed, moved, left out or put in, when the end is missing or
+/// something follows it, or when a record does not hold together; the sentence names the first line
+/// at fault.
 pub fn decode(bytes: &[u8]) -> Result<Episode, DecodeError> {
     read::decode(bytes)
 }
@@ -36,8 +37,8 @@ pub fn decode(bytes: &[u8]) -> Result<Episode, DecodeError> {
 /// The bytes of the log of `episode`: what [`EpisodeLog`] writes.
 ///
 /// # Errors
-/// When no log can hold it: a number that is not finite, a scenario that no file can say, steps
-/// that do not follow each other.
+/// Returns an error if no log can hold it: a number that is not finite, a scenario that no file can
+/// say, steps that do not follow each other.
 pub fn encode(episode: &Episode) -> Result<Vec<u8>, EncodeError> {
     write::encode(episode)
 }

@@ -63,7 +63,8 @@ pub(super) fn rows<const N: usize>(
     index: usize,
     what: &str,
 ) -> Result<Vec<[f32; N]>, DecodeError> {
-    let malformed = |told: String| DecodeError::Malformed(format!("attribute '{what}': {told}"));
+    let malformed =
+        |message: String| DecodeError::Malformed(format!("attribute '{what}': {message}"));
     let accessor = document
         .accessors
         .get(index)

@@ -150,10 +150,10 @@ impl Document {
             .find(|name| !known.contains(&name.as_str()))
         {
             let shown: String = other.chars().take(60).collect();
-            let told = format!(
+            let message = format!(
                 "it requires the extension '{shown}', which is not read; export it without"
             );
-            return Err(DecodeError::Unsupported(told));
+            return Err(DecodeError::Unsupported(message));
         }
         Ok(document)
     }

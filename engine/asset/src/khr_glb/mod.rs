@@ -59,7 +59,7 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
 /// Reads the properties whose meaning differs from the rendered one, one sentence each.
 ///
 /// # Errors
-/// As [`decode`].
+/// Returns the errors of [`decode`].
 pub fn read_notes(bytes: &[u8]) -> Result<Vec<String>, DecodeError> {
     Ok(Document::parse(chunks(bytes)?.0)?.notes())
 }

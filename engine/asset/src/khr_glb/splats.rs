@@ -82,7 +82,7 @@ fn read(
     bytes_max: u64,
 ) -> Result<Stored, DecodeError> {
     let charge = |bytes: u64| {
-        let told = || {
+        let message = || {
             format!(
                 "its splats take more memory than is believed of a file of this size ({bytes} bytes, {bytes_max} left)"
             )
@@ -90,7 +90,7 @@ fn read(
         if bytes <= bytes_max {
             Ok(bytes)
         } else {
-            Err(DecodeError::Malformed(told()))
+            Err(DecodeError::Malformed(message()))
         }
     };
     if let Some(spz) = primitive

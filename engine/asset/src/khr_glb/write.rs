@@ -58,8 +58,8 @@ impl Pieces {
 /// format (below).
 ///
 /// # Errors
-/// When a splat is defective ([`SplatCloud::defect_of`]), when there is none, or when the file
-/// would exceed 4 GiB.
+/// Returns an error if a splat is defective ([`SplatCloud::defect_of`]), when there is none, or
+/// when the file would exceed 4 GiB.
 pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
     if cloud.is_empty() {
         return Err(EncodeError(
@@ -95,7 +95,7 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
 /// Writes `cloud` to `path`, atomically.
 ///
 /// # Errors
-/// As [`encode`], and when the operating system refuses.
+/// Returns the errors of [`encode`], and an error if the operating system refuses to write.
 pub fn write(path: &Path, cloud: &SplatCloud) -> Result<(), AssetError> {
     let bytes = encode(cloud).map_err(|source| AssetError::Encode {
         path: path.to_owned(),

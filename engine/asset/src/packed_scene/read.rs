@@ -37,10 +37,10 @@ pub fn open_packed_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetE
     };
     let archive = Archive::parse(&bytes).map_err(decode_error)?;
     if !archive.has(SCENE) {
-        let told = format!(
+        let message = format!(
             "it has no '{SCENE}': packages of other programs hold no scene that is read here"
         );
-        return Err(decode_error(DecodeError::Unsupported(told)));
+        return Err(decode_error(DecodeError::Unsupported(message)));
     }
     let package = Package {
         path,
@@ -99,8 +99,8 @@ impl Package<'_> {
         let bytes = self.archive.stored(&name)?.len() as u64;
         self.read_bytes.set(self.read_bytes.get() + bytes);
         if self.read_bytes.get() > self.file_bytes {
-            let told = "its entries overlap: together they are larger than the package. Pack the scene again";
-            return Err(DecodeError::Malformed(told.into()));
+            let message = "its entries overlap: together they are larger than the package. Pack the scene again";
+            return Err(DecodeError::Malformed(message.into()));
         }
         self.archive.checked(&name, bytes)
     }

@@ -127,7 +127,7 @@ pub(super) fn rig_trajectories(
     })
 }
 
-/// Earth-centerd from local coordinates where the map says where on Earth it is; else the place of
+/// Earth-centered from local coordinates where the map says where on Earth it is; else the place of
 /// the origin in the world.
 fn earth_from_local(scene: &SceneFile, options: &PackOptions) -> Pose {
     let in_world = Pose {

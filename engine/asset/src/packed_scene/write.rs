@@ -39,7 +39,7 @@ pub fn pack(
     options: &PackOptions,
     out: &Path,
 ) -> Result<PackSummary, AssetError> {
-    let refused = |told: String| AssetError::Placement(told);
+    let refused = |message: String| AssetError::Placement(message);
     if options.scene_id.is_empty()
         || options
             .scene_id

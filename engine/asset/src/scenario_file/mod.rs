@@ -33,7 +33,8 @@ pub fn parse(text: &str) -> Result<Scenario, SceneError> {
 /// bit of every number.
 ///
 /// # Errors
-/// When no file can say it: a path that is not Unicode, or a value that [`parse`] would refuse.
+/// Returns an error if no file can say it: a path that is not Unicode, or a value that [`parse`]
+/// would refuse.
 pub fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
     write::to_toml(scenario)
 }

@@ -60,7 +60,7 @@ impl EditError {
     #[must_use]
     pub fn no_agent<'a>(name: &str, names: impl IntoIterator<Item = &'a str>) -> Self {
         let names: Vec<&str> = names.into_iter().collect();
-        let told: Vec<String> = names
+        let quoted: Vec<String> = names
             .iter()
             .take(NAMES_TOLD)
             .map(|name| format!("{name:?}"))
@@ -68,9 +68,13 @@ impl EditError {
         let there = match names.len() {
             0 => "it has none at all".to_owned(),
             count if count > NAMES_TOLD => {
-                format!("it has {} and {} more", told.join(", "), count - NAMES_TOLD)
+                format!(
+                    "it has {} and {} more",
+                    quoted.join(", "),
+                    count - NAMES_TOLD
+                )
             }
-            _ => format!("it has {}", told.join(", ")),
+            _ => format!("it has {}", quoted.join(", ")),
         };
         Self::NoAgent {
             name: name.to_owned(),
@@ -145,7 +149,7 @@ impl SceneFile {
     /// Adds `agent` behind all others.
     ///
     /// # Errors
-    /// When its name is empty or taken, or there are as many agents as ids.
+    /// Returns an error if its name is empty or taken, or there are as many agents as ids.
     pub fn add_agent(&mut self, agent: SceneAgent) -> Result<(), EditError> {
         let SceneAgent { name, .. } = &agent;
         if name.is_empty() {
@@ -193,7 +197,7 @@ impl SceneFile {
     /// Moves the agent called `name` with its whole trajectory, as [`begun_at`] does.
     ///
     /// # Errors
-    /// When there is no such agent, or a number is not finite.
+    /// Returns an error if there is no such agent, or a number is not finite.
     pub fn move_agent(
         &mut self,
         name: &str,
@@ -207,7 +211,7 @@ impl SceneFile {
     /// does.
     ///
     /// # Errors
-    /// When there is no such agent, or a number is not finite.
+    /// Returns an error if there is no such agent, or a number is not finite.
     pub fn shift_agent(&mut self, name: &str, shift: &Pose) -> Result<(), EditError> {
         self.with_trajectory(name, |trajectory| shifted(trajectory, shift))
     }
@@ -283,24 +287,25 @@ mod tests {
     #[test]
     fn a_complaint_names_the_agent_and_those_that_there_are_and_changes_nothing() {
         let mut edited = scene(&["a", "b"]);
-        let told = |error: EditError| error.to_string();
+        let message = |error: EditError| error.to_string();
         assert_eq!(
-            told(edited.remove_agent("x").unwrap_err()),
+            message(edited.remove_agent("x").unwrap_err()),
             r#"the scene has no agent "x"; it has "a", "b""#
         );
-        assert!(told(edited.swap_asset("x", "van.ply").unwrap_err()).contains(r#""x""#));
+        assert!(message(edited.swap_asset("x", "van.ply").unwrap_err()).contains(r#""x""#));
         assert!(
-            told(edited.move_agent("b", DVec3::NAN, 0.0).unwrap_err())
+            message(edited.move_agent("b", DVec3::NAN, 0.0).unwrap_err())
                 .contains(r#""b" cannot be moved"#)
         );
         let infinite = Pose {
             translation: DVec3::INFINITY,
             ..Pose::IDENTITY
         };
-        assert!(told(edited.shift_agent("b", &infinite).unwrap_err()).contains("not finite"));
+        assert!(message(edited.shift_agent("b", &infinite).unwrap_err()).contains("not finite"));
         let twin = edited.agents[0].clone();
         assert!(
-            told(edited.add_agent(twin.clone()).unwrap_err()).contains(r#"an agent "a" already"#)
+            message(edited.add_agent(twin.clone()).unwrap_err())
+                .contains(r#"an agent "a" already"#)
         );
         assert_eq!(
             edited.add_agent(SceneAgent {
@@ -310,15 +315,15 @@ mod tests {
             Err(EditError::NoName)
         );
         assert_eq!(edited, scene(&["a", "b"]));
-        assert!(told(scene(&[]).remove_agent("x").unwrap_err()).contains("none at all"));
+        assert!(message(scene(&[]).remove_agent("x").unwrap_err()).contains("none at all"));
         let many: Vec<String> = (0..65_535).map(|index| format!("car{index}")).collect();
         let mut full = scene(&many.iter().map(String::as_str).collect::<Vec<_>>());
-        let said = told(full.remove_agent("x\u{1b}").unwrap_err());
+        let said = message(full.remove_agent("x\u{1b}").unwrap_err());
         assert!(
             said.ends_with("\"car11\" and 65523 more") && !said.contains('\u{1b}'),
             "{said}"
         );
-        assert!(told(full.add_agent(twin).unwrap_err()).contains("65535"));
+        assert!(message(full.add_agent(twin).unwrap_err()).contains("65535"));
     }
 
     #[test]

@@ -319,10 +319,10 @@ impl AgentLoader<'_> {
             return Ok(());
         }
         if splats > SPLATS_MAX {
-            let told = format!(
+            let message = format!(
                 "background and agents have more than {SPLATS_MAX} splats, which is no scene: compress the agents"
             );
-            return Err(AssetError::Placement(told));
+            return Err(AssetError::Placement(message));
         }
         self.checked_splats = 2 * splats;
         let what = format!("a scene of {splats} splats and more, with its agents,");

@@ -9,7 +9,7 @@ use super::SceneFile;
 /// below the root, else absolute.
 ///
 /// # Errors
-/// When one of them does not exist or cannot be accessed.
+/// Returns an error if one of them does not exist or cannot be accessed.
 pub fn path_from(directory: &Path, target: &Path) -> io::Result<PathBuf> {
     // Symbolic links first: `..` leaves the folder that a link leads to, not the one that it lies
     // in.
@@ -50,7 +50,7 @@ impl SceneFile {
     /// paths lead to the same files.
     ///
     /// # Errors
-    /// When one of the folders does not exist or cannot be accessed.
+    /// Returns an error if one of the folders does not exist or cannot be accessed.
     pub fn moved_to_folder(&self, from: &Path, to: &Path) -> io::Result<Self> {
         let way = path_from(to, from)?;
         // An absolute path stays as it is, which `join` sees to.

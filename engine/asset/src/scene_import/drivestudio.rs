@@ -122,12 +122,12 @@ fn actors(
     let splats = cloud(checkpoint, rigid)?;
     let ids = tensor(checkpoint, rigid, "points_ids")?;
     if ids.len() != splats.len() {
-        let told = format!(
+        let message = format!(
             "'points_ids' has {} entries for {} splats of {RIGID}",
             ids.len(),
             splats.len()
         );
-        return Err(DecodeError::Malformed(told));
+        return Err(DecodeError::Malformed(message));
     }
     let poses = Poses::read(checkpoint, rigid)?;
     let mut of_instance: Vec<Vec<u32>> = vec![Vec::new(); poses.instances];
@@ -235,7 +235,7 @@ impl Poses {
         }
         Trajectory::new(poses)
             .map(Some)
-            .map_err(|told| DecodeError::Malformed(format!("instance {instance}: {told}")))
+            .map_err(|message| DecodeError::Malformed(format!("instance {instance}: {message}")))
     }
 }
 

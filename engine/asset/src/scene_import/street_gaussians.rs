@@ -59,10 +59,10 @@ pub(super) fn scene(
             let splats = cloud(key)?;
             decoded_bytes += cloud_bytes(splats.len() as u64, splats.sh_degree);
             if decoded_bytes > decoded_bytes_max(checkpoint.file_bytes) {
-                let told = format!(
+                let message = format!(
                     "its models name the same tensors so often that they take {decoded_bytes} bytes and more"
                 );
-                return Err(DecodeError::Malformed(told));
+                return Err(DecodeError::Malformed(message));
             }
             actors.push(ImportedActor {
                 name: key.to_owned(),
@@ -189,7 +189,7 @@ fn trajectory_of(track: &Track) -> Result<Trajectory, DecodeError> {
         }
     });
     Trajectory::new(poses.collect())
-        .map_err(|told| DecodeError::Malformed(format!("track {}: {told}", track.id)))
+        .map_err(|message| DecodeError::Malformed(format!("track {}: {message}", track.id)))
 }
 
 /// DC of `[N, terms, 3]`: the mean over time of the terms of a Fourier series (`IDFT` in

@@ -72,15 +72,15 @@ impl Meta {
                     || "1 (it names none)".to_owned(),
                     |version| version.to_string(),
                 );
-                let told = format!(
+                let message = format!(
                     "SOG of version {found}; version 2 is read: write the file again with splat-transform"
                 );
-                return Err(DecodeError::Unsupported(told));
+                return Err(DecodeError::Unsupported(message));
             }
         }
         let meta: Self = serde_json::from_slice(text).map_err(malformed)?;
         meta.check()
-            .map_err(|told| DecodeError::Malformed(format!("meta.json: {told}")))?;
+            .map_err(|message| DecodeError::Malformed(format!("meta.json: {message}")))?;
         Ok(meta)
     }
 

@@ -82,8 +82,8 @@ pub fn read_folder(folder: &Path) -> Result<SplatCloud, AssetError> {
     for name in parsed.files() {
         // A name with a slash could lead anywhere.
         if name.contains(['/', '\\']) || name.starts_with('.') {
-            let told = format!("names the image '{name}'; images lie beside {META}");
-            return Err(decode_error(DecodeError::Malformed(told)));
+            let message = format!("names the image '{name}'; images lie beside {META}");
+            return Err(decode_error(DecodeError::Malformed(message)));
         }
         files.push((name.to_owned(), read_bytes(&folder.join(name))?));
     }

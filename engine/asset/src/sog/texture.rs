@@ -23,7 +23,8 @@ impl Texture {
         pixels_min: u64,
         pixels_max: u64,
     ) -> Result<Self, DecodeError> {
-        let malformed = |told: String| DecodeError::Malformed(format!("image '{name}' {told}"));
+        let malformed =
+            |message: String| DecodeError::Malformed(format!("image '{name}' {message}"));
         let broken =
             |error: image_webp::DecodingError| malformed(format!("is no readable WebP: {error}"));
         let mut decoder = WebPDecoder::new(Cursor::new(file)).map_err(broken)?;

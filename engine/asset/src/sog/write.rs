@@ -20,8 +20,8 @@ const LOG_SCALE_MIN: f32 = -30.0;
 /// `cloud` as the bytes of a bundle. The order of the splats stays.
 ///
 /// # Errors
-/// When a splat is defective ([`SplatCloud::defect_of`]), when there is none, or when splats with
-/// view-dependent color are more than the 65,536 that the palette has entries for.
+/// Returns an error if a splat is defective ([`SplatCloud::defect_of`]), when there is none, or
+/// when splats with view-dependent color are more than the 65,536 that the palette has entries for.
 pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
     if cloud.is_empty() {
         return Err(EncodeError("there is no splat to write".into()));
@@ -91,7 +91,7 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
 /// Writes `cloud` to `path`, atomically.
 ///
 /// # Errors
-/// As [`encode`], and when the operating system refuses.
+/// Returns the errors of [`encode`], and an error if the operating system refuses to write.
 pub fn write(path: &Path, cloud: &SplatCloud) -> Result<(), AssetError> {
     let bytes = encode(cloud).map_err(|source| AssetError::Encode {
         path: path.to_owned(),

@@ -54,8 +54,8 @@ pub(crate) fn decode_as_stored(bytes: &[u8]) -> Result<SplatCloud, DecodeError> 
 /// them.
 ///
 /// # Errors
-/// When a splat is defective ([`SplatCloud::defect_of`]) or a mean lies beyond 8388 km: SPZ has no
-/// code for either.
+/// Returns an error if a splat is defective ([`SplatCloud::defect_of`]) or a mean lies beyond 8388
+/// km: SPZ has no code for either.
 pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
     let mut turned = cloud.clone();
     axes::StoredAxes::RUB.turn_from_ply(&mut turned);
@@ -65,7 +65,7 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
 /// Writes `cloud` to `path`, atomically.
 ///
 /// # Errors
-/// As [`encode`], and when the operating system refuses.
+/// Returns the errors of [`encode`], and an error if the operating system refuses to write.
 pub fn write(path: &Path, cloud: &SplatCloud) -> Result<(), AssetError> {
     let bytes = encode(cloud).map_err(|source| AssetError::Encode {
         path: path.to_owned(),

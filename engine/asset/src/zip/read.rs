@@ -102,12 +102,12 @@ impl<'a> Archive<'a> {
     pub(crate) fn checked(&self, name: &str, bytes_max: u64) -> Result<Cow<'a, [u8]>, DecodeError> {
         let entry = self.entry(name)?;
         if entry.bytes > bytes_max {
-            let told = format!(
+            let message = format!(
                 "the zip's entry '{}' claims {} bytes; at most {bytes_max} are read",
                 shown(name),
                 entry.bytes
             );
-            return Err(malformed(told));
+            return Err(malformed(message));
         }
         let content = match entry.method {
             Method::Stored => Cow::Borrowed(self.stored(name)?),
@@ -116,11 +116,11 @@ impl<'a> Archive<'a> {
         let mut checksum = Crc::new();
         checksum.update(&content);
         if checksum.sum() != entry.checksum {
-            let told = format!(
+            let message = format!(
                 "the zip's entry '{}' has a wrong checksum; copy or export the file again",
                 shown(name)
             );
-            return Err(malformed(told));
+            return Err(malformed(message));
         }
         Ok(content)
     }
@@ -175,12 +175,12 @@ fn inflated(packed: &[u8], entry: &Entry<'_>) -> Result<Vec<u8>, DecodeError> {
     result
         .map_err(|error| malformed(format!("the zip's entry '{}': {error}", shown(entry.name))))?;
     if content.len() as u64 != entry.bytes {
-        let told = format!(
+        let message = format!(
             "the zip's entry '{}' has another size than its {} bytes",
             shown(entry.name),
             entry.bytes
         );
-        return Err(malformed(told));
+        return Err(malformed(message));
     }
     Ok(content)
 }
@@ -191,9 +191,9 @@ fn directory(bytes: &[u8]) -> Result<(u64, usize), DecodeError> {
     let last = bytes.len().checked_sub(END_BYTES);
     let found = last.and_then(|last| (earliest..=last).rev().find(|&at| is_end(bytes, at)));
     let Some(at) = found else {
-        let told =
+        let message =
             "the zip has no directory at its end: the file is cut short; copy or export it again";
-        return Err(malformed(told.into()));
+        return Err(malformed(message.into()));
     };
     let end = &bytes[at..at + END_BYTES];
     if u16_at(end, 4) != 0 || u16_at(end, 6) != 0 {
@@ -258,11 +258,11 @@ fn central_entry(bytes: &[u8], at: usize) -> Option<(Result<Entry<'_>, DecodeErr
             ));
         }
         (other, _) => {
-            let told = format!(
+            let message = format!(
                 "the zip's entry '{}' is compressed by method {other}; store or deflate it",
                 shown(name)
             );
-            return Some((Err(DecodeError::Unsupported(told)), next));
+            return Some((Err(DecodeError::Unsupported(message)), next));
         }
     };
     Some((
@@ -307,8 +307,8 @@ fn sizes(fixed: &[u8], extra: &[u8]) -> Option<[u64; 3]> {
     Some([packed_bytes, size, value(42)?])
 }
 
-fn malformed(told: String) -> DecodeError {
-    DecodeError::Malformed(told)
+fn malformed(message: String) -> DecodeError {
+    DecodeError::Malformed(message)
 }
 
 /// The start of a name from a file, fit for a message.

@@ -42,8 +42,8 @@ impl<W: Write> StoredZip<W> {
     /// Adds an entry called `name`, parts joined by `/`.
     ///
     /// # Errors
-    /// When the name is taken or leads out of the archive, when the archive grows beyond 4 GiB, or
-    /// when writing fails.
+    /// Returns an error if the name is taken or leads out of the archive, when the archive grows
+    /// beyond 4 GiB, or when writing fails.
     pub fn add(&mut self, name: &str, content: &[u8]) -> io::Result<()> {
         let mut checksum = Crc::new();
         checksum.update(content);
@@ -54,8 +54,8 @@ impl<W: Write> StoredZip<W> {
     /// Adds what `open` reads as an entry called `name`. It is read twice, and kept nowhere.
     ///
     /// # Errors
-    /// As [`StoredZip::add`], when reading fails, and when the second time reads other bytes than
-    /// the first.
+    /// Returns the errors of [`StoredZip::add`], and an error if reading fails or if the second
+    /// reading gives other bytes than the first.
     pub fn add_from<R: Read>(
         &mut self,
         name: &str,
@@ -94,7 +94,7 @@ impl<W: Write> StoredZip<W> {
     /// Writes the directory and gives the writer back.
     ///
     /// # Errors
-    /// When the archive grows beyond 4 GiB or 65,535 entries, or when writing fails.
+    /// Returns an error if the archive grows beyond 4 GiB or 65,535 entries, or when writing fails.
     pub fn finish(mut self) -> io::Result<W> {
         let start = self.at;
         let too_many = || {

@@ -210,8 +210,8 @@ fn checkpoints_of_splats_alone_are_no_scene_and_scenes_say_how_they_are_read() {
         "scene_import/drivestudio.pth",
         "scene_import/street_gaussians.pth",
     ] {
-        let told = checkpoint::decode(&read(name)).unwrap_err().to_string();
-        assert!(told.contains("convert"), "{told}");
+        let message = checkpoint::decode(&read(name)).unwrap_err().to_string();
+        assert!(message.contains("convert"), "{message}");
     }
     assert_eq!(
         read_scene(&seed("splat/cone.splat"), &ImportOptions::default()).unwrap(),

@@ -95,9 +95,10 @@ fn collisions(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
             };
             touched_s = touched_s.filter(|touched_s| instant.time_s - touched_s < APART_S);
             // The record's own word counts, too: it may have looked between its moments.
-            let told = at + 1 == instants.len() && episode.end == EpisodeEnd::Collision { agent };
+            let message =
+                at + 1 == instants.len() && episode.end == EpisodeEnd::Collision { agent };
             let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
-            if told || ego.overlaps(&OrientedBox::of(state, size)) {
+            if message || ego.overlaps(&OrientedBox::of(state, size)) {
                 if touched_s.is_none() {
                     let kind = InfractionKind::Collision {
                         agent,

@@ -284,11 +284,11 @@ fn check(grounds: &Grounds, scenario: &Scenario, level: Level, what: &str) {
         }
         let gaps = gaps_ahead(map, &all, at, 110.0);
         for &(other, gap_m) in &gaps {
-            let told = || format!("{what}: {} {gap_m:.1} m behind {}", a.name, all[other].name);
+            let message = || format!("{what}: {} {gap_m:.1} m behind {}", a.name, all[other].name);
             assert!(
                 survives(gap_m, a.speed_mps, all[other].speed_mps),
                 "{}",
-                told()
+                message()
             );
         }
         if at == 0 {

@@ -20,7 +20,7 @@ const NOT_FINITE_RGB: [f32; 3] = [0.0, 1.0, 0.0];
 /// equal, white from 1 on, bright green where either image has a value that is NaN or infinite.
 ///
 /// # Errors
-/// When the sizes differ.
+/// Returns an error if the sizes differ.
 pub fn difference_image(a: &Image, b: &Image, gain: f32) -> Result<Image, DifferenceError> {
     check_sizes(a, b)?;
     let color = |(a, b): (&[f32; 3], &[f32; 3])| {

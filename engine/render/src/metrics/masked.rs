@@ -68,7 +68,7 @@ impl MaskedErrors {
     /// by row.
     ///
     /// # Errors
-    /// When sizes differ or a value is not finite.
+    /// Returns an error if sizes differ or a value is not finite.
     pub fn add(
         &mut self,
         found: &Image,

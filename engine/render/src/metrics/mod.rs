@@ -77,7 +77,8 @@ impl Difference {
     /// Difference between `a` and `b`. Only their colors are compared.
     ///
     /// # Errors
-    /// When their sizes differ, or a value of either (alpha and depth too) is NaN or infinite.
+    /// Returns an error if their sizes differ, or a value of either (alpha and depth too) is NaN or
+    /// infinite.
     pub fn between(a: &Image, b: &Image) -> Result<Self, DifferenceError> {
         check_sizes(a, b)?;
         check_finite("first", a)?;

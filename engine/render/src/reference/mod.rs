@@ -104,7 +104,7 @@ impl Window {
 /// Renders `world` as seen by `camera` under `rules` (which replace the world's own).
 ///
 /// # Panics
-/// When the camera's intrinsics fail [`Intrinsics::check`]: readers refuse such cameras.
+/// Panics if the camera's intrinsics fail [`Intrinsics::check`]: readers refuse such cameras.
 #[must_use]
 pub fn render(world: &World, camera: &Camera, rules: &Rules) -> Image64 {
     render_window(world, camera, rules, Window::whole(&camera.intrinsics))
@@ -116,7 +116,8 @@ pub fn render(world: &World, camera: &Camera, rules: &Rules) -> Image64 {
 /// depends on the image's size, so splats beyond a crop's edges spread otherwise.
 ///
 /// # Panics
-/// When the camera's intrinsics fail [`Intrinsics::check`] or the window does not lie in its image.
+/// Panics if the camera's intrinsics fail [`Intrinsics::check`] or the window does not lie in its
+/// image.
 #[must_use]
 pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Window) -> Image64 {
     let intrinsics = &camera.intrinsics;

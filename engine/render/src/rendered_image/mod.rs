@@ -144,7 +144,8 @@ impl Image {
     /// Reads an image; its name's extension tells the format. Alpha is 1 where the file has none.
     ///
     /// # Errors
-    /// When the file cannot be read, its name tells no format, or its bytes are not such an image.
+    /// Returns an error if the file cannot be read, its name tells no format, or its bytes are not
+    /// such an image.
     pub fn read(path: &Path) -> Result<Self, ImageError> {
         let format = ImageFileFormat::of_path(path)
             .ok_or_else(|| ImageError::Extension { path: path.into() })?;
@@ -167,7 +168,7 @@ impl Image {
     /// account for.
     ///
     /// # Errors
-    /// When the bytes are not an image of that format.
+    /// Returns an error if the bytes are not an image of that format.
     pub fn decode(format: ImageFileFormat, bytes: &[u8]) -> Result<Self, ImageError> {
         match format {
             ImageFileFormat::Png | ImageFileFormat::Exr => image_files::decode(format, bytes),
@@ -178,7 +179,7 @@ impl Image {
     /// The bytes of a file of that format.
     ///
     /// # Errors
-    /// When the encoder refuses the image's size.
+    /// Returns an error if the encoder refuses the image's size.
     pub fn encode(&self, format: ImageFileFormat) -> Result<Vec<u8>, ImageError> {
         match format {
             ImageFileFormat::Png => image_files::encode_png(self),
@@ -192,7 +193,7 @@ impl Image {
     /// as blended, as they always do.
     ///
     /// # Errors
-    /// When the encoder refuses the image's size.
+    /// Returns an error if the encoder refuses the image's size.
     pub fn encode_with_alpha(&self, format: ImageFileFormat) -> Result<Vec<u8>, ImageError> {
         match format {
             ImageFileFormat::Png => image_files::encode_png_with_alpha(self),

@@ -27,7 +27,7 @@ impl AgentBuffers {
     /// Buffers for `agents` agents of `clusters` clusters in all, seen by `cameras`.
     ///
     /// # Errors
-    /// When the device is out of memory.
+    /// Returns an error if the device is out of memory.
     pub fn new(
         gpu: &Gpu,
         agents: usize,
@@ -92,7 +92,7 @@ impl CullAgents {
     /// The stage for images of the given rules; `lenses` where some camera is no pinhole.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, lenses: bool) -> Result<Self, GpuError> {
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
@@ -146,7 +146,7 @@ impl ProjectAgents {
     /// agents have colors of their own, `lenses` where some camera is no pinhole.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// Returns an error if the driver refuses the kernel.
     pub fn new(
         gpu: &Gpu,
         rules: &Rules,

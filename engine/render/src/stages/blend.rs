@@ -28,7 +28,7 @@ impl PartialResults {
     /// Buffers for `slots` segments.
     ///
     /// # Errors
-    /// When the device is out of memory.
+    /// Returns an error if the device is out of memory.
     pub fn new(
         gpu: &Gpu,
         slots: usize,
@@ -124,7 +124,7 @@ impl Blend {
     /// The stage for images of the given rules, and for items of at most `item_pairs_max` pairs.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// Returns an error if the driver refuses the kernel.
     pub fn new(
         gpu: &Gpu,
         rules: &Rules,

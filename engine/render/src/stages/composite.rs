@@ -24,7 +24,7 @@ impl CompositeSegments {
     /// The stage.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs) -> Result<Self, GpuError> {
         let [u8_color, depth, instance] = outputs.constants();
         let stop = (

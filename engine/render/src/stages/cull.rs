@@ -21,7 +21,7 @@ impl Visible {
     /// Buffers for a world of `clusters` seen by `cameras`.
     ///
     /// # Errors
-    /// When the device is out of memory.
+    /// Returns an error if the device is out of memory.
     pub fn new(gpu: &Gpu, cameras: usize, clusters: usize) -> Result<Self, GpuError> {
         let lists = cameras * clusters;
         Ok(Self {
@@ -53,7 +53,7 @@ impl Cull {
     /// The stage for images of the given rules; `lenses` where some camera is no pinhole.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, lenses: bool) -> Result<Self, GpuError> {
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),

@@ -20,7 +20,7 @@ impl ShadowBuffers {
     /// Buffers for `shadows` shadows over `clusters` clusters.
     ///
     /// # Errors
-    /// When the device is out of memory.
+    /// Returns an error if the device is out of memory.
     pub fn new(gpu: &Gpu, shadows: usize, clusters: usize) -> Result<Self, GpuError> {
         Ok(Self {
             shadows: gpu.buffer("shadows", PURPOSE, shadows, MemoryKind::Device)?,
@@ -56,7 +56,7 @@ impl CullShadows {
     /// The stage.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL_SHADOWS, &[])?,

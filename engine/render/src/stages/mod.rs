@@ -51,7 +51,7 @@ impl FrameCounters {
     /// Buffers for one frame.
     ///
     /// # Errors
-    /// When the device is out of memory.
+    /// Returns an error if the device is out of memory.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
             required: gpu.buffer("required", PURPOSE, 1, MemoryKind::Device)?,

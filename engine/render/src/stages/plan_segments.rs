@@ -20,7 +20,7 @@ impl Plan {
     /// Buffers for images of `bins` coarse tiles.
     ///
     /// # Errors
-    /// When the device is out of memory.
+    /// Returns an error if the device is out of memory.
     pub fn new(gpu: &Gpu, capacity: &Capacity, bins: u32) -> Result<Self, GpuError> {
         Ok(Self {
             items: gpu.buffer("items", PURPOSE, capacity.items(bins), MemoryKind::Device)?,
@@ -53,7 +53,7 @@ impl PlanSegments {
     /// The stage; lists longer than `segment_pairs` are cut, `u32::MAX` cuts none.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, segment_pairs: u32) -> Result<Self, GpuError> {
         let constants = [("SEGMENT_PAIRS", Constant::U32(segment_pairs))];
         Ok(Self {

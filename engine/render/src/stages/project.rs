@@ -24,7 +24,7 @@ impl Projected {
     /// Buffers for `records` entries, their keys with room for `pairs`.
     ///
     /// # Errors
-    /// When the device is out of memory.
+    /// Returns an error if the device is out of memory.
     pub fn new(gpu: &Gpu, records: usize, pairs: usize) -> Result<Self, GpuError> {
         Ok(Self {
             footprints: gpu.buffer("footprints", PURPOSE, 2 * records, MemoryKind::Device)?,
@@ -75,7 +75,7 @@ impl Project {
     /// The stage for images of the given rules and worlds of the given kind.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, variant: ProjectVariant) -> Result<Self, GpuError> {
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),

@@ -23,7 +23,7 @@ impl RelitColors {
     /// Room for `colors`.
     ///
     /// # Errors
-    /// When the device is out of memory.
+    /// Returns an error if the device is out of memory.
     pub fn new(gpu: &Gpu, colors: usize) -> Result<Self, GpuError> {
         Ok(Self {
             dc: gpu.buffer("relit_dc", PURPOSE, colors, MemoryKind::Device)?,
@@ -47,7 +47,7 @@ impl Relight {
     /// The stage for colors of the given degree.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, sh_degree: u8) -> Result<Self, GpuError> {
         let constants = [("SH_DEGREE", Constant::U32(u32::from(sh_degree)))];
         Ok(Self {

@@ -22,7 +22,7 @@ impl Scan {
     /// The stage.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::SCAN, &[])?,

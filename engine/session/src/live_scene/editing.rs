@@ -47,7 +47,7 @@ impl LiveScene {
     /// Copies another asset to the device; returns its number, by which agents are told to show it.
     ///
     /// # Errors
-    /// When the device has not the memory, or the asset cannot be drawn.
+    /// Returns an error if the device has not the memory, or the asset cannot be drawn.
     pub fn add_asset(&mut self, asset: &CodedCloud) -> Result<usize, RenderError> {
         let id = self.pool.add(asset)?;
         self.assets.push(LiveAsset {
@@ -64,7 +64,8 @@ impl LiveScene {
     /// says.
     ///
     /// # Errors
-    /// When the name is empty or taken, there is no such asset, or there are as many agents as ids.
+    /// Returns an error if the name is empty or taken, there is no such asset, or there are as many
+    /// agents as ids.
     pub fn add_agent(
         &mut self,
         name: &str,
@@ -98,7 +99,7 @@ impl LiveScene {
     /// on the device.
     ///
     /// # Errors
-    /// When there is no such agent, or it is of plain splats.
+    /// Returns an error if there is no such agent, or it is of plain splats.
     pub fn remove_agent(&mut self, name: &str) -> Result<LoadedAgent, LiveEditError> {
         let place = self.place_of(name)?;
         Ok(self.agents.remove(place))
@@ -108,7 +109,7 @@ impl LiveScene {
     /// along it. `decouplegs_asset::scene_file::editing` moves trajectories.
     ///
     /// # Errors
-    /// When there is no such agent, or it is of plain splats.
+    /// Returns an error if there is no such agent, or it is of plain splats.
     pub fn set_trajectory(
         &mut self,
         name: &str,
@@ -124,7 +125,7 @@ impl LiveScene {
     /// Its pose stays.
     ///
     /// # Errors
-    /// When there is no such agent or asset, or the agent is of plain splats.
+    /// Returns an error if there is no such agent or asset, or the agent is of plain splats.
     pub fn swap_asset(&mut self, name: &str, asset: usize) -> Result<(), LiveEditError> {
         let place = self.place_of(name)?;
         let sh_frame = self.asset_for(name, asset)?.sh_frame;

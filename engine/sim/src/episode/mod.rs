@@ -118,8 +118,8 @@ pub struct Driven {
 /// Drives `scenario` in `site` with `planner`, who sees through `eyes`.
 ///
 /// # Errors
-/// When the scenario does not fit the site, the device fails, or the witness cannot go on. A
-/// planner that fails ends the episode with its reason, which is no error.
+/// Returns an error if the scenario does not fit the site, the device fails, or the witness cannot
+/// go on. A planner that fails ends the episode with its reason, which is no error.
 pub fn drive(
     scenario: &Scenario,
     site: &Arc<Site>,

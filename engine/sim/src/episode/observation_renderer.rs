@@ -42,7 +42,7 @@ pub fn render_options(rules: Rules) -> RenderOptions {
 /// Cameras of `rig` that `cameras` selects, at `size_px` if given.
 ///
 /// # Errors
-/// When there is none to choose from.
+/// Returns an error if there is none to choose from.
 pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<Rig, String> {
     let first = || {
         rig.cameras
@@ -107,7 +107,7 @@ impl<'a> ObservationRenderer<'a> {
     /// Draws `simulation` if `step` is one that is drawn; what was seen before is gone either way.
     ///
     /// # Errors
-    /// When the device was lost or has not the memory.
+    /// Returns an error if the device was lost or has not the memory.
     pub fn look(&mut self, simulation: &mut Simulation, step: u32) -> Result<bool, RenderError> {
         if self.rig.cameras.is_empty() || !step.is_multiple_of(self.every) {
             self.images.clear();
@@ -124,7 +124,7 @@ impl<'a> ObservationRenderer<'a> {
     /// Fetches what was drawn.
     ///
     /// # Errors
-    /// When the device was lost or has not the memory.
+    /// Returns an error if the device was lost or has not the memory.
     pub fn read(&mut self) -> Result<(), RenderError> {
         if std::mem::take(&mut self.unread) {
             self.renderer.read_bytes(&mut self.images)

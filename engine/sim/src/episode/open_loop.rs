@@ -17,7 +17,7 @@ pub type Images = Vec<Vec<u8>>;
 /// Its answers, `None` where it had none.
 ///
 /// # Errors
-/// When the scenario does not fit the site, or `images_of` fails.
+/// Returns an error if the scenario does not fit the site, or `images_of` fails.
 pub fn plans<E: From<EpisodeError>>(
     episode: &Episode,
     site: &Arc<Site>,

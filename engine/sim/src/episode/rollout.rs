@@ -32,7 +32,7 @@ impl Rollout {
     /// `scenario` at its start.
     ///
     /// # Errors
-    /// When it does not fit `site`.
+    /// Returns an error if it does not fit `site`.
     pub fn new(
         scenario: &Scenario,
         site: &Arc<Site>,
@@ -141,7 +141,7 @@ impl Rollout {
     /// pose.
     ///
     /// # Errors
-    /// When the scene of `world` has not the assets.
+    /// Returns an error if the scene of `world` has not the assets.
     pub fn show(&mut self, world: &mut World) -> Result<Pose, SessionError> {
         let (ego, placed) = self.simulation.placed();
         let names = self

@@ -36,7 +36,7 @@ impl Simulation {
     /// `scenario` at its start.
     ///
     /// # Errors
-    /// When its lanes are not those of `site`, or vehicles stand in one another.
+    /// Returns an error if its lanes are not those of `site`, or vehicles stand in one another.
     pub fn new(scenario: &Scenario, site: &Arc<Site>) -> Result<Self, EpisodeError> {
         let unfit = |reason: String| EpisodeError::Unfit {
             scenario: scenario.name.clone(),

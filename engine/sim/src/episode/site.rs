@@ -70,7 +70,7 @@ impl Site {
     /// made that is only to be seen.
     ///
     /// # Errors
-    /// When a file is at fault, or lanes or assets are missing.
+    /// Returns an error if a file is at fault, or lanes or assets are missing.
     pub fn open(
         place: &Place,
         directory: &Path,
@@ -309,7 +309,7 @@ impl Site {
 /// The cameras of the ego in `place`, its files relative to `directory`.
 ///
 /// # Errors
-/// When the scene file is at fault.
+/// Returns an error if the scene file is at fault.
 pub fn rig_of(place: &Place, directory: &Path) -> Result<Rig, SiteError> {
     match place {
         Place::Scene { scene, .. } => Ok(SceneFile::read(&directory.join(scene))?.rig),

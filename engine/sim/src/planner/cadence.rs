@@ -11,10 +11,10 @@ pub(super) const SPACING_S: f64 = 0.25;
 /// Horizon of a plan, seconds: the time that a car at 50 km/h needs to stop with comfort.
 pub(super) const HORIZON_S: f64 = 4.0;
 
-/// The plan whose places, in the ego's frame, `place_at` tells for a time in seconds.
+/// Samples a plan from `place_at`: a time in seconds to a position in the ego's frame, in meters.
 ///
 /// # Errors
-/// Where a place is not finite or out of reach.
+/// Returns an error if a position is not finite or out of reach.
 pub(super) fn plan_through(mut place_at: impl FnMut(f64) -> DVec2) -> Result<Plan, PlannerError> {
     let count = (HORIZON_S / SPACING_S).round() as u32;
     let points = (1..=count).map(|at| {

@@ -35,10 +35,11 @@ pub enum PlannerChoice {
 }
 
 impl PlannerChoice {
-    /// A planner of this kind. `patience` is for those of others.
+    /// Opens a planner of this kind. External planners are given the timeouts `patience`.
     ///
     /// # Errors
-    /// Where an external planner cannot be reached or started, or a log cannot be read or replayed.
+    /// Returns an error if an external planner cannot be reached or started, or if a log cannot be
+    /// read or replayed.
     pub fn open(&self, patience: Timeouts) -> Result<Box<dyn Planner>, PlannerError> {
         Ok(match self {
             Self::ConstantVelocity => Box::new(ConstantVelocity),

@@ -60,7 +60,8 @@ impl External {
     /// Starts or connects to the planner and has it say what it wants to see.
     ///
     /// # Errors
-    /// Where it cannot be started or reached, or does not introduce itself in time and form.
+    /// Returns an error if the planner cannot be started or reached, or does not introduce itself
+    /// in time and form.
     pub fn open(attachment: Transport, patience: Timeouts) -> Result<Self, PlannerError> {
         let (session, introduction) = Session::open(&attachment, &patience)?;
         Ok(Self {

@@ -163,16 +163,16 @@ pub trait Planner: Send {
     /// Requested inputs; the same for all episodes.
     fn sees(&self) -> ObservationRequest;
 
-    /// Called before each episode: what it remembers of the one before is to be forgotten.
+    /// Prepares for a new episode. Nothing of the episode before may be kept.
     ///
     /// # Errors
-    /// Where it cannot drive.
+    /// Returns an error if the planner cannot drive.
     fn begin(&mut self, briefing: &EpisodeInfo) -> Result<(), PlannerError>;
 
-    /// The way on from here.
+    /// Plans the path from the ego's present pose.
     ///
     /// # Errors
-    /// Where it has no answer, or not in time.
+    /// Returns an error if the planner has no answer, or none in time.
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError>;
 }
 

@@ -27,10 +27,10 @@ impl Replay {
         Self { path }
     }
 
-    /// Along the way of the ego in `episode`.
+    /// Replays the ego's path of `episode`.
     ///
     /// # Errors
-    /// Where the times of the episode's moments do not rise or a place is not finite.
+    /// Returns an error if the episode's times do not increase or a position is not finite.
     pub fn of_episode(episode: &Episode) -> Result<Self, PlannerError> {
         let stand = |instant: &decouplegs_scene::episode::EpisodeTick| TimedPose {
             time_s: instant.time_s,

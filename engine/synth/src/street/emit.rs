@@ -325,7 +325,7 @@ mod tests {
             let alpha = |splat: usize| {
                 let [w, qx, qy, qz] = cloud.rotations[splat];
                 let axes = Mat3::from_quat(Quat::from_xyzw(qx, qy, qz, w));
-                // Marginalising over the line of sight drops its row and column from the
+                // Marginalizing over the line of sight drops its row and column from the
                 // covariance.
                 let scaled = axes * Mat3::from_diagonal(Vec3::from_array(cloud.scales[splat]));
                 let covariance = scaled * scaled.transpose();

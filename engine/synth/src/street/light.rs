@@ -11,7 +11,7 @@ use super::weather::{Air, TOWARDS_SUN, TOWARDS_SUN_ASSET};
 /// Width of the cells in which occluders are looked up, meters.
 const CELL_M: f32 = 8.0;
 
-/// Cells a side; the grid is centerd on the origin, and nothing outside of it casts a shadow.
+/// Cells a side; the grid is centered on the origin, and nothing outside of it casts a shadow.
 const CELLS: i32 = 64;
 
 /// Half the spread of the directions in which shadow rays leave, radians: wider than the sun, for

@@ -1,7 +1,7 @@
 //! Theta, calibrated offline: from environment probes and assets to a [`LightTransfer`].
 //!
 //! DecoupleGS section 3.4 and supplement: `T = W_T L + w_0` and `b = W_B L + b_0` are fitted by
-//! ridge-regularised least squares over assets and probes. The truth is what light makes of matt
+//! ridge-regularized least squares over assets and probes. The truth is what light makes of matt
 //! surfaces (`surface`): each splat faces along its shortest axis, its color is its albedo, and the
 //! probe's irradiance falls on it. L is what a reference ground looks like in that light
 //! (`surroundings`), because at run time L is what the background looks like. Probes are turned,
@@ -86,7 +86,7 @@ pub struct Calibration {
     pub lights: usize,
     /// Splats it was fitted to.
     pub samples: usize,
-    /// Smallest singular value of the standardised descriptors over the largest.
+    /// Smallest singular value of the standardized descriptors over the largest.
     pub smallest_over_largest: f64,
     /// Colors in the neutral light, which should be as they are.
     pub neutral: Comparison,

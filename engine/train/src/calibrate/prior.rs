@@ -17,7 +17,7 @@ use super::standard::Standard;
 const OWN_COLUMNS: usize = AmbientDescriptor::COEFFICIENTS + 1;
 
 /// The prior of fits to `lights`, its weights themselves drawn by `ridge`, which counts against
-/// standardised columns.
+/// standardized columns.
 ///
 /// Its own prior is that light multiplies every coefficient as it multiplies DC in a fit of DC
 /// alone, and adds nothing: bands 1 to 3 of an asset hardly show, and their gains would be
@@ -133,7 +133,7 @@ fn fit(
         }
     }
     for row in 0..rows {
-        for (i, value) in standard.to_standardised(&drawn_to[row]).iter().enumerate() {
+        for (i, value) in standard.to_standardized(&drawn_to[row]).iter().enumerate() {
             normal[(row * OWN_COLUMNS + i, row * OWN_COLUMNS + i)] += ridge;
             right[(row * OWN_COLUMNS + i, 0)] += ridge * value * scales[row];
         }

@@ -2,7 +2,7 @@
 //!
 //! Unknown are, per channel, the 2K x 28 weights of x(L) = Theta (L, 1). With A = mean over lights
 //! of (L, 1)(L, 1)' the normal equations are `B Theta A + ridge (Theta - prior) = R`: B and A are
-//! diagonalised once, and each ridge costs two products.
+//! diagonalized once, and each ridge costs two products.
 
 use decouplegs_scene::{AmbientDescriptor, LightTransfer};
 use faer::{Mat, Side};
@@ -62,7 +62,7 @@ impl Theta {
     }
 }
 
-/// The smallest over the largest singular value of the lights' standardised descriptors, constant
+/// The smallest over the largest singular value of the lights' standardized descriptors, constant
 /// included, and how many are not negligible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rank {
@@ -70,7 +70,7 @@ pub(super) struct Rank {
     pub smallest_over_largest: f64,
 }
 
-/// The normal equations of some lights, diagonalised.
+/// The normal equations of some lights, diagonalized.
 pub(super) struct Ridge {
     standard: Standard,
     channels: [Channel; 3],
@@ -154,7 +154,7 @@ impl Ridge {
         }
     }
 
-    /// Theta drawn towards `prior` by `ridge`, which counts against standardised columns: 1 is
+    /// Theta drawn towards `prior` by `ridge`, which counts against standardized columns: 1 is
     /// much.
     pub(super) fn solve(&self, ridge: f64, prior: &Theta) -> Theta {
         Theta(std::array::from_fn(|channel| {
@@ -168,7 +168,7 @@ impl Ridge {
             (0..COLUMNS).map(|column| matrix[(row, column)]).collect()
         };
         let prior: Vec<Vec<f64>> = (0..size)
-            .map(|row| self.standard.to_standardised(&rows(prior, row)))
+            .map(|row| self.standard.to_standardized(&rows(prior, row)))
             .collect();
         let right = Mat::from_fn(size, COLUMNS, |row, column| {
             channel.cross[(row, column)] + ridge * prior[row][column] * channel.scales[row]

@@ -25,7 +25,7 @@ impl Standard {
             .collect();
         let deviation = |column: usize| {
             let deviation = mean(&|row| (row[column] - means[column]).powi(2)).sqrt();
-            // 1 stands for those that do not vary: standardised they are 0.
+            // 1 stands for those that do not vary: standardized they are 0.
             if deviation < DEVIATION_MIN {
                 1.0
             } else {
@@ -36,7 +36,7 @@ impl Standard {
         Self { means, deviations }
     }
 
-    /// A row, standardised, and the constant behind it.
+    /// A row, standardized, and the constant behind it.
     pub(super) fn row(&self, row: &[f64]) -> Vec<f64> {
         let moved = row
             .iter()
@@ -46,8 +46,8 @@ impl Standard {
         moved.chain([CONSTANT]).collect()
     }
 
-    /// Weights on plain columns and 1 as weights on standardised ones.
-    pub(super) fn to_standardised(&self, weights: &[f64]) -> Vec<f64> {
+    /// Weights on plain columns and 1 as weights on standardized ones.
+    pub(super) fn to_standardized(&self, weights: &[f64]) -> Vec<f64> {
         let columns = self.means.len();
         let at_mean: f64 = weights[columns]
             + (0..columns)
@@ -84,7 +84,7 @@ mod tests {
             .collect();
         let standard = Standard::of(rows.iter().map(<[f64; 3]>::as_slice));
         let weights = [0.3, -2.0, 0.5, 1.5];
-        let moved = standard.to_standardised(&weights);
+        let moved = standard.to_standardized(&weights);
         let value = |weights: &[f64], row: &[f64]| {
             weights
                 .iter()

@@ -40,7 +40,7 @@ const HISTOGRAM_BINS: usize = HISTOGRAM_LEVELS * HISTOGRAM_LEVELS * HISTOGRAM_LE
 /// blending weights). Splats with a defect count as invisible.
 ///
 /// # Panics
-/// When `visibility` has another length than the cloud.
+/// Panics if `visibility` has another length than the cloud.
 #[must_use]
 pub fn importance(cloud: &SplatCloud, visibility: &[f32]) -> Vec<f32> {
     assert_eq!(cloud.len(), visibility.len(), "one visibility a splat");

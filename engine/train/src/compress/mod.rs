@@ -69,8 +69,8 @@ pub struct Compressed {
 /// added for what splats reach beyond it.
 ///
 /// # Errors
-/// When the options make no sense, `visibility` does not fit the cloud, no splat is left, or the
-/// cloud's extent is beyond f32.
+/// Returns an error if the options make no sense, `visibility` does not fit the cloud, no splat is
+/// left, or the cloud's extent is beyond f32.
 pub fn compress(
     cloud: &SplatCloud,
     visibility: &[f32],

@@ -32,7 +32,7 @@ pub struct Kept {
 /// image shows them.
 ///
 /// # Panics
-/// When there are not as many importances as splats.
+/// Panics if there are not as many importances as splats.
 #[must_use]
 pub fn prune(cloud: &SplatCloud, importance: &[f32], by: Prune) -> Kept {
     assert_eq!(cloud.len(), importance.len(), "one importance a splat");

@@ -15,7 +15,7 @@ const ALL: Prune = Prune::KeepRatio(1.0);
 /// Compresses `cloud`, an asset in its own frame, with all splats that images show, in seconds.
 ///
 /// # Errors
-/// As [`compress`].
+/// Returns the errors of [`compress`].
 pub fn compress_quickly(cloud: &SplatCloud) -> Result<CodedCloud, CompressError> {
     let entries = |max: usize| (cloud.len() / SPLATS_PER_ENTRY).clamp(64, max);
     let options = CompressOptions {

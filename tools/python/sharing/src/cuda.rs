@@ -61,7 +61,7 @@ impl Cuda {
     /// The device whose UUID is `uuid`, which Vulkan and CUDA agree on.
     ///
     /// # Errors
-    /// When there is no driver or no such device.
+    /// Returns an error if there is no driver or no such device.
     pub fn open(uuid: [u8; 16]) -> Result<Self, InteropError> {
         let functions = Functions::of_process()?;
         let mut count = 0;

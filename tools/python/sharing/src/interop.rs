@@ -98,7 +98,7 @@ pub trait Interop: Send + Sync + 'static {
     /// Imports memory that belongs to one buffer alone.
     ///
     /// # Errors
-    /// When a call fails.
+    /// Returns an error if a call fails.
     fn import_memory(&self, exported: Exported) -> Result<Self::Memory, InteropError>;
 
     /// Mapped address.
@@ -107,14 +107,14 @@ pub trait Interop: Send + Sync + 'static {
     /// Imports a timeline.
     ///
     /// # Errors
-    /// When a call fails.
+    /// Returns an error if a call fails.
     fn import_timeline(&self, descriptor: OwnedFd) -> Result<Self::Timeline, InteropError>;
 
     /// Makes what comes next on `stream` wait until `timeline` has counted to `value`. Nothing is
     /// waited for here.
     ///
     /// # Errors
-    /// When a call fails.
+    /// Returns an error if a call fails.
     fn wait(
         &self,
         timeline: &Self::Timeline,
@@ -125,18 +125,18 @@ pub trait Interop: Send + Sync + 'static {
     /// A mark behind everything submitted to `stream` so far.
     ///
     /// # Errors
-    /// When a call fails.
+    /// Returns an error if a call fails.
     fn record(&self, stream: Stream) -> Result<Self::Event, InteropError>;
 
     /// True if the device has passed the mark, without a wait.
     ///
     /// # Errors
-    /// When a call fails.
+    /// Returns an error if a call fails.
     fn is_done(&self, event: &Self::Event) -> Result<bool, InteropError>;
 
     /// Waits until the device has come to the mark.
     ///
     /// # Errors
-    /// When a call fails.
+    /// Returns an error if a call fails.
     fn finish(&self, event: &Self::Event) -> Result<(), InteropError>;
 }

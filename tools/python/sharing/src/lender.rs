@@ -17,7 +17,7 @@ pub trait Shared: Send + Sync {
     /// Exports its memory as a new descriptor.
     ///
     /// # Errors
-    /// When the driver cannot.
+    /// Returns an error if the driver cannot.
     fn export(&self) -> Result<Exported, InteropError>;
 }
 
@@ -71,7 +71,7 @@ impl<I: Interop, P: Send> Lender<I, P> {
     /// A lender of images that are drawn when `timeline` says so.
     ///
     /// # Errors
-    /// When the timeline cannot be imported.
+    /// Returns an error if the timeline cannot be imported.
     pub fn new(interop: Arc<I>, timeline: OwnedFd) -> Result<Arc<Self>, InteropError> {
         let timeline = interop.import_timeline(timeline)?;
         Ok(Arc::new(Self {
@@ -85,7 +85,7 @@ impl<I: Interop, P: Send> Lender<I, P> {
     /// The memory of `buffer` as the other API sees it, imported when it is first asked for.
     ///
     /// # Errors
-    /// When it cannot be exported or imported.
+    /// Returns an error if it cannot be exported or imported.
     pub fn memory(&self, buffer: impl Shared + 'static) -> Result<Arc<I::Memory>, InteropError> {
         let mut imports = lock(&self.imports);
         if let Some(import) = imports.get(&buffer.id()) {
@@ -116,8 +116,8 @@ impl<I: Interop, P: Send> Lender<I, P> {
     /// that it has released. How many frames are still read. Waits for nothing.
     ///
     /// # Errors
-    /// When the other API failed: images of which nobody can tell when they are free are never
-    /// given back.
+    /// Returns an error if the other API failed: images of which nobody can tell when they are free
+    /// are never given back.
     pub fn collect(&self) -> Result<usize, InteropError> {
         let mut free = Vec::new();
         let mut failed = None;
@@ -192,7 +192,7 @@ impl<I: Interop, P: Send> Loan<I, P> {
     /// Lets `stream` read them: what comes next on it waits until they are drawn.
     ///
     /// # Errors
-    /// When the other API failed.
+    /// Returns an error if the other API failed.
     pub fn hand_out(self: &Arc<Self>, stream: Stream) -> Result<Handed<I, P>, InteropError> {
         if stream != Stream::Unordered {
             self.lender

@@ -44,10 +44,10 @@ impl Answer {
         }
     }
 
-    /// An answer from its line.
+    /// Parses an answer from one line.
     ///
     /// # Errors
-    /// What is wrong with it, the end of a sentence that names the planner.
+    /// Returns the end of a sentence that begins with the planner's name.
     pub(super) fn from_line(line: &[u8]) -> Result<Self, String> {
         let text = std::str::from_utf8(line)
             .map_err(|_| format!("sent a line that is not UTF-8: {}", beginning(line)))?;

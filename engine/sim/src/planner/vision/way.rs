@@ -47,10 +47,10 @@ impl Arc {
             length_m,
             ..
         } = guidance;
-        let told = distance_m.abs() <= TURN_M_MAX
+        let message = distance_m.abs() <= TURN_M_MAX
             && angle_rad.abs() <= TURN_RAD_MAX
             && (0.1..=TURN_M_MAX).contains(&length_m);
-        if turn == Turn::Straight || !told {
+        if turn == Turn::Straight || !message {
             return None;
         }
         let radius_m = length_m / angle_rad.abs().max(1e-3);

@@ -69,7 +69,7 @@ pub struct Quantized {
 /// told the iterations done.
 ///
 /// # Panics
-/// When there is no vector, or as many weights as vectors are not given.
+/// Panics if there is no vector, or as many weights as vectors are not given.
 pub fn vector_quantize(
     vectors: Vectors<'_>,
     weights: &[f32],
