@@ -67,7 +67,8 @@ python-test: packages python
 	cargo build --workspace --all-targets; \
 	target=$$(cargo metadata --format-version 1 --no-deps | $(PYTHON)/bin/python -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])'); \
 	ln -sf "$$target/debug/libdecouplegs_native.so" tools/python/decouplegs/_native.abi3.so; \
-	PYTHONPATH=tools/python $(PYTHON)/bin/python -m pytest -q tools/python/tests
+	DECOUPLEGS_PROGRAM="$$target/debug/decouplegs" PYTHONPATH=tools/python \
+		$(PYTHON)/bin/python -m pytest -q tools/python/tests
 
 # As a user installs it: the wheel, in an environment that has nothing else, and its tests there.
 wheel-test: export DECOUPLEGS_VALIDATION := 1

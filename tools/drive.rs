@@ -13,14 +13,11 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::{AssetError, read_episode_log, read_light_transfer};
-use decouplegs::episode::{
-    self, Appearance, Driven, ObservationRenderer, chosen, drive, render_options,
-};
-use decouplegs::gpu::Gpu;
+use decouplegs::episode::{self, Appearance, Driven, ObservationRenderer, chosen, drive};
 use decouplegs::planner::{Cameras, Planner, PlannerChoice, Timeouts};
-use decouplegs::render::Renderer;
 use decouplegs::scene::Level;
 use decouplegs::scene::episode::Episode;
+use decouplegs::session::BatchRenderer;
 use indicatif::ProgressBar;
 use serde_json::json;
 
@@ -199,7 +196,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         arguments,
         folder: &folder,
         sites: &sites,
-        gpu: gpu.as_ref(),
         bar: progress::bar("episodes", jobs.len()),
     };
     let mut scored = run.all(&jobs)?;
@@ -214,8 +210,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 struct Run<'a> {
     arguments: &'a Arguments,
     folder: &'a RunFolder,
-    sites: &'a Sites<'a>,
-    gpu: Option<&'a Gpu>,
+    sites: &'a Sites,
     bar: ProgressBar,
 }
 
@@ -269,7 +264,7 @@ impl Run<'_> {
 struct Worker<'a> {
     run: &'a Run<'a>,
     planner: Option<Box<dyn Planner>>,
-    renderer: Option<Renderer>,
+    renderer: Option<BatchRenderer>,
 }
 
 impl Worker<'_> {
@@ -321,14 +316,10 @@ impl Worker<'_> {
         let name = &job.scenario.name;
         let image_writer = ImageWriter::new(run.folder.images(name), run.arguments.keeps());
         let mut images = EpisodeImages::new(run.folder.log(name), image_writer);
-        let driven = match (run.gpu, &ready.live) {
-            (Some(gpu), Some(live)) => {
-                let options = render_options(ready.site.loaded.world.rules);
-                let renderer = self
-                    .renderer
-                    .take()
-                    .filter(|renderer| *renderer.options() == options);
-                let renderer = renderer.unwrap_or_else(|| Renderer::new(gpu, options));
+        let driven = match (run.sites.session(), &ready.scene) {
+            (Some(session), Some(scene)) => {
+                let renderer = self.renderer.take();
+                let renderer = renderer.unwrap_or_else(|| session.batch_renderer());
                 let at_least = if run.arguments.all_cameras {
                     Cameras::All
                 } else {
@@ -341,16 +332,16 @@ impl Worker<'_> {
                     Some([size.width_px, size.height_px]),
                 )
                 .map_err(anyhow::Error::msg)?;
-                let mut eyes =
-                    ObservationRenderer::new(live, renderer, rig, run.arguments.render.0);
+                let mut renderer =
+                    ObservationRenderer::new(renderer, scene, rig, run.arguments.render.0);
                 let driven = drive(
                     &job.scenario,
                     &ready.site,
-                    Some(&mut eyes),
+                    Some(&mut renderer),
                     planner.as_mut(),
                     &mut images,
                 )?;
-                self.renderer = Some(eyes.into_renderer());
+                self.renderer = Some(renderer.into_renderer());
                 driven
             }
             _ => drive(

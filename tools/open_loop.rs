@@ -10,11 +10,9 @@ use decouplegs::drive::OrientedBox;
 use decouplegs::drive::oriented_box::time_to_collision;
 use decouplegs::drive::score::{Moments, TTC_HORIZON_S, plan_ade_m};
 use decouplegs::episode::open_loop::{Images, plans};
-use decouplegs::episode::{
-    Appearance, EpisodeError, ObservationRenderer, Simulation, chosen, render_options,
-};
+use decouplegs::episode::{Appearance, EpisodeError, ObservationRenderer, Simulation, chosen};
 use decouplegs::planner::{PlannerChoice, Timeouts};
-use decouplegs::render::{Image, Renderer};
+use decouplegs::render::Image;
 use decouplegs::scene::episode::{Episode, EpisodeTick};
 use decouplegs::scene::{Plan, Pose, Rig, TimedPose, Trajectory};
 use serde_json::{Value, json};
@@ -108,24 +106,26 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
             .transpose()?
             .map(|file| file.transfer),
     };
-    let ready = Sites::new(gpu.as_ref(), appearance).get(&episode.head.scenario.place, base)?;
+    let sites = Sites::new(gpu.as_ref(), appearance);
+    let ready = sites.get(&episode.head.scenario.place, base)?;
     let size_px = episode
         .head
         .drawn_by
         .as_ref()
         .map(|by| [by.width_px, by.height_px]);
     let wanted = planner.sees().cameras;
-    let plans = match (&gpu, &ready.live) {
-        (Some(gpu), Some(live)) => {
+    let plans = match (sites.session(), &ready.scene) {
+        (Some(session), Some(scene)) => {
             let rig =
                 chosen(&ready.site.loaded.rig, wanted, size_px).map_err(anyhow::Error::msg)?;
-            let renderer = Renderer::new(gpu, render_options(ready.site.loaded.world.rules));
-            let mut eyes = ObservationRenderer::new(live, renderer, rig.clone(), 1);
+            let mut renderer =
+                ObservationRenderer::new(session.batch_renderer(), scene, rig.clone(), 1);
             let mut shadow = Simulation::new(&episode.head.scenario, &ready.site)?;
             let drawn = |step: u32| -> Result<Images> {
-                eyes.look(&mut shadow, step).map_err(EpisodeError::from)?;
-                eyes.read().map_err(EpisodeError::from)?;
-                let images = eyes
+                renderer
+                    .draw(&mut shadow, step)
+                    .map_err(EpisodeError::from)?;
+                let images = renderer
                     .frames()
                     .iter()
                     .map(|frame| frame.rgba.to_vec())

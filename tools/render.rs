@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use decouplegs::LiveScene;
 use decouplegs::asset::{Layer, memory, write_atomically};
 use decouplegs::render::rendered_image::{Image, ImageFileFormat, contact_sheet};
-use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Renderer, reference};
+use decouplegs::render::{ColorFormat, Outputs, RenderOptions, reference};
 use decouplegs::scene::Camera;
+use decouplegs::session::{Session, SessionOptions, World, WorldView};
 
 use crate::arguments::{pixels, print, write_image, write_image_with_alpha};
 use crate::device::{DeviceArguments, check_validation};
@@ -122,7 +122,7 @@ const SHEET_COLUMNS: u32 = 3;
 /// About the memory that the reference takes for each pixel.
 const REFERENCE_PIXEL_BYTES: u64 = 96;
 
-/// Most cameras of one submission. A rig has fewer; a file of training cameras has hundreds, whose
+/// Cameras whose images are held at once. A rig has fewer; a file of training cameras has hundreds, whose
 /// images no device holds.
 const CAMERAS_AT_ONCE: usize = 8;
 
@@ -207,11 +207,9 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter)
     let bar = progress::bar("images", scene.cameras.len());
     // What a PNG can hold takes a quarter of the memory; divided by alpha it would show the steps
     // of 8 bits.
-    let (color, pixel_bytes) = match writer.format {
-        ImageFileFormat::Png if !writer.transparent => (ColorFormat::U8, 4),
-        ImageFileFormat::Png | ImageFileFormat::Exr | ImageFileFormat::Npy => {
-            (ColorFormat::F32, 16)
-        }
+    let color = match writer.format {
+        ImageFileFormat::Png if !writer.transparent => ColorFormat::U8,
+        ImageFileFormat::Png | ImageFileFormat::Exr | ImageFileFormat::Npy => ColorFormat::F32,
     };
     let asked = |plane| arguments.planes.contains(&plane);
     let (depth, instance) = (asked(PlaneName::Depth), asked(PlaneName::Instance));
@@ -221,47 +219,33 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter)
         instance,
         ..Outputs::default()
     };
-    let mut renderer = Renderer::new(
-        &gpu,
-        RenderOptions {
-            rules: scene.rules(),
+    let options = SessionOptions {
+        render: RenderOptions {
             outputs,
             level_pitch_px: arguments.level_pitch,
             ..RenderOptions::default()
         },
-    );
-    let live = LiveScene::layer(&renderer, &scene.loaded, arguments.layer.into())?;
-    let moment = live.at(scene.time_s);
-    for cameras in submissions(
-        &scene.cameras,
-        gpu.limits().storage_buffer_bytes_max / pixel_bytes,
-    ) {
-        renderer.render(live.with(&moment), cameras)?;
-        for (camera, image) in cameras.iter().zip(renderer.read_images()?) {
+        rules: Some(scene.rules()),
+        ..SessionOptions::default()
+    };
+    let session = Session::on(&gpu, &options);
+    let on_device = session.add_layer(&scene.loaded, arguments.layer.into())?;
+    let mut world = World::new(&on_device);
+    world.set_time(scene.time_s);
+    let mut renderer = session.batch_renderer();
+    for cameras in scene.cameras.chunks(CAMERAS_AT_ONCE) {
+        let view = WorldView {
+            world: &world,
+            cameras,
+        };
+        let (images, _) = renderer.draw_images(&[view])?;
+        for (camera, image) in cameras.iter().zip(images.into_iter().flatten()) {
             writer.add(camera, image)?;
             bar.inc(1);
         }
     }
     bar.finish_and_clear();
     check_validation(&gpu)
-}
-
-/// `cameras` in runs that are drawn together: at most [`CAMERAS_AT_ONCE`] with at most `pixels_max`
-/// pixels, or a single one.
-fn submissions(cameras: &[Camera], pixels_max: u64) -> Vec<&[Camera]> {
-    let mut runs = Vec::new();
-    let mut rest = cameras;
-    while !rest.is_empty() {
-        let mut pixels = 0;
-        let fitting = rest.iter().take(CAMERAS_AT_ONCE).take_while(|camera| {
-            pixels += camera.intrinsics.pixels();
-            pixels <= pixels_max
-        });
-        let (run, behind) = rest.split_at(fitting.count().max(1));
-        runs.push(run);
-        rest = behind;
-    }
-    runs
 }
 
 fn render_by_definition(scene: &Scene, layer: Layer, writer: &mut ImageWriter) -> Result<()> {
@@ -339,27 +323,6 @@ mod tests {
                 .to_string()
                 .contains("replace")
         );
-    }
-
-    #[test]
-    fn a_submission_is_a_rig_and_fits_the_device() {
-        let eleven = cameras(&["c"; 11]);
-        let lengths = |pixels_max| {
-            submissions(&eleven, pixels_max)
-                .iter()
-                .map(|run| run.len())
-                .collect::<Vec<_>>()
-        };
-        // Four pixels each.
-        assert_eq!(lengths(u64::MAX), [8, 3]);
-        assert_eq!(lengths(16), [4, 4, 3]);
-        assert_eq!(lengths(15), [3, 3, 3, 2]);
-        assert_eq!(
-            lengths(1),
-            [1; 11],
-            "an image that is too large is refused by the engine, with its bytes"
-        );
-        assert!(submissions(&[], 16).is_empty());
     }
 
     #[test]

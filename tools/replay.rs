@@ -7,9 +7,8 @@ use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::{read_episode_log, read_light_transfer};
 use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{
-    Appearance, EpisodeObserver, ObservationRenderer, Replayed, Site, render_options, replay,
+    Appearance, EpisodeObserver, ObservationRenderer, Replayed, Site, replay,
 };
-use decouplegs::render::Renderer;
 use decouplegs::scene::Rig;
 use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
 
@@ -68,7 +67,7 @@ fn drawn(
     base: &Path,
 ) -> Result<(Replayed, Option<String>)> {
     let gpu = arguments.device.open()?;
-    let look = Appearance {
+    let appearance = Appearance {
         transfer: arguments
             .light
             .as_deref()
@@ -76,11 +75,15 @@ fn drawn(
             .transpose()?
             .map(|file| file.transfer),
     };
-    let ready = Sites::new(Some(&gpu), look).get(&episode.head.scenario.place, base)?;
-    let Ready {
-        site,
-        live: Some(live),
-    } = ready.as_ref()
+    let sites = Sites::new(Some(&gpu), appearance);
+    let ready = sites.get(&episode.head.scenario.place, base)?;
+    let (
+        Some(session),
+        Ready {
+            site,
+            scene: Some(scene),
+        },
+    ) = (sites.session(), ready.as_ref())
     else {
         bail!("the place has nothing to draw")
     };
@@ -100,30 +103,30 @@ fn drawn(
             .resized(drawn_by.width_px, drawn_by.height_px);
         rig.cameras.push(camera);
     }
-    let renderer = Renderer::new(&gpu, render_options(site.loaded.world.rules));
-    let mut eyes = ObservationRenderer::new(live, renderer, rig, drawn_by.every);
+    let mut renderer =
+        ObservationRenderer::new(session.batch_renderer(), scene, rig, drawn_by.every);
     let keeps = if arguments.images.is_some() {
         Images::All
     } else {
         Images::None
     };
-    let mut renderer = ReplayRenderer {
+    let mut keeper = ImageKeeper {
         image_writer: ImageWriter::new(arguments.images.clone().unwrap_or_default(), keeps),
         error: None,
     };
-    let replayed = replay(episode, site, Some(&mut eyes), &mut renderer)?;
+    let replayed = replay(episode, site, Some(&mut renderer), &mut keeper)?;
     check_validation(&gpu)?;
-    renderer.error.map_or(Ok(()), Err)?;
-    Ok((replayed, eyes.drawn_by().map(|by| by.device)))
+    keeper.error.map_or(Ok(()), Err)?;
+    Ok((replayed, renderer.drawn_by().map(|by| by.device)))
 }
 
 /// Keeps images and nothing else.
-struct ReplayRenderer {
+struct ImageKeeper {
     image_writer: ImageWriter,
     error: Option<anyhow::Error>,
 }
 
-impl EpisodeObserver for ReplayRenderer {
+impl EpisodeObserver for ImageKeeper {
     fn begin(
         &mut self,
         _: &EpisodeHead,

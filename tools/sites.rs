@@ -4,40 +4,44 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result};
-use decouplegs::LiveScene;
-use decouplegs::episode::{Appearance, Site, render_options};
+use decouplegs::episode::{Appearance, Site};
 use decouplegs::gpu::Gpu;
-use decouplegs::render::Renderer;
 use decouplegs::scene::Lane;
 use decouplegs::scene::scenario::Place;
+use decouplegs::session::{Session, SessionOptions, SessionScene};
 
 /// Places that are kept: a street in four weathers and a few more.
 const KEPT_MAX: usize = 6;
 
-/// A place, and what is on the device of it.
+/// A place, and its scene on the device.
 pub struct Ready {
     pub site: Arc<Site>,
     /// None where nothing is drawn.
-    pub live: Option<LiveScene>,
+    pub scene: Option<Arc<SessionScene>>,
 }
 
 /// Places by what describes them.
-pub struct Sites<'a> {
-    gpu: Option<&'a Gpu>,
+pub struct Sites {
+    session: Option<Session>,
     appearance: Appearance,
     kept: Mutex<Vec<(Place, PathBuf, Arc<Ready>)>>,
     lanes: Mutex<Vec<(Place, PathBuf, Vec<Lane>)>>,
 }
 
-impl<'a> Sites<'a> {
-    /// Creates the renderer of sites; without a device nothing is rendered.
-    pub fn new(gpu: Option<&'a Gpu>, appearance: Appearance) -> Self {
+impl Sites {
+    /// Places whose scenes are kept on `gpu`; without a device nothing is rendered.
+    pub fn new(gpu: Option<&Gpu>, appearance: Appearance) -> Self {
         Self {
-            gpu,
+            session: gpu.map(|gpu| Session::on(gpu, &SessionOptions::default())),
             appearance,
             kept: Mutex::default(),
             lanes: Mutex::default(),
         }
+    }
+
+    /// The session that renders; none without a device.
+    pub fn session(&self) -> Option<&Session> {
+        self.session.as_ref()
     }
 
     /// `place`, its files relative to `directory`. Others wait while it is made: it may be theirs
@@ -59,23 +63,24 @@ impl<'a> Sites<'a> {
     }
 
     fn make(&self, place: &Place, directory: &Path) -> Result<Ready> {
-        let site = Site::open(place, directory, self.gpu.map(|_| &self.appearance))
-            .context("the place of the scenario is not usable")?;
+        let site = Site::open(
+            place,
+            directory,
+            self.session.as_ref().map(|_| &self.appearance),
+        )
+        .context("the place of the scenario is not usable")?;
         let site = Arc::new(site);
-        let Some(gpu) = self.gpu else {
-            return Ok(Ready { site, live: None });
+        let Some(session) = &self.session else {
+            return Ok(Ready { site, scene: None });
         };
-        let renderer = Renderer::new(gpu, render_options(site.loaded.world.rules));
-        let mut live = LiveScene::new(&renderer, &site.loaded)?;
-        live.bake_light(site.places(Site::LIGHT_STEP_M));
+        let scene = session.add_scene(&site.loaded)?;
+        scene.bake_light(site.places(Site::LIGHT_STEP_M));
         Ok(Ready {
             site,
-            live: Some(live),
+            scene: Some(scene),
         })
     }
-}
 
-impl Sites<'_> {
     /// The lanes of `place`, without anything that is only to be seen.
     pub fn lanes(&self, place: &Place, directory: &Path) -> Result<Vec<Lane>> {
         let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);

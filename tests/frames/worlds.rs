@@ -263,6 +263,72 @@ fn worlds_of_a_session_are_drawn_together_as_alone() {
 }
 
 #[test]
+fn submissions_are_finished_in_their_order_and_show_worlds_as_they_were() {
+    let session = session(Outputs {
+        color: ColorFormat::U8,
+        ..Outputs::default()
+    });
+    let scene = session.add_scene(&loaded(3)).unwrap();
+    let (mut renderer, mut alone) = (session.batch_renderer(), session.batch_renderer());
+    let (mut images, mut expected) = (HostImages::default(), HostImages::default());
+    let cameras = cameras(0.0);
+    fn view<'a>(world: &'a World, cameras: &'a [Camera]) -> WorldView<'a> {
+        WorldView { world, cameras }
+    }
+    let mut world = World::new(&scene);
+    let pose =
+        |step: usize| Pose::from_yaw(0.0, DVec3::new(8.0 + step as f64, 0.5 * step as f64, 0.0));
+    // More submissions than frames in flight: the last ones wait on the host.
+    let steps = session.options().render.frames_in_flight + 2;
+    for step in 0..steps {
+        world.move_to("a", pose(step)).unwrap();
+        // The second submission is of two frames: 36 cameras over one scene.
+        let views = vec![view(&world, &cameras); if step == 1 { 18 } else { 1 }];
+        renderer.submit(&views).unwrap();
+    }
+    assert!(matches!(
+        renderer.draw(&[view(&world, &cameras)], &mut images),
+        Err(SessionError::Unfinished { submissions }) if submissions == steps
+    ));
+    let mut first_images = Vec::new();
+    for step in 0..steps {
+        let frames = renderer.finish(&mut images).unwrap();
+        assert_eq!(frames.len(), if step == 1 { 2 } else { 1 });
+        world.move_to("a", pose(step)).unwrap();
+        alone
+            .draw(&[view(&world, &cameras)], &mut expected)
+            .unwrap();
+        let last = images.views() - 1;
+        assert!(images.rgba(last, 1) == expected.rgba(0, 1), "step {step}");
+        assert!(
+            !first_images.contains(&images.rgba(0, 0).to_vec()),
+            "the agent has moved"
+        );
+        first_images.push(images.rgba(0, 0).to_vec());
+    }
+    assert!(matches!(
+        renderer.finish(&mut images),
+        Err(SessionError::NothingSubmitted)
+    ));
+
+    // A submission that fails takes the others with it, and the next one is drawn.
+    renderer.submit(&[view(&world, &cameras)]).unwrap();
+    let none = WorldView {
+        world: &world,
+        cameras: &[],
+    };
+    assert!(matches!(
+        renderer.submit(&[none]),
+        Err(SessionError::NoCameras)
+    ));
+    renderer
+        .draw(&[view(&world, &cameras)], &mut images)
+        .unwrap();
+    assert!(images.rgba(0, 1) == expected.rgba(0, 1));
+    assert_silent(&session);
+}
+
+#[test]
 fn what_a_world_cannot_do_is_said() {
     let session = session(Outputs {
         depth: true,
@@ -452,7 +518,7 @@ fn a_session_draws_each_scene_by_its_own_rules() {
     let mut images = HostImages::default();
     session.batch_renderer().draw(&views, &mut images).unwrap();
     for (view, loaded) in loaded.iter().enumerate() {
-        // As `render`, episodes and the server draw.
+        // As one renderer by itself draws.
         let mut renderer = Renderer::new(
             session.gpu(),
             RenderOptions {

@@ -9,12 +9,11 @@ use crate::progress::to_ms;
 /// A part of a step, as reports call it, and its milliseconds.
 type Part = (&'static str, fn(&StepTime) -> f64);
 
-const PARTS: [Part; 7] = [
+const PARTS: [Part; 6] = [
     ("draw", |time| to_ms(time.draw)),
-    ("read", |time| to_ms(time.read)),
     ("hash", |time| to_ms(time.hash)),
     ("advance", |time| to_ms(time.advance)),
-    ("keep", |time| to_ms(time.witness)),
+    ("keep", |time| to_ms(time.observer)),
     ("simulator", |time| to_ms(time.simulator())),
     ("planner", |time| to_ms(time.plan)),
 ];
@@ -88,8 +87,8 @@ pub fn table(scored: &[Scored]) -> String {
                }: &Spread| format!("<tr><td>{name}<td>{p50_ms:.2}<td>{p99_ms:.2}");
     let rows: String = parts.iter().map(row).collect();
     format!(
-        "<h2>Time</h2><p>Over {steps} steps, the first {WARM_UP} of each episode left out. The simulator is all but the planner: poses, light and \
-         the frame (draw); its images, back on the host (read); what is left of hashing them when the planner is done (hash); ego and traffic \
+        "<h2>Time</h2><p>Over {steps} steps, the first {WARM_UP} of each episode left out. The simulator is all but the planner: poses, light, \
+         the frame and its images on the host (draw); what is left of hashing them when the planner is done (hash); ego and traffic \
          (advance); logs and images that are kept (keep).</p><table><tr><th>part<th>median, ms<th>p99, ms{rows}</table>"
     )
 }

@@ -15,7 +15,7 @@ use anyhow::{Context, Result, ensure};
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::Gpu;
 use decouplegs::open_movable_scene;
-use decouplegs::render::ImageBytes;
+use decouplegs::session::{HostImages, Session};
 use tokio::sync::{oneshot, watch};
 use tonic::Status;
 
@@ -51,7 +51,7 @@ pub struct RenderQueue {
 /// afterwards.
 pub struct Images {
     /// The images.
-    pub bytes: ImageBytes,
+    pub bytes: HostImages,
     memory: Arc<ImageMemory>,
 }
 
@@ -59,7 +59,7 @@ pub struct Images {
 #[derive(Default)]
 struct ImageMemory {
     /// Free buffers, and the number of borrowed ones.
-    free: Mutex<(Vec<ImageBytes>, usize)>,
+    free: Mutex<(Vec<HostImages>, usize)>,
     given_back: Condvar,
 }
 
@@ -99,7 +99,7 @@ enum Message {
     Stop,
 }
 
-/// Sights of one scene with the same objects.
+/// Requests for one scene with the same objects.
 struct Job {
     requests: Vec<RenderRequest>,
     answer: oneshot::Sender<Result<Images, Status>>,
@@ -128,8 +128,8 @@ impl RenderQueue {
         }
         let (lost_sender, lost) = watch::channel(false);
         let refusing = Arc::new(AtomicBool::new(false));
-        let mut studio = RenderWorker {
-            gpu,
+        let mut worker = RenderWorker {
+            session: Session::on(&gpu, &SceneRenderer::session_options()),
             registry,
             scenes: Cache::new(limits.cache_size as usize, limits.cache_bytes),
             waiting: HashMap::new(),
@@ -142,17 +142,17 @@ impl RenderQueue {
             lost: lost_sender.clone(),
             refusing: Arc::clone(&refusing),
         };
-        let paint = move || {
-            let worked = caught("drawing", || studio.work(&inbox));
+        let render = move || {
+            let worked = caught("drawing", || worker.work(&inbox));
             if let Err(status) = worked {
                 tracing::error!(reason = status.message(), "the thread that draws ended");
                 lost_sender.send_replace(true);
             }
-            studio.check_validation()
+            worker.check_validation()
         };
         let thread = Builder::new()
-            .name("paint".into())
-            .spawn(paint)
+            .name("render".into())
+            .spawn(render)
             .context("no thread")?;
         Ok((
             Self {
@@ -184,7 +184,7 @@ impl RenderQueue {
 
     /// Reads `scenes` into the cache.
     pub fn preload(&self, scenes: Vec<String>) {
-        // A render_queue that has ended needs no scenes.
+        // A queue that has ended needs no scenes.
         let _ = self.messages.send(Message::Preload(scenes));
     }
 
@@ -231,7 +231,7 @@ fn read_scenes(to_load: &Mutex<Receiver<(String, PathBuf)>>, loaded: &Sender<Mes
             );
         }
         let scene = read.map(|(scene, _)| Box::new(scene));
-        // No one to tell: the render_queue has ended.
+        // No one to tell: the queue has ended.
         let _ = loaded.send(Message::Loaded(id, scene));
     }
 }
@@ -256,7 +256,7 @@ fn caught<T>(what: &str, work: impl FnOnce() -> T) -> Result<T, Status> {
 
 /// State of the render thread.
 struct RenderWorker {
-    gpu: Gpu,
+    session: Session,
     registry: Arc<SceneRegistry>,
     scenes: Cache<SceneRenderer>,
     /// Jobs for scenes that are being read.
@@ -290,7 +290,7 @@ impl RenderWorker {
     /// Fails with what the validation layers reported, if they were on (`DECOUPLEGS_VALIDATION=1`)
     /// and had something to say.
     fn check_validation(&self) -> Result<()> {
-        let messages = self.gpu.take_validation_messages();
+        let messages = self.session.gpu().take_validation_messages();
         ensure!(
             messages.is_empty(),
             "the Vulkan validation layers reported {} faults, the first: {}",
@@ -365,10 +365,15 @@ impl RenderWorker {
         while let Some((other, _)) = self.scenes.make_room(estimate.min(most)) {
             tracing::info!(scene = other, "a scene leaves the cache");
         }
-        let (before, since) = (self.gpu.memory().total_bytes, Instant::now());
+        let (before, since) = (self.session.gpu().memory().total_bytes, Instant::now());
         let scene_renderer =
-            SceneRenderer::new(&self.gpu, scene).map_err(|error| status_of(&error))?;
-        let bytes = self.gpu.memory().total_bytes.saturating_sub(before);
+            SceneRenderer::new(&self.session, scene).map_err(|error| status_of(&error))?;
+        let bytes = self
+            .session
+            .gpu()
+            .memory()
+            .total_bytes
+            .saturating_sub(before);
         if bytes > most {
             let reason = format!(
                 "scene {id:?} takes {bytes} bytes of the device; the cache has {most} (--cache-bytes)"
@@ -400,7 +405,10 @@ impl RenderWorker {
             return self.metrics.queued(-1);
         }
         let mut images = self.memory.take();
-        let (before, held) = (self.gpu.memory().total_bytes, self.scenes.bytes_of(id));
+        let (before, held) = (
+            self.session.gpu().memory().total_bytes,
+            self.scenes.bytes_of(id),
+        );
         let Some(scene_renderer) = self.scenes.get(id) else {
             return self.answer(
                 answer,
@@ -422,7 +430,8 @@ impl RenderWorker {
                 );
                 self.metrics.drew(requests.len(), drawn.unknown.len());
                 self.warn_of(id, drawn.unknown);
-                let grown = i128::from(self.gpu.memory().total_bytes) - i128::from(before);
+                let grown =
+                    i128::from(self.session.gpu().memory().total_bytes) - i128::from(before);
                 self.resize(
                     id,
                     u64::try_from((i128::from(held) + grown).max(0)).unwrap_or(u64::MAX),

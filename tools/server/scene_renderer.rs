@@ -2,24 +2,24 @@
 
 use std::collections::HashMap;
 
+use decouplegs::AgentInstance;
 use decouplegs::asset::LoadedScene;
-use decouplegs::gpu::{Gpu, GpuError};
-use decouplegs::render::{ColorFormat, ImageBytes, Outputs, RenderError, RenderOptions, Renderer};
+use decouplegs::gpu::GpuError;
+use decouplegs::render::{ColorFormat, Outputs, RenderError, RenderOptions};
 use decouplegs::scene::{Camera, Pose};
-use decouplegs::{AgentInstance, LiveScene};
+use decouplegs::session::{
+    BatchRenderer, HostImages, Session, SessionError, SessionOptions, World, WorldView,
+};
 use glam::DVec3;
 use tonic::Status;
 
 use crate::render_request::{PlacedObject, RenderRequest};
 
-/// Probes of light that are kept for one scene, wherever clients put objects: a square kilometer of
-/// them.
-const PROBES_MAX: usize = 1 << 20;
-
 /// A scene that can be drawn.
 pub struct SceneRenderer {
-    renderer: Renderer,
-    live: LiveScene,
+    renderer: BatchRenderer,
+    /// The objects of the last request.
+    world: World,
     /// World coordinates of the local frame's origin.
     origin: DVec3,
     /// Assets of the scene's agents, by name; their poses come with each request.
@@ -34,46 +34,43 @@ pub struct Drawn {
 }
 
 impl SceneRenderer {
-    /// `loaded` on the device.
+    /// Options of the session that [`SceneRenderer::new`] takes.
+    #[must_use]
+    pub fn session_options() -> SessionOptions {
+        let outputs = Outputs {
+            color: ColorFormat::U8,
+            ..Outputs::default()
+        };
+        SessionOptions {
+            render: RenderOptions {
+                outputs,
+                ..RenderOptions::default()
+            },
+            ..SessionOptions::default()
+        }
+    }
+
+    /// `loaded` on the device of `session`.
     ///
     /// # Errors
     /// Returns an error if the device has not the memory, or an asset cannot be drawn.
-    pub fn new(gpu: &Gpu, loaded: &LoadedScene) -> Result<Self, RenderError> {
-        let options = RenderOptions {
-            rules: loaded.world.rules,
-            outputs: Outputs {
-                color: ColorFormat::U8,
-                ..Outputs::default()
-            },
-            ..RenderOptions::default()
-        };
-        let renderer = Renderer::new(gpu, options);
-        let live = LiveScene::new(&renderer, loaded)?;
-        let placed = |instance, asset, sh_frame| AgentInstance {
-            asset,
-            pose: Pose::IDENTITY,
-            sh_frame: Some(sh_frame),
-            instance,
-        };
-        let agents = loaded.agents.iter();
-        let agents = agents
-            .map(|agent| {
-                (
-                    agent.name.clone(),
-                    placed(agent.instance, agent.asset, agent.sh_frame),
-                )
-            })
-            .collect();
+    pub fn new(session: &Session, loaded: &LoadedScene) -> Result<Self, SessionError> {
+        let scene = session.add_scene(loaded)?;
+        let file = World::new(&scene);
+        let placed = file
+            .agents()
+            .iter()
+            .map(|agent| (agent.name.clone(), agent.placed));
         Ok(Self {
-            renderer,
-            live,
+            renderer: session.batch_renderer(),
+            agents: placed.collect(),
+            world: World::empty(&scene),
             origin: loaded.world.origin,
-            agents,
         })
     }
 
-    /// Draws what `requests` see, all of them in one submission, into `images`. They see the same
-    /// objects at the same places.
+    /// Draws what `requests` see, all of them in one submission, into `images`, as one view. They
+    /// see the same objects at the same places.
     ///
     /// # Errors
     /// Returns an error if a camera cannot make an image, the device has not the memory or was
@@ -81,32 +78,31 @@ impl SceneRenderer {
     pub fn draw(
         &mut self,
         requests: &[RenderRequest],
-        images: &mut ImageBytes,
-    ) -> Result<Drawn, RenderError> {
+        images: &mut HostImages,
+    ) -> Result<Drawn, SessionError> {
         let objects = requests.first().map_or(&[][..], |request| &request.objects);
         let mut drawn = Drawn::default();
         let mut placed = Vec::with_capacity(objects.len());
         for PlacedObject { track_id, pose } in objects {
             match self.agents.get(track_id) {
-                Some(agent) => placed.push(AgentInstance {
-                    pose: self.in_world(pose),
-                    ..*agent
-                }),
+                Some(agent) => {
+                    let pose = self.in_world(pose);
+                    placed.push((track_id.clone(), AgentInstance { pose, ..*agent }));
+                }
                 None => drawn.unknown.push(track_id.clone()),
             }
         }
-        let places: Vec<_> = placed.iter().map(|agent| agent.pose.translation).collect();
-        if !self.live.has_light_at(&places, PROBES_MAX) {
-            self.live.bake_light(places);
-        }
-        let moment = self.live.placed(&placed);
+        self.world.set_agents(placed)?;
         let cameras: Vec<Camera> = requests
             .iter()
             .enumerate()
             .map(|(index, request)| self.camera(index, request))
             .collect();
-        self.renderer.render(self.live.with(&moment), &cameras)?;
-        self.renderer.read_bytes(images)?;
+        let view = WorldView {
+            world: &self.world,
+            cameras: &cameras,
+        };
+        self.renderer.draw(&[view], images)?;
         Ok(drawn)
     }
 
@@ -128,23 +124,26 @@ impl SceneRenderer {
 }
 
 /// gRPC status of `error` for a client.
-pub fn status_of(error: &RenderError) -> Status {
+pub fn status_of(error: &SessionError) -> Status {
+    if is_lost(error) {
+        return Status::unavailable(error.to_string());
+    }
     match error {
-        RenderError::View(reason) => Status::invalid_argument(reason),
-        RenderError::Gpu(GpuError::OutOfMemory { .. } | GpuError::BufferTooLarge { .. }) => {
-            Status::resource_exhausted(error.to_string())
-        }
-        RenderError::Gpu(GpuError::DeviceLost { .. } | GpuError::Hang { .. }) => {
-            Status::unavailable(error.to_string())
-        }
+        SessionError::Render(RenderError::View(reason)) => Status::invalid_argument(reason),
+        SessionError::Render(RenderError::Gpu(error)) | SessionError::Gpu(error) => match error {
+            GpuError::OutOfMemory { .. } | GpuError::BufferTooLarge { .. } => {
+                Status::resource_exhausted(error.to_string())
+            }
+            _ => Status::internal(error.to_string()),
+        },
         _ => Status::internal(error.to_string()),
     }
 }
 
 /// True if the device is lost for good.
-pub fn is_lost(error: &RenderError) -> bool {
-    matches!(
-        error,
-        RenderError::Gpu(GpuError::DeviceLost { .. } | GpuError::Hang { .. })
-    )
+pub fn is_lost(error: &SessionError) -> bool {
+    let (SessionError::Render(RenderError::Gpu(error)) | SessionError::Gpu(error)) = error else {
+        return false;
+    };
+    matches!(error, GpuError::DeviceLost { .. } | GpuError::Hang { .. })
 }

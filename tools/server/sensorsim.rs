@@ -127,7 +127,11 @@ impl Sensorsim {
             self.encoders.spawn(move || {
                 let Images { bytes, .. } = &*images;
                 // The client may have gone.
-                let _ = done.send(encode(bytes.rgba(index), bytes.size_px(index), encoding));
+                let _ = done.send(encode(
+                    bytes.rgba(0, index),
+                    bytes.size_px(0, index),
+                    encoding,
+                ));
             });
             waited
         };

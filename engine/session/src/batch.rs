@@ -1,26 +1,31 @@
 //! Batching of cameras and worlds into frames.
 
-use std::ops::Range;
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use decouplegs_render::layout::CAMERAS_MAX;
 use decouplegs_render::{Agent, Scene};
 use decouplegs_scene::{Camera, ContactShadow};
+use glam::DVec3;
 
 use super::batch_renderer::WorldView;
-use super::{SessionError, SessionScene};
+use super::{SessionError, SessionScene, World};
 use crate::{AgentInstance, LiveScene};
 
-/// Some cameras of one view.
-pub(super) struct Part {
-    pub view: usize,
-    pub cameras: Range<usize>,
+/// Some cameras of one view, with the agents that they see.
+struct Part {
+    view: usize,
+    cameras: usize,
+    agents: Vec<AgentInstance>,
 }
 
-/// Contents of one frame: cameras over one background.
+/// Contents of one frame: cameras over one background. It owns all it needs, so that a frame can
+/// wait for its turn after the caller's worlds have moved on.
 pub(super) struct Batch {
     pub scene: Arc<SessionScene>,
-    pub parts: Vec<Part>,
+    /// Cameras, in the order of the frame's images.
+    pub cameras: Vec<Camera>,
+    parts: Vec<Part>,
 }
 
 /// The frames that draw `views`, in order: of one scene each, with no more cameras than a frame can
@@ -28,47 +33,31 @@ pub(super) struct Batch {
 pub(super) fn batches(
     views: &[WorldView<'_>],
     pixels_max: u64,
-) -> Result<Vec<Batch>, SessionError> {
-    let mut batches: Vec<Batch> = Vec::new();
-    let (mut cameras, mut pixels) = (0, 0);
-    for (
-        view,
-        WorldView {
-            world,
-            cameras: wanted,
-        },
-    ) in views.iter().enumerate()
-    {
-        if wanted.is_empty() {
+) -> Result<VecDeque<Batch>, SessionError> {
+    let mut batches: VecDeque<Batch> = VecDeque::new();
+    let mut pixels = 0;
+    for (view, WorldView { world, cameras }) in views.iter().enumerate() {
+        if cameras.is_empty() {
             return Err(SessionError::NoCameras);
         }
-        for (index, camera) in wanted.iter().enumerate() {
+        for camera in *cameras {
             let own = camera.intrinsics.pixels();
-            let fits = cameras < CAMERAS_MAX && pixels + own <= pixels_max;
-            match batches
-                .last_mut()
-                .filter(|batch| fits && Arc::ptr_eq(&batch.scene, world.scene()))
-            {
-                Some(batch) => match batch.parts.last_mut().filter(|part| part.view == view) {
-                    Some(part) => part.cameras.end = index + 1,
-                    None => batch.parts.push(Part {
-                        view,
-                        cameras: index..index + 1,
-                    }),
-                },
-                None => {
-                    (cameras, pixels) = (0, 0);
-                    let parts = vec![Part {
-                        view,
-                        cameras: index..index + 1,
-                    }];
-                    batches.push(Batch {
-                        scene: world.scene().clone(),
-                        parts,
-                    });
-                }
+            let fits = |batch: &Batch| {
+                batch.cameras.len() < CAMERAS_MAX
+                    && pixels + own <= pixels_max
+                    && Arc::ptr_eq(&batch.scene, world.scene())
+            };
+            if !batches.back().is_some_and(fits) {
+                pixels = 0;
+                batches.push_back(Batch {
+                    scene: world.scene().clone(),
+                    cameras: Vec::new(),
+                    parts: Vec::new(),
+                });
             }
-            (cameras, pixels) = (cameras + 1, pixels + own);
+            let batch = batches.back_mut().expect("one was there or was added");
+            batch.add(view, world, camera);
+            pixels += own;
         }
     }
     Ok(batches)
@@ -82,20 +71,33 @@ pub(super) struct AgentBatch {
 }
 
 impl Batch {
-    /// Cameras, in the order of the frame's images.
-    pub fn cameras(&self, views: &[WorldView<'_>]) -> Vec<Camera> {
+    fn add(&mut self, view: usize, world: &World, camera: &Camera) {
+        self.cameras.push(camera.clone());
+        match self.parts.last_mut().filter(|part| part.view == view) {
+            Some(part) => part.cameras += 1,
+            None => self.parts.push(Part {
+                view,
+                cameras: 1,
+                agents: world.agents().iter().map(|agent| agent.placed).collect(),
+            }),
+        }
+    }
+
+    /// View of each camera, in the order of the frame's images.
+    pub fn views(&self) -> impl Iterator<Item = usize> {
         self.parts
             .iter()
-            .flat_map(|part| {
-                views[part.view].cameras[part.cameras.clone()]
-                    .iter()
-                    .cloned()
-            })
-            .collect()
+            .flat_map(|part| std::iter::repeat_n(part.view, part.cameras))
+    }
+
+    /// Positions of all agents, world coordinates.
+    pub fn agent_positions(&self) -> Vec<DVec3> {
+        let agents = self.parts.iter().flat_map(|part| &part.agents);
+        agents.map(|agent| agent.pose.translation).collect()
     }
 
     /// Agents, in the light of the scene.
-    pub fn cast(&self, live: &LiveScene, views: &[WorldView<'_>]) -> AgentBatch {
+    pub fn cast(&self, live: &LiveScene) -> AgentBatch {
         let mut cast = AgentBatch {
             agents: Vec::new(),
             shadows: Vec::new(),
@@ -104,15 +106,9 @@ impl Batch {
         let mut shadow_cameras = Vec::new();
         let mut first = 0;
         for part in &self.parts {
-            let own = ((1u64 << part.cameras.len()) - 1) << first;
-            first += part.cameras.len();
-            let placed: Vec<AgentInstance> = views[part.view]
-                .world
-                .agents()
-                .iter()
-                .map(|agent| agent.placed)
-                .collect();
-            let moment = live.placed(&placed);
+            let own = ((1u64 << part.cameras) - 1) << first;
+            first += part.cameras;
+            let moment = live.placed(&part.agents);
             cast.agents
                 .extend(moment.agents.into_iter().map(|agent| Agent {
                     cameras: own as u32,

@@ -7,7 +7,6 @@ use decouplegs_render::{
     ColorFormat, FrameStatistics, Image, ImageBytes, RenderOptions, Renderer, TakenImages,
 };
 use decouplegs_scene::{Camera, Rules};
-use glam::DVec3;
 
 use super::batch::{Batch, batches};
 use super::{SessionError, SessionOptions, SessionScene, World};
@@ -30,6 +29,18 @@ pub struct BatchRenderer {
     rules: Option<Rules>,
     /// One for each set of rules that was drawn by: kernels are specialized by them.
     renderers: Vec<Renderer>,
+    /// Number of frames of each submission, oldest first.
+    submissions: VecDeque<usize>,
+    /// The frames of all submissions that are not finished, oldest first.
+    frames: VecDeque<QueuedFrame>,
+    /// How many of the first `frames` are on the device.
+    in_flight: usize,
+}
+
+/// A frame, and the index of the renderer that draws it.
+struct QueuedFrame {
+    renderer: usize,
+    batch: Batch,
 }
 
 /// Images on the host, four bytes per pixel: red, green, blue, alpha. Kept from frame to frame,
@@ -54,6 +65,11 @@ impl HostImages {
         self.places.len()
     }
 
+    /// Forgets the images and keeps their memory.
+    pub fn clear(&mut self) {
+        self.places.clear();
+    }
+
     /// Width and height of a camera's image, pixels.
     #[must_use]
     pub fn size_px(&self, view: usize, camera: usize) -> [u32; 2] {
@@ -76,6 +92,9 @@ impl BatchRenderer {
             options: options.render,
             rules: options.rules,
             renderers: Vec::new(),
+            submissions: VecDeque::new(),
+            frames: VecDeque::new(),
+            in_flight: 0,
         }
     }
 
@@ -109,130 +128,206 @@ impl BatchRenderer {
             })
     }
 
-    /// Draws `views` and brings the images to the host. What each frame took is returned: one frame
-    /// draws up to 32 cameras of worlds over the same scene that follow one another, and all frames
-    /// are submitted before the first is waited for, as far as
-    /// [`decouplegs_render::RenderOptions::frames_in_flight`] lets them.
+    /// Submits the frames that draw `views`, and returns without waiting for them. One frame draws
+    /// up to 32 cameras of worlds over the same scene that follow one another. As many frames are on
+    /// the device at a time as [`decouplegs_render::RenderOptions::frames_in_flight`] allows; later
+    /// ones follow while [`BatchRenderer::finish`] collects images. The worlds may move on at once.
+    /// It may be called again before `finish`: submissions are finished in their order.
     ///
     /// # Errors
-    /// Returns an error if a camera or agent cannot make an image, the device has not the memory or
-    /// was lost, or images are floats.
-    pub fn draw(
+    /// Returns an error if a camera or agent cannot make an image, a view has no camera or shows a
+    /// world of another session, or the device has not the memory or was lost. All submissions are
+    /// dropped then.
+    pub fn submit(&mut self, views: &[WorldView<'_>]) -> Result<(), SessionError> {
+        let queued = self.queue(views).and_then(|()| self.submit_queued());
+        self.dropping_all_on_error(queued)
+    }
+
+    /// Waits for the oldest submission and brings its images to the host, four bytes per pixel.
+    /// Returns the statistics of each frame.
+    ///
+    /// # Errors
+    /// Returns an error if nothing was submitted, images are floats, or the device has not the
+    /// memory or was lost. All submissions are dropped then.
+    pub fn finish(
         &mut self,
-        views: &[WorldView<'_>],
         images: &mut HostImages,
     ) -> Result<Vec<FrameStatistics>, SessionError> {
+        images.places.clear();
         if self.options.outputs.color != ColorFormat::U8 {
-            return Err(SessionError::NotBytes);
+            return self.dropping_all_on_error(Err(SessionError::NotBytes));
         }
-        images.places = vec![Vec::new(); views.len()];
         let HostImages { frames, places } = images;
-        self.each_frame(views, |renderer, number, batch| {
+        self.finish_frames(|renderer, number, batch| {
             if frames.len() <= number {
                 frames.push(ImageBytes::default());
             }
             renderer.read_bytes(&mut frames[number])?;
-            let own = batch
-                .parts
-                .iter()
-                .flat_map(|part| part.cameras.clone().map(|_| part.view));
-            own.enumerate()
-                .for_each(|(place, view)| places[view].push((number, place)));
+            for (place, view) in batch.views().enumerate() {
+                places.resize_with(places.len().max(view + 1), Vec::new);
+                places[view].push((number, place));
+            }
             Ok(())
         })
     }
 
-    /// [`BatchRenderer::draw`], in floats, with depth and instances where the session's outputs
+    /// [`BatchRenderer::finish`], in floats, with depth and instances where the session's outputs
     /// have them: `[view][camera]`.
     ///
     /// # Errors
-    /// Those of [`BatchRenderer::draw`].
-    pub fn draw_images(
+    /// Those of [`BatchRenderer::finish`], but for images in floats.
+    pub fn finish_images(
         &mut self,
-        views: &[WorldView<'_>],
     ) -> Result<(Vec<Vec<Image>>, Vec<FrameStatistics>), SessionError> {
-        let mut images: Vec<Vec<Image>> = vec![Vec::new(); views.len()];
-        let statistics = self.each_frame(views, |renderer, _, batch| {
-            let own = batch
-                .parts
-                .iter()
-                .flat_map(|part| part.cameras.clone().map(|_| part.view));
-            own.zip(renderer.read_images()?)
-                .for_each(|(view, image)| images[view].push(image));
+        let mut images: Vec<Vec<Image>> = Vec::new();
+        let statistics = self.finish_frames(|renderer, _, batch| {
+            for (view, image) in batch.views().zip(renderer.read_images()?) {
+                images.resize_with(images.len().max(view + 1), Vec::new);
+                images[view].push(image);
+            }
             Ok(())
         })?;
         Ok((images, statistics))
     }
 
-    /// Draws `views` and leaves the images on the device, a frame each: cameras in the order of the
-    /// views. They stay as they are until they are dropped, and with
+    /// Waits for the oldest submission and leaves its images on the device, one buffer per frame:
+    /// cameras in the order of the views. They stay as they are until they are dropped, and with
     /// [`decouplegs_render::Outputs::exported`] another API may read them there.
     ///
     /// # Errors
-    /// Those of [`BatchRenderer::draw`], and when too many are held already.
-    pub fn draw_on_device(
+    /// Those of [`BatchRenderer::finish_images`], and an error if too many images are held already.
+    pub fn finish_on_device(
         &mut self,
-        views: &[WorldView<'_>],
     ) -> Result<(Vec<TakenImages>, Vec<FrameStatistics>), SessionError> {
         let mut taken = Vec::new();
-        let statistics = self.each_frame(views, |renderer, _, _| {
+        let statistics = self.finish_frames(|renderer, _, _| {
             taken.extend(renderer.take_images()?);
             Ok(())
         })?;
         Ok((taken, statistics))
     }
 
-    /// Submits a frame a batch, and calls `done` with each as it is finished.
-    fn each_frame(
+    /// Draws `views` and brings the images to the host: [`BatchRenderer::submit`] and
+    /// [`BatchRenderer::finish`].
+    ///
+    /// # Errors
+    /// Those of both, and [`SessionError::Unfinished`].
+    pub fn draw(
         &mut self,
         views: &[WorldView<'_>],
-        mut done: impl FnMut(&mut Renderer, usize, &Batch) -> Result<(), SessionError>,
+        images: &mut HostImages,
     ) -> Result<Vec<FrameStatistics>, SessionError> {
-        self.drain();
-        if let Some(view) = views
-            .iter()
-            .position(|view| !view.world.scene().is_on(&self.gpu))
-        {
+        self.check_finished()?;
+        self.submit(views)?;
+        self.finish(images)
+    }
+
+    /// Draws `views`: [`BatchRenderer::submit`] and [`BatchRenderer::finish_images`].
+    ///
+    /// # Errors
+    /// Those of both, and [`SessionError::Unfinished`].
+    pub fn draw_images(
+        &mut self,
+        views: &[WorldView<'_>],
+    ) -> Result<(Vec<Vec<Image>>, Vec<FrameStatistics>), SessionError> {
+        self.check_finished()?;
+        self.submit(views)?;
+        self.finish_images()
+    }
+
+    /// Draws `views`: [`BatchRenderer::submit`] and [`BatchRenderer::finish_on_device`].
+    ///
+    /// # Errors
+    /// Those of both, and [`SessionError::Unfinished`].
+    pub fn draw_on_device(
+        &mut self,
+        views: &[WorldView<'_>],
+    ) -> Result<(Vec<TakenImages>, Vec<FrameStatistics>), SessionError> {
+        self.check_finished()?;
+        self.submit(views)?;
+        self.finish_on_device()
+    }
+
+    fn check_finished(&self) -> Result<(), SessionError> {
+        match self.submissions.len() {
+            0 => Ok(()),
+            submissions => Err(SessionError::Unfinished { submissions }),
+        }
+    }
+
+    /// Appends the frames of `views` to the queue as one submission.
+    fn queue(&mut self, views: &[WorldView<'_>]) -> Result<(), SessionError> {
+        let is_foreign = |view: &WorldView| !view.world.scene().is_on(&self.gpu);
+        if let Some(view) = views.iter().position(is_foreign) {
             return Err(SessionError::OtherSession { view });
         }
         let batches = batches(views, self.pixels_max())?;
-        let renderers: Vec<usize> = batches
-            .iter()
-            .map(|batch| self.renderer_of(&batch.scene))
-            .collect();
-        let mut statistics = Vec::with_capacity(batches.len());
-        // Each renderer finishes its frames in the order of their submission, so all frames are
-        // finished in the order of the batches.
-        let mut finish =
-            |own_renderers: &mut Vec<Renderer>, number: usize| -> Result<(), SessionError> {
-                let renderer = &mut own_renderers[renderers[number]];
-                statistics.push(renderer.finish()?);
-                done(renderer, number, &batches[number])
-            };
-        let mut waiting: VecDeque<usize> = VecDeque::new();
-        for (number, batch) in batches.iter().enumerate() {
-            if waiting.len() >= self.options.frames_in_flight.max(1)
-                && let Some(oldest) = waiting.pop_front()
-            {
-                finish(&mut self.renderers, oldest)?;
-            }
-            submit(&mut self.renderers[renderers[number]], batch, views)?;
-            waiting.push_back(number);
+        self.submissions.push_back(batches.len());
+        for batch in batches {
+            let renderer = self.renderer_of(&batch.scene);
+            self.frames.push_back(QueuedFrame { renderer, batch });
         }
-        waiting
-            .into_iter()
-            .try_for_each(|oldest| finish(&mut self.renderers, oldest))?;
-        Ok(statistics)
+        Ok(())
     }
 
-    /// Releases frames that a call before left in flight when it failed.
-    fn drain(&mut self) {
-        // Frames that fail are nobody's any more; the loop ends when none is in flight.
-        for renderer in &mut self.renderers {
-            while renderer.is_busy() {
-                let _ = renderer.finish();
+    /// Submits queued frames, oldest first, until as many are in flight as may be.
+    fn submit_queued(&mut self) -> Result<(), SessionError> {
+        while self.in_flight < self.options.frames_in_flight.max(1)
+            && let Some(QueuedFrame { renderer, batch }) = self.frames.get(self.in_flight)
+        {
+            batch.scene.ready_light(&batch.agent_positions());
+            let live = batch.scene.live();
+            let cast = batch.cast(&live);
+            self.renderers[*renderer].submit(cast.over(&live), &batch.cameras)?;
+            self.in_flight += 1;
+        }
+        Ok(())
+    }
+
+    /// Finishes the frames of the oldest submission, and calls `done` with the number of each.
+    fn finish_frames(
+        &mut self,
+        mut done: impl FnMut(&mut Renderer, usize, &Batch) -> Result<(), SessionError>,
+    ) -> Result<Vec<FrameStatistics>, SessionError> {
+        let frames = self
+            .submissions
+            .pop_front()
+            .ok_or(SessionError::NothingSubmitted)?;
+        let mut statistics = Vec::with_capacity(frames);
+        // A renderer finishes its frames in the order of their submission, which is the queue's.
+        let finished = (0..frames).try_for_each(|number| {
+            self.submit_queued()?;
+            let QueuedFrame { renderer, batch } = self
+                .frames
+                .pop_front()
+                .expect("each submission has its frames");
+            self.in_flight -= 1;
+            let renderer = &mut self.renderers[renderer];
+            statistics.push(renderer.finish()?);
+            done(renderer, number, &batch)
+        });
+        // The device goes on with the next submission while the caller looks at these images.
+        let finished = finished.and_then(|()| self.submit_queued());
+        self.dropping_all_on_error(finished.map(|()| statistics))
+    }
+
+    /// Drops all submissions if `result` is an error: which frames are in flight is unknown then.
+    fn dropping_all_on_error<T>(
+        &mut self,
+        result: Result<T, SessionError>,
+    ) -> Result<T, SessionError> {
+        if result.is_err() {
+            self.submissions.clear();
+            self.frames.clear();
+            self.in_flight = 0;
+            for renderer in &mut self.renderers {
+                // Their errors add nothing; the loop ends when none is in flight.
+                while renderer.is_busy() {
+                    let _ = renderer.finish();
+                }
             }
         }
+        result
     }
 
     /// Pixels that one buffer of images can hold.
@@ -243,20 +338,4 @@ impl BatchRenderer {
         };
         self.gpu.limits().storage_buffer_bytes_max / bytes
     }
-}
-
-fn submit(
-    renderer: &mut Renderer,
-    batch: &Batch,
-    views: &[WorldView<'_>],
-) -> Result<(), SessionError> {
-    let agents = batch
-        .parts
-        .iter()
-        .flat_map(|part| views[part.view].world.agents());
-    let places: Vec<DVec3> = agents.map(|agent| agent.placed.pose.translation).collect();
-    batch.scene.ready_light(&places);
-    let live = batch.scene.live();
-    let cast = batch.cast(&live, views);
-    Ok(renderer.submit(cast.over(&live), &batch.cameras(views))?)
 }

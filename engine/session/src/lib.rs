@@ -43,7 +43,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, Weak};
 
-use decouplegs_asset::{AssetError, LoadedAgent, LoadedScene, open_scene, read_coded};
+use decouplegs_asset::{AssetError, Layer, LoadedAgent, LoadedScene, open_scene, read_coded};
 use decouplegs_gpu::{DeviceOptions, Gpu, GpuError};
 use decouplegs_render::{ColorFormat, Outputs, RenderError, RenderOptions, Renderer};
 use decouplegs_scene::{Rig, Rules, Trajectory};
@@ -116,6 +116,15 @@ pub enum SessionError {
     /// A view has no cameras.
     #[error("a view without cameras was asked for: give each at least one")]
     NoCameras,
+    /// Images were asked for, and nothing was submitted.
+    #[error("nothing was submitted that is not finished: call submit first")]
+    NothingSubmitted,
+    /// A call that submits and finishes, beside submissions that are not finished.
+    #[error("{submissions} submissions are not finished: finish them first, or go on with submit")]
+    Unfinished {
+        /// Submissions that wait.
+        submissions: usize,
+    },
 }
 
 /// Options of a session.
@@ -239,9 +248,23 @@ impl Session {
     /// # Errors
     /// Returns an error if the device has not the memory, or an asset cannot be drawn.
     pub fn add_scene(&self, loaded: &LoadedScene) -> Result<Arc<SessionScene>, SessionError> {
-        let live = LiveScene::new(&Renderer::new(&self.gpu, self.options.render), loaded)?;
-        let agent_by_name: HashMap<String, usize> = loaded
-            .agents
+        self.add_layer(loaded, Layer::All)
+    }
+
+    /// [`Session::add_scene`], of what belongs to `layer`: all, the background without agents and
+    /// their shadows, or the agents over nothing, in the light of the background.
+    ///
+    /// # Errors
+    /// Those of [`Session::add_scene`].
+    pub fn add_layer(
+        &self,
+        loaded: &LoadedScene,
+        layer: Layer,
+    ) -> Result<Arc<SessionScene>, SessionError> {
+        let renderer = Renderer::new(&self.gpu, self.options.render);
+        let live = LiveScene::layer(&renderer, loaded, layer)?;
+        let agents = live.agents().to_vec();
+        let agent_by_name: HashMap<String, usize> = agents
             .iter()
             .enumerate()
             .map(|(index, agent)| (agent.name.clone(), index))
@@ -251,13 +274,8 @@ impl Session {
             rules: loaded.world.rules,
             rig: loaded.rig.clone(),
             ego: loaded.ego.clone(),
-            agents: loaded.agents.clone(),
-            plain_agents: loaded
-                .agent_names
-                .iter()
-                .filter(|name| !agent_by_name.contains_key(*name))
-                .cloned()
-                .collect(),
+            plain_agents: live.plain_agents().map(str::to_owned).collect(),
+            agents,
             agent_by_name,
             live: RwLock::new(live),
         }))

@@ -127,7 +127,9 @@ impl From<SessionError> for Failure {
             SessionError::NoAgent { .. } | SessionError::NoAsset { .. } => DgsStatus::NotFound,
             SessionError::PlainSplats { .. } | SessionError::NotBytes => DgsStatus::Unsupported,
             SessionError::TooManyAgents { .. } => DgsStatus::Limit,
-            SessionError::NoCameras => DgsStatus::InvalidArgument,
+            SessionError::NoCameras
+            | SessionError::NothingSubmitted
+            | SessionError::Unfinished { .. } => DgsStatus::InvalidArgument,
             SessionError::OtherSession { .. } => DgsStatus::InvalidHandle,
         };
         Self::new(status, error.to_string())

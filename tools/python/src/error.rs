@@ -94,7 +94,7 @@ pub fn of_site(error: &SiteError) -> PyErr {
 
 pub fn of_episode(error: &EpisodeError) -> PyErr {
     match error {
-        EpisodeError::Render(error) => of_render(error),
+        EpisodeError::Render(error) => of_session(error),
         EpisodeError::Unfit { .. } => PyValueError::new_err(sentence(error)),
         EpisodeError::Log(_) => FileError::new_err(sentence(error)),
     }

@@ -1,6 +1,7 @@
 """Sessions, scenes, worlds and renderers."""
 
 import os
+import subprocess
 import threading
 
 import numpy as np
@@ -223,6 +224,18 @@ def test_a_scene_is_drawn_by_its_own_rules(session, scene_file, tmp_path):
     np.testing.assert_array_equal(drawn(forced, antialiased), default)
     with pytest.raises(ValueError, match="gsplat15"):
         decouplegs.Session(rules="mine")
+
+
+def test_python_and_the_program_render_the_same_floats(session, scene_file, tmp_path):
+    program = os.environ.get("DECOUPLEGS_PROGRAM")
+    if program is None:
+        pytest.skip("DECOUPLEGS_PROGRAM does not name the decouplegs program")
+    subprocess.run([program, "render", scene_file, "--out", tmp_path, "--format", "npy"], check=True)
+    floats = decouplegs.Session(session.device.uuid, color="f32", exported=False)
+    own = floats.open_scene(scene_file)
+    colors = floats.batch_renderer().draw_layers([(decouplegs.World(own), own.cameras(0.0))])[0]["color"]
+    for camera, color in zip(own.rig, colors, strict=True):
+        np.testing.assert_array_equal(color, np.load(tmp_path / f"{camera.name}.npy"))
 
 
 def test_drawing_in_a_forked_child_is_an_error(session, scene):

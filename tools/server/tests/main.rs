@@ -7,5 +7,6 @@ mod lasting;
 mod markers;
 mod python;
 mod rollout;
+mod same_image;
 mod scenes;
 mod security;

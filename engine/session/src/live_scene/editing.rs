@@ -44,6 +44,11 @@ impl LiveScene {
         &self.agents
     }
 
+    /// Names of the agents that are splats of the world.
+    pub(crate) fn plain_agents(&self) -> impl Iterator<Item = &str> {
+        self.plain_agents.iter().map(|(name, _)| name.as_str())
+    }
+
     /// Copies another asset to the device; returns its number, by which agents are told to show it.
     ///
     /// # Errors
@@ -141,7 +146,7 @@ impl LiveScene {
         self.agents
             .iter()
             .map(|agent| agent.name.as_str())
-            .chain(self.plain_agents.iter().map(|(name, _)| name.as_str()))
+            .chain(self.plain_agents())
     }
 
     fn place_of(&self, name: &str) -> Result<usize, LiveEditError> {

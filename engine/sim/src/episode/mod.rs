@@ -17,15 +17,15 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use decouplegs_asset::AssetError;
-use decouplegs_render::RenderError;
 use decouplegs_scene::Scenario;
 use decouplegs_scene::episode::{
     Episode, EpisodeEnd, EpisodeHead, EpisodeStep, EpisodeTick, PlannerRecord,
 };
+use decouplegs_session::SessionError;
 
 use crate::planner::{Cameras, EpisodeInfo, Frame, Observation, Planner};
 
-pub use observation_renderer::{ObservationRenderer, chosen, render_options};
+pub use observation_renderer::{ObservationRenderer, chosen};
 pub use replay::{Replayed, replay};
 pub use rollout::{EpisodeMetadata, Rollout};
 pub use simulation::Simulation;
@@ -44,7 +44,7 @@ pub enum EpisodeError {
     },
     /// The images.
     #[error("the cameras cannot be drawn")]
-    Render(#[from] RenderError),
+    Render(#[from] SessionError),
     /// The log.
     #[error(transparent)]
     Log(#[from] AssetError),
@@ -85,25 +85,23 @@ impl EpisodeObserver for () {
 /// Wall-clock durations of one step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StepTime {
-    /// Poses, light and the frame on the device.
+    /// Poses, light, the frame on the device, and its images back on the host.
     pub draw: Duration,
-    /// Duration of the read-back of its images.
-    pub read: Duration,
     /// The planner's.
     pub plan: Duration,
     /// Waiting for the hashes of the images, which are made while the planner plans.
     pub hash: Duration,
     /// Ego and traffic.
     pub advance: Duration,
-    /// The witness: logs and albums.
-    pub witness: Duration,
+    /// The observer: logs and image files.
+    pub observer: Duration,
 }
 
 impl StepTime {
     /// All but the planner's.
     #[must_use]
     pub fn simulator(&self) -> Duration {
-        self.draw + self.read + self.hash + self.advance + self.witness
+        self.draw + self.hash + self.advance + self.observer
     }
 }
 
@@ -115,43 +113,43 @@ pub struct Driven {
     pub times: Vec<StepTime>,
 }
 
-/// Drives `scenario` in `site` with `planner`, who sees through `eyes`.
+/// Drives `scenario` in `site` with `planner`, which sees the images of `renderer`.
 ///
 /// # Errors
-/// Returns an error if the scenario does not fit the site, the device fails, or the witness cannot
+/// Returns an error if the scenario does not fit the site, the device fails, or the observer cannot
 /// go on. A planner that fails ends the episode with its reason, which is no error.
 pub fn drive(
     scenario: &Scenario,
     site: &Arc<Site>,
-    mut eyes: Option<&mut ObservationRenderer>,
+    mut renderer: Option<&mut ObservationRenderer>,
     planner: &mut dyn Planner,
-    witness: &mut dyn EpisodeObserver,
+    observer: &mut dyn EpisodeObserver,
 ) -> Result<Driven, EpisodeError> {
-    let mut rollout = Rollout::new(scenario, site, crew(eyes.as_deref(), planner))?;
-    witness.begin(&rollout.episode().head, &rollout.episode().start)?;
-    if let Err(error) = planner.begin(&briefing(scenario, eyes.as_deref())) {
+    let mut rollout = Rollout::new(scenario, site, metadata_of(renderer.as_deref(), planner))?;
+    observer.begin(&rollout.episode().head, &rollout.episode().start)?;
+    if let Err(error) = planner.begin(&episode_info(scenario, renderer.as_deref())) {
         rollout.fail(error.to_string());
     }
     let mut times = Vec::new();
     while rollout.end().is_none() {
         times.push(one_step(
             &mut rollout,
-            eyes.as_deref_mut(),
+            renderer.as_deref_mut(),
             planner,
-            witness,
+            observer,
         )?);
     }
     let episode = rollout.into_episode();
-    witness.end(&episode.end)?;
+    observer.end(&episode.end)?;
     Ok(Driven { episode, times })
 }
 
 /// Once round the loop. No step where the planner failed.
 fn one_step(
     rollout: &mut Rollout,
-    mut eyes: Option<&mut ObservationRenderer>,
+    mut renderer: Option<&mut ObservationRenderer>,
     planner: &mut dyn Planner,
-    witness: &mut dyn EpisodeObserver,
+    observer: &mut dyn EpisodeObserver,
 ) -> Result<StepTime, EpisodeError> {
     let number = rollout.next_step();
     let mut time = StepTime::default();
@@ -162,16 +160,14 @@ fn one_step(
         since = now;
         taken
     };
-    if let Some(eyes) = eyes.as_deref_mut() {
-        eyes.look(rollout.simulation_mut(), number)?;
+    if let Some(renderer) = renderer.as_deref_mut() {
+        renderer.draw(rollout.simulation_mut(), number)?;
     }
     time.draw = lap();
-    if let Some(eyes) = eyes.as_deref_mut() {
-        eyes.read()?;
-    }
-    time.read = lap();
-    let eyes = eyes.as_deref();
-    let frames = eyes.map(ObservationRenderer::frames).unwrap_or_default();
+    let renderer = renderer.as_deref();
+    let frames = renderer
+        .map(ObservationRenderer::frames)
+        .unwrap_or_default();
     let simulation = rollout.simulation();
     let privileged = planner.sees().privileged.then(|| simulation.privileged());
     let observation = Observation {
@@ -183,7 +179,11 @@ fn one_step(
         privileged: privileged.as_ref(),
     };
     let (answer, images) = std::thread::scope(|scope| {
-        let hashes = scope.spawn(|| eyes.map(ObservationRenderer::hashes).unwrap_or_default());
+        let hashes = scope.spawn(|| {
+            renderer
+                .map(ObservationRenderer::hashes)
+                .unwrap_or_default()
+        });
         let answer = planner.plan(&observation);
         time.plan = lap();
         (answer, hashes.join().expect("hashing does not panic"))
@@ -198,15 +198,16 @@ fn one_step(
     };
     let step = rollout.step(plan, images);
     time.advance = lap();
-    witness.step(step, &frames)?;
-    time.witness = lap();
+    observer.step(step, &frames)?;
+    time.observer = lap();
     Ok(time)
 }
 
-fn crew(eyes: Option<&ObservationRenderer>, planner: &dyn Planner) -> EpisodeMetadata {
-    let cameras = eyes
-        .map(|eyes| {
-            eyes.rig()
+fn metadata_of(renderer: Option<&ObservationRenderer>, planner: &dyn Planner) -> EpisodeMetadata {
+    let cameras = renderer
+        .map(|renderer| {
+            renderer
+                .rig()
                 .cameras
                 .iter()
                 .map(|camera| camera.name.clone())
@@ -220,17 +221,17 @@ fn crew(eyes: Option<&ObservationRenderer>, planner: &dyn Planner) -> EpisodeMet
     };
     EpisodeMetadata {
         planner,
-        drawn_by: eyes.and_then(ObservationRenderer::drawn_by),
+        drawn_by: renderer.and_then(ObservationRenderer::drawn_by),
     }
 }
 
-fn briefing(scenario: &Scenario, eyes: Option<&ObservationRenderer>) -> EpisodeInfo {
+fn episode_info(scenario: &Scenario, renderer: Option<&ObservationRenderer>) -> EpisodeInfo {
     EpisodeInfo {
         scenario: scenario.name.clone(),
         step_s: scenario.step_s,
         ego_size: scenario.ego.size,
-        cameras: eyes
-            .map(|eyes| eyes.rig().cameras.clone())
+        cameras: renderer
+            .map(|renderer| renderer.rig().cameras.clone())
             .unwrap_or_default(),
     }
 }

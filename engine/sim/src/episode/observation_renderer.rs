@@ -1,42 +1,23 @@
 //! Images of the ego's cameras.
 
-use decouplegs_render::{ColorFormat, ImageBytes, Outputs, RenderError, RenderOptions, Renderer};
+use std::sync::Arc;
+
 use decouplegs_scene::episode::{DrawnBy, ImageRecord};
-use decouplegs_scene::{Rig, RigCamera, Rules};
+use decouplegs_scene::{Rig, RigCamera};
+use decouplegs_session::{BatchRenderer, HostImages, SessionError, SessionScene, World, WorldView};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::simulation::Simulation;
 use crate::planner::{Cameras, Frame};
-use decouplegs_session::LiveScene;
 
-/// Cameras that look at an episode.
-pub struct ObservationRenderer<'a> {
-    live: &'a LiveScene,
-    renderer: Renderer,
+/// Renderer of what the ego's cameras see in an episode.
+pub struct ObservationRenderer {
+    renderer: BatchRenderer,
+    world: World,
     rig: Rig,
     every: u32,
-    images: ImageBytes,
-    /// True if the images of a rendered frame are still on the device.
-    unread: bool,
-}
-
-/// From step to step the ego drives meters, and other houses fill the images.
-const SPARE: f64 = 0.5;
-
-/// Options of a renderer for episodes: `rules`, and 8-bit images.
-#[must_use]
-pub fn render_options(rules: Rules) -> RenderOptions {
-    let outputs = Outputs {
-        color: ColorFormat::U8,
-        ..Outputs::default()
-    };
-    RenderOptions {
-        rules,
-        outputs,
-        spare: SPARE,
-        ..RenderOptions::default()
-    }
+    images: HostImages,
 }
 
 /// Cameras of `rig` that `cameras` selects, at `size_px` if given.
@@ -66,17 +47,16 @@ pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<
     Ok(Rig { cameras: chosen })
 }
 
-impl<'a> ObservationRenderer<'a> {
-    /// The cameras of `rig` in `live`, drawn by `renderer` at every `every`th step.
+impl ObservationRenderer {
+    /// The cameras of `rig` in `scene`, drawn by `renderer` at every `every`th step.
     #[must_use]
-    pub fn new(live: &'a LiveScene, renderer: Renderer, rig: Rig, every: u32) -> Self {
+    pub fn new(renderer: BatchRenderer, scene: &Arc<SessionScene>, rig: Rig, every: u32) -> Self {
         Self {
-            live,
             renderer,
+            world: World::empty(scene),
             rig,
             every: every.max(1),
-            images: ImageBytes::default(),
-            unread: false,
+            images: HostImages::default(),
         }
     }
 
@@ -86,9 +66,9 @@ impl<'a> ObservationRenderer<'a> {
         &self.rig
     }
 
-    /// The renderer, for other eyes.
+    /// Converts into the renderer, for another episode.
     #[must_use]
-    pub fn into_renderer(self) -> Renderer {
+    pub fn into_renderer(self) -> BatchRenderer {
         self.renderer
     }
 
@@ -104,54 +84,52 @@ impl<'a> ObservationRenderer<'a> {
         })
     }
 
-    /// Draws `simulation` if `step` is one that is drawn; what was seen before is gone either way.
+    /// Draws `simulation` if `step` is one that is drawn. Images of earlier steps are gone either
+    /// way.
     ///
     /// # Errors
-    /// Returns an error if the device was lost or has not the memory.
-    pub fn look(&mut self, simulation: &mut Simulation, step: u32) -> Result<bool, RenderError> {
+    /// Returns an error if the device was lost or has not the memory, or the scene has not the
+    /// agents' assets.
+    pub fn draw(&mut self, simulation: &mut Simulation, step: u32) -> Result<(), SessionError> {
+        self.images.clear();
         if self.rig.cameras.is_empty() || !step.is_multiple_of(self.every) {
-            self.images.clear();
-            return Ok(false);
+            return Ok(());
         }
-        let (ego, placed) = simulation.placed();
-        let moment = self.live.placed(&placed);
-        self.renderer
-            .render(self.live.with(&moment), &self.rig.at(&ego))?;
-        self.unread = true;
-        Ok(true)
-    }
-
-    /// Fetches what was drawn.
-    ///
-    /// # Errors
-    /// Returns an error if the device was lost or has not the memory.
-    pub fn read(&mut self) -> Result<(), RenderError> {
-        if std::mem::take(&mut self.unread) {
-            self.renderer.read_bytes(&mut self.images)
-        } else {
-            Ok(())
-        }
+        let ego = simulation.show(&mut self.world)?;
+        let view = WorldView {
+            world: &self.world,
+            cameras: &self.rig.at(&ego),
+        };
+        self.renderer.draw(&[view], &mut self.images)?;
+        Ok(())
     }
 
     /// Images of the last observation.
     #[must_use]
     pub fn frames(&self) -> Vec<Frame<'_>> {
-        (0..self.images.len())
-            .map(|index| Frame {
-                camera: &self.rig.cameras[index],
-                rgba: self.images.rgba(index),
-            })
+        self.drawn()
+            .map(|(camera, rgba)| Frame { camera, rgba })
             .collect()
     }
 
-    /// The bits of what was seen last.
+    /// Hashes of the images of the last observation.
     #[must_use]
     pub fn hashes(&self) -> Vec<ImageRecord> {
-        let hash = |index: usize| ImageRecord {
-            camera: self.rig.cameras[index].name.clone(),
-            hash: hash_of(self.images.rgba(index)),
+        let drawn: Vec<_> = self.drawn().collect();
+        let hash = |(camera, rgba): (&RigCamera, &[u8])| ImageRecord {
+            camera: camera.name.clone(),
+            hash: hash_of(rgba),
         };
-        (0..self.images.len()).into_par_iter().map(hash).collect()
+        drawn.into_par_iter().map(hash).collect()
+    }
+
+    /// Cameras and their images; none at a step that is not drawn.
+    fn drawn(&self) -> impl Iterator<Item = (&RigCamera, &[u8])> {
+        let views = self.images.views();
+        let cameras = self.rig.cameras.iter().enumerate();
+        cameras
+            .take_while(move |_| views > 0)
+            .map(|(index, camera)| (camera, self.images.rgba(0, index)))
     }
 }
 

@@ -27,13 +27,13 @@ pub fn plans<E: From<EpisodeError>>(
 ) -> Result<Vec<Option<Plan>>, E> {
     let scenario = &episode.head.scenario;
     let mut simulation = Simulation::new(scenario, site)?;
-    let briefing = EpisodeInfo {
+    let info = EpisodeInfo {
         scenario: scenario.name.clone(),
         step_s: scenario.step_s,
         ego_size: scenario.ego.size,
         cameras: rig.cameras.clone(),
     };
-    let begun = planner.begin(&briefing).is_ok();
+    let begun = planner.begin(&info).is_ok();
     let mut answers = Vec::with_capacity(episode.steps.len());
     for step in &episode.steps {
         let images = images_of(step.step)?;

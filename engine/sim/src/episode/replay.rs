@@ -38,7 +38,7 @@ impl Planner for Logged<'_> {
         }
     }
 
-    fn begin(&mut self, _briefing: &EpisodeInfo) -> Result<(), PlannerError> {
+    fn begin(&mut self, _info: &EpisodeInfo) -> Result<(), PlannerError> {
         match (&self.episode.end, self.episode.steps.is_empty()) {
             (EpisodeEnd::Planner { reason }, true) => Err(PlannerError(reason.clone())),
             _ => Ok(()),
@@ -55,18 +55,18 @@ impl Planner for Logged<'_> {
     }
 }
 
-/// Drives the plans of `episode` again in `site`, drawn by `eyes`, and compares.
+/// Drives the plans of `episode` again in `site`, drawn by `renderer`, and compares.
 ///
 /// # Errors
 /// Those of [`drive`].
 pub fn replay(
     episode: &Episode,
     site: &Arc<Site>,
-    eyes: Option<&mut ObservationRenderer>,
-    witness: &mut dyn EpisodeObserver,
+    renderer: Option<&mut ObservationRenderer>,
+    observer: &mut dyn EpisodeObserver,
 ) -> Result<Replayed, EpisodeError> {
     let scenario: &Scenario = &episode.head.scenario;
-    let again = drive(scenario, site, eyes, &mut Logged { episode }, witness)?.episode;
+    let again = drive(scenario, site, renderer, &mut Logged { episode }, observer)?.episode;
     let images = |episode: &Episode| {
         episode
             .steps

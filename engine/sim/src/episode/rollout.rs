@@ -36,14 +36,14 @@ impl Rollout {
     pub fn new(
         scenario: &Scenario,
         site: &Arc<Site>,
-        crew: EpisodeMetadata,
+        metadata: EpisodeMetadata,
     ) -> Result<Self, EpisodeError> {
         let simulation = Simulation::new(scenario, site)?;
         let head = EpisodeHead {
             version: env!("CARGO_PKG_VERSION").into(),
             scenario: scenario.clone(),
-            planner: crew.planner,
-            drawn_by: crew.drawn_by,
+            planner: metadata.planner,
+            drawn_by: metadata.drawn_by,
             route_m: simulation.route_m(),
             agent_sizes: simulation.agent_sizes().to_vec(),
         };
@@ -65,7 +65,7 @@ impl Rollout {
         &self.simulation
     }
 
-    /// The same, for those who draw it: vehicles remember on what ground they stood.
+    /// The same, for rendering: vehicles remember on what ground they stood.
     pub fn simulation_mut(&mut self) -> &mut Simulation {
         &mut self.simulation
     }
@@ -143,15 +143,6 @@ impl Rollout {
     /// # Errors
     /// Returns an error if the scene of `world` has not the assets.
     pub fn show(&mut self, world: &mut World) -> Result<Pose, SessionError> {
-        let (ego, placed) = self.simulation.placed();
-        let names = self
-            .episode
-            .head
-            .scenario
-            .agents
-            .iter()
-            .map(|agent| agent.name.clone());
-        world.set_agents(names.zip(placed))?;
-        Ok(ego)
+        self.simulation.show(world)
     }
 }

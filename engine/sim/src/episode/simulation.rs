@@ -11,7 +11,7 @@ use glam::DVec2;
 use super::EpisodeError;
 use super::site::Site;
 use crate::planner::{EgoMotion, Navigation, Privileged, Turn};
-use decouplegs_session::AgentInstance;
+use decouplegs_session::{AgentInstance, SessionError, World};
 
 /// A wheel may be so far beyond the lanes' borders, meters: markings are as wide.
 const ROAD_SLACK_M: f64 = 0.15;
@@ -259,8 +259,20 @@ impl Simulation {
         (self.substep >= self.scenario.steps() * per_step).then_some(EpisodeEnd::Time)
     }
 
+    /// Puts the agents into `world` as they stand now, and takes out all others. Returns the ego's
+    /// pose, world coordinates. Vehicles remember on what ground they stood.
+    ///
+    /// # Errors
+    /// Returns an error if the scene of `world` has not the assets.
+    pub fn show(&mut self, world: &mut World) -> Result<Pose, SessionError> {
+        let (ego, placed) = self.placed();
+        let names = self.scenario.agents.iter().map(|agent| agent.name.clone());
+        world.set_agents(names.zip(placed))?;
+        Ok(ego)
+    }
+
     /// The ego's pose and the agents, as they are drawn.
-    pub fn placed(&mut self) -> (Pose, Vec<AgentInstance>) {
+    fn placed(&mut self) -> (Pose, Vec<AgentInstance>) {
         let assets = self.site.asset_sizes.len().max(1);
         let ego = self.stand(0, self.ego.state(), self.scenario.ego.size);
         let states = self.traffic.states().to_vec();

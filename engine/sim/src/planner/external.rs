@@ -142,9 +142,9 @@ impl Planner for External {
         self.introduction.sees.clone()
     }
 
-    fn begin(&mut self, briefing: &EpisodeInfo) -> Result<(), PlannerError> {
+    fn begin(&mut self, info: &EpisodeInfo) -> Result<(), PlannerError> {
         self.reopen()?;
-        match self.ask(&message::begin(briefing), &[])? {
+        match self.ask(&message::begin(info), &[])? {
             Answer::Ready => Ok(()),
             other => Err(self.refused(&other, "begin", "ready")),
         }

@@ -167,7 +167,7 @@ pub trait Planner: Send {
     ///
     /// # Errors
     /// Returns an error if the planner cannot drive.
-    fn begin(&mut self, briefing: &EpisodeInfo) -> Result<(), PlannerError>;
+    fn begin(&mut self, info: &EpisodeInfo) -> Result<(), PlannerError>;
 
     /// Plans the path from the ego's present pose.
     ///

@@ -3,6 +3,8 @@
 use std::fs;
 use std::path::Path;
 
+use decouplegs::session::{HostImages, Session, SessionOptions, World, WorldView};
+
 use crate::library::{FOLDER, Linked, compiled, run, succeed};
 use crate::street::small_street;
 
@@ -18,8 +20,29 @@ fn ppm_pixels(path: &Path) -> Vec<u8> {
     bytes[header.len()..].to_vec()
 }
 
-/// Files that the example writes: of two worlds, two cameras each.
-fn assert_two_worlds(out: &Path, said: &str) {
+/// RGB of both cameras at `time_s`, by a session in this process.
+fn by_session(scene: &Path, time_s: f64) -> Vec<Vec<u8>> {
+    let session = Session::open(&SessionOptions::default()).unwrap();
+    let scene = session.open_scene(scene).unwrap();
+    let mut world = World::new(&scene);
+    world.set_time(time_s);
+    let cameras = scene.rig().at(&scene.ego().at(time_s));
+    let view = WorldView {
+        world: &world,
+        cameras: &cameras,
+    };
+    let mut images = HostImages::default();
+    session.batch_renderer().draw(&[view], &mut images).unwrap();
+    let rgb = |camera| -> Vec<u8> {
+        let pixels = images.rgba(0, camera).chunks_exact(4);
+        pixels.flat_map(|pixel| pixel[..3].to_vec()).collect()
+    };
+    (0..2).map(rgb).collect()
+}
+
+/// Files that the example writes: of two worlds, two cameras each. The first world is as the scene
+/// file says.
+fn assert_two_worlds(out: &Path, said: &str, expected: &[Vec<u8>]) {
     let mut names: Vec<_> = fs::read_dir(out)
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -34,6 +57,10 @@ fn assert_two_worlds(out: &Path, said: &str) {
         "no image is of one color"
     );
     assert!(
+        images[..2] == *expected,
+        "C and a session render the same bytes"
+    );
+    assert!(
         images[0] != images[2],
         "the car stands elsewhere in the second world"
     );
@@ -43,7 +70,7 @@ fn assert_two_worlds(out: &Path, said: &str) {
 }
 
 #[test]
-fn the_example_draws_two_worlds() {
+fn the_example_draws_two_worlds_as_a_session_does() {
     let folder = tempfile::tempdir().unwrap();
     let scene = small_street(folder.path(), [64, 48]);
     for linked in [Linked::Shared, Linked::Static] {
@@ -55,7 +82,7 @@ fn the_example_draws_two_worlds() {
         let said = succeed(run(program.to_str().unwrap(), |command| {
             command.args([&scene, &images]).arg("2")
         }));
-        assert_two_worlds(&images, &said);
+        assert_two_worlds(&images, &said, &by_session(&scene, 0.1));
     }
 }
 
@@ -105,5 +132,5 @@ fn the_example_touches_only_its_own_memory_and_leaks_none() {
         command.env("DECOUPLEGS_VALIDATION", "0")
     });
     let said = succeed(watched);
-    assert_two_worlds(&out, &said);
+    assert_two_worlds(&out, &said, &by_session(&scene, 0.1));
 }

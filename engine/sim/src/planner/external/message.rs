@@ -166,7 +166,7 @@ pub(super) fn hello() -> Value {
 }
 
 /// Before an episode.
-pub(super) fn begin(briefing: &EpisodeInfo) -> Value {
+pub(super) fn begin(info: &EpisodeInfo) -> Value {
     let camera = |camera: &RigCamera| {
         let (k, pose) = (camera.intrinsics, camera.rig_from_camera);
         let rotation = [
@@ -182,8 +182,8 @@ pub(super) fn begin(briefing: &EpisodeInfo) -> Value {
         })
     };
     json!({
-        "type": "begin", "scenario": briefing.scenario, "step_s": briefing.step_s, "ego_size_m": briefing.ego_size.to_array(),
-        "cameras": briefing.cameras.iter().map(camera).collect::<Vec<_>>(), "bytes": 0,
+        "type": "begin", "scenario": info.scenario, "step_s": info.step_s, "ego_size_m": info.ego_size.to_array(),
+        "cameras": info.cameras.iter().map(camera).collect::<Vec<_>>(), "bytes": 0,
     })
 }
 

@@ -128,11 +128,11 @@ impl Planner for Vision {
         }
     }
 
-    fn begin(&mut self, briefing: &EpisodeInfo) -> Result<(), PlannerError> {
+    fn begin(&mut self, info: &EpisodeInfo) -> Result<(), PlannerError> {
         self.state = Some(State {
-            ego_size: briefing.ego_size,
-            step_s: if briefing.step_s.is_finite() {
-                briefing.step_s.clamp(0.0, STEP_S_MAX)
+            ego_size: info.ego_size,
+            step_s: if info.step_s.is_finite() {
+                info.step_s.clamp(0.0, STEP_S_MAX)
             } else {
                 0.0
             },
