@@ -53,8 +53,7 @@ layout(set = 0, binding = 7, scalar) readonly buffer records_block { uint record
 layout(set = 0, binding = 8, std430) readonly buffer footprints_block { vec4 footprints[]; };
 layout(set = 0, binding = 9, std430) readonly buffer colors_block { vec4 colors[]; };
 layout(set = 0, binding = 10, std430) buffer partial_colors_block { vec4 partial_colors[]; };
-layout(set = 0, binding = 11, std430) buffer partial_depths_block { float partial_depths[]; };
-layout(set = 0, binding = 12, std430) buffer partial_instances_block { uvec2 partial_instances[]; };
+layout(set = 0, binding = 11, std430) buffer partial_planes_block { uint partial_planes[]; };
 
 // Per partial result and fine tile: bits of the largest transmittance that it left, or 0 while
 // that is not known.
@@ -67,7 +66,7 @@ layout(set = 0, binding = 14, scalar) buffer contributions_block { uint contribu
 // EXCLUSIVE_STOP or CONTRIBUTIONS.
 layout(set = 0, binding = 15, scalar) readonly buffer partial_unfinished_block { uint partial_unfinished[]; };
 
-layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; };
+layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; uint image_pixels; };
 
 #include "batch.glsl"
 #include "lane_pixels.glsl"
@@ -217,14 +216,14 @@ void write_result(BlendItem item, Camera camera, uvec2 origin, uint place, LaneP
         // Composite has written the pixel as it is without an end in this segment, and pixels that
         // were full before keep that.
         if (pixels.left_full && pixels.left.transmittance > 0.0) {
-            write_pixel(camera, at, pixels.left, sky);
+            write_pixel(camera, at, pixels.left, sky, image_pixels);
         }
         if (pixels.right_full && pixels.right.transmittance > 0.0) {
-            write_pixel(camera, at + uvec2(2u, 0u), pixels.right, sky);
+            write_pixel(camera, at + uvec2(2u, 0u), pixels.right, sky, image_pixels);
         }
     } else if (item.partial == NO_PARTIAL) {
-        write_pixel(camera, at, pixels.left, sky);
-        write_pixel(camera, at + uvec2(2u, 0u), pixels.right, sky);
+        write_pixel(camera, at, pixels.left, sky, image_pixels);
+        write_pixel(camera, at + uvec2(2u, 0u), pixels.right, sky, image_pixels);
     } else {
         uint left = item.partial * COARSE_PIXELS + place;
         write_partial(left, pixels.left, pixels.left_full);

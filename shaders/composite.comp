@@ -20,12 +20,11 @@ layout(constant_id = 4) const bool CONTRIBUTIONS = false;  // every segment is l
 layout(set = 0, binding = 5, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer composites_block { Composite composites[]; };
 layout(set = 0, binding = 7, std430) buffer partial_colors_block { vec4 partial_colors[]; };
-layout(set = 0, binding = 8, std430) buffer partial_depths_block { float partial_depths[]; };
-layout(set = 0, binding = 9, std430) buffer partial_instances_block { uvec2 partial_instances[]; };
+layout(set = 0, binding = 8, std430) buffer partial_planes_block { uint partial_planes[]; };
 
-layout(set = 0, binding = 10, scalar) buffer partial_unfinished_block { uint partial_unfinished[]; };
+layout(set = 0, binding = 9, scalar) buffer partial_unfinished_block { uint partial_unfinished[]; };
 
-layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; };
+layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint image_pixels; };
 
 // Segments that are read before the first is used, so that the reads overlap.
 const uint AHEAD = 4u;
@@ -77,5 +76,5 @@ void main() {
             }
         }
     }
-    write_pixel(camera, at, pixel, sky);
+    write_pixel(camera, at, pixel, sky, image_pixels);
 }

@@ -6,8 +6,10 @@ use std::str::FromStr;
 
 use anyhow::{Context, Result};
 use clap::ValueEnum;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use decouplegs::asset::write_atomically;
 use decouplegs::explain::one_line;
+use decouplegs::render::Plane;
 use decouplegs::render::rendered_image::{Image, ImageFileFormat};
 use decouplegs::scene::Rules;
 
@@ -62,6 +64,12 @@ pub fn three_numbers(text: &str, most: f64) -> Option<[f64; 3]> {
 }
 
 /// A number of pixels, 0 or more.
+/// Parser of the names of planes.
+pub fn plane_names() -> impl TypedValueParser<Value = Plane> {
+    let names = PossibleValuesParser::new(Plane::ALL.map(Plane::name));
+    names.map(|name| Plane::by_name(&name).expect("it is one of the names"))
+}
+
 pub fn pixels(text: &str) -> Result<f64, String> {
     finite(text)
         .ok()

@@ -16,10 +16,12 @@ use decouplegs::gpu::{DeviceInfo, Gpu, MemoryReport};
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::reference::{self, Window};
 use decouplegs::render::rendered_image::Image;
-use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, RenderOptions, Renderer};
+use decouplegs::render::{
+    ColorFormat, FrameStatistics, Outputs, Plane, PlaneMap, RenderOptions, Renderer,
+};
 use decouplegs::scene::{Intrinsics, Rules};
 
-use crate::arguments::{Size, finite, pixels, print};
+use crate::arguments::{Size, finite, pixels, plane_names, print};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
@@ -41,12 +43,9 @@ pub struct Arguments {
     /// Storage format of color
     #[arg(long, value_enum, default_value_t = Color::Rgba8)]
     color: Color,
-    /// Render the expected depth too
-    #[arg(long)]
-    depth: bool,
-    /// Render the instance ids too
-    #[arg(long)]
-    instance: bool,
+    /// Render these planes too: depth, instance
+    #[arg(long, value_name = "PLANES", value_delimiter = ',', value_parser = plane_names())]
+    planes: Vec<Plane>,
     /// Compute the background's depth keys in every frame instead of reusing them while a camera
     /// does not turn
     #[arg(long)]
@@ -110,8 +109,7 @@ impl Arguments {
         };
         Outputs {
             color,
-            depth: self.depth,
-            instance: self.instance,
+            planes: self.planes.iter().copied().collect(),
             ..Outputs::default()
         }
     }
@@ -279,8 +277,7 @@ fn cut(image: &Image, window: Window) -> Image {
         height: window.height_px,
         rgb: places.iter().map(|&at| image.rgb[at]).collect(),
         alpha: places.iter().map(|&at| image.alpha[at]).collect(),
-        depth: None,
-        instance: None,
+        planes: PlaneMap::new(),
     }
 }
 

@@ -9,11 +9,11 @@ use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{Layer, memory, write_atomically};
 use decouplegs::render::rendered_image::{Image, ImageFileFormat, contact_sheet};
-use decouplegs::render::{ColorFormat, Outputs, RenderOptions, reference};
+use decouplegs::render::{ColorFormat, Outputs, Plane, RenderOptions, reference};
 use decouplegs::scene::Camera;
 use decouplegs::session::{Session, SessionOptions, World, WorldView};
 
-use crate::arguments::{pixels, print, write_image, write_image_with_alpha};
+use crate::arguments::{pixels, plane_names, print, write_image, write_image_with_alpha};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
@@ -40,8 +40,8 @@ pub struct Arguments {
     /// Write these planes beside each image too: depth (expected depth along the camera's z,
     /// meters, 0 where nothing is) as float32 [height, width] in NAME.depth.npy, instance (0 the
     /// background, k the k-th agent) as uint16 in NAME.instance.npy
-    #[arg(long, value_enum, value_name = "PLANES", value_delimiter = ',')]
-    planes: Vec<PlaneName>,
+    #[arg(long, value_name = "PLANES", value_delimiter = ',', value_parser = plane_names())]
+    planes: Vec<Plane>,
     #[command(flatten)]
     device: DeviceArguments,
     /// Render with the f64 reference on the CPU: exact and slow
@@ -86,15 +86,6 @@ impl From<Format> for ImageFileFormat {
     }
 }
 
-/// A plane of an image beside its colors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum PlaneName {
-    /// Expected depth, meters
-    Depth,
-    /// Agent with the largest weight
-    Instance,
-}
-
 /// Part of the scene to render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum LayerName {
@@ -122,8 +113,8 @@ const SHEET_COLUMNS: u32 = 3;
 /// About the memory that the reference takes for each pixel.
 const REFERENCE_PIXEL_BYTES: u64 = 96;
 
-/// Cameras whose images are held at once. A rig has fewer; a file of training cameras has hundreds, whose
-/// images no device holds.
+/// Cameras whose images are held at once. A rig has fewer; a file of training cameras has hundreds,
+/// whose images no device holds.
 const CAMERAS_AT_ONCE: usize = 8;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -156,7 +147,7 @@ struct ImageWriter<'a> {
     out: &'a Path,
     format: ImageFileFormat,
     /// Planes that are written beside them.
-    planes: &'a [PlaneName],
+    planes: &'a [Plane],
     /// True if there is no background behind the rendered splats.
     transparent: bool,
     /// The images so far, where a contact sheet is asked for.
@@ -181,11 +172,9 @@ impl ImageWriter<'_> {
         Ok(())
     }
 
-    fn add_plane(&self, camera: &Camera, image: &Image, plane: PlaneName) -> Result<()> {
-        let (name, bytes) = match plane {
-            PlaneName::Depth => ("depth", image.encode_depth()),
-            PlaneName::Instance => ("instance", image.encode_instance()),
-        };
+    fn add_plane(&self, camera: &Camera, image: &Image, plane: Plane) -> Result<()> {
+        let name = plane.name();
+        let bytes = image.encode_plane(plane);
         let bytes = bytes.with_context(|| format!("the image of {} has no {name}", camera.name))?;
         let path = self.out.join(format!("{}.{name}.npy", camera.name));
         write_atomically(&path, |file| file.write_all(&bytes))?;
@@ -211,12 +200,9 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter)
         ImageFileFormat::Png if !writer.transparent => ColorFormat::U8,
         ImageFileFormat::Png | ImageFileFormat::Exr | ImageFileFormat::Npy => ColorFormat::F32,
     };
-    let asked = |plane| arguments.planes.contains(&plane);
-    let (depth, instance) = (asked(PlaneName::Depth), asked(PlaneName::Instance));
     let outputs = Outputs {
         color,
-        depth,
-        instance,
+        planes: arguments.planes.iter().copied().collect(),
         ..Outputs::default()
     };
     let options = SessionOptions {

@@ -46,13 +46,7 @@ void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 colo
     if (CONTRIBUTIONS && counts && weight > 0.0) {
         atomicAdd(contributions[record.instance], uint(weight * contribution_scale + 0.5));
     }
-    if (DEPTH) {
-        pixel.weighted_depth += weight * record.depth_m;
-    }
-    if (INSTANCE && weight > pixel.best_weight) {
-        pixel.best_weight = weight;
-        pixel.best_instance = record.instance;
-    }
+    add_to_planes(pixel.planes, weight, record.depth_m, record.instance);
 }
 
 // Transmittance of a pixel that remains behind the segment.

@@ -1,15 +1,12 @@
 // Output of finished pixels. Outputs that were not asked for are neither computed nor written.
 
 layout(constant_id = 0) const bool COLOR_U8 = false;       // RGBA8, clamped and rounded, instead of 4 x f32
-layout(constant_id = 1) const bool DEPTH = false;           // expected depth, meters
-layout(constant_id = 2) const bool INSTANCE = false;        // instance of the splat with the largest weight
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 #include "camera_of_bin.glsl"
+#include "planes.glsl"
 layout(set = 0, binding = 1, std430) writeonly buffer images_f32_block { vec4 images_f32[]; };
-layout(set = 0, binding = 2, std430) writeonly buffer images_u8_block { uint images_u8[]; };
-layout(set = 0, binding = 3, std430) writeonly buffer depths_block { float depths_m[]; };
-layout(set = 0, binding = 4, std430) writeonly buffer instance_ids_block { uint instance_ids[]; };
+layout(set = 0, binding = 3, std430) writeonly buffer images_u8_block { uint images_u8[]; };
 
 // Assignment of a coarse tile's pixels to lanes in blend: eight lanes have a block of 4 x 4, two
 // pixels each, and four blocks are a fine tile. A pixel's place counts the left pixels of all
@@ -43,12 +40,10 @@ const float TRANSMITTANCE_FULL = 2e-5;
 struct Pixel {
     vec3 color;
     float transmittance;
-    float weighted_depth; // sum of weight * depth
-    float best_weight;    // largest single weight so far
-    uint best_instance;
+    PlaneSums planes;
 };
 
-const Pixel PIXEL_EMPTY = Pixel(vec3(0.0), 1.0, 0.0, 0.0, 0u);
+const Pixel PIXEL_EMPTY = Pixel(vec3(0.0), 1.0, PLANES_EMPTY);
 
 // Top left pixel of a coarse tile.
 uvec2 coarse_tile_origin(uint bin, Camera camera) {
@@ -56,7 +51,8 @@ uvec2 coarse_tile_origin(uint bin, Camera camera) {
     return uvec2(tile % camera.coarse_tiles.x * COARSE_WIDTH_PX, tile / camera.coarse_tiles.x * COARSE_HEIGHT_PX);
 }
 
-void write_pixel(Camera camera, uvec2 at, Pixel pixel, vec3 sky) {
+// Writes the pixel at `at` of the image of `camera`, one of images of `image_pixels` in all.
+void write_pixel(Camera camera, uvec2 at, Pixel pixel, vec3 sky, uint image_pixels) {
     if (any(greaterThanEqual(at, camera.size_px))) {
         return;
     }
@@ -68,12 +64,7 @@ void write_pixel(Camera camera, uvec2 at, Pixel pixel, vec3 sky) {
     } else {
         images_f32[place] = value;
     }
-    if (DEPTH) {
-        depths_m[place] = alpha > 0.0 ? pixel.weighted_depth / alpha : 0.0;
-    }
-    if (INSTANCE) {
-        instance_ids[place] = pixel.best_instance;
-    }
+    write_planes(place, image_pixels, alpha, pixel.planes);
 }
 
 // The pixel after `nearer`, then `farther` behind it.
@@ -81,12 +72,6 @@ Pixel over(Pixel nearer, Pixel farther) {
     float share = nearer.transmittance;
     nearer.color += share * farther.color;
     nearer.transmittance *= farther.transmittance;
-    if (DEPTH) {
-        nearer.weighted_depth += share * farther.weighted_depth;
-    }
-    if (INSTANCE && share * farther.best_weight > nearer.best_weight) {
-        nearer.best_weight = share * farther.best_weight;
-        nearer.best_instance = farther.best_instance;
-    }
+    nearer.planes = planes_over(nearer.planes, share, farther.planes);
     return nearer;
 }

@@ -1,29 +1,22 @@
 // Results of segments, a pixel each: blend leaves them for composite, and composite for the pass of
 // blend that finishes pixels.
 //
-// Included where partial_colors, partial_depths and partial_instances are bound. A negative
-// transmittance is a mark, which the two kernels explain.
+// Included where partial_colors and partial_planes are bound. A negative transmittance is a mark,
+// which the two kernels explain.
 
 Pixel load_partial(uint place) {
     vec4 color = partial_colors[place];
-    Pixel pixel = Pixel(color.rgb, color.a, 0.0, 0.0, 0u);
-    if (DEPTH) {
-        pixel.weighted_depth = partial_depths[place];
+    uint words[3];
+    [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
+        words[word] = partial_planes[place * PLANE_PARTIAL_WORDS + word];
     }
-    if (INSTANCE) {
-        uvec2 best = partial_instances[place];
-        pixel.best_weight = uintBitsToFloat(best.x);
-        pixel.best_instance = best.y;
-    }
-    return pixel;
+    return Pixel(color.rgb, color.a, plane_sums(words));
 }
 
 void store_partial(uint place, Pixel pixel) {
     partial_colors[place] = vec4(pixel.color, pixel.transmittance);
-    if (DEPTH) {
-        partial_depths[place] = pixel.weighted_depth;
-    }
-    if (INSTANCE) {
-        partial_instances[place] = uvec2(floatBitsToUint(pixel.best_weight), pixel.best_instance);
+    uint words[3] = plane_words(pixel.planes);
+    [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
+        partial_planes[place * PLANE_PARTIAL_WORDS + word] = words[word];
     }
 }

@@ -216,7 +216,7 @@ fn agents_are_the_decoded_splats_placed_in_the_world() {
             "{}: {difference:?}",
             camera.name
         );
-        let ids = |image: &Image| image.instance.clone().unwrap();
+        let ids = |image: &Image| image.instance().unwrap().to_vec();
         let other = ids(image)
             .iter()
             .zip(ids(&expected))
@@ -290,7 +290,7 @@ fn agents_come_go_change_and_move_between_frames() {
             images == draw_agents(&gpu, &world, &pool, agents, &cameras),
             "frame {index} remembers another"
         );
-        let seen = |id: u16| images[0].instance.as_ref().unwrap().contains(&id);
+        let seen = |id: u16| images[0].instance().unwrap().contains(&id);
         assert_eq!(
             [seen(1), seen(2)],
             [1, 2].map(|id| agents.iter().any(|agent| agent.instance == id)),

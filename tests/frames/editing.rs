@@ -228,7 +228,7 @@ fn differing(a: &Image, b: &Image) -> Vec<bool> {
             g,
             b,
             image.alpha[at].to_bits(),
-            image.depth.as_ref().unwrap()[at].to_bits(),
+            image.depth().unwrap()[at].to_bits(),
         ]
     };
     (0..a.alpha.len())
@@ -459,11 +459,10 @@ fn assert_same(live: (&[Image], &LiveScene), fresh: (&[Image], &LoadedScene), st
             "{step}: camera {camera} differs"
         );
         let ids = live
-            .instance
-            .as_ref()
+            .instance()
             .unwrap()
             .iter()
-            .zip(fresh.instance.as_ref().unwrap());
+            .zip(fresh.instance().unwrap());
         for (live, fresh) in ids {
             // A plain agent is no agent of the live scene; in this one it keeps its place.
             assert_eq!(

@@ -370,14 +370,7 @@ fn everything_culled_leaves_the_sky() {
     assert!(
         image.rgb.iter().all(|rgb| *rgb == sky) && image.alpha.iter().all(|&alpha| alpha == 0.0)
     );
-    assert!(
-        image
-            .depth
-            .as_ref()
-            .unwrap()
-            .iter()
-            .all(|&depth| depth == 0.0)
-    );
+    assert!(image.depth().unwrap().iter().all(|&depth| depth == 0.0));
 }
 
 #[test]

@@ -16,7 +16,7 @@ mod worlds;
 pub use agents::background;
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Image, Outputs, RenderOptions, Renderer, reference};
+use decouplegs::render::{Image, Outputs, Planes, RenderOptions, Renderer, reference};
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, SplatCloud, World};
 use glam::{DQuat, DVec3};
 
@@ -79,8 +79,7 @@ pub fn camera_at(center: DVec3, width_px: u32, height_px: u32) -> Camera {
 /// All outputs in f32.
 pub fn all_outputs() -> Outputs {
     Outputs {
-        depth: true,
-        instance: true,
+        planes: Planes::ALL,
         ..Outputs::default()
     }
 }

@@ -7,7 +7,7 @@ use decouplegs::LiveScene;
 use decouplegs::asset::{LoadedAgent, LoadedScene};
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::{
-    Agent, AssetPool, ColorFormat, Image, ImageBytes, Outputs, RenderError, RenderOptions,
+    Agent, AssetPool, ColorFormat, Image, ImageBytes, Outputs, Plane, RenderError, RenderOptions,
     Renderer, Scene,
 };
 use decouplegs::scene::{Camera, Pose, Rig, Rules, ShFrame, Trajectory};
@@ -331,7 +331,7 @@ fn submissions_are_finished_in_their_order_and_show_worlds_as_they_were() {
 #[test]
 fn what_a_world_cannot_do_is_said() {
     let session = session(Outputs {
-        depth: true,
+        planes: [Plane::Depth].into(),
         ..Outputs::default()
     });
     let scene = session.add_scene(&loaded(3)).unwrap();
@@ -369,9 +369,9 @@ fn what_a_world_cannot_do_is_said() {
         Err(SessionError::NoCameras)
     ));
     let (good, _) = renderer.draw_images(&view).unwrap();
-    assert!(good[0][0].depth.is_some());
+    assert!(good[0][0].depth().is_some());
     let elsewhere = self::session(Outputs {
-        depth: true,
+        planes: [Plane::Depth].into(),
         ..Outputs::default()
     });
     let other = World::new(&elsewhere.add_scene(&loaded(3)).unwrap());

@@ -9,25 +9,25 @@ use decouplegs::render::layout::{
 use decouplegs::render::stages::{
     Blend, BlendPass, IndirectArguments, PartialResults, Plan, ProjectVariant, Projected,
 };
-use decouplegs::render::twins;
 use decouplegs::render::twins::output::{
     Images, Pixel, coarse_tile_origin, pixel_offset, write_pixel,
 };
-use decouplegs::render::{Capacity, OutputBuffers, Outputs};
+use decouplegs::render::{Capacity, OutputBuffers, Outputs, Plane, Planes, twins};
 use decouplegs::scene::{EarlyStop, Rules};
 use glam::Vec3;
 
 use super::project::PLAIN;
 use super::scenes::{ProjectedTwin, Scene, hard_world, rig};
-use super::{UNTOUCHED, counters, identical, open, run, upload, within, write_partials};
+use super::{
+    UNTOUCHED, counters, identical, open, read_partials, run, upload, within, write_partials,
+};
 use crate::device::Validated;
 use rounding::PixelBounds;
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
 const OUTPUTS: Outputs = Outputs {
     color: decouplegs::render::ColorFormat::F32,
-    depth: true,
-    instance: true,
+    planes: Planes::ALL,
     contributions: false,
     exported: false,
 };
@@ -200,12 +200,8 @@ impl Case {
         gpu.write(&on_device.colors, 0, &projected.colors).unwrap();
         let partials = PartialResults::new(gpu, slots, rules, &OUTPUTS).unwrap();
         let outputs = OutputBuffers::new(gpu, scene.view.pixels, 0, &OUTPUTS).unwrap();
-        gpu.write(
-            &outputs.instance_ids,
-            0,
-            &vec![UNTOUCHED; scene.view.pixels],
-        )
-        .unwrap();
+        gpu.write(&outputs.planes, 0, &vec![UNTOUCHED; outputs.planes.len()])
+            .unwrap();
         let records = upload(gpu, records);
         let pass = if before.is_some() {
             BlendPass::Finish
@@ -237,10 +233,9 @@ impl Case {
         });
         let images = Images {
             images_f32: gpu.read(&outputs.images_f32).unwrap(),
-            depths_m: gpu.read(&outputs.depths_m).unwrap(),
-            instance_ids: gpu.read(&outputs.instance_ids).unwrap(),
+            planes: gpu.read(&outputs.planes).unwrap(),
         };
-        (images, read_partials(gpu, &partials))
+        (images, partials_by_slot(gpu, &partials))
     }
 
     /// Partial results of cut tiles, one after the other.
@@ -271,12 +266,16 @@ impl Case {
                             pixel.color.y,
                             pixel.color.z,
                             pixel.transmittance,
-                            pixel.weighted_depth,
+                            pixel.planes.weighted_depth,
                         ]
                     };
                     let [c, t, d] = [bounds.color, bounds.transmittance, bounds.weighted_depth];
                     let share = within(&what, &values(kernel), &values(twin), &[c, c, c, t, d])?;
-                    bounds.check_instance(&what, kernel.best_instance, twin.best_instance)?;
+                    bounds.check_instance(
+                        &what,
+                        kernel.planes.best_instance,
+                        twin.planes.best_instance,
+                    )?;
                     Ok(share)
                 })?;
             }
@@ -339,7 +338,7 @@ impl Case {
             let is_written = before.is_none() || pixel.transmittance < 0.0;
             report.add(bounds, |bounds| {
                 if !is_written {
-                    let untouched = kernel.instance_ids[target] == UNTOUCHED;
+                    let untouched = kernel.plane(Plane::Instance)[target] == UNTOUCHED;
                     return if untouched {
                         Ok(0.0)
                     } else {
@@ -351,20 +350,20 @@ impl Case {
                     ..*pixel
                 });
                 let [r, g, b, a] = written.images_f32[0];
-                let (depth, k) = (written.depths_m[0], kernel.images_f32[target]);
+                let (depth, k) = (written.depth_m(0), kernel.images_f32[target]);
                 let c = bounds.color + 1.3 * bounds.transmittance + 8.0 * super::ROUNDOFF;
                 let t = bounds.transmittance + super::ROUNDOFF;
                 let d = bounds.depth_m(depth, a);
                 let share = within(
                     &what,
-                    &[k[0], k[1], k[2], k[3], kernel.depths_m[target]],
+                    &[k[0], k[1], k[2], k[3], kernel.depth_m(target)],
                     &[r, g, b, a, depth],
                     &[c, c, c, t, d],
                 )?;
                 bounds.check_instance(
                     &what,
-                    kernel.instance_ids[target],
-                    written.instance_ids[0],
+                    kernel.plane(Plane::Instance)[target],
+                    written.plane(Plane::Instance)[0],
                 )?;
                 Ok(share)
             })?;
@@ -375,11 +374,7 @@ impl Case {
 
 /// Images that the twin writes for `pixel` alone.
 fn written_alone(pixel: &Pixel) -> Images {
-    let mut image = Images {
-        images_f32: vec![[0.0; 4]],
-        depths_m: vec![0.0],
-        instance_ids: vec![0],
-    };
+    let mut image = Images::filled(1, 0);
     let camera = CameraRecord {
         size_px: [1, 1],
         ..bytemuck::Zeroable::zeroed()
@@ -431,25 +426,10 @@ impl Report {
     }
 }
 
-fn read_partials(gpu: &Validated, partials: &PartialResults) -> Blended {
-    let (colors, depths) = (
-        gpu.read(&partials.colors).unwrap(),
-        gpu.read(&partials.depths).unwrap(),
-    );
-    let instances = gpu.read(&partials.instances).unwrap();
-    let pixel = |place: usize| Pixel {
-        color: Vec3::from_slice(&colors[place]),
-        transmittance: colors[place][3],
-        weighted_depth: depths[place],
-        best_weight: f32::from_bits(instances[place][0]),
-        best_instance: instances[place][1],
-    };
-    (0..colors.len() / COARSE_PIXELS)
-        .map(|slot| {
-            (slot * COARSE_PIXELS..(slot + 1) * COARSE_PIXELS)
-                .map(pixel)
-                .collect()
-        })
+fn partials_by_slot(gpu: &Validated, partials: &PartialResults) -> Blended {
+    read_partials(gpu, partials)
+        .chunks_exact(COARSE_PIXELS)
+        .map(<[Pixel]>::to_vec)
         .collect()
 }
 
@@ -514,7 +494,7 @@ fn every_pixel_is_written_once_and_no_other() {
         }
     }
     let written: Vec<bool> = images
-        .instance_ids
+        .plane(Plane::Instance)
         .iter()
         .map(|&id| id != UNTOUCHED)
         .collect();
@@ -544,7 +524,7 @@ fn one_changed_pixel_is_seen() {
         };
         assert!(seen.unwrap_err().contains("value 1"));
         twin[i][place(item)].color.y -= 0.001;
-        twin[i][place(item)].best_instance = 7;
+        twin[i][place(item)].planes.best_instance = 7;
         let seen = if item.partial == NO_PARTIAL {
             case.check_images(&images, &twin)
         } else {

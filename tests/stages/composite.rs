@@ -5,15 +5,17 @@ use decouplegs::render::stages::{CompositeSegments, IndirectArguments, PartialRe
 use decouplegs::render::twins::output::{
     Images, Pixel, camera_of_bin, coarse_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
 };
-use decouplegs::render::{Capacity, ColorFormat, OutputBuffers, Outputs, twins};
+use decouplegs::render::{Capacity, ColorFormat, OutputBuffers, Outputs, Plane, Planes, twins};
 use decouplegs::scene::Rules;
 use glam::{DVec3, Vec3};
 
 use super::scenes::rig;
 use super::{
-    ROUNDOFF, Random, UNTOUCHED, counters, identical, open, run, upload, within, write_partials,
+    ROUNDOFF, Random, UNTOUCHED, counters, identical, open, read_partials, run, upload, within,
+    write_partials,
 };
 use crate::device::Validated;
+use decouplegs::render::twins::planes::PlaneSums;
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
 
@@ -61,8 +63,7 @@ impl Case {
     fn kernel(&self, gpu: &Validated, color: ColorFormat) -> (Images, Vec<u32>) {
         let outputs = Outputs {
             color,
-            depth: true,
-            instance: true,
+            planes: Planes::ALL,
             ..Outputs::default()
         };
         let (images, bytes, _) = self.kernel_by(gpu, Rules::DEFAULT, outputs);
@@ -114,7 +115,7 @@ impl Case {
         .unwrap();
         write_partials(gpu, &on_device, partials);
         let images = OutputBuffers::new(gpu, view.pixels, 0, &outputs).unwrap();
-        gpu.write(&images.instance_ids, 0, &vec![UNTOUCHED; view.pixels])
+        gpu.write(&images.planes, 0, &vec![UNTOUCHED; images.planes.len()])
             .unwrap();
         let cameras = upload(gpu, &view.cameras);
         let composite = CompositeSegments::new(gpu, &rules, &outputs).unwrap();
@@ -132,8 +133,7 @@ impl Case {
         });
         let floats = Images {
             images_f32: gpu.read(&images.images_f32).unwrap(),
-            depths_m: gpu.read(&images.depths_m).unwrap(),
-            instance_ids: gpu.read(&images.instance_ids).unwrap(),
+            planes: gpu.read(&images.planes).unwrap(),
         };
         (floats, gpu.read(&images.images_u8).unwrap(), on_device)
     }
@@ -146,12 +146,7 @@ impl Case {
 
     fn twin_by(&self, stops: bool, counts: bool) -> (Images, Vec<u32>) {
         let pixels = self.view.pixels;
-        let (images_f32, depths_m) = (vec![[0.0; 4]; pixels], vec![0.0; pixels]);
-        let mut images = Images {
-            images_f32,
-            depths_m,
-            instance_ids: vec![UNTOUCHED; pixels],
-        };
+        let mut images = Images::filled(pixels, UNTOUCHED);
         let mut segments = vec![0; pixels];
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
@@ -183,11 +178,7 @@ impl Case {
         counts: bool,
     ) -> Result<(), String> {
         let mut tiles = vec![0u32; left.unfinished.len()];
-        let (colors, depths) = (
-            gpu.read(&left.colors).unwrap(),
-            gpu.read(&left.depths).unwrap(),
-        );
-        let instances = gpu.read(&left.instances).unwrap();
+        let left_pixels = read_partials(gpu, left);
         let mut found = 0;
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
@@ -204,29 +195,30 @@ impl Case {
                 }
                 tiles[slot] |= 1 << (y / 8 * 8 + x / 8);
                 let at = slot * COARSE_PIXELS + place;
-                let [r, g, b, t] = colors[at];
                 let relative =
                     8.0 * ROUNDOFF * f64::from(slot as u32 - composite.first_partial + 2);
-                let Vec3 {
-                    x: red,
-                    y: green,
-                    z: blue,
-                } = before.color;
-                let expected = [
-                    red,
-                    green,
-                    blue,
-                    before.transmittance,
-                    before.weighted_depth,
-                ];
+                let values = |pixel: &Pixel| {
+                    let Vec3 {
+                        x: red,
+                        y: green,
+                        z: blue,
+                    } = pixel.color;
+                    let depth = pixel.planes.weighted_depth;
+                    [red, green, blue, pixel.transmittance, depth]
+                };
+                let expected = values(&before);
                 let bounds = expected.map(|value| relative * f64::from(value.abs()));
                 within(
                     &format!("pixel {place} of slot {slot}"),
-                    &[r, g, b, t, depths[at]],
+                    &values(&left_pixels[at]),
                     &expected,
                     &bounds,
                 )?;
-                identical("instances", &[instances[at][1]], &[before.best_instance])?;
+                identical(
+                    "instances",
+                    &[left_pixels[at].planes.best_instance],
+                    &[before.planes.best_instance],
+                )?;
                 found += 1;
             }
         }
@@ -242,21 +234,21 @@ impl Case {
     /// at most, on both sides. A depth is a quotient by alpha, whose error is relative to 1.
     fn check(kernel: &Images, twin: &Images, segments: &[u32]) -> Result<(), String> {
         let mut worst = 0.0f64;
-        identical("instance_ids", &kernel.instance_ids, &twin.instance_ids)?;
+        let instances = [kernel, twin].map(|images| images.plane(Plane::Instance));
+        identical("instances", instances[0], instances[1])?;
         for (place, &count) in segments.iter().enumerate().filter(|(_, count)| **count > 0) {
             let relative = 8.0 * ROUNDOFF * f64::from(count + 2);
             let (k, t) = (kernel.images_f32[place], twin.images_f32[place]);
             let colors = [0, 1, 2].map(|channel| relative * f64::from(t[channel]));
             let depth = if t[3] > 0.0 {
-                2.0 * relative * f64::from(twin.depths_m[place]) / f64::from(t[3])
+                2.0 * relative * f64::from(twin.depth_m(place)) / f64::from(t[3])
             } else {
                 0.0
             };
             let bounds = [colors[0], colors[1], colors[2], relative, depth];
             let what = format!("pixel {place}");
-            let [k, t] = [(k, kernel), (t, twin)].map(|(value, side)| {
-                [value[0], value[1], value[2], value[3], side.depths_m[place]]
-            });
+            let [k, t] = [(k, kernel), (t, twin)]
+                .map(|(value, side)| [value[0], value[1], value[2], value[3], side.depth_m(place)]);
             worst = worst.max(within(&what, &k, &t, &bounds)?);
         }
         println!("{worst:.3} of the bound");
@@ -278,9 +270,11 @@ fn random_pixel(random: &mut Random) -> Pixel {
     Pixel {
         color: Vec3::from_array(std::array::from_fn(|_| alpha * random.between(0.0, 1.0))),
         transmittance,
-        weighted_depth: alpha * random.between(0.5, 100.0),
-        best_weight: alpha * random.between(0.1, 1.0),
-        best_instance: random.below(5),
+        planes: PlaneSums {
+            weighted_depth: alpha * random.between(0.5, 100.0),
+            best_weight: alpha * random.between(0.1, 1.0),
+            best_instance: random.below(5),
+        },
     }
 }
 
@@ -332,7 +326,8 @@ fn segments_in_another_order_are_seen() {
     let (twin, segments) = case.twin();
     assert!(Case::check(&kernel, &twin, &segments).is_err());
     let mut kernel = kernel;
-    kernel.instance_ids.clone_from(&twin.instance_ids);
+    let pixels = kernel.images_f32.len();
+    kernel.planes[pixels..].copy_from_slice(twin.plane(Plane::Instance));
     assert!(
         Case::check(&kernel, &twin, &segments)
             .unwrap_err()
@@ -365,8 +360,7 @@ fn pixels_are_left_to_be_finished_where_they_end() {
             }
         }
         let outputs = Outputs {
-            depth: true,
-            instance: true,
+            planes: Planes::ALL,
             contributions: counts,
             ..Outputs::default()
         };

@@ -30,6 +30,8 @@ use decouplegs::render::stages::{FrameCounters, IndirectArguments, PartialResult
 use decouplegs::render::twins::output::Pixel;
 
 use crate::device::Validated;
+use decouplegs::render::twins::planes::{plane_sums, plane_words};
+use glam::Vec3;
 
 /// Unit roundoff of f32: what one operation may be off by, relative to its result.
 const ROUNDOFF: f64 = 1.0 / 16_777_216.0;
@@ -91,14 +93,28 @@ fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel]) 
         .iter()
         .map(|pixel| pixel.color.extend(pixel.transmittance).to_array())
         .collect();
-    let depths: Vec<_> = pixels.iter().map(|pixel| pixel.weighted_depth).collect();
-    let instances: Vec<_> = pixels
+    let planes: Vec<u32> = pixels
         .iter()
-        .map(|pixel| [pixel.best_weight.to_bits(), pixel.best_instance])
+        .flat_map(|pixel| plane_words(&pixel.planes))
         .collect();
     gpu.write(&partials.colors, 0, &colors).unwrap();
-    gpu.write(&partials.depths, 0, &depths).unwrap();
-    gpu.write(&partials.instances, 0, &instances).unwrap();
+    gpu.write(&partials.planes, 0, &planes).unwrap();
+}
+
+/// Results of segments as a kernel left them.
+fn read_partials(gpu: &Validated, partials: &PartialResults) -> Vec<Pixel> {
+    let colors = gpu.read(&partials.colors).unwrap();
+    let words = gpu.read(&partials.planes).unwrap();
+    let pixel = |(color, words): (&[f32; 4], &[u32])| Pixel {
+        color: Vec3::from_slice(color),
+        transmittance: color[3],
+        planes: plane_sums(words.try_into().expect("all planes were asked for")),
+    };
+    colors
+        .iter()
+        .zip(words.chunks_exact(3))
+        .map(pixel)
+        .collect()
 }
 
 /// Counts from the kernel, and the sizes of the dispatches after it.

@@ -57,7 +57,7 @@ fn a_ball_on_the_axis_is_a_gaussian_as_wide_as_it_projects() {
             (red - alpha).abs() < f64::from(ROUNDING)
                 && (blue - (alpha + 0.25 * (1.0 - alpha))).abs() < f64::from(ROUNDING)
         );
-        let depth_m = image.depth.as_ref().unwrap()[at];
+        let depth_m = image.depth().unwrap()[at];
         assert!(
             if alpha > 0.0 {
                 (depth_m - 4.0).abs() < 1e-4

@@ -127,7 +127,7 @@ fn colors_and_depths_are_means_of_what_is_there() {
             .rgb
             .iter()
             .zip(&image.alpha)
-            .zip(image.depth.iter().flatten())
+            .zip(image.depth().into_iter().flatten())
         {
             prop_assert!((0.0..=1.0).contains(&alpha));
             prop_assert!(

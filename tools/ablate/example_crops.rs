@@ -67,7 +67,7 @@ pub fn better(
 fn largest(truth: &[Image]) -> Option<(usize, usize, u16)> {
     let mut found: Option<(usize, usize, u16)> = None;
     for (view, image) in truth.iter().enumerate() {
-        let instances = image.instance.as_deref().unwrap_or(&[]);
+        let instances = image.instance().unwrap_or(&[]);
         let mut counts = std::collections::BTreeMap::<u16, usize>::new();
         instances
             .iter()
@@ -90,7 +90,7 @@ fn largest(truth: &[Image]) -> Option<(usize, usize, u16)> {
 
 fn window_about(image: &Image, car: u16) -> Option<Window> {
     let (width, height) = (image.width as usize, image.height as usize);
-    let instances = image.instance.as_deref()?;
+    let instances = image.instance()?;
     let places = || {
         instances
             .iter()
@@ -176,10 +176,11 @@ fn angle_deg(found: [f32; 3], truth: [f32; 3], floor: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use decouplegs::render::{Plane, PlaneMap, PlaneValues};
 
     fn image(instance: Vec<u16>) -> Image {
         Image {
-            instance: Some(instance),
+            planes: PlaneMap::from([(Plane::Instance, PlaneValues::U16(instance))]),
             ..Image::filled(8, 4, [0.5; 3])
         }
     }

@@ -3,7 +3,7 @@
 use anyhow::{Result, ensure};
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
-use decouplegs::render::{Agent, AssetPool, Image, Outputs, RenderOptions, Renderer, Scene};
+use decouplegs::render::{Agent, AssetPool, Image, Outputs, Plane, RenderOptions, Renderer, Scene};
 use decouplegs::scene::light::{ShadowOptions, bake_shadows};
 use decouplegs::scene::{Camera, ContactShadow, ShFrame, World};
 use decouplegs::synth::street::Weather;
@@ -180,7 +180,7 @@ impl Reinsertion<'_> {
     /// One that draws as exactly as can be.
     pub fn renderer(&self) -> Renderer {
         let outputs = Outputs {
-            instance: true,
+            planes: [Plane::Instance].into(),
             ..Outputs::default()
         };
         Renderer::new(
@@ -200,7 +200,14 @@ impl Reinsertion<'_> {
         let truth = renderer.read_images()?;
         let vehicles: Vec<Vec<bool>> = truth
             .iter()
-            .map(|image| image.instance.iter().flatten().map(|&id| id != 0).collect())
+            .map(|image| {
+                image
+                    .instance()
+                    .into_iter()
+                    .flatten()
+                    .map(|&id| id != 0)
+                    .collect()
+            })
             .collect();
         let ground = vehicles
             .iter()
@@ -277,7 +284,7 @@ impl Reinsertion<'_> {
             sample
                 .truth
                 .iter()
-                .flat_map(|image| image.instance.iter().flatten())
+                .flat_map(|image| image.instance().into_iter().flatten())
                 .any(|&id| id == instance)
         };
         let placed = &self.stage.loaded.agents;

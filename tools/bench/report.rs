@@ -139,11 +139,9 @@ fn outputs_text(outputs: &Value) -> String {
     } else {
         "f32"
     };
-    let beside = ["depth", "instance"]
-        .into_iter()
-        .filter(|output| outputs[*output] == true);
+    let planes = outputs["planes"].as_array().into_iter().flatten();
     std::iter::once(color)
-        .chain(beside)
+        .chain(planes.filter_map(Value::as_str))
         .collect::<Vec<_>>()
         .join(", ")
 }

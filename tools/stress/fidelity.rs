@@ -64,7 +64,7 @@ impl Fidelity {
 /// Sum of the squared errors of the channels of those pixels whose instance `counts`, and how many
 /// channels they are.
 fn errors(found: &Image, expected: &Image, counts: impl Fn(u16) -> bool) -> (f64, usize) {
-    let instances = expected.instance.as_deref().unwrap_or(&[]);
+    let instances = expected.instance().unwrap_or(&[]);
     let mut sum = (0.0, 0);
     for (at, (found, expected)) in found.rgb.iter().zip(&expected.rgb).enumerate() {
         if counts(instances.get(at).copied().unwrap_or(0)) {
@@ -87,6 +87,7 @@ fn psnr_db(errors: impl Iterator<Item = (f64, usize)>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use decouplegs::render::{Plane, PlaneMap, PlaneValues};
 
     #[test]
     fn vehicles_are_the_pixels_that_the_expected_image_says() {
@@ -94,7 +95,7 @@ mod tests {
         let mut instances = vec![0; 256];
         instances[..64].fill(3);
         let expected = Image {
-            instance: Some(instances),
+            planes: PlaneMap::from([(Plane::Instance, PlaneValues::U16(instances))]),
             ..gray(0.5)
         };
         let mut found = gray(0.5);

@@ -6,7 +6,7 @@ use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, GpuError};
 use decouplegs::render::layout::{CLUSTER_SPLATS, ClusterRecord};
 use decouplegs::render::{
-    ColorFormat, GpuScene, Image, Outputs, RenderError, RenderOptions, Renderer, sh_codec,
+    ColorFormat, GpuScene, Image, Outputs, Plane, RenderError, RenderOptions, Renderer, sh_codec,
 };
 use decouplegs::scene::{Camera, CodedCloud, World};
 
@@ -87,7 +87,7 @@ impl<'a> TestRig<'a> {
     /// the memory for them.
     pub fn vanilla_images(&mut self, count: usize) -> Result<Option<Vec<Image>>> {
         let outputs = Outputs {
-            instance: true,
+            planes: [Plane::Instance].into(),
             ..Outputs::default()
         };
         let options = RenderOptions {

@@ -1,7 +1,11 @@
 //! Outputs of a frame, and their buffers on the device.
 
+use std::ops::Range;
+
 use bytemuck::Pod;
 use decouplegs_gpu::{Bound, Buffer, Constant, Gpu, GpuError, MemoryKind};
+
+use crate::plane::{Plane, Planes};
 
 /// Purpose under which the memory of images is counted.
 pub const PURPOSE: &str = "images";
@@ -21,14 +25,11 @@ pub enum ColorFormat {
 pub struct Outputs {
     /// Storage format of color.
     pub color: ColorFormat,
-    /// Expected depth along z (or distance, where the order is radial), meters; 0 where nothing was
-    /// hit.
-    pub depth: bool,
-    /// Instance of the splat with the largest weight; 0 is the background.
-    pub instance: bool,
+    /// Planes beside color.
+    pub planes: Planes,
     /// The sum of each background splat's weights over all pixels
-    /// ([`crate::Renderer::read_contributions`]). Instances cannot be had beside it, and agents
-    /// take part as what hides the background.
+    /// ([`crate::Renderer::read_contributions`]). [`Plane::Instance`] cannot be had beside it, and
+    /// agents take part as what hides the background.
     pub contributions: bool,
     /// True if another API on the device may import the images
     /// ([`crate::Renderer::take_images`]).
@@ -36,12 +37,16 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    pub(crate) fn constants(&self) -> [(&'static str, Constant); 3] {
-        [
-            ("COLOR_U8", Constant::Bool(self.color == ColorFormat::U8)),
-            ("DEPTH", Constant::Bool(self.depth)),
-            ("INSTANCE", Constant::Bool(self.instance)),
-        ]
+    pub(crate) fn constants(&self) -> impl Iterator<Item = (&'static str, Constant)> {
+        let planes = self.planes;
+        let color = ("COLOR_U8", Constant::Bool(self.color == ColorFormat::U8));
+        let plane = move |plane: Plane| (plane.constant(), Constant::Bool(planes.contains(plane)));
+        std::iter::once(color).chain(Plane::ALL.into_iter().map(plane))
+    }
+
+    /// Words per pixel of the planes in the partial result of a segment.
+    pub(crate) fn partial_plane_words(&self) -> usize {
+        self.planes.iter().map(Plane::partial_words).sum()
     }
 }
 
@@ -53,13 +58,12 @@ pub struct OutputBuffers {
     pub images_f32: Buffer<[f32; 4]>,
     /// The same in four bytes, red lowest.
     pub images_u8: Buffer<u32>,
-    /// Expected depth, meters.
-    pub depths_m: Buffer<f32>,
-    /// Instance of the splat with the largest weight.
-    pub instance_ids: Buffer<u32>,
+    /// The planes that were asked for, one after the other: see [`Self::plane_words`].
+    pub planes: Buffer<u32>,
     /// Sum of the weights of each background splat over all pixels, in steps of 1 /
     /// [`Self::contribution_scale`].
     pub contributions: Buffer<u32>,
+    asked: Planes,
     pixels: usize,
 }
 
@@ -79,16 +83,21 @@ impl OutputBuffers {
             outputs.color == ColorFormat::U8,
         );
         Ok(Self {
-            images_f32: image(gpu, "images_f32", f32, pixels, outputs)?,
-            images_u8: image(gpu, "images_u8", u8, pixels, outputs)?,
-            depths_m: image(gpu, "depths_m", outputs.depth, pixels, outputs)?,
-            instance_ids: image(gpu, "instance_ids", outputs.instance, pixels, outputs)?,
+            images_f32: image(gpu, "images_f32", if f32 { pixels } else { 0 }, outputs)?,
+            images_u8: image(gpu, "images_u8", if u8 { pixels } else { 0 }, outputs)?,
+            planes: image(
+                gpu,
+                "planes",
+                outputs.planes.iter().count() * pixels,
+                outputs,
+            )?,
             contributions: gpu.buffer(
                 "contributions",
                 PURPOSE,
                 if outputs.contributions { splats } else { 0 },
                 MemoryKind::Device,
             )?,
+            asked: outputs.planes,
             pixels,
         })
     }
@@ -99,25 +108,35 @@ impl OutputBuffers {
         (2147483648.0 / self.pixels.max(1) as f64).min(65_536.0) as f32
     }
 
-    pub(crate) fn bindings(&self) -> [(&'static str, Bound<'_>); 4] {
+    /// Place of `plane` in [`Self::planes`], words; `None` where it was not asked for.
+    #[must_use]
+    pub fn plane_words(&self, plane: Plane) -> Option<Range<usize>> {
+        let index = self.asked.iter().position(|asked| asked == plane)?;
+        Some(index * self.pixels..(index + 1) * self.pixels)
+    }
+
+    /// Pixels of all images together.
+    #[must_use]
+    pub fn pixels(&self) -> usize {
+        self.pixels
+    }
+
+    pub(crate) fn bindings(&self) -> [(&'static str, Bound<'_>); 3] {
         [
             ("images_f32", self.images_f32.binding()),
             ("images_u8", self.images_u8.binding()),
-            ("depths_m", self.depths_m.binding()),
-            ("instance_ids", self.instance_ids.binding()),
+            ("planes", self.planes.binding()),
         ]
     }
 }
 
-/// A buffer for a value of each pixel, of length 0 where it is not asked for.
+/// A buffer of `len` values that another API may import if `outputs` says so.
 fn image<T: Pod>(
     gpu: &Gpu,
     name: &'static str,
-    asked: bool,
-    pixels: usize,
+    len: usize,
     outputs: &Outputs,
 ) -> Result<Buffer<T>, GpuError> {
-    let len = if asked { pixels } else { 0 };
     gpu.buffer(
         name,
         PURPOSE,

@@ -1,5 +1,6 @@
 //! Images from the device to the host.
 
+use crate::plane::PlaneValues;
 use crate::rendered_image::Image;
 use crate::{RenderError, Renderer};
 
@@ -31,15 +32,11 @@ impl Renderer {
                     .collect()
             }
         };
-        let depths = if self.options().outputs.depth {
-            Some(self.gpu().read(&buffers.depths_m)?)
+        let outputs = self.options().outputs;
+        let words: Vec<u32> = if outputs.planes.is_empty() {
+            Vec::new()
         } else {
-            None
-        };
-        let instances = if self.options().outputs.instance {
-            Some(self.gpu().read(&buffers.instance_ids)?)
-        } else {
-            None
+            self.gpu().read(&buffers.planes)?
         };
         let images = view.cameras.iter().map(|camera| {
             let range = camera.first_pixel as usize..camera.first_pixel as usize + camera.pixels();
@@ -51,10 +48,12 @@ impl Renderer {
                     .map(|pixel| [pixel[0], pixel[1], pixel[2]])
                     .collect(),
                 alpha: pixels[range.clone()].iter().map(|pixel| pixel[3]).collect(),
-                depth: depths.as_ref().map(|depths| depths[range.clone()].to_vec()),
-                instance: instances
-                    .as_ref()
-                    .map(|ids| ids[range.clone()].iter().map(|&id| id as u16).collect()),
+                planes: (outputs.planes.iter())
+                    .filter_map(|plane| {
+                        let own = &words[buffers.plane_words(plane)?][range.clone()];
+                        Some((plane, PlaneValues::new(plane, own)))
+                    })
+                    .collect(),
             }
         });
         Ok(images.collect())

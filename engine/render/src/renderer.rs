@@ -6,7 +6,6 @@ use std::time::Instant;
 use decouplegs_gpu::{Buffer, Gpu, QueueRole, Ticket};
 use decouplegs_scene::{Camera, DepthOrder, World};
 
-use crate::RenderError;
 use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::frame::{FrameInput, record_agents, record_frame};
@@ -19,6 +18,7 @@ use crate::resident::GpuScene;
 use crate::slot::{FrameInFlight, Pending};
 use crate::stages::{AgentCounts, ProjectVariant};
 use crate::taken::SharedShelf;
+use crate::{Plane, RenderError};
 
 /// Splats an index can name with room for a camera beside it.
 const SPLATS_MAX: usize = 1 << 27;
@@ -162,7 +162,8 @@ impl Renderer {
         let variant = FrameVariant {
             background: ProjectVariant {
                 sh_degree: scene.world.sh_degree.min(options.sh_degree_max),
-                instances: scene.world.has_instances && options.outputs.instance,
+                instances: scene.world.has_instances
+                    && options.outputs.planes.contains(Plane::Instance),
                 splat_ids: options.outputs.contributions,
                 shadows: !scene.shadows.is_empty(),
                 shadows_by_camera: scene.shadow_cameras.is_some(),

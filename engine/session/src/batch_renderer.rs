@@ -33,7 +33,7 @@ pub struct BatchRenderer {
     submissions: VecDeque<usize>,
     /// The frames of all submissions that are not finished, oldest first.
     frames: VecDeque<QueuedFrame>,
-    /// How many of the first `frames` are on the device.
+    /// Number of the first `frames` that are on the device.
     in_flight: usize,
 }
 
@@ -129,10 +129,10 @@ impl BatchRenderer {
     }
 
     /// Submits the frames that draw `views`, and returns without waiting for them. One frame draws
-    /// up to 32 cameras of worlds over the same scene that follow one another. As many frames are on
-    /// the device at a time as [`decouplegs_render::RenderOptions::frames_in_flight`] allows; later
-    /// ones follow while [`BatchRenderer::finish`] collects images. The worlds may move on at once.
-    /// It may be called again before `finish`: submissions are finished in their order.
+    /// up to 32 cameras of worlds over the same scene that follow one another. As many frames are
+    /// on the device at a time as [`decouplegs_render::RenderOptions::frames_in_flight`] allows;
+    /// later ones follow while [`BatchRenderer::finish`] collects images. The worlds may move on at
+    /// once. It may be called again before `finish`: submissions are finished in their order.
     ///
     /// # Errors
     /// Returns an error if a camera or agent cannot make an image, a view has no camera or shows a

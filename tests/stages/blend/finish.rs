@@ -7,6 +7,7 @@ use glam::Vec3;
 
 use super::{Blended, Case, open};
 use crate::stages::Random;
+use decouplegs::render::twins::planes::PlaneSums;
 
 /// Pixels before the segments of `case`: two of three are to be finished there, some of them almost
 /// full.
@@ -22,9 +23,11 @@ fn before(case: &Case) -> Blended {
             } else {
                 -transmittance
             },
-            weighted_depth: alpha * random.between(0.5, 100.0),
-            best_weight: alpha * random.between(0.1, 1.0),
-            best_instance: random.below(3),
+            planes: PlaneSums {
+                weighted_depth: alpha * random.between(0.5, 100.0),
+                best_weight: alpha * random.between(0.1, 1.0),
+                best_instance: random.below(3),
+            },
         }
     };
     (0..case.slots())

@@ -59,8 +59,9 @@ impl PixelBounds {
         };
         if let Some(before) = before {
             run.transmittance = f64::from(before.transmittance.abs());
-            run.depth_before = f64::from(before.weighted_depth);
-            run.bounds.best_weights[before.best_instance as usize] = f64::from(before.best_weight);
+            run.depth_before = f64::from(before.planes.weighted_depth);
+            run.bounds.best_weights[before.planes.best_instance as usize] =
+                f64::from(before.planes.best_weight);
         }
         // Where a pixel is full, an implementation that stops inclusively may leave out all that
         // follows.

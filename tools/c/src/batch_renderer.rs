@@ -4,7 +4,7 @@ use std::ffi::c_void;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Instant;
 
-use decouplegs::render::{ColorFormat, FrameStatistics, Image, Outputs};
+use decouplegs::render::{ColorFormat, FrameStatistics, Image, Outputs, PlaneMap, PlaneValues};
 use decouplegs::scene::Camera;
 use decouplegs::session::{BatchRenderer, HostImages, Session, SessionError, WorldView};
 
@@ -48,19 +48,18 @@ enum Drawn {
     /// Images in [`Drawing::bytes`].
     Bytes,
     /// `[view][camera]`
-    Planes(Vec<Vec<Planes>>),
+    Images(Vec<Vec<CameraImages>>),
 }
 
 /// One camera's images, those that the session has.
-struct Planes {
+struct CameraImages {
     size_px: [u32; 2],
     rgba_u8: Vec<[u8; 4]>,
     rgba_f32: Vec<[f32; 4]>,
-    depth: Option<Vec<f32>>,
-    instance: Option<Vec<u16>>,
+    planes: PlaneMap,
 }
 
-impl Planes {
+impl CameraImages {
     fn new(image: Image, color: ColorFormat) -> Self {
         let pixels = || {
             image
@@ -80,8 +79,7 @@ impl Planes {
             size_px,
             rgba_u8,
             rgba_f32,
-            depth: image.depth,
-            instance: image.instance,
+            planes: image.planes,
         }
     }
 }
@@ -214,25 +212,20 @@ impl Seen {
 impl Drawing {
     fn draw(&mut self, views: &[WorldView<'_>]) -> Result<(), SessionError> {
         let begun = Instant::now();
-        let Outputs {
-            color,
-            depth,
-            instance,
-            ..
-        } = self.renderer.options().outputs;
-        let frames = if color == ColorFormat::U8 && !depth && !instance {
+        let Outputs { color, planes, .. } = self.renderer.options().outputs;
+        let frames = if color == ColorFormat::U8 && planes.is_empty() {
             let frames = self.renderer.draw(views, &mut self.bytes)?;
             self.drawn = Drawn::Bytes;
             frames
         } else {
             let (images, frames) = self.renderer.draw_images(views)?;
-            let planes = |cameras: Vec<Image>| {
+            let converted = |cameras: Vec<Image>| {
+                let cameras = cameras.into_iter();
                 cameras
-                    .into_iter()
-                    .map(|image| Planes::new(image, color))
+                    .map(|image| CameraImages::new(image, color))
                     .collect()
             };
-            self.drawn = Drawn::Planes(images.into_iter().map(planes).collect());
+            self.drawn = Drawn::Images(images.into_iter().map(converted).collect());
             frames
         };
         self.statistics = summed(&frames);
@@ -256,23 +249,23 @@ impl Drawing {
                     (kind == DgsImageKind::RgbaU8 as u32).then(|| self.bytes.rgba(view, camera));
                 image(kind, self.bytes.size_px(view, camera), bytes)
             }
-            Drawn::Planes(views) => {
-                let planes = views
+            Drawn::Images(views) => {
+                let images = views
                     .get(view)
                     .and_then(|cameras| cameras.get(camera))
                     .ok_or_else(|| no_camera(view, camera))?;
-                let size_px = planes.size_px;
-                match kind {
-                    kind if kind == DgsImageKind::RgbaU8 as u32 => {
-                        image(kind, size_px, of_some(&planes.rgba_u8))
+                let size_px = images.size_px;
+                let plane = DgsImageKind::plane(kind).and_then(|plane| images.planes.get(&plane));
+                match plane {
+                    Some(PlaneValues::F32(values)) => image(kind, size_px, Some(values)),
+                    Some(PlaneValues::U16(values)) => image(kind, size_px, Some(values)),
+                    None if kind == DgsImageKind::RgbaU8 as u32 => {
+                        image(kind, size_px, of_some(&images.rgba_u8))
                     }
-                    kind if kind == DgsImageKind::RgbaF32 as u32 => {
-                        image(kind, size_px, of_some(&planes.rgba_f32))
+                    None if kind == DgsImageKind::RgbaF32 as u32 => {
+                        image(kind, size_px, of_some(&images.rgba_f32))
                     }
-                    kind if kind == DgsImageKind::DepthF32 as u32 => {
-                        image(kind, size_px, planes.depth.as_deref())
-                    }
-                    kind => image(kind, size_px, planes.instance.as_deref()),
+                    None => image::<u8>(kind, size_px, None),
                 }
             }
         }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use decouplegs::gpu::{DeviceChoice, Gpu};
-use decouplegs::render::ColorFormat;
+use decouplegs::render::{ColorFormat, Plane};
 use decouplegs::session::{Session, SessionOptions};
 
 use crate::arguments::{give_growing, growing, out, out_handle, text};
@@ -96,8 +96,14 @@ unsafe fn session_options(options: *const DgsSessionOptions) -> Result<SessionOp
             )));
         }
     };
-    session.render.outputs.depth = flag("depth", options.depth)?;
-    session.render.outputs.instance = flag("instance", options.instance)?;
+    let asked = [
+        (Plane::Depth, flag("depth", options.depth)?),
+        (Plane::Instance, flag("instance", options.instance)?),
+    ];
+    let planes = asked
+        .into_iter()
+        .filter_map(|(plane, asked)| asked.then_some(plane));
+    session.render.outputs.planes = planes.collect();
     if !options.device.is_null() {
         // SAFETY: as the header asks of all pointers.
         let Ok(choice) = unsafe { text("device", options.device) }?.parse::<DeviceChoice>();

@@ -8,6 +8,7 @@ use glam::{DQuat, DVec3};
 
 use crate::status::{DgsStatus, Failure};
 use crate::world::DgsWorld;
+use decouplegs::render::Plane;
 
 /// Rotations are of length 1 up to so much; beyond, something else was meant.
 const ROTATION_LENGTH_SPARE: f64 = 1e-3;
@@ -185,6 +186,18 @@ pub enum DgsImageKind {
     /// uint16_t: the agent that weighs most, by its `instance`; 0 is the background. Sessions with
     /// `instance`.
     InstanceU16 = 3,
+}
+
+impl DgsImageKind {
+    /// The plane whose kind is `kind`.
+    pub(crate) fn plane(kind: u32) -> Option<Plane> {
+        let kind_of = |plane: &Plane| match plane {
+            Plane::Depth => Self::DepthF32,
+            Plane::Instance => Self::InstanceU16,
+        };
+        let is_kind = |plane: &Plane| kind_of(plane) as u32 == kind;
+        Plane::ALL.into_iter().find(is_kind)
+    }
 }
 
 /// An image in the library's memory: rows from the top, pixels from the left.

@@ -6,6 +6,7 @@ use numpy::{
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 
+use crate::capsule::DataType;
 use crate::error::value_error;
 
 /// Numbers of some type.
@@ -13,6 +14,18 @@ pub enum Values {
     U8(Vec<u8>),
     F32(Vec<f32>),
     I32(Vec<i32>),
+}
+
+impl Values {
+    /// Type of the numbers, as DLPack knows it, and the address of the first.
+    pub fn tensor(&self) -> (DataType, u64) {
+        let (data_type, address) = match self {
+            Self::U8(values) => (DataType::U8, values.as_ptr().expose_provenance()),
+            Self::F32(values) => (DataType::F32, values.as_ptr().expose_provenance()),
+            Self::I32(values) => (DataType::I32, values.as_ptr().expose_provenance()),
+        };
+        (data_type, address as u64)
+    }
 }
 
 /// `values` as an array of `shape`, without a copy.

@@ -8,7 +8,7 @@ use decouplegs_sharing::{Cuda, InteropError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
-use crate::array::{Values, to_numpy};
+use crate::array::to_numpy;
 use crate::camera::Camera;
 use crate::drawing::{Layers, Views, draw};
 use crate::error::{of_interop, of_session, value_error};
@@ -185,11 +185,8 @@ impl BatchRenderer {
                 "color",
                 to_numpy(py, layers.color, &[cameras, rows, columns, 4])?,
             )?;
-            if let Some(depth) = layers.depth {
-                dict.set_item("depth", to_numpy(py, Values::F32(depth), &shape)?)?;
-            }
-            if let Some(instance) = layers.instance {
-                dict.set_item("instance", to_numpy(py, Values::I32(instance), &shape)?)?;
+            for (plane, values) in layers.planes {
+                dict.set_item(plane.name(), to_numpy(py, values, &shape)?)?;
             }
             Ok(dict)
         };

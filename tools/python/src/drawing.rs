@@ -1,6 +1,8 @@
 //! Drawing to the host: images of a call, gathered as arrays want them.
 
-use decouplegs::render::{ColorFormat, FrameStatistics, Image, Outputs};
+use decouplegs::render::{
+    ColorFormat, FrameStatistics, Image, Outputs, Plane, PlaneType, PlaneValues,
+};
 use decouplegs::scene::Camera;
 use decouplegs::session::{BatchRenderer, HostImages, SessionError, World, WorldView};
 
@@ -36,10 +38,8 @@ impl Views {
 pub struct Layers {
     /// Four values per pixel.
     pub color: Values,
-    /// Meters.
-    pub depth: Option<Vec<f32>>,
-    /// Instance ids.
-    pub instance: Option<Vec<i32>>,
+    /// The planes that the session has.
+    pub planes: Vec<(Plane, Values)>,
 }
 
 /// Draws `views` and returns, for each of `groups`, its images.
@@ -50,7 +50,7 @@ pub fn draw(
     bytes: &mut HostImages,
 ) -> Result<(Vec<Layers>, Vec<FrameStatistics>), SessionError> {
     let outputs = renderer.options().outputs;
-    if outputs.color == ColorFormat::U8 && !outputs.depth && !outputs.instance {
+    if outputs.color == ColorFormat::U8 && outputs.planes.is_empty() {
         let statistics = renderer.draw(&views.borrowed(), bytes)?;
         let gather = |group: &Vec<(usize, usize)>| {
             let images: Vec<&[u8]> = group
@@ -59,8 +59,7 @@ pub fn draw(
                 .collect();
             Layers {
                 color: Values::U8(images.concat()),
-                depth: None,
-                instance: None,
+                planes: Vec::new(),
             }
         };
         return Ok((groups.iter().map(gather).collect(), statistics));
@@ -96,21 +95,37 @@ fn gathered(images: &[&Image], outputs: &Outputs) -> Layers {
             )
         }
     };
-    let depths = || {
-        images
-            .iter()
-            .flat_map(|image| image.depth.iter().flatten().copied())
-            .collect()
-    };
-    let instances = || {
-        images
-            .iter()
-            .flat_map(|image| image.instance.iter().flatten().map(|&id| i32::from(id)))
-            .collect()
-    };
+    let planes = outputs.planes.iter();
     Layers {
         color,
-        depth: outputs.depth.then(depths),
-        instance: outputs.instance.then(instances),
+        planes: planes
+            .map(|plane| (plane, plane_of_all(images, plane)))
+            .collect(),
+    }
+}
+
+/// Values of `plane` of all `images`, one after the other. NumPy and DLPack share no unsigned type
+/// of 16 bits with every consumer: such values are int32.
+fn plane_of_all(images: &[&Image], plane: Plane) -> Values {
+    let values = images.iter().filter_map(|image| image.planes.get(&plane));
+    match plane.value_type() {
+        PlaneType::F32 => Values::F32(
+            values
+                .flat_map(|values| match values {
+                    PlaneValues::F32(values) => values.as_slice(),
+                    PlaneValues::U16(_) => &[],
+                })
+                .copied()
+                .collect(),
+        ),
+        PlaneType::U16 => Values::I32(
+            values
+                .flat_map(|values| match values {
+                    PlaneValues::U16(values) => values.as_slice(),
+                    PlaneValues::F32(_) => &[],
+                })
+                .map(|&value| i32::from(value))
+                .collect(),
+        ),
     }
 }

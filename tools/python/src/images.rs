@@ -3,11 +3,11 @@
 use std::any::Any;
 use std::sync::Arc;
 
+use decouplegs::render::{Plane, PlaneType};
 use decouplegs_sharing::Stream;
 use pyo3::exceptions::{PyBufferError, PyIndexError};
 use pyo3::prelude::*;
 
-use crate::array::Values;
 use crate::capsule::{DataType, Description, Device};
 use crate::drawing::Layers;
 use crate::error::{of_interop, value_error};
@@ -59,22 +59,14 @@ impl Frame {
             place
         };
         let places = sizes_px.iter().map(place).collect();
-        let (color, address) = match &layers.color {
-            Values::U8(values) => (DataType::U8, values.as_ptr().expose_provenance()),
-            Values::F32(values) => (DataType::F32, values.as_ptr().expose_provenance()),
-            Values::I32(values) => (DataType::I32, values.as_ptr().expose_provenance()),
+        let (color, address) = layers.color.tensor();
+        let mut addresses = Addresses {
+            color: address,
+            ..Addresses::default()
         };
-        let addresses = Addresses {
-            color: address as u64,
-            depth: layers
-                .depth
-                .as_ref()
-                .map_or(0, |depth| depth.as_ptr().expose_provenance() as u64),
-            instance: layers
-                .instance
-                .as_ref()
-                .map_or(0, |ids| ids.as_ptr().expose_provenance() as u64),
-        };
+        for (plane, values) in &layers.planes {
+            addresses.planes[*plane as usize] = values.tensor().1;
+        }
         Self {
             holder: Holder::Host(Arc::new(layers)),
             addresses,
@@ -97,13 +89,20 @@ impl Frame {
                     .to_owned(),
             ));
         }
-        let (address, dtype, channels) = match layer {
-            "color" => (self.addresses.color, self.color, Some(4)),
-            "depth" => (self.addresses.depth, DataType::F32, None),
-            "instance" => (self.addresses.instance, DataType::I32, None),
-            _ => {
+        let (address, dtype, channels) = match (layer, Plane::by_name(layer)) {
+            ("color", _) => (self.addresses.color, self.color, Some(4)),
+            (_, Some(plane)) => {
+                let dtype = match plane.value_type() {
+                    PlaneType::F32 => DataType::F32,
+                    PlaneType::U16 => DataType::I32,
+                };
+                (self.addresses.planes[plane as usize], dtype, None)
+            }
+            (_, None) => {
+                let names = Plane::ALL.map(|plane| format!("{:?}", plane.name()));
                 return Err(value_error(format!(
-                    "layer: expected \"color\", \"depth\" or \"instance\", found {layer:?}"
+                    "layer: expected \"color\" or {}, found {layer:?}",
+                    names.join(" or ")
                 )));
             }
         };

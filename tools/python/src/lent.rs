@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use decouplegs::gpu::{Buffer, QueueRole};
-use decouplegs::render::TakenImages;
+use decouplegs::render::{Plane, TakenImages};
 use decouplegs::session::Session;
 use decouplegs_sharing::{Cuda, Exported, Handed, Interop, InteropError, Lender, Loan, Shared};
 
@@ -50,8 +50,8 @@ pub fn lender(session: &Session, cuda: &Arc<Cuda>) -> Result<Arc<CudaLender>, In
 #[derive(Clone, Copy, Default)]
 pub struct Addresses {
     pub color: u64,
-    pub depth: u64,
-    pub instance: u64,
+    /// By plane.
+    pub planes: [u64; Plane::ALL.len()],
 }
 
 /// Imports what of `loan` was asked for.
@@ -62,10 +62,14 @@ pub fn addresses(lender: &CudaLender, loan: &CudaLoan) -> Result<Addresses, Inte
     } else {
         address(lender, &buffers.images_u8)?
     };
+    let first = address(lender, &buffers.planes)?;
+    let of_plane = |plane: Plane| {
+        let words = buffers.plane_words(plane);
+        words.map_or(0, |words| first + 4 * words.start as u64)
+    };
     Ok(Addresses {
         color,
-        depth: address(lender, &buffers.depths_m)?,
-        instance: address(lender, &buffers.instance_ids)?,
+        planes: Plane::ALL.map(of_plane),
     })
 }
 

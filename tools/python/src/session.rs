@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use decouplegs::gpu::{DeviceChoice, DeviceOptions, Gpu};
-use decouplegs::render::{ColorFormat, Outputs, RenderOptions};
+use decouplegs::render::{ColorFormat, Outputs, Plane, RenderOptions};
 use decouplegs::scene::Rules;
 use decouplegs::session::{Session as EngineSession, SessionOptions};
 use decouplegs_sharing::Cuda;
@@ -115,10 +115,11 @@ impl Session {
             device,
             ..SessionOptions::default()
         };
+        let asked = [(Plane::Depth, depth), (Plane::Instance, instance)].into_iter();
+        let planes = asked.filter_map(|(plane, asked)| asked.then_some(plane));
         let outputs = Outputs {
             color,
-            depth,
-            instance,
+            planes: planes.collect(),
             ..Outputs::default()
         };
         options.rules = rules.map(rules_of).transpose()?;

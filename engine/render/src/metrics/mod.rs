@@ -121,7 +121,7 @@ fn check_sizes(a: &Image, b: &Image) -> Result<(), DifferenceError> {
 }
 
 fn check_finite(which: &'static str, image: &Image) -> Result<(), DifferenceError> {
-    let depth = image.depth.iter().flatten().enumerate();
+    let depth = image.depth().into_iter().flatten().enumerate();
     let mut faults = (image
         .rgb
         .iter()

@@ -1,4 +1,5 @@
 use super::*;
+use crate::{Plane, PlaneValues};
 
 /// Two images of 53 by 37 pixels: waves, and the same with a ripple and a patch of another color.
 fn waves_and_ripple() -> (Image, Image) {
@@ -155,11 +156,9 @@ fn a_value_that_is_not_a_number_has_no_score() {
         |p| p.rgb[54][0] = f32::INFINITY,
         |p| p.alpha[54] = f32::NAN,
         |p| {
-            p.depth = Some(
-                (0..p.alpha.len())
-                    .map(|at| if at == 54 { f32::NEG_INFINITY } else { 1.0 })
-                    .collect(),
-            );
+            let depth = |at| if at == 54 { f32::NEG_INFINITY } else { 1.0 };
+            let depths = (0..p.alpha.len()).map(depth).collect();
+            p.planes.insert(Plane::Depth, PlaneValues::F32(depths));
         },
     ];
     for change in hostile {

@@ -19,6 +19,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use crate::rendered_image::Image;
+use crate::{Plane, PlaneMap, PlaneValues};
 use blend::{Pixel64, Splat64};
 use project::View;
 
@@ -57,8 +58,13 @@ impl Image64 {
                 .map(|rgb| rgb.map(|value| value as f32))
                 .collect(),
             alpha: self.alpha.iter().map(|&alpha| alpha as f32).collect(),
-            depth: Some(self.depth.iter().map(|&depth| depth as f32).collect()),
-            instance: Some(self.instance.clone()),
+            planes: PlaneMap::from([
+                (
+                    Plane::Depth,
+                    PlaneValues::F32(self.depth.iter().map(|&depth| depth as f32).collect()),
+                ),
+                (Plane::Instance, PlaneValues::U16(self.instance.clone())),
+            ]),
         }
     }
 }

@@ -6,6 +6,7 @@ use exr::meta::{BlockDescription, MetaData};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use super::{DECODER_BYTES_MAX, Image, ImageError, ImageFileFormat, PIXELS_MAX};
+use crate::PlaneMap;
 
 /// Most bytes that one byte of a deflated stream can stand for.
 const DEFLATE_RATIO_MAX: u64 = 1032;
@@ -59,8 +60,7 @@ pub fn decode(format: ImageFileFormat, bytes: &[u8]) -> Result<Image, ImageError
             .map(|pixel| [pixel[0], pixel[1], pixel[2]])
             .collect(),
         alpha: image.pixels().map(|pixel| pixel[3]).collect(),
-        depth: None,
-        instance: None,
+        planes: PlaneMap::new(),
     })
 }
 

@@ -11,6 +11,8 @@ pub use sheet::contact_sheet;
 
 use std::path::{Path, PathBuf};
 
+use crate::plane::{Plane, PlaneMap, PlaneValues};
+
 /// Most pixels a file may hold, 8192 x 8192: 1 GiB of RGBA in f32.
 const PIXELS_MAX: u64 = 1 << 26;
 /// Most bytes that a decoder may take: 64 bits for each pixel, and as much for what it works with.
@@ -27,14 +29,11 @@ pub struct Image {
     pub rgb: Vec<[f32; 3]>,
     /// 1 - the transmittance left for the sky.
     pub alpha: Vec<f32>,
-    /// Expected depth, meters: camera-space z, or distance where the order is radial; 0 where
-    /// nothing was blended. `None` where it was not asked for.
-    pub depth: Option<Vec<f32>>,
-    /// Instance with the largest weight, 0 the background; `None` where it was not asked for.
-    pub instance: Option<Vec<u16>>,
+    /// The planes that were asked for.
+    pub planes: PlaneMap,
 }
 
-/// The files an image can be kept in. None of them holds depth or instances.
+/// The files an image can be kept in. None of them holds planes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageFileFormat {
     /// RGB, 8 bits: clamped to 0 to 1 and rounded to nearest. No alpha.
@@ -127,7 +126,7 @@ impl std::fmt::Display for ImageFileFormat {
 }
 
 impl Image {
-    /// An image of one opaque color, without depth and instances.
+    /// An image of one opaque color, without planes.
     #[must_use]
     pub fn filled(width: u32, height: u32, rgb: [f32; 3]) -> Self {
         let count = width as usize * height as usize;
@@ -136,8 +135,7 @@ impl Image {
             height,
             rgb: vec![rgb; count],
             alpha: vec![1.0; count],
-            depth: None,
-            instance: None,
+            planes: PlaneMap::new(),
         }
     }
 
@@ -201,27 +199,40 @@ impl Image {
         }
     }
 
-    /// The depth as a NumPy file: float32 `[height, width]`, meters, 0 where nothing was blended.
-    /// None where there is none.
+    /// [`Plane::Depth`], meters; `None` where it was not asked for.
     #[must_use]
-    pub fn encode_depth(&self) -> Option<Vec<u8>> {
-        let values = self
-            .depth
-            .as_ref()?
-            .iter()
-            .flat_map(|depth_m| depth_m.to_le_bytes());
-        Some(npy::encode_plane(self, "<f4", values))
+    pub fn depth(&self) -> Option<&[f32]> {
+        match self.planes.get(&Plane::Depth)? {
+            PlaneValues::F32(values) => Some(values),
+            PlaneValues::U16(_) => None,
+        }
     }
 
-    /// The instances as a NumPy file: uint16 `[height, width]`. None where there are none.
+    /// [`Plane::Instance`]; `None` where it was not asked for.
     #[must_use]
-    pub fn encode_instance(&self) -> Option<Vec<u8>> {
-        let values = self
-            .instance
-            .as_ref()?
-            .iter()
-            .flat_map(|instance| instance.to_le_bytes());
-        Some(npy::encode_plane(self, "<u2", values))
+    pub fn instance(&self) -> Option<&[u16]> {
+        match self.planes.get(&Plane::Instance)? {
+            PlaneValues::U16(values) => Some(values),
+            PlaneValues::F32(_) => None,
+        }
+    }
+
+    /// `plane` as a NumPy file: float32 or uint16 `[height, width]`. `None` where it was not asked
+    /// for.
+    #[must_use]
+    pub fn encode_plane(&self, plane: Plane) -> Option<Vec<u8>> {
+        Some(match self.planes.get(&plane)? {
+            PlaneValues::F32(values) => npy::encode_plane(
+                self,
+                "<f4",
+                values.iter().flat_map(|value| value.to_le_bytes()),
+            ),
+            PlaneValues::U16(values) => npy::encode_plane(
+                self,
+                "<u2",
+                values.iter().flat_map(|value| value.to_le_bytes()),
+            ),
+        })
     }
 
     /// RGBA of every pixel, interleaved: `[height, width, 4]`.

@@ -2,6 +2,7 @@
 //! or 4]`.
 
 use super::{Image, ImageError, ImageFileFormat, PIXELS_MAX};
+use crate::PlaneMap;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 
@@ -66,8 +67,7 @@ pub fn decode(bytes: &[u8]) -> Result<Image, ImageError> {
         alpha: pixels()
             .map(|pixel| if channels == 4 { value(pixel, 3) } else { 1.0 })
             .collect(),
-        depth: None,
-        instance: None,
+        planes: PlaneMap::new(),
     })
 }
 
@@ -162,6 +162,7 @@ fn first_words(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{Plane, PlaneValues};
 
     fn file(header: &str, data: &[u8]) -> Vec<u8> {
         [
@@ -194,13 +195,15 @@ mod tests {
     #[test]
     fn planes_have_two_dimensions_and_their_own_type() {
         let image = Image {
-            depth: Some(vec![1.5, 0.0]),
-            instance: Some(vec![0, 259]),
+            planes: PlaneMap::from([
+                (Plane::Depth, PlaneValues::F32(vec![1.5, 0.0])),
+                (Plane::Instance, PlaneValues::U16(vec![0, 259])),
+            ]),
             ..Image::filled(2, 1, [0.0; 3])
         };
         let (depth, instance) = (
-            image.encode_depth().unwrap(),
-            image.encode_instance().unwrap(),
+            image.encode_plane(Plane::Depth).unwrap(),
+            image.encode_plane(Plane::Instance).unwrap(),
         );
         assert!(
             depth[10..].starts_with(b"{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2), }")
@@ -210,7 +213,11 @@ mod tests {
             [1.5f32.to_le_bytes(), 0f32.to_le_bytes()].concat()
         );
         assert!(instance[10..].starts_with(b"{'descr': '<u2'") && instance[128..] == [0, 0, 3, 1]);
-        assert!(Image::filled(2, 1, [0.0; 3]).encode_depth().is_none());
+        assert!(
+            Image::filled(2, 1, [0.0; 3])
+                .encode_plane(Plane::Depth)
+                .is_none()
+        );
     }
 
     #[test]

@@ -7,16 +7,15 @@ use decouplegs_scene::{EarlyStop, Rules};
 use super::{FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, kernel, push_constants};
 use crate::layout::{COARSE_PIXELS, CameraRecord};
 use crate::output::{OutputBuffers, Outputs};
+use crate::plane::Plane;
 
 /// Partial accumulations of segments for composite: one per pixel, in the order of blend. Of length
 /// 0 where the output was not asked for.
 pub struct PartialResults {
     /// RGB and transmittance.
     pub colors: Buffer<[f32; 4]>,
-    /// Sum of weight times depth.
-    pub depths: Buffer<f32>,
-    /// Largest weight (bits of an f32) and its instance.
-    pub instances: Buffer<[u32; 2]>,
+    /// Sums of the planes, all words of a pixel together: see `planes.glsl`.
+    pub planes: Buffer<u32>,
     /// Bits of the largest transmittance by fine tile; zero before the frame.
     pub transmittances: Buffer<[u32; 32]>,
     /// Fine tiles with pixels that are to be finished, as bits; zero before the frame. Of length 0
@@ -36,19 +35,13 @@ impl PartialResults {
         outputs: &Outputs,
     ) -> Result<Self, GpuError> {
         let unfinished = if finishes(rules, outputs) { slots } else { 0 };
-        let pixels = |asked: bool| if asked { slots * COARSE_PIXELS } else { 0 };
+        let pixels = slots * COARSE_PIXELS;
         Ok(Self {
-            colors: gpu.buffer("partial_colors", PURPOSE, pixels(true), MemoryKind::Device)?,
-            depths: gpu.buffer(
-                "partial_depths",
+            colors: gpu.buffer("partial_colors", PURPOSE, pixels, MemoryKind::Device)?,
+            planes: gpu.buffer(
+                "partial_planes",
                 PURPOSE,
-                pixels(outputs.depth),
-                MemoryKind::Device,
-            )?,
-            instances: gpu.buffer(
-                "partial_instances",
-                PURPOSE,
-                pixels(outputs.instance),
+                pixels * outputs.partial_plane_words(),
                 MemoryKind::Device,
             )?,
             transmittances: gpu.buffer(
@@ -89,6 +82,7 @@ push_constants! {
         camera_count: u32,
         items_max: u32,
         contribution_scale: f32,
+        image_pixels: u32,
     }
 }
 
@@ -109,8 +103,8 @@ fn shared_bytes(batch: u32, extra_words: u32) -> u32 {
 
 /// Most records that blend can stage at a time with `shared_memory_bytes`.
 fn batch_records(shared_memory_bytes: u32, outputs: &Outputs) -> u32 {
-    let depths = u32::from(outputs.depth);
-    let instances = u32::from(outputs.instance || outputs.contributions);
+    let depths = u32::from(outputs.planes.contains(Plane::Depth));
+    let instances = u32::from(outputs.planes.contains(Plane::Instance) || outputs.contributions);
     let fits = |batch: &u32| shared_bytes(*batch, depths + instances) <= shared_memory_bytes;
     BATCHES.into_iter().find(fits).unwrap_or(BATCHES[4])
 }
@@ -132,12 +126,8 @@ impl Blend {
         pass: BlendPass,
         item_pairs_max: u32,
     ) -> Result<Self, GpuError> {
-        let [u8_color, depth, instance] = outputs.constants();
         let batch = batch_records(gpu.limits().shared_memory_bytes, outputs);
-        let constants = [
-            u8_color,
-            depth,
-            instance,
+        let own = [
             ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
             (
                 "EXCLUSIVE_STOP",
@@ -149,6 +139,7 @@ impl Blend {
             ("CONTRIBUTIONS", Constant::Bool(outputs.contributions)),
             ("FINISH", Constant::Bool(pass == BlendPass::Finish)),
         ];
+        let constants: Vec<_> = outputs.constants().chain(own).collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::BLEND, &constants)?,
         })
@@ -178,22 +169,21 @@ impl Blend {
             camera_count: camera_count as u32,
             items_max: plan.items.len() as u32,
             contribution_scale: images.contribution_scale(),
+            image_pixels: images.pixels() as u32,
         };
-        let [images_f32, images_u8, depths, instances] = images.bindings();
+        let [images_f32, images_u8, planes] = images.bindings();
         let buffers = [
             ("cameras", cameras.binding()),
             images_f32,
             images_u8,
-            depths,
-            instances,
+            planes,
             ("required", counters.required.binding()),
             ("items", plan.items.binding()),
             ("records", records.binding()),
             ("footprints", projected.footprints.binding()),
             ("colors", projected.colors.binding()),
             ("partial_colors", partials.colors.binding()),
-            ("partial_depths", partials.depths.binding()),
-            ("partial_instances", partials.instances.binding()),
+            ("partial_planes", partials.planes.binding()),
             ("partial_transmittances", partials.transmittances.binding()),
             ("partial_unfinished", partials.unfinished.binding()),
             ("contributions", images.contributions.binding()),
@@ -211,6 +201,7 @@ impl Blend {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plane::Planes;
 
     #[test]
     fn a_batch_fits_shared_memory() {
@@ -219,8 +210,7 @@ mod tests {
             ..Outputs::default()
         };
         let all = Outputs {
-            depth: true,
-            instance: true,
+            planes: Planes::ALL,
             ..plain
         };
         let batches =

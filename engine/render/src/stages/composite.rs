@@ -12,6 +12,7 @@ push_constants! {
     struct Push {
         sky: [f32; 3],
         camera_count: u32,
+        image_pixels: u32,
     }
 }
 
@@ -26,13 +27,12 @@ impl CompositeSegments {
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs) -> Result<Self, GpuError> {
-        let [u8_color, depth, instance] = outputs.constants();
         let stop = (
             "EXCLUSIVE_STOP",
             Constant::Bool(rules.stop == EarlyStop::Exclusive),
         );
         let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
-        let constants = [u8_color, depth, instance, stop, contributions];
+        let constants: Vec<_> = outputs.constants().chain([stop, contributions]).collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::COMPOSITE, &constants)?,
         })
@@ -57,19 +57,18 @@ impl CompositeSegments {
         let push = Push {
             sky,
             camera_count: camera_count as u32,
+            image_pixels: images.pixels() as u32,
         };
-        let [images_f32, images_u8, depths, instances] = images.bindings();
+        let [images_f32, images_u8, planes] = images.bindings();
         let buffers = [
             ("cameras", cameras.binding()),
             images_f32,
             images_u8,
-            depths,
-            instances,
+            planes,
             ("required", counters.required.binding()),
             ("composites", plan.composites.binding()),
             ("partial_colors", partials.colors.binding()),
-            ("partial_depths", partials.depths.binding()),
-            ("partial_instances", partials.instances.binding()),
+            ("partial_planes", partials.planes.binding()),
             ("partial_unfinished", partials.unfinished.binding()),
         ];
         let offset = IndirectArguments::Composite.byte_offset();

@@ -4,6 +4,7 @@ use super::footprint::{LOG2_255, center_of, log2_alpha};
 use super::output::{
     PIXEL_EMPTY, Pixel, TRANSMITTANCE_MIN, camera_of_bin, coarse_tile_origin, pixel_offset,
 };
+use super::planes::add_to_planes;
 use super::projection::rgb_of;
 use super::record::load_footprint;
 use crate::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL};
@@ -39,11 +40,7 @@ fn blend_pixel(
     let weight = pixel.transmittance * alpha;
     pixel.color += weight * rgb_of(color);
     pixel.transmittance -= weight;
-    pixel.weighted_depth += weight * high[2];
-    if weight > pixel.best_weight {
-        pixel.best_weight = weight;
-        pixel.best_instance = high[3].to_bits();
-    }
+    add_to_planes(&mut pixel.planes, weight, high[2], high[3].to_bits());
 }
 
 /// The pixels of the item's coarse tile, by their place in a partial result ([`pixel_offset`]).

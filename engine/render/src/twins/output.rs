@@ -5,6 +5,8 @@ pub use decouplegs_shaders::constants::{
 };
 use glam::Vec3;
 
+use super::planes::{PLANES_EMPTY, PlaneSums, planes_over, write_planes};
+use crate::Plane;
 use crate::layout::{COARSE_HEIGHT_PX, COARSE_PIXELS, COARSE_WIDTH_PX, CameraRecord};
 
 /// Position `[column, row]` in the coarse tile of the pixel at `place` of a partial result.
@@ -32,21 +34,15 @@ pub struct Pixel {
     pub color: Vec3,
     /// Transmittance that remains for splats behind.
     pub transmittance: f32,
-    /// Sum of weight times depth.
-    pub weighted_depth: f32,
-    /// Largest single weight so far.
-    pub best_weight: f32,
-    /// The instance it belongs to.
-    pub best_instance: u32,
+    /// Sums of the planes.
+    pub planes: PlaneSums,
 }
 
 /// A pixel that nothing was added to.
 pub const PIXEL_EMPTY: Pixel = Pixel {
     color: Vec3::ZERO,
     transmittance: 1.0,
-    weighted_depth: 0.0,
-    best_weight: 0.0,
-    best_instance: 0,
+    planes: PLANES_EMPTY,
 };
 
 /// The camera whose image coarse tile `bin` belongs to.
@@ -76,10 +72,32 @@ pub fn coarse_tile_origin(bin: u32, camera: &CameraRecord) -> [u32; 2] {
 pub struct Images {
     /// RGB over the sky, and alpha.
     pub images_f32: Vec<[f32; 4]>,
-    /// Expected depth, meters.
-    pub depths_m: Vec<f32>,
-    /// Instance of the splat with the largest weight.
-    pub instance_ids: Vec<u32>,
+    /// All planes, one after the other.
+    pub planes: Vec<u32>,
+}
+
+impl Images {
+    /// Images of `pixels` pixels, black; the words of all planes are `word`.
+    #[must_use]
+    pub fn filled(pixels: usize, word: u32) -> Self {
+        Self {
+            images_f32: vec![[0.0; 4]; pixels],
+            planes: vec![word; Plane::ALL.len() * pixels],
+        }
+    }
+
+    /// Expected depth at `place`, meters.
+    #[must_use]
+    pub fn depth_m(&self, place: usize) -> f32 {
+        f32::from_bits(self.plane(Plane::Depth)[place])
+    }
+
+    /// Words of `plane`, one per pixel.
+    #[must_use]
+    pub fn plane(&self, plane: Plane) -> &[u32] {
+        let pixels = self.images_f32.len();
+        &self.planes[plane as usize * pixels..][..pixels]
+    }
 }
 
 /// Writes a pixel of `camera`'s image, if it lies in it.
@@ -98,12 +116,8 @@ pub fn write_pixel(
     images.images_f32[place] = (pixel.color + pixel.transmittance * sky)
         .extend(alpha)
         .to_array();
-    images.depths_m[place] = if alpha > 0.0 {
-        pixel.weighted_depth / alpha
-    } else {
-        0.0
-    };
-    images.instance_ids[place] = pixel.best_instance;
+    let pixels = images.images_f32.len();
+    write_planes(&mut images.planes, place, pixels, alpha, &pixel.planes);
 }
 
 /// RGBA as four bytes, clamped and rounded, red lowest.
@@ -118,10 +132,6 @@ pub fn over(mut nearer: Pixel, farther: &Pixel) -> Pixel {
     let share = nearer.transmittance;
     nearer.color += share * farther.color;
     nearer.transmittance *= farther.transmittance;
-    nearer.weighted_depth += share * farther.weighted_depth;
-    if share * farther.best_weight > nearer.best_weight {
-        nearer.best_weight = share * farther.best_weight;
-        nearer.best_instance = farther.best_instance;
-    }
+    nearer.planes = planes_over(nearer.planes, share, &farther.planes);
     nearer
 }
