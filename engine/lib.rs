@@ -9,6 +9,10 @@
 //! the device; [`session`], the interface for other programs: many scenes, worlds and views on one
 //! device; [`episode`], the closed loop; and [`planner`], its planners.
 //!
+//! Most programs need only the names at the top of this crate: a [`Session`] opens a device and
+//! scenes on it, a [`World`] moves agents over a scene, and a [`BatchRenderer`] draws worlds for
+//! cameras.
+//!
 //! | module | content | depends on |
 //! |---|---|---|
 //! | [`scene`] | data types: splats, poses, cameras, lenses, rules, light, lane maps, episodes | - |
@@ -38,3 +42,8 @@ pub use decouplegs_session::{
 pub use decouplegs_sim::{episode, planner};
 pub use decouplegs_synth as synth;
 pub use decouplegs_train as train;
+pub use scene::{Camera, Intrinsics, Pose, Rig, Rules, Scenario, SplatCloud, Trajectory};
+pub use session::{
+    BatchRenderer, HostImages, Session, SessionError, SessionOptions, SessionScene, World,
+    WorldView,
+};

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{
-    LightTransferFile, Provenance, check_writable, probe_paths, read_bytes, read_probe,
-    read_splats, write_atomically, write_light_transfer,
+    LightTransferFile, Provenance, SplatFormat, check_writable, probe_paths, read_bytes,
+    read_probe, read_splats, write_atomically, write_light_transfer,
 };
 use decouplegs::scene::SplatCloud;
 use decouplegs::scene::light::{Probe, Surroundings};
@@ -30,9 +30,10 @@ use crate::progress;
 /// in light that the fit was not shown.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Assets in their own frame: meters, x forward, y left, z up (.ply, .splat, .spz, coded
-    /// .safetensors)
-    #[arg(required = true, value_name = "ASSET")]
+    #[arg(required = true, value_name = "ASSET", help = format!(
+        "Assets in their own frame: meters, x forward, y left, z up ({})",
+        SplatFormat::EXTENSIONS
+    ))]
     assets: Vec<PathBuf>,
     /// Folder of lat-long images of linear radiance (.exr, .hdr), top row up
     #[arg(long, value_name = "DIR")]
@@ -82,7 +83,7 @@ pub struct Subject {
     pub assets: Vec<(String, SplatCloud)>,
     /// Probes as they were read.
     pub probes: Vec<Probe>,
-    /// Options.
+    /// Options of the fit.
     pub options: CalibrateOptions,
 }
 

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{
-    CodedAsset, Provenance, check_writable, read_bytes, read_splats, write_coded,
+    CodedAsset, Provenance, SplatFormat, check_writable, read_bytes, read_splats, write_coded,
 };
 use decouplegs::scene::codebook::{COLORS_MAX, SHAPES_MAX};
 use decouplegs::scene::{ShFrame, SplatCloud};
@@ -35,8 +35,10 @@ use visibility::VIEW_PX_MAX;
 /// splats may, `inspect` describes it and `decompress` turns it back into plain splats.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Splats in the agent's own frame: meters, x forward, y left, z up (.ply, .splat, .spz, .sog,
-    /// .glb, .pt)
+    #[arg(help = format!(
+        "Splats in the agent's own frame: meters, x forward, y left, z up ({})",
+        SplatFormat::EXTENSIONS
+    ))]
     file: PathBuf,
     /// Compressed asset to write (.safetensors)
     #[arg(long, value_name = "FILE", value_parser = asset_path)]

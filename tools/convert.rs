@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::scene_import::{ImportOptions, ImportedScene, read_scene};
-use decouplegs::asset::{LossReport, khr_glb, read_bytes, read_splats, read_tracks};
+use decouplegs::asset::{LossReport, SplatFormat, khr_glb, read_bytes, read_splats, read_tracks};
 use decouplegs::scene::SplatCloud;
 
 use crate::arguments::print;
@@ -19,13 +19,15 @@ use report::Report;
 /// Convert splats from one format to another, or a checkpoint with actors to a scene, and report
 /// the loss
 ///
-/// Read are .ply (INRIA and PlayCanvas compressed), .spz, .splat, .sog (or its folder), .glb with
-/// KHR_gaussian_splatting, .pt of gsplat and .safetensors; written are .ply, .spz, .splat, .sog,
-/// .glb and .safetensors. What was written is read back and compared, splat by splat. A checkpoint
-/// of drivestudio (OmniRe) or Street Gaussians becomes a folder with a scene file.
+/// The formats that are written are listed under --to. What was written is read back and compared,
+/// splat by splat. A checkpoint of drivestudio (OmniRe) or Street Gaussians becomes a folder with a
+/// scene file.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Input to convert
+    #[arg(help = format!(
+        "Splats ({}), the folder of an unpacked .sog, or a checkpoint with actors",
+        SplatFormat::EXTENSIONS
+    ))]
     input: PathBuf,
     /// File to write, in the format of its extension, or folder for a scene
     output: PathBuf,

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use decouplegs::asset::{
-    CodedAsset, CodedSummary, SceneFile, SplatSummary, coded_asset, is_scene_file, open_scene,
-    read_coded,
+    CodedAsset, CodedSummary, SceneFile, SplatFormat, SplatSummary, coded_asset, is_scene_file,
+    open_scene, read_coded,
 };
 use serde_json::Value;
 
@@ -18,8 +18,10 @@ use summary::{Lines, splats_to_text};
 /// Describe a splat file, a compressed asset or a scene: counts, bounds, histograms, invalid splats
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Splats (.ply, .splat, .spz, .sog, .glb, .pt), a compressed asset (.safetensors) or a scene
-    /// (.toml, .usdz)
+    #[arg(help = format!(
+        "Splats or a compressed asset ({}), or a scene (.toml, .usdz)",
+        SplatFormat::EXTENSIONS
+    ))]
     file: PathBuf,
     /// Print JSON
     #[arg(long)]

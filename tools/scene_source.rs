@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use decouplegs::asset::{CameraOptions, LoadedScene, open_scene, read_cameras};
+use decouplegs::asset::{CameraOptions, LoadedScene, SplatFormat, open_scene, read_cameras};
 use decouplegs::scene::{Camera, Intrinsics, Rules, World};
 
 use crate::arguments::{RulesName, Size, finite, warn};
@@ -13,7 +13,7 @@ use crate::progress;
 /// The arguments of every command that draws.
 #[derive(clap::Args)]
 pub struct SceneArguments {
-    /// Splats (.ply, .splat, .spz, .sog, .glb, .pt, .safetensors) or a scene (.toml, .usdz)
+    #[arg(help = format!("Splats ({}) or a scene (.toml, .usdz)", SplatFormat::EXTENSIONS))]
     scene: PathBuf,
     /// Cameras: INRIA cameras.json, nerfstudio or NeRF-synthetic transforms.json, or the folder of
     /// a COLMAP model (default: the scene's own rig, or a circle of views around splats that have

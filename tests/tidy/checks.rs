@@ -43,7 +43,6 @@ const MAY_USE: &[(&str, &[&str])] = &[
         &[
             "decouplegs-asset",
             "decouplegs-drive",
-            "decouplegs-render",
             "decouplegs-scene",
             "decouplegs-session",
             "decouplegs-synth",

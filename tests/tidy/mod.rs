@@ -3,6 +3,7 @@
 mod checks;
 mod code;
 mod modules;
+mod parameters;
 mod rules;
 mod tree;
 mod words;

@@ -8,7 +8,10 @@ use super::checks::{
     shader_says_what_it_is, unsafe_is_explained, unsafe_only_in_gpu, vulkan_only_in_gpu,
 };
 use super::modules::modules_do_not_use_each_other;
-use super::words::{comments_are_narrow, docs_name_their_subject, no_retired_words};
+use super::parameters::tuples_hide_no_parameters;
+use super::words::{
+    comments_are_narrow, docs_name_their_subject, docs_say_something, no_retired_words,
+};
 
 /// Every rule.
 pub const RULES: &[Rule] = &[
@@ -249,6 +252,30 @@ pub const RULES: &[Rule] = &[
             // 96 lines.
             "fn a() {\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n}\n",
         )],
+    },
+    Rule {
+        name: "a function takes at most 7 values, the members of tuples counted",
+        check: tuples_hide_no_parameters,
+        kept_by: &[(
+            "engine/a.rs",
+            "fn a<F: Fn(u8) -> u8>(&self, b: (u8, u8), c: F, d: u8, e: [u8; 4], f: u8, g: u8) {}\n",
+        )],
+        broken_by: &[(
+            "engine/a.rs",
+            "fn a(b: (u8, u8), c: &(u8, Vec<(u8, u8)>), d: u8, e: u8, f: u8, g: u8) {}\n",
+        )],
+    },
+    Rule {
+        name: "a doc comment has more than one word",
+        check: docs_say_something,
+        kept_by: &[(
+            "engine/a.rs",
+            "/// Width, pixels.\nfn a() {}\n/// Splats\n/// in all.\nfn b() {}\n",
+        )],
+        broken_by: &[
+            ("engine/a.rs", "/// Who.\nfn a() {}\n"),
+            ("engine/a.rs", "struct A {\n    /// Lanes.\n    b: u8,\n}\n"),
+        ],
     },
     Rule {
         name: "a file has at most 550 lines, in a test 600, and usually 300",

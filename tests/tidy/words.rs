@@ -57,6 +57,30 @@ pub fn docs_name_their_subject(tree: &Tree) -> Vec<Finding> {
     findings
 }
 
+/// Docs of one word. Names of files and of other interfaces stand alone: `kernel.comp`, [`name`].
+pub fn docs_say_something(tree: &Tree) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    for file in tree.files.iter().filter(|file| file.is_rust()) {
+        let docs: Vec<Option<&str>> = file.text.lines().map(doc_text).collect();
+        for (i, doc) in docs.iter().enumerate() {
+            let beside = |at: Option<usize>| at.and_then(|at| *docs.get(at)?).is_some();
+            let alone = !beside(i.checked_sub(1)) && !beside(i.checked_add(1));
+            let is_word = |text: &&str| {
+                let word = text.strip_suffix('.').unwrap_or_default();
+                !word.is_empty() && word.chars().all(char::is_alphanumeric)
+            };
+            if let Some(word) = doc.filter(|text| alone && is_word(text)) {
+                findings.push(Finding {
+                    path: file.path.clone(),
+                    line: i + 1,
+                    what: format!("says {word:?} and no more"),
+                });
+            }
+        }
+    }
+    findings
+}
+
 pub fn comments_are_narrow(tree: &Tree) -> Vec<Finding> {
     const COLUMNS_MAX: usize = 100;
     let fault = |line: &str| {

@@ -43,20 +43,31 @@ impl Format {
                 path.display()
             );
         }
-        Ok(
-            match name.rsplit_once('.').map_or("", |(_, extension)| extension) {
-                "ply" => Self::Ply,
-                "spz" => Self::Spz,
-                "splat" => Self::Splat,
-                "sog" => Self::Sog,
-                "glb" => Self::Glb,
-                "safetensors" => Self::Safetensors,
-                other => bail!(
-                    "{}: expected a name that ends with .ply, .spz, .splat, .sog, .glb or .safetensors, or --to FORMAT, found {other:?}",
-                    path.display()
-                ),
-            },
-        )
+        let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
+        let formats = Self::value_variants();
+        let found = formats
+            .iter()
+            .find(|format| format.extension() == extension);
+        found.copied().with_context(|| {
+            let extensions: Vec<_> = formats.iter().map(|format| format.extension()).collect();
+            format!(
+                "{}: expected a name that ends with .{}, or --to FORMAT, found {extension:?}",
+                path.display(),
+                extensions.join(", .")
+            )
+        })
+    }
+
+    /// File name extension, without the dot.
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Ply => "ply",
+            Self::Spz => "spz",
+            Self::Splat => "splat",
+            Self::Sog => "sog",
+            Self::Glb => "glb",
+            Self::Safetensors => "safetensors",
+        }
     }
 
     /// Name of the format for users.

@@ -39,11 +39,11 @@ pub struct Sensorsim {
     pub registry: Arc<SceneRegistry>,
     /// Queue of the render thread.
     pub render_queue: RenderQueue,
-    /// Encoders.
+    /// Threads that encode images.
     pub encoders: Encoders,
-    /// Limits.
+    /// Limits of requests.
     pub limits: Arc<Limits>,
-    /// Metrics.
+    /// Metrics of the server.
     pub metrics: Arc<Metrics>,
 }
 

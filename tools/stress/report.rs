@@ -12,7 +12,7 @@ pub struct Report {
     /// Conditions: device, scene, cameras, frames.
     pub conditions: Value,
     pub modes: Vec<Mode>,
-    /// Rising.
+    /// Numbers of agents, rising.
     pub counts: Vec<usize>,
     /// Counts in the order of `counts`, for each the modes in theirs.
     pub points: Vec<Point>,

@@ -64,15 +64,7 @@ pub enum AssetError {
         /// Error of the decoder.
         source: DecodeError,
     },
-    /// Neither content nor extension tell a format that is read here.
-    #[error("{}: {found}; expected INRIA .ply, PlayCanvas compressed .ply, .splat, .spz, .sog, .glb, .pt or .safetensors", path.display())]
-    UnknownFormat {
-        /// The file.
-        path: PathBuf,
-        /// Apparent content of the file, and the remedy.
-        found: String,
-    },
-    /// A map or a table of tracks in no form that is read here.
+    /// Splats, a map or a table of tracks in no form that is read here.
     #[error("{}: {found}; expected {expected}", path.display())]
     Unrecognized {
         /// The file.

@@ -34,6 +34,9 @@ pub enum SplatFormat {
 }
 
 impl SplatFormat {
+    /// Extensions of the formats that are read, as help texts and errors list them.
+    pub const EXTENSIONS: &str = ".ply, .splat, .spz, .sog, .glb, .pt, .safetensors";
+
     /// Name of the format for users.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -104,7 +107,7 @@ impl SplatFormat {
 /// [`SplatCloud::defect_of`] tells them.
 ///
 /// # Errors
-/// [`AssetError::Read`], [`AssetError::UnknownFormat`] or [`AssetError::Decode`].
+/// [`AssetError::Read`], [`AssetError::Unrecognized`] or [`AssetError::Decode`].
 pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
     let is_set = |folder: &Path| folder.join(sog::LOD_META).is_file();
     if path.is_dir() {
@@ -127,9 +130,10 @@ pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
 pub(crate) fn splats_of(bytes: &[u8], path: &Path) -> Result<SplatCloud, AssetError> {
     let extension = path.extension().unwrap_or_default().to_string_lossy();
     let format =
-        SplatFormat::detect(bytes, &extension).map_err(|found| AssetError::UnknownFormat {
+        SplatFormat::detect(bytes, &extension).map_err(|found| AssetError::Unrecognized {
             path: path.to_owned(),
             found,
+            expected: SplatFormat::EXTENSIONS,
         })?;
     decode(bytes, format).map_err(|source| AssetError::Decode {
         path: path.to_owned(),

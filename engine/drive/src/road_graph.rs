@@ -62,7 +62,7 @@ pub(crate) struct Fork {
 pub struct RoadLane {
     /// Id in the map.
     pub id: String,
-    /// Centerline.
+    /// Centerline, from start to end.
     pub line: Polyline,
     /// Driving lanes that it continues in, places in [`LaneMap::lanes`].
     pub successors: Vec<usize>,

@@ -84,7 +84,7 @@ pub enum GpuError {
     Kernel {
         /// The kernel's name.
         kernel: &'static str,
-        /// Reason.
+        /// Reason, a sentence.
         reason: String,
     },
     /// The device was opened by another process, of which this one is a fork.

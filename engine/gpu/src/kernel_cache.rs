@@ -30,7 +30,7 @@ pub enum KernelCache {
     User,
     /// In this folder, which is made if it does not exist.
     Folder(PathBuf),
-    /// Nowhere.
+    /// Kernels are not kept.
     Off,
 }
 

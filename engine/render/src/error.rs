@@ -24,7 +24,7 @@ pub enum RenderError {
     AgentPose {
         /// Instance id.
         instance: u16,
-        /// Pose.
+        /// Pose that was found.
         pose: String,
     },
     /// An agent in a light that is no light.
@@ -40,13 +40,13 @@ pub enum RenderError {
     Shadow {
         /// Index among the scene's agents.
         index: usize,
-        /// Reason.
+        /// Reason, a sentence.
         reason: String,
     },
     /// A frame too many.
     #[error("{max} frames are in flight, as many as may be: finish one first")]
     TooManyInFlight {
-        /// Limit.
+        /// Largest number allowed.
         max: usize,
     },
     /// Number of held images beyond the limit.
@@ -54,7 +54,7 @@ pub enum RenderError {
         "the images of {max} frames are held, as many as may be: drop some, or allow more (taken_max)"
     )]
     TooManyTaken {
-        /// Limit.
+        /// Largest number allowed.
         max: usize,
     },
     /// No frame to wait for.

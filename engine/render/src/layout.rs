@@ -242,7 +242,7 @@ pub struct RequiredCounts {
 pub struct Bucket {
     /// First pair.
     pub first_pair: u32,
-    /// Length.
+    /// Number of entries.
     pub pairs: u32,
     /// Coarse tile.
     pub bin: u32,
@@ -310,7 +310,7 @@ pub struct BlendItem {
     pub bin: u32,
     /// First entry of the segment in the sorted pairs.
     pub first_pair: u32,
-    /// Entries.
+    /// Number of entries.
     pub pairs: u32,
     /// Slot of its partial result, or [`NO_PARTIAL`].
     pub partial: u32,

@@ -67,7 +67,7 @@ pub struct QueueTrace {
     /// Start, nanoseconds of the device's clock, which the queues share
     /// ([`decouplegs_gpu::Gpu::clock`]).
     pub begin_ns: u64,
-    /// Duration.
+    /// Duration, nanoseconds.
     pub total_ns: u64,
     /// Stages, with times from the queue's start.
     pub stages: Vec<StageTime>,

@@ -30,9 +30,9 @@ pub enum PlaneType {
 /// Values of a plane on the host, one per pixel, row-major from the top left.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PlaneValues {
-    /// Of a plane of [`PlaneType::F32`].
+    /// Values of [`PlaneType::F32`].
     F32(Vec<f32>),
-    /// Of a plane of [`PlaneType::U16`].
+    /// Values of [`PlaneType::U16`].
     U16(Vec<u16>),
 }
 

@@ -188,9 +188,8 @@ impl Renderer {
             &self.gpu,
             (&options.outputs, &self.shelf),
             view,
-            scene.world,
+            &scene,
             list,
-            (scene.shadows, scene.shadow_cameras),
         )?;
         self.slots[slot]
             .staged_key_sets

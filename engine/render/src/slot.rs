@@ -7,7 +7,7 @@ use decouplegs_gpu::{Buffer, Gpu, MemoryKind, Recorder, Ticket};
 use decouplegs_scene::ContactShadow;
 
 use crate::RenderError;
-use crate::agents::AgentList;
+use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::kernels::FrameVariant;
 use crate::keys::KeyDecision;
@@ -127,19 +127,18 @@ impl FrameInFlight {
         self.list.as_ref().map(|list| &list.pool)
     }
 
-    /// Takes the views and agents of the next frame, before `world`, and the shadows on it. The
-    /// frame before in this slot must be done.
+    /// Takes the views and agents of the next frame, and the shadows of `scene`. The frame before in
+    /// this slot must be done.
     pub fn set(
         &mut self,
         gpu: &Gpu,
         (outputs, shelf): (&Outputs, &SharedShelf),
         view: View,
-        world: &GpuScene,
+        scene: &Scene<'_>,
         list: Option<AgentList>,
-        shadows: (&[ContactShadow], Option<&[u32]>),
     ) -> Result<(), RenderError> {
         self.view = None;
-        let splats = world.splats;
+        let splats = scene.world.splats;
         let room = (view.pixels, splats * usize::from(outputs.contributions));
         if self.room != room {
             // The old ones go first: both would not always fit.
@@ -152,7 +151,7 @@ impl FrameInFlight {
         }
         self.staged_cameras.write_host(0, &view.cameras);
         self.staged_lenses.write_host(0, &view.lenses);
-        self.set_shadows(gpu, world, shadows)?;
+        self.set_shadows(gpu, scene)?;
         let mut list = list;
         if let Some(list) = &mut list {
             self.fit_agents(gpu, list.counts)?;
@@ -172,12 +171,8 @@ impl FrameInFlight {
         Ok(())
     }
 
-    fn set_shadows(
-        &mut self,
-        gpu: &Gpu,
-        world: &GpuScene,
-        (shadows, cameras): (&[ContactShadow], Option<&[u32]>),
-    ) -> Result<(), RenderError> {
+    fn set_shadows(&mut self, gpu: &Gpu, scene: &Scene<'_>) -> Result<(), RenderError> {
+        let (world, shadows, cameras) = (scene.world, scene.shadows, scene.shadow_cameras);
         let (room, clusters) = (self.shadow_room, world.cluster_count());
         if shadows.len() > room.0 || clusters > room.1 {
             let wanted = if shadows.len() > room.0 {

@@ -146,7 +146,7 @@ impl Intrinsics {
 pub struct Camera {
     /// Names the image; unique in a rig.
     pub name: String,
-    /// Intrinsics.
+    /// Intrinsics, in pixels.
     pub intrinsics: Intrinsics,
     /// Pose, f64 world coordinates.
     pub world_from_camera: Pose,
@@ -157,7 +157,7 @@ pub struct Camera {
 pub struct RigCamera {
     /// Names the image; unique in the rig.
     pub name: String,
-    /// Intrinsics.
+    /// Intrinsics, in pixels.
     pub intrinsics: Intrinsics,
     /// Pose on the vehicle.
     pub rig_from_camera: Pose,

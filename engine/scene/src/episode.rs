@@ -35,9 +35,9 @@ pub struct DrawnBy {
 pub struct EpisodeHead {
     /// Version of the program.
     pub version: String,
-    /// Scenario.
+    /// Scenario that was driven.
     pub scenario: Scenario,
-    /// Planner.
+    /// Planner that drove.
     pub planner: PlannerRecord,
     /// Renderer of the images; `None` without images.
     pub drawn_by: Option<DrawnBy>,
@@ -110,7 +110,7 @@ pub struct Episode {
     pub head: EpisodeHead,
     /// States at the start.
     pub start: EpisodeTick,
-    /// Steps.
+    /// Steps, in order.
     pub steps: Vec<EpisodeStep>,
     /// Reason of the end.
     pub end: EpisodeEnd,

@@ -8,7 +8,7 @@ pub enum LaneKind {
     /// Vehicles drive on it.
     #[default]
     Driving,
-    /// Bicycles.
+    /// Lane for bicycles.
     Bicycle,
     /// Pedestrians: sidewalks and crosswalks.
     Walking,
@@ -51,7 +51,7 @@ impl LaneKind {
 pub struct Lane {
     /// Id in the file; unique in its map.
     pub id: String,
-    /// Purpose.
+    /// Purpose of the lane.
     pub kind: LaneKind,
     /// At least two points, no two neighbors the same, world coordinates in meters. z is 0 where
     /// [`Lane::has_height`] is false.

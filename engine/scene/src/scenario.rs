@@ -125,7 +125,7 @@ pub struct EgoTask {
     pub speed_mps: f64,
     /// Cruise speed on a free road.
     pub cruise_mps: f64,
-    /// Size.
+    /// Size of the box.
     pub size: VehicleSize,
 }
 
@@ -169,12 +169,12 @@ impl DriverKind {
 pub enum Trigger {
     /// Time after the episode's start, seconds.
     Time {
-        /// Seconds.
+        /// Time since the start, seconds.
         time_s: f64,
     },
     /// Distance of the ego's center, first reached, meters.
     NearEgo {
-        /// Meters.
+        /// Distance to the ego, meters.
         distance_m: f64,
     },
 }
@@ -186,7 +186,7 @@ pub enum Maneuver {
     Brake {
         /// Deceleration, above zero.
         deceleration_mps2: f64,
-        /// Duration.
+        /// Duration, seconds.
         duration_s: f64,
     },
     /// Changes into the ego's lane whatever gap there is, as long as no other agent is in the way.
@@ -205,7 +205,7 @@ pub enum Maneuver {
 pub struct Behavior {
     /// Trigger condition.
     pub trigger: Trigger,
-    /// Maneuver.
+    /// Maneuver that is performed.
     pub maneuver: Maneuver,
 }
 
@@ -216,7 +216,7 @@ pub struct TrafficAgent {
     pub name: String,
     /// Index of its asset among the place's assets; indices beyond the last start over.
     pub asset: usize,
-    /// Size.
+    /// Size of the box.
     pub size: VehicleSize,
     /// The lane it starts on, by id.
     pub lane: String,
@@ -245,7 +245,7 @@ pub struct Scenario {
     pub duration_s: f64,
     /// From one plan to the next, seconds.
     pub step_s: f64,
-    /// Place.
+    /// Place of the episode.
     pub place: Place,
     /// The ego's part.
     pub ego: EgoTask,

@@ -97,7 +97,7 @@ pub enum SessionError {
     /// More agents than instance ids.
     #[error("a world has at most {max} agents")]
     TooManyAgents {
-        /// Limit.
+        /// Largest number allowed.
         max: usize,
     },
     /// Bytes were asked of a batch renderer that draws floats.

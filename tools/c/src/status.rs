@@ -8,7 +8,7 @@ use decouplegs::session::SessionError;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DgsStatus {
-    /// Done.
+    /// The call succeeded.
     Ok = 0,
     /// NULL, a misaligned pointer, text that is not UTF-8, a number out of range or not finite, a
     /// struct of an unknown size.

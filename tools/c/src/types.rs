@@ -19,7 +19,7 @@ const ROTATION_LENGTH_SPARE: f64 = 1e-3;
 pub struct DgsPose {
     /// Unit quaternion: w, x, y, z.
     pub rotation_wxyz: [f64; 4],
-    /// Meters.
+    /// Translation, meters.
     pub position_m: [f64; 3],
 }
 
@@ -212,7 +212,7 @@ pub struct DgsImage {
     pub pixel_bytes: u32,
     /// Pixels in a row.
     pub width_px: u32,
-    /// Rows.
+    /// Number of rows.
     pub height_px: u32,
     /// A DgsImageKind.
     pub kind: u32,

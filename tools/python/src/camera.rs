@@ -1,4 +1,4 @@
-//! Cameras.
+//! Cameras of Python.
 
 use decouplegs::scene::{Camera as EngineCamera, Intrinsics, Lens, RigCamera as EngineRigCamera};
 use pyo3::prelude::*;
@@ -93,7 +93,7 @@ impl Camera {
         self.inner.intrinsics.width_px
     }
 
-    /// Rows.
+    /// Number of rows.
     #[getter]
     fn height(&self) -> u32 {
         self.inner.intrinsics.height_px
@@ -160,7 +160,7 @@ impl RigCamera {
         self.inner.intrinsics.width_px
     }
 
-    /// Rows.
+    /// Number of rows.
     #[getter]
     fn height(&self) -> u32 {
         self.inner.intrinsics.height_px

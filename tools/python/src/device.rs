@@ -1,4 +1,4 @@
-//! Devices.
+//! Devices, as Python sees them.
 
 use decouplegs::gpu::{DeviceChoice, DeviceInfo, DeviceKind, Gpu};
 use pyo3::prelude::*;
@@ -10,7 +10,7 @@ use crate::error::of_gpu;
 pub struct Device {
     /// Index in devices(), for Session.
     index: usize,
-    /// Name.
+    /// Name of the device.
     name: String,
     /// Name and version of its driver.
     driver: String,

@@ -18,7 +18,7 @@ pub(crate) enum Node {
     Int(i64),
     /// A floating point number.
     Float(f64),
-    /// Text.
+    /// A string of text.
     Text(String),
     /// A list, tuple or set.
     List(Vec<Id>),

@@ -30,7 +30,7 @@ pub(crate) struct Rows<'a> {
     pub(crate) bytes: &'a [u8],
     /// Bytes from row to row, at least 1 unless there is no property.
     pub(crate) stride: usize,
-    /// Rows.
+    /// Number of rows.
     pub(crate) count: usize,
 }
 

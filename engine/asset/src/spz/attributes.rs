@@ -23,7 +23,7 @@ const FRACTIONAL_BITS: u8 = 12;
 pub(super) struct Layout {
     /// 1 to 4.
     pub(super) version: u32,
-    /// Splats.
+    /// Number of splats.
     pub(super) count: usize,
     /// Degree in the file, 0 to 4.
     pub(super) stored_degree: u8,

@@ -41,7 +41,7 @@ pub struct Sample {
     pub height: f32,
     /// Offset of that part from the column's axis, meters: `c^2 S'^-1 (mean - axis)`.
     pub offset: [f32; 2],
-    /// Weight.
+    /// Weight of this part.
     pub share: f32,
 }
 

@@ -41,11 +41,11 @@ impl Moments {
 /// Figures of a set of episodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SetSummary {
-    /// DS.
+    /// Driving score (DS), 0 to 1.
     pub driving_score: Moments,
     /// SR: its mean is the share of episodes that succeeded.
     pub success: Moments,
-    /// RC.
+    /// Route completion (RC), 0 to 1.
     pub route_completion: Moments,
     /// minTTC in seconds, over the episodes that have one.
     pub min_ttc_s: Option<Moments>,

@@ -4,6 +4,7 @@ use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
 use super::driver::Driver;
+use super::following::PathPlace;
 use super::idm::{IdmParameters, advance, stopping_m};
 use super::random;
 use crate::polyline::wrapped;
@@ -95,6 +96,16 @@ pub(super) struct Agent {
 }
 
 impl Agent {
+    /// Place on the path.
+    pub(super) fn place(&self) -> PathPlace<'_> {
+        PathPlace {
+            agent: self.number,
+            path: &self.path,
+            here: self.here,
+            arc_m: self.arc_m,
+        }
+    }
+
     pub(super) fn new(
         number: usize,
         size: VehicleSize,

@@ -29,15 +29,34 @@ pub(super) struct Seen {
     pub same_way: bool,
 }
 
+/// A place of an agent on a path.
+#[derive(Clone, Copy)]
+pub(super) struct PathPlace<'a> {
+    /// Index of the agent, which does not see itself.
+    pub agent: usize,
+    /// Lanes of the path.
+    pub path: &'a [usize],
+    /// Index in `path` of the lane on which the agent is.
+    pub here: usize,
+    /// Position on that lane, meters from its start.
+    pub arc_m: f64,
+}
+
 /// Visits all vehicles ahead of a place on a path, the nearest first, until `see` has seen enough.
 /// Who is on several lanes is seen on each.
 pub(super) fn each_ahead(
     graph: &RoadGraph,
     order: &LaneOrder,
-    (agent, path, here, arc_m): (usize, &[usize], usize, f64),
+    place: PathPlace<'_>,
     horizon_m: f64,
     mut see: impl FnMut(&Seen) -> bool,
 ) {
+    let PathPlace {
+        agent,
+        path,
+        here,
+        arc_m,
+    } = place;
     let (mut at, mut start_m) = (here, 0.0);
     while at < path.len() && start_m <= arc_m + horizon_m {
         let length_m = length_of(graph.lanes(), path[at]);
@@ -191,7 +210,12 @@ impl Traffic {
         each_ahead(
             &self.graph,
             &self.order,
-            (agent.number, path, here, arc_m),
+            PathPlace {
+                agent: agent.number,
+                path,
+                here,
+                arc_m,
+            },
             horizon_m,
             |seen| {
                 bounds.follow(&idm, agent.speed_mps, seen.rear_m - front_m, seen.speed_mps);
@@ -265,7 +289,12 @@ impl Traffic {
         each_ahead(
             &self.graph,
             &self.order,
-            (agent.number, &[from], 0, from_arc_m),
+            PathPlace {
+                agent: agent.number,
+                path: &[from],
+                here: 0,
+                arc_m: from_arc_m,
+            },
             horizon_m,
             |seen| {
                 bounds.follow(&idm, agent.speed_mps, seen.rear_m - front_m, seen.speed_mps);

@@ -42,7 +42,7 @@ impl Default for IdmParameters {
 pub struct Leader {
     /// From one's front to its rear, meters: its own length is not in it.
     pub gap_m: f64,
-    /// Speed.
+    /// Speed along the lane.
     pub speed_mps: f64,
 }
 

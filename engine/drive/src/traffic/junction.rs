@@ -201,11 +201,10 @@ impl Traffic {
             return false;
         }
         let (mut can_leave, mut counted) = (true, Vec::new());
-        let here = (agent.number, &agent.path[..], agent.here, agent.arc_m);
         each_ahead(
             &self.graph,
             &self.order,
-            here,
+            agent.place(),
             GIVE_WAY_M + out_m - agent.arc_m,
             |seen| {
                 if seen.stop_rear_m >= out_m {

@@ -5,7 +5,7 @@ use glam::DVec2;
 
 use super::Traffic;
 use super::agent::{Agent, Aside, AsideKind};
-use super::following::{GAP_M, behind, each_ahead};
+use super::following::{GAP_M, PathPlace, behind, each_ahead};
 use super::idm::{IdmParameters, Leader, stopping_m};
 use super::lane_order::EGO;
 use super::mobil::{Change, Concerned, Side};
@@ -209,7 +209,12 @@ impl Traffic {
         each_ahead(
             &self.graph,
             &self.order,
-            (agent.number, path, 0, arc_m),
+            PathPlace {
+                agent: agent.number,
+                path,
+                here: 0,
+                arc_m,
+            },
             BEHIND_M,
             |seen| {
                 found.leader = Some((seen.rear_m, seen.speed_mps));
@@ -245,7 +250,12 @@ impl Traffic {
         each_ahead(
             &self.graph,
             &self.order,
-            (agent.number, &[target.lane], 0, target.arc_m),
+            PathPlace {
+                agent: agent.number,
+                path: &[target.lane],
+                here: 0,
+                arc_m: target.arc_m,
+            },
             BEHIND_M,
             |seen| {
                 let room = seen.rear_m - front_m >= GAP_M

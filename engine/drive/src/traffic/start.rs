@@ -49,7 +49,7 @@ pub enum TrafficError {
         agent: String,
         /// Name of the number.
         what: &'static str,
-        /// Value.
+        /// Value that was found.
         value: f64,
         /// Allowed range.
         expected: &'static str,
@@ -59,7 +59,7 @@ pub enum TrafficError {
         "agents {first} and {second} overlap at the start, or one could not drive without touching the other; move one of them"
     )]
     Overlap {
-        /// One.
+        /// Name of one agent.
         first: String,
         /// The other.
         second: String,
@@ -124,18 +124,12 @@ impl Traffic {
     fn first_overlap(&self) -> Option<(usize, usize)> {
         for agent in &self.agents {
             let mut other = None;
-            each_ahead(
-                &self.graph,
-                &self.order,
-                (agent.number, &agent.path, agent.here, agent.arc_m),
-                60.0,
-                |seen| {
-                    if seen.rear_m - agent.front_m() < GAP_M {
-                        other = Some(seen.agent as usize);
-                    }
-                    other.is_none()
-                },
-            );
+            each_ahead(&self.graph, &self.order, agent.place(), 60.0, |seen| {
+                if seen.rear_m - agent.front_m() < GAP_M {
+                    other = Some(seen.agent as usize);
+                }
+                other.is_none()
+            });
             each_cell(
                 &self.graph,
                 agent,
@@ -236,16 +230,10 @@ impl Traffic {
                     );
                 }
                 limit_m = limit_m.min(agent.end_m(&self.graph).unwrap_or(f64::INFINITY) - 0.1);
-                each_ahead(
-                    &self.graph,
-                    &self.order,
-                    (number, &agent.path, agent.here, agent.arc_m),
-                    400.0,
-                    |seen| {
-                        limit_m = limit_m.min(seen.stop_rear_m - 2.0 * GAP_M);
-                        !seen.same_way
-                    },
-                );
+                each_ahead(&self.graph, &self.order, agent.place(), 400.0, |seen| {
+                    limit_m = limit_m.min(seen.stop_rear_m - 2.0 * GAP_M);
+                    !seen.same_way
+                });
                 let safe_mps = (2.0 * BRAKING_MPS2 * (limit_m - agent.front_m()).max(0.0)).sqrt();
                 let speed_mps = asked.speed_mps.min(safe_mps);
                 if speed_mps > agent.speed_mps + 1e-3 {

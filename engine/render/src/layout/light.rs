@@ -63,7 +63,7 @@ const NUMBERS: usize = 48;
 pub struct RelightRecord {
     /// T, `[coefficient][rgb]`.
     pub gain: [f32; NUMBERS],
-    /// b.
+    /// Summand b of the affine map.
     pub summand: [f32; NUMBERS],
     /// First color in the pool.
     pub first_color: u32,

@@ -32,7 +32,7 @@ const BLOCK_PX: u32 = 8;
 pub struct Image64 {
     /// Pixels a row.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
     /// Color as blended, background color included, unclamped.
     pub rgb: Vec<[f64; 3]>,

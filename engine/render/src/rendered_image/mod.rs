@@ -84,7 +84,7 @@ pub enum ImageError {
         format: ImageFileFormat,
         /// Pixels a row.
         width: u32,
-        /// Rows.
+        /// Number of rows.
         height: u32,
         /// Message of the encoder.
         message: String,

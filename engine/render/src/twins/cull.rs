@@ -14,7 +14,7 @@ pub struct SplatBuffers<'a> {
     pub means_m: &'a [[f32; 3]],
     /// Scales and opacities.
     pub shapes: &'a [[f32; 4]],
-    /// Rotations.
+    /// Rotation quaternions, w first.
     pub rotations: &'a [[f32; 4]],
 }
 

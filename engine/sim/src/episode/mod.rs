@@ -39,7 +39,7 @@ pub enum EpisodeError {
     Unfit {
         /// Name of the scenario.
         scenario: String,
-        /// Reason.
+        /// Reason, a sentence.
         reason: String,
     },
     /// The images.

@@ -46,7 +46,7 @@ pub struct Appearance {
 pub struct Site {
     /// Splats to render; none if nothing is visible.
     pub loaded: LoadedScene,
-    /// Lanes.
+    /// Lanes of the place.
     pub lanes: LaneMap,
     /// The same for traffic.
     pub graph: Arc<RoadGraph>,

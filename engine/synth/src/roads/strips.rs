@@ -65,7 +65,7 @@ impl Strip {
         }
     }
 
-    /// Meters.
+    /// Length of the strip, meters.
     pub(super) fn length_m(&self) -> f32 {
         self.along_m[self.along_m.len() - 1]
     }

@@ -133,9 +133,13 @@ pub(super) fn emit(
                     let rest = &mut rest[slot * stride..(slot + 1) * stride];
                     let splat = splat(
                         &elements[element],
-                        (item, counts[element]),
-                        is_faint(index),
-                        (light, focus),
+                        &Item {
+                            index: item,
+                            count: counts[element],
+                            faint: is_faint(index),
+                        },
+                        light,
+                        focus,
                         &mut random,
                         rest,
                     );
@@ -158,16 +162,31 @@ fn is_faint(index: usize) -> bool {
     ((index as f64 + 0.5) * 0.618_033_988_749_894_9).fract() < f64::from(FAINT_SHARE)
 }
 
-/// Splat `item` of the `count` on an element.
+/// One of the splats on an element.
+struct Item {
+    /// From 0.
+    index: usize,
+    /// Number of splats on the element.
+    count: usize,
+    /// True if it is of the faint mode.
+    faint: bool,
+}
+
+/// The splat `item` of `element`.
 fn splat(
     element: &Element,
-    (item, count): (usize, usize),
-    faint: bool,
-    (light, focus): (&Light, &Focus),
+    item: &Item,
+    light: &Light,
+    focus: &Focus,
     random: &mut Stream,
     rest: &mut [[f32; 3]],
 ) -> Splat {
-    let point = element.shape.sample(item, count, random);
+    let &Item {
+        index,
+        count,
+        faint,
+    } = item;
+    let point = element.shape.sample(index, count, random);
     let mut texel = (element.texture)(&point);
     let spacing_m = (element.shape.area_m2() / (count as f32 * (1.0 - FAINT_SHARE))).sqrt();
 

@@ -75,7 +75,7 @@ pub struct HeldOut {
 /// A light transfer, and what is known of it.
 #[derive(Clone, Debug)]
 pub struct Calibration {
-    /// Theta.
+    /// Light transfer function that was fitted.
     pub transfer: LightTransfer,
     /// The ridge it was fitted with.
     pub ridge: f64,

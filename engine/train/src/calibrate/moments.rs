@@ -30,7 +30,7 @@ pub(super) struct LightMoments {
 /// The sums of all samples in all lights.
 #[derive(Clone, Debug)]
 pub(super) struct Moments {
-    /// K.
+    /// Number of coefficients.
     pub coefficients: usize,
     /// B of each channel, 2K x 2K.
     pub gram: [Mat<f64>; 3],

@@ -126,7 +126,7 @@ pub enum CalibrateError {
          largest): the weights are not determined; give at least six probes of other places and hours, and turn each at least 5 ways"
     )]
     RankDeficient {
-        /// Lights.
+        /// Number of lights.
         lights: usize,
         /// Probes given.
         probes: usize,

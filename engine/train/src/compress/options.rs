@@ -101,9 +101,9 @@ pub enum CompressError {
     /// Not one visibility a splat.
     #[error("{found} visibilities were given for {expected} splats; expected one for each")]
     VisibilityCount {
-        /// Splats.
+        /// Number of splats.
         expected: usize,
-        /// Visibilities.
+        /// Number of visibilities.
         found: usize,
     },
     /// A visibility that is none.

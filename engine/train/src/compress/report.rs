@@ -31,7 +31,7 @@ pub struct CompressionReport {
 /// Training of one codebook.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BookReport {
-    /// Entries.
+    /// Number of entries.
     pub entries: usize,
     /// Weighted mean squared distance by iteration.
     pub distortion: Vec<f64>,

@@ -43,7 +43,7 @@ enum Shape {
 /// A place on a reference line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct OnLine {
-    /// Meters.
+    /// Position on the plane, meters.
     pub(super) position: DVec2,
     /// Direction of travel along the line.
     pub(super) heading_rad: f64,

@@ -41,7 +41,7 @@ const NOISE_MIN: f32 = 0.002;
 pub(super) struct LaneFix {
     /// Offset of its center at the reference place, positive to the left, meters.
     pub offset_m: f64,
-    /// Heading.
+    /// Heading of the marking, radians.
     pub heading_rad: f64,
     /// Curvature, 1/m.
     pub curvature: f64,
