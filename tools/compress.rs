@@ -1,10 +1,7 @@
 //! `decouplegs compress`: splats of an agent as a small asset.
 
-pub mod image_quality;
 mod page;
 mod report;
-pub mod views;
-pub mod visibility;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -24,7 +21,8 @@ use indicatif::ProgressBar;
 use crate::arguments::print;
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
-use visibility::VIEW_PX_MAX;
+use crate::visibility::VIEW_PX_MAX;
+use crate::{views, visibility};
 
 /// Compress the splats of an agent: prune unimportant splats, and quantize shapes and colors by
 /// codebooks

@@ -4,16 +4,11 @@
 //! standard error, then its causes), and with 2 when the command line makes no sense.
 #![forbid(unsafe_code)]
 
-mod ablate;
-mod arguments;
-mod bench;
 mod calibrate_light;
 mod compare;
 mod compress;
 mod convert;
-mod data_uri;
 mod decompress;
-mod device;
 mod devices;
 mod drive;
 mod edit;
@@ -22,17 +17,12 @@ mod inspect;
 mod lane_drawing;
 mod map;
 mod open_loop;
-mod orbit;
 mod pack;
-mod plot;
-mod progress;
 mod register;
 mod render;
 mod replay;
-mod scene_source;
 mod score;
 mod sites;
-mod stress;
 mod synth;
 
 use std::io::Write;
@@ -40,6 +30,10 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use decouplegs::explain::explain;
+use decouplegs_benches::{ablate, bench, stress};
+use decouplegs_cli::{
+    arguments, data_uri, device, image_quality, plot, progress, scene_source, views, visibility,
+};
 
 /// Renders 3D Gaussian scenes for driving simulation on any Vulkan 1.3 device.
 #[derive(Parser)]

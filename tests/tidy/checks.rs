@@ -49,7 +49,12 @@ const MAY_USE: &[(&str, &[&str])] = &[
             "decouplegs-train",
         ],
     ),
-    ("tools/Cargo.toml", &["decouplegs"]),
+    ("tools/cli/Cargo.toml", &["decouplegs"]),
+    ("benches/Cargo.toml", &["decouplegs", "decouplegs-cli"]),
+    (
+        "tools/Cargo.toml",
+        &["decouplegs", "decouplegs-cli", "decouplegs-benches"],
+    ),
     ("tools/server/Cargo.toml", &["decouplegs"]),
     (
         "tools/python/Cargo.toml",

@@ -15,6 +15,7 @@ const MAY_USE_EACH_OTHER: &[(&str, &str, &str)] = &[
 /// The folder of the crate of a source file, and the module in it; none for tests and crate roots.
 fn module_of(path: &str) -> Option<(&str, &str)> {
     let products = [
+        "tools/cli/src",
         "tools/server",
         "tools/c/src",
         "tools/python/src",

@@ -7,7 +7,7 @@ use decouplegs::scene::{AmbientDescriptor, Rules, SplatCloud, World};
 use decouplegs::train::calibrate::{Calibration, HeldOut, Lighting, PreparedProbe, lit_cloud};
 
 use super::Subject;
-use crate::compress::views::street;
+use crate::views::street;
 
 const WIDTH_PX: u32 = 216;
 const HEIGHT_PX: u32 = 132;

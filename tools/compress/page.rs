@@ -6,9 +6,9 @@ use anyhow::Result;
 use decouplegs::render::metrics::difference_image;
 use decouplegs::train::compress::{BookReport, Compressed};
 
-use super::image_quality::{QualityMeter, Score};
 use super::report::{Measured, Subject, Trial};
 use crate::data_uri;
+use crate::image_quality::{QualityMeter, Score};
 use crate::plot::{self, Axis, Plot, Series, Shape, escaped};
 
 /// Factor on differences in images of them.

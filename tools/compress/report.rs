@@ -14,10 +14,10 @@ use decouplegs::train::compress::{
 use indicatif::ProgressBar;
 use serde_json::{Value, json};
 
-use super::image_quality::{QualityMeter, Score};
-use super::views::{STREET_FOCAL_PX, WINDOW_PX};
 use super::{Arguments, page, views};
+use crate::image_quality::{QualityMeter, Score};
 use crate::progress;
+use crate::views::{STREET_FOCAL_PX, WINDOW_PX};
 
 /// Shares of the splats that the curve is measured at.
 const KEEP_RATIOS: [f32; 6] = [1.0, 0.9, 0.75, 0.6, 0.45, 0.3];

@@ -127,8 +127,8 @@ impl FrameInFlight {
         self.list.as_ref().map(|list| &list.pool)
     }
 
-    /// Takes the views and agents of the next frame, and the shadows of `scene`. The frame before in
-    /// this slot must be done.
+    /// Takes the views and agents of the next frame, and the shadows of `scene`. The frame before
+    /// in this slot must be done.
     pub fn set(
         &mut self,
         gpu: &Gpu,

@@ -4,7 +4,7 @@ use anyhow::Result;
 use decouplegs::render::Image;
 use serde_json::{Value, json};
 
-use crate::compress::image_quality::differences;
+use crate::image_quality::differences;
 
 /// Errors of all images together.
 #[derive(Clone, Copy, Debug, PartialEq)]

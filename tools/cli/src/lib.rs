@@ -1,0 +1,31 @@
+//! Parts that the command line programs share. Not an interface for other programs: those use the
+//! crate `decouplegs`.
+//!
+//! | module | content |
+//! |---|---|
+//! | `arguments`, `device`, `scene_source`, `orbit` | arguments of several subcommands, and what they open |
+//! | `progress` | progress lines and durations |
+//! | `plot`, `data_uri` | plots as SVG, and images inside of HTML reports |
+//! | `views`, `visibility`, `image_quality` | views around an asset, how much each splat shows in them, and differences between images |
+#![forbid(unsafe_code)]
+
+#[doc(hidden)]
+pub mod arguments;
+#[doc(hidden)]
+pub mod data_uri;
+#[doc(hidden)]
+pub mod device;
+#[doc(hidden)]
+pub mod image_quality;
+#[doc(hidden)]
+pub mod orbit;
+#[doc(hidden)]
+pub mod plot;
+#[doc(hidden)]
+pub mod progress;
+#[doc(hidden)]
+pub mod scene_source;
+#[doc(hidden)]
+pub mod views;
+#[doc(hidden)]
+pub mod visibility;
