@@ -11,7 +11,7 @@ use decouplegs::drive::oriented_box::time_to_collision;
 use decouplegs::drive::score::{Moments, TTC_HORIZON_S, plan_ade_m};
 use decouplegs::episode::open_loop::{Images, plans};
 use decouplegs::episode::{Appearance, EpisodeError, ObservationRenderer, Simulation, chosen};
-use decouplegs::planner::{PlannerChoice, Timeouts};
+use decouplegs::planner::{PlannerChoice, Timeouts, images};
 use decouplegs::render::Image;
 use decouplegs::scene::episode::{Episode, EpisodeTick};
 use decouplegs::scene::{Plan, Pose, Rig, TimedPose, Trajectory};
@@ -125,11 +125,8 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
                 renderer
                     .draw(&mut shadow, step)
                     .map_err(EpisodeError::from)?;
-                let images = renderer
-                    .frames()
-                    .iter()
-                    .map(|frame| frame.rgba.to_vec())
-                    .collect();
+                let readings = renderer.readings();
+                let images = images(&readings).map(|frame| frame.rgba.to_vec()).collect();
                 shadow.advance(&episode.steps[step as usize].plan);
                 Ok(images)
             };
@@ -159,7 +156,7 @@ fn rig_of_folder(
         .unwrap_or(Path::new(""));
     let rig = decouplegs::episode::rig_of(&episode.head.scenario.place, base)?;
     let mut rig = chosen(&rig, wanted, None).map_err(anyhow::Error::msg)?;
-    for camera in &mut rig.cameras {
+    for camera in rig.cameras_mut() {
         let image = Image::read(&path_of(source, &camera.name, 0))?;
         camera.intrinsics = camera.intrinsics.resized(image.width, image.height);
     }
@@ -189,7 +186,7 @@ fn read_images(folder: &Path, rig: &Rig, step: u32) -> Result<Images> {
         });
         Ok(bytes.collect())
     };
-    rig.cameras.iter().map(read).collect()
+    rig.cameras().map(read).collect()
 }
 
 fn judged(source: &Path, episode: &Episode, plans: Vec<Option<Plan>>) -> Answers {

@@ -126,7 +126,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         "{}: scene '{}', {start_s:.3} to {end_s:.3} s, {} cameras, {} agents, {} entries, {bytes} bytes\n",
         arguments.usdz.display(),
         options.scene_id,
-        scene.rig.cameras.len(),
+        scene.rig.sensors.len(),
         scene.agents.len(),
         summary.entries.len()
     );

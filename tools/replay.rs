@@ -87,13 +87,12 @@ fn drawn(
     else {
         bail!("the place has nothing to draw")
     };
-    let mut rig = Rig::default();
+    let mut cameras = Vec::new();
     for name in &episode.head.planner.cameras {
         let camera = site
             .loaded
             .rig
-            .cameras
-            .iter()
+            .cameras()
             .find(|camera| camera.name == *name);
         let mut camera = camera
             .with_context(|| format!("the place has no camera called {name}, which the log has"))?
@@ -101,10 +100,14 @@ fn drawn(
         camera.intrinsics = camera
             .intrinsics
             .resized(drawn_by.width_px, drawn_by.height_px);
-        rig.cameras.push(camera);
+        cameras.push(camera);
     }
-    let mut renderer =
-        ObservationRenderer::new(session.batch_renderer(), scene, rig, drawn_by.every);
+    let mut renderer = ObservationRenderer::new(
+        session.batch_renderer(),
+        scene,
+        Rig::from_iter(cameras),
+        drawn_by.every,
+    );
     let keeps = if arguments.images.is_some() {
         Images::All
     } else {
@@ -138,9 +141,9 @@ impl EpisodeObserver for ImageKeeper {
     fn step(
         &mut self,
         step: &EpisodeStep,
-        frames: &[decouplegs::planner::Frame],
+        readings: &[decouplegs::planner::Reading],
     ) -> Result<(), decouplegs::episode::EpisodeError> {
-        if let Err(error) = self.image_writer.add(step.step, frames) {
+        if let Err(error) = self.image_writer.add(step.step, readings) {
             self.error.get_or_insert(error);
         }
         Ok(())

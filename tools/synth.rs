@@ -118,7 +118,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             Capture::Ego
         },
     });
-    for camera in &mut street.rig.cameras {
+    for camera in street.rig.cameras_mut() {
         camera.intrinsics = camera
             .intrinsics
             .resized(arguments.size.width_px, arguments.size.height_px);
@@ -132,7 +132,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         street.background.len(),
         street.agents.len(),
         street.assets.len(),
-        street.rig.cameras.len()
+        street.rig.sensors.len()
     );
     text += &format!(
         "  beside it: background.ply, assets/*.ply, transforms.json, lanes.json, tracks.csv{}\n",

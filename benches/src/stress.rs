@@ -283,11 +283,7 @@ fn schedule(arguments: &Arguments, workload: &mut Workload) -> Result<DriveSched
         height_px,
     }) = arguments.size
     {
-        let rig = scene
-            .rig
-            .cameras
-            .iter_mut()
-            .map(|camera| &mut camera.intrinsics);
+        let rig = scene.rig.cameras_mut().map(|camera| &mut camera.intrinsics);
         let fixed = standing
             .iter_mut()
             .flatten()
@@ -295,7 +291,7 @@ fn schedule(arguments: &Arguments, workload: &mut Workload) -> Result<DriveSched
         rig.chain(fixed)
             .for_each(|intrinsics| *intrinsics = intrinsics.resized(width_px, height_px));
     }
-    let there = standing.as_ref().map_or(scene.rig.cameras.len(), Vec::len);
+    let there = standing.as_ref().map_or(scene.rig.sensors.len(), Vec::len);
     ensure!(
         there > 0,
         "the scene has no cameras of its own: name some with --cameras FILE (INRIA or nerfstudio)"

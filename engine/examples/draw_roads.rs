@@ -69,20 +69,18 @@ fn main() -> Result<(), Box<dyn Error>> {
             ..Pose::look_at(DVec3::ZERO, look, DVec3::Z).expect("no vertical look")
         },
     };
-    let rig = Rig {
-        cameras: vec![
-            camera(
-                "front",
-                DVec3::new(1.5, 0.0, 0.8),
-                DVec3::new(1.0, 0.0, -0.04),
-            ),
-            camera(
-                "above",
-                DVec3::new(-30.0, 0.0, 40.0),
-                DVec3::new(1.0, 0.0, -0.9),
-            ),
-        ],
-    };
+    let rig = Rig::from_iter([
+        camera(
+            "front",
+            DVec3::new(1.5, 0.0, 0.8),
+            DVec3::new(1.0, 0.0, -0.04),
+        ),
+        camera(
+            "above",
+            DVec3::new(-30.0, 0.0, 40.0),
+            DVec3::new(1.0, 0.0, -0.9),
+        ),
+    ]);
     let ego = Some(Trajectory::standing(Pose::from_yaw(
         ahead.y.atan2(ahead.x),
         stands,

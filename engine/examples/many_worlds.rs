@@ -34,10 +34,10 @@ impl Course {
     /// The rig's first camera on an ego.
     fn cameras(&self, scene: &SessionScene, time_s: f64) -> Result<Vec<Camera>, Box<dyn Error>> {
         let mut rig = scene.rig().clone();
-        rig.cameras.truncate(1);
+        rig.sensors.truncate(1);
         let front = rig
-            .cameras
-            .first_mut()
+            .cameras_mut()
+            .next()
             .ok_or("the scene has no rig: add a [[rig]] to the scene file")?;
         front.intrinsics = front.intrinsics.resized(self.size_px[0], self.size_px[1]);
         Ok(rig.at(&scene.ego().at(time_s)))

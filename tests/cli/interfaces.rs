@@ -34,7 +34,7 @@ fn by_session(session: &Session, scene: &Path) -> (Vec<String>, Vec<Vec<[u8; 3]>
         let pixels = images.rgba(0, camera).chunks_exact(4);
         pixels.map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect()
     };
-    let names = scene.rig().cameras.iter().map(|camera| camera.name.clone());
+    let names = scene.rig().cameras().map(|camera| camera.name.clone());
     (names.collect(), (0..cameras.len()).map(rgb).collect())
 }
 

@@ -91,8 +91,7 @@ impl Site {
             trajectory,
         };
         let mut rig = street.rig.clone();
-        rig.cameras
-            .iter_mut()
+        rig.cameras_mut()
             .for_each(|camera| camera.intrinsics = camera.intrinsics.resized(SIZE.0, SIZE.1));
         let file = SceneFile {
             sky: street.sky,

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
-use decouplegs::planner::{Cameras, External, Frame, ObservationRequest, Planner, Transport};
+use decouplegs::planner::{Cameras, External, ObservationRequest, Planner, Reading, Transport};
 use glam::DVec2;
 
 use super::scene_ahead::{PATIENT, briefing, cameras, observation, opened, privileged};
@@ -43,13 +43,13 @@ fn drive(planner: &mut dyn Planner) {
             .iter()
             .map(|camera| image(camera.intrinsics.pixels(), u64::from(step)))
             .collect();
-        let frames: Vec<Frame> = rig
+        let readings: Vec<Reading> = rig
             .iter()
             .zip(&images)
-            .map(|(camera, rgba)| Frame { camera, rgba })
+            .map(|(camera, rgba)| Reading::image(camera, rgba))
             .collect();
         let plan = planner
-            .plan(&observation(step, &frames, Some(&known)))
+            .plan(&observation(step, &readings, Some(&known)))
             .unwrap();
         let expected: Vec<DVec2> = images
             .iter()
@@ -202,14 +202,7 @@ fn the_example_slows_down_in_the_dark() {
         planner.begin(&briefing()).unwrap();
         let rgba = vec![gray; 4 * rig[0].intrinsics.pixels() as usize];
         let plan = planner
-            .plan(&observation(
-                0,
-                &[Frame {
-                    camera: &rig[0],
-                    rgba: &rgba,
-                }],
-                None,
-            ))
+            .plan(&observation(0, &[Reading::image(&rig[0], &rgba)], None))
             .unwrap();
         plan.at(4.0).x
     };

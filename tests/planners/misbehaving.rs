@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use decouplegs::planner::{Cameras, External, Frame, Planner, PlannerError, Timeouts, Transport};
+use decouplegs::planner::{Cameras, External, Planner, PlannerError, Reading, Timeouts, Transport};
 
 use super::scene_ahead::{PATIENT, briefing, cameras, observation, opened, script};
 
@@ -21,14 +21,7 @@ fn plan(planner: &mut External, step: u32) -> Result<(), PlannerError> {
     let camera = &cameras()[0];
     let rgba = vec![100; 4 * camera.intrinsics.pixels() as usize];
     planner
-        .plan(&observation(
-            step,
-            &[Frame {
-                camera,
-                rgba: &rgba,
-            }],
-            None,
-        ))
+        .plan(&observation(step, &[Reading::image(camera, &rgba)], None))
         .map(|_| ())
 }
 
@@ -212,14 +205,7 @@ fn who_does_not_read_does_not_hold_us_up() {
     let rgba = vec![0; 16 << 20];
     let begin = Instant::now();
     let said = planner
-        .plan(&observation(
-            0,
-            &[Frame {
-                camera,
-                rgba: &rgba,
-            }],
-            None,
-        ))
+        .plan(&observation(0, &[Reading::image(camera, &rgba)], None))
         .unwrap_err()
         .to_string();
     assert!(

@@ -82,7 +82,7 @@ impl Course {
             scenario: "course".into(),
             step_s: STEP_S,
             ego_size: VehicleSize::CAR,
-            cameras: vec![],
+            sensors: vec![],
         };
         planner.begin(&briefing).unwrap();
         let mut moments = Vec::new();
@@ -123,7 +123,7 @@ impl Course {
         Observation {
             step,
             time_s,
-            frames: &[],
+            readings: &[],
             ego: motion,
             guidance,
             privileged: Some(known),

@@ -1,10 +1,10 @@
 //! Inputs of the planners under test: two cameras, an agent and a route.
 
 use decouplegs::planner::{
-    EgoMotion, EpisodeInfo, External, Frame, Navigation, Observation, Privileged, Timeouts,
+    EgoMotion, EpisodeInfo, External, Navigation, Observation, Privileged, Reading, Timeouts,
     Transport, Turn,
 };
-use decouplegs::scene::{Intrinsics, Pose, RigCamera, VehicleSize, VehicleState};
+use decouplegs::scene::{Intrinsics, Pose, RigCamera, Sensor, VehicleSize, VehicleState};
 use glam::{DQuat, DVec2, DVec3};
 use std::path::Path;
 use std::time::Duration;
@@ -50,7 +50,7 @@ pub fn briefing() -> EpisodeInfo {
         scenario: "test".into(),
         step_s: 0.5,
         ego_size: VehicleSize::CAR,
-        cameras: cameras(),
+        sensors: cameras().into_iter().map(Sensor::Camera).collect(),
     }
 }
 
@@ -72,13 +72,13 @@ pub fn privileged() -> Privileged {
 /// An observation of step `step`.
 pub fn observation<'a>(
     step: u32,
-    frames: &'a [Frame<'a>],
+    readings: &'a [Reading<'a>],
     privileged: Option<&'a Privileged>,
 ) -> Observation<'a> {
     Observation {
         step,
         time_s: 0.5 * f64::from(step),
-        frames,
+        readings,
         ego: EgoMotion {
             speed_mps: 7.3,
             ..EgoMotion::default()

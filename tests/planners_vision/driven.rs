@@ -4,7 +4,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use decouplegs::drive::{Ego, EgoOptions};
-use decouplegs::planner::{EgoMotion, Frame, Navigation, Turn};
+use decouplegs::planner::{EgoMotion, Reading, Navigation, Turn};
 use decouplegs::scene::{Plan, VehicleState};
 use glam::DVec2;
 
@@ -41,7 +41,7 @@ fn drive_lane(curvature: f64, start: DVec2, yaw_rad: f64, steps: u32) -> Vec<f64
     let mut offsets_m = Vec::new();
     for step in 0..steps {
         let rgba = seen_from(&ego.state(), curvature).image(&camera);
-        let (_, plan) = shown(&mut vision, step, &[Frame { camera: &camera, rgba: &rgba }], motion(&ego), cruising(9.0));
+        let (_, plan) = shown(&mut vision, step, &[Reading::image(&camera, &rgba)], motion(&ego), cruising(9.0));
         ego.follow(&plan);
         ego.step(STEP_S);
         offsets_m.push(seen_from(&ego.state(), curvature).offset_m);
@@ -77,7 +77,7 @@ fn drive_behind(gap_m: f64, lead_mps: f64, steps: u32) -> Vec<(f64, f64)> {
     for step in 0..steps {
         let gap_m = gap_at(step, &ego.state());
         let rgba = DrawnRoad { gap_m: Some(gap_m), ..seen_from(&ego.state(), 0.0) }.image(&camera);
-        let (_, plan) = shown(&mut vision, step, &[Frame { camera: &camera, rgba: &rgba }], motion(&ego), cruising(10.0));
+        let (_, plan) = shown(&mut vision, step, &[Reading::image(&camera, &rgba)], motion(&ego), cruising(10.0));
         ego.follow(&plan);
         ego.step(STEP_S);
         driven.push((gap_at(step + 1, &ego.state()), ego.state().speed_mps));

@@ -1,6 +1,6 @@
 //! Images and numbers that make no sense.
 
-use decouplegs::planner::{EgoMotion, Frame, Navigation, Planner, Turn, Vision};
+use decouplegs::planner::{EgoMotion, Reading, Navigation, Planner, Turn, Vision};
 use decouplegs::scene::{Intrinsics, Plan, RigCamera};
 
 use super::drawn_road::camera;
@@ -37,7 +37,7 @@ fn images_of_nothing_leave_a_plan_to_drive() {
             let mut vision = beginner(&camera);
             for step in 0..6 {
                 let ego = EgoMotion { speed_mps: 8.0, yaw_rate_radps: 0.2, ..EgoMotion::default() };
-                let (_, plan) = shown(&mut vision, step, &[Frame { camera: &camera, rgba: &rgba }], ego, cruising(10.0));
+                let (_, plan) = shown(&mut vision, step, &[Reading::image(&camera, &rgba)], ego, cruising(10.0));
                 assert_drivable(&plan, 8.0, &format!("{width_px}x{height_px} {what}"));
             }
         }
@@ -65,7 +65,7 @@ fn numbers_that_are_none_are_survived() {
             let guidance = Navigation { turn, distance_m: value, angle_rad: value, length_m: value, cruise_mps: value };
             let mut vision = beginner(&camera);
             for step in 0..4 {
-                let (_, plan) = shown(&mut vision, step, &[Frame { camera: &camera, rgba: &rgba }], ego, guidance);
+                let (_, plan) = shown(&mut vision, step, &[Reading::image(&camera, &rgba)], ego, guidance);
                 assert_drivable(&plan, 60.0, &format!("{value}"));
             }
         }
@@ -73,7 +73,7 @@ fn numbers_that_are_none_are_survived() {
     let crooked = Intrinsics { fx_px: f64::NAN, ..camera.intrinsics };
     let crooked = RigCamera { intrinsics: crooked, ..camera };
     let ego = EgoMotion { speed_mps: 8.0, ..EgoMotion::default() };
-    let (_, plan) = shown(&mut beginner(&crooked), 0, &[Frame { camera: &crooked, rgba: &rgba }], ego, cruising(10.0));
+    let (_, plan) = shown(&mut beginner(&crooked), 0, &[Reading::image(&crooked, &rgba)], ego, cruising(10.0));
     assert_drivable(&plan, 8.0, "a crooked camera");
 }
 
@@ -82,7 +82,7 @@ fn a_plan_before_an_episode_is_refused() {
     let observation = decouplegs::planner::Observation {
         step: 0,
         time_s: 0.0,
-        frames: &[],
+        readings: &[],
         ego: EgoMotion::default(),
         guidance: cruising(10.0),
         privileged: None,

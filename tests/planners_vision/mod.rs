@@ -6,7 +6,7 @@ mod driven;
 mod hostile;
 mod rendered;
 
-use decouplegs::planner::{EpisodeInfo, EgoMotion, Frame, Navigation, Observation, Planner, Perception, Vision};
+use decouplegs::planner::{EpisodeInfo, EgoMotion, Reading, Navigation, Observation, Planner, Perception, Vision};
 use decouplegs::scene::{Plan, RigCamera};
 
 use drawn_road::EGO;
@@ -20,9 +20,9 @@ fn beginner(camera: &RigCamera) -> Vision {
 }
 
 /// Perception and plan at step `step`.
-fn shown(vision: &mut Vision, step: u32, frames: &[Frame], ego: EgoMotion, guidance: Navigation) -> (Perception, Plan) {
+fn shown(vision: &mut Vision, step: u32, readings: &[Reading], ego: EgoMotion, guidance: Navigation) -> (Perception, Plan) {
     let time_s = 0.5 * f64::from(step);
-    let observation = Observation { step, time_s, frames, ego, guidance, privileged: None };
+    let observation = Observation { step, time_s, readings, ego, guidance, privileged: None };
     let plan = vision.plan(&observation).expect("it always has a plan");
     (vision.perception().expect("it began"), plan)
 }
@@ -30,7 +30,7 @@ fn shown(vision: &mut Vision, step: u32, frames: &[Frame], ego: EgoMotion, guida
 /// Perception of a first image.
 fn glance(camera: &RigCamera, rgba: &[u8]) -> Perception {
     let ego = EgoMotion { speed_mps: 8.0, ..EgoMotion::default() };
-    shown(&mut beginner(camera), 0, &[Frame { camera, rgba }], ego, cruising(10.0)).0
+    shown(&mut beginner(camera), 0, &[Reading::image(camera, rgba)], ego, cruising(10.0)).0
 }
 
 fn cruising(cruise_mps: f64) -> Navigation {

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use clap::ValueEnum;
 use decouplegs::asset::EpisodeLog;
 use decouplegs::episode::{EpisodeError, EpisodeObserver};
-use decouplegs::planner::Frame;
+use decouplegs::planner::{Frame, Reading, images};
 use decouplegs::render::Image;
 use decouplegs::render::rendered_image::ImageFileFormat;
 use decouplegs::scene::episode::{EpisodeEnd, EpisodeHead, EpisodeStep, EpisodeTick};
@@ -58,16 +58,16 @@ impl ImageWriter {
         }
     }
 
-    pub fn add(&mut self, step: u32, frames: &[Frame]) -> Result<()> {
+    pub fn add(&mut self, step: u32, readings: &[Reading]) -> Result<()> {
         if self.keeps == Images::All {
-            for frame in frames {
+            for frame in images(readings) {
                 self.write(
                     &format!("{}_{step:04}.png", frame.camera.name),
-                    &image(frame),
+                    &image(&frame),
                 )?;
             }
         }
-        if let (Some(frame), true) = (frames.first(), self.keeps != Images::None) {
+        if let (Some(frame), true) = (images(readings).next(), self.keeps != Images::None) {
             let mut rgba = self.last.take().map(|last| last.rgba).unwrap_or_default();
             rgba.clear();
             rgba.extend_from_slice(frame.rgba);
@@ -162,11 +162,11 @@ impl EpisodeObserver for EpisodeImages {
         Ok(())
     }
 
-    fn step(&mut self, step: &EpisodeStep, frames: &[Frame]) -> Result<(), EpisodeError> {
+    fn step(&mut self, step: &EpisodeStep, readings: &[Reading]) -> Result<(), EpisodeError> {
         if let Some(log) = &mut self.log {
             log.append(step)?;
         }
-        let added = self.image_writer.add(step.step, frames);
+        let added = self.image_writer.add(step.step, readings);
         self.keep(added);
         Ok(())
     }
@@ -200,13 +200,7 @@ mod tests {
         for step in 0..14_u8 {
             let rgba = [step, 0, 0, 255, 0, step, 0, 255];
             image_writer
-                .add(
-                    u32::from(step),
-                    &[Frame {
-                        camera: &camera,
-                        rgba: &rgba,
-                    }],
-                )
+                .add(u32::from(step), &[Reading::image(&camera, &rgba)])
                 .unwrap();
         }
         image_writer.close().unwrap();

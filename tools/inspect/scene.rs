@@ -78,7 +78,7 @@ impl Listing {
             }
         };
         Self {
-            cameras: scene.rig.cameras.clone(),
+            cameras: scene.rig.cameras().cloned().collect(),
             ego: loaded.ego.clone(),
             agents: scene.agents.iter().enumerate().map(agent).collect(),
             light: Light::of(scene, loaded),

@@ -146,9 +146,7 @@ impl SceneRegistry {
         };
         let poses = ego.poses().iter().map(local).collect();
         SceneMetadata {
-            rig: Rig {
-                cameras: rig.cameras.into_iter().map(moved).collect(),
-            },
+            rig: rig.cameras().cloned().map(moved).collect(),
             ego: Trajectory::new(poses).unwrap_or_else(|_| ego.clone()),
         }
     }

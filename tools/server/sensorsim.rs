@@ -332,7 +332,7 @@ impl SensorsimService for Sensorsim {
         request: Request<AvailableCamerasRequest>,
     ) -> Result<Response<AvailableCamerasReturn>, Status> {
         let metadata = metadata_of(&self.registry, request.into_inner().scene_id).await?;
-        let cameras = metadata.rig.cameras.iter().map(|camera| AvailableCamera {
+        let cameras = metadata.rig.cameras().map(|camera| AvailableCamera {
             intrinsics: Some(spec_of(&camera.intrinsics, &camera.name)),
             rig_to_camera: Some(message_of(&camera.rig_from_camera)),
             logical_id: camera.name.clone(),

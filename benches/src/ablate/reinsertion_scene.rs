@@ -51,8 +51,8 @@ impl ReinsertionScene {
         let background = std::mem::take(&mut street.background);
         let order = background.spatial_order();
         let mut rig = street.rig.clone();
-        rig.cameras.truncate(cameras_used);
-        for camera in &mut rig.cameras {
+        rig.sensors.truncate(cameras_used);
+        for camera in rig.cameras_mut() {
             camera.intrinsics = camera.intrinsics.resized(size.width_px, size.height_px);
         }
         let agents = street

@@ -163,19 +163,57 @@ pub struct RigCamera {
     pub rig_from_camera: Pose,
 }
 
-/// The cameras of one vehicle.
+/// A sensor fixed to a vehicle. Every place that depends on the kind of sensor matches on it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Sensor {
+    /// Camera; its reading is an image.
+    Camera(RigCamera),
+}
+
+impl Sensor {
+    /// Name, unique in the rig.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Camera(camera) => &camera.name,
+        }
+    }
+}
+
+/// The sensors of one vehicle.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rig {
-    /// In the order in which images are returned.
-    pub cameras: Vec<RigCamera>,
+    /// Sensors, in the order in which their readings are returned.
+    pub sensors: Vec<Sensor>,
+}
+
+impl FromIterator<RigCamera> for Rig {
+    fn from_iter<I: IntoIterator<Item = RigCamera>>(cameras: I) -> Self {
+        Self {
+            sensors: cameras.into_iter().map(Sensor::Camera).collect(),
+        }
+    }
 }
 
 impl Rig {
+    /// The cameras among the sensors, in order.
+    pub fn cameras(&self) -> impl ExactSizeIterator<Item = &RigCamera> + Clone {
+        self.sensors.iter().map(|sensor| match sensor {
+            Sensor::Camera(camera) => camera,
+        })
+    }
+
+    /// [`Rig::cameras`], to be changed.
+    pub fn cameras_mut(&mut self) -> impl Iterator<Item = &mut RigCamera> {
+        self.sensors.iter_mut().map(|sensor| match sensor {
+            Sensor::Camera(camera) => camera,
+        })
+    }
+
     /// The rig's cameras in the world when the vehicle stands at `world_from_rig`.
     #[must_use]
     pub fn at(&self, world_from_rig: &Pose) -> Vec<Camera> {
-        self.cameras
-            .iter()
+        self.cameras()
             .map(|camera| Camera {
                 name: camera.name.clone(),
                 intrinsics: camera.intrinsics,

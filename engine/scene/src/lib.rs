@@ -28,7 +28,7 @@ pub mod vehicle;
 pub mod world;
 
 pub use bounds::Bounds;
-pub use camera::{Camera, Intrinsics, Rig, RigCamera};
+pub use camera::{Camera, Intrinsics, Rig, RigCamera, Sensor};
 pub use codebook::{CodedCloud, CodedSplat, SplatCodes};
 pub use episode::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep};
 pub use lane_map::{Lane, LaneKind, LaneMap};

@@ -49,7 +49,7 @@
  */
 typedef enum {
     /**
-     * Done.
+     * The call succeeded.
      */
     DGS_STATUS_OK = 0,
     /**
@@ -261,7 +261,7 @@ typedef struct {
      */
     double rotation_wxyz[4];
     /**
-     * Meters.
+     * Translation, meters.
      */
     double position_m[3];
 } DgsPose;
@@ -357,7 +357,7 @@ typedef struct {
      */
     uint32_t width_px;
     /**
-     * Rows.
+     * Number of rows.
      */
     uint32_t height_px;
     /**

@@ -88,7 +88,7 @@ pub unsafe extern "C" fn dgs_scene_camera_count(
     count: *mut usize,
 ) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
-    unsafe { read(scene, "count", count, |scene| Ok(scene.rig().cameras.len())) }
+    unsafe { read(scene, "count", count, |scene| Ok(scene.rig().sensors.len())) }
 }
 
 /// The name of camera `index` of the rig, from 0. `length` may be NULL.
@@ -146,20 +146,18 @@ pub unsafe extern "C" fn dgs_scene_camera_on(
 }
 
 fn rig_camera(scene: &SessionScene, index: usize) -> Result<&RigCamera, Failure> {
-    let cameras = &scene.rig().cameras;
+    let mut cameras = scene.rig().cameras();
     let missing = || {
         Failure::not_found(format!(
             "the rig has no camera {index}: it has {}, counted from 0",
-            cameras.len()
+            scene.rig().cameras().len()
         ))
     };
-    cameras.get(index).ok_or_else(missing)
+    cameras.nth(index).ok_or_else(missing)
 }
 
 fn camera_on(scene: &SessionScene, index: usize, ego: &Pose) -> Result<DgsCamera, Failure> {
-    let rig = Rig {
-        cameras: vec![rig_camera(scene, index)?.clone()],
-    };
+    let rig = Rig::from_iter([rig_camera(scene, index)?.clone()]);
     DgsCamera::of(&rig.at(ego)[0])
 }
 

@@ -92,12 +92,12 @@ impl Scene {
         reading.finish_and_clear();
 
         let size_px = arguments.size.map(|size| [size.width_px, size.height_px]);
-        for camera in &mut loaded.rig.cameras {
+        for camera in loaded.rig.cameras_mut() {
             camera.intrinsics = resized(&camera.name, &camera.intrinsics, size_px);
         }
         let drives = arguments.cameras.is_none()
             && !arguments.orbit.is_asked()
-            && !loaded.rig.cameras.is_empty();
+            && !loaded.rig.sensors.is_empty();
         let cameras = match &arguments.cameras {
             Some(file) => {
                 let options = CameraOptions {

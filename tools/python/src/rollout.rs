@@ -102,8 +102,7 @@ impl Rollout {
         let cameras = site
             .scene
             .rig()
-            .cameras
-            .iter()
+            .cameras()
             .map(|camera| camera.name.clone())
             .collect();
         let planner = PlannerRecord {

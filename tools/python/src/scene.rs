@@ -52,8 +52,7 @@ impl Scene {
     fn rig(&self) -> Vec<RigCamera> {
         self.inner
             .rig()
-            .cameras
-            .iter()
+            .cameras()
             .map(|camera| RigCamera {
                 inner: camera.clone(),
             })
@@ -157,7 +156,7 @@ impl Scene {
         let (splats, agents) = (self.inner.background_splats(), self.inner.agents().len());
         format!(
             "Scene({splats} splats, {agents} agents, {} cameras)",
-            self.inner.rig().cameras.len()
+            self.inner.rig().sensors.len()
         )
     }
 }

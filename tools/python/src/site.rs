@@ -137,8 +137,7 @@ impl Site {
     fn rig(&self) -> Vec<RigCamera> {
         self.scene
             .rig()
-            .cameras
-            .iter()
+            .cameras()
             .map(|camera| RigCamera {
                 inner: camera.clone(),
             })

@@ -29,7 +29,7 @@ async fn the_server_and_a_session_render_the_same_bytes() {
     let mut client = client(&running).await;
     let rig = cameras(&mut client, "street").await;
     let mut images = Vec::new();
-    for (camera, own) in rig.iter().zip(&scene.rig().cameras).take(2) {
+    for (camera, own) in rig.iter().zip(scene.rig().cameras()).take(2) {
         let mut asked = request("street", camera, &Pose::IDENTITY, ImageFormat::Png);
         asked.resolution_h = 90;
         asked.dynamic_objects = vec![object(&name, &ahead, &ahead)];

@@ -57,7 +57,7 @@ pub fn street(folder: &Path) -> PathBuf {
         });
     }
     let mut rig = street.rig;
-    for camera in &mut rig.cameras {
+    for camera in rig.cameras_mut() {
         camera.intrinsics = camera.intrinsics.resized(160, 90);
     }
     let ego = Some(way(&street.ego));
@@ -161,7 +161,7 @@ pub fn marked(folder: &Path) -> PathBuf {
     ));
     let file = SceneFile {
         origin: MARKED_ORIGIN,
-        rig: Rig { cameras },
+        rig: Rig::from_iter(cameras),
         ego: Some(ego),
         agents: vec![agent],
         ..SceneFile::of_background("background.ply")

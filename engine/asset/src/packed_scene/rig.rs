@@ -80,7 +80,7 @@ pub(super) fn rig_trajectories(
         .take(moments.len().max(2) - 1)
         .map(|&(_, time_us)| [time_us, time_us + 1])
         .collect();
-    for (index, camera) in scene.rig.cameras.iter().enumerate() {
+    for (index, camera) in scene.rig.cameras().enumerate() {
         let key = format!("{}@{}", camera.name, options.scene_id);
         let Pose {
             rotation,

@@ -167,8 +167,7 @@ fn metadata(scene: &SceneFile, options: &PackOptions, span_s: (f64, f64)) -> Str
     let quoted = |text: &str| Value::from(text).to_string();
     let cameras: Vec<&str> = scene
         .rig
-        .cameras
-        .iter()
+        .cameras()
         .map(|camera| camera.name.as_str())
         .collect();
     let id = quoted(&options.scene_id);

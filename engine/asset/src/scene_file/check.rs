@@ -50,9 +50,7 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
         background: form.background.into(),
         sky: form.sky,
         rules: checker.rules(&form.rules)?,
-        rig: Rig {
-            cameras: checker.cameras(&form.rig)?,
-        },
+        rig: Rig::from_iter(checker.cameras(&form.rig)?),
         ego,
         agents: checker.agents(&form.agent)?,
         light: form

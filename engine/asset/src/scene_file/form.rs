@@ -148,8 +148,7 @@ pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
         rules: spanless(rules_form(&scene.rules)?),
         rig: scene
             .rig
-            .cameras
-            .iter()
+            .cameras()
             .map(|camera| spanless(camera_form(camera)))
             .collect(),
         ego: scene.ego.as_ref().map(timed_pose_forms).unwrap_or_default(),

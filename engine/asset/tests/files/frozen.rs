@@ -146,7 +146,7 @@ fn text_files_read_as_ever() {
         "images_frame_1"
     );
     let scene = SceneFile::read(&seed("scene_file/example.toml")).unwrap();
-    assert_eq!((scene.rig.cameras.len(), scene.agents.len()), (2, 2));
+    assert_eq!((scene.rig.sensors.len(), scene.agents.len()), (2, 2));
 }
 
 /// Frozen: a reader that no longer understands it is broken, whatever is written today.

@@ -29,7 +29,8 @@ fn the_documented_example_means_what_it_says() {
         (scene.background.to_str(), scene.sky, scene.rules),
         (Some("street.ply"), [0.53, 0.68, 0.86], Rules::DEFAULT)
     );
-    let [front, left, below] = scene.rig.cameras.as_slice() else {
+    let cameras: Vec<_> = scene.rig.cameras().collect();
+    let [front, left, below] = cameras[..] else {
         panic!("three cameras")
     };
     assert!(
@@ -348,7 +349,7 @@ fn a_scene_is_loaded_with_its_agents_where_they_are() {
         (
             early.world.splats.len(),
             early.world.splats.sh_degree,
-            early.rig.cameras.len()
+            early.rig.sensors.len()
         ),
         (460, 2, 3)
     );
@@ -402,7 +403,7 @@ fn a_splat_file_is_a_scene_without_cameras() {
         (
             scene.world.splats.len(),
             scene.world.origin,
-            scene.rig.cameras.len()
+            scene.rig.sensors.len()
         ),
         (50, DVec3::ZERO, 0)
     );

@@ -3,7 +3,7 @@
 use decouplegs_asset::{SceneAgent, SceneFile, SceneLight, cameras};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{
-    Camera, Intrinsics, Lens, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory,
+    Camera, Intrinsics, Lens, Pose, RigCamera, Rules, ShFrame, TimedPose, Trajectory,
 };
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use proptest::prelude::*;
@@ -131,9 +131,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                         near_m,
                         ..Rules::by_name(Rules::NAMES[rules]).unwrap()
                     },
-                    rig: Rig {
-                        cameras: cameras.into_iter().enumerate().map(rig_camera).collect(),
-                    },
+                    rig: cameras.into_iter().enumerate().map(rig_camera).collect(),
                     ego,
                     agents: agents.into_iter().enumerate().map(scene_agent).collect(),
                     light,

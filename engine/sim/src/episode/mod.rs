@@ -23,7 +23,7 @@ use decouplegs_scene::episode::{
 };
 use decouplegs_session::SessionError;
 
-use crate::planner::{Cameras, EpisodeInfo, Frame, Observation, Planner};
+use crate::planner::{Cameras, EpisodeInfo, Observation, Planner, Reading};
 
 pub use observation_renderer::{ObservationRenderer, chosen};
 pub use replay::{Replayed, replay};
@@ -60,11 +60,11 @@ pub trait EpisodeObserver {
         Ok(())
     }
 
-    /// After each step, with the images that its plan was made from.
+    /// After each step, with the readings that its plan was made from.
     ///
     /// # Errors
     /// Ends the episode and the run.
-    fn step(&mut self, step: &EpisodeStep, frames: &[Frame]) -> Result<(), EpisodeError>;
+    fn step(&mut self, step: &EpisodeStep, readings: &[Reading]) -> Result<(), EpisodeError>;
 
     /// After the last.
     ///
@@ -77,7 +77,7 @@ pub trait EpisodeObserver {
 
 /// An observer that ignores everything.
 impl EpisodeObserver for () {
-    fn step(&mut self, _step: &EpisodeStep, _frames: &[Frame]) -> Result<(), EpisodeError> {
+    fn step(&mut self, _step: &EpisodeStep, _readings: &[Reading]) -> Result<(), EpisodeError> {
         Ok(())
     }
 }
@@ -165,15 +165,15 @@ fn one_step(
     }
     time.draw = lap();
     let renderer = renderer.as_deref();
-    let frames = renderer
-        .map(ObservationRenderer::frames)
+    let readings = renderer
+        .map(ObservationRenderer::readings)
         .unwrap_or_default();
     let simulation = rollout.simulation();
     let privileged = planner.sees().privileged.then(|| simulation.privileged());
     let observation = Observation {
         step: number,
         time_s: simulation.time_s(),
-        frames: &frames,
+        readings: &readings,
         ego: simulation.motion(),
         guidance: simulation.guidance(),
         privileged: privileged.as_ref(),
@@ -198,7 +198,7 @@ fn one_step(
     };
     let step = rollout.step(plan, images);
     time.advance = lap();
-    observer.step(step, &frames)?;
+    observer.step(step, &readings)?;
     time.observer = lap();
     Ok(time)
 }
@@ -208,8 +208,7 @@ fn metadata_of(renderer: Option<&ObservationRenderer>, planner: &dyn Planner) ->
         .map(|renderer| {
             renderer
                 .rig()
-                .cameras
-                .iter()
+                .cameras()
                 .map(|camera| camera.name.clone())
                 .collect()
         })
@@ -230,8 +229,8 @@ fn episode_info(scenario: &Scenario, renderer: Option<&ObservationRenderer>) -> 
         scenario: scenario.name.clone(),
         step_s: scenario.step_s,
         ego_size: scenario.ego.size,
-        cameras: renderer
-            .map(|renderer| renderer.rig().cameras.clone())
+        sensors: renderer
+            .map(|renderer| renderer.rig().sensors.clone())
             .unwrap_or_default(),
     }
 }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::simulation::Simulation;
-use crate::planner::{Cameras, Frame};
+use crate::planner::{Cameras, Reading};
 
 /// Renderer of what the ego's cameras see in an episode.
 pub struct ObservationRenderer {
@@ -26,15 +26,14 @@ pub struct ObservationRenderer {
 /// Returns an error if there is none to choose from.
 pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<Rig, String> {
     let first = || {
-        rig.cameras
-            .iter()
+        rig.cameras()
             .find(|camera| camera.name == "front")
-            .or(rig.cameras.first())
+            .or(rig.cameras().next())
     };
     let mut chosen: Vec<RigCamera> = match cameras {
         Cameras::None => Vec::new(),
         Cameras::Front => first().cloned().into_iter().collect(),
-        Cameras::All => rig.cameras.clone(),
+        Cameras::All => rig.cameras().cloned().collect(),
     };
     if cameras != Cameras::None && chosen.is_empty() {
         return Err("the planner wants images, and the scene has no cameras: add a [[rig]] to the scene file".into());
@@ -44,7 +43,7 @@ pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<
             camera.intrinsics = camera.intrinsics.resized(width_px, height_px);
         }
     }
-    Ok(Rig { cameras: chosen })
+    Ok(Rig::from_iter(chosen))
 }
 
 impl ObservationRenderer {
@@ -75,7 +74,7 @@ impl ObservationRenderer {
     /// Record of the renderer for a log.
     #[must_use]
     pub fn drawn_by(&self) -> Option<DrawnBy> {
-        let first = self.rig.cameras.first()?;
+        let first = self.rig.cameras().next()?;
         Some(DrawnBy {
             device: self.renderer.gpu().info().to_string(),
             width_px: first.intrinsics.width_px,
@@ -92,7 +91,7 @@ impl ObservationRenderer {
     /// agents' assets.
     pub fn draw(&mut self, simulation: &mut Simulation, step: u32) -> Result<(), SessionError> {
         self.images.clear();
-        if self.rig.cameras.is_empty() || !step.is_multiple_of(self.every) {
+        if self.rig.sensors.is_empty() || !step.is_multiple_of(self.every) {
             return Ok(());
         }
         let ego = simulation.show(&mut self.world)?;
@@ -104,15 +103,15 @@ impl ObservationRenderer {
         Ok(())
     }
 
-    /// Images of the last observation.
+    /// Readings of the last observation.
     #[must_use]
-    pub fn frames(&self) -> Vec<Frame<'_>> {
+    pub fn readings(&self) -> Vec<Reading<'_>> {
         self.drawn()
-            .map(|(camera, rgba)| Frame { camera, rgba })
+            .map(|(camera, rgba)| Reading::image(camera, rgba))
             .collect()
     }
 
-    /// Hashes of the images of the last observation.
+    /// Hashes of the readings of the last observation.
     #[must_use]
     pub fn hashes(&self) -> Vec<ImageRecord> {
         let drawn: Vec<_> = self.drawn().collect();
@@ -126,7 +125,7 @@ impl ObservationRenderer {
     /// Cameras and their images; none at a step that is not drawn.
     fn drawn(&self) -> impl Iterator<Item = (&RigCamera, &[u8])> {
         let views = self.images.views();
-        let cameras = self.rig.cameras.iter().enumerate();
+        let cameras = self.rig.cameras().enumerate();
         cameras
             .take_while(move |_| views > 0)
             .map(|(index, camera)| (camera, self.images.rgba(0, index)))

@@ -8,7 +8,7 @@ use decouplegs_scene::{Plan, Rig};
 
 use super::site::Site;
 use super::{EpisodeError, Simulation};
-use crate::planner::{EpisodeInfo, Frame, Observation, Planner};
+use crate::planner::{EpisodeInfo, Observation, Planner, Reading};
 
 /// Images of a step, four bytes per pixel, one per camera of the rig.
 pub type Images = Vec<Vec<u8>>;
@@ -31,23 +31,22 @@ pub fn plans<E: From<EpisodeError>>(
         scenario: scenario.name.clone(),
         step_s: scenario.step_s,
         ego_size: scenario.ego.size,
-        cameras: rig.cameras.clone(),
+        sensors: rig.sensors.clone(),
     };
     let begun = planner.begin(&info).is_ok();
     let mut answers = Vec::with_capacity(episode.steps.len());
     for step in &episode.steps {
         let images = images_of(step.step)?;
-        let frames: Vec<Frame> = rig
-            .cameras
-            .iter()
+        let readings: Vec<Reading> = rig
+            .cameras()
             .zip(&images)
-            .map(|(camera, rgba)| Frame { camera, rgba })
+            .map(|(camera, rgba)| Reading::image(camera, rgba))
             .collect();
         let privileged = planner.sees().privileged.then(|| simulation.privileged());
         let observation = Observation {
             step: step.step,
             time_s: simulation.time_s(),
-            frames: &frames,
+            readings: &readings,
             ego: simulation.motion(),
             guidance: simulation.guidance(),
             privileged: privileged.as_ref(),

@@ -18,6 +18,7 @@ use decouplegs_scene::plan::Plan;
 use self::message::{Answer, Introduction};
 use self::session::Session;
 use super::{EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError};
+use crate::planner::images;
 
 /// Transport to an external planner.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -151,7 +152,9 @@ impl Planner for External {
     }
 
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
-        let frames: Vec<&[u8]> = observation.frames.iter().map(|frame| frame.rgba).collect();
+        let frames: Vec<&[u8]> = images(observation.readings)
+            .map(|frame| frame.rgba)
+            .collect();
         match self.ask(&message::observe(observation), &frames)? {
             Answer::Plan { step, plan } if step == u64::from(observation.step) => Ok(plan),
             other => Err(self.refused(

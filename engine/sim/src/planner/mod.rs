@@ -20,7 +20,7 @@ pub use replay::Replay;
 pub use vision::{Perception, Vision};
 
 use decouplegs_scene::plan::Plan;
-use decouplegs_scene::{RigCamera, VehicleSize, VehicleState};
+use decouplegs_scene::{RigCamera, Sensor, VehicleSize, VehicleState};
 use glam::DVec2;
 
 /// Inputs that a planner requests.
@@ -52,6 +52,28 @@ pub struct Frame<'a> {
     pub camera: &'a RigCamera,
     /// Row by row from the top, four bytes per pixel, display-referred; the fourth is alpha.
     pub rgba: &'a [u8],
+}
+
+/// Output of a sensor at a step.
+#[derive(Clone, Copy, Debug)]
+pub enum Reading<'a> {
+    /// Image of a camera.
+    Image(Frame<'a>),
+}
+
+impl<'a> Reading<'a> {
+    /// The image `rgba` of `camera`.
+    #[must_use]
+    pub const fn image(camera: &'a RigCamera, rgba: &'a [u8]) -> Self {
+        Self::Image(Frame { camera, rgba })
+    }
+}
+
+/// The images among `readings`, in order.
+pub fn images<'a>(readings: &[Reading<'a>]) -> impl Iterator<Item = Frame<'a>> {
+    readings.iter().map(|reading| match reading {
+        Reading::Image(frame) => *frame,
+    })
 }
 
 /// Direction at the next crossing.
@@ -127,8 +149,8 @@ pub struct Observation<'a> {
     pub step: u32,
     /// Since the episode's start, seconds.
     pub time_s: f64,
-    /// The images it asked for; none at a step that is not drawn.
-    pub frames: &'a [Frame<'a>],
+    /// Readings of the sensors it asked for; none at a step that is not drawn.
+    pub readings: &'a [Reading<'a>],
     /// Motion of the ego.
     pub ego: EgoMotion,
     /// Navigation instructions.
@@ -146,8 +168,8 @@ pub struct EpisodeInfo {
     pub step_s: f64,
     /// The ego's box.
     pub ego_size: VehicleSize,
-    /// The cameras it asked for.
-    pub cameras: Vec<RigCamera>,
+    /// The sensors it asked for.
+    pub sensors: Vec<Sensor>,
 }
 
 /// Reason why a planner has no plan: a sentence. It ends the episode, not the run.

@@ -218,9 +218,7 @@ pub(super) fn rig() -> Rig {
             DVec3::new(x, y, 1.6 - EGO_CENTRE_Z_M),
         ),
     });
-    Rig {
-        cameras: cameras.into(),
-    }
+    Rig::from_iter(cameras)
 }
 
 /// Number of distinct assets that `agents` agents share.
@@ -257,16 +255,12 @@ mod tests {
     fn cameras_look_where_their_names_say() {
         let rig = rig();
         let forward = |name: &str| {
-            let camera = rig
-                .cameras
-                .iter()
-                .find(|camera| camera.name == name)
-                .unwrap();
+            let camera = rig.cameras().find(|camera| camera.name == name).unwrap();
             camera.rig_from_camera.rotation * DVec3::Z
         };
         assert!(forward("front").x > 0.999 && forward("back").x < -0.999);
         assert!(forward("front_left").y > 0.7 && forward("back_right").y < -0.9);
-        for camera in &rig.cameras {
+        for camera in rig.cameras() {
             assert!(
                 (camera.rig_from_camera.rotation * DVec3::Y).z < -0.999,
                 "image down is world down"

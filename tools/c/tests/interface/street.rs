@@ -39,8 +39,8 @@ pub fn small_street(folder: &Path, size_px: [u32; 2]) -> PathBuf {
     )
     .unwrap();
 
-    street.rig.cameras.truncate(2);
-    for camera in &mut street.rig.cameras {
+    street.rig.sensors.truncate(2);
+    for camera in street.rig.cameras_mut() {
         camera.intrinsics = camera.intrinsics.resized(size_px[0], size_px[1]);
     }
     let at = |time_s: f64, x_m: f64| TimedPose {

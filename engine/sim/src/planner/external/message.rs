@@ -1,11 +1,13 @@
 //! Messages of the protocol, as in `planner-protocol.md`.
 
 use decouplegs_scene::plan::{Plan, PlanPoint};
-use decouplegs_scene::{RigCamera, VehicleSize, VehicleState};
+use decouplegs_scene::{Sensor, VehicleSize, VehicleState};
 use glam::DVec2;
 use serde_json::{Value, json};
 
-use crate::planner::{Cameras, EpisodeInfo, Frame, Observation, ObservationRequest, Privileged};
+use crate::planner::{
+    Cameras, EpisodeInfo, Frame, Observation, ObservationRequest, Privileged, images,
+};
 
 /// The version of the protocol. Another one is refused.
 pub(super) const PROTOCOL: u64 = 1;
@@ -167,7 +169,8 @@ pub(super) fn hello() -> Value {
 
 /// Before an episode.
 pub(super) fn begin(info: &EpisodeInfo) -> Value {
-    let camera = |camera: &RigCamera| {
+    let camera = |sensor: &Sensor| {
+        let Sensor::Camera(camera) = sensor;
         let (k, pose) = (camera.intrinsics, camera.rig_from_camera);
         let rotation = [
             pose.rotation.w,
@@ -183,14 +186,14 @@ pub(super) fn begin(info: &EpisodeInfo) -> Value {
     };
     json!({
         "type": "begin", "scenario": info.scenario, "step_s": info.step_s, "ego_size_m": info.ego_size.to_array(),
-        "cameras": info.cameras.iter().map(camera).collect::<Vec<_>>(), "bytes": 0,
+        "cameras": info.sensors.iter().map(camera).collect::<Vec<_>>(), "bytes": 0,
     })
 }
 
 /// At a step. The images follow the line in the order of `frames`.
 pub(super) fn observe(observation: &Observation) -> Value {
     let (ego, guidance) = (observation.ego, observation.guidance);
-    let frame = |frame: &Frame| {
+    let frame = |frame: Frame| {
         let k = frame.camera.intrinsics;
         json!({ "camera": frame.camera.name, "width_px": k.width_px, "height_px": k.height_px, "bytes": frame.rgba.len() })
     };
@@ -204,9 +207,9 @@ pub(super) fn observe(observation: &Observation) -> Value {
             "turn": guidance.turn.name(), "distance_m": guidance.distance_m, "angle_rad": guidance.angle_rad,
             "length_m": guidance.length_m, "cruise_mps": guidance.cruise_mps,
         },
-        "frames": observation.frames.iter().map(frame).collect::<Vec<_>>(),
+        "frames": images(observation.readings).map(frame).collect::<Vec<_>>(),
         "privileged": observation.privileged.map(privileged),
-        "bytes": observation.frames.iter().map(|frame| frame.rgba.len()).sum::<usize>(),
+        "bytes": images(observation.readings).map(|frame| frame.rgba.len()).sum::<usize>(),
     })
 }
 

@@ -33,6 +33,7 @@ use super::{
     Cameras, EgoMotion, EpisodeInfo, Navigation, Observation, ObservationRequest, Planner,
     PlannerError, Turn,
 };
+use crate::planner::images;
 
 /// The lane before a turn is examined while there is at least so much of it ahead, meters.
 const LANE_BEFORE_M: f64 = 10.0;
@@ -160,10 +161,9 @@ impl State {
     fn look(&mut self, observation: &Observation) {
         let elapsed = self.move_on(observation);
         self.turn_on(Arc::announced(&observation.guidance));
-        let image = observation
-            .frames
-            .first()
-            .and_then(|frame| Image::of(frame, self.ego_size.height_m));
+        let image = images(observation.readings)
+            .next()
+            .and_then(|frame| Image::of(&frame, self.ego_size.height_m));
         let Some(image) = image else {
             self.lead = lead::track(self.lead, &elapsed, &[]);
             return;
