@@ -330,8 +330,7 @@ impl Worker<'_> {
                     &ready.site.loaded.rig,
                     episode::cameras_of(planner.as_ref(), at_least),
                     Some([size.width_px, size.height_px]),
-                )
-                .map_err(anyhow::Error::msg)?;
+                )?;
                 let mut renderer =
                     ObservationRenderer::new(renderer, scene, rig, run.arguments.render.0);
                 let driven = drive(

@@ -246,8 +246,7 @@ fn render_by_definition(scene: &Scene, layer: Layer, writer: &mut ImageWriter) -
     memory::require(
         "a reference image of this size",
         REFERENCE_PIXEL_BYTES * most,
-    )
-    .map_err(anyhow::Error::msg)?;
+    )?;
     let world = scene.loaded.baked_layer(scene.time_s, layer);
     for camera in &scene.cameras {
         writer.add(

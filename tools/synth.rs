@@ -267,9 +267,7 @@ fn trajectory(knots: &[(f64, Pose)]) -> Result<Trajectory> {
 fn baked_world(street: &Street) -> Result<SplatCloud> {
     let mut world = World::of(street.background.clone());
     for agent in &street.agents {
-        world
-            .bake_agent(&street.assets[agent.asset], agent)
-            .map_err(anyhow::Error::msg)?;
+        world.bake_agent(&street.assets[agent.asset], agent)?;
     }
     Ok(world.splats)
 }

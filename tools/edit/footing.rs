@@ -71,7 +71,7 @@ impl Footing {
             TimedPose { pose, ..*timed }
         };
         let poses = trajectory.poses().iter().map(&mut set).collect();
-        let trajectory = Trajectory::new(poses).map_err(anyhow::Error::msg)?;
+        let trajectory = Trajectory::new(poses)?;
         Ok(Grounded {
             trajectory,
             grounded,

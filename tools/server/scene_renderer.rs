@@ -129,7 +129,7 @@ pub fn status_of(error: &SessionError) -> Status {
         return Status::unavailable(error.to_string());
     }
     match error {
-        SessionError::Render(RenderError::View(reason)) => Status::invalid_argument(reason),
+        SessionError::Render(RenderError::View(error)) => Status::invalid_argument(error.reason()),
         SessionError::Render(RenderError::Gpu(error)) | SessionError::Gpu(error) => match error {
             GpuError::OutOfMemory { .. } | GpuError::BufferTooLarge { .. } => {
                 Status::resource_exhausted(error.to_string())

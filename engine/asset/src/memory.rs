@@ -4,6 +4,7 @@
 //! A failed allocation ends a Rust program with SIGABRT. Code that expands its input therefore asks
 //! [`require`] first and gets a sentence instead.
 
+use decouplegs_scene::Invalid;
 use decouplegs_scene::sh;
 
 /// Most splats of one world after agents are placed in it. The renderer numbers splats with 27
@@ -35,8 +36,8 @@ pub(crate) fn decoded_bytes_max(file_bytes: usize) -> u64 {
 ///
 /// # Errors
 /// A sentence with the bytes needed and the bytes free.
-pub fn require(what: &str, bytes: u64) -> Result<(), String> {
-    require_of(what, bytes, free_bytes())
+pub fn require(what: &str, bytes: u64) -> Result<(), Invalid> {
+    Ok(require_of(what, bytes, free_bytes())?)
 }
 
 fn require_of(what: &str, bytes: u64, free: Option<u64>) -> Result<(), String> {

@@ -1,5 +1,6 @@
 //! Detection of the format of a splat file.
 
+use decouplegs_scene::Invalid;
 use std::path::Path;
 
 use decouplegs_scene::SplatCloud;
@@ -57,7 +58,7 @@ impl SplatFormat {
     ///
     /// # Errors
     /// A sentence on what the bytes look like and what to do.
-    pub fn detect(bytes: &[u8], extension: &str) -> Result<Self, String> {
+    pub fn detect(bytes: &[u8], extension: &str) -> Result<Self, Invalid> {
         match bytes {
             [b'p', b'l', b'y', b'\n' | b'\r', ..] => match Ply::parse(bytes) {
                 Ok(ply) if compressed_ply::is_compressed(&ply) => Ok(Self::CompressedPly),
@@ -65,16 +66,16 @@ impl SplatFormat {
                 _ => Ok(Self::InriaPly),
             },
             [b'N', b'G', b'S', b'P', ..] | [0x1f, 0x8b, ..] => Ok(Self::Spz),
-            [b'P', b'K', 3, 4, ..] => Self::of_zip(bytes, extension),
+            [b'P', b'K', 3, 4, ..] => Ok(Self::of_zip(bytes, extension)?),
             [b'g', b'l', b'T', b'F', ..] => Ok(Self::KhrGlb),
             // As PyTorch saved before 1.6.
             [0x80, 2, 0x8a, 10, ..] => Ok(Self::Checkpoint),
             _ if extension.eq_ignore_ascii_case("splat") => Ok(Self::Splat),
             _ if extension.eq_ignore_ascii_case("safetensors") => Ok(Self::CodedAsset),
             [] => Err("the file is empty".into()),
-            _ => Err(format!(
+            _ => Err(Invalid::new(format!(
                 "neither its first bytes nor its extension '{extension}' tell a splat format"
-            )),
+            ))),
         }
     }
 
@@ -132,7 +133,7 @@ pub(crate) fn splats_of(bytes: &[u8], path: &Path) -> Result<SplatCloud, AssetEr
     let format =
         SplatFormat::detect(bytes, &extension).map_err(|found| AssetError::Unrecognized {
             path: path.to_owned(),
-            found,
+            found: found.into(),
             expected: SplatFormat::EXTENSIONS,
         })?;
     decode(bytes, format).map_err(|source| AssetError::Decode {
@@ -193,6 +194,7 @@ mod tests {
         assert!(
             SplatFormat::detect(b"hello", "txt")
                 .unwrap_err()
+                .reason()
                 .contains("'txt'")
         );
     }

@@ -105,7 +105,7 @@ pub(crate) fn text_of(bytes: &[u8]) -> Result<&str, SceneError> {
     .map_err(|reason| SceneError {
         line: 1,
         key: "text".into(),
-        reason,
+        reason: reason.into(),
     })?;
     for (index, line) in text.lines().enumerate() {
         // Numbers, in lines of arrays, stand behind commas or brackets.

@@ -9,6 +9,7 @@ mod path;
 #[cfg(test)]
 mod tests;
 
+use decouplegs_scene::Invalid;
 use decouplegs_scene::{LaneKind, LaneMap, VehicleSize};
 
 use crate::polyline::{Polyline, wrapped};
@@ -115,18 +116,18 @@ impl RoadGraph {
     /// left out.
     ///
     /// # Errors
-    /// A sentence: what [`LaneMap::check`] says, a centerline that is no line, more than 5,000 km
-    /// of lanes, or more of them in one place than a city has.
-    pub fn new(map: &LaneMap) -> Result<Self, String> {
+    /// Returns an error for what [`LaneMap::check`] refuses, a centerline that is no line, more
+    /// than 5,000 km of lanes, or more of them in one place than a city has.
+    pub fn new(map: &LaneMap) -> Result<Self, Invalid> {
         map.check()?;
         let mut lanes = Vec::with_capacity(map.lanes.len());
         for lane in &map.lanes {
             let line = Polyline::new(lane.centerline.iter().copied());
             let line = line.ok_or_else(|| {
-                format!(
+                Invalid::new(format!(
                     "lane {}: its centerline is one point; expected a line",
                     lane.id
-                )
+                ))
             })?;
             lanes.push((lane.kind == LaneKind::Driving).then(|| {
                 RoadLane {
@@ -158,11 +159,11 @@ impl RoadGraph {
             .map(|lane: &RoadLane| lane.line.length_m())
             .sum();
         if length_m.is_nan() || length_m > LENGTH_M_MAX {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "{:.0} km of driving lanes; expected at most {:.0}",
                 length_m / 1e3,
                 LENGTH_M_MAX / 1e3
-            ));
+            )));
         }
         link(map, &mut lanes);
         find_ways_on(&mut lanes);
@@ -182,13 +183,13 @@ impl RoadGraph {
     /// The same lanes for vehicles up to another size.
     ///
     /// # Errors
-    /// A sentence where the size is no vehicle's, or lanes lie upon each other by the thousand.
-    pub fn for_vehicle(mut self, vehicle: VehicleSize) -> Result<Self, String> {
+    /// Returns an error if the size is no vehicle's, or lanes lie upon each other by the thousand.
+    pub fn for_vehicle(mut self, vehicle: VehicleSize) -> Result<Self, Invalid> {
         let [length_m, width_m, _] = vehicle.to_array();
         if !(0.1..=40.0).contains(&length_m) || !(0.1..=10.0).contains(&width_m) {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "a vehicle of {length_m} by {width_m} m; expected 0.1 to 40 by 0.1 to 10"
-            ));
+            )));
         }
         self.vehicle = vehicle;
         let (cells, conflicts, forks) = conflicts::find(&self.lanes, vehicle)?;

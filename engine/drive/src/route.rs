@@ -1,5 +1,6 @@
 //! The way that an ego is to go: lanes after and beside each other, joined into one smooth line.
 
+use decouplegs_scene::Invalid;
 use decouplegs_scene::LaneMap;
 use decouplegs_scene::scenario::EgoTask;
 use glam::{DVec2, DVec3};
@@ -36,7 +37,7 @@ impl Route {
     /// # Errors
     /// A sentence naming the lane: one that is not in the map, or twice; one that does not follow
     /// or neighbor the one before; a start or end beyond it; no room to change to it.
-    pub fn new(map: &LaneMap, task: &EgoTask) -> Result<Self, String> {
+    pub fn new(map: &LaneMap, task: &EgoTask) -> Result<Self, Invalid> {
         let joined = joined::join(map, task)?;
         let turns = turns::turns_of(&joined.line);
         Ok(Self {

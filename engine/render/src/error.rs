@@ -1,6 +1,7 @@
 //! Errors of rendering.
 
 use decouplegs_gpu::GpuError;
+use decouplegs_scene::Invalid;
 
 /// Reason why a world could not be uploaded or a frame could not be rendered.
 #[derive(Debug, thiserror::Error)]
@@ -10,10 +11,10 @@ pub enum RenderError {
     Gpu(#[from] GpuError),
     /// A camera that cannot make an image, or too many of them.
     #[error("{0}")]
-    View(String),
+    View(Invalid),
     /// An asset that cannot be drawn.
     #[error("the asset cannot be drawn: {0}")]
-    Asset(String),
+    Asset(Invalid),
     /// An agent that names an asset which was removed, or is another pool's.
     #[error(
         "an agent shows an asset that the pool does not hold: it was removed, or added to another pool"
@@ -40,8 +41,8 @@ pub enum RenderError {
     Shadow {
         /// Index among the scene's agents.
         index: usize,
-        /// Reason, a sentence.
-        reason: String,
+        /// Reason that its values make no sense.
+        reason: Invalid,
     },
     /// A frame too many.
     #[error("{max} frames are in flight, as many as may be: finish one first")]

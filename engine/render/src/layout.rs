@@ -11,6 +11,7 @@ pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
 pub use light::{RelightRecord, ShadowRecord};
 
 use bytemuck::{Pod, Zeroable};
+use decouplegs_scene::Invalid;
 use decouplegs_scene::{Camera, Pose, Rules, rules};
 use decouplegs_shaders::constants;
 use glam::{DMat3, DVec3};
@@ -352,12 +353,12 @@ impl View {
     ///
     /// # Errors
     /// A sentence when there is no camera, too many, or one that cannot make an image.
-    pub fn new(cameras: &[Camera], origin: DVec3, reach_m: f64) -> Result<Self, String> {
+    pub fn new(cameras: &[Camera], origin: DVec3, reach_m: f64) -> Result<Self, Invalid> {
         if cameras.is_empty() || cameras.len() > CAMERAS_MAX {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "{} cameras were given; a frame draws 1 to {CAMERAS_MAX}",
                 cameras.len()
-            ));
+            )));
         }
         let key_scale = key_scale(reach_m);
         let mut view = Self {
@@ -376,10 +377,10 @@ impl View {
                 && pose.rotation.is_finite()
                 && pose.rotation.length_squared() > 1e-12)
             {
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "camera {}: its pose {pose:?} is not finite",
                     camera.name
-                ));
+                )));
             }
             let first_pixel = u32::try_from(view.pixels).map_err(|_| {
                 format!("camera {}: more than 2^32 pixels in one frame", camera.name)
@@ -442,6 +443,7 @@ mod tests {
         assert!(
             View::new(&vec![camera(4, 4); 33], DVec3::ZERO, 1.0)
                 .unwrap_err()
+                .reason()
                 .contains("33")
         );
         let mut lost = camera(4, 4);
@@ -449,6 +451,7 @@ mod tests {
         assert!(
             View::new(&[lost], DVec3::ZERO, 1.0)
                 .unwrap_err()
+                .reason()
                 .contains("camera c")
         );
     }

@@ -1,5 +1,6 @@
 //! Cameras and rigs of them.
 
+use crate::Invalid;
 use glam::{DVec2, DVec3};
 
 use crate::Pose;
@@ -81,38 +82,38 @@ impl Intrinsics {
     ///
     /// # Errors
     /// A sentence naming the value at fault.
-    pub fn check(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), Invalid> {
         if self.width_px == 0
             || self.height_px == 0
             || self.width_px > 65_536
             || self.height_px > 65_536
         {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "image size {}x{} is outside 1x1 to 65536x65536",
                 self.width_px, self.height_px
-            ));
+            )));
         }
         if !(self.fx_px.is_finite()
             && self.fx_px > 0.0
             && self.fy_px.is_finite()
             && self.fy_px > 0.0)
         {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "focal lengths {} and {} must be finite and positive",
                 self.fx_px, self.fy_px
-            ));
+            )));
         }
         if !(self.cx_px.is_finite() && self.cy_px.is_finite()) {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "principal point ({}, {}) must be finite",
                 self.cx_px, self.cy_px
-            ));
+            )));
         }
         self.lens.check()?;
         if self.lens == Lens::Pinhole {
             Ok(())
         } else {
-            RayMap::new(self).check(self)
+            Ok(RayMap::new(self).check(self)?)
         }
     }
 
@@ -246,6 +247,7 @@ mod tests {
             }
             .check()
             .unwrap_err()
+            .reason()
             .contains("0x4")
         );
         assert!(
@@ -255,6 +257,7 @@ mod tests {
             }
             .check()
             .unwrap_err()
+            .reason()
             .contains("NaN")
         );
     }

@@ -7,6 +7,7 @@
 //! Gaussians: Navaneet et al., CompGS, 2023; Niedermayr et al., Compressed 3D Gaussian Splatting,
 //! 2024).
 
+use crate::Invalid;
 use rayon::prelude::*;
 
 use crate::{Bounds, ShFrame, SplatCloud, sh, shape};
@@ -136,14 +137,14 @@ impl CodedCloud {
     ///
     /// # Errors
     /// A sentence naming the value at fault.
-    pub fn check(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), Invalid> {
         let coefficients = sh::coefficient_count(self.sh_degree);
         if self.sh_degree > sh::DEGREE_MAX {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "colors have degree {}; 0 to {} can be drawn",
                 self.sh_degree,
                 sh::DEGREE_MAX
-            ));
+            )));
         }
         let listed = self
             .levels
@@ -153,26 +154,26 @@ impl CodedCloud {
             || self.levels.len() > LEVELS_MAX
             || listed != Some(self.splats.len())
         {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "levels of {:?} splats: expected 1 to {LEVELS_MAX} levels that add up to {}",
                 self.levels,
                 self.splats.len()
-            ));
+            )));
         }
         if self.shapes.is_empty() || self.shapes.len() > SHAPES_MAX {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "{} shapes; expected 1 to {SHAPES_MAX}",
                 self.shapes.len()
-            ));
+            )));
         }
         if !self.colors.len().is_multiple_of(coefficients)
             || self.colors.is_empty()
             || self.color_count() > COLORS_MAX
         {
             let found = self.colors.len();
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "{found} color coefficients; expected 1 to {COLORS_MAX} colors of {coefficients}"
-            ));
+            )));
         }
         let numbers = self
             .shapes
@@ -188,18 +189,18 @@ impl CodedCloud {
             .chain([&self.log2_size_min, &self.log2_size_step])
             .find(|value| !value.is_finite())
         {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "a codebook or a bound holds {value}; expected finite numbers"
-            ));
+            )));
         }
         let largest = self.log2_size_min + 255.0 * self.log2_size_step;
         if !(-120.0..=120.0).contains(&self.log2_size_min)
             || !(self.log2_size_min..=120.0).contains(&largest)
         {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "sizes from 2^{} to 2^{largest}; expected rising exponents in -120 to 120",
                 self.log2_size_min
-            ));
+            )));
         }
         let bad = |splat: &CodedSplat| {
             let codes = SplatCodes::from(*splat);
@@ -207,13 +208,13 @@ impl CodedCloud {
                 || usize::from(codes.color) >= self.color_count()
         };
         match self.splats.par_iter().position_any(bad) {
-            Some(splat) => Err(format!(
+            Some(splat) => Err(Invalid::new(format!(
                 "splat {splat} names shape {} of {} and color {} of {}",
                 SplatCodes::from(self.splats[splat]).shape,
                 self.shapes.len(),
                 SplatCodes::from(self.splats[splat]).color,
                 self.color_count()
-            )),
+            ))),
             None => Ok(()),
         }
     }
@@ -389,12 +390,28 @@ mod tests {
             change(&mut cloud);
             cloud.check().unwrap_err()
         };
-        assert!(broken(|c| c.levels = vec![1]).contains("add up"));
-        assert!(broken(|c| c.levels = vec![usize::MAX, 3]).contains("add up"));
-        assert!(broken(|c| c.shapes.truncate(1)).contains("shape 1 of 1"));
-        assert!(broken(|c| c.colors.truncate(8)).contains("color 2 of 2"));
-        assert!(broken(|c| c.colors[0][0] = f32::NAN).contains("NaN"));
-        assert!(broken(|c| c.log2_size_step = 1e9).contains("120"));
-        assert!(broken(|c| c.sh_degree = 9).contains("degree"));
+        assert!(broken(|c| c.levels = vec![1]).reason().contains("add up"));
+        assert!(
+            broken(|c| c.levels = vec![usize::MAX, 3])
+                .reason()
+                .contains("add up")
+        );
+        assert!(
+            broken(|c| c.shapes.truncate(1))
+                .reason()
+                .contains("shape 1 of 1")
+        );
+        assert!(
+            broken(|c| c.colors.truncate(8))
+                .reason()
+                .contains("color 2 of 2")
+        );
+        assert!(
+            broken(|c| c.colors[0][0] = f32::NAN)
+                .reason()
+                .contains("NaN")
+        );
+        assert!(broken(|c| c.log2_size_step = 1e9).reason().contains("120"));
+        assert!(broken(|c| c.sh_degree = 9).reason().contains("degree"));
     }
 }

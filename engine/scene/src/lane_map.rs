@@ -1,5 +1,6 @@
 //! Lanes: where vehicles drive, as every map format is read into.
 
+use crate::Invalid;
 use glam::DVec3;
 
 /// Purpose of a lane.
@@ -90,20 +91,20 @@ impl LaneMap {
     ///
     /// # Errors
     /// A sentence naming the lane at fault.
-    pub fn check(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), Invalid> {
         for lane in &self.lanes {
             let id = &lane.id;
             if lane.centerline.len() < 2 {
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "lane {id}: a centerline of {} points; expected at least 2",
                     lane.centerline.len()
-                ));
+                )));
             }
             let mut points = lane.centerline.iter().chain(&lane.left).chain(&lane.right);
             if let Some(point) = points.find(|point| !point.is_finite()) {
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "lane {id}: a point at {point}; expected finite numbers"
-                ));
+                )));
             }
             let links = lane
                 .successors
@@ -112,10 +113,10 @@ impl LaneMap {
                 .chain(&lane.left_neighbor)
                 .chain(&lane.right_neighbor);
             if let Some(link) = links.copied().find(|&link| link >= self.lanes.len()) {
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "lane {id}: names lane number {link} of {}",
                     self.lanes.len()
-                ));
+                )));
             }
         }
         Ok(())

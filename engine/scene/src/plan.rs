@@ -1,5 +1,6 @@
 //! Plan of a planner: the positions of the ego vehicle in the next seconds.
 
+use crate::Invalid;
 use glam::DVec2;
 
 /// Position of the ego at a moment.
@@ -30,33 +31,33 @@ impl Plan {
     /// # Errors
     /// A sentence naming what is wrong: no points or too many, a number that is not finite, time
     /// that does not rise, a place or a time out of reach.
-    pub fn new(points: Vec<PlanPoint>) -> Result<Self, String> {
+    pub fn new(points: Vec<PlanPoint>) -> Result<Self, Invalid> {
         if points.is_empty() || points.len() > Self::POINTS_MAX {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "a plan of {} points; expected 1 to {}",
                 points.len(),
                 Self::POINTS_MAX
-            ));
+            )));
         }
         let mut before_s = 0.0;
         for (index, PlanPoint { time_s, position_m }) in points.iter().enumerate() {
             if !(time_s.is_finite() && position_m.is_finite()) {
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "point {index} of the plan has a time or a place that is not finite"
-                ));
+                )));
             }
             if *time_s <= before_s || *time_s > Self::HORIZON_S_MAX {
                 let horizon_s = Self::HORIZON_S_MAX;
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "point {index} of the plan is at {time_s} s; expected more than {before_s}, at most {horizon_s}"
-                ));
+                )));
             }
             if position_m.length() > Self::REACH_M_MAX {
                 let reach_m = Self::REACH_M_MAX;
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "point {index} of the plan is {:.0} m away; expected at most {reach_m}",
                     position_m.length()
-                ));
+                )));
             }
             before_s = *time_s;
         }
@@ -125,13 +126,41 @@ mod tests {
     #[test]
     fn what_cannot_be_driven_is_refused_with_its_place() {
         let refused = |points: Vec<PlanPoint>| Plan::new(points).unwrap_err();
-        assert!(refused(vec![]).contains("0 points"));
-        assert!(refused(vec![point(1.0, 1.0); 257]).contains("257 points"));
-        assert!(refused(vec![point(1.0, 1.0), point(2.0, f64::NAN)]).contains("point 1"));
-        assert!(refused(vec![point(f64::INFINITY, 1.0)]).contains("not finite"));
-        assert!(refused(vec![point(1.0, 1.0), point(1.0, 2.0)]).contains("more than 1"));
-        assert!(refused(vec![point(0.0, 1.0)]).contains("more than 0"));
-        assert!(refused(vec![point(31.0, 1.0)]).contains("at most 30"));
-        assert!(refused(vec![point(1.0, 1e9)]).contains("1000000000 m away"));
+        assert!(refused(vec![]).reason().contains("0 points"));
+        assert!(
+            refused(vec![point(1.0, 1.0); 257])
+                .reason()
+                .contains("257 points")
+        );
+        assert!(
+            refused(vec![point(1.0, 1.0), point(2.0, f64::NAN)])
+                .reason()
+                .contains("point 1")
+        );
+        assert!(
+            refused(vec![point(f64::INFINITY, 1.0)])
+                .reason()
+                .contains("not finite")
+        );
+        assert!(
+            refused(vec![point(1.0, 1.0), point(1.0, 2.0)])
+                .reason()
+                .contains("more than 1")
+        );
+        assert!(
+            refused(vec![point(0.0, 1.0)])
+                .reason()
+                .contains("more than 0")
+        );
+        assert!(
+            refused(vec![point(31.0, 1.0)])
+                .reason()
+                .contains("at most 30")
+        );
+        assert!(
+            refused(vec![point(1.0, 1e9)])
+                .reason()
+                .contains("1000000000 m away")
+        );
     }
 }

@@ -1,5 +1,6 @@
 //! Tracks: what was seen of a road user over time, before it is known to stand on a road.
 
+use crate::Invalid;
 use glam::{DVec2, DVec3};
 
 /// Observed pose of a road user at a moment.
@@ -41,10 +42,10 @@ impl Track {
     ///
     /// # Errors
     /// A sentence naming the point at fault.
-    pub fn check(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), Invalid> {
         let id = &self.id;
         if self.points.is_empty() {
-            return Err(format!("track {id}: no points"));
+            return Err(Invalid::new(format!("track {id}: no points")));
         }
         for (index, point) in self.points.iter().enumerate() {
             let numbers = [
@@ -55,22 +56,24 @@ impl Track {
                 point.yaw_rad,
             ];
             if numbers.iter().flatten().any(|number| !number.is_finite()) {
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "track {id}: point {index} holds a number that is not finite"
-                ));
+                )));
             }
             if index > 0 && point.time_s <= self.points[index - 1].time_s {
                 let before = self.points[index - 1].time_s;
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "track {id}: point {index} at {} s does not follow the one at {before} s",
                     point.time_s
-                ));
+                )));
             }
         }
         match self.dims_m {
-            Some(dims) if dims.iter().any(|dim| !(dim.is_finite() && *dim > 0.0)) => Err(format!(
-                "track {id}: dimensions {dims:?}; expected length, width and height above zero"
-            )),
+            Some(dims) if dims.iter().any(|dim| !(dim.is_finite() && *dim > 0.0)) => {
+                Err(Invalid::new(format!(
+                    "track {id}: dimensions {dims:?}; expected length, width and height above zero"
+                )))
+            }
             _ => Ok(()),
         }
     }

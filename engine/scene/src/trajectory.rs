@@ -1,5 +1,6 @@
 //! Motion as timed poses.
 
+use crate::Invalid;
 use crate::Pose;
 
 /// Pose at a moment.
@@ -23,22 +24,22 @@ impl Trajectory {
     /// # Errors
     /// A sentence naming the first pose at fault when there is none, a value is not finite, or time
     /// does not rise.
-    pub fn new(poses: Vec<TimedPose>) -> Result<Self, String> {
+    pub fn new(poses: Vec<TimedPose>) -> Result<Self, Invalid> {
         if poses.is_empty() {
             return Err("a trajectory needs at least one pose".into());
         }
         for (index, TimedPose { time_s, pose }) in poses.iter().enumerate() {
             if !(time_s.is_finite() && pose.translation.is_finite() && pose.rotation.is_finite()) {
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "pose {index} has a time, position or rotation that is not finite"
-                ));
+                )));
             }
             if index > 0 && *time_s <= poses[index - 1].time_s {
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "pose {index} at {time_s} s does not follow pose {} at {} s",
                     index - 1,
                     poses[index - 1].time_s
-                ));
+                )));
             }
         }
         Ok(Self { poses })
@@ -153,11 +154,13 @@ mod tests {
         assert!(
             Trajectory::new(vec![at(1.0), at(1.0)])
                 .unwrap_err()
+                .reason()
                 .contains("pose 1")
         );
         assert!(
             Trajectory::new(vec![at(f64::NAN)])
                 .unwrap_err()
+                .reason()
                 .contains("finite")
         );
     }

@@ -1,5 +1,6 @@
 //! A world to be drawn: a background, the agents placed in it, its sky and its rules.
 
+use crate::Invalid;
 use glam::DVec3;
 
 use crate::{Pose, Rules, SplatCloud};
@@ -64,11 +65,14 @@ impl World {
         &mut self,
         asset: &SplatCloud,
         agent: &AgentPlacement,
-    ) -> Result<u16, String> {
+    ) -> Result<u16, Invalid> {
         let last = self.instance_from_splat.last().copied().unwrap_or(0);
-        let instance = last
-            .checked_add(1)
-            .ok_or_else(|| format!("agent {}: more than 65535 agents in one world", agent.name))?;
+        let instance = last.checked_add(1).ok_or_else(|| {
+            Invalid::new(format!(
+                "agent {}: more than 65535 agents in one world",
+                agent.name
+            ))
+        })?;
         self.bake_instance(asset, &agent.world_from_agent, agent.sh_frame, instance);
         Ok(instance)
     }

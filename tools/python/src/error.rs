@@ -100,6 +100,6 @@ pub fn of_episode(error: &EpisodeError) -> PyErr {
     }
 }
 
-pub fn value_error(text: String) -> PyErr {
-    PyValueError::new_err(text)
+pub fn value_error(text: impl Into<String>) -> PyErr {
+    PyValueError::new_err(text.into())
 }

@@ -17,6 +17,7 @@
 //! typing error passes for an absent key. `centreline`, `left_neighbour` and `right_neighbour`, as
 //! older files have them, are read too.
 
+use decouplegs_scene::Invalid;
 use std::io::{self, Write};
 use std::path::Path;
 
@@ -217,7 +218,7 @@ impl LaneForm {
 ///
 /// # Errors
 /// A sentence on what is wrong with the map, see [`LaneMap::check`].
-pub fn encode(map: &LaneMap) -> Result<Vec<u8>, String> {
+pub fn encode(map: &LaneMap) -> Result<Vec<u8>, Invalid> {
     map.check()?;
     let lanes = map
         .lanes

@@ -198,7 +198,7 @@ impl<'a> File<'a> {
                 (Plane::Local, Some(local_m), _) => local_m,
                 (Plane::Utm(zone), _, Some(degrees)) => zone
                     .project(degrees.y, degrees.x)
-                    .map_err(|reason| lanelet.element.fault(reason))?,
+                    .map_err(|error| lanelet.element.fault(error.reason()))?,
                 _ => return Err(lanelet.element.fault("one of its nodes has no lat and lon")),
             };
             Ok(place.extend(node.height_m.filter(|_| has_height).unwrap_or(0.0)))

@@ -17,6 +17,7 @@ pub mod open_drive;
 mod polyline;
 pub mod projection;
 
+use decouplegs_scene::Invalid;
 use std::path::Path;
 
 use decouplegs_scene::{Lane, LaneMap};
@@ -62,7 +63,7 @@ impl MapFormat {
     ///
     /// # Errors
     /// A sentence on what was found.
-    pub fn detect(bytes: &[u8]) -> Result<Self, String> {
+    pub fn detect(bytes: &[u8]) -> Result<Self, Invalid> {
         let text = bytes
             .strip_prefix(b"\xef\xbb\xbf")
             .unwrap_or(bytes)
@@ -85,12 +86,12 @@ impl MapFormat {
                     .min_by_key(|found| found.0);
                 first
                     .map(|(_, format)| format)
-                    .ok_or_else(|| "XML of another kind".to_owned())
+                    .ok_or_else(|| "XML of another kind".into())
             }
             Some(b'{') if has_key(text, "lane_segments") => Ok(Self::Argoverse2),
             Some(b'{') => Ok(Self::LaneJson),
-            Some(_) => Err("neither XML nor a JSON object".to_owned()),
-            None => Err("the file is empty".to_owned()),
+            Some(_) => Err("neither XML nor a JSON object".into()),
+            None => Err("the file is empty".into()),
         }
     }
 }
@@ -112,7 +113,7 @@ pub fn read_map(path: &Path) -> Result<LaneMap, AssetError> {
     let bytes = read_bytes(path)?;
     let format = MapFormat::detect(&bytes).map_err(|found| AssetError::Unrecognized {
         path: path.to_owned(),
-        found,
+        found: found.into(),
         expected: "a map: OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad XML",
     })?;
     decode(&bytes, format).map_err(|source| AssetError::Decode {
@@ -152,7 +153,8 @@ fn finished(mut lanes: Vec<Lane>, offset: DVec3) -> Result<LaneMap, DecodeError>
         lane.speed_limit_mps = lane.speed_limit_mps.filter(|speed_mps| *speed_mps > 0.0);
     }
     let map = LaneMap { lanes, offset };
-    map.check().map_err(DecodeError::Malformed)?;
+    map.check()
+        .map_err(|error| DecodeError::Malformed(error.into()))?;
     for lane in &map.lanes {
         let mut points = lane.centerline.iter().chain(&lane.left).chain(&lane.right);
         if let Some(point) = points.find(|point| point.abs().max_element() > COORDINATE_MAX_M) {
@@ -182,9 +184,9 @@ mod tests {
             ("{\"lane_segments\": {}}", Ok(MapFormat::Argoverse2)),
             ("{\"lanes\": []}", Ok(MapFormat::LaneJson)),
             ("{broken", Ok(MapFormat::LaneJson)),
-            ("<html>", Err("XML of another kind".to_owned())),
-            ("[1]", Err("neither XML nor a JSON object".to_owned())),
-            ("", Err("the file is empty".to_owned())),
+            ("<html>", Err("XML of another kind".into())),
+            ("[1]", Err("neither XML nor a JSON object".into())),
+            ("", Err("the file is empty".into())),
         ] {
             assert_eq!(MapFormat::detect(text.as_bytes()), expected, "{text}");
         }

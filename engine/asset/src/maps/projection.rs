@@ -5,6 +5,7 @@
 //! F. F. Karney, "Transverse Mercator with an accuracy of a few nanometers", J. Geodesy 85, 2011,
 //! equations 7 to 12 and 35), below a micrometer within 15 degrees of the central meridian.
 
+use decouplegs_scene::Invalid;
 use glam::DVec2;
 
 /// Equatorial radius of WGS 84, meters.
@@ -52,22 +53,26 @@ impl UtmZone {
     ///
     /// # Errors
     /// A sentence where UTM is not defined there or the place is far from the zone.
-    pub fn project(self, latitude_deg: f64, longitude_deg: f64) -> Result<DVec2, String> {
-        let place = || format!("latitude {latitude_deg}, longitude {longitude_deg}");
+    pub fn project(self, latitude_deg: f64, longitude_deg: f64) -> Result<DVec2, Invalid> {
+        let place = || {
+            Invalid::new(format!(
+                "latitude {latitude_deg}, longitude {longitude_deg}"
+            ))
+        };
         if !(latitude_deg.abs() <= LATITUDE_MAX_DEG && longitude_deg.abs() <= 360.0) {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "{}: UTM reaches latitudes of {LATITUDE_MAX_DEG} degrees",
                 place()
-            ));
+            )));
         }
         let east_deg =
             (longitude_deg - self.central_meridian_deg() + 540.0).rem_euclid(360.0) - 180.0;
         if east_deg.abs() > FROM_MERIDIAN_MAX_DEG {
             let zone = self.number;
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "{}: more than {FROM_MERIDIAN_MAX_DEG} degrees from the middle of UTM zone {zone}",
                 place()
-            ));
+            )));
         }
         let north_m = if self.is_north { 0.0 } else { FALSE_NORTHING_M };
         let plane = transverse_mercator(latitude_deg.to_radians(), east_deg.to_radians());

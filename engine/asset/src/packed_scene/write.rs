@@ -82,7 +82,7 @@ pub fn pack(
         ]);
     }
     let (own, files) = renamed(scene);
-    let text = own.to_toml().map_err(refused)?;
+    let text = own.to_toml().map_err(|error| refused(error.into()))?;
     texts.push((SCENE, text.into_bytes()));
     for (path, _) in &files {
         let path = directory.join(path);

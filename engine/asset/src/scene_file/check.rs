@@ -99,9 +99,9 @@ impl Checker<'_> {
                 .unwrap_or(3.0 * form.sigma_m.unwrap_or(default.sigma_m)),
             spacing_m: form.spacing_m.unwrap_or(default.spacing_m),
         };
-        ambient
-            .check()
-            .map_err(|reason| self.error(&span, "light", field_of(&reason), reason.as_str()))?;
+        ambient.check().map_err(|reason| {
+            self.error(&span, "light", field_of(reason.reason()), reason.reason())
+        })?;
         let shadows = form
             .shadows
             .as_ref()
@@ -126,7 +126,12 @@ impl Checker<'_> {
             floor: form.floor.unwrap_or(default.floor),
         };
         shadows.check().map_err(|reason| {
-            self.error(&span, "light.shadows", field_of(&reason), reason.as_str())
+            self.error(
+                &span,
+                "light.shadows",
+                field_of(reason.reason()),
+                reason.reason(),
+            )
         })?;
         Ok(shadows)
     }

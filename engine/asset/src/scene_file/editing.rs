@@ -1,5 +1,6 @@
 //! Agents of a scene file added, removed, moved, and shown as something else.
 
+use decouplegs_scene::Invalid;
 use std::path::PathBuf;
 
 use decouplegs_scene::{Pose, TimedPose, Trajectory};
@@ -93,7 +94,7 @@ pub fn begun_at(
     trajectory: &Trajectory,
     position_m: DVec3,
     yaw_rad: f64,
-) -> Result<Trajectory, String> {
+) -> Result<Trajectory, Invalid> {
     let first = trajectory.poses()[0].pose;
     let turn = DQuat::from_rotation_z(yaw_rad - heading_rad(&first));
     // Relative to the first pose: in UTM coordinates a turn about the origin would cost a nanometer
@@ -108,7 +109,7 @@ pub fn begun_at(
 ///
 /// # Errors
 /// A sentence, when a pose is not finite.
-pub fn shifted(trajectory: &Trajectory, shift: &Pose) -> Result<Trajectory, String> {
+pub fn shifted(trajectory: &Trajectory, shift: &Pose) -> Result<Trajectory, Invalid> {
     each_pose(trajectory, |pose| pose.then(shift))
 }
 
@@ -119,7 +120,10 @@ pub fn heading_rad(pose: &Pose) -> f64 {
     ahead.y.atan2(ahead.x)
 }
 
-fn each_pose(trajectory: &Trajectory, moved: impl Fn(&Pose) -> Pose) -> Result<Trajectory, String> {
+fn each_pose(
+    trajectory: &Trajectory,
+    moved: impl Fn(&Pose) -> Pose,
+) -> Result<Trajectory, Invalid> {
     let timed = |timed: &TimedPose| TimedPose {
         time_s: timed.time_s,
         pose: moved(&timed.pose),
@@ -219,13 +223,13 @@ impl SceneFile {
     fn with_trajectory(
         &mut self,
         name: &str,
-        edited: impl Fn(&Trajectory) -> Result<Trajectory, String>,
+        edited: impl Fn(&Trajectory) -> Result<Trajectory, Invalid>,
     ) -> Result<(), EditError> {
         let place = self.place_of(name)?;
         let agent = &mut self.agents[place];
         agent.trajectory = edited(&agent.trajectory).map_err(|reason| EditError::Motion {
             name: name.to_owned(),
-            reason,
+            reason: reason.into(),
         })?;
         Ok(())
     }

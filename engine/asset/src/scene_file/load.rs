@@ -110,7 +110,7 @@ impl LoadedScene {
             &format!("a scene of {splats} decoded splats"),
             2 * cloud_bytes(splats, sh_degree),
         )
-        .map_err(AssetError::Placement)
+        .map_err(|error| AssetError::Placement(error.into()))
     }
 
     /// The uncompressed twin: [`LoadedScene::world`] with the finest level of every agent added
@@ -327,7 +327,7 @@ impl AgentLoader<'_> {
         self.checked_splats = 2 * splats;
         let what = format!("a scene of {splats} splats and more, with its agents,");
         memory::require(&what, cloud_bytes(self.checked_splats, sh_degree))
-            .map_err(AssetError::Placement)
+            .map_err(|error| AssetError::Placement(error.into()))
     }
 
     fn add(

@@ -10,6 +10,7 @@ mod lens;
 mod load;
 mod paths;
 
+use decouplegs_scene::Invalid;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -126,8 +127,8 @@ impl SceneFile {
     ///
     /// # Errors
     /// A sentence, when a path is not Unicode.
-    pub fn to_toml(&self) -> Result<String, String> {
-        form::to_toml(self)
+    pub fn to_toml(&self) -> Result<String, Invalid> {
+        Ok(form::to_toml(self)?)
     }
 
     /// Writes the scene file to `path`, atomically.

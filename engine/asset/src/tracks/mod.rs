@@ -8,6 +8,7 @@ pub mod commonroad;
 mod poses;
 pub mod table;
 
+use decouplegs_scene::Invalid;
 use std::path::Path;
 
 use decouplegs_scene::Track;
@@ -43,7 +44,7 @@ impl TrackFormat {
     ///
     /// # Errors
     /// A sentence on what was found.
-    pub fn detect(bytes: &[u8]) -> Result<Self, String> {
+    pub fn detect(bytes: &[u8]) -> Result<Self, Invalid> {
         let text = bytes
             .strip_prefix(b"\xef\xbb\xbf")
             .unwrap_or(bytes)
@@ -66,7 +67,7 @@ pub fn read_tracks(path: &Path) -> Result<Vec<Track>, AssetError> {
     let bytes = read_bytes(path)?;
     let format = TrackFormat::detect(&bytes).map_err(|found| AssetError::Unrecognized {
         path: path.to_owned(),
-        found,
+        found: found.into(),
         expected: "tracks: a CSV table with a line of names, a JSON array of rows, or a CommonRoad scenario",
     })?;
     decode(&bytes, format).map_err(|source| AssetError::Decode {
@@ -110,7 +111,7 @@ fn finished(tracks: Vec<Track>) -> Result<Vec<Track>, DecodeError> {
     tracks
         .iter()
         .try_for_each(Track::check)
-        .map_err(DecodeError::Malformed)?;
+        .map_err(|error| DecodeError::Malformed(error.into()))?;
     Ok(tracks)
 }
 

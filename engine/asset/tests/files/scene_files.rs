@@ -200,7 +200,7 @@ fn what_is_written_reads_back_the_same() {
     let bare = SceneFile::of_background("b.spz");
     assert_eq!(SceneFile::parse(&bare.to_toml().unwrap()).unwrap(), bare);
     scene.rules.alpha_max = 0.5;
-    assert!(scene.to_toml().unwrap_err().contains("no name"));
+    assert!(scene.to_toml().unwrap_err().reason().contains("no name"));
 }
 
 #[test]

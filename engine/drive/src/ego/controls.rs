@@ -61,6 +61,6 @@ impl Ego {
                 position_m: self.state.to_local(ego.state.position_m),
             }
         });
-        Plan::new(points.collect())
+        Ok(Plan::new(points.collect())?)
     }
 }

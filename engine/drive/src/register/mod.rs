@@ -22,6 +22,7 @@ pub mod procrustes;
 pub mod route;
 pub mod smooth;
 
+use decouplegs_scene::Invalid;
 use decouplegs_scene::{LaneMap, Pose, Track};
 use rayon::prelude::*;
 
@@ -99,7 +100,7 @@ pub enum RegisterError {
     NoLanes,
     /// The map is not one.
     #[error("the map cannot be used: {0}")]
-    Map(String),
+    Map(Invalid),
     /// There are no tracks.
     #[error("there are no tracks to register")]
     NoTracks,

@@ -1,6 +1,7 @@
 //! Orthogonal Procrustes in the plane: the rigid motion that brings points nearest to their
 //! partners.
 
+use decouplegs_scene::Invalid;
 use glam::DVec2;
 
 use crate::planar::PlanarTransform;
@@ -26,19 +27,21 @@ const EXTENT_MIN_M: f64 = 1e-6;
 /// # Errors
 /// A sentence, where the pairs do not tell a motion: fewer than two of weight, points that
 /// coincide, a number that is not finite, or partners of which no turn is better than another.
-pub fn procrustes(pairs: &[WeightedPair]) -> Result<PlanarTransform, String> {
+pub fn procrustes(pairs: &[WeightedPair]) -> Result<PlanarTransform, Invalid> {
     let usable: Vec<&WeightedPair> = pairs.iter().filter(|pair| pair.weight > 0.0).collect();
     if usable.len() < 2 {
-        return Err(format!(
+        return Err(Invalid::new(format!(
             "{} pairs of points; a motion in the plane needs at least 2",
             usable.len()
-        ));
+        )));
     }
     if let Some(pair) = usable
         .iter()
         .find(|pair| !(pair.from.is_finite() && pair.to.is_finite() && pair.weight.is_finite()))
     {
-        return Err(format!("a pair of points that is not finite: {pair:?}"));
+        return Err(Invalid::new(format!(
+            "a pair of points that is not finite: {pair:?}"
+        )));
     }
     let total: f64 = usable.iter().map(|pair| pair.weight).sum();
     let middle = |of: fn(&WeightedPair) -> DVec2| {
@@ -125,24 +128,32 @@ mod tests {
             to,
             weight: 1.0,
         };
-        assert!(procrustes(&[]).unwrap_err().contains("0 pairs"));
+        assert!(procrustes(&[]).unwrap_err().reason().contains("0 pairs"));
         assert!(
             procrustes(&[pair(DVec2::X, DVec2::Y)])
                 .unwrap_err()
+                .reason()
                 .contains("1 pairs")
         );
         assert!(
             procrustes(&[pair(DVec2::X, DVec2::Y); 9])
                 .unwrap_err()
+                .reason()
                 .contains("coincide")
         );
         assert!(
             procrustes(&[pair(DVec2::X, DVec2::NAN), pair(DVec2::X, DVec2::Y)])
                 .unwrap_err()
+                .reason()
                 .contains("finite")
         );
         let to_one = [pair(DVec2::X, DVec2::Y), pair(-DVec2::X, DVec2::Y)];
-        assert!(procrustes(&to_one).unwrap_err().contains("no turn"));
+        assert!(
+            procrustes(&to_one)
+                .unwrap_err()
+                .reason()
+                .contains("no turn")
+        );
         let nothing_counts = WeightedPair {
             weight: 0.0,
             ..pair(DVec2::X, DVec2::Y)
@@ -150,6 +161,7 @@ mod tests {
         assert!(
             procrustes(&[nothing_counts; 5])
                 .unwrap_err()
+                .reason()
                 .contains("0 pairs")
         );
     }

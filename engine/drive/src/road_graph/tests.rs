@@ -120,18 +120,21 @@ fn what_is_no_road_is_refused() {
     assert!(
         RoadGraph::new(&map(vec![far]))
             .unwrap_err()
+            .reason()
             .contains("km of driving lanes")
     );
     let one = lane("one", &[[1.0, 1.0], [1.0, 1.0]]);
     assert!(
         RoadGraph::new(&map(vec![one]))
             .unwrap_err()
+            .reason()
             .contains("lane one")
     );
     let heap = vec![lane("heap", &[[0.0, 0.0], [20.0, 0.0]]); 40_000];
     assert!(
         RoadGraph::new(&map(heap))
             .unwrap_err()
+            .reason()
             .contains("by the thousand")
     );
     let graph = RoadGraph::new(&map(vec![lane("a", &[[0.0, 0.0], [9.0, 0.0]])])).unwrap();

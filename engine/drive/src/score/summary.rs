@@ -1,5 +1,6 @@
 //! Scores of many episodes, in the layout of the paper's Table 3.
 
+use decouplegs_scene::Invalid;
 use std::collections::BTreeMap;
 
 use decouplegs_scene::Level;
@@ -99,7 +100,7 @@ impl SetSummary {
         self.route_completion.count
     }
 
-    fn check(&self, set: &str) -> Result<(), String> {
+    fn check(&self, set: &str) -> Result<(), Invalid> {
         let completion = self.route_completion.mean;
         for (name, mean) in [
             ("success rate", self.success.mean),
@@ -107,9 +108,9 @@ impl SetSummary {
         ] {
             // Written so that what is no number fails.
             if !(0.0 <= mean && mean <= completion + ROUNDING && completion <= 1.0) {
-                return Err(format!(
+                return Err(Invalid::new(format!(
                     "{set}: a {name} of {mean} with a mean route completion of {completion}; expected 0 <= {name} <= route completion <= 1"
-                ));
+                )));
             }
         }
         Ok(())
@@ -148,7 +149,7 @@ impl Summary {
     ///
     /// # Errors
     /// A sentence with the set and its figures.
-    pub fn check(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), Invalid> {
         for (level, set) in &self.levels {
             set.check(level.map_or("no level", Level::name))?;
         }

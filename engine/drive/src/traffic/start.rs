@@ -1,5 +1,6 @@
 //! Start of the traffic: agents are placed on their lanes; impossible ones are refused.
 
+use decouplegs_scene::Invalid;
 use std::sync::Arc;
 
 use decouplegs_scene::VehicleSize;
@@ -66,7 +67,7 @@ pub enum TrafficError {
     },
     /// The lanes are not for vehicles so large.
     #[error("{0}")]
-    Roads(String),
+    Roads(Invalid),
 }
 
 impl Traffic {

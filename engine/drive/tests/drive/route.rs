@@ -242,13 +242,14 @@ fn what_is_no_route_is_refused_with_the_lane() {
             "from lane slow to lane fast with 5.0 m of room",
         ),
     ] {
-        assert!(error.contains(names), "{error}");
+        assert!(error.reason().contains(names), "{error}");
     }
     let mut twice = corner();
     twice.lanes[3].id = "slow".into();
     assert!(
         Route::new(&twice, &task(&["slow"], 0.0, 9.0))
             .unwrap_err()
+            .reason()
             .contains("twice")
     );
 }

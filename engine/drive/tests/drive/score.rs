@@ -237,7 +237,7 @@ fn summaries_have_the_layout_of_the_table_and_hold_what_must_be_true() {
     ]) {
         let mut summary = summary.clone();
         breaks(&mut summary);
-        assert!(summary.check().unwrap_err().contains(names));
+        assert!(summary.check().unwrap_err().reason().contains(names));
     }
     assert_eq!(
         (Summary::of(&[]).all, Summary::of(&[]).check()),

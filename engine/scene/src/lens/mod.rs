@@ -13,6 +13,8 @@ mod tests;
 
 pub use ray_map::RayMap;
 
+use crate::Invalid;
+
 /// No lens shows a ray farther off its axis than this, whatever its maximum angle: depth is counted
 /// along the axis.
 pub const ANGLE_LIMIT_RAD: f64 = 1.57;
@@ -160,10 +162,10 @@ impl Lens {
     ///
     /// # Errors
     /// A sentence naming the value at fault.
-    pub fn check(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), Invalid> {
         let finite =
             |what: &str, values: &[f64]| match values.iter().find(|value| !value.is_finite()) {
-                Some(value) => Err(format!("lens: {what} {value} must be finite")),
+                Some(value) => Err(Invalid::new(format!("lens: {what} {value} must be finite"))),
                 None => Ok(()),
             };
         let angle = |max_angle_rad: f64| {
@@ -173,9 +175,9 @@ impl Lens {
             {
                 return Ok(());
             }
-            Err(format!(
+            Err(Invalid::new(format!(
                 "lens: max angle {max_angle_rad} rad is outside 0.001 to pi"
-            ))
+            )))
         };
         match self {
             Self::Pinhole => Ok(()),
@@ -197,12 +199,12 @@ impl Lens {
 }
 
 impl FTheta {
-    fn check_shape(&self) -> Result<(), String> {
+    fn check_shape(&self) -> Result<(), Invalid> {
         let [c, d, e] = self.linear_cde;
         if c - d * e <= 1e-3 {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "lens: linear c {c}, d {d}, e {e} fold the image: c - d e must be positive"
-            ));
+            )));
         }
         let [constant, first, ..] = *self.followed();
         // A hundredth of a pixel at the center is what calibrations leave there.
@@ -211,9 +213,9 @@ impl FTheta {
             FThetaReference::AngleToPixelDistance => constant,
         };
         if !(first > 0.0 && first < 1e12 && constant_px.abs() <= 0.01) {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "lens: a polynomial that begins {constant}, {first} is not 0 and rising at the center"
-            ));
+            )));
         }
         Ok(())
     }

@@ -237,7 +237,10 @@ fn beyond_its_end_a_lens_goes_on_without_a_jump_and_never_back() {
 fn lenses_that_make_no_image_are_refused_with_the_reason() {
     let refused = |lens: Lens, part: &str| {
         let fault = with(lens, 400.0).check().unwrap_err();
-        assert!(fault.contains(part), "'{fault}' does not say '{part}'");
+        assert!(
+            fault.reason().contains(part),
+            "'{fault}' does not say '{part}'"
+        );
     };
     let open_cv = |radial: [f64; 6]| {
         Lens::OpenCv(OpenCv {

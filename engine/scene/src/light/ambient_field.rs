@@ -1,5 +1,6 @@
 //! L(x) over a background: its definition, and a field that answers for any place in microseconds.
 
+use crate::Invalid;
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
@@ -41,7 +42,7 @@ impl AmbientOptions {
     ///
     /// # Errors
     /// A sentence naming the value at fault.
-    pub fn check(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), Invalid> {
         let values = [
             ("sigma_m", self.sigma_m),
             ("radius_m", self.radius_m),
@@ -51,16 +52,16 @@ impl AmbientOptions {
             .iter()
             .find(|(_, value)| !(value.is_finite() && *value > 0.0))
         {
-            Some((name, value)) => Err(format!(
+            Some((name, value)) => Err(Invalid::new(format!(
                 "{name} is {value}; expected a number of meters above zero"
-            )),
+            ))),
             None if self.radius_m > 100.0 * self.sigma_m
                 || self.radius_m > 50.0 * self.spacing_m =>
             {
-                Err(format!(
+                Err(Invalid::new(format!(
                     "radius_m is {}, out of proportion to sigma_m, {}, or spacing_m, {}",
                     self.radius_m, self.sigma_m, self.spacing_m
-                ))
+                )))
             }
             None => Ok(()),
         }
@@ -459,7 +460,7 @@ mod tests {
             sigma_m: 0.0,
             ..AmbientOptions::default()
         };
-        assert!(zero.check().unwrap_err().contains("sigma_m is 0"));
+        assert!(zero.check().unwrap_err().reason().contains("sigma_m is 0"));
         assert!(
             AmbientOptions {
                 radius_m: 1e9,
@@ -467,6 +468,7 @@ mod tests {
             }
             .check()
             .unwrap_err()
+            .reason()
             .contains("proportion")
         );
     }

@@ -1,5 +1,6 @@
 //! The light of a scene: from where an agent stands to its colors and its shadow.
 
+use crate::Invalid;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -41,13 +42,13 @@ impl ShadowOptions {
     ///
     /// # Errors
     /// A sentence naming the value at fault.
-    pub fn check(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), Invalid> {
         let shares = [("strength", self.strength), ("floor", self.floor)];
         if let Some((name, value)) = shares
             .iter()
             .find(|(_, value)| !(0.0..=1.0).contains(value))
         {
-            return Err(format!("{name} is {value}; expected 0 to 1"));
+            return Err(Invalid::new(format!("{name} is {value}; expected 0 to 1")));
         }
         let sizes = [
             ("decay", self.decay),
@@ -58,7 +59,9 @@ impl ShadowOptions {
             .iter()
             .find(|(_, value)| !(value.is_finite() && *value > 0.0))
         {
-            Some((name, value)) => Err(format!("{name} is {value}; expected a number above zero")),
+            Some((name, value)) => Err(Invalid::new(format!(
+                "{name} is {value}; expected a number above zero"
+            ))),
             None => Ok(()),
         }
     }
@@ -233,6 +236,7 @@ mod tests {
             }
             .check()
             .unwrap_err()
+            .reason()
             .contains("strength is 2")
         );
         assert!(
@@ -242,6 +246,7 @@ mod tests {
             }
             .check()
             .unwrap_err()
+            .reason()
             .contains("decay is 0")
         );
     }

@@ -1,6 +1,7 @@
 //! The contact shadow: a soft super-ellipse about an agent's footprint, laid on the ground that it
 //! stands on.
 
+use crate::Invalid;
 use glam::{DVec2, DVec3};
 
 use crate::{Pose, SplatCloud, World, sh};
@@ -33,13 +34,13 @@ impl ContactShadow {
     ///
     /// # Errors
     /// A sentence naming the value at fault.
-    pub fn check(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), Invalid> {
         let pose = &self.world_from_ground;
         if !(pose.translation.is_finite()
             && pose.rotation.is_finite()
             && pose.rotation.length_squared() > 1e-12)
         {
-            return Err(format!("its pose {pose:?} is not finite"));
+            return Err(Invalid::new(format!("its pose {pose:?} is not finite")));
         }
         let [length_m, width_m] = self.half_size_m;
         let positive = [
@@ -52,12 +53,13 @@ impl ContactShadow {
             .iter()
             .find(|(_, value)| !(value.is_finite() && *value > 0.0))
         {
-            Some((what, value)) => {
-                Err(format!("a {what} of {value}; expected a number above zero"))
-            }
-            None if !(0.0..=1.0).contains(&self.strength) => {
-                Err(format!("a strength of {}; expected 0 to 1", self.strength))
-            }
+            Some((what, value)) => Err(Invalid::new(format!(
+                "a {what} of {value}; expected a number above zero"
+            ))),
+            None if !(0.0..=1.0).contains(&self.strength) => Err(Invalid::new(format!(
+                "a strength of {}; expected 0 to 1",
+                self.strength
+            ))),
             None => Ok(()),
         }
     }
@@ -188,9 +190,17 @@ mod tests {
             change(&mut shadow);
             shadow.check().unwrap_err()
         };
-        assert!(broken(|s| s.half_size_m[1] = 0.0).contains("half width"));
-        assert!(broken(|s| s.strength = 1.5).contains("1.5"));
-        assert!(broken(|s| s.decay = f64::NAN).contains("decay"));
-        assert!(broken(|s| s.world_from_ground.translation.x = f64::INFINITY).contains("pose"));
+        assert!(
+            broken(|s| s.half_size_m[1] = 0.0)
+                .reason()
+                .contains("half width")
+        );
+        assert!(broken(|s| s.strength = 1.5).reason().contains("1.5"));
+        assert!(broken(|s| s.decay = f64::NAN).reason().contains("decay"));
+        assert!(
+            broken(|s| s.world_from_ground.translation.x = f64::INFINITY)
+                .reason()
+                .contains("pose")
+        );
     }
 }

@@ -1,6 +1,7 @@
 //! Light transfer, the effect of light on colors: c' = T(L) (.) c + b(L) with T = W_T L + w_0 and b
 //! = W_B L + b_0.
 
+use crate::Invalid;
 use crate::light::AmbientDescriptor;
 use crate::{SplatCloud, sh};
 
@@ -74,21 +75,21 @@ impl LightTransfer {
     ///
     /// # Errors
     /// A sentence naming the value at fault.
-    pub fn check(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), Invalid> {
         if self.sh_degree > sh::DEGREE_MAX {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "a light transfer of degree {}; 0 to {} are known",
                 self.sh_degree,
                 sh::DEGREE_MAX
-            ));
+            )));
         }
         let rows = 3 * sh::coefficient_count(self.sh_degree);
         if self.gain.len() != rows || self.offset.len() != rows {
-            return Err(format!(
+            return Err(Invalid::new(format!(
                 "{} rows of gain and {} of offset; expected {rows} each",
                 self.gain.len(),
                 self.offset.len()
-            ));
+            )));
         }
         let rows = self
             .gain
@@ -99,9 +100,9 @@ impl LightTransfer {
             .chain(self.neutral.coefficients.as_flattened())
             .find(|value| !value.is_finite())
         {
-            Some(value) => Err(format!(
+            Some(value) => Err(Invalid::new(format!(
                 "a light transfer holds {value}; expected finite numbers"
-            )),
+            ))),
             None => Ok(()),
         }
     }
@@ -184,9 +185,9 @@ mod tests {
         );
         let mut broken = transfer();
         broken.gain.pop();
-        assert!(broken.check().unwrap_err().contains("11 rows"));
+        assert!(broken.check().unwrap_err().reason().contains("11 rows"));
         let mut broken = transfer();
         broken.offset[3].1 = f32::NAN;
-        assert!(broken.check().unwrap_err().contains("NaN"));
+        assert!(broken.check().unwrap_err().reason().contains("NaN"));
     }
 }

@@ -1,5 +1,6 @@
 //! Images of the ego's cameras.
 
+use decouplegs_scene::Invalid;
 use std::sync::Arc;
 
 use decouplegs_scene::episode::{DrawnBy, ImageRecord};
@@ -24,7 +25,7 @@ pub struct ObservationRenderer {
 ///
 /// # Errors
 /// Returns an error if there is none to choose from.
-pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<Rig, String> {
+pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<Rig, Invalid> {
     let first = || {
         rig.cameras()
             .find(|camera| camera.name == "front")

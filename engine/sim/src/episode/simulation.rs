@@ -42,7 +42,7 @@ impl Simulation {
             scenario: scenario.name.clone(),
             reason,
         };
-        let route = Route::new(&site.lanes, &scenario.ego).map_err(unfit)?;
+        let route = Route::new(&site.lanes, &scenario.ego).map_err(|error| unfit(error.into()))?;
         let traffic = Traffic::new(site.graph.clone(), &scenario.agents, scenario.seed)
             .map_err(|error| unfit(error.to_string()))?;
         let (start, heading_rad) = route.pose_at(0.0);

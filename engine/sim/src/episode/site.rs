@@ -95,7 +95,7 @@ impl Site {
             let what = format!("a place of {background} splats with cars of {agent_splats}");
             // Twice, as lists are sorted into copies.
             memory::require(&what, cloud_bytes(splats, 0).saturating_mul(2))
-                .map_err(SiteError::Unfit)?;
+                .map_err(|error| SiteError::Unfit(error.into()))?;
         }
         match place {
             Place::Street {
@@ -243,7 +243,8 @@ impl Site {
         asset_sizes: Vec<VehicleSize>,
         ground: Option<Ground>,
     ) -> Result<Self, SiteError> {
-        let graph = Arc::new(RoadGraph::new(&lanes).map_err(SiteError::Unfit)?);
+        let graph =
+            Arc::new(RoadGraph::new(&lanes).map_err(|error| SiteError::Unfit(error.into()))?);
         let surface = RoadSurface::new(&lanes);
         Ok(Self {
             loaded,

@@ -24,5 +24,5 @@ pub(super) fn plan_through(mut place_at: impl FnMut(f64) -> DVec2) -> Result<Pla
             position_m: place_at(time_s),
         }
     });
-    Plan::new(points.collect()).map_err(PlannerError)
+    Plan::new(points.collect()).map_err(|error| PlannerError(error.into()))
 }

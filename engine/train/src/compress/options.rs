@@ -1,5 +1,6 @@
 //! Options and errors of a compression.
 
+use decouplegs_scene::Invalid;
 use decouplegs_scene::codebook::{COLORS_MAX, SHAPES_MAX};
 use decouplegs_scene::{ShFrame, SplatCloud};
 
@@ -131,7 +132,7 @@ pub enum CompressError {
     },
     /// The result cannot be stored.
     #[error("the splats cannot be coded: {0}")]
-    Unrepresentable(String),
+    Unrepresentable(Invalid),
 }
 
 pub(super) fn check_visibility(
