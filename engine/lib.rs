@@ -36,7 +36,7 @@ pub use decouplegs_gpu as gpu;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;
 pub use decouplegs_session::{
-    self as session, AgentInstance, LiveEditError, LiveScene, SceneSnapshot, measure_movable_scene,
+    self as session, AgentInstance, LiveScene, SceneSnapshot, measure_movable_scene,
     open_movable_scene,
 };
 pub use decouplegs_sim::{episode, planner};

@@ -7,7 +7,7 @@ use decouplegs::LiveScene;
 use decouplegs::asset::scene_file::editing::{begun_at, shifted};
 use decouplegs::asset::{
     CodedAsset, Layer, LightTransferFile, LoadedScene, Provenance, SceneAgent, SceneFile,
-    SceneLight, inria_ply, read_coded, read_splats, write_coded, write_light_transfer,
+    SceneLight, inria_ply, read_splats, write_coded, write_light_transfer,
 };
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Image, RenderOptions, Renderer, reference};
@@ -15,6 +15,7 @@ use decouplegs::scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs::scene::{
     AmbientDescriptor, Camera, LightTransfer, Pose, Rules, ShFrame, TimedPose, Trajectory,
 };
+use decouplegs::session::{Session, SessionError, SessionOptions, World, WorldView};
 use decouplegs::synth::street::{Street, StreetOptions};
 use glam::DVec3;
 
@@ -437,7 +438,7 @@ fn every_layer_is_its_definition() {
 }
 
 /// The same images, and in each pixel agents of the same name.
-fn assert_same(live: (&[Image], &LiveScene), fresh: (&[Image], &LoadedScene), step: &str) {
+fn assert_same(world: (&[Image], &World), fresh: (&[Image], &LoadedScene), step: &str) {
     let plain = |instance: u16| {
         fresh
             .1
@@ -446,26 +447,22 @@ fn assert_same(live: (&[Image], &LiveScene), fresh: (&[Image], &LoadedScene), st
             .cloned()
     };
     let named = |instance: u16| {
-        live.1
-            .agents()
+        let agents = world.1.agents();
+        let found = agents
             .iter()
-            .find(|agent| agent.instance == instance)
-            .map(|agent| agent.name.clone())
+            .find(|agent| agent.placed.instance == instance);
+        found.map(|agent| agent.name.clone())
     };
-    for (camera, (live, fresh)) in live.0.iter().zip(fresh.0).enumerate() {
+    for (camera, (shown, fresh)) in world.0.iter().zip(fresh.0).enumerate() {
         assert!(
-            !differing(live, fresh).contains(&true),
+            !differing(shown, fresh).contains(&true),
             "{step}: camera {camera} differs"
         );
-        let ids = live
-            .instance()
-            .unwrap()
-            .iter()
-            .zip(fresh.instance().unwrap());
-        for (live, fresh) in ids {
-            // A plain agent is no agent of the live scene; in this one it keeps its place.
+        let ids = shown.instance().unwrap().iter();
+        for (shown, fresh) in ids.zip(fresh.instance().unwrap()) {
+            // A plain agent is no agent of the world; in this one it keeps its place.
             assert_eq!(
-                named(*live).or_else(|| plain(*live)),
+                named(*shown).or_else(|| plain(*shown)),
                 plain(*fresh),
                 "{step}: camera {camera}"
             );
@@ -474,31 +471,39 @@ fn assert_same(live: (&[Image], &LiveScene), fresh: (&[Image], &LoadedScene), st
 }
 
 #[test]
-fn a_scene_edited_while_it_is_shown_is_the_edited_file_loaded() {
+fn a_world_edited_while_it_is_shown_is_the_edited_file_loaded() {
     let gpu = Validated::open();
     let site = Site::new();
     let (mut file, folder) = (site.file.clone(), site.folder.path());
     let loaded_first = site.loaded();
-    let mut renderer = Renderer::new(&gpu, options());
-    let mut live = LiveScene::new(&renderer, &loaded_first).unwrap();
-    let green = live
-        .add_asset(&read_coded(&folder.join("green.safetensors")).unwrap().cloud)
-        .unwrap();
+    let session = Session::on(
+        &gpu,
+        &SessionOptions {
+            render: options(),
+            ..SessionOptions::default()
+        },
+    );
+    let scene = session.add_scene(&loaded_first).unwrap();
+    let (mut renderer, mut world) = (session.batch_renderer(), World::new(&scene));
+    let green = scene.add_asset(&folder.join("green.safetensors")).unwrap();
     let views = cameras(&loaded_first);
     let mut shown = Vec::new();
-    let mut check = |live: &LiveScene, file: &SceneFile, step: &str| {
-        renderer.render(live.with(&live.at(0.0)), &views).unwrap();
-        let images = renderer.read_images().unwrap();
+    let mut check = |world: &World, file: &SceneFile, step: &str| {
+        let view = WorldView {
+            world,
+            cameras: &views,
+        };
+        let images = renderer.draw_images(&[view]).unwrap().0.remove(0);
         let fresh = loaded(file, folder);
         assert_same(
-            (&images, live),
+            (&images, world),
             (&draw(&gpu, &fresh, Layer::All), &fresh),
             step,
         );
         assert!(!shown.contains(&images), "{step} is seen");
         shown.push(images);
     };
-    check(&live, &file, "as loaded");
+    check(&world, &file, "as loaded");
 
     let way = begun_at(
         &file.agent("ahead").unwrap().trajectory,
@@ -506,82 +511,65 @@ fn a_scene_edited_while_it_is_shown_is_the_edited_file_loaded() {
         0.4,
     )
     .unwrap();
-    live.set_trajectory("ahead", way.clone()).unwrap();
+    world.move_to("ahead", way.at(0.0)).unwrap();
     file.set_trajectory("ahead", way).unwrap();
-    check(&live, &file, "moved");
+    check(&world, &file, "moved");
 
     let shift = Pose::from_yaw(0.3, DVec3::new(1.5, -0.5, 0.0));
     let way = shifted(&file.agent("left").unwrap().trajectory, &shift).unwrap();
-    live.set_trajectory("left", way).unwrap();
+    world.move_to("left", way.at(0.0)).unwrap();
     file.shift_agent("left", &shift).unwrap();
-    check(&live, &file, "shifted");
+    check(&world, &file, "shifted");
 
-    live.swap_asset("right", green).unwrap();
+    let pose = file.agent("right").unwrap().trajectory.at(0.0);
+    world.place("right", green, pose, None).unwrap();
     file.swap_asset("right", "green.safetensors").unwrap();
-    check(&live, &file, "swapped");
+    check(&world, &file, "swapped");
 
-    let taken = live.remove_agent("left").unwrap();
-    assert_eq!(taken.instance, 3);
-    let ids: Vec<u16> = live.agents().iter().map(|agent| agent.instance).collect();
+    let taken = world.remove("left").unwrap();
+    assert_eq!(taken.placed.instance, 3);
+    let ids: Vec<u16> = world
+        .agents()
+        .iter()
+        .map(|agent| agent.placed.instance)
+        .collect();
     assert_eq!(ids, [1, 4, 5, 6], "those of the others stay");
-    file.remove_agent("left").unwrap();
-    check(&live, &file, "removed");
+    let trajectory = file.remove_agent("left").unwrap().trajectory;
+    check(&world, &file, "removed");
 
+    let pose = trajectory.at(0.0);
     assert_eq!(
-        live.add_agent("new", green, Some(ShFrame::World), taken.trajectory.clone())
+        world
+            .place("new", green, pose, Some(ShFrame::World))
             .unwrap(),
         7
     );
-    let (asset, trajectory) = ("green.safetensors".into(), taken.trajectory);
     file.add_agent(SceneAgent {
         name: "new".into(),
-        asset,
+        asset: "green.safetensors".into(),
         sh_frame: Some(ShFrame::World),
         trajectory,
     })
     .unwrap();
-    check(&live, &file, "added");
+    check(&world, &file, "added");
 }
 
 #[test]
-fn an_edit_that_cannot_be_is_refused_and_changes_nothing() {
+fn agents_of_plain_splats_stay_and_the_background_has_none() {
     let gpu = Validated::open();
     let loaded = Site::new().loaded();
-    let renderer = Renderer::new(&gpu, RenderOptions::default());
-    let mut live = LiveScene::new(&renderer, &loaded).unwrap();
-    let standing = || Trajectory::standing(Pose::IDENTITY);
-    let said = live.remove_agent("nobody").unwrap_err().to_string();
-    assert!(
-        said.contains("\"nobody\"")
-            && said.contains("\"behind left\"")
-            && said.contains("\"plain\""),
-        "{said}"
-    );
-    let said = live
-        .set_trajectory("plain", standing())
-        .unwrap_err()
-        .to_string();
-    assert!(
-        said.contains("\"plain\"") && said.contains("load it again"),
-        "{said}"
-    );
-    assert!(
-        live.swap_asset("ahead", 2)
-            .unwrap_err()
-            .to_string()
-            .contains("the scene has 2")
-    );
-    assert!(
-        live.add_agent("plain", 0, None, standing())
-            .unwrap_err()
-            .to_string()
-            .contains("already")
-    );
-    assert!(
-        live.add_agent("", 0, None, standing()).is_err()
-            && live.add_agent("new", 9, None, standing()).is_err()
-    );
-    assert_eq!(live.agents(), loaded.agents);
-    let none = LiveScene::layer(&renderer, &loaded, Layer::Background).unwrap();
-    assert!(none.agents().is_empty() && none.at(0.0).shadows.is_empty());
+    let session = Session::on(&gpu, &SessionOptions::default());
+    let scene = session.add_scene(&loaded).unwrap();
+    let mut world = World::new(&scene);
+    let before = world.agents().to_vec();
+    for error in [
+        world.move_to("plain", Pose::IDENTITY).unwrap_err(),
+        world.place("plain", 0, Pose::IDENTITY, None).unwrap_err(),
+        world.remove("plain").unwrap_err(),
+    ] {
+        assert!(matches!(error, SessionError::PlainSplats { .. }), "{error}");
+    }
+    assert_eq!(world.agents(), before);
+    let background = session.add_layer(&loaded, Layer::Background).unwrap();
+    assert!(background.agents().is_empty() && background.plain_agents().is_empty());
 }

@@ -50,7 +50,7 @@ use decouplegs_scene::{Rig, Rules, Trajectory};
 use glam::DVec3;
 
 pub use batch_renderer::{BatchRenderer, HostImages, WorldView};
-pub use live_scene::{AgentInstance, LiveEditError, LiveScene, SceneSnapshot};
+pub use live_scene::{AgentInstance, LiveScene, SceneSnapshot};
 pub use movable_scene::{measure_movable_scene, open_movable_scene};
 pub use world::{World, WorldAgent};
 
@@ -274,7 +274,7 @@ impl Session {
             rules: loaded.world.rules,
             rig: loaded.rig.clone(),
             ego: loaded.ego.clone(),
-            plain_agents: live.plain_agents().map(str::to_owned).collect(),
+            plain_agents: live.plain_agents().to_vec(),
             agents,
             agent_by_name,
             live: RwLock::new(live),

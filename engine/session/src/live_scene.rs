@@ -1,14 +1,10 @@
 //! A scene on the device, its agents moved by their trajectories.
 
-mod editing;
-
 use decouplegs_asset::{Layer, LoadedAgent, LoadedScene};
 use decouplegs_render::{Agent, AssetId, AssetPool, GpuScene, RenderError, Renderer, Scene};
 use decouplegs_scene::light::Lighting;
-use decouplegs_scene::{ContactShadow, Pose, ShFrame};
+use decouplegs_scene::{CodedCloud, ContactShadow, Pose, ShFrame};
 use glam::DVec3;
-
-pub use editing::LiveEditError;
 
 /// A loaded scene on the device: what a loop of frames needs of it.
 ///
@@ -42,11 +38,9 @@ pub struct LiveScene {
     pub pool: AssetPool,
     assets: Vec<LiveAsset>,
     agents: Vec<LoadedAgent>,
-    /// Name and instance of agents that are splats of the world.
-    plain_agents: Vec<(String, u16)>,
+    /// Names of agents that are splats of the world.
+    plain_agents: Vec<String>,
     lighting: Option<Lighting>,
-    /// Light is summed up along trajectories in steps of so much, meters.
-    light_step_m: f64,
 }
 
 /// An asset on the device.
@@ -112,27 +106,43 @@ impl LiveScene {
             agents: Vec::new(),
             plain_agents: Vec::new(),
             lighting: None,
-            light_step_m: loaded
-                .light
-                .as_ref()
-                .map_or(1.0, |light| light.ambient.spacing_m),
         };
         if layer != Layer::Background {
             for asset in &loaded.assets {
                 live.add_asset(asset)?;
             }
-            let moves = |instance: &u16| {
-                loaded
-                    .agents
-                    .iter()
-                    .any(|agent| agent.instance == *instance)
-            };
-            let named = loaded.agent_names.iter().cloned().zip(1..=u16::MAX);
-            live.plain_agents = named.filter(|(_, instance)| !moves(instance)).collect();
+            let moves = |name: &&String| loaded.agents.iter().any(|agent| agent.name == **name);
+            let names = loaded.agent_names.iter();
+            live.plain_agents = names.filter(|name| !moves(name)).cloned().collect();
             live.agents.clone_from(&loaded.agents);
             live.lighting = loaded.lighting();
         }
         Ok(live)
+    }
+
+    /// The agents that can be moved, in the order in which equal depths are drawn.
+    #[must_use]
+    pub fn agents(&self) -> &[LoadedAgent] {
+        &self.agents
+    }
+
+    /// Names of the agents that are splats of the world.
+    pub(crate) fn plain_agents(&self) -> &[String] {
+        &self.plain_agents
+    }
+
+    /// Copies another asset to the device. Returns its number.
+    ///
+    /// # Errors
+    /// Returns an error if the device has not the memory, or the asset cannot be drawn.
+    pub fn add_asset(&mut self, asset: &CodedCloud) -> Result<usize, RenderError> {
+        let id = self.pool.add(asset)?;
+        self.assets.push(LiveAsset {
+            id,
+            dims_m: asset.dims_m,
+            sh_frame: asset.sh_frame,
+        });
+        Ok(self.assets.len() - 1)
     }
 
     /// Sums up the light about `places`, where agents may come that no trajectory of the scene file

@@ -94,7 +94,8 @@ impl World {
     /// the asset's colors are meant; `None`: as the asset says. Returns its instance id.
     ///
     /// # Errors
-    /// Returns an error if there is no such asset, or there are as many agents as ids.
+    /// Returns an error if there is no such asset, the name is that of an agent of plain splats, or
+    /// there are as many agents as ids.
     pub fn place(
         &mut self,
         name: &str,
@@ -103,15 +104,19 @@ impl World {
         sh_frame: Option<ShFrame>,
     ) -> Result<u16, SessionError> {
         self.scene.asset_dims_m(asset)?;
-        if let Ok(index) = self.index_of(name) {
-            let placed = &mut self.agents[index].placed;
-            *placed = AgentInstance {
-                asset,
-                pose,
-                sh_frame,
-                instance: placed.instance,
-            };
-            return Ok(placed.instance);
+        match self.index_of(name) {
+            Ok(index) => {
+                let placed = &mut self.agents[index].placed;
+                *placed = AgentInstance {
+                    asset,
+                    pose,
+                    sh_frame,
+                    instance: placed.instance,
+                };
+                return Ok(placed.instance);
+            }
+            Err(SessionError::NoAgent { .. }) => {}
+            Err(error) => return Err(error),
         }
         let instance = self.free_instance()?;
         self.agents.push(WorldAgent {
