@@ -5,9 +5,9 @@
 //! pixel. All cameras of a vehicle's rig are drawn in one submission, on any Vulkan 1.3 device,
 //! including lavapipe, which is software.
 //!
-//! This crate joins the engine's crates under one name and adds [`LiveScene`], a loaded scene on
-//! the device; [`session`], the interface for other programs: many scenes, worlds and views on one
-//! device; [`episode`], the closed loop; and [`planner`], its planners.
+//! This crate joins the engine's crates under one name: [`session`], the interface for other
+//! programs (many scenes, worlds and views on one device); [`episode`], the closed loop; and
+//! [`planner`], its planners.
 //!
 //! Most programs need only the names at the top of this crate: a [`Session`] opens a device and
 //! scenes on it, a [`World`] moves agents over a scene, and a [`BatchRenderer`] draws worlds for

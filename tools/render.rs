@@ -212,6 +212,7 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter)
             ..RenderOptions::default()
         },
         rules: Some(scene.rules()),
+        bakes_light_on_demand: false,
         ..SessionOptions::default()
     };
     let session = Session::on(&gpu, &options);

@@ -31,8 +31,13 @@ pub struct Sites {
 impl Sites {
     /// Places whose scenes are kept on `gpu`; without a device nothing is rendered.
     pub fn new(gpu: Option<&Gpu>, appearance: Appearance) -> Self {
+        // Episodes share scenes, and each must be drawn as if it were alone.
+        let options = SessionOptions {
+            bakes_light_on_demand: false,
+            ..SessionOptions::default()
+        };
         Self {
-            session: gpu.map(|gpu| Session::on(gpu, &SessionOptions::default())),
+            session: gpu.map(|gpu| Session::on(gpu, &options)),
             appearance,
             kept: Mutex::default(),
             lanes: Mutex::default(),

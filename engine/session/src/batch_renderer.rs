@@ -27,6 +27,7 @@ pub struct BatchRenderer {
     options: RenderOptions,
     /// None: each scene's own.
     rules: Option<Rules>,
+    bakes_light_on_demand: bool,
     /// One for each set of rules that was drawn by: kernels are specialized by them.
     renderers: Vec<Renderer>,
     /// Number of frames of each submission, oldest first.
@@ -91,6 +92,7 @@ impl BatchRenderer {
             gpu: gpu.clone(),
             options: options.render,
             rules: options.rules,
+            bakes_light_on_demand: options.bakes_light_on_demand,
             renderers: Vec::new(),
             submissions: VecDeque::new(),
             frames: VecDeque::new(),
@@ -275,7 +277,9 @@ impl BatchRenderer {
         while self.in_flight < self.options.frames_in_flight.max(1)
             && let Some(QueuedFrame { renderer, batch }) = self.frames.get(self.in_flight)
         {
-            batch.scene.ready_light(&batch.agent_positions());
+            if self.bakes_light_on_demand {
+                batch.scene.ready_light(&batch.agent_positions());
+            }
             let live = batch.scene.live();
             let cast = batch.cast(&live);
             self.renderers[*renderer].submit(cast.over(&live), &batch.cameras)?;

@@ -137,6 +137,10 @@ pub struct SessionOptions {
     pub render: RenderOptions,
     /// The rules that all scenes are drawn by. None: each by its own, as its scene file says.
     pub rules: Option<Rules>,
+    /// True if light is baked, and kept, wherever agents come: fast for agents that are sent
+    /// anywhere. False: light is interpolated where the scene or [`SessionScene::bake_light`] baked
+    /// it, and summed up exactly elsewhere, so that no image depends on what was drawn before.
+    pub bakes_light_on_demand: bool,
 }
 
 impl Default for SessionOptions {
@@ -155,6 +159,7 @@ impl Default for SessionOptions {
             device: DeviceOptions::default(),
             render,
             rules: None,
+            bakes_light_on_demand: true,
         }
     }
 }

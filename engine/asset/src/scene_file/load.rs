@@ -183,7 +183,7 @@ impl LoadedScene {
 
 /// Places along a trajectory, world coordinates, at most `step_m` apart: where its light is summed
 /// up beforehand.
-pub fn places_along(trajectory: &Trajectory, step_m: f64) -> impl Iterator<Item = DVec3> {
+fn places_along(trajectory: &Trajectory, step_m: f64) -> impl Iterator<Item = DVec3> {
     let knots: Vec<DVec3> = trajectory
         .poses()
         .iter()
