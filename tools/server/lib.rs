@@ -1,17 +1,17 @@
 //! A render server for closed-loop simulators: images of scenes, and ground below vehicles, over
 //! gRPC.
 //!
-//! | file | what it is |
+//! | module | content |
 //! |---|---|
 //! | `proto/`, [`wire`], `codec` | the messages of the public contract, and how they are read without trusting their counts |
-//! | [`options`], [`names`] | what can be set, and the names under which services are found |
-//! | `guard`, `connections` | who comes in: tokens, limits, deadlines, what is counted |
+//! | [`options`], [`names`] | options, and the names of the services |
+//! | `request_guard`, `connections` | admission: tokens, limits, deadlines, metrics |
 //! | `sensorsim`, `physics` | the services: messages in, messages out |
-//! | `request`, `poses`, `camera_spec` | a request, checked: cameras and agents where they stand at mid-shutter |
-//! | `registry` | which scenes there are, and what is told of them without drawing |
-//! | `render_queue`, `scene_renderer` | the one thread that draws, and a scene on the device |
+//! | `render_request`, `poses`, `camera_spec` | a checked request: cameras and agents at mid-shutter |
+//! | `scene_registry` | scenes that are served, and their metadata |
+//! | `render_queue`, `scene_renderer` | the thread that draws, and a scene on the device |
 //! | [`encoding`] | images as PNG, JPEG or planes, on threads of their own |
-//! | [`running`] | all of it together, until it is told to stop |
+//! | [`running`] | the server as a whole, until it is stopped |
 //!
 //! A client's `local` frame is the scene's world seen from the scene's origin: messages hold f32,
 //! and a world may lie in UTM coordinates. Objects are placed by the centers of their boxes, as

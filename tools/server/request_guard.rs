@@ -38,7 +38,7 @@ struct GuardLimits {
 }
 
 impl GateLayer {
-    /// Lets in who has `token`, if there is one, within `limits`.
+    /// Admits requests within `limits`, and with `token` if there is one.
     pub fn new(limits: &Limits, token: Option<String>, metrics: Arc<Metrics>) -> Self {
         let places = Arc::new(Semaphore::new(limits.requests as usize));
         let deadline = limits.deadline();

@@ -10,7 +10,8 @@ use crate::register::grounding::corners;
 /// Average displacement error to centerlines, meters: the mean distance of `positions` from the
 /// nearest place on any lane that `accept` takes. `None` where there are no positions or no lanes.
 ///
-/// It is a measure across lanes only: who stands a car's length too far ahead on his lane has none.
+/// It measures errors across lanes only: a vehicle a car's length too far ahead on its lane has
+/// none.
 #[must_use]
 pub fn ade_to_lanes(
     index: &LaneIndex,
@@ -54,8 +55,8 @@ pub fn against_truth(
 }
 
 /// The same with the direction, radians, along which and across which each error is given: that of
-/// the lane, where one is known. Who changes lanes drives across them a little, and an error along
-/// the lane, which lanes do not show, would be one across his motion.
+/// the lane, where one is known. The motion of a vehicle that changes lanes is at an angle to them,
+/// and an error along the lane, which lanes do not show, would count as one across its motion.
 #[must_use]
 pub fn against_truth_along(
     positions: impl IntoIterator<Item = (f64, DVec2, Option<f64>)>,

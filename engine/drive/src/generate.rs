@@ -1,5 +1,5 @@
-//! Scenarios synthetic for a level: where the ego starts and goes, who else is on the road, what
-//! the light is and what goes wrong.
+//! Generator of the scenarios of a level: start and route of the ego, other vehicles, light, and
+//! disturbances.
 //!
 //! Everything follows from a seed and an index. Numbers are round (centimeters, tenths of a meter a
 //! second), so that a person can read and change what comes out. At the start
@@ -8,7 +8,7 @@
 //! - all vehicles can stop: behind the vehicle ahead if that brakes as hard as it can, with a
 //!   second to react; before a crossing where others go first; before the end of a road;
 //! - the ego's route is some 100 to 180 m, shorter where lanes end or allow less, and takes 13 s at
-//!   most where nobody is in the way;
+//!   most on a free road;
 //! - from Medium on a slower vehicle drives 15 to 40 m ahead of the ego, so that keeping one's
 //!   speed is not enough.
 

@@ -91,9 +91,9 @@ pub struct RoadLane {
 /// Conflicts are found for vehicles up to [`RoadGraph::vehicle`]; the corridor of a lane is what
 /// such a vehicle sweeps when the middle of its box follows the lane's line.
 ///
-/// Who goes first where two lanes conflict: straight on before turning; else who comes from the
-/// right; else (from the front, or side by side) who turns less to the left; else the lane named
-/// first in the map. One of two always does.
+/// Priority where two lanes conflict: straight on before turning; else the lane from the right;
+/// else (from the front, or side by side) the lane that turns less to the left; else the lane named
+/// first in the map. One of two lanes always has priority.
 #[derive(Clone, Debug)]
 pub struct RoadGraph {
     lanes: Vec<Option<RoadLane>>,

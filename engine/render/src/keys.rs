@@ -134,7 +134,7 @@ impl PersistentKeys {
             decision.sources[camera] = source;
         }
         if !decision.find.is_empty() && self.keys.is_empty() {
-            // Those who draw a single image have no use for it.
+            // Callers that draw a single image have no use for it.
             self.keys = gpu.buffer(
                 "kept_keys",
                 PURPOSE,

@@ -9,7 +9,7 @@ pub(crate) struct RangeAllocator {
 }
 
 impl RangeAllocator {
-    /// The first of `count` places that nobody has; the list grows when there is no such gap.
+    /// The first of `count` free places; the list grows when there is no such gap.
     pub fn take(&mut self, count: usize) -> usize {
         if let Some(gap) = self.free.iter().position(|&(_, free)| free >= count) {
             let (first, free) = self.free[gap];

@@ -115,7 +115,7 @@ impl RelitPlaces {
         (offsets, to_make)
     }
 
-    /// Frees the places of what nobody wants any more.
+    /// Frees the places of codebooks that are no longer in use.
     fn drop_others(&mut self, keys: &[InLight]) {
         let wanted: HashSet<&InLight> = keys.iter().collect();
         // In order of place: a map's own order is another in every run, and so would places be.

@@ -74,8 +74,8 @@ impl Renderer {
         &self.options
     }
 
-    /// Starts with room for exactly `capacity` instead of a guess: for those who know their scene,
-    /// and for tests of growth.
+    /// Starts with room for exactly `capacity` instead of a guess: for callers that know their
+    /// scene, and for tests of growth.
     #[must_use]
     pub fn with_capacity(mut self, capacity: Capacity) -> Self {
         self.capacity = Some(capacity);

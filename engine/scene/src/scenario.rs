@@ -1,5 +1,4 @@
-//! Scenarios: where an episode takes place, what the ego is to do there and who else is on the
-//! road.
+//! Scenarios: place of an episode, task of the ego, and other vehicles.
 
 use std::path::PathBuf;
 

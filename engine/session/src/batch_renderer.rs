@@ -334,12 +334,14 @@ impl BatchRenderer {
         result
     }
 
-    /// Pixels that one buffer of images can hold.
+    /// Pixels that one buffer of images can hold, and one of all planes.
     fn pixels_max(&self) -> u64 {
-        let bytes = match self.options.outputs.color {
+        let outputs = self.options.outputs;
+        let color_bytes = match outputs.color {
             ColorFormat::F32 => 16,
             ColorFormat::U8 => 4,
         };
-        self.gpu.limits().storage_buffer_bytes_max / bytes
+        let plane_bytes = 4 * outputs.planes.iter().count() as u64;
+        self.gpu.limits().storage_buffer_bytes_max / color_bytes.max(plane_bytes)
     }
 }

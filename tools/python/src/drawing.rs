@@ -8,7 +8,7 @@ use decouplegs::session::{BatchRenderer, HostImages, SessionError, World, WorldV
 
 use crate::array::Values;
 
-/// Worlds and who looks at them, copied, so that a call draws what was there when it was made.
+/// Worlds and their cameras, copied, so that a call draws what was there when it was made.
 pub struct Views(pub Vec<(World, Vec<Camera>)>);
 
 impl Views {

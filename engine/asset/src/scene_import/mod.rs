@@ -66,7 +66,7 @@ pub struct ImportedActor {
     pub name: String,
     /// Splats in the frame of the actor's box.
     pub splats: SplatCloud,
-    /// Trajectory of the actor. None: nobody says.
+    /// Trajectory of the actor; `None` where the file has none.
     pub trajectory: Option<Trajectory>,
 }
 
@@ -142,7 +142,7 @@ pub fn decode_ply(
 impl ImportedScene {
     /// Writes `scene.toml`, `background.ply` and `assets/*.ply` into `folder`, which exists.
     ///
-    /// Actors that nobody says the way of are written and not named in the scene.
+    /// Actors without a trajectory are written, and not named in the scene.
     ///
     /// # Errors
     /// [`AssetError::Write`].

@@ -69,7 +69,7 @@ pub(super) fn agents(
                     .behaviors
                     .push(brake((6.0, 8.0), distance_m, &mut inject));
             }
-            // Where no lane lies beside the ego's, who drives ahead takes the gap away by other
+            // Where no lane lies beside the ego's, the vehicle ahead closes the gap by other
             // means.
             Role::Lead if rules.cut_ins > 0 && !cuts_in => {
                 agent

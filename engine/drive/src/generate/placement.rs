@@ -22,7 +22,7 @@ const CUT_IN_AHEAD_M: (f64, f64) = (6.0, 14.0);
 const BESIDE_M: f64 = 6.0;
 /// Distance from bumper to stop line of a vehicle that waits at a crossing, meters.
 const WAITING_M: (f64, f64) = (1.0, 5.0);
-/// Speed of those who come to a full crossing.
+/// Speed of vehicles that arrive at a full crossing.
 const WAITING_MPS: (f64, f64) = (0.0, 3.0);
 /// Between boxes beside each other, meters.
 const CLEARANCE_M: f64 = 0.5;
@@ -335,7 +335,7 @@ impl<'a> Placement<'a> {
     }
 
     /// Puts another vehicle there unless there are enough as near or far as it is, or it came
-    /// between the ego and who drives ahead.
+    /// between the ego and the vehicle ahead.
     fn put_where_wanted(
         &mut self,
         spot: Spot,

@@ -14,7 +14,7 @@ use crate::polyline::{Foot, wrapped};
 const UNEVEN_M: f64 = 0.08;
 /// A road is not steeper; what is, is no road.
 const GRADE_MAX: f64 = 0.4;
-/// Lanes are looked for within this of who follows none, meters.
+/// Largest distance of a lane to a track that follows none, meters.
 const NEAR_M: f64 = 15.0;
 
 /// A plane in the frame of a vehicle: z = height + forward x + left y.
@@ -189,7 +189,7 @@ impl Grounding<'_> {
         }
     }
 
-    /// The lane nearest to who follows none: of several levels the one that the log's height tells.
+    /// The lane nearest to a track that follows none. The log's height chooses between levels.
     fn lane_near(
         &self,
         prepared: &Prepared,

@@ -7,8 +7,8 @@ use super::fault::{Fault, fault};
 use super::{COLLISION_FACTOR, LAYOUT_FACTOR};
 use crate::oriented_box::OrientedBox;
 
-/// An excursion is over when the ego has been on the road for so long, seconds: who drives along
-/// the edge leaves the road once.
+/// An excursion is over when the ego has been on the road for so long, seconds: a vehicle that
+/// drives along the edge leaves the road once.
 const BACK_ON_ROAD_S: f64 = 1.0;
 /// Two contacts with the same agent are one where the boxes were apart for less, seconds.
 const APART_S: f64 = 1.0;

@@ -9,7 +9,7 @@ use super::idm::BRAKING_MPS2;
 use super::lane_order::Entry;
 use crate::oriented_box::OrientedBox;
 
-/// A swerve takes at least so much of the road for each meter to the side, meters: nobody slides.
+/// Least length of a swerve for each meter to the side, meters: vehicles do not slide.
 const SWERVE_M_PER_M: f64 = 12.0;
 /// Largest offset from the centerline of the own lane, meters.
 const SWERVE_M_MAX: f64 = 3.5;

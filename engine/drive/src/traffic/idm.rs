@@ -17,7 +17,7 @@ pub struct IdmParameters {
     pub acceleration_mps2: f64,
     /// Comfortable braking, b: 3 m/s^2.
     pub braking_mps2: f64,
-    /// Gap to who stands ahead, s0: 2 m.
+    /// Gap to a standing vehicle ahead, s0: 2 m.
     pub standstill_gap_m: f64,
     /// Exponent of the free-road term, delta: 4.
     pub exponent: f64,
@@ -86,8 +86,8 @@ impl IdmParameters {
         (free - self.acceleration_mps2 * ratio * ratio).max(-BRAKING_MPS2)
     }
 
-    /// The gap at which nobody accelerates or brakes behind a leader of the same speed below the
-    /// free one, meters: `(s0 + v T) / sqrt(1 - (v/v0)^delta)`.
+    /// The gap at which a vehicle neither accelerates nor brakes behind a leader of the same speed
+    /// below the free one, meters: `(s0 + v T) / sqrt(1 - (v/v0)^delta)`.
     #[must_use]
     pub fn equilibrium_gap_m(&self, speed_mps: f64) -> f64 {
         let fades = (speed_mps / self.speed_mps).powf(self.exponent);

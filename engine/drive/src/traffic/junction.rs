@@ -1,12 +1,14 @@
 //! Crossings: a row of conflicts on a vehicle's path is reserved as a whole, or the vehicle waits
 //! before it.
 //!
-//! It is granted when nobody else claims what conflicts with it, there will be room for the vehicle
-//! behind it, and no vehicle with priority would be hindered. So a vehicle in a crossing can always
-//! leave it, and nobody can block another for ever. Who has waited long does not give way any
-//! longer, and what he waits for is granted to nobody who has waited less: first the longest
-//! waiting, then the lower number. That breaks circles such as four vehicles that each have another
-//! to their right.
+//! It is granted when no other vehicle claims what conflicts with it, there will be room for the
+//! vehicle behind it, and no vehicle with priority would be hindered. So a vehicle in a crossing
+//! can leave it. A vehicle that has waited long does not give way any longer, and what it waits for
+//! is granted to no vehicle that has waited less: first the longest waiting, then the lower number.
+//! That breaks circles such as four vehicles that each have another to their right.
+//!
+//! Known limit: traffic can still stop for ever where a vehicle stands off the middle of its lane,
+//! in a swerve or a lane change, before a crossing.
 
 use super::Traffic;
 use super::agent::{Agent, Crossing};
@@ -59,7 +61,7 @@ impl Traffic {
                 + speed_mps
                 + agent.driver.idm.standstill_gap_m
                 + 3.0;
-            // Granted, but he could still stop before it: whether it holds is asked anew.
+            // Granted, but the vehicle could still stop before it: the grant is checked again.
             let open = !crossing.granted || agent.stop_m() < crossing.from_m - 0.01;
             if open && crossing.from_m - agent.front_m() < asks_m {
                 waiting.push(number as u32);
@@ -195,7 +197,7 @@ impl Traffic {
 
     /// True if no vehicle ahead can keep an agent from leaving a crossing.
     fn can_leave(&self, agent: &Agent, crossing: &Crossing) -> bool {
-        // Where there has to be room for him, and for those before him who are not out yet.
+        // Needs room for this vehicle, and for those ahead that are not out yet.
         let mut out_m = crossing.to_m + self.clearance_m(agent);
         if agent.end_m(&self.graph).is_some_and(|end_m| end_m < out_m) {
             return false;

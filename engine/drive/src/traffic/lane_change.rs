@@ -1,5 +1,5 @@
-//! Changing lanes: who wants to, who may, and how it begins. The rest is a vehicle beside the
-//! middle of its lane (see `agent`), which counts as present on both lanes until it is over.
+//! Lane changes: the wish for one, whether it is safe, and its start. The rest is a vehicle beside
+//! the middle of its lane (see `agent`), which counts as present on both lanes until it is over.
 
 use glam::DVec2;
 
@@ -21,7 +21,7 @@ const LENGTHS_MIN: f64 = 5.0;
 /// Drivers think of it once in so long, seconds, and for so long not after a change.
 const PERIOD_S: f64 = 1.0;
 const COOL_DOWN_S: f64 = 2.0;
-/// Slower than this nobody changes lanes of his own accord, m/s.
+/// Least speed of a voluntary lane change, m/s.
 const SPEED_MPS_MIN: f64 = 1.5;
 /// Between the middles of two lanes, meters.
 const ASIDE_M: std::ops::Range<f64> = 1.5..6.0;
@@ -31,7 +31,7 @@ const PARALLEL_RAD: f64 = 0.1;
 const TURN_RAD: f64 = 0.3;
 /// Distance within which followers are considered, meters: the fastest can stop within it.
 const BEHIND_M: f64 = 120.0;
-/// Added for those who have a lane that goes on where one's own ends, m/s^2.
+/// Bonus for a lane that goes on where the own lane ends, m/s^2.
 const DEAD_END_MPS2: f64 = 1.0;
 
 /// Position of an agent on another lane.
@@ -116,7 +116,7 @@ impl Traffic {
         Some(target.is_some())
     }
 
-    /// The place beside an agent on another lane, where both lanes run side by side, and nobody
+    /// The place beside an agent on another lane, where both lanes run side by side, and no lane
     /// crosses them, for as long as a change takes.
     fn target(&self, agent: &Agent, lane: usize, duration_s: f64) -> Option<Target> {
         if agent.aside.is_some() {

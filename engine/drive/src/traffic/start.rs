@@ -74,8 +74,8 @@ impl Traffic {
     /// Traffic of `agents` on the lanes of `graph`, in the scenario's order. `seed` decides their
     /// ways at crossings.
     ///
-    /// Who asks for a speed at which he could not stop for who is ahead, or before a crossing that
-    /// is not free, starts slower.
+    /// A vehicle that could not stop behind the one ahead, or before a crossing that is not free,
+    /// starts slower than it asks.
     ///
     /// # Errors
     /// An unknown lane, a place beyond it, a number that is no vehicle's, agents that overlap.

@@ -125,11 +125,13 @@ impl ObservationRenderer {
 
     /// Cameras and their images; none at a step that is not drawn.
     fn drawn(&self) -> impl Iterator<Item = (&RigCamera, &[u8])> {
-        let views = self.images.views();
-        let cameras = self.rig.cameras().enumerate();
-        cameras
-            .take_while(move |_| views > 0)
-            .map(|(index, camera)| (camera, self.images.rgba(0, index)))
+        let drawn = if self.images.views() > 0 {
+            self.rig.sensors.len()
+        } else {
+            0
+        };
+        let cameras = self.rig.cameras().enumerate().take(drawn);
+        cameras.map(|(index, camera)| (camera, self.images.rgba(0, index)))
     }
 }
 

@@ -117,8 +117,8 @@ impl External {
         answer
     }
 
-    /// Handles an answer of the wrong kind. Who says that he failed keeps to the protocol and may
-    /// go on.
+    /// Handles an answer of the wrong kind. A planner that says it failed keeps to the protocol,
+    /// and may go on.
     fn refused(&mut self, answer: &Answer, asked: &str, expected: &str) -> PlannerError {
         if let Answer::Fail(reason) = answer {
             return PlannerError(format!("the external planner failed: {reason}"));

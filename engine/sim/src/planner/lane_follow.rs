@@ -1,6 +1,6 @@
-//! A prudent driver who knows everything: the Intelligent Driver Model along the route, slow in
-//! bends, yielding to vehicles that will be in the way. What planners that look at images are
-//! measured against.
+//! Lane-following planner with privileged state: the Intelligent Driver Model along the route, slow
+//! in bends, yielding to vehicles that will be in the way. The baseline of planners that see
+//! images.
 
 mod corridor;
 
@@ -130,7 +130,7 @@ impl Outlook {
                 ..IdmParameters::default()
             },
             bend_mps: bend_speeds(corridor, known.ego.speed_mps.max(cruise_mps)),
-            // Who is behind on our own road minds us, not we him.
+            // Vehicles behind on the same road watch the ego, not the ego them.
             agents: agents
                 .filter(|agent| {
                     !(agent.way == PredictedPath::Along

@@ -293,7 +293,7 @@ mod tests {
                 .collect();
             rear.iter().map(|&splat| gray(cloud, splat)).sum::<f64>() / rear.len() as f64
         };
-        // The sun of dusk stands behind who looks along x.
+        // At dusk the sun is behind a camera that looks along x.
         assert!(
             rear(&ahead) > 1.2 * rear(&back),
             "{} and {}",

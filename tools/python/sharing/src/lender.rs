@@ -37,7 +37,7 @@ pub struct Lender<I: Interop, P: Send> {
     returned: Mutex<Vec<Returned<I, P>>>,
 }
 
-/// Images that nobody holds any more, and what still reads them on the device.
+/// Images that no consumer holds any more, and the work on the device that still reads them.
 struct Returned<I: Interop, P> {
     images: P,
     events: Vec<I::Event>,
@@ -56,8 +56,8 @@ pub struct Loan<I: Interop, P: Send> {
     ends: Mutex<(Vec<I::Event>, Option<InteropError>)>,
 }
 
-/// Images in the hands of a consumer, who reads them on one stream. Dropped when he has submitted
-/// all that reads them.
+/// Images in the hands of a consumer that reads them on one stream. Dropped when the consumer has
+/// submitted all that reads them.
 pub struct Handed<I: Interop, P: Send> {
     loan: Arc<Loan<I, P>>,
     stream: Stream,

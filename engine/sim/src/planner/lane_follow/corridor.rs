@@ -1,4 +1,4 @@
-//! The strip of road that the ego is about to drive over, and who will be on it when.
+//! The strip of road ahead of the ego, and the vehicles that will be on it at which time.
 
 use decouplegs_drive::polyline::{Polyline, wrapped};
 use decouplegs_scene::{VehicleSize, VehicleState};
@@ -18,9 +18,9 @@ const SIDE_M: f64 = 0.25;
 /// radians.
 const ALONG_RAD: f64 = std::f64::consts::FRAC_PI_6;
 /// A vehicle along the route stays along it within this of its middle, meters: two lanes.
-/// Beyond, his road is another.
+/// Beyond, it is on another road.
 const ROAD_HALF_WIDTH_M: f64 = 8.0;
-/// A lane change is over by then, seconds: nobody drifts sideways for longer.
+/// A lane change is over by then, seconds: no vehicle drifts sideways for longer.
 const DRIFT_S: f64 = 3.0;
 
 /// The ego's route as a strip.
