@@ -34,13 +34,13 @@ const CLEARED_M: f64 = 22.0;
 
 /// A street with a car of plain splats and five coded ones around the ego vehicle, one of which
 /// drives, in a folder.
-struct Site {
+pub struct Site {
     folder: tempfile::TempDir,
     file: SceneFile,
 }
 
 impl Site {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         let options = StreetOptions {
@@ -140,7 +140,7 @@ impl Site {
         self
     }
 
-    fn loaded(&self) -> LoadedScene {
+    pub fn loaded(&self) -> LoadedScene {
         loaded(&self.file, self.folder.path())
     }
 }
@@ -170,7 +170,7 @@ fn some_theta() -> LightTransfer {
     }
 }
 
-fn cameras(loaded: &LoadedScene) -> Vec<Camera> {
+pub fn cameras(loaded: &LoadedScene) -> Vec<Camera> {
     loaded.rig.at(&loaded.ego.at(0.0))
 }
 
@@ -188,7 +188,7 @@ fn draw_by(
     renderer.read_images().unwrap()
 }
 
-fn options() -> RenderOptions {
+pub fn options() -> RenderOptions {
     RenderOptions {
         outputs: all_outputs(),
         ..RenderOptions::default()
@@ -572,43 +572,4 @@ fn agents_of_plain_splats_stay_and_the_background_has_none() {
     assert_eq!(world.agents(), before);
     let background = session.add_layer(&loaded, Layer::Background).unwrap();
     assert!(background.agents().is_empty() && background.plain_agents().is_empty());
-}
-
-/// Light that is baked where an agent came before changes later images, unless it is not baked on
-/// demand.
-#[test]
-fn without_light_on_demand_no_image_depends_on_those_before() {
-    let gpu = Validated::open();
-    let site = Site::new();
-    let loaded = site.loaded();
-    let views = cameras(&loaded);
-    let ahead = loaded.ego.at(0.0).translation;
-    let pose = |x_m: f64| Pose::from_yaw(0.3, ahead + DVec3::new(x_m, 1.5, 0.8));
-    // Images at the last of `places`, after those before.
-    let drawn = |bakes_light_on_demand: bool, places: &[f64]| {
-        let options = SessionOptions {
-            render: options(),
-            bakes_light_on_demand,
-            ..SessionOptions::default()
-        };
-        let session = Session::on(&gpu, &options);
-        let scene = session.add_scene(&loaded).unwrap();
-        let (mut renderer, mut world) = (session.batch_renderer(), World::new(&scene));
-        let mut images = Vec::new();
-        for x_m in places {
-            world.move_to("ahead", pose(*x_m)).unwrap();
-            let view = WorldView {
-                world: &world,
-                cameras: &views,
-            };
-            images = renderer.draw_images(&[view]).unwrap().0;
-        }
-        images
-    };
-    let alone = drawn(false, &[9.0]);
-    assert!(alone == drawn(false, &[9.4, 8.7, 9.0]), "exact light");
-    assert!(
-        alone != drawn(true, &[9.0]),
-        "baked light is interpolated, which shows"
-    );
 }

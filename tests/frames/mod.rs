@@ -9,6 +9,7 @@ mod in_flight;
 mod keys;
 mod lenses;
 mod light;
+mod light_on_demand;
 mod outputs;
 mod scenes;
 mod worlds;
