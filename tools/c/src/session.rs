@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use decouplegs::gpu::{DeviceChoice, Gpu};
-use decouplegs::render::{ColorFormat, Plane};
+use decouplegs::render::ColorFormat;
 use decouplegs::session::{Session, SessionOptions};
 
 use crate::arguments::{give_growing, growing, out, out_handle, text};
@@ -96,29 +96,13 @@ unsafe fn session_options(options: *const DgsSessionOptions) -> Result<SessionOp
             )));
         }
     };
-    let asked = [
-        (Plane::Depth, flag("depth", options.depth)?),
-        (Plane::Instance, flag("instance", options.instance)?),
-    ];
-    let planes = asked
-        .into_iter()
-        .filter_map(|(plane, asked)| asked.then_some(plane));
-    session.render.outputs.planes = planes.collect();
+    session.render.outputs.planes = options.planes()?;
     if !options.device.is_null() {
         // SAFETY: as the header asks of all pointers.
         let Ok(choice) = unsafe { text("device", options.device) }?.parse::<DeviceChoice>();
         session.device.choice = choice;
     }
     Ok(session)
-}
-
-fn flag(what: &str, number: u32) -> Result<bool, Failure> {
-    match number {
-        0 | 1 => Ok(number == 1),
-        _ => Err(Failure::argument(format!(
-            "{what} is {number}: expected 0 or 1"
-        ))),
-    }
 }
 
 /// Closes a session. Scenes, worlds and batch renderers that were made of it go on; the device is

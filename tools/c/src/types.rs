@@ -3,12 +3,12 @@
 use std::ffi::{c_char, c_void};
 
 use decouplegs::gpu::{DeviceInfo, DeviceKind};
+use decouplegs::render::{Plane, Planes};
 use decouplegs::scene::{Camera, Intrinsics, Lens, Pose};
 use glam::{DQuat, DVec3};
 
 use crate::status::{DgsStatus, Failure};
 use crate::world::DgsWorld;
-use decouplegs::render::Plane;
 
 /// Rotations are of length 1 up to so much; beyond, something else was meant.
 const ROTATION_LENGTH_SPARE: f64 = 1e-3;
@@ -246,6 +246,21 @@ impl DgsSessionOptions {
         instance: 0,
         device: std::ptr::null(),
     };
+
+    /// The planes that are asked for.
+    pub(crate) fn planes(&self) -> Result<Planes, Failure> {
+        let flags = Plane::ALL.map(|plane| match plane {
+            Plane::Depth => (plane, self.depth),
+            Plane::Instance => (plane, self.instance),
+        });
+        if let Some((plane, number)) = flags.iter().find(|(_, number)| *number > 1) {
+            let name = plane.name();
+            let text = format!("{name} is {number}: expected 0 or 1");
+            return Err(Failure::argument(text));
+        }
+        let asked = flags.into_iter().filter(|(_, number)| *number == 1);
+        Ok(asked.map(|(plane, _)| plane).collect())
+    }
 }
 
 /// Kind of a device.
