@@ -20,9 +20,8 @@ use indicatif::ProgressBar;
 
 use crate::arguments::print;
 use crate::device::{DeviceArguments, check_validation};
-use crate::progress;
 use crate::visibility::VIEW_PX_MAX;
-use crate::{views, visibility};
+use crate::{progress, views, visibility};
 
 /// Compress the splats of an agent: prune unimportant splats, and quantize shapes and colors by
 /// codebooks

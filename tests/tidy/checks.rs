@@ -2,6 +2,7 @@
 //! keeps the rules too.
 
 use super::Finding;
+use super::code::functions;
 use super::tree::{SourceFile, Tree};
 
 /// Kernels that belong to a stage of another name, as `(kernel, stage)`: a stage of several
@@ -376,17 +377,14 @@ pub fn functions_fit_a_screen(tree: &Tree) -> Vec<Finding> {
     const TEST_LINES_MAX: usize = 160;
     let mut findings = Vec::new();
     for file in tree.files.iter().filter(|file| file.is_rust()) {
-        for (at, _) in file.code.match_indices("fn ") {
-            let starts_a_word =
-                !file.code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
-            let lines = function_lines(&file.code[at..]);
+        for (line, function) in functions(&file.code) {
+            let lines = function_lines(function);
             let most = if is_test(file) {
                 TEST_LINES_MAX
             } else {
                 LINES_MAX
             };
-            if starts_a_word && lines > most {
-                let line = file.code[..at].lines().count().max(1);
+            if lines > most {
                 findings.push(Finding {
                     path: file.path.clone(),
                     line,

@@ -24,6 +24,16 @@ pub fn code_only(text: &str) -> String {
     String::from_utf8(code).expect("literals and comments are blanked whole")
 }
 
+/// Functions in `code`, which has no comments and literals: the line of each, from 1, and the code
+/// from its `fn` on.
+pub fn functions(code: &str) -> impl Iterator<Item = (usize, &str)> {
+    let is_word = |c: char| c.is_alphanumeric() || c == '_';
+    let starts = code.match_indices("fn ").map(|(at, _)| at);
+    starts
+        .filter(move |&at| !code[..at].ends_with(is_word))
+        .map(|at| (code[..at].lines().count().max(1), &code[at..]))
+}
+
 /// Length of the comment or literal that starts `rest`, 0 if none does. `before` is the byte in
 /// front of it.
 fn literal_length(rest: &[u8], before: Option<u8>) -> usize {

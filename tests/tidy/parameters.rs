@@ -1,6 +1,7 @@
 //! Parameters of functions: a tuple counts as its members.
 
 use super::Finding;
+use super::code::functions;
 use super::tree::Tree;
 
 /// Most values that a function may take, `self` left out; clippy allows as many parameters.
@@ -9,10 +10,8 @@ const VALUES_MAX: usize = 7;
 pub fn tuples_hide_no_parameters(tree: &Tree) -> Vec<Finding> {
     let mut findings = Vec::new();
     for file in tree.files.iter().filter(|file| file.is_rust()) {
-        for (at, _) in file.code.match_indices("fn ") {
-            let starts_a_word =
-                !file.code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
-            let Some(parameters) = parameters(&file.code[at..]).filter(|_| starts_a_word) else {
+        for (line, function) in functions(&file.code) {
+            let Some(parameters) = parameters(function) else {
                 continue;
             };
             let values: Vec<usize> = pieces(parameters).into_iter().filter_map(values).collect();
@@ -23,7 +22,7 @@ pub fn tuples_hide_no_parameters(tree: &Tree) -> Vec<Finding> {
             if has_tuple && sum > VALUES_MAX {
                 findings.push(Finding {
                     path: file.path.clone(),
-                    line: file.code[..at].lines().count().max(1),
+                    line,
                     what: format!("a function of {sum} values, some of them in tuples"),
                 });
             }

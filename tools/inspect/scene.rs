@@ -222,7 +222,7 @@ impl Light {
             ),
         );
         for Start { instance, light } in &self.starts {
-            let message = light.map_or("nothing is told of the light where it starts".into(), |([red, green, blue], starkness)| {
+            let message = light.map_or("no light is known where it starts".into(), |([red, green, blue], starkness)| {
                 format!("starts in light of ({red:.2}, {green:.2}, {blue:.2}), shadows {starkness:.2} stark")
             });
             lines.line("", &format!("{instance}: {message}"));

@@ -16,10 +16,8 @@ use tonic::transport::{Identity, Server, ServerTlsConfig};
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, health_reporter};
 
-use crate::connections;
 use crate::encoding::Encoders;
 use crate::metrics::Metrics;
-use crate::metrics_page;
 use crate::names::{PHYSICS, PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
 use crate::options::ServerOptions;
 use crate::physics::Physics;
@@ -29,6 +27,7 @@ use crate::scene_registry::SceneRegistry;
 use crate::sensorsim::Sensorsim;
 use crate::wire::physics::physics_service_server::PhysicsServiceServer;
 use crate::wire::sensorsim::sensorsim_service_server::SensorsimServiceServer;
+use crate::{connections, metrics_page};
 
 /// Streams that one connection may have open at a time.
 const STREAMS_MAX: u32 = 128;

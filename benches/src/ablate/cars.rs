@@ -8,8 +8,7 @@ use decouplegs::scene::{CodedCloud, SplatCloud};
 use decouplegs::synth::street::{Street, StreetOptions};
 use decouplegs::train::compress::{CompressOptions, compress};
 
-use crate::progress;
-use crate::{views, visibility};
+use crate::{progress, views, visibility};
 
 /// Side of the views from which the visibility of a car's splats is measured, pixels: as `compress`
 /// by default.

@@ -8,8 +8,7 @@ use decouplegs::drive::alignment::{
     ade_to_lanes, against_truth, clearances, penetration_rate, size_quantile,
 };
 use decouplegs::drive::{Ground, GroundOptions, LaneIndex, Outcome, RegisterOptions, register};
-use decouplegs::scene::random;
-use decouplegs::scene::{LaneMap, Pose, Track, TrackPoint, Trajectory};
+use decouplegs::scene::{LaneMap, Pose, Track, TrackPoint, Trajectory, random};
 use glam::DVec2;
 use serde_json::{Value, json};
 

@@ -5,10 +5,9 @@ use std::fmt::Write;
 use anyhow::Result;
 use decouplegs::render::metrics::difference_image;
 
-use super::charts;
 use super::fit::Line;
 use super::report::{MemoryLines, Report, decibels, mebibytes};
-use super::tables;
+use super::{charts, tables};
 use crate::data_uri;
 use crate::plot::{self, escaped};
 

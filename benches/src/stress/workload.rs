@@ -14,8 +14,7 @@ use decouplegs::train::compress::{CompressOptions, Progress, Prune, compress};
 use serde_json::{Value, json};
 
 use super::mode::Coding;
-use crate::progress;
-use crate::{views, visibility};
+use crate::{progress, views, visibility};
 
 /// Side of the views from which the visibility of an asset's splats is measured, pixels: as
 /// `compress` by default.

@@ -4,8 +4,7 @@
 //! A failed allocation ends a Rust program with SIGABRT. Code that expands its input therefore asks
 //! [`require`] first and gets a sentence instead.
 
-use decouplegs_scene::Invalid;
-use decouplegs_scene::sh;
+use decouplegs_scene::{Invalid, sh};
 
 /// Most splats of one world after agents are placed in it. The renderer numbers splats with 27
 /// bits.

@@ -1,9 +1,8 @@
 //! Detection of the format of a splat file.
 
-use decouplegs_scene::Invalid;
 use std::path::Path;
 
-use decouplegs_scene::SplatCloud;
+use decouplegs_scene::{Invalid, SplatCloud};
 
 use crate::error::read_bytes;
 use crate::ply::Ply;

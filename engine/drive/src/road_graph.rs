@@ -9,8 +9,7 @@ mod path;
 #[cfg(test)]
 mod tests;
 
-use decouplegs_scene::Invalid;
-use decouplegs_scene::{LaneKind, LaneMap, VehicleSize};
+use decouplegs_scene::{Invalid, LaneKind, LaneMap, VehicleSize};
 
 use crate::polyline::{Polyline, wrapped};
 

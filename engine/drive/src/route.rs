@@ -1,8 +1,7 @@
 //! The way that an ego is to go: lanes after and beside each other, joined into one smooth line.
 
-use decouplegs_scene::Invalid;
-use decouplegs_scene::LaneMap;
 use decouplegs_scene::scenario::EgoTask;
+use decouplegs_scene::{Invalid, LaneMap};
 use glam::{DVec2, DVec3};
 
 use crate::polyline::{Foot, Polyline};

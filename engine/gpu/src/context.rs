@@ -212,9 +212,8 @@ fn open_physical(
 impl Drop for Context {
     fn drop(&mut self) {
         // An error here is a device lost: destroying is allowed then too.
-        // SAFETY: queues are
-        // externally synchronized; every other owner of this context is gone, so no other call can
-        // run.
+        // SAFETY: queues are externally synchronized; every other owner of this context is gone, so
+        // no other call can run.
         let _ = unsafe { self.device.device_wait_idle() };
         self.pipelines.close(&self.device);
         // SAFETY: dropped once, here, and not used after.

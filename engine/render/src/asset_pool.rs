@@ -9,11 +9,10 @@ use decouplegs_scene::{Bounds, CodedCloud, ShFrame, SplatCodes, sh, shape};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::RenderError;
 use crate::layout::{AgentRecord, CLUSTER_SPLATS, ClusterRecord};
 use crate::range_allocator::RangeAllocator;
 use crate::resident::{Extent, cluster_of};
-use crate::sh_codec;
+use crate::{RenderError, sh_codec};
 
 /// Purpose under which the memory of assets is counted.
 pub const PURPOSE: &str = "assets";

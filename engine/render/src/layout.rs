@@ -11,8 +11,7 @@ pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
 pub use light::{RelightRecord, ShadowRecord};
 
 use bytemuck::{Pod, Zeroable};
-use decouplegs_scene::Invalid;
-use decouplegs_scene::{Camera, Pose, Rules, rules};
+use decouplegs_scene::{Camera, Invalid, Pose, Rules, rules};
 use decouplegs_shaders::constants;
 use glam::{DMat3, DVec3};
 

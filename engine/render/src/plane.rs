@@ -1,15 +1,12 @@
 //! The planes of an image beside its color: one table. A plane is one 32-bit word per pixel.
 //!
-//! How a pixel accumulates and writes them is `shaders/include/planes.glsl`, its CPU mirror
+//! Accumulation and output of a pixel are in `shaders/include/planes.glsl`, its CPU mirror is
 //! `twins/planes.rs`, and its definition in f64 `reference/blend.rs`.
 
 use std::collections::BTreeMap;
 
 /// A plane of an image beside its color.
-#[derive(
-    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
-)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Plane {
     /// Expected depth, meters, f32: camera-space z, or distance where the order is radial. 0 where
     /// nothing was blended.
@@ -131,7 +128,7 @@ impl<const N: usize> From<[Plane; N]> for Planes {
 /// The names of the planes in the set.
 impl serde::Serialize for Planes {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_seq(self.iter())
+        serializer.collect_seq(self.iter().map(Plane::name))
     }
 }
 
@@ -142,6 +139,24 @@ impl PlaneValues {
         match plane.value_type() {
             PlaneType::F32 => Self::F32(words.iter().map(|&word| f32::from_bits(word)).collect()),
             PlaneType::U16 => Self::U16(words.iter().map(|&word| word as u16).collect()),
+        }
+    }
+
+    /// The values, if they are f32.
+    #[must_use]
+    pub fn as_f32(&self) -> Option<&[f32]> {
+        match self {
+            Self::F32(values) => Some(values),
+            Self::U16(_) => None,
+        }
+    }
+
+    /// The values, if they are u16.
+    #[must_use]
+    pub fn as_u16(&self) -> Option<&[u16]> {
+        match self {
+            Self::U16(values) => Some(values),
+            Self::F32(_) => None,
         }
     }
 }

@@ -8,10 +8,9 @@ use decouplegs_scene::{Bounds, SplatCloud, World, rules, sh};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::RenderError;
 use crate::layout::{CLUSTER_SPLATS, ClusterRecord};
 use crate::reference::unscented::SIGMA_REACH;
-use crate::sh_codec;
+use crate::{RenderError, sh_codec};
 
 /// Purpose under which the memory of worlds is counted.
 pub const PURPOSE: &str = "scene";

@@ -1,9 +1,8 @@
 //! Cameras and rigs of them.
 
-use crate::Invalid;
+use crate::{Invalid, Pose};
 use glam::{DVec2, DVec3};
 
-use crate::Pose;
 use crate::lens::{Lens, RayMap};
 
 /// Intrinsics of a camera. Pixel `(i, j)` has its center at `(i + 0.5, j + 0.5)`.

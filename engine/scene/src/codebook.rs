@@ -7,10 +7,8 @@
 //! Gaussians: Navaneet et al., CompGS, 2023; Niedermayr et al., Compressed 3D Gaussian Splatting,
 //! 2024).
 
-use crate::Invalid;
+use crate::{Bounds, Invalid, ShFrame, SplatCloud, sh, shape};
 use rayon::prelude::*;
-
-use crate::{Bounds, ShFrame, SplatCloud, sh, shape};
 
 /// Shapes that an index can name.
 pub const SHAPES_MAX: usize = 1 << 9;

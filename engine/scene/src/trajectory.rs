@@ -1,7 +1,6 @@
 //! Motion as timed poses.
 
-use crate::Invalid;
-use crate::Pose;
+use crate::{Invalid, Pose};
 
 /// Pose at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,9 +1,7 @@
 //! A world to be drawn: a background, the agents placed in it, its sky and its rules.
 
-use crate::Invalid;
+use crate::{Invalid, Pose, Rules, SplatCloud};
 use glam::DVec3;
-
-use crate::{Pose, Rules, SplatCloud};
 
 /// Frame of an asset's spherical harmonics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -166,8 +166,7 @@ impl BatchRenderer {
             }
             renderer.read_bytes(&mut frames[number])?;
             for (place, view) in batch.views().enumerate() {
-                places.resize_with(places.len().max(view + 1), Vec::new);
-                places[view].push((number, place));
+                of_view(places, view).push((number, place));
             }
             Ok(())
         })
@@ -184,8 +183,7 @@ impl BatchRenderer {
         let mut images: Vec<Vec<Image>> = Vec::new();
         let statistics = self.finish_frames(|renderer, _, batch| {
             for (view, image) in batch.views().zip(renderer.read_images()?) {
-                images.resize_with(images.len().max(view + 1), Vec::new);
-                images[view].push(image);
+                of_view(&mut images, view).push(image);
             }
             Ok(())
         })?;
@@ -344,4 +342,10 @@ impl BatchRenderer {
         let plane_bytes = 4 * outputs.planes.iter().count() as u64;
         self.gpu.limits().storage_buffer_bytes_max / color_bytes.max(plane_bytes)
     }
+}
+
+/// The entries of view `view`; the views up to it are added if they are missing.
+fn of_view<T>(views: &mut Vec<Vec<T>>, view: usize) -> &mut Vec<T> {
+    views.resize_with(views.len().max(view + 1), Vec::new);
+    &mut views[view]
 }

@@ -1,5 +1,7 @@
 //! A scene on the device, its agents moved by their trajectories.
 
+use std::collections::HashSet;
+
 use decouplegs_asset::{Layer, LoadedAgent, LoadedScene};
 use decouplegs_render::{Agent, AssetId, AssetPool, GpuScene, RenderError, Renderer, Scene};
 use decouplegs_scene::light::Lighting;
@@ -111,9 +113,10 @@ impl LiveScene {
             for asset in &loaded.assets {
                 live.add_asset(asset)?;
             }
-            let moves = |name: &&String| loaded.agents.iter().any(|agent| agent.name == **name);
+            let moving: HashSet<&str> = loaded.agents.iter().map(|agent| &*agent.name).collect();
             let names = loaded.agent_names.iter();
-            live.plain_agents = names.filter(|name| !moves(name)).cloned().collect();
+            let plain = names.filter(|name| !moving.contains(name.as_str()));
+            live.plain_agents = plain.cloned().collect();
             live.agents.clone_from(&loaded.agents);
             live.lighting = loaded.lighting();
         }

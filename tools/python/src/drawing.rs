@@ -111,21 +111,14 @@ fn plane_of_all(images: &[&Image], plane: Plane) -> Values {
     match plane.value_type() {
         PlaneType::F32 => Values::F32(
             values
-                .flat_map(|values| match values {
-                    PlaneValues::F32(values) => values.as_slice(),
-                    PlaneValues::U16(_) => &[],
-                })
+                .filter_map(PlaneValues::as_f32)
+                .flatten()
                 .copied()
                 .collect(),
         ),
-        PlaneType::U16 => Values::I32(
-            values
-                .flat_map(|values| match values {
-                    PlaneValues::U16(values) => values.as_slice(),
-                    PlaneValues::F32(_) => &[],
-                })
-                .map(|&value| i32::from(value))
-                .collect(),
-        ),
+        PlaneType::U16 => {
+            let values = values.filter_map(PlaneValues::as_u16).flatten();
+            Values::I32(values.map(|&value| i32::from(value)).collect())
+        }
     }
 }

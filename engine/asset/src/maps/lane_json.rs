@@ -17,11 +17,10 @@
 //! typing error passes for an absent key. `centreline`, `left_neighbour` and `right_neighbour`, as
 //! older files have them, are read too.
 
-use decouplegs_scene::Invalid;
 use std::io::{self, Write};
 use std::path::Path;
 
-use decouplegs_scene::{Lane, LaneKind, LaneMap};
+use decouplegs_scene::{Invalid, Lane, LaneKind, LaneMap};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 

@@ -17,10 +17,9 @@ pub mod open_drive;
 mod polyline;
 pub mod projection;
 
-use decouplegs_scene::Invalid;
 use std::path::Path;
 
-use decouplegs_scene::{Lane, LaneMap};
+use decouplegs_scene::{Invalid, Lane, LaneMap};
 use glam::DVec3;
 
 use crate::error::read_bytes;

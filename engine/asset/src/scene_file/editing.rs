@@ -1,9 +1,8 @@
 //! Agents of a scene file added, removed, moved, and shown as something else.
 
-use decouplegs_scene::Invalid;
 use std::path::PathBuf;
 
-use decouplegs_scene::{Pose, TimedPose, Trajectory};
+use decouplegs_scene::{Invalid, Pose, TimedPose, Trajectory};
 use glam::{DQuat, DVec3};
 use thiserror::Error;
 

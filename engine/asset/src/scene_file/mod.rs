@@ -10,12 +10,11 @@ mod lens;
 mod load;
 mod paths;
 
-use decouplegs_scene::Invalid;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
-use decouplegs_scene::{Rig, Rules, ShFrame, Trajectory};
+use decouplegs_scene::{Invalid, Rig, Rules, ShFrame, Trajectory};
 use glam::DVec3;
 
 use crate::error::read_bytes;

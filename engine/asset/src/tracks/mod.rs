@@ -8,10 +8,9 @@ pub mod commonroad;
 mod poses;
 pub mod table;
 
-use decouplegs_scene::Invalid;
 use std::path::Path;
 
-use decouplegs_scene::Track;
+use decouplegs_scene::{Invalid, Track};
 
 use crate::error::read_bytes;
 use crate::{AssetError, DecodeError};

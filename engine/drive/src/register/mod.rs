@@ -22,8 +22,7 @@ pub mod procrustes;
 pub mod route;
 pub mod smooth;
 
-use decouplegs_scene::Invalid;
-use decouplegs_scene::{LaneMap, Pose, Track};
+use decouplegs_scene::{Invalid, LaneMap, Pose, Track};
 use rayon::prelude::*;
 
 use crate::ground::Ground;

@@ -1,9 +1,8 @@
 //! Scores of many episodes, in the layout of the paper's Table 3.
 
-use decouplegs_scene::Invalid;
 use std::collections::BTreeMap;
 
-use decouplegs_scene::Level;
+use decouplegs_scene::{Invalid, Level};
 
 use super::{EpisodeScore, InfractionKind};
 

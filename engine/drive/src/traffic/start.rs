@@ -1,10 +1,9 @@
 //! Start of the traffic: agents are placed on their lanes; impossible ones are refused.
 
-use decouplegs_scene::Invalid;
 use std::sync::Arc;
 
-use decouplegs_scene::VehicleSize;
 use decouplegs_scene::scenario::TrafficAgent;
+use decouplegs_scene::{Invalid, VehicleSize};
 
 use super::Traffic;
 use super::agent::{Agent, Phase};

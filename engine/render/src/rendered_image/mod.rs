@@ -202,19 +202,13 @@ impl Image {
     /// [`Plane::Depth`], meters; `None` where it was not asked for.
     #[must_use]
     pub fn depth(&self) -> Option<&[f32]> {
-        match self.planes.get(&Plane::Depth)? {
-            PlaneValues::F32(values) => Some(values),
-            PlaneValues::U16(_) => None,
-        }
+        self.planes.get(&Plane::Depth)?.as_f32()
     }
 
     /// [`Plane::Instance`]; `None` where it was not asked for.
     #[must_use]
     pub fn instance(&self) -> Option<&[u16]> {
-        match self.planes.get(&Plane::Instance)? {
-            PlaneValues::U16(values) => Some(values),
-            PlaneValues::F32(_) => None,
-        }
+        self.planes.get(&Plane::Instance)?.as_u16()
     }
 
     /// `plane` as a NumPy file: float32 or uint16 `[height, width]`. `None` where it was not asked

@@ -1,14 +1,13 @@
 //! L(x) over a background: its definition, and a field that answers for any place in microseconds.
 
-use crate::Invalid;
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
+use crate::{Invalid, SplatCloud, sh};
 use glam::{DVec3, IVec3, ivec3};
 use rayon::prelude::*;
 
 use crate::light::AmbientDescriptor;
-use crate::{SplatCloud, sh};
 
 /// Grid points on either side of the origin, along an axis.
 const CELLS_MAX: f64 = 1e9;

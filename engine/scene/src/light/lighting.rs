@@ -1,11 +1,10 @@
 //! The light of a scene: from where an agent stands to its colors and its shadow.
 
-use crate::Invalid;
+use crate::{Invalid, Pose, ShFrame};
 use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::light::{AmbientDescriptor, AmbientField, ColorTransfer, ContactShadow, LightTransfer};
-use crate::{Pose, ShFrame};
 
 /// Options of contact shadows.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,10 +1,8 @@
 //! The contact shadow: a soft super-ellipse about an agent's footprint, laid on the ground that it
 //! stands on.
 
-use crate::Invalid;
+use crate::{Invalid, Pose, SplatCloud, World, sh};
 use glam::{DVec2, DVec3};
-
-use crate::{Pose, SplatCloud, World, sh};
 
 /// Exponent of the super-ellipse: a rounded rectangle.
 pub const EXPONENT: i32 = 4;

@@ -1,9 +1,8 @@
 //! Light transfer, the effect of light on colors: c' = T(L) (.) c + b(L) with T = W_T L + w_0 and b
 //! = W_B L + b_0.
 
-use crate::Invalid;
 use crate::light::AmbientDescriptor;
-use crate::{SplatCloud, sh};
+use crate::{Invalid, SplatCloud, sh};
 
 /// [`sh::DC_SHIFT`] as colors are stored.
 const DC_SHIFT: f32 = sh::DC_SHIFT as f32;

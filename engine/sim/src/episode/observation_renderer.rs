@@ -1,10 +1,9 @@
 //! Images of the ego's cameras.
 
-use decouplegs_scene::Invalid;
 use std::sync::Arc;
 
 use decouplegs_scene::episode::{DrawnBy, ImageRecord};
-use decouplegs_scene::{Rig, RigCamera};
+use decouplegs_scene::{Invalid, Rig, RigCamera};
 use decouplegs_session::{BatchRenderer, HostImages, SessionError, SessionScene, World, WorldView};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;

@@ -1,8 +1,7 @@
 //! Options and errors of a compression.
 
-use decouplegs_scene::Invalid;
 use decouplegs_scene::codebook::{COLORS_MAX, SHAPES_MAX};
-use decouplegs_scene::{ShFrame, SplatCloud};
+use decouplegs_scene::{Invalid, ShFrame, SplatCloud};
 
 use super::FINAL_ITERATIONS;
 use super::prune::{Prune, THRESHOLD};

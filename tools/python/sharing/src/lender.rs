@@ -116,7 +116,7 @@ impl<I: Interop, P: Send> Lender<I, P> {
     /// that it has released. How many frames are still read. Waits for nothing.
     ///
     /// # Errors
-    /// Returns an error if the other API failed: images of which nobody can tell when they are free
+    /// Returns an error if the other API failed: images whose release cannot be observed
     /// are never given back.
     pub fn collect(&self) -> Result<usize, InteropError> {
         let mut free = Vec::new();
