@@ -84,6 +84,11 @@ impl Scored {
                     .unwrap_or("nobody knows why");
                 format!("collision with {name}: {why}")
             }
+            EpisodeEnd::Obstacle { obstacle } => {
+                format!("collision with a {}", obstacle.kind.name())
+            }
+            EpisodeEnd::OffRoad => "off the road for good".into(),
+            EpisodeEnd::OffRoute => "too far from the route".into(),
             EpisodeEnd::Time => "time over".into(),
             EpisodeEnd::Planner { reason } => format!("planner failed: {reason}"),
         }
@@ -97,6 +102,7 @@ impl Scored {
         let factor = |infraction: &Infraction| {
             let what = match infraction.kind {
                 InfractionKind::Layout => "off the road".to_owned(),
+                InfractionKind::Obstacle { kind } => format!("collision with a {}", kind.name()),
                 InfractionKind::Collision { agent, fault } => {
                     let name = agents
                         .get(agent)
@@ -114,7 +120,11 @@ impl Scored {
         let lost = match &self.episode.end {
             EpisodeEnd::RouteDone => "",
             EpisodeEnd::Time => " (time over)",
-            EpisodeEnd::Collision { .. } => " (ended by the collision)",
+            EpisodeEnd::Collision { .. } | EpisodeEnd::Obstacle { .. } => {
+                " (ended by the collision)"
+            }
+            EpisodeEnd::OffRoad => " (off the road for good)",
+            EpisodeEnd::OffRoute => " (too far from the route)",
             EpisodeEnd::Planner { .. } => " (the planner failed)",
         };
         format!(
@@ -173,12 +183,21 @@ pub fn spread(moments: Option<&Moments>, digits: usize) -> String {
 /// The table of the paper, a line a level.
 pub fn text(scored: &[Scored]) -> Result<String> {
     let mut text = format!(
-        "{:<8} {:>8}  {:>13}  {:>5}  {:>13}  {:>11}  {:>10} {:>8} {:>8}\n",
-        "level", "episodes", "DS", "SR", "RC", "minTTC, s", "collisions", "at fault", "off-road"
+        "{:<8} {:>8}  {:>13}  {:>5}  {:>13}  {:>11}  {:>10} {:>8} {:>8} {:>8}\n",
+        "level",
+        "episodes",
+        "DS",
+        "SR",
+        "RC",
+        "minTTC, s",
+        "collisions",
+        "at fault",
+        "static",
+        "off-road"
     );
     for (level, set) in rows(&summary(scored)?) {
         text.push_str(&format!(
-            "{level:<8} {:>8}  {:>13}  {:>5.3}  {:>13}  {:>11}  {:>10} {:>8} {:>8}\n",
+            "{level:<8} {:>8}  {:>13}  {:>5.3}  {:>13}  {:>11}  {:>10} {:>8} {:>8} {:>8}\n",
             set.count(),
             spread(Some(&set.driving_score), 3),
             set.success.mean,
@@ -186,6 +205,7 @@ pub fn text(scored: &[Scored]) -> Result<String> {
             spread(set.min_ttc_s.as_ref(), 2),
             set.collisions,
             set.collisions_at_fault,
+            set.obstacle_collisions,
             set.layout_infractions,
         ));
     }
@@ -270,6 +290,7 @@ fn set_to_json(set: &SetSummary) -> Value {
         "ttc_short_share": moments(&set.ttc_short_share),
         "collisions": set.collisions,
         "collisions_at_fault": set.collisions_at_fault,
+        "obstacle_collisions": set.obstacle_collisions,
         "layout_infractions": set.layout_infractions,
     })
 }
@@ -281,6 +302,9 @@ fn episode_to_json(scored: &Scored) -> Value {
         InfractionKind::Collision { agent, fault } => json!({
             "time_s": infraction.time_s, "kind": "collision", "agent": agents.get(agent).map(|agent| &agent.name),
             "at_fault": fault.at_fault(), "why": fault.why(),
+        }),
+        InfractionKind::Obstacle { kind } => json!({
+            "time_s": infraction.time_s, "kind": "obstacle", "object": kind.name(), "at_fault": true,
         }),
         InfractionKind::Layout => {
             json!({ "time_s": infraction.time_s, "kind": "off_road", "at_fault": true })

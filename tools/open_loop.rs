@@ -230,6 +230,7 @@ fn plan_ttc_s(episode: &Episode, instant: &EpisodeTick, plan: &Plan) -> Option<f
     let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
     let agents = instant.agents.iter().zip(&episode.head.agent_sizes);
     let times = agents.filter_map(|(state, size)| {
+        let state = state.as_ref()?;
         time_to_collision(
             &ego,
             velocity,

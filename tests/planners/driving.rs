@@ -3,7 +3,7 @@
 use decouplegs::planner::{
     ConstantVelocity, LaneFollow, ObservationRequest, Planner, PlannerChoice, Replay,
 };
-use decouplegs::scene::episode::{EpisodeHead, EpisodeTick, PlannerRecord};
+use decouplegs::scene::episode::{EpisodeHead, EpisodeTick, LOG_VERSION, PlannerRecord};
 use decouplegs::scene::scenario::{EgoTask, Place};
 use decouplegs::scene::{Episode, EpisodeEnd, EpisodeStep, Plan, Scenario, Weather};
 use decouplegs::scene::{Pose, TimedPose, Trajectory, VehicleSize, VehicleState};
@@ -133,6 +133,7 @@ fn recorded() -> Episode {
         agents: vec![],
     };
     let head = EpisodeHead {
+        log_version: LOG_VERSION,
         version: "0".into(),
         scenario,
         planner: PlannerRecord::default(),

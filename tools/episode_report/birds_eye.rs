@@ -1,6 +1,7 @@
 //! An episode from above.
 
 use decouplegs::drive::OrientedBox;
+use decouplegs::drive::obstacles::outline;
 use decouplegs::scene::episode::{Episode, EpisodeEnd, EpisodeTick};
 use decouplegs::scene::{Lane, VehicleSize, VehicleState};
 use glam::DVec2;
@@ -40,10 +41,11 @@ pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
         dashed: true,
         places: episode.head.route_m.clone(),
     }];
-    for agent in (0..last.agents.len()).filter(|&agent| near(&last.agents[agent])) {
+    let is_near = |agent: &usize| last.agents[*agent].as_ref().is_some_and(near);
+    for agent in (0..last.agents.len()).filter(is_near) {
         let places = instants
             .iter()
-            .map(|instant| instant.agents[agent].position_m)
+            .filter_map(|instant| Some(instant.agents[agent].as_ref()?.position_m))
             .filter(|at| ego_way.iter().any(|ego| ego.distance(*at) < NEAR_M));
         ways.push(Way {
             name: "",
@@ -68,11 +70,18 @@ pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
         .zip(&episode.head.agent_sizes)
         .enumerate();
     let mut bodies: Vec<Body> = agents
-        .filter(|(_, (state, _))| near(state))
-        .map(|(agent, (state, size))| {
-            body(if hit == Some(agent) { HIT } else { AGENT }, state, size)
+        .filter_map(|(agent, (state, size))| {
+            let state = state.as_ref().filter(|state| near(state))?;
+            let color = if hit == Some(agent) { HIT } else { AGENT };
+            Some(body(color, state, size))
         })
         .collect();
+    if let EpisodeEnd::Obstacle { obstacle } = &episode.end {
+        bodies.push(Body {
+            color: HIT,
+            corners: outline(obstacle).corners(),
+        });
+    }
     bodies.push(body(EGO, &last.ego, &ego_size(episode)));
     drawing(
         &format!("{} after {:.1} s", scored.name(), last.time_s),

@@ -67,12 +67,12 @@ fn facts(scored: &[Scored]) -> String {
 fn table(scored: &[Scored]) -> Result<String> {
     let mut html = String::from(
         "<h2>Scores</h2><table><tr><th>level<th>episodes<th>DS<th>SR<th>RC<th>minTTC, s<th>on a collision course<th>TTC &lt; 1.5 s<th>collisions\
-         <th>at fault<th>off-road",
+         <th>at fault<th>static<th>off-road",
     );
     for (level, set) in rows(&summary(scored)?) {
         let _ = write!(
             html,
-            "<tr><td>{level}<td>{}<td>{}<td>{:.3}<td>{}<td>{}<td>{}<td>{:.1} %<td>{}<td>{}<td>{}",
+            "<tr><td>{level}<td>{}<td>{}<td>{:.3}<td>{}<td>{}<td>{}<td>{:.1} %<td>{}<td>{}<td>{}<td>{}",
             set.count(),
             spread(Some(&set.driving_score), 3),
             set.success.mean,
@@ -82,13 +82,14 @@ fn table(scored: &[Scored]) -> Result<String> {
             100.0 * set.ttc_short_share.mean,
             set.collisions,
             set.collisions_at_fault,
+            set.obstacle_collisions,
             set.layout_infractions,
         );
     }
     html.push_str(
         "</table><p class=\"dim\">Mean and standard deviation over episodes. RC: share of the route that was driven. DS: RC times 0.60 for a \
-         collision at fault and 0.65 for each time the ego left the road. SR: share of episodes that came to the end of the route without \
-         either, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
+         collision at fault, 0.65 for one with something static and 0.65 for each time the ego left the road. SR: share of episodes that came to the end of the route without \
+         any of them, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
          velocities, within 10 s, over the episodes that were on a collision course at all.</p>",
     );
     Ok(html)
@@ -189,6 +190,7 @@ fn over_time(scored: &Scored) -> String {
         let other = instant
             .agents
             .iter()
+            .flatten()
             .min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
         nearest.extend(other.map(|other| (instant.time_s, other.speed_mps)));
         apart.extend(other.map(|other| (instant.time_s, distance_m(other).min(APART_MAX_M))));

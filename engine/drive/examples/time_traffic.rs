@@ -114,6 +114,7 @@ fn main() -> Result<(), TrafficError> {
             driven_m += traffic
                 .states()
                 .iter()
+                .flatten()
                 .map(|state| 0.1 * state.speed_mps)
                 .sum::<f64>();
         }

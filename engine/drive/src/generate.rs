@@ -221,7 +221,7 @@ impl<'a> Generator<'a> {
         let as_fast = |(state, agent): (&VehicleState, &TrafficAgent)| {
             (state.speed_mps - agent.speed_mps).abs() < 1e-6
         };
-        traffic.is_ok_and(|traffic| traffic.states().iter().zip(agents).all(as_fast))
+        traffic.is_ok_and(|traffic| traffic.states().iter().flatten().zip(agents).all(as_fast))
     }
 }
 

@@ -1,6 +1,7 @@
 //! The driving lanes of a map as a graph: what each continues in, what lies beside it and which
 //! lanes cross it.
 
+mod borders;
 mod cells;
 mod conflicts;
 mod corridor;
@@ -80,6 +81,8 @@ pub struct RoadLane {
     pub conflicts: Vec<Conflict>,
     /// The longest way on from its start, at most 2 km.
     pub onward_m: f64,
+    /// True if it ends at the border of the map: no lane beside it goes on either.
+    pub leaves_map: bool,
     pub(crate) forks: Vec<Fork>,
     /// True if z is the road's height.
     has_height: bool,
@@ -97,6 +100,7 @@ pub struct RoadLane {
 pub struct RoadGraph {
     lanes: Vec<Option<RoadLane>>,
     by_id: Vec<usize>,
+    entrances: Vec<usize>,
     vehicle: VehicleSize,
     cells: Cells,
 }
@@ -146,6 +150,7 @@ impl RoadGraph {
                     turn_rad: wrapped(line.heading_at(line.length_m()) - line.heading_at(0.0)),
                     conflicts: Vec::new(),
                     onward_m: 0.0,
+                    leaves_map: false,
                     forks: Vec::new(),
                     has_height: lane.has_height,
                     line,
@@ -166,6 +171,7 @@ impl RoadGraph {
         }
         link(map, &mut lanes);
         find_ways_on(&mut lanes);
+        let entrances = borders::find(&mut lanes);
         let mut by_id: Vec<usize> = (0..lanes.len())
             .filter(|&lane| lanes[lane].is_some())
             .collect();
@@ -173,6 +179,7 @@ impl RoadGraph {
         let graph = Self {
             lanes,
             by_id,
+            entrances,
             vehicle: Self::VEHICLE,
             cells: Cells::default(),
         };
@@ -232,6 +239,12 @@ impl RoadGraph {
             .binary_search_by(|lane| name(lane).cmp(id))
             .ok()?;
         Some(self.by_id[at])
+    }
+
+    /// Lanes that begin at the border of the map, places in [`LaneMap::lanes`].
+    #[must_use]
+    pub fn entrances(&self) -> &[usize] {
+        &self.entrances
     }
 
     pub(crate) fn cells(&self) -> &Cells {

@@ -27,6 +27,8 @@ pub use time_to_collision::{Closest, TTC_HORIZON_S, TTC_SHORT_S};
 
 /// Factor on the driving score for each collision with a vehicle that is the ego's fault.
 pub const COLLISION_FACTOR: f64 = 0.60;
+/// Factor on the driving score for a collision with something static, as in CARLA's leaderboard.
+pub const OBSTACLE_FACTOR: f64 = 0.65;
 /// Factor on the driving score for each time the ego leaves the road.
 pub const LAYOUT_FACTOR: f64 = 0.65;
 
@@ -40,8 +42,8 @@ pub struct EpisodeScore {
     /// Share of the route that was driven, 0 to 1; 1 exactly where the episode ended with the route
     /// done.
     pub route_completion: f64,
-    /// [`Self::route_completion`] times [`COLLISION_FACTOR`] and [`LAYOUT_FACTOR`] for each
-    /// infraction.
+    /// [`Self::route_completion`] times [`COLLISION_FACTOR`], [`OBSTACLE_FACTOR`] or
+    /// [`LAYOUT_FACTOR`] for each infraction.
     pub driving_score: f64,
     /// True if the route was completed without an infraction of the ego.
     pub success: bool,
@@ -91,15 +93,23 @@ impl EpisodeScore {
     /// Collisions with vehicles, regardless of fault.
     #[must_use]
     pub fn collisions(&self) -> usize {
-        self.infractions
-            .iter()
-            .filter(|infraction| matches!(infraction.kind, InfractionKind::Collision { .. }))
-            .count()
+        self.count(|kind| matches!(kind, InfractionKind::Collision { .. }))
+    }
+
+    /// Collisions with static obstacles: at most one, which ends the episode.
+    #[must_use]
+    pub fn obstacle_collisions(&self) -> usize {
+        self.count(|kind| matches!(kind, InfractionKind::Obstacle { .. }))
     }
 
     /// Times that the ego left the road.
     #[must_use]
     pub fn layout_infractions(&self) -> usize {
-        self.infractions.len() - self.collisions()
+        self.count(|kind| *kind == InfractionKind::Layout)
+    }
+
+    fn count(&self, counts: impl Fn(&InfractionKind) -> bool) -> usize {
+        let counted = |infraction: &&Infraction| counts(&infraction.kind);
+        self.infractions.iter().filter(counted).count()
     }
 }

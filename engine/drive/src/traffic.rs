@@ -14,6 +14,7 @@
 
 mod agent;
 mod behavior;
+mod boundary;
 mod claims;
 pub mod driver;
 mod ego;
@@ -35,6 +36,7 @@ use crate::road_graph::RoadGraph;
 use agent::{Agent, AsideKind};
 use claims::Claims;
 use ego::EgoSeen;
+use glam::DVec2;
 use lane_order::LaneOrder;
 
 pub use start::TrafficError;
@@ -56,12 +58,12 @@ pub struct Traffic {
     graph: Arc<RoadGraph>,
     agents: Vec<Agent>,
     behaviors: Vec<Vec<Behavior>>,
-    states: Vec<VehicleState>,
+    states: Vec<Option<VehicleState>>,
     order: LaneOrder,
     claims: Claims,
     /// Waiting times at crossings, and accelerations of all agents: scratch buffers.
     waiting: Vec<u32>,
-    accelerations: Vec<f64>,
+    accelerations: Vec<(f64, bool)>,
     ego: Option<EgoSeen>,
     time_s: f64,
     steps: u64,
@@ -84,6 +86,7 @@ impl Traffic {
             .build(&self.graph, &self.agents, self.ego.as_ref());
         self.claims
             .build(&self.graph, &self.agents, self.ego.as_ref());
+        self.enter();
         self.behave();
         self.change_lanes(dt_s);
         self.cross(dt_s);
@@ -92,36 +95,46 @@ impl Traffic {
         }
         let mut accelerations = std::mem::take(&mut self.accelerations);
         accelerations.clear();
-        accelerations.extend(
-            self.agents
-                .iter()
-                .map(|agent| self.acceleration(agent, dt_s)),
-        );
-        for (agent, &acceleration_mps2) in self.agents.iter_mut().zip(&accelerations) {
-            agent.advance(&self.graph, self.seed, acceleration_mps2, dt_s);
+        accelerations.extend(self.agents.iter().map(|agent| match agent.away_until_s {
+            None => self.acceleration(agent, dt_s),
+            Some(_) => (0.0, false),
+        }));
+        for (number, &(acceleration_mps2, emergency)) in accelerations.iter().enumerate() {
+            let agent = &mut self.agents[number];
+            if agent.is_here() {
+                agent.emergency = emergency;
+                agent.advance(&self.graph, self.seed, acceleration_mps2, dt_s);
+                let state = agent.state(&self.graph);
+                self.states[number] = Some(state);
+                self.follow_on_left_lane(number, state.position_m);
+            }
         }
         self.accelerations = accelerations;
-        for number in 0..self.agents.len() {
-            self.states[number] = self.agents[number].state(&self.graph);
-            self.follow_on_left_lane(number);
-        }
         self.time_s += dt_s;
+        self.leave(dt_s);
         self.steps += 1;
     }
 
-    /// States of all agents, in the order of the scenario.
+    /// States of all agents, in the order of the scenario; `None` while one is off the map.
     #[must_use]
-    pub fn states(&self) -> &[VehicleState] {
+    pub fn states(&self) -> &[Option<VehicleState>] {
         &self.states
     }
 
-    /// Lane positions of all agents, in the order of the scenario.
-    pub fn places(&self) -> impl Iterator<Item = LanePlace> {
-        self.agents.iter().map(|agent| LanePlace {
-            lane: agent.lane(),
-            arc_m: agent.arc_m,
-            lateral_m: agent.lateral_m(),
+    /// Lane positions of all agents, in the order of the scenario; `None` while one is off the map.
+    pub fn places(&self) -> impl Iterator<Item = Option<LanePlace>> {
+        self.agents.iter().map(|agent| {
+            agent.is_here().then(|| LanePlace {
+                lane: agent.lane(),
+                arc_m: agent.arc_m,
+                lateral_m: agent.lateral_m(),
+            })
         })
+    }
+
+    /// Agents that brake harder than in normal driving, in the order of the scenario.
+    pub fn emergencies(&self) -> impl Iterator<Item = bool> {
+        self.agents.iter().map(|agent| agent.emergency)
     }
 
     /// The lanes that it drives on.
@@ -131,8 +144,7 @@ impl Traffic {
     }
 
     /// Updates the position of an agent on the lane that it is leaving.
-    fn follow_on_left_lane(&mut self, number: usize) {
-        let position_m = self.states[number].position_m;
+    fn follow_on_left_lane(&mut self, number: usize, position_m: DVec2) {
         if let Some(AsideKind::Change {
             from, from_arc_m, ..
         }) = self.agents[number]

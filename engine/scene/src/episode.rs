@@ -2,6 +2,7 @@
 
 use glam::DVec2;
 
+use crate::obstacle::Obstacle;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
 use crate::vehicle::{VehicleSize, VehicleState};
@@ -30,9 +31,14 @@ pub struct DrawnBy {
     pub every: u32,
 }
 
+/// Version of logs that this program writes. Vehicles of other versions moved by other rules.
+pub const LOG_VERSION: u32 = 2;
+
 /// Data of an episode that is known before it begins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpisodeHead {
+    /// Version of the log, from 1 to [`LOG_VERSION`].
+    pub log_version: u32,
     /// Version of the program.
     pub version: String,
     /// Scenario that was driven.
@@ -67,8 +73,8 @@ pub struct EpisodeTick {
     pub steer_rad: f64,
     /// True if all of its box is on the road.
     pub on_road: bool,
-    /// The agents, in the order of the scenario.
-    pub agents: Vec<VehicleState>,
+    /// The agents, in the order of the scenario; `None` while one is off the map.
+    pub agents: Vec<Option<VehicleState>>,
 }
 
 /// One step: what was seen, what was planned, what came of it.
@@ -94,6 +100,15 @@ pub enum EpisodeEnd {
         /// Index of the agent in the scenario.
         agent: usize,
     },
+    /// The ego touches something static.
+    Obstacle {
+        /// Box that it touches.
+        obstacle: Obstacle,
+    },
+    /// The ego is off the road for longer and farther than an excursion takes.
+    OffRoad,
+    /// The ego is farther from its route than any road user that follows it.
+    OffRoute,
     /// The time is over.
     Time,
     /// The planner failed.

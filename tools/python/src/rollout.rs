@@ -65,6 +65,9 @@ fn name_of(end: &EpisodeEnd) -> &'static str {
     match end {
         EpisodeEnd::RouteDone => "route_done",
         EpisodeEnd::Collision { .. } => "collision",
+        EpisodeEnd::Obstacle { .. } => "obstacle",
+        EpisodeEnd::OffRoad => "off_road",
+        EpisodeEnd::OffRoute => "off_route",
         EpisodeEnd::Time => "time",
         EpisodeEnd::Planner { .. } => "planner",
     }
@@ -260,8 +263,8 @@ impl Rollout {
         self.lock().simulation().scenario().name.clone()
     }
 
-    /// Score so far: driving_score, route_completion, success, collisions, layout_infractions,
-    /// min_ttc_s, ttc_short_share.
+    /// Score so far: driving_score, route_completion, success, collisions, obstacle_collisions,
+    /// layout_infractions, min_ttc_s, ttc_short_share.
     fn score<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let score = self.lock().score();
         to_dict(py, &score)
@@ -295,6 +298,7 @@ fn to_dict<'py>(py: Python<'py>, score: &EpisodeScore) -> PyResult<Bound<'py, Py
     dict.set_item("route_completion", score.route_completion)?;
     dict.set_item("success", score.success)?;
     dict.set_item("collisions", score.collisions())?;
+    dict.set_item("obstacle_collisions", score.obstacle_collisions())?;
     dict.set_item("layout_infractions", score.layout_infractions())?;
     dict.set_item("min_ttc_s", score.min_ttc_s())?;
     dict.set_item("ttc_short_share", score.ttc_short_share)?;

@@ -21,8 +21,9 @@ pub use write::EpisodeLog;
 /// Name of the format in the first line.
 pub const FORMAT: &str = "decouplegs-episode";
 
-/// The version that is written, and the only one there is.
-pub const VERSION: u32 = 1;
+/// The version that is written. Version 1 is read, too: its agents are on the map all the time, and
+/// nothing static ends its episodes.
+pub const VERSION: u32 = decouplegs_scene::episode::LOG_VERSION;
 
 /// The episode in the bytes of a log.
 ///

@@ -81,9 +81,9 @@ fn head(chain: &mut Chain, line: &[u8]) -> Result<(EpisodeHead, EpisodeTick, Seq
     let payload = chain.open(line)?;
     let json_error = |error: serde_json::Error| format!("is no head of an episode log: {error}");
     let FormatForm { format, version } = serde_json::from_str(payload).map_err(json_error)?;
-    if (format.as_str(), version) != (FORMAT, VERSION) {
+    if format != FORMAT || !(1..=VERSION).contains(&version) {
         return Err(format!(
-            "is of format {format:?}, version {version}; this program reads {FORMAT:?}, version {VERSION}"
+            "is of format {format:?}, version {version}; this program reads {FORMAT:?}, versions 1 to {VERSION}"
         ));
     }
     let form: HeadForm = serde_json::from_str(payload).map_err(json_error)?;
@@ -108,7 +108,7 @@ fn record(chain: &mut Chain, line: &[u8], sequence: &mut Sequence) -> Result<Dec
             Ok(Decoded::Step(step))
         }
         Record::End(form) => {
-            let end = form.into_end();
+            let end = form.into_end()?;
             check_canonical(payload, &to_json(&EndForm::of(&end)))?;
             sequence.end(&end)?;
             Ok(Decoded::End(end))

@@ -3,19 +3,20 @@
 
 use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord};
 use decouplegs_scene::{
-    EpisodeEnd, EpisodeHead, EpisodeStep, Plan, PlanPoint, VehicleSize, VehicleState,
+    EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint, VehicleSize,
+    VehicleState,
 };
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
-use super::{FORMAT, VERSION};
+use super::FORMAT;
 use crate::scenario_file;
 
 /// x, y, yaw, speed and acceleration.
 type StateForm = [f64; 5];
 
-/// Time, ego, its steering, whether it is on the road, agents.
-type InstantForm = (f64, StateForm, f64, bool, Vec<StateForm>);
+/// Time, ego, its steering, whether it is on the road, agents; null for those off the map.
+type InstantForm = (f64, StateForm, f64, bool, Vec<Option<StateForm>>);
 
 /// Fields of the first line that are the same in all versions.
 #[derive(Deserialize)]
@@ -73,9 +74,21 @@ pub(super) struct StepForm {
 #[serde(tag = "end", rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum EndForm {
     RouteDone {},
-    Collision { agent: usize },
+    Collision {
+        agent: usize,
+    },
+    Obstacle {
+        kind: String,
+        center_m: [f64; 2],
+        yaw_rad: f64,
+        size_m: [f64; 2],
+    },
+    OffRoad {},
+    OffRoute {},
     Time {},
-    Planner { reason: String },
+    Planner {
+        reason: String,
+    },
 }
 
 /// Any line but the first. A step has a `step`, an end has an `end`.
@@ -142,7 +155,10 @@ fn instant_form(instant: &EpisodeTick) -> InstantForm {
         state_form(ego),
         *steer_rad,
         *on_road,
-        agents.iter().map(state_form).collect(),
+        agents
+            .iter()
+            .map(|agent| agent.as_ref().map(state_form))
+            .collect(),
     )
 }
 
@@ -152,7 +168,7 @@ fn instant((time_s, ego, steer_rad, on_road, agents): InstantForm) -> EpisodeTic
         ego: state(ego),
         steer_rad,
         on_road,
-        agents: agents.into_iter().map(state).collect(),
+        agents: agents.into_iter().map(|agent| agent.map(state)).collect(),
     }
 }
 
@@ -161,6 +177,7 @@ impl HeadForm {
     /// A sentence, when no file can say its scenario.
     pub(super) fn of(head: &EpisodeHead, start: &EpisodeTick) -> Result<Self, String> {
         let EpisodeHead {
+            log_version,
             version,
             scenario,
             planner,
@@ -188,7 +205,7 @@ impl HeadForm {
         );
         Ok(Self {
             format: FORMAT.into(),
-            version: VERSION,
+            version: *log_version,
             program: version.clone(),
             scenario: scenario_file::to_toml(scenario)
                 .map_err(|error| format!("its scenario: {error}"))?,
@@ -228,6 +245,7 @@ impl HeadForm {
             },
         );
         let head = EpisodeHead {
+            log_version: self.version,
             version: self.program,
             scenario,
             planner: PlannerRecord {
@@ -301,6 +319,14 @@ impl EndForm {
         match end {
             EpisodeEnd::RouteDone => Self::RouteDone {},
             EpisodeEnd::Collision { agent } => Self::Collision { agent: *agent },
+            EpisodeEnd::Obstacle { obstacle } => Self::Obstacle {
+                kind: obstacle.kind.name().into(),
+                center_m: obstacle.center_m.to_array(),
+                yaw_rad: obstacle.yaw_rad,
+                size_m: [obstacle.length_m, obstacle.width_m],
+            },
+            EpisodeEnd::OffRoad => Self::OffRoad {},
+            EpisodeEnd::OffRoute => Self::OffRoute {},
             EpisodeEnd::Time => Self::Time {},
             EpisodeEnd::Planner { reason } => Self::Planner {
                 reason: reason.clone(),
@@ -308,12 +334,34 @@ impl EndForm {
         }
     }
 
-    pub(super) fn into_end(self) -> EpisodeEnd {
-        match self {
+    /// # Errors
+    /// A sentence, when there is no such kind of obstacle.
+    pub(super) fn into_end(self) -> Result<EpisodeEnd, String> {
+        Ok(match self {
             Self::RouteDone {} => EpisodeEnd::RouteDone,
             Self::Collision { agent } => EpisodeEnd::Collision { agent },
+            Self::Obstacle {
+                kind,
+                center_m,
+                yaw_rad,
+                size_m: [length_m, width_m],
+            } => {
+                let names = ObstacleKind::ALL.map(ObstacleKind::name).join(", ");
+                let known = ObstacleKind::by_name(&kind)
+                    .ok_or_else(|| format!("an obstacle of kind {kind:?}; expected {names}"))?;
+                let obstacle = Obstacle {
+                    kind: known,
+                    center_m: DVec2::from_array(center_m),
+                    yaw_rad,
+                    length_m,
+                    width_m,
+                };
+                EpisodeEnd::Obstacle { obstacle }
+            }
+            Self::OffRoad {} => EpisodeEnd::OffRoad,
+            Self::OffRoute {} => EpisodeEnd::OffRoute,
             Self::Time {} => EpisodeEnd::Time,
             Self::Planner { reason } => EpisodeEnd::Planner { reason },
-        }
+        })
     }
 }

@@ -80,6 +80,16 @@ impl Sequence {
                 "a collision with agent {agent} of {}, which count from 0",
                 self.agents
             )),
+            EpisodeEnd::Obstacle { obstacle } => {
+                let numbers = [obstacle.yaw_rad, obstacle.length_m, obstacle.width_m];
+                let finite =
+                    obstacle.center_m.is_finite() && numbers.into_iter().all(f64::is_finite);
+                if finite {
+                    Ok(())
+                } else {
+                    Err("the obstacle has a number that is not finite".into())
+                }
+            }
             _ => Ok(()),
         }
     }
@@ -107,7 +117,7 @@ impl Sequence {
         let all_finite = instant.time_s.is_finite()
             && instant.steer_rad.is_finite()
             && std::iter::once(&instant.ego)
-                .chain(&instant.agents)
+                .chain(instant.agents.iter().flatten())
                 .all(finite);
         if all_finite {
             Ok(())

@@ -2,12 +2,12 @@
 
 mod writing;
 
-use decouplegs_asset::episode_log::{decode, encode};
+use decouplegs_asset::episode_log::{VERSION, decode, encode};
 use decouplegs_asset::{EpisodeLog, read_episode_log};
 use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord};
 use decouplegs_scene::{
-    Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Plan, PlanPoint, Scenario, VehicleSize,
-    VehicleState,
+    Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint,
+    Scenario, VehicleSize, VehicleState,
 };
 use glam::DVec2;
 use proptest::prelude::*;
@@ -41,7 +41,7 @@ fn instants(agents: usize) -> impl Strategy<Value = EpisodeTick> {
         states(),
         numbers(),
         any::<bool>(),
-        prop::collection::vec(states(), agents),
+        prop::collection::vec(prop::option::of(states()), agents),
     )
         .prop_map(|(ego, steer_rad, on_road, agents)| EpisodeTick {
             time_s: 0.0,
@@ -96,6 +96,7 @@ fn heads() -> impl Strategy<Value = EpisodeHead> {
         .prop_map(|(scenario, version, planner, drawn_by, route_m)| {
             let agent_sizes = scenario.agents.iter().map(|agent| agent.size).collect();
             EpisodeHead {
+                log_version: VERSION,
                 version,
                 scenario,
                 planner,
@@ -111,6 +112,18 @@ fn ends() -> impl Strategy<Value = EpisodeEnd> {
         Just(EpisodeEnd::RouteDone),
         Just(EpisodeEnd::Time),
         any::<usize>().prop_map(|agent| EpisodeEnd::Collision { agent }),
+        Just(EpisodeEnd::OffRoad),
+        Just(EpisodeEnd::OffRoute),
+        (0..5_usize, states(), 0.1f64..30.0).prop_map(|(kind, state, length_m)| {
+            let obstacle = Obstacle {
+                kind: ObstacleKind::ALL[kind],
+                center_m: state.position_m,
+                yaw_rad: state.yaw_rad,
+                length_m,
+                width_m: 0.5 * length_m,
+            };
+            EpisodeEnd::Obstacle { obstacle }
+        }),
         "(?s).{0,40}".prop_map(|reason| EpisodeEnd::Planner { reason }),
     ]
 }
@@ -178,7 +191,7 @@ fn small() -> Episode {
         ego: state(8.0 * time_s),
         steer_rad: 0.01,
         on_road: true,
-        agents: vec![state(20.0 + time_s)],
+        agents: vec![Some(state(20.0 + time_s))],
     };
     let step = |step: u32| EpisodeStep {
         step,
@@ -209,6 +222,7 @@ fn small() -> Episode {
     };
     Episode {
         head: EpisodeHead {
+            log_version: VERSION,
             version: "0.1.0".into(),
             agent_sizes: vec![VehicleSize::CAR],
             scenario,

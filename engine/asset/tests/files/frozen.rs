@@ -186,7 +186,7 @@ fn an_episode_log_of_version_1_reads_as_it_was_written() {
     );
     assert_eq!(
         (
-            last.instants[1].agents[0].position_m.x,
+            last.instants[1].agents[0].unwrap().position_m.x,
             last.instants[1].on_road
         ),
         (20.0 + 1.5 / 3.0, false)

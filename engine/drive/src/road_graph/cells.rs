@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::RoadLane;
 use super::grid::Grid;
-use super::path::place_on;
+use super::path::{HALF_AXLES_M, length_of, place_on};
 use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
 
@@ -14,10 +14,12 @@ use crate::polyline::wrapped;
 const CELL_M: f64 = 2.0;
 /// Acceleration across that is comfortable in a curve, m/s^2.
 const LATERAL_MPS2: f64 = 2.0;
+/// Bends are looked for in steps of this, meters.
+const BEND_STEP_M: f64 = 0.5;
 /// Braking for a curve, m/s^2.
 const APPROACH_MPS2: f64 = 1.5;
 /// Lower limit of comfortable speeds in curves, m/s.
-const CURVE_MPS_MIN: f64 = 2.5;
+const CURVE_MPS_MIN: f64 = 1.5;
 
 /// A part of a lane, meters along it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,13 +67,67 @@ impl Cells {
             cells
                 .lane_of
                 .extend(std::iter::repeat_n(number as u32, count));
-            if let Some(lane) = lane {
-                cells
-                    .approach_mps
-                    .extend(approach_speeds(lanes, number, lane, count));
+            let limit_mps = lane.as_ref().map_or(0.0, |lane| lane.speed_limit_mps);
+            cells
+                .approach_mps
+                .extend(std::iter::repeat_n(limit_mps, count));
+        }
+        for (number, lane) in lanes.iter().enumerate() {
+            let Some(lane) = lane else { continue };
+            let length_m = lane.line.length_m();
+            cells.slow_down(lanes, &[number], 0.0..length_m);
+            for &next in &lane.successors {
+                let around = length_m - HALF_AXLES_M..length_m + HALF_AXLES_M;
+                cells.slow_down(lanes, &[number, next], around);
             }
         }
+        for lane in 0..lanes.len() {
+            cells.approach(lane);
+        }
         cells
+    }
+
+    /// Limits speeds for the bends of a path, where `range_m` along it. Corners of coarse lines are
+    /// bends as long as a vehicle's wheelbase.
+    fn slow_down(&mut self, lanes: &[Option<RoadLane>], path: &[usize], range_m: Range<f64>) {
+        let first_m = length_of(lanes, path[0]);
+        let yaw = |at_m: f64| place_on(lanes, path, 0, at_m).yaw_rad;
+        let steps = ((range_m.end - range_m.start) / BEND_STEP_M)
+            .ceil()
+            .max(1.0) as usize;
+        let step_m = (range_m.end - range_m.start) / steps as f64;
+        let mut before_rad = yaw(range_m.start);
+        for step in 0..steps {
+            let from_m = range_m.start + step as f64 * step_m;
+            let after_rad = yaw(from_m + step_m);
+            let curvature = wrapped(after_rad - before_rad).abs() / step_m;
+            before_rad = after_rad;
+            let bend_mps = (LATERAL_MPS2 / curvature.max(1e-6))
+                .sqrt()
+                .max(CURVE_MPS_MIN);
+            for at_m in [from_m, from_m + step_m] {
+                let cell = match path.get(1) {
+                    Some(&next) if at_m >= first_m => self.range(next, at_m - first_m, 0.0).start,
+                    _ => self.range(path[0], at_m, 0.0).start,
+                };
+                if let Some(speed_mps) = self.approach_mps.get_mut(cell) {
+                    *speed_mps = speed_mps.min(bend_mps);
+                }
+            }
+        }
+    }
+
+    /// Makes each cell of a lane slow enough to become slow enough for those behind it.
+    fn approach(&mut self, lane: usize) {
+        let LaneCells {
+            first,
+            count,
+            length_m,
+        } = self.lanes[lane];
+        for cell in (first + 1..first + count).rev() {
+            let reached_mps = speed_before(self.approach_mps[cell], length_m);
+            self.approach_mps[cell - 1] = self.approach_mps[cell - 1].min(reached_mps);
+        }
     }
 
     pub(crate) fn count(&self) -> usize {
@@ -125,40 +181,6 @@ impl Cells {
         self.grid.near(outline, touched);
         touched.retain(|&cell| self.corridors[cell as usize].overlaps(outline));
     }
-}
-
-/// For each cell of a lane: slow enough for its curve, and to become slow enough for those behind
-/// it.
-fn approach_speeds(
-    lanes: &[Option<RoadLane>],
-    number: usize,
-    lane: &RoadLane,
-    count: usize,
-) -> Vec<f64> {
-    let length_m = lane.line.length_m() / count.max(1) as f64;
-    let yaw =
-        |at_m: f64| place_on(lanes, &[number], 0, at_m.clamp(0.0, lane.line.length_m())).yaw_rad;
-    let mut speeds: Vec<f64> = (0..count)
-        .map(|cell| {
-            let from_m = cell as f64 * length_m;
-            // Over more than a cell: corners of coarse lines are no curves.
-            let (before_m, after_m) = (
-                (from_m - 1.0).max(0.0),
-                (from_m + length_m + 1.0).min(lane.line.length_m()),
-            );
-            let turn_rad = wrapped(yaw(after_m) - yaw(before_m)).abs();
-            let radius_m = (after_m - before_m) / turn_rad.max(1e-6);
-            (LATERAL_MPS2 * radius_m)
-                .sqrt()
-                .max(CURVE_MPS_MIN)
-                .min(lane.speed_limit_mps)
-        })
-        .collect();
-    for cell in (1..count).rev() {
-        let reached = (speeds[cell] * speeds[cell] + 2.0 * APPROACH_MPS2 * length_m).sqrt();
-        speeds[cell - 1] = speeds[cell - 1].min(reached);
-    }
-    speeds
 }
 
 /// Speed limit `distance_m` before a place, so that the vehicle reaches the place at its limit.

@@ -8,7 +8,7 @@ use crate::polyline::wrapped;
 /// A vehicle's heading is that of a chord of its path between the axles of a family car, meters to
 /// each side of its middle. One length for all vehicles, so that the corridor of the longest holds
 /// all others.
-const HALF_AXLES_M: f64 = 1.35;
+pub(super) const HALF_AXLES_M: f64 = 1.35;
 
 /// Position of a vehicle on its path.
 #[derive(Clone, Copy, Debug)]

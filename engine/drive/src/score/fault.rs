@@ -98,12 +98,14 @@ pub(super) fn fault(
         .filter_map(|instant| {
             Some(Abreast::of(
                 &road,
-                [&instant.ego, instant.agents.get(agent)?],
+                [&instant.ego, instant.agents.get(agent)?.as_ref()?],
                 &sizes,
             ))
         })
         .collect();
-    let other = &now.agents[agent];
+    let Some(other) = &now.agents[agent] else {
+        return Fault::Ego;
+    };
     let outline = OrientedBox::of(&now.ego, &sizes[0]);
     let behind = outline.to_local(other.position_m).x <= -outline.half_length_m;
     let same_direction = wrapped(other.yaw_rad - now.ego.yaw_rad).abs() < SAME_DIRECTION_RAD;

@@ -1,10 +1,10 @@
 //! Infractions of an episode: collisions and excursions from the road.
 
 use decouplegs_scene::episode::EpisodeTick;
-use decouplegs_scene::{Episode, EpisodeEnd};
+use decouplegs_scene::{Episode, EpisodeEnd, ObstacleKind};
 
 use super::fault::{Fault, fault};
-use super::{COLLISION_FACTOR, LAYOUT_FACTOR};
+use super::{COLLISION_FACTOR, LAYOUT_FACTOR, OBSTACLE_FACTOR};
 use crate::oriented_box::OrientedBox;
 
 /// An excursion is over when the ego has been on the road for so long, seconds: a vehicle that
@@ -32,6 +32,11 @@ pub enum InfractionKind {
         /// Fault, and the reason.
         fault: Fault,
     },
+    /// The ego's box touches something static.
+    Obstacle {
+        /// Kind of the obstacle.
+        kind: ObstacleKind,
+    },
     /// The ego leaves the road.
     Layout,
 }
@@ -42,7 +47,7 @@ impl Infraction {
     pub fn at_fault(&self) -> bool {
         match self.kind {
             InfractionKind::Collision { fault, .. } => fault.at_fault(),
-            InfractionKind::Layout => true,
+            InfractionKind::Obstacle { .. } | InfractionKind::Layout => true,
         }
     }
 
@@ -52,6 +57,7 @@ impl Infraction {
         match self.kind {
             InfractionKind::Collision { fault, .. } if fault.at_fault() => COLLISION_FACTOR,
             InfractionKind::Collision { .. } => 1.0,
+            InfractionKind::Obstacle { .. } => OBSTACLE_FACTOR,
             InfractionKind::Layout => LAYOUT_FACTOR,
         }
     }
@@ -62,6 +68,15 @@ pub(super) fn infractions(episode: &Episode) -> Vec<Infraction> {
     let instants: Vec<&EpisodeTick> = episode.instants().collect();
     let mut infractions = excursions(&instants);
     infractions.extend(collisions(episode, &instants));
+    if let (EpisodeEnd::Obstacle { obstacle }, Some(last)) = (&episode.end, instants.last()) {
+        let kind = InfractionKind::Obstacle {
+            kind: obstacle.kind,
+        };
+        infractions.push(Infraction {
+            time_s: last.time_s,
+            kind,
+        });
+    }
     infractions.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     infractions
 }
@@ -90,7 +105,7 @@ fn collisions(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
     for (agent, size) in episode.head.agent_sizes.iter().enumerate() {
         let mut touched_s: Option<f64> = None;
         for (at, instant) in instants.iter().enumerate() {
-            let Some(state) = instant.agents.get(agent) else {
+            let Some(Some(state)) = instant.agents.get(agent) else {
                 continue;
             };
             touched_s = touched_s.filter(|touched_s| instant.time_s - touched_s < APART_S);

@@ -57,6 +57,8 @@ pub struct SetSummary {
     pub collisions: usize,
     /// Collisions that were the ego's fault.
     pub collisions_at_fault: usize,
+    /// Collisions with static obstacles in all episodes.
+    pub obstacle_collisions: usize,
     /// Excursions from the road in all episodes.
     pub layout_infractions: usize,
 }
@@ -89,6 +91,7 @@ impl SetSummary {
             ttc_short_share: moments(&|score| Some(score.ttc_short_share))?,
             collisions: count(&EpisodeScore::collisions),
             collisions_at_fault: count(&at_fault),
+            obstacle_collisions: count(&EpisodeScore::obstacle_collisions),
             layout_infractions: count(&EpisodeScore::layout_infractions),
         })
     }

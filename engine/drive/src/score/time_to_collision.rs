@@ -34,6 +34,7 @@ pub(super) fn closest(episode: &Episode) -> (Option<Closest>, f64) {
             .zip(&episode.head.agent_sizes)
             .enumerate()
         {
+            let Some(state) = state else { continue };
             let other = OrientedBox::of(state, size);
             let ttc_s = time_to_collision(
                 &ego,

@@ -91,8 +91,15 @@ pub(super) struct Agent {
     pub cool_down_s: f64,
     /// Hard braking, and until when.
     pub brake: Option<(f64, f64)>,
+    /// True if it brakes harder than in normal driving.
+    pub emergency: bool,
     pub phases: Vec<Phase>,
-    choices: u32,
+    /// Random choices made so far.
+    pub choices: u32,
+    /// Waiting time for room to merge before the end of its lane, seconds.
+    pub merging_s: f64,
+    /// Time until which it is off the map, seconds; `None` while it is on it.
+    pub away_until_s: Option<f64>,
 }
 
 impl Agent {
@@ -132,9 +139,27 @@ impl Agent {
             waited_s: 0.0,
             cool_down_s: 0.0,
             brake: None,
+            emergency: false,
             phases: Vec::new(),
             choices: 0,
+            merging_s: 0.0,
+            away_until_s: None,
         }
+    }
+
+    /// The same vehicle at the start of a lane, standing.
+    pub(super) fn at_start_of(&self, lane: usize) -> Self {
+        Self {
+            changes_lanes: self.changes_lanes,
+            phases: self.phases.clone(),
+            choices: self.choices,
+            ..Self::new(self.number, self.size, self.driver, lane, self.half_m + 0.1)
+        }
+    }
+
+    /// True if it is on the map.
+    pub(super) fn is_here(&self) -> bool {
+        self.away_until_s.is_none()
     }
 
     pub(super) fn lane(&self) -> usize {
@@ -192,10 +217,10 @@ impl Agent {
         }
     }
 
-    /// End of the path, if it ends: meters from the start of its lane.
-    pub(super) fn end_m(&self, graph: &RoadGraph) -> Option<f64> {
-        let last = self.path[self.path.len() - 1];
-        let ends = graph.road(last).successors.is_empty();
+    /// End of the path, if it ends within the map: meters from the start of its lane.
+    pub(super) fn wall_m(&self, graph: &RoadGraph) -> Option<f64> {
+        let last = graph.road(self.path[self.path.len() - 1]);
+        let ends = last.successors.is_empty() && !last.leaves_map;
         ends.then(|| {
             self.path[self.here..]
                 .iter()
@@ -282,7 +307,27 @@ impl Agent {
     }
 }
 
+/// Sharpest bend of a swerve, 1/m, times the square of its length, m^2: the largest second
+/// derivative of `amplitude sin^2(pi t)` for t from 0 to 1.
+pub(super) fn swerve_bend_m(amplitude_m: f64) -> f64 {
+    2.0 * std::f64::consts::PI.powi(2) * amplitude_m.abs()
+}
+
 impl Aside {
+    /// Speed at which it takes no more than `lateral_mps2` across, m/s.
+    pub(super) fn speed_mps_max(&self, lateral_mps2: f64) -> f64 {
+        let bend = match self.kind {
+            AsideKind::Change { offset_m, .. } => 6.0 * offset_m.y.abs(),
+            AsideKind::Swerve { amplitude_m, .. } => swerve_bend_m(amplitude_m),
+        };
+        self.length_m * (lateral_mps2 / bend.max(1e-6)).sqrt()
+    }
+
+    /// Way until it is over, meters.
+    pub(super) fn rest_m(&self) -> f64 {
+        self.length_m - self.traveled_m
+    }
+
     /// Offset along and to the left of the path after `ahead_m` more, meters, and how much to the
     /// left a meter ahead.
     pub(super) fn offset_after(&self, ahead_m: f64) -> (DVec2, f64) {

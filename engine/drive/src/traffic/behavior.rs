@@ -4,7 +4,8 @@
 use decouplegs_scene::scenario::{Maneuver, Trigger};
 
 use super::Traffic;
-use super::agent::{Aside, AsideKind, Phase};
+use super::agent::{Aside, AsideKind, Phase, swerve_bend_m};
+use super::following::ASIDE_MPS2;
 use super::idm::BRAKING_MPS2;
 use super::lane_order::Entry;
 use crate::oriented_box::OrientedBox;
@@ -17,6 +18,9 @@ const SWERVE_M_MAX: f64 = 3.5;
 /// by.
 const SWERVE_STEP_M: f64 = 1.0;
 const SWERVE_MARGIN_M: f64 = 0.15;
+/// Distance between a swerve's end and the next crossing, meters: cells and boxes are longer than
+/// a swerve.
+const CROSSING_M: f64 = 8.0;
 /// Free time that vehicles beside a swerve need, seconds.
 const SWERVE_REACTION_S: f64 = 2.0;
 /// Shares of the amplitude that are tried until there is room.
@@ -36,6 +40,9 @@ impl Traffic {
     pub(super) fn behave(&mut self) {
         for number in 0..self.agents.len() {
             let agent = &mut self.agents[number];
+            if !agent.is_here() {
+                continue;
+            }
             agent.brake = agent.brake.filter(|(_, until_s)| *until_s > self.time_s);
             for which in 0..self.behaviors[number].len() {
                 let behavior = self.behaviors[number][which];
@@ -59,10 +66,10 @@ impl Traffic {
         match trigger {
             Trigger::Time { time_s } => self.time_s >= time_s,
             Trigger::NearEgo { distance_m } => {
-                let at = self.states[number].position_m;
-                self.ego
-                    .as_ref()
-                    .is_some_and(|ego| ego.position_m.distance(at) <= distance_m)
+                let ego = self.ego.as_ref();
+                ego.zip(self.states[number]).is_some_and(|(ego, state)| {
+                    ego.position_m.distance(state.position_m) <= distance_m
+                })
             }
         }
     }
@@ -86,6 +93,34 @@ impl Traffic {
         }
     }
 
+    /// True if an agent's lane has conflicts within a swerve of `length_m`. Should the agent have to
+    /// wait there, what it takes up of other lanes would keep others in the crossing, and they it.
+    fn meets_crossing(&self, number: usize, length_m: f64) -> bool {
+        let agent = &self.agents[number];
+        let end_m = agent.front_m() + length_m + CROSSING_M;
+        let (crossing, _) = self.next_crossing(agent, agent.rear_m());
+        crossing.is_some_and(|crossing| crossing.from_m < end_m)
+    }
+
+    /// True if another vehicle swerves near an agent's swerve of `length_m`: neither leaves the
+    /// space between two lanes to the other.
+    fn meets_swerve(&self, number: usize, length_m: f64) -> bool {
+        let Some(own) = self.states[number] else {
+            return true;
+        };
+        self.agents.iter().zip(&self.states).any(|(other, state)| {
+            let swerves = other
+                .aside
+                .as_ref()
+                .filter(|aside| matches!(aside.kind, AsideKind::Swerve { .. }));
+            let (Some(aside), Some(state)) = (swerves, state) else {
+                return false;
+            };
+            let apart_m = state.position_m.distance(own.position_m);
+            other.number != number && apart_m < length_m + aside.rest_m() + CROSSING_M
+        })
+    }
+
     /// Begins a swerve as wide as there is room beside all other agents; whether there was any.
     fn swerve(&mut self, number: usize, amplitude_m: f64, duration_s: f64) -> bool {
         let agent = &self.agents[number];
@@ -94,7 +129,10 @@ impl Traffic {
         }
         for share in SWERVE_SHARES {
             let amplitude_m = share * amplitude_m.clamp(-SWERVE_M_MAX, SWERVE_M_MAX);
+            // Not shorter than tires allow at its speed.
+            let shortest_m = agent.speed_mps * (swerve_bend_m(amplitude_m) / ASIDE_MPS2).sqrt();
             let length_m = (agent.speed_mps * duration_s)
+                .max(shortest_m)
                 .clamp(SWERVE_M_PER_M * amplitude_m.abs() + 5.0, 150.0);
             let kind = AsideKind::Swerve {
                 amplitude_m,
@@ -105,6 +143,9 @@ impl Traffic {
                 length_m,
                 kind,
             };
+            if self.meets_crossing(number, length_m) || self.meets_swerve(number, length_m) {
+                continue;
+            }
             if let Some(cells) = self.swerve_cells(number, &aside) {
                 let kind = AsideKind::Swerve { amplitude_m, cells };
                 self.agents[number].aside = Some(Aside { kind, ..aside });
@@ -153,7 +194,11 @@ impl Traffic {
                     && entry.rear_m < stretch.to_m
                     && reach_m > stretch.from_m
             };
-            !self.claims.taken(cell as usize, number) && !self.order.on(lane).iter().any(comes)
+            !self.claims.taken(cell as usize, number)
+                && !self
+                    .claims
+                    .is_kept(number, lane, stretch.from_m, stretch.to_m)
+                && !self.order.on(lane).iter().any(comes)
         };
         cells.iter().all(free).then_some(cells)
     }

@@ -9,7 +9,7 @@ use super::agent::{Agent, AsideKind};
 use super::ego::EgoSeen;
 use crate::road_graph::{RoadGraph, length_of};
 
-/// Part of a lane that a swerve occupies.
+/// Part of a lane that belongs to an agent which is not on it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Block {
     pub lane: usize,
@@ -18,24 +18,58 @@ pub(super) struct Block {
     pub agent: usize,
 }
 
+/// Below this a vehicle stands, m/s.
+const STANDING_MPS: f64 = 0.3;
+
+/// Agents that have something: how many, and one of them.
+#[derive(Clone, Copy, Debug, Default)]
+struct Owners {
+    count: u16,
+    one: u32,
+}
+
+impl Owners {
+    fn add(&mut self, agent: usize) {
+        if self.count == 0 {
+            *self = Self {
+                count: 1,
+                one: agent as u32,
+            };
+        } else if self.count > 1 || self.one != agent as u32 {
+            self.count = self.count.saturating_add(1);
+        }
+    }
+
+    /// True if an agent other than `agent` is among them.
+    fn others_than(self, agent: usize) -> bool {
+        self.count > 1 || (self.count == 1 && self.one != agent as u32)
+    }
+}
+
 /// Claims of cells, by cell.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Claims {
-    /// Number of reservations, and one of their agents.
-    owners: Vec<(u16, u32)>,
+    owners: Vec<Owners>,
+    /// Those of them that stand.
+    standing: Vec<Owners>,
     /// True if the ego is or will be there, as far as known.
     ego: Vec<bool>,
     /// True if a vehicle that has waited long has the next claim.
     wanted: Vec<bool>,
     /// Cells of which something is known.
     known: Vec<u32>,
+    /// Parts of other lanes that swerves take up.
     pub blocks: Vec<Block>,
+    /// Room that is kept for agents whose crossing is granted: behind it, and on the lane that they
+    /// are leaving.
+    pub rooms: Vec<Block>,
 }
 
 impl Claims {
     pub(super) fn new(cells: usize) -> Self {
         Self {
-            owners: vec![(0, 0); cells],
+            owners: vec![Owners::default(); cells],
+            standing: vec![Owners::default(); cells],
             ego: vec![false; cells],
             wanted: vec![false; cells],
             ..Self::default()
@@ -45,10 +79,12 @@ impl Claims {
     pub(super) fn build(&mut self, graph: &RoadGraph, agents: &[Agent], ego: Option<&EgoSeen>) {
         for cell in self.known.drain(..) {
             let cell = cell as usize;
-            (self.owners[cell], self.ego[cell], self.wanted[cell]) = ((0, 0), false, false);
+            (self.owners[cell], self.standing[cell]) = Default::default();
+            (self.ego[cell], self.wanted[cell]) = (false, false);
         }
         self.blocks.clear();
-        for agent in agents {
+        self.rooms.clear();
+        for agent in agents.iter().filter(|agent| agent.is_here()) {
             self.claim(graph, agent);
         }
         for &cell in ego.iter().flat_map(|ego| &ego.cells) {
@@ -64,6 +100,9 @@ impl Claims {
             .filter(|crossing| crossing.granted)
             .map_or(f64::NEG_INFINITY, |crossing| crossing.to_m - 0.01);
         self.claim_between(graph, agent, agent.rear_m(), agent.stop_m().max(granted_m));
+        if granted_m > f64::NEG_INFINITY {
+            self.keep_room(graph, agent, granted_m);
+        }
         match agent.aside.as_ref().map(|aside| &aside.kind) {
             Some(AsideKind::Change {
                 from, from_arc_m, ..
@@ -74,7 +113,7 @@ impl Claims {
                         .cells()
                         .range(*from, from_arc_m - agent.half_m, from_arc_m + reach_m)
                 {
-                    self.take(cell, agent.number);
+                    self.take(cell, agent);
                 }
             }
             Some(AsideKind::Swerve { cells, .. }) => {
@@ -86,7 +125,7 @@ impl Claims {
                         to_m: stretch.to_m,
                         agent: agent.number,
                     });
-                    self.take(cell as usize, agent.number);
+                    self.take(cell as usize, agent);
                 }
             }
             None => {}
@@ -102,25 +141,72 @@ impl Claims {
         to_m: f64,
     ) {
         each_cell(graph, agent, from_m, to_m, |cell| {
-            self.take(cell, agent.number);
+            self.take(cell, agent);
             true
         });
     }
 
-    fn take(&mut self, cell: usize, agent: usize) {
-        let (count, owner) = &mut self.owners[cell];
-        if *count == 0 {
-            (*count, *owner) = (1, agent as u32);
-            self.known.push(cell as u32);
-        } else if *count > 1 || *owner != agent as u32 {
-            *count = count.saturating_add(1);
+    /// Keeps room for an agent behind the crossing that ends at `out_m` on its path, and on the lane
+    /// that it is leaving.
+    fn keep_room(&mut self, graph: &RoadGraph, agent: &Agent, out_m: f64) {
+        if let Some(aside) = &agent.aside
+            && let AsideKind::Change {
+                from, from_arc_m, ..
+            } = aside.kind
+        {
+            self.rooms.push(Block {
+                lane: from,
+                from_m: from_arc_m - agent.half_m,
+                to_m: from_arc_m + agent.half_m + aside.rest_m(),
+                agent: agent.number,
+            });
+        }
+        let mut start_m = 0.0;
+        let end_m = out_m + agent.clearance_m();
+        for &lane in &agent.path[agent.here..] {
+            let length_m = length_of(graph.lanes(), lane);
+            if start_m + length_m > out_m {
+                self.rooms.push(Block {
+                    lane,
+                    from_m: out_m - start_m,
+                    to_m: (end_m - start_m).min(length_m),
+                    agent: agent.number,
+                });
+            }
+            start_m += length_m;
+            if start_m > end_m {
+                break;
+            }
+        }
+    }
+
+    /// True if part of a lane is kept for an agent other than `agent` to leave its crossing.
+    pub(super) fn is_kept(&self, agent: usize, lane: usize, from_m: f64, to_m: f64) -> bool {
+        self.rooms.iter().any(|room| {
+            room.agent != agent && room.lane == lane && room.from_m < to_m && room.to_m > from_m
+        })
+    }
+
+    fn take(&mut self, cell: usize, agent: &Agent) {
+        self.owners[cell].add(agent.number);
+        self.known.push(cell as u32);
+        if agent.speed_mps < STANDING_MPS {
+            self.standing[cell].add(agent.number);
         }
     }
 
     /// True if an agent other than `agent` has reserved a cell.
     pub(super) fn taken(&self, cell: usize, agent: usize) -> bool {
-        let (count, owner) = self.owners[cell];
-        count > 1 || (count == 1 && owner != agent as u32)
+        self.owners[cell].others_than(agent)
+    }
+
+    /// True if a cell that conflicts with `cell` is reserved by an agent other than `agent` that
+    /// stands.
+    pub(super) fn is_stood_on(&self, graph: &RoadGraph, cell: usize, agent: usize) -> bool {
+        let conflicts = graph.cells().conflicts_of(cell);
+        conflicts
+            .iter()
+            .any(|&other| self.standing[other as usize].others_than(agent))
     }
 
     /// True if a cell that conflicts with `cell` is reserved by an agent other than `agent`.

@@ -3,6 +3,7 @@
 use super::Traffic;
 use super::agent::{Agent, AsideKind};
 use super::idm::{BRAKING_MPS2, IdmParameters, Leader, safe_acceleration};
+use super::junction::LINE_GAP_M;
 use super::lane_order::{DEAD_END, EGO, LaneOrder, NO_LANE, behind_fork};
 use crate::road_graph::{RoadGraph, length_of, speed_before};
 
@@ -14,6 +15,17 @@ const HORIZON_M: f64 = 50.0;
 const HORIZON_S: f64 = 4.0;
 /// The end of a lane is seen from farther away: braking for it is to be gentle.
 const END_M: f64 = 50.0;
+/// A vehicle that found no room to merge waits so far before the end of its lane, meters: a change
+/// of lanes takes as much.
+pub(super) const MERGE_ROOM_M: f64 = 30.0;
+/// A driver loses speed that is too much for the road in about this time, seconds.
+const SLOWING_S: f64 = 0.5;
+/// Change of acceleration in normal driving, m/s^3: what passengers bear.
+const JERK_MPS3: f64 = 10.0;
+/// Braking beyond which a driver minds comfort no longer, m/s^2.
+const EMERGENCY_MPS2: f64 = 4.0;
+/// Acceleration across the lane in lane changes and swerves, m/s^2.
+pub(super) const ASIDE_MPS2: f64 = 2.0;
 /// Short of a line that one must not cross, meters.
 const LINE_M: f64 = 0.02;
 
@@ -146,6 +158,25 @@ pub(super) fn behind(
     found
 }
 
+/// The acceleration nearest to `wished_mps2` that normal driving allows after the last one, and the
+/// hardest braking from which the vehicle comes to a stand gently: the acceleration changes by at
+/// most [`JERK_MPS3`].
+fn comfortable(agent: &Agent, wished_mps2: f64, dt_s: f64) -> (f64, f64) {
+    let step_mps2 = JERK_MPS3 * dt_s;
+    // Braking that ends step by step: v = dt step (1 + 2 + ... + count).
+    let count = 0.5 * ((1.0 + 8.0 * agent.speed_mps / (dt_s * step_mps2)).sqrt() - 1.0);
+    let to_stand_mps2 = if count < 1.0 {
+        agent.speed_mps / dt_s
+    } else {
+        step_mps2 * count
+    };
+    let last_mps2 = agent.acceleration_mps2;
+    let comfortable_mps2 = wished_mps2
+        .max(-to_stand_mps2)
+        .clamp(last_mps2 - step_mps2, last_mps2 + step_mps2);
+    (comfortable_mps2, to_stand_mps2)
+}
+
 /// Limits of an agent's motion.
 #[derive(Clone, Copy, Debug)]
 struct Bounds {
@@ -175,17 +206,35 @@ impl Traffic {
     /// driver.
     pub(super) fn free_speed(&self, agent: &Agent) -> f64 {
         let cells = self.graph.cells();
-        let mut speed_mps = cells.approach_mps(agent.lane(), agent.arc_m);
+        // Drivers in a hurry exceed limits, not what bends allow.
+        let share = agent.driver.speed_share;
+        let at = |lane: usize, arc_m: f64| {
+            let (speed_mps, limit_mps) = (
+                cells.approach_mps(lane, arc_m),
+                self.graph.road(lane).speed_limit_mps,
+            );
+            speed_mps
+                * if speed_mps < limit_mps {
+                    share.min(1.0)
+                } else {
+                    share
+                }
+        };
+        let mut speed_mps = at(agent.lane(), agent.arc_m);
         let mut start_m = length_of(self.graph.lanes(), agent.lane());
         for &lane in &agent.path[agent.here + 1..] {
             let distance_m = start_m - agent.arc_m;
             if distance_m > HORIZON_M + HORIZON_S * agent.speed_mps {
                 break;
             }
-            speed_mps = speed_mps.min(speed_before(cells.approach_mps(lane, 0.0), distance_m));
+            speed_mps = speed_mps.min(speed_before(at(lane, 0.0), distance_m));
             start_m += length_of(self.graph.lanes(), lane);
         }
-        speed_mps * agent.driver.speed_share
+        let aside_mps = agent
+            .aside
+            .as_ref()
+            .map_or(f64::INFINITY, |aside| aside.speed_mps_max(ASIDE_MPS2));
+        speed_mps.min(aside_mps)
     }
 
     /// Acceleration by the model alone, along a path: leaders and where the lanes end.
@@ -223,20 +272,23 @@ impl Traffic {
                 !seen.same_way
             },
         );
-        if self.graph.road(path[path.len() - 1]).successors.is_empty() {
+        let last = self.graph.road(path[path.len() - 1]);
+        if last.successors.is_empty() && !last.leaves_map {
             let end_m: f64 = path[here..]
                 .iter()
                 .map(|&lane| length_of(self.graph.lanes(), lane))
                 .sum();
             bounds.stop_within(end_m - LINE_M - stop_m);
-            if end_m - front_m < horizon_m + END_M {
-                bounds.follow(&idm, agent.speed_mps, end_m - front_m, 0.0);
+            let merge_m = end_m - MERGE_ROOM_M;
+            if merge_m - front_m < horizon_m + END_M {
+                bounds.follow(&idm, agent.speed_mps, merge_m - front_m, 0.0);
             }
         }
     }
 
-    /// Acceleration of an agent in a step: the car-following model within safe limits.
-    pub(super) fn acceleration(&self, agent: &Agent, dt_s: f64) -> f64 {
+    /// Acceleration of an agent in a step, and true if it brakes harder than in normal driving: the
+    /// car-following model within the limits of comfort, unless it would not be safe.
+    pub(super) fn acceleration(&self, agent: &Agent, dt_s: f64) -> (f64, bool) {
         let idm = agent.idm();
         let mut bounds = Bounds {
             acceleration_mps2: idm.free_acceleration(agent.speed_mps),
@@ -254,13 +306,17 @@ impl Traffic {
         if let Some(crossing) = agent.crossing {
             if crossing.granted {
                 // What follows the crossing is looked for when it is left behind.
-                bounds.stop_within(crossing.to_m + self.clearance_m(agent) - LINE_M - stop_m);
+                bounds.stop_within(crossing.to_m + agent.clearance_m() - LINE_M - stop_m);
             } else {
                 bounds.stop_within(crossing.from_m - LINE_M - stop_m);
             }
             if agent.held_up {
+                let to_line = IdmParameters {
+                    standstill_gap_m: LINE_GAP_M,
+                    ..idm
+                };
                 bounds.follow(
-                    &idm,
+                    &to_line,
                     agent.speed_mps,
                     crossing.from_m - agent.front_m(),
                     0.0,
@@ -271,11 +327,23 @@ impl Traffic {
             bounds.follow(&idm, agent.speed_mps, at_m - agent.front_m(), 0.0);
             bounds.stop_within(at_m - LINE_M - stop_m);
         }
-        if let Some((braking_mps2, _)) = agent.brake {
-            bounds.acceleration_mps2 = bounds.acceleration_mps2.min(-braking_mps2);
+        // The model alone would be late for bends: it brakes a little where it is a little too fast.
+        let too_fast_mps = (agent.speed_mps - agent.free_mps).max(0.0);
+        if too_fast_mps > 0.0 {
+            let slows_mps2 = (too_fast_mps / SLOWING_S).min(idm.braking_mps2);
+            bounds.acceleration_mps2 = bounds.acceleration_mps2.min(-slows_mps2);
         }
-        let safe_mps2 = safe_acceleration(agent.speed_mps, bounds.room_m, dt_s);
-        bounds.acceleration_mps2.min(safe_mps2).max(-BRAKING_MPS2)
+        let (comfortable_mps2, to_stand_mps2) = comfortable(agent, bounds.acceleration_mps2, dt_s);
+        let mut urgent_mps2 = safe_acceleration(agent.speed_mps, bounds.room_m, dt_s);
+        if bounds.acceleration_mps2 < -EMERGENCY_MPS2 {
+            urgent_mps2 = urgent_mps2.min(bounds.acceleration_mps2);
+        }
+        if let Some((braking_mps2, _)) = agent.brake {
+            urgent_mps2 = urgent_mps2.min(-braking_mps2);
+        }
+        let acceleration_mps2 = comfortable_mps2.min(urgent_mps2).max(-BRAKING_MPS2);
+        let emergency = urgent_mps2 < comfortable_mps2 || acceleration_mps2 < -to_stand_mps2;
+        (acceleration_mps2, emergency)
     }
 
     /// Adds the leaders on the lane that an agent is leaving.
@@ -306,7 +374,7 @@ impl Traffic {
 
     /// Positions at which a swerve of another agent blocks the path, meters from the start of its
     /// lane.
-    fn blocks_ahead(&self, agent: &Agent) -> impl Iterator<Item = f64> {
+    pub(super) fn blocks_ahead(&self, agent: &Agent) -> impl Iterator<Item = f64> {
         let others = self
             .claims
             .blocks

@@ -6,23 +6,27 @@
 //! can leave it. A vehicle that has waited long does not give way any longer, and what it waits for
 //! is granted to no vehicle that has waited less: first the longest waiting, then the lower number.
 //! That breaks circles such as four vehicles that each have another to their right.
-//!
-//! Known limit: traffic can still stop for ever where a vehicle stands off the middle of its lane,
-//! in a swerve or a lane change, before a crossing.
 
 use super::Traffic;
-use super::agent::{Agent, Crossing};
+use super::agent::{Agent, AsideKind, Crossing};
 use super::claims::each_cell;
-use super::following::each_ahead;
+use super::following::{PathPlace, each_ahead};
 use super::idm::stopping_m;
-use super::lane_order::EGO;
 use crate::road_graph::{Conflict, length_of};
 
 /// Waiting time after which a vehicle no longer gives way, seconds.
 const PATIENCE_S: f64 = 5.0;
+/// Waiting time after which a crossing is held for a vehicle, seconds.
+const WANT_S: f64 = 15.0;
 /// Conflicts follow each other at less than this and a vehicle's length: they are crossed as one,
 /// meters.
 const BETWEEN_M: f64 = 1.5;
+/// The rear of a vehicle is so far out of a crossing that it has left, meters.
+const REAR_M: f64 = 0.3;
+/// Vehicles stop so far before a crossing that is not granted, meters.
+pub(super) const LINE_GAP_M: f64 = 0.5;
+/// The last of a gap that a vehicle closes takes too long to wait for, meters.
+const CREEP_M: f64 = 0.5;
 /// Short vehicles leave as much room behind a crossing as this long one, meters: more than anybody
 /// drives in a step.
 const LENGTH_M_MIN: f64 = 4.5;
@@ -39,17 +43,38 @@ const GIVE_WAY_M: f64 = 80.0;
 /// Expected acceleration of a standing vehicle, m/s^2.
 const START_MPS2: f64 = 1.5;
 
-impl Traffic {
-    /// Room that an agent needs behind a crossing.
-    pub(super) fn clearance_m(&self, agent: &Agent) -> f64 {
-        agent.size.length_m.max(LENGTH_M_MIN) + BETWEEN_M
+impl Agent {
+    /// Room that it needs behind a crossing, meters.
+    pub(super) fn clearance_m(&self) -> f64 {
+        self.size.length_m.max(LENGTH_M_MIN) + BETWEEN_M
     }
 
+    /// Part of a queue of standing vehicles that it takes up, meters.
+    fn queue_m(&self) -> f64 {
+        self.size.length_m.max(LENGTH_M_MIN) + self.driver.idm.standstill_gap_m + CREEP_M
+    }
+
+    /// Way that it can drive before it needs the grant of a crossing, meters.
+    fn free_way_m(&self) -> f64 {
+        self.crossing.map_or(f64::INFINITY, |crossing| {
+            if crossing.granted {
+                crossing.to_m + self.clearance_m() - self.front_m()
+            } else {
+                crossing.from_m - LINE_GAP_M - CREEP_M - self.front_m()
+            }
+        })
+    }
+}
+
+impl Traffic {
     /// Keeps every agent's crossing, and grants those that can be.
     pub(super) fn cross(&mut self, dt_s: f64) {
         let mut waiting = std::mem::take(&mut self.waiting);
         waiting.clear();
         for number in 0..self.agents.len() {
+            if !self.agents[number].is_here() {
+                continue;
+            }
             self.find_crossing(number);
             let agent = &mut self.agents[number];
             agent.held_up = false;
@@ -92,25 +117,38 @@ impl Traffic {
         (agent.crossing, agent.clear_m) = (crossing, clear_m);
     }
 
-    fn next_crossing(&self, agent: &Agent, stop_m: f64) -> (Option<Crossing>, f64) {
-        let (mut found, mut start_m): (Option<Crossing>, f64) = (None, 0.0);
-        let clearance_m = self.clearance_m(agent);
-        for &lane in &agent.path[agent.here..] {
+    /// Conflicts nearer to each other than this are crossed as one, meters. It is the same for all
+    /// vehicles, so that where one waits within a crossing all do.
+    pub(super) fn between_m(&self) -> f64 {
+        self.graph.vehicle().length_m + BETWEEN_M
+    }
+
+    /// The first row of conflicts that ends beyond `after_m` on an agent's path, and up to where
+    /// there are none if there is no such row.
+    pub(super) fn next_crossing(&self, agent: &Agent, after_m: f64) -> (Option<Crossing>, f64) {
+        let (mut found, mut at, mut start_m): (Option<Crossing>, usize, f64) =
+            (None, agent.here, 0.0);
+        while at > 0 && after_m < start_m {
+            at -= 1;
+            start_m -= length_of(self.graph.lanes(), agent.path[at]);
+        }
+        for &lane in &agent.path[at..] {
             for stretch in self.graph.cells().stretches(lane) {
                 let (from_m, to_m) = (stretch.from_m + start_m, stretch.to_m + start_m);
-                if to_m <= stop_m {
+                if to_m <= after_m {
                     continue;
                 }
                 match &mut found {
                     None => {
                         found = Some(Crossing {
-                            from_m: from_m.max(stop_m),
+                            from_m: from_m.max(after_m),
                             to_m,
                             granted: false,
                         });
                     }
                     Some(run)
-                        if from_m - run.to_m < clearance_m && to_m - run.from_m < RUN_M_MAX =>
+                        if from_m - run.to_m < self.between_m()
+                            && to_m - run.from_m < RUN_M_MAX =>
                     {
                         run.to_m = to_m;
                     }
@@ -118,22 +156,21 @@ impl Traffic {
                 }
             }
             start_m += length_of(self.graph.lanes(), lane);
-            if start_m > found.map_or(stop_m + 1.5 * AHEAD_M, |run| run.to_m + clearance_m) {
-                break;
+            if start_m > found.map_or(after_m + 1.5 * AHEAD_M, |run| run.to_m + self.between_m()) {
+                return (
+                    found,
+                    if found.is_some() {
+                        f64::INFINITY
+                    } else {
+                        start_m
+                    },
+                );
             }
         }
-        // Beyond the path's end nothing is driven: its end is a wall of its own.
-        let ends = agent
-            .end_m(&self.graph)
-            .is_some_and(|end_m| start_m >= end_m);
-        (
-            found,
-            if ends || found.is_some() {
-                f64::INFINITY
-            } else {
-                start_m
-            },
-        )
+        let last = self.graph.road(agent.path[agent.path.len() - 1]);
+        // Beyond the end of the lanes nothing is driven.
+        let ends = found.is_some() || last.successors.is_empty();
+        (found, if ends { f64::INFINITY } else { start_m })
     }
 
     /// Grants an agent its crossing, or makes it wait.
@@ -144,15 +181,21 @@ impl Traffic {
         };
         let patient = agent.waited_s < PATIENCE_S;
         let can_leave = self.can_leave(agent, &crossing);
-        let free = can_leave && (crossing.granted || self.is_free(agent, &crossing));
-        let granted = free
+        // A grant is taken back for the ego alone: others rely on it.
+        let granted = can_leave
             && !self.ego_crosses(agent, &crossing)
-            && !(patient && !crossing.granted && self.gives_way(agent, &crossing));
+            && (crossing.granted
+                || self.is_free(agent, &crossing)
+                    && !(patient && self.gives_way(agent, &crossing)));
         if granted && !crossing.granted {
             self.claims
                 .claim_between(&self.graph, agent, agent.rear_m(), crossing.to_m - 0.01);
         }
-        if !granted && !patient && can_leave {
+        if !granted
+            && agent.waited_s > WANT_S
+            && can_leave
+            && !self.waits_for_standing(&self.agents[number])
+        {
             let (graph, agent) = (&self.graph, &self.agents[number]);
             let claims = &mut self.claims;
             each_cell(
@@ -179,13 +222,15 @@ impl Traffic {
         }
     }
 
-    /// Grants a crossing at the start, where nobody has the right of way yet.
-    pub(super) fn grant_at_start(&mut self, number: usize) {
+    /// Grants a crossing at the start, where no vehicle has the right of way yet; false if it
+    /// cannot be granted.
+    pub(super) fn grant_at_start(&mut self, number: usize) -> bool {
         let agent = &self.agents[number];
         let Some(crossing) = agent.crossing.filter(|crossing| !crossing.granted) else {
-            return;
+            return true;
         };
-        if self.can_leave(agent, &crossing) && self.is_free(agent, &crossing) {
+        let free = self.can_leave(agent, &crossing) && self.is_free(agent, &crossing);
+        if free {
             self.claims
                 .claim_between(&self.graph, agent, agent.rear_m(), crossing.to_m - 0.01);
             self.agents[number].crossing = Some(Crossing {
@@ -193,37 +238,81 @@ impl Traffic {
                 ..crossing
             });
         }
+        free
     }
 
-    /// True if no vehicle ahead can keep an agent from leaving a crossing.
+    /// True if no vehicle ahead can keep an agent from leaving a crossing: the ego, where the
+    /// crossing is granted already.
     fn can_leave(&self, agent: &Agent, crossing: &Crossing) -> bool {
-        // Needs room for this vehicle, and for those ahead that are not out yet.
-        let mut out_m = crossing.to_m + self.clearance_m(agent);
-        if agent.end_m(&self.graph).is_some_and(|end_m| end_m < out_m) {
+        let out_m = crossing.to_m + agent.clearance_m();
+        if agent.wall_m(&self.graph).is_some_and(|end_m| end_m < out_m) {
             return false;
         }
+        // Behind a swerve it would have to wait in the crossing.
+        let blocked = || self.blocks_ahead(agent).any(|at_m| at_m < out_m);
+        if !crossing.granted && (blocked() || !self.can_leave_lane(agent)) {
+            return false;
+        }
+        // Room for this vehicle, and for those ahead that are not out yet.
+        let mut room_m = crossing.to_m + REAR_M + agent.queue_m();
         let (mut can_leave, mut counted) = (true, Vec::new());
         each_ahead(
             &self.graph,
             &self.order,
             agent.place(),
-            GIVE_WAY_M + out_m - agent.arc_m,
+            GIVE_WAY_M + room_m - agent.arc_m,
             |seen| {
-                if seen.stop_rear_m >= out_m {
+                if seen.stop_rear_m >= room_m {
                     return !seen.same_way;
                 }
-                let on_its_way = seen.stop_rear_m > crossing.from_m;
-                if seen.same_way && on_its_way && !counted.contains(&seen.agent) {
-                    out_m += self.clearance_m(&self.agents[seen.agent as usize]);
+                let Some(other) = self.agents.get(seen.agent as usize) else {
+                    can_leave = false;
+                    return false;
+                };
+                if crossing.granted || counted.contains(&seen.agent) {
+                    return true;
+                }
+                let granted = other.crossing.is_some_and(|crossing| crossing.granted);
+                can_leave = seen.stop_rear_m > crossing.from_m
+                    && seen.rear_m + other.free_way_m() >= room_m
+                    && (seen.same_way || granted || seen.speed_mps > 1.0);
+                if seen.same_way {
+                    room_m += other.queue_m();
                     counted.push(seen.agent);
                 }
-                // Who goes another way only has to be on it.
-                can_leave &= seen.same_way && on_its_way
-                    || seen.agent != EGO && on_its_way && seen.speed_mps > 1.0;
                 can_leave
             },
         );
         can_leave
+    }
+
+    /// True if an agent that changes lanes will not have to wait for a vehicle on the lane that it
+    /// is leaving. That vehicle may wait for the same crossing.
+    fn can_leave_lane(&self, agent: &Agent) -> bool {
+        let Some(aside) = &agent.aside else {
+            return true;
+        };
+        let AsideKind::Change {
+            from, from_arc_m, ..
+        } = aside.kind
+        else {
+            return true;
+        };
+        let place = PathPlace {
+            agent: agent.number,
+            path: &[from],
+            here: 0,
+            arc_m: from_arc_m,
+        };
+        let gap_m = agent.driver.idm.standstill_gap_m + CREEP_M;
+        let needed_m = from_arc_m + agent.half_m + aside.rest_m() + gap_m;
+        let mut free = true;
+        let horizon_m = needed_m - from_arc_m;
+        each_ahead(&self.graph, &self.order, place, horizon_m, |seen| {
+            free &= seen.stop_rear_m > needed_m;
+            free
+        });
+        free
     }
 
     /// True if no other agent has reserved a cell that conflicts with a crossing.
@@ -239,6 +328,20 @@ impl Traffic {
             crossing.to_m - 0.01,
             free,
         )
+    }
+
+    /// True if a vehicle that stands keeps an agent from its crossing. To hold the crossing for the
+    /// agent would be of no use, and might be what the other waits for.
+    fn waits_for_standing(&self, agent: &Agent) -> bool {
+        agent.crossing.is_some_and(|crossing| {
+            !each_cell(
+                &self.graph,
+                agent,
+                crossing.from_m,
+                crossing.to_m - 0.01,
+                |cell| !self.claims.is_stood_on(&self.graph, cell, agent.number),
+            )
+        })
     }
 
     /// True if the ego is in a crossing or approaches it, other than behind the agent.

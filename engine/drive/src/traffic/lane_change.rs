@@ -15,7 +15,7 @@ use crate::road_graph::length_of;
 /// A change takes so long, seconds, and at least so much of the road: meters, and lengths of the
 /// vehicle. Shorter ones would turn its nose out of the two lanes.
 const DURATION_S: f64 = 4.0;
-const HASTY_DURATION_S: f64 = 2.0;
+const HASTY_DURATION_S: f64 = 3.0;
 const LENGTH_M_MIN: f64 = 20.0;
 const LENGTHS_MIN: f64 = 5.0;
 /// Drivers think of it once in so long, seconds, and for so long not after a change.
@@ -31,8 +31,13 @@ const PARALLEL_RAD: f64 = 0.1;
 const TURN_RAD: f64 = 0.3;
 /// Distance within which followers are considered, meters: the fastest can stop within it.
 const BEHIND_M: f64 = 120.0;
-/// Bonus for a lane that goes on where the own lane ends, m/s^2.
-const DEAD_END_MPS2: f64 = 1.0;
+/// Bonus for a lane that goes on where the own lane ends within `MERGE_S`, m/s^2: only what is not
+/// safe keeps a vehicle from it.
+const MERGE_MPS2: f64 = 100.0;
+/// Time and distance before the end of its lane from where a vehicle has to merge: seconds at its
+/// speed, and meters.
+const MERGE_S: f64 = 10.0;
+const MERGE_M: f64 = 150.0;
 
 /// Position of an agent on another lane.
 #[derive(Clone, Debug)]
@@ -50,8 +55,9 @@ impl Traffic {
         let first = (self.steps % steps) as usize;
         for number in (first..self.agents.len()).step_by(steps as usize) {
             let agent = &self.agents[number];
-            let ready =
+            let wishes =
                 agent.changes_lanes && agent.cool_down_s == 0.0 && agent.speed_mps >= SPEED_MPS_MIN;
+            let ready = agent.is_here() && (wishes || self.has_to_merge(agent));
             if ready && agent.brake.is_none() {
                 self.consider_change(number);
             }
@@ -127,6 +133,11 @@ impl Traffic {
         let length_m = (duration_s * agent.speed_mps).max(least_m);
         let at = own.line.at(agent.arc_m).truncate();
         let foot = other.line.project(at);
+        // A bend on the other lane that it is too fast for is not for a change of lanes.
+        let allowed_mps = self.graph.cells().approach_mps(lane, foot.arc_m);
+        if allowed_mps * agent.driver.speed_share.max(1.0) + 0.5 < agent.speed_mps {
+            return None;
+        }
         let reach_m = length_m + agent.half_m + 2.0;
         let within = |arc_m: f64, lane: usize| {
             arc_m > agent.half_m + 1.0 && arc_m + reach_m < length_of(self.graph.lanes(), lane)
@@ -183,17 +194,20 @@ impl Traffic {
             old_follower: old.of_follower(own_rear(agent.arc_m), old.leader),
         };
         let (own, other) = (self.graph.road(agent.lane()), self.graph.road(target.lane));
-        let onward = if other.onward_m - target.arc_m > own.onward_m - agent.arc_m + 100.0 {
-            DEAD_END_MPS2
-        } else {
-            0.0
-        };
-        let urgent = if own.onward_m - agent.arc_m < 20.0 * agent.speed_mps {
-            onward
+        let leads_on = other.onward_m - target.arc_m > own.onward_m - agent.arc_m + 100.0;
+        let urgent = if leads_on && self.has_to_merge(agent) {
+            MERGE_MPS2
         } else {
             0.0
         };
         Some(agent.driver.mobil.incentive(&concerned, side)? + urgent)
+    }
+
+    /// True if the lane of an agent ends within the map, and soon.
+    fn has_to_merge(&self, agent: &Agent) -> bool {
+        let near_m = MERGE_M.max(MERGE_S * agent.speed_mps);
+        let wall_m = agent.wall_m(&self.graph);
+        wall_m.is_some_and(|wall_m| wall_m - agent.front_m() < near_m)
     }
 
     /// A path that begins on another lane, as far as one looks.
@@ -245,6 +259,13 @@ impl Traffic {
     fn is_safe(&self, agent: &Agent, target: &Target, mind_ego: bool) -> bool {
         let (front_m, rear_m) = (target.arc_m + agent.half_m, target.arc_m - agent.half_m);
         let own_stopping_m = stopping_m(agent.speed_mps);
+        let stop_m = front_m + own_stopping_m;
+        if self
+            .claims
+            .is_kept(agent.number, target.lane, rear_m, stop_m)
+        {
+            return false;
+        }
         let counts = |number: u32| mind_ego || number != EGO;
         let mut safe = true;
         each_ahead(

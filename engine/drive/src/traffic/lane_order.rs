@@ -41,7 +41,7 @@ pub(super) struct LaneOrder {
 impl LaneOrder {
     pub(super) fn build(&mut self, graph: &RoadGraph, agents: &[Agent], ego: Option<&EgoSeen>) {
         self.entries.clear();
-        for agent in agents {
+        for agent in agents.iter().filter(|agent| agent.is_here()) {
             self.add(graph, agent);
         }
         self.entries.extend(ego.iter().flat_map(|ego| &ego.entries));

@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use decouplegs_scene::scenario::TrafficAgent;
-use decouplegs_scene::{Invalid, VehicleSize};
+use decouplegs_scene::{Invalid, VehicleSize, VehicleState};
 
 use super::Traffic;
 use super::agent::{Agent, Phase};
 use super::claims::{Claims, each_cell};
 use super::driver::Driver;
 use super::following::{GAP_M, each_ahead};
-use super::idm::{BRAKING_MPS2, stopping_m};
+use super::idm::stopping_m;
 use super::lane_order::LaneOrder;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
@@ -91,7 +91,10 @@ impl Traffic {
         }
         let claims = Claims::new(graph.cells().count());
         let mut traffic = Self {
-            states: placed.iter().map(|agent| agent.state(&graph)).collect(),
+            states: placed
+                .iter()
+                .map(|agent| Some(agent.state(&graph)))
+                .collect(),
             behaviors: agents.iter().map(|agent| agent.behaviors.clone()).collect(),
             graph,
             agents: placed,
@@ -112,10 +115,16 @@ impl Traffic {
                 second: agents[second].name.clone(),
             });
         }
+        if let Some((first, second)) = traffic.first_caught() {
+            return Err(TrafficError::Overlap {
+                first: agents[first].name.clone(),
+                second: agents[second].name.clone(),
+            });
+        }
         traffic.raise_speeds(agents);
         for agent in &mut traffic.agents {
             agent.free_mps = agent.driver.idm.speed_mps;
-            traffic.states[agent.number] = agent.state(&traffic.graph);
+            traffic.states[agent.number] = Some(agent.state(&traffic.graph));
         }
         Ok(traffic)
     }
@@ -152,6 +161,28 @@ impl Traffic {
         None
     }
 
+    /// Reserves crossings for the agents that stand in them; the first that could not leave its own,
+    /// and the agent nearest to it.
+    fn first_caught(&mut self) -> Option<(usize, usize)> {
+        for number in 0..self.agents.len() {
+            let agent = &self.agents[number];
+            let found = self.next_crossing(agent, agent.rear_m() - self.between_m());
+            let agent = &mut self.agents[number];
+            (agent.crossing, agent.clear_m) = found;
+        }
+        for number in 0..self.agents.len() {
+            let agent = &self.agents[number];
+            let stands_in = agent.crossing.is_some_and(|crossing| {
+                crossing.from_m < agent.front_m() && crossing.to_m > agent.rear_m()
+            });
+            if stands_in && !self.grant_at_start(number) {
+                let other = self.nearest(number).unwrap_or(number);
+                return Some((number.min(other), number.max(other)));
+            }
+        }
+        None
+    }
+
     /// Vehicle on another lane of a fork that is neither ahead of an agent nor behind it.
     fn beside_on_fork(&self, agent: &Agent) -> Option<usize> {
         self.graph
@@ -178,23 +209,30 @@ impl Traffic {
 
     /// Vehicle whose box overlaps an agent's.
     fn touching(&self, number: usize) -> Option<usize> {
-        let at_m = self.states[number].position_m;
-        let outline =
-            |number: usize| OrientedBox::of(&self.states[number], &self.agents[number].size);
+        let at_m = self.state_at_start(number).position_m;
+        let outline = |number: usize| {
+            OrientedBox::of(&self.state_at_start(number), &self.agents[number].size)
+        };
         let reach_m =
             |other: usize| self.agents[number].size.length_m + self.agents[other].size.length_m;
         let near = |&other: &usize| {
-            other != number && self.states[other].position_m.distance(at_m) < reach_m(other)
+            other != number && self.state_at_start(other).position_m.distance(at_m) < reach_m(other)
         };
         (0..self.agents.len())
             .filter(near)
             .find(|&other| outline(number).distance_m(&outline(other)) < 0.1)
     }
 
+    /// State of an agent before the first step.
+    fn state_at_start(&self, number: usize) -> VehicleState {
+        self.agents[number].state(&self.graph)
+    }
+
     /// The agent whose box is nearest to another's.
     fn nearest(&self, number: usize) -> Option<usize> {
-        let outline =
-            |number: usize| OrientedBox::of(&self.states[number], &self.agents[number].size);
+        let outline = |number: usize| {
+            OrientedBox::of(&self.state_at_start(number), &self.agents[number].size)
+        };
         let own = outline(number);
         let others = (0..self.agents.len()).filter(|&other| other != number);
         others
@@ -218,24 +256,7 @@ impl Traffic {
                     self.grant_at_start(number);
                 }
                 let agent = &self.agents[number];
-                let mut limit_m = agent.clear_m - 1.0;
-                if let Some(crossing) = agent.crossing {
-                    let clearance_m = self.clearance_m(agent);
-                    limit_m = limit_m.min(
-                        if crossing.granted {
-                            crossing.to_m + clearance_m
-                        } else {
-                            crossing.from_m
-                        } - 0.1,
-                    );
-                }
-                limit_m = limit_m.min(agent.end_m(&self.graph).unwrap_or(f64::INFINITY) - 0.1);
-                each_ahead(&self.graph, &self.order, agent.place(), 400.0, |seen| {
-                    limit_m = limit_m.min(seen.stop_rear_m - 2.0 * GAP_M);
-                    !seen.same_way
-                });
-                let safe_mps = (2.0 * BRAKING_MPS2 * (limit_m - agent.front_m()).max(0.0)).sqrt();
-                let speed_mps = asked.speed_mps.min(safe_mps);
+                let speed_mps = asked.speed_mps.min(self.safe_speed_mps(agent));
                 if speed_mps > agent.speed_mps + 1e-3 {
                     self.agents[number].speed_mps = speed_mps;
                     raised = true;

@@ -1,6 +1,6 @@
 //! Episodes that are made by hand: all vehicles move as told.
 
-use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, PlannerRecord};
+use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, LOG_VERSION, PlannerRecord};
 use decouplegs_scene::scenario::{DriverKind, EgoTask, Place, TrafficAgent};
 use decouplegs_scene::{
     Episode, EpisodeEnd, EpisodeStep, Level, Plan, PlanPoint, Scenario, VehicleSize, VehicleState,
@@ -105,9 +105,10 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
         ego: ego(time_s),
         steer_rad: 0.0,
         on_road: true,
-        agents: agents.iter().map(|agent| agent(time_s)).collect(),
+        agents: agents.iter().map(|agent| Some(agent(time_s))).collect(),
     };
     let head = EpisodeHead {
+        log_version: LOG_VERSION,
         version: "0".into(),
         scenario: scenario(agents.len()),
         planner: PlannerRecord::default(),

@@ -347,7 +347,7 @@ impl BrakingEgo {
 fn check_start(graph: &Arc<RoadGraph>, map: &LaneMap, scenario: &Scenario, what: &str) {
     let mut traffic = Traffic::new(graph.clone(), &scenario.agents, scenario.seed)
         .unwrap_or_else(|why| panic!("{what}: {why}"));
-    for (state, agent) in traffic.states().iter().zip(&scenario.agents) {
+    for (state, agent) in traffic.states().iter().flatten().zip(&scenario.agents) {
         let slower_mps = agent.speed_mps - state.speed_mps;
         assert!(
             slower_mps.abs() < 1e-9,
@@ -369,7 +369,7 @@ fn check_start(graph: &Arc<RoadGraph>, map: &LaneMap, scenario: &Scenario, what:
         ego.progress_m += 0.1 * (ego.speed_mps - 0.5 * slower_mps).max(0.0);
         ego.speed_mps = (ego.speed_mps - slower_mps).max(0.0);
         let outline = OrientedBox::of(&ego.state(), &ego.size);
-        for (state, agent) in traffic.states().iter().zip(&scenario.agents) {
+        for (state, agent) in traffic.states().iter().flatten().zip(&scenario.agents) {
             let touches = outline.overlaps(&OrientedBox::of(state, &agent.size));
             let cuts_in = agent
                 .behaviors

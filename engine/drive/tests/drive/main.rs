@@ -15,6 +15,8 @@ mod roads;
 mod route;
 mod score;
 mod traffic;
+mod traffic_comfort;
 mod traffic_invariants;
 mod traffic_junctions;
+mod traffic_liveness;
 mod traffic_scenes;

@@ -343,7 +343,13 @@ fn moved(episode: &Episode, motion: &PlanarTransform) -> Episode {
         .iter_mut()
         .flat_map(|step| &mut step.instants)
         .chain([&mut there.start]);
-    for state in instants.flat_map(|instant| instant.agents.iter_mut().chain([&mut instant.ego])) {
+    for state in instants.flat_map(|instant| {
+        instant
+            .agents
+            .iter_mut()
+            .flatten()
+            .chain([&mut instant.ego])
+    }) {
         state.position_m = motion.apply(state.position_m);
         state.yaw_rad += motion.yaw_rad;
     }
@@ -389,7 +395,7 @@ proptest! {
         let mut with = episode.clone();
         with.head.agent_sizes.push(SIZE);
         for instant in with.steps.iter_mut().flat_map(|step| &mut step.instants).chain([&mut with.start]) {
-            instant.agents.push(state(x, y, 1.0, speed_mps));
+            instant.agents.push(Some(state(x, y, 1.0, speed_mps)));
         }
         prop_assert_eq!(EpisodeScore::of(&episode), EpisodeScore::of(&with));
     }

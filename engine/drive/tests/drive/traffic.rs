@@ -6,10 +6,10 @@ use std::sync::Arc;
 use decouplegs_drive::idm::{IdmParameters, Leader, advance, stopping_m};
 use decouplegs_drive::{RoadGraph, Traffic, TrafficError};
 use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
-use decouplegs_scene::{VehicleSize, VehicleState};
+use decouplegs_scene::{LaneMap, VehicleSize, VehicleState};
 use glam::DVec2;
 
-use crate::traffic_scenes::{agent, check, random_traffic, straight, street};
+use crate::traffic_scenes::{agent, check, lane, place, random_traffic, state, straight, street};
 
 fn traffic(graph: &Arc<RoadGraph>, agents: &[TrafficAgent]) -> Traffic {
     Traffic::new(graph.clone(), agents, 1).unwrap()
@@ -57,7 +57,7 @@ fn a_free_road_is_driven_as_the_model_says() {
             0.1,
         );
         (x, speed_mps) = (x + moved_m, after_mps);
-        let state = traffic.states()[0];
+        let state = state(&traffic, 0);
         assert!(
             (state.position_m.x - x).abs() < 1e-6 && (state.speed_mps - speed_mps).abs() < 1e-9,
             "{state:?}, {x}"
@@ -74,7 +74,7 @@ fn who_follows_comes_to_the_equilibrium_gap_and_stops_two_metres_behind() {
     let mut traffic = traffic(&graph, &agents);
     drive(&mut traffic, &agents, 2000, Some(&mut ego));
     // The agent has driven a step after it saw the ego, and the ego has not.
-    let gap_m = ego.position_m.x + 0.8 - traffic.states()[0].position_m.x - 4.5;
+    let gap_m = ego.position_m.x + 0.8 - state(&traffic, 0).position_m.x - 4.5;
     let wanted_m = IdmParameters::default().equilibrium_gap_m(8.0);
     assert!(
         (gap_m - wanted_m).abs() < 0.01,
@@ -83,27 +83,99 @@ fn who_follows_comes_to_the_equilibrium_gap_and_stops_two_metres_behind() {
     ego.speed_mps = 0.0;
     ego.position_m.x += 30.0;
     drive(&mut traffic, &agents, 1200, Some(&mut ego));
-    let gap_m = ego.position_m.x - traffic.states()[0].position_m.x - 4.5;
+    let gap_m = ego.position_m.x - state(&traffic, 0).position_m.x - 4.5;
     assert!(
-        (1.9..2.3).contains(&gap_m) && traffic.states()[0].speed_mps < 0.02,
+        (1.9..2.3).contains(&gap_m) && state(&traffic, 0).speed_mps < 0.02,
         "stands {gap_m} m behind"
     );
 }
 
 #[test]
-fn lanes_that_end_are_not_left() {
+fn vehicles_leave_at_the_border_of_the_map_and_enter_again() {
     let graph = straight(300.0, 1, 25.0);
     let agents = [
         agent("first", "0", 60.0, 25.0),
         agent("second", "0", 20.0, 25.0),
     ];
     let mut traffic = traffic(&graph, &agents);
-    drive(&mut traffic, &agents, 900, None);
-    let [first, second] = [0, 1].map(|number: usize| traffic.states()[number].position_m.x);
-    assert!(
-        (295.0..=300.0 - 2.25).contains(&first) && first - second < 7.5,
-        "{first}, {second}"
-    );
+    let (mut left, mut entered, mut away) = ([0; 2], [0; 2], [0_u32; 2]);
+    let mut before = traffic.states().to_vec();
+    for _ in 0..1200 {
+        drive(&mut traffic, &agents, 1, None);
+        for number in 0..2 {
+            match (before[number], traffic.states()[number]) {
+                (Some(last), None) => {
+                    assert!(last.position_m.x > 290.0, "{last:?}");
+                    left[number] += 1;
+                }
+                (None, Some(first)) => {
+                    assert!(first.position_m.x < 15.0, "{first:?}");
+                    assert!(
+                        first.speed_mps > 15.0,
+                        "it does not stop to enter: {first:?}"
+                    );
+                    entered[number] += 1;
+                }
+                (None, None) => away[number] += 1,
+                (Some(_), Some(_)) => {}
+            }
+        }
+        before.copy_from_slice(traffic.states());
+    }
+    assert!(left.iter().all(|left| *left >= 5), "{left:?}");
+    assert!((0..2).all(|number| left[number] - entered[number] <= 1));
+    assert!(away.iter().all(|steps| *steps < 400), "{away:?}");
+}
+
+#[test]
+fn vehicles_do_not_enter_beside_the_ego() {
+    let graph = straight(300.0, 1, 25.0);
+    let agents = [agent("first", "0", 250.0, 25.0)];
+    let mut traffic = traffic(&graph, &agents);
+    let mut ego = car_at(30.0, 8.0, 0.0);
+    drive(&mut traffic, &agents, 300, Some(&mut ego));
+    assert_eq!(traffic.states(), [None]);
+}
+
+#[test]
+fn vehicles_merge_where_a_lane_ends_beside_another() {
+    // The right lane ends after 300 m, the left one goes on.
+    let mut map = LaneMap::default();
+    for (id, y, length_m) in [
+        ("right", 0.0, 300.0),
+        ("left", 3.5, 300.0),
+        ("on", 3.5, 900.0),
+    ] {
+        let begin_m = if id == "on" { 300.0 } else { 0.0 };
+        map.lanes
+            .push(lane(id, &[[begin_m, y], [begin_m + length_m, y]]));
+    }
+    (map.lanes[0].left_neighbor, map.lanes[1].right_neighbor) = (Some(1), Some(0));
+    map.lanes[1].successors = vec![2];
+    let graph = Arc::new(RoadGraph::new(&map).unwrap());
+    assert_eq!(graph.entrances().len(), 2);
+    assert!(!graph.lane(0).unwrap().leaves_map && graph.lane(2).unwrap().leaves_map);
+    // Those that do not change lanes of their own will do so here.
+    let agents: Vec<_> = (0..6)
+        .map(|number| {
+            let lane = if number % 2 == 0 { "right" } else { "left" };
+            agent(
+                &format!("{number}"),
+                lane,
+                20.0 + 15.0 * f64::from(number),
+                12.0,
+            )
+        })
+        .collect();
+    let mut traffic = traffic(&graph, &agents);
+    let mut merged = [false; 6];
+    for _ in 0..600 {
+        drive(&mut traffic, &agents, 1, None);
+        for (merged, place) in merged.iter_mut().zip(traffic.places()) {
+            *merged |= place.is_some_and(|place| place.lane == 2);
+        }
+    }
+    assert_eq!(merged, [true; 6]);
 }
 
 /// By how much a slow wave of speed, `rate_radps`, grows or fades from each vehicle of a platoon to
@@ -246,6 +318,7 @@ fn a_platoon_survives_a_leader_that_brakes_as_hard_as_tyres_hold() {
             let stops: Vec<f64> = traffic
                 .states()
                 .iter()
+                .flatten()
                 .map(|state| state.position_m.x + stopping_m(state.speed_mps))
                 .collect();
             assert!(
@@ -254,13 +327,17 @@ fn a_platoon_survives_a_leader_that_brakes_as_hard_as_tyres_hold() {
             );
         }
         assert_eq!(
-            traffic.states()[0].speed_mps,
+            state(&traffic, 0).speed_mps,
             0.0,
             "12 m/s are gone in 1.5 s"
         );
         drive(&mut traffic, &agents, 800, None);
         assert!(
-            traffic.states().iter().all(|state| state.speed_mps > 5.0),
+            traffic
+                .states()
+                .iter()
+                .flatten()
+                .all(|state| state.speed_mps > 5.0),
             "{driver:?}: they drive on"
         );
     }
@@ -279,9 +356,9 @@ fn slow_leaders_are_overtaken_where_there_is_room_and_only_then() {
     let mut alone = traffic(&graph, &agents);
     drive(&mut alone, &agents, 300, Some(&mut slow));
     assert!(
-        alone.states()[0].position_m.x > slow.position_m.x + 50.0,
+        state(&alone, 0).position_m.x > slow.position_m.x + 50.0,
         "it is past: {:?}",
-        alone.states()[0]
+        state(&alone, 0)
     );
     // A row of cars as slow beside it leaves no room.
     let mut agents = vec![overtaker];
@@ -296,7 +373,7 @@ fn slow_leaders_are_overtaken_where_there_is_room_and_only_then() {
     let mut beside = traffic(&graph, &agents);
     let mut slow = car_at(90.0, 0.0, 5.0);
     drive(&mut beside, &agents, 40, Some(&mut slow));
-    assert_eq!(beside.places().next().unwrap().lane, 0);
+    assert_eq!(place(&beside, 0).lane, 0);
 }
 
 #[test]
@@ -313,10 +390,10 @@ fn lane_changes_are_smooth_and_count_on_both_lanes() {
     ];
     let mut traffic = traffic(&graph, &agents);
     let mut slow = car_at(135.0, 0.0, 4.0);
-    let (mut before, mut on_both) = (traffic.states()[0], 0);
+    let (mut before, mut on_both) = (state(&traffic, 0), 0);
     for step in 0..300 {
         drive(&mut traffic, &agents, 1, Some(&mut slow));
-        let after = traffic.states()[0];
+        let after = state(&traffic, 0);
         let moved_m = after.position_m.distance(before.position_m);
         assert!(
             moved_m < 0.1 * (before.speed_mps + 1.0) * 1.1,
@@ -354,7 +431,7 @@ fn who_cuts_in_minds_agents_but_not_the_ego() {
         let mut traffic = traffic(&graph, &agents);
         let mut ego = car_at(100.0, ego_y, 10.0);
         drive(&mut traffic, &agents, 60, Some(&mut ego));
-        traffic.places().next().unwrap().lane
+        place(&traffic, 0).lane
     };
     assert_eq!(run(0.0, vec![]), 0, "1.5 m before the ego");
     assert_eq!(run(7.0, vec![]), 2, "to the other side too");
@@ -387,9 +464,9 @@ fn a_swerve_is_as_wide_as_there_is_room() {
         let mut widest_m = 0.0_f64;
         for _ in 0..100 {
             drive(&mut traffic, agents, 1, None);
-            widest_m = widest_m.max(traffic.states()[0].position_m.y.abs());
+            widest_m = widest_m.max(state(&traffic, 0).position_m.y.abs());
         }
-        assert!(traffic.states()[0].position_m.y.abs() < 1e-9, "it is back");
+        assert!(state(&traffic, 0).position_m.y.abs() < 1e-9, "it is back");
         widest_m
     };
     let free_m = widest(&[swerver(1.6)]);
@@ -413,8 +490,10 @@ fn the_same_seed_drives_the_same_bits_on_any_number_of_threads() {
             ego.position_m += ego.velocity() * 0.1;
             traffic.step(0.1, Some((&ego, &VehicleSize::CAR)));
         }
-        let bits = |state: &VehicleState| {
-            [state.position_m.x, state.position_m.y, state.yaw_rad].map(f64::to_bits)
+        let bits = |state: &Option<VehicleState>| {
+            state.map(|state| {
+                [state.position_m.x, state.position_m.y, state.yaw_rad].map(f64::to_bits)
+            })
         };
         traffic.states().iter().map(bits).collect::<Vec<_>>()
     };
@@ -481,5 +560,5 @@ fn agents_that_cannot_be_there_are_refused_by_name() {
     // Who is too fast for the gap starts slower.
     let agents = [agent("a", "0", 20.0, 20.0), agent("b", "0", 28.0, 0.0)];
     let traffic = traffic(&graph, &agents);
-    assert!(traffic.states()[0].speed_mps < 8.0 && traffic.states()[0].speed_mps > 1.0);
+    assert!(state(&traffic, 0).speed_mps < 8.0 && state(&traffic, 0).speed_mps > 1.0);
 }

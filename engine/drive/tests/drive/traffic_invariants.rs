@@ -64,6 +64,7 @@ fn drive(graph: &Arc<RoadGraph>, count: usize, steps: u32, seed: u64, stranger: 
         driven_m += traffic
             .states()
             .iter()
+            .flatten()
             .map(|state| 0.1 * state.speed_mps)
             .sum::<f64>();
     }

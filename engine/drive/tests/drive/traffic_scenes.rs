@@ -5,9 +5,9 @@ use std::sync::{Arc, OnceLock};
 
 use decouplegs_asset::read_map;
 use decouplegs_drive::idm::BRAKING_MPS2;
-use decouplegs_drive::{OrientedBox, RoadGraph, Traffic, TrafficError};
+use decouplegs_drive::{LanePlace, OrientedBox, RoadGraph, Traffic, TrafficError};
 use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
-use decouplegs_scene::{Lane, LaneMap, VehicleSize};
+use decouplegs_scene::{Lane, LaneMap, VehicleSize, VehicleState};
 use decouplegs_synth::street::{Street, StreetOptions};
 use glam::DVec3;
 
@@ -159,9 +159,23 @@ pub fn random_traffic(
     }
 }
 
+/// State of an agent that is on the map.
+pub fn state(traffic: &Traffic, number: usize) -> VehicleState {
+    traffic.states()[number].expect("the agent is on the map")
+}
+
+/// Lane position of an agent that is on the map.
+pub fn place(traffic: &Traffic, number: usize) -> LanePlace {
+    let place = traffic.places().nth(number).flatten();
+    place.expect("the agent is on the map")
+}
+
 /// Checks the invariants of agents at any moment.
 pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> String) {
     for ((state, agent), place) in traffic.states().iter().zip(agents).zip(traffic.places()) {
+        let (Some(state), Some(place)) = (state, place) else {
+            continue;
+        };
         let name = &agent.name;
         assert!(
             state.position_m.is_finite() && state.yaw_rad.is_finite(),
@@ -193,30 +207,33 @@ pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> Stri
             what()
         );
     }
+    let outline = |(number, state): (usize, &Option<VehicleState>)| {
+        state.map(|state| (number, OrientedBox::of(&state, &agents[number].size)))
+    };
     let boxes: Vec<_> = traffic
         .states()
         .iter()
-        .zip(agents)
-        .map(|(state, agent)| OrientedBox::of(state, &agent.size))
+        .enumerate()
+        .filter_map(outline)
         .collect();
-    for (number, a) in boxes.iter().enumerate() {
-        for (other, b) in boxes.iter().enumerate().skip(number + 1) {
+    for (at, &(number, a)) in boxes.iter().enumerate() {
+        for &(other, b) in &boxes[at + 1..] {
             let near = a.center_m.distance_squared(b.center_m) < 36.0;
-            let place = |number: usize| {
-                let place = traffic.places().nth(number).unwrap();
+            let found = |number: usize| {
+                let place = place(traffic, number);
                 (
                     agents[number].name.clone(),
                     traffic.graph().lane(place.lane).unwrap().id.clone(),
                     place,
-                    traffic.states()[number],
+                    state(traffic, number),
                 )
             };
             assert!(
-                !near || !a.overlaps(b),
+                !near || !a.overlaps(&b),
                 "{}: overlap: {:?}, {:?}",
                 what(),
-                place(number),
-                place(other)
+                found(number),
+                found(other)
             );
         }
     }

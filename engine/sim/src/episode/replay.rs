@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use decouplegs_scene::episode::{Episode, EpisodeEnd};
+use decouplegs_scene::episode::{Episode, EpisodeEnd, LOG_VERSION};
 use decouplegs_scene::{Plan, Scenario};
 
 use super::{EpisodeError, EpisodeObserver, ObservationRenderer, Site, drive};
@@ -66,6 +66,17 @@ pub fn replay(
     observer: &mut dyn EpisodeObserver,
 ) -> Result<Replayed, EpisodeError> {
     let scenario: &Scenario = &episode.head.scenario;
+    let version = episode.head.log_version;
+    if version != LOG_VERSION {
+        return Err(EpisodeError::Unfit {
+            scenario: scenario.name.clone(),
+            reason: format!(
+                "its log is of version {version}, and traffic has moved by other rules since version \
+                 {LOG_VERSION}: score it, or drive it again with the program that wrote it, {}",
+                episode.head.version
+            ),
+        });
+    }
     let again = drive(scenario, site, renderer, &mut Logged { episode }, observer)?.episode;
     let images = |episode: &Episode| {
         episode

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use decouplegs_drive::score::EpisodeScore;
 use decouplegs_scene::episode::{
-    DrawnBy, Episode, EpisodeEnd, EpisodeHead, EpisodeStep, ImageRecord, PlannerRecord,
+    DrawnBy, Episode, EpisodeEnd, EpisodeHead, EpisodeStep, ImageRecord, LOG_VERSION, PlannerRecord,
 };
 use decouplegs_scene::{Plan, Pose, Scenario};
 
@@ -40,6 +40,7 @@ impl Rollout {
     ) -> Result<Self, EpisodeError> {
         let simulation = Simulation::new(scenario, site)?;
         let head = EpisodeHead {
+            log_version: LOG_VERSION,
             version: env!("CARGO_PKG_VERSION").into(),
             scenario: scenario.clone(),
             planner: metadata.planner,

@@ -13,6 +13,13 @@ use super::site::Site;
 use crate::planner::{EgoMotion, Navigation, Privileged, Turn};
 use decouplegs_session::{AgentInstance, SessionError, World};
 
+/// The ego has left the road for good when it was off it for longer than this, seconds, ...
+const OFF_ROAD_S: f64 = 4.0;
+/// ... and drove farther than this meanwhile, meters.
+const OFF_ROAD_M: f64 = 20.0;
+/// Distance from its route at which the ego has left it, meters, as in CARLA's leaderboard.
+const OFF_ROUTE_M: f64 = 30.0;
+
 /// A wheel may be so far beyond the lanes' borders, meters: markings are as wide.
 const ROAD_SLACK_M: f64 = 0.15;
 
@@ -28,7 +35,11 @@ pub struct Simulation {
     agent_sizes: Vec<VehicleSize>,
     /// Heights at which the ego and then the agents stood last.
     ground_z_m: Vec<f64>,
+    /// Agents that were on the map when they were shown last.
+    is_shown: Vec<bool>,
     substep: u32,
+    /// Time and way since the ego was on the road last, seconds and meters.
+    off_road: (f64, f64),
     end: Option<EpisodeEnd>,
 }
 
@@ -57,42 +68,37 @@ impl Simulation {
         let agent_sizes: Vec<VehicleSize> =
             scenario.agents.iter().map(|agent| agent.size).collect();
         let ego_box = OrientedBox::of(&state, &scenario.ego.size);
-        let touched = traffic
-            .states()
-            .iter()
-            .zip(&agent_sizes)
-            .position(|(state, size)| OrientedBox::of(state, size).overlaps(&ego_box));
+        let touched = boxes(traffic.states(), &agent_sizes)
+            .find(|(_, other)| other.overlaps(&ego_box))
+            .map(|(agent, _)| agent);
         if let Some(agent) = touched {
             return Err(unfit(format!(
                 "the ego starts where agent {} stands",
                 scenario.agents[agent].name
             )));
         }
-        let mut simulation = Self {
+        if let Some(obstacle) = site.obstacles.touched(&ego_box) {
+            return Err(unfit(format!(
+                "the ego starts in a {} at ({:.1}, {:.1}) m",
+                obstacle.kind.name(),
+                obstacle.center_m.x,
+                obstacle.center_m.y
+            )));
+        }
+        Ok(Self {
             progress,
             route,
             ego: Ego::new(state, scenario.ego.size, EgoOptions::default()),
             traffic,
             agent_sizes,
             ground_z_m: vec![start.z; scenario.agents.len() + 1],
+            is_shown: vec![false; scenario.agents.len()],
             scenario: scenario.clone(),
             site: site.clone(),
             substep: 0,
+            off_road: (0.0, 0.0),
             end: None,
-        };
-        simulation.find_ground();
-        Ok(simulation)
-    }
-
-    /// Heights of the agents at the start, from their lanes.
-    fn find_ground(&mut self) {
-        let lanes = &self.site.lanes.lanes;
-        for (agent, z_m) in self.scenario.agents.iter().zip(&mut self.ground_z_m[1..]) {
-            let lane = lanes.iter().find(|lane| lane.id == agent.lane);
-            *z_m = lane
-                .and_then(|lane| lane.centerline.first())
-                .map_or(*z_m, |point| point.z);
-        }
+        })
     }
 
     /// Scenario that is driven.
@@ -212,8 +218,8 @@ impl Simulation {
                 .traffic
                 .states()
                 .iter()
-                .copied()
-                .zip(self.agent_sizes.iter().copied())
+                .zip(&self.agent_sizes)
+                .filter_map(|(state, size)| Some(((*state)?, *size)))
                 .collect(),
         }
     }
@@ -236,6 +242,15 @@ impl Simulation {
             self.substep += 1;
             self.progress.advance(self.ego.state().position_m);
             let instant = self.instant();
+            self.off_road = if instant.on_road {
+                (0.0, 0.0)
+            } else {
+                let (time_s, way_m) = self.off_road;
+                (
+                    time_s + substep_s,
+                    way_m + instant.ego.speed_mps * substep_s,
+                )
+            };
             self.end = self.end_at(&instant);
             instants.push(instant);
         }
@@ -244,16 +259,23 @@ impl Simulation {
 
     fn end_at(&self, instant: &EpisodeTick) -> Option<EpisodeEnd> {
         let ego = OrientedBox::of(&instant.ego, &self.scenario.ego.size);
-        let mut boxes = instant
-            .agents
-            .iter()
-            .zip(&self.agent_sizes)
-            .map(|(state, size)| OrientedBox::of(state, size));
-        if let Some(agent) = boxes.position(|other| other.overlaps(&ego)) {
+        let mut others = boxes(&instant.agents, &self.agent_sizes);
+        if let Some((agent, _)) = others.find(|(_, other)| other.overlaps(&ego)) {
             return Some(EpisodeEnd::Collision { agent });
+        }
+        if let Some(&obstacle) = self.site.obstacles.touched(&ego) {
+            return Some(EpisodeEnd::Obstacle { obstacle });
         }
         if self.progress.is_done() {
             return Some(EpisodeEnd::RouteDone);
+        }
+        if self.off_road.0 > OFF_ROAD_S && self.off_road.1 > OFF_ROAD_M {
+            return Some(EpisodeEnd::OffRoad);
+        }
+        let last_m = self.progress.progress_m();
+        let foot = self.route.project(instant.ego.position_m, last_m);
+        if foot.distance_m > OFF_ROUTE_M {
+            return Some(EpisodeEnd::OffRoute);
         }
         let (per_step, _) = self.scenario.substeps();
         (self.substep >= self.scenario.steps() * per_step).then_some(EpisodeEnd::Time)
@@ -265,27 +287,37 @@ impl Simulation {
     /// # Errors
     /// Returns an error if the scene of `world` has not the assets.
     pub fn show(&mut self, world: &mut World) -> Result<Pose, SessionError> {
-        let (ego, placed) = self.placed();
-        let names = self.scenario.agents.iter().map(|agent| agent.name.clone());
-        world.set_agents(names.zip(placed))?;
+        let assets = self.site.asset_sizes.len().max(1);
+        let ego = self.stand(0, self.ego.state(), self.scenario.ego.size);
+        let mut placed = Vec::with_capacity(self.agent_sizes.len());
+        for index in 0..self.agent_sizes.len() {
+            let Some(state) = self.traffic.states()[index] else {
+                self.is_shown[index] = false;
+                continue;
+            };
+            if !std::mem::replace(&mut self.is_shown[index], true) {
+                self.ground_z_m[index + 1] = self.lane_z_m(index);
+            }
+            let agent = &self.scenario.agents[index];
+            let (name, asset) = (agent.name.clone(), agent.asset % assets);
+            let instance = AgentInstance {
+                asset,
+                pose: self.stand(index + 1, state, self.agent_sizes[index]),
+                sh_frame: None,
+                instance: u16::try_from(index + 1).unwrap_or(u16::MAX),
+            };
+            placed.push((name, instance));
+        }
+        world.set_agents(placed)?;
         Ok(ego)
     }
 
-    /// The ego's pose and the agents, as they are drawn.
-    fn placed(&mut self) -> (Pose, Vec<AgentInstance>) {
-        let assets = self.site.asset_sizes.len().max(1);
-        let ego = self.stand(0, self.ego.state(), self.scenario.ego.size);
-        let states = self.traffic.states().to_vec();
-        let placed = states
-            .iter()
-            .enumerate()
-            .map(|(index, state)| AgentInstance {
-                asset: self.scenario.agents[index].asset % assets,
-                pose: self.stand(index + 1, *state, self.agent_sizes[index]),
-                sh_frame: None,
-                instance: u16::try_from(index + 1).unwrap_or(u16::MAX),
-            });
-        (ego, placed.collect())
+    /// Height of the lane below an agent, meters: vehicles that enter the map were nowhere before.
+    fn lane_z_m(&self, agent: usize) -> f64 {
+        let place = self.traffic.places().nth(agent).flatten();
+        place
+            .and_then(|place| self.site.lanes.lanes[place.lane].centerline.first())
+            .map_or(self.ground_z_m[agent + 1], |point| point.z)
     }
 
     /// Sets a vehicle on the ground, and remembers how high that is.
@@ -300,6 +332,15 @@ impl Simulation {
     pub fn route_m(&self) -> Vec<DVec2> {
         line_of(&self.route)
     }
+}
+
+/// Boxes of the agents that are on the map, with their places in the scenario.
+fn boxes(
+    states: &[Option<VehicleState>],
+    sizes: &[VehicleSize],
+) -> impl Iterator<Item = (usize, OrientedBox)> {
+    let all = states.iter().zip(sizes).enumerate();
+    all.filter_map(|(agent, (state, size))| Some((agent, OrientedBox::of(state.as_ref()?, size))))
 }
 
 fn line_of(route: &Route) -> Vec<DVec2> {

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use decouplegs_asset::memory::{self, cloud_bytes};
 use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, read_map, read_probe};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
-use decouplegs_drive::{Ground, GroundOptions, RoadGraph, RoadSurface};
+use decouplegs_drive::{Ground, GroundOptions, Obstacles, RoadGraph, RoadSurface};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
-    CodedCloud, LaneMap, LightTransfer, Pose, Rig, SplatCloud, Trajectory, VehicleSize,
+    CodedCloud, LaneMap, LightTransfer, Obstacle, Pose, Rig, SplatCloud, Trajectory, VehicleSize,
     VehicleState, Weather, World,
 };
 use decouplegs_session::{Session, SessionError, SessionScene};
@@ -52,6 +52,8 @@ pub struct Site {
     pub graph: Arc<RoadGraph>,
     /// The same for vehicles that may leave them.
     pub surface: RoadSurface,
+    /// Static things that the ego can hit.
+    pub obstacles: Obstacles,
     /// Boxes of the assets that agents may show.
     pub asset_sizes: Vec<VehicleSize>,
     /// The ground that was captured, where it was.
@@ -116,8 +118,9 @@ impl Site {
                     *agent_splats * usize::from(appearance.is_some()),
                     AssetLight::Neutral,
                 );
+                let obstacles = roads::obstacles(&lanes, RoadsOptions::default().seed);
                 let Some(appearance) = appearance else {
-                    return Self::bare(lanes, cars.sizes);
+                    return Self::bare(lanes, obstacles, cars.sizes);
                 };
                 let read = |probe: &PathBuf| read_probe(&directory.join(probe));
                 let probe = probe.as_ref().map(read).transpose()?;
@@ -128,7 +131,7 @@ impl Site {
                     sky: drawn.sky,
                     ..World::of(drawn.background)
                 };
-                Self::made_up(lanes, world, cars, appearance)
+                Self::made_up((lanes, obstacles), world, cars, appearance)
             }
             Place::Scene { scene, map } => Self::captured(
                 &directory.join(scene),
@@ -165,22 +168,27 @@ impl Site {
         };
         let street = Street::generate(&options);
         let Some(appearance) = appearance else {
-            return Self::bare(street.lanes, cars.sizes);
+            return Self::bare(street.lanes, street.obstacles, cars.sizes);
         };
         let world = World {
             sky: street.sky,
             ..World::of(street.background)
         };
-        Self::made_up(street.lanes, world, cars, appearance)
+        Self::made_up((street.lanes, street.obstacles), world, cars, appearance)
     }
 
     /// A place that nobody looks at.
-    fn bare(lanes: LaneMap, asset_sizes: Vec<VehicleSize>) -> Result<Self, SiteError> {
-        Self::of(empty_scene(World::default()), lanes, asset_sizes, None)
+    fn bare(
+        lanes: LaneMap,
+        obstacles: Vec<Obstacle>,
+        asset_sizes: Vec<VehicleSize>,
+    ) -> Result<Self, SiteError> {
+        let loaded = empty_scene(World::default());
+        Self::of(loaded, (lanes, obstacles), asset_sizes, None)
     }
 
     fn made_up(
-        lanes: LaneMap,
+        map: (LaneMap, Vec<Obstacle>),
         mut world: World,
         cars: Cars,
         appearance: &Appearance,
@@ -202,7 +210,7 @@ impl Site {
             light: Some(light),
             ..empty_scene(world)
         };
-        Self::of(loaded, lanes, cars.sizes, None)
+        Self::of(loaded, map, cars.sizes, None)
     }
 
     fn captured(
@@ -234,12 +242,12 @@ impl Site {
             ..GroundOptions::default()
         };
         let ground = Ground::new(&loaded.world.splats, loaded.world.origin, &options);
-        Self::of(loaded, lanes, sizes, Some(ground))
+        Self::of(loaded, (lanes, Vec::new()), sizes, Some(ground))
     }
 
     fn of(
         loaded: LoadedScene,
-        lanes: LaneMap,
+        (lanes, obstacles): (LaneMap, Vec<Obstacle>),
         asset_sizes: Vec<VehicleSize>,
         ground: Option<Ground>,
     ) -> Result<Self, SiteError> {
@@ -251,6 +259,7 @@ impl Site {
             lanes,
             graph,
             surface,
+            obstacles: Obstacles::new(obstacles),
             asset_sizes,
             ground,
         })

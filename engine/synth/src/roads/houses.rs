@@ -1,6 +1,7 @@
 //! Plain houses beside the roads: something to see pass by, and to hide what is behind.
 
-use glam::{Vec2, Vec3};
+use decouplegs_scene::{LaneKind, Obstacle, ObstacleKind};
+use glam::{DVec3, Vec2, Vec3};
 
 use super::Drawn;
 use super::canvas::{Canvas, Disc, Look};
@@ -8,7 +9,6 @@ use super::relief::Relief;
 use super::strip_index::StripIndex;
 use crate::street::random::{Stream, cell, fractal_noise};
 use crate::street::surface::display;
-use decouplegs_scene::LaneKind;
 
 /// From one try for a house to the next along a lane, meters.
 const TRY_EVERY_M: f32 = 16.0;
@@ -57,6 +57,17 @@ impl House {
     /// Radius of the circle about it on the plane, meters.
     pub(super) fn radius_m(&self) -> f32 {
         self.half_length_m.hypot(self.half_depth_m)
+    }
+
+    /// Its box, in world coordinates.
+    pub(super) fn obstacle(&self, origin: DVec3) -> Obstacle {
+        Obstacle {
+            kind: ObstacleKind::House,
+            center_m: (origin + self.middle.as_dvec3()).truncate(),
+            yaw_rad: f64::from(self.ahead.to_angle()),
+            length_m: 2.0 * f64::from(self.half_length_m),
+            width_m: 2.0 * f64::from(self.half_depth_m),
+        }
     }
 
     fn side(&self) -> Vec2 {

@@ -18,7 +18,7 @@ mod strips;
 #[cfg(test)]
 mod tests;
 
-use decouplegs_scene::{LaneMap, SplatCloud, sh};
+use decouplegs_scene::{LaneMap, Obstacle, SplatCloud, sh};
 use glam::{DVec3, Vec3};
 
 use canvas::Canvas;
@@ -123,6 +123,16 @@ pub fn generate(map: &LaneMap, options: &RoadsOptions) -> RoadsScene {
         origin,
         sky: place.light.horizon(),
     }
+}
+
+/// Boxes of the houses that [`generate`] draws beside the roads of `map` with `seed`.
+#[must_use]
+pub fn obstacles(map: &LaneMap, seed: u64) -> Vec<Obstacle> {
+    let (strips, origin) = strips(map);
+    let index = StripIndex::new(strips);
+    let relief = Relief::new(&index);
+    let houses = houses::houses(&index, &relief, seed);
+    houses.iter().map(|house| house.obstacle(origin)).collect()
 }
 
 /// Elements that are the same for every spacing.

@@ -122,21 +122,30 @@ fn no_parking(center: Vec3, side: f32) -> Element {
 /// A traffic light before the crossing on every arm: green for the main street, red for the other.
 pub(super) fn traffic_lights() -> Vec<Element> {
     let mut elements = Vec::new();
-    for (axis, green) in [(Axis::Main, true), (Axis::Cross, false)] {
-        for arm in [-1.0f32, 1.0] {
-            let s = axis.crossing_s() + arm * (ROAD_HALF_M + 4.9);
-            let foot = axis.at(s, arm * (ROAD_HALF_M + 0.55)).extend(KERB_M);
-            // Local x runs with the traffic that obeys it, so the lenses face -x; local y is that
-            // traffic's left.
-            let yaw_rad = axis.yaw_rad() + if arm < 0.0 { 0.0 } else { std::f32::consts::PI };
-            elements.extend(
-                signal(green)
-                    .into_iter()
-                    .map(|e| e.placed(Quat::from_rotation_z(yaw_rad), foot)),
-            );
-        }
+    for (foot, yaw_rad, green) in signal_feet() {
+        elements.extend(
+            signal(green)
+                .into_iter()
+                .map(|e| e.placed(Quat::from_rotation_z(yaw_rad), foot)),
+        );
     }
     elements
+}
+
+/// Feet of the posts of the traffic lights, their headings, and true where the light is green.
+pub(super) fn signal_feet() -> impl Iterator<Item = (Vec3, f32, bool)> {
+    [(Axis::Main, true), (Axis::Cross, false)]
+        .into_iter()
+        .flat_map(|(axis, green)| {
+            [-1.0f32, 1.0].map(|arm| {
+                let s = axis.crossing_s() + arm * (ROAD_HALF_M + 4.9);
+                let foot = axis.at(s, arm * (ROAD_HALF_M + 0.55)).extend(KERB_M);
+                // Local x runs with the traffic that obeys it, so the lenses face -x; local y is
+                // that traffic's left.
+                let turned_rad = if arm < 0.0 { 0.0 } else { std::f32::consts::PI };
+                (foot, axis.yaw_rad() + turned_rad, green)
+            })
+        })
 }
 
 fn signal(green: bool) -> Vec<Element> {

@@ -22,6 +22,7 @@ mod lanes;
 mod layout;
 mod light;
 mod loft;
+mod obstacles;
 mod occluder;
 pub(crate) mod random;
 mod road;
@@ -39,7 +40,7 @@ pub use focus::Capture;
 pub use truth::Truth;
 pub use weather::AssetLight;
 
-use decouplegs_scene::{AgentPlacement, LaneMap, Pose, Rig, SplatCloud};
+use decouplegs_scene::{AgentPlacement, LaneMap, Obstacle, Pose, Rig, SplatCloud};
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
 
@@ -110,6 +111,8 @@ pub struct Street {
     pub ego: Vec<(f64, Pose)>,
     /// Lanes of both streets and the ways over their crossing.
     pub lanes: LaneMap,
+    /// Boxes of houses, trunks, lamp posts and parked cars.
+    pub obstacles: Vec<Obstacle>,
     /// Seen where the dome of sky lets light through, display-referred RGB.
     pub sky: [f32; 3],
 }
@@ -144,6 +147,7 @@ impl Street {
             rig: traffic::rig(),
             ego: traffic::ego(),
             lanes: lanes::lanes(),
+            obstacles: obstacles::obstacles(&layout),
             sky: weather::sky_rgb(options.weather),
         }
     }

@@ -41,7 +41,7 @@ fn what_no_log_can_hold_is_refused_and_the_log_goes_on() {
     let episode = small();
     let mut log = EpisodeLog::create(&path, &episode.head, &episode.start).unwrap();
     let mut bad = episode.steps[0].clone();
-    bad.instants[1].agents[0].yaw_rad = f64::NAN;
+    bad.instants[1].agents[0].as_mut().unwrap().yaw_rad = f64::NAN;
     let error = log.append(&bad).unwrap_err().to_string();
     assert!(
         error.contains("a.log")

@@ -1,0 +1,119 @@
+//! Traffic goes on: with any seed and on any map, a vehicle stands only for a vehicle that moves.
+
+use std::sync::Arc;
+
+use decouplegs_drive::{RoadGraph, Traffic};
+use glam::DVec2;
+use rayon::prelude::*;
+
+use crate::traffic_scenes::{check, random_traffic, roads, street};
+
+/// A vehicle may stand so long, seconds, ...
+const STANDING_S: f64 = 30.0;
+/// ... or so long where traffic passes that it has to let pass, ...
+const YIELDING_S: f64 = 120.0;
+/// ... within so many meters of it.
+const NEAR_M: f64 = 80.0;
+/// A vehicle that moved less than this stands, meters.
+const MOVED_M: f64 = 0.5;
+
+/// Standing times of the agents of a traffic.
+struct Standing {
+    /// Place and time of each agent when it last moved.
+    since: Vec<Option<(DVec2, f64)>>,
+}
+
+impl Standing {
+    fn new(agents: usize) -> Self {
+        Self {
+            since: vec![None; agents],
+        }
+    }
+
+    /// Updates the times at `time_s`; the agents that stand without a reason.
+    fn update(&mut self, traffic: &Traffic, time_s: f64) -> Vec<usize> {
+        for (since, state) in self.since.iter_mut().zip(traffic.states()) {
+            *since = state.map(|state| match *since {
+                Some((place_m, since_s)) if place_m.distance(state.position_m) < MOVED_M => {
+                    (place_m, since_s)
+                }
+                _ => (state.position_m, time_s),
+            });
+        }
+        let stands_s =
+            |agent: usize| self.since[agent].map_or(0.0, |(_, since_s)| time_s - since_s);
+        let moves_near = |place_m: DVec2| {
+            self.since.iter().flatten().any(|(other_m, since_s)| {
+                time_s - since_s < 0.5 * STANDING_S && other_m.distance(place_m) < NEAR_M
+            })
+        };
+        (0..self.since.len())
+            .filter(|&agent| {
+                let Some((place_m, _)) = self.since[agent] else {
+                    return false;
+                };
+                stands_s(agent) > YIELDING_S || stands_s(agent) > STANDING_S && !moves_near(place_m)
+            })
+            .collect()
+    }
+}
+
+/// Seconds after which some vehicle stands without a reason, and which.
+fn first_stuck(graph: &Arc<RoadGraph>, count: usize, seed: u64, seconds: f64) -> Option<String> {
+    let (mut traffic, agents) = random_traffic(graph, count, seed);
+    let mut standing = Standing::new(agents.len());
+    for step in 0..(10.0 * seconds) as u32 {
+        let time_s = 0.1 * f64::from(step);
+        traffic.step(0.1, None);
+        if step % 10 == 0 {
+            check(&traffic, &agents, &|| format!("seed {seed}, step {step}"));
+            let stuck = standing.update(&traffic, time_s);
+            if !stuck.is_empty() {
+                let places: Vec<_> = traffic.places().collect();
+                let names = stuck.iter().map(|&agent| {
+                    let place = places[agent].expect("it stands on the map");
+                    let lane = &graph.lane(place.lane).expect("a driving lane").id;
+                    format!(
+                        "{} on {lane} at {:.1} m, {:.2} m aside",
+                        agents[agent].name, place.arc_m, place.lateral_m
+                    )
+                });
+                let names: Vec<_> = names.collect();
+                return Some(format!("seed {seed}, {time_s:.0} s: {}", names.join("; ")));
+            }
+        }
+    }
+    None
+}
+
+fn lives(graph: &Arc<RoadGraph>, seeds: u64, count: usize, seconds: f64) {
+    let seeds = std::env::var("TRAFFIC_SEEDS")
+        .ok()
+        .and_then(|seeds| seeds.parse().ok())
+        .unwrap_or(seeds);
+    let stuck: Vec<String> = (0..seeds)
+        .into_par_iter()
+        .filter_map(|seed| first_stuck(graph, count, seed, seconds))
+        .collect();
+    println!("{} of {seeds} seeds stand still", stuck.len());
+    assert!(stuck.is_empty(), "{}\n{}", stuck.len(), stuck.join("\n"));
+}
+
+#[test]
+fn traffic_on_the_street_goes_on() {
+    lives(&street(), 1000, 24, 120.0);
+}
+
+#[test]
+fn traffic_on_real_maps_goes_on() {
+    for (name, seeds) in [
+        ("esmini_fabriksgatan.xodr", 200),
+        ("esmini_soderleden.xodr", 60),
+        ("lanelet2_mapping_example.osm", 60),
+    ] {
+        if let Some(graph) = roads(name) {
+            println!("{name}");
+            lives(&graph, seeds, 24, 120.0);
+        }
+    }
+}
