@@ -6,3 +6,4 @@ mod misbehaving;
 mod road_course;
 mod rollouts;
 mod scene_ahead;
+mod static_world;

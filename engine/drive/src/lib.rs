@@ -11,6 +11,7 @@ pub mod generate;
 pub mod ground;
 pub mod lane_index;
 pub mod obstacles;
+pub mod occupancy;
 pub mod oriented_box;
 pub mod planar;
 pub mod polyline;

@@ -23,8 +23,8 @@ Action, by ``action``:
 - ``plan``: places in the ego's frame for the times ``plan_step_s``, 2 ``plan_step_s``, ..., meters, float32 [``plan_points``, 2].
 
 Reward of a step, its parts in ``info["reward"]``: ``progress``, meters driven along the route over what the route's speed makes of a step;
-``off_road``, -0.5 times the share of the step with a wheel off the road; ``collision``, -10 where the ego touches a vehicle.
-An episode terminates with the route done or a collision, and is truncated when its time is over. ``info["score"]`` has what a log of the
+``off_road``, -0.5 times the share of the step with a wheel off the road; ``collision``, -10 where the ego touches a vehicle or an obstacle.
+An episode terminates with the route done, a collision, or when the ego has left the road or its route, and is truncated when its time is over. ``info["score"]`` has what a log of the
 episode so far scores.
 
 The same seed gives the same bytes, on the same device.
@@ -170,9 +170,10 @@ class _Drive:
         parts = {
             "progress": result["progress_m"] / (max(cruise_mps, 1.0) * self.rollout.step_s),
             "off_road": OFF_ROAD_REWARD * result["off_road_share"],
-            "collision": COLLISION_REWARD * (result["end"] == "collision"),
+            "collision": COLLISION_REWARD * (result["end"] in ("collision", "obstacle")),
         }
-        terminated, truncated = result["end"] in ("route_done", "collision"), result["end"] == "time"
+        terminated = result["end"] in ("route_done", "collision", "obstacle", "off_road", "off_route")
+        truncated = result["end"] == "time"
         info = {"reward": parts, "end": result["end"], "time_s": result["time_s"], "score": self.rollout.score()}
         return float(sum(parts.values())), terminated, truncated, info
 

@@ -93,8 +93,8 @@ impl Traffic {
         }
     }
 
-    /// True if an agent's lane has conflicts within a swerve of `length_m`. Should the agent have to
-    /// wait there, what it takes up of other lanes would keep others in the crossing, and they it.
+    /// True if an agent's lane has conflicts within a swerve of `length_m`. An agent that waits
+    /// there would keep others in the crossing by what it takes up of other lanes, and they it.
     fn meets_crossing(&self, number: usize, length_m: f64) -> bool {
         let agent = &self.agents[number];
         let end_m = agent.front_m() + length_m + CROSSING_M;

@@ -146,8 +146,8 @@ impl Claims {
         });
     }
 
-    /// Keeps room for an agent behind the crossing that ends at `out_m` on its path, and on the lane
-    /// that it is leaving.
+    /// Keeps room for an agent behind the crossing that ends at `out_m` on its path, and on the
+    /// lane that it is leaving.
     fn keep_room(&mut self, graph: &RoadGraph, agent: &Agent, out_m: f64) {
         if let Some(aside) = &agent.aside
             && let AsideKind::Change {

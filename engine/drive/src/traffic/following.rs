@@ -327,7 +327,7 @@ impl Traffic {
             bounds.follow(&idm, agent.speed_mps, at_m - agent.front_m(), 0.0);
             bounds.stop_within(at_m - LINE_M - stop_m);
         }
-        // The model alone would be late for bends: it brakes a little where it is a little too fast.
+        // The model alone would be late for bends: it hardly brakes where it is little too fast.
         let too_fast_mps = (agent.speed_mps - agent.free_mps).max(0.0);
         if too_fast_mps > 0.0 {
             let slows_mps2 = (too_fast_mps / SLOWING_S).min(idm.braking_mps2);

@@ -161,8 +161,8 @@ impl Traffic {
         None
     }
 
-    /// Reserves crossings for the agents that stand in them; the first that could not leave its own,
-    /// and the agent nearest to it.
+    /// Reserves crossings for the agents that stand in them. Returns the first that could not leave
+    /// its own, and the agent nearest to it.
     fn first_caught(&mut self) -> Option<(usize, usize)> {
         for number in 0..self.agents.len() {
             let agent = &self.agents[number];

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use decouplegs_asset::memory::{self, cloud_bytes};
 use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, read_map, read_probe};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
-use decouplegs_drive::{Ground, GroundOptions, Obstacles, RoadGraph, RoadSurface};
+use decouplegs_drive::{Ground, GroundOptions, Obstacles, RoadGraph, RoadSurface, occupancy};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
@@ -242,7 +242,9 @@ impl Site {
             ..GroundOptions::default()
         };
         let ground = Ground::new(&loaded.world.splats, loaded.world.origin, &options);
-        Self::of(loaded, (lanes, Vec::new()), sizes, Some(ground))
+        let world = &loaded.world;
+        let obstacles = occupancy::obstacles(&world.splats, world.origin, &lanes, &ground);
+        Self::of(loaded, (lanes, obstacles), sizes, Some(ground))
     }
 
     fn of(

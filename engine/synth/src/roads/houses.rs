@@ -59,7 +59,7 @@ impl House {
         self.half_length_m.hypot(self.half_depth_m)
     }
 
-    /// Its box, in world coordinates.
+    /// Box of the house, in world coordinates.
     pub(super) fn obstacle(&self, origin: DVec3) -> Obstacle {
         Obstacle {
             kind: ObstacleKind::House,

@@ -12,8 +12,8 @@ use super::variant_of;
 const TRUNK_M: f64 = 0.36;
 const POST_M: f64 = 0.3;
 
-/// Houses, trunks, posts of lamps and traffic lights, and parked cars of a street. Nothing that a car drives below is among
-/// them.
+/// Houses, trunks, posts of lamps and traffic lights, and parked cars of a street. Nothing that a
+/// car drives below is among them.
 pub(super) fn obstacles(layout: &Layout) -> Vec<Obstacle> {
     let at = |kind: ObstacleKind, spot: &Spot, length_m: f64, width_m: f64| Obstacle {
         kind,
