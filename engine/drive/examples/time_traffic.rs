@@ -1,14 +1,15 @@
-//! Prints how many steps per second traffic takes: `cargo run --release -p decouplegs-drive
-//! --example time_traffic`.
+//! Prints how many steps per second traffic takes, and the time of a check against static
+//! obstacles: `cargo run --release -p decouplegs-drive --example time_traffic`.
 #![forbid(unsafe_code)]
 
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 use std::time::Instant;
 
-use decouplegs_drive::{RoadGraph, Traffic, TrafficError};
+use decouplegs_drive::{Obstacles, OrientedBox, RoadGraph, Traffic, TrafficError};
 use decouplegs_scene::scenario::{DriverKind, TrafficAgent};
 use decouplegs_scene::{Lane, LaneMap, VehicleSize};
+use decouplegs_synth::street::{Street, StreetOptions};
 use glam::{DVec2, DVec3};
 
 /// Blocks of this length, meters, and so many crossings along each side.
@@ -128,5 +129,34 @@ fn main() -> Result<(), TrafficError> {
             0.1 * f64::from(steps)
         );
     }
+    time_obstacles();
     Ok(())
+}
+
+/// A vehicle along the synthetic street, against all that stands there.
+fn time_obstacles() {
+    let options = StreetOptions {
+        background: 0,
+        agents: 1,
+        agent_splats: 1,
+        ..StreetOptions::default()
+    };
+    let obstacles = Obstacles::new(Street::generate(&options).obstacles);
+    let (checks, started) = (100_000, Instant::now());
+    let touched = (0..checks)
+        .filter(|check| {
+            let outline = OrientedBox {
+                center_m: DVec2::new(f64::from(check % 200) - 100.0, -6.5),
+                yaw_rad: 0.0,
+                half_length_m: 2.3,
+                half_width_m: 0.9,
+            };
+            obstacles.touched(&outline).is_some()
+        })
+        .count();
+    println!(
+        "{} obstacles: {:.2} microseconds a check, {touched} of {checks} touch",
+        obstacles.all().len(),
+        1e6 * started.elapsed().as_secs_f64() / f64::from(checks)
+    );
 }

@@ -110,8 +110,11 @@ impl Traffic {
             !self.claims.conflict(&self.graph, cell, agent.number) && !self.claims.ego_on(cell)
         };
         let mut on_lane = self.order.on(agent.lane()).iter();
+        let mut swerves = self.claims.blocks.iter();
         ego_is_far
             && on_lane.all(|entry| entry.rear_m - agent.front_m() > ROOM_M)
+            && swerves
+                .all(|block| block.lane != agent.lane() || block.from_m - agent.front_m() > ROOM_M)
             && each_cell(
                 &self.graph,
                 agent,

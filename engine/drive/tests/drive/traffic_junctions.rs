@@ -11,7 +11,7 @@ use crate::traffic_scenes::{agent, check, lane, street};
 
 /// A crossing of two roads with one lane each way. From each side `in-k` leads over `straight-k`,
 /// `left-k` and `right-k` to an `out`.
-fn crossing() -> Arc<RoadGraph> {
+pub fn crossing() -> Arc<RoadGraph> {
     let mut map = LaneMap::default();
     let turned = |side: usize, x: f64, y: f64| {
         DVec2::from_angle(std::f64::consts::FRAC_PI_2 * side as f64)

@@ -3,10 +3,12 @@
 use std::sync::Arc;
 
 use decouplegs_drive::{RoadGraph, Traffic};
+use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 use rayon::prelude::*;
 
-use crate::traffic_scenes::{check, random_traffic, roads, street};
+use crate::traffic_junctions::crossing;
+use crate::traffic_scenes::{agent, check, random_traffic, roads, street};
 
 /// A vehicle may stand so long, seconds, ...
 const STANDING_S: f64 = 30.0;
@@ -105,11 +107,38 @@ fn traffic_on_the_street_goes_on() {
 }
 
 #[test]
+fn traffic_on_a_narrow_crossing_goes_on() {
+    lives(&crossing(), 1000, 24, 120.0);
+}
+
+#[test]
+fn a_vehicle_that_stands_without_a_reason_is_found() {
+    // Two vehicles before an ego that stands across their lane.
+    let graph = crossing();
+    let agents = [agent("a", "in-0", 60.0, 9.0), agent("b", "in-0", 40.0, 9.0)];
+    let mut traffic = Traffic::new(graph, &agents, 1).unwrap();
+    let ego = VehicleState {
+        position_m: DVec2::new(-20.0, -1.75),
+        yaw_rad: 1.5,
+        ..VehicleState::default()
+    };
+    let mut standing = Standing::new(agents.len());
+    let stuck = (0..600).find_map(|step| {
+        traffic.step(0.1, Some((&ego, &VehicleSize::CAR)));
+        let stuck = standing.update(&traffic, 0.1 * f64::from(step));
+        (!stuck.is_empty()).then_some((step, stuck))
+    });
+    let (step, stuck) = stuck.expect("the test would not see a vehicle that stands for ever");
+    assert!(step > 300 && stuck == [0], "{step}: {stuck:?}");
+}
+
+#[test]
 fn traffic_on_real_maps_goes_on() {
     for (name, seeds) in [
         ("esmini_fabriksgatan.xodr", 200),
         ("esmini_soderleden.xodr", 60),
         ("lanelet2_mapping_example.osm", 60),
+        ("../scenarios/commonroad_USA_Lanker-1_1_T-1.xml", 60),
     ] {
         if let Some(graph) = roads(name) {
             println!("{name}");
