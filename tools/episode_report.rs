@@ -165,25 +165,30 @@ pub fn rows(summary: &Summary) -> Vec<(&'static str, SetSummary)> {
     rows
 }
 
-/// `mean ± std`, or a dash where there is none.
+/// Mean and its 95 % confidence interval, or a dash where there is none.
 pub fn spread(moments: Option<&Moments>, digits: usize) -> String {
     match moments {
         None => "-".into(),
-        Some(Moments {
-            mean, std: None, ..
-        }) => format!("{mean:.digits$}"),
-        Some(Moments {
-            mean,
-            std: Some(std),
-            ..
-        }) => format!("{mean:.digits$} ± {std:.digits$}"),
+        Some(moments) => with_interval(moments.mean, moments.interval(), digits),
+    }
+}
+
+/// Share of episodes and its 95 % confidence interval.
+pub fn share(moments: &Moments) -> String {
+    with_interval(moments.mean, Some(moments.share_interval()), 2)
+}
+
+fn with_interval(mean: f64, interval: Option<[f64; 2]>, digits: usize) -> String {
+    match interval {
+        None => format!("{mean:.digits$}"),
+        Some([low, high]) => format!("{mean:.digits$} [{low:.digits$}, {high:.digits$}]"),
     }
 }
 
 /// The table of the paper, a line a level.
 pub fn text(scored: &[Scored]) -> Result<String> {
     let mut text = format!(
-        "{:<8} {:>8}  {:>13}  {:>5}  {:>13}  {:>11}  {:>10} {:>8} {:>8} {:>8}\n",
+        "means with their 95 % confidence intervals\n{:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8}\n",
         "level",
         "episodes",
         "DS",
@@ -197,10 +202,10 @@ pub fn text(scored: &[Scored]) -> Result<String> {
     );
     for (level, set) in rows(&summary(scored)?) {
         text.push_str(&format!(
-            "{level:<8} {:>8}  {:>13}  {:>5.3}  {:>13}  {:>11}  {:>10} {:>8} {:>8} {:>8}\n",
+            "{level:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8}\n",
             set.count(),
             spread(Some(&set.driving_score), 3),
-            set.success.mean,
+            share(&set.success),
             spread(Some(&set.route_completion), 3),
             spread(set.min_ttc_s.as_ref(), 2),
             set.collisions,
@@ -278,12 +283,18 @@ fn to_json(scored: &[Scored]) -> Result<Value> {
 }
 
 fn set_to_json(set: &SetSummary) -> Value {
-    let moments =
-        |moments: &Moments| json!({ "n": moments.count, "mean": moments.mean, "std": moments.std });
+    let moments = |moments: &Moments| {
+        json!({
+            "n": moments.count, "mean": moments.mean, "std": moments.std, "interval_95": moments.interval(),
+        })
+    };
     json!({
         "episodes": set.count(),
         "driving_score": moments(&set.driving_score),
-        "success_rate": moments(&set.success),
+        "success_rate": json!({
+            "n": set.success.count, "mean": set.success.mean, "std": set.success.std,
+            "interval_95": set.success.share_interval(),
+        }),
         "route_completion": moments(&set.route_completion),
         "min_ttc_s": set.min_ttc_s.as_ref().map(moments),
         "plan_ade_m": set.plan_ade_m.as_ref().map(moments),

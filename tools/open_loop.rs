@@ -264,7 +264,7 @@ fn min_ttc_s(answers: &Answers) -> Option<f64> {
 
 fn text(answers: &[&Answers; 2], differences_m: &[Option<f64>]) -> String {
     let mut text = format!(
-        "{:<32} {:>6}  {:>13}  {:>9}\n",
+        "{:<32} {:>6}  {:>22}  {:>9}\n",
         "images", "plans", "mADE, m", "minTTC, s"
     );
     for answers in answers {
@@ -272,7 +272,7 @@ fn text(answers: &[&Answers; 2], differences_m: &[Option<f64>]) -> String {
         let ttc_s = min_ttc_s(answers).map_or("-".into(), |ttc_s| format!("{ttc_s:.2}"));
         let plans = answers.plans.iter().flatten().count();
         text.push_str(&format!(
-            "{:<32} {plans:>6}  {:>13}  {ttc_s:>9}\n",
+            "{:<32} {plans:>6}  {:>22}  {ttc_s:>9}\n",
             answers.name,
             spread(Moments::of(&ade_m).as_ref(), 3)
         ));

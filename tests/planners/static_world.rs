@@ -118,7 +118,7 @@ fn who_drives_beside_its_route_hits_what_stands_there() {
 #[test]
 fn who_leaves_the_road_for_good_or_its_route_ends_the_episode() {
     let mut site = site();
-    site.obstacles = Obstacles::default();
+    site.obstacles = Arc::new(Obstacles::default());
     let site = Arc::new(site);
     let scenario = alone(&site, 1);
     let episode = driven(&scenario, &site, &mut Beside { right_m: 14.0 });

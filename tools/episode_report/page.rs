@@ -9,7 +9,7 @@ use decouplegs::render::Image;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Lane, VehicleState};
 
-use super::{Scored, birds_eye, rows, spread, summary, timing};
+use super::{Scored, birds_eye, rows, share, spread, summary, timing};
 use crate::plot::{Axis, Plot, Series, Shape, escaped};
 use crate::sites::Sites;
 use crate::{data_uri, plot};
@@ -66,16 +66,16 @@ fn facts(scored: &[Scored]) -> String {
 
 fn table(scored: &[Scored]) -> Result<String> {
     let mut html = String::from(
-        "<h2>Scores</h2><table><tr><th>level<th>episodes<th>DS<th>SR<th>RC<th>minTTC, s<th>on a collision course<th>TTC &lt; 1.5 s<th>collisions\
+        "<h2>Scores</h2><div class=\"wide\"><table><tr><th>level<th>episodes<th>DS<th>SR<th>RC<th>minTTC, s<th>on course<th>TTC &lt; 1.5 s<th>collisions\
          <th>at fault<th>static<th>off-road",
     );
     for (level, set) in rows(&summary(scored)?) {
         let _ = write!(
             html,
-            "<tr><td>{level}<td>{}<td>{}<td>{:.3}<td>{}<td>{}<td>{}<td>{:.1} %<td>{}<td>{}<td>{}<td>{}",
+            "<tr><td>{level}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{:.1} %<td>{}<td>{}<td>{}<td>{}",
             set.count(),
             spread(Some(&set.driving_score), 3),
-            set.success.mean,
+            share(&set.success),
             spread(Some(&set.route_completion), 3),
             spread(set.min_ttc_s.as_ref(), 2),
             set.min_ttc_s.map_or(0, |moments| moments.count),
@@ -87,10 +87,10 @@ fn table(scored: &[Scored]) -> Result<String> {
         );
     }
     html.push_str(
-        "</table><p class=\"dim\">Mean and standard deviation over episodes. RC: share of the route that was driven. DS: RC times 0.60 for a \
-         collision at fault, 0.65 for one with something static and 0.65 for each time the ego left the road. SR: share of episodes that came to the end of the route without \
-         any of them, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
-         velocities, within 10 s, over the episodes that were on a collision course at all.</p>",
+        "</table></div><p class=\"dim\">Mean over episodes and its 95 % confidence interval. RC, route completion: share of the route that was \
+         driven. DS, driving score: RC times 0.60 for a collision at fault, 0.65 for one with something static and 0.65 for each time the ego \
+         left the road. SR, success rate: share of episodes that came to the end of the route without any of them, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
+         velocities, within 10 s, over the episodes that were on course for a collision at all, whose number is beside it.</p>",
     );
     Ok(html)
 }

@@ -32,6 +32,7 @@ use std::sync::Arc;
 use decouplegs_scene::scenario::{Behavior, Scenario};
 use decouplegs_scene::{VehicleSize, VehicleState};
 
+use crate::obstacles::Obstacles;
 use crate::road_graph::RoadGraph;
 use agent::{Agent, AsideKind};
 use claims::Claims;
@@ -61,6 +62,7 @@ pub struct Traffic {
     states: Vec<Option<VehicleState>>,
     order: LaneOrder,
     claims: Claims,
+    obstacles: Arc<Obstacles>,
     /// Waiting times at crossings, and accelerations of all agents: scratch buffers.
     waiting: Vec<u32>,
     accelerations: Vec<(f64, bool)>,
@@ -71,6 +73,13 @@ pub struct Traffic {
 }
 
 impl Traffic {
+    /// The same traffic among static obstacles, into which no vehicle swerves.
+    #[must_use]
+    pub fn among(mut self, obstacles: Arc<Obstacles>) -> Self {
+        self.obstacles = obstacles;
+        self
+    }
+
     /// One step of `dt_s` seconds, above 0 and at most [`Scenario::SUBSTEP_S_MAX`]; `ego` is where
     /// the ego is at its beginning.
     ///

@@ -36,6 +36,80 @@ impl Moments {
             std: (count > 1).then(|| (squares / (count - 1) as f64).sqrt()),
         })
     }
+
+    /// 95 % confidence interval of the mean, by Student's t; `None` of a single value.
+    #[must_use]
+    pub fn interval(&self) -> Option<[f64; 2]> {
+        let half = t_quantile(self.count - 1) * self.std? / (self.count as f64).sqrt();
+        Some([self.mean - half, self.mean + half])
+    }
+
+    /// 95 % confidence interval of a share, where each value is 0 or 1 (E. B. Wilson, Probable
+    /// inference, the law of succession, and statistical inference, 1927).
+    #[must_use]
+    pub fn share_interval(&self) -> [f64; 2] {
+        let (count, square) = (self.count as f64, NORMAL_QUANTILE * NORMAL_QUANTILE);
+        let middle = (self.mean + 0.5 * square / count) / (1.0 + square / count);
+        let spread = self.mean * (1.0 - self.mean) / count + 0.25 * square / (count * count);
+        let half = NORMAL_QUANTILE / (1.0 + square / count) * spread.sqrt();
+        [(middle - half).max(0.0), (middle + half).min(1.0)]
+    }
+}
+
+/// Quantile of the normal distribution at 97.5 %.
+const NORMAL_QUANTILE: f64 = 1.959_963_984_540_054;
+
+/// Quantiles of Student's t distribution at 97.5 % for 1 to 4 degrees of freedom.
+const FEW: [f64; 4] = [12.7062, 4.3027, 3.1824, 2.7764];
+
+/// Quantile of Student's t distribution at 97.5 %, to a thousandth (R. A. Fisher, E. A. Cornish,
+/// The percentile points of distributions having known cumulants, 1960).
+fn t_quantile(degrees: usize) -> f64 {
+    match FEW.get(degrees.wrapping_sub(1)) {
+        Some(&quantile) => quantile,
+        None => {
+            let z = NORMAL_QUANTILE;
+            let inverse = 1.0 / degrees as f64;
+            let first = (z.powi(3) + z) / 4.0;
+            let second = (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / 96.0;
+            let third = (3.0 * z.powi(7) + 19.0 * z.powi(5) + 17.0 * z.powi(3) - 15.0 * z) / 384.0;
+            z + inverse * (first + inverse * (second + inverse * third))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_and_intervals_are_those_of_tables() {
+        for (degrees, expected) in [
+            (1, 12.706),
+            (5, 2.571),
+            (9, 2.262),
+            (49, 2.010),
+            (1000, 1.962),
+        ] {
+            let found = t_quantile(degrees);
+            assert!((found - expected).abs() < 1.5e-3, "{degrees}: {found}");
+        }
+        let moments = Moments::of(&[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
+        let [low, high] = moments.interval().unwrap();
+        // 3 -+ 2.7764 sqrt(2.5 / 5).
+        assert!((low - 1.0368).abs() < 1e-3 && (high - 4.9632).abs() < 1e-3);
+        assert_eq!(Moments::of(&[1.0]).unwrap().interval(), None);
+        // 8 of 10, by Wilson.
+        let mut shares = [1.0; 10];
+        shares[..2].fill(0.0);
+        let [low, high] = Moments::of(&shares).unwrap().share_interval();
+        assert!((low - 0.4902).abs() < 1e-3 && (high - 0.9433).abs() < 1e-3);
+        let all = Moments::of(&[1.0; 20]).unwrap().share_interval();
+        assert!(
+            all[0] > 0.8 && all[0] < 0.9 && (all[1] - 1.0).abs() < 1e-9,
+            "{all:?}"
+        );
+    }
 }
 
 /// Figures of a set of episodes.

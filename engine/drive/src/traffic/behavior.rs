@@ -167,15 +167,16 @@ impl Traffic {
                 agent.pose_at(&self.graph, f64::from(step) * SWERVE_STEP_M, Some(aside));
             let half_length_m = agent.half_m + 0.5 * SWERVE_STEP_M + SWERVE_MARGIN_M;
             let half_width_m = 0.5 * agent.size.width_m + SWERVE_MARGIN_M;
-            self.graph.cells().touched(
-                &OrientedBox {
-                    center_m,
-                    yaw_rad,
-                    half_length_m,
-                    half_width_m,
-                },
-                &mut touched,
-            );
+            let outline = OrientedBox {
+                center_m,
+                yaw_rad,
+                half_length_m,
+                half_width_m,
+            };
+            if self.obstacles.touched(&outline).is_some() {
+                return None;
+            }
+            self.graph.cells().touched(&outline, &mut touched);
             cells.extend_from_slice(&touched);
         }
         cells.sort_unstable();

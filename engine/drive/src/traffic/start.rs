@@ -100,6 +100,7 @@ impl Traffic {
             agents: placed,
             order: LaneOrder::default(),
             claims,
+            obstacles: Arc::default(),
             waiting: Vec::new(),
             accelerations: Vec::new(),
             ego: None,

@@ -4,9 +4,10 @@
 use std::sync::Arc;
 
 use decouplegs_drive::idm::{IdmParameters, Leader, advance, stopping_m};
-use decouplegs_drive::{RoadGraph, Traffic, TrafficError};
+use decouplegs_drive::obstacles::outline as outline_of;
+use decouplegs_drive::{Obstacles, OrientedBox, RoadGraph, Traffic, TrafficError};
 use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
-use decouplegs_scene::{LaneMap, VehicleSize, VehicleState};
+use decouplegs_scene::{LaneMap, Obstacle, ObstacleKind, VehicleSize, VehicleState};
 use glam::DVec2;
 
 use crate::traffic_scenes::{agent, check, lane, place, random_traffic, state, straight, street};
@@ -469,6 +470,23 @@ fn a_swerve_is_as_wide_as_there_is_room() {
         assert!(state(&traffic, 0).position_m.y.abs() < 1e-9, "it is back");
         widest_m
     };
+    // A parked car beside the lane, where the swerve would be widest.
+    let parked = Obstacle {
+        kind: ObstacleKind::ParkedCar,
+        center_m: DVec2::new(122.0, -3.2),
+        yaw_rad: 0.0,
+        length_m: 4.5,
+        width_m: 1.8,
+    };
+    let agents = [swerver(-1.6)];
+    let mut beside_parked = traffic(&graph, &agents).among(Arc::new(Obstacles::new(vec![parked])));
+    let mut nearest_m = f64::INFINITY;
+    for _ in 0..100 {
+        drive(&mut beside_parked, &agents, 1, None);
+        let outline = OrientedBox::of(&state(&beside_parked, 0), &agents[0].size);
+        nearest_m = nearest_m.min(outline.distance_m(&outline_of(&parked)));
+    }
+    assert!((0.01..1.0).contains(&nearest_m), "{nearest_m} m");
     let free_m = widest(&[swerver(1.6)]);
     assert!((free_m - 1.6).abs() < 0.05, "{free_m} m");
     let beside = agent("beside", "1", 100.0, 12.0);

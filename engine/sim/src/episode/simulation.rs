@@ -55,7 +55,8 @@ impl Simulation {
         };
         let route = Route::new(&site.lanes, &scenario.ego).map_err(|error| unfit(error.into()))?;
         let traffic = Traffic::new(site.graph.clone(), &scenario.agents, scenario.seed)
-            .map_err(|error| unfit(error.to_string()))?;
+            .map_err(|error| unfit(error.to_string()))?
+            .among(site.obstacles.clone());
         let (start, heading_rad) = route.pose_at(0.0);
         let state = VehicleState {
             position_m: start.truncate(),

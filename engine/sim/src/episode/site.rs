@@ -53,7 +53,7 @@ pub struct Site {
     /// The same for vehicles that may leave them.
     pub surface: RoadSurface,
     /// Static things that the ego can hit.
-    pub obstacles: Obstacles,
+    pub obstacles: Arc<Obstacles>,
     /// Boxes of the assets that agents may show.
     pub asset_sizes: Vec<VehicleSize>,
     /// The ground that was captured, where it was.
@@ -261,7 +261,7 @@ impl Site {
             lanes,
             graph,
             surface,
-            obstacles: Obstacles::new(obstacles),
+            obstacles: Arc::new(Obstacles::new(obstacles)),
             asset_sizes,
             ground,
         })
