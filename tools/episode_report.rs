@@ -165,12 +165,21 @@ pub fn rows(summary: &Summary) -> Vec<(&'static str, SetSummary)> {
     rows
 }
 
-/// Mean and its 95 % confidence interval, or a dash where there is none.
+/// Mean of a figure that is never below zero and its 95 % confidence interval, or a dash where
+/// there is none.
 pub fn spread(moments: Option<&Moments>, digits: usize) -> String {
-    match moments {
-        None => "-".into(),
-        Some(moments) => with_interval(moments.mean, moments.interval(), digits),
-    }
+    let within = |moments: &Moments| {
+        let interval = moments.interval().map(|[low, high]| [low.max(0.0), high]);
+        with_interval(moments.mean, interval, digits)
+    };
+    moments.map_or("-".into(), within)
+}
+
+/// Mean of a score from 0 to 1 and its 95 % confidence interval.
+pub fn score(moments: &Moments) -> String {
+    let interval = moments.interval();
+    let interval = interval.map(|ends| ends.map(|end| end.clamp(0.0, 1.0)));
+    with_interval(moments.mean, interval, 3)
 }
 
 /// Share of episodes and its 95 % confidence interval.
@@ -204,9 +213,9 @@ pub fn text(scored: &[Scored]) -> Result<String> {
         text.push_str(&format!(
             "{level:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8}\n",
             set.count(),
-            spread(Some(&set.driving_score), 3),
+            score(&set.driving_score),
             share(&set.success),
-            spread(Some(&set.route_completion), 3),
+            score(&set.route_completion),
             spread(set.min_ttc_s.as_ref(), 2),
             set.collisions,
             set.collisions_at_fault,

@@ -9,7 +9,7 @@ use decouplegs::render::Image;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Lane, VehicleState};
 
-use super::{Scored, birds_eye, rows, share, spread, summary, timing};
+use super::{Scored, birds_eye, rows, score, share, spread, summary, timing};
 use crate::plot::{Axis, Plot, Series, Shape, escaped};
 use crate::sites::Sites;
 use crate::{data_uri, plot};
@@ -74,9 +74,9 @@ fn table(scored: &[Scored]) -> Result<String> {
             html,
             "<tr><td>{level}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{:.1} %<td>{}<td>{}<td>{}<td>{}",
             set.count(),
-            spread(Some(&set.driving_score), 3),
+            score(&set.driving_score),
             share(&set.success),
-            spread(Some(&set.route_completion), 3),
+            score(&set.route_completion),
             spread(set.min_ttc_s.as_ref(), 2),
             set.min_ttc_s.map_or(0, |moments| moments.count),
             100.0 * set.ttc_short_share.mean,
