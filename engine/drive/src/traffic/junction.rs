@@ -1,11 +1,15 @@
 //! Crossings: a row of conflicts on a vehicle's path is reserved as a whole, or the vehicle waits
 //! before it.
 //!
-//! It is granted when no other vehicle claims what conflicts with it, there will be room for the
-//! vehicle behind it, and no vehicle with priority would be hindered. So a vehicle in a crossing
-//! can leave it. A vehicle that has waited long does not give way any longer, and what it waits for
-//! is granted to no vehicle that has waited less: first the longest waiting, then the lower number.
-//! That breaks circles such as four vehicles that each have another to their right.
+//! It is granted when no other vehicle claims what conflicts with it, no vehicle with priority
+//! would be hindered, and there will be room for the vehicle behind it. Room is counted without any
+//! grant that a vehicle ahead still needs, and a grant is taken back for the ego alone. So a vehicle
+//! in a crossing leaves it, whatever those without a grant do.
+//!
+//! A vehicle that has waited does not give way any longer; that breaks circles such as four
+//! vehicles that each have another to their right. A vehicle that has waited longer has its crossing
+//! held: nothing that conflicts with it is granted to a vehicle that has waited less. It is not held
+//! as long as a standing vehicle blocks it, which may wait for the same crossing.
 
 use super::Traffic;
 use super::agent::{Agent, AsideKind, Crossing};
@@ -128,6 +132,7 @@ impl Traffic {
     pub(super) fn next_crossing(&self, agent: &Agent, after_m: f64) -> (Option<Crossing>, f64) {
         let (mut found, mut at, mut start_m): (Option<Crossing>, usize, f64) =
             (None, agent.here, 0.0);
+        let mut is_whole = true;
         while at > 0 && after_m < start_m {
             at -= 1;
             start_m -= length_of(self.graph.lanes(), agent.path[at]);
@@ -157,19 +162,13 @@ impl Traffic {
             }
             start_m += length_of(self.graph.lanes(), lane);
             if start_m > found.map_or(after_m + 1.5 * AHEAD_M, |run| run.to_m + self.between_m()) {
-                return (
-                    found,
-                    if found.is_some() {
-                        f64::INFINITY
-                    } else {
-                        start_m
-                    },
-                );
+                is_whole = false;
+                break;
             }
         }
         let last = self.graph.road(agent.path[agent.path.len() - 1]);
         // Beyond the end of the lanes nothing is driven.
-        let ends = found.is_some() || last.successors.is_empty();
+        let ends = found.is_some() || is_whole && last.successors.is_empty();
         (found, if ends { f64::INFINITY } else { start_m })
     }
 

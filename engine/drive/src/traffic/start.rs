@@ -181,6 +181,14 @@ impl Traffic {
                 return Some((number.min(other), number.max(other)));
             }
         }
+        for number in 0..self.agents.len() {
+            let agent = &self.agents[number];
+            if agent.crossing.is_none_or(|crossing| !crossing.granted) {
+                let found = self.next_crossing(agent, agent.stop_m());
+                let agent = &mut self.agents[number];
+                (agent.crossing, agent.clear_m) = found;
+            }
+        }
         None
     }
 
