@@ -2,14 +2,14 @@
 //! before it.
 //!
 //! It is granted when no other vehicle claims what conflicts with it, no vehicle with priority
-//! would be hindered, and there will be room for the vehicle behind it. Room is counted without any
-//! grant that a vehicle ahead still needs, and a grant is taken back for the ego alone. So a vehicle
-//! in a crossing leaves it, whatever those without a grant do.
+//! would be hindered, and there will be room for the vehicle behind it. Room is counted without
+//! any grant that a vehicle ahead still needs, and a grant is taken back for the ego alone. So a
+//! vehicle in a crossing leaves it, whatever those without a grant do.
 //!
 //! A vehicle that has waited does not give way any longer; that breaks circles such as four
-//! vehicles that each have another to their right. A vehicle that has waited longer has its crossing
-//! held: nothing that conflicts with it is granted to a vehicle that has waited less. It is not held
-//! as long as a standing vehicle blocks it, which may wait for the same crossing.
+//! vehicles that each have another to their right. A vehicle that has waited longer has its
+//! crossing held: nothing that conflicts with it is granted to a vehicle that has waited less. It
+//! is not held as long as a standing vehicle blocks it, which may wait for the same crossing.
 
 use super::Traffic;
 use super::agent::{Agent, AsideKind, Crossing};
