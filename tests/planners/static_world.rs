@@ -67,7 +67,7 @@ fn site() -> Site {
     Site::open(&place, Path::new(""), None).unwrap()
 }
 
-/// Scenarios with nobody but the ego.
+/// A scenario without other vehicles.
 fn alone(site: &Site, seed: u64) -> Scenario {
     let options = PlaceOptions::Street {
         background: 0,

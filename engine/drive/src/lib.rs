@@ -8,6 +8,7 @@
 pub mod alignment;
 pub mod ego;
 pub mod generate;
+mod grid;
 pub mod ground;
 pub mod lane_index;
 pub mod obstacles;

@@ -1,20 +1,16 @@
 //! Static obstacles by place.
 
 use decouplegs_scene::Obstacle;
-use glam::DVec2;
 
+use crate::grid::Grid;
 use crate::oriented_box::OrientedBox;
-
-/// Side of a square of the index, meters: about a house.
-const SQUARE_M: f64 = 16.0;
 
 /// Obstacles of a site, indexed by place: a box is compared with those near it alone.
 #[derive(Clone, Debug, Default)]
 pub struct Obstacles {
     obstacles: Vec<Obstacle>,
     boxes: Vec<OrientedBox>,
-    /// Square and obstacle, sorted.
-    squares: Vec<([i64; 2], u32)>,
+    grid: Grid,
 }
 
 impl Obstacles {
@@ -29,16 +25,10 @@ impl Obstacles {
         };
         let obstacles: Vec<Obstacle> = obstacles.into_iter().filter(finite).collect();
         let boxes: Vec<OrientedBox> = obstacles.iter().map(outline).collect();
-        let mut squares = Vec::new();
-        for (number, one) in boxes.iter().enumerate() {
-            squares.extend(covered(one).map(|square| (square, number as u32)));
-        }
-        squares.sort_unstable();
-        squares.dedup();
         Self {
+            grid: Grid::new(&boxes),
             obstacles,
             boxes,
-            squares,
         }
     }
 
@@ -51,13 +41,11 @@ impl Obstacles {
     /// The first obstacle, in their order, that `outline` overlaps.
     #[must_use]
     pub fn touched(&self, outline: &OrientedBox) -> Option<&Obstacle> {
-        let near = covered(outline).flat_map(|square| {
-            let first = self.squares.partition_point(|entry| entry.0 < square);
-            let entries = self.squares[first..].iter();
-            entries.take_while(move |entry| entry.0 == square)
-        });
-        let touched = near.filter(|entry| self.boxes[entry.1 as usize].overlaps(outline));
-        let first = touched.map(|entry| entry.1).min()?;
+        let mut near = Vec::new();
+        self.grid.near(outline, &mut near);
+        let first = near
+            .into_iter()
+            .find(|&number| self.boxes[number as usize].overlaps(outline))?;
         Some(&self.obstacles[first as usize])
     }
 }
@@ -73,33 +61,18 @@ pub fn outline(obstacle: &Obstacle) -> OrientedBox {
     }
 }
 
-/// Squares that a box may touch.
-fn covered(outline: &OrientedBox) -> impl Iterator<Item = [i64; 2]> + use<> {
-    let reach_m = DVec2::splat(outline.half_length_m.hypot(outline.half_width_m));
-    let square = |at_m: DVec2| (at_m / SQUARE_M).floor().as_i64vec2();
-    let (low, high) = (
-        square(outline.center_m - reach_m),
-        square(outline.center_m + reach_m),
-    );
-    (low.x..=high.x).flat_map(move |x| (low.y..=high.y).map(move |y| [x, y]))
-}
-
 #[cfg(test)]
 mod tests {
-    use decouplegs_scene::obstacle::ObstacleKind;
+    use decouplegs_scene::ObstacleKind;
+    use decouplegs_scene::random::{next, unit};
+    use glam::DVec2;
 
     use super::*;
-
-    /// A number from 0 to below 1.
-    fn unit(state: &mut u64) -> f64 {
-        *state = decouplegs_scene::random::mix(*state);
-        (*state >> 11) as f64 / (1_u64 << 53) as f64
-    }
 
     #[test]
     fn the_index_finds_what_a_search_through_all_finds() {
         let mut state = 7;
-        let mut random = |low: f64, high: f64| low + (high - low) * unit(&mut state);
+        let mut random = |low: f64, high: f64| low + (high - low) * unit(next(&mut state));
         let obstacles: Vec<Obstacle> = (0..400)
             .map(|_| Obstacle {
                 kind: ObstacleKind::House,

@@ -5,7 +5,6 @@ mod borders;
 mod cells;
 mod conflicts;
 mod corridor;
-mod grid;
 mod path;
 #[cfg(test)]
 mod tests;

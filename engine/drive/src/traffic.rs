@@ -31,13 +31,13 @@ use std::sync::Arc;
 
 use decouplegs_scene::scenario::{Behavior, Scenario};
 use decouplegs_scene::{VehicleSize, VehicleState};
+use glam::DVec2;
 
 use crate::obstacles::Obstacles;
 use crate::road_graph::RoadGraph;
 use agent::{Agent, AsideKind};
 use claims::Claims;
 use ego::EgoSeen;
-use glam::DVec2;
 use lane_order::LaneOrder;
 
 pub use start::TrafficError;

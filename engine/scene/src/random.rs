@@ -18,6 +18,12 @@ pub const fn next(state: &mut u64) -> u64 {
     mix(*state)
 }
 
+/// A number from 0 to below 1, from the upper 53 of 64 random bits.
+#[must_use]
+pub const fn unit(bits: u64) -> f64 {
+    (bits >> 11) as f64 / (1_u64 << 53) as f64
+}
+
 #[cfg(test)]
 mod tests {
     use super::next;

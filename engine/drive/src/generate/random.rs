@@ -1,6 +1,6 @@
 //! Random numbers addressed by what they are for: one more draw for one thing changes no other.
 
-use decouplegs_scene::random::{GOLDEN, mix, next};
+use decouplegs_scene::random::{GOLDEN, mix, next, unit};
 
 /// A sequence of random numbers.
 #[derive(Clone, Debug)]
@@ -30,7 +30,7 @@ impl Stream {
 
     /// Uniform in [0, 1).
     pub fn unit(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
+        unit(self.bits())
     }
 
     /// Uniform between two numbers.

@@ -1,7 +1,6 @@
 //! Borders of the map: lanes over which vehicles enter it and leave it.
 
 use super::RoadLane;
-use super::path::length_of;
 
 /// A lane beside one that ends leads on if there are more than so many meters behind its end:
 /// where a map is cut out, lanes of one road end a little apart.
@@ -21,8 +20,11 @@ pub(super) fn find(lanes: &mut [Option<RoadLane>]) -> Vec<usize> {
     let leaves_map = |lane: &usize| {
         let leads_on = |beside: usize| {
             road(beside).is_some_and(|road| {
-                let ahead_m = |next: &usize| onward_m(lanes, *next);
-                road.successors.iter().map(ahead_m).fold(0.0, f64::max) > LEADS_ON_M
+                let mut ahead = road
+                    .successors
+                    .iter()
+                    .filter_map(|&next| lanes[next].as_ref());
+                ahead.any(|next| next.onward_m > LEADS_ON_M)
             })
         };
         road(*lane).is_some_and(|road| road.successors.is_empty())
@@ -45,12 +47,6 @@ pub(super) fn find(lanes: &mut [Option<RoadLane>]) -> Vec<usize> {
         }
     }
     entrances
-}
-
-/// Length of the longest way on from the start of a lane, meters.
-fn onward_m(lanes: &[Option<RoadLane>], lane: usize) -> f64 {
-    let onward_m = lanes[lane].as_ref().map_or(0.0, |lane| lane.onward_m);
-    onward_m.max(length_of(lanes, lane))
 }
 
 /// The lanes beside a lane in its direction, without itself.

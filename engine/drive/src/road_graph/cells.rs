@@ -4,8 +4,8 @@
 use std::ops::Range;
 
 use super::RoadLane;
-use super::grid::Grid;
 use super::path::{HALF_AXLES_M, length_of, place_on};
+use crate::grid::Grid;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
 
@@ -107,8 +107,8 @@ impl Cells {
                 .max(CURVE_MPS_MIN);
             for at_m in [from_m, from_m + step_m] {
                 let cell = match path.get(1) {
-                    Some(&next) if at_m >= first_m => self.range(next, at_m - first_m, 0.0).start,
-                    _ => self.range(path[0], at_m, 0.0).start,
+                    Some(&next) if at_m >= first_m => self.cell_at(next, at_m - first_m),
+                    _ => self.cell_at(path[0], at_m),
                 };
                 if let Some(speed_mps) = self.approach_mps.get_mut(cell) {
                     *speed_mps = speed_mps.min(bend_mps);
@@ -145,6 +145,11 @@ impl Cells {
         first + cell(from_m)..first + (cell(to_m) + 1).min(count)
     }
 
+    /// The cell of `lane` at a place along it, clamped to the lane.
+    fn cell_at(&self, lane: usize, at_m: f64) -> usize {
+        self.range(lane, at_m, at_m).start
+    }
+
     /// The lane of a cell and where on it the cell is.
     pub(crate) fn stretch_of(&self, cell: usize) -> (usize, Stretch) {
         let lane = self.lane_of[cell] as usize;
@@ -173,7 +178,7 @@ impl Cells {
 
     /// Speed limit at `at_m` along `lane` for the curves ahead on it.
     pub(crate) fn approach_mps(&self, lane: usize, at_m: f64) -> f64 {
-        self.approach_mps[self.range(lane, at_m, at_m).start]
+        self.approach_mps[self.cell_at(lane, at_m)]
     }
 
     /// Cells that `outline` touches, sorted, into `touched`.

@@ -4,9 +4,9 @@ use decouplegs_scene::VehicleSize;
 
 use super::cells::{Cells, Stretch};
 use super::corridor;
-use super::grid::Grid;
 use super::path::length_of;
 use super::{Conflict, Fork, RoadLane, STRAIGHT_RAD};
+use crate::grid::Grid;
 
 /// Cells that follow each other along a way by less than this many lengths of a vehicle touch
 /// because the way goes on.

@@ -219,14 +219,17 @@ impl Agent {
 
     /// End of the path, if it ends within the map: meters from the start of its lane.
     pub(super) fn wall_m(&self, graph: &RoadGraph) -> Option<f64> {
-        let last = graph.road(self.path[self.path.len() - 1]);
-        let ends = last.successors.is_empty() && !last.leaves_map;
-        ends.then(|| {
-            self.path[self.here..]
-                .iter()
-                .map(|&lane| length_of(graph.lanes(), lane))
-                .sum()
-        })
+        wall_on(graph, &self.path[self.here..])
+    }
+
+    /// The lane that it is leaving by a lane change, and where it is on that lane, meters.
+    pub(super) fn left_lane(&self) -> Option<(usize, f64)> {
+        match self.aside.as_ref()?.kind {
+            AsideKind::Change {
+                from, from_arc_m, ..
+            } => Some((from, from_arc_m)),
+            AsideKind::Swerve { .. } => None,
+        }
     }
 
     /// One step on. Places are counted from the new lane where it comes to one.
@@ -305,6 +308,14 @@ impl Agent {
             .as_ref()
             .map_or(0.0, |aside| aside.offset_after(0.0).0.y)
     }
+}
+
+/// End of a path, if it ends within the map: meters from the start of its first lane.
+pub(super) fn wall_on(graph: &RoadGraph, path: &[usize]) -> Option<f64> {
+    let last = graph.road(path[path.len() - 1]);
+    let ends = last.successors.is_empty() && !last.leaves_map;
+    let length_m = |&lane: &usize| length_of(graph.lanes(), lane);
+    ends.then(|| path.iter().map(length_m).sum())
 }
 
 /// Sharpest bend of a swerve, 1/m, times the square of its length, m^2: the largest second

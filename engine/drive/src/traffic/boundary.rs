@@ -76,13 +76,12 @@ impl Traffic {
     /// Lets a vehicle enter at a random entrance; false where there is no room.
     fn try_entrance(&mut self, number: usize) -> bool {
         let entrances = self.graph.entrances();
-        let away = &self.agents[number];
+        let away = &mut self.agents[number];
         let chosen = random::way(self.seed, number, away.choices, entrances.len());
+        away.choices += 1;
         let mut entering = away.at_start_of(entrances[chosen]);
-        entering.choices += 1;
         entering.extend_path(&self.graph, self.seed);
         if !self.has_room(&entering) {
-            self.agents[number].choices += 1;
             return false;
         }
         self.agents[number] = entering;

@@ -149,13 +149,9 @@ impl Claims {
     /// Keeps room for an agent behind the crossing that ends at `out_m` on its path, and on the
     /// lane that it is leaving.
     fn keep_room(&mut self, graph: &RoadGraph, agent: &Agent, out_m: f64) {
-        if let Some(aside) = &agent.aside
-            && let AsideKind::Change {
-                from, from_arc_m, ..
-            } = aside.kind
-        {
+        if let (Some(aside), Some((lane, from_arc_m))) = (&agent.aside, agent.left_lane()) {
             self.rooms.push(Block {
-                lane: from,
+                lane,
                 from_m: from_arc_m - agent.half_m,
                 to_m: from_arc_m + agent.half_m + aside.rest_m(),
                 agent: agent.number,

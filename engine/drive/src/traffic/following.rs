@@ -1,7 +1,7 @@
 //! Leaders and followers on an agent's path, and its car-following response.
 
 use super::Traffic;
-use super::agent::{Agent, AsideKind};
+use super::agent::{Agent, wall_on};
 use super::idm::{BRAKING_MPS2, IdmParameters, Leader, safe_acceleration};
 use super::junction::LINE_GAP_M;
 use super::lane_order::{DEAD_END, EGO, LaneOrder, NO_LANE, behind_fork};
@@ -272,12 +272,7 @@ impl Traffic {
                 !seen.same_way
             },
         );
-        let last = self.graph.road(path[path.len() - 1]);
-        if last.successors.is_empty() && !last.leaves_map {
-            let end_m: f64 = path[here..]
-                .iter()
-                .map(|&lane| length_of(self.graph.lanes(), lane))
-                .sum();
+        if let Some(end_m) = wall_on(&self.graph, &path[here..]) {
             bounds.stop_within(end_m - LINE_M - stop_m);
             let merge_m = end_m - MERGE_ROOM_M;
             if merge_m - front_m < horizon_m + END_M {
@@ -295,11 +290,8 @@ impl Traffic {
             room_m: f64::INFINITY,
         };
         self.follow_path(agent, (&agent.path, agent.here, agent.arc_m), &mut bounds);
-        if let Some(AsideKind::Change {
-            from, from_arc_m, ..
-        }) = agent.aside.as_ref().map(|aside| &aside.kind)
-        {
-            self.follow_left_lane(agent, *from, *from_arc_m, &mut bounds);
+        if let Some((from, from_arc_m)) = agent.left_lane() {
+            self.follow_left_lane(agent, from, from_arc_m, &mut bounds);
         }
         let stop_m = agent.stop_m();
         bounds.stop_within(agent.clear_m - LINE_M - stop_m);
@@ -328,7 +320,7 @@ impl Traffic {
             bounds.stop_within(at_m - LINE_M - stop_m);
         }
         // The model alone would be late for bends: it hardly brakes where it is little too fast.
-        let too_fast_mps = (agent.speed_mps - agent.free_mps).max(0.0);
+        let too_fast_mps = agent.speed_mps - agent.free_mps;
         if too_fast_mps > 0.0 {
             let slows_mps2 = (too_fast_mps / SLOWING_S).min(idm.braking_mps2);
             bounds.acceleration_mps2 = bounds.acceleration_mps2.min(-slows_mps2);

@@ -12,7 +12,7 @@
 //! is not held as long as a standing vehicle blocks it, which may wait for the same crossing.
 
 use super::Traffic;
-use super::agent::{Agent, AsideKind, Crossing};
+use super::agent::{Agent, Crossing};
 use super::claims::each_cell;
 use super::following::{PathPlace, each_ahead};
 use super::idm::stopping_m;
@@ -288,13 +288,7 @@ impl Traffic {
     /// True if an agent that changes lanes will not have to wait for a vehicle on the lane that it
     /// is leaving. That vehicle may wait for the same crossing.
     fn can_leave_lane(&self, agent: &Agent) -> bool {
-        let Some(aside) = &agent.aside else {
-            return true;
-        };
-        let AsideKind::Change {
-            from, from_arc_m, ..
-        } = aside.kind
-        else {
+        let (Some(aside), Some((from, from_arc_m))) = (&agent.aside, agent.left_lane()) else {
             return true;
         };
         let place = PathPlace {

@@ -1,6 +1,6 @@
 //! Vehicles on each lane, sorted along it.
 
-use super::agent::{Agent, AsideKind};
+use super::agent::Agent;
 use super::ego::EgoSeen;
 use super::idm::stopping_m;
 use crate::road_graph::{RoadGraph, length_of};
@@ -106,12 +106,9 @@ impl LaneOrder {
             middle_m -= length_of(graph.lanes(), lane);
             at += 1;
         }
-        if let Some(AsideKind::Change {
-            from, from_arc_m, ..
-        }) = agent.aside.as_ref().map(|aside| &aside.kind)
-        {
+        if let Some((from, from_arc_m)) = agent.left_lane() {
             self.entries
-                .push(entry(*from, NO_LANE, *from_arc_m, LEAVING_SHARE));
+                .push(entry(from, NO_LANE, from_arc_m, LEAVING_SHARE));
         }
     }
 }

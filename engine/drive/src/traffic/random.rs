@@ -1,6 +1,6 @@
 //! Random numbers addressed by what they are for.
 
-use decouplegs_scene::random::{GOLDEN, mix};
+use decouplegs_scene::random::{self, GOLDEN, mix};
 
 /// One of `count` ways, at least one: that which agent `agent` takes where it chooses for the
 /// `choice`-th time.
@@ -10,7 +10,7 @@ pub(super) fn way(seed: u64, agent: usize, choice: u32, count: usize) -> usize {
 
 /// A number from 0 to below 1: that which agent `agent` draws for its `choice`-th choice.
 pub(super) fn unit(seed: u64, agent: usize, choice: u32) -> f64 {
-    (bits(seed, agent, choice) >> 11) as f64 / (1_u64 << 53) as f64
+    random::unit(bits(seed, agent, choice))
 }
 
 fn bits(seed: u64, agent: usize, choice: u32) -> u64 {

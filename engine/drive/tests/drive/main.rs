@@ -15,6 +15,7 @@ mod roads;
 mod route;
 mod score;
 mod traffic;
+mod traffic_borders;
 mod traffic_comfort;
 mod traffic_invariants;
 mod traffic_junctions;

@@ -33,10 +33,9 @@ pub struct Simulation {
     ego: Ego,
     traffic: Traffic,
     agent_sizes: Vec<VehicleSize>,
-    /// Heights at which the ego and then the agents stood last.
-    ground_z_m: Vec<f64>,
-    /// Agents that were on the map when they were shown last.
-    is_shown: Vec<bool>,
+    /// Heights at which the ego and then the agents stood last; `None` for agents that were not
+    /// shown since they came onto the map.
+    ground_z_m: Vec<Option<f64>>,
     substep: u32,
     /// Time and way since the ego was on the road last, seconds and meters.
     off_road: (f64, f64),
@@ -92,8 +91,9 @@ impl Simulation {
             ego: Ego::new(state, scenario.ego.size, EgoOptions::default()),
             traffic,
             agent_sizes,
-            ground_z_m: vec![start.z; scenario.agents.len() + 1],
-            is_shown: vec![false; scenario.agents.len()],
+            ground_z_m: std::iter::once(Some(start.z))
+                .chain(scenario.agents.iter().map(|_| None))
+                .collect(),
             scenario: scenario.clone(),
             site: site.clone(),
             substep: 0,
@@ -240,6 +240,10 @@ impl Simulation {
             self.ego.step(substep_s);
             self.traffic
                 .step(substep_s, Some((&seen, &self.scenario.ego.size)));
+            let heights = self.ground_z_m[1..].iter_mut();
+            for (z_m, state) in heights.zip(self.traffic.states()) {
+                *z_m = z_m.filter(|_| state.is_some());
+            }
             self.substep += 1;
             self.progress.advance(self.ego.state().position_m);
             let instant = self.instant();
@@ -293,12 +297,8 @@ impl Simulation {
         let mut placed = Vec::with_capacity(self.agent_sizes.len());
         for index in 0..self.agent_sizes.len() {
             let Some(state) = self.traffic.states()[index] else {
-                self.is_shown[index] = false;
                 continue;
             };
-            if !std::mem::replace(&mut self.is_shown[index], true) {
-                self.ground_z_m[index + 1] = self.lane_z_m(index);
-            }
             let agent = &self.scenario.agents[index];
             let (name, asset) = (agent.name.clone(), agent.asset % assets);
             let instance = AgentInstance {
@@ -318,13 +318,14 @@ impl Simulation {
         let place = self.traffic.places().nth(agent).flatten();
         place
             .and_then(|place| self.site.lanes.lanes[place.lane].centerline.first())
-            .map_or(self.ground_z_m[agent + 1], |point| point.z)
+            .map_or(0.0, |point| point.z)
     }
 
     /// Sets a vehicle on the ground, and remembers how high that is.
     fn stand(&mut self, vehicle: usize, state: VehicleState, size: VehicleSize) -> Pose {
-        let pose = self.site.pose_of(&state, &size, self.ground_z_m[vehicle]);
-        self.ground_z_m[vehicle] = pose.translation.z - 0.5 * size.height_m;
+        let near_z_m = self.ground_z_m[vehicle].unwrap_or_else(|| self.lane_z_m(vehicle - 1));
+        let pose = self.site.pose_of(&state, &size, near_z_m);
+        self.ground_z_m[vehicle] = Some(pose.translation.z - 0.5 * size.height_m);
         pose
     }
 

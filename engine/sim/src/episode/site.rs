@@ -118,8 +118,8 @@ impl Site {
                     *agent_splats * usize::from(appearance.is_some()),
                     AssetLight::Neutral,
                 );
-                let obstacles = roads::obstacles(&lanes, RoadsOptions::default().seed);
                 let Some(appearance) = appearance else {
+                    let obstacles = roads::obstacles(&lanes, RoadsOptions::default().seed);
                     return Self::bare(lanes, obstacles, cars.sizes);
                 };
                 let read = |probe: &PathBuf| read_probe(&directory.join(probe));
@@ -131,7 +131,7 @@ impl Site {
                     sky: drawn.sky,
                     ..World::of(drawn.background)
                 };
-                Self::made_up((lanes, obstacles), world, cars, appearance)
+                Self::made_up((lanes, drawn.obstacles), world, cars, appearance)
             }
             Place::Scene { scene, map } => Self::captured(
                 &directory.join(scene),

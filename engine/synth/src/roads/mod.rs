@@ -83,6 +83,8 @@ pub struct RoadsScene {
     pub origin: DVec3,
     /// Seen where splats let light through: the sky above the horizon, display-referred RGB.
     pub sky: [f32; 3],
+    /// Boxes of the houses, world coordinates: those of [`obstacles`].
+    pub obstacles: Vec<Obstacle>,
 }
 
 /// Least share of the splats that the sky has.
@@ -122,16 +124,21 @@ pub fn generate(map: &LaneMap, options: &RoadsOptions) -> RoadsScene {
         background: canvas.into_cloud(sh_degree, &place.light),
         origin,
         sky: place.light.horizon(),
+        obstacles: boxes(&place.houses, origin),
     }
 }
 
-/// Boxes of the houses that [`generate`] draws beside the roads of `map` with `seed`.
+/// Boxes of the houses that [`generate`] draws beside the roads of `map` with `seed`, for sites
+/// that are not drawn.
 #[must_use]
 pub fn obstacles(map: &LaneMap, seed: u64) -> Vec<Obstacle> {
     let (strips, origin) = strips(map);
     let index = StripIndex::new(strips);
     let relief = Relief::new(&index);
-    let houses = houses::houses(&index, &relief, seed);
+    boxes(&houses::houses(&index, &relief, seed), origin)
+}
+
+fn boxes(houses: &[houses::House], origin: DVec3) -> Vec<Obstacle> {
     houses.iter().map(|house| house.obstacle(origin)).collect()
 }
 

@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use crate::oriented_box::OrientedBox;
 
-/// Side of a square, meters: a few cells of a lane.
+/// Side of a square, meters: a few cells of a lane, or a parked car.
 const SQUARE_M: f64 = 4.0;
 
 /// Boxes by the squares that they meet.
