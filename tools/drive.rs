@@ -12,6 +12,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
 use decouplegs::asset::{AssetError, read_episode_log, read_light_transfer};
 use decouplegs::episode::{self, Appearance, Driven, ObservationRenderer, chosen, drive};
 use decouplegs::planner::{Cameras, Planner, PlannerChoice, Timeouts};
@@ -30,6 +31,13 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
 use crate::progress;
 use crate::sites::Sites;
+
+/// Traffic lights of generated scenarios.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum TrafficLights {
+    On,
+    Off,
+}
 
 /// Drive episodes in closed loop: render the cameras, ask the planner, move the ego, let traffic
 /// react. Finished episodes stay in --out; the same command resumes a stopped run
@@ -53,6 +61,9 @@ pub struct Arguments {
     /// Folder of the run; created if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Traffic lights of generated scenarios: those that the map has, or none
+    #[arg(long, value_name = "on|off", value_enum, default_value_t = TrafficLights::On, hide_possible_values = true)]
+    traffic_lights: TrafficLights,
     #[command(flatten)]
     place: jobs::PlaceArguments,
     /// Render every N-th step, or `off` for none
@@ -143,6 +154,7 @@ impl Arguments {
             "render": self.render.0,
             "size": [self.size.width_px, self.size.height_px],
             "all_cameras": self.all_cameras,
+            "traffic_lights": self.traffic_lights == TrafficLights::On,
             "light": self.light.as_ref().map(|light| light.display().to_string()),
         })
     }

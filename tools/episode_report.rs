@@ -102,6 +102,7 @@ impl Scored {
         let factor = |infraction: &Infraction| {
             let what = match infraction.kind {
                 InfractionKind::Layout => "off the road".to_owned(),
+                InfractionKind::RedLight { .. } => "red light".to_owned(),
                 InfractionKind::Obstacle { kind } => format!("collision with a {}", kind.name()),
                 InfractionKind::Collision { agent, fault } => {
                     let name = agents
@@ -197,7 +198,7 @@ fn with_interval(mean: f64, interval: Option<[f64; 2]>, digits: usize) -> String
 /// The table of the paper, a line a level.
 pub fn text(scored: &[Scored]) -> Result<String> {
     let mut text = format!(
-        "means with their 95 % confidence intervals\n{:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8}\n",
+        "means with their 95 % confidence intervals\n{:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8} {:>9}\n",
         "level",
         "episodes",
         "DS",
@@ -207,11 +208,12 @@ pub fn text(scored: &[Scored]) -> Result<String> {
         "collisions",
         "at fault",
         "static",
-        "off-road"
+        "off-road",
+        "red light"
     );
     for (level, set) in rows(&summary(scored)?) {
         text.push_str(&format!(
-            "{level:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8}\n",
+            "{level:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8} {:>9}\n",
             set.count(),
             score(&set.driving_score),
             share(&set.success),
@@ -221,6 +223,7 @@ pub fn text(scored: &[Scored]) -> Result<String> {
             set.collisions_at_fault,
             set.obstacle_collisions,
             set.layout_infractions,
+            set.red_lights,
         ));
     }
     Ok(text)
@@ -312,6 +315,7 @@ fn set_to_json(set: &SetSummary) -> Value {
         "collisions_at_fault": set.collisions_at_fault,
         "obstacle_collisions": set.obstacle_collisions,
         "layout_infractions": set.layout_infractions,
+        "red_lights": set.red_lights,
     })
 }
 
@@ -329,6 +333,10 @@ fn episode_to_json(scored: &Scored) -> Value {
         InfractionKind::Layout => {
             json!({ "time_s": infraction.time_s, "kind": "off_road", "at_fault": true })
         }
+        InfractionKind::RedLight { light } => json!({
+            "time_s": infraction.time_s, "kind": "red_light", "at_fault": true,
+            "light": scored.episode.head.scenario.lights[light].name,
+        }),
     };
     json!({
         "name": scored.name(),

@@ -131,6 +131,7 @@ fn recorded() -> Episode {
         place,
         ego,
         agents: vec![],
+        lights: vec![],
     };
     let head = EpisodeHead {
         log_version: LOG_VERSION,
@@ -140,6 +141,7 @@ fn recorded() -> Episode {
         drawn_by: None,
         route_m: straight(50.0),
         agent_sizes: vec![],
+        stop_lines: vec![],
     };
     let step = EpisodeStep {
         step: 0,

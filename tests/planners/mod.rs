@@ -7,3 +7,4 @@ mod road_course;
 mod rollouts;
 mod scene_ahead;
 mod static_world;
+mod traffic_lights;

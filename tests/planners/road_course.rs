@@ -107,6 +107,7 @@ impl Course {
             ego_size: VehicleSize::CAR,
             route_m: self.route_m.clone(),
             agents,
+            stop_lines: vec![],
         }
     }
 

@@ -66,6 +66,7 @@ pub fn privileged() -> Privileged {
         ego_size: VehicleSize::CAR,
         route_m: vec![DVec2::ZERO, DVec2::new(600.0, 0.1)],
         agents: vec![(state(20.0, std::f64::consts::FRAC_PI_3), VehicleSize::CAR)],
+        stop_lines: vec![],
     }
 }
 

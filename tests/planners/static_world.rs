@@ -77,6 +77,7 @@ fn alone(site: &Site, seed: u64) -> Scenario {
     let generator = Generator::new(&site.lanes, options, &site.asset_sizes).unwrap();
     let mut scenario = generator.scenario(Level::Easy, seed, 0).unwrap();
     scenario.agents.clear();
+    scenario.lights.clear();
     scenario.duration_s = 40.0;
     scenario
 }

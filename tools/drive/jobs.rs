@@ -11,8 +11,8 @@ use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Scenario, Weather};
 use serde_json::{Value, json};
 
-use super::Arguments;
 use super::folder::RunFolder;
+use super::{Arguments, TrafficLights};
 use crate::arguments::warn;
 use crate::progress;
 
@@ -85,6 +85,9 @@ fn made_up(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     let mut generator = Generator::new(&site.lanes, options, &site.asset_sizes)?;
     if let Some(area) = arguments.place.seen(&site) {
         generator = generator.within(area);
+    }
+    if arguments.traffic_lights == TrafficLights::Off {
+        generator = generator.without_lights();
     }
     let levels = arguments.levels();
     let bar = progress::bar("scenarios", levels.len() * arguments.episodes as usize);

@@ -67,12 +67,12 @@ fn facts(scored: &[Scored]) -> String {
 fn table(scored: &[Scored]) -> Result<String> {
     let mut html = String::from(
         "<h2>Scores</h2><div class=\"wide\"><table><tr><th>level<th>episodes<th>DS<th>SR<th>RC<th>minTTC, s<th>on course<th>TTC &lt; 1.5 s<th>collisions\
-         <th>at fault<th>static<th>off-road",
+         <th>at fault<th>static<th>off-road<th>red light",
     );
     for (level, set) in rows(&summary(scored)?) {
         let _ = write!(
             html,
-            "<tr><td>{level}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{:.1} %<td>{}<td>{}<td>{}<td>{}",
+            "<tr><td>{level}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{:.1} %<td>{}<td>{}<td>{}<td>{}<td>{}",
             set.count(),
             score(&set.driving_score),
             share(&set.success),
@@ -84,12 +84,13 @@ fn table(scored: &[Scored]) -> Result<String> {
             set.collisions_at_fault,
             set.obstacle_collisions,
             set.layout_infractions,
+            set.red_lights,
         );
     }
     html.push_str(
         "</table></div><p class=\"dim\">Mean over episodes and its 95 % confidence interval. RC, route completion: share of the route that was \
-         driven. DS, driving score: RC times 0.60 for a collision at fault, 0.65 for one with something static and 0.65 for each time the ego \
-         left the road. SR, success rate: share of episodes that came to the end of the route without any of them, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
+         driven. DS, driving score: RC times 0.60 for a collision at fault, 0.65 for one with something static, 0.65 for each time the ego \
+         left the road and 0.70 for each red light that it ran. SR, success rate: share of episodes that came to the end of the route without any of them, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
          velocities, within 10 s, over the episodes that were on course for a collision at all, whose number is beside it.</p>",
     );
     Ok(html)

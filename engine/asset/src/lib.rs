@@ -12,6 +12,7 @@ mod ply;
 mod read;
 mod summary;
 mod toml_text;
+mod traffic_light_form;
 mod xml;
 
 pub mod cameras;

@@ -17,7 +17,7 @@ fn main() {
                 centerline,
                 ..Lane::default()
             }],
-            offset: DVec3::ZERO,
+            ..LaneMap::default()
         };
         let point = |at: u32| TrackPoint {
             time_s: 0.01 * f64::from(at),

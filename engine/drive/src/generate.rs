@@ -15,8 +15,10 @@
 mod behaviors;
 mod ego_start;
 mod light;
+mod lights;
 mod placement;
 mod random;
+mod reference;
 mod roads;
 mod rules;
 mod safe_speed;
@@ -50,6 +52,7 @@ const STREET_RADIUS_M: f64 = 105.0;
 const FOR_LIGHT: u64 = 0;
 const FOR_TRAFFIC: u64 = 1;
 const FOR_TRIES: u64 = 2;
+const FOR_LIGHTS: u64 = 3;
 
 /// Reason why no scenario can be generated.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -97,6 +100,7 @@ pub struct Generator<'a> {
     place: PlaceOptions,
     area: Option<Area>,
     assets: Vec<VehicleSize>,
+    has_lights: bool,
 }
 
 impl<'a> Generator<'a> {
@@ -139,6 +143,7 @@ impl<'a> Generator<'a> {
             place,
             area,
             assets: assets.to_vec(),
+            has_lights: true,
         })
     }
 
@@ -149,6 +154,14 @@ impl<'a> Generator<'a> {
             area: Some(area),
             ..self
         }
+    }
+
+    /// The same without the traffic lights of the map.
+    #[must_use]
+    pub fn without_lights(mut self) -> Self {
+        self.has_lights = false;
+        self.roads.ignore_lights();
+        self
     }
 
     /// Scenario `index` of `level`, called for instance `hard_0007`.
@@ -188,14 +201,27 @@ impl<'a> Generator<'a> {
             if !self.begins_as_told(&agents, traffic_seed) {
                 continue;
             }
+            let lights = match self.has_lights {
+                true => lights::programs(
+                    self.roads.map,
+                    &self.roads.graph,
+                    &mut stream.of(FOR_LIGHTS),
+                ),
+                false => Vec::new(),
+            };
             return Ok(Scenario {
                 name,
                 level: Some(level),
                 seed: traffic_seed,
-                duration_s: Scenario::DURATION_S,
+                duration_s: rules.time.budget_s(reference::with_lights(
+                    &self.roads,
+                    &start,
+                    &lights,
+                )),
                 step_s: Scenario::STEP_S,
                 place: self.place.lit_for(level, &mut stream.of(FOR_LIGHT)),
                 agents,
+                lights,
                 ego: EgoTask {
                     speed_mps: vehicles[0].speed_mps,
                     ..start.task

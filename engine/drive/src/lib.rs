@@ -11,6 +11,7 @@ pub mod generate;
 mod grid;
 pub mod ground;
 pub mod lane_index;
+pub mod lights;
 pub mod obstacles;
 pub mod occupancy;
 pub mod oriented_box;

@@ -29,6 +29,9 @@ pub struct RoadSurface {
 }
 
 impl RoadSurface {
+    /// A wheel may be so far beyond the borders of the lanes, meters: markings are as wide.
+    pub const SLACK_M: f64 = 0.15;
+
     /// The surface of `map`. Where a border is missing, the lane reaches 1.75 m from its
     /// centerline; lanes without a line have no area.
     #[must_use]

@@ -29,6 +29,8 @@ pub use time_to_collision::{Closest, TTC_HORIZON_S, TTC_SHORT_S};
 pub const COLLISION_FACTOR: f64 = 0.60;
 /// Factor on the driving score for a collision with something static, as in CARLA's leaderboard.
 pub const OBSTACLE_FACTOR: f64 = 0.65;
+/// Factor on the driving score for each red light that the ego runs, as in CARLA's leaderboard.
+pub const RED_LIGHT_FACTOR: f64 = 0.70;
 /// Factor on the driving score for each time the ego leaves the road.
 pub const LAYOUT_FACTOR: f64 = 0.65;
 
@@ -42,8 +44,8 @@ pub struct EpisodeScore {
     /// Share of the route that was driven, 0 to 1; 1 exactly where the episode ended with the route
     /// done.
     pub route_completion: f64,
-    /// [`Self::route_completion`] times [`COLLISION_FACTOR`], [`OBSTACLE_FACTOR`] or
-    /// [`LAYOUT_FACTOR`] for each infraction.
+    /// [`Self::route_completion`] times [`COLLISION_FACTOR`], [`OBSTACLE_FACTOR`],
+    /// [`LAYOUT_FACTOR`] or [`RED_LIGHT_FACTOR`] for each infraction.
     pub driving_score: f64,
     /// True if the route was completed without an infraction of the ego.
     pub success: bool,
@@ -106,6 +108,12 @@ impl EpisodeScore {
     #[must_use]
     pub fn layout_infractions(&self) -> usize {
         self.count(|kind| *kind == InfractionKind::Layout)
+    }
+
+    /// Red lights that the ego ran.
+    #[must_use]
+    pub fn red_lights(&self) -> usize {
+        self.count(|kind| matches!(kind, InfractionKind::RedLight { .. }))
     }
 
     fn count(&self, counts: impl Fn(&InfractionKind) -> bool) -> usize {

@@ -25,6 +25,7 @@ mod lane_change;
 mod lane_order;
 pub mod mobil;
 mod random;
+mod signals;
 mod start;
 
 use std::sync::Arc;
@@ -33,6 +34,7 @@ use decouplegs_scene::scenario::{Behavior, Scenario};
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
+use crate::lights::TrafficLights;
 use crate::obstacles::Obstacles;
 use crate::road_graph::RoadGraph;
 use agent::{Agent, AsideKind};
@@ -63,6 +65,7 @@ pub struct Traffic {
     order: LaneOrder,
     claims: Claims,
     obstacles: Arc<Obstacles>,
+    lights: Arc<TrafficLights>,
     /// Waiting times at crossings, and accelerations of all agents: scratch buffers.
     waiting: Vec<u32>,
     accelerations: Vec<(f64, bool)>,
@@ -77,6 +80,13 @@ impl Traffic {
     #[must_use]
     pub fn among(mut self, obstacles: Arc<Obstacles>) -> Self {
         self.obstacles = obstacles;
+        self
+    }
+
+    /// The same traffic, which obeys traffic lights. Their lanes are those of its graph.
+    #[must_use]
+    pub fn with_lights(mut self, lights: Arc<TrafficLights>) -> Self {
+        self.lights = lights;
         self
     }
 

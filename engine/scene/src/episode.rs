@@ -34,6 +34,41 @@ pub struct DrawnBy {
 /// Version of logs that this program writes. Vehicles of other versions moved by other rules.
 pub const LOG_VERSION: u32 = 2;
 
+/// Stop line of a traffic light on the plane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StopLineRecord {
+    /// Index of the light in the scenario.
+    pub light: usize,
+    /// Right and left end in driving direction, world coordinates, meters.
+    pub ends_m: [DVec2; 2],
+}
+
+impl StopLineRecord {
+    /// Middle of the line.
+    #[must_use]
+    pub fn middle_m(&self) -> DVec2 {
+        0.5 * (self.ends_m[0] + self.ends_m[1])
+    }
+
+    /// Unit vector of the driving direction.
+    #[must_use]
+    pub fn ahead(&self) -> DVec2 {
+        -(self.ends_m[1] - self.ends_m[0]).perp().normalize_or_zero()
+    }
+
+    /// Distance from the line in driving direction, negative before it, and true where a point is
+    /// between the ends, sideways.
+    #[must_use]
+    pub fn locate(&self, at_m: DVec2) -> (f64, bool) {
+        let along = self.ends_m[1] - self.ends_m[0];
+        let share = (at_m - self.ends_m[0]).dot(along) / along.length_squared();
+        (
+            (at_m - self.ends_m[0]).dot(self.ahead()),
+            (0.0..=1.0).contains(&share),
+        )
+    }
+}
+
 /// Data of an episode that is known before it begins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpisodeHead {
@@ -51,6 +86,8 @@ pub struct EpisodeHead {
     pub route_m: Vec<DVec2>,
     /// Boxes of the agents, in the order of their states.
     pub agent_sizes: Vec<VehicleSize>,
+    /// Stop lines of the scenario's traffic lights.
+    pub stop_lines: Vec<StopLineRecord>,
 }
 
 /// The bits of an image.

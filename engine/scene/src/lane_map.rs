@@ -1,6 +1,9 @@
 //! Lanes: where vehicles drive, as every map format is read into.
 
+use std::collections::HashSet;
+
 use crate::Invalid;
+use crate::traffic_light::TrafficLight;
 use glam::DVec3;
 
 /// Purpose of a lane.
@@ -83,6 +86,8 @@ pub struct LaneMap {
     /// Offset that was added to the file's coordinates: zero if these are the file's own. Latitude
     /// and longitude have none, as they are projected.
     pub offset: DVec3,
+    /// Traffic lights; without phases where the file tells none.
+    pub lights: Vec<TrafficLight>,
 }
 
 impl LaneMap {
@@ -116,6 +121,19 @@ impl LaneMap {
                 return Err(Invalid::new(format!(
                     "lane {id}: names lane number {link} of {}",
                     self.lanes.len()
+                )));
+            }
+        }
+        if self.lights.is_empty() {
+            return Ok(());
+        }
+        let ids: HashSet<&str> = self.lanes.iter().map(|lane| lane.id.as_str()).collect();
+        for light in &self.lights {
+            let mut lines = light.stop_lines.iter();
+            if let Some(line) = lines.find(|line| !ids.contains(line.lane.as_str())) {
+                return Err(Invalid::new(format!(
+                    "traffic light {}: a stop line on lane {}; expected a lane of the map",
+                    light.name, line.lane
                 )));
             }
         }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::traffic_light::TrafficLight;
 use crate::vehicle::VehicleSize;
 
 /// Difficulty of a scenario, as in the paper (supplement, "Definition of Evaluation Scenarios").
@@ -250,6 +251,8 @@ pub struct Scenario {
     pub ego: EgoTask,
     /// Other vehicles.
     pub agents: Vec<TrafficAgent>,
+    /// Traffic lights that all vehicles are to obey.
+    pub lights: Vec<TrafficLight>,
 }
 
 impl Scenario {

@@ -64,6 +64,8 @@ pub struct AgentInstance {
     pub sh_frame: Option<ShFrame>,
     /// Instance id, above zero.
     pub instance: u16,
+    /// True if it shines by itself: it keeps its colors in any light and throws no shadow.
+    pub shines: bool,
 }
 
 /// All that moves in a scene, at one instant.
@@ -193,6 +195,7 @@ impl LiveScene {
             pose: pose_of(agent),
             sh_frame: Some(agent.sh_frame),
             instance: agent.instance,
+            shines: false,
         };
         self.placed(&self.agents.iter().map(placed).collect::<Vec<_>>())
     }
@@ -215,17 +218,22 @@ impl LiveScene {
                 sh_frame(placed),
             )
         };
+        let matt = || placed.iter().filter(|placed| !placed.shines);
         let lit = self
             .lighting
             .as_ref()
-            .map(|lighting| lighting.of_agents(&placed.iter().map(to_light).collect::<Vec<_>>()));
-        let agent = |(index, placed): (usize, &AgentInstance)| Agent {
+            .map(|lighting| lighting.of_agents(&matt().map(to_light).collect::<Vec<_>>()));
+        let mut relights = lit.iter().flatten().map(|lit| lit.relight);
+        let agent = |placed: &AgentInstance| Agent {
             sh_frame: Some(sh_frame(placed)),
-            relight: lit.as_ref().and_then(|lit| lit[index].relight),
+            relight: match placed.shines {
+                true => None,
+                false => relights.next().flatten(),
+            },
             ..Agent::new(self.assets[placed.asset].id, placed.pose, placed.instance)
         };
         SceneSnapshot {
-            agents: placed.iter().enumerate().map(agent).collect(),
+            agents: placed.iter().map(agent).collect(),
             shadows: lit.iter().flatten().filter_map(|lit| lit.shadow).collect(),
             unlit: lit.iter().flatten().filter(|lit| !lit.known).count(),
         }

@@ -41,6 +41,7 @@ impl World {
                 pose: agent.trajectory.at(0.0),
                 sh_frame: Some(agent.sh_frame),
                 instance: agent.instance,
+                shines: false,
             },
         };
         Self {
@@ -112,6 +113,7 @@ impl World {
                     pose,
                     sh_frame,
                     instance: placed.instance,
+                    shines: false,
                 };
                 return Ok(placed.instance);
             }
@@ -126,6 +128,7 @@ impl World {
                 pose,
                 sh_frame,
                 instance,
+                shines: false,
             },
         });
         Ok(instance)

@@ -1,7 +1,7 @@
 //! Records as JSON: what serde sees, and what of an [`Episode`](decouplegs_scene::Episode) it
 //! stands for.
 
-use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord};
+use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord, StopLineRecord};
 use decouplegs_scene::{
     EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint, VehicleSize,
     VehicleState,
@@ -37,6 +37,9 @@ pub(super) struct HeadForm {
     drawn_by: Option<DrawnByForm>,
     route_m: Vec<[f64; 2]>,
     agent_sizes_m: Vec<[f64; 3]>,
+    /// Index of the light, right end, left end.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    stop_lines: Vec<(usize, [f64; 2], [f64; 2])>,
     start: InstantForm,
 }
 
@@ -184,6 +187,7 @@ impl HeadForm {
             drawn_by,
             route_m,
             agent_sizes,
+            stop_lines,
         } = head;
         let PlannerRecord {
             name,
@@ -217,6 +221,13 @@ impl HeadForm {
             drawn_by,
             route_m: route_m.iter().map(DVec2::to_array).collect(),
             agent_sizes_m: agent_sizes.iter().map(|size| size.to_array()).collect(),
+            stop_lines: stop_lines
+                .iter()
+                .map(|line| {
+                    let [right_m, left_m] = line.ends_m.map(|end_m| end_m.to_array());
+                    (line.light, right_m, left_m)
+                })
+                .collect(),
             start: instant_form(start),
         })
     }
@@ -259,6 +270,14 @@ impl HeadForm {
                 .agent_sizes_m
                 .into_iter()
                 .map(VehicleSize::from_array)
+                .collect(),
+            stop_lines: self
+                .stop_lines
+                .into_iter()
+                .map(|(light, right_m, left_m)| StopLineRecord {
+                    light,
+                    ends_m: [right_m, left_m].map(DVec2::from_array),
+                })
                 .collect(),
         };
         Ok((head, instant(self.start)))

@@ -35,6 +35,16 @@ impl Sequence {
                 head.scenario.agents.len()
             ));
         }
+        let lights = head.scenario.lights.len();
+        for line in &head.stop_lines {
+            let length_m = line.ends_m[0].distance(line.ends_m[1]);
+            if line.light >= lights || !(1e-3..1e3).contains(&length_m) {
+                return Err(format!(
+                    "a stop line of light {}, {length_m} m long; expected one of {lights} lights and 0.001 to 1000 m",
+                    line.light
+                ));
+            }
+        }
         let sequence = Self {
             agents,
             next_step: 0,

@@ -9,6 +9,10 @@
 //! ]}
 //! ```
 //!
+//! Beside `lanes` a file may have `lights`, the traffic lights: each has a `name`, `stop_lines` as
+//! pairs of lane and meters along it, and, where they are known, `phases` as pairs of color (green,
+//! yellow, red) and seconds, and `offset_s`, its position in the cycle at time 0.
+//!
 //! A lane needs its id, a text or a whole number, and its centerline, world coordinates in meters
 //! in driving direction. Points of two numbers have no height: where a lane has one, or says
 //! `"has_height": false`, its z is 0. `kind` is one of [`LaneKind::by_name`]'s, driving where
@@ -20,12 +24,13 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use decouplegs_scene::{Invalid, Lane, LaneKind, LaneMap};
+use decouplegs_scene::{Invalid, Lane, LaneKind, LaneMap, TrafficLight};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::links::{Places, join};
 use super::polyline::cleaned;
+use crate::traffic_light_form::{self, Fault, LIGHTS_MAX, LightForm};
 use crate::xml::excerpt;
 use crate::{AssetError, DecodeError, write_atomically};
 
@@ -38,6 +43,8 @@ struct File {
     version: Option<u32>,
     offset: Option<[f64; 3]>,
     lanes: Vec<LaneForm>,
+    #[serde(default)]
+    lights: Vec<LightForm>,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -138,7 +145,32 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         (lanes[at].left_neighbor, lanes[at].right_neighbor) = (left, right);
         next.into_iter().for_each(|next| join(&mut lanes, at, next));
     }
-    super::finished(lanes, DVec3::from_array(file.offset.unwrap_or_default()))
+    let mut map = super::finished(lanes, DVec3::from_array(file.offset.unwrap_or_default()))?;
+    map.lights = lights(&file.lights)?;
+    map.check()
+        .map_err(|error| DecodeError::Malformed(error.into()))?;
+    Ok(map)
+}
+
+fn lights(forms: &[LightForm]) -> Result<Vec<TrafficLight>, DecodeError> {
+    if forms.len() > LIGHTS_MAX {
+        return Err(DecodeError::Malformed(format!(
+            "{} traffic lights; expected at most {LIGHTS_MAX}",
+            forms.len()
+        )));
+    }
+    let light = |form: &LightForm| {
+        let light = form.light()?;
+        traffic_light_form::check(&light, true)?;
+        Ok(light)
+    };
+    let refused = |(at, fault): (usize, Fault)| {
+        DecodeError::Malformed(format!("lights[{at}].{}: {}", fault.field, fault.reason))
+    };
+    let forms = forms.iter().enumerate();
+    forms
+        .map(|(at, form)| light(form).map_err(|fault| refused((at, fault))))
+        .collect()
 }
 
 impl LaneForm {
@@ -228,8 +260,14 @@ pub fn encode(map: &LaneMap) -> Result<Vec<u8>, Invalid> {
         .map_err(|error| error.to_string())?;
     let offset =
         serde_json::to_string(&map.offset.to_array()).map_err(|error| error.to_string())?;
+    let light = |light: &TrafficLight| serde_json::to_string(&LightForm::of(light));
+    let lights = map.lights.iter().map(light).collect::<Result<Vec<_>, _>>();
+    let lights = match lights.map_err(|error| error.to_string())? {
+        lights if lights.is_empty() => String::new(),
+        lights => format!(", \"lights\": [\n{}\n]", lights.join(",\n")),
+    };
     Ok(format!(
-        "{{\"version\": {VERSION}, \"offset\": {offset}, \"lanes\": [\n{}\n]}}\n",
+        "{{\"version\": {VERSION}, \"offset\": {offset}, \"lanes\": [\n{}\n]{lights}}}\n",
         lanes.join(",\n")
     )
     .into_bytes())

@@ -9,7 +9,10 @@
 //! it ends; neighbors share a way and its direction. A lanelet for both directions (`one_way` = no)
 //! is read in that of its file alone.
 //!
-//! Not read: areas, regulatory elements, speed limits other than the tag `speed_limit`.
+//! Of regulatory elements, traffic lights are read (`lights`). Not read: areas, other regulatory
+//! elements, speed limits other than the tag `speed_limit`.
+
+mod lights;
 
 use std::collections::HashMap;
 
@@ -47,7 +50,11 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     let mut lanes = lanes.collect::<Result<Vec<_>, _>>()?;
     Places::of(&lanes)?;
     connect(&sides, &mut lanes);
-    super::finished(lanes, DVec3::ZERO)
+    let lights = lights::lights(&file, plane, &lanes, &mut budget)?;
+    Ok(LaneMap {
+        lights,
+        ..super::finished(lanes, DVec3::ZERO)?
+    })
 }
 
 /// Position of a node as given in the file.
@@ -63,6 +70,8 @@ struct File<'a> {
     /// Nodes of each way.
     ways: HashMap<&'a str, Vec<&'a str>>,
     lanelets: Vec<Lanelet<'a>>,
+    /// Relations that are traffic lights.
+    lights: Vec<Element<'a>>,
 }
 
 /// Rule by which nodes become points.
@@ -105,6 +114,7 @@ impl<'a> File<'a> {
             nodes: HashMap::new(),
             ways: HashMap::new(),
             lanelets: Vec::new(),
+            lights: Vec::new(),
         };
         // JOSM keeps what was deleted until it is uploaded.
         for element in root
@@ -126,6 +136,7 @@ impl<'a> File<'a> {
                 "relation" if tag(element, "type") == Some("lanelet") => {
                     file.lanelets.push(Lanelet::read(element)?);
                 }
+                "relation" if lights::is_light(element) => file.lights.push(element),
                 _ => {}
             }
         }

@@ -151,7 +151,11 @@ fn finished(mut lanes: Vec<Lane>, offset: DVec3) -> Result<LaneMap, DecodeError>
     for lane in &mut lanes {
         lane.speed_limit_mps = lane.speed_limit_mps.filter(|speed_mps| *speed_mps > 0.0);
     }
-    let map = LaneMap { lanes, offset };
+    let map = LaneMap {
+        lanes,
+        offset,
+        lights: Vec::new(),
+    };
     map.check()
         .map_err(|error| DecodeError::Malformed(error.into()))?;
     for lane in &map.lanes {

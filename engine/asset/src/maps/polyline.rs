@@ -122,6 +122,23 @@ pub(super) fn halfway(points: &[DVec3]) -> DVec3 {
     Walk::default().at(points, &shares(points), 0.5)
 }
 
+/// The place on a line that is nearest to `point` on the plane, meters along the line.
+pub(super) fn foot_m(line: &[DVec3], point: DVec3) -> f64 {
+    let (mut nearest_m, mut found_m, mut start_m) = (f64::INFINITY, 0.0, 0.0);
+    for pair in line.windows(2) {
+        let along = (pair[1] - pair[0]).truncate();
+        let length_m = along.length();
+        let to_point = (point - pair[0]).truncate();
+        let at_m = to_point.dot(along.normalize_or_zero()).clamp(0.0, length_m);
+        let distance_m = to_point.distance(along.normalize_or_zero() * at_m);
+        if distance_m < nearest_m {
+            (nearest_m, found_m) = (distance_m, start_m + at_m);
+        }
+        start_m += length_m;
+    }
+    found_m
+}
+
 /// True if `point` is to the left of a line, seen from above.
 ///
 /// Told by the nearest segment; where the nearest is the point between two of them, by both.

@@ -6,7 +6,9 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 
 use decouplegs_scene::scenario::{Behavior, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
-use decouplegs_scene::{Scenario, VehicleSize};
+use decouplegs_scene::{Scenario, TrafficLight, VehicleSize};
+
+use crate::traffic_light_form::{self, LIGHTS_MAX};
 
 /// Most agents of a scenario.
 pub const AGENTS_MAX: usize = 10_000;
@@ -53,6 +55,7 @@ pub(super) enum Table {
     Top,
     Place,
     Ego,
+    Light(usize),
     Agent(usize),
     Behavior(usize, usize),
 }
@@ -63,6 +66,7 @@ impl fmt::Display for Table {
             Self::Top => Ok(()),
             Self::Place => formatter.write_str("place"),
             Self::Ego => formatter.write_str("ego"),
+            Self::Light(light) => write!(formatter, "light[{light}]"),
             Self::Agent(agent) => write!(formatter, "agent[{agent}]"),
             Self::Behavior(agent, behavior) => {
                 write!(formatter, "agent[{agent}].behavior[{behavior}]")
@@ -129,6 +133,24 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
         }
         for (at, behavior) in agent.behaviors.iter().enumerate() {
             check_behavior(Table::Behavior(index, at), behavior)?;
+        }
+    }
+    check_lights(&scenario.lights)
+}
+
+fn check_lights(lights: &[TrafficLight]) -> Result<(), Fault> {
+    let at = Table::Light;
+    if lights.len() > LIGHTS_MAX {
+        let reason = format!("{} lights; expected at most {LIGHTS_MAX}", lights.len());
+        return Err(Fault::new(at(LIGHTS_MAX), "name", reason));
+    }
+    let mut names = HashSet::new();
+    for (index, light) in lights.iter().enumerate() {
+        traffic_light_form::check(light, false)
+            .map_err(|fault| Fault::new(at(index), fault.field, fault.reason))?;
+        if !names.insert(light.name.as_str()) {
+            let reason = format!("'{}' is taken; names must differ", light.name);
+            return Err(Fault::new(at(index), "name", reason));
         }
     }
     Ok(())

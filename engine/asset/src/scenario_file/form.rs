@@ -12,6 +12,7 @@ use super::check::{Fault, Table, check};
 use super::seed::Seed;
 use crate::SceneError;
 use crate::toml_text::{Checker, syntax_error};
+use crate::traffic_light_form::LightForm;
 
 /// Tables keep their place in the text so that a complaint can name its line.
 #[derive(Deserialize, Serialize)]
@@ -30,6 +31,8 @@ pub(super) struct ScenarioForm {
     pub(super) ego: Spanned<EgoForm>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) agent: Vec<Spanned<AgentForm>>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) light: Vec<Spanned<LightForm>>,
 }
 
 fn default_duration_s() -> f64 {
@@ -147,6 +150,7 @@ pub(super) fn parse(text: &str) -> Result<Scenario, SceneError> {
                 PlaceForm::Scene(scene) => scene.span(),
             },
             Table::Ego => form.ego.span(),
+            Table::Light(light) => form.light[light].span(),
             Table::Agent(agent) => form.agent[agent].span(),
             Table::Behavior(agent, behavior) => {
                 form.agent[agent].get_ref().behavior[behavior].span()
@@ -189,6 +193,15 @@ fn scenario(form: &ScenarioForm) -> Result<Scenario, Fault> {
             .iter()
             .enumerate()
             .map(|(at, form)| agent(at, form.get_ref()))
+            .collect::<Result<_, _>>()?,
+        lights: form
+            .light
+            .iter()
+            .enumerate()
+            .map(|(at, form)| {
+                let light = form.get_ref().light();
+                light.map_err(|fault| Fault::new(Table::Light(at), fault.field, fault.reason))
+            })
             .collect::<Result<_, _>>()?,
     })
 }

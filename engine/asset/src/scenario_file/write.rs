@@ -13,6 +13,7 @@ use super::form::{
 };
 use super::seed::Seed;
 use crate::EncodeError;
+use crate::traffic_light_form::LightForm;
 
 /// Comment at the top of a scenario file, for people who edit it.
 const HEADING: &str = "\
@@ -39,6 +40,11 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
             .agents
             .iter()
             .map(|agent| spanless(agent_form(agent)))
+            .collect(),
+        light: scenario
+            .lights
+            .iter()
+            .map(|light| spanless(LightForm::of(light)))
             .collect(),
     };
     let body = toml::to_string(&form).map_err(|error| EncodeError(error.to_string()))?;

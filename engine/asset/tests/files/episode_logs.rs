@@ -4,7 +4,7 @@ mod writing;
 
 use decouplegs_asset::episode_log::{VERSION, decode, encode};
 use decouplegs_asset::{EpisodeLog, read_episode_log};
-use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord};
+use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord, StopLineRecord};
 use decouplegs_scene::{
     Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint,
     Scenario, VehicleSize, VehicleState,
@@ -94,6 +94,11 @@ fn heads() -> impl Strategy<Value = EpisodeHead> {
         route,
     )
         .prop_map(|(scenario, version, planner, drawn_by, route_m)| {
+            let line = |light| StopLineRecord {
+                light,
+                ends_m: [DVec2::new(1.0 / 3.0, -4.0), DVec2::new(2.0, 1e-7)],
+            };
+            let stop_lines = (0..scenario.lights.len()).map(line).collect();
             let agent_sizes = scenario.agents.iter().map(|agent| agent.size).collect();
             EpisodeHead {
                 log_version: VERSION,
@@ -103,6 +108,7 @@ fn heads() -> impl Strategy<Value = EpisodeHead> {
                 drawn_by,
                 route_m,
                 agent_sizes,
+                stop_lines,
             }
         })
 }
@@ -225,6 +231,7 @@ fn small() -> Episode {
             log_version: VERSION,
             version: "0.1.0".into(),
             agent_sizes: vec![VehicleSize::CAR],
+            stop_lines: vec![],
             scenario,
             planner,
             drawn_by: Some(drawn_by),

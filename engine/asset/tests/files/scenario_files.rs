@@ -428,3 +428,53 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn lights_are_read_and_faults_name_their_place() {
+    let bare = "version = 1\nname = \"a\"\nseed = 1\n[place.street]\nweather = \"clear\"\nbackground = 9\nagent_splats = 8\n\
+        seed = 1\n[ego]\nroute = [\"1\"]\nstart_m = 0\nend_m = 9\nspeed_mps = 1\ncruise_mps = 2\n";
+    let light = "[[light]]\nname = \"main\"\nstop_lines = [[\"1\", 3.5]]\nphases = [[\"green\", 8], [\"red\", 9.5]]\n";
+    let read = |lights: &str| scenario_file::parse(&format!("{bare}{lights}"));
+    let lights = read(light).unwrap().lights;
+    assert_eq!((lights[0].cycle_s(), lights[0].offset_s), (17.5, 0.0));
+    assert_eq!(
+        (
+            lights[0].stop_lines[0].lane.as_str(),
+            lights[0].stop_lines[0].at_m
+        ),
+        ("1", 3.5)
+    );
+    let told = |from: &str, to: &str| read(&light.replace(from, to)).unwrap_err().to_string();
+    let twice = read(&format!("{light}{light}")).unwrap_err().to_string();
+    for (error, parts) in [
+        (
+            told("\"red\"", "\"pink\""),
+            [
+                "light[0].phases",
+                "'pink' is unknown; there are green, yellow, red",
+            ],
+        ),
+        (
+            told("9.5", "0.0"),
+            ["light[0].phases", "0 s; expected 0.1 to 3600"],
+        ),
+        (
+            told("3.5", "-1.0"),
+            ["light[0].stop_lines", "a line -1 m along"],
+        ),
+        (
+            told("[[\"1\", 3.5]]", "[]"),
+            ["light[0].stop_lines", "0 of them; expected 1 to 1000"],
+        ),
+        (
+            told(
+                "phases = [[\"green\", 8], [\"red\", 9.5]]",
+                "offset_s = inf",
+            ),
+            ["light[0].phases", "0 of them"],
+        ),
+        (twice, ["light[1].name", "'main' is taken"]),
+    ] {
+        assert!(parts.iter().all(|part| error.contains(part)), "{error}");
+    }
+}

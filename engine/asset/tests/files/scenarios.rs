@@ -3,7 +3,9 @@
 use decouplegs_scene::scenario::{
     Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger,
 };
-use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
+use decouplegs_scene::{
+    Level, LightColor, LightPhase, Scenario, StopLine, TrafficLight, VehicleSize, Weather,
+};
 use proptest::prelude::*;
 use proptest::sample::select;
 
@@ -136,8 +138,8 @@ pub fn scenarios() -> impl Strategy<Value = Scenario> {
         any::<u64>(),
         times,
     );
-    (head, places(), egos(), agents()).prop_map(
-        |((name, level, seed, (duration_s, step_s)), place, ego, agents)| Scenario {
+    (head, places(), egos(), agents(), lights()).prop_map(
+        |((name, level, seed, (duration_s, step_s)), place, ego, agents, lights)| Scenario {
             name,
             level,
             seed,
@@ -146,6 +148,27 @@ pub fn scenarios() -> impl Strategy<Value = Scenario> {
             place,
             ego,
             agents,
+            lights,
         },
     )
+}
+
+fn lights() -> impl Strategy<Value = Vec<TrafficLight>> {
+    let line = ("\\PC{1,9}", 0.0f64..=1e6).prop_map(|(lane, at_m)| StopLine { lane, at_m });
+    let phase = (select(LightColor::ALL.to_vec()), 0.1f64..=3600.0)
+        .prop_map(|(color, duration_s)| LightPhase { color, duration_s });
+    let light = (
+        prop::collection::vec(line, 1..4),
+        prop::collection::vec(phase, 1..4),
+        -1e6f64..=1e6,
+    );
+    prop::collection::vec(light, 0..3).prop_map(|lights| {
+        let light = |(at, (stop_lines, phases, offset_s))| TrafficLight {
+            name: format!("light {at}"),
+            stop_lines,
+            phases,
+            offset_s,
+        };
+        lights.into_iter().enumerate().map(light).collect()
+    })
 }

@@ -11,6 +11,16 @@ use super::{ids, lane, seed};
 #[test]
 fn lanelets_are_turned_joined_and_projected() {
     let map = lanelet2::decode(&seed("lanelet2/two.osm")).unwrap();
+    // The stop line lies 3.7 m before the end of the first lanelet, and before the second.
+    let lines = &map.lights[0].stop_lines;
+    let length_m = decouplegs_asset::maps::length_m(&lane(&map, "21").centerline);
+    assert!(map.lights.len() == 1 && map.lights[0].phases.is_empty());
+    assert_eq!(
+        (lines[0].lane.as_str(), lines[1].lane.as_str()),
+        ("21", "22")
+    );
+    assert!((lines[0].at_m - 0.875 * length_m).abs() < 0.05, "{lines:?}");
+    assert_eq!(lines[1].at_m, 0.0);
     assert_eq!(
         map.lanes
             .iter()
@@ -254,6 +264,14 @@ fn lane_json_is_read_and_written() {
         (two.left_neighbor, c.right_neighbor, two.speed_limit_mps),
         (Some(2), Some(1), Some(13.9))
     );
+    let [main, untold] = &map.lights[..] else {
+        panic!("{:?}", map.lights);
+    };
+    assert_eq!(
+        (main.cycle_s(), main.offset_s, main.stop_lines[1].at_m),
+        (34.0, 4.5, 40.0)
+    );
+    assert!(untold.phases.is_empty());
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("lanes.json");
     lane_json::write(&path, &map).unwrap();
@@ -300,6 +318,14 @@ fn lane_json_is_read_and_written() {
             r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]]}, {"id": "1", "centerline": [[0, 0], [1, 1]]}]}"#,
             "two lanes have the id 1",
         ),
+        (
+            r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]]}], "lights": [{"name": "a", "stop_lines": [["2", 1]]}]}"#,
+            "traffic light a: a stop line on lane 2; expected a lane of the map",
+        ),
+        (
+            r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]]}], "lights": [{"name": "a", "stop_lines": []}]}"#,
+            "lights[0].stop_lines: 0 of them",
+        ),
     ] {
         let error = lane_json::decode(text.as_bytes()).unwrap_err().to_string();
         assert!(error.contains(part), "{text}: {error}");
@@ -313,7 +339,7 @@ fn lane_json_is_read_and_written() {
         &path,
         &LaneMap {
             lanes: vec![endless],
-            offset: DVec3::ZERO,
+            ..LaneMap::default()
         },
     )
     .unwrap_err()

@@ -10,6 +10,10 @@ use super::random::Stream;
 use super::rules::{LevelRequirements, NEAR_M};
 use super::to_tenth;
 
+/// Time at which a vehicle ahead brakes, seconds, or the share of its distance at the start at
+/// which the ego makes it brake: before an ego that keeps its speed has reached it.
+const BRAKE_S: (f64, f64) = (0.5, 3.0);
+const BRAKE_NEAR: (f64, f64) = (0.7, 0.9);
 /// A standing vehicle cannot swerve, m/s.
 const SWERVE_MPS_MIN: f64 = 2.0;
 /// Distance to the ego at which a vehicle ahead on the same route swerves, meters: the ego can
@@ -98,11 +102,11 @@ fn cut_in(random: &mut Stream) -> Behavior {
 fn brake(deceleration_mps2: (f64, f64), distance_m: f64, random: &mut Stream) -> Behavior {
     let trigger = if random.chance(0.5) {
         Trigger::Time {
-            time_s: to_tenth(random.between((2.0, 6.0))),
+            time_s: to_tenth(random.between(BRAKE_S)),
         }
     } else {
         Trigger::NearEgo {
-            distance_m: (random.between((0.6, 0.85)) * distance_m).round(),
+            distance_m: (random.between(BRAKE_NEAR) * distance_m).round(),
         }
     };
     let maneuver = Maneuver::Brake {

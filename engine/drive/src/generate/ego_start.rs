@@ -5,6 +5,7 @@ use decouplegs_scene::scenario::EgoTask;
 use glam::DVec2;
 
 use super::random::Stream;
+use super::reference;
 use super::roads::{Roads, Spot};
 use super::rules::LevelRequirements;
 use super::{down_to_tenth, to_centimeter};
@@ -32,13 +33,6 @@ const STRAIGHT_RAD: f64 = 0.35;
 /// A route ends at least so far from the end of a lane that leads nowhere, meters: the ego needs
 /// somewhere to go.
 const DEAD_END_M: f64 = 5.0;
-/// Acceleration, braking and acceleration across of a vehicle that drives the route freely, m/s^2:
-/// comfortable ones.
-const COMFORT_MPS2: f64 = 1.5;
-const LATERAL_MPS2: f64 = 2.0;
-/// Curvature is examined in steps of this, meters.
-const STRIDE_M: f64 = 1.0;
-
 /// Area in which routes may start and end: a circle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Area {
@@ -138,8 +132,11 @@ pub(super) fn choose(
             at_m: end_m,
         };
         let start = task(roads, spot, lanes, end_m)?;
-        let time_s = free_time_s(&start.route, start.task.cruise_mps);
+        let time_s = reference::free_s(&start.route, start.task.cruise_mps);
         if time_s <= FREE_TIME_S && inside(end) {
+            if !roads.hold(&start.route, &EGO) {
+                return None;
+            }
             let share = draw.between(rules.ego_speed_share);
             let speed_mps = down_to_tenth(share * start.task.cruise_mps);
             return Some(EgoStart {
@@ -277,28 +274,4 @@ fn task(roads: &Roads, spot: Spot, lanes: Vec<usize>, end_m: f64) -> Option<EgoS
         route,
         crossing,
     })
-}
-
-/// Duration of a comfortable drive along the route, from half of the cruise speed and without other
-/// traffic, seconds.
-fn free_time_s(route: &Route, cruise_mps: f64) -> f64 {
-    let count = (route.length_m() / STRIDE_M).ceil() as usize + 1;
-    let heading = |at: usize| route.line().heading_at(at as f64 * STRIDE_M);
-    let allowed = |at: usize| {
-        let curvature = (heading(at + 2) - heading(at.saturating_sub(2))).abs() / (4.0 * STRIDE_M);
-        (LATERAL_MPS2 / curvature.max(1e-6)).sqrt().min(cruise_mps)
-    };
-    let mut speeds: Vec<f64> = (0..count).map(allowed).collect();
-    let reached = |from_mps: f64| (from_mps * from_mps + 2.0 * COMFORT_MPS2 * STRIDE_M).sqrt();
-    for at in (1..count).rev() {
-        speeds[at - 1] = speeds[at - 1].min(reached(speeds[at]));
-    }
-    speeds[0] = speeds[0].min(0.5 * cruise_mps);
-    for at in 1..count {
-        speeds[at] = speeds[at].min(reached(speeds[at - 1]));
-    }
-    speeds
-        .windows(2)
-        .map(|pair| 2.0 * STRIDE_M / (pair[0] + pair[1]))
-        .sum()
 }

@@ -10,7 +10,11 @@ use crate::lane_index::LaneIndex;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::Polyline;
 use crate::road_graph::{RoadGraph, place_on};
+use crate::road_surface::RoadSurface;
+use crate::route::Route;
 
+/// Places along a route that are examined are so far apart, meters.
+const STRIDE_M: f64 = 0.5;
 /// Left free between a vehicle and the border of its lane, meters.
 const BORDER_M: f64 = 0.1;
 /// Left free between a vehicle and a stretch on which others may be in the way, meters.
@@ -43,12 +47,15 @@ pub(super) struct Roads<'a> {
     pub map: &'a LaneMap,
     pub graph: Arc<RoadGraph>,
     pub index: LaneIndex,
+    surface: RoadSurface,
     /// Left and right border of each lane, where the map knows them.
     borders: Vec<[Option<Polyline>; 2]>,
     /// Stretches of each lane, from and to, on which vehicles of other lanes may be in the way.
     shared: Vec<Vec<(f64, f64)>>,
     /// Starts of stretches on each lane where another lane has priority.
     yields: Vec<Vec<f64>>,
+    /// Stop lines of traffic lights on each lane.
+    light_lines: Vec<Vec<f64>>,
     /// First positions at which a lane meets others, in the order of the lanes: the crossings.
     pub crossings: Vec<Spot>,
     /// True if lanes lie beside each other anywhere.
@@ -89,6 +96,12 @@ impl<'a> Roads<'a> {
                 });
             }
         }
+        let mut light_lines = vec![Vec::new(); count];
+        for line in map.lights.iter().flat_map(|light| &light.stop_lines) {
+            if let Some(lane) = graph.find(&line.lane) {
+                light_lines[lane].push(line.at_m);
+            }
+        }
         let line = |points: &[glam::DVec3]| Polyline::new(points.iter().copied());
         let borders = map
             .lanes
@@ -102,14 +115,38 @@ impl<'a> Roads<'a> {
             .any(|lane| lane.left.or(lane.right).is_some());
         Ok(Self {
             index: LaneIndex::new(map),
+            surface: RoadSurface::new(map),
             map,
             graph,
             borders,
             shared,
             yields,
+            light_lines,
             crossings,
             has_lanes_beside,
             reach,
+        })
+    }
+
+    /// Forgets the traffic lights of the map.
+    pub fn ignore_lights(&mut self) {
+        self.light_lines.iter_mut().for_each(Vec::clear);
+    }
+
+    /// True if a vehicle of `size` that follows `route` stays on the road: lanes may taper off, and
+    /// maps have gaps.
+    pub fn hold(&self, route: &Route, size: &VehicleSize) -> bool {
+        let count = (route.length_m() / STRIDE_M).ceil() as usize;
+        (0..=count).all(|at| {
+            let (position, yaw_rad) = route.pose_at(at as f64 * STRIDE_M);
+            let state = VehicleState {
+                position_m: position.truncate(),
+                yaw_rad,
+                speed_mps: 0.0,
+                acceleration_mps2: 0.0,
+            };
+            let outline = OrientedBox::of(&state, size);
+            self.surface.holds_box(&outline, RoadSurface::SLACK_M)
         })
     }
 
@@ -322,6 +359,7 @@ impl<'a> Roads<'a> {
             let end_m = dead_end.then(|| self.length_m(ahead.lane));
             self.yields[ahead.lane]
                 .iter()
+                .chain(&self.light_lines[ahead.lane])
                 .copied()
                 .chain(end_m)
                 .map(move |at_m| ahead.begin_m + at_m)
@@ -355,9 +393,14 @@ impl<'a> Roads<'a> {
                 .predecessors
                 .iter()
                 .filter(|lane| crossing.binary_search(lane).is_err());
-            lines.extend(before.map(|&lane| Spot {
-                lane,
-                at_m: self.length_m(lane),
+            lines.extend(before.map(|&lane| {
+                Spot {
+                    lane,
+                    at_m: self.light_lines[lane]
+                        .iter()
+                        .copied()
+                        .fold(self.length_m(lane), f64::min),
+                }
             }));
             // A long lane has its crossing somewhere along it.
             let first_m = road

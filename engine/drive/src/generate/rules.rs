@@ -57,6 +57,27 @@ pub(super) struct LevelRequirements {
     /// True if the vehicle ahead brakes hard.
     pub lead_brakes: bool,
     pub swerves: (usize, usize),
+    pub time: TimeBudget,
+}
+
+/// Time limit of an episode by the duration of a reference drive.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TimeBudget {
+    /// Factor on the reference.
+    pub factor: f64,
+    /// Time to wait for others, seconds.
+    pub waiting_s: f64,
+}
+
+impl TimeBudget {
+    const fn new(factor: f64, waiting_s: f64) -> Self {
+        Self { factor, waiting_s }
+    }
+
+    /// The limit, whole seconds.
+    pub fn budget_s(self, reference_s: f64) -> f64 {
+        (self.factor * reference_s + self.waiting_s).ceil()
+    }
 }
 
 impl LevelRequirements {
@@ -76,6 +97,7 @@ impl LevelRequirements {
             cut_ins: 0,
             lead_brakes: false,
             swerves: (0, 0),
+            time: TimeBudget::new(2.0, 30.0),
         };
         let medium = Self {
             far: (2, 4),
@@ -87,6 +109,7 @@ impl LevelRequirements {
             flow_speed_share: (0.6, 0.9),
             before_crossing_m: (30.0, 70.0),
             crossing_share: 0.8,
+            time: TimeBudget::new(1.5, 14.0),
             ..easy
         };
         let hard = Self {
@@ -100,6 +123,7 @@ impl LevelRequirements {
             crossing_share: 1.0,
             congested: true,
             cut_ins: 1,
+            time: TimeBudget::new(1.25, 18.0),
             ..medium
         };
         match level {
@@ -108,12 +132,12 @@ impl LevelRequirements {
             Level::Hard => hard,
             Level::Extreme => Self {
                 far: (6, 10),
-                drivers: &[Hurried, Aggressive, Aggressive],
+                drivers: &[Normal, Hurried, Aggressive],
                 lane_change_share: 0.9,
-                lead_speed_share: (0.5, 0.75),
-                flow_speed_share: (0.5, 0.9),
+                lead_speed_share: (0.2, 0.4),
                 lead_brakes: true,
                 swerves: (1, 3),
+                time: TimeBudget::new(1.0, 17.0),
                 ..hard
             },
         }

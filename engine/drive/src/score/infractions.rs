@@ -1,10 +1,10 @@
-//! Infractions of an episode: collisions and excursions from the road.
+//! Infractions of an episode: collisions, excursions from the road, red lights.
 
 use decouplegs_scene::episode::EpisodeTick;
-use decouplegs_scene::{Episode, EpisodeEnd, ObstacleKind};
+use decouplegs_scene::{Episode, EpisodeEnd, LightColor, ObstacleKind};
 
 use super::fault::{Fault, fault};
-use super::{COLLISION_FACTOR, LAYOUT_FACTOR, OBSTACLE_FACTOR};
+use super::{COLLISION_FACTOR, LAYOUT_FACTOR, OBSTACLE_FACTOR, RED_LIGHT_FACTOR};
 use crate::oriented_box::OrientedBox;
 
 /// An excursion is over when the ego has been on the road for so long, seconds: a vehicle that
@@ -39,6 +39,11 @@ pub enum InfractionKind {
     },
     /// The ego leaves the road.
     Layout,
+    /// The front of the ego passes a stop line while its light is red.
+    RedLight {
+        /// Index of the light in the scenario.
+        light: usize,
+    },
 }
 
 impl Infraction {
@@ -47,7 +52,9 @@ impl Infraction {
     pub fn at_fault(&self) -> bool {
         match self.kind {
             InfractionKind::Collision { fault, .. } => fault.at_fault(),
-            InfractionKind::Obstacle { .. } | InfractionKind::Layout => true,
+            InfractionKind::Obstacle { .. }
+            | InfractionKind::Layout
+            | InfractionKind::RedLight { .. } => true,
         }
     }
 
@@ -59,6 +66,7 @@ impl Infraction {
             InfractionKind::Collision { .. } => 1.0,
             InfractionKind::Obstacle { .. } => OBSTACLE_FACTOR,
             InfractionKind::Layout => LAYOUT_FACTOR,
+            InfractionKind::RedLight { .. } => RED_LIGHT_FACTOR,
         }
     }
 }
@@ -68,6 +76,7 @@ pub(super) fn infractions(episode: &Episode) -> Vec<Infraction> {
     let instants: Vec<&EpisodeTick> = episode.instants().collect();
     let mut infractions = excursions(&instants);
     infractions.extend(collisions(episode, &instants));
+    infractions.extend(red_lights(episode, &instants));
     if let (EpisodeEnd::Obstacle { obstacle }, Some(last)) = (&episode.end, instants.last()) {
         let kind = InfractionKind::Obstacle {
             kind: obstacle.kind,
@@ -98,6 +107,42 @@ fn excursions(instants: &[&EpisodeTick]) -> Vec<Infraction> {
         }
     }
     excursions
+}
+
+/// Stop lines that the middle of the ego's front passes at red, in driving direction. The moment is
+/// interpolated between two states.
+fn red_lights(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
+    let head = &episode.head;
+    let half_m = 0.5 * head.scenario.ego.size.length_m;
+    let front_m = |instant: &EpisodeTick| instant.ego.position_m + instant.ego.ahead() * half_m;
+    let mut passed: Vec<Infraction> = Vec::new();
+    for (line, pair) in head
+        .stop_lines
+        .iter()
+        .flat_map(|line| instants.windows(2).map(move |pair| (line, pair)))
+    {
+        let (from_m, to_m) = (front_m(pair[0]), front_m(pair[1]));
+        let (before_m, after_m) = (line.locate(from_m).0, line.locate(to_m).0);
+        if before_m >= 0.0 || after_m < 0.0 {
+            continue;
+        }
+        let share = before_m / (before_m - after_m);
+        let time_s = pair[0].time_s + share * (pair[1].time_s - pair[0].time_s);
+        let light = &head.scenario.lights[line.light];
+        let is_red = light.color_at(time_s) == LightColor::Red;
+        // Lanes beside each other have a line each.
+        let is_known = passed.iter().any(|other| {
+            other.kind == InfractionKind::RedLight { light: line.light }
+                && (other.time_s - time_s).abs() < APART_S
+        });
+        if is_red && !is_known && line.locate(from_m.lerp(to_m, share)).1 {
+            passed.push(Infraction {
+                time_s,
+                kind: InfractionKind::RedLight { light: line.light },
+            });
+        }
+    }
+    passed
 }
 
 fn collisions(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {

@@ -137,6 +137,8 @@ pub struct SetSummary {
     pub obstacle_collisions: usize,
     /// Excursions from the road in all episodes.
     pub layout_infractions: usize,
+    /// Red lights that were run in all episodes.
+    pub red_lights: usize,
 }
 
 impl SetSummary {
@@ -169,6 +171,7 @@ impl SetSummary {
             collisions_at_fault: count(&at_fault),
             obstacle_collisions: count(&EpisodeScore::obstacle_collisions),
             layout_infractions: count(&EpisodeScore::layout_infractions),
+            red_lights: count(&EpisodeScore::red_lights),
         })
     }
 

@@ -7,6 +7,7 @@ use super::driver::Driver;
 use super::following::PathPlace;
 use super::idm::{IdmParameters, advance, stopping_m};
 use super::random;
+use super::signals::NextLight;
 use crate::polyline::wrapped;
 use crate::road_graph::{RoadGraph, length_of, place_on};
 
@@ -84,6 +85,8 @@ pub(super) struct Agent {
     pub crossing: Option<Crossing>,
     /// There are no conflicts on its path from its own crossing, or where it stops, up to there.
     pub clear_m: f64,
+    /// Next stop line with a traffic light on its path.
+    pub light: Option<NextLight>,
     /// True if it must stop before its crossing.
     pub held_up: bool,
     pub waited_s: f64,
@@ -134,6 +137,7 @@ impl Agent {
             free_mps: driver.idm.speed_mps,
             aside: None,
             crossing: None,
+            light: None,
             clear_m: f64::NEG_INFINITY,
             held_up: false,
             waited_s: 0.0,
@@ -195,7 +199,15 @@ impl Agent {
             .sum();
         while ahead_m - self.arc_m < PATH_AHEAD_M {
             let last = self.path[self.path.len() - 1];
-            let ways = &graph.road(last).successors;
+            let all = &graph.road(last).successors;
+            // A vehicle does not circle where a way leads out: a circle leads on endlessly.
+            let new = |way: &usize| !self.path.contains(way);
+            let has_new = all.iter().any(new);
+            let ways: Vec<usize> = all
+                .iter()
+                .copied()
+                .filter(|way| !has_new || new(way))
+                .collect();
             let onward_m = |way: usize| graph.road(way).onward_m;
             let farthest_m = ways.iter().map(|&way| onward_m(way)).fold(0.0, f64::max);
             let good = |way: &&usize| onward_m(**way) >= ONWARD_M.min(0.5 * farthest_m);

@@ -27,7 +27,7 @@ const EMERGENCY_MPS2: f64 = 4.0;
 /// Acceleration across the lane in lane changes and swerves, m/s^2.
 pub(super) const ASIDE_MPS2: f64 = 2.0;
 /// Short of a line that one must not cross, meters.
-const LINE_M: f64 = 0.02;
+pub(super) const LINE_M: f64 = 0.02;
 
 /// Leader; places are meters from the start of one's own lane.
 #[derive(Clone, Copy, Debug)]
@@ -295,6 +295,10 @@ impl Traffic {
         }
         let stop_m = agent.stop_m();
         bounds.stop_within(agent.clear_m - LINE_M - stop_m);
+        let to_line = IdmParameters {
+            standstill_gap_m: LINE_GAP_M,
+            ..idm
+        };
         if let Some(crossing) = agent.crossing {
             if crossing.granted {
                 // What follows the crossing is looked for when it is left behind.
@@ -303,10 +307,6 @@ impl Traffic {
                 bounds.stop_within(crossing.from_m - LINE_M - stop_m);
             }
             if agent.held_up {
-                let to_line = IdmParameters {
-                    standstill_gap_m: LINE_GAP_M,
-                    ..idm
-                };
                 bounds.follow(
                     &to_line,
                     agent.speed_mps,
@@ -314,6 +314,10 @@ impl Traffic {
                     0.0,
                 );
             }
+        }
+        if let Some(hold_m) = agent.light.and_then(|light| light.hold_m) {
+            bounds.follow(&to_line, agent.speed_mps, hold_m - agent.front_m(), 0.0);
+            bounds.stop_within(hold_m - LINE_M - stop_m);
         }
         for at_m in self.blocks_ahead(agent) {
             bounds.follow(&idm, agent.speed_mps, at_m - agent.front_m(), 0.0);

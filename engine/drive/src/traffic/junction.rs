@@ -3,7 +3,8 @@
 //!
 //! It is granted when no other vehicle claims what conflicts with it, no vehicle with priority
 //! would be hindered, and there will be room for the vehicle behind it. Room is counted without
-//! any grant that a vehicle ahead still needs, and a grant is taken back for the ego alone. So a
+//! any grant that a vehicle ahead still needs or that a traffic light may take back; otherwise a
+//! grant is taken back for the ego alone. So a
 //! vehicle in a crossing leaves it, whatever those without a grant do.
 //!
 //! A vehicle that has waited does not give way any longer; that breaks circles such as four
@@ -61,7 +62,11 @@ impl Agent {
     /// Way that it can drive before it needs the grant of a crossing, meters.
     fn free_way_m(&self) -> f64 {
         self.crossing.map_or(f64::INFINITY, |crossing| {
-            if crossing.granted {
+            // A light may take the grant back as long as its line is ahead.
+            let line_m = self.light.map_or(f64::INFINITY, |light| light.line_m);
+            if crossing.granted && line_m < crossing.to_m {
+                line_m - LINE_GAP_M - CREEP_M - self.front_m()
+            } else if crossing.granted {
                 crossing.to_m + self.clearance_m() - self.front_m()
             } else {
                 crossing.from_m - LINE_GAP_M - CREEP_M - self.front_m()
@@ -80,7 +85,9 @@ impl Traffic {
                 continue;
             }
             self.find_crossing(number);
+            let light = self.next_light(&self.agents[number]);
             let agent = &mut self.agents[number];
+            agent.light = light;
             agent.held_up = false;
             let Some(crossing) = agent.crossing else {
                 continue;
@@ -179,9 +186,12 @@ impl Traffic {
             return;
         };
         let patient = agent.waited_s < PATIENCE_S;
+        let hold_m = agent.light.and_then(|light| light.hold_m);
+        let held = hold_m.is_some_and(|hold_m| hold_m < crossing.to_m);
         let can_leave = self.can_leave(agent, &crossing);
-        // A grant is taken back for the ego alone: others rely on it.
+        // A grant is taken back for the ego and for lights alone: others rely on it.
         let granted = can_leave
+            && !held
             && !self.ego_crosses(agent, &crossing)
             && (crossing.granted
                 || self.is_free(agent, &crossing)
@@ -191,6 +201,7 @@ impl Traffic {
                 .claim_between(&self.graph, agent, agent.rear_m(), crossing.to_m - 0.01);
         }
         if !granted
+            && !held
             && agent.waited_s > WANT_S
             && can_leave
             && !self.waits_for_standing(&self.agents[number])
@@ -214,7 +225,7 @@ impl Traffic {
             ..crossing
         });
         agent.held_up = !granted;
-        if granted {
+        if granted || held {
             agent.waited_s = 0.0;
         } else if agent.speed_mps < 2.0 {
             agent.waited_s += dt_s;
@@ -398,10 +409,14 @@ impl Traffic {
                         .any(|&lane| lane == conflict.other)
                 })
             };
-            let others = entries[..last]
-                .iter()
-                .rev()
-                .filter(|entry| entry.agent as usize != agent.number);
+            // Vehicles before a red light do not come.
+            let red_m = self
+                .red_line(lane)
+                .filter(|red_m| red_m + start_m < conflict.other_to_m);
+            let others = entries[..last].iter().rev().filter(|entry| {
+                entry.agent as usize != agent.number
+                    && red_m.is_none_or(|red_m| entry.front_m > red_m)
+            });
             if let Some(entry) = others.clone().find(|entry| comes(entry.agent)) {
                 let distance_m = conflict.other_from_m - entry.front_m - start_m;
                 // A vehicle in the conflict has reserved it: that is checked elsewhere.
@@ -417,7 +432,7 @@ impl Traffic {
                     continue;
                 }
             }
-            if conflict.other_from_m - start_m < GIVE_WAY_M && open.len() < 16 {
+            if red_m.is_none() && conflict.other_from_m - start_m < GIVE_WAY_M && open.len() < 16 {
                 let before = &self.graph.road(lane).predecessors;
                 open.extend(
                     before

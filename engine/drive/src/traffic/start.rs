@@ -101,6 +101,7 @@ impl Traffic {
             order: LaneOrder::default(),
             claims,
             obstacles: Arc::default(),
+            lights: Arc::default(),
             waiting: Vec::new(),
             accelerations: Vec::new(),
             ego: None,

@@ -3,9 +3,13 @@
 use std::f64::consts::FRAC_PI_2;
 
 use decouplegs_drive::PlanarTransform;
-use decouplegs_drive::score::{Comfort, EpisodeScore, Moments, Summary, plan_ade_m};
+use decouplegs_drive::score::{
+    Comfort, EpisodeScore, InfractionKind, Moments, Summary, plan_ade_m,
+};
+use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::{
-    Episode, EpisodeEnd, Level, Plan, PlanPoint, Pose, TimedPose, Trajectory, VehicleState,
+    Episode, EpisodeEnd, Level, LightColor, LightPhase, Plan, PlanPoint, Pose, TimedPose,
+    TrafficLight, Trajectory, VehicleState,
 };
 use glam::DVec2;
 use proptest::prelude::*;
@@ -398,5 +402,50 @@ proptest! {
             instant.agents.push(Some(state(x, y, 1.0, speed_mps)));
         }
         prop_assert_eq!(EpisodeScore::of(&episode), EpisodeScore::of(&with));
+    }
+}
+
+#[test]
+fn a_red_light_costs_and_yellow_does_not() {
+    // The front, 2.25 m before the middle, passes the line at x = 50 m after 4.775 s.
+    let run = |phases: &[(LightColor, f64)], ends_m: [[f64; 2]; 2]| {
+        let ego = straight(0.0, 0.0, 0.0, 10.0);
+        let mut made = episode(20, &ego, &[], EpisodeEnd::RouteDone);
+        made.head.scenario.lights = vec![TrafficLight {
+            name: "a".into(),
+            phases: phases
+                .iter()
+                .map(|&(color, duration_s)| LightPhase { color, duration_s })
+                .collect(),
+            ..TrafficLight::default()
+        }];
+        let ends_m = ends_m.map(DVec2::from_array);
+        // A line on the lane beside has the same light.
+        let beside = ends_m.map(|end_m| end_m + DVec2::Y * 0.5);
+        made.head.stop_lines = [ends_m, beside]
+            .map(|ends_m| StopLineRecord { light: 0, ends_m })
+            .into();
+        EpisodeScore::of(&made)
+    };
+    let (green, yellow, red) = (LightColor::Green, LightColor::Yellow, LightColor::Red);
+    let across = [[50.0, -2.0], [50.0, 2.0]];
+    let score = run(&[(red, 30.0)], across);
+    assert_eq!((score.red_lights(), score.success), (1, false));
+    assert!((score.driving_score - 0.7).abs() < 1e-12);
+    assert_eq!(
+        score.infractions[0].kind,
+        InfractionKind::RedLight { light: 0 }
+    );
+    assert!((score.infractions[0].time_s - 4.775).abs() < 1e-9);
+    for phases in [[(green, 30.0), (red, 1.0)], [(yellow, 30.0), (red, 1.0)]] {
+        let score = run(&phases, across);
+        assert!(score.success && score.driving_score == 1.0);
+    }
+    // To the tenth of a tick: red from 4.77 s or from 4.78 s on.
+    assert_eq!(run(&[(green, 4.77), (red, 30.0)], across).red_lights(), 1);
+    assert_eq!(run(&[(green, 4.78), (red, 30.0)], across).red_lights(), 0);
+    // Lines of the opposite direction, and beside the way.
+    for ends_m in [[[50.0, 2.0], [50.0, -2.0]], [[50.0, 3.0], [50.0, 7.0]]] {
+        assert_eq!(run(&[(red, 30.0)], ends_m).red_lights(), 0);
     }
 }

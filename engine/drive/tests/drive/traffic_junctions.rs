@@ -12,6 +12,11 @@ use crate::traffic_scenes::{agent, check, lane, street};
 /// A crossing of two roads with one lane each way. From each side `in-k` leads over `straight-k`,
 /// `left-k` and `right-k` to an `out`.
 pub fn crossing() -> Arc<RoadGraph> {
+    Arc::new(RoadGraph::new(&crossing_map()).unwrap())
+}
+
+/// The map of that crossing.
+pub fn crossing_map() -> LaneMap {
     let mut map = LaneMap::default();
     let turned = |side: usize, x: f64, y: f64| {
         DVec2::from_angle(std::f64::consts::FRAC_PI_2 * side as f64)
@@ -53,7 +58,7 @@ pub fn crossing() -> Arc<RoadGraph> {
             map.lanes[5 * side + way].successors.push(5 * to + 1);
         }
     }
-    Arc::new(RoadGraph::new(&map).unwrap())
+    map
 }
 
 /// True if an agent is on a lane whose name begins so.

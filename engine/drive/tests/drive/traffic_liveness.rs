@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use decouplegs_drive::{RoadGraph, Traffic};
+use decouplegs_scene::scenario::TrafficAgent;
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 use rayon::prelude::*;
@@ -61,20 +62,25 @@ impl Standing {
 }
 
 /// Seconds after which some vehicle stands without a reason, and which.
-fn first_stuck(graph: &Arc<RoadGraph>, count: usize, seed: u64, seconds: f64) -> Option<String> {
-    let (mut traffic, agents) = random_traffic(graph, count, seed);
+pub fn first_stuck(
+    mut traffic: Traffic,
+    agents: &[TrafficAgent],
+    seed: u64,
+    seconds: f64,
+) -> Option<String> {
     let mut standing = Standing::new(agents.len());
     for step in 0..(10.0 * seconds) as u32 {
         let time_s = 0.1 * f64::from(step);
         traffic.step(0.1, None);
         if step % 10 == 0 {
-            check(&traffic, &agents, &|| format!("seed {seed}, step {step}"));
+            check(&traffic, agents, &|| format!("seed {seed}, step {step}"));
             let stuck = standing.update(&traffic, time_s);
             if !stuck.is_empty() {
                 let places: Vec<_> = traffic.places().collect();
                 let names = stuck.iter().map(|&agent| {
                     let place = places[agent].expect("it stands on the map");
-                    let lane = &graph.lane(place.lane).expect("a driving lane").id;
+                    let lane = traffic.graph().lane(place.lane);
+                    let lane = &lane.expect("a driving lane").id;
                     format!(
                         "{} on {lane} at {:.1} m, {:.2} m aside",
                         agents[agent].name, place.arc_m, place.lateral_m
@@ -95,7 +101,10 @@ fn lives(graph: &Arc<RoadGraph>, seeds: u64, count: usize, seconds: f64) {
         .unwrap_or(seeds);
     let stuck: Vec<String> = (0..seeds)
         .into_par_iter()
-        .filter_map(|seed| first_stuck(graph, count, seed, seconds))
+        .filter_map(|seed| {
+            let (traffic, agents) = random_traffic(graph, count, seed);
+            first_stuck(traffic, &agents, seed, seconds)
+        })
         .collect();
     println!("{} of {seeds} seeds stand still", stuck.len());
     assert!(stuck.is_empty(), "{}\n{}", stuck.len(), stuck.join("\n"));

@@ -16,16 +16,19 @@ use crate::roads::Random;
 /// The lanes of the synthetic street.
 pub fn street() -> Arc<RoadGraph> {
     static STREET: OnceLock<Arc<RoadGraph>> = OnceLock::new();
-    let graph = || {
-        let options = StreetOptions {
-            background: 0,
-            agents: 1,
-            agent_splats: 1,
-            ..StreetOptions::default()
-        };
-        Arc::new(RoadGraph::new(&Street::generate(&options).lanes).unwrap())
-    };
+    let graph = || Arc::new(RoadGraph::new(&street_map()).unwrap());
     STREET.get_or_init(graph).clone()
+}
+
+/// The map of the synthetic street.
+pub fn street_map() -> LaneMap {
+    let options = StreetOptions {
+        background: 0,
+        agents: 1,
+        agent_splats: 1,
+        ..StreetOptions::default()
+    };
+    Street::generate(&options).lanes
 }
 
 /// The lanes of a map of the test data, or nothing and a line that says so where there is none.

@@ -47,6 +47,12 @@ impl Rollout {
             drawn_by: metadata.drawn_by,
             route_m: simulation.route_m(),
             agent_sizes: simulation.agent_sizes().to_vec(),
+            stop_lines: simulation
+                .lights()
+                .lines()
+                .iter()
+                .map(|line| line.record)
+                .collect(),
         };
         let start = simulation.instant();
         Ok(Self {

@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
+use decouplegs_drive::lights::TrafficLights;
 use decouplegs_drive::score::RouteProgress;
-use decouplegs_drive::{Ego, EgoOptions, OrientedBox, Route, Traffic};
+use decouplegs_drive::{Ego, EgoOptions, OrientedBox, RoadSurface, Route, Traffic};
 use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick};
 use decouplegs_scene::{Plan, Pose, Scenario, VehicleSize, VehicleState};
 use glam::DVec2;
@@ -20,9 +21,6 @@ const OFF_ROAD_M: f64 = 20.0;
 /// Distance from its route at which the ego has left it, meters, as in CARLA's leaderboard.
 const OFF_ROUTE_M: f64 = 30.0;
 
-/// A wheel may be so far beyond the lanes' borders, meters: markings are as wide.
-const ROAD_SLACK_M: f64 = 0.15;
-
 /// One episode in motion. [`Simulation::advance`] is all that moves it: the same plans give the
 /// same bits.
 pub struct Simulation {
@@ -33,6 +31,9 @@ pub struct Simulation {
     ego: Ego,
     traffic: Traffic,
     agent_sizes: Vec<VehicleSize>,
+    lights: Arc<TrafficLights>,
+    /// Assets that show the lights, by the index of the light.
+    signals: Vec<(usize, Pose)>,
     /// Heights at which the ego and then the agents stood last; `None` for agents that were not
     /// shown since they came onto the map.
     ground_z_m: Vec<Option<f64>>,
@@ -53,9 +54,13 @@ impl Simulation {
             reason,
         };
         let route = Route::new(&site.lanes, &scenario.ego).map_err(|error| unfit(error.into()))?;
+        let lights = TrafficLights::new(&site.lanes, &site.graph, &scenario.lights)
+            .map(Arc::new)
+            .map_err(|error| unfit(error.into()))?;
         let traffic = Traffic::new(site.graph.clone(), &scenario.agents, scenario.seed)
             .map_err(|error| unfit(error.to_string()))?
-            .among(site.obstacles.clone());
+            .among(site.obstacles.clone())
+            .with_lights(lights.clone());
         let (start, heading_rad) = route.pose_at(0.0);
         let state = VehicleState {
             position_m: start.truncate(),
@@ -91,6 +96,8 @@ impl Simulation {
             ego: Ego::new(state, scenario.ego.size, EgoOptions::default()),
             traffic,
             agent_sizes,
+            signals: site.signal_poses(&lights),
+            lights,
             ground_z_m: std::iter::once(Some(start.z))
                 .chain(scenario.agents.iter().map(|_| None))
                 .collect(),
@@ -118,6 +125,12 @@ impl Simulation {
     #[must_use]
     pub fn ego(&self) -> &Ego {
         &self.ego
+    }
+
+    /// Traffic lights on the lanes of the site.
+    #[must_use]
+    pub fn lights(&self) -> &TrafficLights {
+        &self.lights
     }
 
     /// Meters along the route where the ego had come farthest.
@@ -164,7 +177,7 @@ impl Simulation {
             time_s: self.time_s(),
             on_road: self.site.surface.holds_box(
                 &OrientedBox::of(&ego, &self.scenario.ego.size),
-                ROAD_SLACK_M,
+                RoadSurface::SLACK_M,
             ),
             ego,
             steer_rad: self.ego.steer_rad(),
@@ -221,6 +234,15 @@ impl Simulation {
                 .iter()
                 .zip(&self.agent_sizes)
                 .filter_map(|(state, size)| Some(((*state)?, *size)))
+                .collect(),
+            stop_lines: self
+                .lights
+                .lines()
+                .iter()
+                .map(|line| {
+                    let color = self.lights.color_at(line.record.light, self.time_s());
+                    (line.record, color)
+                })
                 .collect(),
         }
     }
@@ -286,7 +308,8 @@ impl Simulation {
         (self.substep >= self.scenario.steps() * per_step).then_some(EpisodeEnd::Time)
     }
 
-    /// Puts the agents into `world` as they stand now, and takes out all others. Returns the ego's
+    /// Puts the agents and the lamps of traffic lights into `world` as they are now, and takes out
+    /// all others. Returns the ego's
     /// pose, world coordinates. Vehicles remember on what ground they stood.
     ///
     /// # Errors
@@ -306,8 +329,21 @@ impl Simulation {
                 pose: self.stand(index + 1, state, self.agent_sizes[index]),
                 sh_frame: None,
                 instance: u16::try_from(index + 1).unwrap_or(u16::MAX),
+                shines: false,
             };
             placed.push((name, instance));
+        }
+        for (index, &(light, pose)) in self.signals.iter().enumerate() {
+            let color = self.lights.color_at(light, self.time_s());
+            let instance = AgentInstance {
+                asset: assets + color as usize,
+                pose,
+                sh_frame: None,
+                instance: u16::try_from(self.agent_sizes.len() + index + 1).unwrap_or(u16::MAX),
+                shines: true,
+            };
+            // No agent has such a name.
+            placed.push((format!("signal/{index}"), instance));
         }
         world.set_agents(placed)?;
         Ok(ego)

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use decouplegs_asset::memory::{self, cloud_bytes};
 use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, read_map, read_probe};
+use decouplegs_drive::lights::TrafficLights;
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::{Ground, GroundOptions, Obstacles, RoadGraph, RoadSurface, occupancy};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
@@ -15,9 +16,10 @@ use decouplegs_scene::{
 };
 use decouplegs_session::{Session, SessionError, SessionScene};
 use decouplegs_synth::roads::{self, RoadsOptions};
+use decouplegs_synth::street::signals::{SignalHead, head_assets, post_assets};
 use decouplegs_synth::street::{AssetLight, Capture, Street, StreetOptions};
 use decouplegs_train::compress::{CompressError, compress_quickly};
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 /// Reason why a site cannot be used.
@@ -54,11 +56,25 @@ pub struct Site {
     pub surface: RoadSurface,
     /// Static things that the ego can hit.
     pub obstacles: Arc<Obstacles>,
-    /// Boxes of the assets that agents may show.
+    /// Boxes of the assets that agents may show: the first ones of the scene.
     pub asset_sizes: Vec<VehicleSize>,
+    /// Assets that show the color of traffic lights, where the place has such.
+    pub signals: Option<Signals>,
     /// The ground that was captured, where it was.
     ground: Option<Ground>,
 }
+
+/// Assets of traffic lights: green, yellow and red, after those of the agents.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Signals {
+    /// Heads of the place, by light. None: a post stands beside each stop line.
+    pub heads: Option<Vec<SignalHead>>,
+}
+
+/// Post of a traffic light: distance from the end of its stop line, meters.
+const POST_M: f64 = 0.8;
+/// Ends of stop lines nearer than this are those of lanes beside each other, meters.
+const BESIDE_M: f64 = 0.5;
 
 /// The ground is looked for within this of the lane's height, meters: less than there is between
 /// two decks.
@@ -131,7 +147,15 @@ impl Site {
                     sky: drawn.sky,
                     ..World::of(drawn.background)
                 };
-                Self::made_up((lanes, drawn.obstacles), world, cars, appearance)
+                let cars = Cars {
+                    signals: post_assets().into(),
+                    ..cars
+                };
+                let site = Self::made_up((lanes, drawn.obstacles), world, cars, appearance)?;
+                Ok(Self {
+                    signals: Some(Signals { heads: None }),
+                    ..site
+                })
             }
             Place::Scene { scene, map } => Self::captured(
                 &directory.join(scene),
@@ -174,7 +198,17 @@ impl Site {
             sky: street.sky,
             ..World::of(street.background)
         };
-        Self::made_up((street.lanes, street.obstacles), world, cars, appearance)
+        let cars = Cars {
+            signals: head_assets().into(),
+            ..cars
+        };
+        let site = Self::made_up((street.lanes, street.obstacles), world, cars, appearance)?;
+        Ok(Self {
+            signals: Some(Signals {
+                heads: Some(street.signal_heads),
+            }),
+            ..site
+        })
     }
 
     /// A place that nobody looks at.
@@ -199,13 +233,19 @@ impl Site {
             .par_iter()
             .zip(&cars.sizes)
             .map(|(cloud, size)| coded(cloud, size));
+        let mut assets = assets.collect::<Result<Vec<_>, _>>()?;
+        for cloud in &cars.signals {
+            let bounds = cloud.bounds();
+            let dims_m = std::array::from_fn(|axis| bounds.max[axis] - bounds.min[axis]);
+            assets.push(coded(cloud, &size_of(dims_m))?);
+        }
         let light = LoadedLight {
             transfer: appearance.transfer.clone(),
             ambient: AmbientOptions::default(),
             shadows: Some(ShadowOptions::default()),
         };
         let loaded = LoadedScene {
-            assets: assets.collect::<Result<_, _>>()?,
+            assets,
             rig: cars.rig,
             light: Some(light),
             ..empty_scene(world)
@@ -263,6 +303,7 @@ impl Site {
             surface,
             obstacles: Arc::new(Obstacles::new(obstacles)),
             asset_sizes,
+            signals: None,
             ground,
         })
     }
@@ -291,6 +332,37 @@ impl Site {
                 state.position_m.extend(near_z_m + 0.5 * size.height_m),
             ),
         }
+    }
+
+    /// Poses of the assets that show traffic lights, with the index of each one's light.
+    pub(super) fn signal_poses(&self, lights: &TrafficLights) -> Vec<(usize, Pose)> {
+        match &self.signals {
+            None => Vec::new(),
+            Some(Signals { heads: Some(heads) }) => heads
+                .iter()
+                .filter_map(|head| Some((lights.find(head.light)?, head.pose)))
+                .collect(),
+            Some(Signals { heads: None }) => self.posts(lights),
+        }
+    }
+
+    /// A post to the right of each stop line that has none of the same light beside it.
+    fn posts(&self, lights: &TrafficLights) -> Vec<(usize, Pose)> {
+        let records = || lights.lines().iter().map(|line| (line.lane, line.record));
+        let outer = records().filter(|(_, line)| {
+            !records().any(|(_, other)| {
+                other.light == line.light && other.ends_m[1].distance(line.ends_m[0]) < BESIDE_M
+            })
+        });
+        let posts = outer.map(|(lane, line)| {
+            let ahead = line.ahead();
+            let foot_m = line.ends_m[0] + ahead.rotate(DVec2::NEG_Y) * POST_M;
+            let lane_z_m = self.lanes.lanes[lane].centerline[0].z;
+            let z_m = self.surface.height_at(line.middle_m(), lane_z_m);
+            let foot_m = foot_m.extend(z_m.unwrap_or(lane_z_m));
+            (line.light, Pose::from_yaw(ahead.to_angle(), foot_m))
+        });
+        posts.collect()
     }
 
     /// Adds the site to `session`, with light baked along its lanes. A [`super::Rollout`] moves the
@@ -334,6 +406,8 @@ struct Cars {
     clouds: Vec<SplatCloud>,
     sizes: Vec<VehicleSize>,
     rig: Rig,
+    /// Assets that show traffic lights.
+    signals: Vec<SplatCloud>,
 }
 
 /// Seed of the cars: the same in all places, so that scenarios differ by who drives and where.
@@ -360,6 +434,7 @@ fn cars(splats: usize, asset_light: AssetLight) -> Cars {
         clouds: street.assets,
         sizes,
         rig: street.rig,
+        signals: Vec::new(),
     }
 }
 

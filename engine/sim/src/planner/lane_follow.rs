@@ -3,6 +3,7 @@
 //! images.
 
 mod corridor;
+mod lights;
 
 use decouplegs_drive::traffic::idm::{BRAKING_MPS2, IdmParameters, Leader};
 use decouplegs_scene::plan::Plan;
@@ -39,6 +40,8 @@ const BRAKES_MPS2: [f64; 6] = [0.0, 1.0, 2.0, 3.5, 5.0, BRAKING_MPS2];
 pub struct LaneFollow {
     /// Along its route when it last looked, meters.
     arc_m: Option<f64>,
+    /// Stop line at which it stops, meters along the route.
+    hold_m: Option<f64>,
 }
 
 /// An agent as it is expected to go on: a span for each tick.
@@ -52,6 +55,8 @@ struct Outlook {
     ego_arc_m: f64,
     half_length_m: f64,
     idm: IdmParameters,
+    /// Stop line at which it stops, meters along the route.
+    hold_m: Option<f64>,
     /// Highest speed at each meter ahead.
     bend_mps: Vec<f64>,
     agents: Vec<Expected>,
@@ -76,7 +81,7 @@ impl Planner for LaneFollow {
     }
 
     fn begin(&mut self, _: &EpisodeInfo) -> Result<(), PlannerError> {
-        self.arc_m = None;
+        *self = Self::default();
         Ok(())
     }
 
@@ -92,7 +97,10 @@ impl Planner for LaneFollow {
             PlannerError("lane-follow needs a route of at least two places, all finite".into())
         })?;
         self.arc_m = Some(corridor.ego_arc_m);
-        let outlook = Outlook::new(&corridor, known, observation.guidance.cruise_mps);
+        let hold_m = lights::hold_m(&corridor, known, self.hold_m);
+        self.hold_m = hold_m;
+        let cruise_mps = observation.guidance.cruise_mps;
+        let outlook = Outlook::new(&corridor, known, cruise_mps, hold_m);
         let course = outlook.choose(known.ego.speed_mps);
         plan_through(|time_s| {
             let arc_m = course.at(time_s);
@@ -109,7 +117,7 @@ fn ticks() -> usize {
 }
 
 impl Outlook {
-    fn new(corridor: &Corridor, known: &Privileged, cruise_mps: f64) -> Self {
+    fn new(corridor: &Corridor, known: &Privileged, cruise_mps: f64, hold_m: Option<f64>) -> Self {
         let times_s: Vec<f64> = (0..ticks()).map(|tick| tick as f64 * TICK_S).collect();
         let near = |speed_mps: f64| 40.0 + HORIZON_S * (known.ego.speed_mps + speed_mps);
         let agents = known.agents.iter().filter(|(agent, _)| {
@@ -117,7 +125,9 @@ impl Outlook {
         });
         let agents = agents.map(|(agent, size)| {
             let (way, spans) = corridor.spans(agent, size, &times_s);
-            Expected { way, spans }
+            // Those before a red light on another road will not be in the way.
+            let stays = way == PredictedPath::Across && lights::stops(known, agent);
+            (!stays).then_some(Expected { way, spans })
         });
         Self {
             ego_arc_m: corridor.ego_arc_m,
@@ -129,9 +139,11 @@ impl Outlook {
                 braking_mps2: COMFORT_MPS2,
                 ..IdmParameters::default()
             },
+            hold_m,
             bend_mps: bend_speeds(corridor, known.ego.speed_mps.max(cruise_mps)),
             // Vehicles behind on the same road watch the ego, not the ego them.
             agents: agents
+                .flatten()
                 .filter(|agent| {
                     !(agent.way == PredictedPath::Along
                         && agent.spans[0].front_m < corridor.ego_arc_m)
@@ -203,6 +215,13 @@ impl Outlook {
             let ahead = 0.5 * (agent.spans[tick].rear_m + agent.spans[tick].front_m) > arc_m;
             ahead && agent.spans[tick..=until].iter().any(|span| span.inside)
         });
+        let standing = self.hold_m.map(|hold_m| Leader {
+            gap_m: hold_m - (arc_m + self.half_length_m),
+            speed_mps: 0.0,
+        });
+        let hold_mps2 = standing.map_or(f64::INFINITY, |line| {
+            self.idm.acceleration(speed_mps, Some(line))
+        });
         let rates = followed.map(|agent| {
             let gap_m = agent.spans[tick].rear_m - (arc_m + self.half_length_m);
             self.idm.acceleration(
@@ -215,7 +234,10 @@ impl Outlook {
         });
         rates
             .fold(
-                self.idm.free_acceleration(speed_mps).min(bend_mps2),
+                self.idm
+                    .free_acceleration(speed_mps)
+                    .min(bend_mps2)
+                    .min(hold_mps2),
                 f64::min,
             )
             .max(-BRAKING_MPS2)

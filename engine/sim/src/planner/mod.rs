@@ -19,6 +19,8 @@ pub use lane_follow::LaneFollow;
 pub use replay::Replay;
 pub use vision::{Perception, Vision};
 
+use decouplegs_scene::LightColor;
+use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::plan::Plan;
 use decouplegs_scene::{RigCamera, Sensor, VehicleSize, VehicleState};
 use glam::DVec2;
@@ -140,6 +142,8 @@ pub struct Privileged {
     pub route_m: Vec<DVec2>,
     /// All agents and their boxes.
     pub agents: Vec<(VehicleState, VehicleSize)>,
+    /// Stop lines of all traffic lights, with the color that each shows.
+    pub stop_lines: Vec<(StopLineRecord, LightColor)>,
 }
 
 /// Inputs of a planner at a step.

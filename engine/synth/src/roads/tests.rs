@@ -45,6 +45,7 @@ fn map() -> LaneMap {
     LaneMap {
         lanes: vec![along("right", -3.5), along("left", 0.0), back, across, walk],
         offset: DVec3::ZERO,
+        lights: vec![],
     }
 }
 
@@ -327,6 +328,7 @@ fn maps_that_are_no_maps_are_land_under_a_sky() {
         &LaneMap {
             lanes: vec![point, nowhere, endless, long, wide],
             offset: DVec3::ZERO,
+            lights: vec![],
         },
         &options,
     );

@@ -1,8 +1,8 @@
-//! Lamp posts, bins, signs and traffic lights.
+//! Lamp posts, bins and signs.
 
 use glam::{Quat, Vec3};
 
-use super::layout::{Axis, KERB_M, LANES_HALF_M, ROAD_HALF_M, Spot};
+use super::layout::Spot;
 use super::loft::{Loft, bar};
 use super::surface::{Element, Shape, SurfacePoint, Texel, boxed, display};
 use super::weather::lamplight;
@@ -20,7 +20,7 @@ fn painted_metal(point: &SurfacePoint) -> Texel {
     }
 }
 
-fn post(from: Vec3, to: Vec3, radius_m: f32) -> Element {
+pub(super) fn post(from: Vec3, to: Vec3, radius_m: f32) -> Element {
     Element::new(
         Shape::Loft(bar(from, to, radius_m, 0.65 * radius_m)),
         POST_DENSITY,
@@ -117,64 +117,4 @@ fn no_parking(center: Vec3, side: f32) -> Element {
             })
         }
     })
-}
-
-/// A traffic light before the crossing on every arm: green for the main street, red for the other.
-pub(super) fn traffic_lights() -> Vec<Element> {
-    let mut elements = Vec::new();
-    for (foot, yaw_rad, green) in signal_feet() {
-        elements.extend(
-            signal(green)
-                .into_iter()
-                .map(|e| e.placed(Quat::from_rotation_z(yaw_rad), foot)),
-        );
-    }
-    elements
-}
-
-/// Feet of the posts of the traffic lights, their headings, and true where the light is green.
-pub(super) fn signal_feet() -> impl Iterator<Item = (Vec3, f32, bool)> {
-    [(Axis::Main, true), (Axis::Cross, false)]
-        .into_iter()
-        .flat_map(|(axis, green)| {
-            [-1.0f32, 1.0].map(|arm| {
-                let s = axis.crossing_s() + arm * (ROAD_HALF_M + 4.9);
-                let foot = axis.at(s, arm * (ROAD_HALF_M + 0.55)).extend(KERB_M);
-                // Local x runs with the traffic that obeys it, so the lenses face -x; local y is
-                // that traffic's left.
-                let turned_rad = if arm < 0.0 { 0.0 } else { std::f32::consts::PI };
-                (foot, axis.yaw_rad() + turned_rad, green)
-            })
-        })
-}
-
-fn signal(green: bool) -> Vec<Element> {
-    let top = Vec3::Z * 5.9;
-    let reach = Vec3::new(0.0, ROAD_HALF_M - LANES_HALF_M + 2.2, 6.0);
-    let mut elements = vec![post(Vec3::ZERO, top, 0.1), post(top, reach, 0.07)];
-    for center in [Vec3::new(0.0, 0.0, 3.0), reach - Vec3::Z * 0.55] {
-        let half = Vec3::new(0.13, 0.19, 0.5);
-        elements.extend(boxed(center - half, center + half, 9.0, move |point| {
-            let offset = point.position - center;
-            let lens = (-(offset.z / 0.31).round()).clamp(-1.0, 1.0);
-            let radius_m = (offset.y * offset.y + (offset.z + lens * 0.31).powi(2)).sqrt();
-            if point.normal.x > -0.5 || radius_m > 0.125 {
-                return Texel::matt(display(34, 36, 36));
-            }
-            let (lit, color) = match lens as i32 {
-                -1 => (!green, display(255, 60, 44)),
-                0 => (false, display(220, 160, 40)),
-                _ => (green, display(70, 255, 150)),
-            };
-            if lit {
-                Texel {
-                    emitted: Some(color),
-                    ..Texel::matt(color)
-                }
-            } else {
-                Texel::matt(color * 0.12)
-            }
-        }));
-    }
-    elements
 }

@@ -7,10 +7,10 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use decouplegs_scene::{Lane, LaneKind, LaneMap};
+use decouplegs_scene::{Lane, LaneKind, LaneMap, LightColor, LightPhase, StopLine, TrafficLight};
 use glam::{DVec2, DVec3};
 
-use super::layout::{Axis, LANE_M};
+use super::layout::{Axis, LANE_M, STOP_LINE_M};
 use super::traffic::EGO_TURN_RADIUS_M;
 
 /// Lanes end this far from the origin: as far as traffic of the detailed streets drives in its
@@ -25,6 +25,10 @@ const TURN_STEP_M: f64 = 0.5;
 
 /// 50 km/h, meters per second.
 const SPEED_LIMIT_MPS: f64 = 50.0 / 3.6;
+
+/// Yellow, and the time in which both lights of the crossing are red, seconds.
+const YELLOW_S: f64 = 3.0;
+const ALL_RED_S: f64 = 2.0;
 
 /// Lanes in each direction.
 const NUMBERS: usize = 2;
@@ -181,7 +185,37 @@ pub(super) fn lanes() -> LaneMap {
         }
     }
     connect(&mut map);
+    map.lights = lights();
     map
+}
+
+/// One light for the main street and one for the other.
+fn lights() -> Vec<TrafficLight> {
+    let green_s = 12.0;
+    let half_s = green_s + YELLOW_S + ALL_RED_S;
+    let phase = |color, duration_s| LightPhase { color, duration_s };
+    [(Axis::Main, "main", 0.0), (Axis::Cross, "cross", half_s)]
+        .map(|(axis, name, offset_s)| {
+            let headings = Heading::ALL.into_iter();
+            let approaches = headings.filter(|heading| heading.axis == axis);
+            let line = |heading: Heading, number: usize| StopLine {
+                lane: format!("{}/{number}/before", heading.name()),
+                at_m: -heading.reach_m().0 - STOP_LINE_M,
+            };
+            TrafficLight {
+                name: name.into(),
+                stop_lines: approaches
+                    .flat_map(|heading| (0..NUMBERS).map(move |number| line(heading, number)))
+                    .collect(),
+                phases: vec![
+                    phase(LightColor::Green, green_s),
+                    phase(LightColor::Yellow, YELLOW_S),
+                    phase(LightColor::Red, half_s + ALL_RED_S),
+                ],
+                offset_s,
+            }
+        })
+        .into()
 }
 
 /// Links each way over the crossing with the lanes that it joins.

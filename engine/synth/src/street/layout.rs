@@ -16,6 +16,8 @@ pub(super) const LANE_M: f32 = 3.3;
 pub(super) const LANES_HALF_M: f32 = 2.0 * LANE_M;
 /// Centerline to kerb: two lanes and a parking lane, meters.
 pub(super) const ROAD_HALF_M: f32 = 9.0;
+/// Middle of the crossing to the near edge of stop lines.
+pub(super) const STOP_LINE_M: f64 = 14.8;
 /// Centerline to house fronts, meters.
 pub(super) const FRONT_M: f32 = 13.0;
 /// Height of the sidewalk over the asphalt, meters.

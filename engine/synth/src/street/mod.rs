@@ -26,6 +26,7 @@ mod obstacles;
 mod occluder;
 pub(crate) mod random;
 mod road;
+pub mod signals;
 mod sky;
 pub(crate) mod surface;
 #[cfg(test)]
@@ -49,6 +50,7 @@ use focus::Focus;
 use layout::{Layout, Spot};
 use light::Light;
 use occluder::Occluder;
+use signals::SignalHead;
 use surface::Element;
 use weather::Air;
 
@@ -111,6 +113,8 @@ pub struct Street {
     pub ego: Vec<(f64, Pose)>,
     /// Lanes of both streets and the ways over their crossing.
     pub lanes: LaneMap,
+    /// Heads of the traffic lights.
+    pub signal_heads: Vec<SignalHead>,
     /// Boxes of houses, trunks, lamp posts and parked cars.
     pub obstacles: Vec<Obstacle>,
     /// Seen where the dome of sky lets light through, display-referred RGB.
@@ -147,6 +151,7 @@ impl Street {
             rig: traffic::rig(),
             ego: traffic::ego(),
             lanes: lanes::lanes(),
+            signal_heads: signals::heads(),
             obstacles: obstacles::obstacles(&layout),
             sky: weather::sky_rgb(options.weather),
         }
@@ -260,7 +265,7 @@ fn background_elements(
     elements.extend(layout.trees.iter().flat_map(tree::tree));
     elements.extend(layout.lamps.iter().flat_map(furniture::lamp));
     elements.extend(layout.lamps.iter().flat_map(furniture::beside_lamp));
-    elements.extend(furniture::traffic_lights());
+    elements.extend(signals::traffic_lights());
     let cars: Vec<(Build, Vec<Element>)> = (0..car::VARIANTS)
         .map(Build::of)
         .map(|(build, paint)| (build, build.elements(paint)))

@@ -4,8 +4,8 @@ use decouplegs_scene::{Obstacle, ObstacleKind};
 use glam::Vec3;
 
 use super::car::Build;
-use super::furniture::signal_feet;
 use super::layout::{Layout, Spot};
+use super::signals::signal_feet;
 use super::variant_of;
 
 /// Side of the square that stands for a trunk or a post, meters.

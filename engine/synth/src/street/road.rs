@@ -6,6 +6,7 @@ use glam::{Vec2, Vec3};
 
 use super::layout::{
     Axis, CROSSING_X_M, EXTENT_M, FAR_M, FRONT_M, KERB_M, LANE_M, LANES_HALF_M, ROAD_HALF_M,
+    STOP_LINE_M,
 };
 use super::random::{cell, fractal_noise, noise, smoothstep};
 use super::surface::{Element, Shape, SurfacePoint, Texel, display};
@@ -119,7 +120,7 @@ fn crossing_paint(axis: Axis, stripes: &mut Vec<Stripe>) {
         // Traffic keeps right: on the near arm it comes with growing s on the side of negative t.
         stripes.push(stripe(
             axis,
-            (s_of(5.4), s_of(5.8)),
+            (s_of(5.4), s_of(STOP_LINE_M as f32 - ROAD_HALF_M)),
             (0.1 * arm, arm * LANES_HALF_M),
         ));
     }

@@ -1,5 +1,7 @@
 //! Messages of the protocol, as in `planner-protocol.md`.
 
+use decouplegs_scene::LightColor;
+use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::plan::{Plan, PlanPoint};
 use decouplegs_scene::{Sensor, VehicleSize, VehicleState};
 use glam::DVec2;
@@ -218,7 +220,13 @@ fn privileged(known: &Privileged) -> Value {
         "ego": vehicle(&known.ego, &known.ego_size),
         "route_m": known.route_m.iter().map(|place| place.to_array()).collect::<Vec<_>>(),
         "agents": known.agents.iter().map(|(agent, size)| vehicle(agent, size)).collect::<Vec<_>>(),
+        "stop_lines": known.stop_lines.iter().map(stop_line).collect::<Vec<_>>(),
     })
+}
+
+fn stop_line((line, color): &(StopLineRecord, LightColor)) -> Value {
+    let [right_m, left_m] = line.ends_m.map(|end_m| end_m.to_array());
+    json!({ "right_m": right_m, "left_m": left_m, "color": color.name() })
 }
 
 fn vehicle(state: &VehicleState, size: &VehicleSize) -> Value {

@@ -145,7 +145,8 @@ impl Corridor {
         (way, spans.collect())
     }
 
-    fn project(&self, place: DVec2) -> decouplegs_drive::polyline::Foot {
+    /// Place on the line, near the ego.
+    pub(super) fn project(&self, place: DVec2) -> decouplegs_drive::polyline::Foot {
         self.line
             .project_within(place, self.ego_arc_m - BEHIND_M, self.ego_arc_m + AHEAD_M)
     }

@@ -1,0 +1,84 @@
+//! Traffic lights: regulatory elements of subtype `traffic_light`, their stop lines on the lanelets
+//! that name them. The file tells no phases.
+
+use std::collections::HashMap;
+
+use decouplegs_scene::{Lane, LaneKind, StopLine, TrafficLight};
+use glam::DVec3;
+
+use super::super::budget::Budget;
+use super::super::polyline::foot_m;
+use super::{File, Plane, tag};
+use crate::DecodeError;
+use crate::traffic_light_form::{self, LIGHTS_MAX};
+use crate::xml::Element;
+
+/// True if a relation is a traffic light.
+pub(super) fn is_light(relation: Element) -> bool {
+    tag(relation, "type") == Some("regulatory_element")
+        && tag(relation, "subtype") == Some("traffic_light")
+}
+
+/// The lights of a file in its order, those of driving lanelets alone. Vehicles stop at the end of
+/// a lanelet where the light has no stop line, or one whose points are not in the file.
+pub(super) fn lights(
+    file: &File,
+    plane: Plane,
+    lanes: &[Lane],
+    budget: &mut Budget,
+) -> Result<Vec<TrafficLight>, DecodeError> {
+    let mut lights = Vec::with_capacity(file.lights.len());
+    let mut places = HashMap::new();
+    for light in &file.lights {
+        let name = light.needed_attribute("id")?;
+        places.insert(name, lights.len());
+        lights.push(TrafficLight {
+            name: name.to_owned(),
+            ..TrafficLight::default()
+        });
+    }
+    for (lanelet, lane) in file.lanelets.iter().zip(lanes) {
+        let named = lanelet
+            .element
+            .all("member")
+            .filter(|member| member.attribute("role") == Some("regulatory_element"))
+            .filter_map(|member| places.get(member.attribute("ref")?).copied());
+        if lane.kind != LaneKind::Driving {
+            continue;
+        }
+        for light in named {
+            let mut members = file.lights[light].all("member");
+            let line = members.find(|member| {
+                member.attribute("role") == Some("ref_line")
+                    && member.attribute("type") == Some("way")
+            });
+            let way = line.and_then(|member| member.attribute("ref"));
+            budget.spend(lane.centerline.len())?;
+            // Maps that were cut out of larger ones may lack the line.
+            let points = way.and_then(|way| file.points(lanelet, way, plane, budget).ok());
+            let place = match points {
+                Some((points, _)) => points.iter().sum::<DVec3>() / points.len() as f64,
+                None => lane.centerline[lane.centerline.len() - 1],
+            };
+            let at_m = foot_m(&lane.centerline, place);
+            lights[light].stop_lines.push(StopLine {
+                lane: lane.id.clone(),
+                at_m,
+            });
+        }
+    }
+    lights.retain(|light| !light.stop_lines.is_empty());
+    if lights.len() > LIGHTS_MAX {
+        return Err(DecodeError::Malformed(format!(
+            "{} traffic lights; expected at most {LIGHTS_MAX}",
+            lights.len()
+        )));
+    }
+    for light in &lights {
+        traffic_light_form::check(light, true).map_err(|fault| {
+            let (name, reason) = (&light.name, fault.reason);
+            DecodeError::Malformed(format!("traffic light {name}: {}: {reason}", fault.field))
+        })?;
+    }
+    Ok(lights)
+}

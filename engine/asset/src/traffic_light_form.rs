@@ -1,0 +1,128 @@
+//! Text form of a traffic light, the same in scenario files and lane files.
+
+use decouplegs_scene::{LightColor, LightPhase, StopLine, TrafficLight};
+use serde::{Deserialize, Serialize};
+
+/// Most lights of a file, stop lines of a light and phases of a cycle.
+pub(crate) const LIGHTS_MAX: usize = 10_000;
+const LINES_MAX: usize = 1_000;
+const PHASES_MAX: usize = 100;
+/// Shortest and longest phase, seconds.
+const PHASE_S: std::ops::RangeInclusive<f64> = 0.1..=3600.0;
+/// Largest distance along a lane, meters, and offset, seconds.
+const ALONG_M_MAX: f64 = 1e6;
+const OFFSET_S_MAX: f64 = 1e6;
+/// Most bytes of a name or a lane's id.
+const NAME_BYTES_MAX: usize = 1000;
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct LightForm {
+    name: String,
+    /// Lane and meters along it.
+    stop_lines: Vec<(String, f64)>,
+    /// Color and seconds.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    phases: Vec<(String, f64)>,
+    #[serde(default)]
+    offset_s: f64,
+}
+
+impl LightForm {
+    pub(crate) fn of(light: &TrafficLight) -> Self {
+        let line = |line: &StopLine| (line.lane.clone(), line.at_m);
+        let phase = |phase: &LightPhase| (phase.color.name().to_owned(), phase.duration_s);
+        Self {
+            name: light.name.clone(),
+            stop_lines: light.stop_lines.iter().map(line).collect(),
+            phases: light.phases.iter().map(phase).collect(),
+            offset_s: light.offset_s,
+        }
+    }
+
+    /// The light. Its numbers are not checked.
+    ///
+    /// # Errors
+    /// Returns an error that names the field and the color that is unknown.
+    pub(crate) fn light(&self) -> Result<TrafficLight, Fault> {
+        let phase = |(name, duration_s): &(String, f64)| {
+            let color = LightColor::by_name(name).ok_or_else(|| Fault {
+                field: "phases",
+                reason: format!("the color '{name}' is unknown; there are green, yellow, red"),
+            })?;
+            Ok(LightPhase {
+                color,
+                duration_s: *duration_s,
+            })
+        };
+        let line = |(lane, at_m): &(String, f64)| StopLine {
+            lane: lane.clone(),
+            at_m: *at_m,
+        };
+        Ok(TrafficLight {
+            name: self.name.clone(),
+            stop_lines: self.stop_lines.iter().map(line).collect(),
+            phases: self.phases.iter().map(phase).collect::<Result<_, _>>()?,
+            offset_s: self.offset_s,
+        })
+    }
+}
+
+/// Field of a light that is wrong, and the reason.
+pub(crate) struct Fault {
+    pub(crate) field: &'static str,
+    pub(crate) reason: String,
+}
+
+/// First fault of a light, if any. Only lights of maps may be without phases.
+pub(crate) fn check(light: &TrafficLight, in_map: bool) -> Result<(), Fault> {
+    let fault = |field, reason: String| Err(Fault { field, reason });
+    let name_bytes = light.name.len();
+    if !(1..=NAME_BYTES_MAX).contains(&name_bytes) {
+        let reason = format!("{name_bytes} bytes; expected 1 to {NAME_BYTES_MAX}");
+        return fault("name", reason);
+    }
+    let counts = [
+        ("stop_lines", light.stop_lines.len(), 1, LINES_MAX),
+        (
+            "phases",
+            light.phases.len(),
+            usize::from(!in_map),
+            PHASES_MAX,
+        ),
+    ];
+    for (field, count, least, most) in counts {
+        if !(least..=most).contains(&count) {
+            return fault(
+                field,
+                format!("{count} of them; expected {least} to {most}"),
+            );
+        }
+    }
+    for line in &light.stop_lines {
+        if !(0.0..=ALONG_M_MAX).contains(&line.at_m) {
+            let reason = format!("a line {} m along; expected 0 to {ALONG_M_MAX}", line.at_m);
+            return fault("stop_lines", reason);
+        }
+        if !(1..=NAME_BYTES_MAX).contains(&line.lane.len()) {
+            let bytes = line.lane.len();
+            let reason = format!("a lane's id of {bytes} bytes; expected 1 to {NAME_BYTES_MAX}");
+            return fault("stop_lines", reason);
+        }
+    }
+    for phase in &light.phases {
+        if !PHASE_S.contains(&phase.duration_s) {
+            let (from, to) = (PHASE_S.start(), PHASE_S.end());
+            let reason = format!("{} s; expected {from} to {to}", phase.duration_s);
+            return fault("phases", reason);
+        }
+    }
+    if !(-OFFSET_S_MAX..=OFFSET_S_MAX).contains(&light.offset_s) {
+        let reason = format!(
+            "{} s; expected {} to {OFFSET_S_MAX}",
+            light.offset_s, -OFFSET_S_MAX
+        );
+        return fault("offset_s", reason);
+    }
+    Ok(())
+}

@@ -1,0 +1,88 @@
+//! Traffic lights as agents obey them.
+
+use super::Traffic;
+use super::agent::Agent;
+use super::following::LINE_M;
+use crate::road_graph::length_of;
+use decouplegs_scene::LightColor;
+
+/// An agent stops at yellow where it can with this braking, m/s^2. At 15 m/s it then passes the
+/// line within a yellow of 3 seconds or stops.
+const BRAKING_MPS2: f64 = 2.5;
+/// Stop lines are seen from this distance at least, meters, and this many seconds away.
+const SEEN_M: f64 = 60.0;
+const SEEN_S: f64 = 6.0;
+
+/// Next stop line with a traffic light on an agent's path. Places are meters from the start of the
+/// agent's lane.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct NextLight {
+    /// The nearest line, of whatever color.
+    pub line_m: f64,
+    /// Place before which the agent stops because a light is not green.
+    pub hold_m: Option<f64>,
+}
+
+impl Traffic {
+    /// The next stop line with a light on an agent's path.
+    pub(super) fn next_light(&self, agent: &Agent) -> Option<NextLight> {
+        if self.lights.is_empty() {
+            return None;
+        }
+        let (front_m, stop_m) = (agent.front_m(), agent.stop_m());
+        let comfortable_m = front_m + agent.speed_mps * agent.speed_mps / (2.0 * BRAKING_MPS2);
+        let was_held = agent.light.is_some_and(|light| light.hold_m.is_some());
+        let seen_m = front_m + SEEN_M + SEEN_S * agent.speed_mps;
+        let mut next: Option<NextLight> = None;
+        let mut start_m = 0.0;
+        for &lane in &agent.path[agent.here..] {
+            for line in self.lights.on(lane) {
+                let line_m = start_m + line.at_m;
+                if line_m < front_m {
+                    continue;
+                }
+                let next = next.get_or_insert(NextLight {
+                    line_m,
+                    hold_m: None,
+                });
+                let color = self.lights.color_at(line.record.light, self.time_s);
+                let stops = |place_m: f64| match color {
+                    LightColor::Green => false,
+                    LightColor::Yellow if !was_held => comfortable_m <= place_m - LINE_M,
+                    LightColor::Yellow | LightColor::Red => stop_m <= place_m - LINE_M,
+                };
+                let places_m = [self.before_crossing(agent, line_m), line_m];
+                next.hold_m = places_m.into_iter().find(|&place_m| stops(place_m));
+                if next.hold_m.is_some() {
+                    return Some(*next);
+                }
+            }
+            start_m += length_of(self.graph.lanes(), lane);
+            if start_m > seen_m {
+                break;
+            }
+        }
+        next
+    }
+
+    /// The place to stop for a line: before the crossing, if the line is in it or so near behind it
+    /// that the vehicle would stand in it.
+    fn before_crossing(&self, agent: &Agent, line_m: f64) -> f64 {
+        match agent.crossing {
+            Some(crossing)
+                if crossing.from_m < line_m && line_m < crossing.to_m + agent.clearance_m() =>
+            {
+                crossing.from_m
+            }
+            _ => line_m,
+        }
+    }
+
+    /// The last stop line on a lane whose light is red, meters along the lane.
+    pub(super) fn red_line(&self, lane: usize) -> Option<f64> {
+        let mut lines = self.lights.on(lane).iter().rev();
+        let red = lines
+            .find(|line| self.lights.color_at(line.record.light, self.time_s) == LightColor::Red);
+        red.map(|line| line.at_m)
+    }
+}

@@ -1,0 +1,122 @@
+//! Traffic lights: stop lines and the phases in which vehicles may pass them.
+
+/// Color of a traffic light.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum LightColor {
+    /// Vehicles may pass, after those with the right of way.
+    Green,
+    /// Vehicles that can stop comfortably stop.
+    Yellow,
+    /// Vehicles stop.
+    Red,
+}
+
+impl LightColor {
+    /// In the order in which lights show them.
+    pub const ALL: [Self; 3] = [Self::Green, Self::Yellow, Self::Red];
+
+    /// Name in files and in the protocol of planners.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Green => "green",
+            Self::Yellow => "yellow",
+            Self::Red => "red",
+        }
+    }
+
+    /// The color that a file names so.
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|color| color.name() == name)
+    }
+}
+
+/// Part of a light's cycle with one color.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightPhase {
+    /// Color of the light.
+    pub color: LightColor,
+    /// Duration, seconds, above 0.
+    pub duration_s: f64,
+}
+
+/// Place on a lane before which vehicles stop.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StopLine {
+    /// Lane, by id.
+    pub lane: String,
+    /// Place on the lane, meters along it.
+    pub at_m: f64,
+}
+
+/// Traffic light, or a group of lights that always show the same color.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TrafficLight {
+    /// Unique in its scenario or map.
+    pub name: String,
+    /// Stop lines that it controls.
+    pub stop_lines: Vec<StopLine>,
+    /// Phases of a cycle, in order. Empty only in maps that do not tell them.
+    pub phases: Vec<LightPhase>,
+    /// Position in the cycle at time 0, seconds.
+    pub offset_s: f64,
+}
+
+impl TrafficLight {
+    /// Duration of a cycle, seconds.
+    #[must_use]
+    pub fn cycle_s(&self) -> f64 {
+        self.phases.iter().map(|phase| phase.duration_s).sum()
+    }
+
+    /// Color at a time, and the seconds until the next phase. A light without phases is green.
+    #[must_use]
+    pub fn phase_at(&self, time_s: f64) -> (LightColor, f64) {
+        let Some(last) = self.phases.last() else {
+            return (LightColor::Green, f64::INFINITY);
+        };
+        let mut rest_s = (time_s + self.offset_s).rem_euclid(self.cycle_s());
+        for phase in &self.phases {
+            if rest_s < phase.duration_s {
+                return (phase.color, phase.duration_s - rest_s);
+            }
+            rest_s -= phase.duration_s;
+        }
+        // Rounding at the end of the cycle.
+        (last.color, 0.0)
+    }
+
+    /// Color at a time, seconds since the start.
+    #[must_use]
+    pub fn color_at(&self, time_s: f64) -> LightColor {
+        self.phase_at(time_s).0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colors_follow_each_other_in_a_cycle() {
+        let phase = |color, duration_s| LightPhase { color, duration_s };
+        let light = TrafficLight {
+            phases: vec![
+                phase(LightColor::Green, 10.0),
+                phase(LightColor::Yellow, 3.0),
+                phase(LightColor::Red, 12.0),
+            ],
+            offset_s: 9.0,
+            ..TrafficLight::default()
+        };
+        assert_eq!(light.cycle_s(), 25.0);
+        assert_eq!(light.phase_at(0.0), (LightColor::Green, 1.0));
+        assert_eq!(light.phase_at(1.0), (LightColor::Yellow, 3.0));
+        assert_eq!(light.phase_at(4.0), (LightColor::Red, 12.0));
+        assert_eq!(light.phase_at(16.0), (LightColor::Green, 10.0));
+        assert_eq!(light.phase_at(-10.0), (LightColor::Red, 1.0));
+        assert_eq!(light.phase_at(25.0), light.phase_at(0.0));
+        assert_eq!(TrafficLight::default().color_at(3.0), LightColor::Green);
+    }
+}

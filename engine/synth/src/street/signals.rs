@@ -1,0 +1,155 @@
+//! Traffic lights: posts of the crossing with their heads, and heads as assets that show a color.
+
+use decouplegs_scene::{LightColor, Pose, SplatCloud};
+use glam::{Quat, Vec3};
+
+use super::AssetLight;
+use super::emit::emit;
+use super::focus::Focus;
+use super::furniture::post;
+use super::layout::{Axis, KERB_M, LANES_HALF_M, ROAD_HALF_M};
+use super::light::Light;
+use super::surface::{Element, SurfacePoint, Texel, boxed, display};
+use super::weather::Air;
+
+/// Half the size of a head, meters.
+const HEAD_HALF_M: Vec3 = Vec3::new(0.13, 0.19, 0.5);
+/// Heads that are assets are so much larger than those of the background that they hide, meters: a
+/// dark layer, for splats are not wholly opaque, and the head.
+const COVER_M: [f32; 2] = [0.02, 0.04];
+/// Height of a head on a post, meters.
+const HEAD_Z_M: f32 = 3.0;
+/// Albedo of lenses of assets that are not lit, relative to their color.
+const UNLIT: f32 = 0.03;
+/// Splats of a head or a post that is an asset.
+const ASSET_SPLATS: usize = 3_000;
+/// Seed of the assets.
+const SEED: u64 = 1;
+
+/// Head of a traffic light of the street.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SignalHead {
+    /// Name of its light in the street's map.
+    pub light: &'static str,
+    /// Middle of the head; x is the direction of the traffic that obeys it.
+    pub pose: Pose,
+}
+
+/// A traffic light before the crossing on every arm: green for the main street, red for the other.
+pub(super) fn traffic_lights() -> Vec<Element> {
+    let mut elements = Vec::new();
+    for (foot, yaw_rad, axis) in signal_feet() {
+        let lit = match axis {
+            Axis::Main => LightColor::Green,
+            Axis::Cross => LightColor::Red,
+        };
+        elements.extend(
+            signal(lit)
+                .into_iter()
+                .map(|e| e.placed(Quat::from_rotation_z(yaw_rad), foot)),
+        );
+    }
+    elements
+}
+
+/// All heads of the street.
+pub(super) fn heads() -> Vec<SignalHead> {
+    signal_feet()
+        .flat_map(|(foot, yaw_rad, axis)| {
+            let light = match axis {
+                Axis::Main => "main",
+                Axis::Cross => "cross",
+            };
+            let turn = Quat::from_rotation_z(yaw_rad);
+            head_centers().map(move |center| SignalHead {
+                light,
+                pose: Pose::from_yaw(f64::from(yaw_rad), (foot + turn * center).as_dvec3()),
+            })
+        })
+        .collect()
+}
+
+/// Feet of the posts of the traffic lights, their headings, and the street whose traffic they stop.
+pub(super) fn signal_feet() -> impl Iterator<Item = (Vec3, f32, Axis)> {
+    [Axis::Main, Axis::Cross].into_iter().flat_map(|axis| {
+        [-1.0f32, 1.0].map(|arm| {
+            let s = axis.crossing_s() + arm * (ROAD_HALF_M + 4.9);
+            let foot = axis.at(s, arm * (ROAD_HALF_M + 0.55)).extend(KERB_M);
+            // Local x runs with the traffic that obeys it, so the lenses face -x; local y is
+            // that traffic's left.
+            let turned_rad = if arm < 0.0 { 0.0 } else { std::f32::consts::PI };
+            (foot, axis.yaw_rad() + turned_rad, axis)
+        })
+    })
+}
+
+/// End of the arm of a post.
+fn reach() -> Vec3 {
+    Vec3::new(0.0, ROAD_HALF_M - LANES_HALF_M + 2.2, 6.0)
+}
+
+/// Heads of a post: beside the road and over it.
+fn head_centers() -> [Vec3; 2] {
+    [Vec3::Z * HEAD_Z_M, reach() - Vec3::Z * 0.55]
+}
+
+fn signal(lit: LightColor) -> Vec<Element> {
+    let top = Vec3::Z * 5.9;
+    let mut elements = vec![post(Vec3::ZERO, top, 0.1), post(top, reach(), 0.07)];
+    for center in head_centers() {
+        elements.extend(head(center, HEAD_HALF_M, lit, 0.12));
+    }
+    elements
+}
+
+fn head(center: Vec3, half: Vec3, lit: LightColor, unlit: f32) -> Vec<Element> {
+    boxed(center - half, center + half, 9.0, move |point| {
+        let offset = point.position - center;
+        let lens = (-(offset.z / 0.31).round()).clamp(-1.0, 1.0);
+        let radius_m = (offset.y * offset.y + (offset.z + lens * 0.31).powi(2)).sqrt();
+        if point.normal.x > -0.5 || radius_m > 0.125 {
+            return Texel::matt(display(34, 36, 36));
+        }
+        let (shows, color) = match lens as i32 {
+            -1 => (LightColor::Red, display(255, 60, 44)),
+            0 => (LightColor::Yellow, display(220, 160, 40)),
+            _ => (LightColor::Green, display(70, 255, 150)),
+        };
+        if shows == lit {
+            Texel {
+                emitted: Some(color),
+                ..Texel::matt(color)
+            }
+        } else {
+            Texel::matt(color * unlit)
+        }
+    })
+}
+
+/// Heads that show green, yellow and red, and hide a head of the background. Origin in the middle.
+#[must_use]
+pub fn head_assets() -> [SplatCloud; 3] {
+    LightColor::ALL.map(|lit| {
+        let half = COVER_M.map(|cover_m| HEAD_HALF_M + cover_m);
+        let dark = |_: &SurfacePoint| Texel::matt(display(34, 36, 36));
+        let mut elements = boxed(-half[0], half[0], 9.0, dark);
+        elements.extend(head(Vec3::ZERO, half[1], lit, UNLIT));
+        asset(&elements)
+    })
+}
+
+/// Posts with a head that show green, yellow and red. Origin at the foot.
+#[must_use]
+pub fn post_assets() -> [SplatCloud; 3] {
+    LightColor::ALL.map(|lit| {
+        let mut elements = vec![post(Vec3::ZERO, Vec3::Z * HEAD_Z_M, 0.08)];
+        elements.extend(head(Vec3::Z * HEAD_Z_M, HEAD_HALF_M, lit, UNLIT));
+        asset(&elements)
+    })
+}
+
+fn asset(elements: &[Element]) -> SplatCloud {
+    let air = Air::of_assets(AssetLight::Neutral);
+    let light = Light::new(air, vec![]).on_asset(Quat::IDENTITY, Vec3::ZERO);
+    emit(elements, ASSET_SPLATS, 0, SEED, &light, &Focus::nowhere())
+}
