@@ -1,6 +1,8 @@
 //! Scores of episodes as text, JSON and one HTML page.
 
 mod birds_eye;
+mod charts;
+mod comparison;
 mod page;
 mod timing;
 
@@ -16,9 +18,12 @@ use decouplegs::episode::StepTime;
 use decouplegs::explain::one_line;
 use decouplegs::scene::Level;
 use decouplegs::scene::episode::{Episode, EpisodeEnd};
+use glam::DVec2;
 use serde_json::{Value, json};
 
 use crate::sites::Sites;
+
+pub use comparison::compare;
 
 /// An episode and what it is worth.
 pub struct Scored {
@@ -96,24 +101,44 @@ impl Scored {
 }
 
 impl Scored {
+    /// Kind of an infraction, for people.
+    pub fn what(&self, infraction: &Infraction) -> String {
+        let head = &self.episode.head;
+        match infraction.kind {
+            InfractionKind::Layout => "off the road".to_owned(),
+            InfractionKind::RedLight { light } => {
+                format!("red light {}", head.scenario.lights[light].name)
+            }
+            InfractionKind::Obstacle { kind } => format!("collision with a {}", kind.name()),
+            InfractionKind::Collision { agent, fault } => {
+                let agents = &head.scenario.agents;
+                let name = agents
+                    .get(agent)
+                    .map_or("an agent", |agent| agent.name.as_str());
+                format!("collision with {name}, {}", fault.why())
+            }
+        }
+    }
+
+    /// Position of the ego at a time, or at the last moment before it, meters.
+    pub fn place_m(&self, time_s: f64) -> DVec2 {
+        let start = self.episode.start.ego.position_m;
+        let before = self
+            .episode
+            .instants()
+            .take_while(|instant| instant.time_s <= time_s + 1e-9);
+        before
+            .last()
+            .map_or(start, |instant| instant.ego.position_m)
+    }
+
     /// The driving score as a product, each factor with its infraction and its moment.
     pub fn explained(&self) -> String {
-        let agents = &self.episode.head.scenario.agents;
         let factor = |infraction: &Infraction| {
-            let what = match infraction.kind {
-                InfractionKind::Layout => "off the road".to_owned(),
-                InfractionKind::RedLight { .. } => "red light".to_owned(),
-                InfractionKind::Obstacle { kind } => format!("collision with a {}", kind.name()),
-                InfractionKind::Collision { agent, fault } => {
-                    let name = agents
-                        .get(agent)
-                        .map_or("an agent", |agent| agent.name.as_str());
-                    format!("collision with {name}, {}", fault.why())
-                }
-            };
             format!(
-                " × {:.2} ({what} at {:.1} s)",
+                " × {:.2} ({} at {:.1} s)",
                 infraction.factor(),
+                self.what(infraction),
                 infraction.time_s
             )
         };
@@ -322,19 +347,20 @@ fn set_to_json(set: &SetSummary) -> Value {
 fn episode_to_json(scored: &Scored) -> Value {
     let score = &scored.score;
     let agents = &scored.episode.head.scenario.agents;
+    let place_m = |infraction: &Infraction| scored.place_m(infraction.time_s).to_array();
     let infraction = |infraction: &Infraction| match infraction.kind {
         InfractionKind::Collision { agent, fault } => json!({
-            "time_s": infraction.time_s, "kind": "collision", "agent": agents.get(agent).map(|agent| &agent.name),
+            "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "collision", "agent": agents.get(agent).map(|agent| &agent.name),
             "at_fault": fault.at_fault(), "why": fault.why(),
         }),
         InfractionKind::Obstacle { kind } => json!({
-            "time_s": infraction.time_s, "kind": "obstacle", "object": kind.name(), "at_fault": true,
+            "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "obstacle", "object": kind.name(), "at_fault": true,
         }),
         InfractionKind::Layout => {
-            json!({ "time_s": infraction.time_s, "kind": "off_road", "at_fault": true })
+            json!({ "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "off_road", "at_fault": true })
         }
         InfractionKind::RedLight { light } => json!({
-            "time_s": infraction.time_s, "kind": "red_light", "at_fault": true,
+            "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "red_light", "at_fault": true,
             "light": scored.episode.head.scenario.lights[light].name,
         }),
     };

@@ -17,15 +17,33 @@ pub struct Arguments {
     /// Logs of episodes, as `drive` writes them
     #[arg(required = true, value_name = "LOG")]
     logs: Vec<PathBuf>,
-    /// Write report.json and report.html to this folder too
+    /// Compare with these logs of another run, episode by episode. Both runs need the same
+    /// scenarios
+    #[arg(long, value_name = "LOG", num_args = 1..)]
+    against: Vec<PathBuf>,
+    /// Write report.json and report.html, with --against comparison.json and comparison.html, to
+    /// this folder too
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let bar = progress::bar("logs", arguments.logs.len());
-    let mut scored = Vec::with_capacity(arguments.logs.len());
-    for path in &arguments.logs {
+    let scored = read(&arguments.logs)?;
+    let out = arguments.out.as_deref();
+    let text = match out {
+        _ if !arguments.against.is_empty() => {
+            episode_report::compare(&scored, &read(&arguments.against)?, out)?
+        }
+        Some(out) => episode_report::write(&scored, &Sites::new(None, Appearance::default()), out)?,
+        None => episode_report::text(&scored)?,
+    };
+    print(&text)
+}
+
+fn read(paths: &[PathBuf]) -> Result<Vec<Scored>> {
+    let bar = progress::bar("logs", paths.len());
+    let mut scored = Vec::with_capacity(paths.len());
+    for path in paths {
         let images = episode_report::images_beside(path);
         scored.push(Scored::new(
             read_episode_log(path)?,
@@ -37,9 +55,5 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     bar.finish_and_clear();
     scored.sort_by(|a, b| (a.level(), a.name()).cmp(&(b.level(), b.name())));
-    let text = match &arguments.out {
-        Some(out) => episode_report::write(&scored, &Sites::new(None, Appearance::default()), out)?,
-        None => episode_report::text(&scored)?,
-    };
-    print(&text)
+    Ok(scored)
 }

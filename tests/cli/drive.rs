@@ -341,13 +341,12 @@ fn a_scenario_that_was_written_can_be_edited_and_driven() {
     ]);
     let scenario = fs::read_to_string(made.join("scenarios/medium_0000.toml")).unwrap();
     let mine = folder.path().join("mine.toml");
-    fs::write(
-        &mine,
-        scenario
-            .replace("medium_0000", "mine")
-            .replace("duration_s = 20.0", "duration_s = 3.0"),
-    )
-    .unwrap();
+    let edited = |line: &str| match line.starts_with("duration_s") {
+        true => "duration_s = 3.0\n".to_owned(),
+        false => format!("{}\n", line.replace("medium_0000", "mine")),
+    };
+    let edited: String = scenario.lines().map(edited).collect();
+    fs::write(&mine, edited).unwrap();
     let run = folder.path().join("run");
     let said = succeed(&[
         "drive",
@@ -482,4 +481,110 @@ fn two_sources_of_images_are_compared_by_what_a_planner_makes_of_them() {
             .any(|meters| meters.as_f64().is_some_and(|meters| meters > 0.05)),
         "{report}"
     );
+}
+
+#[test]
+fn two_runs_are_compared_episode_by_episode() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |planner: &str, seed: &str| -> Vec<String> {
+        let out = folder.path().join(format!("{planner}-{seed}"));
+        let of_run = ["--planner", planner, "--seed", seed, "--out", text(&out)];
+        let always = ["--level", "easy", "--episodes", "3", "--render", "off"];
+        succeed(&[&["drive"], &always[..], &of_run[..]].concat());
+        let logs = fs::read_dir(out.join("logs")).unwrap().flatten();
+        logs.map(|log| log.path().display().to_string()).collect()
+    };
+    let (careful, blind) = (run("lane-follow", "1"), run("constant-velocity", "1"));
+    let words = |first: &[String], second: &[String]| -> Vec<String> {
+        let out = folder.path().join("compared").display().to_string();
+        let words = [
+            vec!["score".to_owned()],
+            first.to_vec(),
+            vec!["--out".into(), out, "--against".into()],
+        ];
+        [words.concat(), second.to_vec()].concat()
+    };
+    let said = |words: &[String]| succeed(&words.iter().map(String::as_str).collect::<Vec<_>>());
+    let differ = said(&words(&careful, &blind));
+    assert!(
+        differ.starts_with("first: lane-follow, second: constant-velocity; 3 pairs, 0 episodes"),
+        "{differ}"
+    );
+    assert!(differ.contains("part at"), "{differ}");
+    let page = fs::read_to_string(folder.path().join("compared/comparison.html")).unwrap();
+    assert!(page.contains("easy_0000") && page.contains("Differences of driving scores"));
+    let report = fs::read_to_string(folder.path().join("compared/comparison.json")).unwrap();
+    let report: Value = serde_json::from_str(&report).unwrap();
+    assert!(report["levels"][0]["difference"]["mean"].as_f64().unwrap() > 0.1);
+
+    let same = said(&words(&careful, &careful));
+    assert!(
+        same.contains("+0.000 [+0.000, +0.000]") && !same.contains("part at"),
+        "{same}"
+    );
+    let other = words(&careful, &run("lane-follow", "2"));
+    let other: Vec<&str> = other.iter().map(String::as_str).collect();
+    let error = fail(1, &other);
+    assert!(
+        error.contains("no scenario was driven in both runs"),
+        "{error}"
+    );
+}
+
+#[test]
+fn lamps_show_the_phase_of_their_light() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenario = |name: &str, light: &str| {
+        let text = format!(
+            "version = 1\nname = \"{name}\"\nseed = 1\nduration_s = 0.5\n[place.street]\nweather = \"clear\"\nbackground = 20000\n\
+             agent_splats = 10\nseed = 1\n[ego]\nroute = [\"main/forward/1/before\"]\nstart_m = 348.0\nend_m = 360.0\nspeed_mps = 8.0\n\
+             cruise_mps = 8.0\n{light}"
+        );
+        let path = folder.path().join(format!("{name}.toml"));
+        fs::write(&path, text).unwrap();
+        path
+    };
+    let light = |color: &str| {
+        format!(
+            "[[light]]\nname = \"main\"\nstop_lines = [[\"main/forward/1/before\", 365.2]]\nphases = [[\"{color}\", 9.0]]\n"
+        )
+    };
+    let paths = [
+        scenario("red", &light("red")),
+        scenario("green", &light("green")),
+        scenario("none", ""),
+    ];
+    let out = folder.path().join("run");
+    let mut words = vec!["drive", "--planner", "constant-velocity", "--all-cameras"];
+    words.extend(["--size", "320x180", "--images", "all", "--out", text(&out)]);
+    words.extend(paths.iter().map(|path| text(path)));
+    succeed(&words);
+    let front =
+        |name: &str| Image::read(&out.join(format!("images/{name}/front_0000.png"))).unwrap();
+    let [red, green, none] = ["red", "green", "none"].map(front);
+    // Pixels of the first image that are redder than in the second, and greener.
+    let changed = |a: &Image, b: &Image| {
+        let redness = |rgb: &[f32; 3]| rgb[0] - rgb[1];
+        let by: Vec<f32> = a
+            .rgb
+            .iter()
+            .zip(&b.rgb)
+            .map(|(a, b)| redness(a) - redness(b))
+            .collect();
+        let count = |is: &dyn Fn(f32) -> bool| by.iter().filter(|by| is(**by)).count();
+        (count(&|by| by > 0.25), count(&|by| by < -0.25))
+    };
+    // The red lens lights up and the green one goes out.
+    assert!(changed(&red, &green).0 > 10, "{:?}", changed(&red, &green));
+    assert_eq!(changed(&red, &green).1, 0);
+    // Without lights the lamps of the main street are painted green.
+    assert!(changed(&red, &none).0 > 10 && changed(&green, &none).0 == 0);
+    // The light of the other street is not in these scenarios: nothing else differs.
+    let far = red
+        .rgb
+        .iter()
+        .zip(&green.rgb)
+        .filter(|(a, b)| a != b)
+        .count();
+    assert!(far < red.rgb.len() / 20, "{far} pixels differ");
 }

@@ -13,11 +13,14 @@ const EGO: usize = 0;
 const AGENT: usize = 7;
 const HIT: usize = 3;
 const ROUTE: usize = 2;
+/// Half the size of the mark of an infraction, meters.
+const MARK_M: f64 = 0.9;
 /// Agents farther than this from the ego's way are not drawn, meters: they would shrink what
 /// matters.
 const NEAR_M: f64 = 45.0;
 
-/// Lanes, the route, what the ego drove, and all vehicles at its end.
+/// Lanes, the route, what the ego drove, all vehicles at its end, and a diamond where the ego was
+/// at each infraction.
 pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
     let episode = &scored.episode;
     let instants: Vec<&EpisodeTick> = episode.instants().collect();
@@ -83,6 +86,13 @@ pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
         });
     }
     bodies.push(body(EGO, &last.ego, &ego_size(episode)));
+    bodies.extend(scored.score.infractions.iter().map(|infraction| {
+        let at_m = scored.place_m(infraction.time_s);
+        Body {
+            color: HIT,
+            corners: [DVec2::X, DVec2::Y, DVec2::NEG_X, DVec2::NEG_Y].map(|to| at_m + to * MARK_M),
+        }
+    }));
     drawing(
         &format!("{} after {:.1} s", scored.name(), last.time_s),
         lanes,

@@ -6,18 +6,16 @@ use std::path::Path;
 
 use anyhow::Result;
 use decouplegs::render::Image;
+use decouplegs::scene::Lane;
 use decouplegs::scene::scenario::Place;
-use decouplegs::scene::{Lane, VehicleState};
 
-use super::{Scored, birds_eye, rows, score, share, spread, summary, timing};
-use crate::plot::{Axis, Plot, Series, Shape, escaped};
+use super::{Scored, birds_eye, charts, rows, score, share, spread, summary, timing};
+use crate::plot::escaped;
 use crate::sites::Sites;
 use crate::{data_uri, plot};
 
 /// Episodes that are shown; a page of hundreds would not be read.
 const SHOWN_MAX: usize = 24;
-/// Distances in plots are cut here, meters: beyond, nothing happens.
-const APART_MAX_M: f64 = 30.0;
 /// Key frames are shown so wide at most, pixels.
 const KEY_WIDTH_PX: u32 = 420;
 
@@ -141,8 +139,7 @@ fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
     let score = &scored.score;
     let mut html = format!(
         "<h3>{}: {}</h3><p>{}</p><p>{}, {:.1} s, at most {:.1} m/s² of braking and {:.1} m/s² sideways; <a href=\"{}\">log</a>, \
-         <a href=\"{}\">scenario</a></p><div class=\"row\"><figure style=\"flex:1 1 24em\">{}</figure><figure \
-         style=\"flex:1 1 24em\">{}</figure>",
+         <a href=\"{}\">scenario</a></p>{}<div class=\"row\"><figure style=\"flex:1 1 24em\">{}</figure>{}",
         escaped(scored.name()),
         escaped(&scored.ending()),
         escaped(&scored.explained()),
@@ -160,8 +157,9 @@ fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
         score.comfort.lateral_acceleration_max_mps2,
         escaped(&format!("logs/{}.log", scored.name())),
         escaped(&format!("scenarios/{}.toml", scored.name())),
+        infractions(scored),
         birds_eye::svg(scored, lanes),
-        over_time(scored)
+        charts::figures(scored)
     );
     for path in key_frames(&scored.images) {
         let image = data_uri::shrunk(&Image::read(&path)?, KEY_WIDTH_PX);
@@ -181,62 +179,45 @@ fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
     Ok(html)
 }
 
-/// Speeds of the ego and of the vehicle nearest to it, and the distance between their middles, over
-/// time; infractions are marked.
-fn over_time(scored: &Scored) -> String {
-    let (mut ego, mut nearest, mut apart) = (Vec::new(), Vec::new(), Vec::new());
-    for instant in scored.episode.instants() {
-        ego.push((instant.time_s, instant.ego.speed_mps));
-        let distance_m = |other: &VehicleState| other.position_m.distance(instant.ego.position_m);
-        let other = instant
-            .agents
-            .iter()
-            .flatten()
-            .min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
-        nearest.extend(other.map(|other| (instant.time_s, other.speed_mps)));
-        apart.extend(other.map(|other| (instant.time_s, distance_m(other).min(APART_MAX_M))));
+/// Table of the infractions: time, kind, place of the ego, and the last image before it.
+fn infractions(scored: &Scored) -> String {
+    if scored.score.infractions.is_empty() {
+        return String::new();
     }
-    let top = ego
-        .iter()
-        .chain(&nearest)
-        .chain(&apart)
-        .map(|point| point.1)
-        .fold(1.0, f64::max);
-    let series = |name: &str, color, points, shape| Series {
-        name: name.into(),
-        color,
-        points,
-        shape,
-        end: None,
-    };
-    let mut series_of_plot = vec![
-        series("ego, m/s", 0, ego, Shape::Curve),
-        series("nearest vehicle, m/s", 7, nearest, Shape::Curve),
-        series("distance to it, m", 2, apart, Shape::Curve),
-    ];
-    let marks = scored.score.infractions.iter();
-    series_of_plot.extend(marks.map(|mark| {
-        series(
-            "infraction",
-            3,
-            vec![(mark.time_s, 0.0), (mark.time_s, top)],
-            Shape::Guide,
-        )
-    }));
-    let plot = Plot {
-        title: &format!("{} over time", scored.name()),
-        x: Axis {
-            label: "seconds",
-            ..Axis::default()
-        },
-        y: Axis {
-            label: "m/s, m",
-            from_zero: true,
-            ..Axis::default()
-        },
-        series: series_of_plot,
-    };
-    plot.to_svg()
+    let mut html = String::from(
+        "<div class=\"wide\"><table><tr><th>time, s<th>infraction<th>factor<th>ego at x, m<th>y, m<th>image",
+    );
+    for infraction in &scored.score.infractions {
+        let at_m = scored.place_m(infraction.time_s);
+        let image = image_before(scored, infraction.time_s).map_or("-".into(), |file| {
+            let file = format!("images/{}/{file}", scored.name());
+            format!("<a href=\"{0}\">{0}</a>", escaped(&file))
+        });
+        let _ = write!(
+            html,
+            "<tr><td>{:.1}<td>{}<td>{:.2}<td>{:.1}<td>{:.1}<td>{image}",
+            infraction.time_s,
+            escaped(&scored.what(infraction)),
+            infraction.factor(),
+            at_m.x,
+            at_m.y
+        );
+    }
+    html.push_str("</table></div>");
+    html
+}
+
+/// Name of the last image in the folder of an episode that was taken before a time.
+fn image_before(scored: &Scored, time_s: f64) -> Option<String> {
+    let step = (time_s / scored.episode.head.scenario.step_s + 1e-9) as u32;
+    let files = std::fs::read_dir(&scored.images).ok()?.flatten();
+    let images = files.filter_map(|file| {
+        let name = file.file_name().into_string().ok()?;
+        let number = name.strip_suffix(".png")?.rsplit('_').next()?;
+        let number: u32 = number.parse().ok()?;
+        (number <= step).then_some((number, name))
+    });
+    images.max().map(|(_, name)| name)
 }
 
 /// The key frames in `folder`, in time.

@@ -17,13 +17,13 @@ mod progress;
 mod summary;
 mod time_to_collision;
 
-pub use comfort::Comfort;
+pub use comfort::{Comfort, lateral_accelerations};
 pub use fault::Fault;
 pub use infractions::{Infraction, InfractionKind};
-pub use plan_error::plan_ade_m;
+pub use plan_error::{plan_ade_m, plan_errors};
 pub use progress::RouteProgress;
 pub use summary::{Moments, SetSummary, Summary};
-pub use time_to_collision::{Closest, TTC_HORIZON_S, TTC_SHORT_S};
+pub use time_to_collision::{Closest, TTC_HORIZON_S, TTC_SHORT_S, times_to_collision};
 
 /// Factor on the driving score for each collision with a vehicle that is the ego's fault.
 pub const COLLISION_FACTOR: f64 = 0.60;

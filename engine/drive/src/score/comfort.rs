@@ -17,20 +17,30 @@ impl Comfort {
     /// Comfort of the ego in `episode`.
     #[must_use]
     pub fn of(episode: &Episode) -> Self {
-        let mut comfort = Self::default();
-        let mut before = &episode.start;
-        for instant in episode.instants() {
-            comfort.braking_max_mps2 = comfort.braking_max_mps2.max(-instant.ego.acceleration_mps2);
-            let span_s = instant.time_s - before.time_s;
-            if span_s > 0.0 {
-                let turned_rad = wrapped(instant.ego.yaw_rad - before.ego.yaw_rad);
-                let speed_mps = 0.5 * (instant.ego.speed_mps + before.ego.speed_mps);
-                let lateral_mps2 = (speed_mps * turned_rad / span_s).abs();
-                comfort.lateral_acceleration_max_mps2 =
-                    comfort.lateral_acceleration_max_mps2.max(lateral_mps2);
-            }
-            before = instant;
+        let braking = episode
+            .instants()
+            .map(|instant| -instant.ego.acceleration_mps2);
+        let lateral = lateral_accelerations(episode).into_iter();
+        Self {
+            braking_max_mps2: braking.fold(0.0, f64::max),
+            lateral_acceleration_max_mps2: lateral
+                .map(|(_, lateral_mps2)| lateral_mps2.abs())
+                .fold(0.0, f64::max),
         }
-        comfort
     }
+}
+
+/// Acceleration of the ego across its heading between moments, to the left above zero, with the
+/// time of the later moment, seconds: speed times rate of the heading, m/s^2.
+#[must_use]
+pub fn lateral_accelerations(episode: &Episode) -> Vec<(f64, f64)> {
+    let instants: Vec<_> = episode.instants().collect();
+    let moving = instants.windows(2).filter_map(|pair| {
+        let (before, after) = (pair[0], pair[1]);
+        let span_s = after.time_s - before.time_s;
+        let turned_rad = wrapped(after.ego.yaw_rad - before.ego.yaw_rad);
+        let speed_mps = 0.5 * (after.ego.speed_mps + before.ego.speed_mps);
+        (span_s > 0.0).then(|| (after.time_s, speed_mps * turned_rad / span_s))
+    });
+    moving.collect()
 }

@@ -14,6 +14,22 @@ pub fn plan_ade_m(plan: &Plan, pose: &Pose, time_s: f64, reference: &Trajectory)
 
 /// The mean over all plans of an episode and their points, against what was driven.
 pub(super) fn episode_ade_m(episode: &Episode) -> Option<f64> {
+    let plans = displacements_of_plans(episode);
+    mean(plans.into_iter().flat_map(|(_, distances_m)| distances_m))
+}
+
+/// Mean distance of each plan of an episode from what was driven, meters, with the time at which it
+/// was made, seconds. Plans that reach into nothing that was driven are left out.
+#[must_use]
+pub fn plan_errors(episode: &Episode) -> Vec<(f64, f64)> {
+    let plans = displacements_of_plans(episode).into_iter();
+    plans
+        .filter_map(|(time_s, distances_m)| Some((time_s, mean(distances_m.into_iter())?)))
+        .collect()
+}
+
+/// The time of each plan, and the distances of its points from what was driven.
+fn displacements_of_plans(episode: &Episode) -> Vec<(f64, Vec<f64>)> {
     let poses = episode.instants().map(|instant| {
         let pose = Pose::from_yaw(instant.ego.yaw_rad, instant.ego.position_m.extend(0.0));
         TimedPose {
@@ -21,16 +37,19 @@ pub(super) fn episode_ade_m(episode: &Episode) -> Option<f64> {
             pose,
         }
     });
-    let driven = Trajectory::new(poses.collect()).ok()?;
+    let Ok(driven) = Trajectory::new(poses.collect()) else {
+        return Vec::new();
+    };
     let mut at = 0;
-    let mut all = Vec::new();
+    let mut all = Vec::with_capacity(episode.steps.len());
     for step in &episode.steps {
         // A plan is made at the last moment before its step.
         let TimedPose { time_s, pose } = driven.poses()[at];
-        all.extend(displacements(&step.plan, &pose, time_s, &driven));
+        let distances_m = displacements(&step.plan, &pose, time_s, &driven);
+        all.push((time_s, distances_m.collect()));
         at += step.instants.len();
     }
-    mean(all.into_iter())
+    all
 }
 
 fn displacements(

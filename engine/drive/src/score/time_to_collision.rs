@@ -1,6 +1,7 @@
 //! Times to collision over an episode.
 
 use decouplegs_scene::Episode;
+use decouplegs_scene::episode::EpisodeTick;
 
 use crate::oriented_box::{OrientedBox, time_to_collision};
 
@@ -21,40 +22,55 @@ pub struct Closest {
     pub agent: usize,
 }
 
-/// The smallest time to collision of the ego with any agent, the first of equals, and the share of
-/// moments below [`TTC_SHORT_S`].
-pub(super) fn closest(episode: &Episode) -> (Option<Closest>, f64) {
-    let (mut closest, mut short, mut count): (Option<Closest>, usize, usize) = (None, 0, 0);
-    for instant in episode.instants() {
+/// Smallest time to collision of the ego with any agent at each moment, the first of equals, with
+/// the time of the moment, seconds.
+#[must_use]
+pub fn times_to_collision(episode: &Episode) -> Vec<(f64, Option<Closest>)> {
+    let least = |instant: &EpisodeTick| {
         let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
-        let mut least_s = f64::INFINITY;
-        for (agent, (state, size)) in instant
-            .agents
-            .iter()
-            .zip(&episode.head.agent_sizes)
-            .enumerate()
-        {
-            let Some(state) = state else { continue };
-            let other = OrientedBox::of(state, size);
+        let agents = instant.agents.iter().zip(&episode.head.agent_sizes);
+        let times = agents.enumerate().filter_map(|(agent, (state, size))| {
+            let state = state.as_ref()?;
             let ttc_s = time_to_collision(
                 &ego,
                 instant.ego.velocity(),
-                &other,
+                &OrientedBox::of(state, size),
                 state.velocity(),
                 TTC_HORIZON_S,
-            );
-            let Some(ttc_s) = ttc_s else { continue };
-            least_s = least_s.min(ttc_s);
-            if closest.is_none_or(|closest| ttc_s < closest.ttc_s) {
-                closest = Some(Closest {
-                    ttc_s,
-                    time_s: instant.time_s,
-                    agent,
-                });
+            )?;
+            Some(Closest {
+                ttc_s,
+                time_s: instant.time_s,
+                agent,
+            })
+        });
+        times.reduce(|least, next| {
+            if next.ttc_s < least.ttc_s {
+                next
+            } else {
+                least
             }
+        })
+    };
+    episode
+        .instants()
+        .map(|instant| (instant.time_s, least(instant)))
+        .collect()
+}
+
+/// The smallest time to collision of an episode, the first of equals, and the share of moments
+/// below [`TTC_SHORT_S`].
+pub(super) fn closest(episode: &Episode) -> (Option<Closest>, f64) {
+    let times = times_to_collision(episode);
+    let closest = || times.iter().filter_map(|(_, closest)| *closest);
+    let short = closest().filter(|closest| closest.ttc_s < TTC_SHORT_S);
+    let share = short.count() as f64 / times.len() as f64;
+    let least = closest().reduce(|least, next| {
+        if next.ttc_s < least.ttc_s {
+            next
+        } else {
+            least
         }
-        short += usize::from(least_s < TTC_SHORT_S);
-        count += 1;
-    }
-    (closest, short as f64 / count as f64)
+    });
+    (least, share)
 }

@@ -1,0 +1,124 @@
+//! Plots of an episode over time. Infractions are marked in all of them.
+
+use std::fmt::Write;
+
+use decouplegs::drive::score::{
+    TTC_HORIZON_S, lateral_accelerations, plan_errors, times_to_collision,
+};
+use decouplegs::scene::VehicleState;
+
+use super::Scored;
+use crate::plot::{Axis, Plot, Series, Shape};
+
+/// Distances are cut here, meters: beyond, nothing happens.
+const APART_MAX_M: f64 = 30.0;
+const INFRACTION: usize = 3;
+
+/// Points over time under a name.
+type Named = (&'static str, usize, Vec<(f64, f64)>);
+
+/// Figures of all plots.
+pub fn figures(scored: &Scored) -> String {
+    let mut html = String::new();
+    for (what, unit, series) in [
+        ("speed", "m/s, m", speeds(scored)),
+        ("acceleration", "m/s²", accelerations(scored)),
+        ("time to collision", "seconds", collision_times(scored)),
+        ("steering, to the left", "degrees", steering(scored)),
+        ("plan error", "meters", errors(scored)),
+    ] {
+        let svg = over_time(scored, what, unit, series);
+        let _ = write!(html, "<figure style=\"flex:1 1 24em\">{svg}</figure>");
+    }
+    html
+}
+
+fn over_time(scored: &Scored, what: &str, unit: &str, named: Vec<Named>) -> String {
+    let values = || {
+        named
+            .iter()
+            .flat_map(|(.., points)| points)
+            .map(|point| point.1)
+    };
+    let (low, high) = (values().fold(0.0, f64::min), values().fold(1.0, f64::max));
+    let series = |name: &str, color, points, shape| Series {
+        name: name.into(),
+        color,
+        points,
+        shape,
+        end: None,
+    };
+    let marks = scored.score.infractions.iter().map(|mark| {
+        let points = vec![(mark.time_s, low), (mark.time_s, high)];
+        series("infraction", INFRACTION, points, Shape::Guide)
+    });
+    let curves = named
+        .iter()
+        .map(|(name, color, points)| series(name, *color, points.clone(), Shape::Curve));
+    let plot = Plot {
+        title: &format!("{}: {what}", scored.name()),
+        x: Axis {
+            label: "seconds",
+            ..Axis::default()
+        },
+        y: Axis {
+            label: unit,
+            from_zero: low == 0.0,
+            ..Axis::default()
+        },
+        series: curves.chain(marks).collect(),
+    };
+    plot.to_svg()
+}
+
+/// Speeds of the ego and of the vehicle nearest to it, and the distance between their middles.
+fn speeds(scored: &Scored) -> Vec<Named> {
+    let (mut ego, mut nearest, mut apart) = (Vec::new(), Vec::new(), Vec::new());
+    for instant in scored.episode.instants() {
+        ego.push((instant.time_s, instant.ego.speed_mps));
+        let distance_m = |other: &VehicleState| other.position_m.distance(instant.ego.position_m);
+        let other = instant
+            .agents
+            .iter()
+            .flatten()
+            .min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
+        nearest.extend(other.map(|other| (instant.time_s, other.speed_mps)));
+        apart.extend(other.map(|other| (instant.time_s, distance_m(other).min(APART_MAX_M))));
+    }
+    vec![
+        ("ego, m/s", 0, ego),
+        ("nearest vehicle, m/s", 7, nearest),
+        ("distance to it, m", 2, apart),
+    ]
+}
+
+fn accelerations(scored: &Scored) -> Vec<Named> {
+    let along = scored.episode.instants();
+    let along = along.map(|instant| (instant.time_s, instant.ego.acceleration_mps2));
+    vec![
+        ("along", 0, along.collect()),
+        ("to the left", 2, lateral_accelerations(&scored.episode)),
+    ]
+}
+
+/// Times beyond the horizon are cut: a gap in the curve would be joined.
+fn collision_times(scored: &Scored) -> Vec<Named> {
+    let least = times_to_collision(&scored.episode).into_iter();
+    let points = least.map(|(time_s, closest)| {
+        (
+            time_s,
+            closest.map_or(TTC_HORIZON_S, |closest| closest.ttc_s),
+        )
+    });
+    vec![("to an agent", 0, points.collect())]
+}
+
+fn steering(scored: &Scored) -> Vec<Named> {
+    let points = scored.episode.instants();
+    let points = points.map(|instant| (instant.time_s, instant.steer_rad.to_degrees()));
+    vec![("front wheels", 0, points.collect())]
+}
+
+fn errors(scored: &Scored) -> Vec<Named> {
+    vec![("planned and driven", 0, plan_errors(&scored.episode))]
+}
