@@ -3,6 +3,9 @@
 use decouplegs_scene::{LightColor, LightPhase, StopLine, TrafficLight};
 use serde::{Deserialize, Serialize};
 
+use crate::DecodeError;
+use crate::xml::excerpt;
+
 /// Most lights of a file, stop lines of a light and phases of a cycle.
 pub(crate) const LIGHTS_MAX: usize = 10_000;
 const LINES_MAX: usize = 1_000;
@@ -72,6 +75,27 @@ impl LightForm {
 pub(crate) struct Fault {
     pub(crate) field: &'static str,
     pub(crate) reason: String,
+}
+
+/// The lights of a map that have a stop line.
+///
+/// # Errors
+/// Returns an error that names the light at fault, or their number.
+pub(crate) fn checked(mut lights: Vec<TrafficLight>) -> Result<Vec<TrafficLight>, DecodeError> {
+    lights.retain(|light| !light.stop_lines.is_empty());
+    if lights.len() > LIGHTS_MAX {
+        return Err(DecodeError::Malformed(format!(
+            "{} traffic lights; expected at most {LIGHTS_MAX}",
+            lights.len()
+        )));
+    }
+    for light in &lights {
+        check(light, true).map_err(|fault| {
+            let (name, reason) = (excerpt(&light.name), fault.reason);
+            DecodeError::Malformed(format!("traffic light {name}: {}: {reason}", fault.field))
+        })?;
+    }
+    Ok(lights)
 }
 
 /// First fault of a light, if any. Only lights of maps may be without phases.

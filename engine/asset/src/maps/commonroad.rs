@@ -2,8 +2,11 @@
 //!
 //! A lanelet's kind is its `laneletType` (2020a; 2018b knows only roads). Its speed limit is its
 //! `speedLimit` (2018b) or that of the signs that it refers to (2020a), meters per second.
-//! Neighbors are kept where they run the same way. The road users of a scenario are
+//! Neighbors are kept where they run the same way. Traffic lights (2020a) have their cycles
+//! (`lights`). The road users of a scenario are
 //! [`crate::tracks::commonroad`]'s.
+
+mod lights;
 
 use std::collections::HashMap;
 
@@ -76,7 +79,11 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         (lanes[at].left_neighbor, lanes[at].right_neighbor) =
             (beside("adjacentLeft"), beside("adjacentRight"));
     }
-    super::finished(lanes, DVec3::ZERO)
+    let lights = lights::lights(root, &elements, &lanes)?;
+    Ok(LaneMap {
+        lights,
+        ..super::finished(lanes, DVec3::ZERO)?
+    })
 }
 
 fn lane(element: Element, sign_limits: &HashMap<&str, f64>) -> Result<Lane, DecodeError> {

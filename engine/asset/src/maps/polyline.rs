@@ -122,6 +122,12 @@ pub(super) fn halfway(points: &[DVec3]) -> DVec3 {
     Walk::default().at(points, &shares(points), 0.5)
 }
 
+/// Length of a line on the plane, meters.
+pub(super) fn plan_length_m(line: &[DVec3]) -> f64 {
+    let length_m = |pair: &[DVec3]| pair[0].truncate().distance(pair[1].truncate());
+    line.windows(2).map(length_m).sum()
+}
+
 /// The place on a line that is nearest to `point` on the plane, meters along the line.
 pub(super) fn foot_m(line: &[DVec3], point: DVec3) -> f64 {
     let (mut nearest_m, mut found_m, mut start_m) = (f64::INFINITY, 0.0, 0.0);
@@ -129,7 +135,11 @@ pub(super) fn foot_m(line: &[DVec3], point: DVec3) -> f64 {
         let along = (pair[1] - pair[0]).truncate();
         let length_m = along.length();
         let to_point = (point - pair[0]).truncate();
-        let at_m = to_point.dot(along.normalize_or_zero()).clamp(0.0, length_m);
+        // A line that is not finite is refused later.
+        let at_m = to_point
+            .dot(along.normalize_or_zero())
+            .min(length_m)
+            .max(0.0);
         let distance_m = to_point.distance(along.normalize_or_zero() * at_m);
         if distance_m < nearest_m {
             (nearest_m, found_m) = (distance_m, start_m + at_m);

@@ -1,9 +1,9 @@
 //! Each format by a small file whose lanes and tracks are known; the files also seed the fuzz
 //! targets.
 
-use decouplegs_asset::maps::{argoverse2, commonroad, lane_json, lanelet2};
+use decouplegs_asset::maps::{argoverse2, commonroad, lane_json, lanelet2, open_drive};
 use decouplegs_asset::{read_map, tracks};
-use decouplegs_scene::{Lane, LaneKind, LaneMap};
+use decouplegs_scene::{Lane, LaneKind, LaneMap, LightColor};
 use glam::{DVec2, DVec3};
 
 use super::{ids, lane, seed};
@@ -349,4 +349,70 @@ fn lane_json_is_read_and_written() {
         "{error}"
     );
     assert_eq!(read_map(&path).unwrap(), map, "what stood there stays");
+}
+
+/// Lane of a stop line, and meters along it.
+type Line<'a> = (&'a str, f64);
+
+/// Name, phases and stop lines of each light.
+fn lights(map: &LaneMap) -> Vec<(&str, usize, Vec<Line<'_>>)> {
+    let line = |line: &decouplegs_scene::StopLine| {
+        let at = map.lanes.iter().position(|lane| lane.id == line.lane);
+        (
+            map.lanes[at.expect("a lane of the map")].id.as_str(),
+            line.at_m,
+        )
+    };
+    let lights = map.lights.iter();
+    lights
+        .map(|light| {
+            let lines = light.stop_lines.iter().map(line).collect();
+            (light.name.as_str(), light.phases.len(), lines)
+        })
+        .collect()
+}
+
+#[test]
+fn lights_of_commonroad_have_their_cycle_and_stop_lines() {
+    let text = String::from_utf8(seed("commonroad/2020a.xml")).unwrap();
+    let map = commonroad::decode(text.as_bytes()).unwrap();
+    // The second light is inactive; lanelet 3 has no stop line.
+    assert_eq!(lights(&map), [("51", 4, vec![("1", 18.0), ("3", 20.0)])]);
+    let light = &map.lights[0];
+    // Steps of half a second, 8 of them before the cycle begins.
+    assert_eq!((light.cycle_s(), light.offset_s), (29.0, -4.0));
+    assert_eq!(light.phase_at(4.0), (LightColor::Green, 10.0));
+    assert_eq!(light.phase_at(3.5), (LightColor::Red, 0.5));
+    let error = |from: &str, to: &str| {
+        let changed = text.replacen(from, to, 1);
+        commonroad::decode(changed.as_bytes())
+            .unwrap_err()
+            .to_string()
+    };
+    assert!(error(">green<", ">blue<").contains("the color 'blue'; expected red"));
+    assert!(error("<duration>20<", "<duration>-2<").contains("traffic light 51: phases: -1 s"));
+}
+
+#[test]
+fn lights_of_open_drive_are_on_the_lanes_that_they_are_for() {
+    let text = String::from_utf8(seed("open_drive/crossing.xodr")).unwrap();
+    let map = open_drive::decode(text.as_bytes()).unwrap();
+    let found = lights(&map);
+    let names: Vec<&str> = found.iter().map(|light| light.0).collect();
+    assert_eq!(names, ["tl", "both"]);
+    // 31.5 of the 35 m of its section, and the start of the road that refers to it.
+    let [(first, along_m), (second, start_m)] = found[0].2[..] else {
+        panic!("{found:?}");
+    };
+    let length_m = decouplegs_asset::maps::length_m(&lane(&map, "1/1/-1").centerline);
+    assert_eq!((first, second, start_m), ("1/1/-1", "2/0/-1", 0.0));
+    assert!(
+        (along_m - 0.9 * length_m).abs() < 0.05,
+        "{along_m} of {length_m}"
+    );
+    // Lane 1 runs against the road: 25 m before the start of its section.
+    let [(id, along_m)] = found[1].2[..] else {
+        panic!("{found:?}");
+    };
+    assert!(id == "1/0/1" && (along_m - 25.0).abs() < 0.8, "{along_m}");
 }

@@ -7,10 +7,10 @@ use decouplegs_scene::{Lane, LaneKind, StopLine, TrafficLight};
 use glam::DVec3;
 
 use super::super::budget::Budget;
-use super::super::polyline::foot_m;
+use super::super::polyline::{foot_m, plan_length_m};
 use super::{File, Plane, tag};
 use crate::DecodeError;
-use crate::traffic_light_form::{self, LIGHTS_MAX};
+use crate::traffic_light_form;
 use crate::xml::Element;
 
 /// True if a relation is a traffic light.
@@ -56,29 +56,18 @@ pub(super) fn lights(
             budget.spend(lane.centerline.len())?;
             // Maps that were cut out of larger ones may lack the line.
             let points = way.and_then(|way| file.points(lanelet, way, plane, budget).ok());
-            let place = match points {
-                Some((points, _)) => points.iter().sum::<DVec3>() / points.len() as f64,
-                None => lane.centerline[lane.centerline.len() - 1],
+            let at_m = match points {
+                None => plan_length_m(&lane.centerline),
+                Some((points, _)) => {
+                    let middle = points.iter().sum::<DVec3>() / points.len() as f64;
+                    foot_m(&lane.centerline, middle)
+                }
             };
-            let at_m = foot_m(&lane.centerline, place);
             lights[light].stop_lines.push(StopLine {
                 lane: lane.id.clone(),
                 at_m,
             });
         }
     }
-    lights.retain(|light| !light.stop_lines.is_empty());
-    if lights.len() > LIGHTS_MAX {
-        return Err(DecodeError::Malformed(format!(
-            "{} traffic lights; expected at most {LIGHTS_MAX}",
-            lights.len()
-        )));
-    }
-    for light in &lights {
-        traffic_light_form::check(light, true).map_err(|fault| {
-            let (name, reason) = (&light.name, fault.reason);
-            DecodeError::Malformed(format!("traffic light {name}: {}: {reason}", fault.field))
-        })?;
-    }
-    Ok(lights)
+    traffic_light_form::checked(lights)
 }

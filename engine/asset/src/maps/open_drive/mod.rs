@@ -11,13 +11,15 @@
 //! Lanes that taper to nothing beside the lane that follows are bent onto it ([`tapers`]).
 //!
 //! Not read: superelevation and the lateral shape (a bank of 5% lifts the outer border of a lane by
-//! some 20 cm, its middle by half of it), kerb heights, objects, signals, railways.
+//! some 20 cm, its middle by half of it), kerb heights, objects, signals other than traffic lights
+//! (`signals`), railways.
 
 mod cubic;
 mod junctions;
 mod lanes;
 mod plan_view;
 mod sampling;
+mod signals;
 mod tapers;
 
 use std::collections::HashMap;
@@ -82,6 +84,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     let root = Element::root(&document, "OpenDRIVE")?;
     let mut by_id = HashMap::new();
     let mut roads = Vec::new();
+    let mut signals = Vec::new();
     for element in root.all("road") {
         let road = Road::read(element)?;
         if by_id.insert(road.id.clone(), roads.len()).is_some() {
@@ -91,6 +94,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
             )));
         }
         roads.push(road);
+        signals.push(signals::read(element)?);
     }
     let mut lanes: Vec<Lane> = Vec::new();
     let mut places = Vec::with_capacity(roads.len());
@@ -109,7 +113,11 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         network.join_junction(junction)?;
     }
     tapers::join_smoothly(&mut lanes);
-    super::finished(lanes, DVec3::ZERO)
+    let lights = signals::lights(&signals, &roads, &places, &lanes)?;
+    Ok(LaneMap {
+        lights,
+        ..super::finished(lanes, DVec3::ZERO)?
+    })
 }
 
 impl Road {

@@ -1,0 +1,140 @@
+//! Traffic lights: dynamic signals of roads, and references to them from other roads. The file
+//! tells no phases.
+
+use std::collections::HashMap;
+
+use decouplegs_scene::{Lane, LaneKind, StopLine, TrafficLight};
+
+use super::super::polyline::plan_length_m;
+use super::Road;
+use super::junctions::RoadPlaces;
+use crate::DecodeError;
+use crate::traffic_light_form;
+use crate::xml::Element;
+
+/// Types of signals that are traffic lights (ASAM OpenDRIVE 1.8, signal types of no country): with
+/// three lamps, with two, with one, and with arrows.
+const LIGHT_TYPES: [&str; 6] = [
+    "1000001", "1000009", "1000010", "1000011", "1000012", "1000020",
+];
+
+/// Place on a road at which a light stops vehicles.
+pub(super) struct RoadSignal {
+    light: String,
+    s_m: f64,
+    /// Direction that it is for: along the reference line, against it, or both.
+    is_forward: Option<bool>,
+    /// Ranges of lane ids, none: all.
+    validity: Vec<(f64, f64)>,
+    is_reference: bool,
+}
+
+/// Lights of a road, and references to lights.
+pub(super) fn read(road: Element) -> Result<Vec<RoadSignal>, DecodeError> {
+    let mut found = Vec::new();
+    let Some(signals) = road.first("signals") else {
+        return Ok(found);
+    };
+    for element in signals.elements() {
+        let is_reference = element.name() == "signalReference";
+        let is_light = element.attribute("dynamic") == Some("yes")
+            && element
+                .attribute("type")
+                .is_some_and(|kind| LIGHT_TYPES.contains(&kind));
+        if !(is_reference || element.name() == "signal" && is_light) {
+            continue;
+        }
+        let ranges = element.all("validity").map(|range| {
+            let ends = (range.number("fromLane")?, range.number("toLane")?);
+            Ok((ends.0.min(ends.1), ends.0.max(ends.1)))
+        });
+        found.push(RoadSignal {
+            light: element.needed_attribute("id")?.to_owned(),
+            s_m: element.number("s")?,
+            is_forward: match element.attribute("orientation") {
+                Some("+") => Some(true),
+                Some("-") => Some(false),
+                _ => None,
+            },
+            validity: ranges.collect::<Result<_, DecodeError>>()?,
+            is_reference,
+        });
+    }
+    Ok(found)
+}
+
+/// The lights of all roads, with a stop line on each driving lane that they are for.
+pub(super) fn lights(
+    signals: &[Vec<RoadSignal>],
+    roads: &[Road],
+    places: &[RoadPlaces],
+    lanes: &[Lane],
+) -> Result<Vec<TrafficLight>, DecodeError> {
+    let mut by_id = HashMap::new();
+    let mut lights: Vec<TrafficLight> = Vec::new();
+    for signal in signals
+        .iter()
+        .flatten()
+        .filter(|signal| !signal.is_reference)
+    {
+        by_id.entry(signal.light.as_str()).or_insert_with(|| {
+            lights.push(TrafficLight {
+                name: signal.light.clone(),
+                ..TrafficLight::default()
+            });
+            lights.len() - 1
+        });
+    }
+    for ((signals, road), places) in signals.iter().zip(roads).zip(places) {
+        for signal in signals {
+            if let Some(&light) = by_id.get(signal.light.as_str()) {
+                lights[light]
+                    .stop_lines
+                    .extend(signal.lines(road, places, lanes));
+            }
+        }
+    }
+    traffic_light_form::checked(lights)
+}
+
+impl RoadSignal {
+    fn lines(&self, road: &Road, places: &RoadPlaces, lanes: &[Lane]) -> Vec<StopLine> {
+        let after = road
+            .sections
+            .partition_point(|section| section.start_m <= self.s_m);
+        let at = after.saturating_sub(1);
+        let Some((section, by_id)) = road.sections.get(at).zip(places.sections.get(at)) else {
+            return Vec::new();
+        };
+        let share =
+            ((self.s_m - section.start_m) / (section.end_m - section.start_m)).clamp(0.0, 1.0);
+        let is_for = |id: i64, is_forward: bool| {
+            let id = id as f64;
+            self.is_forward.is_none_or(|forward| forward == is_forward)
+                && (self.validity.is_empty()
+                    || self
+                        .validity
+                        .iter()
+                        .any(|(from, to)| (*from..=*to).contains(&id)))
+        };
+        let mut lines: Vec<(usize, f64)> = by_id
+            .iter()
+            .filter(|(id, (lane, is_forward))| {
+                is_for(**id, *is_forward) && lanes[*lane].kind == LaneKind::Driving
+            })
+            .map(|(_, &(lane, is_forward))| {
+                let length_m = plan_length_m(&lanes[lane].centerline);
+                (
+                    lane,
+                    length_m * if is_forward { share } else { 1.0 - share },
+                )
+            })
+            .collect();
+        lines.sort_by_key(|(lane, _)| *lane);
+        let line = |(lane, at_m): (usize, f64)| StopLine {
+            lane: lanes[lane].id.clone(),
+            at_m,
+        };
+        lines.into_iter().map(line).collect()
+    }
+}
