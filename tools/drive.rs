@@ -39,6 +39,13 @@ enum TrafficLights {
     Off,
 }
 
+/// Road users of generated scenarios.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum RoadUsers {
+    Cars,
+    Mixed,
+}
+
 /// Drive episodes in closed loop: render the cameras, ask the planner, move the ego, let traffic
 /// react. Finished episodes stay in --out; the same command resumes a stopped run
 #[derive(clap::Args)]
@@ -64,6 +71,9 @@ pub struct Arguments {
     /// Traffic lights of generated scenarios: those that the map has, or none
     #[arg(long, value_name = "on|off", value_enum, default_value_t = TrafficLights::On, hide_possible_values = true)]
     traffic_lights: TrafficLights,
+    /// Road users of generated scenarios: cars, or also trucks, buses, cyclists and pedestrians
+    #[arg(long, value_name = "cars|mixed", value_enum, default_value_t = RoadUsers::Cars, hide_possible_values = true)]
+    road_users: RoadUsers,
     #[command(flatten)]
     place: jobs::PlaceArguments,
     /// Render every N-th step, or `off` for none
@@ -155,6 +165,7 @@ impl Arguments {
             "size": [self.size.width_px, self.size.height_px],
             "all_cameras": self.all_cameras,
             "traffic_lights": self.traffic_lights == TrafficLights::On,
+            "road_users": if self.road_users == RoadUsers::Mixed { "mixed" } else { "cars" },
             "light": self.light.as_ref().map(|light| light.display().to_string()),
         })
     }

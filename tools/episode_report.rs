@@ -70,14 +70,12 @@ impl Scored {
         match &self.episode.end {
             EpisodeEnd::RouteDone => "route done".into(),
             EpisodeEnd::Collision { agent } => {
-                let agents = &self.episode.head.scenario.agents;
-                let name = agents
-                    .get(*agent)
-                    .map_or("an agent", |agent| agent.name.as_str());
+                let name = self.episode.head.scenario.agent(*agent).0;
                 let hit = |infraction: &Infraction| match infraction.kind {
                     InfractionKind::Collision {
                         agent: other,
                         fault,
+                        ..
                     } if other == *agent => Some(fault.why()),
                     _ => None,
                 };
@@ -110,11 +108,8 @@ impl Scored {
                 format!("red light {}", head.scenario.lights[light].name)
             }
             InfractionKind::Obstacle { kind } => format!("collision with a {}", kind.name()),
-            InfractionKind::Collision { agent, fault } => {
-                let agents = &head.scenario.agents;
-                let name = agents
-                    .get(agent)
-                    .map_or("an agent", |agent| agent.name.as_str());
+            InfractionKind::Collision { agent, fault, .. } => {
+                let name = head.scenario.agent(agent).0;
                 format!("collision with {name}, {}", fault.why())
             }
         }
@@ -338,6 +333,7 @@ fn set_to_json(set: &SetSummary) -> Value {
         "ttc_short_share": moments(&set.ttc_short_share),
         "collisions": set.collisions,
         "collisions_at_fault": set.collisions_at_fault,
+        "pedestrian_collisions": set.pedestrian_collisions,
         "obstacle_collisions": set.obstacle_collisions,
         "layout_infractions": set.layout_infractions,
         "red_lights": set.red_lights,
@@ -346,11 +342,11 @@ fn set_to_json(set: &SetSummary) -> Value {
 
 fn episode_to_json(scored: &Scored) -> Value {
     let score = &scored.score;
-    let agents = &scored.episode.head.scenario.agents;
+    let scenario = &scored.episode.head.scenario;
     let place_m = |infraction: &Infraction| scored.place_m(infraction.time_s).to_array();
     let infraction = |infraction: &Infraction| match infraction.kind {
-        InfractionKind::Collision { agent, fault } => json!({
-            "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "collision", "agent": agents.get(agent).map(|agent| &agent.name),
+        InfractionKind::Collision { agent, user, fault } => json!({
+            "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "collision", "agent": scenario.agent(agent).0, "road_user": user.name(),
             "at_fault": fault.at_fault(), "why": fault.why(),
         }),
         InfractionKind::Obstacle { kind } => json!({
@@ -361,7 +357,7 @@ fn episode_to_json(scored: &Scored) -> Value {
         }
         InfractionKind::RedLight { light } => json!({
             "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "red_light", "at_fault": true,
-            "light": scored.episode.head.scenario.lights[light].name,
+            "light": scenario.lights[light].name,
         }),
     };
     json!({

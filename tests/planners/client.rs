@@ -60,7 +60,7 @@ fn drive(planner: &mut dyn Planner) {
             7.3,
             1.25,
             known.ego.position_m.x,
-            known.agents[0].0.yaw_rad,
+            known.agents[0].state.yaw_rad,
             0.1,
             rig[0].intrinsics.fx_px,
             0.75,

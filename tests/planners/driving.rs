@@ -132,6 +132,7 @@ fn recorded() -> Episode {
         ego,
         agents: vec![],
         lights: vec![],
+        pedestrians: vec![],
     };
     let head = EpisodeHead {
         log_version: LOG_VERSION,

@@ -4,6 +4,7 @@ mod client;
 mod driving;
 mod misbehaving;
 mod road_course;
+mod road_users;
 mod rollouts;
 mod scene_ahead;
 mod static_world;

@@ -2,8 +2,10 @@
 //! does.
 
 use decouplegs::drive::{Ego, EgoOptions, OrientedBox, Polyline};
-use decouplegs::planner::{EgoMotion, EpisodeInfo, Navigation, Observation, Planner, Privileged};
-use decouplegs::scene::{VehicleSize, VehicleState};
+use decouplegs::planner::{
+    EgoMotion, EpisodeInfo, KnownAgent, Navigation, Observation, Planner, Privileged,
+};
+use decouplegs::scene::{RoadUser, VehicleSize, VehicleState};
 use glam::DVec2;
 
 /// From one plan to the next, and the parts of it in which the ego moves.
@@ -106,7 +108,14 @@ impl Course {
             ego: ego.state(),
             ego_size: VehicleSize::CAR,
             route_m: self.route_m.clone(),
-            agents,
+            agents: agents
+                .into_iter()
+                .map(|(state, size)| KnownAgent {
+                    kind: RoadUser::Car,
+                    state,
+                    size,
+                })
+                .collect(),
             stop_lines: vec![],
         }
     }

@@ -1,10 +1,10 @@
 //! Inputs of the planners under test: two cameras, an agent and a route.
 
 use decouplegs::planner::{
-    EgoMotion, EpisodeInfo, External, Navigation, Observation, Privileged, Reading, Timeouts,
-    Transport, Turn,
+    EgoMotion, EpisodeInfo, External, KnownAgent, Navigation, Observation, Privileged, Reading,
+    Timeouts, Transport, Turn,
 };
-use decouplegs::scene::{Intrinsics, Pose, RigCamera, Sensor, VehicleSize, VehicleState};
+use decouplegs::scene::{Intrinsics, Pose, RigCamera, RoadUser, Sensor, VehicleSize, VehicleState};
 use glam::{DQuat, DVec2, DVec3};
 use std::path::Path;
 use std::time::Duration;
@@ -65,7 +65,11 @@ pub fn privileged() -> Privileged {
         ego: state(512.123_456_789, 0.0),
         ego_size: VehicleSize::CAR,
         route_m: vec![DVec2::ZERO, DVec2::new(600.0, 0.1)],
-        agents: vec![(state(20.0, std::f64::consts::FRAC_PI_3), VehicleSize::CAR)],
+        agents: vec![KnownAgent {
+            kind: RoadUser::Car,
+            state: state(20.0, std::f64::consts::FRAC_PI_3),
+            size: VehicleSize::CAR,
+        }],
         stop_lines: vec![],
     }
 }

@@ -12,7 +12,7 @@ use decouplegs::scene::{Scenario, Weather};
 use serde_json::{Value, json};
 
 use super::folder::RunFolder;
-use super::{Arguments, TrafficLights};
+use super::{Arguments, RoadUsers, TrafficLights};
 use crate::arguments::warn;
 use crate::progress;
 
@@ -88,6 +88,9 @@ fn made_up(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     }
     if arguments.traffic_lights == TrafficLights::Off {
         generator = generator.without_lights();
+    }
+    if arguments.road_users == RoadUsers::Mixed {
+        generator = generator.with_road_users(&site.road_users, site.obstacles.clone())?;
     }
     let levels = arguments.levels();
     let bar = progress::bar("scenarios", levels.len() * arguments.episodes as usize);

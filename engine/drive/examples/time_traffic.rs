@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use decouplegs_drive::{Obstacles, OrientedBox, RoadGraph, Traffic, TrafficError};
 use decouplegs_scene::scenario::{DriverKind, TrafficAgent};
-use decouplegs_scene::{Lane, LaneMap, VehicleSize};
+use decouplegs_scene::{Lane, LaneMap, RoadUser, VehicleSize};
 use decouplegs_synth::street::{Street, StreetOptions};
 use glam::{DVec2, DVec3};
 
@@ -85,6 +85,7 @@ fn agents(graph: &RoadGraph, count: usize) -> Vec<TrafficAgent> {
         let (lane, row) = (lanes[number % lanes.len()], number / lanes.len());
         TrafficAgent {
             name: format!("agent {number}"),
+            kind: RoadUser::Car,
             asset: 0,
             size: VehicleSize::CAR,
             lane: lane.id.clone(),

@@ -19,9 +19,12 @@ mod lights;
 mod placement;
 mod random;
 mod reference;
+mod road_users;
 mod roads;
 mod rules;
 mod safe_speed;
+
+use std::sync::Arc;
 
 use decouplegs_scene::scenario::{EgoTask, TrafficAgent};
 use decouplegs_scene::{LaneMap, Level, Scenario, VehicleSize, VehicleState};
@@ -29,13 +32,16 @@ use glam::DVec2;
 
 pub use ego_start::Area;
 pub use light::{PlaceOptions, Sky};
+pub use road_users::RoadUserAsset;
 pub use rules::{NEAR_M, agents_near, weathers};
 
+use crate::obstacles::Obstacles;
 use crate::road_graph::RoadGraph;
-use crate::traffic::Traffic;
-use ego_start::Wishes;
+use crate::traffic::{Traffic, TrafficError};
+use ego_start::{EgoStart, Wishes};
 use placement::Placement;
 use random::Stream;
+use road_users::Assets;
 use roads::Roads;
 use rules::LevelRequirements;
 
@@ -53,6 +59,7 @@ const FOR_LIGHT: u64 = 0;
 const FOR_TRAFFIC: u64 = 1;
 const FOR_TRIES: u64 = 2;
 const FOR_LIGHTS: u64 = 3;
+const FOR_PEDESTRIANS: u64 = 4;
 
 /// Reason why no scenario can be generated.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -99,7 +106,7 @@ pub struct Generator<'a> {
     roads: Roads<'a>,
     place: PlaceOptions,
     area: Option<Area>,
-    assets: Vec<VehicleSize>,
+    assets: Assets,
     has_lights: bool,
 }
 
@@ -118,20 +125,8 @@ impl<'a> Generator<'a> {
         if assets.is_empty() {
             return Err(GenerateError::NoAssets);
         }
-        if let Some(asset) = assets.iter().find(|asset| !is_a_vehicle(asset)) {
-            let [length_m, width_m, height_m] = asset.to_array();
-            let expected = "expected 0.5 to 25 by 0.3 to 4 by 0.1 to 10 m";
-            return Err(GenerateError::Roads(format!(
-                "an asset is {length_m} by {width_m} by {height_m} m; {expected}"
-            )));
-        }
-        let largest = assets
-            .iter()
-            .fold(RoadGraph::VEHICLE, |largest, asset| VehicleSize {
-                length_m: largest.length_m.max(asset.length_m),
-                width_m: largest.width_m.max(asset.width_m),
-                height_m: largest.height_m.max(asset.height_m),
-            });
+        assets.iter().try_for_each(check_size)?;
+        let largest = largest(assets.iter().copied());
         let roads = Roads::new(map, largest).map_err(GenerateError::Roads)?;
         let street = matches!(place, PlaceOptions::Street { .. });
         let area = street.then_some(Area {
@@ -142,7 +137,7 @@ impl<'a> Generator<'a> {
             roads,
             place,
             area,
-            assets: assets.to_vec(),
+            assets: Assets::cars(assets),
             has_lights: true,
         })
     }
@@ -154,6 +149,29 @@ impl<'a> Generator<'a> {
             area: Some(area),
             ..self
         }
+    }
+
+    /// The same with trucks, buses, cyclists and pedestrians that show `assets`, among `obstacles`,
+    /// into which no pedestrian walks.
+    ///
+    /// # Errors
+    /// [`GenerateError::Roads`].
+    pub fn with_road_users(
+        mut self,
+        assets: &[RoadUserAsset],
+        obstacles: Arc<Obstacles>,
+    ) -> Result<Self, GenerateError> {
+        assets
+            .iter()
+            .try_for_each(|asset| check_size(&asset.size))?;
+        self.assets.mixed(assets, obstacles);
+        let largest = largest(self.assets.vehicle_sizes());
+        let has_lights = self.has_lights;
+        self.roads = Roads::new(self.roads.map, largest).map_err(GenerateError::Roads)?;
+        if !has_lights {
+            self.roads.ignore_lights();
+        }
+        Ok(self)
     }
 
     /// The same without the traffic lights of the map.
@@ -195,9 +213,17 @@ impl<'a> Generator<'a> {
                     continue;
                 }
             };
-            let agents = behaviors::agents(self.roads.map, level, &start, &vehicles, &random.of(2));
+            let mut agents =
+                behaviors::agents(self.roads.map, level, &start, &vehicles, &random.of(2));
             // Short enough to be read, and a whole number in any format.
             let traffic_seed = stream.of(FOR_TRAFFIC).bits() >> 32;
+            if self.assets.are_mixed() {
+                let near = self.fit(&mut agents, &start, traffic_seed);
+                if near < least {
+                    found = found.max(near);
+                    continue;
+                }
+            }
             if !self.begins_as_told(&agents, traffic_seed) {
                 continue;
             }
@@ -221,6 +247,12 @@ impl<'a> Generator<'a> {
                 step_s: Scenario::STEP_S,
                 place: self.place.lit_for(level, &mut stream.of(FOR_LIGHT)),
                 agents,
+                pedestrians: self.assets.pedestrians(
+                    &self.roads,
+                    level,
+                    &start,
+                    &mut stream.of(FOR_PEDESTRIANS),
+                ),
                 lights,
                 ego: EgoTask {
                     speed_mps: vehicles[0].speed_mps,
@@ -240,6 +272,38 @@ impl<'a> Generator<'a> {
         })
     }
 
+    /// Removes agents that traffic does not accept, and lowers the speeds of others to those that
+    /// it accepts, but never those of the vehicle ahead of the ego. Long vehicles make crossings
+    /// long: a vehicle between two ways over a crossing could not leave it. Returns the number of
+    /// agents within [`NEAR_M`] of the ego.
+    fn fit(&self, agents: &mut Vec<TrafficAgent>, start: &EgoStart, seed: u64) -> usize {
+        let ego_m = start.route.pose_at(0.0).0.truncate();
+        loop {
+            match Traffic::new(self.roads.graph.clone(), agents, seed) {
+                Ok(traffic) => {
+                    for (agent, state) in agents.iter_mut().zip(traffic.states()) {
+                        if let Some(state) = state.filter(|_| agent.name != behaviors::LEAD) {
+                            agent.speed_mps = agent.speed_mps.min(down_to_tenth(state.speed_mps));
+                        }
+                    }
+                    let places = traffic.states().iter().flatten();
+                    let is_near =
+                        |state: &&VehicleState| state.position_m.distance(ego_m) <= NEAR_M;
+                    return places.filter(is_near).count();
+                }
+                Err(TrafficError::Overlap { first, second }) => {
+                    let leaves = if second == behaviors::LEAD {
+                        first
+                    } else {
+                        second
+                    };
+                    agents.retain(|agent| agent.name != leaves);
+                }
+                Err(_) => return 0,
+            }
+        }
+    }
+
     /// True if traffic accepts the agents at their positions and speeds: it checks more of
     /// crossings than the generator.
     fn begins_as_told(&self, agents: &[TrafficAgent], seed: u64) -> bool {
@@ -249,6 +313,25 @@ impl<'a> Generator<'a> {
         };
         traffic.is_ok_and(|traffic| traffic.states().iter().flatten().zip(agents).all(as_fast))
     }
+}
+
+fn check_size(size: &VehicleSize) -> Result<(), GenerateError> {
+    if is_a_vehicle(size) {
+        return Ok(());
+    }
+    let [length_m, width_m, height_m] = size.to_array();
+    Err(GenerateError::Roads(format!(
+        "an asset is {length_m} by {width_m} by {height_m} m; expected 0.5 to 25 by 0.3 to 4 by 0.1 to 10 m"
+    )))
+}
+
+/// The least box that holds all of `sizes` and a car.
+fn largest(sizes: impl Iterator<Item = VehicleSize>) -> VehicleSize {
+    sizes.fold(RoadGraph::VEHICLE, |largest, size| VehicleSize {
+        length_m: largest.length_m.max(size.length_m),
+        width_m: largest.width_m.max(size.width_m),
+        height_m: largest.height_m.max(size.height_m),
+    })
 }
 
 /// True if traffic takes an agent of this size.

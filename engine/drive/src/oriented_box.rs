@@ -46,6 +46,16 @@ impl OrientedBox {
         self.offsets().map(|offset| self.center_m + offset)
     }
 
+    /// The box with its front `ahead_m` farther ahead.
+    #[must_use]
+    pub fn extended(&self, ahead_m: f64) -> Self {
+        Self {
+            center_m: self.center_m + DVec2::from_angle(self.yaw_rad) * (0.5 * ahead_m),
+            half_length_m: self.half_length_m + 0.5 * ahead_m,
+            ..*self
+        }
+    }
+
     /// Corners relative to the center, in the world's axes.
     fn offsets(&self) -> [DVec2; 4] {
         let ahead = DVec2::from_angle(self.yaw_rad);

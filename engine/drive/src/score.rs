@@ -7,7 +7,7 @@
 //! of the route. Success is a completed route without any such infraction, so no set of episodes
 //! has more success than completion, nor a driving score above its completion: [`Summary::check`].
 
-use decouplegs_scene::{Episode, EpisodeEnd, Level};
+use decouplegs_scene::{Episode, EpisodeEnd, Level, RoadUser};
 
 mod comfort;
 mod fault;
@@ -27,6 +27,8 @@ pub use time_to_collision::{Closest, TTC_HORIZON_S, TTC_SHORT_S, times_to_collis
 
 /// Factor on the driving score for each collision with a vehicle that is the ego's fault.
 pub const COLLISION_FACTOR: f64 = 0.60;
+/// The same for a collision with a pedestrian, as in CARLA's leaderboard.
+pub const PEDESTRIAN_FACTOR: f64 = 0.50;
 /// Factor on the driving score for a collision with something static, as in CARLA's leaderboard.
 pub const OBSTACLE_FACTOR: f64 = 0.65;
 /// Factor on the driving score for each red light that the ego runs, as in CARLA's leaderboard.
@@ -44,8 +46,8 @@ pub struct EpisodeScore {
     /// Share of the route that was driven, 0 to 1; 1 exactly where the episode ended with the route
     /// done.
     pub route_completion: f64,
-    /// [`Self::route_completion`] times [`COLLISION_FACTOR`], [`OBSTACLE_FACTOR`],
-    /// [`LAYOUT_FACTOR`] or [`RED_LIGHT_FACTOR`] for each infraction.
+    /// [`Self::route_completion`] times [`COLLISION_FACTOR`], [`PEDESTRIAN_FACTOR`],
+    /// [`OBSTACLE_FACTOR`], [`LAYOUT_FACTOR`] or [`RED_LIGHT_FACTOR`] for each infraction.
     pub driving_score: f64,
     /// True if the route was completed without an infraction of the ego.
     pub success: bool,
@@ -92,10 +94,17 @@ impl EpisodeScore {
         self.closest.map(|closest| closest.ttc_s)
     }
 
-    /// Collisions with vehicles, regardless of fault.
+    /// Collisions with vehicles and pedestrians, regardless of fault.
     #[must_use]
     pub fn collisions(&self) -> usize {
         self.count(|kind| matches!(kind, InfractionKind::Collision { .. }))
+    }
+
+    /// Collisions with pedestrians, regardless of fault.
+    #[must_use]
+    pub fn pedestrian_collisions(&self) -> usize {
+        let with = RoadUser::Pedestrian;
+        self.count(|kind| matches!(kind, InfractionKind::Collision { user, .. } if *user == with))
     }
 
     /// Collisions with static obstacles: at most one, which ends the episode.

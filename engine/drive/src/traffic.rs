@@ -17,13 +17,14 @@ mod behavior;
 mod boundary;
 mod claims;
 pub mod driver;
-mod ego;
 mod following;
 pub mod idm;
 mod junction;
 mod lane_change;
 mod lane_order;
 pub mod mobil;
+mod outsider;
+mod pedestrian;
 mod random;
 mod signals;
 mod start;
@@ -31,16 +32,18 @@ mod start;
 use std::sync::Arc;
 
 use decouplegs_scene::scenario::{Behavior, Scenario};
-use decouplegs_scene::{VehicleSize, VehicleState};
+use decouplegs_scene::{Invalid, Pedestrian, VehicleSize, VehicleState};
 use glam::DVec2;
 
 use crate::lights::TrafficLights;
 use crate::obstacles::Obstacles;
+use crate::oriented_box::OrientedBox;
 use crate::road_graph::RoadGraph;
 use agent::{Agent, AsideKind};
 use claims::Claims;
-use ego::EgoSeen;
 use lane_order::LaneOrder;
+use outsider::{Outsider, Outsiders};
+use pedestrian::{Vehicle, Walker};
 
 pub use start::TrafficError;
 
@@ -69,7 +72,8 @@ pub struct Traffic {
     /// Waiting times at crossings, and accelerations of all agents: scratch buffers.
     waiting: Vec<u32>,
     accelerations: Vec<(f64, bool)>,
-    ego: Option<EgoSeen>,
+    outsiders: Outsiders,
+    pedestrians: Vec<Walker>,
     time_s: f64,
     steps: u64,
     seed: u64,
@@ -90,6 +94,24 @@ impl Traffic {
         self
     }
 
+    /// The same traffic with pedestrians, whose states follow those of the vehicles.
+    ///
+    /// # Errors
+    /// Returns an error if a path has no length.
+    pub fn with_pedestrians(mut self, pedestrians: &[Pedestrian]) -> Result<Self, Invalid> {
+        for pedestrian in pedestrians {
+            let walker = Walker::new(&self.graph, pedestrian).ok_or_else(|| {
+                Invalid::new(format!(
+                    "pedestrian {}: the path has no length; expected two points apart",
+                    pedestrian.name
+                ))
+            })?;
+            self.states.push(Some(walker.state()));
+            self.pedestrians.push(walker);
+        }
+        Ok(self)
+    }
+
     /// One step of `dt_s` seconds, above 0 and at most [`Scenario::SUBSTEP_S_MAX`]; `ego` is where
     /// the ego is at its beginning.
     ///
@@ -100,11 +122,17 @@ impl Traffic {
             dt_s > 0.0 && dt_s <= Scenario::SUBSTEP_S_MAX + 1e-9,
             "a step of {dt_s} s"
         );
-        self.ego = ego.and_then(|(state, size)| EgoSeen::new(&self.graph, state, size));
-        self.order
-            .build(&self.graph, &self.agents, self.ego.as_ref());
+        let walks_mps = self.decide_walks(dt_s, ego);
+        let walkers = self.pedestrians.iter();
+        self.outsiders = Outsiders {
+            ego: ego.and_then(|(state, size)| Outsider::ego(&self.graph, state, size)),
+            pedestrians: walkers
+                .filter_map(|walker| walker.seen(&self.graph))
+                .collect(),
+        };
+        self.order.build(&self.graph, &self.agents, &self.outsiders);
         self.claims
-            .build(&self.graph, &self.agents, self.ego.as_ref());
+            .build(&self.graph, &self.agents, &self.outsiders);
         self.enter();
         self.behave();
         self.change_lanes(dt_s);
@@ -129,29 +157,62 @@ impl Traffic {
             }
         }
         self.accelerations = accelerations;
+        let walker_states = &mut self.states[self.agents.len()..];
+        for ((walker, speed_mps), state) in self
+            .pedestrians
+            .iter_mut()
+            .zip(walks_mps)
+            .zip(walker_states)
+        {
+            walker.advance(speed_mps, dt_s);
+            *state = Some(walker.state());
+        }
         self.time_s += dt_s;
         self.leave(dt_s);
         self.steps += 1;
     }
 
-    /// States of all agents, in the order of the scenario; `None` while one is off the map.
+    /// Speeds of all pedestrians after a step.
+    fn decide_walks(&mut self, dt_s: f64, ego: Option<(&VehicleState, &VehicleSize)>) -> Vec<f64> {
+        if self.pedestrians.is_empty() {
+            return Vec::new();
+        }
+        let vehicle = |state: &VehicleState, size: &VehicleSize| Vehicle {
+            outline: OrientedBox::of(state, size),
+            speed_mps: state.speed_mps,
+        };
+        let agents = self.agents.iter().zip(&self.states);
+        let here = agents.filter_map(|(agent, state)| Some(vehicle(state.as_ref()?, &agent.size)));
+        let vehicles: Vec<Vehicle> = here
+            .chain(ego.map(|(state, size)| vehicle(state, size)))
+            .collect();
+        let ego_m = ego.map(|(state, _)| state.position_m);
+        let walkers = self.pedestrians.iter_mut();
+        walkers
+            .map(|walker| walker.decide((self.time_s, dt_s), ego_m, &vehicles))
+            .collect()
+    }
+
+    /// States of all agents, in the order of the scenario, pedestrians last; `None` while one is
+    /// off the map.
     #[must_use]
     pub fn states(&self) -> &[Option<VehicleState>] {
         &self.states
     }
 
-    /// Lane positions of all agents, in the order of the scenario; `None` while one is off the map.
+    /// Lane positions of all vehicles, in the order of the scenario; `None` while one is off the
+    /// map.
     pub fn places(&self) -> impl Iterator<Item = Option<LanePlace>> {
         self.agents.iter().map(|agent| {
             agent.is_here().then(|| LanePlace {
                 lane: agent.lane(),
                 arc_m: agent.arc_m,
-                lateral_m: agent.lateral_m(),
+                lateral_m: agent.lateral_m(&self.graph),
             })
         })
     }
 
-    /// Agents that brake harder than in normal driving, in the order of the scenario.
+    /// Vehicles that brake harder than in normal driving, in the order of the scenario.
     pub fn emergencies(&self) -> impl Iterator<Item = bool> {
         self.agents.iter().map(|agent| agent.emergency)
     }

@@ -2,6 +2,9 @@
 
 use std::path::PathBuf;
 
+use glam::DVec2;
+
+use crate::road_user::RoadUser;
 use crate::traffic_light::TrafficLight;
 use crate::vehicle::VehicleSize;
 
@@ -214,7 +217,10 @@ pub struct Behavior {
 pub struct TrafficAgent {
     /// Unique in the scenario.
     pub name: String,
-    /// Index of its asset among the place's assets; indices beyond the last start over.
+    /// Kind: a road user on lanes, so not a pedestrian.
+    pub kind: RoadUser,
+    /// Index of its asset among those of its kind that the place has; indices beyond the last start
+    /// over.
     pub asset: usize,
     /// Size of the box.
     pub size: VehicleSize,
@@ -230,6 +236,26 @@ pub struct TrafficAgent {
     pub changes_lanes: bool,
     /// Injected behaviors.
     pub behaviors: Vec<Behavior>,
+}
+
+/// Pedestrian who walks along a path once, and then stands at its end.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pedestrian {
+    /// Unique among the agents of the scenario.
+    pub name: String,
+    /// Index among the pedestrians of the place; indices beyond the last start over.
+    pub asset: usize,
+    /// Size of the box.
+    pub size: VehicleSize,
+    /// At least two points, world coordinates, meters.
+    pub path_m: Vec<DVec2>,
+    /// Walking speed.
+    pub speed_mps: f64,
+    /// Start of the walk.
+    pub start: Trigger,
+    /// True if the pedestrian waits beside the road until no vehicle comes. Otherwise the
+    /// pedestrian steps in front of vehicles, but does not walk into their sides.
+    pub waits_for_gap: bool,
 }
 
 /// An episode before it is driven. With a planner it tells all that happens.
@@ -251,6 +277,8 @@ pub struct Scenario {
     pub ego: EgoTask,
     /// Other vehicles.
     pub agents: Vec<TrafficAgent>,
+    /// Pedestrians. Wherever agents have an index, theirs follow those of the vehicles.
+    pub pedestrians: Vec<Pedestrian>,
     /// Traffic lights that all vehicles are to obey.
     pub lights: Vec<TrafficLight>,
 }
@@ -274,5 +302,34 @@ impl Scenario {
     #[must_use]
     pub fn steps(&self) -> u32 {
         (self.duration_s / self.step_s - 1e-9).ceil().max(1.0) as u32
+    }
+
+    /// Number of vehicles and pedestrians.
+    #[must_use]
+    pub fn agent_count(&self) -> usize {
+        self.agents.len() + self.pedestrians.len()
+    }
+
+    /// Boxes of vehicles and pedestrians, in the order of their indices.
+    #[must_use]
+    pub fn agent_sizes(&self) -> Vec<VehicleSize> {
+        let vehicles = self.agents.iter().map(|agent| agent.size);
+        let pedestrians = self.pedestrians.iter().map(|walker| walker.size);
+        vehicles.chain(pedestrians).collect()
+    }
+
+    /// Name, kind and asset of a vehicle or pedestrian.
+    ///
+    /// # Panics
+    /// Panics if there is no such agent.
+    #[must_use]
+    pub fn agent(&self, index: usize) -> (&str, RoadUser, usize) {
+        match self.agents.get(index) {
+            Some(agent) => (&agent.name, agent.kind, agent.asset),
+            None => {
+                let walker = &self.pedestrians[index - self.agents.len()];
+                (&walker.name, RoadUser::Pedestrian, walker.asset)
+            }
+        }
     }
 }

@@ -21,6 +21,13 @@ impl VehicleSize {
         height_m: 1.5,
     };
 
+    /// A pedestrian: 0.5 by 0.6 by 1.75 meters.
+    pub const PEDESTRIAN: Self = Self {
+        length_m: 0.5,
+        width_m: 0.6,
+        height_m: 1.75,
+    };
+
     /// From length, width and height, meters.
     #[must_use]
     pub fn from_array([length_m, width_m, height_m]: [f64; 3]) -> Self {

@@ -29,10 +29,10 @@ impl Sequence {
             return Err("the route or an agent's size has a number that is not finite".into());
         }
         let agents = head.agent_sizes.len();
-        if agents != head.scenario.agents.len() {
+        if agents != head.scenario.agent_count() {
             return Err(format!(
                 "{agents} agents have a size; the scenario has {}",
-                head.scenario.agents.len()
+                head.scenario.agent_count()
             ));
         }
         let lights = head.scenario.lights.len();

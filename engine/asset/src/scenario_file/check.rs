@@ -6,11 +6,11 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 
 use decouplegs_scene::scenario::{Behavior, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
-use decouplegs_scene::{Scenario, TrafficLight, VehicleSize};
+use decouplegs_scene::{Pedestrian, RoadUser, Scenario, TrafficLight, VehicleSize};
 
 use crate::traffic_light_form::{self, LIGHTS_MAX};
 
-/// Most agents of a scenario.
+/// Most agents of a scenario, pedestrians included.
 pub const AGENTS_MAX: usize = 10_000;
 
 /// Longest episode, seconds.
@@ -43,6 +43,10 @@ const ALONG_M: RangeInclusive<f64> = 0.0..=1e6;
 const SPEED_MPS: RangeInclusive<f64> = 0.0..=100.0;
 /// Shortest and longest side of a vehicle.
 const SIDE_M: RangeInclusive<f64> = 0.1..=100.0;
+/// Points of a pedestrian's path, their distances, and walking speeds.
+const PATH_POINTS_MAX: usize = 1000;
+const PATH_STEP_M: RangeInclusive<f64> = 0.01..=1000.0;
+const WALK_MPS: RangeInclusive<f64> = 0.1..=8.0;
 const EXPOSURE_EV: RangeInclusive<f64> = -20.0..=20.0;
 const NEAR_EGO_M: RangeInclusive<f64> = 0.0..=10_000.0;
 const DECELERATION_MPS2: RangeInclusive<f64> = 0.01..=20.0;
@@ -58,6 +62,7 @@ pub(super) enum Table {
     Light(usize),
     Agent(usize),
     Behavior(usize, usize),
+    Pedestrian(usize),
 }
 
 impl fmt::Display for Table {
@@ -67,6 +72,7 @@ impl fmt::Display for Table {
             Self::Place => formatter.write_str("place"),
             Self::Ego => formatter.write_str("ego"),
             Self::Light(light) => write!(formatter, "light[{light}]"),
+            Self::Pedestrian(walker) => write!(formatter, "pedestrian[{walker}]"),
             Self::Agent(agent) => write!(formatter, "agent[{agent}]"),
             Self::Behavior(agent, behavior) => {
                 write!(formatter, "agent[{agent}].behavior[{behavior}]")
@@ -106,12 +112,16 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
     within(top, "step_s", scenario.step_s, &(STEP_S_MIN..=STEP_S_MAX))?;
     check_place(&scenario.place)?;
     check_ego(&scenario.ego)?;
-    if scenario.agents.len() > AGENTS_MAX {
+    if scenario.agent_count() > AGENTS_MAX {
         let reason = format!(
             "{} agents; expected at most {AGENTS_MAX}",
-            scenario.agents.len()
+            scenario.agent_count()
         );
-        return Err(Fault::new(Table::Agent(AGENTS_MAX), "name", reason));
+        let table = match scenario.agents.len() {
+            vehicles if vehicles > AGENTS_MAX => Table::Agent(AGENTS_MAX),
+            vehicles => Table::Pedestrian(AGENTS_MAX - vehicles),
+        };
+        return Err(Fault::new(table, "name", reason));
     }
     let mut names = HashSet::new();
     for (index, agent) in scenario.agents.iter().enumerate() {
@@ -133,6 +143,14 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
         }
         for (at, behavior) in agent.behaviors.iter().enumerate() {
             check_behavior(Table::Behavior(index, at), behavior)?;
+        }
+    }
+    for (index, walker) in scenario.pedestrians.iter().enumerate() {
+        let table = Table::Pedestrian(index);
+        check_pedestrian(table, walker)?;
+        if !names.insert(walker.name.as_str()) {
+            let reason = format!("'{}' is taken; names must differ", walker.name);
+            return Err(Fault::new(table, "name", reason));
         }
     }
     check_lights(&scenario.lights)
@@ -303,6 +321,10 @@ fn check_ego(ego: &EgoTask) -> Result<(), Fault> {
 
 fn check_agent(table: Table, agent: &TrafficAgent) -> Result<(), Fault> {
     check_name(table, &agent.name)?;
+    if agent.kind == RoadUser::Pedestrian {
+        let reason = "a pedestrian has a path instead of a lane; expected [[pedestrian]]";
+        return Err(Fault::new(table, "kind", reason.into()));
+    }
     count(table, "asset", agent.asset, &(0..=ASSETS_MAX - 1))?;
     check_size(table, agent.size)?;
     check_lane(table, "lane", &agent.lane)?;
@@ -310,11 +332,33 @@ fn check_agent(table: Table, agent: &TrafficAgent) -> Result<(), Fault> {
     within(table, "speed_mps", agent.speed_mps, &SPEED_MPS)
 }
 
-fn check_behavior(table: Table, behavior: &Behavior) -> Result<(), Fault> {
-    match behavior.trigger {
-        Trigger::Time { time_s } => within(table, "at_time_s", time_s, &(0.0..=DURATION_S_MAX))?,
-        Trigger::NearEgo { distance_m } => within(table, "near_ego_m", distance_m, &NEAR_EGO_M)?,
+fn check_pedestrian(table: Table, walker: &Pedestrian) -> Result<(), Fault> {
+    check_name(table, &walker.name)?;
+    count(table, "asset", walker.asset, &(0..=ASSETS_MAX - 1))?;
+    check_size(table, walker.size)?;
+    count(table, "path_m", walker.path_m.len(), &(2..=PATH_POINTS_MAX))?;
+    for pair in walker.path_m.windows(2) {
+        let step_m = pair[0].distance(pair[1]);
+        if !PATH_STEP_M.contains(&step_m) {
+            let (least, most) = (PATH_STEP_M.start(), PATH_STEP_M.end());
+            let reason =
+                format!("points {step_m} m apart; expected {least} to {most} m between neighbors");
+            return Err(Fault::new(table, "path_m", reason));
+        }
     }
+    within(table, "speed_mps", walker.speed_mps, &WALK_MPS)?;
+    check_trigger(table, walker.start)
+}
+
+fn check_trigger(table: Table, trigger: Trigger) -> Result<(), Fault> {
+    match trigger {
+        Trigger::Time { time_s } => within(table, "at_time_s", time_s, &(0.0..=DURATION_S_MAX)),
+        Trigger::NearEgo { distance_m } => within(table, "near_ego_m", distance_m, &NEAR_EGO_M),
+    }
+}
+
+fn check_behavior(table: Table, behavior: &Behavior) -> Result<(), Fault> {
+    check_trigger(table, behavior.trigger)?;
     match behavior.maneuver {
         Maneuver::Brake {
             deceleration_mps2,

@@ -3,7 +3,8 @@
 use decouplegs_scene::scenario::{
     Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger,
 };
-use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
+use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario, VehicleSize, Weather};
+use glam::DVec2;
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
@@ -33,6 +34,8 @@ pub(super) struct ScenarioForm {
     pub(super) agent: Vec<Spanned<AgentForm>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) light: Vec<Spanned<LightForm>>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) pedestrian: Vec<Spanned<PedestrianForm>>,
 }
 
 fn default_duration_s() -> f64 {
@@ -99,6 +102,9 @@ fn default_size_m() -> [f64; 3] {
 #[serde(deny_unknown_fields)]
 pub(super) struct AgentForm {
     pub(super) name: String,
+    // Files with cars alone read as they did before there were other kinds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) kind: Option<String>,
     pub(super) asset: usize,
     #[serde(default = "default_size_m")]
     pub(super) size_m: [f64; 3],
@@ -119,6 +125,36 @@ fn default_driver() -> String {
 }
 
 fn default_changes_lanes() -> bool {
+    true
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PedestrianForm {
+    pub(super) name: String,
+    pub(super) asset: usize,
+    #[serde(default = "default_pedestrian_size_m")]
+    pub(super) size_m: [f64; 3],
+    pub(super) path_m: Vec<[f64; 2]>,
+    #[serde(default = "default_walk_mps")]
+    pub(super) speed_mps: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) at_time_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) near_ego_m: Option<f64>,
+    #[serde(default = "default_waits_for_gap")]
+    pub(super) waits_for_gap: bool,
+}
+
+fn default_pedestrian_size_m() -> [f64; 3] {
+    VehicleSize::PEDESTRIAN.to_array()
+}
+
+fn default_walk_mps() -> f64 {
+    1.4
+}
+
+fn default_waits_for_gap() -> bool {
     true
 }
 
@@ -151,6 +187,7 @@ pub(super) fn parse(text: &str) -> Result<Scenario, SceneError> {
             },
             Table::Ego => form.ego.span(),
             Table::Light(light) => form.light[light].span(),
+            Table::Pedestrian(walker) => form.pedestrian[walker].span(),
             Table::Agent(agent) => form.agent[agent].span(),
             Table::Behavior(agent, behavior) => {
                 form.agent[agent].get_ref().behavior[behavior].span()
@@ -203,13 +240,19 @@ fn scenario(form: &ScenarioForm) -> Result<Scenario, Fault> {
                 light.map_err(|fault| Fault::new(Table::Light(at), fault.field, fault.reason))
             })
             .collect::<Result<_, _>>()?,
+        pedestrians: form
+            .pedestrian
+            .iter()
+            .enumerate()
+            .map(|(at, form)| pedestrian(at, form.get_ref()))
+            .collect::<Result<_, _>>()?,
     })
 }
 
 /// Value with the name `name`.
 fn named<T>(
     name: &str,
-    by_name: fn(&str) -> Option<T>,
+    by_name: impl Fn(&str) -> Option<T>,
     names: &[&str],
     table: Table,
     field: &'static str,
@@ -280,9 +323,15 @@ fn ego(form: &EgoForm) -> EgoTask {
 
 fn agent(at: usize, form: &AgentForm) -> Result<TrafficAgent, Fault> {
     let drivers = DriverKind::ALL.map(DriverKind::name);
+    let kinds = RoadUser::ON_LANES.map(RoadUser::name);
+    let on_lanes = |name: &str| RoadUser::by_name(name).filter(|kind| kinds.contains(&kind.name()));
     let behaviors = form.behavior.iter().enumerate();
     Ok(TrafficAgent {
         name: form.name.clone(),
+        kind: match &form.kind {
+            None => RoadUser::Car,
+            Some(name) => named(name, on_lanes, &kinds, Table::Agent(at), "kind")?,
+        },
         asset: form.asset,
         size: VehicleSize::from_array(form.size_m),
         lane: form.lane.clone(),
@@ -302,18 +351,35 @@ fn agent(at: usize, form: &AgentForm) -> Result<TrafficAgent, Fault> {
     })
 }
 
-fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
-    let trigger = match (form.at_time_s, form.near_ego_m) {
-        (Some(time_s), None) => Trigger::Time { time_s },
-        (None, Some(distance_m)) => Trigger::NearEgo { distance_m },
+fn pedestrian(at: usize, form: &PedestrianForm) -> Result<Pedestrian, Fault> {
+    Ok(Pedestrian {
+        name: form.name.clone(),
+        asset: form.asset,
+        size: VehicleSize::from_array(form.size_m),
+        path_m: form.path_m.iter().copied().map(DVec2::from_array).collect(),
+        speed_mps: form.speed_mps,
+        start: trigger(form.at_time_s, form.near_ego_m, Table::Pedestrian(at))?,
+        waits_for_gap: form.waits_for_gap,
+    })
+}
+
+fn trigger(
+    at_time_s: Option<f64>,
+    near_ego_m: Option<f64>,
+    table: Table,
+) -> Result<Trigger, Fault> {
+    match (at_time_s, near_ego_m) {
+        (Some(time_s), None) => Ok(Trigger::Time { time_s }),
+        (None, Some(distance_m)) => Ok(Trigger::NearEgo { distance_m }),
         _ => {
-            return Err(Fault::new(
-                table,
-                "at_time_s",
-                "give either 'at_time_s' or 'near_ego_m'".into(),
-            ));
+            let reason = "give either 'at_time_s' or 'near_ego_m'".into();
+            Err(Fault::new(table, "at_time_s", reason))
         }
-    };
+    }
+}
+
+fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
+    let trigger = trigger(form.at_time_s, form.near_ego_m, table)?;
     let name = form.maneuver.as_str();
     let needed = |field: &'static str, value: Option<f64>| {
         value.ok_or_else(|| Fault::new(table, field, format!("a maneuver '{name}' needs it")))

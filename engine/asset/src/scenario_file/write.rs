@@ -3,13 +3,15 @@
 use std::path::Path;
 
 use decouplegs_scene::scenario::{Behavior, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
-use decouplegs_scene::{Level, Scenario};
+use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario};
+use glam::DVec2;
 use toml::Spanned;
 
 use super::VERSION;
 use super::check::check;
 use super::form::{
-    AgentForm, BehaviorForm, EgoForm, PlaceForm, RoadsForm, ScenarioForm, SceneForm, StreetForm,
+    AgentForm, BehaviorForm, EgoForm, PedestrianForm, PlaceForm, RoadsForm, ScenarioForm,
+    SceneForm, StreetForm,
 };
 use super::seed::Seed;
 use crate::EncodeError;
@@ -45,6 +47,11 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
             .lights
             .iter()
             .map(|light| spanless(LightForm::of(light)))
+            .collect(),
+        pedestrian: scenario
+            .pedestrians
+            .iter()
+            .map(|walker| spanless(pedestrian_form(walker)))
             .collect(),
     };
     let body = toml::to_string(&form).map_err(|error| EncodeError(error.to_string()))?;
@@ -112,6 +119,7 @@ fn ego_form(ego: &EgoTask) -> EgoForm {
 fn agent_form(agent: &TrafficAgent) -> AgentForm {
     AgentForm {
         name: agent.name.clone(),
+        kind: (agent.kind != RoadUser::Car).then(|| agent.kind.name().to_owned()),
         asset: agent.asset,
         size_m: agent.size.to_array(),
         lane: agent.lane.clone(),
@@ -127,11 +135,30 @@ fn agent_form(agent: &TrafficAgent) -> AgentForm {
     }
 }
 
-fn behavior_form(behavior: &Behavior) -> BehaviorForm {
-    let (at_time_s, near_ego_m) = match behavior.trigger {
+fn pedestrian_form(walker: &Pedestrian) -> PedestrianForm {
+    let (at_time_s, near_ego_m) = trigger_form(walker.start);
+    PedestrianForm {
+        name: walker.name.clone(),
+        asset: walker.asset,
+        size_m: walker.size.to_array(),
+        path_m: walker.path_m.iter().map(DVec2::to_array).collect(),
+        speed_mps: walker.speed_mps,
+        at_time_s,
+        near_ego_m,
+        waits_for_gap: walker.waits_for_gap,
+    }
+}
+
+/// `at_time_s` and `near_ego_m`.
+fn trigger_form(trigger: Trigger) -> (Option<f64>, Option<f64>) {
+    match trigger {
         Trigger::Time { time_s } => (Some(time_s), None),
         Trigger::NearEgo { distance_m } => (None, Some(distance_m)),
-    };
+    }
+}
+
+fn behavior_form(behavior: &Behavior) -> BehaviorForm {
+    let (at_time_s, near_ego_m) = trigger_form(behavior.trigger);
     let form = BehaviorForm {
         at_time_s,
         near_ego_m,

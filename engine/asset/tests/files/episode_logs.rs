@@ -99,7 +99,7 @@ fn heads() -> impl Strategy<Value = EpisodeHead> {
                 ends_m: [DVec2::new(1.0 / 3.0, -4.0), DVec2::new(2.0, 1e-7)],
             };
             let stop_lines = (0..scenario.lights.len()).map(line).collect();
-            let agent_sizes = scenario.agents.iter().map(|agent| agent.size).collect();
+            let agent_sizes = scenario.agent_sizes();
             EpisodeHead {
                 log_version: VERSION,
                 version,
@@ -183,10 +183,11 @@ fn episodes() -> impl Strategy<Value = Episode> {
 
 /// An episode of three short steps with one agent.
 fn small() -> Episode {
-    let scenario: Scenario = decouplegs_asset::scenario_file::parse(
+    let mut scenario: Scenario = decouplegs_asset::scenario_file::parse(
         &crate::scenario_files::example().replace("\"hard\"", "\"easy\""),
     )
     .unwrap();
+    scenario.pedestrians.clear();
     let state = |x: f64| VehicleState {
         position_m: DVec2::new(x, 0.1),
         speed_mps: 8.0,

@@ -158,6 +158,64 @@ fn every_documented_place_is_read_and_what_may_be_left_out_is() {
     );
 }
 
+/// Checks what is said about the example when a text in it is replaced by another: line, key and
+/// reason.
+fn check_complaints(cases: &[(&str, &str, &str)]) {
+    for (from, to, complaint) in cases.iter().copied() {
+        let text = example();
+        let at = text
+            .find(from)
+            .unwrap_or_else(|| panic!("the example has no {from}"));
+        let line = 1 + text[..at].matches('\n').count();
+        let error = scenario_file::parse(&text.replacen(from, to, 1)).unwrap_err();
+        assert!(
+            error.to_string().contains(complaint),
+            "{from} -> {to}: {error}"
+        );
+        // An added line may stand above or below the one at fault.
+        assert!(
+            error.line.abs_diff(line) <= to.matches('\n').count(),
+            "{from} -> {to}: {error}; expected line {line}"
+        );
+    }
+}
+
+#[test]
+fn complaints_about_road_users_name_line_key_and_reason() {
+    check_complaints(&[
+        (
+            "kind = \"car\"",
+            "kind = \"pedestrian\"",
+            "agent[0].kind: 'pedestrian' is unknown; there are car, truck, bus, cyclist",
+        ),
+        (
+            "[31.2, 8.5]",
+            "[31.0, -8.5]",
+            "pedestrian[0].path_m: points 0 m apart; expected 0.01 to 1000 m",
+        ),
+        (
+            ", [31.2, 8.5]",
+            "",
+            "pedestrian[0].path_m: 1 is out of range; expected 2 to 1000",
+        ),
+        (
+            "speed_mps = 1.4",
+            "speed_mps = 14.0",
+            "pedestrian[0].speed_mps: 14 is out of range",
+        ),
+        (
+            "near_ego_m = 40.0",
+            "at_time_s = 1.0\nnear_ego_m = 40.0",
+            "pedestrian[0].at_time_s: give either",
+        ),
+        (
+            "name = \"walker\"",
+            "name = \"taxi\"",
+            "pedestrian[0].name: 'taxi' is taken",
+        ),
+    ]);
+}
+
 #[test]
 fn complaints_name_line_key_and_reason() {
     // What is replaced by what, and what the complaint says, in this order; the line is that of the
@@ -286,23 +344,7 @@ fn complaints_name_line_key_and_reason() {
             "agent[0].behavior[2].amplitude_m: 80 is out of range",
         ),
     ];
-    for (from, to, complaint) in cases {
-        let text = example();
-        let at = text
-            .find(from)
-            .unwrap_or_else(|| panic!("the example has no {from}"));
-        let line = 1 + text[..at].matches('\n').count();
-        let error = scenario_file::parse(&text.replacen(from, to, 1)).unwrap_err();
-        assert!(
-            error.to_string().contains(complaint),
-            "{from} -> {to}: {error}"
-        );
-        // An added line may stand above or below the one at fault.
-        assert!(
-            error.line.abs_diff(line) <= to.matches('\n').count(),
-            "{from} -> {to}: {error}; expected line {line}"
-        );
-    }
+    check_complaints(&cases);
     let twice = format!(
         "{}{}",
         example(),
@@ -322,7 +364,8 @@ fn more_agents_than_allowed_are_refused() {
     let mut scenario = scenario_file::parse(&example()).unwrap();
     scenario.agents[0].behaviors.clear();
     let agent = scenario.agents[0].clone();
-    scenario.agents = (0..AGENTS_MAX)
+    // The pedestrian counts, too.
+    scenario.agents = (1..AGENTS_MAX)
         .map(|index| decouplegs_scene::scenario::TrafficAgent {
             name: format!("a{index}"),
             ..agent.clone()

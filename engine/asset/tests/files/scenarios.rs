@@ -4,8 +4,10 @@ use decouplegs_scene::scenario::{
     Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger,
 };
 use decouplegs_scene::{
-    Level, LightColor, LightPhase, Scenario, StopLine, TrafficLight, VehicleSize, Weather,
+    Level, LightColor, LightPhase, Pedestrian, RoadUser, Scenario, StopLine, TrafficLight,
+    VehicleSize, Weather,
 };
+use glam::DVec2;
 use proptest::prelude::*;
 use proptest::sample::select;
 
@@ -69,11 +71,47 @@ fn egos() -> impl Strategy<Value = EgoTask> {
         )
 }
 
-fn behaviors() -> impl Strategy<Value = Behavior> {
-    let trigger = prop_oneof![
+fn triggers() -> impl Strategy<Value = Trigger> {
+    prop_oneof![
         (0.0f64..=3600.0).prop_map(|time_s| Trigger::Time { time_s }),
         (0.0f64..=10_000.0).prop_map(|distance_m| Trigger::NearEgo { distance_m }),
-    ];
+    ]
+}
+
+fn pedestrians() -> impl Strategy<Value = Vec<Pedestrian>> {
+    let path = (-1e5f64..1e5, -1e5f64..1e5, 0.1f64..50.0, 2usize..5);
+    let walker = (
+        0usize..100,
+        sizes(),
+        path,
+        0.1f64..=8.0,
+        triggers(),
+        any::<bool>(),
+    );
+    let walker = walker.prop_map(
+        |(asset, size, (x, y, step_m, count), speed_mps, start, waits)| {
+            let point = |at| DVec2::new(x + step_m * at as f64, y);
+            Pedestrian {
+                name: String::new(),
+                asset,
+                size,
+                path_m: (0..count).map(point).collect(),
+                speed_mps,
+                start,
+                waits_for_gap: waits,
+            }
+        },
+    );
+    prop::collection::vec(walker, 0..3).prop_map(|mut walkers| {
+        for (index, walker) in walkers.iter_mut().enumerate() {
+            walker.name = format!("walker-{index}");
+        }
+        walkers
+    })
+}
+
+fn behaviors() -> impl Strategy<Value = Behavior> {
+    let trigger = triggers();
     let duration_s = || 0.01f64..=3600.0;
     let maneuver = prop_oneof![
         (0.01f64..=20.0, duration_s()).prop_map(|(deceleration_mps2, duration_s)| {
@@ -101,15 +139,17 @@ fn agents() -> impl Strategy<Value = Vec<TrafficAgent>> {
             0.0f64..=100.0,
         ),
         (
+            select(RoadUser::ON_LANES.to_vec()),
             select(DriverKind::ALL.to_vec()),
             any::<bool>(),
             prop::collection::vec(behaviors(), 0..3),
         ),
     )
         .prop_map(
-            |((asset, size, lane, at_m, speed_mps), (driver, changes_lanes, behaviors))| {
+            |((asset, size, lane, at_m, speed_mps), (kind, driver, changes_lanes, behaviors))| {
                 TrafficAgent {
                     name: String::new(),
+                    kind,
                     asset,
                     size,
                     lane,
@@ -138,17 +178,20 @@ pub fn scenarios() -> impl Strategy<Value = Scenario> {
         any::<u64>(),
         times,
     );
-    (head, places(), egos(), agents(), lights()).prop_map(
-        |((name, level, seed, (duration_s, step_s)), place, ego, agents, lights)| Scenario {
-            name,
-            level,
-            seed,
-            duration_s,
-            step_s,
-            place,
-            ego,
-            agents,
-            lights,
+    (head, places(), egos(), agents(), lights(), pedestrians()).prop_map(
+        |((name, level, seed, (duration_s, step_s)), place, ego, agents, lights, pedestrians)| {
+            Scenario {
+                name,
+                level,
+                seed,
+                duration_s,
+                step_s,
+                place,
+                ego,
+                agents,
+                lights,
+                pedestrians,
+            }
         },
     )
 }

@@ -1,7 +1,7 @@
 //! Driver types, and misbehavior of some agents.
 
 use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
-use decouplegs_scene::{LaneMap, Level};
+use decouplegs_scene::{LaneMap, Level, RoadUser};
 use glam::DVec2;
 
 use super::ego_start::EgoStart;
@@ -9,6 +9,9 @@ use super::placement::{Role, Vehicle};
 use super::random::Stream;
 use super::rules::{LevelRequirements, NEAR_M};
 use super::to_tenth;
+
+/// Name of the vehicle ahead of the ego.
+pub(super) const LEAD: &str = "lead";
 
 /// Time at which a vehicle ahead brakes, seconds, or the share of its distance at the start at
 /// which the ego makes it brake: before an ego that keeps its speed has reached it.
@@ -45,17 +48,19 @@ pub(super) fn agents(
             .unwrap_or(DriverKind::Normal);
         agents.push(TrafficAgent {
             name: match vehicle.role {
-                Role::Lead => "lead".into(),
+                Role::Lead => LEAD.into(),
                 Role::CutIn => "cut_in".into(),
-                Role::Ego | Role::Other => format!("car_{number:02}"),
+                Role::Ego | Role::Other => format!("{}_{number:02}", vehicle.kind.name()),
             },
+            kind: vehicle.kind,
             asset: vehicle.asset,
             size: vehicle.size,
             lane: map.lanes[vehicle.spot.lane].id.clone(),
             at_m: vehicle.spot.at_m,
             speed_mps: vehicle.speed_mps,
             driver,
-            changes_lanes: draw.chance(rules.lane_change_share),
+            changes_lanes: draw.chance(rules.lane_change_share)
+                && vehicle.kind != RoadUser::Cyclist,
             behaviors: Vec::new(),
         });
     }
@@ -138,7 +143,7 @@ fn swerving(start: &EgoStart, vehicles: &[Vehicle], count: usize) -> Vec<(usize,
     for (at, vehicle) in vehicles
         .iter()
         .enumerate()
-        .filter(|(_, vehicle)| vehicle.role == Role::Other)
+        .filter(|(_, vehicle)| vehicle.role == Role::Other && vehicle.kind == RoadUser::Car)
     {
         let local_m = ego.to_local(vehicle.outline.center_m);
         let along = DVec2::from_angle(vehicle.outline.yaw_rad - ego.yaw_rad).x;

@@ -1,11 +1,12 @@
 //! Initial placement: the ego, the vehicle ahead of it, the one that will cut in, the one that
 //! waits at the crossing, and all others.
 
-use decouplegs_scene::VehicleSize;
+use decouplegs_scene::{RoadUser, VehicleSize};
 use glam::DVec2;
 
 use super::ego_start::{EGO, EgoStart};
 use super::random::Stream;
+use super::road_users::{Assets, RoadUserAsset};
 use super::roads::{Roads, Spot};
 use super::rules::{LevelRequirements, NEAR_M};
 use super::{down_to_tenth, safe_speed, to_centimeter};
@@ -58,6 +59,7 @@ pub(super) enum Role {
 pub(super) struct Vehicle {
     pub role: Role,
     pub spot: Spot,
+    pub kind: RoadUser,
     pub asset: usize,
     pub size: VehicleSize,
     pub outline: OrientedBox,
@@ -72,7 +74,7 @@ pub(super) struct Placement<'a> {
     roads: &'a Roads<'a>,
     rules: &'a LevelRequirements,
     start: &'a EgoStart,
-    assets: &'a [VehicleSize],
+    assets: &'a Assets,
     vehicles: Vec<Vehicle>,
     random: Stream,
 }
@@ -83,7 +85,7 @@ impl<'a> Placement<'a> {
         roads: &'a Roads<'a>,
         rules: &'a LevelRequirements,
         start: &'a EgoStart,
-        assets: &'a [VehicleSize],
+        assets: &'a Assets,
         random: Stream,
     ) -> Self {
         let (position, yaw_rad) = start.route.pose_at(0.0);
@@ -95,6 +97,7 @@ impl<'a> Placement<'a> {
         let ego = Vehicle {
             role: Role::Ego,
             spot: start.spot,
+            kind: RoadUser::Car,
             asset: 0,
             size: EGO,
             outline,
@@ -149,12 +152,12 @@ impl<'a> Placement<'a> {
     }
 
     /// Puts a vehicle there if it has room.
-    fn put(&mut self, spot: Spot, asset: usize, role: Role, wish_mps: f64) -> bool {
+    fn put(&mut self, spot: Spot, asset: RoadUserAsset, role: Role, wish_mps: f64) -> bool {
         let Some(spot) = self.roads.on_its_lane(spot) else {
             return false;
         };
         let (size, spot) = (
-            self.assets[asset],
+            asset.size,
             Spot {
                 at_m: to_centimeter(spot.at_m),
                 ..spot
@@ -177,7 +180,8 @@ impl<'a> Placement<'a> {
             self.vehicles.push(Vehicle {
                 role,
                 spot,
-                asset,
+                kind: asset.kind,
+                asset: asset.asset,
                 size,
                 outline,
                 speed_mps,
@@ -208,18 +212,18 @@ impl<'a> Placement<'a> {
         follows(a, b) || follows(b, a)
     }
 
-    fn draw_asset(&mut self) -> usize {
-        self.random.whole((0, self.assets.len() - 1))
+    fn draw_asset(&mut self) -> RoadUserAsset {
+        self.assets.draw(false, &mut self.random)
     }
 
     fn put_lead(&mut self) -> bool {
         for _ in 0..LEAD_DRAWS {
-            let asset = self.draw_asset();
+            let asset = self.assets.draw(true, &mut self.random);
             // Rounding to centimeters stays within.
             let gap_m = self
                 .random
                 .between((LEAD_GAP_M.0 + 0.1, LEAD_GAP_M.1 - 0.1));
-            let ahead_m = gap_m + 0.5 * (EGO.length_m + self.assets[asset].length_m);
+            let ahead_m = gap_m + 0.5 * (EGO.length_m + asset.size.length_m);
             let wish_mps =
                 self.random.between(self.rules.lead_speed_share) * self.start.task.speed_mps;
             if self
@@ -251,7 +255,8 @@ impl<'a> Placement<'a> {
                 continue;
             }
             for _ in 0..LEAD_DRAWS {
-                let (asset, ahead_m) = (self.draw_asset(), self.random.between(CUT_IN_AHEAD_M));
+                let asset = self.assets.draw_car(&mut self.random);
+                let ahead_m = self.random.between(CUT_IN_AHEAD_M);
                 let wish_mps = self.random.between((0.85, 1.0)) * self.start.task.speed_mps;
                 if self.put(
                     Spot {
@@ -277,7 +282,7 @@ impl<'a> Placement<'a> {
         self.random.shuffle(&mut lines);
         for line in lines {
             let asset = self.draw_asset();
-            let before_m = self.random.between(WAITING_M) + 0.5 * self.assets[asset].length_m;
+            let before_m = self.random.between(WAITING_M) + 0.5 * asset.size.length_m;
             let wish_mps = self.random.between(WAITING_MPS);
             self.put_where_wanted(
                 Spot {
@@ -339,7 +344,7 @@ impl<'a> Placement<'a> {
     fn put_where_wanted(
         &mut self,
         spot: Spot,
-        asset: usize,
+        asset: RoadUserAsset,
         wish_mps: f64,
         (wanted, far): (usize, usize),
     ) {

@@ -47,7 +47,7 @@ pub(super) struct Roads<'a> {
     pub map: &'a LaneMap,
     pub graph: Arc<RoadGraph>,
     pub index: LaneIndex,
-    surface: RoadSurface,
+    pub surface: RoadSurface,
     /// Left and right border of each lane, where the map knows them.
     borders: Vec<[Option<Polyline>; 2]>,
     /// Stretches of each lane, from and to, on which vehicles of other lanes may be in the way.

@@ -10,6 +10,8 @@
 //! - the other cuts in: it drives along the route, in either direction, was beside the ego's way
 //!   less than a second before, and came nearer to it by moving sideways more than the ego did.
 //!
+//! A collision with a pedestrian is the ego's fault unless the ego stands.
+//!
 //! All else is: running into what is ahead, into what crosses, and changing into the way of others.
 //! Lanes are not in the record. What stands for them is the route, averaged over up to 40 m to both
 //! sides: a line that bends with the road but hardly changes lanes where the route does, so that it
@@ -18,7 +20,7 @@
 //! a road that bends.
 
 use decouplegs_scene::episode::EpisodeTick;
-use decouplegs_scene::{Episode, VehicleSize, VehicleState};
+use decouplegs_scene::{Episode, RoadUser, VehicleSize, VehicleState};
 use glam::DVec2;
 
 use crate::oriented_box::OrientedBox;
@@ -65,7 +67,7 @@ impl Fault {
     #[must_use]
     pub const fn why(self) -> &'static str {
         match self {
-            Self::Ego => "the ego drove into another vehicle",
+            Self::Ego => "the ego drove into another road user",
             Self::EgoStood => "the ego stood",
             Self::HitFromBehind => "the ego was hit from behind by a vehicle in its lane",
             Self::CutIn => "the other moved into the ego's way less than a second before",
@@ -83,6 +85,9 @@ pub(super) fn fault(
     let (now, before) = (instants[contact], instants[contact.saturating_sub(1)]);
     if now.ego.speed_mps < STANDING_MPS && before.ego.speed_mps < STANDING_MPS {
         return Fault::EgoStood;
+    }
+    if episode.head.scenario.agent(agent).1 == RoadUser::Pedestrian {
+        return Fault::Ego;
     }
     let Some(road) = averaged_route(&episode.head.route_m, now.ego.position_m) else {
         return Fault::Ego;

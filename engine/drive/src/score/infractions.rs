@@ -1,10 +1,12 @@
 //! Infractions of an episode: collisions, excursions from the road, red lights.
 
 use decouplegs_scene::episode::EpisodeTick;
-use decouplegs_scene::{Episode, EpisodeEnd, LightColor, ObstacleKind};
+use decouplegs_scene::{Episode, EpisodeEnd, LightColor, ObstacleKind, RoadUser};
 
 use super::fault::{Fault, fault};
-use super::{COLLISION_FACTOR, LAYOUT_FACTOR, OBSTACLE_FACTOR, RED_LIGHT_FACTOR};
+use super::{
+    COLLISION_FACTOR, LAYOUT_FACTOR, OBSTACLE_FACTOR, PEDESTRIAN_FACTOR, RED_LIGHT_FACTOR,
+};
 use crate::oriented_box::OrientedBox;
 
 /// An excursion is over when the ego has been on the road for so long, seconds: a vehicle that
@@ -29,6 +31,8 @@ pub enum InfractionKind {
     Collision {
         /// Index of the agent in the scenario.
         agent: usize,
+        /// Kind of the agent.
+        user: RoadUser,
         /// Fault, and the reason.
         fault: Fault,
     },
@@ -62,8 +66,11 @@ impl Infraction {
     #[must_use]
     pub fn factor(&self) -> f64 {
         match self.kind {
-            InfractionKind::Collision { fault, .. } if fault.at_fault() => COLLISION_FACTOR,
-            InfractionKind::Collision { .. } => 1.0,
+            InfractionKind::Collision { user, fault, .. } => match user {
+                _ if !fault.at_fault() => 1.0,
+                RoadUser::Pedestrian => PEDESTRIAN_FACTOR,
+                _ => COLLISION_FACTOR,
+            },
             InfractionKind::Obstacle { .. } => OBSTACLE_FACTOR,
             InfractionKind::Layout => LAYOUT_FACTOR,
             InfractionKind::RedLight { .. } => RED_LIGHT_FACTOR,
@@ -162,6 +169,7 @@ fn collisions(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
                 if touched_s.is_none() {
                     let kind = InfractionKind::Collision {
                         agent,
+                        user: episode.head.scenario.agent(agent).1,
                         fault: fault(episode, instants, at, agent),
                     };
                     collisions.push(Infraction {

@@ -133,6 +133,8 @@ pub struct SetSummary {
     pub collisions: usize,
     /// Collisions that were the ego's fault.
     pub collisions_at_fault: usize,
+    /// Collisions with pedestrians.
+    pub pedestrian_collisions: usize,
     /// Collisions with static obstacles in all episodes.
     pub obstacle_collisions: usize,
     /// Excursions from the road in all episodes.
@@ -169,6 +171,7 @@ impl SetSummary {
             ttc_short_share: moments(&|score| Some(score.ttc_short_share))?,
             collisions: count(&EpisodeScore::collisions),
             collisions_at_fault: count(&at_fault),
+            pedestrian_collisions: count(&EpisodeScore::pedestrian_collisions),
             obstacle_collisions: count(&EpisodeScore::obstacle_collisions),
             layout_infractions: count(&EpisodeScore::layout_infractions),
             red_lights: count(&EpisodeScore::red_lights),

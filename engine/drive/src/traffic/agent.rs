@@ -305,7 +305,10 @@ impl Agent {
         ahead_m: f64,
         aside: Option<&Aside>,
     ) -> (DVec2, f64) {
-        let place = place_on(graph.lanes(), &self.path, self.here, self.arc_m + ahead_m);
+        let mut place = place_on(graph.lanes(), &self.path, self.here, self.arc_m + ahead_m);
+        if self.driver.keeps_right {
+            place.position_m -= DVec2::from_angle(place.yaw_rad).perp() * self.right_m(graph);
+        }
         let Some(aside) = aside else {
             return (place.position_m, place.yaw_rad);
         };
@@ -315,10 +318,18 @@ impl Agent {
     }
 
     /// To the left of the middle of its lane, meters.
-    pub(super) fn lateral_m(&self) -> f64 {
-        self.aside
-            .as_ref()
-            .map_or(0.0, |aside| aside.offset_after(0.0).0.y)
+    pub(super) fn lateral_m(&self, graph: &RoadGraph) -> f64 {
+        let aside = self.aside.as_ref();
+        aside.map_or(0.0, |aside| aside.offset_after(0.0).0.y) - self.right_m(graph)
+    }
+
+    /// To the right of the middle of the lane where it keeps to the right, meters: within what the
+    /// largest vehicle takes up of the lane, which is free for it.
+    fn right_m(&self, graph: &RoadGraph) -> f64 {
+        match self.driver.keeps_right {
+            true => 0.5 * (graph.vehicle().width_m - self.size.width_m).max(0.0),
+            false => 0.0,
+        }
     }
 }
 

@@ -66,7 +66,7 @@ impl Traffic {
         match trigger {
             Trigger::Time { time_s } => self.time_s >= time_s,
             Trigger::NearEgo { distance_m } => {
-                let ego = self.ego.as_ref();
+                let ego = self.outsiders.ego.as_ref();
                 ego.zip(self.states[number]).is_some_and(|(ego, state)| {
                     ego.position_m.distance(state.position_m) <= distance_m
                 })

@@ -92,8 +92,7 @@ impl Traffic {
         let agent = &mut self.agents[number];
         (agent.speed_mps, agent.free_mps) = (speed_mps, free_mps);
         self.states[number] = Some(agent.state(&self.graph));
-        self.order
-            .build(&self.graph, &self.agents, self.ego.as_ref());
+        self.order.build(&self.graph, &self.agents, &self.outsiders);
         self.claims.claim(&self.graph, &self.agents[number]);
         true
     }
@@ -102,11 +101,14 @@ impl Traffic {
     fn has_room(&self, agent: &Agent) -> bool {
         let at_m = agent.state(&self.graph).position_m;
         let ego_is_far = self
+            .outsiders
             .ego
             .as_ref()
             .is_none_or(|ego| ego.position_m.distance(at_m) > EGO_M);
         let free = |cell| {
-            !self.claims.conflict(&self.graph, cell, agent.number) && !self.claims.ego_on(cell)
+            !self.claims.conflict(&self.graph, cell, agent.number)
+                && !self.claims.ego_on(cell)
+                && !self.claims.pedestrian_on(cell)
         };
         let mut on_lane = self.order.on(agent.lane()).iter();
         let mut swerves = self.claims.blocks.iter();

@@ -6,7 +6,7 @@
 //! Stone, A multiagent approach to autonomous intersection management, 2008.)
 
 use super::agent::{Agent, AsideKind};
-use super::ego::EgoSeen;
+use super::outsider::Outsiders;
 use crate::road_graph::{RoadGraph, length_of};
 
 /// Part of a lane that belongs to an agent which is not on it.
@@ -52,8 +52,9 @@ pub(super) struct Claims {
     owners: Vec<Owners>,
     /// Those of them that stand.
     standing: Vec<Owners>,
-    /// True if the ego is or will be there, as far as known.
+    /// True if the ego, or a pedestrian, is or will be there, as far as known.
     ego: Vec<bool>,
+    pedestrians: Vec<bool>,
     /// True if a vehicle that has waited long has the next claim.
     wanted: Vec<bool>,
     /// Cells of which something is known.
@@ -71,24 +72,34 @@ impl Claims {
             owners: vec![Owners::default(); cells],
             standing: vec![Owners::default(); cells],
             ego: vec![false; cells],
+            pedestrians: vec![false; cells],
             wanted: vec![false; cells],
             ..Self::default()
         }
     }
 
-    pub(super) fn build(&mut self, graph: &RoadGraph, agents: &[Agent], ego: Option<&EgoSeen>) {
+    pub(super) fn build(&mut self, graph: &RoadGraph, agents: &[Agent], outsiders: &Outsiders) {
         for cell in self.known.drain(..) {
             let cell = cell as usize;
             (self.owners[cell], self.standing[cell]) = Default::default();
-            (self.ego[cell], self.wanted[cell]) = (false, false);
+            (self.ego[cell], self.pedestrians[cell]) = (false, false);
+            self.wanted[cell] = false;
         }
         self.blocks.clear();
         self.rooms.clear();
         for agent in agents.iter().filter(|agent| agent.is_here()) {
             self.claim(graph, agent);
         }
-        for &cell in ego.iter().flat_map(|ego| &ego.cells) {
+        for &cell in outsiders.ego.iter().flat_map(|ego| &ego.cells) {
             self.ego[cell as usize] = true;
+            self.known.push(cell);
+        }
+        for &cell in outsiders
+            .pedestrians
+            .iter()
+            .flat_map(|walker| &walker.cells)
+        {
+            self.pedestrians[cell as usize] = true;
             self.known.push(cell);
         }
     }
@@ -232,6 +243,11 @@ impl Claims {
     /// True if the ego is or will be on a cell.
     pub(super) fn ego_on(&self, cell: usize) -> bool {
         self.ego[cell]
+    }
+
+    /// True if a pedestrian is or will be on a cell.
+    pub(super) fn pedestrian_on(&self, cell: usize) -> bool {
+        self.pedestrians[cell]
     }
 }
 

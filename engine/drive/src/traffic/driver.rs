@@ -1,5 +1,6 @@
 //! Parameters of the kinds of drivers.
 
+use decouplegs_scene::RoadUser;
 use decouplegs_scene::scenario::DriverKind;
 
 use super::idm::IdmParameters;
@@ -14,6 +15,10 @@ pub struct Driver {
     pub mobil: MobilParameters,
     /// Share of the allowed speed.
     pub speed_share: f64,
+    /// Upper limit of the speed, m/s.
+    pub speed_mps_max: f64,
+    /// True if it keeps to the right edge of its lane.
+    pub keeps_right: bool,
     /// Time gap that must remain between leaving a conflict and the arrival of a vehicle with
     /// priority, seconds.
     pub gap_s: f64,
@@ -60,7 +65,50 @@ impl From<DriverKind> for Driver {
                 ..MobilParameters::default()
             },
             speed_share,
+            speed_mps_max: f64::INFINITY,
+            keeps_right: false,
             gap_s,
         }
+    }
+}
+
+impl Driver {
+    /// Driver of a kind of vehicle. Those of cars are as [`Driver::from`] has them; others differ:
+    ///
+    /// | vehicle | top speed, km/h | T, s | a, m/s^2 | b, m/s^2 |
+    /// |---------|-----------------|------|----------|----------|
+    /// | truck   | 80              | +0.4 | x 0.6    | x 0.8    |
+    /// | bus     | 80              | +0.4 | x 0.7    | x 0.7    |
+    /// | cyclist | 20              | -0.4 | 0.8      | 2.5      |
+    ///
+    /// The numbers are chosen: trucks start slower, buses have standing passengers, and a cyclist
+    /// rides at the right edge of the lane.
+    #[must_use]
+    pub fn of(kind: RoadUser, driver: DriverKind) -> Self {
+        let mut made = Self::from(driver);
+        let idm = &mut made.idm;
+        match kind {
+            RoadUser::Car | RoadUser::Pedestrian => {}
+            RoadUser::Truck => {
+                made.speed_mps_max = 80.0 / 3.6;
+                idm.headway_s += 0.4;
+                idm.acceleration_mps2 *= 0.6;
+                idm.braking_mps2 *= 0.8;
+            }
+            RoadUser::Bus => {
+                made.speed_mps_max = 80.0 / 3.6;
+                idm.headway_s += 0.4;
+                idm.acceleration_mps2 *= 0.7;
+                idm.braking_mps2 *= 0.7;
+            }
+            RoadUser::Cyclist => {
+                made.speed_mps_max = 20.0 / 3.6;
+                made.keeps_right = true;
+                idm.headway_s = (idm.headway_s - 0.4).max(0.5);
+                idm.acceleration_mps2 = 0.8;
+                idm.braking_mps2 = 2.5;
+            }
+        }
+        made
     }
 }

@@ -4,7 +4,7 @@ use super::Traffic;
 use super::agent::{Agent, wall_on};
 use super::idm::{BRAKING_MPS2, IdmParameters, Leader, safe_acceleration};
 use super::junction::LINE_GAP_M;
-use super::lane_order::{DEAD_END, EGO, LaneOrder, NO_LANE, behind_fork};
+use super::lane_order::{DEAD_END, LaneOrder, NO_LANE, PEDESTRIAN, behind_fork};
 use crate::road_graph::{RoadGraph, length_of, speed_before};
 
 /// Agents never come nearer to each other than this, meters: what the places of boxes along curves,
@@ -39,6 +39,14 @@ pub(super) struct Seen {
     pub speed_mps: f64,
     /// True if it follows the same path, so that its own leader need not be considered.
     pub same_way: bool,
+}
+
+impl Seen {
+    /// True for a pedestrian beside a vehicle whose front is there: one who does not walk into its
+    /// side, and whom it passes.
+    fn is_beside(&self, front_m: f64) -> bool {
+        self.agent == PEDESTRIAN && self.rear_m < front_m
+    }
 }
 
 /// A place of an agent on a path.
@@ -90,7 +98,7 @@ pub(super) fn each_ahead(
             } else {
                 entry.stop_rear_m
             };
-            let same_way = entry.next == next && entry.agent != EGO;
+            let same_way = entry.next == next && entry.is_vehicle();
             let more = see(&Seen {
                 agent: entry.agent,
                 rear_m: entry.rear_m + start_m,
@@ -141,7 +149,7 @@ pub(super) fn behind(
                 front_m,
                 speed_mps: entry.speed_mps,
             });
-            ends = entry.agent != EGO && entry.next != NO_LANE;
+            ends = entry.is_vehicle() && entry.next != NO_LANE;
             if ends {
                 break;
             }
@@ -234,7 +242,7 @@ impl Traffic {
             .aside
             .as_ref()
             .map_or(f64::INFINITY, |aside| aside.speed_mps_max(ASIDE_MPS2));
-        speed_mps.min(aside_mps)
+        speed_mps.min(aside_mps).min(agent.driver.speed_mps_max)
     }
 
     /// Acceleration by the model alone, along a path: leaders and where the lanes end.
@@ -267,6 +275,9 @@ impl Traffic {
             },
             horizon_m,
             |seen| {
+                if seen.is_beside(front_m) {
+                    return true;
+                }
                 bounds.follow(&idm, agent.speed_mps, seen.rear_m - front_m, seen.speed_mps);
                 bounds.stop_within(seen.stop_rear_m - GAP_M - stop_m);
                 !seen.same_way
@@ -361,6 +372,9 @@ impl Traffic {
             },
             horizon_m,
             |seen| {
+                if seen.is_beside(front_m) {
+                    return true;
+                }
                 bounds.follow(&idm, agent.speed_mps, seen.rear_m - front_m, seen.speed_mps);
                 bounds.stop_within(seen.stop_rear_m - GAP_M - stop_m);
                 !seen.same_way

@@ -4,7 +4,7 @@
 //! It is granted when no other vehicle claims what conflicts with it, no vehicle with priority
 //! would be hindered, and there will be room for the vehicle behind it. Room is counted without
 //! any grant that a vehicle ahead still needs or that a traffic light may take back; otherwise a
-//! grant is taken back for the ego alone. So a
+//! grant is taken back for the ego and for pedestrians alone. So a
 //! vehicle in a crossing leaves it, whatever those without a grant do.
 //!
 //! A vehicle that has waited does not give way any longer; that breaks circles such as four
@@ -17,6 +17,7 @@ use super::agent::{Agent, Crossing};
 use super::claims::each_cell;
 use super::following::{PathPlace, each_ahead};
 use super::idm::stopping_m;
+use super::lane_order::Entry;
 use crate::road_graph::{Conflict, length_of};
 
 /// Waiting time after which a vehicle no longer gives way, seconds.
@@ -189,10 +190,10 @@ impl Traffic {
         let hold_m = agent.light.and_then(|light| light.hold_m);
         let held = hold_m.is_some_and(|hold_m| hold_m < crossing.to_m);
         let can_leave = self.can_leave(agent, &crossing);
-        // A grant is taken back for the ego and for lights alone: others rely on it.
+        // A grant is taken back for the ego, pedestrians and lights alone: others rely on it.
         let granted = can_leave
             && !held
-            && !self.ego_crosses(agent, &crossing)
+            && !self.outsider_crosses(agent, &crossing)
             && (crossing.granted
                 || self.is_free(agent, &crossing)
                     && !(patient && self.gives_way(agent, &crossing)));
@@ -348,22 +349,26 @@ impl Traffic {
         })
     }
 
-    /// True if the ego is in a crossing or approaches it, other than behind the agent.
-    fn ego_crosses(&self, agent: &Agent, crossing: &Crossing) -> bool {
-        let Some(ego) = &self.ego else { return false };
-        let follows = ego.entries.iter().any(|entry| {
+    /// True if a pedestrian, or the ego other than behind the agent, is in a crossing or approaches
+    /// it.
+    fn outsider_crosses(&self, agent: &Agent, crossing: &Crossing) -> bool {
+        let follows = |entry: &Entry| {
             let lane = agent.path[..=agent.here]
                 .iter()
                 .position(|&lane| lane == entry.lane as usize);
             lane.is_some_and(|lane| lane < agent.here || entry.middle_m < agent.arc_m)
-        });
-        !follows
+        };
+        let ego = self.outsiders.ego.as_ref();
+        let minds_ego = ego.is_some_and(|ego| !ego.entries.iter().any(follows));
+        let free =
+            |cell| !(minds_ego && self.claims.ego_on(cell) || self.claims.pedestrian_on(cell));
+        (minds_ego || !self.outsiders.pedestrians.is_empty())
             && !each_cell(
                 &self.graph,
                 agent,
                 crossing.from_m,
                 crossing.to_m - 0.01,
-                |cell| !self.claims.ego_on(cell),
+                free,
             )
     }
 

@@ -90,7 +90,7 @@ impl Traffic {
     /// on none of them, else whether the change began.
     pub(super) fn cut_in(&mut self, number: usize) -> Option<bool> {
         let agent = &self.agents[number];
-        let ego = self.ego.as_ref()?;
+        let ego = self.outsiders.ego.as_ref()?;
         let road = self.graph.road(agent.lane());
         let on_it = |lane: usize| {
             // The ego may still be on the lane before, or already on the next.
@@ -323,7 +323,7 @@ impl Traffic {
         (agent.crossing, agent.clear_m, agent.held_up, agent.waited_s) =
             (None, f64::NEG_INFINITY, false, 0.0);
         agent.cool_down_s = target.length_m / agent.speed_mps.max(1.0) + COOL_DOWN_S;
-        self.order.build(graph, &self.agents, self.ego.as_ref());
+        self.order.build(graph, &self.agents, &self.outsiders);
         self.claims.claim(graph, &self.agents[number]);
     }
 }

@@ -1,12 +1,14 @@
 //! Vehicles on each lane, sorted along it.
 
 use super::agent::Agent;
-use super::ego::EgoSeen;
 use super::idm::stopping_m;
+use super::outsider::Outsiders;
 use crate::road_graph::{RoadGraph, length_of};
 
 /// In place of an agent's number.
 pub(super) const EGO: u32 = u32::MAX;
+/// In place of an agent's number: a pedestrian.
+pub(super) const PEDESTRIAN: u32 = u32::MAX - 1;
 /// In place of a lane: the vehicle is on this one only in part, or what it will do is not known.
 pub(super) const NO_LANE: u32 = u32::MAX;
 /// In place of a lane: none goes on.
@@ -31,6 +33,13 @@ pub(super) struct Entry {
     pub speed_mps: f64,
 }
 
+impl Entry {
+    /// True if it is an agent on lanes, which goes on as its path does.
+    pub(super) fn is_vehicle(&self) -> bool {
+        self.agent < PEDESTRIAN
+    }
+}
+
 /// Entries of all lanes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LaneOrder {
@@ -39,12 +48,13 @@ pub(super) struct LaneOrder {
 }
 
 impl LaneOrder {
-    pub(super) fn build(&mut self, graph: &RoadGraph, agents: &[Agent], ego: Option<&EgoSeen>) {
+    pub(super) fn build(&mut self, graph: &RoadGraph, agents: &[Agent], outsiders: &Outsiders) {
         self.entries.clear();
         for agent in agents.iter().filter(|agent| agent.is_here()) {
             self.add(graph, agent);
         }
-        self.entries.extend(ego.iter().flat_map(|ego| &ego.entries));
+        let outside = outsiders.all().flat_map(|outsider| &outsider.entries);
+        self.entries.extend(outside);
         self.entries.sort_unstable_by(|a, b| {
             a.lane
                 .cmp(&b.lane)

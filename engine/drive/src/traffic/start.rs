@@ -12,6 +12,7 @@ use super::driver::Driver;
 use super::following::{GAP_M, each_ahead};
 use super::idm::stopping_m;
 use super::lane_order::LaneOrder;
+use super::outsider::Outsiders;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
 use crate::road_graph::{RoadGraph, length_of};
@@ -104,13 +105,15 @@ impl Traffic {
             lights: Arc::default(),
             waiting: Vec::new(),
             accelerations: Vec::new(),
-            ego: None,
+            outsiders: Outsiders::default(),
+            pedestrians: Vec::new(),
             time_s: 0.0,
             steps: 0,
             seed,
         };
-        traffic.order.build(&traffic.graph, &traffic.agents, None);
-        traffic.claims.build(&traffic.graph, &traffic.agents, None);
+        let none = Outsiders::default();
+        traffic.order.build(&traffic.graph, &traffic.agents, &none);
+        traffic.claims.build(&traffic.graph, &traffic.agents, &none);
         if let Some((first, second)) = traffic.first_overlap() {
             return Err(TrafficError::Overlap {
                 first: agents[first].name.clone(),
@@ -254,6 +257,7 @@ impl Traffic {
     /// Raises each agent's speed to its requested one, or to the fastest that is safe behind slow
     /// leaders. In every round no agent is slower than before, so safe states stay safe.
     fn raise_speeds(&mut self, asked: &[TrafficAgent]) {
+        let none = Outsiders::default();
         for _ in 0..ROUNDS_MAX {
             let mut raised = false;
             for (number, asked) in asked.iter().enumerate() {
@@ -272,8 +276,8 @@ impl Traffic {
                     raised = true;
                 }
             }
-            self.order.build(&self.graph, &self.agents, None);
-            self.claims.build(&self.graph, &self.agents, None);
+            self.order.build(&self.graph, &self.agents, &none);
+            self.claims.build(&self.graph, &self.agents, &none);
             if !raised {
                 break;
             }
@@ -349,7 +353,7 @@ fn place(
     let mut placed = Agent::new(
         number,
         agent.size,
-        Driver::from(agent.driver),
+        Driver::of(agent.kind, agent.driver),
         lane,
         agent.at_m,
     );

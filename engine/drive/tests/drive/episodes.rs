@@ -3,8 +3,8 @@
 use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, LOG_VERSION, PlannerRecord};
 use decouplegs_scene::scenario::{DriverKind, EgoTask, Place, TrafficAgent};
 use decouplegs_scene::{
-    Episode, EpisodeEnd, EpisodeStep, Level, Plan, PlanPoint, Scenario, VehicleSize, VehicleState,
-    Weather,
+    Episode, EpisodeEnd, EpisodeStep, Level, Plan, PlanPoint, RoadUser, Scenario, VehicleSize,
+    VehicleState, Weather,
 };
 use glam::DVec2;
 
@@ -64,6 +64,7 @@ pub(crate) fn aside<'a>(
 fn scenario(agents: usize) -> Scenario {
     let agent = |at: usize| TrafficAgent {
         name: format!("agent {at}"),
+        kind: RoadUser::Car,
         asset: 0,
         size: SIZE,
         lane: "lane".into(),
@@ -96,6 +97,7 @@ fn scenario(agents: usize) -> Scenario {
         ego,
         agents: (0..agents).map(agent).collect(),
         lights: vec![],
+        pedestrians: vec![],
     }
 }
 

@@ -2,8 +2,9 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use decouplegs_drive::score::{EpisodeScore, Fault, InfractionKind};
-use decouplegs_scene::{Episode, EpisodeEnd, VehicleState};
+use decouplegs_drive::score::{EpisodeScore, Fault, InfractionKind, PEDESTRIAN_FACTOR};
+use decouplegs_scene::scenario::Trigger;
+use decouplegs_scene::{Episode, EpisodeEnd, Pedestrian, VehicleSize, VehicleState};
 use glam::DVec2;
 
 use crate::episodes::{Motion, aside, episode, straight};
@@ -35,7 +36,10 @@ fn fault_of(ego: &Motion, other: Motion) -> Fault {
     let [infraction] = &score.infractions[..] else {
         panic!("{:?}", score.infractions)
     };
-    let InfractionKind::Collision { agent: 0, fault } = infraction.kind else {
+    let InfractionKind::Collision {
+        agent: 0, fault, ..
+    } = infraction.kind
+    else {
         panic!("{infraction:?}")
     };
     assert_eq!((score.success, score.min_ttc_s()), (false, Some(0.0)));
@@ -235,4 +239,28 @@ fn a_bend_of_the_road_is_no_cut_in_and_hides_none() {
             "radius {radius_m}"
         );
     }
+}
+
+#[test]
+fn a_pedestrian_counts_more_than_a_vehicle_and_is_never_at_fault() {
+    let mut walked = until_contact(
+        &straight(0.0, 0.0, 0.0, 10.0),
+        &[straight(40.0, -8.0, FRAC_PI_2, 2.0)],
+    );
+    let scenario = &mut walked.head.scenario;
+    let agent = scenario.agents.remove(0);
+    scenario.pedestrians.push(Pedestrian {
+        name: agent.name,
+        asset: 0,
+        size: VehicleSize::PEDESTRIAN,
+        path_m: vec![DVec2::new(40.0, -8.0), DVec2::new(40.0, 8.0)],
+        speed_mps: 2.0,
+        start: Trigger::Time { time_s: 0.0 },
+        waits_for_gap: false,
+    });
+    let score = EpisodeScore::of(&walked);
+    assert_eq!((score.collisions(), score.pedestrian_collisions()), (1, 1));
+    assert!(score.infractions[0].at_fault());
+    let expected = PEDESTRIAN_FACTOR * score.route_completion;
+    assert!((score.driving_score - expected).abs() < 1e-12);
 }

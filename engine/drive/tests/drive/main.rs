@@ -22,4 +22,5 @@ mod traffic_invariants;
 mod traffic_junctions;
 mod traffic_lights;
 mod traffic_liveness;
+mod traffic_road_users;
 mod traffic_scenes;

@@ -17,6 +17,8 @@ const STANDING_S: f64 = 30.0;
 const YIELDING_S: f64 = 120.0;
 /// ... within so many meters of it.
 const NEAR_M: f64 = 80.0;
+/// A vehicle starts within this time after the last one that it waited for has left, seconds.
+const STARTING_S: f64 = 3.0;
 /// A vehicle that moved less than this stands, meters.
 const MOVED_M: f64 = 0.5;
 
@@ -24,12 +26,15 @@ const MOVED_M: f64 = 0.5;
 struct Standing {
     /// Place and time of each agent when it last moved.
     since: Vec<Option<(DVec2, f64)>>,
+    /// Last time at which another vehicle near it moved.
+    in_company_s: Vec<f64>,
 }
 
 impl Standing {
     fn new(agents: usize) -> Self {
         Self {
             since: vec![None; agents],
+            in_company_s: vec![0.0; agents],
         }
     }
 
@@ -43,21 +48,22 @@ impl Standing {
                 _ => (state.position_m, time_s),
             });
         }
-        let stands_s =
-            |agent: usize| self.since[agent].map_or(0.0, |(_, since_s)| time_s - since_s);
         let moves_near = |place_m: DVec2| {
             self.since.iter().flatten().any(|(other_m, since_s)| {
                 time_s - since_s < 0.5 * STANDING_S && other_m.distance(place_m) < NEAR_M
             })
         };
-        (0..self.since.len())
-            .filter(|&agent| {
-                let Some((place_m, _)) = self.since[agent] else {
-                    return false;
-                };
-                stands_s(agent) > YIELDING_S || stands_s(agent) > STANDING_S && !moves_near(place_m)
-            })
-            .collect()
+        for (since, in_company_s) in self.since.iter().zip(&mut self.in_company_s) {
+            if since.is_none_or(|(place_m, _)| moves_near(place_m)) {
+                *in_company_s = time_s;
+            }
+        }
+        let stands = |agent: &usize| {
+            let stands_s = self.since[*agent].map_or(0.0, |(_, since_s)| time_s - since_s);
+            let alone_s = time_s - self.in_company_s[*agent];
+            stands_s > YIELDING_S || stands_s > STANDING_S && alone_s > STARTING_S
+        };
+        (0..self.since.len()).filter(stands).collect()
     }
 }
 

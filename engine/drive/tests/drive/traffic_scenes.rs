@@ -7,7 +7,7 @@ use decouplegs_asset::read_map;
 use decouplegs_drive::idm::BRAKING_MPS2;
 use decouplegs_drive::{LanePlace, OrientedBox, RoadGraph, Traffic, TrafficError};
 use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
-use decouplegs_scene::{Lane, LaneMap, VehicleSize, VehicleState};
+use decouplegs_scene::{Lane, LaneMap, RoadUser, VehicleSize, VehicleState};
 use decouplegs_synth::street::{Street, StreetOptions};
 use glam::DVec3;
 
@@ -78,6 +78,7 @@ pub fn straight(length_m: f64, lanes: usize, speed_limit_mps: f64) -> Arc<RoadGr
 pub fn agent(name: &str, lane: &str, at_m: f64, speed_mps: f64) -> TrafficAgent {
     TrafficAgent {
         name: name.into(),
+        kind: RoadUser::Car,
         asset: 0,
         size: VehicleSize::CAR,
         lane: lane.into(),
@@ -113,12 +114,42 @@ fn random_behavior(random: &mut Random) -> Behavior {
     Behavior { trigger, maneuver }
 }
 
-/// Up to `count` agents of all kinds at random; those who would overlap others are left out.
+/// Length, width and height of each kind of vehicle but cars, meters.
+pub const SIZES_M: [(RoadUser, [f64; 3]); 3] = [
+    (RoadUser::Truck, [7.8, 2.4, 3.3]),
+    (RoadUser::Bus, [11.0, 2.5, 3.1]),
+    (RoadUser::Cyclist, [1.8, 0.6, 1.75]),
+];
+
+/// Up to `count` cars with all drivers at random; those who would overlap others are left out.
 pub fn random_traffic(
     graph: &Arc<RoadGraph>,
     count: usize,
     seed: u64,
 ) -> (Traffic, Vec<TrafficAgent>) {
+    traffic_of(graph, random_cars(graph, count, seed), seed)
+}
+
+/// The same of which half are trucks, buses and cyclists.
+pub fn mixed_traffic(
+    graph: &Arc<RoadGraph>,
+    count: usize,
+    seed: u64,
+) -> (Traffic, Vec<TrafficAgent>) {
+    let mut agents = random_cars(graph, count, seed);
+    for (agent, (kind, size_m)) in agents
+        .iter_mut()
+        .skip(1)
+        .step_by(2)
+        .zip(SIZES_M.iter().cycle())
+    {
+        (agent.kind, agent.size) = (*kind, VehicleSize::from_array(*size_m));
+        agent.changes_lanes &= *kind != RoadUser::Cyclist;
+    }
+    traffic_of(graph, agents, seed)
+}
+
+fn random_cars(graph: &Arc<RoadGraph>, count: usize, seed: u64) -> Vec<TrafficAgent> {
     let mut random = Random(seed);
     let lanes: Vec<_> = (0..graph.lanes_in_map())
         .filter_map(|lane| graph.lane(lane))
@@ -151,6 +182,15 @@ pub fn random_traffic(
             )
         });
     }
+    agents
+}
+
+/// Traffic of `agents` without those who would overlap others.
+fn traffic_of(
+    graph: &Arc<RoadGraph>,
+    mut agents: Vec<TrafficAgent>,
+    seed: u64,
+) -> (Traffic, Vec<TrafficAgent>) {
     loop {
         match Traffic::new(graph.clone(), &agents, seed) {
             Ok(traffic) => return (traffic, agents),
@@ -213,15 +253,12 @@ pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> Stri
     let outline = |(number, state): (usize, &Option<VehicleState>)| {
         state.map(|state| (number, OrientedBox::of(&state, &agents[number].size)))
     };
-    let boxes: Vec<_> = traffic
-        .states()
-        .iter()
-        .enumerate()
-        .filter_map(outline)
-        .collect();
+    let vehicles = &traffic.states()[..agents.len()];
+    let boxes: Vec<_> = vehicles.iter().enumerate().filter_map(outline).collect();
     for (at, &(number, a)) in boxes.iter().enumerate() {
         for &(other, b) in &boxes[at + 1..] {
-            let near = a.center_m.distance_squared(b.center_m) < 36.0;
+            let reach_m = a.half_length_m + b.half_length_m + 1.0;
+            let near = a.center_m.distance_squared(b.center_m) < reach_m * reach_m;
             let found = |number: usize| {
                 let place = place(traffic, number);
                 (

@@ -11,7 +11,7 @@ use glam::DVec2;
 
 use super::EpisodeError;
 use super::site::Site;
-use crate::planner::{EgoMotion, Navigation, Privileged, Turn};
+use crate::planner::{EgoMotion, KnownAgent, Navigation, Privileged, Turn};
 use decouplegs_session::{AgentInstance, SessionError, World};
 
 /// The ego has left the road for good when it was off it for longer than this, seconds, ...
@@ -60,7 +60,9 @@ impl Simulation {
         let traffic = Traffic::new(site.graph.clone(), &scenario.agents, scenario.seed)
             .map_err(|error| unfit(error.to_string()))?
             .among(site.obstacles.clone())
-            .with_lights(lights.clone());
+            .with_lights(lights.clone())
+            .with_pedestrians(&scenario.pedestrians)
+            .map_err(|error| unfit(error.into()))?;
         let (start, heading_rad) = route.pose_at(0.0);
         let state = VehicleState {
             position_m: start.truncate(),
@@ -70,8 +72,7 @@ impl Simulation {
         };
         let progress = RouteProgress::new(&line_of(&route), state.position_m)
             .ok_or_else(|| unfit("the route is no line".into()))?;
-        let agent_sizes: Vec<VehicleSize> =
-            scenario.agents.iter().map(|agent| agent.size).collect();
+        let agent_sizes = scenario.agent_sizes();
         let ego_box = OrientedBox::of(&state, &scenario.ego.size);
         let touched = boxes(traffic.states(), &agent_sizes)
             .find(|(_, other)| other.overlaps(&ego_box))
@@ -79,7 +80,7 @@ impl Simulation {
         if let Some(agent) = touched {
             return Err(unfit(format!(
                 "the ego starts where agent {} stands",
-                scenario.agents[agent].name
+                scenario.agent(agent).0
             )));
         }
         if let Some(obstacle) = site.obstacles.touched(&ego_box) {
@@ -99,7 +100,7 @@ impl Simulation {
             signals: site.signal_poses(&lights),
             lights,
             ground_z_m: std::iter::once(Some(start.z))
-                .chain(scenario.agents.iter().map(|_| None))
+                .chain((0..scenario.agent_count()).map(|_| None))
                 .collect(),
             scenario: scenario.clone(),
             site: site.clone(),
@@ -233,7 +234,14 @@ impl Simulation {
                 .states()
                 .iter()
                 .zip(&self.agent_sizes)
-                .filter_map(|(state, size)| Some(((*state)?, *size)))
+                .enumerate()
+                .filter_map(|(index, (state, &size))| {
+                    Some(KnownAgent {
+                        kind: self.scenario.agent(index).1,
+                        state: (*state)?,
+                        size,
+                    })
+                })
                 .collect(),
             stop_lines: self
                 .lights
@@ -315,15 +323,14 @@ impl Simulation {
     /// # Errors
     /// Returns an error if the scene of `world` has not the assets.
     pub fn show(&mut self, world: &mut World) -> Result<Pose, SessionError> {
-        let assets = self.site.asset_sizes.len().max(1);
         let ego = self.stand(0, self.ego.state(), self.scenario.ego.size);
         let mut placed = Vec::with_capacity(self.agent_sizes.len());
         for index in 0..self.agent_sizes.len() {
             let Some(state) = self.traffic.states()[index] else {
                 continue;
             };
-            let agent = &self.scenario.agents[index];
-            let (name, asset) = (agent.name.clone(), agent.asset % assets);
+            let (name, kind, asset) = self.scenario.agent(index);
+            let (name, asset) = (name.to_owned(), self.site.asset_of(kind, asset));
             let instance = AgentInstance {
                 asset,
                 pose: self.stand(index + 1, state, self.agent_sizes[index]),
@@ -336,7 +343,7 @@ impl Simulation {
         for (index, &(light, pose)) in self.signals.iter().enumerate() {
             let color = self.lights.color_at(light, self.time_s());
             let instance = AgentInstance {
-                asset: assets + color as usize,
+                asset: self.site.signal_asset(color),
                 pose,
                 sh_frame: None,
                 instance: u16::try_from(self.agent_sizes.len() + index + 1).unwrap_or(u16::MAX),
@@ -350,7 +357,14 @@ impl Simulation {
     }
 
     /// Height of the lane below an agent, meters: vehicles that enter the map were nowhere before.
+    /// For a pedestrian, the height of the route nearby.
     fn lane_z_m(&self, agent: usize) -> f64 {
+        if let Some(Some(state)) = self.traffic.states().get(agent)
+            && agent >= self.scenario.agents.len()
+        {
+            let line = self.route.line();
+            return line.at(line.project(state.position_m).arc_m).z;
+        }
         let place = self.traffic.places().nth(agent).flatten();
         place
             .and_then(|place| self.site.lanes.lanes[place.lane].centerline.first())

@@ -5,17 +5,19 @@ use std::sync::Arc;
 
 use decouplegs_asset::memory::{self, cloud_bytes};
 use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, read_map, read_probe};
+use decouplegs_drive::generate::RoadUserAsset;
 use decouplegs_drive::lights::TrafficLights;
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::{Ground, GroundOptions, Obstacles, RoadGraph, RoadSurface, occupancy};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
-    CodedCloud, LaneMap, LightTransfer, Obstacle, Pose, Rig, SplatCloud, Trajectory, VehicleSize,
-    VehicleState, Weather, World,
+    CodedCloud, LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SplatCloud,
+    Trajectory, VehicleSize, VehicleState, Weather, World,
 };
 use decouplegs_session::{Session, SessionError, SessionScene};
 use decouplegs_synth::roads::{self, RoadsOptions};
+use decouplegs_synth::street::road_users::RoadUserModel;
 use decouplegs_synth::street::signals::{SignalHead, head_assets, post_assets};
 use decouplegs_synth::street::{AssetLight, Capture, Street, StreetOptions};
 use decouplegs_train::compress::{CompressError, compress_quickly};
@@ -58,13 +60,15 @@ pub struct Site {
     pub obstacles: Arc<Obstacles>,
     /// Boxes of the assets that agents may show: the first ones of the scene.
     pub asset_sizes: Vec<VehicleSize>,
+    /// Assets of trucks, buses, cyclists and pedestrians, which follow those.
+    pub road_users: Vec<RoadUserAsset>,
     /// Assets that show the color of traffic lights, where the place has such.
     pub signals: Option<Signals>,
     /// The ground that was captured, where it was.
     ground: Option<Ground>,
 }
 
-/// Assets of traffic lights: green, yellow and red, after those of the agents.
+/// Assets of traffic lights: green, yellow and red, after those of all road users.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signals {
     /// Heads of the place, by light. None: a post stands beside each stop line.
@@ -234,6 +238,7 @@ impl Site {
             .zip(&cars.sizes)
             .map(|(cloud, size)| coded(cloud, size));
         let mut assets = assets.collect::<Result<Vec<_>, _>>()?;
+        assets.extend(road_users_coded(cars.splats, cars.light)?);
         for cloud in &cars.signals {
             let bounds = cloud.bounds();
             let dims_m = std::array::from_fn(|axis| bounds.max[axis] - bounds.min[axis]);
@@ -277,6 +282,10 @@ impl Site {
             )));
         }
         let sizes = dims_m.into_iter().map(size_of).collect();
+        if appearance.is_some() {
+            let coded = road_users_coded(ROAD_USER_SPLATS, AssetLight::Neutral)?;
+            loaded.assets.extend(coded);
+        }
         let options = GroundOptions {
             band_m: GROUND_BAND_M,
             ..GroundOptions::default()
@@ -303,9 +312,30 @@ impl Site {
             surface,
             obstacles: Arc::new(Obstacles::new(obstacles)),
             asset_sizes,
+            road_users: road_users(),
             signals: None,
             ground,
         })
+    }
+
+    /// Index in the scene of the asset that an agent shows. Indices beyond the last of its kind
+    /// start over.
+    pub(super) fn asset_of(&self, kind: RoadUser, asset: usize) -> usize {
+        let cars = self.asset_sizes.len();
+        if kind == RoadUser::Car {
+            return asset % cars.max(1);
+        }
+        let all = self.road_users.iter().enumerate();
+        let same: Vec<usize> = all
+            .filter(|(_, other)| other.kind == kind)
+            .map(|(index, _)| index)
+            .collect();
+        cars + same[asset % same.len()]
+    }
+
+    /// Index in the scene of the asset that shows a traffic light in a color.
+    pub(super) fn signal_asset(&self, color: LightColor) -> usize {
+        self.asset_sizes.len() + self.road_users.len() + color as usize
     }
 
     /// Pose of a vehicle on the ground: wheels at the height of the captured ground, otherwise of
@@ -406,6 +436,9 @@ struct Cars {
     clouds: Vec<SplatCloud>,
     sizes: Vec<VehicleSize>,
     rig: Rig,
+    /// Splats of each, and the light in them.
+    splats: usize,
+    light: AssetLight,
     /// Assets that show traffic lights.
     signals: Vec<SplatCloud>,
 }
@@ -434,8 +467,33 @@ fn cars(splats: usize, asset_light: AssetLight) -> Cars {
         clouds: street.assets,
         sizes,
         rig: street.rig,
+        splats,
+        light: asset_light,
         signals: Vec::new(),
     }
+}
+
+/// Splats of each road user that is not a car in captured scenes.
+const ROAD_USER_SPLATS: usize = 6_000;
+
+/// Road users that are not cars: the same in all places.
+fn road_users() -> Vec<RoadUserAsset> {
+    let models = RoadUserModel::ALL.into_iter();
+    models
+        .map(|RoadUserModel { kind, variant }| RoadUserAsset {
+            kind,
+            asset: variant,
+            size: size_of(RoadUserModel { kind, variant }.size_m()),
+        })
+        .collect()
+}
+
+/// Their assets in the renderer's form.
+fn road_users_coded(splats: usize, light: AssetLight) -> Result<Vec<CodedCloud>, SiteError> {
+    let models = RoadUserModel::ALL.par_iter();
+    models
+        .map(|model| coded(&model.asset(splats, light), &size_of(model.size_m())))
+        .collect()
 }
 
 /// In millimeters, so that a person can read what a scenario says of it.

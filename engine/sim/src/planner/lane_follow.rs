@@ -11,8 +11,8 @@ use decouplegs_scene::plan::Plan;
 use self::corridor::{Corridor, PredictedPath, Span};
 use super::cadence::{HORIZON_S, plan_through};
 use super::{
-    Cameras, EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError, Privileged,
-    state_needed,
+    Cameras, EpisodeInfo, KnownAgent, Observation, ObservationRequest, Planner, PlannerError,
+    Privileged, state_needed,
 };
 
 /// Sideways acceleration that is borne in bends.
@@ -120,13 +120,13 @@ impl Outlook {
     fn new(corridor: &Corridor, known: &Privileged, cruise_mps: f64, hold_m: Option<f64>) -> Self {
         let times_s: Vec<f64> = (0..ticks()).map(|tick| tick as f64 * TICK_S).collect();
         let near = |speed_mps: f64| 40.0 + HORIZON_S * (known.ego.speed_mps + speed_mps);
-        let agents = known.agents.iter().filter(|(agent, _)| {
-            agent.position_m.distance(known.ego.position_m) < near(agent.speed_mps)
+        let agents = known.agents.iter().filter(|KnownAgent { state, .. }| {
+            state.position_m.distance(known.ego.position_m) < near(state.speed_mps)
         });
-        let agents = agents.map(|(agent, size)| {
-            let (way, spans) = corridor.spans(agent, size, &times_s);
+        let agents = agents.map(|KnownAgent { state, size, .. }| {
+            let (way, spans) = corridor.spans(state, size, &times_s);
             // Those before a red light on another road will not be in the way.
-            let stays = way == PredictedPath::Across && lights::stops(known, agent);
+            let stays = way == PredictedPath::Across && lights::stops(known, state);
             (!stays).then_some(Expected { way, spans })
         });
         Self {

@@ -22,7 +22,7 @@ pub use vision::{Perception, Vision};
 use decouplegs_scene::LightColor;
 use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::plan::Plan;
-use decouplegs_scene::{RigCamera, Sensor, VehicleSize, VehicleState};
+use decouplegs_scene::{RigCamera, RoadUser, Sensor, VehicleSize, VehicleState};
 use glam::DVec2;
 
 /// Inputs that a planner requests.
@@ -131,6 +131,17 @@ pub struct EgoMotion {
     pub yaw_rate_radps: f64,
 }
 
+/// Agent on the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KnownAgent {
+    /// Kind of the road user.
+    pub kind: RoadUser,
+    /// State of its box.
+    pub state: VehicleState,
+    /// Size of its box.
+    pub size: VehicleSize,
+}
+
 /// Privileged state, which no camera shows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Privileged {
@@ -140,8 +151,8 @@ pub struct Privileged {
     pub ego_size: VehicleSize,
     /// Route from start to end, world coordinates, meters.
     pub route_m: Vec<DVec2>,
-    /// All agents and their boxes.
-    pub agents: Vec<(VehicleState, VehicleSize)>,
+    /// All agents on the map.
+    pub agents: Vec<KnownAgent>,
     /// Stop lines of all traffic lights, with the color that each shows.
     pub stop_lines: Vec<(StopLineRecord, LightColor)>,
 }

@@ -216,7 +216,7 @@ impl Build {
     }
 
     /// A tire and a rim on one side.
-    fn wheel(&self, x: f32, side: f32) -> [Element; 3] {
+    pub(super) fn wheel(&self, x: f32, side: f32) -> [Element; 3] {
         let radius_m = self.wheel_radius_m;
         let outer_y = side * (0.5 * self.size.y - 0.01);
         let center = Vec3::new(x, outer_y, radius_m - 0.5 * self.size.z);

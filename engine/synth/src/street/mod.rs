@@ -26,6 +26,7 @@ mod obstacles;
 mod occluder;
 pub(crate) mod random;
 mod road;
+pub mod road_users;
 pub mod signals;
 mod sky;
 pub(crate) mod surface;

@@ -8,7 +8,7 @@ use glam::DVec2;
 use serde_json::{Value, json};
 
 use crate::planner::{
-    Cameras, EpisodeInfo, Frame, Observation, ObservationRequest, Privileged, images,
+    Cameras, EpisodeInfo, Frame, KnownAgent, Observation, ObservationRequest, Privileged, images,
 };
 
 /// The version of the protocol. Another one is refused.
@@ -219,7 +219,7 @@ fn privileged(known: &Privileged) -> Value {
     json!({
         "ego": vehicle(&known.ego, &known.ego_size),
         "route_m": known.route_m.iter().map(|place| place.to_array()).collect::<Vec<_>>(),
-        "agents": known.agents.iter().map(|(agent, size)| vehicle(agent, size)).collect::<Vec<_>>(),
+        "agents": known.agents.iter().map(agent).collect::<Vec<_>>(),
         "stop_lines": known.stop_lines.iter().map(stop_line).collect::<Vec<_>>(),
     })
 }
@@ -227,6 +227,12 @@ fn privileged(known: &Privileged) -> Value {
 fn stop_line((line, color): &(StopLineRecord, LightColor)) -> Value {
     let [right_m, left_m] = line.ends_m.map(|end_m| end_m.to_array());
     json!({ "right_m": right_m, "left_m": left_m, "color": color.name() })
+}
+
+fn agent(KnownAgent { kind, state, size }: &KnownAgent) -> Value {
+    let mut told = vehicle(state, size);
+    told["kind"] = kind.name().into();
+    told
 }
 
 fn vehicle(state: &VehicleState, size: &VehicleSize) -> Value {

@@ -1,10 +1,11 @@
-//! The ego as the traffic sees it: on which lanes it is, and which cells it takes up.
+//! Road users that no lane guides, as vehicles see them: the ego and pedestrians, with the lanes
+//! they are on and the cells they take up.
 
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
 use super::idm::stopping_m;
-use super::lane_order::{EGO, Entry, NO_LANE};
+use super::lane_order::{EGO, Entry, NO_LANE, PEDESTRIAN};
 use crate::oriented_box::OrientedBox;
 use crate::road_graph::RoadGraph;
 
@@ -15,18 +16,33 @@ const BRAKING_MPS2: f64 = 3.0;
 /// Upper limit of plausible speeds: larger values are mistakes.
 const SPEED_MPS_MAX: f64 = 100.0;
 
+/// Road user off the lanes' order.
 #[derive(Clone, Debug)]
-pub(super) struct EgoSeen {
+pub(super) struct Outsider {
     pub position_m: DVec2,
     /// One for each lane whose corridor its box touches.
     pub entries: Vec<Entry>,
-    /// Cells that it touches, or will if it goes straight on and then stops; sorted.
+    /// Cells that it touches, or will soon; sorted.
     pub cells: Vec<u32>,
 }
 
-impl EgoSeen {
-    /// `None` where its numbers are no place.
-    pub(super) fn new(graph: &RoadGraph, state: &VehicleState, size: &VehicleSize) -> Option<Self> {
+/// All of them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Outsiders {
+    pub ego: Option<Outsider>,
+    /// Those on the road, or about to step on it.
+    pub pedestrians: Vec<Outsider>,
+}
+
+impl Outsiders {
+    pub(super) fn all(&self) -> impl Iterator<Item = &Outsider> {
+        self.ego.iter().chain(&self.pedestrians)
+    }
+}
+
+impl Outsider {
+    /// The ego; `None` where its numbers are no place.
+    pub(super) fn ego(graph: &RoadGraph, state: &VehicleState, size: &VehicleSize) -> Option<Self> {
         let numbers = [state.yaw_rad, state.speed_mps, size.length_m, size.width_m];
         if !state.position_m.is_finite() || !numbers.iter().all(|number| number.is_finite()) {
             return None;
@@ -40,28 +56,39 @@ impl EgoSeen {
         let outline = OrientedBox::of(state, &size);
         let mut cells = Vec::new();
         graph.cells().touched(&outline, &mut cells);
-        let entries = entries(graph, &outline, state.ahead() * speed_mps, &cells);
+        let entries = entries(graph, &outline, state.ahead() * speed_mps, &cells, EGO);
+        // It may go straight on and then stop.
         let reach_m = speed_mps * REACTION_S + speed_mps * speed_mps / (2.0 * BRAKING_MPS2);
-        let sweep = OrientedBox {
-            center_m: outline.center_m + state.ahead() * (0.5 * reach_m),
-            half_length_m: outline.half_length_m + 0.5 * reach_m,
-            ..outline
-        };
-        graph.cells().touched(&sweep, &mut cells);
+        graph
+            .cells()
+            .touched(&outline.extended(reach_m), &mut cells);
         Some(Self {
             position_m: state.position_m,
             entries,
             cells,
         })
     }
+
+    /// A pedestrian whose box soon covers `outline`; `None` where that is off the road.
+    pub(super) fn pedestrian(graph: &RoadGraph, outline: &OrientedBox) -> Option<Self> {
+        let mut cells = Vec::new();
+        graph.cells().touched(outline, &mut cells);
+        let entries = entries(graph, outline, DVec2::ZERO, &cells, PEDESTRIAN);
+        (!cells.is_empty()).then_some(Self {
+            position_m: outline.center_m,
+            entries,
+            cells,
+        })
+    }
 }
 
-/// Position of the box on each lane of `cells`.
+/// Position of a box on each lane of `cells`; `agent` stands in place of an agent's number.
 fn entries(
     graph: &RoadGraph,
     outline: &OrientedBox,
     velocity_mps: DVec2,
     cells: &[u32],
+    agent: u32,
 ) -> Vec<Entry> {
     let mut entries = Vec::new();
     let stretch = |cell: &u32| graph.cells().stretch_of(*cell as usize);
@@ -88,7 +115,7 @@ fn entries(
             .max(0.0);
         entries.push(Entry {
             lane: lane as u32,
-            agent: EGO,
+            agent,
             next: NO_LANE,
             middle_m: 0.5 * (rear_m + front_m),
             rear_m,
