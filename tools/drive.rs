@@ -71,6 +71,15 @@ pub struct Arguments {
     /// Traffic lights of generated scenarios: those that the map has, or none
     #[arg(long, value_name = "on|off", value_enum, default_value_t = TrafficLights::On, hide_possible_values = true)]
     traffic_lights: TrafficLights,
+    /// Take the number of vehicles of generated scenarios from this level
+    #[arg(long, value_name = "LEVEL", value_parser = level)]
+    density: Option<Level>,
+    /// Take drivers, injected behaviors and pedestrians from this level
+    #[arg(long, value_name = "LEVEL", value_parser = level)]
+    surprise: Option<Level>,
+    /// Take the time limit from this level
+    #[arg(long, value_name = "LEVEL", value_parser = level)]
+    time_budget: Option<Level>,
     /// Road users of generated scenarios: cars, or also trucks, buses, cyclists and pedestrians
     #[arg(long, value_name = "cars|mixed", value_enum, default_value_t = RoadUsers::Cars, hide_possible_values = true)]
     road_users: RoadUsers,
@@ -110,6 +119,11 @@ fn seconds(text: &str) -> Result<f64, String> {
         .ok()
         .filter(|seconds| (0.001..=86_400.0).contains(seconds));
     parsed.ok_or_else(|| format!("expected seconds from 0.001 to 86400, found {text:?}"))
+}
+
+fn level(text: &str) -> Result<Level, String> {
+    let expected = || "expected easy, medium, hard or extreme".to_owned();
+    Level::by_name(text).ok_or_else(expected)
 }
 
 /// `all` or a level.
@@ -165,6 +179,9 @@ impl Arguments {
             "size": [self.size.width_px, self.size.height_px],
             "all_cameras": self.all_cameras,
             "traffic_lights": self.traffic_lights == TrafficLights::On,
+            "density": self.density.map(Level::name),
+            "surprise": self.surprise.map(Level::name),
+            "time_budget": self.time_budget.map(Level::name),
             "road_users": if self.road_users == RoadUsers::Mixed { "mixed" } else { "cars" },
             "light": self.light.as_ref().map(|light| light.display().to_string()),
         })

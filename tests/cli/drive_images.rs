@@ -106,3 +106,33 @@ fn lamps_show_the_phase_of_their_light() {
         .count();
     assert!(far < red.rgb.len() / 20, "{far} pixels differ");
 }
+
+#[test]
+fn the_background_of_a_map_follows_the_area_of_its_lanes() {
+    let Some(map) = data::file("a map of roads", "maps/esmini_soderleden.xodr") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let run = |name: &str, more: &[&str]| {
+        let out = folder.path().join(name);
+        let words = ["drive", "--level", "easy", "--episodes", "1", "--map"];
+        let more = [
+            &[
+                text(&map),
+                "--planner",
+                "constant-velocity",
+                "--out",
+                text(&out),
+            ],
+            more,
+        ];
+        let said = succeed(&[&words[..], more[0], more[1]].concat());
+        let scenario = fs::read_to_string(out.join("scenarios/easy_0000.toml")).unwrap();
+        let line = scenario.lines().find(|line| line.starts_with("background"));
+        (line.unwrap().to_owned(), said)
+    };
+    // 11 km of lanes.
+    assert_eq!(run("auto", &["--render", "off"]).0, "background = 310000");
+    let few = ["--background", "2000", "--render", "off"];
+    assert_eq!(run("few", &few).0, "background = 2000");
+}

@@ -19,7 +19,7 @@ use crate::arguments::write_image;
 pub enum Images {
     /// None
     None,
-    /// Images of the first camera: the first, the last and some between, for the report
+    /// Images of the first camera: the first, the last and up to eight between, for the report
     Key,
     /// All images of all cameras, and the key images
     All,
@@ -29,9 +29,9 @@ pub enum Images {
 pub struct ImageWriter {
     folder: PathBuf,
     keeps: Images,
-    /// Images of the first camera at the start and at each moment that would be the middle if the
-    /// next one were the end.
+    /// Images of the first camera at steps that `every` divides.
     keys: Vec<Key>,
+    every: u32,
     /// Last image: any step may be the last, so this is overwritten in every step.
     last: Option<Key>,
 }
@@ -44,9 +44,9 @@ struct Key {
     rgba: Vec<u8>,
 }
 
-/// Key frames come at steps 0, 10, 20 and so on, as long as there are few of them.
-const KEY_EVERY: u32 = 10;
-const KEYS_MAX: usize = 3;
+/// Distance of key frames at first, steps. It is doubled when there are too many of them.
+const KEY_EVERY: u32 = 2;
+const KEYS_MAX: usize = 9;
 
 impl ImageWriter {
     pub fn new(folder: PathBuf, keeps: Images) -> Self {
@@ -54,6 +54,7 @@ impl ImageWriter {
             folder,
             keeps,
             keys: Vec::new(),
+            every: KEY_EVERY,
             last: None,
         }
     }
@@ -77,8 +78,12 @@ impl ImageWriter {
                 size_px: [lens.width_px, lens.height_px],
                 rgba,
             };
-            if step.is_multiple_of(KEY_EVERY) && self.keys.len() < KEYS_MAX {
+            if step.is_multiple_of(self.every) {
                 self.keys.push(key.clone());
+            }
+            if self.keys.len() > KEYS_MAX {
+                self.every *= 2;
+                self.keys.retain(|key| key.step.is_multiple_of(self.every));
             }
             self.last = Some(key);
         }
@@ -197,7 +202,7 @@ mod tests {
             rig_from_camera: Pose::IDENTITY,
         };
         let mut image_writer = ImageWriter::new(folder.path().join("a"), Images::Key);
-        for step in 0..14_u8 {
+        for step in 0..60_u8 {
             let rgba = [step, 0, 0, 255, 0, step, 0, 255];
             image_writer
                 .add(u32::from(step), &[Reading::image(&camera, &rgba)])
@@ -206,14 +211,15 @@ mod tests {
         image_writer.close().unwrap();
         let mut names: Vec<_> = fs::read_dir(folder.path().join("a"))
             .unwrap()
-            .map(|entry| entry.unwrap().file_name())
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
             .collect();
         names.sort();
-        assert_eq!(names, ["key_0000.png", "key_0010.png", "key_0013.png"]);
-        let last = Image::read(&folder.path().join("a/key_0013.png")).unwrap();
+        let steps = [0, 8, 16, 24, 32, 40, 48, 56, 59];
+        assert_eq!(names, steps.map(|step| format!("key_{step:04}.png")));
+        let last = Image::read(&folder.path().join("a/key_0059.png")).unwrap();
         assert_eq!(
             (last.rgb[0], last.rgb[1]),
-            ([13.0 / 255.0, 0.0, 0.0], [0.0, 13.0 / 255.0, 0.0])
+            ([59.0 / 255.0, 0.0, 0.0], [0.0, 59.0 / 255.0, 0.0])
         );
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use decouplegs::asset::maps::length_m;
 use decouplegs::asset::{probe_paths, read_scenario, write_scenario};
-use decouplegs::drive::generate::{Area, Generator, PlaceOptions, Sky};
+use decouplegs::drive::generate::{Area, Difficulty, Generator, PlaceOptions, Sky};
 use decouplegs::episode::Site;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Scenario, Weather};
@@ -31,9 +31,10 @@ pub struct PlaceArguments {
     /// Drive in this captured scene (.toml), whose lanes are those of --map
     #[arg(long, value_name = "FILE", requires = "map", conflicts_with = "probes")]
     scene: Option<PathBuf>,
-    /// Number of background splats of a synthetic place
-    #[arg(long, value_name = "N", default_value_t = 200_000)]
-    background: usize,
+    /// Number of background splats of a synthetic place [default: 200000, on a map at least 8 per
+    /// square meter of its lanes]
+    #[arg(long, value_name = "N")]
+    background: Option<usize>,
     /// Number of splats of each car of a synthetic place
     #[arg(long, value_name = "N", default_value_t = 4_000)]
     agent_splats: usize,
@@ -76,12 +77,11 @@ fn from_files(paths: &[PathBuf]) -> Result<Vec<Job>> {
 /// Scenarios of each level, written to the folder of the run, where people can read, edit and drive
 /// them.
 fn made_up(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
-    let options = arguments.place.options()?;
     let site = Site::open(&arguments.place.bare(), Path::new(""), None)
-        .context("no scenarios can be synthetic here")?;
-    if arguments.render.0 > 0 {
-        arguments.place.warn_of_fog(&site);
-    }
+        .context("no scenarios can be generated here")?;
+    let options = arguments
+        .place
+        .options(arguments.place.background(&site, arguments.render.0 > 0))?;
     let mut generator = Generator::new(&site.lanes, options, &site.asset_sizes)?;
     if let Some(area) = arguments.place.seen(&site) {
         generator = generator.within(area);
@@ -92,6 +92,11 @@ fn made_up(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     if arguments.road_users == RoadUsers::Mixed {
         generator = generator.with_road_users(&site.road_users, site.obstacles.clone())?;
     }
+    let generator = generator.with_difficulty(Difficulty {
+        density: arguments.density,
+        surprise: arguments.surprise,
+        time: arguments.time_budget,
+    });
     let levels = arguments.levels();
     let bar = progress::bar("scenarios", levels.len() * arguments.episodes as usize);
     let mut jobs = Vec::new();
@@ -136,39 +141,47 @@ const SEEN_M: f64 = 150.0;
 /// The seed of the street's houses: the same for all runs, so that they differ by who drives.
 const STREET_SEED: u64 = 1;
 
+/// Splats of a synthetic background unless the lanes need more, and at most.
+const BACKGROUND: usize = 200_000;
+const BACKGROUND_MAX: usize = 8_000_000;
 /// Splats per square meter of lanes below which roads look like fog.
 const SPLATS_PER_M2_MIN: f64 = 8.0;
 /// Width of a lane, meters, as far as this needs it.
 const LANE_M: f64 = 3.5;
 
 impl PlaceArguments {
-    /// Warns where a map's roads have too few splats.
-    fn warn_of_fog(&self, site: &Site) {
-        let area_m2 = LANE_M
-            * site
-                .lanes
-                .lanes
-                .iter()
-                .map(|lane| length_m(&lane.centerline))
-                .sum::<f64>();
-        let needed = SPLATS_PER_M2_MIN * area_m2;
-        if self.map.is_some() && self.scene.is_none() && (self.background as f64) < needed {
+    /// Splats of the background: as asked for, otherwise enough for the area of the lanes up to a
+    /// limit. Warns where a map's roads have too few.
+    fn background(&self, site: &Site, is_drawn: bool) -> usize {
+        if self.map.is_none() || self.scene.is_some() {
+            return self.background.unwrap_or(BACKGROUND);
+        }
+        let lengths_m = site
+            .lanes
+            .lanes
+            .iter()
+            .map(|lane| length_m(&lane.centerline));
+        let area_m2 = LANE_M * lengths_m.sum::<f64>();
+        let needed = ((SPLATS_PER_M2_MIN * area_m2 / 1e4).ceil() * 1e4) as usize;
+        let splats = self
+            .background
+            .unwrap_or_else(|| needed.clamp(BACKGROUND, BACKGROUND_MAX));
+        if is_drawn && splats < needed {
             warn(&format!(
-                "{} splats on {area_m2:.0} m² of lanes: images will look foggy. --background {:.0} is enough",
-                self.background,
-                (needed / 1e4).ceil() * 1e4
+                "{splats} splats on {area_m2:.0} m² of lanes: images will look foggy. --background {needed} is enough"
             ));
         }
+        splats
     }
 
     /// Place of generated scenarios. Files go by their whole path, as scenarios lie in the folder
     /// of the run.
-    fn options(&self) -> Result<PlaceOptions> {
+    fn options(&self, background: usize) -> Result<PlaceOptions> {
         let whole = |path: &Path| {
             std::fs::canonicalize(path)
                 .with_context(|| format!("{} cannot be read: expected a file", path.display()))
         };
-        let (background, agent_splats) = (self.background, self.agent_splats);
+        let agent_splats = self.agent_splats;
         Ok(match (&self.map, &self.scene) {
             (Some(map), Some(scene)) => PlaceOptions::Scene {
                 scene: whole(scene)?,

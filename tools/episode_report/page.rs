@@ -16,8 +16,8 @@ use crate::{data_uri, plot};
 
 /// Episodes that are shown; a page of hundreds would not be read.
 const SHOWN_MAX: usize = 24;
-/// Key frames are shown so wide at most, pixels.
-const KEY_WIDTH_PX: u32 = 420;
+/// Images of the strip are at most so wide, pixels.
+const STRIP_WIDTH_PX: u32 = 240;
 
 pub fn page(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
     let planner = scored
@@ -88,7 +88,7 @@ fn table(scored: &[Scored]) -> Result<String> {
     html.push_str(
         "</table></div><p class=\"dim\">Mean over episodes and its 95 % confidence interval. RC, route completion: share of the route that was \
          driven. DS, driving score: RC times 0.60 for a collision at fault, 0.65 for one with something static, 0.65 for each time the ego \
-         left the road and 0.70 for each red light that it ran. SR, success rate: share of episodes that came to the end of the route without any of them, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
+         left the road, 0.70 for each red light that it ran, and 0.50 instead of 0.60 for a pedestrian. SR, success rate: share of episodes that came to the end of the route without any of them, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
          velocities, within 10 s, over the episodes that were on course for a collision at all, whose number is beside it.</p>",
     );
     Ok(html)
@@ -161,22 +161,45 @@ fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
         birds_eye::svg(scored, lanes),
         charts::figures(scored)
     );
+    html.push_str("</div>");
+    html.push_str(&strip(scored)?);
+    Ok(html)
+}
+
+/// Images of the first camera over the episode, each with its time, and links to its films.
+fn strip(scored: &Scored) -> Result<String> {
+    let mut html = String::new();
     for path in key_frames(&scored.images) {
-        let image = data_uri::shrunk(&Image::read(&path)?, KEY_WIDTH_PX);
-        let step = path
-            .file_stem()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .replace("key_", "step ");
+        let image = data_uri::shrunk(&Image::read(&path)?, STRIP_WIDTH_PX);
+        let step = step_of(&path.file_name().unwrap_or_default().to_string_lossy());
+        let time_s = f64::from(step.unwrap_or(0)) * scored.episode.head.scenario.step_s;
         let _ = write!(
             html,
-            "<figure><img src=\"{}\" alt=\"{step}\"><figcaption>{}</figcaption></figure>",
+            "<figure style=\"flex:none;margin:0\"><img src=\"{}\" alt=\"after {time_s:.1} s\"><figcaption>{time_s:.1} s</figcaption></figure>",
             data_uri::png(&image)?,
-            escaped(&step)
         );
     }
-    html.push_str("</div>");
+    if !html.is_empty() {
+        html = format!("<div class=\"wide\" style=\"display:flex;gap:4px\">{html}</div>");
+    }
+    for camera in &scored.episode.head.planner.cameras {
+        let file = format!("{camera}.mp4");
+        if scored.images.join(&file).exists() {
+            let link = escaped(&format!("images/{}/{file}", scored.name()));
+            let _ = write!(
+                html,
+                "<p><a href=\"{link}\">film of camera {}</a></p>",
+                escaped(camera)
+            );
+        }
+    }
     Ok(html)
+}
+
+/// Step in the name of an image.
+fn step_of(name: &str) -> Option<u32> {
+    let number = name.strip_suffix(".png")?.rsplit('_').next()?;
+    number.parse().ok()
 }
 
 /// Table of the infractions: time, kind, place of the ego, and the last image before it.
@@ -213,8 +236,7 @@ fn image_before(scored: &Scored, time_s: f64) -> Option<String> {
     let files = std::fs::read_dir(&scored.images).ok()?.flatten();
     let images = files.filter_map(|file| {
         let name = file.file_name().into_string().ok()?;
-        let number = name.strip_suffix(".png")?.rsplit('_').next()?;
-        let number: u32 = number.parse().ok()?;
+        let number = step_of(&name)?;
         (number <= step).then_some((number, name))
     });
     images.max().map(|(_, name)| name)

@@ -33,7 +33,7 @@ use glam::DVec2;
 pub use ego_start::Area;
 pub use light::{PlaceOptions, Sky};
 pub use road_users::RoadUserAsset;
-pub use rules::{NEAR_M, agents_near, weathers};
+pub use rules::{Difficulty, NEAR_M, agents_near, weathers};
 
 use crate::obstacles::Obstacles;
 use crate::road_graph::RoadGraph;
@@ -108,6 +108,7 @@ pub struct Generator<'a> {
     area: Option<Area>,
     assets: Assets,
     has_lights: bool,
+    difficulty: Difficulty,
 }
 
 impl<'a> Generator<'a> {
@@ -139,6 +140,7 @@ impl<'a> Generator<'a> {
             area,
             assets: Assets::cars(assets),
             has_lights: true,
+            difficulty: Difficulty::default(),
         })
     }
 
@@ -174,6 +176,12 @@ impl<'a> Generator<'a> {
         Ok(self)
     }
 
+    /// The same with parts of the difficulty from other levels than a scenario's own.
+    #[must_use]
+    pub fn with_difficulty(self, difficulty: Difficulty) -> Self {
+        Self { difficulty, ..self }
+    }
+
     /// The same without the traffic lights of the map.
     #[must_use]
     pub fn without_lights(mut self) -> Self {
@@ -190,7 +198,8 @@ impl<'a> Generator<'a> {
     pub fn scenario(&self, level: Level, seed: u64, index: u32) -> Result<Scenario, GenerateError> {
         let name = format!("{}_{index:04}", level.name());
         let stream = Stream::new(seed).of(level as u64).of(u64::from(index));
-        let (rules, (least, most)) = (LevelRequirements::of(level), agents_near(level));
+        let rules = LevelRequirements::new(level, self.difficulty);
+        let (least, most) = rules.near;
         let (mut found, mut routes) = (0, 0_u32);
         for number in 0..TRIES {
             let random = stream.of(FOR_TRIES).of(number);
@@ -214,7 +223,7 @@ impl<'a> Generator<'a> {
                 }
             };
             let mut agents =
-                behaviors::agents(self.roads.map, level, &start, &vehicles, &random.of(2));
+                behaviors::agents(self.roads.map, &rules, &start, &vehicles, &random.of(2));
             // Short enough to be read, and a whole number in any format.
             let traffic_seed = stream.of(FOR_TRAFFIC).bits() >> 32;
             if self.assets.are_mixed() {
@@ -249,7 +258,7 @@ impl<'a> Generator<'a> {
                 agents,
                 pedestrians: self.assets.pedestrians(
                     &self.roads,
-                    level,
+                    &rules,
                     &start,
                     &mut stream.of(FOR_PEDESTRIANS),
                 ),

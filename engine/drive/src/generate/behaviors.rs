@@ -1,7 +1,7 @@
 //! Driver types, and misbehavior of some agents.
 
 use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
-use decouplegs_scene::{LaneMap, Level, RoadUser};
+use decouplegs_scene::{LaneMap, RoadUser};
 use glam::DVec2;
 
 use super::ego_start::EgoStart;
@@ -33,12 +33,11 @@ const ALONG: f64 = 0.8;
 /// The agents among `vehicles`, of which the first is the ego.
 pub(super) fn agents(
     map: &LaneMap,
-    level: Level,
+    rules: &LevelRequirements,
     start: &EgoStart,
     vehicles: &[Vehicle],
     random: &Stream,
 ) -> Vec<TrafficAgent> {
-    let rules = LevelRequirements::of(level);
     let mut draw = random.of(0);
     let mut agents: Vec<TrafficAgent> = Vec::with_capacity(vehicles.len());
     for (number, vehicle) in vehicles.iter().enumerate().skip(1) {

@@ -3,12 +3,13 @@
 use std::sync::Arc;
 
 use decouplegs_scene::scenario::Trigger;
-use decouplegs_scene::{Level, Pedestrian, RoadUser, VehicleSize};
+use decouplegs_scene::{Pedestrian, RoadUser, VehicleSize};
 use glam::DVec2;
 
 use super::ego_start::EgoStart;
 use super::random::Stream;
 use super::roads::Roads;
+use super::rules::LevelRequirements;
 use super::{to_centimeter, to_tenth};
 use crate::obstacles::Obstacles;
 use crate::oriented_box::OrientedBox;
@@ -124,11 +125,11 @@ impl Assets {
         self.draw_car(random)
     }
 
-    /// Pedestrians of a level who cross the route; none where the place has none.
+    /// Pedestrians who cross the route; none where the place has none.
     pub fn pedestrians(
         &self,
         roads: &Roads,
-        level: Level,
+        rules: &LevelRequirements,
         start: &EgoStart,
         random: &mut Stream,
     ) -> Vec<Pedestrian> {
@@ -136,13 +137,7 @@ impl Assets {
         if assets.is_empty() {
             return Vec::new();
         }
-        let (range, stepping_out) = match level {
-            Level::Easy => ((0, 1), 0),
-            Level::Medium => ((1, 2), 0),
-            Level::Hard => ((2, 3), 1),
-            Level::Extreme => ((3, 4), 2),
-        };
-        let wanted = random.whole(range);
+        let wanted = random.whole(rules.pedestrians);
         let mut walkers: Vec<Pedestrian> = Vec::new();
         for _ in 0..wanted * DRAWS {
             if walkers.len() == wanted {
@@ -157,7 +152,7 @@ impl Assets {
                 continue;
             }
             let number = walkers.len();
-            let waits_for_gap = number >= stepping_out;
+            let waits_for_gap = number >= rules.stepping_out;
             let cruise_mps = start.task.cruise_mps;
             let distance_m = if waits_for_gap {
                 random.between(SETS_OUT_M)

@@ -33,9 +33,23 @@ pub const fn weathers(level: Level) -> &'static [Weather] {
     }
 }
 
+/// Levels from which parts of a scenario's difficulty are taken, where these differ from the level
+/// of the scenario. Light, route and start of the ego are always those of its own level.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Difficulty {
+    /// Number of vehicles and their speed, and whether crossings are full.
+    pub density: Option<Level>,
+    /// Drivers, injected behaviors, pedestrians, and the speed of the vehicle ahead.
+    pub surprise: Option<Level>,
+    /// Time limit.
+    pub time: Option<Level>,
+}
+
 /// Further differences between levels. Pairs are least and most; shares of speed are of what a lane
 /// allows.
 pub(super) struct LevelRequirements {
+    /// Agents within [`NEAR_M`] of the ego.
+    pub near: (usize, usize),
     /// Agents that come along from farther away.
     pub far: (usize, usize),
     pub drivers: &'static [DriverKind],
@@ -57,6 +71,9 @@ pub(super) struct LevelRequirements {
     /// True if the vehicle ahead brakes hard.
     pub lead_brakes: bool,
     pub swerves: (usize, usize),
+    /// Pedestrians where the scenarios have them, and those of them who do not wait for a gap.
+    pub pedestrians: (usize, usize),
+    pub stepping_out: usize,
     pub time: TimeBudget,
 }
 
@@ -81,9 +98,35 @@ impl TimeBudget {
 }
 
 impl LevelRequirements {
-    pub fn of(level: Level) -> Self {
+    /// The requirements of `level`, with parts of other levels.
+    pub fn new(level: Level, difficulty: Difficulty) -> Self {
+        let density = Self::of(difficulty.density.unwrap_or(level));
+        let surprise = Self::of(difficulty.surprise.unwrap_or(level));
+        let Self {
+            before_crossing_m,
+            crossing_share,
+            ego_speed_share,
+            lead_share,
+            ..
+        } = Self::of(level);
+        Self {
+            near: density.near,
+            far: density.far,
+            flow_speed_share: density.flow_speed_share,
+            congested: density.congested,
+            time: Self::of(difficulty.time.unwrap_or(level)).time,
+            before_crossing_m,
+            crossing_share,
+            ego_speed_share,
+            lead_share,
+            ..surprise
+        }
+    }
+
+    fn of(level: Level) -> Self {
         use DriverKind::{Aggressive, Calm, Hurried, Normal};
         let easy = Self {
+            near: agents_near(Level::Easy),
             far: (0, 2),
             drivers: &[Calm, Normal],
             lane_change_share: 0.0,
@@ -97,9 +140,13 @@ impl LevelRequirements {
             cut_ins: 0,
             lead_brakes: false,
             swerves: (0, 0),
+            pedestrians: (0, 1),
+            stepping_out: 0,
             time: TimeBudget::new(2.0, 30.0),
         };
         let medium = Self {
+            near: agents_near(Level::Medium),
+            pedestrians: (1, 2),
             far: (2, 4),
             drivers: &[Calm, Normal, Normal, Normal],
             lane_change_share: 0.6,
@@ -109,10 +156,13 @@ impl LevelRequirements {
             flow_speed_share: (0.6, 0.9),
             before_crossing_m: (30.0, 70.0),
             crossing_share: 0.8,
-            time: TimeBudget::new(1.5, 14.0),
+            time: TimeBudget::new(1.5, 15.0),
             ..easy
         };
         let hard = Self {
+            near: agents_near(Level::Hard),
+            pedestrians: (2, 3),
+            stepping_out: 1,
             far: (4, 8),
             drivers: &[Normal, Normal, Hurried],
             lane_change_share: 0.7,
@@ -131,6 +181,9 @@ impl LevelRequirements {
             Level::Medium => medium,
             Level::Hard => hard,
             Level::Extreme => Self {
+                near: agents_near(Level::Extreme),
+                pedestrians: (3, 4),
+                stepping_out: 2,
                 far: (6, 10),
                 drivers: &[Normal, Hurried, Aggressive],
                 lane_change_share: 0.9,

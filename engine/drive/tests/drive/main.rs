@@ -6,6 +6,7 @@ mod ego;
 mod episodes;
 mod faults;
 mod generate;
+mod generated_difficulty;
 mod generated_lights;
 mod ground;
 mod grounding;
