@@ -107,6 +107,9 @@ impl Scored {
             InfractionKind::RedLight { light } => {
                 format!("red light {}", head.scenario.lights[light].name)
             }
+            InfractionKind::StopSign { sign } => {
+                format!("stop sign on lane {}", head.scenario.signs[sign].line.lane)
+            }
             InfractionKind::Obstacle { kind } => format!("collision with a {}", kind.name()),
             InfractionKind::Collision { agent, fault, .. } => {
                 let name = head.scenario.agent(agent).0;
@@ -337,6 +340,7 @@ fn set_to_json(set: &SetSummary) -> Value {
         "obstacle_collisions": set.obstacle_collisions,
         "layout_infractions": set.layout_infractions,
         "red_lights": set.red_lights,
+        "stop_signs": set.stop_signs,
     })
 }
 
@@ -355,6 +359,9 @@ fn episode_to_json(scored: &Scored) -> Value {
         InfractionKind::Layout => {
             json!({ "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "off_road", "at_fault": true })
         }
+        InfractionKind::StopSign { sign } => json!({
+            "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "stop_sign", "at_fault": true, "sign": sign,
+        }),
         InfractionKind::RedLight { light } => json!({
             "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "red_light", "at_fault": true,
             "light": scenario.lights[light].name,

@@ -133,6 +133,7 @@ fn recorded() -> Episode {
         agents: vec![],
         lights: vec![],
         pedestrians: vec![],
+        signs: vec![],
     };
     let head = EpisodeHead {
         log_version: LOG_VERSION,
@@ -143,6 +144,7 @@ fn recorded() -> Episode {
         route_m: straight(50.0),
         agent_sizes: vec![],
         stop_lines: vec![],
+        sign_lines: vec![],
     };
     let step = EpisodeStep {
         step: 0,

@@ -9,3 +9,4 @@ mod rollouts;
 mod scene_ahead;
 mod static_world;
 mod traffic_lights;
+mod traffic_signs;

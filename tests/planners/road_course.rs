@@ -117,6 +117,7 @@ impl Course {
                 })
                 .collect(),
             stop_lines: vec![],
+            signs: vec![],
         }
     }
 

@@ -71,6 +71,7 @@ pub fn privileged() -> Privileged {
             size: VehicleSize::CAR,
         }],
         stop_lines: vec![],
+        signs: vec![],
     }
 }
 

@@ -88,7 +88,7 @@ fn table(scored: &[Scored]) -> Result<String> {
     html.push_str(
         "</table></div><p class=\"dim\">Mean over episodes and its 95 % confidence interval. RC, route completion: share of the route that was \
          driven. DS, driving score: RC times 0.60 for a collision at fault, 0.65 for one with something static, 0.65 for each time the ego \
-         left the road, 0.70 for each red light that it ran, and 0.50 instead of 0.60 for a pedestrian. SR, success rate: share of episodes that came to the end of the route without any of them, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
+         left the road, 0.70 for each red light that it ran, 0.80 for each stop sign that it passed without standing, and 0.50 instead of 0.60 for a pedestrian. SR, success rate: share of episodes that came to the end of the route without any of them, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
          velocities, within 10 s, over the episodes that were on course for a collision at all, whose number is beside it.</p>",
     );
     Ok(html)

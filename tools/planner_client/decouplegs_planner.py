@@ -54,7 +54,7 @@ class Observation:
 
     `step` counts from 0, `time_s` is since the episode's start. `ego` has speed_mps, acceleration_mps2, steer_rad and
     yaw_rate_radps; `guidance` has turn (straight, left, right), distance_m, angle_rad, length_m and cruise_mps. `frames` are the
-    images by camera. `privileged` is None or has ego, route_m, agents and stop_lines.
+    images by camera. `privileged` is None or has ego, route_m, agents, stop_lines and signs.
     """
 
     def __init__(self, header: dict, frames: Dict[str, Frame]):
@@ -69,6 +69,7 @@ class Observation:
             route_m=known["route_m"],
             agents=[SimpleNamespace(**agent) for agent in known["agents"]],
             stop_lines=[SimpleNamespace(**line) for line in known["stop_lines"]],
+            signs=[SimpleNamespace(**sign) for sign in known["signs"]],
         )
 
 

@@ -13,6 +13,7 @@ mod read;
 mod summary;
 mod toml_text;
 mod traffic_light_form;
+mod traffic_sign_form;
 mod xml;
 
 pub mod cameras;

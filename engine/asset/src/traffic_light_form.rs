@@ -124,15 +124,7 @@ pub(crate) fn check(light: &TrafficLight, in_map: bool) -> Result<(), Fault> {
         }
     }
     for line in &light.stop_lines {
-        if !(0.0..=ALONG_M_MAX).contains(&line.at_m) {
-            let reason = format!("a line {} m along; expected 0 to {ALONG_M_MAX}", line.at_m);
-            return fault("stop_lines", reason);
-        }
-        if !(1..=NAME_BYTES_MAX).contains(&line.lane.len()) {
-            let bytes = line.lane.len();
-            let reason = format!("a lane's id of {bytes} bytes; expected 1 to {NAME_BYTES_MAX}");
-            return fault("stop_lines", reason);
-        }
+        check_line(line).or_else(|reason| fault("stop_lines", reason))?;
     }
     for phase in &light.phases {
         if !PHASE_S.contains(&phase.duration_s) {
@@ -147,6 +139,23 @@ pub(crate) fn check(light: &TrafficLight, in_map: bool) -> Result<(), Fault> {
             light.offset_s, -OFFSET_S_MAX
         );
         return fault("offset_s", reason);
+    }
+    Ok(())
+}
+
+/// Fault of a line, if any.
+pub(crate) fn check_line(line: &StopLine) -> Result<(), String> {
+    if !(0.0..=ALONG_M_MAX).contains(&line.at_m) {
+        let at_m = line.at_m;
+        return Err(format!(
+            "a line {at_m} m along; expected 0 to {ALONG_M_MAX}"
+        ));
+    }
+    let bytes = line.lane.len();
+    if !(1..=NAME_BYTES_MAX).contains(&bytes) {
+        return Err(format!(
+            "a lane's id of {bytes} bytes; expected 1 to {NAME_BYTES_MAX}"
+        ));
     }
     Ok(())
 }

@@ -27,7 +27,9 @@ mod safe_speed;
 use std::sync::Arc;
 
 use decouplegs_scene::scenario::{EgoTask, TrafficAgent};
-use decouplegs_scene::{LaneMap, Level, Scenario, VehicleSize, VehicleState};
+use decouplegs_scene::{
+    LaneMap, Level, Scenario, TrafficLight, TrafficSign, VehicleSize, VehicleState,
+};
 use glam::DVec2;
 
 pub use ego_start::Area;
@@ -262,6 +264,7 @@ impl<'a> Generator<'a> {
                     &start,
                     &mut stream.of(FOR_PEDESTRIANS),
                 ),
+                signs: self.signs(&lights),
                 lights,
                 ego: EgoTask {
                     speed_mps: vehicles[0].speed_mps,
@@ -311,6 +314,21 @@ impl<'a> Generator<'a> {
                 Err(_) => return 0,
             }
         }
+    }
+
+    /// Signs of the map on lanes without a traffic light: others count where lights are out.
+    fn signs(&self, lights: &[TrafficLight]) -> Vec<TrafficSign> {
+        let lines = || lights.iter().flat_map(|light| &light.stop_lines);
+        let has_light = |sign: &TrafficSign| lines().any(|line| line.lane == sign.line.lane);
+        let signs = self.roads.map.signs.iter();
+        signs
+            .filter(|sign| !has_light(sign))
+            .map(|sign| {
+                let mut sign = sign.clone();
+                sign.line.at_m = to_centimeter(sign.line.at_m);
+                sign
+            })
+            .collect()
     }
 
     /// True if traffic accepts the agents at their positions and speeds: it checks more of

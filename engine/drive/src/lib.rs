@@ -22,6 +22,7 @@ pub mod road_graph;
 pub mod road_surface;
 pub mod route;
 pub mod score;
+pub mod signs;
 pub mod traffic;
 
 pub use ego::{Ego, EgoOptions};

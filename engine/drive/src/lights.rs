@@ -1,7 +1,7 @@
 //! Traffic lights of a scenario on the lanes of a road graph.
 
 use decouplegs_scene::episode::StopLineRecord;
-use decouplegs_scene::{Invalid, LaneMap, LightColor, TrafficLight};
+use decouplegs_scene::{Invalid, LaneMap, LightColor, StopLine, TrafficLight};
 use glam::DVec2;
 
 use crate::polyline::Polyline;
@@ -19,8 +19,46 @@ pub struct LaneStopLine {
     pub lane: usize,
     /// Place on the lane, meters along it.
     pub at_m: f64,
-    /// The line on the plane, and the index of its light.
+    /// The line on the plane, and the index of its light or sign.
     pub record: StopLineRecord,
+}
+
+impl LaneStopLine {
+    /// `line` on a driving lane of `graph`, which is of `map`.
+    pub(crate) fn new(
+        map: &LaneMap,
+        graph: &RoadGraph,
+        line: &StopLine,
+        index: usize,
+    ) -> Result<Self, Invalid> {
+        let id = &line.lane;
+        let road = graph
+            .find(id)
+            .and_then(|lane| Some((lane, graph.lane(lane)?)));
+        let Some((lane, road)) = road else {
+            return Err(Invalid::new(format!(
+                "lane {id} is not a driving lane of the map"
+            )));
+        };
+        let length_m = road.line.length_m();
+        if !(0.0..=length_m + BEYOND_M).contains(&line.at_m) {
+            return Err(Invalid::new(format!(
+                "a stop line {} m along lane {id}; expected 0 to {length_m:.2}",
+                line.at_m
+            )));
+        }
+        let at_m = line.at_m.min(length_m);
+        let ends_m = ends(map, lane, &road.line, at_m);
+        let record = StopLineRecord { index, ends_m };
+        Ok(Self { lane, at_m, record })
+    }
+
+    /// Those of `lines`, which are sorted by lane, that are on a lane.
+    pub(crate) fn on(lines: &[Self], lane: usize) -> &[Self] {
+        let from = lines.partition_point(|line| line.lane < lane);
+        let to = lines.partition_point(|line| line.lane <= lane);
+        &lines[from..to]
+    }
 }
 
 /// Traffic lights with the places of their stop lines.
@@ -38,31 +76,12 @@ impl TrafficLights {
     /// Returns an error if a stop line is on no driving lane of the map, or beyond its end.
     pub fn new(map: &LaneMap, graph: &RoadGraph, lights: &[TrafficLight]) -> Result<Self, Invalid> {
         let mut lines = Vec::new();
-        for (light, TrafficLight { name, .. }) in lights.iter().enumerate() {
-            for line in &lights[light].stop_lines {
-                let id = &line.lane;
-                let road = graph
-                    .find(id)
-                    .and_then(|lane| Some((lane, graph.lane(lane)?)));
-                let Some((lane, road)) = road else {
-                    return Err(Invalid::new(format!(
-                        "traffic light {name}: lane {id} is not a driving lane of the map"
-                    )));
-                };
-                let length_m = road.line.length_m();
-                if !(0.0..=length_m + BEYOND_M).contains(&line.at_m) {
-                    return Err(Invalid::new(format!(
-                        "traffic light {name}: a stop line {} m along lane {id}; expected 0 to {length_m:.2}",
-                        line.at_m
-                    )));
-                }
-                let at_m = line.at_m.min(length_m);
-                let ends_m = ends(map, lane, &road.line, at_m);
-                lines.push(LaneStopLine {
-                    lane,
-                    at_m,
-                    record: StopLineRecord { light, ends_m },
-                });
+        for (index, TrafficLight { name, .. }) in lights.iter().enumerate() {
+            for line in &lights[index].stop_lines {
+                let line = LaneStopLine::new(map, graph, line, index);
+                lines.push(
+                    line.map_err(|error| Invalid::new(format!("traffic light {name}: {error}")))?,
+                );
             }
         }
         lines.sort_by(|a, b| a.lane.cmp(&b.lane).then(a.at_m.total_cmp(&b.at_m)));
@@ -93,9 +112,7 @@ impl TrafficLights {
     /// Stop lines on a lane, in driving direction.
     #[must_use]
     pub fn on(&self, lane: usize) -> &[LaneStopLine] {
-        let from = self.lines.partition_point(|line| line.lane < lane);
-        let to = self.lines.partition_point(|line| line.lane <= lane);
-        &self.lines[from..to]
+        LaneStopLine::on(&self.lines, lane)
     }
 
     /// Color of a light, by its index in the scenario, seconds since the start.

@@ -33,6 +33,9 @@ pub const PEDESTRIAN_FACTOR: f64 = 0.50;
 pub const OBSTACLE_FACTOR: f64 = 0.65;
 /// Factor on the driving score for each red light that the ego runs, as in CARLA's leaderboard.
 pub const RED_LIGHT_FACTOR: f64 = 0.70;
+/// Factor on the driving score for each stop sign that the ego passes without standing, as in
+/// CARLA's leaderboard.
+pub const STOP_SIGN_FACTOR: f64 = 0.80;
 /// Factor on the driving score for each time the ego leaves the road.
 pub const LAYOUT_FACTOR: f64 = 0.65;
 
@@ -47,7 +50,8 @@ pub struct EpisodeScore {
     /// done.
     pub route_completion: f64,
     /// [`Self::route_completion`] times [`COLLISION_FACTOR`], [`PEDESTRIAN_FACTOR`],
-    /// [`OBSTACLE_FACTOR`], [`LAYOUT_FACTOR`] or [`RED_LIGHT_FACTOR`] for each infraction.
+    /// [`OBSTACLE_FACTOR`], [`LAYOUT_FACTOR`], [`RED_LIGHT_FACTOR`] or
+    /// [`STOP_SIGN_FACTOR`] for each infraction.
     pub driving_score: f64,
     /// True if the route was completed without an infraction of the ego.
     pub success: bool,
@@ -117,6 +121,12 @@ impl EpisodeScore {
     #[must_use]
     pub fn layout_infractions(&self) -> usize {
         self.count(|kind| *kind == InfractionKind::Layout)
+    }
+
+    /// Stop signs that the ego passed without standing.
+    #[must_use]
+    pub fn stop_signs(&self) -> usize {
+        self.count(|kind| matches!(kind, InfractionKind::StopSign { .. }))
     }
 
     /// Red lights that the ego ran.

@@ -39,6 +39,7 @@ use crate::lights::TrafficLights;
 use crate::obstacles::Obstacles;
 use crate::oriented_box::OrientedBox;
 use crate::road_graph::RoadGraph;
+use crate::signs::TrafficSigns;
 use agent::{Agent, AsideKind};
 use claims::Claims;
 use lane_order::LaneOrder;
@@ -69,6 +70,7 @@ pub struct Traffic {
     claims: Claims,
     obstacles: Arc<Obstacles>,
     lights: Arc<TrafficLights>,
+    signs: Arc<TrafficSigns>,
     /// Waiting times at crossings, and accelerations of all agents: scratch buffers.
     waiting: Vec<u32>,
     accelerations: Vec<(f64, bool)>,
@@ -91,6 +93,13 @@ impl Traffic {
     #[must_use]
     pub fn with_lights(mut self, lights: Arc<TrafficLights>) -> Self {
         self.lights = lights;
+        self
+    }
+
+    /// The same traffic, which obeys stop and yield signs. Their lanes are those of its graph.
+    #[must_use]
+    pub fn with_signs(mut self, signs: Arc<TrafficSigns>) -> Self {
+        self.signs = signs;
         self
     }
 

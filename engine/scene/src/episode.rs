@@ -34,11 +34,11 @@ pub struct DrawnBy {
 /// Version of logs that this program writes. Vehicles of other versions moved by other rules.
 pub const LOG_VERSION: u32 = 2;
 
-/// Stop line of a traffic light on the plane.
+/// Line of a traffic light or sign on the plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopLineRecord {
-    /// Index of the light in the scenario.
-    pub light: usize,
+    /// Index of the light or sign in the scenario.
+    pub index: usize,
     /// Right and left end in driving direction, world coordinates, meters.
     pub ends_m: [DVec2; 2],
 }
@@ -88,6 +88,8 @@ pub struct EpisodeHead {
     pub agent_sizes: Vec<VehicleSize>,
     /// Stop lines of the scenario's traffic lights.
     pub stop_lines: Vec<StopLineRecord>,
+    /// Lines of the scenario's signs.
+    pub sign_lines: Vec<StopLineRecord>,
 }
 
 /// The bits of an image.

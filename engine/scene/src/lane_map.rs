@@ -4,6 +4,7 @@ use std::collections::HashSet;
 
 use crate::Invalid;
 use crate::traffic_light::TrafficLight;
+use crate::traffic_sign::TrafficSign;
 use glam::DVec3;
 
 /// Purpose of a lane.
@@ -88,6 +89,8 @@ pub struct LaneMap {
     pub offset: DVec3,
     /// Traffic lights; without phases where the file tells none.
     pub lights: Vec<TrafficLight>,
+    /// Stop and yield signs.
+    pub signs: Vec<TrafficSign>,
 }
 
 impl LaneMap {
@@ -124,7 +127,7 @@ impl LaneMap {
                 )));
             }
         }
-        if self.lights.is_empty() {
+        if self.lights.is_empty() && self.signs.is_empty() {
             return Ok(());
         }
         let ids: HashSet<&str> = self.lanes.iter().map(|lane| lane.id.as_str()).collect();
@@ -136,6 +139,14 @@ impl LaneMap {
                     light.name, line.lane
                 )));
             }
+        }
+        let mut signs = self.signs.iter();
+        if let Some(sign) = signs.find(|sign| !ids.contains(sign.line.lane.as_str())) {
+            return Err(Invalid::new(format!(
+                "a {} sign on lane {}; expected a lane of the map",
+                sign.kind.name(),
+                sign.line.lane
+            )));
         }
         Ok(())
     }

@@ -6,6 +6,7 @@ use glam::DVec2;
 
 use crate::road_user::RoadUser;
 use crate::traffic_light::TrafficLight;
+use crate::traffic_sign::TrafficSign;
 use crate::vehicle::VehicleSize;
 
 /// Difficulty of a scenario, as in the paper (supplement, "Definition of Evaluation Scenarios").
@@ -281,6 +282,8 @@ pub struct Scenario {
     pub pedestrians: Vec<Pedestrian>,
     /// Traffic lights that all vehicles are to obey.
     pub lights: Vec<TrafficLight>,
+    /// Stop and yield signs that all vehicles are to obey.
+    pub signs: Vec<TrafficSign>,
 }
 
 impl Scenario {

@@ -18,6 +18,9 @@ type StateForm = [f64; 5];
 /// Time, ego, its steering, whether it is on the road, agents; null for those off the map.
 type InstantForm = (f64, StateForm, f64, bool, Vec<Option<StateForm>>);
 
+/// Index, right end and left end of a stop line.
+type LineForm = (usize, [f64; 2], [f64; 2]);
+
 /// Fields of the first line that are the same in all versions.
 #[derive(Deserialize)]
 pub(super) struct FormatForm {
@@ -39,7 +42,10 @@ pub(super) struct HeadForm {
     agent_sizes_m: Vec<[f64; 3]>,
     /// Index of the light, right end, left end.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    stop_lines: Vec<(usize, [f64; 2], [f64; 2])>,
+    stop_lines: Vec<LineForm>,
+    /// Index of the sign, right end, left end.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    sign_lines: Vec<LineForm>,
     start: InstantForm,
 }
 
@@ -145,6 +151,18 @@ fn state([x, y, yaw_rad, speed_mps, acceleration_mps2]: StateForm) -> VehicleSta
     }
 }
 
+fn line_form(line: &StopLineRecord) -> LineForm {
+    let [right_m, left_m] = line.ends_m.map(|end_m| end_m.to_array());
+    (line.index, right_m, left_m)
+}
+
+fn line((index, right_m, left_m): LineForm) -> StopLineRecord {
+    StopLineRecord {
+        index,
+        ends_m: [right_m, left_m].map(DVec2::from_array),
+    }
+}
+
 fn instant_form(instant: &EpisodeTick) -> InstantForm {
     let EpisodeTick {
         time_s,
@@ -188,6 +206,7 @@ impl HeadForm {
             route_m,
             agent_sizes,
             stop_lines,
+            sign_lines,
         } = head;
         let PlannerRecord {
             name,
@@ -221,13 +240,8 @@ impl HeadForm {
             drawn_by,
             route_m: route_m.iter().map(DVec2::to_array).collect(),
             agent_sizes_m: agent_sizes.iter().map(|size| size.to_array()).collect(),
-            stop_lines: stop_lines
-                .iter()
-                .map(|line| {
-                    let [right_m, left_m] = line.ends_m.map(|end_m| end_m.to_array());
-                    (line.light, right_m, left_m)
-                })
-                .collect(),
+            stop_lines: stop_lines.iter().map(line_form).collect(),
+            sign_lines: sign_lines.iter().map(line_form).collect(),
             start: instant_form(start),
         })
     }
@@ -271,14 +285,8 @@ impl HeadForm {
                 .into_iter()
                 .map(VehicleSize::from_array)
                 .collect(),
-            stop_lines: self
-                .stop_lines
-                .into_iter()
-                .map(|(light, right_m, left_m)| StopLineRecord {
-                    light,
-                    ends_m: [right_m, left_m].map(DVec2::from_array),
-                })
-                .collect(),
+            stop_lines: self.stop_lines.into_iter().map(line).collect(),
+            sign_lines: self.sign_lines.into_iter().map(line).collect(),
         };
         Ok((head, instant(self.start)))
     }

@@ -35,14 +35,18 @@ impl Sequence {
                 head.scenario.agent_count()
             ));
         }
-        let lights = head.scenario.lights.len();
-        for line in &head.stop_lines {
-            let length_m = line.ends_m[0].distance(line.ends_m[1]);
-            if line.light >= lights || !(1e-3..1e3).contains(&length_m) {
-                return Err(format!(
-                    "a stop line of light {}, {length_m} m long; expected one of {lights} lights and 0.001 to 1000 m",
-                    line.light
-                ));
+        let lines = [
+            ("light", &head.stop_lines, head.scenario.lights.len()),
+            ("sign", &head.sign_lines, head.scenario.signs.len()),
+        ];
+        for (what, lines, count) in lines {
+            for line in lines {
+                let (index, length_m) = (line.index, line.ends_m[0].distance(line.ends_m[1]));
+                if index >= count || !(1e-3..1e3).contains(&length_m) {
+                    return Err(format!(
+                        "a stop line of {what} {index}, {length_m} m long; expected one of {count} {what}s and 0.001 to 1000 m"
+                    ));
+                }
             }
         }
         let sequence = Self {

@@ -11,7 +11,8 @@
 //!
 //! Beside `lanes` a file may have `lights`, the traffic lights: each has a `name`, `stop_lines` as
 //! pairs of lane and meters along it, and, where they are known, `phases` as pairs of color (green,
-//! yellow, red) and seconds, and `offset_s`, its position in the cycle at time 0.
+//! yellow, red) and seconds, and `offset_s`, its position in the cycle at time 0. It may have
+//! `signs`, each with a `kind` (stop, yield), its `lane` and `at_m`, its place along the lane.
 //!
 //! A lane needs its id, a text or a whole number, and its centerline, world coordinates in meters
 //! in driving direction. Points of two numbers have no height: where a lane has one, or says
@@ -24,13 +25,14 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use decouplegs_scene::{Invalid, Lane, LaneKind, LaneMap, TrafficLight};
+use decouplegs_scene::{Invalid, Lane, LaneKind, LaneMap, TrafficLight, TrafficSign};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::links::{Places, join};
 use super::polyline::cleaned;
 use crate::traffic_light_form::{self, Fault, LIGHTS_MAX, LightForm};
+use crate::traffic_sign_form::{self, SIGNS_MAX, SignForm};
 use crate::xml::excerpt;
 use crate::{AssetError, DecodeError, write_atomically};
 
@@ -45,6 +47,8 @@ struct File {
     lanes: Vec<LaneForm>,
     #[serde(default)]
     lights: Vec<LightForm>,
+    #[serde(default)]
+    signs: Vec<SignForm>,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -147,6 +151,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     }
     let mut map = super::finished(lanes, DVec3::from_array(file.offset.unwrap_or_default()))?;
     map.lights = lights(&file.lights)?;
+    map.signs = signs(&file.signs)?;
     map.check()
         .map_err(|error| DecodeError::Malformed(error.into()))?;
     Ok(map)
@@ -170,6 +175,27 @@ fn lights(forms: &[LightForm]) -> Result<Vec<TrafficLight>, DecodeError> {
     let forms = forms.iter().enumerate();
     forms
         .map(|(at, form)| light(form).map_err(|fault| refused((at, fault))))
+        .collect()
+}
+
+fn signs(forms: &[SignForm]) -> Result<Vec<TrafficSign>, DecodeError> {
+    if forms.len() > SIGNS_MAX {
+        return Err(DecodeError::Malformed(format!(
+            "{} signs; expected at most {SIGNS_MAX}",
+            forms.len()
+        )));
+    }
+    let sign = |form: &SignForm| {
+        let sign = form.sign()?;
+        traffic_sign_form::check(&sign)?;
+        Ok(sign)
+    };
+    let refused = |(at, fault): (usize, Fault)| {
+        DecodeError::Malformed(format!("signs[{at}].{}: {}", fault.field, fault.reason))
+    };
+    let forms = forms.iter().enumerate();
+    forms
+        .map(|(at, form)| sign(form).map_err(|fault| refused((at, fault))))
         .collect()
 }
 
@@ -266,8 +292,14 @@ pub fn encode(map: &LaneMap) -> Result<Vec<u8>, Invalid> {
         lights if lights.is_empty() => String::new(),
         lights => format!(", \"lights\": [\n{}\n]", lights.join(",\n")),
     };
+    let sign = |sign: &TrafficSign| serde_json::to_string(&SignForm::of(sign));
+    let signs = map.signs.iter().map(sign).collect::<Result<Vec<_>, _>>();
+    let signs = match signs.map_err(|error| error.to_string())? {
+        signs if signs.is_empty() => String::new(),
+        signs => format!(", \"signs\": [\n{}\n]", signs.join(",\n")),
+    };
     Ok(format!(
-        "{{\"version\": {VERSION}, \"offset\": {offset}, \"lanes\": [\n{}\n]{lights}}}\n",
+        "{{\"version\": {VERSION}, \"offset\": {offset}, \"lanes\": [\n{}\n]{lights}{signs}}}\n",
         lanes.join(",\n")
     )
     .into_bytes())

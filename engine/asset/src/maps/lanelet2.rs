@@ -9,12 +9,13 @@
 //! it ends; neighbors share a way and its direction. A lanelet for both directions (`one_way` = no)
 //! is read in that of its file alone.
 //!
-//! Of regulatory elements, traffic lights are read (`lights`). Not read: areas, other regulatory
-//! elements, speed limits other than the tag `speed_limit`.
+//! Of regulatory elements, traffic lights (`lights`) and rights of way (`signs`) are read. Not
+//! read: areas, other regulatory elements, speed limits other than the tag `speed_limit`.
 
 mod lights;
+mod signs;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use decouplegs_scene::{Lane, LaneKind, LaneMap};
 use glam::{DVec2, DVec3};
@@ -51,8 +52,10 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     Places::of(&lanes)?;
     connect(&sides, &mut lanes);
     let lights = lights::lights(&file, plane, &lanes, &mut budget)?;
+    let signs = signs::signs(&file, plane, &lanes, &mut budget)?;
     Ok(LaneMap {
         lights,
+        signs,
         ..super::finished(lanes, DVec3::ZERO)?
     })
 }
@@ -72,6 +75,10 @@ struct File<'a> {
     lanelets: Vec<Lanelet<'a>>,
     /// Relations that are traffic lights.
     lights: Vec<Element<'a>>,
+    /// Relations that say who goes first.
+    rights: Vec<Element<'a>>,
+    /// Ways that are stop signs.
+    stop_signs: HashSet<&'a str>,
 }
 
 /// Rule by which nodes become points.
@@ -115,6 +122,8 @@ impl<'a> File<'a> {
             ways: HashMap::new(),
             lanelets: Vec::new(),
             lights: Vec::new(),
+            rights: Vec::new(),
+            stop_signs: HashSet::new(),
         };
         // JOSM keeps what was deleted until it is uploaded.
         for element in root
@@ -131,12 +140,17 @@ impl<'a> File<'a> {
                         .all("nd")
                         .map(|nd| nd.needed_attribute("ref"))
                         .collect::<Result<_, _>>()?;
-                    file.ways.insert(element.needed_attribute("id")?, nodes);
+                    let id = element.needed_attribute("id")?;
+                    file.ways.insert(id, nodes);
+                    if signs::is_stop_sign(element) {
+                        file.stop_signs.insert(id);
+                    }
                 }
                 "relation" if tag(element, "type") == Some("lanelet") => {
                     file.lanelets.push(Lanelet::read(element)?);
                 }
                 "relation" if lights::is_light(element) => file.lights.push(element),
+                "relation" if signs::is_right_of_way(element) => file.rights.push(element),
                 _ => {}
             }
         }
@@ -169,7 +183,7 @@ impl<'a> File<'a> {
         let Some(first) = self.lanelets.first() else {
             return Ok(Plane::Local);
         };
-        let ways: std::collections::HashSet<&str> = self
+        let ways: HashSet<&str> = self
             .lanelets
             .iter()
             .flat_map(|one| [one.left, one.right])

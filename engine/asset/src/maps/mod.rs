@@ -155,6 +155,7 @@ fn finished(mut lanes: Vec<Lane>, offset: DVec3) -> Result<LaneMap, DecodeError>
         lanes,
         offset,
         lights: Vec::new(),
+        signs: Vec::new(),
     };
     map.check()
         .map_err(|error| DecodeError::Malformed(error.into()))?;

@@ -6,9 +6,10 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 
 use decouplegs_scene::scenario::{Behavior, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
-use decouplegs_scene::{Pedestrian, RoadUser, Scenario, TrafficLight, VehicleSize};
+use decouplegs_scene::{Pedestrian, RoadUser, Scenario, TrafficLight, TrafficSign, VehicleSize};
 
 use crate::traffic_light_form::{self, LIGHTS_MAX};
+use crate::traffic_sign_form::{self, SIGNS_MAX};
 
 /// Most agents of a scenario, pedestrians included.
 pub const AGENTS_MAX: usize = 10_000;
@@ -63,6 +64,7 @@ pub(super) enum Table {
     Agent(usize),
     Behavior(usize, usize),
     Pedestrian(usize),
+    Sign(usize),
 }
 
 impl fmt::Display for Table {
@@ -72,6 +74,7 @@ impl fmt::Display for Table {
             Self::Place => formatter.write_str("place"),
             Self::Ego => formatter.write_str("ego"),
             Self::Light(light) => write!(formatter, "light[{light}]"),
+            Self::Sign(sign) => write!(formatter, "sign[{sign}]"),
             Self::Pedestrian(walker) => write!(formatter, "pedestrian[{walker}]"),
             Self::Agent(agent) => write!(formatter, "agent[{agent}]"),
             Self::Behavior(agent, behavior) => {
@@ -153,7 +156,20 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
             return Err(Fault::new(table, "name", reason));
         }
     }
-    check_lights(&scenario.lights)
+    check_lights(&scenario.lights)?;
+    check_signs(&scenario.signs)
+}
+
+fn check_signs(signs: &[TrafficSign]) -> Result<(), Fault> {
+    if signs.len() > SIGNS_MAX {
+        let reason = format!("{} signs; expected at most {SIGNS_MAX}", signs.len());
+        return Err(Fault::new(Table::Sign(SIGNS_MAX), "kind", reason));
+    }
+    for (index, sign) in signs.iter().enumerate() {
+        traffic_sign_form::check(sign)
+            .map_err(|fault| Fault::new(Table::Sign(index), fault.field, fault.reason))?;
+    }
+    Ok(())
 }
 
 fn check_lights(lights: &[TrafficLight]) -> Result<(), Fault> {

@@ -14,6 +14,7 @@ use super::seed::Seed;
 use crate::SceneError;
 use crate::toml_text::{Checker, syntax_error};
 use crate::traffic_light_form::LightForm;
+use crate::traffic_sign_form::SignForm;
 
 /// Tables keep their place in the text so that a complaint can name its line.
 #[derive(Deserialize, Serialize)]
@@ -36,6 +37,8 @@ pub(super) struct ScenarioForm {
     pub(super) light: Vec<Spanned<LightForm>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) pedestrian: Vec<Spanned<PedestrianForm>>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) sign: Vec<Spanned<SignForm>>,
 }
 
 fn default_duration_s() -> f64 {
@@ -187,6 +190,7 @@ pub(super) fn parse(text: &str) -> Result<Scenario, SceneError> {
             },
             Table::Ego => form.ego.span(),
             Table::Light(light) => form.light[light].span(),
+            Table::Sign(sign) => form.sign[sign].span(),
             Table::Pedestrian(walker) => form.pedestrian[walker].span(),
             Table::Agent(agent) => form.agent[agent].span(),
             Table::Behavior(agent, behavior) => {
@@ -238,6 +242,15 @@ fn scenario(form: &ScenarioForm) -> Result<Scenario, Fault> {
             .map(|(at, form)| {
                 let light = form.get_ref().light();
                 light.map_err(|fault| Fault::new(Table::Light(at), fault.field, fault.reason))
+            })
+            .collect::<Result<_, _>>()?,
+        signs: form
+            .sign
+            .iter()
+            .enumerate()
+            .map(|(at, form)| {
+                let sign = form.get_ref().sign();
+                sign.map_err(|fault| Fault::new(Table::Sign(at), fault.field, fault.reason))
             })
             .collect::<Result<_, _>>()?,
         pedestrians: form

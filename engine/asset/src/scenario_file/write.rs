@@ -16,6 +16,7 @@ use super::form::{
 use super::seed::Seed;
 use crate::EncodeError;
 use crate::traffic_light_form::LightForm;
+use crate::traffic_sign_form::SignForm;
 
 /// Comment at the top of a scenario file, for people who edit it.
 const HEADING: &str = "\
@@ -47,6 +48,11 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
             .lights
             .iter()
             .map(|light| spanless(LightForm::of(light)))
+            .collect(),
+        sign: scenario
+            .signs
+            .iter()
+            .map(|sign| spanless(SignForm::of(sign)))
             .collect(),
         pedestrian: scenario
             .pedestrians

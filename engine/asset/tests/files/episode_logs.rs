@@ -94,11 +94,12 @@ fn heads() -> impl Strategy<Value = EpisodeHead> {
         route,
     )
         .prop_map(|(scenario, version, planner, drawn_by, route_m)| {
-            let line = |light| StopLineRecord {
-                light,
+            let line = |index| StopLineRecord {
+                index,
                 ends_m: [DVec2::new(1.0 / 3.0, -4.0), DVec2::new(2.0, 1e-7)],
             };
             let stop_lines = (0..scenario.lights.len()).map(line).collect();
+            let sign_lines = (0..scenario.signs.len()).map(line).collect();
             let agent_sizes = scenario.agent_sizes();
             EpisodeHead {
                 log_version: VERSION,
@@ -109,6 +110,7 @@ fn heads() -> impl Strategy<Value = EpisodeHead> {
                 route_m,
                 agent_sizes,
                 stop_lines,
+                sign_lines,
             }
         })
 }
@@ -233,6 +235,7 @@ fn small() -> Episode {
             version: "0.1.0".into(),
             agent_sizes: vec![VehicleSize::CAR],
             stop_lines: vec![],
+            sign_lines: vec![],
             scenario,
             planner,
             drawn_by: Some(drawn_by),

@@ -189,6 +189,16 @@ fn complaints_about_road_users_name_line_key_and_reason() {
             "agent[0].kind: 'pedestrian' is unknown; there are car, truck, bus, cyclist",
         ),
         (
+            "kind = \"stop\"",
+            "kind = \"halt\"",
+            "sign[0].kind: 'halt' is unknown; there are stop, yield",
+        ),
+        (
+            "at_m = 79.0",
+            "at_m = -79.0",
+            "sign[0].at_m: a line -79 m along; expected 0 to 1000000",
+        ),
+        (
             "[31.2, 8.5]",
             "[31.0, -8.5]",
             "pedestrian[0].path_m: points 0 m apart; expected 0.01 to 1000 m",

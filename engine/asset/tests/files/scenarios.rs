@@ -4,8 +4,8 @@ use decouplegs_scene::scenario::{
     Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger,
 };
 use decouplegs_scene::{
-    Level, LightColor, LightPhase, Pedestrian, RoadUser, Scenario, StopLine, TrafficLight,
-    VehicleSize, Weather,
+    Level, LightColor, LightPhase, Pedestrian, RoadUser, Scenario, SignKind, StopLine,
+    TrafficLight, TrafficSign, VehicleSize, Weather,
 };
 use glam::DVec2;
 use proptest::prelude::*;
@@ -178,22 +178,49 @@ pub fn scenarios() -> impl Strategy<Value = Scenario> {
         any::<u64>(),
         times,
     );
-    (head, places(), egos(), agents(), lights(), pedestrians()).prop_map(
-        |((name, level, seed, (duration_s, step_s)), place, ego, agents, lights, pedestrians)| {
-            Scenario {
-                name,
-                level,
-                seed,
-                duration_s,
-                step_s,
+    (
+        head,
+        places(),
+        egos(),
+        agents(),
+        lights(),
+        pedestrians(),
+        signs(),
+    )
+        .prop_map(
+            |(
+                (name, level, seed, (duration_s, step_s)),
                 place,
                 ego,
                 agents,
                 lights,
                 pedestrians,
-            }
-        },
-    )
+                signs,
+            )| {
+                Scenario {
+                    name,
+                    level,
+                    seed,
+                    duration_s,
+                    step_s,
+                    place,
+                    ego,
+                    agents,
+                    lights,
+                    pedestrians,
+                    signs,
+                }
+            },
+        )
+}
+
+fn signs() -> impl Strategy<Value = Vec<TrafficSign>> {
+    let sign = (select(SignKind::ALL.to_vec()), "\\PC{1,9}", 0.0f64..=1e6);
+    let sign = sign.prop_map(|(kind, lane, at_m)| TrafficSign {
+        kind,
+        line: StopLine { lane, at_m },
+    });
+    prop::collection::vec(sign, 0..3)
 }
 
 fn lights() -> impl Strategy<Value = Vec<TrafficLight>> {

@@ -3,7 +3,7 @@
 
 use decouplegs_asset::maps::{argoverse2, commonroad, lane_json, lanelet2, open_drive};
 use decouplegs_asset::{read_map, tracks};
-use decouplegs_scene::{Lane, LaneKind, LaneMap, LightColor};
+use decouplegs_scene::{Lane, LaneKind, LaneMap, LightColor, SignKind};
 use glam::{DVec2, DVec3};
 
 use super::{ids, lane, seed};
@@ -21,6 +21,17 @@ fn lanelets_are_turned_joined_and_projected() {
     );
     assert!((lines[0].at_m - 0.875 * length_m).abs() < 0.05, "{lines:?}");
     assert_eq!(lines[1].at_m, 0.0);
+    // A stop sign at the same line, and a yield sign at the end of the second lanelet. The bicycle
+    // lane has none.
+    let signs: Vec<_> = map
+        .signs
+        .iter()
+        .map(|sign| (sign.kind, &*sign.line.lane))
+        .collect();
+    assert_eq!(signs, [(SignKind::Stop, "21"), (SignKind::Yield, "22")]);
+    assert_eq!(map.signs[0].line.at_m, lines[0].at_m);
+    let length_m = decouplegs_asset::maps::length_m(&lane(&map, "22").centerline);
+    assert!((map.signs[1].line.at_m - length_m).abs() < 0.05);
     assert_eq!(
         map.lanes
             .iter()
@@ -272,6 +283,14 @@ fn lane_json_is_read_and_written() {
         (34.0, 4.5, 40.0)
     );
     assert!(untold.phases.is_empty());
+    let [stop, give_way] = &map.signs[..] else {
+        panic!("{:?}", map.signs);
+    };
+    assert_eq!((stop.kind, stop.line.at_m), (SignKind::Stop, 47.5));
+    assert_eq!(
+        (give_way.kind, &*give_way.line.lane),
+        (SignKind::Yield, "2")
+    );
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("lanes.json");
     lane_json::write(&path, &map).unwrap();
@@ -325,6 +344,18 @@ fn lane_json_is_read_and_written() {
         (
             r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]]}], "lights": [{"name": "a", "stop_lines": []}]}"#,
             "lights[0].stop_lines: 0 of them",
+        ),
+        (
+            r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]]}], "signs": [{"kind": "halt", "lane": "1", "at_m": 0}]}"#,
+            "signs[0].kind: 'halt' is unknown; there are stop, yield",
+        ),
+        (
+            r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]]}], "signs": [{"kind": "stop", "lane": "2", "at_m": 0}]}"#,
+            "a stop sign on lane 2; expected a lane of the map",
+        ),
+        (
+            r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]]}], "signs": [{"kind": "stop", "lane": "1", "at_m": -1}]}"#,
+            "signs[0].at_m: a line -1 m along",
         ),
     ] {
         let error = lane_json::decode(text.as_bytes()).unwrap_err().to_string();

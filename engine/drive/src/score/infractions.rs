@@ -1,11 +1,13 @@
-//! Infractions of an episode: collisions, excursions from the road, red lights.
+//! Infractions of an episode: collisions, excursions from the road, red lights and stop signs.
 
-use decouplegs_scene::episode::EpisodeTick;
-use decouplegs_scene::{Episode, EpisodeEnd, LightColor, ObstacleKind, RoadUser};
+use decouplegs_scene::episode::{EpisodeTick, StopLineRecord};
+use decouplegs_scene::{Episode, EpisodeEnd, LightColor, ObstacleKind, RoadUser, SignKind};
+use glam::DVec2;
 
 use super::fault::{Fault, fault};
 use super::{
     COLLISION_FACTOR, LAYOUT_FACTOR, OBSTACLE_FACTOR, PEDESTRIAN_FACTOR, RED_LIGHT_FACTOR,
+    STOP_SIGN_FACTOR,
 };
 use crate::oriented_box::OrientedBox;
 
@@ -14,6 +16,10 @@ use crate::oriented_box::OrientedBox;
 const BACK_ON_ROAD_S: f64 = 1.0;
 /// Two contacts with the same agent are one where the boxes were apart for less, seconds.
 const APART_S: f64 = 1.0;
+/// The ego has stood at a sign where it was slower than this, nearer than this before the line, m/s
+/// and meters.
+const STANDING_MPS: f64 = 0.3;
+const AT_LINE_M: f64 = 4.0;
 
 /// One thing that went wrong.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,6 +49,11 @@ pub enum InfractionKind {
     },
     /// The ego leaves the road.
     Layout,
+    /// The front of the ego passes the line of a stop sign without having stood before it.
+    StopSign {
+        /// Index of the sign in the scenario.
+        sign: usize,
+    },
     /// The front of the ego passes a stop line while its light is red.
     RedLight {
         /// Index of the light in the scenario.
@@ -58,7 +69,8 @@ impl Infraction {
             InfractionKind::Collision { fault, .. } => fault.at_fault(),
             InfractionKind::Obstacle { .. }
             | InfractionKind::Layout
-            | InfractionKind::RedLight { .. } => true,
+            | InfractionKind::RedLight { .. }
+            | InfractionKind::StopSign { .. } => true,
         }
     }
 
@@ -74,6 +86,7 @@ impl Infraction {
             InfractionKind::Obstacle { .. } => OBSTACLE_FACTOR,
             InfractionKind::Layout => LAYOUT_FACTOR,
             InfractionKind::RedLight { .. } => RED_LIGHT_FACTOR,
+            InfractionKind::StopSign { .. } => STOP_SIGN_FACTOR,
         }
     }
 }
@@ -84,6 +97,7 @@ pub(super) fn infractions(episode: &Episode) -> Vec<Infraction> {
     let mut infractions = excursions(&instants);
     infractions.extend(collisions(episode, &instants));
     infractions.extend(red_lights(episode, &instants));
+    infractions.extend(stop_signs(episode, &instants));
     if let (EpisodeEnd::Obstacle { obstacle }, Some(last)) = (&episode.end, instants.last()) {
         let kind = InfractionKind::Obstacle {
             kind: obstacle.kind,
@@ -116,37 +130,77 @@ fn excursions(instants: &[&EpisodeTick]) -> Vec<Infraction> {
     excursions
 }
 
-/// Stop lines that the middle of the ego's front passes at red, in driving direction. The moment is
-/// interpolated between two states.
-fn red_lights(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
-    let head = &episode.head;
-    let half_m = 0.5 * head.scenario.ego.size.length_m;
-    let front_m = |instant: &EpisodeTick| instant.ego.position_m + instant.ego.ahead() * half_m;
-    let mut passed: Vec<Infraction> = Vec::new();
-    for (line, pair) in head
-        .stop_lines
-        .iter()
-        .flat_map(|line| instants.windows(2).map(move |pair| (line, pair)))
-    {
-        let (from_m, to_m) = (front_m(pair[0]), front_m(pair[1]));
+/// Passage of the middle of the ego's front over a line in driving direction, between two states.
+struct Passage {
+    /// Index of the state before it.
+    at: usize,
+    /// Time, interpolated.
+    time_s: f64,
+}
+
+fn passages(episode: &Episode, instants: &[&EpisodeTick], line: &StopLineRecord) -> Vec<Passage> {
+    let pairs = instants.windows(2).enumerate();
+    let passages = pairs.filter_map(|(at, pair)| {
+        let (from_m, to_m) = (front_m(episode, pair[0]), front_m(episode, pair[1]));
         let (before_m, after_m) = (line.locate(from_m).0, line.locate(to_m).0);
         if before_m >= 0.0 || after_m < 0.0 {
-            continue;
+            return None;
         }
         let share = before_m / (before_m - after_m);
         let time_s = pair[0].time_s + share * (pair[1].time_s - pair[0].time_s);
-        let light = &head.scenario.lights[line.light];
-        let is_red = light.color_at(time_s) == LightColor::Red;
-        // Lanes beside each other have a line each.
-        let is_known = passed.iter().any(|other| {
-            other.kind == InfractionKind::RedLight { light: line.light }
-                && (other.time_s - time_s).abs() < APART_S
-        });
-        if is_red && !is_known && line.locate(from_m.lerp(to_m, share)).1 {
-            passed.push(Infraction {
-                time_s,
-                kind: InfractionKind::RedLight { light: line.light },
-            });
+        let is_over = line.locate(from_m.lerp(to_m, share)).1;
+        is_over.then_some(Passage { at, time_s })
+    });
+    passages.collect()
+}
+
+/// Middle of the ego's front.
+fn front_m(episode: &Episode, instant: &EpisodeTick) -> DVec2 {
+    let half_m = 0.5 * episode.head.scenario.ego.size.length_m;
+    instant.ego.position_m + instant.ego.ahead() * half_m
+}
+
+/// Adds an infraction, unless it is known: lanes beside each other have a line each.
+fn add(passed: &mut Vec<Infraction>, kind: InfractionKind, time_s: f64) {
+    let is_same =
+        |other: &Infraction| other.kind == kind && (other.time_s - time_s).abs() < APART_S;
+    if !passed.iter().any(is_same) {
+        passed.push(Infraction { time_s, kind });
+    }
+}
+
+/// Stop lines that the ego passes at red.
+fn red_lights(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
+    let head = &episode.head;
+    let mut passed = Vec::new();
+    for line in &head.stop_lines {
+        for Passage { time_s, .. } in passages(episode, instants, line) {
+            let light = line.index;
+            if head.scenario.lights[light].color_at(time_s) == LightColor::Red {
+                add(&mut passed, InfractionKind::RedLight { light }, time_s);
+            }
+        }
+    }
+    passed
+}
+
+/// Stop signs that the ego passes without having stood before their lines.
+fn stop_signs(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
+    let head = &episode.head;
+    let mut passed = Vec::new();
+    let is_stop = |line: &&StopLineRecord| head.scenario.signs[line.index].kind == SignKind::Stop;
+    for line in head.sign_lines.iter().filter(is_stop) {
+        for Passage { at, time_s } in passages(episode, instants, line) {
+            let stands = |instant: &&&EpisodeTick| {
+                let (along_m, is_before) = line.locate(front_m(episode, instant));
+                instant.ego.speed_mps < STANDING_MPS
+                    && is_before
+                    && (-AT_LINE_M..=0.0).contains(&along_m)
+            };
+            if !instants[..=at].iter().any(|instant| stands(&instant)) {
+                let sign = line.index;
+                add(&mut passed, InfractionKind::StopSign { sign }, time_s);
+            }
         }
     }
     passed

@@ -141,6 +141,8 @@ pub struct SetSummary {
     pub layout_infractions: usize,
     /// Red lights that were run in all episodes.
     pub red_lights: usize,
+    /// Stop signs that were passed without standing.
+    pub stop_signs: usize,
 }
 
 impl SetSummary {
@@ -175,6 +177,7 @@ impl SetSummary {
             obstacle_collisions: count(&EpisodeScore::obstacle_collisions),
             layout_infractions: count(&EpisodeScore::layout_infractions),
             red_lights: count(&EpisodeScore::red_lights),
+            stop_signs: count(&EpisodeScore::stop_signs),
         })
     }
 

@@ -7,7 +7,7 @@ use super::driver::Driver;
 use super::following::PathPlace;
 use super::idm::{IdmParameters, advance, stopping_m};
 use super::random;
-use super::signals::NextLight;
+use super::signals::{NextLight, NextSign};
 use crate::polyline::wrapped;
 use crate::road_graph::{RoadGraph, length_of, place_on};
 
@@ -87,6 +87,9 @@ pub(super) struct Agent {
     pub clear_m: f64,
     /// Next stop line with a traffic light on its path.
     pub light: Option<NextLight>,
+    /// Next stop sign on its path, and the one at which it has stood.
+    pub sign: Option<NextSign>,
+    pub stood_at: Option<usize>,
     /// True if it must stop before its crossing.
     pub held_up: bool,
     pub waited_s: f64,
@@ -138,6 +141,8 @@ impl Agent {
             aside: None,
             crossing: None,
             light: None,
+            sign: None,
+            stood_at: None,
             clear_m: f64::NEG_INFINITY,
             held_up: false,
             waited_s: 0.0,
@@ -227,6 +232,13 @@ impl Agent {
             self.path.push(next);
             ahead_m += length_of(graph.lanes(), next);
         }
+    }
+
+    /// Place before which it stops for a light or a sign, meters from the start of its lane.
+    pub(super) fn hold_m(&self) -> Option<f64> {
+        let light_m = self.light.and_then(|light| light.hold_m);
+        let sign_m = self.sign.map(|sign| sign.hold_m);
+        light_m.into_iter().chain(sign_m).min_by(f64::total_cmp)
     }
 
     /// End of the path, if it ends within the map: meters from the start of its lane.

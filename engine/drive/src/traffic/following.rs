@@ -326,7 +326,7 @@ impl Traffic {
                 );
             }
         }
-        if let Some(hold_m) = agent.light.and_then(|light| light.hold_m) {
+        if let Some(hold_m) = agent.hold_m() {
             bounds.follow(&to_line, agent.speed_mps, hold_m - agent.front_m(), 0.0);
             bounds.stop_within(hold_m - LINE_M - stop_m);
         }

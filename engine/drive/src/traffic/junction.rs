@@ -62,7 +62,10 @@ impl Agent {
 
     /// Way that it can drive before it needs the grant of a crossing, meters.
     fn free_way_m(&self) -> f64 {
-        self.crossing.map_or(f64::INFINITY, |crossing| {
+        let sign_m = self.sign.map_or(f64::INFINITY, |sign| {
+            sign.hold_m - LINE_GAP_M - CREEP_M - self.front_m()
+        });
+        let free_m = self.crossing.map_or(f64::INFINITY, |crossing| {
             // A light may take the grant back as long as its line is ahead.
             let line_m = self.light.map_or(f64::INFINITY, |light| light.line_m);
             if crossing.granted && line_m < crossing.to_m {
@@ -72,7 +75,8 @@ impl Agent {
             } else {
                 crossing.from_m - LINE_GAP_M - CREEP_M - self.front_m()
             }
-        })
+        });
+        free_m.min(sign_m)
     }
 }
 
@@ -87,8 +91,14 @@ impl Traffic {
             }
             self.find_crossing(number);
             let light = self.next_light(&self.agents[number]);
+            let mut sign = self.next_stop_sign(&self.agents[number]);
             let agent = &mut self.agents[number];
+            if let Some(at) = sign.filter(|sign| sign.is_stood_at(agent)) {
+                agent.stood_at = Some(at.sign);
+                sign = None;
+            }
             agent.light = light;
+            agent.sign = sign;
             agent.held_up = false;
             let Some(crossing) = agent.crossing else {
                 continue;
@@ -187,8 +197,7 @@ impl Traffic {
             return;
         };
         let patient = agent.waited_s < PATIENCE_S;
-        let hold_m = agent.light.and_then(|light| light.hold_m);
-        let held = hold_m.is_some_and(|hold_m| hold_m < crossing.to_m);
+        let held = agent.hold_m().is_some_and(|hold_m| hold_m < crossing.to_m);
         let can_leave = self.can_leave(agent, &crossing);
         // A grant is taken back for the ego, pedestrians and lights alone: others rely on it.
         let granted = can_leave
@@ -381,7 +390,10 @@ impl Traffic {
             }
             for conflict in &self.graph.road(lane).conflicts {
                 let (from_m, to_m) = (conflict.from_m + start_m, conflict.to_m + start_m);
-                if !conflict.goes_first && to_m > crossing.from_m && from_m < crossing.to_m {
+                if self.has_to_give_way(lane, conflict)
+                    && to_m > crossing.from_m
+                    && from_m < crossing.to_m
+                {
                     let out_s = seconds_for(
                         to_m - agent.rear_m(),
                         agent.speed_mps,

@@ -1,10 +1,10 @@
-//! Traffic lights as agents obey them.
+//! Traffic lights and stop signs as agents obey them.
 
 use super::Traffic;
 use super::agent::Agent;
 use super::following::LINE_M;
-use crate::road_graph::length_of;
-use decouplegs_scene::LightColor;
+use crate::road_graph::{Conflict, length_of};
+use decouplegs_scene::{LightColor, SignKind};
 
 /// An agent stops at yellow where it can with this braking, m/s^2. At 15 m/s it then passes the
 /// line within a yellow of 3 seconds or stops.
@@ -12,6 +12,10 @@ const BRAKING_MPS2: f64 = 2.5;
 /// Stop lines are seen from this distance at least, meters, and this many seconds away.
 const SEEN_M: f64 = 60.0;
 const SEEN_S: f64 = 6.0;
+
+/// A vehicle slower than this and nearer to the line than this stands at it, m/s and meters.
+const STANDING_MPS: f64 = 0.1;
+const AT_LINE_M: f64 = 3.0;
 
 /// Next stop line with a traffic light on an agent's path. Places are meters from the start of the
 /// agent's lane.
@@ -21,6 +25,22 @@ pub(super) struct NextLight {
     pub line_m: f64,
     /// Place before which the agent stops because a light is not green.
     pub hold_m: Option<f64>,
+}
+
+/// Stop sign ahead, meters from the start of the agent's lane.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct NextSign {
+    /// Index of the sign in the scenario.
+    pub sign: usize,
+    /// Place before which the agent stops.
+    pub hold_m: f64,
+}
+
+impl NextSign {
+    /// True if a vehicle stands at the sign.
+    pub(super) fn is_stood_at(&self, agent: &Agent) -> bool {
+        agent.speed_mps < STANDING_MPS && self.hold_m - agent.front_m() < AT_LINE_M
+    }
 }
 
 impl Traffic {
@@ -45,7 +65,7 @@ impl Traffic {
                     line_m,
                     hold_m: None,
                 });
-                let color = self.lights.color_at(line.record.light, self.time_s);
+                let color = self.lights.color_at(line.record.index, self.time_s);
                 let stops = |place_m: f64| match color {
                     LightColor::Green => false,
                     LightColor::Yellow if !was_held => comfortable_m <= place_m - LINE_M,
@@ -65,6 +85,44 @@ impl Traffic {
         next
     }
 
+    /// The next stop sign on an agent's path before which the agent has not stood yet.
+    pub(super) fn next_stop_sign(&self, agent: &Agent) -> Option<NextSign> {
+        let (front_m, stop_m) = (agent.front_m(), agent.stop_m());
+        let seen_m = front_m + SEEN_M + SEEN_S * agent.speed_mps;
+        let mut start_m = 0.0;
+        for &lane in &agent.path[agent.here..] {
+            for line in self.signs.on(lane) {
+                let (sign, line_m) = (line.record.index, start_m + line.at_m);
+                let is_due = self.signs.kind(sign) == SignKind::Stop
+                    && line_m >= front_m
+                    && agent.stood_at != Some(sign);
+                let places_m = [self.before_crossing(agent, line_m), line_m];
+                let mut places_m = places_m.into_iter().filter(|_| is_due);
+                // One too near to stop before is passed: the agent started there.
+                if let Some(hold_m) = places_m.find(|&place_m| stop_m <= place_m - LINE_M) {
+                    return Some(NextSign { sign, hold_m });
+                }
+            }
+            start_m += length_of(self.graph.lanes(), lane);
+            if start_m > seen_m {
+                break;
+            }
+        }
+        None
+    }
+
+    /// True if an agent on a lane gives way at a conflict, by signs or else by the map.
+    pub(super) fn has_to_give_way(&self, lane: usize, conflict: &Conflict) -> bool {
+        match (
+            self.signs.is_minor(lane),
+            self.signs.is_minor(conflict.other),
+        ) {
+            (true, false) => true,
+            (false, true) => false,
+            _ => !conflict.goes_first,
+        }
+    }
+
     /// The place to stop for a line: before the crossing, if the line is in it or so near behind it
     /// that the vehicle would stand in it.
     fn before_crossing(&self, agent: &Agent, line_m: f64) -> f64 {
@@ -82,7 +140,7 @@ impl Traffic {
     pub(super) fn red_line(&self, lane: usize) -> Option<f64> {
         let mut lines = self.lights.on(lane).iter().rev();
         let red = lines
-            .find(|line| self.lights.color_at(line.record.light, self.time_s) == LightColor::Red);
+            .find(|line| self.lights.color_at(line.record.index, self.time_s) == LightColor::Red);
         red.map(|line| line.at_m)
     }
 }

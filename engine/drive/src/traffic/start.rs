@@ -103,6 +103,7 @@ impl Traffic {
             claims,
             obstacles: Arc::default(),
             lights: Arc::default(),
+            signs: Arc::default(),
             waiting: Vec::new(),
             accelerations: Vec::new(),
             outsiders: Outsiders::default(),

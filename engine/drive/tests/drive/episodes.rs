@@ -98,6 +98,7 @@ fn scenario(agents: usize) -> Scenario {
         agents: (0..agents).map(agent).collect(),
         lights: vec![],
         pedestrians: vec![],
+        signs: vec![],
     }
 }
 
@@ -119,6 +120,7 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
         route_m: vec![DVec2::ZERO, DVec2::new(100.0, 0.0)],
         agent_sizes: vec![SIZE; agents.len()],
         stop_lines: vec![],
+        sign_lines: vec![],
     };
     let step = |step: usize| {
         let begin_s = step as f64 * STEP_S;

@@ -25,3 +25,4 @@ mod traffic_lights;
 mod traffic_liveness;
 mod traffic_road_users;
 mod traffic_scenes;
+mod traffic_signs;

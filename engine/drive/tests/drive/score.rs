@@ -423,7 +423,7 @@ fn a_red_light_costs_and_yellow_does_not() {
         // A line on the lane beside has the same light.
         let beside = ends_m.map(|end_m| end_m + DVec2::Y * 0.5);
         made.head.stop_lines = [ends_m, beside]
-            .map(|ends_m| StopLineRecord { light: 0, ends_m })
+            .map(|ends_m| StopLineRecord { index: 0, ends_m })
             .into();
         EpisodeScore::of(&made)
     };

@@ -84,7 +84,7 @@ fn passes(
                 // Vehicles that enter the map come from elsewhere.
                 let passes = from < 0.0 && to >= 0.0 && is_within && to - from < 3.0;
                 if passes && time_s > START_S {
-                    passed[lights.color_at(line.record.light, time_s) as usize] += 1;
+                    passed[lights.color_at(line.record.index, time_s) as usize] += 1;
                 }
             }
         }

@@ -53,6 +53,12 @@ impl Rollout {
                 .iter()
                 .map(|line| line.record)
                 .collect(),
+            sign_lines: simulation
+                .signs()
+                .lines()
+                .iter()
+                .map(|line| line.record)
+                .collect(),
         };
         let start = simulation.instant();
         Ok(Self {

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use decouplegs_drive::lights::TrafficLights;
 use decouplegs_drive::score::RouteProgress;
+use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{Ego, EgoOptions, OrientedBox, RoadSurface, Route, Traffic};
 use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick};
 use decouplegs_scene::{Plan, Pose, Scenario, VehicleSize, VehicleState};
@@ -32,6 +33,7 @@ pub struct Simulation {
     traffic: Traffic,
     agent_sizes: Vec<VehicleSize>,
     lights: Arc<TrafficLights>,
+    signs: Arc<TrafficSigns>,
     /// Assets that show the lights, by the index of the light.
     signals: Vec<(usize, Pose)>,
     /// Heights at which the ego and then the agents stood last; `None` for agents that were not
@@ -57,10 +59,14 @@ impl Simulation {
         let lights = TrafficLights::new(&site.lanes, &site.graph, &scenario.lights)
             .map(Arc::new)
             .map_err(|error| unfit(error.into()))?;
+        let signs = TrafficSigns::new(&site.lanes, &site.graph, &scenario.signs)
+            .map(Arc::new)
+            .map_err(|error| unfit(error.into()))?;
         let traffic = Traffic::new(site.graph.clone(), &scenario.agents, scenario.seed)
             .map_err(|error| unfit(error.to_string()))?
             .among(site.obstacles.clone())
             .with_lights(lights.clone())
+            .with_signs(signs.clone())
             .with_pedestrians(&scenario.pedestrians)
             .map_err(|error| unfit(error.into()))?;
         let (start, heading_rad) = route.pose_at(0.0);
@@ -99,6 +105,7 @@ impl Simulation {
             agent_sizes,
             signals: site.signal_poses(&lights),
             lights,
+            signs,
             ground_z_m: std::iter::once(Some(start.z))
                 .chain((0..scenario.agent_count()).map(|_| None))
                 .collect(),
@@ -132,6 +139,12 @@ impl Simulation {
     #[must_use]
     pub fn lights(&self) -> &TrafficLights {
         &self.lights
+    }
+
+    /// Stop and yield signs on the lanes of the site.
+    #[must_use]
+    pub fn signs(&self) -> &TrafficSigns {
+        &self.signs
     }
 
     /// Meters along the route where the ego had come farthest.
@@ -248,9 +261,15 @@ impl Simulation {
                 .lines()
                 .iter()
                 .map(|line| {
-                    let color = self.lights.color_at(line.record.light, self.time_s());
+                    let color = self.lights.color_at(line.record.index, self.time_s());
                     (line.record, color)
                 })
+                .collect(),
+            signs: self
+                .signs
+                .lines()
+                .iter()
+                .map(|line| (line.record, self.signs.kind(line.record.index)))
                 .collect(),
         }
     }

@@ -381,7 +381,7 @@ impl Site {
         let records = || lights.lines().iter().map(|line| (line.lane, line.record));
         let outer = records().filter(|(_, line)| {
             !records().any(|(_, other)| {
-                other.light == line.light && other.ends_m[1].distance(line.ends_m[0]) < BESIDE_M
+                other.index == line.index && other.ends_m[1].distance(line.ends_m[0]) < BESIDE_M
             })
         });
         let posts = outer.map(|(lane, line)| {
@@ -390,7 +390,7 @@ impl Site {
             let lane_z_m = self.lanes.lanes[lane].centerline[0].z;
             let z_m = self.surface.height_at(line.middle_m(), lane_z_m);
             let foot_m = foot_m.extend(z_m.unwrap_or(lane_z_m));
-            (line.light, Pose::from_yaw(ahead.to_angle(), foot_m))
+            (line.index, Pose::from_yaw(ahead.to_angle(), foot_m))
         });
         posts.collect()
     }

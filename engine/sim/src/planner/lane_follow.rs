@@ -4,6 +4,7 @@
 
 mod corridor;
 mod lights;
+mod signs;
 
 use decouplegs_drive::traffic::idm::{BRAKING_MPS2, IdmParameters, Leader};
 use decouplegs_scene::plan::Plan;
@@ -42,6 +43,8 @@ pub struct LaneFollow {
     arc_m: Option<f64>,
     /// Stop line at which it stops, meters along the route.
     hold_m: Option<f64>,
+    /// Line of the stop sign at which it has stood, meters along the route.
+    stood_m: Option<f64>,
 }
 
 /// An agent as it is expected to go on: a span for each tick.
@@ -97,8 +100,10 @@ impl Planner for LaneFollow {
             PlannerError("lane-follow needs a route of at least two places, all finite".into())
         })?;
         self.arc_m = Some(corridor.ego_arc_m);
-        let hold_m = lights::hold_m(&corridor, known, self.hold_m);
-        self.hold_m = hold_m;
+        let light_m = lights::hold_m(&corridor, known, self.hold_m);
+        self.hold_m = light_m;
+        let sign_m = signs::hold_m(&corridor, known, &mut self.stood_m);
+        let hold_m = light_m.into_iter().chain(sign_m).min_by(f64::total_cmp);
         let cruise_mps = observation.guidance.cruise_mps;
         let outlook = Outlook::new(&corridor, known, cruise_mps, hold_m);
         let course = outlook.choose(known.ego.speed_mps);

@@ -22,7 +22,7 @@ pub use vision::{Perception, Vision};
 use decouplegs_scene::LightColor;
 use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::plan::Plan;
-use decouplegs_scene::{RigCamera, RoadUser, Sensor, VehicleSize, VehicleState};
+use decouplegs_scene::{RigCamera, RoadUser, Sensor, SignKind, VehicleSize, VehicleState};
 use glam::DVec2;
 
 /// Inputs that a planner requests.
@@ -155,6 +155,8 @@ pub struct Privileged {
     pub agents: Vec<KnownAgent>,
     /// Stop lines of all traffic lights, with the color that each shows.
     pub stop_lines: Vec<(StopLineRecord, LightColor)>,
+    /// Lines of all stop and yield signs.
+    pub signs: Vec<(StopLineRecord, SignKind)>,
 }
 
 /// Inputs of a planner at a step.

@@ -46,6 +46,7 @@ fn map() -> LaneMap {
         lanes: vec![along("right", -3.5), along("left", 0.0), back, across, walk],
         offset: DVec3::ZERO,
         lights: vec![],
+        signs: vec![],
     }
 }
 
@@ -329,6 +330,7 @@ fn maps_that_are_no_maps_are_land_under_a_sky() {
             lanes: vec![point, nowhere, endless, long, wide],
             offset: DVec3::ZERO,
             lights: vec![],
+            signs: vec![],
         },
         &options,
     );

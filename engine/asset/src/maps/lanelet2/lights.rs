@@ -8,7 +8,7 @@ use glam::DVec3;
 
 use super::super::budget::Budget;
 use super::super::polyline::{foot_m, plan_length_m};
-use super::{File, Plane, tag};
+use super::{File, Lanelet, Plane, tag};
 use crate::DecodeError;
 use crate::traffic_light_form;
 use crate::xml::Element;
@@ -47,22 +47,7 @@ pub(super) fn lights(
             continue;
         }
         for light in named {
-            let mut members = file.lights[light].all("member");
-            let line = members.find(|member| {
-                member.attribute("role") == Some("ref_line")
-                    && member.attribute("type") == Some("way")
-            });
-            let way = line.and_then(|member| member.attribute("ref"));
-            budget.spend(lane.centerline.len())?;
-            // Maps that were cut out of larger ones may lack the line.
-            let points = way.and_then(|way| file.points(lanelet, way, plane, budget).ok());
-            let at_m = match points {
-                None => plan_length_m(&lane.centerline),
-                Some((points, _)) => {
-                    let middle = points.iter().sum::<DVec3>() / points.len() as f64;
-                    foot_m(&lane.centerline, middle)
-                }
-            };
+            let at_m = line_at_m(file, file.lights[light], (lanelet, lane), plane, budget)?;
             lights[light].stop_lines.push(StopLine {
                 lane: lane.id.clone(),
                 at_m,
@@ -70,4 +55,30 @@ pub(super) fn lights(
         }
     }
     traffic_light_form::checked(lights)
+}
+
+/// Place on a lanelet of the line of a regulatory element, meters along it: the end of the lanelet
+/// where the element has no line.
+pub(super) fn line_at_m<'a>(
+    file: &File<'a>,
+    relation: Element,
+    (lanelet, lane): (&Lanelet<'a>, &Lane),
+    plane: Plane,
+    budget: &mut Budget,
+) -> Result<f64, DecodeError> {
+    let mut members = relation.all("member");
+    let line = members.find(|member| {
+        member.attribute("role") == Some("ref_line") && member.attribute("type") == Some("way")
+    });
+    let way = line.and_then(|member| member.attribute("ref"));
+    budget.spend(lane.centerline.len())?;
+    // Maps that were cut out of larger ones may lack the line.
+    let points = way.and_then(|way| file.points(lanelet, way, plane, budget).ok());
+    Ok(match points {
+        None => plan_length_m(&lane.centerline),
+        Some((points, _)) => {
+            let middle = points.iter().sum::<DVec3>() / points.len() as f64;
+            foot_m(&lane.centerline, middle)
+        }
+    })
 }

@@ -3,7 +3,7 @@
 use decouplegs_scene::LightColor;
 use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::plan::{Plan, PlanPoint};
-use decouplegs_scene::{Sensor, VehicleSize, VehicleState};
+use decouplegs_scene::{Sensor, SignKind, VehicleSize, VehicleState};
 use glam::DVec2;
 use serde_json::{Value, json};
 
@@ -221,12 +221,18 @@ fn privileged(known: &Privileged) -> Value {
         "route_m": known.route_m.iter().map(|place| place.to_array()).collect::<Vec<_>>(),
         "agents": known.agents.iter().map(agent).collect::<Vec<_>>(),
         "stop_lines": known.stop_lines.iter().map(stop_line).collect::<Vec<_>>(),
+        "signs": known.signs.iter().map(sign).collect::<Vec<_>>(),
     })
 }
 
 fn stop_line((line, color): &(StopLineRecord, LightColor)) -> Value {
     let [right_m, left_m] = line.ends_m.map(|end_m| end_m.to_array());
     json!({ "right_m": right_m, "left_m": left_m, "color": color.name() })
+}
+
+fn sign((line, kind): &(StopLineRecord, SignKind)) -> Value {
+    let [right_m, left_m] = line.ends_m.map(|end_m| end_m.to_array());
+    json!({ "right_m": right_m, "left_m": left_m, "kind": kind.name() })
 }
 
 fn agent(KnownAgent { kind, state, size }: &KnownAgent) -> Value {

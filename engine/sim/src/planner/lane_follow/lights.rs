@@ -11,11 +11,11 @@ use super::corridor::Corridor;
 const YELLOW_MPS2: f64 = 2.5;
 const RED_MPS2: f64 = 7.0;
 /// Stop lines whose middle is nearer to the route than this are on it, meters.
-const ON_ROUTE_M: f64 = 1.5;
+pub(super) const ON_ROUTE_M: f64 = 1.5;
 /// Cosine of the largest angle between the route and the direction of a stop line on it.
 const ALONG: f64 = 0.8;
 /// Place to stop before a line, meters. The car-following model keeps a gap besides.
-const GAP_M: f64 = 0.3;
+pub(super) const GAP_M: f64 = 0.3;
 /// Vehicles before a red light are expected to stop within this distance, meters.
 const OTHERS_M: f64 = 60.0;
 
@@ -25,12 +25,8 @@ pub(super) fn hold_m(corridor: &Corridor, known: &Privileged, held_m: Option<f64
     let speed_mps = known.ego.speed_mps;
     let front_m = corridor.ego_arc_m + 0.5 * known.ego_size.length_m;
     let lines = known.stop_lines.iter().filter_map(|(line, color)| {
-        let foot = corridor.project(line.middle_m());
-        let along = DVec2::from_angle(foot.heading_rad).dot(line.ahead());
-        if foot.distance_m > ON_ROUTE_M || along < ALONG || foot.arc_m < front_m {
-            return None;
-        }
-        let place_m = foot.arc_m - GAP_M;
+        let line_m = on_route_m(corridor, line, front_m)?;
+        let place_m = line_m - GAP_M;
         let was_held = held_m.is_some_and(|held_m| (held_m - place_m).abs() < ON_ROUTE_M);
         let braking_mps2 = match color {
             LightColor::Green => return None,
@@ -38,9 +34,17 @@ pub(super) fn hold_m(corridor: &Corridor, known: &Privileged, held_m: Option<f64
             LightColor::Yellow | LightColor::Red => RED_MPS2,
         };
         let stop_m = front_m + speed_mps * speed_mps / (2.0 * braking_mps2);
-        (stop_m <= foot.arc_m).then_some(place_m)
+        (stop_m <= line_m).then_some(place_m)
     });
     lines.min_by(f64::total_cmp)
+}
+
+/// Place of a line on the route ahead of `front_m`, meters along the line of `corridor`.
+pub(super) fn on_route_m(corridor: &Corridor, line: &StopLineRecord, front_m: f64) -> Option<f64> {
+    let foot = corridor.project(line.middle_m());
+    let along = DVec2::from_angle(foot.heading_rad).dot(line.ahead());
+    let is_on_route = foot.distance_m <= ON_ROUTE_M && along >= ALONG && foot.arc_m >= front_m;
+    is_on_route.then_some(foot.arc_m)
 }
 
 /// True if a red light stops an agent that goes straight on.

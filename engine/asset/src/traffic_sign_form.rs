@@ -1,0 +1,51 @@
+//! Text form of a traffic sign, the same in scenario files and lane files.
+
+use decouplegs_scene::{SignKind, StopLine, TrafficSign};
+use serde::{Deserialize, Serialize};
+
+use crate::traffic_light_form::{Fault, check_line};
+
+/// Most signs of a file.
+pub(crate) const SIGNS_MAX: usize = 10_000;
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct SignForm {
+    kind: String,
+    lane: String,
+    at_m: f64,
+}
+
+impl SignForm {
+    pub(crate) fn of(sign: &TrafficSign) -> Self {
+        Self {
+            kind: sign.kind.name().to_owned(),
+            lane: sign.line.lane.clone(),
+            at_m: sign.line.at_m,
+        }
+    }
+
+    /// The sign. Its line is not checked.
+    ///
+    /// # Errors
+    /// Returns an error if the kind is unknown.
+    pub(crate) fn sign(&self) -> Result<TrafficSign, Fault> {
+        let kind = SignKind::by_name(&self.kind).ok_or_else(|| Fault {
+            field: "kind",
+            reason: format!("'{}' is unknown; there are stop, yield", self.kind),
+        })?;
+        let line = StopLine {
+            lane: self.lane.clone(),
+            at_m: self.at_m,
+        };
+        Ok(TrafficSign { kind, line })
+    }
+}
+
+/// First fault of a sign, if any.
+pub(crate) fn check(sign: &TrafficSign) -> Result<(), Fault> {
+    check_line(&sign.line).map_err(|reason| Fault {
+        field: "at_m",
+        reason,
+    })
+}
