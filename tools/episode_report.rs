@@ -232,7 +232,7 @@ pub fn text(scored: &[Scored]) -> Result<String> {
         "at fault",
         "static",
         "off-road",
-        "red light"
+        "red/stop"
     );
     for (level, set) in rows(&summary(scored)?) {
         text.push_str(&format!(
@@ -246,7 +246,7 @@ pub fn text(scored: &[Scored]) -> Result<String> {
             set.collisions_at_fault,
             set.obstacle_collisions,
             set.layout_infractions,
-            set.red_lights,
+            format!("{}/{}", set.red_lights, set.stop_signs),
         ));
     }
     Ok(text)

@@ -37,11 +37,17 @@ fn every_road_user_is_in_the_image() {
     let cyclist = vehicle("cyclist", "[1.8, 0.6, 1.75]", 357.0);
     // Ahead of the ego, which starts at x = 8 m, y = -4.95 m.
     let walker = "[[pedestrian]]\nname = \"p\"\nasset = 1\npath_m = [[15.0, -6.0], [15.0, 9.0]]\nat_time_s = 9.0\n";
+    let sign = |kind: &str| {
+        format!("[[sign]]\nkind = \"{kind}\"\nlane = \"main/forward/1/before\"\nat_m = 358.0\n")
+    };
+    let (stop, give_way) = (sign("stop"), sign("yield"));
     let images = front_images([
         ("nobody", ""),
         ("truck", &truck),
         ("cyclist", &cyclist),
         ("walker", walker),
+        ("stop", &stop),
+        ("yield", &give_way),
     ]);
     // Pixels that differ from the street without anybody, and the columns that they span.
     let changed = |image: &Image| {
@@ -57,8 +63,9 @@ fn every_road_user_is_in_the_image() {
             high.copied().unwrap_or(0),
         )
     };
-    let [truck, cyclist, walker] = [1, 2, 3].map(|index| changed(&images[index]));
-    println!("{truck:?} {cyclist:?} {walker:?}");
+    let [truck, cyclist, walker, stop, give_way] =
+        [1, 2, 3, 4, 5].map(|index| changed(&images[index]));
+    println!("{truck:?} {cyclist:?} {walker:?} {stop:?} {give_way:?}");
     assert!(
         truck.0 > 2 * cyclist.0 && cyclist.0 > 60,
         "{truck:?}, {cyclist:?}"
@@ -66,6 +73,10 @@ fn every_road_user_is_in_the_image() {
     assert!(truck.2 - truck.1 > cyclist.2 - cyclist.1);
     // The pedestrian stands 1 m to the right of the ego's middle.
     assert!(walker.0 > 60 && walker.1 > 160, "{walker:?}");
+    // Signs stand to the right of the lane, and do not look alike.
+    assert!(stop.0 > 30 && stop.1 > 180, "{stop:?}");
+    assert!(give_way.0 > 30 && give_way.1 > 180, "{give_way:?}");
+    assert!(images[4].rgb != images[5].rgb);
 }
 
 #[test]

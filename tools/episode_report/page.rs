@@ -65,12 +65,12 @@ fn facts(scored: &[Scored]) -> String {
 fn table(scored: &[Scored]) -> Result<String> {
     let mut html = String::from(
         "<h2>Scores</h2><div class=\"wide\"><table><tr><th>level<th>episodes<th>DS<th>SR<th>RC<th>minTTC, s<th>on course<th>TTC &lt; 1.5 s<th>collisions\
-         <th>at fault<th>static<th>off-road<th>red light",
+         <th>at fault<th>pedestrians<th>static<th>off-road<th>red light<th>stop sign",
     );
     for (level, set) in rows(&summary(scored)?) {
         let _ = write!(
             html,
-            "<tr><td>{level}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{:.1} %<td>{}<td>{}<td>{}<td>{}<td>{}",
+            "<tr><td>{level}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{:.1} %<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}",
             set.count(),
             score(&set.driving_score),
             share(&set.success),
@@ -80,9 +80,11 @@ fn table(scored: &[Scored]) -> Result<String> {
             100.0 * set.ttc_short_share.mean,
             set.collisions,
             set.collisions_at_fault,
+            set.pedestrian_collisions,
             set.obstacle_collisions,
             set.layout_infractions,
             set.red_lights,
+            set.stop_signs,
         );
     }
     html.push_str(

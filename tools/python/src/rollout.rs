@@ -263,8 +263,8 @@ impl Rollout {
         self.lock().simulation().scenario().name.clone()
     }
 
-    /// Score so far: driving_score, route_completion, success, collisions, obstacle_collisions,
-    /// layout_infractions, red_lights, min_ttc_s, ttc_short_share.
+    /// Score so far: driving_score, route_completion, success, collisions, pedestrian_collisions,
+    /// obstacle_collisions, layout_infractions, red_lights, stop_signs, min_ttc_s, ttc_short_share.
     fn score<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let score = self.lock().score();
         to_dict(py, &score)
@@ -298,9 +298,11 @@ fn to_dict<'py>(py: Python<'py>, score: &EpisodeScore) -> PyResult<Bound<'py, Py
     dict.set_item("route_completion", score.route_completion)?;
     dict.set_item("success", score.success)?;
     dict.set_item("collisions", score.collisions())?;
+    dict.set_item("pedestrian_collisions", score.pedestrian_collisions())?;
     dict.set_item("obstacle_collisions", score.obstacle_collisions())?;
     dict.set_item("layout_infractions", score.layout_infractions())?;
     dict.set_item("red_lights", score.red_lights())?;
+    dict.set_item("stop_signs", score.stop_signs())?;
     dict.set_item("min_ttc_s", score.min_ttc_s())?;
     dict.set_item("ttc_short_share", score.ttc_short_share)?;
     Ok(dict)

@@ -7,7 +7,7 @@ use decouplegs_drive::score::RouteProgress;
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{Ego, EgoOptions, OrientedBox, RoadSurface, Route, Traffic};
 use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick};
-use decouplegs_scene::{Plan, Pose, Scenario, VehicleSize, VehicleState};
+use decouplegs_scene::{Plan, Pose, Scenario, SignKind, VehicleSize, VehicleState};
 use glam::DVec2;
 
 use super::EpisodeError;
@@ -36,6 +36,8 @@ pub struct Simulation {
     signs: Arc<TrafficSigns>,
     /// Assets that show the lights, by the index of the light.
     signals: Vec<(usize, Pose)>,
+    /// Signs that stand beside their lines.
+    sign_posts: Vec<(SignKind, Pose)>,
     /// Heights at which the ego and then the agents stood last; `None` for agents that were not
     /// shown since they came onto the map.
     ground_z_m: Vec<Option<f64>>,
@@ -104,6 +106,7 @@ impl Simulation {
             traffic,
             agent_sizes,
             signals: site.signal_poses(&lights),
+            sign_posts: site.sign_poses(&signs),
             lights,
             signs,
             ground_z_m: std::iter::once(Some(start.z))
@@ -335,9 +338,9 @@ impl Simulation {
         (self.substep >= self.scenario.steps() * per_step).then_some(EpisodeEnd::Time)
     }
 
-    /// Puts the agents and the lamps of traffic lights into `world` as they are now, and takes out
-    /// all others. Returns the ego's
-    /// pose, world coordinates. Vehicles remember on what ground they stood.
+    /// Puts the agents, the lamps of traffic lights and the signs into `world` as they are now, and
+    /// takes out all others. Returns the ego's pose, world coordinates. Vehicles remember on what
+    /// ground they stood.
     ///
     /// # Errors
     /// Returns an error if the scene of `world` has not the assets.
@@ -370,6 +373,17 @@ impl Simulation {
             };
             // No agent has such a name.
             placed.push((format!("signal/{index}"), instance));
+        }
+        let before = self.agent_sizes.len() + self.signals.len();
+        for (index, &(kind, pose)) in self.sign_posts.iter().enumerate() {
+            let instance = AgentInstance {
+                asset: self.site.sign_asset(kind),
+                pose,
+                sh_frame: None,
+                instance: u16::try_from(before + index + 1).unwrap_or(u16::MAX),
+                shines: false,
+            };
+            placed.push((format!("sign/{index}"), instance));
         }
         world.set_agents(placed)?;
         Ok(ego)

@@ -6,19 +6,21 @@ use std::sync::Arc;
 use decouplegs_asset::memory::{self, cloud_bytes};
 use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, read_map, read_probe};
 use decouplegs_drive::generate::RoadUserAsset;
-use decouplegs_drive::lights::TrafficLights;
+use decouplegs_drive::lights::{LaneStopLine, TrafficLights};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
+use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{Ground, GroundOptions, Obstacles, RoadGraph, RoadSurface, occupancy};
+use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
-    CodedCloud, LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SplatCloud,
-    Trajectory, VehicleSize, VehicleState, Weather, World,
+    CodedCloud, LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind,
+    SplatCloud, Trajectory, VehicleSize, VehicleState, Weather, World,
 };
 use decouplegs_session::{Session, SessionError, SessionScene};
 use decouplegs_synth::roads::{self, RoadsOptions};
 use decouplegs_synth::street::road_users::RoadUserModel;
-use decouplegs_synth::street::signals::{SignalHead, head_assets, post_assets};
+use decouplegs_synth::street::signals::{SignalHead, head_assets, post_assets, sign_assets};
 use decouplegs_synth::street::{AssetLight, Capture, Street, StreetOptions};
 use decouplegs_train::compress::{CompressError, compress_quickly};
 use glam::{DVec2, DVec3};
@@ -68,7 +70,8 @@ pub struct Site {
     ground: Option<Ground>,
 }
 
-/// Assets of traffic lights: green, yellow and red, after those of all road users.
+/// Assets of traffic lights and signs: green, yellow and red, stop and yield, after those of all
+/// road users.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signals {
     /// Heads of the place, by light. None: a post stands beside each stop line.
@@ -152,7 +155,7 @@ impl Site {
                     ..World::of(drawn.background)
                 };
                 let cars = Cars {
-                    signals: post_assets().into(),
+                    signals: post_assets().into_iter().chain(sign_assets()).collect(),
                     ..cars
                 };
                 let site = Self::made_up((lanes, drawn.obstacles), world, cars, appearance)?;
@@ -203,7 +206,7 @@ impl Site {
             ..World::of(street.background)
         };
         let cars = Cars {
-            signals: head_assets().into(),
+            signals: head_assets().into_iter().chain(sign_assets()).collect(),
             ..cars
         };
         let site = Self::made_up((street.lanes, street.obstacles), world, cars, appearance)?;
@@ -338,6 +341,11 @@ impl Site {
         self.asset_sizes.len() + self.road_users.len() + color as usize
     }
 
+    /// Index in the scene of the asset of a sign.
+    pub(super) fn sign_asset(&self, kind: SignKind) -> usize {
+        self.asset_sizes.len() + self.road_users.len() + LightColor::ALL.len() + kind as usize
+    }
+
     /// Pose of a vehicle on the ground: wheels at the height of the captured ground, otherwise of
     /// the lanes.
     ///
@@ -376,6 +384,19 @@ impl Site {
         }
     }
 
+    /// Kinds and poses of the signs that the place shows: none where it was captured.
+    pub(super) fn sign_poses(&self, signs: &TrafficSigns) -> Vec<(SignKind, Pose)> {
+        if self.signals.is_none() {
+            return Vec::new();
+        }
+        let lines = signs.lines().iter();
+        let sign = |line: &LaneStopLine| {
+            let kind = signs.kind(line.record.index);
+            (kind, self.post(line.lane, &line.record))
+        };
+        lines.map(sign).collect()
+    }
+
     /// A post to the right of each stop line that has none of the same light beside it.
     fn posts(&self, lights: &TrafficLights) -> Vec<(usize, Pose)> {
         let records = || lights.lines().iter().map(|line| (line.lane, line.record));
@@ -384,15 +405,19 @@ impl Site {
                 other.index == line.index && other.ends_m[1].distance(line.ends_m[0]) < BESIDE_M
             })
         });
-        let posts = outer.map(|(lane, line)| {
-            let ahead = line.ahead();
-            let foot_m = line.ends_m[0] + ahead.rotate(DVec2::NEG_Y) * POST_M;
-            let lane_z_m = self.lanes.lanes[lane].centerline[0].z;
-            let z_m = self.surface.height_at(line.middle_m(), lane_z_m);
-            let foot_m = foot_m.extend(z_m.unwrap_or(lane_z_m));
-            (line.index, Pose::from_yaw(ahead.to_angle(), foot_m))
-        });
-        posts.collect()
+        outer
+            .map(|(lane, line)| (line.index, self.post(lane, &line)))
+            .collect()
+    }
+
+    /// Pose of a post to the right of a line on a lane.
+    fn post(&self, lane: usize, line: &StopLineRecord) -> Pose {
+        let ahead = line.ahead();
+        let foot_m = line.ends_m[0] + ahead.rotate(DVec2::NEG_Y) * POST_M;
+        let lane_z_m = self.lanes.lanes[lane].centerline[0].z;
+        let z_m = self.surface.height_at(line.middle_m(), lane_z_m);
+        let foot_m = foot_m.extend(z_m.unwrap_or(lane_z_m));
+        Pose::from_yaw(ahead.to_angle(), foot_m)
     }
 
     /// Adds the site to `session`, with light baked along its lanes. A [`super::Rollout`] moves the

@@ -1,6 +1,7 @@
 //! Traffic lights: posts of the crossing with their heads, and heads as assets that show a color.
+//! Stop and yield signs as assets.
 
-use decouplegs_scene::{LightColor, Pose, SplatCloud};
+use decouplegs_scene::{LightColor, Pose, SignKind, SplatCloud};
 use glam::{Quat, Vec3};
 
 use super::AssetLight;
@@ -9,7 +10,8 @@ use super::focus::Focus;
 use super::furniture::post;
 use super::layout::{Axis, KERB_M, LANES_HALF_M, ROAD_HALF_M};
 use super::light::Light;
-use super::surface::{Element, SurfacePoint, Texel, boxed, display};
+use super::loft::Loft;
+use super::surface::{Element, Shape, SurfacePoint, Texel, boxed, display};
 use super::weather::Air;
 
 /// Half the size of a head, meters.
@@ -21,7 +23,11 @@ const COVER_M: [f32; 2] = [0.02, 0.04];
 const HEAD_Z_M: f32 = 3.0;
 /// Albedo of lenses of assets that are not lit, relative to their color.
 const UNLIT: f32 = 0.03;
-/// Splats of a head or a post that is an asset.
+/// Height of the middle of a sign, and its radius, meters; splats of its face relative to a post's.
+const SIGN_Z_M: f32 = 2.3;
+const SIGN_RADIUS_M: f32 = 0.42;
+const SIGN_DENSITY: f32 = 30.0;
+/// Splats of a head, a post or a sign that is an asset.
 const ASSET_SPLATS: usize = 3_000;
 /// Seed of the assets.
 const SEED: u64 = 1;
@@ -145,6 +151,43 @@ pub fn post_assets() -> [SplatCloud; 3] {
         let mut elements = vec![post(Vec3::ZERO, Vec3::Z * HEAD_Z_M, 0.08)];
         elements.extend(head(Vec3::Z * HEAD_Z_M, HEAD_HALF_M, lit, UNLIT));
         asset(&elements)
+    })
+}
+
+/// Stop and yield signs on a post, in the order of [`SignKind::ALL`]. Origin at the foot; x is the
+/// direction of the traffic that obeys them.
+#[must_use]
+pub fn sign_assets() -> [SplatCloud; 2] {
+    SignKind::ALL.map(|kind| {
+        let center = Vec3::new(-0.06, 0.0, SIGN_Z_M);
+        // An octagon, or a triangle on its tip.
+        let (corners, first) = match kind {
+            SignKind::Stop => (8.0, 0.5),
+            SignKind::Yield => (3.0, 0.25),
+        };
+        let corner = move |at: f32| {
+            let (sin, cos) = (std::f32::consts::TAU * (at + first) / corners).sin_cos();
+            Vec3::new(0.0, cos, sin) * SIGN_RADIUS_M
+        };
+        let edge = move |u: f32| {
+            let at = (corners * u).min(corners - 1e-3);
+            corner(at.floor()).lerp(corner(at.floor() + 1.0), at.fract())
+        };
+        let face = Loft::new(center + Vec3::X * 4.0, move |u, v| center + edge(u) * v);
+        let face = Element::new(Shape::Loft(face.bordered()), SIGN_DENSITY, move |point| {
+            let offset = point.position - center;
+            // Four blocks where the letters are.
+            let block = (offset.y / 0.14 + 0.5).rem_euclid(1.0) - 0.5;
+            let letters = offset.z.abs() < 0.1 && offset.y.abs() < 0.28 && block.abs() > 0.12;
+            let (red, white) = (display(196, 24, 32), display(240, 240, 236));
+            let rim = point.v > 0.8;
+            Texel::matt(match kind {
+                SignKind::Stop if letters || point.v > 0.93 => white,
+                SignKind::Yield if !rim => white,
+                _ => red,
+            })
+        });
+        asset(&[post(Vec3::ZERO, Vec3::Z * SIGN_Z_M, 0.05), face])
     })
 }
 
