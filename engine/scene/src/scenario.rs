@@ -239,7 +239,7 @@ pub struct TrafficAgent {
     pub behaviors: Vec<Behavior>,
 }
 
-/// Pedestrian who walks along a path once, and then stands at its end.
+/// Pedestrian with a path, which is walked once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pedestrian {
     /// Unique among the agents of the scenario.

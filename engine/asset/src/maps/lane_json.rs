@@ -150,53 +150,60 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         next.into_iter().for_each(|next| join(&mut lanes, at, next));
     }
     let mut map = super::finished(lanes, DVec3::from_array(file.offset.unwrap_or_default()))?;
-    map.lights = lights(&file.lights)?;
-    map.signs = signs(&file.signs)?;
+    map.lights = items(
+        ("lights", "traffic lights", LIGHTS_MAX),
+        &file.lights,
+        light,
+    )?;
+    map.signs = items(("signs", "signs", SIGNS_MAX), &file.signs, sign)?;
     map.check()
         .map_err(|error| DecodeError::Malformed(error.into()))?;
     Ok(map)
 }
 
-fn lights(forms: &[LightForm]) -> Result<Vec<TrafficLight>, DecodeError> {
-    if forms.len() > LIGHTS_MAX {
+fn light(form: &LightForm) -> Result<TrafficLight, Fault> {
+    let light = form.light()?;
+    traffic_light_form::check(&light, true)?;
+    Ok(light)
+}
+
+fn sign(form: &SignForm) -> Result<TrafficSign, Fault> {
+    let sign = form.sign()?;
+    traffic_sign_form::check(&sign)?;
+    Ok(sign)
+}
+
+/// The list with a key, at most `most` items that are called `what`.
+fn items<F, T>(
+    (key, what, most): (&str, &str, usize),
+    forms: &[F],
+    read: impl Fn(&F) -> Result<T, Fault>,
+) -> Result<Vec<T>, DecodeError> {
+    if forms.len() > most {
         return Err(DecodeError::Malformed(format!(
-            "{} traffic lights; expected at most {LIGHTS_MAX}",
+            "{} {what}; expected at most {most}",
             forms.len()
         )));
     }
-    let light = |form: &LightForm| {
-        let light = form.light()?;
-        traffic_light_form::check(&light, true)?;
-        Ok(light)
-    };
     let refused = |(at, fault): (usize, Fault)| {
-        DecodeError::Malformed(format!("lights[{at}].{}: {}", fault.field, fault.reason))
+        DecodeError::Malformed(format!("{key}[{at}].{}: {}", fault.field, fault.reason))
     };
     let forms = forms.iter().enumerate();
     forms
-        .map(|(at, form)| light(form).map_err(|fault| refused((at, fault))))
+        .map(|(at, form)| read(form).map_err(|fault| refused((at, fault))))
         .collect()
 }
 
-fn signs(forms: &[SignForm]) -> Result<Vec<TrafficSign>, DecodeError> {
-    if forms.len() > SIGNS_MAX {
-        return Err(DecodeError::Malformed(format!(
-            "{} signs; expected at most {SIGNS_MAX}",
-            forms.len()
-        )));
-    }
-    let sign = |form: &SignForm| {
-        let sign = form.sign()?;
-        traffic_sign_form::check(&sign)?;
-        Ok(sign)
-    };
-    let refused = |(at, fault): (usize, Fault)| {
-        DecodeError::Malformed(format!("signs[{at}].{}: {}", fault.field, fault.reason))
-    };
-    let forms = forms.iter().enumerate();
-    forms
-        .map(|(at, form)| sign(form).map_err(|fault| refused((at, fault))))
-        .collect()
+/// JSON of a list with a key after another one; empty for no forms.
+fn list<F: Serialize>(key: &str, forms: impl Iterator<Item = F>) -> Result<String, String> {
+    let items = forms.map(|form| serde_json::to_string(&form));
+    let items = items.collect::<Result<Vec<_>, _>>();
+    let items = items.map_err(|error| error.to_string())?;
+    Ok(if items.is_empty() {
+        String::new()
+    } else {
+        format!(", \"{key}\": [\n{}\n]", items.join(",\n"))
+    })
 }
 
 impl LaneForm {
@@ -286,18 +293,8 @@ pub fn encode(map: &LaneMap) -> Result<Vec<u8>, Invalid> {
         .map_err(|error| error.to_string())?;
     let offset =
         serde_json::to_string(&map.offset.to_array()).map_err(|error| error.to_string())?;
-    let light = |light: &TrafficLight| serde_json::to_string(&LightForm::of(light));
-    let lights = map.lights.iter().map(light).collect::<Result<Vec<_>, _>>();
-    let lights = match lights.map_err(|error| error.to_string())? {
-        lights if lights.is_empty() => String::new(),
-        lights => format!(", \"lights\": [\n{}\n]", lights.join(",\n")),
-    };
-    let sign = |sign: &TrafficSign| serde_json::to_string(&SignForm::of(sign));
-    let signs = map.signs.iter().map(sign).collect::<Result<Vec<_>, _>>();
-    let signs = match signs.map_err(|error| error.to_string())? {
-        signs if signs.is_empty() => String::new(),
-        signs => format!(", \"signs\": [\n{}\n]", signs.join(",\n")),
-    };
+    let lights = list("lights", map.lights.iter().map(LightForm::of))?;
+    let signs = list("signs", map.signs.iter().map(SignForm::of))?;
     Ok(format!(
         "{{\"version\": {VERSION}, \"offset\": {offset}, \"lanes\": [\n{}\n]{lights}{signs}}}\n",
         lanes.join(",\n")

@@ -98,8 +98,12 @@ impl Assets {
 
     /// A car.
     pub fn draw_car(&self, random: &mut Stream) -> RoadUserAsset {
-        let cars = self.of(RoadUser::Car);
-        cars[random.whole((0, cars.len() - 1))]
+        self.draw_of(RoadUser::Car, random)
+    }
+
+    fn draw_of(&self, kind: RoadUser, random: &mut Stream) -> RoadUserAsset {
+        let assets = self.of(kind);
+        assets[random.whole((0, assets.len() - 1))]
     }
 
     /// A vehicle on lanes; `fast` leaves out cyclists.
@@ -112,17 +116,11 @@ impl Assets {
         let fits = |kind| !self.of(kind).is_empty() && !slow(kind);
         let shares = || SHARES.into_iter().filter(|&(kind, _)| fits(kind));
         let mut rest = random.unit() * shares().map(|(_, share)| share).sum::<f64>();
-        for (kind, share) in shares() {
+        let drawn = shares().find(|(_, share)| {
             rest -= share;
-            if rest < 0.0 && kind != RoadUser::Car {
-                let assets = self.of(kind);
-                return assets[random.whole((0, assets.len() - 1))];
-            }
-            if rest < 0.0 {
-                break;
-            }
-        }
-        self.draw_car(random)
+            rest < 0.0
+        });
+        self.draw_of(drawn.map_or(RoadUser::Car, |(kind, _)| kind), random)
     }
 
     /// Pedestrians who cross the route; none where the place has none.

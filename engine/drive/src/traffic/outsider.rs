@@ -82,7 +82,7 @@ impl Outsider {
     }
 }
 
-/// Position of a box on each lane of `cells`; `agent` stands in place of an agent's number.
+/// Position of a box on each lane of `cells`. `agent` is [`EGO`] or [`PEDESTRIAN`].
 fn entries(
     graph: &RoadGraph,
     outline: &OrientedBox,

@@ -13,7 +13,7 @@ const BRAKING_MPS2: f64 = 2.5;
 const SEEN_M: f64 = 60.0;
 const SEEN_S: f64 = 6.0;
 
-/// A vehicle slower than this and nearer to the line than this stands at it, m/s and meters.
+/// Upper limits of the speed, m/s, and of the distance to the line, meters, of a stopped vehicle.
 const STANDING_MPS: f64 = 0.1;
 const AT_LINE_M: f64 = 3.0;
 
@@ -37,7 +37,7 @@ pub(super) struct NextSign {
 }
 
 impl NextSign {
-    /// True if a vehicle stands at the sign.
+    /// True if a vehicle has stopped at the sign.
     pub(super) fn is_stood_at(&self, agent: &Agent) -> bool {
         agent.speed_mps < STANDING_MPS && self.hold_m - agent.front_m() < AT_LINE_M
     }

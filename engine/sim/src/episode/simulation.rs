@@ -362,28 +362,35 @@ impl Simulation {
             };
             placed.push((name, instance));
         }
-        for (index, &(light, pose)) in self.signals.iter().enumerate() {
-            let color = self.lights.color_at(light, self.time_s());
+        // No agent has such names.
+        let lamps = self
+            .signals
+            .iter()
+            .enumerate()
+            .map(|(index, &(light, pose))| {
+                let color = self.lights.color_at(light, self.time_s());
+                let asset = self.site.signal_asset(color);
+                (format!("signal/{index}"), asset, pose, true)
+            });
+        let signs = self.sign_posts.iter().enumerate();
+        let signs = signs.map(|(index, &(kind, pose))| {
+            (
+                format!("sign/{index}"),
+                self.site.sign_asset(kind),
+                pose,
+                false,
+            )
+        });
+        let first = self.agent_sizes.len() + 1;
+        for (number, (name, asset, pose, shines)) in lamps.chain(signs).enumerate() {
             let instance = AgentInstance {
-                asset: self.site.signal_asset(color),
+                asset,
                 pose,
                 sh_frame: None,
-                instance: u16::try_from(self.agent_sizes.len() + index + 1).unwrap_or(u16::MAX),
-                shines: true,
+                instance: u16::try_from(first + number).unwrap_or(u16::MAX),
+                shines,
             };
-            // No agent has such a name.
-            placed.push((format!("signal/{index}"), instance));
-        }
-        let before = self.agent_sizes.len() + self.signals.len();
-        for (index, &(kind, pose)) in self.sign_posts.iter().enumerate() {
-            let instance = AgentInstance {
-                asset: self.site.sign_asset(kind),
-                pose,
-                sh_frame: None,
-                instance: u16::try_from(before + index + 1).unwrap_or(u16::MAX),
-                shines: false,
-            };
-            placed.push((format!("sign/{index}"), instance));
+            placed.push((name, instance));
         }
         world.set_agents(placed)?;
         Ok(ego)

@@ -328,12 +328,12 @@ impl Site {
         if kind == RoadUser::Car {
             return asset % cars.max(1);
         }
-        let all = self.road_users.iter().enumerate();
-        let same: Vec<usize> = all
-            .filter(|(_, other)| other.kind == kind)
-            .map(|(index, _)| index)
-            .collect();
-        cars + same[asset % same.len()]
+        let indices = 0..self.road_users.len();
+        let mut same = indices.filter(|&index| self.road_users[index].kind == kind);
+        let count = same.clone().count();
+        cars + same
+            .nth(asset % count)
+            .expect("the place has assets of every kind")
     }
 
     /// Index in the scene of the asset that shows a traffic light in a color.

@@ -37,6 +37,8 @@ pub(super) fn signs(
     let ids = file.lanelets.iter().enumerate();
     let by_id: HashMap<&str, usize> = ids.map(|(at, lanelet)| (lanelet.id, at)).collect();
     let mut signs: Vec<TrafficSign> = Vec::new();
+    // Files name a lanelet in several elements, one for each road that goes first.
+    let mut sign_of: HashMap<usize, usize> = HashMap::new();
     for &relation in &file.rights {
         let members = |role: &'static str| {
             let members = relation.all("member");
@@ -62,12 +64,14 @@ pub(super) fn signs(
             )?;
             let lane = lanes[at].id.clone();
             let line = StopLine { lane, at_m };
-            // Files name a lanelet in several elements, one for each road that goes first.
-            let known = signs.iter_mut().find(|sign| sign.line.lane == line.lane);
-            match known {
-                Some(sign) if kind == SignKind::Stop => *sign = TrafficSign { kind, line },
+            let sign = TrafficSign { kind, line };
+            match sign_of.get(&at) {
+                Some(&known) if kind == SignKind::Stop => signs[known] = sign,
                 Some(_) => {}
-                None => signs.push(TrafficSign { kind, line }),
+                None => {
+                    sign_of.insert(at, signs.len());
+                    signs.push(sign);
+                }
             }
         }
     }
