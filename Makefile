@@ -11,7 +11,7 @@
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test shaders shaders-check python-test wheel-test packages python
+.PHONY: demo test shaders shaders-check python-test wheel-test packages ci-packages python
 
 # What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
 # A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
@@ -19,6 +19,7 @@ SHELL := bash
 NEEDS_RUN := gcc =libc6-dev =libvulkan1 =mesa-vulkan-drivers
 NEEDS_TEST := $(NEEDS_RUN) g++ python3 =python3-venv =vulkan-validationlayers valgrind
 NEEDS_SHADERC := gcc g++ cmake ninja python3
+NEEDS_CI := $(sort $(NEEDS_TEST) $(NEEDS_SHADERC))
 NEEDS = $(NEEDS_TEST)
 
 # Tests use the project from Python as users do: they read compressed assets, build and install the wheel, speak to the server and
@@ -84,6 +85,10 @@ python: packages
 		|| { rm -rf $(PYTHON); echo "$(PYTHON_PACKAGES) cannot be installed for Python: the tests that need them are skipped."; exit 0; }; \
 	$(PYTHON)/bin/pip install --quiet --disable-pip-version-check $(PYTHON_PACKAGES_OPTIONAL) \
 		|| echo "$(PYTHON_PACKAGES_OPTIONAL) cannot be installed for Python: the test of a cluster is skipped."
+
+# Everything that `.ci/run` compiles and runs, shaderc included.
+ci-packages: NEEDS := $(NEEDS_CI)
+ci-packages: packages
 
 packages:
 	@missing=(); \
