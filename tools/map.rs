@@ -6,11 +6,13 @@ mod style;
 mod summary;
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use decouplegs::asset::maps::lane_json;
-use decouplegs::asset::{read_map, read_tracks, write_atomically};
+use decouplegs::asset::{read_map, read_tracks, write_atomically, write_obstacles};
+use decouplegs::episode::Site;
+use decouplegs::scene::scenario::Place;
 
 use crate::arguments::print;
 use drawing::Drawing;
@@ -32,15 +34,35 @@ pub struct Arguments {
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
-    /// Tracks to describe and draw as well: a CSV or JSON table, or CommonRoad
+    /// Tracks to describe and draw as well: a CSV or JSON table, CommonRoad, or a scene of
+    /// nuScenes as FOLDER/SCENE
     #[arg(long, value_name = "FILE")]
     tracks: Option<PathBuf>,
+    /// Captured scene (.toml) on these lanes, whose obstacles are counted and drawn
+    #[arg(long, value_name = "FILE")]
+    scene: Option<PathBuf>,
+    /// Write the obstacles of --scene as JSON, a line each, to edit and give to `drive --obstacles`
+    #[arg(long, value_name = "FILE", requires = "scene")]
+    obstacles: Option<PathBuf>,
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let map = read_map(&arguments.file)?;
     let tracks = arguments.tracks.as_deref().map(read_tracks).transpose()?;
     let summary = MapSummary::of(&map);
+    let site = arguments.scene.as_ref().map(|scene| {
+        let place = Place::Scene {
+            scene: scene.clone(),
+            map: arguments.file.clone(),
+            obstacles: None,
+        };
+        Site::open(&place, Path::new(""), None)
+    });
+    let site = site.transpose()?;
+    let obstacles = site.as_ref().map(|site| site.obstacles.all());
+    if let (Some(path), Some(obstacles)) = (&arguments.obstacles, obstacles) {
+        write_obstacles(path, obstacles)?;
+    }
     let driven = tracks
         .as_deref()
         .map(|tracks| TrackSummary::of(tracks, &summary));
@@ -55,6 +77,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             map: &map,
             summary: &summary,
             tracks: tracks.as_deref().unwrap_or_default(),
+            obstacles: obstacles.unwrap_or_default(),
         }
         .to_svg();
         write_atomically(path, |file| file.write_all(svg.as_bytes()))?;
@@ -67,11 +90,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         if let Some(driven) = driven {
             value["tracks"] = driven.to_json();
         }
+        if let Some(obstacles) = obstacles {
+            value["obstacles"] = obstacles.len().into();
+        }
         return print(&format!("{value:#}\n"));
     }
     let driven = driven.map_or_else(String::new, |driven| driven.to_text());
+    let obstacles = obstacles.map_or_else(String::new, |obstacles| {
+        format!("{} obstacles beside the lanes\n", obstacles.len())
+    });
     print(&format!(
-        "{}\n{}{driven}",
+        "{}\n{}{driven}{obstacles}",
         arguments.file.display(),
         summary.to_text()
     ))

@@ -33,7 +33,8 @@ pub struct Arguments {
     /// Lanes: OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad (.xml)
     #[arg(long, value_name = "FILE")]
     map: PathBuf,
-    /// Tracks: a CSV or JSON table, or CommonRoad
+    /// Tracks: a CSV or JSON table, CommonRoad, or a scene of nuScenes as FOLDER/SCENE
+    /// (v1.0-mini/scene-0061)
     #[arg(long, value_name = "FILE")]
     tracks: PathBuf,
     /// The ground: splats, a scene (.toml), its background, or points of a survey as a table of x,

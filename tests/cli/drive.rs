@@ -530,3 +530,51 @@ fn two_runs_are_compared_episode_by_episode() {
         "{error}"
     );
 }
+
+#[test]
+fn open_scenario_files_are_driven_and_what_is_skipped_is_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("cut_in.xosc");
+    let scenario = include_str!("../../engine/asset/fuzz/seeds/open_scenario/cut_in.xosc");
+    let road = include_str!("../../engine/asset/fuzz/seeds/open_drive/three_lanes.xodr");
+    fs::write(&file, scenario).unwrap();
+    fs::write(folder.path().join("road.xodr"), road).unwrap();
+    let out = folder.path().join("run");
+    let words = [
+        "drive",
+        text(&file),
+        "--planner",
+        "constant-velocity",
+        "--render",
+        "off",
+        "--out",
+        text(&out),
+    ];
+    let output = decouplegs(&words);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        said.contains("cut_in.xosc: line 46, <GlobalAction>"),
+        "{said}"
+    );
+    let skipped = fs::read_to_string(out.join("scenarios/cut_in.skipped.txt")).unwrap();
+    assert_eq!(skipped.lines().count(), 4, "{skipped}");
+    // The scenario that is written gives the same log.
+    let written = out.join("scenarios/cut_in.toml");
+    let again = folder.path().join("again");
+    succeed(&[
+        "drive",
+        text(&written),
+        "--planner",
+        "constant-velocity",
+        "--render",
+        "off",
+        "--out",
+        text(&again),
+    ]);
+    let log = |run: &Path| fs::read(run.join("logs/cut_in.log")).unwrap();
+    assert_eq!(log(&out), log(&again));
+
+    fs::write(&file, scenario.replace("road.xodr", "none.xodr")).unwrap();
+    let output = fail(1, &words);
+    assert!(output.contains("none.xodr"), "{output}");
+}

@@ -1,5 +1,7 @@
 //! `decouplegs map`: tables, JSON and images of small maps.
 
+use decouplegs::scene::EpisodeEnd;
+
 use super::*;
 
 /// Two lanes that follow each other, with heights, and a walkway of a centerline alone beside them.
@@ -144,4 +146,122 @@ fn what_is_no_map_is_refused_and_nothing_is_written() {
         "{said}"
     );
     assert!(!image.exists());
+}
+
+/// The obstacles of a captured scene are written, drawn, edited and driven among.
+#[test]
+fn obstacles_of_a_captured_scene_are_edited() {
+    let folder = tempfile::tempdir().unwrap();
+    let street = folder.path().join("street");
+    let sizes = [
+        "--background",
+        "40000",
+        "--agents",
+        "1",
+        "--agent-splats",
+        "300",
+    ];
+    let rest = [
+        "--degree",
+        "0",
+        "--seed",
+        "5",
+        "--size",
+        "48x27",
+        "--out",
+        text(&street),
+    ];
+    succeed(&[["synth", "street"].as_slice(), &sizes, &rest].concat());
+    let [scene, lanes] = ["scene.toml", "lanes.json"].map(|name| street.join(name));
+    let [file, svg] = ["obstacles.json", "map.svg"].map(|name| folder.path().join(name));
+    let outputs = ["--obstacles", text(&file), "--svg", text(&svg)];
+    let described = succeed(
+        &[
+            &["map", text(&lanes), "--scene", text(&scene)][..],
+            &outputs,
+        ]
+        .concat(),
+    );
+    let found = decouplegs::asset::read_obstacles(&file).unwrap();
+    assert!(found.len() > 20, "{} obstacles", found.len());
+    assert!(described.contains(&format!("{} obstacles beside the lanes", found.len())));
+    let drawn = fs::read_to_string(&svg).unwrap();
+    // One more is in the legend.
+    assert_eq!(drawn.matches("class=\"obstacle\"").count(), found.len() + 1);
+
+    // The same file drives as the scene itself; a wall across the road ends the episode.
+    let run = |name: &str, more: &[&str]| {
+        let out = folder.path().join(name);
+        let words = [
+            "drive",
+            "--level",
+            "easy",
+            "--episodes",
+            "1",
+            "--seed",
+            "3",
+            "--planner",
+            "constant-velocity",
+        ];
+        let place = [
+            "--map",
+            text(&lanes),
+            "--scene",
+            text(&scene),
+            "--render",
+            "off",
+            "--out",
+            text(&out),
+        ];
+        succeed(&[&words[..], &place, more].concat());
+        decouplegs::asset::read_episode_log(&out.join("logs/easy_0000.log")).unwrap()
+    };
+    let with = |text: &str| fs::write(&file, text).unwrap();
+    let own = run("own", &[]);
+    let same = run("same", &["--obstacles", text(&file)]);
+    assert_eq!((&own.steps, &own.end), (&same.steps, &same.end));
+    let passed_m = own.instants().last().unwrap().ego.position_m;
+    with(&format!(
+        "{{\"version\": 1, \"obstacles\": [{{\"center_m\": [{}, {}], \"length_m\": 1, \"width_m\": 1}}]}}",
+        passed_m.x, passed_m.y
+    ));
+    let hit = run("hit", &["--obstacles", text(&file)]);
+    assert!(
+        matches!(hit.end, EpisodeEnd::Obstacle { .. }),
+        "{:?}",
+        hit.end
+    );
+    assert!(
+        !matches!(own.end, EpisodeEnd::Obstacle { .. }),
+        "{:?}",
+        own.end
+    );
+    with(
+        "{\"version\": 1, \"obstacles\": [{\"center_m\": [0, 0], \"length_m\": -1, \"width_m\": 1}]}",
+    );
+    let out = folder.path().join("none");
+    let words = [
+        "drive",
+        "--level",
+        "easy",
+        "--planner",
+        "constant-velocity",
+        "--render",
+        "off",
+    ];
+    let place = [
+        "--map",
+        text(&lanes),
+        "--scene",
+        text(&scene),
+        "--obstacles",
+        text(&file),
+        "--out",
+        text(&out),
+    ];
+    let said = fail(1, &[&words[..], &place].concat());
+    assert!(
+        said.contains("obstacles.json") && said.contains("obstacle 0"),
+        "{said}"
+    );
 }

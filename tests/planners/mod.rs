@@ -3,6 +3,7 @@
 mod client;
 mod driving;
 mod misbehaving;
+mod open_scenario;
 mod road_course;
 mod road_users;
 mod rollouts;

@@ -1,14 +1,16 @@
 //! Scenarios of a run: from files, or generated for levels.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use decouplegs::asset::maps::length_m;
-use decouplegs::asset::{probe_paths, read_scenario, write_scenario};
+use decouplegs::asset::{probe_paths, read_scenario, write_atomically, write_scenario};
 use decouplegs::drive::generate::{Area, Difficulty, Generator, PlaceOptions, Sky};
 use decouplegs::episode::Site;
+use decouplegs::scenario_import::import_open_scenario;
 use decouplegs::scene::scenario::Place;
-use decouplegs::scene::{Scenario, Weather};
+use decouplegs::scene::{LaneMap, Scenario, Weather};
 use serde_json::{Value, json};
 
 use super::folder::RunFolder;
@@ -31,6 +33,10 @@ pub struct PlaceArguments {
     /// Drive in this captured scene (.toml), whose lanes are those of --map
     #[arg(long, value_name = "FILE", requires = "map", conflicts_with = "probes")]
     scene: Option<PathBuf>,
+    /// Obstacles of --scene, instead of what its splats show beside the lanes. `map --obstacles`
+    /// writes such a file
+    #[arg(long, value_name = "FILE", requires = "scene")]
+    obstacles: Option<PathBuf>,
     /// Number of background splats of a synthetic place [default: 200000, on a map at least 8 per
     /// square meter of its lanes]
     #[arg(long, value_name = "N")]
@@ -51,7 +57,7 @@ pub fn of(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     let jobs = if arguments.scenarios.is_empty() {
         made_up(arguments, folder)?
     } else {
-        from_files(&arguments.scenarios)?
+        from_files(arguments, folder)?
     };
     let mut names: Vec<&str> = jobs.iter().map(|job| job.scenario.name.as_str()).collect();
     names.sort_unstable();
@@ -64,14 +70,56 @@ pub fn of(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     Ok(jobs)
 }
 
-fn from_files(paths: &[PathBuf]) -> Result<Vec<Job>> {
+fn from_files(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     let job = |path: &PathBuf| {
+        let is_open_scenario = path
+            .extension()
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("xosc"));
+        if is_open_scenario {
+            return imported(path, arguments, folder);
+        }
         Ok(Job {
             scenario: read_scenario(path)?,
             directory: path.parent().unwrap_or(Path::new("")).to_owned(),
         })
     };
-    paths.iter().map(job).collect()
+    arguments.scenarios.iter().map(job).collect()
+}
+
+/// Sentences about skipped elements that are printed; all of them are in a file.
+const SKIPPED_SHOWN: usize = 8;
+
+/// The scenario of an OpenSCENARIO file, written to the folder of the run beside a list of what was
+/// skipped.
+fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Job> {
+    let imported = import_open_scenario(path)?;
+    let mut scenario = imported.scenario;
+    let place = &arguments.place;
+    scenario.place = Place::Roads {
+        map: imported.map_path,
+        probe: None,
+        exposure_ev: 0.0,
+        background: place.background_on(&imported.map, arguments.render.0 > 0),
+        agent_splats: place.agent_splats,
+    };
+    let written = folder.scenario(&scenario.name);
+    write_scenario(&written, &scenario)?;
+    let list = written.with_extension("skipped.txt");
+    let mut text = imported.skipped.join("\n");
+    text.push('\n');
+    write_atomically(&list, |file| file.write_all(text.as_bytes()))?;
+    let skipped = &imported.skipped;
+    for sentence in skipped.iter().take(SKIPPED_SHOWN) {
+        warn(&format!("{}: {sentence}", path.display()));
+    }
+    if skipped.len() > SKIPPED_SHOWN {
+        let more = skipped.len() - SKIPPED_SHOWN;
+        warn(&format!("and {more} more: all are in {}", list.display()));
+    }
+    Ok(Job {
+        scenario,
+        directory: PathBuf::new(),
+    })
 }
 
 /// Scenarios of each level, written to the folder of the run, where people can read, edit and drive
@@ -156,11 +204,12 @@ impl PlaceArguments {
         if self.map.is_none() || self.scene.is_some() {
             return self.background.unwrap_or(BACKGROUND);
         }
-        let lengths_m = site
-            .lanes
-            .lanes
-            .iter()
-            .map(|lane| length_m(&lane.centerline));
+        self.background_on(&site.lanes, is_drawn)
+    }
+
+    /// The same for the roads of a map.
+    fn background_on(&self, map: &LaneMap, is_drawn: bool) -> usize {
+        let lengths_m = map.lanes.iter().map(|lane| length_m(&lane.centerline));
         let area_m2 = LANE_M * lengths_m.sum::<f64>();
         let needed = ((SPLATS_PER_M2_MIN * area_m2 / 1e4).ceil() * 1e4) as usize;
         let splats = self
@@ -186,6 +235,7 @@ impl PlaceArguments {
             (Some(map), Some(scene)) => PlaceOptions::Scene {
                 scene: whole(scene)?,
                 map: whole(map)?,
+                obstacles: self.obstacles.as_deref().map(whole).transpose()?,
             },
             (Some(map), None) => {
                 let probes = self
@@ -219,7 +269,11 @@ impl PlaceArguments {
     /// The same place with nothing to see.
     fn bare(&self) -> Place {
         match (self.map.clone(), self.scene.clone()) {
-            (Some(map), Some(scene)) => Place::Scene { scene, map },
+            (Some(map), Some(scene)) => Place::Scene {
+                scene,
+                map,
+                obstacles: self.obstacles.clone(),
+            },
             (Some(map), None) => Place::Roads {
                 map,
                 probe: None,
@@ -263,6 +317,7 @@ impl PlaceArguments {
             "map": path(&self.map),
             "probes": path(&self.probes),
             "scene": path(&self.scene),
+            "obstacles": path(&self.obstacles),
             "background": self.background,
             "agent_splats": self.agent_splats,
         })

@@ -8,7 +8,8 @@ mod lines;
 
 use std::fmt::Write;
 
-use decouplegs::scene::{Lane, LaneKind, LaneMap, Track};
+use decouplegs::drive::obstacles::outline;
+use decouplegs::scene::{Lane, LaneKind, LaneMap, Obstacle, Track};
 use glam::DVec2;
 
 use self::frame::Frame;
@@ -24,6 +25,7 @@ pub struct Drawing<'a> {
     pub map: &'a LaneMap,
     pub summary: &'a MapSummary,
     pub tracks: &'a [Track],
+    pub obstacles: &'a [Obstacle],
 }
 
 /// Lanes without borders are drawn so wide, meters.
@@ -61,6 +63,12 @@ impl Drawing<'_> {
             frame.area.y
         );
         self.draw_lanes(&mut svg, &frame);
+        for obstacle in self.obstacles {
+            let corners = shown(&frame, outline(obstacle).corners().into_iter());
+            if corners.len() > 2 {
+                let _ = writeln!(svg, "<path class=\"obstacle\" d=\"{}Z\"/>", path(&corners));
+            }
+        }
         ids::draw(&mut svg, &frame, &self.map.lanes);
         for track in self.tracks {
             draw_track(&mut svg, &frame, track);
@@ -143,7 +151,7 @@ impl Drawing<'_> {
         let kinds = kinds
             .map(|(kind, found)| (lane_class(*kind), found))
             .collect::<Vec<_>>();
-        legend::draw(svg, frame, &kinds, self.tracks);
+        legend::draw(svg, frame, &kinds, self.obstacles.len(), self.tracks);
     }
 }
 

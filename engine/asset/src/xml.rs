@@ -136,6 +136,20 @@ impl<'a> Element<'a> {
             .filter(move |element| element.name() == name)
     }
 
+    /// All elements below it, at any depth, that have `name`, in the order of the file.
+    pub(crate) fn descendants(self, name: &str) -> impl Iterator<Item = Self> {
+        self.0
+            .descendants()
+            .filter(Node::is_element)
+            .map(Self)
+            .filter(move |element| element.name() == name)
+    }
+
+    /// Line of its start tag, from 1.
+    pub(crate) fn line(self) -> u32 {
+        self.0.document().text_pos_at(self.0.range().start).row
+    }
+
     /// The first element in it that has `name`.
     pub(crate) fn first(self, name: &str) -> Option<Self> {
         self.all(name).next()
@@ -187,9 +201,9 @@ impl<'a> Element<'a> {
 
     /// Error about this element, with its line and name.
     pub(crate) fn fault(self, reason: impl AsRef<str>) -> DecodeError {
-        let line = self.0.document().text_pos_at(self.0.range().start).row;
         DecodeError::Malformed(format!(
-            "line {line}, <{}>: {}",
+            "line {}, <{}>: {}",
+            self.line(),
             excerpt(self.name()),
             reason.as_ref()
         ))

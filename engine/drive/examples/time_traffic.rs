@@ -93,6 +93,7 @@ fn agents(graph: &RoadGraph, count: usize) -> Vec<TrafficAgent> {
             speed_mps: 8.0,
             driver: DriverKind::ALL[number % 4],
             changes_lanes: true,
+            cruise_mps: None,
             behaviors: vec![],
         }
     };

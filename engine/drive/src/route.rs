@@ -7,8 +7,10 @@ use glam::{DVec2, DVec3};
 use crate::polyline::{Foot, Polyline};
 
 mod joined;
+mod search;
 mod turns;
 
+pub use search::{LaneSpot, lanes_between, straight_on};
 pub use turns::RouteTurn;
 
 /// Distance behind the last progress that is searched, meters: a vehicle does not drive backwards,

@@ -113,6 +113,8 @@ pub enum Place {
         scene: PathBuf,
         /// Map file with the lanes.
         map: PathBuf,
+        /// File of obstacles. `None`: the cells beside the lanes that the scene's splats fill.
+        obstacles: Option<PathBuf>,
     },
 }
 
@@ -202,6 +204,25 @@ pub enum Maneuver {
         /// Duration, out and back.
         duration_s: f64,
     },
+    /// Has another cruise speed from then on.
+    Cruise {
+        /// New cruise speed.
+        speed_mps: f64,
+    },
+    /// Changes into the neighboring lane as soon as there is a safe gap.
+    ChangeLane {
+        /// Direction of the change.
+        side: LaneSide,
+    },
+}
+
+/// Side of a lane, in driving direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LaneSide {
+    /// Left of the driving direction.
+    Left,
+    /// Right of the driving direction.
+    Right,
 }
 
 /// A maneuver and when it begins; it happens once.
@@ -231,6 +252,9 @@ pub struct TrafficAgent {
     pub at_m: f64,
     /// Initial speed.
     pub speed_mps: f64,
+    /// Speed on a free road instead of the speed limit. Curves still slow it down. `None`: the
+    /// speed limit, as its driver type obeys it.
+    pub cruise_mps: Option<f64>,
     /// Driver type.
     pub driver: DriverKind,
     /// True if it may change lanes voluntarily.

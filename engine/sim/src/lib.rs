@@ -3,3 +3,4 @@
 
 pub mod episode;
 pub mod planner;
+pub mod scenario_import;

@@ -13,8 +13,14 @@ const LINE: f64 = 26.0;
 /// Longest scale bar, pixels.
 const BAR_MAX_PX: f64 = 220.0;
 
-/// The kinds of lanes with their numbers, and the classes of tracks.
-pub fn draw(svg: &mut String, frame: &Frame, kinds: &[(&str, KindSummary)], tracks: &[Track]) {
+/// The kinds of lanes with their numbers, the number of obstacles, and the classes of tracks.
+pub fn draw(
+    svg: &mut String,
+    frame: &Frame,
+    kinds: &[(&str, KindSummary)],
+    obstacles: usize,
+    tracks: &[Track],
+) {
     let classes: Vec<(&str, &str, usize)> = TRACK_CLASSES
         .iter()
         .map(|(class, name)| {
@@ -32,6 +38,7 @@ pub fn draw(svg: &mut String, frame: &Frame, kinds: &[(&str, KindSummary)], trac
     let left = frame.width - PANEL - frame.left;
     let lines = 1
         + usize::from(shows_arrows(frame))
+        + usize::from(obstacles > 0)
         + kinds.len()
         + if classes.is_empty() {
             0
@@ -76,6 +83,10 @@ pub fn draw(svg: &mut String, frame: &Frame, kinds: &[(&str, KindSummary)], trac
             left + 56.0
         );
     }
+    if obstacles > 0 {
+        y += LINE;
+        obstacle_entry(svg, left, y, obstacles);
+    }
     if classes.is_empty() {
         return;
     }
@@ -105,6 +116,16 @@ fn heading(svg: &mut String, left: f64, y: f64, text: &str, numbers: &str) {
         left + 16.0,
         left + PANEL - 16.0
     );
+}
+
+fn obstacle_entry(svg: &mut String, left: f64, y: f64, obstacles: usize) {
+    let _ = writeln!(
+        svg,
+        "<rect class=\"obstacle\" x=\"{:.1}\" y=\"{:.1}\" width=\"10\" height=\"10\"/>",
+        left + 26.0,
+        y - 9.5
+    );
+    entry(svg, left, y, "obstacles", &obstacles.to_string());
 }
 
 fn entry(svg: &mut String, left: f64, y: f64, name: &str, value: &str) {

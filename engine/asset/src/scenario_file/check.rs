@@ -288,9 +288,16 @@ fn check_place(place: &Place) -> Result<(), Fault> {
             within(Table::Place, "exposure_ev", *exposure_ev, &EXPOSURE_EV)?;
             splats(*background, *agent_splats)
         }
-        Place::Scene { scene, map } => {
+        Place::Scene {
+            scene,
+            map,
+            obstacles,
+        } => {
             check_path("scene", scene)?;
-            check_path("map", map)
+            check_path("map", map)?;
+            obstacles
+                .as_deref()
+                .map_or(Ok(()), |obstacles| check_path("obstacles", obstacles))
         }
     }
 }
@@ -345,7 +352,10 @@ fn check_agent(table: Table, agent: &TrafficAgent) -> Result<(), Fault> {
     check_size(table, agent.size)?;
     check_lane(table, "lane", &agent.lane)?;
     within(table, "at_m", agent.at_m, &ALONG_M)?;
-    within(table, "speed_mps", agent.speed_mps, &SPEED_MPS)
+    within(table, "speed_mps", agent.speed_mps, &SPEED_MPS)?;
+    agent.cruise_mps.map_or(Ok(()), |speed_mps| {
+        within(table, "cruise_mps", speed_mps, &SPEED_MPS)
+    })
 }
 
 fn check_pedestrian(table: Table, walker: &Pedestrian) -> Result<(), Fault> {
@@ -388,7 +398,8 @@ fn check_behavior(table: Table, behavior: &Behavior) -> Result<(), Fault> {
             )?;
             within(table, "duration_s", duration_s, &MANEUVER_S)
         }
-        Maneuver::CutIn => Ok(()),
+        Maneuver::CutIn | Maneuver::ChangeLane { .. } => Ok(()),
+        Maneuver::Cruise { speed_mps } => within(table, "speed_mps", speed_mps, &SPEED_MPS),
         Maneuver::Swerve {
             amplitude_m,
             duration_s,

@@ -1,7 +1,7 @@
 //! The TOML form of a scenario: what serde sees, and how a [`Scenario`] is made of it.
 
 use decouplegs_scene::scenario::{
-    Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger,
+    Behavior, DriverKind, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
 };
 use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario, VehicleSize, Weather};
 use glam::DVec2;
@@ -83,6 +83,8 @@ pub(super) struct RoadsForm {
 pub(super) struct SceneForm {
     pub(super) scene: String,
     pub(super) map: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) obstacles: Option<String>,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -114,6 +116,8 @@ pub(super) struct AgentForm {
     pub(super) lane: String,
     pub(super) at_m: f64,
     pub(super) speed_mps: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) cruise_mps: Option<f64>,
     #[serde(default = "default_driver")]
     pub(super) driver: String,
     #[serde(default = "default_changes_lanes")]
@@ -175,6 +179,8 @@ pub(super) struct BehaviorForm {
     pub(super) amplitude_m: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) duration_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) speed_mps: Option<f64>,
 }
 
 /// Reads and checks `text`.
@@ -314,10 +320,15 @@ fn place(form: &PlaceForm) -> Result<Place, Fault> {
             }
         }
         PlaceForm::Scene(form) => {
-            let SceneForm { scene, map } = form.get_ref();
+            let SceneForm {
+                scene,
+                map,
+                obstacles,
+            } = form.get_ref();
             Place::Scene {
                 scene: scene.into(),
                 map: map.into(),
+                obstacles: obstacles.as_ref().map(Into::into),
             }
         }
     })
@@ -350,6 +361,7 @@ fn agent(at: usize, form: &AgentForm) -> Result<TrafficAgent, Fault> {
         lane: form.lane.clone(),
         at_m: form.at_m,
         speed_mps: form.speed_mps,
+        cruise_mps: form.cruise_mps,
         driver: named(
             &form.driver,
             DriverKind::by_name,
@@ -405,6 +417,14 @@ fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
         )),
         None => Ok(()),
     };
+    if name != "cruise" {
+        foreign("speed_mps", form.speed_mps)?;
+    }
+    let of_no_duration = || {
+        foreign("amplitude_m", form.amplitude_m)?;
+        foreign("deceleration_mps2", form.deceleration_mps2)?;
+        foreign("duration_s", form.duration_s)
+    };
     let maneuver = match name {
         "brake" => {
             foreign("amplitude_m", form.amplitude_m)?;
@@ -415,10 +435,23 @@ fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
             }
         }
         "cut_in" => {
-            foreign("amplitude_m", form.amplitude_m)?;
-            foreign("deceleration_mps2", form.deceleration_mps2)?;
-            foreign("duration_s", form.duration_s)?;
+            of_no_duration()?;
             Maneuver::CutIn
+        }
+        "change_left" | "change_right" => {
+            of_no_duration()?;
+            let side = if name == "change_left" {
+                LaneSide::Left
+            } else {
+                LaneSide::Right
+            };
+            Maneuver::ChangeLane { side }
+        }
+        "cruise" => {
+            of_no_duration()?;
+            Maneuver::Cruise {
+                speed_mps: needed("speed_mps", form.speed_mps)?,
+            }
         }
         "swerve" => {
             foreign("deceleration_mps2", form.deceleration_mps2)?;
@@ -432,7 +465,9 @@ fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
             return Err(Fault::new(
                 table,
                 "maneuver",
-                format!("'{name}' is unknown; there are brake, cut_in, swerve"),
+                format!(
+                    "'{name}' is unknown; there are brake, cut_in, swerve, cruise, change_left, change_right"
+                ),
             ));
         }
     };

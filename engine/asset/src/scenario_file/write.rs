@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use decouplegs_scene::scenario::{Behavior, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{
+    Behavior, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
+};
 use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario};
 use glam::DVec2;
 use toml::Spanned;
@@ -104,9 +106,14 @@ fn place_form(place: &Place) -> Result<PlaceForm, EncodeError> {
             background: *background,
             agent_splats: *agent_splats,
         })),
-        Place::Scene { scene, map } => PlaceForm::Scene(spanless(SceneForm {
+        Place::Scene {
+            scene,
+            map,
+            obstacles,
+        } => PlaceForm::Scene(spanless(SceneForm {
             scene: path_text(scene)?,
             map: path_text(map)?,
+            obstacles: obstacles.as_deref().map(path_text).transpose()?,
         })),
     })
 }
@@ -131,6 +138,7 @@ fn agent_form(agent: &TrafficAgent) -> AgentForm {
         lane: agent.lane.clone(),
         at_m: agent.at_m,
         speed_mps: agent.speed_mps,
+        cruise_mps: agent.cruise_mps,
         driver: agent.driver.name().to_owned(),
         changes_lanes: agent.changes_lanes,
         behavior: agent
@@ -191,6 +199,18 @@ fn behavior_form(behavior: &Behavior) -> BehaviorForm {
             maneuver: "swerve".into(),
             amplitude_m: Some(amplitude_m),
             duration_s: Some(duration_s),
+            ..form
+        },
+        Maneuver::Cruise { speed_mps } => BehaviorForm {
+            maneuver: "cruise".into(),
+            speed_mps: Some(speed_mps),
+            ..form
+        },
+        Maneuver::ChangeLane { side } => BehaviorForm {
+            maneuver: match side {
+                LaneSide::Left => "change_left".into(),
+                LaneSide::Right => "change_right".into(),
+            },
             ..form
         },
     }

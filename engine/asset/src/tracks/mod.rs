@@ -1,10 +1,11 @@
-//! Tracks of road users: tables as CSV or JSON, and CommonRoad scenarios; and poses, which are
-//! written as such tables.
+//! Tracks of road users: tables as CSV or JSON, CommonRoad scenarios, and scenes of nuScenes; and
+//! poses, which are written as such tables.
 //!
 //! Positions are centers of boxes, world coordinates in meters. Where a file tells length and width
 //! but no height, the height is [`nominal_height_m`]'s: no measurement, but a box needs one.
 
 pub mod commonroad;
+pub mod nuscenes;
 mod poses;
 pub mod table;
 
@@ -58,16 +59,20 @@ impl TrackFormat {
     }
 }
 
-/// Reads the tracks of a file, its form told by its content.
+/// Reads the tracks of a file, its form told by its content, or of a scene of nuScenes
+/// (`FOLDER/SCENE`, or the folder if it has one scene).
 ///
 /// # Errors
 /// [`AssetError::Read`], [`AssetError::Unrecognized`] or [`AssetError::Decode`].
 pub fn read_tracks(path: &Path) -> Result<Vec<Track>, AssetError> {
+    if let Some((folder, scene)) = nuscenes::located(path) {
+        return nuscenes::read(folder, scene);
+    }
     let bytes = read_bytes(path)?;
     let format = TrackFormat::detect(&bytes).map_err(|found| AssetError::Unrecognized {
         path: path.to_owned(),
         found: found.into(),
-        expected: "tracks: a CSV table with a line of names, a JSON array of rows, or a CommonRoad scenario",
+        expected: "tracks: a CSV table with a line of names, a JSON array of rows, a CommonRoad scenario, or FOLDER/SCENE of nuScenes",
     })?;
     decode(&bytes, format).map_err(|source| AssetError::Decode {
         path: path.to_owned(),

@@ -10,6 +10,7 @@ mod exchange;
 mod frozen;
 mod hostile;
 mod light_transfer;
+mod open_scenarios;
 mod properties;
 mod real;
 mod sample;

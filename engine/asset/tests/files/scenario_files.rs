@@ -4,7 +4,7 @@ use std::path::Path;
 
 use decouplegs_asset::scenario_file::{self, AGENTS_MAX};
 use decouplegs_asset::{read_scenario, write_scenario};
-use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, Place, Trigger};
+use decouplegs_scene::scenario::{Behavior, DriverKind, LaneSide, Maneuver, Place, Trigger};
 use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
 use proptest::prelude::*;
 
@@ -87,8 +87,19 @@ fn the_documented_example_means_what_it_says() {
                 duration_s: 3.0,
             },
         },
+        Behavior {
+            trigger: Trigger::Time { time_s: 15.0 },
+            maneuver: Maneuver::ChangeLane {
+                side: LaneSide::Left,
+            },
+        },
+        Behavior {
+            trigger: Trigger::Time { time_s: 18.0 },
+            maneuver: Maneuver::Cruise { speed_mps: 6.0 },
+        },
     ];
     assert_eq!(taxi.behaviors, behaviors);
+    assert_eq!(taxi.cruise_mps, Some(12.0));
 }
 
 #[test]
@@ -116,7 +127,8 @@ fn every_documented_place_is_read_and_what_may_be_left_out_is() {
         at(&scene),
         Place::Scene {
             scene: "captured/scene.toml".into(),
-            map: "captured/lanes.osm".into()
+            map: "captured/lanes.osm".into(),
+            obstacles: Some("captured/obstacles.json".into()),
         }
     );
 
@@ -424,6 +436,7 @@ fn what_no_file_can_say_is_not_written() {
         let place = Place::Scene {
             scene: "s.toml".into(),
             map,
+            obstacles: None,
         };
         assert!(
             refused(&Scenario {

@@ -1,7 +1,7 @@
 //! Generated scenarios, of which no number is rounder than it has to be.
 
 use decouplegs_scene::scenario::{
-    Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger,
+    Behavior, DriverKind, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
 };
 use decouplegs_scene::{
     Level, LightColor, LightPhase, Pedestrian, RoadUser, Scenario, SignKind, StopLine,
@@ -43,10 +43,14 @@ fn places() -> impl Strategy<Value = Place> {
                 agent_splats,
             },
         );
-    let scene = (ODD_TEXT, ODD_TEXT).prop_map(|(scene, map)| Place::Scene {
-        scene: scene.into(),
-        map: map.into(),
-    });
+    let scene =
+        (ODD_TEXT, ODD_TEXT, prop::option::of(ODD_TEXT)).prop_map(|(scene, map, obstacles)| {
+            Place::Scene {
+                scene: scene.into(),
+                map: map.into(),
+                obstacles: obstacles.map(Into::into),
+            }
+        });
     prop_oneof![street, roads, scene]
 }
 
@@ -121,6 +125,9 @@ fn behaviors() -> impl Strategy<Value = Behavior> {
             }
         }),
         Just(Maneuver::CutIn),
+        (0.0f64..=100.0).prop_map(|speed_mps| Maneuver::Cruise { speed_mps }),
+        select(vec![LaneSide::Left, LaneSide::Right])
+            .prop_map(|side| Maneuver::ChangeLane { side }),
         (-20.0f64..=20.0, duration_s()).prop_map(|(amplitude_m, duration_s)| Maneuver::Swerve {
             amplitude_m,
             duration_s
@@ -143,10 +150,14 @@ fn agents() -> impl Strategy<Value = Vec<TrafficAgent>> {
             select(DriverKind::ALL.to_vec()),
             any::<bool>(),
             prop::collection::vec(behaviors(), 0..3),
+            prop::option::of(0.0f64..=100.0),
         ),
     )
         .prop_map(
-            |((asset, size, lane, at_m, speed_mps), (kind, driver, changes_lanes, behaviors))| {
+            |(
+                (asset, size, lane, at_m, speed_mps),
+                (kind, driver, changes_lanes, behaviors, cruise_mps),
+            )| {
                 TrafficAgent {
                     name: String::new(),
                     kind,
@@ -155,6 +166,7 @@ fn agents() -> impl Strategy<Value = Vec<TrafficAgent>> {
                     lane,
                     at_m,
                     speed_mps,
+                    cruise_mps,
                     driver,
                     changes_lanes,
                     behaviors,

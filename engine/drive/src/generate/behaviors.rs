@@ -57,6 +57,7 @@ pub(super) fn agents(
             lane: map.lanes[vehicle.spot.lane].id.clone(),
             at_m: vehicle.spot.at_m,
             speed_mps: vehicle.speed_mps,
+            cruise_mps: None,
             driver,
             changes_lanes: draw.chance(rules.lane_change_share)
                 && vehicle.kind != RoadUser::Cyclist,

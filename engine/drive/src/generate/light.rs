@@ -46,6 +46,8 @@ pub enum PlaceOptions {
         scene: PathBuf,
         /// Map file with the lanes.
         map: PathBuf,
+        /// File of obstacles. `None`: the cells beside the lanes that the scene's splats fill.
+        obstacles: Option<PathBuf>,
     },
 }
 
@@ -103,7 +105,15 @@ impl PlaceOptions {
                     agent_splats,
                 }
             }
-            Self::Scene { scene, map } => Place::Scene { scene, map },
+            Self::Scene {
+                scene,
+                map,
+                obstacles,
+            } => Place::Scene {
+                scene,
+                map,
+                obstacles,
+            },
         }
     }
 }
@@ -178,13 +188,15 @@ mod tests {
         let options = PlaceOptions::Scene {
             scene: "scene.toml".into(),
             map: "map.xodr".into(),
+            obstacles: Some("obstacles.json".into()),
         };
         let place = options.lit_for(Level::Extreme, &mut Stream::new(1));
         assert_eq!(
             place,
             Place::Scene {
                 scene: "scene.toml".into(),
-                map: "map.xodr".into()
+                map: "map.xodr".into(),
+                obstacles: Some("obstacles.json".into()),
             }
         );
     }

@@ -49,7 +49,8 @@ pub(crate) struct Cells {
     pub(super) conflicts: Vec<u32>,
     /// Conflicting cells on each lane, as rows.
     pub(super) stretches: Vec<Vec<Stretch>>,
-    approach_mps: Vec<f64>,
+    /// Speed of each cell for the curves ahead on its lane, without speed limits.
+    curve_mps: Vec<f64>,
 }
 
 impl Cells {
@@ -67,10 +68,9 @@ impl Cells {
             cells
                 .lane_of
                 .extend(std::iter::repeat_n(number as u32, count));
-            let limit_mps = lane.as_ref().map_or(0.0, |lane| lane.speed_limit_mps);
             cells
-                .approach_mps
-                .extend(std::iter::repeat_n(limit_mps, count));
+                .curve_mps
+                .extend(std::iter::repeat_n(f64::INFINITY, count));
         }
         for (number, lane) in lanes.iter().enumerate() {
             let Some(lane) = lane else { continue };
@@ -110,7 +110,7 @@ impl Cells {
                     Some(&next) if at_m >= first_m => self.cell_at(next, at_m - first_m),
                     _ => self.cell_at(path[0], at_m),
                 };
-                if let Some(speed_mps) = self.approach_mps.get_mut(cell) {
+                if let Some(speed_mps) = self.curve_mps.get_mut(cell) {
                     *speed_mps = speed_mps.min(bend_mps);
                 }
             }
@@ -125,8 +125,8 @@ impl Cells {
             length_m,
         } = self.lanes[lane];
         for cell in (first + 1..first + count).rev() {
-            let reached_mps = speed_before(self.approach_mps[cell], length_m);
-            self.approach_mps[cell - 1] = self.approach_mps[cell - 1].min(reached_mps);
+            let reached_mps = speed_before(self.curve_mps[cell], length_m);
+            self.curve_mps[cell - 1] = self.curve_mps[cell - 1].min(reached_mps);
         }
     }
 
@@ -176,9 +176,9 @@ impl Cells {
         &self.stretches[lane]
     }
 
-    /// Speed limit at `at_m` along `lane` for the curves ahead on it.
-    pub(crate) fn approach_mps(&self, lane: usize, at_m: f64) -> f64 {
-        self.approach_mps[self.cell_at(lane, at_m)]
+    /// Largest speed at `at_m` along `lane` for the curves ahead on it, without speed limits.
+    pub(crate) fn curve_mps(&self, lane: usize, at_m: f64) -> f64 {
+        self.curve_mps[self.cell_at(lane, at_m)]
     }
 
     /// Cells that `outline` touches, sorted, into `touched`.

@@ -71,6 +71,8 @@ pub(super) struct Agent {
     pub size: VehicleSize,
     pub half_m: f64,
     pub driver: Driver,
+    /// Speed on a free road instead of the speed limit, m/s.
+    pub cruise_mps: Option<f64>,
     pub changes_lanes: bool,
     /// Lanes from where its rear was on; each but the first is a successor of the one before.
     pub path: Vec<usize>,
@@ -131,6 +133,7 @@ impl Agent {
             size,
             half_m: 0.5 * size.length_m,
             driver,
+            cruise_mps: None,
             changes_lanes: false,
             path: vec![lane],
             here: 0,
@@ -159,6 +162,7 @@ impl Agent {
     /// The same vehicle at the start of a lane, standing.
     pub(super) fn at_start_of(&self, lane: usize) -> Self {
         Self {
+            cruise_mps: self.cruise_mps,
             changes_lanes: self.changes_lanes,
             phases: self.phases.clone(),
             choices: self.choices,

@@ -29,8 +29,8 @@ const SWERVE_SHARES: [f64; 4] = [1.0, 0.75, 0.5, 0.25];
 /// Time for which a maneuver without room is tried, seconds.
 fn patience_s(maneuver: &Maneuver) -> f64 {
     match maneuver {
-        Maneuver::Brake { .. } => 0.0,
-        Maneuver::CutIn => 10.0,
+        Maneuver::Brake { .. } | Maneuver::Cruise { .. } => 0.0,
+        Maneuver::CutIn | Maneuver::ChangeLane { .. } => 10.0,
         Maneuver::Swerve { .. } => 3.0,
     }
 }
@@ -86,6 +86,11 @@ impl Traffic {
                 true
             }
             Maneuver::CutIn => self.cut_in(number).unwrap_or(true),
+            Maneuver::ChangeLane { side } => self.change_to(number, side).unwrap_or(true),
+            Maneuver::Cruise { speed_mps } => {
+                self.agents[number].cruise_mps = Some(speed_mps);
+                true
+            }
             Maneuver::Swerve {
                 amplitude_m,
                 duration_s,

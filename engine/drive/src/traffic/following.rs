@@ -217,16 +217,16 @@ impl Traffic {
         // Drivers in a hurry exceed limits, not what bends allow.
         let share = agent.driver.speed_share;
         let at = |lane: usize, arc_m: f64| {
-            let (speed_mps, limit_mps) = (
-                cells.approach_mps(lane, arc_m),
-                self.graph.road(lane).speed_limit_mps,
-            );
-            speed_mps
-                * if speed_mps < limit_mps {
-                    share.min(1.0)
-                } else {
-                    share
-                }
+            let curve_mps = cells.curve_mps(lane, arc_m);
+            if let Some(cruise_mps) = agent.cruise_mps {
+                return cruise_mps.min(curve_mps * share.min(1.0));
+            }
+            let limit_mps = self.graph.road(lane).speed_limit_mps;
+            if curve_mps < limit_mps {
+                curve_mps * share.min(1.0)
+            } else {
+                limit_mps * share
+            }
         };
         let mut speed_mps = at(agent.lane(), agent.arc_m);
         let mut start_m = length_of(self.graph.lanes(), agent.lane());

@@ -49,9 +49,17 @@ pub struct Leader {
 impl IdmParameters {
     /// Acceleration on a free road, m/s^2: `a (1 - (v/v0)^delta)`, above the free speed at least
     /// `-b`, as in the improved model of Treiber and Kesting (Traffic Flow Dynamics, 2013): a speed
-    /// limit that falls is no reason for hard braking.
+    /// limit that falls is no reason for hard braking. With a free speed of 0 the vehicle stops
+    /// and stands.
     #[must_use]
     pub fn free_acceleration(&self, speed_mps: f64) -> f64 {
+        if self.speed_mps <= 0.0 {
+            return if speed_mps > 0.0 {
+                -self.braking_mps2
+            } else {
+                0.0
+            };
+        }
         let share = speed_mps / self.speed_mps.max(0.1);
         // The usual exponent is four: two squarings instead of a power.
         let fades = if self.exponent == 4.0 {

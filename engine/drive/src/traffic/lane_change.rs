@@ -1,6 +1,7 @@
 //! Lane changes: the wish for one, whether it is safe, and its start. The rest is a vehicle beside
 //! the middle of its lane (see `agent`), which counts as present on both lanes until it is over.
 
+use decouplegs_scene::scenario::LaneSide;
 use glam::DVec2;
 
 use super::Traffic;
@@ -134,7 +135,9 @@ impl Traffic {
         let at = own.line.at(agent.arc_m).truncate();
         let foot = other.line.project(at);
         // A bend on the other lane that it is too fast for is not for a change of lanes.
-        let allowed_mps = self.graph.cells().approach_mps(lane, foot.arc_m);
+        let curve_mps = self.graph.cells().curve_mps(lane, foot.arc_m);
+        let limit_mps = agent.cruise_mps.unwrap_or(other.speed_limit_mps);
+        let allowed_mps = curve_mps.min(limit_mps);
         if allowed_mps * agent.driver.speed_share.max(1.0) + 0.5 < agent.speed_mps {
             return None;
         }
@@ -300,6 +303,24 @@ impl Traffic {
                 let stop_m = other.front_m + stopping_m(other.speed_mps);
                 rear_m - other.front_m >= GAP_M && rear_m + own_stopping_m - stop_m >= GAP_M
             })
+    }
+
+    /// Changes into the neighboring lane on a side if that is safe. `None` if there is no such
+    /// lane, otherwise true if the change began.
+    pub(super) fn change_to(&mut self, number: usize, side: LaneSide) -> Option<bool> {
+        let agent = &self.agents[number];
+        let road = self.graph.road(agent.lane());
+        let lane = match side {
+            LaneSide::Left => road.left,
+            LaneSide::Right => road.right,
+        }?;
+        let target = self
+            .target(agent, lane, HASTY_DURATION_S)
+            .filter(|target| self.is_safe(agent, target, true));
+        if let Some(target) = &target {
+            self.begin_change(number, target);
+        }
+        Some(target.is_some())
     }
 
     fn begin_change(&mut self, number: usize, target: &Target) {

@@ -359,6 +359,7 @@ fn place(
         agent.at_m,
     );
     placed.changes_lanes = agent.changes_lanes;
+    placed.cruise_mps = agent.cruise_mps;
     placed.phases = vec![Phase::Waiting; agent.behaviors.len()];
     // Its rear may be on the lane before: the one that bends least.
     let mut behind_m = agent.at_m;

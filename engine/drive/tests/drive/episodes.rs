@@ -72,6 +72,7 @@ fn scenario(agents: usize) -> Scenario {
         speed_mps: 0.0,
         driver: DriverKind::Normal,
         changes_lanes: false,
+        cruise_mps: None,
         behaviors: vec![],
     };
     let ego = EgoTask {

@@ -263,6 +263,7 @@ fn slow_leaders_are_overtaken_where_there_is_room_and_only_then() {
     let graph = straight(2000.0, 2, 15.0);
     let overtaker = TrafficAgent {
         changes_lanes: true,
+        cruise_mps: None,
         driver: DriverKind::Hurried,
         ..agent("fast", "0", 50.0, 10.0)
     };
@@ -297,6 +298,7 @@ fn lane_changes_are_smooth_and_count_on_both_lanes() {
     let agents = [
         TrafficAgent {
             changes_lanes: true,
+            cruise_mps: None,
             driver: DriverKind::Aggressive,
             ..agent("changes", "0", 100.0, 10.0)
         },

@@ -86,6 +86,7 @@ pub fn agent(name: &str, lane: &str, at_m: f64, speed_mps: f64) -> TrafficAgent 
         speed_mps,
         driver: DriverKind::Normal,
         changes_lanes: false,
+        cruise_mps: None,
         behaviors: vec![],
     }
 }
@@ -170,6 +171,7 @@ fn random_cars(graph: &Arc<RoadGraph>, count: usize, seed: u64) -> Vec<TrafficAg
             size,
             driver: DriverKind::ALL[(4.0 * random.unit()) as usize],
             changes_lanes: random.unit() < 0.7,
+            cruise_mps: None,
             behaviors: behaviors
                 .into_iter()
                 .map(|()| random_behavior(&mut random))

@@ -1,10 +1,14 @@
 //! Places made ready: what an episode needs of where it takes place.
 
+mod assets;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use decouplegs_asset::memory::{self, cloud_bytes};
-use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, read_map, read_probe};
+use decouplegs_asset::{
+    AssetError, LoadedLight, LoadedScene, SceneFile, read_map, read_obstacles, read_probe,
+};
 use decouplegs_drive::generate::RoadUserAsset;
 use decouplegs_drive::lights::{LaneStopLine, TrafficLights};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
@@ -14,17 +18,20 @@ use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
-    CodedCloud, LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind,
-    SplatCloud, Trajectory, VehicleSize, VehicleState, Weather, World,
+    LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind, Trajectory,
+    VehicleSize, VehicleState, Weather, World,
 };
 use decouplegs_session::{Session, SessionError, SessionScene};
 use decouplegs_synth::roads::{self, RoadsOptions};
-use decouplegs_synth::street::road_users::RoadUserModel;
 use decouplegs_synth::street::signals::{SignalHead, head_assets, post_assets, sign_assets};
 use decouplegs_synth::street::{AssetLight, Capture, Street, StreetOptions};
-use decouplegs_train::compress::{CompressError, compress_quickly};
+use decouplegs_train::compress::CompressError;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
+
+use self::assets::{
+    ALL_CARS, Cars, ROAD_USER_SPLATS, cars, coded, road_users, road_users_coded, size_of,
+};
 
 /// Reason why a site cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -164,9 +171,14 @@ impl Site {
                     ..site
                 })
             }
-            Place::Scene { scene, map } => Self::captured(
+            Place::Scene {
+                scene,
+                map,
+                obstacles,
+            } => Self::captured(
                 &directory.join(scene),
                 read_map(&directory.join(map))?,
+                obstacles.as_ref().map(|file| directory.join(file)),
                 appearance,
             ),
         }
@@ -264,8 +276,10 @@ impl Site {
     fn captured(
         scene: &Path,
         lanes: LaneMap,
+        obstacles: Option<PathBuf>,
         appearance: Option<&Appearance>,
     ) -> Result<Self, SiteError> {
+        let obstacles = obstacles.as_deref().map(read_obstacles).transpose()?;
         let (mut loaded, dims_m) = match appearance {
             Some(_) => {
                 let loaded = decouplegs_session::open_movable_scene(scene)?.0;
@@ -295,7 +309,8 @@ impl Site {
         };
         let ground = Ground::new(&loaded.world.splats, loaded.world.origin, &options);
         let world = &loaded.world;
-        let obstacles = occupancy::obstacles(&world.splats, world.origin, &lanes, &ground);
+        let obstacles = obstacles
+            .unwrap_or_else(|| occupancy::obstacles(&world.splats, world.origin, &lanes, &ground));
         Self::of(loaded, (lanes, obstacles), sizes, Some(ground))
     }
 
@@ -454,83 +469,6 @@ pub fn rig_of(place: &Place, directory: &Path) -> Result<Rig, SiteError> {
         Place::Scene { scene, .. } => Ok(SceneFile::read(&directory.join(scene))?.rig),
         Place::Street { .. } | Place::Roads { .. } => Ok(cars(0, AssetLight::Neutral).rig),
     }
-}
-
-/// The cars of the synthetic street, and the six cameras of its ego.
-struct Cars {
-    clouds: Vec<SplatCloud>,
-    sizes: Vec<VehicleSize>,
-    rig: Rig,
-    /// Splats of each, and the light in them.
-    splats: usize,
-    light: AssetLight,
-    /// Assets that show traffic lights.
-    signals: Vec<SplatCloud>,
-}
-
-/// Seed of the cars: the same in all places, so that scenarios differ by who drives and where.
-const CARS_SEED: u64 = 1;
-/// More agents than there are different cars: all of them are made.
-const ALL_CARS: usize = 64;
-
-fn cars(splats: usize, asset_light: AssetLight) -> Cars {
-    let options = StreetOptions {
-        background: 0,
-        agents: ALL_CARS,
-        agent_splats: splats,
-        seed: CARS_SEED,
-        asset_light,
-        ..StreetOptions::default()
-    };
-    let street = Street::generate(&options);
-    let sizes = street
-        .asset_dims_m
-        .iter()
-        .map(|dims| size_of(*dims))
-        .collect();
-    Cars {
-        clouds: street.assets,
-        sizes,
-        rig: street.rig,
-        splats,
-        light: asset_light,
-        signals: Vec::new(),
-    }
-}
-
-/// Splats of each road user that is not a car in captured scenes.
-const ROAD_USER_SPLATS: usize = 6_000;
-
-/// Road users that are not cars: the same in all places.
-fn road_users() -> Vec<RoadUserAsset> {
-    let models = RoadUserModel::ALL.into_iter();
-    models
-        .map(|RoadUserModel { kind, variant }| RoadUserAsset {
-            kind,
-            asset: variant,
-            size: size_of(RoadUserModel { kind, variant }.size_m()),
-        })
-        .collect()
-}
-
-/// Their assets in the renderer's form.
-fn road_users_coded(splats: usize, light: AssetLight) -> Result<Vec<CodedCloud>, SiteError> {
-    let models = RoadUserModel::ALL.par_iter();
-    models
-        .map(|model| coded(&model.asset(splats, light), &size_of(model.size_m())))
-        .collect()
-}
-
-/// In millimeters, so that a person can read what a scenario says of it.
-fn size_of(dims_m: [f32; 3]) -> VehicleSize {
-    VehicleSize::from_array(dims_m.map(|side_m| (f64::from(side_m) * 1e3).round() / 1e3))
-}
-
-/// A car with every splat it has, in the renderer's form.
-fn coded(cloud: &SplatCloud, size: &VehicleSize) -> Result<CodedCloud, SiteError> {
-    let mut coded = compress_quickly(cloud)?;
-    coded.dims_m = size.to_array().map(|side_m| side_m as f32);
-    Ok(coded)
 }
 
 fn empty_scene(world: World) -> LoadedScene {

@@ -18,6 +18,7 @@ mod cubic;
 mod junctions;
 mod lanes;
 mod plan_view;
+mod road_positions;
 mod sampling;
 mod signals;
 mod tapers;
@@ -31,6 +32,7 @@ use self::cubic::Profile;
 use self::junctions::{Network, RoadPlaces};
 use self::lanes::{Section, SectionLane};
 use self::plan_view::Geometry;
+pub use self::road_positions::RoadPositions;
 use super::budget::Budget;
 use crate::DecodeError;
 use crate::xml::{Element, excerpt, parse};
@@ -80,6 +82,14 @@ struct Road {
 /// # Errors
 /// A [`DecodeError`] that names the line and element at fault.
 pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
+    Ok(decode_with_positions(bytes)?.0)
+}
+
+/// Reads the lanes of an OpenDRIVE file, and what finds places on its roads.
+///
+/// # Errors
+/// A [`DecodeError`] that names the line and element at fault.
+pub fn decode_with_positions(bytes: &[u8]) -> Result<(LaneMap, RoadPositions), DecodeError> {
     let document = parse(bytes)?;
     let root = Element::root(&document, "OpenDRIVE")?;
     let mut by_id = HashMap::new();
@@ -114,10 +124,11 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     }
     tapers::join_smoothly(&mut lanes);
     let lights = signals::lights(&signals, &roads, &places, &lanes)?;
-    Ok(LaneMap {
+    let map = LaneMap {
         lights,
         ..super::finished(lanes, DVec3::ZERO)?
-    })
+    };
+    Ok((map, RoadPositions::new(roads, places, by_id)))
 }
 
 impl Road {
@@ -180,6 +191,18 @@ impl Road {
                 })
                 .position
         })
+    }
+
+    /// Index of the section at `s_m`, and the share of it that is before `s_m`, 0 to 1.
+    fn section_at(&self, s_m: f64) -> (usize, f64) {
+        let after = self
+            .sections
+            .partition_point(|section| section.start_m <= s_m);
+        let index = after.saturating_sub(1);
+        let share = self.sections.get(index).map_or(0.0, |section| {
+            (s_m - section.start_m) / (section.end_m - section.start_m)
+        });
+        (index, share.clamp(0.0, 1.0))
     }
 
     fn speed_limit_mps(&self, s_m: f64) -> Option<f64> {

@@ -5,9 +5,9 @@ use std::collections::HashMap;
 
 use decouplegs_scene::{Lane, LaneKind, StopLine, TrafficLight};
 
-use super::super::polyline::plan_length_m;
 use super::Road;
 use super::junctions::RoadPlaces;
+use super::road_positions::along_m;
 use crate::DecodeError;
 use crate::traffic_light_form;
 use crate::xml::Element;
@@ -99,15 +99,10 @@ pub(super) fn lights(
 
 impl RoadSignal {
     fn lines(&self, road: &Road, places: &RoadPlaces, lanes: &[Lane]) -> Vec<StopLine> {
-        let after = road
-            .sections
-            .partition_point(|section| section.start_m <= self.s_m);
-        let at = after.saturating_sub(1);
-        let Some((section, by_id)) = road.sections.get(at).zip(places.sections.get(at)) else {
+        let (section, share) = road.section_at(self.s_m);
+        let Some(by_id) = places.sections.get(section) else {
             return Vec::new();
         };
-        let share =
-            ((self.s_m - section.start_m) / (section.end_m - section.start_m)).clamp(0.0, 1.0);
         let is_for = |id: i64, is_forward: bool| {
             let id = id as f64;
             self.is_forward.is_none_or(|forward| forward == is_forward)
@@ -122,13 +117,7 @@ impl RoadSignal {
             .filter(|(id, (lane, is_forward))| {
                 is_for(**id, *is_forward) && lanes[*lane].kind == LaneKind::Driving
             })
-            .map(|(_, &(lane, is_forward))| {
-                let length_m = plan_length_m(&lanes[lane].centerline);
-                (
-                    lane,
-                    length_m * if is_forward { share } else { 1.0 - share },
-                )
-            })
+            .map(|(_, &(lane, is_forward))| (lane, along_m(&lanes[lane], share, is_forward)))
             .collect();
         lines.sort_by_key(|(lane, _)| *lane);
         let line = |(lane, at_m): (usize, f64)| StopLine {

@@ -1,0 +1,264 @@
+//! Actions of vehicles and pedestrians, as behaviors and paths.
+
+use decouplegs_asset::open_scenario::{Action, Event, EventTrigger, TargetLane, Transition};
+use decouplegs_scene::Pedestrian;
+use decouplegs_scene::scenario::{Behavior, LaneSide, Maneuver, Trigger};
+use glam::DVec2;
+
+use super::{Import, Located};
+
+/// Deceleration that drivers choose by themselves, m/s^2. Harder braking is a behavior.
+const COMFORT_MPS2: f64 = 3.0;
+/// Largest deceleration of a vehicle, m/s^2.
+const BRAKING_MPS2: f64 = 8.0;
+/// Way of a pedestrian with a speed but no path, meters.
+const WALK_M: f64 = 30.0;
+/// Way and speed of a pedestrian who stands: a path has a length.
+const STANDING_M: f64 = 0.02;
+const STANDING_MPS: f64 = 0.1;
+/// Lane changes of an action: no road has more lanes.
+const CHANGES_MAX: u64 = 16;
+/// Points closer than this are one point of a path, meters.
+const STEP_M_MIN: f64 = 0.05;
+
+impl Import<'_> {
+    /// Behaviors of a vehicle, from its events.
+    pub(super) fn behaviors(
+        &self,
+        index: usize,
+        ego: usize,
+        skipped: &mut Vec<String>,
+    ) -> Vec<Behavior> {
+        let entity = &self.file.entities[index];
+        let mut behaviors = Vec::new();
+        let mut speed_mps = self.speed_mps(index);
+        if !entity.route.is_empty() {
+            skipped.push(format!(
+                "{}: its route is skipped; it chooses its way at crossings by the seed",
+                entity.name
+            ));
+        }
+        for event in &entity.events {
+            let line = event.line;
+            let Some(trigger) = self.trigger(event, index, ego) else {
+                skipped.push(format!(
+                    "line {line}: only the distance of {} and the ego triggers its actions",
+                    entity.name
+                ));
+                continue;
+            };
+            match &event.action {
+                Action::Speed { target, transition } => {
+                    let target_mps = self.speed_of(Some(target)).clamp(0.0, 100.0);
+                    if let Some(brake) = brake(speed_mps, target_mps, *transition) {
+                        behaviors.push(Behavior {
+                            trigger,
+                            maneuver: brake,
+                        });
+                    }
+                    let cruise = Maneuver::Cruise {
+                        speed_mps: target_mps,
+                    };
+                    behaviors.push(Behavior {
+                        trigger,
+                        maneuver: cruise,
+                    });
+                    speed_mps = target_mps;
+                }
+                Action::ChangeLane(target) => match self.lane_changes(target, index, ego) {
+                    Ok(changes) => behaviors.extend(
+                        changes
+                            .into_iter()
+                            .map(|maneuver| Behavior { trigger, maneuver }),
+                    ),
+                    Err(reason) => skipped.push(format!("line {line}: {reason}")),
+                },
+                Action::Path(_) => skipped.push(format!(
+                    "line {line}: routes and trajectories of vehicles other than the ego are skipped"
+                )),
+            }
+        }
+        behaviors
+    }
+
+    /// Pedestrian without name and asset.
+    pub(super) fn pedestrian(
+        &self,
+        index: usize,
+        ego: usize,
+        skipped: &mut Vec<String>,
+    ) -> Pedestrian {
+        let entity = &self.file.entities[index];
+        let from = self.located[index].expect("only located pedestrians are asked for");
+        let mut speed_mps = self.speed_mps(index);
+        let mut start = Trigger::Time { time_s: 0.0 };
+        let mut route = entity.route.as_slice();
+        for event in &entity.events {
+            let Some(trigger) = self.trigger(event, index, ego) else {
+                skipped.push(format!(
+                    "line {}: only the distance of {} and the ego triggers its actions",
+                    event.line, entity.name
+                ));
+                continue;
+            };
+            match &event.action {
+                Action::Speed { target, .. } if speed_mps <= 0.0 => {
+                    (speed_mps, start) = (self.speed_of(Some(target)), trigger);
+                }
+                Action::Path(path) if route.is_empty() => (route, start) = (path, trigger),
+                _ => skipped.push(format!(
+                    "line {}: {} walks one path at one speed",
+                    event.line, entity.name
+                )),
+            }
+        }
+        let mut path_m = vec![from.point_m];
+        for position in route {
+            match self.locator.locate(position, &self.located) {
+                Some(Located { point_m, .. }) => {
+                    if point_m.distance(path_m[path_m.len() - 1]) >= STEP_M_MIN {
+                        path_m.push(point_m);
+                    }
+                }
+                None => skipped.push(format!(
+                    "{}: a point of its path is off the map",
+                    entity.name
+                )),
+            }
+        }
+        let ahead = DVec2::from_angle(from.heading_rad);
+        if path_m.len() == 1 {
+            let walks = speed_mps > 0.0;
+            path_m.push(from.point_m + ahead * if walks { WALK_M } else { STANDING_M });
+        }
+        Pedestrian {
+            name: String::new(),
+            asset: 0,
+            size: entity.size,
+            path_m,
+            speed_mps: speed_mps.clamp(STANDING_MPS, 8.0),
+            start,
+            waits_for_gap: false,
+        }
+    }
+
+    /// The trigger of an event of an entity; `None` if it is not about it and the ego.
+    fn trigger(&self, event: &Event, index: usize, ego: usize) -> Option<Trigger> {
+        match &event.trigger {
+            EventTrigger::Time(time_s) => Some(Trigger::Time {
+                time_s: time_s.min(decouplegs_asset::scenario_file::DURATION_S_MAX),
+            }),
+            EventTrigger::Distance {
+                entities,
+                distance_m,
+                between_boxes,
+            } => {
+                let mut pair = [
+                    self.locator.find(&entities[0])?,
+                    self.locator.find(&entities[1])?,
+                ];
+                pair.sort_unstable();
+                let mut own = [index, ego];
+                own.sort_unstable();
+                let lengths_m = own
+                    .map(|entity| self.file.entities[entity].size.length_m)
+                    .iter()
+                    .sum::<f64>();
+                let boxes_m = if *between_boxes { 0.5 * lengths_m } else { 0.0 };
+                (pair == own).then_some(Trigger::NearEgo {
+                    distance_m: (distance_m + boxes_m).min(10_000.0),
+                })
+            }
+        }
+    }
+
+    /// Lane changes that lead to a lane, one after the other. Other entities are on the lanes of
+    /// their start.
+    fn lane_changes(
+        &self,
+        target: &TargetLane,
+        index: usize,
+        ego: usize,
+    ) -> Result<Vec<Maneuver>, String> {
+        let change = |side: LaneSide| Maneuver::ChangeLane { side };
+        if let TargetLane::Relative { entity, lanes } = target {
+            let other = self.locator.find(entity);
+            if other == Some(ego) && *lanes == 0 {
+                return Ok(vec![Maneuver::CutIn]);
+            }
+            if other == Some(index) {
+                let side = if *lanes > 0 {
+                    LaneSide::Left
+                } else {
+                    LaneSide::Right
+                };
+                return Ok(vec![
+                    change(side);
+                    lanes.unsigned_abs().min(CHANGES_MAX) as usize
+                ]);
+            }
+        }
+        let unknown = || "the lane of its target is unknown".to_owned();
+        let own = self.located[index]
+            .and_then(|located| located.spot)
+            .ok_or_else(unknown)?;
+        let wanted = match target {
+            TargetLane::Relative { entity, lanes } => {
+                let other = self.locator.find(entity).ok_or_else(unknown)?;
+                let mut spot = self.located[other]
+                    .and_then(|located| located.spot)
+                    .ok_or_else(unknown)?;
+                for _ in 0..lanes.unsigned_abs() {
+                    spot = self.locator.beside(spot, *lanes > 0).ok_or_else(unknown)?;
+                }
+                spot.lane
+            }
+            TargetLane::Absolute(id) => {
+                let listed = &self.map.lanes[own.lane].id;
+                let road = listed.rsplit_once('/').ok_or_else(unknown)?.0;
+                let wanted = format!("{road}/{id}");
+                let mut lanes = self.map.lanes.iter();
+                lanes
+                    .position(|lane| lane.id == wanted)
+                    .ok_or_else(unknown)?
+            }
+        };
+        for side in [LaneSide::Left, LaneSide::Right] {
+            let (mut spot, mut sides) = (own, Vec::new());
+            while spot.lane != wanted {
+                match self.locator.beside(spot, side == LaneSide::Left) {
+                    Some(next) if sides.len() < CHANGES_MAX as usize => {
+                        spot = next;
+                        sides.push(change(side));
+                    }
+                    _ => break,
+                }
+            }
+            if spot.lane == wanted {
+                return Ok(sides);
+            }
+        }
+        Err("its target is no lane beside the one where the vehicle starts".into())
+    }
+}
+
+/// Braking that a change of speed needs beyond what a driver does by itself.
+fn brake(from_mps: f64, to_mps: f64, transition: Transition) -> Option<Maneuver> {
+    let less_mps = from_mps - to_mps;
+    if less_mps <= 0.0 {
+        return None;
+    }
+    let deceleration_mps2 = match transition {
+        Transition::Step => BRAKING_MPS2,
+        Transition::Time(time_s) => less_mps / time_s,
+        Transition::Rate(rate_mps2) => rate_mps2,
+        Transition::Distance(distance_m) => {
+            (from_mps * from_mps - to_mps * to_mps) / (2.0 * distance_m)
+        }
+    }
+    .min(BRAKING_MPS2);
+    (deceleration_mps2 > COMFORT_MPS2).then_some(Maneuver::Brake {
+        deceleration_mps2,
+        duration_s: (less_mps / deceleration_mps2).max(0.01),
+    })
+}

@@ -1,0 +1,182 @@
+//! Episodes from OpenSCENARIO files.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use decouplegs::asset::{episode_log, scenario_file};
+use decouplegs::episode::{Site, drive};
+use decouplegs::planner::LaneFollow;
+use decouplegs::scenario_import::{ImportedScenario, import_open_scenario};
+use decouplegs::scene::episode::Episode;
+use decouplegs::scene::scenario::{LaneSide, Maneuver, Trigger};
+use decouplegs::scene::{RoadUser, Scenario};
+use tempfile::TempDir;
+
+const SCENARIO: &str = include_str!("../../engine/asset/fuzz/seeds/open_scenario/cut_in.xosc");
+
+/// A straight road of 1000 m with three lanes to the east, a walkway, and a traffic light.
+const ROAD: &str = include_str!("../../engine/asset/fuzz/seeds/open_drive/three_lanes.xodr");
+
+/// The folder of a scenario whose text is changed.
+fn folder(replaced: &[(&str, &str)]) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mut text = SCENARIO.to_owned();
+    for (from, to) in replaced {
+        assert!(text.contains(from), "{from}");
+        text = text.replace(from, to);
+    }
+    std::fs::write(folder.path().join("cut_in.xosc"), text).unwrap();
+    std::fs::write(folder.path().join("road.xodr"), ROAD).unwrap();
+    folder
+}
+
+fn imported(replaced: &[(&str, &str)]) -> (TempDir, ImportedScenario) {
+    let folder = folder(replaced);
+    let imported = import_open_scenario(&folder.path().join("cut_in.xosc")).unwrap();
+    (folder, imported)
+}
+
+fn refused(replaced: &[(&str, &str)]) -> String {
+    let folder = folder(replaced);
+    let error = import_open_scenario(&folder.path().join("cut_in.xosc")).unwrap_err();
+    let message = error.to_string();
+    assert!(message.contains("cut_in.xosc"), "{message}");
+    message
+}
+
+fn driven(scenario: &Scenario) -> Episode {
+    let site = Arc::new(Site::open(&scenario.place, Path::new(""), None).unwrap());
+    drive(scenario, &site, None, &mut LaneFollow::default(), &mut ())
+        .unwrap()
+        .episode
+}
+
+#[test]
+fn a_file_becomes_a_scenario_that_can_be_written() {
+    let (
+        _folder,
+        ImportedScenario {
+            scenario, skipped, ..
+        },
+    ) = imported(&[]);
+    // Reference points are rear axles, scenarios count from the middle of boxes.
+    assert_eq!(scenario.ego.route, ["1/0/-2"]);
+    assert_eq!((scenario.ego.start_m, scenario.ego.end_m), (51.4, 651.4));
+    assert_eq!((scenario.ego.speed_mps, scenario.duration_s), (20.0, 60.0));
+    let [overtaker, truck, parked] = scenario.agents.as_slice() else {
+        panic!("{:#?}", scenario.agents);
+    };
+    assert_eq!(
+        (overtaker.lane.as_str(), overtaker.speed_mps),
+        ("1/0/-1", 21.0)
+    );
+    assert!(
+        (overtaker.at_m - (51.4 + 18.0)).abs() < 1e-9,
+        "{}",
+        overtaker.at_m
+    );
+    let maneuvers: Vec<Maneuver> = overtaker
+        .behaviors
+        .iter()
+        .map(|behavior| behavior.maneuver)
+        .collect();
+    let brake = Maneuver::Brake {
+        deceleration_mps2: 5.0,
+        duration_s: 2.2,
+    };
+    assert_eq!(
+        maneuvers,
+        [Maneuver::CutIn, brake, Maneuver::Cruise { speed_mps: 10.0 }]
+    );
+    assert_eq!(
+        overtaker.behaviors[0].trigger,
+        Trigger::Time { time_s: 4.0 }
+    );
+    assert_eq!(
+        (truck.name.as_str(), truck.kind),
+        ("Truck_ahead", RoadUser::Truck)
+    );
+    let right = Maneuver::ChangeLane {
+        side: LaneSide::Right,
+    };
+    assert_eq!(truck.behaviors[0].maneuver, right);
+    assert_eq!((parked.lane.as_str(), parked.at_m), ("1/0/-3", 700.0));
+    assert_eq!((parked.speed_mps, parked.cruise_mps), (0.0, Some(0.0)));
+    let walker = &scenario.pedestrians[0];
+    assert_eq!(walker.start, Trigger::NearEgo { distance_m: 60.0 });
+    assert_eq!((walker.path_m.len(), walker.speed_mps), (2, 1.5));
+    assert_eq!(scenario.lights[0].stop_lines.len(), 3);
+    assert_eq!(skipped.len(), 4, "{skipped:#?}");
+
+    let text = scenario_file::to_toml(&scenario).unwrap();
+    assert_eq!(scenario_file::parse(&text).unwrap(), scenario);
+}
+
+#[test]
+fn vehicles_do_what_the_file_says() {
+    let (_folder, imported) = imported(&[]);
+    let episode = driven(&imported.scenario);
+    let at = |time_s: f64, agent: usize| {
+        let mut instants = episode.instants();
+        let instant = instants
+            .find(|instant| instant.time_s >= time_s - 1e-6)
+            .unwrap();
+        instant.agents[agent].unwrap()
+    };
+    // Faster than the usual limit of 50 km/h where the map has none.
+    assert!(
+        (at(3.9, 0).speed_mps - 21.0).abs() < 0.5,
+        "{:?}",
+        at(3.9, 0)
+    );
+    assert!((at(3.9, 0).position_m.y + 1.75).abs() < 0.1);
+    assert!(
+        (at(9.9, 0).position_m.y + 5.25).abs() < 0.1,
+        "{:?}",
+        at(9.9, 0)
+    );
+    assert!(
+        (at(20.0, 0).speed_mps - 10.0).abs() < 0.5,
+        "{:?}",
+        at(20.0, 0)
+    );
+    assert!(
+        (at(10.0, 1).position_m.y + 8.75).abs() < 0.1,
+        "{:?}",
+        at(10.0, 1)
+    );
+    assert_eq!(at(0.0, 2), at(20.0, 2));
+    let walked = at(0.0, 3).position_m.y;
+    let last = episode.instants().last().unwrap();
+    assert!(walked < -11.9 && last.agents[3].unwrap().position_m.y > walked + 5.0);
+    // The log holds the scenario, its new maneuvers included.
+    let bytes = episode_log::encode(&episode).unwrap();
+    assert_eq!(
+        episode_log::decode(&bytes).unwrap().head.scenario,
+        episode.head.scenario
+    );
+}
+
+#[test]
+fn what_cannot_be_placed_is_said() {
+    let message = refused(&[("laneId=\"-2\" s=\"50\"", "laneId=\"-9\" s=\"50\"")]);
+    assert!(
+        message.contains("Ego") && message.contains("no driving lane"),
+        "{message}"
+    );
+    let path = "<LanePosition roadId=\"1\" laneId=\"-4\"";
+    let (_folder, import) = imported(&[
+        ("<RoadPosition roadId=\"1\"", path),
+        ("t=\"-8.75\"", "offset=\"0\""),
+    ]);
+    assert_eq!(import.scenario.agents.len(), 2);
+    let about =
+        |sentence: &String| sentence.contains("parked") && sentence.contains("no driving lane");
+    assert!(import.skipped.iter().any(about), "{:#?}", import.skipped);
+    // A position relative to itself is none, and does not hang.
+    let message = refused(&[(
+        "<LanePosition roadId=\"1\" laneId=\"-2\" s=\"50\" offset=\"0\"/>",
+        "<RelativeLanePosition entityRef=\"Overtaker\" dLane=\"0\" ds=\"5\"/>",
+    )]);
+    assert!(message.contains("no driving lane"), "{message}");
+}
