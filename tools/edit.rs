@@ -8,13 +8,13 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::scene_file::path_from;
 use decouplegs::asset::{SceneAgent, SceneFile, is_scene_file};
-use decouplegs::scene::{Pose, Trajectory};
+use decouplegs::scene::{Pose, Presence, Trajectory};
 
 use crate::arguments::print;
-use change::{Addition, Move, Shift, Swap};
+use change::{Addition, Move, Shift, Swap, Times};
 use footing::{Footing, dims_of};
 
-/// Move, swap, remove and add agents of a scene, and write it as a new scene file
+/// Move, swap, remove, add and time agents of a scene, and write it as a new scene file
 ///
 /// Whatever the order on the command line: agents are removed first, then added, swapped, moved and
 /// shifted. Positions are world coordinates of the middle of an agent's box, meters; angles are
@@ -54,6 +54,13 @@ pub struct Arguments {
         allow_hyphen_values = true
     )]
     shift: Vec<Shift>,
+    /// Show an agent at these times alone, or always
+    #[arg(
+        long,
+        value_name = "NAME=FROM_S,TO_S[,...]",
+        allow_hyphen_values = true
+    )]
+    present: Vec<Times>,
     /// Place the wheels of every added, swapped, moved or shifted agent on the captured ground
     #[arg(long)]
     ground: bool,
@@ -128,6 +135,7 @@ fn change(scene: &mut SceneFile, arguments: &Arguments, folder: &Path) -> Result
             asset,
             sh_frame: None,
             trajectory,
+            present: Presence::ALWAYS,
         })?;
     }
     for Swap { name, asset } in &arguments.swap {
@@ -143,6 +151,9 @@ fn change(scene: &mut SceneFile, arguments: &Arguments, folder: &Path) -> Result
     }
     for Shift { name, shift } in &arguments.shift {
         scene.shift_agent(name, shift)?;
+    }
+    for Times { name, present } in &arguments.present {
+        scene.set_presence(name, present.clone())?;
     }
     let added = arguments.add.iter().map(|change| &change.name);
     let swapped = arguments.swap.iter().map(|change| &change.name);

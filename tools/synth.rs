@@ -10,7 +10,7 @@ use decouplegs::asset::maps::lane_json;
 use decouplegs::asset::memory::{self, cloud_bytes};
 use decouplegs::asset::tracks::{self, PoseRow};
 use decouplegs::asset::{SceneAgent, SceneFile, inria_ply, write_atomically};
-use decouplegs::scene::{Camera, Pose, Rules, SplatCloud, TimedPose, Trajectory, World};
+use decouplegs::scene::{Camera, Pose, Presence, Rules, SplatCloud, TimedPose, Trajectory, World};
 use decouplegs::synth::street::{AssetLight, Capture, Street, StreetOptions, Weather};
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -204,6 +204,7 @@ fn scene_file(street: &Street, ego: Trajectory) -> Result<SceneFile> {
                 sh_frame: Some(agent.sh_frame),
                 trajectory: trajectory(way)
                     .with_context(|| format!("the way of {} is no trajectory", agent.name))?,
+                present: Presence::ALWAYS,
             })
         });
     Ok(SceneFile {

@@ -42,6 +42,8 @@ fn a_scene_is_edited_into_another_folder_and_left_as_it_is() {
         &shift,
         "--move",
         "ball=-10,4.5,0.75,-90",
+        "--present",
+        "ball=0,2.5,4,6",
     ]);
     assert!(said.contains("new.toml: 2 agents, 2 before"), "{said}");
     assert_eq!(
@@ -56,6 +58,11 @@ fn a_scene_is_edited_into_another_folder_and_left_as_it_is() {
         .map(|agent| agent.name.as_str())
         .collect();
     assert_eq!(names, [second.as_str(), "ball"]);
+    let times_s = edited.agents[1].present.intervals_s();
+    assert_eq!(times_s, [[0.0, 2.5], [4.0, 6.0]]);
+    assert!(
+        succeed(&["inspect", text(&new)]).contains("present 0.0 s to 2.5 s and 4.0 s to 6.0 s")
+    );
     let begins = edited.agents[1].trajectory.poses()[0].pose;
     assert_eq!(begins.translation, DVec3::new(-10.0, 4.5, 0.75));
     assert!(

@@ -13,7 +13,7 @@ use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Image, RenderOptions, Renderer, reference};
 use decouplegs::scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs::scene::{
-    AmbientDescriptor, Camera, LightTransfer, Pose, Rules, ShFrame, TimedPose, Trajectory,
+    AmbientDescriptor, Camera, LightTransfer, Pose, Presence, Rules, ShFrame, TimedPose, Trajectory,
 };
 use decouplegs::session::{Session, SessionError, SessionOptions, World, WorldView};
 use decouplegs::synth::street::{Street, StreetOptions};
@@ -35,8 +35,8 @@ const CLEARED_M: f64 = 22.0;
 /// A street with a car of plain splats and five coded ones around the ego vehicle, one of which
 /// drives, in a folder.
 pub struct Site {
-    folder: tempfile::TempDir,
-    file: SceneFile,
+    pub folder: tempfile::TempDir,
+    pub file: SceneFile,
 }
 
 impl Site {
@@ -90,6 +90,7 @@ impl Site {
             asset: asset.into(),
             sh_frame: None,
             trajectory,
+            present: Presence::ALWAYS,
         };
         let mut rig = street.rig.clone();
         rig.cameras_mut()
@@ -146,7 +147,7 @@ impl Site {
 }
 
 /// `file` as it is read back.
-fn loaded(file: &SceneFile, folder: &Path) -> LoadedScene {
+pub fn loaded(file: &SceneFile, folder: &Path) -> LoadedScene {
     let path = folder.join("scene.toml");
     file.write(&path).unwrap();
     SceneFile::read(&path).unwrap().load(folder, 0.0).unwrap()
@@ -549,6 +550,7 @@ fn a_world_edited_while_it_is_shown_is_the_edited_file_loaded() {
         asset: "green.safetensors".into(),
         sh_frame: Some(ShFrame::World),
         trajectory,
+        present: Presence::ALWAYS,
     })
     .unwrap();
     check(&world, &file, "added");

@@ -11,7 +11,9 @@ mod lenses;
 mod light;
 mod light_on_demand;
 mod outputs;
+mod presence;
 mod scenes;
+pub mod sky;
 mod worlds;
 
 pub use agents::background;

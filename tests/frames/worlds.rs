@@ -10,7 +10,7 @@ use decouplegs::render::{
     Agent, AssetPool, ColorFormat, Image, ImageBytes, Outputs, Plane, RenderError, RenderOptions,
     Renderer, Scene,
 };
-use decouplegs::scene::{Camera, Pose, Rig, Rules, ShFrame, Trajectory};
+use decouplegs::scene::{Camera, Pose, Presence, Rig, Rules, ShFrame, Trajectory};
 use decouplegs::session::{
     HostImages, Session, SessionError, SessionOptions, SessionScene, World, WorldView,
 };
@@ -156,6 +156,7 @@ fn loaded(seed: u64) -> LoadedScene {
         instance,
         sh_frame: ShFrame::Canonical,
         trajectory: Trajectory::standing(Pose::from_yaw(0.2, DVec3::new(x, 0.5, 0.0))),
+        present: Presence::ALWAYS,
     };
     LoadedScene {
         world: background(2000, seed),

@@ -12,6 +12,7 @@ mod cull_shadows;
 mod key_splats;
 mod layout;
 mod plan_segments;
+mod post_process;
 mod project;
 mod properties;
 mod relight;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use decouplegs::scene::Pose;
+use decouplegs::scene::{Pose, Presence};
 use glam::{DQuat, DVec3};
 
 /// An agent that comes: `NAME=ASSET,X,Y,Z,YAW_DEG`.
@@ -28,6 +28,13 @@ pub struct Move {
     pub name: String,
     pub position_m: DVec3,
     pub yaw_rad: f64,
+}
+
+/// Times of an agent: `NAME=FROM,TO[,FROM,TO...]`, or `NAME=always`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Times {
+    pub name: String,
+    pub present: Presence,
 }
 
 /// Shift of an agent in its own frame: `NAME=FORWARD,LEFT[,YAW_DEG]`.
@@ -123,6 +130,31 @@ impl FromStr for Shift {
     }
 }
 
+impl FromStr for Times {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || {
+            format!(
+                "expected NAME=FROM,TO[,FROM,TO...] in seconds, like car_03=0,4.5,8,12, or NAME=always, found {text:?}"
+            )
+        };
+        if let Some(name) = text.strip_suffix("=always") {
+            return Ok(Self {
+                name: named(name).ok_or_else(expected)?,
+                present: Presence::ALWAYS,
+            });
+        }
+        let (name, times_s) = named_numbers(text).ok_or_else(expected)?;
+        let (pairs, []) = times_s.as_chunks::<2>() else {
+            return Err(expected());
+        };
+        let present =
+            Presence::new(pairs.to_vec()).map_err(|reason| format!("{text:?}: {reason}"))?;
+        Ok(Self { name, present })
+    }
+}
+
 fn named(name: &str) -> Option<String> {
     (!name.is_empty()).then(|| name.to_owned())
 }
@@ -178,6 +210,18 @@ mod tests {
                 ..Pose::IDENTITY
             }
         );
+        let times: Times = "a=b=0,4.5, 8,12".parse().unwrap();
+        assert_eq!(
+            (times.name.as_str(), times.present.intervals_s()),
+            ("a=b", &[[0.0, 4.5], [8.0, 12.0]][..])
+        );
+        assert_eq!(
+            "a=always".parse::<Times>().unwrap().present,
+            Presence::ALWAYS
+        );
+        for nonsense in ["a", "a=", "a=1", "a=1,2,3", "a=2,1", "a=0,3,3,4", "=always"] {
+            assert!(nonsense.parse::<Times>().unwrap_err().contains(nonsense));
+        }
         assert!((three.shift.transform(DVec3::X) - DVec3::new(5.0, -2.5, 0.0)).length() < 1e-12);
     }
 

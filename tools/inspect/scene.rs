@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use decouplegs::asset::{LoadedScene, SceneFile};
 use decouplegs::scene::light::ambient_by_definition;
-use decouplegs::scene::{RigCamera, ShFrame, Trajectory, World};
+use decouplegs::scene::{Presence, RigCamera, ShFrame, Trajectory, World};
 use glam::DVec3;
 use serde_json::{Value, json};
 
@@ -45,6 +45,7 @@ struct Agent {
     splats: usize,
     sh_frame: &'static str,
     trajectory: Trajectory,
+    present: Presence,
 }
 
 impl Listing {
@@ -75,6 +76,7 @@ impl Listing {
                     "canonical"
                 },
                 trajectory: agent.trajectory.clone(),
+                present: agent.present.clone(),
             }
         };
         Self {
@@ -114,12 +116,16 @@ impl Listing {
             splats,
             sh_frame,
             trajectory,
+            present,
         } in &self.agents
         {
             let (asset, way) = (asset.display(), way_to_text(trajectory));
+            let times = times_to_text(present);
             lines.line(
                 "",
-                &format!("{instance} {name}: {asset}, {splats} splats, colors {sh_frame}, {way}"),
+                &format!(
+                    "{instance} {name}: {asset}, {splats} splats, colors {sh_frame}, {way}{times}"
+                ),
             );
         }
         if let Some(light) = &self.light {
@@ -145,6 +151,7 @@ impl Listing {
                 "splats": agent.splats,
                 "sh_frame": agent.sh_frame,
                 "trajectory": way_to_json(&agent.trajectory),
+                "present_s": present_to_json(&agent.present),
             })
         };
         json!({
@@ -260,6 +267,26 @@ fn way_to_text(way: &Trajectory) -> String {
             meters(poses[0].pose.translation),
             meters(poses[poses.len() - 1].pose.translation)
         ),
+    }
+}
+
+/// `, present 0.0 s to 4.5 s and 8.0 s to 12.0 s`; nothing for an agent that always is.
+fn times_to_text(present: &Presence) -> String {
+    let interval = |[from_s, to_s]: &[f64; 2]| format!("{from_s:.1} s to {to_s:.1} s");
+    match present.intervals_s() {
+        [] => String::new(),
+        intervals_s => {
+            let intervals: Vec<String> = intervals_s.iter().map(interval).collect();
+            format!(", present {}", intervals.join(" and "))
+        }
+    }
+}
+
+/// Intervals, seconds; `null` for an agent that always is present.
+fn present_to_json(present: &Presence) -> Value {
+    match present.intervals_s() {
+        [] => Value::Null,
+        intervals_s => json!(intervals_s),
     }
 }
 

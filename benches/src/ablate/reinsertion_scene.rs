@@ -4,8 +4,8 @@ use anyhow::{Context, Result};
 use decouplegs::asset::{LoadedAgent, LoadedLight, LoadedScene};
 use decouplegs::scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs::scene::{
-    AgentPlacement, Camera, Intrinsics, LightTransfer, Pose, ShFrame, SplatCloud, TimedPose,
-    Trajectory, World,
+    AgentPlacement, Camera, Intrinsics, LightTransfer, Pose, Presence, ShFrame, SplatCloud,
+    TimedPose, Trajectory, World,
 };
 use decouplegs::synth::street::{Street, StreetOptions, Weather};
 
@@ -67,6 +67,7 @@ impl ReinsertionScene {
                     instance: u16::try_from(at + 1).context("there are more than 65535 agents")?,
                     sh_frame: ShFrame::Canonical,
                     trajectory: trajectory(way.iter().copied())?,
+                    present: Presence::ALWAYS,
                 })
             });
         let loaded = LoadedScene {

@@ -8,7 +8,7 @@ use decouplegs::asset::{
     LoadedAgent, LoadedScene, SceneFile, coded_asset, is_scene_file, read_coded, read_splats,
 };
 use decouplegs::gpu::Gpu;
-use decouplegs::scene::{CodedCloud, ShFrame, SplatCloud, TimedPose, Trajectory, World};
+use decouplegs::scene::{CodedCloud, Presence, ShFrame, SplatCloud, TimedPose, Trajectory, World};
 use decouplegs::synth::street::{Street, StreetOptions};
 use decouplegs::train::compress::{CompressOptions, Progress, Prune, compress};
 use serde_json::{Value, json};
@@ -86,6 +86,8 @@ impl Workload {
                     .context("there are more than 65535 agents")?,
                 sh_frame: agent.sh_frame.unwrap_or(own_frame),
                 trajectory: agent.trajectory,
+                // The report counts agents: all of them are drawn at all times.
+                present: Presence::ALWAYS,
             });
         }
         let source = json!({ "scene": path.display().to_string() });
@@ -137,6 +139,7 @@ impl Workload {
                     instance: u16::try_from(at + 1).context("there are more than 65535 agents")?,
                     sh_frame: agent.sh_frame,
                     trajectory: trajectory(way)?,
+                    present: Presence::ALWAYS,
                 })
             });
         let agents = agents.collect::<Result<Vec<_>>>()?;

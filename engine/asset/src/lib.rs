@@ -34,6 +34,7 @@ pub mod probe;
 pub mod scenario_file;
 pub mod scene_file;
 pub mod scene_import;
+pub mod sky_file;
 pub mod sog;
 pub mod splat;
 pub mod spz;
@@ -56,7 +57,8 @@ pub use read::{SplatFormat, read_splats};
 pub use scenario_file::{read_scenario, write_scenario};
 pub use scene_file::{
     EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight,
-    is_scene_file, open_scene,
+    SceneSky, is_scene_file, open_scene,
 };
+pub use sky_file::SkyKind;
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};
 pub use tracks::read_tracks;

@@ -6,14 +6,24 @@ use std::path::{Path, PathBuf};
 use decouplegs_scene::light::Probe;
 use image::codecs::hdr::HdrDecoder;
 use image::codecs::openexr::OpenExrDecoder;
+use image::codecs::png::PngDecoder;
 use image::{DynamicImage, ImageDecoder};
 
 use crate::error::read_bytes;
 use crate::{AssetError, DecodeError};
 
-/// Largest probe that is read, pixels; larger ones are offered smaller by all who offer them.
-const WIDTH_MAX_PX: u32 = 8192;
-const HEIGHT_MAX_PX: u32 = 4096;
+/// Largest probe that is read; larger ones are offered smaller by all who offer them.
+const SIZE_MAX: ImageSize = ImageSize {
+    width_px: 8192,
+    height_px: 4096,
+};
+
+/// Size of an image.
+#[derive(Clone, Copy)]
+pub(crate) struct ImageSize {
+    pub(crate) width_px: u32,
+    pub(crate) height_px: u32,
+}
 
 /// No compression of these formats makes images of light so small; a file that claims it is broken.
 const PIXELS_PER_BYTE_MAX: u64 = 1024;
@@ -23,25 +33,55 @@ const PIXELS_PER_BYTE_MAX: u64 = 1024;
 /// # Errors
 /// Returns an error if they are neither, broken, or larger than 8192 x 4096 px.
 pub fn decode(name: impl Into<String>, bytes: &[u8]) -> Result<Probe, DecodeError> {
+    if bytes.starts_with(PNG) || !is_image(bytes) {
+        let reason = "the first bytes are neither OpenEXR's nor Radiance HDR's; save the probe as .exr or .hdr";
+        return Err(DecodeError::Malformed(reason.into()));
+    }
+    let (width, height, radiance) = decode_rgb(bytes, SIZE_MAX)?;
+    Ok(Probe::new(name, width, height, radiance))
+}
+
+/// First bytes of an OpenEXR, a Radiance HDR and a PNG file.
+const EXR: &[u8] = &[0x76, 0x2f, 0x31, 0x01];
+const HDR: &[u8] = b"#?";
+const PNG: &[u8] = b"\x89PNG";
+
+fn is_image(bytes: &[u8]) -> bool {
+    [EXR, HDR, PNG].iter().any(|first| bytes.starts_with(first))
+}
+
+/// Columns, rows and RGB, row-major from the top left, of an OpenEXR, Radiance HDR or PNG image.
+/// Values of PNG are 0 to 1, those of the others as they are stored.
+///
+/// # Errors
+/// Returns an error if the bytes are none of these, broken, or the image is larger than `max`.
+pub(crate) fn decode_rgb(
+    bytes: &[u8],
+    max: ImageSize,
+) -> Result<(usize, usize, Vec<[f32; 3]>), DecodeError> {
     let broken = |error: image::ImageError| DecodeError::Malformed(error.to_string());
-    let image = if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-        check_exr_windows(bytes)?;
+    let image = if bytes.starts_with(EXR) {
+        check_exr_windows(bytes, max)?;
         let decoder = OpenExrDecoder::with_alpha_preference(Cursor::new(bytes), Some(false))
             .map_err(broken)?;
-        check_size(decoder.dimensions(), bytes.len())?;
+        check_size(decoder.dimensions(), bytes.len(), max)?;
         DynamicImage::from_decoder(decoder).map_err(broken)?
-    } else if bytes.starts_with(b"#?") {
+    } else if bytes.starts_with(HDR) {
         let decoder = HdrDecoder::new(Cursor::new(bytes)).map_err(broken)?;
-        check_size(decoder.dimensions(), bytes.len())?;
+        check_size(decoder.dimensions(), bytes.len(), max)?;
+        DynamicImage::from_decoder(decoder).map_err(broken)?
+    } else if bytes.starts_with(PNG) {
+        let decoder = PngDecoder::new(Cursor::new(bytes)).map_err(broken)?;
+        check_size(decoder.dimensions(), bytes.len(), max)?;
         DynamicImage::from_decoder(decoder).map_err(broken)?
     } else {
-        let reason = "the first bytes are neither OpenEXR's nor Radiance HDR's; save the probe as .exr or .hdr";
+        let reason = "the first bytes are those of no image that is read; save it as .exr or .png";
         return Err(DecodeError::Malformed(reason.into()));
     };
     let rgb = image.into_rgb32f();
     let (width, height) = rgb.dimensions();
-    let radiance = rgb.pixels().map(|pixel| pixel.0).collect();
-    Ok(Probe::new(name, width as usize, height as usize, radiance))
+    let pixels = rgb.pixels().map(|pixel| pixel.0).collect();
+    Ok((width as usize, height as usize, pixels))
 }
 
 /// Reads the probe at `path`, named by its file.
@@ -59,11 +99,16 @@ pub fn read_probe(path: &Path) -> Result<Probe, AssetError> {
 }
 
 /// Refuses images whose size their bytes cannot mean.
-fn check_size((width, height): (u32, u32), file_bytes: usize) -> Result<(), DecodeError> {
+fn check_size(
+    (width, height): (u32, u32),
+    file_bytes: usize,
+    max: ImageSize,
+) -> Result<(), DecodeError> {
     let pixels = u64::from(width) * u64::from(height);
-    if pixels == 0 || width > WIDTH_MAX_PX || height > HEIGHT_MAX_PX {
+    if pixels == 0 || width > max.width_px || height > max.height_px {
         let reason = format!(
-            "{width} x {height} px; expected 1 x 1 to {WIDTH_MAX_PX} x {HEIGHT_MAX_PX}: make it smaller"
+            "{width} x {height} px; expected 1 x 1 to {} x {}: make it smaller",
+            max.width_px, max.height_px
         );
         return Err(DecodeError::Unsupported(reason));
     }
@@ -77,13 +122,13 @@ fn check_size((width, height): (u32, u32), file_bytes: usize) -> Result<(), Deco
 }
 
 /// Data windows may differ from the image's size, and lines of them are unpacked whole.
-fn check_exr_windows(bytes: &[u8]) -> Result<(), DecodeError> {
+fn check_exr_windows(bytes: &[u8], max: ImageSize) -> Result<(), DecodeError> {
     let read = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), false);
     let meta = read.map_err(|error| DecodeError::Malformed(error.to_string()))?;
     for header in &meta.headers {
         let size = header.layer_size;
         let side = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
-        check_size((side(size.width()), side(size.height())), bytes.len())?;
+        check_size((side(size.width()), side(size.height())), bytes.len(), max)?;
     }
     Ok(())
 }

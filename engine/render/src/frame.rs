@@ -239,12 +239,16 @@ fn record_images(
         bins,
         ..
     } = frame.shape;
-    let (counters, cameras, stages) = (&frame.counters, &frame.cameras, stages.common);
-    let (plan, partials, images, sky) =
-        (&frame.plan, &frame.partials, &slot.images, input.world.sky);
+    let (counters, cameras) = (&frame.counters, &frame.cameras);
+    let (plan, partials, sky) = (&frame.plan, &frame.partials, input.world.sky);
+    // Post-processing writes the images of what is blended.
+    let blended = stages
+        .post_process
+        .map(|_| slot.images.with_color_in(&frame.blended));
+    let images = blended.as_ref().unwrap_or(&slot.images);
     let (records, projected) = (&frame.tile_sort.sorted_records, &frame.projected);
     recorder.stage("plan", |r| {
-        stages.plan_segments.record(
+        stages.common.plan_segments.record(
             r,
             counters,
             &frame.tile_sort.tile_lists,
@@ -254,7 +258,7 @@ fn record_images(
         );
     });
     recorder.stage("blend", |r| {
-        stages.blend.record(
+        stages.images.blend.record(
             r,
             counters,
             cameras,
@@ -268,7 +272,7 @@ fn record_images(
         );
     });
     recorder.stage("composite", |r| {
-        stages.composite.record(
+        stages.images.composite.record(
             r,
             counters,
             cameras,
@@ -280,7 +284,7 @@ fn record_images(
         );
         r.copy(&counters.required, 0, &slot.found_required, 0, 1);
     });
-    if let Some(finish) = &stages.finish {
+    if let Some(finish) = &stages.images.finish {
         recorder.stage("finish", |r| {
             finish.record(
                 r,
@@ -294,6 +298,12 @@ fn record_images(
                 partials,
                 images,
             );
+        });
+    }
+    if let (Some(post_process), Some(sky)) = (stages.post_process, &input.world.sky_map) {
+        recorder.stage("post-process", |r| {
+            let (blended, seen_by) = (&frame.blended, &slot.sky_cameras);
+            post_process.record(r, cameras, seen_by, sky, blended, &slot.images);
         });
     }
 }

@@ -17,6 +17,8 @@ pub(crate) struct FrameShape {
     /// Clusters of the background.
     pub clusters: usize,
     pub bins: u32,
+    /// Pixels whose splats are blended before post-processing; 0 without it.
+    pub blended_pixels: usize,
 }
 
 impl FrameShape {
@@ -32,6 +34,7 @@ impl FrameShape {
             cameras: self.cameras.max(other.cameras),
             clusters: self.clusters.max(other.clusters),
             bins: self.bins.max(other.bins),
+            blended_pixels: self.blended_pixels.max(other.blended_pixels),
         }
     }
 }
@@ -55,6 +58,8 @@ pub(crate) struct FrameBuffers {
     pub tile_sort: TileSortBuffers,
     pub plan: Plan,
     pub partials: PartialResults,
+    /// Color of splats over black, and alpha, that is post-processed.
+    pub blended: Buffer<[f32; 4]>,
 }
 
 impl FrameBuffers {
@@ -64,6 +69,7 @@ impl FrameBuffers {
             cameras,
             clusters,
             bins,
+            blended_pixels,
         } = shape;
         let device = MemoryKind::Device;
         Ok(Self {
@@ -84,6 +90,7 @@ impl FrameBuffers {
                 &options.rules,
                 &options.outputs,
             )?,
+            blended: gpu.buffer("blended", PURPOSE, blended_pixels, device)?,
         })
     }
 

@@ -4,10 +4,10 @@ use decouplegs_gpu::{DeviceKind, Gpu, GpuError};
 use decouplegs_scene::Rules;
 
 use crate::options::RenderOptions;
-use crate::output::Outputs;
+use crate::output::{ColorFormat, Outputs};
 use crate::stages::{
     Blend, BlendPass, CompositeSegments, Cull, CullAgents, CullShadows, KeySplats, PlanSegments,
-    Project, ProjectAgents, ProjectVariant, Relight, Scan, TileSort, finishes,
+    PostProcess, Project, ProjectAgents, ProjectVariant, Relight, Scan, TileSort, finishes,
 };
 
 /// Longer segments are no segments.
@@ -24,6 +24,10 @@ pub(crate) struct CommonStages {
     pub key_splats: Option<KeySplats>,
     pub tile_sort: TileSort,
     pub plan_segments: PlanSegments,
+}
+
+/// Kernels that make images of sorted lists, for one format of color.
+pub(crate) struct ImageStages {
     pub blend: Blend,
     pub composite: CompositeSegments,
     /// Blends again the segments in which pixels end, where that depends on what lies before them.
@@ -51,6 +55,8 @@ pub(crate) struct Kernels {
     segment_pairs: u32,
     keep_keys: bool,
     common: Option<CommonStages>,
+    images: Vec<(ColorFormat, ImageStages)>,
+    post_process: Option<PostProcess>,
     background: Vec<(ProjectVariant, BackgroundStages)>,
     agents: Vec<(AgentVariant, AgentStages)>,
     shadows: Option<CullShadows>,
@@ -60,6 +66,9 @@ pub(crate) struct Kernels {
 #[derive(Clone, Copy)]
 pub(crate) struct FrameStages<'a> {
     pub common: &'a CommonStages,
+    pub images: &'a ImageStages,
+    /// `None` without a sky map.
+    pub post_process: Option<&'a PostProcess>,
     pub background: &'a BackgroundStages,
     pub agents: Option<&'a AgentStages>,
     pub shadows: Option<&'a CullShadows>,
@@ -80,6 +89,8 @@ pub(crate) struct AgentVariant {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct FrameVariant {
     pub background: ProjectVariant,
+    /// True if images are post-processed: there is a sky map.
+    pub post_processed: bool,
     /// `None` without agents.
     pub agents: Option<AgentVariant>,
 }
@@ -104,6 +115,8 @@ impl Kernels {
                 _ => segment_pairs.max(1),
             },
             common: None,
+            images: Vec::new(),
+            post_process: None,
             background: Vec::new(),
             agents: Vec::new(),
             shadows: None,
@@ -120,25 +133,35 @@ impl Kernels {
             ..
         } = self;
         if self.common.is_none() {
-            let blend = |pass| Blend::new(gpu, rules, outputs, pass, *segment_pairs);
-            let finish = finishes(rules, outputs) && *segment_pairs < u32::MAX;
             self.common = Some(CommonStages {
                 scan: Scan::new(gpu)?,
-                key_splats: if *keep_keys {
-                    Some(KeySplats::new(gpu)?)
-                } else {
-                    None
-                },
+                key_splats: keep_keys.then(|| KeySplats::new(gpu)).transpose()?,
                 tile_sort: TileSort::new(gpu, rules)?,
                 plan_segments: PlanSegments::new(gpu, *segment_pairs)?,
+            });
+        }
+        // What is post-processed is not rounded before.
+        let color = match variant.post_processed {
+            true => ColorFormat::F32,
+            false => outputs.color,
+        };
+        if !self.images.iter().any(|(built, _)| *built == color) {
+            let outputs = Outputs { color, ..*outputs };
+            let blend = |pass| Blend::new(gpu, rules, &outputs, pass, *segment_pairs);
+            let finish = finishes(rules, &outputs) && *segment_pairs < u32::MAX;
+            let stages = ImageStages {
                 blend: blend(BlendPass::Segments)?,
-                composite: CompositeSegments::new(gpu, rules, outputs)?,
+                composite: CompositeSegments::new(gpu, rules, &outputs)?,
                 finish: if finish {
                     Some(blend(BlendPass::Finish)?)
                 } else {
                     None
                 },
-            });
+            };
+            self.images.push((color, stages));
+        }
+        if variant.post_processed && self.post_process.is_none() {
+            self.post_process = Some(PostProcess::new(gpu, outputs)?);
         }
         let kind = variant.background;
         if !self.background.iter().any(|(built, _)| *built == kind) {
@@ -172,6 +195,15 @@ impl Kernels {
         };
         Ok(FrameStages {
             common: self.common.as_ref().ok_or_else(|| built("a stage"))?,
+            images: self
+                .images
+                .iter()
+                .find_map(|(built, stages)| (*built == color).then_some(stages))
+                .ok_or_else(|| built("blending"))?,
+            post_process: self
+                .post_process
+                .as_ref()
+                .filter(|_| variant.post_processed),
             background: self
                 .background
                 .iter()

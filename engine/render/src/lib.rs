@@ -20,6 +20,7 @@ mod read_back;
 mod relit;
 mod renderer;
 mod resident;
+pub mod sky;
 mod slot;
 mod statistics;
 mod taken;

@@ -102,6 +102,14 @@ impl OutputBuffers {
         })
     }
 
+    /// The same buffers, with color in `blended`.
+    pub(crate) fn with_color_in(&self, blended: &Buffer<[f32; 4]>) -> Self {
+        Self {
+            images_f32: blended.clone(),
+            ..self.clone()
+        }
+    }
+
     /// Steps of a contribution to 1: as many as all pixels together can be counted in.
     #[must_use]
     pub fn contribution_scale(&self) -> f32 {

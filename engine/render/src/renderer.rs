@@ -15,6 +15,7 @@ use crate::keys::{KeyDecision, PersistentKeys};
 use crate::layout::{View, near_m};
 use crate::options::{FrameStatistics, RenderOptions};
 use crate::resident::GpuScene;
+use crate::sky::RayTables;
 use crate::slot::{FrameInFlight, Pending};
 use crate::stages::{AgentCounts, ProjectVariant};
 use crate::taken::SharedShelf;
@@ -42,6 +43,7 @@ pub struct Renderer {
     shown: Option<usize>,
     keys: Option<PersistentKeys>,
     shelf: SharedShelf,
+    ray_tables: RayTables,
 }
 
 impl Renderer {
@@ -59,6 +61,7 @@ impl Renderer {
             shown: None,
             keys: None,
             shelf: SharedShelf::default(),
+            ray_tables: RayTables::default(),
         }
     }
 
@@ -169,6 +172,7 @@ impl Renderer {
                 shadows_by_camera: scene.shadow_cameras.is_some(),
                 lenses: !view.lenses.is_empty(),
             },
+            post_processed: scene.world.sky_map.is_some(),
             // That of all assets, in view or not: building kernels in the middle of a drive
             // would stall it.
             agents: scene
@@ -181,6 +185,10 @@ impl Renderer {
                 }),
         };
         let kept_keys = keys.keys().clone();
+        let sky_cameras = match &scene.world.sky_map {
+            Some(sky) => self.ray_tables.seen_by(&self.gpu, sky, cameras)?,
+            None => Vec::new(),
+        };
         let added = scene
             .agents
             .and_then(|(pool, _)| pool.last_upload().cloned());
@@ -191,6 +199,7 @@ impl Renderer {
             &scene,
             list,
         )?;
+        self.slots[slot].sky_cameras = sky_cameras;
         self.slots[slot]
             .staged_key_sets
             .write_host(0, &decision.sets);
@@ -415,6 +424,11 @@ impl Renderer {
             cameras: view.cameras.len(),
             clusters: world.cluster_count(),
             bins: view.bins,
+            blended_pixels: if world.sky_map.is_some() {
+                view.pixels
+            } else {
+                0
+            },
         };
         match &mut self.frame {
             Some(frame) if frame.room().covers(&shape) => frame.shape = shape,

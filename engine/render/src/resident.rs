@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use crate::layout::{CLUSTER_SPLATS, ClusterRecord};
 use crate::reference::unscented::SIGMA_REACH;
+use crate::sky::SkyBuffers;
 use crate::{RenderError, sh_codec};
 
 /// Purpose under which the memory of worlds is counted.
@@ -35,8 +36,10 @@ pub struct GpuScene {
     pub reach_m: f64,
     /// World coordinates of the point that means are relative to.
     pub origin: DVec3,
-    /// Color where transmittance is left.
+    /// Color where transmittance is left; black where there is a sky map.
     pub sky: [f32; 3],
+    /// Colors where transmittance is left, by direction.
+    pub sky_map: Option<SkyBuffers>,
     /// One a [`CLUSTER_SPLATS`] splats.
     pub clusters: Buffer<ClusterRecord>,
     /// Relative to the origin, meters.
@@ -104,7 +107,16 @@ impl GpuScene {
             sh_degree: cloud.sh_degree,
             has_instances: !world.instance_from_splat.is_empty(),
             origin: world.origin,
-            sky: world.sky,
+            sky: if world.sky_map.is_some() {
+                [0.0; 3]
+            } else {
+                world.sky
+            },
+            sky_map: world
+                .sky_map
+                .as_ref()
+                .map(|sky| SkyBuffers::upload(gpu, sky))
+                .transpose()?,
             clusters: gpu.upload("clusters", PURPOSE, &clusters)?,
             means: gpu.upload("means", PURPOSE, &means)?,
             shapes: gather("shapes", |splat| splat.shape)?,

@@ -17,6 +17,7 @@ use crate::layout::{
 use crate::output::{OutputBuffers, Outputs};
 use crate::relit::RelitCodebooks;
 use crate::resident::GpuScene;
+use crate::sky::SkyCamera;
 use crate::stages::{AgentBuffers, AgentCounts, PURPOSE, ShadowBuffers};
 use crate::taken::SharedShelf;
 
@@ -59,6 +60,8 @@ pub(crate) struct FrameInFlight {
     room: (usize, usize),
     pub found_required: Buffer<RequiredCounts>,
     pub view: Option<View>,
+    /// Cameras of the view as they see the sky map; none without one.
+    pub sky_cameras: Vec<SkyCamera>,
     pub list: Option<AgentList>,
     pub pending: Option<Pending>,
     /// The frame that was finished last, whose images are those above.
@@ -102,6 +105,7 @@ impl FrameInFlight {
             room: (0, 0),
             found_required: gpu.buffer("found_required", PURPOSE, 1, MemoryKind::Readback)?,
             view: None,
+            sky_cameras: Vec::new(),
             list: None,
             pending: None,
             done: None,

@@ -1,6 +1,8 @@
 //! A world to be drawn: a background, the agents placed in it, its sky and its rules.
 
-use crate::{Invalid, Pose, Rules, SplatCloud};
+use std::sync::Arc;
+
+use crate::{Invalid, Pose, Rules, SkyMap, SplatCloud};
 use glam::DVec3;
 
 /// Frame of an asset's spherical harmonics.
@@ -38,8 +40,11 @@ pub struct World {
     /// World coordinates of the point that means are relative to, f64 meters: UTM-sized worlds keep
     /// their millimeters.
     pub origin: DVec3,
-    /// Seen where transmittance is left, display-referred RGB.
+    /// Color where transmittance is left, display-referred RGB. Not used where there is a
+    /// [`World::sky_map`].
     pub sky: [f32; 3],
+    /// Colors where transmittance is left, by direction. `None`: [`World::sky`] in all directions.
+    pub sky_map: Option<Arc<SkyMap>>,
     /// Image formation rules.
     pub rules: Rules,
 }

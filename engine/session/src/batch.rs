@@ -78,7 +78,7 @@ impl Batch {
             None => self.parts.push(Part {
                 view,
                 cameras: 1,
-                agents: world.agents().iter().map(|agent| agent.placed).collect(),
+                agents: world.present_agents().collect(),
             }),
         }
     }

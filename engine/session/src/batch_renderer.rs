@@ -261,7 +261,8 @@ impl BatchRenderer {
         if let Some(view) = views.iter().position(is_foreign) {
             return Err(SessionError::OtherSession { view });
         }
-        let batches = batches(views, self.pixels_max())?;
+        let post_processed = views.iter().any(|view| view.world.scene().has_sky_map());
+        let batches = batches(views, self.pixels_max(post_processed))?;
         self.submissions.push_back(batches.len());
         for batch in batches {
             let renderer = self.renderer_of(&batch.scene);
@@ -332,12 +333,13 @@ impl BatchRenderer {
         result
     }
 
-    /// Pixels that one buffer of images can hold, and one of all planes.
-    fn pixels_max(&self) -> u64 {
+    /// Pixels that one buffer of images can hold, and one of all planes. What is post-processed is
+    /// blended as f32.
+    fn pixels_max(&self, post_processed: bool) -> u64 {
         let outputs = self.options.outputs;
         let color_bytes = match outputs.color {
-            ColorFormat::F32 => 16,
-            ColorFormat::U8 => 4,
+            ColorFormat::U8 if !post_processed => 4,
+            _ => 16,
         };
         let plane_bytes = 4 * outputs.planes.iter().count() as u64;
         self.gpu.limits().storage_buffer_bytes_max / color_bytes.max(plane_bytes)

@@ -370,6 +370,11 @@ impl SessionScene {
         Ok(self.live_mut().add_asset(&asset.cloud)?)
     }
 
+    /// True if a sky map is behind its splats.
+    pub(crate) fn has_sky_map(&self) -> bool {
+        self.live().world.sky_map.is_some()
+    }
+
     /// Splats of the background.
     #[must_use]
     pub fn background_splats(&self) -> usize {

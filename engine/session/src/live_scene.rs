@@ -68,6 +68,20 @@ pub struct AgentInstance {
     pub shines: bool,
 }
 
+impl AgentInstance {
+    /// `agent` where it is at `time_s`.
+    #[must_use]
+    pub fn of(agent: &LoadedAgent, time_s: f64) -> Self {
+        Self {
+            asset: agent.asset,
+            pose: agent.trajectory.at(time_s),
+            sh_frame: Some(agent.sh_frame),
+            instance: agent.instance,
+            shines: false,
+        }
+    }
+}
+
 /// All that moves in a scene, at one instant.
 #[derive(Clone, Debug, Default)]
 pub struct SceneSnapshot {
@@ -181,23 +195,15 @@ impl LiveScene {
         self.assets.get(asset).map(|asset| asset.dims_m)
     }
 
-    /// All agents where they are at `time_s`, in the light of the scene.
+    /// The agents that are present at `time_s`, where they are then, in the light of the scene.
     #[must_use]
     pub fn at(&self, time_s: f64) -> SceneSnapshot {
-        self.posed(|agent| agent.trajectory.at(time_s))
-    }
-
-    /// All agents where `pose_of` puts them, world coordinates, in the light of the scene.
-    #[must_use]
-    pub fn posed(&self, pose_of: impl Fn(&LoadedAgent) -> Pose) -> SceneSnapshot {
-        let placed = |agent: &LoadedAgent| AgentInstance {
-            asset: agent.asset,
-            pose: pose_of(agent),
-            sh_frame: Some(agent.sh_frame),
-            instance: agent.instance,
-            shines: false,
-        };
-        self.placed(&self.agents.iter().map(placed).collect::<Vec<_>>())
+        let agents = self.agents.iter();
+        let present = agents.filter(|agent| agent.present.includes(time_s));
+        let placed: Vec<_> = present
+            .map(|agent| AgentInstance::of(agent, time_s))
+            .collect();
+        self.placed(&placed)
     }
 
     /// Any agents anywhere, in the light of the scene.

@@ -97,6 +97,7 @@ fn code_plain(
             name: agent.name,
             asset,
             trajectory: agent.trajectory,
+            present: agent.present,
         });
     }
     Ok(places.len())

@@ -20,6 +20,8 @@ pub struct WorldAgent {
     pub name: String,
     /// Asset and pose.
     pub placed: AgentInstance,
+    /// False where the scene file says that it is absent: it is in no image and throws no shadow.
+    pub present: bool,
 }
 
 /// A set of agents over a scene, which other worlds may be over as well: the background is shared,
@@ -36,13 +38,8 @@ impl World {
     pub fn new(scene: &Arc<SessionScene>) -> Self {
         let agent = |agent: &decouplegs_asset::LoadedAgent| WorldAgent {
             name: agent.name.clone(),
-            placed: AgentInstance {
-                asset: agent.asset,
-                pose: agent.trajectory.at(0.0),
-                sh_frame: Some(agent.sh_frame),
-                instance: agent.instance,
-                shines: false,
-            },
+            placed: AgentInstance::of(agent, 0.0),
+            present: agent.present.includes(0.0),
         };
         Self {
             agents: scene.agents().iter().map(agent).collect(),
@@ -65,29 +62,39 @@ impl World {
         &self.scene
     }
 
-    /// Agents, in the order in which equal depths are rendered.
+    /// Agents, in the order in which equal depths are rendered, those that are absent included.
     #[must_use]
     pub fn agents(&self) -> &[WorldAgent] {
         &self.agents
     }
 
+    /// Agents that images show.
+    pub(super) fn present_agents(&self) -> impl Iterator<Item = AgentInstance> {
+        let present = self.agents.iter().filter(|agent| agent.present);
+        present.map(|agent| agent.placed)
+    }
+
     /// Puts the agents of the scene file that are still here where their trajectories have them at
-    /// `time_s`.
+    /// `time_s`. Those that the scene file has not at that time are absent until another time is
+    /// set, or they are moved or placed.
     pub fn set_time(&mut self, time_s: f64) {
         for agent in &mut self.agents {
             if let Some(loaded) = self.scene.agent(&agent.name) {
                 agent.placed.pose = loaded.trajectory.at(time_s);
+                agent.present = loaded.present.includes(time_s);
             }
         }
     }
 
-    /// Moves an agent; world coordinates of its origin, the center of its box.
+    /// Moves an agent, which is present from now on; world coordinates of its origin, the center of
+    /// its box.
     ///
     /// # Errors
     /// Returns an error if there is none of that name, or it is part of the background.
     pub fn move_to(&mut self, name: &str, pose: Pose) -> Result<(), SessionError> {
         let index = self.index_of(name)?;
-        self.agents[index].placed.pose = pose;
+        let agent = &mut self.agents[index];
+        (agent.placed.pose, agent.present) = (pose, true);
         Ok(())
     }
 
@@ -107,15 +114,17 @@ impl World {
         self.scene.asset_dims_m(asset)?;
         match self.index_of(name) {
             Ok(index) => {
-                let placed = &mut self.agents[index].placed;
-                *placed = AgentInstance {
+                let agent = &mut self.agents[index];
+                let instance = agent.placed.instance;
+                agent.placed = AgentInstance {
                     asset,
                     pose,
                     sh_frame,
-                    instance: placed.instance,
+                    instance,
                     shines: false,
                 };
-                return Ok(placed.instance);
+                agent.present = true;
+                return Ok(instance);
             }
             Err(SessionError::NoAgent { .. }) => {}
             Err(error) => return Err(error),
@@ -130,6 +139,7 @@ impl World {
                 instance,
                 shines: false,
             },
+            present: true,
         });
         Ok(instance)
     }
@@ -145,7 +155,11 @@ impl World {
     ) -> Result<(), SessionError> {
         let agents: Vec<WorldAgent> = agents
             .into_iter()
-            .map(|(name, placed)| WorldAgent { name, placed })
+            .map(|(name, placed)| WorldAgent {
+                name,
+                placed,
+                present: true,
+            })
             .collect();
         if agents.len() > AGENTS_MAX {
             return Err(SessionError::TooManyAgents { max: AGENTS_MAX });

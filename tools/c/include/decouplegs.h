@@ -316,6 +316,10 @@ typedef struct {
      * Id in instance images, above 0.
      */
     uint32_t instance;
+    /**
+     * 0 where the scene file says that it is absent: it is in no image. Otherwise 1.
+     */
+    uint32_t present;
 } DgsAgent;
 
 /**

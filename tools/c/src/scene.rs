@@ -249,11 +249,13 @@ pub unsafe extern "C" fn dgs_scene_agent_at(
 ) -> DgsStatus {
     let at = |scene: &SessionScene| {
         let agent = loaded_agent(scene, index)?;
-        let pose = DgsPose::of(&agent.trajectory.at(moment(time_s)?));
+        let time_s = moment(time_s)?;
+        let pose = DgsPose::of(&agent.trajectory.at(time_s));
         Ok(DgsAgent {
             pose,
             asset: agent.asset as u32,
             instance: agent.instance.into(),
+            present: agent.present.includes(time_s).into(),
         })
     };
     // SAFETY: as the header asks of all pointers.

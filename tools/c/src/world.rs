@@ -215,11 +215,14 @@ pub unsafe extern "C" fn dgs_world_agent(
         let place = unsafe { out("agent", agent) }?;
         let held = WORLDS.find(call, world)?;
         let world = held.read()?;
-        let placed = self::agent(&world, index)?.placed;
+        let WorldAgent {
+            placed, present, ..
+        } = *self::agent(&world, index)?;
         place.write(DgsAgent {
             pose: DgsPose::of(&placed.pose),
             asset: placed.asset as u32,
             instance: placed.instance.into(),
+            present: present.into(),
         });
         Ok(())
     })

@@ -198,6 +198,9 @@ class Agent:
     @property
     def pose(self) -> NDArray[np.float64]:
         """world_from_agent, float64 [4, 4], meters."""
+    @property
+    def present(self) -> bool:
+        """False where the scene file says that it is absent: it is in no image."""
 
 class World:
     """A set of agents over a scene, which other worlds may be over as well. It costs a few hundred bytes."""
@@ -205,7 +208,7 @@ class World:
     def __init__(self, scene: Scene, empty: bool = False) -> None:
         """The agents of the scene file where they are at time 0, or none."""
     def set_time(self, time_s: float) -> None:
-        """Puts the agents of the scene file that are still here where their trajectories have them."""
+        """Puts the agents of the scene file that are still here where their trajectories have them; absent ones are hidden."""
     def move_to(self, name: str, pose: ArrayLike) -> None:
         """Moves an agent; pose is world_from_agent, float64 [4, 4], meters."""
     def place(self, name: str, asset: int, pose: ArrayLike) -> int:

@@ -28,6 +28,8 @@ pub struct Agent {
     instance: u16,
     /// world_from_agent, float64 [4, 4], meters.
     pose: Py<PyAny>,
+    /// False where the scene file says that it is absent: it is in no image.
+    present: bool,
 }
 
 #[pymethods]
@@ -111,6 +113,7 @@ impl World {
                 asset: agent.placed.asset,
                 instance: agent.placed.instance,
                 pose,
+                present: agent.present,
             })
         };
         agents.into_iter().map(agent).collect()

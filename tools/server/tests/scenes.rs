@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use decouplegs::asset::{CodedAsset, Provenance, SceneAgent, SceneFile, inria_ply, write_coded};
 use decouplegs::scene::{
-    Intrinsics, Pose, Rig, RigCamera, ShFrame, SplatCloud, TimedPose, Trajectory,
+    Intrinsics, Pose, Presence, Rig, RigCamera, ShFrame, SplatCloud, TimedPose, Trajectory,
 };
 use decouplegs::synth::street::{Street, StreetOptions};
 use decouplegs::train::compress::{CompressOptions, Prune, compress};
@@ -54,6 +54,7 @@ pub fn street(folder: &Path) -> PathBuf {
             asset: name.into(),
             sh_frame: Some(agent.sh_frame),
             trajectory,
+            present: Presence::ALWAYS,
         });
     }
     let mut rig = street.rig;
@@ -154,6 +155,7 @@ pub fn marked(folder: &Path) -> PathBuf {
         asset: "lamp.ply".into(),
         sh_frame: Some(ShFrame::Canonical),
         trajectory: Trajectory::standing(Pose::from_yaw(0.0, MARKED_ORIGIN)),
+        present: Presence::ALWAYS,
     };
     let ego = Trajectory::standing(Pose::from_yaw(
         0.1,

@@ -25,6 +25,9 @@ pub(super) fn sequence_tracks(
         (vec![], vec![], vec![], vec![], vec![], vec![]);
     for agent in &scene.agents {
         let way = sampled(scene, agent, span_s);
+        if way.is_empty() {
+            continue;
+        }
         ids.push(json!(agent.name));
         classes.push(json!(CLASS));
         flags.push(if stands(agent) {
@@ -61,14 +64,22 @@ pub(super) fn sequence_tracks(
 }
 
 /// Moments in microseconds and local poses (x, y, z and a quaternion x, y, z, w): where the agent's
-/// own way is known, and over the whole scene for one that stands.
+/// own way is known, and over the whole scene for one that stands; from its first presence to its
+/// last. Tracks have no gaps: times of absence between are part of it.
+/// None for an agent that is absent all the time.
 fn sampled(scene: &SceneFile, agent: &SceneAgent, span_s: (f64, f64)) -> Vec<(u64, [f64; 7])> {
     let way = &agent.trajectory;
-    let (start_s, end_s) = (way.start_s().max(span_s.0), way.end_s().min(span_s.1));
-    let (start_s, end_s) = if end_s > start_s {
-        (start_s, end_s)
-    } else {
-        span_s
+    let there_s = match agent.present.span_s() {
+        Some((first_s, last_s)) => (first_s.max(span_s.0), last_s.min(span_s.1)),
+        None => span_s,
+    };
+    let within = |(start_s, end_s): (f64, f64)| {
+        let both = (start_s.max(there_s.0), end_s.min(there_s.1));
+        (both.1 > both.0).then_some(both)
+    };
+    let known_s = within((way.start_s(), way.end_s())).or_else(|| within(span_s));
+    let Some((start_s, end_s)) = known_s else {
+        return Vec::new();
     };
     let local = |time_s: f64| {
         let Pose {

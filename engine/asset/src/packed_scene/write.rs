@@ -151,6 +151,9 @@ fn renamed(scene: &SceneFile) -> (SceneFile, Vec<(PathBuf, String)>) {
     own.agents
         .iter_mut()
         .for_each(|agent| take(&mut agent.asset, "assets/"));
+    if let Some(sky) = &mut own.sky_map {
+        take(&mut sky.file, "");
+    }
     if let Some(path) = own.light.as_mut().and_then(|light| light.transfer.as_mut()) {
         take(path, "");
     }

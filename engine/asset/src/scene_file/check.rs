@@ -6,18 +6,19 @@ use std::ops::Range;
 
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{
-    Intrinsics, Lens, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory,
+    Intrinsics, Lens, Pose, Presence, Rig, RigCamera, Rules, ShFrame, SkyMap, TimedPose, Trajectory,
 };
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use toml::Spanned;
 
 use super::form::{
-    AgentForm, CameraForm, LightForm, RulesForm, SceneForm, ShFrameForm, ShadowForm, TimedPoseForm,
+    AgentForm, CameraForm, LightForm, RulesForm, SceneForm, ShFrameForm, ShadowForm, SkyForm,
+    SkyKindForm, TimedPoseForm,
 };
 use super::lens::LensForm;
-use super::{SceneAgent, SceneFile, SceneLight, VERSION};
-use crate::SceneError;
+use super::{SceneAgent, SceneFile, SceneLight, SceneSky, VERSION};
 use crate::toml_text::{Checker, syntax_error};
+use crate::{SceneError, SkyKind};
 
 /// Ids that agents can have: 16 bits, of which 0 is the background.
 const AGENTS_MAX: usize = 65_535;
@@ -37,9 +38,7 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
     if !form.origin.iter().all(|x| x.is_finite()) {
         return Err(checker.error(&top, "", "origin", "must be finite"));
     }
-    if !form.sky.iter().all(|x| x.is_finite()) {
-        return Err(checker.error(&top, "", "sky", "must be finite"));
-    }
+    let (sky, sky_map) = checker.sky(&form.sky)?;
     let ego = if form.ego.is_empty() {
         None
     } else {
@@ -48,7 +47,8 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
     Ok(SceneFile {
         origin: DVec3::from_array(form.origin),
         background: form.background.into(),
-        sky: form.sky,
+        sky,
+        sky_map,
         rules: checker.rules(&form.rules)?,
         rig: Rig::from_iter(checker.cameras(&form.rig)?),
         ego,
@@ -62,6 +62,31 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
 }
 
 impl Checker<'_> {
+    fn sky(&self, form: &Spanned<SkyForm>) -> Result<([f32; 3], Option<SceneSky>), SceneError> {
+        let map = match form.get_ref() {
+            SkyForm::Color(color) => {
+                if !color.iter().all(|value| value.is_finite()) {
+                    return Err(self.error(&(0..0), "", "sky", "must be finite"));
+                }
+                return Ok((*color, None));
+            }
+            SkyForm::Map(map) => map,
+        };
+        let kind = match map.kind {
+            SkyKindForm::Cube => SkyKind::Cube,
+            SkyKindForm::Equirect => SkyKind::Equirect,
+        };
+        let mut sky = SceneSky::new(map.file.as_str(), kind);
+        (sky.clamps, sky.clamps_splats) = (map.clamp, map.clamp_splats);
+        if let Some(rows) = map.world_from_sky {
+            sky.world_from_sky = DMat3::from_cols_array_2d(&rows).transpose();
+        }
+        // One texel is a sky: its matrix is checked without the file.
+        SkyMap::new(1, &[[0.0; 3]; 6], sky.world_from_sky)
+            .map_err(|reason| self.error(&form.span(), "sky", "world_from_sky", reason))?;
+        Ok(([0.0; 3], Some(sky)))
+    }
+
     fn rules(&self, form: &Spanned<RulesForm>) -> Result<Rules, SceneError> {
         let (span, form) = (form.span(), form.get_ref());
         let name = form.name.as_deref().unwrap_or("default");
@@ -267,9 +292,27 @@ impl Checker<'_> {
                 asset: form.asset.clone().into(),
                 sh_frame,
                 trajectory,
+                present: self.presence(form.present.as_ref(), &span, &table)?,
             });
         }
         Ok(agents)
+    }
+
+    fn presence(
+        &self,
+        intervals_s: Option<&Vec<[f64; 2]>>,
+        span: &Range<usize>,
+        table: &str,
+    ) -> Result<Presence, SceneError> {
+        let Some(intervals_s) = intervals_s else {
+            return Ok(Presence::ALWAYS);
+        };
+        if intervals_s.is_empty() {
+            let reason = "no interval; leave 'present' out for an agent that is always there, and the agent for one that never is";
+            return Err(self.error(span, table, "present", reason));
+        }
+        Presence::new(intervals_s.clone())
+            .map_err(|reason| self.error(span, table, "present", reason))
     }
 
     fn trajectory(

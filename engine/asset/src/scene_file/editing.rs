@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use decouplegs_scene::{Invalid, Pose, TimedPose, Trajectory};
+use decouplegs_scene::{Invalid, Pose, Presence, TimedPose, Trajectory};
 use glam::{DQuat, DVec3};
 use thiserror::Error;
 
@@ -197,6 +197,16 @@ impl SceneFile {
         Ok(())
     }
 
+    /// Lets the agent called `name` be in the scene at the times of `present` alone.
+    ///
+    /// # Errors
+    /// [`EditError::NoAgent`].
+    pub fn set_presence(&mut self, name: &str, present: Presence) -> Result<(), EditError> {
+        let place = self.place_of(name)?;
+        self.agents[place].present = present;
+        Ok(())
+    }
+
     /// Moves the agent called `name` with its whole trajectory, as [`begun_at`] does.
     ///
     /// # Errors
@@ -255,6 +265,7 @@ mod tests {
                 0.5,
                 DVec3::new(458_000.0, 5_428_000.0, 112.0),
             )),
+            present: Presence::ALWAYS,
         };
         SceneFile {
             agents: names.iter().map(agent).collect(),

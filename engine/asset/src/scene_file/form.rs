@@ -1,13 +1,18 @@
 //! The TOML form of a scene file: what serde sees, and how a [`SceneFile`] is written in it.
 
+use std::fmt;
+
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{Intrinsics, Pose, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
-use glam::DQuat;
-use serde::{Deserialize, Serialize};
+use glam::{DMat3, DQuat};
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 use toml::Spanned;
 
 use super::lens::LensForm;
 use super::{SceneAgent, SceneFile, SceneLight, VERSION};
+use crate::SkyKind;
 
 /// Tables keep their place in the text so that a complaint can name its line.
 #[derive(Deserialize, Serialize)]
@@ -17,8 +22,8 @@ pub(super) struct SceneForm {
     #[serde(default)]
     pub(super) origin: [f64; 3],
     pub(super) background: String,
-    #[serde(default)]
-    pub(super) sky: [f32; 3],
+    #[serde(default = "black_sky")]
+    pub(super) sky: Spanned<SkyForm>,
     #[serde(default = "default_rules")]
     pub(super) rules: Spanned<RulesForm>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -29,6 +34,61 @@ pub(super) struct SceneForm {
     pub(super) agent: Vec<Spanned<AgentForm>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) light: Option<Spanned<LightForm>>,
+}
+
+/// One color, or a table of an image.
+#[derive(Serialize)]
+#[serde(untagged)]
+pub(super) enum SkyForm {
+    Color([f32; 3]),
+    Map(SkyMapForm),
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SkyMapForm {
+    pub(super) kind: SkyKindForm,
+    pub(super) file: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) world_from_sky: Option<[[f64; 3]; 3]>,
+    #[serde(default)]
+    pub(super) clamp: bool,
+    #[serde(default)]
+    pub(super) clamp_splats: bool,
+}
+
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum SkyKindForm {
+    Cube,
+    Equirect,
+}
+
+// By hand: an untagged enum could not say what is wrong in the table.
+impl<'de> Deserialize<'de> for SkyForm {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct ColorOrTable;
+
+        impl<'de> Visitor<'de> for ColorOrTable {
+            type Value = SkyForm;
+
+            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                out.write_str("three numbers, display RGB, or a table with 'kind' and 'file'")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, values: A) -> Result<SkyForm, A::Error> {
+                let values = SeqAccessDeserializer::new(values);
+                Deserialize::deserialize(values).map(SkyForm::Color)
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, values: A) -> Result<SkyForm, A::Error> {
+                let values = MapAccessDeserializer::new(values);
+                Deserialize::deserialize(values).map(SkyForm::Map)
+            }
+        }
+
+        deserializer.deserialize_any(ColorOrTable)
+    }
 }
 
 #[derive(Deserialize, Serialize)]
@@ -107,6 +167,8 @@ pub(super) struct AgentForm {
     pub(super) rotation_wxyz: Option<[f64; 4]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) yaw_rad: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) present: Option<Vec<[f64; 2]>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) trajectory: Vec<Spanned<TimedPoseForm>>,
 }
@@ -116,6 +178,10 @@ pub(super) struct AgentForm {
 pub(super) enum ShFrameForm {
     Canonical,
     World,
+}
+
+fn black_sky() -> Spanned<SkyForm> {
+    spanless(SkyForm::Color([0.0; 3]))
 }
 
 fn default_rules() -> Spanned<RulesForm> {
@@ -144,7 +210,7 @@ pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
         version: VERSION,
         origin: scene.origin.to_array(),
         background: path(&scene.background)?,
-        sky: scene.sky,
+        sky: spanless(sky_form(scene, path)?),
         rules: spanless(rules_form(&scene.rules)?),
         rig: scene
             .rig
@@ -160,6 +226,26 @@ pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
             .transpose()?,
     };
     toml::to_string(&form).map_err(|error| error.to_string())
+}
+
+fn sky_form(
+    scene: &SceneFile,
+    path: impl Fn(&std::path::Path) -> Result<String, String>,
+) -> Result<SkyForm, String> {
+    let Some(sky) = &scene.sky_map else {
+        return Ok(SkyForm::Color(scene.sky));
+    };
+    let rows = sky.world_from_sky.transpose().to_cols_array_2d();
+    Ok(SkyForm::Map(SkyMapForm {
+        kind: match sky.kind {
+            SkyKind::Cube => SkyKindForm::Cube,
+            SkyKind::Equirect => SkyKindForm::Equirect,
+        },
+        file: path(&sky.file)?,
+        world_from_sky: (sky.world_from_sky != DMat3::IDENTITY).then_some(rows),
+        clamp: sky.clamps,
+        clamp_splats: sky.clamps_splats,
+    }))
 }
 
 fn light_form(
@@ -260,6 +346,10 @@ fn agent_form(agent: &SceneAgent, asset: String) -> AgentForm {
         position_m: standing.map(|pose| pose.translation.to_array()),
         rotation_wxyz: standing.map(|pose| wxyz(pose.rotation)),
         yaw_rad: None,
+        present: match agent.present.intervals_s() {
+            [] => None,
+            intervals_s => Some(intervals_s.to_vec()),
+        },
         trajectory: if standing.is_some() {
             Vec::new()
         } else {

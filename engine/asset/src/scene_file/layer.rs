@@ -58,6 +58,7 @@ fn only(world: &World, layer: Layer) -> World {
         return World {
             splats: world.splats.select(&kept),
             instance_from_splat: Vec::new(),
+            sky_map: world.sky_map.clone(),
             ..*world
         };
     }
@@ -69,6 +70,7 @@ fn only(world: &World, layer: Layer) -> World {
             .map(|splat| world.instance_from_splat[*splat as usize])
             .collect(),
         sky: [0.0; 3],
+        sky_map: None,
         ..*world
     }
 }

@@ -3,20 +3,22 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use decouplegs_scene::light::{
     AmbientField, AmbientOptions, Lighting, LitAgent, ShadowOptions, bake_shadows,
 };
 use decouplegs_scene::{
-    CodedCloud, ContactShadow, LightTransfer, Pose, Rig, ShFrame, SplatCloud, Trajectory, World,
+    CodedCloud, ContactShadow, LightTransfer, Pose, Presence, Rig, ShFrame, SkyMap, SplatCloud,
+    Trajectory, World,
 };
 use glam::DVec3;
 
-use super::{SceneAgent, SceneFile, is_scene_file};
+use super::{SceneAgent, SceneFile, SceneSky, is_scene_file};
 use crate::memory::{self, SPLATS_MAX, cloud_bytes};
 use crate::packed_scene::{is_package, open_packed_scene};
 use crate::read::splats_of;
-use crate::{AssetError, coded_asset, light_transfer_file, read_bytes, read_splats};
+use crate::{AssetError, coded_asset, light_transfer_file, read_bytes, read_splats, sky_file};
 
 /// A scene, ready to be drawn: what stands still at one moment, and what is moved from frame to
 /// frame.
@@ -63,6 +65,8 @@ pub struct LoadedAgent {
     pub sh_frame: ShFrame,
     /// Trajectory, world coordinates.
     pub trajectory: Trajectory,
+    /// Times at which it is in the scene.
+    pub present: Presence,
 }
 
 impl LoadedScene {
@@ -114,12 +118,16 @@ impl LoadedScene {
     }
 
     /// The uncompressed twin: [`LoadedScene::world`] with the finest level of every agent added
-    /// where it is at `time_s`, in order, in the scene's light. What was in the world already stays
-    /// as it stands.
+    /// that is present at `time_s`, where it is then, in order, in the scene's light. What was in
+    /// the world already stays as it stands.
     #[must_use]
     pub fn baked(&self, time_s: f64) -> World {
         let mut world = self.world.clone();
         let lighting = self.lighting();
+        let present = || {
+            let agents = self.agents.iter();
+            agents.filter(|agent| agent.present.includes(time_s))
+        };
         let of_agent = |agent: &LoadedAgent| {
             let (pose, dims_m) = (agent.trajectory.at(time_s), self.assets[agent.asset].dims_m);
             (
@@ -129,7 +137,7 @@ impl LoadedScene {
                     .map(|lighting| lighting.of_agent(&pose, dims_m, agent.sh_frame)),
             )
         };
-        let lit: Vec<(Pose, Option<LitAgent>)> = self.agents.iter().map(of_agent).collect();
+        let lit: Vec<(Pose, Option<LitAgent>)> = present().map(of_agent).collect();
         // Before there are agents in it, which shadows do not lie on.
         let shadows: Vec<ContactShadow> = lit
             .iter()
@@ -137,7 +145,7 @@ impl LoadedScene {
             .collect();
         bake_shadows(&mut world, &shadows);
         let decoded: Vec<SplatCloud> = self.assets.iter().map(|asset| asset.decoded(0)).collect();
-        for (agent, (pose, lit)) in self.agents.iter().zip(lit) {
+        for (agent, (pose, lit)) in present().zip(lit) {
             let asset = &decoded[agent.asset];
             let relit = lit
                 .and_then(|lit| lit.relight)
@@ -201,7 +209,7 @@ fn places_along(trajectory: &Trajectory, step_m: f64) -> impl Iterator<Item = DV
 
 impl SceneFile {
     /// Loads background and agents, whose paths are relative to `directory`. Agents of plain splat
-    /// files stand where they are at `time_s`.
+    /// files stand where they are at `time_s`; those that are absent then are left out.
     ///
     /// # Errors
     /// [`AssetError`] of the file at fault, or when there are more agents than ids.
@@ -219,6 +227,11 @@ impl SceneFile {
         let mut scene = LoadedScene::of_world(World {
             origin: self.origin,
             sky: self.sky,
+            sky_map: self
+                .sky_map
+                .as_ref()
+                .map(|sky| loaded_sky(sky, files))
+                .transpose()?,
             rules: self.rules,
             ..World::of(background)
         });
@@ -266,6 +279,13 @@ impl SceneFile {
         scene.agent_names = self.agents.iter().map(|agent| agent.name.clone()).collect();
         Ok(scene)
     }
+}
+
+fn loaded_sky(sky: &SceneSky, files: &dyn SceneFiles) -> Result<Arc<SkyMap>, AssetError> {
+    let (bytes, path) = (files.bytes(&sky.file)?, files.path(&sky.file));
+    let mut map = sky_file::decode_from(&bytes, &path, (sky.kind, sky.world_from_sky))?;
+    (map.clamps, map.clamps_splats) = (sky.clamps, sky.clamps_splats);
+    Ok(Arc::new(map))
 }
 
 /// The files that a scene names.
@@ -345,11 +365,12 @@ impl AgentLoader<'_> {
             let (there, added) = (&scene.world.splats, &self.plain[file]);
             let splats = (there.len() + added.len()) as u64;
             self.check_size(splats, there.sh_degree.max(added.sh_degree))?;
-            let asset = &self.plain[file];
-            let pose = agent.trajectory.at(self.time_s);
-            scene
-                .world
-                .bake_instance(asset, &pose, agent.sh_frame.unwrap_or_default(), instance);
+            if agent.present.includes(self.time_s) {
+                let asset = &self.plain[file];
+                let pose = agent.trajectory.at(self.time_s);
+                let sh_frame = agent.sh_frame.unwrap_or_default();
+                scene.world.bake_instance(asset, &pose, sh_frame, instance);
+            }
             return Ok(());
         }
         let asset = match self.coded.get(file) {
@@ -368,6 +389,7 @@ impl AgentLoader<'_> {
             instance,
             sh_frame: agent.sh_frame.unwrap_or(scene.assets[asset].sh_frame),
             trajectory: agent.trajectory.clone(),
+            present: agent.present.clone(),
         });
         Ok(())
     }

@@ -14,12 +14,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
-use decouplegs_scene::{Invalid, Rig, Rules, ShFrame, Trajectory};
-use glam::DVec3;
+use decouplegs_scene::{Invalid, Presence, Rig, Rules, ShFrame, Trajectory};
+use glam::{DMat3, DVec3};
 
 use crate::error::read_bytes;
 use crate::toml_text::text_of;
-use crate::{AssetError, SceneError, write_atomically};
+use crate::{AssetError, SceneError, SkyKind, write_atomically};
 
 pub use editing::EditError;
 pub use layer::Layer;
@@ -45,8 +45,11 @@ pub struct SceneFile {
     pub origin: DVec3,
     /// Splats of the background, a path relative to the scene file.
     pub background: PathBuf,
-    /// Seen where no splat is, display-referred RGB.
+    /// Color where no splat is, display-referred RGB. Not used where there is a
+    /// [`SceneFile::sky_map`].
     pub sky: [f32; 3],
+    /// Colors where no splat is, by direction. `None`: [`SceneFile::sky`] everywhere.
+    pub sky_map: Option<SceneSky>,
     /// Image formation rules.
     pub rules: Rules,
     /// The ego vehicle's cameras.
@@ -58,6 +61,35 @@ pub struct SceneFile {
     /// Light of the background on the agents. None: they keep the light that their assets were
     /// captured in.
     pub light: Option<SceneLight>,
+}
+
+/// The sky of a scene file: an image around the scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneSky {
+    /// Image, a path relative to the scene file.
+    pub file: PathBuf,
+    /// Layout of the image.
+    pub kind: SkyKind,
+    /// Rotation or reflection from the sky's frame to the world's.
+    pub world_from_sky: DMat3,
+    /// True if its colors are clamped to 0 to 1.
+    pub clamps: bool,
+    /// True if the blended color of splats is clamped to at most 1 before the sky is added.
+    pub clamps_splats: bool,
+}
+
+impl SceneSky {
+    /// The sky in `file`, in the frame of the world, nothing clamped.
+    #[must_use]
+    pub fn new(file: impl Into<PathBuf>, kind: SkyKind) -> Self {
+        Self {
+            file: file.into(),
+            kind,
+            world_from_sky: DMat3::IDENTITY,
+            clamps: false,
+            clamps_splats: false,
+        }
+    }
 }
 
 /// The light of a scene file.
@@ -83,6 +115,8 @@ pub struct SceneAgent {
     pub sh_frame: Option<ShFrame>,
     /// Trajectory, world coordinates.
     pub trajectory: Trajectory,
+    /// Times at which it is in the scene.
+    pub present: Presence,
 }
 
 impl SceneFile {
@@ -93,6 +127,7 @@ impl SceneFile {
             origin: DVec3::ZERO,
             background: background.into(),
             sky: [0.0; 3],
+            sky_map: None,
             rules: Rules::DEFAULT,
             rig: Rig::default(),
             ego: None,

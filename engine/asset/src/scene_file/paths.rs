@@ -61,6 +61,9 @@ impl SceneFile {
             .agents
             .iter_mut()
             .for_each(|agent| agent.asset = moved(&agent.asset));
+        if let Some(sky) = &mut scene.sky_map {
+            sky.file = moved(&sky.file);
+        }
         if let Some(light) = &mut scene.light {
             light.transfer = light.transfer.as_ref().map(moved);
         }
@@ -72,7 +75,7 @@ impl SceneFile {
 mod tests {
     use super::*;
     use crate::{SceneAgent, SceneLight};
-    use decouplegs_scene::{Pose, Trajectory};
+    use decouplegs_scene::{Pose, Presence, Trajectory};
 
     #[test]
     fn what_a_moved_scene_names_stays_where_it_is() {
@@ -89,6 +92,7 @@ mod tests {
             asset,
             sh_frame: None,
             trajectory: Trajectory::standing(Pose::IDENTITY),
+            present: Presence::ALWAYS,
         };
         let scene = SceneFile {
             agents: vec![agent("assets/car.ply".into()), agent(elsewhere.clone())],

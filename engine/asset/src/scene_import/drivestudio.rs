@@ -1,9 +1,10 @@
 //! Checkpoints of drivestudio (ziyc/drivestudio, `models/trainers/base.py` and
 //! `models/nodes/rigid.py`), with which OmniRe is made.
 
-use decouplegs_scene::{Pose, SplatCloud, TimedPose, Trajectory, sh};
+use decouplegs_scene::{Pose, Presence, SplatCloud, TimedPose, Trajectory, sh};
 use glam::{DQuat, DVec3};
 
+use super::sky::{SkyRules, sky_of, with_sky};
 use super::{ImportOptions, ImportedActor, ImportedScene};
 use crate::DecodeError;
 use crate::activation::sigmoid;
@@ -20,18 +21,23 @@ const NAMES: Names = Names {
 
 const BACKGROUND: &str = "Background";
 const RIGID: &str = "RigidNodes";
+const SKY: &str = "Sky";
+
+/// The cube is looked up in the direction (x, z, -y), and splats are clamped before it is added
+/// (`models/modules.py` and `models/trainers/base.py`).
+const SKY_RULES: SkyRules = SkyRules {
+    sky_from_world: [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]],
+    clamps: false,
+    clamps_splats: true,
+};
 
 /// Descriptions of the other models of a checkpoint.
-const LEFT_OUT: [(&str, &str); 6] = [
+const LEFT_OUT: [(&str, &str); 5] = [
     (
         "DeformableNodes",
         "what deforms (cyclists, say) needs its network",
     ),
     ("SMPLNodes", "walking people need their body model"),
-    (
-        "Sky",
-        "the sky is an image around the scene: set 'sky' in the scene file to a color like it",
-    ),
     (
         "Affine",
         "corrections of each camera's colors belong to its images",
@@ -68,7 +74,7 @@ pub(super) fn scene(
     };
     for key in tree
         .keys(models)
-        .filter(|key| ![BACKGROUND, RIGID].contains(key))
+        .filter(|key| ![BACKGROUND, RIGID, SKY].contains(key))
     {
         let why = LEFT_OUT
             .iter()
@@ -83,12 +89,18 @@ pub(super) fn scene(
             options.frame_rate_hz
         ));
     }
-    Ok(ImportedScene {
+    let mut scene = ImportedScene {
         source: "drivestudio",
         background,
         actors,
+        sky: None,
         notes,
-    })
+    };
+    if let Some(model) = tree.get(models, SKY) {
+        let sky = sky_of(checkpoint, model, &SKY_RULES)?;
+        with_sky(&mut scene, SKY, sky);
+    }
+    Ok(scene)
 }
 
 /// The splats of a model. Without view-dependence drivestudio keeps colors as logits, not as
@@ -153,11 +165,13 @@ fn actors(
             continue;
         }
         let trajectory = poses.trajectory(instance, options.frame_rate_hz)?;
+        let present = poses.presence(instance, options.frame_rate_hz)?;
         unseen += usize::from(trajectory.is_none());
         actors.push(ImportedActor {
             name: format!("rigid_{instance:03}"),
             splats: splats.select(members),
             trajectory,
+            present,
         });
     }
     if empty > 0 {
@@ -200,6 +214,33 @@ impl Poses {
             translations_m: translations.f64s().collect(),
             is_there: visible.f64s().map(|value| value != 0.0).collect(),
         })
+    }
+
+    /// Times of the frames that have an instance, each from half a frame before it to half a frame
+    /// after it.
+    fn presence(&self, instance: usize, frame_rate_hz: f64) -> Result<Presence, DecodeError> {
+        let mut frames: Vec<[usize; 2]> = Vec::new();
+        for frame in 0..self.frames {
+            if !self.is_there[frame * self.instances + instance] {
+                continue;
+            }
+            match frames.last_mut() {
+                Some(run) if run[1] + 1 == frame => run[1] = frame,
+                _ => frames.push([frame; 2]),
+            }
+        }
+        if matches!(frames[..], [[0, last]] if last + 1 == self.frames) {
+            return Ok(Presence::ALWAYS);
+        }
+        let interval_s = |[first, last]: [usize; 2]| {
+            [
+                (first as f64 - 0.5) / frame_rate_hz,
+                (last as f64 + 0.5) / frame_rate_hz,
+            ]
+        };
+        // A missing frame is between two runs: their ends do not meet.
+        Presence::new(frames.into_iter().map(interval_s).collect())
+            .map_err(|reason| DecodeError::Malformed(format!("instance {instance}: {reason}")))
     }
 
     /// Trajectory of an instance over the frames that have it.

@@ -11,20 +11,24 @@
 //! every actor's `sh_frame` is `world`.
 //!
 //! Left out, with a line in [`ImportedScene::notes`] each: what deforms or walks
-//! (`DeformableNodes`, `SMPLNodes`), skies, corrections of colors and of camera poses. A scene file
-//! cannot say that an actor is absent: before its first frame and after its last it stands there.
+//! (`DeformableNodes`, `SMPLNodes`), corrections of colors and of camera poses. An actor is present
+//! in the frames that have it, from half a frame before to half a frame after. Skies are kept as
+//! cube maps; Street Gaussians adds its own only where more than 0.001 of the light comes through,
+//! here it is added everywhere.
 
 mod drivestudio;
+mod sky;
 mod street_gaussians;
 
 use std::path::Path;
 
-use decouplegs_scene::{ShFrame, SplatCloud, Trajectory};
+use decouplegs_scene::{Presence, ShFrame, SkyMap, SplatCloud, Trajectory};
 
 use crate::checkpoint::{self, Checkpoint};
 use crate::error::read_bytes;
 use crate::ply::Ply;
-use crate::{AssetError, DecodeError, SceneAgent, SceneFile, inria_ply};
+use crate::sky_file::write_cube;
+use crate::{AssetError, DecodeError, SceneAgent, SceneFile, SceneSky, SkyKind, inria_ply};
 
 /// Interpretation of data that the files do not define.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,6 +59,8 @@ pub struct ImportedScene {
     pub background: SplatCloud,
     /// Moving actors.
     pub actors: Vec<ImportedActor>,
+    /// Sky behind the splats.
+    pub sky: Option<SkyMap>,
     /// Omissions and interpretations, one sentence each.
     pub notes: Vec<String>,
 }
@@ -68,6 +74,8 @@ pub struct ImportedActor {
     pub splats: SplatCloud,
     /// Trajectory of the actor; `None` where the file has none.
     pub trajectory: Option<Trajectory>,
+    /// Times at which it is in the scene.
+    pub present: Presence,
 }
 
 /// Reads the scene at `path`. None where the file is of another kind: splats alone.
@@ -140,7 +148,8 @@ pub fn decode_ply(
 }
 
 impl ImportedScene {
-    /// Writes `scene.toml`, `background.ply` and `assets/*.ply` into `folder`, which exists.
+    /// Writes `scene.toml`, `background.ply`, `assets/*.ply` and, with a sky, `sky.exr` into
+    /// `folder`, which exists.
     ///
     /// Actors without a trajectory are written, and not named in the scene.
     ///
@@ -163,8 +172,19 @@ impl ImportedScene {
                     asset,
                     sh_frame: Some(ShFrame::World),
                     trajectory: trajectory.clone(),
+                    present: actor.present.clone(),
                 });
             }
+        }
+        if let Some(sky) = &self.sky {
+            let file = "sky.exr";
+            write_cube(&folder.join(file), sky.face_texels(), &sky.texels())?;
+            scene.sky_map = Some(SceneSky {
+                world_from_sky: sky.sky_from_world().transpose(),
+                clamps: sky.clamps,
+                clamps_splats: sky.clamps_splats,
+                ..SceneSky::new(file, SkyKind::Cube)
+            });
         }
         // Last: a scene that is found is complete.
         scene.write(&folder.join("scene.toml"))?;

@@ -3,8 +3,9 @@
 
 use std::cell::Cell;
 
-use decouplegs_scene::{Pose, SplatCloud, TimedPose, Track, Trajectory};
+use decouplegs_scene::{Pose, Presence, SplatCloud, TimedPose, Track, Trajectory};
 
+use super::sky::{SkyRules, sky_of, with_sky};
 use super::{ImportOptions, ImportedActor, ImportedScene};
 use crate::checkpoint::{Checkpoint, Names, Node, Tensor, cloud_of};
 use crate::inria_ply::mean_weights;
@@ -22,6 +23,14 @@ const NAMES: Names = Names {
 };
 
 const SOURCE: &str = "Street Gaussians";
+const SKY: &str = "sky_cubemap";
+
+/// The cube is looked up in the direction of the world and clamped (`lib/models/sky_cubemap.py`).
+const SKY_RULES: SkyRules = SkyRules {
+    sky_from_world: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+    clamps: true,
+    clamps_splats: false,
+};
 const BACKGROUND: &str = "background";
 const ACTOR: &str = "obj_";
 /// Prefix of the names of PLY elements, before the model's name.
@@ -54,7 +63,10 @@ pub(super) fn scene(
     let mut notes = Vec::new();
     // Many names may stand for the same tensors.
     let mut decoded_bytes = cloud_bytes(background.len() as u64, background.sh_degree);
-    for key in tree.keys(root).filter(|&key| key != BACKGROUND) {
+    for key in tree
+        .keys(root)
+        .filter(|&key| ![BACKGROUND, SKY].contains(&key))
+    {
         if is_actor(key) {
             let splats = cloud(key)?;
             decoded_bytes += cloud_bytes(splats.len() as u64, splats.sh_degree);
@@ -68,13 +80,19 @@ pub(super) fn scene(
                 name: key.to_owned(),
                 splats,
                 trajectory: None,
+                present: Presence::ALWAYS,
             });
         } else if matches!(tree.get(root, key), Some(Node::Dictionary(_))) {
             notes.push(left_out(key));
         }
     }
     notes_on_time(over_time.get(), &mut notes);
-    finished(background, actors, notes, options)
+    let mut scene = finished(background, actors, notes, options)?;
+    if let Some(model) = tree.get(root, SKY) {
+        let sky = sky_of(checkpoint, model, &SKY_RULES)?;
+        with_sky(&mut scene, SKY, sky);
+    }
+    Ok(scene)
 }
 
 /// The scene of a PLY.
@@ -102,6 +120,7 @@ pub(super) fn scene_of_ply(
                 name: name.to_owned(),
                 splats,
                 trajectory: None,
+                present: Presence::ALWAYS,
             });
         } else if name != BACKGROUND {
             notes.push(left_out(name));
@@ -121,8 +140,8 @@ fn is_actor(name: &str) -> bool {
 fn left_out(name: &str) -> String {
     let shown: String = name.chars().take(40).collect();
     let why = match name {
-        "sky" | "sky_cubemap" => {
-            "the sky lies around the scene: set 'sky' in the scene file to a color like it"
+        "sky" => {
+            "its splats lie around the scene: set 'sky' in the scene file to a color like theirs"
         }
         "actor_pose" => "it holds corrections of tracks that are in the data set, not the tracks",
         "color_correction" => "corrections of each camera's colors belong to its images",
@@ -152,6 +171,10 @@ fn finished(
             .iter()
             .find(|track| names(&actor.name, &track.id));
         actor.trajectory = track.map(trajectory_of).transpose()?;
+        actor.present = actor
+            .trajectory
+            .as_ref()
+            .map_or(Presence::ALWAYS, presence_of);
         lost += usize::from(actor.trajectory.is_none());
     }
     if lost > 0 {
@@ -164,6 +187,7 @@ fn finished(
         source: SOURCE,
         background,
         actors,
+        sky: None,
         notes,
     })
 }
@@ -190,6 +214,18 @@ fn trajectory_of(track: &Track) -> Result<Trajectory, DecodeError> {
     });
     Trajectory::new(poses.collect())
         .map_err(|message| DecodeError::Malformed(format!("track {}: {message}", track.id)))
+}
+
+/// Times of a track, from half a step before its first point to half a step after its last one.
+/// A step is the mean time between points. A track of one point stands there always.
+fn presence_of(trajectory: &Trajectory) -> Presence {
+    let steps = trajectory.poses().len() - 1;
+    let (start_s, end_s) = (trajectory.start_s(), trajectory.end_s());
+    let half_s = 0.5 * (end_s - start_s) / steps.max(1) as f64;
+    match steps {
+        0 => Presence::ALWAYS,
+        _ => Presence::new(vec![[start_s - half_s, end_s + half_s]]).unwrap_or_default(),
+    }
 }
 
 /// DC of `[N, terms, 3]`: the mean over time of the terms of a Fourier series (`IDFT` in

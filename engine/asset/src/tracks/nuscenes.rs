@@ -39,7 +39,7 @@ struct Sample<'a> {
     token: Cow<'a, str>,
     #[serde(borrow)]
     scene_token: Cow<'a, str>,
-    /// Microseconds.
+    /// Time of the sample, microseconds.
     timestamp: i64,
 }
 

@@ -142,6 +142,10 @@ def node(rows, **more):
     )
 
 
+# Six faces of 2 x 2 texels, a color for each face.
+SKY = [value for face in range(6) for texel in range(4) for value in (0.1 * face, 1 - 0.1 * face, 1.5)]
+
+
 def drivestudio(rows):
     # Splats take turns between two instances; the second is there from frame 1 on, a third never has splats.
     ids = [i % 2 for i in range(len(rows))]
@@ -156,7 +160,7 @@ def drivestudio(rows):
         instances_size=Tensor("f", (3, 3), [4.5, 1.8, 1.5] * 3),
         instances_fv=Tensor("?", (3, 3), [True, False, False, True, True, False, True, True, False]),
     )
-    sky = collections.OrderedDict(base=Tensor("e", (2, 2), [0.5, 0.25, 1, 0]))
+    sky = collections.OrderedDict(base=Tensor("f", (6, 2, 2, 3), SKY, True))
     models = {"Background": node(rows), "RigidNodes": rigid, "SMPLNodes": node(rows[:1]), "Sky": sky}
     return collections.OrderedDict(models=models, step=30000)
 
@@ -176,7 +180,7 @@ def street_gaussians(rows):
             "semantic": Tensor("f", (n, 0), [], True),
         }
 
-    return {"background": model(rows, 1), "obj_007": model(rows[:4], 5), "obj_012": model(rows[4:], 5), "actor_pose": {}, "iter": 30000}
+    return {"background": model(rows, 1), "obj_007": model(rows[:4], 5), "obj_012": model(rows[4:], 5), "actor_pose": {}, "sky_cubemap": {"params": {"sky_cube_map": Tensor("f", (6, 2, 2, 3), SKY, True)}}, "iter": 30000}
 
 
 def main():

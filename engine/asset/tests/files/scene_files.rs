@@ -271,6 +271,18 @@ fn complaints_name_file_line_and_key() {
             "finite",
         ),
         (
+            "present = [[0.0, 4.0]]",
+            "present = [[4.0, 0.0]]",
+            "agent[1].present",
+            "interval 0 is [4, 0]",
+        ),
+        (
+            "present = [[0.0, 4.0]]",
+            "present = []",
+            "agent[1].present",
+            "no interval",
+        ),
+        (
             "sh_frame = \"canonical\"",
             "sh_frame = \"body\"",
             "sh_frame",

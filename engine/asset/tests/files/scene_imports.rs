@@ -65,6 +65,17 @@ fn drivestudio_gives_background_cars_and_their_ways() {
         (late.len(), late[0].time_s, late[0].pose.translation),
         (2, 0.2, DVec3::new(12.0, 1.0, 0.75))
     );
+    // The second is not in frame 0; from half a frame before frame 1 on it is there.
+    let times = |actor: usize| scene.actors[actor].present.intervals_s().to_vec();
+    assert_eq!((times(0), times(1)), (vec![], vec![[0.1, 0.5]]));
+    // The zenith is face +y of the cube, north -z; splats are clamped before the sky is added.
+    let sky = scene.sky.as_ref().unwrap();
+    assert!(sky.clamps_splats && !sky.clamps);
+    for (direction, face) in [(DVec3::Z, 2.0), (DVec3::Y, 5.0), (DVec3::X, 0.0)] {
+        let [red, green, blue] = sky.color(direction);
+        let error = [red - 0.1 * face, green - (1.0 - 0.1 * face), blue - 1.5];
+        assert!(error.iter().all(|error| error.abs() < 1e-6), "{direction}");
+    }
     // w first: a quarter turn to the left.
     assert!((late[0].pose.rotation * DVec3::X - DVec3::Y).length() < 1e-6);
     for part in ["SMPLNodes", "Sky", "1 instances", "5 a second"] {
@@ -150,6 +161,12 @@ fn street_gaussians_places_actors_where_tracks_say() {
     }
     let folder = tempfile::tempdir().unwrap();
     assert_eq!(scene.write(folder.path()).unwrap().agents.len(), 1);
+    // The sky of the checkpoint is that of the scene which is written: +z is face 4, clamped.
+    let written = open_scene(&folder.path().join("scene.toml"), 0.0).unwrap();
+    let sky = written.world.sky_map.expect("it has a sky");
+    assert_eq!(Some(&*sky), scene.sky.as_ref());
+    let [red, green, blue] = sky.color(DVec3::Z);
+    assert!((red - 0.4).abs() < 1e-6 && (green - 0.6).abs() < 1e-6 && blue == 1.0);
     assert_same(
         &read_splats(&folder.path().join("assets/obj_012.ply")).unwrap(),
         &cone().select(&(4..12).collect::<Vec<_>>()),

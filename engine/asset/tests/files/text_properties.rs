@@ -3,7 +3,7 @@
 use decouplegs_asset::{SceneAgent, SceneFile, SceneLight, cameras};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{
-    Camera, Intrinsics, Lens, Pose, RigCamera, Rules, ShFrame, TimedPose, Trajectory,
+    Camera, Intrinsics, Lens, Pose, Presence, RigCamera, Rules, ShFrame, TimedPose, Trajectory,
 };
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use proptest::prelude::*;
@@ -88,8 +88,20 @@ fn lights() -> impl Strategy<Value = SceneLight> {
         )
 }
 
+fn presences() -> impl Strategy<Value = Presence> {
+    prop::collection::vec((0.001f64..5.0, 0.0f64..5.0), 0..4).prop_map(|steps| {
+        let mut end_s = -3.0;
+        let interval = |(gap_s, duration_s): (f64, f64)| {
+            let first_s = end_s + gap_s;
+            end_s = first_s + duration_s;
+            [first_s, end_s]
+        };
+        Presence::new(steps.into_iter().map(interval).collect()).unwrap()
+    })
+}
+
 fn scenes() -> impl Strategy<Value = SceneFile> {
-    let agent = (prop::option::of(any::<bool>()), trajectories());
+    let agent = (prop::option::of(any::<bool>()), trajectories(), presences());
     (
         (
             prop::array::uniform3(-1e7f64..1e7),
@@ -109,19 +121,22 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                     intrinsics,
                     rig_from_camera,
                 };
-                let scene_agent =
-                    |(i, (is_world, trajectory)): (usize, (Option<bool>, Trajectory))| SceneAgent {
-                        name: format!("{name}{i}"),
-                        asset: format!("{name}.ply").into(),
-                        sh_frame: is_world.map(|is_world| {
-                            if is_world {
-                                ShFrame::World
-                            } else {
-                                ShFrame::Canonical
-                            }
-                        }),
-                        trajectory,
-                    };
+                let scene_agent = |(i, (is_world, trajectory, present)): (
+                    usize,
+                    (Option<bool>, Trajectory, Presence),
+                )| SceneAgent {
+                    name: format!("{name}{i}"),
+                    asset: format!("{name}.ply").into(),
+                    sh_frame: is_world.map(|is_world| {
+                        if is_world {
+                            ShFrame::World
+                        } else {
+                            ShFrame::Canonical
+                        }
+                    }),
+                    trajectory,
+                    present,
+                };
                 SceneFile {
                     origin: DVec3::from_array(origin),
                     background: format!("{name}.spz").into(),
@@ -135,6 +150,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                     ego,
                     agents: agents.into_iter().enumerate().map(scene_agent).collect(),
                     light,
+                    sky_map: None,
                 }
             },
         )

@@ -14,8 +14,8 @@ pub mod unscented;
 #[cfg(test)]
 mod truths;
 
-use decouplegs_scene::{Camera, Intrinsics, Rules, World};
-use glam::DVec2;
+use decouplegs_scene::{Camera, Intrinsics, RayMap, Rules, SkyMap, World};
+use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use crate::rendered_image::Image;
@@ -142,6 +142,19 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
         intrinsics.height_px
     );
     let splats = front_to_back(world, camera, rules, &window);
+    let background = match world.sky_map {
+        Some(_) => [0.0; 3],
+        None => world.sky,
+    };
+    let rotation = DMat3::from_quat(camera.world_from_camera.rotation);
+    let lens = (!intrinsics.lens.is_pinhole()).then(|| RayMap::new(intrinsics));
+    let rays = |center_px: DVec2| {
+        let ray = match &lens {
+            Some(lens) => lens.unproject(center_px)?,
+            None => intrinsics.unproject(center_px)?,
+        };
+        Some(rotation * ray)
+    };
     let bottom_px = window.top_px + window.height_px;
     let bands: Vec<Vec<Pixel64>> = (window.top_px..bottom_px)
         .into_par_iter()
@@ -152,7 +165,11 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
                 height_px: BLOCK_PX.min(bottom_px - top_px),
                 ..window
             };
-            render_band(&splats, &band, rules, world.sky)
+            let mut pixels = render_band(&splats, &band, rules, background);
+            if let Some(sky) = &world.sky_map {
+                add_sky(&mut pixels, &band, sky, &rays);
+            }
+            pixels
         })
         .collect();
     let pixels = || bands.iter().flatten();
@@ -192,6 +209,30 @@ fn front_to_back(world: &World, camera: &Camera, rules: &Rules, window: &Window)
             .then(a.index.cmp(&b.index))
     });
     splats
+}
+
+/// Adds `sky` behind the pixels of `band`. `rays` gives the world direction of a place in the
+/// image, pixels; where no ray falls, the sky is black.
+fn add_sky(
+    pixels: &mut [Pixel64],
+    band: &Window,
+    sky: &SkyMap,
+    rays: &impl Fn(DVec2) -> Option<DVec3>,
+) {
+    for (index, pixel) in pixels.iter_mut().enumerate() {
+        let (column, row) = (index as u32 % band.width_px, index as u32 / band.width_px);
+        let center_px = DVec2::new(
+            f64::from(band.left_px + column) + 0.5,
+            f64::from(band.top_px + row) + 0.5,
+        );
+        let behind = rays(center_px).map_or([0.0; 3], |ray| sky.color(ray));
+        for (value, behind) in pixel.rgb.iter_mut().zip(behind) {
+            if sky.clamps_splats {
+                *value = value.min(1.0);
+            }
+            *value += (1.0 - pixel.alpha) * behind;
+        }
+    }
 }
 
 /// A few rows of pixels, row-major.

@@ -19,6 +19,7 @@ pub mod footprint;
 pub mod lens;
 pub mod output;
 pub mod planes;
+pub mod post_process;
 pub mod projection;
 pub mod record;
 pub mod sh;

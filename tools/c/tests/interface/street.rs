@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use decouplegs::asset::{CodedAsset, Provenance, SceneAgent, SceneFile, inria_ply, write_coded};
-use decouplegs::scene::{Pose, ShFrame, TimedPose, Trajectory};
+use decouplegs::scene::{Pose, Presence, ShFrame, TimedPose, Trajectory};
 use decouplegs::synth::street::{Street, StreetOptions};
 use decouplegs::train::compress::{CompressOptions, compress};
 use glam::DVec3;
@@ -54,6 +54,7 @@ pub fn small_street(folder: &Path, size_px: [u32; 2]) -> PathBuf {
         asset: "car.safetensors".into(),
         sh_frame: Some(ShFrame::Canonical),
         trajectory: way(9.0),
+        present: Presence::ALWAYS,
     };
     let scene = SceneFile {
         sky: street.sky,

@@ -1,0 +1,58 @@
+//! Post-processing of an image: `post_process.comp`.
+
+use decouplegs_scene::SkyMap;
+use glam::Vec3;
+
+/// Color of `sky` in a direction of its cube, of any length but zero.
+#[must_use]
+pub fn sky_color(sky: &SkyMap, direction: Vec3) -> Vec3 {
+    let (d, size) = (direction, direction.abs());
+    let longest = size.x.max(size.y.max(size.z));
+    let (face, s, t) = if size.x == longest {
+        let ahead = d.x > 0.0;
+        (u32::from(!ahead), if ahead { -d.z } else { d.z }, -d.y)
+    } else if size.y == longest {
+        let ahead = d.y > 0.0;
+        (2 + u32::from(!ahead), d.x, if ahead { d.z } else { -d.z })
+    } else {
+        let ahead = d.z > 0.0;
+        (4 + u32::from(!ahead), if ahead { d.x } else { -d.x }, -d.y)
+    };
+    let texels = sky.face_texels() as f32;
+    let split = |at: f32| {
+        let place = 0.5 * (at / longest + 1.0) * texels + 0.5;
+        let first = place.floor().min(texels);
+        (first as usize, place - first)
+    };
+    let ((column, right), (row, down)) = (split(s), split(t));
+    let side = sky.face_texels() + 2;
+    let corner = (face as usize * side + row) * side + column;
+    let texel = |at: usize| Vec3::from_array(sky.bordered_texels()[at]);
+    let upper = texel(corner).lerp(texel(corner + 1), right);
+    let lower = texel(corner + side).lerp(texel(corner + side + 1), right);
+    let color = upper.lerp(lower, down);
+    if sky.clamps {
+        color.clamp(Vec3::ZERO, Vec3::ONE)
+    } else {
+        color
+    }
+}
+
+/// Pixel of an image: `blended`, the color of its splats over black and alpha, over the sky along
+/// `ray`, a direction of the cube; zero where no ray falls.
+#[must_use]
+pub fn post_process(sky: &SkyMap, blended: [f32; 4], ray: Vec3) -> [f32; 4] {
+    let [red, green, blue, alpha] = blended;
+    let color = Vec3::new(red, green, blue);
+    let splats = if sky.clamps_splats {
+        color.min(Vec3::ONE)
+    } else {
+        color
+    };
+    let behind = if ray == Vec3::ZERO {
+        Vec3::ZERO
+    } else {
+        sky_color(sky, ray)
+    };
+    (splats + (1.0 - alpha) * behind).extend(alpha).to_array()
+}

@@ -1,0 +1,73 @@
+#version 460
+// Post-processing of an image: the sky map behind the splats is added, and color written as asked.
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
+#include "frame.glsl"
+
+layout(local_size_x = 256) in;
+
+layout(constant_id = 0) const bool COLOR_U8 = false; // RGBA8, clamped and rounded, instead of 4 x f32
+layout(constant_id = 1) const bool LENS = false;     // rays come from a table: the camera is no pinhole
+
+layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
+layout(set = 0, binding = 1, std430) readonly buffer blended_block { vec4 blended[]; }; // color of the splats, and alpha
+layout(set = 0, binding = 2, scalar) readonly buffer rays_block { vec3 rays[]; };       // per pixel, camera frame; zero where there is none
+layout(set = 0, binding = 3, scalar) readonly buffer sky_texels_block { vec3 sky_texels[]; }; // six faces with borders of one texel
+layout(set = 0, binding = 4, std430) writeonly buffer images_f32_block { vec4 images_f32[]; };
+layout(set = 0, binding = 5, std430) writeonly buffer images_u8_block { uint images_u8[]; };
+
+// Rotation from the camera to the cube, by columns.
+layout(push_constant, scalar) uniform push_block { vec3 right; vec3 down; vec3 forward; uint camera; uint face_texels; uint clamps_sky; uint clamps_splats; };
+
+// Color of the sky in a direction of its cube, of any length but zero: see `SkyMap` in the engine.
+vec3 sky_color(vec3 direction) {
+    vec3 size = abs(direction);
+    float longest = max(size.x, max(size.y, size.z));
+    uint face;
+    vec2 at;
+    if (size.x == longest) {
+        face = direction.x > 0.0 ? 0u : 1u;
+        at = vec2(direction.x > 0.0 ? -direction.z : direction.z, -direction.y);
+    } else if (size.y == longest) {
+        face = direction.y > 0.0 ? 2u : 3u;
+        at = vec2(direction.x, direction.y > 0.0 ? direction.z : -direction.z);
+    } else {
+        face = direction.z > 0.0 ? 4u : 5u;
+        at = vec2(direction.z > 0.0 ? direction.x : -direction.x, -direction.y);
+    }
+    // The center of texel 0 is 1 in the face with its border.
+    vec2 place = 0.5 * (at / longest + 1.0) * float(face_texels) + 0.5;
+    vec2 first = min(floor(place), vec2(float(face_texels)));
+    vec2 share = place - first;
+    uint side = face_texels + 2u;
+    uint corner = (face * side + uint(first.y)) * side + uint(first.x);
+    vec3 upper = mix(sky_texels[corner], sky_texels[corner + 1u], share.x);
+    vec3 lower = mix(sky_texels[corner + side], sky_texels[corner + side + 1u], share.x);
+    vec3 color = mix(upper, lower, share.y);
+    return clamps_sky != 0u ? clamp(color, 0.0, 1.0) : color;
+}
+
+void main() {
+    uint pixel = group_index() * 256u + gl_LocalInvocationIndex;
+    uvec2 size_px = cameras[camera].size_px;
+    if (pixel >= size_px.x * size_px.y) {
+        return;
+    }
+    vec3 ray;
+    if (LENS) {
+        ray = rays[pixel];
+    } else {
+        vec2 center_px = vec2(pixel % size_px.x, pixel / size_px.x) + 0.5;
+        ray = vec3((center_px - cameras[camera].principal_px) / cameras[camera].focal_px, 1.0);
+    }
+    vec3 sky = ray == vec3(0.0) ? vec3(0.0) : sky_color(right * ray.x + down * ray.y + forward * ray.z);
+    uint place = cameras[camera].first_pixel + pixel;
+    vec4 value = blended[place];
+    vec3 splats = clamps_splats != 0u ? min(value.rgb, 1.0) : value.rgb;
+    value.rgb = splats + (1.0 - value.a) * sky;
+    if (COLOR_U8) {
+        images_u8[place] = packUnorm4x8(value);
+    } else {
+        images_f32[place] = value;
+    }
+}

@@ -1,0 +1,195 @@
+//! Sky maps behind splats, against the f64 definition.
+
+use std::sync::Arc;
+
+use decouplegs::asset::SkyKind;
+use decouplegs::asset::sky_file;
+use decouplegs::render::{ColorFormat, Image, Outputs, RenderOptions, Renderer, reference};
+use decouplegs::scene::{Camera, Pose, Rules, SkyMap, World};
+use glam::{DMat3, DQuat, DVec3};
+
+use super::hard_cases::crowd;
+use super::{Splat, all_outputs, assert_exact, camera_at, draw, world_of};
+use crate::device::Validated;
+use crate::stages::Random;
+use crate::stages::scenes::lens_rig;
+
+/// A sky of random texels, also below 0 and above 1.
+pub fn noise(face_texels: usize, world_from_sky: DMat3) -> SkyMap {
+    let mut random = Random(face_texels as u64);
+    let texels: Vec<[f32; 3]> = (0..6 * face_texels * face_texels)
+        .map(|_| std::array::from_fn(|_| random.between(-0.2, 1.3)))
+        .collect();
+    SkyMap::new(face_texels, &texels, world_from_sky).unwrap()
+}
+
+/// Cameras that look along six axes and to a corner of the cube, 60 degrees wide.
+fn around() -> Vec<Camera> {
+    let towards = [
+        DVec3::X,
+        -DVec3::X,
+        DVec3::Y,
+        -DVec3::Y,
+        DVec3::Z,
+        -DVec3::Z,
+        DVec3::new(1.0, -1.0, 1.0).normalize(),
+    ];
+    let camera = |(index, axis): (usize, DVec3)| {
+        let center = DVec3::new(0.1, 0.2, -0.3);
+        Camera {
+            name: format!("towards {index}"),
+            world_from_camera: Pose::new(DQuat::from_rotation_arc(DVec3::Z, axis), center),
+            ..camera_at(center, 96, 64)
+        }
+    };
+    towards.into_iter().enumerate().map(camera).collect()
+}
+
+fn world_under(sky: SkyMap) -> World {
+    // Some half transparent, some opaque, some brighter than white.
+    let mut splats = crowd(60);
+    splats.iter_mut().step_by(3).for_each(|splat| {
+        splat.rgb = [1.6, 0.4, 1.1];
+        splat.opacity = 0.5;
+    });
+    World {
+        sky: [9.0; 3],
+        sky_map: Some(Arc::new(sky)),
+        ..world_of(&splats)
+    }
+}
+
+#[test]
+fn skies_are_seen_in_every_direction_and_through_every_lens() {
+    let turned = DMat3::from_axis_angle(DVec3::new(0.3, 0.8, -0.5).normalize(), 0.7);
+    assert_exact(&world_under(noise(16, turned)), &around(), Rules::DEFAULT);
+    let mut clamped = noise(5, DMat3::from_diagonal(DVec3::new(1.0, -1.0, 1.0)));
+    (clamped.clamps, clamped.clamps_splats) = (true, true);
+    assert_exact(&world_under(clamped), &lens_rig(), Rules::INRIA);
+}
+
+/// Color of a splat of opacity one half before a sky: exact numbers, with and without clamping.
+#[test]
+fn splats_are_clamped_before_the_sky_is_added() {
+    let gpu = Validated::open();
+    let splat = Splat {
+        scale_m: [50.0, 50.0, 1e-3],
+        opacity: 0.5,
+        rgb: [3.0, 1.0, 0.0],
+        ..Splat::at(0.0, 0.0, 5.0)
+    };
+    for (clamps_splats, expected) in [(false, [1.9, 0.9, 0.4]), (true, [1.4, 0.9, 0.4])] {
+        let mut sky = SkyMap::new(1, &[[0.8; 3]; 6], DMat3::IDENTITY).unwrap();
+        sky.clamps_splats = clamps_splats;
+        let world = World {
+            sky_map: Some(Arc::new(sky)),
+            ..world_of(&[splat])
+        };
+        let camera = camera_at(DVec3::ZERO, 9, 9);
+        let truth = reference::render(&world, &camera, &Rules::DEFAULT).to_image();
+        let image = &draw(&gpu, &world, &[camera], Rules::DEFAULT)[0];
+        for found in [truth.rgb[40], image.rgb[40]] {
+            for channel in 0..3 {
+                assert!(
+                    (found[channel] - expected[channel]).abs() < 1e-3,
+                    "{found:?}"
+                );
+            }
+        }
+    }
+}
+
+/// Planes and alpha are those of the same world without a sky, to the last bit; a renderer draws
+/// worlds with and without one by turns; bytes are the rounded color.
+#[test]
+fn only_color_changes_and_worlds_without_a_sky_are_what_they_were() {
+    let gpu = Validated::open();
+    let under = world_under(noise(8, DMat3::IDENTITY));
+    let bare = World {
+        sky_map: None,
+        ..under.clone()
+    };
+    let cameras = [around(), lens_rig()].concat();
+    let mut renderer = Renderer::new(
+        &gpu,
+        RenderOptions {
+            outputs: all_outputs(),
+            ..RenderOptions::default()
+        },
+    );
+    let scenes = [&bare, &under, &bare].map(|world| renderer.upload(world).unwrap());
+    let images = scenes.map(|scene| {
+        renderer.render(&scene, &cameras).unwrap();
+        renderer.read_images().unwrap()
+    });
+    let [before, with, after] = &images;
+    assert!(before == after && before == &draw(&gpu, &bare, &cameras, Rules::DEFAULT));
+    for (with, before) in with.iter().zip(before) {
+        assert!(with.alpha == before.alpha && with.planes == before.planes);
+        assert!(with.rgb != before.rgb);
+    }
+    let mut bytes = Renderer::new(
+        &gpu,
+        RenderOptions {
+            outputs: Outputs {
+                color: ColorFormat::U8,
+                ..Outputs::default()
+            },
+            ..RenderOptions::default()
+        },
+    );
+    let scene = bytes.upload(&under).unwrap();
+    bytes.render(&scene, &cameras).unwrap();
+    let off = |(rounded, exact): (&Image, &Image)| {
+        let pairs = rounded
+            .rgb
+            .as_flattened()
+            .iter()
+            .zip(exact.rgb.as_flattened());
+        pairs
+            .map(|(rounded, exact)| (rounded - exact.clamp(0.0, 1.0)).abs())
+            .fold(0.0, f32::max)
+    };
+    let rounded = bytes.read_images().unwrap();
+    let worst = rounded.iter().zip(with).map(off);
+    assert!(worst.fold(0.0, f32::max) <= 0.5001 / 255.0);
+}
+
+/// A lat-long image of the directions themselves: the sky of each pixel is its ray.
+#[test]
+fn a_lat_long_sky_shows_the_ray_of_each_pixel() {
+    let (width, height) = (512u32, 256u32);
+    let color = |x: u32, y: u32| {
+        let azimuth = std::f64::consts::PI * (1.0 - 2.0 * (f64::from(x) + 0.5) / f64::from(width));
+        let zenith = std::f64::consts::PI * (f64::from(y) + 0.5) / f64::from(height);
+        let direction = DVec3::new(
+            zenith.sin() * azimuth.cos(),
+            zenith.sin() * azimuth.sin(),
+            zenith.cos(),
+        );
+        image::Rgb((0.5 + 0.5 * direction).as_vec3().to_array())
+    };
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image::Rgb32FImage::from_fn(width, height, color)
+        .write_to(&mut bytes, image::ImageFormat::OpenExr)
+        .unwrap();
+    let sky = sky_file::decode(bytes.get_ref(), SkyKind::Equirect, DMat3::IDENTITY).unwrap();
+    let world = World {
+        sky_map: Some(Arc::new(sky)),
+        ..World::default()
+    };
+    let gpu = Validated::open();
+    let cameras = around();
+    let images = draw(&gpu, &world, &cameras, Rules::DEFAULT);
+    for (image, camera) in images.iter().zip(&cameras) {
+        for pixel in (0..image.rgb.len()).step_by(37) {
+            let (x, y) = (pixel as u32 % image.width, pixel as u32 / image.width);
+            let center_px = glam::DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
+            let ray = camera.intrinsics.unproject(center_px).unwrap();
+            let truth = 0.5 + 0.5 * (camera.world_from_camera.rotation * ray);
+            for (found, truth) in image.rgb[pixel].iter().zip(truth.to_array()) {
+                assert!((f64::from(*found) - truth).abs() < 1.0 / 512.0);
+            }
+        }
+    }
+}
