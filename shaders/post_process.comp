@@ -1,5 +1,6 @@
 #version 460
-// Post-processing of an image: the sky map behind the splats is added, and color written as asked.
+// Post-processing of an image: the sky map behind the splats is added, the photometric calibration
+// of the camera applied, and color written as asked.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"
@@ -7,14 +8,28 @@
 layout(local_size_x = 256) in;
 
 layout(constant_id = 0) const bool COLOR_U8 = false; // RGBA8, clamped and rounded, instead of 4 x f32
-layout(constant_id = 1) const bool LENS = false;     // rays come from a table: the camera is no pinhole
+layout(constant_id = 1) const bool SKY = false;      // there is a sky map
+layout(constant_id = 2) const bool LENS = false;     // rays come from a table: the camera is no pinhole
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, std430) readonly buffer blended_block { vec4 blended[]; }; // color of the splats, and alpha
 layout(set = 0, binding = 2, scalar) readonly buffer rays_block { vec3 rays[]; };       // per pixel, camera frame; zero where there is none
 layout(set = 0, binding = 3, scalar) readonly buffer sky_texels_block { vec3 sky_texels[]; }; // six faces with borders of one texel
-layout(set = 0, binding = 4, std430) writeonly buffer images_f32_block { vec4 images_f32[]; };
-layout(set = 0, binding = 5, std430) writeonly buffer images_u8_block { uint images_u8[]; };
+// See `Photometry` in the engine.
+struct Photometry {
+    vec3 matrix[3]; // rows of red, green and blue
+    vec3 offset;
+    vec3 gamma;
+    vec3 vignetting[3]; // coefficients of r^2, r^4 and r^6, each of red, green and blue
+    vec2 vignetting_center_px;
+    vec2 vignetting_scale; // r is 1 where a distance from the center times this is
+    float gain;
+    uint has_gamma;
+};
+
+layout(set = 0, binding = 4, scalar) readonly buffer photometry_block { Photometry photometry[]; }; // per camera
+layout(set = 0, binding = 5, std430) writeonly buffer images_f32_block { vec4 images_f32[]; };
+layout(set = 0, binding = 6, std430) writeonly buffer images_u8_block { uint images_u8[]; };
 
 // Rotation from the camera to the cube, by columns.
 layout(push_constant, scalar) uniform push_block { vec3 right; vec3 down; vec3 forward; uint camera; uint face_texels; uint clamps_sky; uint clamps_splats; };
@@ -47,24 +62,35 @@ vec3 sky_color(vec3 direction) {
     return clamps_sky != 0u ? clamp(color, 0.0, 1.0) : color;
 }
 
+// Color of the image at `center_px` of a color of the scene.
+vec3 calibrated(vec3 color, vec2 center_px) {
+    Photometry own = photometry[camera];
+    vec2 at = (center_px - own.vignetting_center_px) * own.vignetting_scale;
+    float r2 = dot(at, at);
+    vec3 through = clamp(1.0 + r2 * (own.vignetting[0] + r2 * (own.vignetting[1] + r2 * own.vignetting[2])), 0.0, 1.0);
+    vec3 exposed = own.gain * color * through;
+    vec3 mixed = vec3(dot(own.matrix[0], exposed), dot(own.matrix[1], exposed), dot(own.matrix[2], exposed)) + own.offset;
+    // An exponent of 1 leaves what is negative.
+    bvec3 is_curved = notEqual(own.gamma, vec3(1.0));
+    return own.has_gamma != 0u ? mix(mixed, pow(max(mixed, 0.0), own.gamma), is_curved) : mixed;
+}
+
 void main() {
     uint pixel = group_index() * 256u + gl_LocalInvocationIndex;
     uvec2 size_px = cameras[camera].size_px;
     if (pixel >= size_px.x * size_px.y) {
         return;
     }
-    vec3 ray;
-    if (LENS) {
-        ray = rays[pixel];
-    } else {
-        vec2 center_px = vec2(pixel % size_px.x, pixel / size_px.x) + 0.5;
-        ray = vec3((center_px - cameras[camera].principal_px) / cameras[camera].focal_px, 1.0);
-    }
-    vec3 sky = ray == vec3(0.0) ? vec3(0.0) : sky_color(right * ray.x + down * ray.y + forward * ray.z);
+    vec2 center_px = vec2(pixel % size_px.x, pixel / size_px.x) + 0.5;
     uint place = cameras[camera].first_pixel + pixel;
     vec4 value = blended[place];
-    vec3 splats = clamps_splats != 0u ? min(value.rgb, 1.0) : value.rgb;
-    value.rgb = splats + (1.0 - value.a) * sky;
+    if (SKY) {
+        vec3 ray = LENS ? rays[pixel] : vec3((center_px - cameras[camera].principal_px) / cameras[camera].focal_px, 1.0);
+        vec3 sky = ray == vec3(0.0) ? vec3(0.0) : sky_color(right * ray.x + down * ray.y + forward * ray.z);
+        vec3 splats = clamps_splats != 0u ? min(value.rgb, 1.0) : value.rgb;
+        value.rgb = splats + (1.0 - value.a) * sky;
+    }
+    value.rgb = calibrated(value.rgb, center_px);
     if (COLOR_U8) {
         images_u8[place] = packUnorm4x8(value);
     } else {

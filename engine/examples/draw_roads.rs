@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use decouplegs::asset::{SceneFile, inria_ply, read_map, read_probe};
-use decouplegs::scene::{Intrinsics, LaneKind, Lens, Pose, Rig, RigCamera, Trajectory};
+use decouplegs::scene::{Intrinsics, LaneKind, Lens, Photometry, Pose, Rig, RigCamera, Trajectory};
 use decouplegs::synth::roads::{self, RoadsOptions};
 use glam::DVec3;
 
@@ -63,6 +63,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             cx_px: 480.0,
             cy_px: 270.0,
             lens: Lens::Pinhole,
+            photometry: Photometry::IDENTITY,
         },
         rig_from_camera: Pose {
             translation: eye,

@@ -1,11 +1,12 @@
-//! Sky maps behind splats, against the f64 definition.
+//! Sky maps behind splats and calibrations of cameras, against the f64 definition.
 
 use std::sync::Arc;
 
 use decouplegs::asset::SkyKind;
 use decouplegs::asset::sky_file;
 use decouplegs::render::{ColorFormat, Image, Outputs, RenderOptions, Renderer, reference};
-use decouplegs::scene::{Camera, Pose, Rules, SkyMap, World};
+use decouplegs::scene::photometry::{ColorCurve, Vignetting};
+use decouplegs::scene::{Camera, Photometry, Pose, Rules, SkyMap, World};
 use glam::{DMat3, DQuat, DVec3};
 
 use super::hard_cases::crowd;
@@ -21,6 +22,25 @@ pub fn noise(face_texels: usize, world_from_sky: DMat3) -> SkyMap {
         .map(|_| std::array::from_fn(|_| random.between(-0.2, 1.3)))
         .collect();
     SkyMap::new(face_texels, &texels, world_from_sky).unwrap()
+}
+
+/// A calibration with all stages; green has no exponent.
+pub fn some_photometry(gamma: f64) -> Photometry {
+    Photometry {
+        exposure_ev: 0.4,
+        curve: ColorCurve::Display,
+        vignetting: Some(Vignetting {
+            center_px: [45.0, 30.0],
+            radius_px: [60.0, 60.0],
+            rgb: [[-0.3, 0.05, 0.01], [-0.25, 0.0, -0.02], [-0.2, 0.0, 0.0]],
+        }),
+        matrix: [
+            [0.9, 0.1, -0.05, 0.02],
+            [0.05, 1.05, 0.0, -0.01],
+            [-0.1, 0.2, 0.8, 0.03],
+        ],
+        gamma: [gamma, 1.0, gamma],
+    }
 }
 
 /// Cameras that look along six axes and to a corner of the cube, 60 degrees wide.
@@ -191,5 +211,46 @@ fn a_lat_long_sky_shows_the_ray_of_each_pixel() {
                 assert!((f64::from(*found) - truth).abs() < 1.0 / 512.0);
             }
         }
+    }
+}
+
+#[test]
+fn calibrated_cameras_give_the_colors_of_the_definition() {
+    let calibrated = |cameras: Vec<Camera>| -> Vec<Camera> {
+        let gammas = [0.7, 1.0, 1.8].into_iter().cycle();
+        let cameras = cameras.into_iter().zip(gammas);
+        cameras
+            .map(|(mut camera, gamma)| {
+                camera.intrinsics.photometry = some_photometry(gamma);
+                camera
+            })
+            .collect()
+    };
+    let turned = DMat3::from_rotation_x(0.5);
+    let under = world_under(noise(6, turned));
+    assert_exact(&under, &calibrated(around()), Rules::DEFAULT);
+    let bare = World {
+        sky_map: None,
+        sky: [0.3, 0.5, 0.9],
+        ..under
+    };
+    assert_exact(&bare, &calibrated(lens_rig()), Rules::INRIA);
+}
+
+/// A camera whose calibration changes nothing draws what it drew, beside one that has another.
+#[test]
+fn an_identity_beside_a_calibration_changes_no_bit() {
+    let gpu = Validated::open();
+    let world = World {
+        sky: [0.3, 0.5, 0.9],
+        ..world_of(&crowd(80))
+    };
+    let mut cameras = around();
+    let plain = draw(&gpu, &world, &cameras, Rules::DEFAULT);
+    cameras[2].intrinsics.photometry = some_photometry(0.8);
+    let beside = draw(&gpu, &world, &cameras, Rules::DEFAULT);
+    for (index, (plain, beside)) in plain.iter().zip(&beside).enumerate() {
+        assert_eq!(plain == beside, index != 2, "{index}");
+        assert!(plain.alpha == beside.alpha && plain.planes == beside.planes);
     }
 }

@@ -10,6 +10,7 @@ use decouplegs::render::layout::{
     AgentRecord, BlendItem, Bucket, CameraRecord, ClusterRecord, Composite, LensRecord,
     RelightRecord, RequiredCounts, ShadowRecord, ViewLists,
 };
+use decouplegs::render::post_processing::PhotometryRecord;
 use decouplegs::scene::rules;
 
 /// A structure of the host.
@@ -32,6 +33,16 @@ macro_rules! record {
 fn records() -> Vec<Record> {
     let mut records = records_of_frames();
     records.extend(records_of_light_and_lenses());
+    records.push(record!(PhotometryRecord {
+        matrix,
+        offset,
+        gamma,
+        vignetting,
+        vignetting_center_px,
+        vignetting_scale,
+        gain,
+        has_gamma
+    }));
     records
 }
 

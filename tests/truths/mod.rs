@@ -11,7 +11,7 @@ mod properties;
 mod rules;
 
 use decouplegs::render::{Image, RenderOptions, Renderer};
-use decouplegs::scene::{Camera, Intrinsics, Lens, Pose, Rules, World};
+use decouplegs::scene::{Camera, Intrinsics, Lens, Photometry, Pose, Rules, World};
 
 use crate::device::Validated;
 use crate::frames::{Splat, all_outputs, world_of};
@@ -38,6 +38,7 @@ fn square_camera(size_px: u32) -> Camera {
             cx_px: center_px,
             cy_px: center_px,
             lens: Lens::Pinhole,
+            photometry: Photometry::IDENTITY,
         },
         world_from_camera: Pose::IDENTITY,
     }

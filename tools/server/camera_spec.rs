@@ -1,7 +1,7 @@
 //! Cameras of messages as intrinsics, and back.
 
-use decouplegs::scene::Intrinsics;
 use decouplegs::scene::lens::{ANGLE_LIMIT_RAD, FTheta, FThetaReference, Fisheye, Lens, OpenCv};
+use decouplegs::scene::{Intrinsics, Photometry};
 use tonic::Status;
 
 use crate::wire::sensorsim::camera_spec::CameraParam;
@@ -105,6 +105,7 @@ fn of_pinhole(
         } else {
             Lens::OpenCv(lens)
         },
+        photometry: Photometry::IDENTITY,
     })
 }
 
@@ -130,6 +131,7 @@ fn of_fisheye(
             radial,
             max_angle_rad,
         }),
+        photometry: Photometry::IDENTITY,
     })
 }
 
@@ -182,6 +184,7 @@ fn of_ftheta(
         cx_px: ftheta.principal_point_x + FTHETA_ORIGIN_PX,
         cy_px: ftheta.principal_point_y + FTHETA_ORIGIN_PX,
         lens: lens_checked,
+        photometry: Photometry::IDENTITY,
     })
 }
 

@@ -300,10 +300,24 @@ fn record_images(
             );
         });
     }
-    if let (Some(post_process), Some(sky)) = (stages.post_process, &input.world.sky_map) {
+    if let Some(post_process) = stages.post_process {
+        let sky = input.world.sky_map.as_ref();
         recorder.stage("post-process", |r| {
-            let (blended, seen_by) = (&frame.blended, &slot.sky_cameras);
-            post_process.record(r, cameras, seen_by, sky, blended, &slot.images);
+            r.copy(
+                &slot.staged_photometry,
+                0,
+                &frame.photometry,
+                0,
+                camera_count,
+            );
+            post_process.record(
+                r,
+                (cameras, &frame.photometry),
+                &slot.processed,
+                sky,
+                &frame.blended,
+                &slot.images,
+            );
         });
     }
 }

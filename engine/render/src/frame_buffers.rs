@@ -5,6 +5,7 @@ use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind};
 use crate::capacity::Capacity;
 use crate::layout::{CAMERAS_MAX, CameraRecord, LensRecord};
 use crate::options::RenderOptions;
+use crate::post_processing::PhotometryRecord;
 use crate::stages::{
     FrameCounters, PURPOSE, PartialResults, Plan, Projected, TileSortBuffers, Visible,
 };
@@ -60,6 +61,7 @@ pub(crate) struct FrameBuffers {
     pub partials: PartialResults,
     /// Color of splats over black, and alpha, that is post-processed.
     pub blended: Buffer<[f32; 4]>,
+    pub photometry: Buffer<PhotometryRecord>,
 }
 
 impl FrameBuffers {
@@ -91,6 +93,7 @@ impl FrameBuffers {
                 &options.outputs,
             )?,
             blended: gpu.buffer("blended", PURPOSE, blended_pixels, device)?,
+            photometry: gpu.buffer("photometry", PURPOSE, cameras, device)?,
         })
     }
 

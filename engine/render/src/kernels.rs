@@ -67,7 +67,7 @@ pub(crate) struct Kernels {
 pub(crate) struct FrameStages<'a> {
     pub common: &'a CommonStages,
     pub images: &'a ImageStages,
-    /// `None` without a sky map.
+    /// `None` where images are not post-processed.
     pub post_process: Option<&'a PostProcess>,
     pub background: &'a BackgroundStages,
     pub agents: Option<&'a AgentStages>,
@@ -89,7 +89,7 @@ pub(crate) struct AgentVariant {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct FrameVariant {
     pub background: ProjectVariant,
-    /// True if images are post-processed: there is a sky map.
+    /// True if images are post-processed: there is a sky map, or a camera has a calibration.
     pub post_processed: bool,
     /// `None` without agents.
     pub agents: Option<AgentVariant>,

@@ -14,8 +14,8 @@ use crate::kernels::{AgentVariant, FrameVariant, Kernels};
 use crate::keys::{KeyDecision, PersistentKeys};
 use crate::layout::{View, near_m};
 use crate::options::{FrameStatistics, RenderOptions};
+use crate::post_processing::RayTables;
 use crate::resident::GpuScene;
-use crate::sky::RayTables;
 use crate::slot::{FrameInFlight, Pending};
 use crate::stages::{AgentCounts, ProjectVariant};
 use crate::taken::SharedShelf;
@@ -162,6 +162,8 @@ impl Renderer {
         } else {
             KeyDecision::computed(view.cameras.len())
         };
+        let (sky, tables) = (scene.world.sky_map.as_ref(), &mut self.ray_tables);
+        let (processed, photometry) = tables.seen_by(&self.gpu, sky, cameras)?;
         let variant = FrameVariant {
             background: ProjectVariant {
                 sh_degree: scene.world.sh_degree.min(options.sh_degree_max),
@@ -172,7 +174,7 @@ impl Renderer {
                 shadows_by_camera: scene.shadow_cameras.is_some(),
                 lenses: !view.lenses.is_empty(),
             },
-            post_processed: scene.world.sky_map.is_some(),
+            post_processed: !processed.is_empty(),
             // That of all assets, in view or not: building kernels in the middle of a drive
             // would stall it.
             agents: scene
@@ -185,10 +187,6 @@ impl Renderer {
                 }),
         };
         let kept_keys = keys.keys().clone();
-        let sky_cameras = match &scene.world.sky_map {
-            Some(sky) => self.ray_tables.seen_by(&self.gpu, sky, cameras)?,
-            None => Vec::new(),
-        };
         let added = scene
             .agents
             .and_then(|(pool, _)| pool.last_upload().cloned());
@@ -199,7 +197,10 @@ impl Renderer {
             &scene,
             list,
         )?;
-        self.slots[slot].sky_cameras = sky_cameras;
+        self.slots[slot].processed = processed;
+        self.slots[slot]
+            .staged_photometry
+            .write_host(0, &photometry);
         self.slots[slot]
             .staged_key_sets
             .write_host(0, &decision.sets);
@@ -424,10 +425,10 @@ impl Renderer {
             cameras: view.cameras.len(),
             clusters: world.cluster_count(),
             bins: view.bins,
-            blended_pixels: if world.sky_map.is_some() {
-                view.pixels
-            } else {
+            blended_pixels: if slot.processed.is_empty() {
                 0
+            } else {
+                view.pixels
             },
         };
         match &mut self.frame {

@@ -9,8 +9,8 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::layout::{CLUSTER_SPLATS, ClusterRecord};
+use crate::post_processing::SkyBuffers;
 use crate::reference::unscented::SIGMA_REACH;
-use crate::sky::SkyBuffers;
 use crate::{RenderError, sh_codec};
 
 /// Purpose under which the memory of worlds is counted.

@@ -15,9 +15,9 @@ use crate::layout::{
     AgentRecord, CAMERAS_MAX, CameraRecord, LensRecord, RequiredCounts, ShadowRecord, View,
 };
 use crate::output::{OutputBuffers, Outputs};
+use crate::post_processing::{PhotometryRecord, ProcessedView};
 use crate::relit::RelitCodebooks;
 use crate::resident::GpuScene;
-use crate::sky::SkyCamera;
 use crate::stages::{AgentBuffers, AgentCounts, PURPOSE, ShadowBuffers};
 use crate::taken::SharedShelf;
 
@@ -43,6 +43,7 @@ pub(crate) struct FrameInFlight {
     pub staged_cameras: Buffer<CameraRecord>,
     staged_lenses: Buffer<LensRecord>,
     pub staged_key_sets: Buffer<u32>,
+    pub staged_photometry: Buffer<PhotometryRecord>,
     staged_agents: Buffer<AgentRecord>,
     staged_agent_cameras: Buffer<CameraRecord>,
     pub agents: AgentBuffers,
@@ -60,8 +61,8 @@ pub(crate) struct FrameInFlight {
     room: (usize, usize),
     pub found_required: Buffer<RequiredCounts>,
     pub view: Option<View>,
-    /// Cameras of the view as they see the sky map; none without one.
-    pub sky_cameras: Vec<SkyCamera>,
+    /// Cameras of the view as post-processing sees them; none without it.
+    pub processed: Vec<ProcessedView>,
     pub list: Option<AgentList>,
     pub pending: Option<Pending>,
     /// The frame that was finished last, whose images are those above.
@@ -86,6 +87,12 @@ impl FrameInFlight {
                 CAMERAS_MAX,
                 MemoryKind::Upload,
             )?,
+            staged_photometry: gpu.buffer(
+                "staged_photometry",
+                PURPOSE,
+                CAMERAS_MAX,
+                MemoryKind::Upload,
+            )?,
             staged_agents: gpu.buffer("staged_agents", PURPOSE, 0, MemoryKind::Upload)?,
             staged_agent_cameras: gpu.buffer(
                 "staged_agent_cameras",
@@ -105,7 +112,7 @@ impl FrameInFlight {
             room: (0, 0),
             found_required: gpu.buffer("found_required", PURPOSE, 1, MemoryKind::Readback)?,
             view: None,
-            sky_cameras: Vec::new(),
+            processed: Vec::new(),
             list: None,
             pending: None,
             done: None,

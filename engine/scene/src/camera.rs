@@ -1,6 +1,6 @@
 //! Cameras and rigs of them.
 
-use crate::{Invalid, Pose};
+use crate::{Invalid, Photometry, Pose};
 use glam::{DVec2, DVec3};
 
 use crate::lens::{Lens, RayMap};
@@ -22,6 +22,8 @@ pub struct Intrinsics {
     pub cy_px: f64,
     /// Lens: the deviation from a pinhole.
     pub lens: Lens,
+    /// Photometric calibration.
+    pub photometry: Photometry,
 }
 
 impl Intrinsics {
@@ -38,6 +40,7 @@ impl Intrinsics {
             cx_px: 0.5 * f64::from(width_px),
             cy_px: 0.5 * f64::from(height_px),
             lens: Lens::Pinhole,
+            photometry: Photometry::IDENTITY,
         }
     }
 
@@ -55,6 +58,7 @@ impl Intrinsics {
             cx_px: self.cx_px * sx,
             cy_px: self.cy_px * sy,
             lens: self.lens.scaled(sx, sy),
+            photometry: self.photometry.scaled(sx, sy),
         }
     }
 
@@ -67,6 +71,9 @@ impl Intrinsics {
             height_px,
             cx_px: self.cx_px - f64::from(left_px),
             cy_px: self.cy_px - f64::from(top_px),
+            photometry: self
+                .photometry
+                .cropped(f64::from(left_px), f64::from(top_px)),
             ..*self
         }
     }
@@ -108,6 +115,7 @@ impl Intrinsics {
                 self.cx_px, self.cy_px
             )));
         }
+        self.photometry.check()?;
         self.lens.check()?;
         if self.lens == Lens::Pinhole {
             Ok(())

@@ -267,7 +267,8 @@ typedef struct {
 } DgsPose;
 
 /**
- * A pinhole camera in the world. The center of pixel (i, j) is at (i + 0.5, j + 0.5).
+ * A pinhole camera in the world, without photometric calibration. The center of pixel (i, j) is
+ * at (i + 0.5, j + 0.5).
  */
 typedef struct {
     /**

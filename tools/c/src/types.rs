@@ -4,7 +4,7 @@ use std::ffi::{c_char, c_void};
 
 use decouplegs::gpu::{DeviceInfo, DeviceKind};
 use decouplegs::render::{Plane, Planes};
-use decouplegs::scene::{Camera, Intrinsics, Lens, Pose};
+use decouplegs::scene::{Camera, Intrinsics, Lens, Photometry, Pose};
 use glam::{DQuat, DVec3};
 
 use crate::status::{DgsStatus, Failure};
@@ -55,7 +55,8 @@ impl DgsPose {
     }
 }
 
-/// A pinhole camera in the world. The center of pixel (i, j) is at (i + 0.5, j + 0.5).
+/// A pinhole camera in the world, without photometric calibration. The center of pixel (i, j) is
+/// at (i + 0.5, j + 0.5).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DgsCamera {
@@ -86,7 +87,15 @@ impl DgsCamera {
             cx_px,
             cy_px,
             lens,
+            photometry,
         } = camera.intrinsics;
+        if !photometry.is_identity() {
+            let text = format!(
+                "camera {:?} has a photometric calibration, and cameras of this interface have none: describe one of your own",
+                camera.name
+            );
+            return Err(Failure::new(DgsStatus::Unsupported, text));
+        }
         if lens != Lens::Pinhole {
             let text = format!(
                 "camera {:?} has a lens, and cameras of this interface are pinholes: describe one of your own",
@@ -125,6 +134,7 @@ impl DgsCamera {
             cx_px,
             cy_px,
             lens: Lens::Pinhole,
+            photometry: Photometry::IDENTITY,
         };
         intrinsics
             .check()

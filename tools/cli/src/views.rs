@@ -1,6 +1,6 @@
 //! Cameras around an asset.
 
-use decouplegs::scene::{Bounds, Camera, Intrinsics, Lens, Pose};
+use decouplegs::scene::{Bounds, Camera, Intrinsics, Lens, Photometry, Pose};
 use glam::DVec3;
 
 /// Field of view of the cameras on a sphere, radians: close to a car's, far from an orthographic
@@ -58,6 +58,7 @@ pub fn street(
         cx_px: 0.5 * f64::from(width_px),
         cy_px: 0.5 * f64::from(height_px),
         lens: Lens::Pinhole,
+        photometry: Photometry::IDENTITY,
     };
     let camera = |view: usize| {
         let azimuth = 0.3 + std::f64::consts::TAU * view as f64 / views as f64;

@@ -1,6 +1,8 @@
 //! Cameras of Python.
 
-use decouplegs::scene::{Camera as EngineCamera, Intrinsics, Lens, RigCamera as EngineRigCamera};
+use decouplegs::scene::{
+    Camera as EngineCamera, Intrinsics, Lens, Photometry, RigCamera as EngineRigCamera,
+};
 use pyo3::prelude::*;
 
 use crate::array::{matrix, shaped};
@@ -41,6 +43,7 @@ fn intrinsics_of(width_px: u32, height_px: u32, k: &Bound<'_, PyAny>) -> PyResul
         cx_px,
         cy_px,
         lens: Lens::Pinhole,
+        photometry: Photometry::IDENTITY,
     };
     intrinsics.check().map_err(value_error)?;
     Ok(intrinsics)

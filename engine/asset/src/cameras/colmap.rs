@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use decouplegs_scene::lens::{Fisheye, OpenCv};
-use decouplegs_scene::{Camera, Intrinsics, Lens, Pose};
+use decouplegs_scene::{Camera, Intrinsics, Lens, Photometry, Pose};
 use glam::{DQuat, DVec3};
 
 use crate::error::read_bytes;
@@ -191,6 +191,7 @@ fn intrinsics(
                 cx_px,
                 cy_px,
                 lens,
+                photometry: Photometry::IDENTITY,
             })
         };
     let open_cv = |radial: [f64; 6], tangential: [f64; 2]| {

@@ -1,6 +1,6 @@
 //! INRIA `cameras.json`: what the original 3DGS writes beside a trained model.
 
-use decouplegs_scene::{Camera, Intrinsics, Lens};
+use decouplegs_scene::{Camera, Intrinsics, Lens, Photometry};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
@@ -43,6 +43,7 @@ fn camera(entry: Entry) -> Result<Camera, DecodeError> {
             cx_px: 0.5 * f64::from(entry.width),
             cy_px: 0.5 * f64::from(entry.height),
             lens: Lens::Pinhole,
+            photometry: Photometry::IDENTITY,
         },
         world_from_camera: pose_of(axes, DVec3::from_array(entry.position), &name)?,
         name,

@@ -9,7 +9,7 @@
 use std::path::Path;
 
 use decouplegs_scene::lens::{Fisheye, OpenCv};
-use decouplegs_scene::{Camera, Intrinsics, Lens as Distortion};
+use decouplegs_scene::{Camera, Intrinsics, Lens as Distortion, Photometry};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
@@ -159,6 +159,7 @@ impl Lens {
             cx_px: self.cx.unwrap_or(0.5 * f64::from(width_px)),
             cy_px: self.cy.unwrap_or(0.5 * f64::from(height_px)),
             lens: Distortion::Pinhole,
+            photometry: Photometry::IDENTITY,
         })
     }
 }

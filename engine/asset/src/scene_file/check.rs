@@ -6,7 +6,8 @@ use std::ops::Range;
 
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{
-    Intrinsics, Lens, Pose, Presence, Rig, RigCamera, Rules, ShFrame, SkyMap, TimedPose, Trajectory,
+    Intrinsics, Lens, Photometry, Pose, Presence, Rig, RigCamera, Rules, ShFrame, SkyMap,
+    TimedPose, Trajectory,
 };
 use glam::{DMat3, DQuat, DVec3};
 use toml::Spanned;
@@ -16,6 +17,7 @@ use super::form::{
     SkyKindForm, TimedPoseForm,
 };
 use super::lens::LensForm;
+use super::photometry::PhotometryForm;
 use super::{SceneAgent, SceneFile, SceneLight, SceneSky, VERSION};
 use crate::toml_text::{Checker, syntax_error};
 use crate::{SceneError, SkyKind};
@@ -183,6 +185,13 @@ impl Checker<'_> {
                     Err(self.error(&span, &table, field, format!("missing field '{field}'")))
                 }
             };
+            let photometry = form
+                .photometry
+                .as_ref()
+                .map_or(Photometry::IDENTITY, PhotometryForm::photometry);
+            photometry
+                .check()
+                .map_err(|reason| self.error(&span, &table, "photometry", reason))?;
             let intrinsics = Intrinsics {
                 width_px: form.width_px,
                 height_px: form.height_px,
@@ -191,6 +200,7 @@ impl Checker<'_> {
                 cx_px: form.cx_px,
                 cy_px: form.cy_px,
                 lens,
+                photometry,
             };
             intrinsics.check().map_err(|reason| {
                 self.error(&span, &table, intrinsics_field(&intrinsics), reason)

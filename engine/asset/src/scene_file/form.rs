@@ -11,6 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use toml::Spanned;
 
 use super::lens::LensForm;
+use super::photometry::PhotometryForm;
 use super::{SceneAgent, SceneFile, SceneLight, VERSION};
 use crate::SkyKind;
 
@@ -141,6 +142,8 @@ pub(super) struct CameraForm {
     pub(super) look: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) lens: Option<LensForm>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) photometry: Option<PhotometryForm>,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -310,6 +313,7 @@ fn camera_form(camera: &RigCamera) -> CameraForm {
         cx_px,
         cy_px,
         lens,
+        photometry,
     } = camera.intrinsics;
     let Pose {
         rotation,
@@ -327,6 +331,7 @@ fn camera_form(camera: &RigCamera) -> CameraForm {
         rotation_wxyz: Some(wxyz(rotation)),
         look: None,
         lens: LensForm::of(&lens),
+        photometry: PhotometryForm::of(&photometry),
     }
 }
 

@@ -9,6 +9,7 @@ mod layer;
 mod lens;
 mod load;
 mod paths;
+mod photometry;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

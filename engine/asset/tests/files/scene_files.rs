@@ -277,6 +277,12 @@ fn complaints_name_file_line_and_key() {
             "interval 0 is [4, 0]",
         ),
         (
+            "lens = {",
+            "photometry = { gamma = [1.0, 0.0, 1.0] }\nlens = {",
+            "rig[2].photometry",
+            "gamma",
+        ),
+        (
             "present = [[0.0, 4.0]]",
             "present = []",
             "agent[1].present",

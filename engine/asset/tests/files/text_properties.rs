@@ -1,9 +1,11 @@
 //! Properties over generated cameras and scene files.
 
-use decouplegs_asset::{SceneAgent, SceneFile, SceneLight, cameras};
+use decouplegs_asset::{SceneAgent, SceneFile, SceneLight, SceneSky, SkyKind, cameras};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
+use decouplegs_scene::photometry::{ColorCurve, Vignetting};
 use decouplegs_scene::{
-    Camera, Intrinsics, Lens, Pose, Presence, RigCamera, Rules, ShFrame, TimedPose, Trajectory,
+    Camera, Intrinsics, Lens, Photometry, Pose, Presence, RigCamera, Rules, ShFrame, TimedPose,
+    Trajectory,
 };
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use proptest::prelude::*;
@@ -36,6 +38,7 @@ fn intrinsics() -> impl Strategy<Value = Intrinsics> {
                 cx_px,
                 cy_px,
                 lens: Lens::Pinhole,
+                photometry: Photometry::IDENTITY,
             },
         )
 }
@@ -100,6 +103,58 @@ fn presences() -> impl Strategy<Value = Presence> {
     })
 }
 
+fn photometries() -> impl Strategy<Value = Photometry> {
+    let three = || prop::array::uniform3(-2.0f64..2.0);
+    let vignetting = (
+        prop::array::uniform2(-100.0f64..5000.0),
+        prop::array::uniform2(0.1f64..5000.0),
+        prop::array::uniform3(three()),
+    )
+        .prop_map(|(center_px, radius_px, rgb)| Vignetting {
+            center_px,
+            radius_px,
+            rgb,
+        });
+    (
+        -32.0f64..=32.0,
+        any::<bool>(),
+        prop::option::of(vignetting),
+        prop::array::uniform3(prop::array::uniform4(-2.0f64..2.0)),
+        prop::array::uniform3(0.01f64..5.0),
+    )
+        .prop_map(
+            |(exposure_ev, is_linear, vignetting, matrix, gamma)| Photometry {
+                exposure_ev,
+                curve: if is_linear {
+                    ColorCurve::Linear
+                } else {
+                    ColorCurve::Display
+                },
+                vignetting,
+                matrix,
+                gamma,
+            },
+        )
+}
+
+fn skies() -> impl Strategy<Value = SceneSky> {
+    ("[a-z]{1,8}", any::<[bool; 3]>(), poses()).prop_map(
+        |(file, [is_cube, clamps, clamps_splats], pose)| {
+            let kind = if is_cube {
+                SkyKind::Cube
+            } else {
+                SkyKind::Equirect
+            };
+            SceneSky {
+                world_from_sky: DMat3::from_quat(pose.rotation),
+                clamps,
+                clamps_splats,
+                ..SceneSky::new(file, kind)
+            }
+        },
+    )
+}
+
 fn scenes() -> impl Strategy<Value = SceneFile> {
     let agent = (prop::option::of(any::<bool>()), trajectories(), presences());
     (
@@ -113,12 +168,25 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
         prop::collection::vec(agent, 0..4),
         "[a-z\"\\\\\u{e9}# ]{1,12}",
         prop::option::of(lights()),
+        (prop::option::of(photometries()), prop::option::of(skies())),
     )
         .prop_map(
-            |((origin, sky), (rules, antialias, near_m), cameras, ego, agents, name, light)| {
+            |(
+                (origin, sky),
+                (rules, antialias, near_m),
+                cameras,
+                ego,
+                agents,
+                name,
+                light,
+                (photometry, sky_map),
+            )| {
                 let rig_camera = |(i, (intrinsics, rig_from_camera))| RigCamera {
                     name: format!("c{i}"),
-                    intrinsics,
+                    intrinsics: Intrinsics {
+                        photometry: photometry.unwrap_or_default(),
+                        ..intrinsics
+                    },
                     rig_from_camera,
                 };
                 let scene_agent = |(i, (is_world, trajectory, present)): (
@@ -140,7 +208,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                 SceneFile {
                     origin: DVec3::from_array(origin),
                     background: format!("{name}.spz").into(),
-                    sky,
+                    sky: if sky_map.is_some() { [0.0; 3] } else { sky },
                     rules: Rules {
                         antialias,
                         near_m,
@@ -150,7 +218,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                     ego,
                     agents: agents.into_iter().enumerate().map(scene_agent).collect(),
                     light,
-                    sky_map: None,
+                    sky_map,
                 }
             },
         )

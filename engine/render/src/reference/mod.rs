@@ -14,7 +14,7 @@ pub mod unscented;
 #[cfg(test)]
 mod truths;
 
-use decouplegs_scene::{Camera, Intrinsics, RayMap, Rules, SkyMap, World};
+use decouplegs_scene::{Camera, Intrinsics, Photometry, RayMap, Rules, SkyMap, World};
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -94,6 +94,15 @@ impl Window {
         }
     }
 
+    /// Center of a pixel, counted row by row, in the whole image.
+    fn center_px(&self, index: usize) -> DVec2 {
+        let (column, row) = (index as u32 % self.width_px, index as u32 / self.width_px);
+        DVec2::new(
+            f64::from(self.left_px + column) + 0.5,
+            f64::from(self.top_px + row) + 0.5,
+        )
+    }
+
     /// True if the bounding box of `splat` contains the center of a pixel of this window.
     fn is_reached_by(&self, splat: &Splat64) -> bool {
         let reaches = |mean_px: f64, half_extent_px: f64, first_px: u32, count_px: u32| {
@@ -169,6 +178,9 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
             if let Some(sky) = &world.sky_map {
                 add_sky(&mut pixels, &band, sky, &rays);
             }
+            if !intrinsics.photometry.is_identity() {
+                calibrate(&mut pixels, &band, &intrinsics.photometry);
+            }
             pixels
         })
         .collect();
@@ -220,11 +232,7 @@ fn add_sky(
     rays: &impl Fn(DVec2) -> Option<DVec3>,
 ) {
     for (index, pixel) in pixels.iter_mut().enumerate() {
-        let (column, row) = (index as u32 % band.width_px, index as u32 / band.width_px);
-        let center_px = DVec2::new(
-            f64::from(band.left_px + column) + 0.5,
-            f64::from(band.top_px + row) + 0.5,
-        );
+        let center_px = band.center_px(index);
         let behind = rays(center_px).map_or([0.0; 3], |ray| sky.color(ray));
         for (value, behind) in pixel.rgb.iter_mut().zip(behind) {
             if sky.clamps_splats {
@@ -232,6 +240,13 @@ fn add_sky(
             }
             *value += (1.0 - pixel.alpha) * behind;
         }
+    }
+}
+
+/// Colors of an image from those of the scene.
+fn calibrate(pixels: &mut [Pixel64], band: &Window, photometry: &Photometry) {
+    for (index, pixel) in pixels.iter_mut().enumerate() {
+        pixel.rgb = photometry.color(pixel.rgb, band.center_px(index).to_array());
     }
 }
 

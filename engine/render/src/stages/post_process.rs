@@ -1,13 +1,13 @@
-//! Post-processing of images: the sky map.
+//! Post-processing of images: the sky map, and the photometric calibration of cameras.
 
 use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 
-use super::{kernel, push_constants};
+use super::{PURPOSE, kernel, push_constants};
 use crate::capacity::groups_for;
 use crate::layout::CameraRecord;
 use crate::output::{ColorFormat, OutputBuffers, Outputs};
-use crate::sky::{SkyBuffers, SkyCamera};
+use crate::post_processing::{PhotometryRecord, ProcessedView, SkyBuffers};
 
 push_constants! {
     struct Push {
@@ -23,9 +23,12 @@ push_constants! {
 
 /// `post_process.comp`.
 pub struct PostProcess {
+    without_sky: Kernel,
     pinhole: Kernel,
     /// Kernel for cameras that are no pinhole.
     lens: Kernel,
+    /// Buffer in the place of rays and texels that are not there.
+    none: Buffer<[f32; 3]>,
 }
 
 impl PostProcess {
@@ -34,51 +37,59 @@ impl PostProcess {
     /// # Errors
     /// Returns an error if the driver refuses a kernel.
     pub fn new(gpu: &Gpu, outputs: &Outputs) -> Result<Self, GpuError> {
-        let built = |lens: bool| {
+        let built = |sky: bool, lens: bool| {
             let constants = [
                 ("COLOR_U8", Constant::Bool(outputs.color == ColorFormat::U8)),
+                ("SKY", Constant::Bool(sky)),
                 ("LENS", Constant::Bool(lens)),
             ];
             kernel::<Push>(gpu, &decouplegs_shaders::POST_PROCESS, &constants)
         };
         Ok(Self {
-            pinhole: built(false)?,
-            lens: built(true)?,
+            without_sky: built(false, false)?,
+            pinhole: built(true, false)?,
+            lens: built(true, true)?,
+            none: gpu.buffer("none", PURPOSE, 0, MemoryKind::Device)?,
         })
     }
 
-    /// Adds `sky` to `blended`, the colors of splats over black, for each of `seen_by`, and writes
-    /// `images`.
+    /// Adds `sky` to `blended`, the colors of splats, for each of `views`, applies the calibration
+    /// of its camera, and writes `images`. Without `sky`, the color behind the splats is in
+    /// `blended`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        cameras: &Buffer<CameraRecord>,
-        seen_by: &[SkyCamera],
-        sky: &SkyBuffers,
+        (cameras, photometry): (&Buffer<CameraRecord>, &Buffer<PhotometryRecord>),
+        views: &[ProcessedView],
+        sky: Option<&SkyBuffers>,
         blended: &Buffer<[f32; 4]>,
         images: &OutputBuffers,
     ) {
         let [images_f32, images_u8, _] = images.bindings();
-        for (camera, view) in seen_by.iter().enumerate() {
+        for (camera, view) in views.iter().enumerate() {
             let [right, down, forward] = view.sky_from_camera;
             let push = Push {
                 right,
                 down,
                 forward,
                 camera: camera as u32,
-                face_texels: sky.face_texels,
-                clamps_sky: sky.clamps.into(),
-                clamps_splats: sky.clamps_splats.into(),
+                face_texels: sky.map_or(0, |sky| sky.face_texels),
+                clamps_sky: sky.is_some_and(|sky| sky.clamps).into(),
+                clamps_splats: sky.is_some_and(|sky| sky.clamps_splats).into(),
             };
-            let (kernel, rays) = match &view.rays {
-                Some(rays) => (&self.lens, rays),
-                None => (&self.pinhole, &sky.no_rays),
+            let kernel = match (sky, &view.rays) {
+                (None, _) => &self.without_sky,
+                (Some(_), None) => &self.pinhole,
+                (Some(_), Some(_)) => &self.lens,
             };
+            let rays = view.rays.as_ref().unwrap_or(&self.none);
+            let texels = sky.map_or(&self.none, |sky| &sky.texels);
             let bound = [
                 ("cameras", cameras.binding()),
                 ("blended", blended.binding()),
                 ("rays", rays.binding()),
-                ("sky_texels", sky.texels.binding()),
+                ("sky_texels", texels.binding()),
+                ("photometry", photometry.binding()),
                 images_f32,
                 images_u8,
             ];

@@ -1,7 +1,9 @@
 //! Post-processing of an image: `post_process.comp`.
 
 use decouplegs_scene::SkyMap;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
+
+use crate::post_processing::PhotometryRecord;
 
 /// Color of `sky` in a direction of its cube, of any length but zero.
 #[must_use]
@@ -38,10 +40,30 @@ pub fn sky_color(sky: &SkyMap, direction: Vec3) -> Vec3 {
     }
 }
 
-/// Pixel of an image: `blended`, the color of its splats over black and alpha, over the sky along
+/// Color of the image at `center_px` of a color of the scene.
+#[must_use]
+pub fn calibrated(own: &PhotometryRecord, color: Vec3, center_px: Vec2) -> Vec3 {
+    let from_center_px = center_px - Vec2::from_array(own.vignetting_center_px);
+    let r2 = (from_center_px * Vec2::from_array(own.vignetting_scale)).length_squared();
+    let [a, b, c] = own.vignetting.map(Vec3::from_array);
+    let through = (1.0 + r2 * (a + r2 * (b + r2 * c))).clamp(Vec3::ZERO, Vec3::ONE);
+    let exposed = own.gain * color * through;
+    let rows = own.matrix.map(|row| Vec3::from_array(row).dot(exposed));
+    let mixed = Vec3::from_array(rows) + Vec3::from_array(own.offset);
+    if own.has_gamma == 0 {
+        return mixed;
+    }
+    let curved = |channel: usize| match own.gamma[channel] {
+        1.0 => mixed[channel],
+        gamma => mixed[channel].max(0.0).powf(gamma),
+    };
+    Vec3::from_array(std::array::from_fn(curved))
+}
+
+/// Color and alpha of a pixel: `blended`, the color of its splats and alpha, over `sky` along
 /// `ray`, a direction of the cube; zero where no ray falls.
 #[must_use]
-pub fn post_process(sky: &SkyMap, blended: [f32; 4], ray: Vec3) -> [f32; 4] {
+pub fn over_sky(sky: &SkyMap, blended: [f32; 4], ray: Vec3) -> [f32; 4] {
     let [red, green, blue, alpha] = blended;
     let color = Vec3::new(red, green, blue);
     let splats = if sky.clamps_splats {

@@ -15,6 +15,7 @@ fn with(lens: Lens, focal_px: f64) -> Intrinsics {
         cx_px: 471.3,
         cy_px: 310.8,
         lens,
+        photometry: crate::Photometry::IDENTITY,
     }
 }
 

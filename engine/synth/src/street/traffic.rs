@@ -2,7 +2,9 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use decouplegs_scene::{AgentPlacement, Intrinsics, Lens, Pose, Rig, RigCamera, ShFrame};
+use decouplegs_scene::{
+    AgentPlacement, Intrinsics, Lens, Photometry, Pose, Rig, RigCamera, ShFrame,
+};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::car::{Build, VARIANTS};
@@ -212,6 +214,7 @@ pub(super) fn rig() -> Rig {
             cx_px: 800.0,
             cy_px: 450.0,
             lens: Lens::Pinhole,
+            photometry: Photometry::IDENTITY,
         },
         rig_from_camera: Pose::new(
             DQuat::from_rotation_z(yaw_deg.to_radians()) * vehicle_from_camera,

@@ -5,7 +5,7 @@ mod lenses;
 mod limits;
 mod projection;
 
-use decouplegs_scene::{Camera, Intrinsics, Lens, Pose, Rules, SplatCloud, World, sh};
+use decouplegs_scene::{Camera, Intrinsics, Lens, Photometry, Pose, Rules, SplatCloud, World, sh};
 
 use super::Image64;
 use super::project::{Projected64, View};
@@ -63,6 +63,7 @@ fn camera(size_px: u32) -> Camera {
             cx_px: center_px,
             cy_px: center_px,
             lens: Lens::Pinhole,
+            photometry: Photometry::IDENTITY,
         },
         world_from_camera: Pose::IDENTITY,
     }

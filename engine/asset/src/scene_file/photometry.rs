@@ -1,0 +1,79 @@
+//! The TOML form of photometric calibrations.
+
+use decouplegs_scene::Photometry;
+use decouplegs_scene::photometry::{ColorCurve, Vignetting};
+use serde::{Deserialize, Serialize};
+
+/// Stages that are left out leave colors as they are.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PhotometryForm {
+    #[serde(default)]
+    exposure_ev: f64,
+    #[serde(default)]
+    curve: CurveForm,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    vignetting: Option<VignettingForm>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    matrix: Option<[[f64; 4]; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    gamma: Option<[f64; 3]>,
+}
+
+#[derive(Clone, Copy, Default, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum CurveForm {
+    #[default]
+    Display,
+    Linear,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct VignettingForm {
+    center_px: [f64; 2],
+    radius_px: [f64; 2],
+    rgb: [[f64; 3]; 3],
+}
+
+impl PhotometryForm {
+    /// The calibration; not checked.
+    pub(super) fn photometry(&self) -> Photometry {
+        let identity = Photometry::IDENTITY;
+        let vignetting = |form: &VignettingForm| Vignetting {
+            center_px: form.center_px,
+            radius_px: form.radius_px,
+            rgb: form.rgb,
+        };
+        Photometry {
+            exposure_ev: self.exposure_ev,
+            curve: match self.curve {
+                CurveForm::Display => ColorCurve::Display,
+                CurveForm::Linear => ColorCurve::Linear,
+            },
+            vignetting: self.vignetting.as_ref().map(vignetting),
+            matrix: self.matrix.unwrap_or(identity.matrix),
+            gamma: self.gamma.unwrap_or(identity.gamma),
+        }
+    }
+
+    /// The form of `photometry`; `None` for the identity.
+    pub(super) fn of(photometry: &Photometry) -> Option<Self> {
+        let identity = Photometry::IDENTITY;
+        let vignetting = |vignetting: Vignetting| VignettingForm {
+            center_px: vignetting.center_px,
+            radius_px: vignetting.radius_px,
+            rgb: vignetting.rgb,
+        };
+        (*photometry != identity).then(|| Self {
+            exposure_ev: photometry.exposure_ev,
+            curve: match photometry.curve {
+                ColorCurve::Display => CurveForm::Display,
+                ColorCurve::Linear => CurveForm::Linear,
+            },
+            vignetting: photometry.vignetting.map(vignetting),
+            matrix: (photometry.matrix != identity.matrix).then_some(photometry.matrix),
+            gamma: (photometry.gamma != identity.gamma).then_some(photometry.gamma),
+        })
+    }
+}
