@@ -1,5 +1,7 @@
 //! `decouplegs render`: one image for each camera.
 
+mod boxes;
+
 use std::collections::HashSet;
 use std::fs;
 use std::io::Write;
@@ -10,9 +12,10 @@ use clap::ValueEnum;
 use decouplegs::asset::{Layer, memory, write_atomically};
 use decouplegs::render::rendered_image::{Image, ImageFileFormat, contact_sheet};
 use decouplegs::render::{ColorFormat, Outputs, Plane, RenderOptions, reference};
-use decouplegs::scene::Camera;
+use decouplegs::scene::{Camera, Photometry};
 use decouplegs::session::{Session, SessionOptions, World, WorldView};
 
+use self::boxes::BoxList;
 use crate::arguments::{pixels, plane_names, print, write_image, write_image_with_alpha};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
@@ -42,6 +45,10 @@ pub struct Arguments {
     /// background, k the k-th agent) as uint16 in NAME.instance.npy
     #[arg(long, value_name = "PLANES", value_delimiter = ',', value_parser = plane_names())]
     planes: Vec<Plane>,
+    /// Write boxes.json too: for each image the 3D, amodal and tight boxes of its agents, and their
+    /// visible pixels
+    #[arg(long)]
+    boxes: bool,
     #[command(flatten)]
     device: DeviceArguments,
     /// Render with the f64 reference on the CPU: exact and slow
@@ -118,19 +125,31 @@ const REFERENCE_PIXEL_BYTES: u64 = 96;
 const CAMERAS_AT_ONCE: usize = 8;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let scene = Scene::open(&arguments.scene)?;
+    let mut scene = Scene::open(&arguments.scene)?;
     check_names(&scene.cameras)?;
+    if arguments.layer == LayerName::Agents {
+        // What is laid over another image has the colors of the scene.
+        let cameras = scene.cameras.iter_mut();
+        cameras.for_each(|camera| camera.intrinsics.photometry = Photometry::IDENTITY);
+    }
+    let scene = scene;
     let mut writer = ImageWriter {
         out: &arguments.out,
         format: arguments.format.into(),
         planes: &arguments.planes,
         transparent: arguments.layer == LayerName::Agents,
         kept: arguments.contact_sheet.as_ref().map(|_| vec![]),
+        boxes: arguments.boxes.then(|| BoxList::new(&scene)),
     };
     if arguments.reference {
         render_by_definition(&scene, arguments.layer.into(), &mut writer)?;
     } else {
         render_on_gpu(&scene, arguments, &mut writer)?;
+    }
+    if let Some(boxes) = &writer.boxes {
+        let path = arguments.out.join("boxes.json");
+        boxes.write(&path)?;
+        print(&format!("{}\n", path.display()))?;
     }
     if let (Some(path), Some(images)) = (&arguments.contact_sheet, &writer.kept) {
         let sheet = contact_sheet(images, SHEET_COLUMNS)
@@ -152,6 +171,8 @@ struct ImageWriter<'a> {
     transparent: bool,
     /// The images so far, where a contact sheet is asked for.
     kept: Option<Vec<Image>>,
+    /// Bounding boxes, where they are asked for.
+    boxes: Option<BoxList<'a>>,
 }
 
 impl ImageWriter<'_> {
@@ -165,6 +186,9 @@ impl ImageWriter<'_> {
         print(&format!("{}\n", path.display()))?;
         for plane in self.planes {
             self.add_plane(camera, &image, *plane)?;
+        }
+        if let Some(boxes) = &mut self.boxes {
+            boxes.add(camera, &image)?;
         }
         if let Some(kept) = &mut self.kept {
             kept.push(image);
@@ -202,7 +226,12 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter)
     };
     let outputs = Outputs {
         color,
-        planes: arguments.planes.iter().copied().collect(),
+        planes: arguments
+            .planes
+            .iter()
+            .copied()
+            .chain(arguments.boxes.then_some(Plane::Instance))
+            .collect(),
         ..Outputs::default()
     };
     let options = SessionOptions {

@@ -1,5 +1,7 @@
 //! `render` and `bench` on small scenes.
 
+use decouplegs::asset::SceneFile;
+
 use super::*;
 
 #[test]
@@ -249,4 +251,84 @@ fn a_bench_reports_time_memory_and_error() {
         "{said}"
     );
     assert!(fail(1, &["bench", text(&scene), "--cameras-used", "7"]).contains("6 cameras"));
+}
+
+/// Boxes of agents: tight ones lie in amodal ones, and an absent agent has none.
+#[test]
+fn boxes_of_agents_are_written_beside_the_images() {
+    let folder = tempfile::tempdir().unwrap();
+    let (street, out) = (folder.path().join("street"), folder.path().join("out"));
+    small_street(&street);
+    let (scene, timed) = (street.join("scene.toml"), street.join("timed.toml"));
+    let file = SceneFile::read(&scene).unwrap();
+    let first = file.agents[0].name.clone();
+    let render = |scene: &Path| -> Value {
+        let scene = [
+            "render",
+            text(scene),
+            "--boxes",
+            "--size",
+            "192x108",
+            "--out",
+            text(&out),
+        ];
+        assert!(succeed(&scene).contains("boxes.json"));
+        serde_json::from_slice(&fs::read(out.join("boxes.json")).unwrap()).unwrap()
+    };
+    let found = render(&scene);
+    let images = found["images"].as_array().unwrap();
+    assert_eq!(images.len(), 6);
+    let edges = |of: &Value| -> Vec<f64> {
+        let edges = of.as_array().unwrap().iter();
+        edges.map(|edge| edge.as_f64().unwrap()).collect()
+    };
+    let agents = |found: &Value| -> Vec<Value> {
+        let images = found["images"].as_array().unwrap().iter();
+        images
+            .flat_map(|image| image["agents"].as_array().unwrap().clone())
+            .collect()
+    };
+    let (mut seen, mut amodal) = (0, 0);
+    for agent in agents(&found) {
+        let is_seen = agent["visible_pixels"].as_u64().unwrap() > 0;
+        assert_eq!(is_seen, !agent["tight_px"].is_null());
+        seen += usize::from(is_seen);
+        if agent["amodal_px"].is_null() {
+            continue;
+        }
+        amodal += 1;
+        let (inside, whole) = (
+            edges(&agent["amodal_in_image_px"]),
+            edges(&agent["amodal_px"]),
+        );
+        assert!(inside[0] >= whole[0] && inside[3] <= whole[3]);
+        if is_seen {
+            // Soft edges of splats reach a little beyond the box.
+            let tight = edges(&agent["tight_px"]);
+            assert!(
+                tight[0] >= whole[0] - 6.0 && tight[2] <= whole[2] + 6.0,
+                "{agent}"
+            );
+            assert!(
+                tight[1] >= whole[1] - 6.0 && tight[3] <= whole[3] + 6.0,
+                "{agent}"
+            );
+        }
+    }
+    assert!(seen > 0 && amodal >= seen, "{seen} seen, {amodal} amodal");
+    succeed(&[
+        "edit",
+        text(&scene),
+        "--out",
+        text(&timed),
+        "--present",
+        &format!("{first}=100,101"),
+    ]);
+    let of_first = |found: &Value| {
+        let named = |agent: &Value| agent["name"] == first.as_str();
+        agents(found).iter().filter(|agent| named(agent)).count()
+    };
+    let without = render(&timed);
+    assert_eq!(of_first(&without), 0);
+    println!("{} boxes of {first} before", of_first(&found));
 }

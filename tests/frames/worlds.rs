@@ -159,6 +159,7 @@ fn loaded(seed: u64) -> LoadedScene {
         present: Presence::ALWAYS,
     };
     LoadedScene {
+        plain_agents: Vec::new(),
         world: background(2000, seed),
         assets: vec![coded_car(400, seed + 1), coded_car(250, seed + 2)],
         agents: vec![agent("a", 0, 1, 8.0), agent("b", 1, 2, 12.0)],

@@ -144,15 +144,18 @@ impl Listing {
             })
         };
         let agent = |agent: &Agent| {
-            json!({
+            let mut listed = json!({
                 "instance": agent.instance,
                 "name": agent.name,
                 "asset": agent.asset.to_string_lossy(),
                 "splats": agent.splats,
                 "sh_frame": agent.sh_frame,
                 "trajectory": way_to_json(&agent.trajectory),
-                "present_s": present_to_json(&agent.present),
-            })
+            });
+            if agent.present != Presence::ALWAYS {
+                listed["present_s"] = json!(agent.present.intervals_s());
+            }
+            listed
         };
         json!({
             "cameras": self.cameras.iter().map(camera).collect::<Vec<_>>(),
@@ -279,14 +282,6 @@ fn times_to_text(present: &Presence) -> String {
             let intervals: Vec<String> = intervals_s.iter().map(interval).collect();
             format!(", present {}", intervals.join(" and "))
         }
-    }
-}
-
-/// Intervals, seconds; `null` for an agent that always is present.
-fn present_to_json(present: &Presence) -> Value {
-    match present.intervals_s() {
-        [] => Value::Null,
-        intervals_s => json!(intervals_s),
     }
 }
 

@@ -71,6 +71,7 @@ impl ReinsertionScene {
                 })
             });
         let loaded = LoadedScene {
+            plain_agents: Vec::new(),
             world: World {
                 sky: street.sky,
                 ..World::of(background.select(&order))

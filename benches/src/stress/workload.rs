@@ -149,6 +149,7 @@ impl Workload {
             ..World::of(spatial(&street.background))
         };
         let staged = LoadedScene {
+            plain_agents: Vec::new(),
             world,
             assets: Vec::new(),
             agents: Vec::new(),

@@ -10,7 +10,7 @@ use image::codecs::png::PngDecoder;
 use image::{DynamicImage, ImageDecoder};
 
 use crate::error::read_bytes;
-use crate::{AssetError, DecodeError};
+use crate::{AssetError, DecodeError, memory};
 
 /// Largest probe that is read; larger ones are offered smaller by all who offer them.
 const SIZE_MAX: ImageSize = ImageSize {
@@ -118,7 +118,9 @@ fn check_size(
         );
         return Err(DecodeError::Malformed(reason));
     }
-    Ok(())
+    // As it is stored, up to 12 bytes per pixel, and as f32.
+    let what = format!("an image of {width} x {height} px");
+    memory::require(&what, 24 * pixels).map_err(|error| DecodeError::Malformed(error.into()))
 }
 
 /// Data windows may differ from the image's size, and lines of them are unpacked whole.

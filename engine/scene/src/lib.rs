@@ -7,6 +7,7 @@
 //! [`Pose`] is active: `p_parent = R p_child + t`.
 #![forbid(unsafe_code)]
 
+pub mod bounding_box;
 pub mod bounds;
 pub mod camera;
 pub mod codebook;

@@ -317,10 +317,6 @@ typedef struct {
      * Id in instance images, above 0.
      */
     uint32_t instance;
-    /**
-     * 0 where the scene file says that it is absent: it is in no image. Otherwise 1.
-     */
-    uint32_t present;
 } DgsAgent;
 
 /**
@@ -543,6 +539,11 @@ DgsStatus dgs_scene_agent_name(const DgsScene *scene,
 DgsStatus dgs_scene_agent_at(const DgsScene *scene, size_t index, double time_s, DgsAgent *agent);
 
 /**
+ * 1 if agent `index` of the scene file is in the scene at `time_s`, otherwise 0.
+ */
+DgsStatus dgs_scene_agent_present_at(const DgsScene *scene, size_t index, double time_s, uint32_t *present);
+
+/**
  * Number of assets that agents may use.
  */
 DgsStatus dgs_scene_asset_count(const DgsScene *scene, size_t *count);
@@ -624,6 +625,11 @@ DgsStatus dgs_world_agent_name(const DgsWorld *world,
  * Agent `index` of a world, from 0, as it stands.
  */
 DgsStatus dgs_world_agent(const DgsWorld *world, size_t index, DgsAgent *agent);
+
+/**
+ * 1 if agent `index` of a world is in its images, 0 where the scene file says that it is absent.
+ */
+DgsStatus dgs_world_agent_present(const DgsWorld *world, size_t index, uint32_t *present);
 
 /**
  * A batch renderer that draws as the session's options say. One for each thread that draws, and

@@ -249,17 +249,31 @@ pub unsafe extern "C" fn dgs_scene_agent_at(
 ) -> DgsStatus {
     let at = |scene: &SessionScene| {
         let agent = loaded_agent(scene, index)?;
-        let time_s = moment(time_s)?;
-        let pose = DgsPose::of(&agent.trajectory.at(time_s));
+        let pose = DgsPose::of(&agent.trajectory.at(moment(time_s)?));
         Ok(DgsAgent {
             pose,
             asset: agent.asset as u32,
             instance: agent.instance.into(),
-            present: agent.present.includes(time_s).into(),
         })
     };
     // SAFETY: as the header asks of all pointers.
     unsafe { read(scene, "agent", agent, at) }
+}
+
+/// 1 if agent `index` of the scene file is in the scene at `time_s`, otherwise 0.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_scene_agent_present_at(
+    scene: *const DgsScene,
+    index: usize,
+    time_s: f64,
+    present: *mut u32,
+) -> DgsStatus {
+    let at = |scene: &SessionScene| {
+        let agent = loaded_agent(scene, index)?;
+        Ok(agent.present.includes(moment(time_s)?).into())
+    };
+    // SAFETY: as the header asks of all pointers.
+    unsafe { read(scene, "present", present, at) }
 }
 
 fn loaded_agent(scene: &SessionScene, index: usize) -> Result<&LoadedAgent, Failure> {

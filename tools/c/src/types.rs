@@ -169,8 +169,6 @@ pub struct DgsAgent {
     pub asset: u32,
     /// Id in instance images, above 0.
     pub instance: u32,
-    /// 0 where the scene file says that it is absent: it is in no image. Otherwise 1.
-    pub present: u32,
 }
 
 /// Storage format of color.

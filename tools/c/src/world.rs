@@ -215,15 +215,29 @@ pub unsafe extern "C" fn dgs_world_agent(
         let place = unsafe { out("agent", agent) }?;
         let held = WORLDS.find(call, world)?;
         let world = held.read()?;
-        let WorldAgent {
-            placed, present, ..
-        } = *self::agent(&world, index)?;
+        let placed = self::agent(&world, index)?.placed;
         place.write(DgsAgent {
             pose: DgsPose::of(&placed.pose),
             asset: placed.asset as u32,
             instance: placed.instance.into(),
-            present: present.into(),
         });
+        Ok(())
+    })
+}
+
+/// 1 if agent `index` of a world is in its images, 0 where the scene file says that it is absent.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_world_agent_present(
+    world: *const DgsWorld,
+    index: usize,
+    present: *mut u32,
+) -> DgsStatus {
+    guarded(|call| {
+        // SAFETY: as the header asks of all pointers.
+        let place = unsafe { out("present", present) }?;
+        let held = WORLDS.find(call, world)?;
+        let world = held.read()?;
+        place.write(agent(&world, index)?.present.into());
         Ok(())
     })
 }

@@ -31,6 +31,8 @@ pub struct LoadedScene {
     pub assets: Vec<CodedCloud>,
     /// The agents that show them, in the order of the scene file.
     pub agents: Vec<LoadedAgent>,
+    /// The agents of plain splat files that are in [`LoadedScene::world`].
+    pub plain_agents: Vec<PlainAgent>,
     /// The ego vehicle's cameras; none for a splat file.
     pub rig: Rig,
     /// Trajectory of the ego vehicle, world coordinates.
@@ -50,6 +52,17 @@ pub struct LoadedLight {
     pub ambient: AmbientOptions,
     /// Contact shadows.
     pub shadows: Option<ShadowOptions>,
+}
+
+/// An agent of a plain splat file, as it stands in a world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlainAgent {
+    /// Instance id, from 1: its position among all agents of the scene file.
+    pub instance: u16,
+    /// Pose, world coordinates.
+    pub pose: Pose,
+    /// Length, width and height of the box around the means of its splats, meters.
+    pub dims_m: [f32; 3],
 }
 
 /// An agent that shows a compressed asset.
@@ -76,6 +89,7 @@ impl LoadedScene {
             world,
             assets: Vec::new(),
             agents: Vec::new(),
+            plain_agents: Vec::new(),
             rig: Rig::default(),
             ego: Trajectory::standing(Pose::IDENTITY),
             agent_names: Vec::new(),
@@ -370,6 +384,11 @@ impl AgentLoader<'_> {
                 let pose = agent.trajectory.at(self.time_s);
                 let sh_frame = agent.sh_frame.unwrap_or_default();
                 scene.world.bake_instance(asset, &pose, sh_frame, instance);
+                scene.plain_agents.push(PlainAgent {
+                    instance,
+                    pose,
+                    dims_m: asset.bounds().half_extent().map(|half_m| 2.0 * half_m),
+                });
             }
             return Ok(());
         }

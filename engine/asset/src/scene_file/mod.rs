@@ -25,7 +25,7 @@ use crate::{AssetError, SceneError, SkyKind, write_atomically};
 pub use editing::EditError;
 pub use layer::Layer;
 pub(crate) use load::SceneFiles;
-pub use load::{LoadedAgent, LoadedLight, LoadedScene, open_scene};
+pub use load::{LoadedAgent, LoadedLight, LoadedScene, PlainAgent, open_scene};
 pub use paths::path_from;
 
 /// The version that is written, and the only one there is.

@@ -473,6 +473,7 @@ pub fn rig_of(place: &Place, directory: &Path) -> Result<Rig, SiteError> {
 
 fn empty_scene(world: World) -> LoadedScene {
     LoadedScene {
+        plain_agents: Vec::new(),
         world,
         assets: Vec::new(),
         agents: Vec::new(),

@@ -81,7 +81,7 @@ static void misuse_scenes(const DgsSession *session, const char *path) {
     char name[4];
     float size_m[3];
     size_t count = 0, length = 0;
-    uint32_t asset = 0;
+    uint32_t asset = 0, present = 0;
     EXPECT(DGS_STATUS_FILE, "nowhere.toml", dgs_scene_open(session, "nowhere.toml", &scene));
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "path is NULL", dgs_scene_open(session, NULL, &scene));
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "scene is NULL", dgs_scene_open(session, path, NULL));
@@ -99,6 +99,9 @@ static void misuse_scenes(const DgsSession *session, const char *path) {
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "buffer is NULL", dgs_scene_camera_name(scene, 0, NULL, 9, NULL));
     OK(dgs_scene_camera_name(scene, 1, NULL, 0, &length));
     EXPECT(DGS_STATUS_NOT_FOUND, "no agent", dgs_scene_agent_name(scene, SIZE_MAX, name, sizeof name, NULL));
+    EXPECT(DGS_STATUS_NOT_FOUND, "no agent", dgs_scene_agent_present_at(scene, SIZE_MAX, 0.0, &present));
+    OK(dgs_scene_agent_present_at(scene, 0, 0.0, &present));
+    require(present == 1, "the car is there");
     EXPECT(DGS_STATUS_NOT_FOUND, "no asset 9", dgs_scene_asset_size(scene, 9, size_m));
     OK(dgs_scene_asset_size(scene, 0, size_m));
     require(size_m[0] > 1.0F && size_m[1] > 1.0F && size_m[2] > 0.5F, "a car has a size");
@@ -121,6 +124,9 @@ static void misuse_worlds(const DgsScene *scene) {
     EXPECT(DGS_STATUS_INVALID_HANDLE, "found NULL", dgs_world_new(NULL, &world));
     OK(dgs_world_new(scene, &world));
     OK(dgs_world_agent_count(world, &before));
+    EXPECT(DGS_STATUS_NOT_FOUND, "no agent", dgs_world_agent_present(world, SIZE_MAX, &instance));
+    OK(dgs_world_agent_present(world, 0, &instance));
+    require(instance == 1, "the car is there");
     EXPECT(DGS_STATUS_NOT_FOUND, "no agent \"nobody\"", dgs_world_move(world, "nobody", &pose));
     EXPECT(DGS_STATUS_NOT_FOUND, "nobody", dgs_world_remove(world, "nobody"));
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "name is NULL", dgs_world_move(world, NULL, &pose));

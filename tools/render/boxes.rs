@@ -1,0 +1,103 @@
+//! `boxes.json`: bounding boxes of the agents in each image.
+
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use decouplegs::asset::write_atomically;
+use decouplegs::render::Image;
+use decouplegs::scene::bounding_box::{ImageBox, agent_box, visible_boxes};
+use decouplegs::scene::{Camera, Pose};
+use serde_json::{Value, json};
+
+use crate::scene_source::Scene;
+
+/// Bounding boxes of the images so far.
+pub struct BoxList<'a> {
+    scene: &'a Scene,
+    images: Vec<Value>,
+}
+
+impl<'a> BoxList<'a> {
+    pub fn new(scene: &'a Scene) -> Self {
+        Self {
+            scene,
+            images: Vec::new(),
+        }
+    }
+
+    /// Adds the agents that are in `image`, or would be if nothing hid them.
+    pub fn add(&mut self, camera: &Camera, image: &Image) -> Result<()> {
+        let loaded = &self.scene.loaded;
+        let instances = image.instance().context("the image has no instances")?;
+        let ids = loaded.agent_names.len() + 1;
+        let visible = visible_boxes(instances, image.width, ids);
+        let mut agents = Vec::new();
+        for (index, name) in loaded.agent_names.iter().enumerate() {
+            let instance = index + 1;
+            let found = self
+                .placed(instance)
+                .and_then(|(pose, dims_m)| Some((agent_box(camera, &pose, dims_m)?, dims_m)));
+            let seen = visible[instance];
+            if found.is_none() && seen.is_none() {
+                continue;
+            }
+            let box_3d = found.map(|(found, dims_m)| {
+                let q = found.camera_from_box.rotation;
+                json!({
+                    "position_m": found.camera_from_box.translation.to_array(),
+                    "rotation_wxyz": [q.w, q.x, q.y, q.z],
+                    "size_m": dims_m,
+                })
+            });
+            agents.push(json!({
+                "name": name,
+                "instance": instance,
+                "camera_from_box": box_3d,
+                "amodal_px": found.map(|(found, _)| edges(&found.amodal)),
+                "amodal_in_image_px": found.map(|(found, _)| edges(&found.in_image)),
+                "tight_px": seen.map(|seen| edges(&seen.tight)),
+                "visible_pixels": seen.map_or(0, |seen| seen.pixels),
+            }));
+        }
+        self.images.push(json!({
+            "camera": camera.name,
+            "width_px": image.width,
+            "height_px": image.height,
+            "agents": agents,
+        }));
+        Ok(())
+    }
+
+    /// Pose and size of the box of an agent that is present; `None` for others.
+    fn placed(&self, instance: usize) -> Option<(Pose, [f64; 3])> {
+        let (loaded, time_s) = (&self.scene.loaded, self.scene.time_s);
+        let is_it = |id: u16| usize::from(id) == instance;
+        if let Some(plain) = loaded
+            .plain_agents
+            .iter()
+            .find(|plain| is_it(plain.instance))
+        {
+            return Some((plain.pose, plain.dims_m.map(f64::from)));
+        }
+        let moving = loaded.agents.iter().find(|agent| is_it(agent.instance))?;
+        let dims_m = loaded.assets[moving.asset].dims_m.map(f64::from);
+        let present = moving.present.includes(time_s);
+        present.then(|| (moving.trajectory.at(time_s), dims_m))
+    }
+
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let text = serde_json::to_string_pretty(&json!({
+            "time_s": self.scene.time_s,
+            "images": self.images,
+        }))?;
+        Ok(write_atomically(path, |file| {
+            file.write_all(text.as_bytes())
+        })?)
+    }
+}
+
+/// Left, top, right and bottom edge, pixels.
+fn edges(of: &ImageBox) -> [f64; 4] {
+    [of.min_px.x, of.min_px.y, of.max_px.x, of.max_px.y]
+}
