@@ -115,14 +115,14 @@ impl RayTables {
         sky: Option<&SkyBuffers>,
         cameras: &[Camera],
     ) -> Result<(Vec<ProcessedView>, Vec<PhotometryRecord>), GpuError> {
-        let mut views = Vec::with_capacity(cameras.len());
         if sky.is_none()
             && cameras
                 .iter()
                 .all(|camera| camera.intrinsics.photometry.is_identity())
         {
-            return Ok((views, Vec::new()));
+            return Ok((Vec::new(), Vec::new()));
         }
+        let mut views = Vec::with_capacity(cameras.len());
         for camera in cameras {
             let rotation = DMat3::from_quat(camera.world_from_camera.rotation);
             let from_world = sky.map_or(DMat3::IDENTITY, |sky| sky.sky_from_world);
@@ -153,12 +153,17 @@ impl RayTables {
         if intrinsics.lens.is_pinhole() {
             return Ok(None);
         }
-        let known = self.tables.iter().position(|(of, _)| of == intrinsics);
+        // Exposure may change from frame to frame; rays do not depend on it.
+        let geometry = Intrinsics {
+            photometry: Photometry::IDENTITY,
+            ..*intrinsics
+        };
+        let known = self.tables.iter().position(|(of, _)| *of == geometry);
         let table = match known {
             Some(index) => self.tables.remove(index),
             None => {
-                let rays = rays_of(intrinsics);
-                (*intrinsics, gpu.upload("rays", PURPOSE, &rays)?)
+                let rays = rays_of(&geometry);
+                (geometry, gpu.upload("rays", PURPOSE, &rays)?)
             }
         };
         let rays = table.1.clone();

@@ -8,6 +8,9 @@ use crate::Invalid;
 /// Largest side of a face, texels.
 pub const FACE_TEXELS_MAX: usize = 2048;
 
+/// Largest value of a color. Sums of a few stay finite in f32.
+const COLOR_MAX: f32 = 1e6;
+
 /// Samples along each side of a texel when a sky is made from a function.
 const SAMPLES_PER_SIDE: usize = 2;
 
@@ -73,7 +76,8 @@ impl SkyMap {
     ///
     /// # Errors
     /// Returns an error if the number of texels is not that of six faces, a face is too large, a
-    /// color is not finite, or `world_from_sky` is neither a rotation nor a reflection.
+    /// color is no number or beyond a million, or `world_from_sky` is neither a rotation nor a
+    /// reflection.
     pub fn new(
         face_texels: usize,
         texels: &[[f32; 3]],
@@ -86,14 +90,16 @@ impl SkyMap {
                 texels.len()
             )));
         }
+        let is_color = |value: &f32| value.abs() <= COLOR_MAX;
         if let Some(bad) = texels
             .as_flattened()
             .iter()
-            .position(|value| !value.is_finite())
+            .position(|value| !is_color(value))
         {
             return Err(Invalid::new(format!(
-                "texel {} is not finite; expected display RGB",
-                bad / 3
+                "texel {} has a value of {}; expected display RGB, between -{COLOR_MAX} and {COLOR_MAX}",
+                bad / 3,
+                texels.as_flattened()[bad]
             )));
         }
         let sky_from_world = world_from_sky.transpose();
@@ -386,6 +392,8 @@ mod tests {
         assert!(error(2, &[[0.0; 3]; 23], DMat3::IDENTITY).contains("23 texels in all"));
         assert!(error(0, &[], DMat3::IDENTITY).contains("0 x 0"));
         assert!(error(1, &[[f32::NAN; 3]; 6], DMat3::IDENTITY).contains("texel 0"));
+        // Three of these would be infinite, where faces meet.
+        assert!(error(1, &[[3e38; 3]; 6], DMat3::IDENTITY).contains("texel 0"));
         let stretched = DMat3::from_diagonal(DVec3::new(1.0, 1.0, 2.0));
         assert!(error(1, &[[0.5; 3]; 6], stretched).contains("world_from_sky"));
         let nan = DMat3::from_diagonal(DVec3::splat(f64::NAN));

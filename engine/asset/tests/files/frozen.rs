@@ -147,6 +147,10 @@ fn text_files_read_as_ever() {
     );
     let scene = SceneFile::read(&seed("scene_file/example.toml")).unwrap();
     assert_eq!((scene.rig.sensors.len(), scene.agents.len()), (2, 2));
+    let scene = SceneFile::read(&seed("scene_file/sky.toml")).unwrap();
+    let camera = scene.rig.cameras().next().unwrap();
+    assert!(scene.sky_map.is_some() && !camera.intrinsics.photometry.is_identity());
+    assert_eq!(scene.agents[0].present.span_s(), Some((0.0, 5.5)));
 }
 
 /// Frozen: a reader that no longer understands it is broken, whatever is written today.

@@ -277,12 +277,9 @@ fn render_band(splats: &[Splat64], band: &Window, rules: &Rules, sky: [f32; 3]) 
             .collect();
         for row in 0..band.height_px {
             for column in first_column..first_column + width_px {
-                let center_px = DVec2::new(
-                    f64::from(band.left_px + column) + 0.5,
-                    f64::from(band.top_px + row) + 0.5,
-                );
-                pixels[row as usize * band.width_px as usize + column as usize] =
-                    blend::blend(in_block.iter().copied(), center_px, rules, sky);
+                let index = row as usize * band.width_px as usize + column as usize;
+                let center_px = band.center_px(index);
+                pixels[index] = blend::blend(in_block.iter().copied(), center_px, rules, sky);
             }
         }
     }
