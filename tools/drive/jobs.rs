@@ -94,14 +94,16 @@ const SKIPPED_SHOWN: usize = 8;
 fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Job> {
     let imported = import_open_scenario(path)?;
     let mut scenario = imported.scenario;
-    let place = &arguments.place;
-    scenario.place = Place::Roads {
-        map: imported.map_path,
-        probe: None,
-        exposure_ev: 0.0,
-        background: place.background_on(&imported.map, arguments.render.0 > 0),
-        agent_splats: place.agent_splats,
-    };
+    if let Place::Roads {
+        background,
+        agent_splats,
+        ..
+    } = &mut scenario.place
+    {
+        let place = &arguments.place;
+        *background = place.background_on(&imported.map, arguments.render.0 > 0);
+        *agent_splats = place.agent_splats;
+    }
     let written = folder.scenario(&scenario.name);
     write_scenario(&written, &scenario)?;
     let list = written.with_extension("skipped.txt");

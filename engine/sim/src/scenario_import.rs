@@ -11,7 +11,7 @@ mod actions;
 mod locate;
 
 use std::collections::{HashMap, HashSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use decouplegs_asset::maps::{MapFormat, open_drive};
 use decouplegs_asset::open_scenario::{Action, Entity, OpenScenario, SignalPhases, TargetSpeed};
@@ -26,12 +26,11 @@ use self::locate::{Located, Locator};
 /// A scenario, and what of its file it does not express.
 #[derive(Clone, Debug)]
 pub struct ImportedScenario {
-    /// The scenario. Its place has one splat: their number is not in the file.
+    /// The scenario. Its place is the map by its whole path, with one splat: their number is not in
+    /// the file.
     pub scenario: Scenario,
     /// Lanes of its map.
     pub map: LaneMap,
-    /// File of the map, by its whole path.
-    pub map_path: PathBuf,
     /// Elements that are skipped or approximated, one sentence each.
     pub skipped: Vec<String>,
 }
@@ -73,7 +72,6 @@ pub fn import_open_scenario(path: &Path) -> Result<ImportedScenario, AssetError>
     Ok(ImportedScenario {
         scenario,
         map,
-        map_path,
         skipped,
     })
 }
@@ -129,7 +127,7 @@ impl Import<'_> {
             lights: self.lights(&mut skipped),
             signs: self.map.signs.clone(),
         };
-        let mut taken = HashSet::new();
+        let mut names = UniqueNames::default();
         let mut assets = [0; RoadUser::ALL.len()];
         for (index, entity) in self.file.entities.iter().enumerate() {
             if index == ego {
@@ -142,7 +140,7 @@ impl Import<'_> {
                 ));
                 continue;
             };
-            let name = unique(names_of(entity.name.clone()), &mut taken);
+            let name = names.give(names_of(entity.name.clone()));
             let asset = &mut assets[entity.kind as usize];
             if entity.kind == RoadUser::Pedestrian {
                 let mut walker = self.pedestrian(index, ego, &mut skipped);
@@ -333,13 +331,42 @@ fn names_of(text: String) -> String {
     if name.is_empty() { "_".into() } else { name }
 }
 
-/// `name`, with a number where it is taken.
-fn unique(name: String, taken: &mut HashSet<String>) -> String {
-    let candidates = (2..).map(|number| format!("{name}_{number}"));
-    let free = std::iter::once(name.clone())
-        .chain(candidates)
-        .find(|candidate| !taken.contains(candidate))
-        .expect("the numbers do not end");
-    taken.insert(free.clone());
-    free
+/// Names of which no two are the same.
+#[derive(Default)]
+struct UniqueNames {
+    taken: HashSet<String>,
+    /// Number that the next equal name tries first: many equal names take linear time.
+    next_number: HashMap<String, u32>,
+}
+
+impl UniqueNames {
+    /// `name`, with a number where it is taken.
+    fn give(&mut self, name: String) -> String {
+        let number = self.next_number.entry(name.clone()).or_insert(1);
+        loop {
+            let candidate = match *number {
+                1 => name.clone(),
+                number => format!("{name}_{number}"),
+            };
+            *number += 1;
+            if self.taken.insert(candidate.clone()) {
+                return candidate;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_names_get_numbers_in_linear_time() {
+        let mut names = UniqueNames::default();
+        let given = ["a", "a_2", "a", "a", "b"].map(|name| names.give(name.into()));
+        assert_eq!(given, ["a", "a_2", "a_3", "a_4", "b"]);
+        // Trying all numbers for each name would take hours.
+        let last = (0..300_000).map(|_| names.give("c".into())).last();
+        assert_eq!(last.as_deref(), Some("c_300000"));
+    }
 }

@@ -169,7 +169,7 @@ pub enum Action {
 pub fn read_open_scenario(path: &Path) -> Result<OpenScenario, AssetError> {
     let bytes = read_bytes(path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    let read = |file: &Path| std::fs::read(folder.join(file)).ok();
+    let read = |file: &Path| read_bytes(&folder.join(file)).ok();
     let mut scenario = decode(&bytes, read).map_err(|source| AssetError::Decode {
         path: path.to_owned(),
         format: "OpenSCENARIO",

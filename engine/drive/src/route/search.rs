@@ -3,8 +3,10 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashSet};
 
-use decouplegs_scene::{LaneKind, LaneMap};
+use decouplegs_scene::{Lane, LaneKind, LaneMap};
 use glam::{DVec2, DVec3};
+
+use crate::polyline::Polyline;
 
 /// A place on a lane.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,7 +44,7 @@ pub fn lanes_between(map: &LaneMap, from: LaneSpot, to: LaneSpot) -> Option<Vec<
             continue;
         }
         let listed = &map.lanes[lane];
-        let along = (1000.0 * length_m(&listed.centerline)) as u64;
+        let along = (1000.0 * length_m(listed)) as u64;
         let onward = listed.successors.iter().map(|&next| (next, along));
         let beside = [listed.left_neighbor, listed.right_neighbor];
         let beside = beside
@@ -71,7 +73,7 @@ pub fn straight_on(map: &LaneMap, from: LaneSpot, distance_m: f64) -> (Vec<usize
     let mut left_m = from.at_m + distance_m;
     loop {
         let listed = &map.lanes[lane];
-        let here_m = length_m(&listed.centerline);
+        let here_m = length_m(listed);
         if left_m <= here_m {
             break;
         }
@@ -101,17 +103,14 @@ fn turn_rad(map: &LaneMap, lane: usize, next: usize) -> f64 {
     out.angle_to(ends(onward, onward.len() - 2)).abs()
 }
 
-fn length_m(line: &[DVec3]) -> f64 {
-    let steps = line.windows(2);
-    steps
-        .map(|pair| pair[0].truncate().distance(pair[1].truncate()))
-        .sum()
+fn length_m(lane: &Lane) -> f64 {
+    let line = Polyline::new(lane.centerline.iter().copied());
+    line.map_or(0.0, |line| line.length_m())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use decouplegs_scene::Lane;
 
     /// Two lanes beside each other, the right one goes on to the east and to the north.
     fn fork() -> LaneMap {
