@@ -15,13 +15,28 @@ use crate::scene_source::Scene;
 /// Bounding boxes of the images so far.
 pub struct BoxList<'a> {
     scene: &'a Scene,
+    /// Pose and size of the box of each agent, in the order of the scene file; `None` for those
+    /// that are absent.
+    placed: Vec<Option<(Pose, [f64; 3])>>,
     images: Vec<Value>,
 }
 
 impl<'a> BoxList<'a> {
     pub fn new(scene: &'a Scene) -> Self {
+        let loaded = &scene.loaded;
+        let mut placed = vec![None; loaded.agent_names.len()];
+        for plain in &loaded.plain_agents {
+            placed[usize::from(plain.instance) - 1] = Some((plain.pose, plain.dims_m));
+        }
+        for agent in &loaded.agents {
+            let pose = agent.pose_at(scene.time_s);
+            let dims_m = loaded.assets[agent.asset].dims_m;
+            placed[usize::from(agent.instance) - 1] = pose.map(|pose| (pose, dims_m));
+        }
+        let in_f64 = |(pose, dims_m): (Pose, [f32; 3])| (pose, dims_m.map(f64::from));
         Self {
             scene,
+            placed: placed.into_iter().map(|one| one.map(in_f64)).collect(),
             images: Vec::new(),
         }
     }
@@ -35,8 +50,7 @@ impl<'a> BoxList<'a> {
         let mut agents = Vec::new();
         for (index, name) in loaded.agent_names.iter().enumerate() {
             let instance = index + 1;
-            let found = self
-                .placed(instance)
+            let found = self.placed[index]
                 .and_then(|(pose, dims_m)| Some((agent_box(camera, &pose, dims_m)?, dims_m)));
             let seen = visible[instance];
             if found.is_none() && seen.is_none() {
@@ -67,23 +81,6 @@ impl<'a> BoxList<'a> {
             "agents": agents,
         }));
         Ok(())
-    }
-
-    /// Pose and size of the box of an agent that is present; `None` for others.
-    fn placed(&self, instance: usize) -> Option<(Pose, [f64; 3])> {
-        let (loaded, time_s) = (&self.scene.loaded, self.scene.time_s);
-        let is_it = |id: u16| usize::from(id) == instance;
-        if let Some(plain) = loaded
-            .plain_agents
-            .iter()
-            .find(|plain| is_it(plain.instance))
-        {
-            return Some((plain.pose, plain.dims_m.map(f64::from)));
-        }
-        let moving = loaded.agents.iter().find(|agent| is_it(agent.instance))?;
-        let dims_m = loaded.assets[moving.asset].dims_m.map(f64::from);
-        let present = moving.present.includes(time_s);
-        present.then(|| (moving.trajectory.at(time_s), dims_m))
     }
 
     pub fn write(&self, path: &Path) -> Result<()> {

@@ -90,22 +90,6 @@ pub fn decode(bytes: &[u8], kind: SkyKind, world_from_sky: DMat3) -> Result<SkyM
     sky.map_err(|reason| DecodeError::Malformed(reason.into()))
 }
 
-/// Reads the sky at `path`.
-///
-/// # Errors
-/// [`AssetError::Read`] or [`AssetError::Decode`].
-pub(crate) fn decode_from(
-    bytes: &[u8],
-    path: &Path,
-    (kind, world_from_sky): (SkyKind, DMat3),
-) -> Result<SkyMap, AssetError> {
-    decode(bytes, kind, world_from_sky).map_err(|source| AssetError::Decode {
-        path: path.to_owned(),
-        format: "sky",
-        source,
-    })
-}
-
 /// Writes the six faces of a cube, `face_texels` squared each, as an OpenEXR image that
 /// [`SkyKind::Cube`] reads.
 ///

@@ -102,21 +102,30 @@ impl SkyMap {
                 texels.as_flattened()[bad]
             )));
         }
-        let sky_from_world = world_from_sky.transpose();
-        let product = world_from_sky * sky_from_world - DMat3::IDENTITY;
-        let error = product.to_cols_array().map(f64::abs);
-        if !error.iter().all(|error| *error <= ORTHOGONAL_ERROR_MAX) {
-            return Err(Invalid::new(
-                "'world_from_sky' is neither a rotation nor a reflection; expected three rows of unit length at right angles",
-            ));
-        }
+        Self::check_frame(world_from_sky)?;
         Ok(Self {
             face_texels: n,
             bordered: bordered(n, texels),
-            sky_from_world,
+            // The inverse of what is orthogonal.
+            sky_from_world: world_from_sky.transpose(),
             clamps: false,
             clamps_splats: false,
         })
+    }
+
+    /// Checks that `world_from_sky` is a rotation or a reflection.
+    ///
+    /// # Errors
+    /// Returns an error if it is not, by more than a file's rounding.
+    pub fn check_frame(world_from_sky: DMat3) -> Result<(), Invalid> {
+        let product = world_from_sky * world_from_sky.transpose() - DMat3::IDENTITY;
+        let error = product.to_cols_array().map(f64::abs);
+        if error.iter().all(|error| *error <= ORTHOGONAL_ERROR_MAX) {
+            return Ok(());
+        }
+        Err(Invalid::new(
+            "'world_from_sky' is neither a rotation nor a reflection; expected three rows of unit length at right angles",
+        ))
     }
 
     /// The sky of `color`, a function of the unit direction in the sky's own frame: each texel is

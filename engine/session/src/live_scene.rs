@@ -69,12 +69,12 @@ pub struct AgentInstance {
 }
 
 impl AgentInstance {
-    /// `agent` where it is at `time_s`.
+    /// `agent` at `pose`.
     #[must_use]
-    pub fn of(agent: &LoadedAgent, time_s: f64) -> Self {
+    pub fn of(agent: &LoadedAgent, pose: Pose) -> Self {
         Self {
             asset: agent.asset,
-            pose: agent.trajectory.at(time_s),
+            pose,
             sh_frame: Some(agent.sh_frame),
             instance: agent.instance,
             shines: false,
@@ -199,11 +199,11 @@ impl LiveScene {
     #[must_use]
     pub fn at(&self, time_s: f64) -> SceneSnapshot {
         let agents = self.agents.iter();
-        let present = agents.filter(|agent| agent.present.includes(time_s));
-        let placed: Vec<_> = present
-            .map(|agent| AgentInstance::of(agent, time_s))
-            .collect();
-        self.placed(&placed)
+        let present = agents.filter_map(|agent| {
+            let pose = agent.pose_at(time_s)?;
+            Some(AgentInstance::of(agent, pose))
+        });
+        self.placed(&present.collect::<Vec<_>>())
     }
 
     /// Any agents anywhere, in the light of the scene.

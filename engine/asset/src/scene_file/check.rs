@@ -83,8 +83,7 @@ impl Checker<'_> {
         if let Some(rows) = map.world_from_sky {
             sky.world_from_sky = DMat3::from_cols_array_2d(&rows).transpose();
         }
-        // One texel is a sky: its matrix is checked without the file.
-        SkyMap::new(1, &[[0.0; 3]; 6], sky.world_from_sky)
+        SkyMap::check_frame(sky.world_from_sky)
             .map_err(|reason| self.error(&form.span(), "sky", "world_from_sky", reason))?;
         Ok(([0.0; 3], Some(sky)))
     }

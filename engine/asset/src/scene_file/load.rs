@@ -54,7 +54,7 @@ pub struct LoadedLight {
     pub shadows: Option<ShadowOptions>,
 }
 
-/// An agent of a plain splat file, as it stands in a world.
+/// Pose and box of an agent whose asset is a plain splat file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlainAgent {
     /// Instance id, from 1: its position among all agents of the scene file.
@@ -80,6 +80,15 @@ pub struct LoadedAgent {
     pub trajectory: Trajectory,
     /// Times at which it is in the scene.
     pub present: Presence,
+}
+
+impl LoadedAgent {
+    /// Pose at `time_s`, world coordinates; `None` where it is absent.
+    #[must_use]
+    pub fn pose_at(&self, time_s: f64) -> Option<Pose> {
+        let present = self.present.includes(time_s);
+        present.then(|| self.trajectory.at(time_s))
+    }
 }
 
 impl LoadedScene {
@@ -138,28 +147,24 @@ impl LoadedScene {
     pub fn baked(&self, time_s: f64) -> World {
         let mut world = self.world.clone();
         let lighting = self.lighting();
-        let present = || {
-            let agents = self.agents.iter();
-            agents.filter(|agent| agent.present.includes(time_s))
-        };
-        let of_agent = |agent: &LoadedAgent| {
-            let (pose, dims_m) = (agent.trajectory.at(time_s), self.assets[agent.asset].dims_m);
-            (
-                pose,
-                lighting
+        let agents = self.agents.iter();
+        let lit: Vec<(&LoadedAgent, Pose, Option<LitAgent>)> = agents
+            .filter_map(|agent| {
+                let (pose, dims_m) = (agent.pose_at(time_s)?, self.assets[agent.asset].dims_m);
+                let lit = lighting
                     .as_ref()
-                    .map(|lighting| lighting.of_agent(&pose, dims_m, agent.sh_frame)),
-            )
-        };
-        let lit: Vec<(Pose, Option<LitAgent>)> = present().map(of_agent).collect();
+                    .map(|lighting| lighting.of_agent(&pose, dims_m, agent.sh_frame));
+                Some((agent, pose, lit))
+            })
+            .collect();
         // Before there are agents in it, which shadows do not lie on.
         let shadows: Vec<ContactShadow> = lit
             .iter()
-            .filter_map(|(_, lit)| lit.and_then(|lit| lit.shadow))
+            .filter_map(|(_, _, lit)| lit.and_then(|lit| lit.shadow))
             .collect();
         bake_shadows(&mut world, &shadows);
         let decoded: Vec<SplatCloud> = self.assets.iter().map(|asset| asset.decoded(0)).collect();
-        for (agent, (pose, lit)) in present().zip(lit) {
+        for (agent, pose, lit) in lit {
             let asset = &decoded[agent.asset];
             let relit = lit
                 .and_then(|lit| lit.relight)
@@ -296,8 +301,12 @@ impl SceneFile {
 }
 
 fn loaded_sky(sky: &SceneSky, files: &dyn SceneFiles) -> Result<Arc<SkyMap>, AssetError> {
-    let (bytes, path) = (files.bytes(&sky.file)?, files.path(&sky.file));
-    let mut map = sky_file::decode_from(&bytes, &path, (sky.kind, sky.world_from_sky))?;
+    let decoded = sky_file::decode(&files.bytes(&sky.file)?, sky.kind, sky.world_from_sky);
+    let mut map = decoded.map_err(|source| AssetError::Decode {
+        path: files.path(&sky.file),
+        format: "sky",
+        source,
+    })?;
     (map.clamps, map.clamps_splats) = (sky.clamps, sky.clamps_splats);
     Ok(Arc::new(map))
 }

@@ -59,7 +59,7 @@ impl TrackFormat {
     }
 }
 
-/// Reads the tracks of a file, its form told by its content, or of a scene of nuScenes
+/// Reads the tracks of a file, whose format is detected from its content, or of a nuScenes scene
 /// (`FOLDER/SCENE`, or the folder if it has one scene).
 ///
 /// # Errors
