@@ -11,6 +11,7 @@
 #include "projection.glsl"
 #include "visibility.glsl"
 #include "lens.glsl"
+#include "rolling.glsl"
 
 layout(local_size_x = 256) in;
 
@@ -46,7 +47,7 @@ void main() {
     mat3 axes;
     for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
         Camera camera = cameras[camera_index];
-        if (splat_index >= splat_count || !cluster_overlaps_any_lens(cluster, camera, camera_index)) {
+        if (splat_index >= splat_count || !cluster_overlaps_any_lens(swept(cluster, camera), camera, camera_index)) {
             continue;
         }
         if (!loaded) {
@@ -59,10 +60,8 @@ void main() {
             axes[2] *= shape.z;
             loaded = true;
         }
-        vec3 offset = from_camera_m(mean_m, camera);
-        vec3 t = to_camera_axes(camera, offset);
-        Footprint splat;
-        if (project_splat_seen(camera, camera_index, t, axes, opacity, splat) && splat_overlaps(splat, camera)) {
+        SeenSplat seen;
+        if (see_splat(camera, camera_index, mean_m, axes, opacity, seen) && splat_overlaps(seen.splat, camera)) {
             atomicOr(words[camera_index * CLUSTER_WORDS + thread / 32u], 1u << (thread % 32u));
         }
     }

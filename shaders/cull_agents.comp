@@ -10,6 +10,7 @@
 #include "projection.glsl"
 #include "visibility.glsl"
 #include "lens.glsl"
+#include "rolling.glsl"
 #include "agent.glsl"
 
 layout(local_size_x = 256) in;
@@ -48,7 +49,7 @@ void main() {
             continue;
         }
         Camera camera = agent_cameras[agent_index * camera_count + camera_index];
-        if (!cluster_overlaps_any_lens(cluster, camera, camera_index)) {
+        if (!cluster_overlaps_any_lens(swept(cluster, camera), camera, camera_index)) {
             continue;
         }
         if (!loaded) {
@@ -56,9 +57,8 @@ void main() {
             axes = axes_of(agent, coded);
             loaded = true;
         }
-        vec3 t = to_camera_axes(camera, from_camera_m(coded.mean_m, camera));
-        Footprint splat;
-        if (project_splat_seen(camera, camera_index, t, axes, coded.opacity, splat) && splat_overlaps(splat, camera)) {
+        SeenSplat seen;
+        if (see_splat(camera, camera_index, coded.mean_m, axes, coded.opacity, seen) && splat_overlaps(seen.splat, camera)) {
             atomicOr(words[camera_index * CLUSTER_WORDS + thread / 32u], 1u << (thread % 32u));
         }
     }

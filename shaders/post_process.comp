@@ -4,6 +4,7 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"
+#include "turn.glsl"
 
 layout(local_size_x = 256) in;
 
@@ -86,6 +87,12 @@ void main() {
     vec4 value = blended[place];
     if (SKY) {
         vec3 ray = LENS ? rays[pixel] : vec3((center_px - cameras[camera].principal_px) / cameras[camera].focal_px, 1.0);
+        // A rolling shutter exposes each pixel with the camera's pose at the pixel's own time.
+        vec2 s_per_px = cameras[camera].shutter_s_per_px;
+        if (s_per_px != vec2(0.0)) {
+            float time_s = cameras[camera].shutter_first_s + dot(s_per_px, center_px);
+            ray += turn_change(time_s * cameras[camera].turn_rad_per_s, ray);
+        }
         vec3 sky = ray == vec3(0.0) ? vec3(0.0) : sky_color(right * ray.x + down * ray.y + forward * ray.z);
         vec3 splats = clamps_splats != 0u ? min(value.rgb, 1.0) : value.rgb;
         value.rgb = splats + (1.0 - value.a) * sky;

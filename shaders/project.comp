@@ -13,10 +13,12 @@
 #include "projection.glsl"
 #include "visibility.glsl"
 #include "lens.glsl"
+#include "rolling.glsl"
 #include "double_float.glsl"
 #include "depth_key.glsl"
 #include "record.glsl"
 #include "shadow.glsl"
+#include "geometry.glsl"
 
 layout(local_size_x = 256) in;
 
@@ -48,6 +50,7 @@ layout(push_constant, scalar) uniform push_block {
     uint cluster_count;
     uint records_max;
     uint shadow_word_count; // a cluster
+    float flow_interval_s;
 };
 
 // By plane: word w of splat i stands at w * splat_count + i, so that neighboring threads read
@@ -83,6 +86,20 @@ float light_left(uint cluster_index, vec3 mean_m, uint camera_index) {
         }
     }
     return light;
+}
+
+// The attribute of a splat of the background, which does not move.
+vec3 attribute_of(Camera camera, uint lens, vec3 mean_m, mat3 axes, SeenSplat seen) {
+    switch (ATTRIBUTE) {
+    case ATTRIBUTE_RANGE:
+        return vec3(length(seen.t), 0.0, 0.0);
+    case ATTRIBUTE_NORMAL:
+        return normal_of(axes, seen);
+    case ATTRIBUTE_FLOW:
+        return vec3(flow_px(camera, lens, mean_m, seen, flow_interval_s), 0.0);
+    default:
+        return vec3(0.0);
+    }
 }
 
 void main() {
@@ -124,13 +141,17 @@ void main() {
             light = light_left(cluster_index, mean_m, camera_index);
         }
         Camera camera = cameras[camera_index];
-        vec3 offset = from_camera_m(mean_m, camera);
-        vec3 t = to_camera_axes(camera, offset);
+        SeenSplat seen;
+        see_splat(camera, camera_index, mean_m, axes, opacity, seen);
+        if (ATTRIBUTE != ATTRIBUTE_NONE) {
+            write_attribute(slot, attribute_of(camera, camera_index, mean_m, axes, seen));
+            continue;
+        }
         Record record;
-        project_splat_seen(camera, camera_index, t, axes, opacity, record.splat);
-        record.depth_m = RADIAL ? length(offset) : t.z;
+        record.splat = seen.splat;
+        record.depth_m = RADIAL ? length(seen.offset_m) : seen.t.z;
         record.instance = SPLAT_IDS ? splat_index : INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
-        vec3 color = sh_color(sh_dc[splat_index], splat_index, splat_count, normalize(offset));
+        vec3 color = sh_color(sh_dc[splat_index], splat_index, splat_count, normalize(seen.offset_m));
         write_record(slot, record, SHADOWS ? light * color : color);
         keys[slot] = key_of(camera_index, splat_index, mean_m, camera);
     }

@@ -12,10 +12,12 @@
 #include "projection.glsl"
 #include "visibility.glsl"
 #include "lens.glsl"
+#include "rolling.glsl"
 #include "double_float.glsl"
 #include "depth_key.glsl"
 #include "record.glsl"
 #include "agent.glsl"
+#include "geometry.glsl"
 
 layout(local_size_x = 256) in;
 #include "agent_buffers.glsl"
@@ -37,6 +39,7 @@ layout(push_constant, scalar) uniform push_block {
     uint cluster_count;
     uint records_max;
     uint static_lists; // of the background: how many records it has stands behind them
+    float flow_interval_s;
 };
 
 // All bands of a color in one piece: a codebook stays in cache, and its entries are read in any
@@ -60,6 +63,20 @@ int visible_rank(uint first_word, uint bit) {
 
 vec3 turned(Agent agent, vec3 d) {
     return vec3(dot(agent.row_x, d), dot(agent.row_y, d), dot(agent.row_z, d));
+}
+
+// The attribute of a splat of an agent.
+vec3 attribute_of(Agent agent, Camera camera, uint lens, vec3 mean_m, mat3 axes, SeenSplat seen) {
+    switch (ATTRIBUTE) {
+    case ATTRIBUTE_RANGE:
+        return vec3(length(seen.t), 0.0, 0.0);
+    case ATTRIBUTE_NORMAL:
+        return turned(agent, normal_of(axes, seen));
+    case ATTRIBUTE_FLOW:
+        return vec3(flow_px(camera, lens, mean_m, seen, flow_interval_s), 0.0);
+    default:
+        return agent.velocity_mps + turned(agent, cross(agent.turn_rad_per_s, mean_m));
+    }
 }
 
 void main() {
@@ -94,13 +111,17 @@ void main() {
             loaded = true;
         }
         Camera camera = agent_cameras[agent_index * camera_count + camera_index];
-        vec3 offset = from_camera_m(coded.mean_m, camera);
-        vec3 t = to_camera_axes(camera, offset);
+        SeenSplat seen;
+        see_splat(camera, camera_index, coded.mean_m, axes, coded.opacity, seen);
+        if (ATTRIBUTE != ATTRIBUTE_NONE) {
+            write_attribute(slot, attribute_of(agent, camera, camera_index, coded.mean_m, axes, seen));
+            continue;
+        }
         Record record;
-        project_splat_seen(camera, camera_index, t, axes, coded.opacity, record.splat);
-        record.depth_m = RADIAL ? length(offset) : t.z;
+        record.splat = seen.splat;
+        record.depth_m = RADIAL ? length(seen.offset_m) : seen.t.z;
         record.instance = agent.instance;
-        vec3 d = normalize(offset);
+        vec3 d = normalize(seen.offset_m);
         uint color = agent.first_color + coded.color;
         vec3 dc = (RELIT && from_relit ? relit_dc[color] : coded_dc[color]) + agent.dc_residual_gain * coded.dc_residual;
         write_record(slot, record, sh_color(dc, color, COLOR_WORDS, agent.colors_in_world != 0u ? turned(agent, d) : d));

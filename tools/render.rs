@@ -2,21 +2,24 @@
 
 mod boxes;
 
+use std::borrow::Cow;
 use std::collections::HashSet;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{Layer, memory, write_atomically};
-use decouplegs::render::rendered_image::{Image, ImageFileFormat, contact_sheet};
-use decouplegs::render::{ColorFormat, Outputs, Plane, RenderOptions, reference};
+use decouplegs::render::rendered_image::{Image, ImageFileFormat, contact_sheet, preview};
+use decouplegs::render::{ColorFormat, Outputs, Plane, Planes, RenderOptions, reference};
 use decouplegs::scene::{Camera, Photometry};
 use decouplegs::session::{Session, SessionOptions, World, WorldView};
 
 use self::boxes::BoxList;
-use crate::arguments::{pixels, plane_names, print, write_image, write_image_with_alpha};
+use crate::arguments::{
+    pixels, plane_names, print, seconds_above_zero, warn, write_image, write_image_with_alpha,
+};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
@@ -40,11 +43,20 @@ pub struct Arguments {
     /// apart (default: always the finest)
     #[arg(long, value_name = "PX", conflicts_with = "reference", value_parser = pixels)]
     level_pitch: Option<f64>,
-    /// Write these planes beside each image too: depth (expected depth along the camera's z,
-    /// meters, 0 where nothing is) as float32 [height, width] in NAME.depth.npy, instance (0 the
-    /// background, k the k-th agent) as uint16 in NAME.instance.npy
+    /// Write these planes beside each image too, as NAME.PLANE.npy with one or more values per
+    /// pixel, float32 where nothing else is said. depth: expected depth along the camera's z,
+    /// meters, 0 where nothing is. instance: 0 the background, k the k-th agent, uint16. range:
+    /// distance from the camera, meters. normal: 3 values, world axes, towards the camera.
+    /// flow_forward, flow_backward: 2 values, pixels that the content moves in --flow-interval to
+    /// later and to earlier. scene_flow: 3 values, velocity in m/s, world axes
     #[arg(long, value_name = "PLANES", value_delimiter = ',', value_parser = plane_names())]
     planes: Vec<Plane>,
+    /// Write a preview of each plane too, as NAME.PLANE.png
+    #[arg(long, requires = "planes")]
+    plane_previews: bool,
+    /// Interval of optical flow, seconds: the camera and agents go on with their motion
+    #[arg(long, value_name = "S", default_value_t = 0.1, value_parser = seconds_above_zero)]
+    flow_interval: f64,
     /// Write boxes.json too: for each image the 3D, amodal and tight boxes of its agents, and their
     /// visible pixels
     #[arg(long)]
@@ -133,15 +145,27 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         cameras.for_each(|camera| camera.intrinsics.photometry = Photometry::IDENTITY);
     }
     let scene = scene;
+    warn_of_plain_agents(&scene, &arguments.planes);
     let mut writer = ImageWriter {
         out: &arguments.out,
         format: arguments.format.into(),
         planes: &arguments.planes,
+        previews: arguments.plane_previews,
         transparent: arguments.layer == LayerName::Agents,
         kept: arguments.contact_sheet.as_ref().map(|_| vec![]),
         boxes: arguments.boxes.then(|| BoxList::new(&scene)),
     };
     if arguments.reference {
+        let planes = arguments.planes.iter();
+        if let Some(plane) = planes
+            .copied()
+            .find(|plane| !Planes::BESIDE_COLOR.contains(*plane))
+        {
+            bail!(
+                "the reference renders no plane of geometry, such as {}: leave out --reference",
+                plane.name()
+            );
+        }
         render_by_definition(&scene, arguments.layer.into(), &mut writer)?;
     } else {
         render_on_gpu(&scene, arguments, &mut writer)?;
@@ -160,6 +184,23 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
+/// Says that agents of plain splats stand still where motion is asked for.
+fn warn_of_plain_agents(scene: &Scene, planes: &[Plane]) {
+    let rolls = |camera: &Camera| !camera.intrinsics.shutter.is_global();
+    let shows_motion = |plane: &Plane| {
+        use Plane::{FlowBackward, FlowForward, SceneFlow};
+        [FlowForward, FlowBackward, SceneFlow].contains(plane)
+    };
+    let count = scene.loaded.plain_agents.len();
+    let asks = planes.iter().any(shows_motion) || scene.cameras.iter().any(rolls);
+    if count > 0 && asks {
+        warn(&format!(
+            "{count} agents are plain splats, which are part of the background: they count as at \
+             rest in flow and under rolling shutters; 'decouplegs compress' makes agents that move"
+        ));
+    }
+}
+
 /// Destination of images. Images are written one after the other: hundreds of them need not be in
 /// memory together.
 struct ImageWriter<'a> {
@@ -167,6 +208,8 @@ struct ImageWriter<'a> {
     format: ImageFileFormat,
     /// Planes that are written beside them.
     planes: &'a [Plane],
+    /// True if each plane has a preview.
+    previews: bool,
     /// True if there is no background behind the rendered splats.
     transparent: bool,
     /// The images so far, where a contact sheet is asked for.
@@ -202,7 +245,13 @@ impl ImageWriter<'_> {
         let bytes = bytes.with_context(|| format!("the image of {} has no {name}", camera.name))?;
         let path = self.out.join(format!("{}.{name}.npy", camera.name));
         write_atomically(&path, |file| file.write_all(&bytes))?;
-        print(&format!("{}\n", path.display()))
+        print(&format!("{}\n", path.display()))?;
+        if let Some(preview) = preview(image, plane).filter(|_| self.previews) {
+            let path = self.out.join(format!("{}.{name}.png", camera.name));
+            write_image(&path, &preview, ImageFileFormat::Png)?;
+            print(&format!("{}\n", path.display()))?;
+        }
+        Ok(())
     }
 
     fn write(&self, path: &Path, image: &Image, format: ImageFileFormat) -> Result<()> {
@@ -238,6 +287,7 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter)
         render: RenderOptions {
             outputs,
             level_pitch_px: arguments.level_pitch,
+            flow_interval_s: arguments.flow_interval,
             ..RenderOptions::default()
         },
         rules: Some(scene.rules()),
@@ -278,11 +328,13 @@ fn render_by_definition(scene: &Scene, layer: Layer, writer: &mut ImageWriter) -
         REFERENCE_PIXEL_BYTES * most,
     )?;
     let world = scene.loaded.baked_layer(scene.time_s, layer);
+    let world_at = |later_s: f64| match later_s {
+        0.0 => Cow::Borrowed(&world),
+        _ => Cow::Owned(scene.loaded.baked_layer(scene.time_s + later_s, layer)),
+    };
     for camera in &scene.cameras {
-        writer.add(
-            camera,
-            reference::render(&world, camera, &world.rules).to_image(),
-        )?;
+        let image = reference::render_moving(&world_at, camera, &world.rules);
+        writer.add(camera, image.to_image())?;
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -309,6 +361,7 @@ fn check_names(cameras: &[Camera]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use decouplegs::scene::Motion;
     use decouplegs::scene::{Intrinsics, Pose};
 
     fn cameras(names: &[&str]) -> Vec<Camera> {
@@ -319,6 +372,7 @@ mod tests {
                 name: name.into(),
                 intrinsics,
                 world_from_camera: Pose::IDENTITY,
+                motion: Motion::REST,
             })
             .collect()
     }

@@ -307,6 +307,7 @@ mod tests {
     use super::*;
     use decouplegs::asset::cameras;
     use decouplegs::scene::Intrinsics;
+    use decouplegs::scene::Motion;
     use glam::DQuat;
 
     #[test]
@@ -321,6 +322,7 @@ mod tests {
                 DQuat::from_xyzw(0.1, -0.7, 0.3, 0.5),
                 DVec3::new(1.0, -2.5, 4.5e6),
             ),
+            motion: Motion::REST,
         };
         let bytes = transforms(std::slice::from_ref(&camera)).to_string();
         let read = cameras::decode(bytes.as_bytes(), None).unwrap();

@@ -4,6 +4,7 @@
 mod report;
 mod trace;
 
+use std::borrow::Cow;
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -258,7 +259,12 @@ fn error_in_window(
     )?;
     let found = cut(&renderer.read_images()?[0], window);
     let world = scene.world();
-    let expected = reference::render_window(&world, camera, &world.rules, window).to_image();
+    let world_at = |later_s: f64| match later_s {
+        0.0 => Cow::Borrowed(&world),
+        _ => Cow::Owned(scene.loaded.baked(scene.time_s + later_s)),
+    };
+    let expected = reference::render_moving_window(&world_at, camera, &world.rules, window);
+    let expected = expected.to_image();
     working.finish_and_clear();
     Ok(Difference::between(&found, &expected)?)
 }

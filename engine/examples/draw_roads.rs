@@ -7,7 +7,9 @@ use std::path::Path;
 use std::time::Instant;
 
 use decouplegs::asset::{SceneFile, inria_ply, read_map, read_probe};
-use decouplegs::scene::{Intrinsics, LaneKind, Lens, Photometry, Pose, Rig, RigCamera, Trajectory};
+use decouplegs::scene::{
+    Intrinsics, LaneKind, Lens, Photometry, Pose, Rig, RigCamera, Shutter, Trajectory,
+};
 use decouplegs::synth::roads::{self, RoadsOptions};
 use glam::DVec3;
 
@@ -64,6 +66,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             cy_px: 270.0,
             lens: Lens::Pinhole,
             photometry: Photometry::IDENTITY,
+            windshield: None,
+            shutter: Shutter::GLOBAL,
         },
         rig_from_camera: Pose {
             translation: eye,

@@ -40,7 +40,7 @@ impl Course {
             .next()
             .ok_or("the scene has no rig: add a [[rig]] to the scene file")?;
         front.intrinsics = front.intrinsics.resized(self.size_px[0], self.size_px[1]);
-        Ok(rig.at(&scene.ego().at(time_s)))
+        Ok(rig.driving(scene.ego(), time_s))
     }
 
     fn run(

@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for step in 0..10 {
         let time_s = 0.1 * f64::from(step);
         world.set_time(time_s);
-        cameras = scene.rig().at(&scene.ego().at(time_s));
+        cameras = scene.rig().driving(scene.ego(), time_s);
         let frames = renderer.draw(
             &[WorldView {
                 world: &world,

@@ -22,6 +22,8 @@ struct Agent {
     uint colors_in_world; // 1: not turned with the agent
     uint colors_relit; // 1: its colors are those that were made for it, not the pool's
     vec3 dc_residual_gain; // of what is added to the DC term of its colors
+    vec3 velocity_mps;     // world axes
+    vec3 turn_rad_per_s;   // rotation vector per second, its own axes
 };
 
 struct CodedSplat {

@@ -32,6 +32,11 @@ struct Camera {
     float key_depth;  // the camera's own depth relative to the world's origin, scaled
     uint first_bin;   // bins of camera c are first_bin .. first_bin + coarse_tiles.x * coarse_tiles.y, row-major
     uint first_pixel; // where its image begins in the output buffers
+    vec3 turn_rad_per_s;       // rotation vector of the camera while the image is exposed, camera axes
+    vec3 frame_turn_rad_per_s; // of the splats' frame, in its own axes
+    vec3 frame_velocity_mps;   // of the splats' frame relative to the camera, camera axes
+    float shutter_first_s;     // time of exposure at pixel coordinates (0, 0), relative to that of the pose
+    vec2 shutter_s_per_px;     // its increase per pixel; zero where nothing moves or all is exposed at once
 };
 
 struct Cluster {

@@ -10,6 +10,7 @@ const uint LENS_PINHOLE = 0u;
 const uint LENS_PLANAR = 1u; // a distorted pinhole: a function of x / z and y / z
 const uint LENS_RADIAL = 2u; // a function of the angle, which its table has by chord
 const uint LENS_INTERVALS = 63u;
+const uint BEND_TERMS = 12u; // of the polynomials of a windshield, along each sine
 
 struct Lens {
     uint kind;
@@ -23,6 +24,8 @@ struct Lens {
     vec2 tangential;
     vec4 thin_prism;
     vec2 table[LENS_INTERVALS + 1u]; // radius, and what it grows by an interval
+    vec2 bend_reach; // tangents of half the angles along x and y up to which a windshield is followed; 0 without one
+    vec2 bending[BEND_TERMS * BEND_TERMS]; // change of the sines: coefficients of u^i v^j at BEND_TERMS j + i, u and v the tangents by reach
 };
 
 layout(constant_id = 16) const bool LENSES = false; // some camera is no pinhole
@@ -35,8 +38,37 @@ const float SIGMA_REACH = 1.7320508075688772;
 const float SQRT_2 = 1.4142135623730951;
 const float SQRT_SIXTH = 0.4082482904638631;
 
-bool lens_shows(uint lens, vec3 t) {
+// Rays whose z is below this, of a unit length, are bent less by a windshield: none at 0.
+const float BENDING_FADE_Z = 0.05;
+
+// The ray behind the windshield of a point in camera axes; the point itself without a windshield.
+vec3 bent(uint lens, vec3 t) {
+    vec2 reach = lenses[lens].bend_reach;
+    if (reach.x == 0.0) {
+        return t;
+    }
+    vec3 ray = normalize(t);
+    // Tangents of half the angles, whose sines these are: the angles are smooth functions of them.
+    vec2 at = clamp(ray.xy / (1.0 + sqrt(max(1.0 - ray.xy * ray.xy, 0.0))) / reach, -1.0, 1.0);
+    vec2 change = vec2(0.0);
+    for (uint j = BEND_TERMS; j-- > 0u;) {
+        vec2 row = vec2(0.0);
+        for (uint i = BEND_TERMS; i-- > 0u;) {
+            row = row * at.x + lenses[lens].bending[BEND_TERMS * j + i];
+        }
+        change = change * at.y + row;
+    }
+    vec2 sines = ray.xy + clamp(ray.z / BENDING_FADE_Z, 0.0, 1.0) * change;
+    return vec3(sines, ray.z > 0.0 ? sqrt(max(1.0 - dot(sines, sines), 0.0)) : ray.z);
+}
+
+bool lens_shows_bent(uint lens, vec3 t) {
     return t.z > 0.0 && length(t.xy) <= lenses[lens].tan_limit * t.z;
+}
+
+bool lens_shows(uint lens, vec3 point) {
+    vec3 t = bent(lens, point);
+    return lens_shows_bent(lens, t);
 }
 
 vec2 distorted(uint lens, vec2 p) {
@@ -62,12 +94,13 @@ float radius_at(uint lens, float chord) {
 }
 
 // Projection of a point in camera axes, pixels from the principal point.
-vec2 through_lens(uint lens, vec3 t) {
+vec2 through_lens(uint lens, vec3 point) {
+    vec3 t = bent(lens, point);
     vec3 ray = normalize(t);
     float across = length(ray.xy);
     float chord = ray.z >= 0.0 ? across * sqrt(2.0 / (1.0 + ray.z)) : sqrt(2.0 - 2.0 * ray.z);
     vec2 direction = across > 0.0 ? ray.xy / across : vec2(ray.z < 0.0 ? 1.0 : 0.0, 0.0);
-    bool shown = lens_shows(lens, t);
+    bool shown = lens_shows_bent(lens, t);
     vec2 p;
     if (lenses[lens].kind == LENS_PLANAR) {
         p = distorted(lens, shown ? t.xy / t.z : direction * lenses[lens].tan_limit);

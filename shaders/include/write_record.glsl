@@ -21,3 +21,8 @@ void write_record(uint slot, Record record, vec3 color) {
     footprints[2u * slot + 1u] = pack_record_high(record);
     colors[slot] = vec4(color, 0.0);
 }
+
+// An attribute in the place of the color of a record that was written before.
+void write_attribute(uint slot, vec3 value) {
+    colors[slot] = vec4(value, 0.0);
+}

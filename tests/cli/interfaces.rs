@@ -21,7 +21,7 @@ fn by_session(session: &Session, scene: &Path) -> (Vec<String>, Vec<Vec<[u8; 3]>
     let (mut renderer, mut world) = (session.batch_renderer(), World::new(&scene));
     let time_s = scene.ego().start_s();
     world.set_time(time_s);
-    let cameras = scene.rig().at(&scene.ego().at(time_s));
+    let cameras = scene.rig().driving(scene.ego(), time_s);
     let view = WorldView {
         world: &world,
         cameras: &cameras,

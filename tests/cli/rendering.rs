@@ -1,6 +1,7 @@
 //! `render` and `bench` on small scenes.
 
 use decouplegs::asset::SceneFile;
+use decouplegs::render::metrics::Difference;
 
 use super::*;
 
@@ -251,6 +252,146 @@ fn a_bench_reports_time_memory_and_error() {
         "{said}"
     );
     assert!(fail(1, &["bench", text(&scene), "--cameras-used", "7"]).contains("6 cameras"));
+}
+
+/// The small street with its agents compressed: plain splats are part of the background, which
+/// stands still.
+fn coded_street(street: &Path) {
+    small_street(street);
+    let scene = street.join("scene.toml");
+    let mut file = fs::read_to_string(&scene).unwrap();
+    for entry in fs::read_dir(street.join("assets")).unwrap() {
+        let plain = entry.unwrap().path();
+        let coded = plain.with_extension("safetensors");
+        let sizes = [
+            "--views",
+            "4",
+            "--view-size",
+            "32",
+            "--colors",
+            "24",
+            "--shapes",
+            "12",
+        ];
+        succeed(
+            &[
+                &["compress", text(&plain), "--out", text(&coded)][..],
+                &sizes,
+            ]
+            .concat(),
+        );
+        let [plain, coded] =
+            [&plain, &coded].map(|path| path.file_name().unwrap().to_str().unwrap());
+        file = file.replace(plain, coded);
+    }
+    fs::write(&scene, file).unwrap();
+}
+
+/// Planes of geometry are arrays of their own shape, with previews, and cost color nothing.
+#[test]
+fn planes_of_geometry_are_written_beside_the_images() {
+    let folder = tempfile::tempdir().unwrap();
+    let (street, out) = (folder.path().join("street"), folder.path().join("out"));
+    coded_street(&street);
+    let scene = street.join("scene.toml");
+    let render = |more: &[&str]| {
+        let scene = [
+            "render",
+            text(&scene),
+            "--size",
+            "96x54",
+            "--time",
+            "1",
+            "--out",
+            text(&out),
+        ];
+        succeed(&[&scene[..], more].concat());
+        fs::read(out.join("front.png")).unwrap()
+    };
+    let plain = render(&[]);
+    let all = "range,normal,flow_forward,flow_backward,scene_flow";
+    let with = render(&[
+        "--planes",
+        all,
+        "--plane-previews",
+        "--flow-interval",
+        "0.05",
+    ]);
+    assert!(plain == with, "planes change no color");
+    for (plane, shape) in [
+        ("range", "(54, 96)"),
+        ("normal", "(54, 96, 3)"),
+        ("flow_forward", "(54, 96, 2)"),
+        ("flow_backward", "(54, 96, 2)"),
+        ("scene_flow", "(54, 96, 3)"),
+    ] {
+        let array = fs::read(out.join(format!("front.{plane}.npy"))).unwrap();
+        let header = String::from_utf8_lossy(&array[..128]).into_owned();
+        assert!(header.contains(&format!("'shape': {shape}, ")), "{header}");
+        let values = array[128..].chunks_exact(4);
+        let largest = values.map(|bytes| f32::from_le_bytes(bytes.try_into().unwrap()).abs());
+        assert!(largest.fold(0.0, f32::max) > 0.1, "{plane} is empty");
+        let preview = Image::read(&out.join(format!("front.{plane}.png"))).unwrap();
+        assert_eq!((preview.width, preview.height), (96, 54));
+    }
+    let scene = text(&scene);
+    let refused = [
+        "render",
+        scene,
+        "--reference",
+        "--planes",
+        "normal",
+        "--out",
+        text(&out),
+    ];
+    assert!(fail(1, &refused).contains("leave out --reference"));
+    let refused = ["render", scene, "--flow-interval", "0", "--out", text(&out)];
+    assert!(fail(2, &refused).contains("above 0"));
+}
+
+/// A rolling shutter of a scene file is in images and in those of the reference.
+#[test]
+fn rolling_shutters_of_scene_files_are_rendered() {
+    let folder = tempfile::tempdir().unwrap();
+    let (street, out) = (folder.path().join("street"), folder.path().join("out"));
+    small_street(&street);
+    let scene = street.join("scene.toml");
+    let rolling = street.join("rolling.toml");
+    let file = fs::read_to_string(&scene).unwrap();
+    let shutter = "[[rig]]\nshutter = { direction = \"top_to_bottom\", readout_s = 0.03 }";
+    fs::write(&rolling, file.replace("[[rig]]", shutter)).unwrap();
+    let render = |scene: &Path, more: &[&str]| {
+        let scene = [
+            "render",
+            text(scene),
+            "--size",
+            "96x54",
+            "--time",
+            "2",
+            "--out",
+            text(&out),
+        ];
+        succeed(&[&scene[..], more].concat());
+        Image::read(&out.join("front_left.png")).unwrap()
+    };
+    let warned = decouplegs(&[
+        "render",
+        text(&rolling),
+        "--size",
+        "96x54",
+        "--out",
+        text(&out),
+    ]);
+    let warned = String::from_utf8_lossy(&warned.stderr).into_owned();
+    assert!(warned.contains("2 agents are plain splats"), "{warned}");
+    let (still, rolled) = (render(&scene, &[]), render(&rolling, &[]));
+    let truth = render(&rolling, &["--reference"]);
+    let psnr_db = |image: &Image| Difference::between(image, &truth).unwrap().psnr_db;
+    let (rolled_db, still_db) = (psnr_db(&rolled), psnr_db(&still));
+    assert!(
+        rolled_db > 40.0 && still_db < rolled_db - 8.0,
+        "{rolled_db} dB, {still_db} dB"
+    );
 }
 
 /// Boxes of agents: tight ones lie in amodal ones, and an absent agent has none.

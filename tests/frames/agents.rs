@@ -4,7 +4,8 @@
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Agent, AssetPool, Image, RenderOptions, Renderer, Scene, reference};
 use decouplegs::scene::{
-    AgentPlacement, Bounds, Camera, CodedCloud, Intrinsics, Pose, Rules, ShFrame, SplatCodes, World,
+    AgentPlacement, Bounds, Camera, CodedCloud, Intrinsics, Motion, Pose, Rules, ShFrame,
+    SplatCodes, World,
 };
 use glam::{DQuat, DVec3};
 
@@ -100,6 +101,7 @@ pub fn camera_towards(name: &str, eye: DVec3, target: DVec3, size: (u32, u32)) -
         name: name.into(),
         intrinsics: Intrinsics::from_horizontal_fov(size.0, size.1, 1.2),
         world_from_camera: pose,
+        motion: Motion::REST,
     }
 }
 

@@ -2,8 +2,8 @@
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Agent, AssetPool, RenderOptions, Renderer, Scene, reference};
-use decouplegs::scene::lens::{Fisheye, OpenCv};
-use decouplegs::scene::{AgentPlacement, Camera, Lens, Pose, Rules, ShFrame, World};
+use decouplegs::scene::lens::{Fisheye, OpenCv, Windshield, WindshieldDirection};
+use decouplegs::scene::{AgentPlacement, Camera, Intrinsics, Lens, Pose, Rules, ShFrame, World};
 use decouplegs::synth::street::{Street, StreetOptions};
 use glam::{DVec2, DVec3};
 
@@ -51,6 +51,46 @@ fn a_crowd_through_every_lens() {
             ..Rules::INRIA
         },
     );
+}
+
+/// Cameras behind a windshield: a pinhole, a distorted one and a fisheye.
+fn behind_a_windshield() -> Vec<Camera> {
+    let mut windshield = Windshield::straight();
+    windshield.horizontal[0] = [0.003, 1.01, -0.004, 0.005, 0.0, -0.002];
+    windshield.horizontal[1][1] = 0.006;
+    windshield.vertical[0][2] = 0.008;
+    windshield.vertical[1][0] = 0.985;
+    let directions = [WindshieldDirection::Forward, WindshieldDirection::Backward];
+    let behind = |(camera, direction): (Camera, WindshieldDirection)| Camera {
+        intrinsics: Intrinsics {
+            windshield: Some(Windshield {
+                direction,
+                ..windshield
+            }),
+            ..camera.intrinsics
+        },
+        ..camera
+    };
+    let cameras = cameras().into_iter().take(3);
+    cameras
+        .zip(directions.into_iter().cycle())
+        .map(behind)
+        .collect()
+}
+
+#[test]
+fn a_crowd_through_a_windshield() {
+    let world = world_of(&crowd(400));
+    let (plain, cameras) = (cameras(), behind_a_windshield());
+    assert_exact(&world, &cameras, Rules::DEFAULT);
+    // The windshield moves what is seen by more than the error.
+    let gpu = Validated::open();
+    let plain: Vec<Camera> = plain.into_iter().take(3).collect();
+    let [bent, straight] =
+        [&cameras, &plain].map(|cameras| draw(&gpu, &world, cameras, Rules::DEFAULT));
+    for (bent, straight) in bent.iter().zip(&straight) {
+        assert!(Difference::between(bent, straight).unwrap().psnr_db < 40.0);
+    }
 }
 
 #[test]

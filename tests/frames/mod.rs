@@ -3,6 +3,7 @@
 mod agents;
 mod determinism;
 mod editing;
+mod geometry;
 mod growth;
 mod hard_cases;
 mod in_flight;
@@ -12,6 +13,7 @@ mod light;
 mod light_on_demand;
 mod outputs;
 mod presence;
+mod rolling_shutter;
 mod scenes;
 pub mod sky;
 mod worlds;
@@ -20,7 +22,7 @@ pub use agents::background;
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Image, Outputs, Planes, RenderOptions, Renderer, reference};
-use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, SplatCloud, World};
+use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, Rules, SplatCloud, World};
 use glam::{DQuat, DVec3};
 
 use crate::device::Validated;
@@ -76,13 +78,14 @@ pub fn camera_at(center: DVec3, width_px: u32, height_px: u32) -> Camera {
         name: "test".into(),
         intrinsics,
         world_from_camera: Pose::new(DQuat::IDENTITY, center),
+        motion: Motion::REST,
     }
 }
 
-/// All outputs in f32.
+/// Color in f32, and all planes that are blended together with it.
 pub fn all_outputs() -> Outputs {
     Outputs {
-        planes: Planes::ALL,
+        planes: Planes::BESIDE_COLOR,
         ..Outputs::default()
     }
 }

@@ -4,7 +4,7 @@
 //! quotes.
 
 use decouplegs::asset::{open_scene, read_splats};
-use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, SplatCloud, World};
+use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, Rules, SplatCloud, World};
 use decouplegs::synth::street::{Street, StreetOptions};
 use glam::DVec3;
 
@@ -42,6 +42,7 @@ fn around(cloud: &SplatCloud, up: DVec3) -> Vec<Camera> {
                     up,
                 )
                 .unwrap(),
+                motion: Motion::REST,
             }
         })
         .collect()

@@ -1,7 +1,7 @@
 //! A road drawn pixel by pixel: asphalt, markings, shade, paint across the road and a car. What is
 //! seen is known exactly.
 
-use decouplegs::scene::{Intrinsics, Lens, Pose, RigCamera, VehicleSize, Photometry};
+use decouplegs::scene::{Shutter, Intrinsics, Lens, Pose, RigCamera, VehicleSize, Photometry};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 /// The ego that looks.
@@ -56,7 +56,7 @@ pub fn camera() -> RigCamera {
     let rotation = DQuat::from_mat3(&DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X));
     RigCamera {
         name: "front".into(),
-        intrinsics: Intrinsics { width_px: 320, height_px: 180, fx_px: 253.28, fy_px: 253.28, cx_px: 160.0, cy_px: 90.0, lens: Lens::Pinhole, photometry: Photometry::IDENTITY },
+        intrinsics: Intrinsics { width_px: 320, height_px: 180, fx_px: 253.28, fy_px: 253.28, cx_px: 160.0, cy_px: 90.0, lens: Lens::Pinhole, photometry: Photometry::IDENTITY, windshield: None, shutter: Shutter::GLOBAL },
         rig_from_camera: Pose::new(rotation, DVec3::new(0.4, 0.0, 1.6 - 0.5 * EGO.height_m)),
     }
 }

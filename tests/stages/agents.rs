@@ -4,8 +4,9 @@
 pub mod hard_agents;
 mod hard_clouds;
 
+use decouplegs::render::Attribute;
 use decouplegs::render::layout::{CLUSTER_SPLATS, near_m};
-use decouplegs::render::stages::{AgentCounts, CullAgents, ProjectAgents, Projected};
+use decouplegs::render::stages::{AgentCounts, AgentVariant, CullAgents, ProjectAgents, Projected};
 use decouplegs::render::twins::{self, agent::UnpackedSplat, lens::lens_of};
 use decouplegs::scene::{Camera, ColorTransfer, DepthOrder, Pose, Rules};
 use glam::{DQuat, DVec3};
@@ -20,7 +21,7 @@ use hard_clouds::hard_cloud;
 /// Visibility bits and counts of the kernel.
 fn visible(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
     let (pool, buffers) = (scene.pool(gpu), scene.buffers(gpu));
-    let cull = CullAgents::new(gpu, rules, !scene.lenses.is_empty()).unwrap();
+    let cull = CullAgents::new(gpu, rules, scene.camera_variant()).unwrap();
     run(gpu, |r| cull.record(r, &pool, &buffers, scene.counts));
     (
         gpu.read(&buffers.visible.words).unwrap(),
@@ -211,8 +212,17 @@ impl Case {
         gpu.write(&projected.keys, 0, &vec![UNTOUCHED; *room])
             .unwrap();
         let (relit, is_relit) = (scene.relit(gpu), !scene.relit_dc.is_empty());
-        let project =
-            ProjectAgents::new(gpu, rules, *sh_degree, is_relit, !scene.lenses.is_empty()).unwrap();
+        let project = ProjectAgents::new(
+            gpu,
+            rules,
+            AgentVariant {
+                sh_degree: *sh_degree,
+                relit: is_relit,
+                cameras: scene.camera_variant(),
+                attribute: Attribute::None,
+            },
+        )
+        .unwrap();
         let lists = STATIC_FIRSTS.len() - 1;
         run(gpu, |r| {
             project.record(
@@ -224,6 +234,7 @@ impl Case {
                 &static_offsets,
                 lists,
                 &projected,
+                0.0,
             );
         });
         ProjectedTwin {
@@ -407,8 +418,18 @@ fn no_agents_are_nothing() {
     let projected = Projected::new(&gpu, 8, 0).unwrap();
     gpu.write(&projected.keys, 0, &[UNTOUCHED; 8]).unwrap();
     let (cull, project) = (
-        CullAgents::new(&gpu, &Rules::DEFAULT, false).unwrap(),
-        ProjectAgents::new(&gpu, &Rules::DEFAULT, 3, false, false).unwrap(),
+        CullAgents::new(&gpu, &Rules::DEFAULT, scene.camera_variant()).unwrap(),
+        ProjectAgents::new(
+            &gpu,
+            &Rules::DEFAULT,
+            AgentVariant {
+                sh_degree: 3,
+                relit: false,
+                cameras: scene.camera_variant(),
+                attribute: Attribute::None,
+            },
+        )
+        .unwrap(),
     );
     let (none, static_offsets) = (
         AgentCounts {
@@ -428,6 +449,7 @@ fn no_agents_are_nothing() {
             &static_offsets,
             0,
             &projected,
+            0.0,
         );
     });
     let left = [

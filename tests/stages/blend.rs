@@ -27,7 +27,7 @@ use rounding::PixelBounds;
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
 const OUTPUTS: Outputs = Outputs {
     color: decouplegs::render::ColorFormat::F32,
-    planes: Planes::ALL,
+    planes: Planes::BESIDE_COLOR,
     contributions: false,
     exported: false,
 };

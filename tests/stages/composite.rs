@@ -63,7 +63,7 @@ impl Case {
     fn kernel(&self, gpu: &Validated, color: ColorFormat) -> (Images, Vec<u32>) {
         let outputs = Outputs {
             color,
-            planes: Planes::ALL,
+            planes: Planes::BESIDE_COLOR,
             ..Outputs::default()
         };
         let (images, bytes, _) = self.kernel_by(gpu, Rules::DEFAULT, outputs);
@@ -360,7 +360,7 @@ fn pixels_are_left_to_be_finished_where_they_end() {
             }
         }
         let outputs = Outputs {
-            planes: Planes::ALL,
+            planes: Planes::BESIDE_COLOR,
             contributions: counts,
             ..Outputs::default()
         };

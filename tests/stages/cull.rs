@@ -1,7 +1,7 @@
 //! `cull.comp`: which splats can be seen by which camera.
 
 use decouplegs::render::layout::CLUSTER_SPLATS;
-use decouplegs::render::stages::{Cull, Visible};
+use decouplegs::render::stages::{CameraVariant, Cull, Visible};
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::scene::{Camera, Rules, World};
 
@@ -10,14 +10,19 @@ use super::{UNTOUCHED, identical, open, run};
 use crate::device::Validated;
 
 /// Visibility bits and counts of the kernel.
-fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
+pub fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
     let cameras = scene.view.cameras.len();
     let visible = Visible::new(gpu, cameras, scene.clusters.len()).unwrap();
     gpu.write(&visible.words, 0, &vec![UNTOUCHED; visible.words.len()])
         .unwrap();
     gpu.write(&visible.counts, 0, &vec![UNTOUCHED; visible.counts.len()])
         .unwrap();
-    let cull = Cull::new(gpu, rules, !scene.view.lenses.is_empty()).unwrap();
+    let cull = Cull::new(
+        gpu,
+        rules,
+        CameraVariant::of(&scene.view.cameras, &scene.view.lenses),
+    )
+    .unwrap();
     let (of_cameras, lenses) = (&scene.camera_buffer, &scene.lens_buffer);
     run(gpu, |r| {
         cull.record(r, &scene.resident, of_cameras, lenses, cameras, &visible);

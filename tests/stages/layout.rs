@@ -65,7 +65,12 @@ fn records_of_frames() -> Vec<Record> {
             key_scale,
             key_depth,
             first_bin,
-            first_pixel
+            first_pixel,
+            turn_rad_per_s,
+            frame_turn_rad_per_s,
+            frame_velocity_mps,
+            shutter_first_s,
+            shutter_s_per_px
         }),
         record!(ClusterRecord {
             center_m,
@@ -111,7 +116,9 @@ fn records_of_frames() -> Vec<Record> {
             instance,
             colors_in_world,
             colors_relit,
-            dc_residual_gain
+            dc_residual_gain,
+            velocity_mps,
+            turn_rad_per_s
         }),
         record!(BlendItem {
             bin,
@@ -141,7 +148,9 @@ fn records_of_light_and_lenses() -> Vec<Record> {
             radial,
             tangential,
             thin_prism,
-            table
+            table,
+            bend_reach,
+            bending
         }),
         record!(ShadowRecord {
             center_high_m,

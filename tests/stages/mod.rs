@@ -16,6 +16,8 @@ mod post_process;
 mod project;
 mod properties;
 mod relight;
+mod resolve_plane;
+mod rolling_shutter;
 mod scan;
 pub mod scenes;
 mod subgroups;

@@ -2,11 +2,11 @@
 
 pub mod rounding;
 
-use decouplegs::render::stages::{Project, ProjectVariant, Projected, Visible};
-use decouplegs::render::twins;
+use decouplegs::render::stages::{CameraVariant, Project, ProjectVariant, Projected, Visible};
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::axes_of;
 use decouplegs::render::twins::shadow::shadow_factor;
+use decouplegs::render::{Attribute, twins};
 use decouplegs::scene::{Camera, DepthOrder, RayMap, Rules};
 
 use super::scenes::{Listed, NoKeys, ProjectedTwin, Scene, hard_world, lens_rig, rig};
@@ -29,7 +29,7 @@ impl Case {
         Self::seen_by(gpu, splats, &rig(), rules, variant)
     }
 
-    fn seen_by(
+    pub fn seen_by(
         gpu: &Validated,
         splats: usize,
         cameras: &[Camera],
@@ -92,6 +92,7 @@ impl Case {
                 kept,
                 shadows,
                 count,
+                0.0,
             );
         });
         ProjectedTwin {
@@ -183,7 +184,11 @@ pub const PLAIN: ProjectVariant = ProjectVariant {
     splat_ids: false,
     shadows: false,
     shadows_by_camera: false,
-    lenses: false,
+    cameras: CameraVariant {
+        lenses: false,
+        rolling: false,
+    },
+    attribute: Attribute::None,
 };
 
 #[test]
@@ -244,7 +249,10 @@ fn records_through_lenses() {
             Rules::DEFAULT,
             ProjectVariant {
                 sh_degree: 1,
-                lenses: true,
+                cameras: CameraVariant {
+                    lenses: true,
+                    rolling: false,
+                },
                 ..PLAIN
             },
         ),
@@ -255,7 +263,10 @@ fn records_through_lenses() {
                 ..Rules::INRIA
             },
             ProjectVariant {
-                lenses: true,
+                cameras: CameraVariant {
+                    lenses: true,
+                    rolling: false,
+                },
                 ..PLAIN
             },
         ),

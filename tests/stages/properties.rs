@@ -10,7 +10,7 @@ use decouplegs::render::twins::projection::{
     Variant, axes_of, from_camera_m, project_splat, to_camera_axes,
 };
 use decouplegs::scene::rules::ALPHA_MIN;
-use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
+use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, Rules, World};
 use glam::{DQuat, DVec2, DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
@@ -232,6 +232,7 @@ fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
             kept,
             &shadows,
             0,
+            0.0,
         );
     });
     gpu.read(&projected.keys).unwrap()
@@ -260,6 +261,7 @@ fn a_camera_that_does_not_turn_changes_no_key() {
                 name: "moved".into(),
                 intrinsics: Intrinsics::from_horizontal_fov(64, 64, 1.0),
                 world_from_camera: pose,
+                motion: Motion::REST,
             }
         };
         let center = DVec3::from_array(center_m.map(|x| (x * 1024.0).round() / 1024.0));

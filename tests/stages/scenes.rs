@@ -11,7 +11,7 @@ use decouplegs::render::twins::lens::{lens_of, project_splat_seen};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
 use decouplegs::render::twins::{self, sh::Stored};
 use decouplegs::scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
-use decouplegs::scene::{Camera, Intrinsics, Lens, Pose, Rules, World};
+use decouplegs::scene::{Camera, Intrinsics, Lens, Motion, Pose, Rules, World};
 use glam::{DQuat, DVec3, Mat3, Vec3};
 
 use super::{ROUNDOFF, Random, UNTOUCHED, upload};
@@ -107,6 +107,7 @@ pub fn rig() -> Vec<Camera> {
         name: name.into(),
         intrinsics: Intrinsics::from_horizontal_fov(size.0, size.1, fov_deg.to_radians()),
         world_from_camera: pose,
+        motion: Motion::REST,
     };
     let turned = Pose::new(
         DQuat::from_rotation_y(0.3) * DQuat::from_rotation_z(0.2),

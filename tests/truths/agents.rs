@@ -4,8 +4,9 @@
 use std::f64::consts::LOG2_E;
 
 use decouplegs::gpu::QueueRole;
+use decouplegs::render::Attribute;
 use decouplegs::render::sh_codec;
-use decouplegs::render::stages::{ProjectAgents, Projected};
+use decouplegs::render::stages::{AgentVariant, CameraVariant, ProjectAgents, Projected};
 use decouplegs::scene::rules::DILATION_PX2;
 use decouplegs::scene::sh::{ShRotation, basis};
 use decouplegs::scene::{Bounds, Camera, CodedCloud, Pose, Rules, ShFrame, SplatCodes, sh};
@@ -156,7 +157,17 @@ fn seen_by_kernel(
     gpu.write(&buffers.offsets, 0, &listed.offsets).unwrap();
     let static_offsets = gpu.upload("no background", "test", &[0u32]).unwrap();
     let projected = Projected::new(gpu, room, 0).unwrap();
-    let project = ProjectAgents::new(gpu, rules, 3, false, false).unwrap();
+    let project = ProjectAgents::new(
+        gpu,
+        rules,
+        AgentVariant {
+            sh_degree: 3,
+            relit: false,
+            cameras: CameraVariant::default(),
+            attribute: Attribute::None,
+        },
+    )
+    .unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
     project.record(
         &mut recorder,
@@ -167,6 +178,7 @@ fn seen_by_kernel(
         &static_offsets,
         0,
         &projected,
+        0.0,
     );
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
     let (footprints, colors) = (

@@ -11,7 +11,9 @@ mod properties;
 mod rules;
 
 use decouplegs::render::{Image, RenderOptions, Renderer};
-use decouplegs::scene::{Camera, Intrinsics, Lens, Photometry, Pose, Rules, World};
+use decouplegs::scene::{
+    Camera, Intrinsics, Lens, Motion, Photometry, Pose, Rules, Shutter, World,
+};
 
 use crate::device::Validated;
 use crate::frames::{Splat, all_outputs, world_of};
@@ -39,8 +41,11 @@ fn square_camera(size_px: u32) -> Camera {
             cy_px: center_px,
             lens: Lens::Pinhole,
             photometry: Photometry::IDENTITY,
+            windshield: None,
+            shutter: Shutter::GLOBAL,
         },
         world_from_camera: Pose::IDENTITY,
+        motion: Motion::REST,
     }
 }
 

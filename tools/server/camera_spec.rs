@@ -1,14 +1,19 @@
 //! Cameras of messages as intrinsics, and back.
 
-use decouplegs::scene::lens::{ANGLE_LIMIT_RAD, FTheta, FThetaReference, Fisheye, Lens, OpenCv};
-use decouplegs::scene::{Intrinsics, Photometry};
+use decouplegs::scene::lens::windshield::{angle_coefficients, angle_polynomial};
+use decouplegs::scene::lens::{
+    ANGLE_LIMIT_RAD, FTheta, FThetaReference, Fisheye, Lens, OpenCv, Windshield,
+    WindshieldDirection,
+};
+use decouplegs::scene::{Intrinsics, Photometry, Shutter, ShutterDirection};
 use tonic::Status;
 
-use crate::wire::sensorsim::camera_spec::CameraParam;
+use crate::wire::sensorsim::bivariate_windshield_model_parameters::ReferencePolynomial;
+use crate::wire::sensorsim::camera_spec::{CameraParam, ExternalDistortion};
 use crate::wire::sensorsim::ftheta_camera_param::PolynomialType;
 use crate::wire::sensorsim::{
-    CameraSpec, FthetaCameraParam, LinearCde, OpenCvFisheyeCameraParam, OpenCvPinholeCameraParam,
-    ShutterType,
+    BivariateWindshieldModelParameters, CameraSpec, FthetaCameraParam, LinearCde,
+    OpenCvFisheyeCameraParam, OpenCvPinholeCameraParam, ShutterType,
 };
 
 /// F-theta calibrations count pixels from the center of the first one, images from its corner.
@@ -17,7 +22,7 @@ const FTHETA_ORIGIN_PX: f64 = 0.5;
 /// Intrinsics of `spec` at `width_px` x `height_px`; at its own size if both are zero.
 ///
 /// # Errors
-/// INVALID_ARGUMENT with the name of the field that makes no sense, UNIMPLEMENTED for windshields.
+/// INVALID_ARGUMENT with the name of the field that makes no sense.
 pub fn intrinsics_of(
     spec: &CameraSpec,
     [width_px, height_px]: [u32; 2],
@@ -33,11 +38,11 @@ pub fn intrinsics_of(
     } else {
         [spec.resolution_w, spec.resolution_h]
     };
-    if spec.external_distortion.is_some() {
-        return Err(Status::unimplemented(format!(
-            "{field}.external_distortion: windshields cannot be drawn"
-        )));
-    }
+    let windshield = spec
+        .external_distortion
+        .as_ref()
+        .map(|ExternalDistortion::BivariateWindshieldModelParam(model)| windshield_of(model, field))
+        .transpose()?;
     let intrinsics = match &spec.camera_param {
         Some(CameraParam::OpencvPinholeParam(pinhole)) => {
             of_pinhole(pinhole, own, &format!("{field}.opencv_pinhole_param"))?
@@ -54,6 +59,10 @@ pub fn intrinsics_of(
             )));
         }
     };
+    let intrinsics = Intrinsics {
+        windshield,
+        ..intrinsics
+    };
     intrinsics
         .check()
         .map_err(|reason| Status::invalid_argument(format!("{field}: {reason}")))?;
@@ -62,6 +71,82 @@ pub fn intrinsics_of(
         Status::invalid_argument(format!("resolution_w and resolution_h: {reason}"))
     })?;
     Ok(resized)
+}
+
+/// The shutter of the camera in `field` of a message, which reads its image in `readout_s`.
+///
+/// # Errors
+/// INVALID_ARGUMENT with the name of the field that makes no sense.
+pub fn shutter_of(
+    spec: &CameraSpec,
+    readout_s: f64,
+    intrinsics: &Intrinsics,
+    field: &str,
+) -> Result<Shutter, Status> {
+    let direction = match spec.shutter_type() {
+        ShutterType::Unknown | ShutterType::Global => return Ok(Shutter::GLOBAL),
+        ShutterType::RollingTopToBottom => ShutterDirection::TopToBottom,
+        ShutterType::RollingBottomToTop => ShutterDirection::BottomToTop,
+        ShutterType::RollingLeftToRight => ShutterDirection::LeftToRight,
+        ShutterType::RollingRightToLeft => ShutterDirection::RightToLeft,
+    };
+    let size_px = [intrinsics.width_px, intrinsics.height_px];
+    let shutter = Shutter::new(direction, readout_s, size_px);
+    let checked = shutter.check(size_px);
+    checked.map_err(|reason| {
+        Status::invalid_argument(format!("{field}.shutter_type with frame_end_us: {reason}"))
+    })?;
+    Ok(shutter)
+}
+
+/// The windshield of the camera in `field` of a message, by the polynomials that it refers to.
+fn windshield_of(
+    model: &BivariateWindshieldModelParameters,
+    field: &str,
+) -> Result<Windshield, Status> {
+    let (direction, horizontal, vertical) = match model.reference_poly() {
+        ReferencePolynomial::Forward => (
+            WindshieldDirection::Forward,
+            &model.horizontal_poly,
+            &model.vertical_poly,
+        ),
+        ReferencePolynomial::Backward => (
+            WindshieldDirection::Backward,
+            &model.horizontal_poly_inverse,
+            &model.vertical_poly_inverse,
+        ),
+    };
+    let polynomial = |coefficients: &[f64]| {
+        angle_polynomial(coefficients).map_err(|reason| {
+            Status::invalid_argument(format!("{field}.external_distortion: {reason}"))
+        })
+    };
+    Ok(Windshield {
+        direction,
+        horizontal: polynomial(horizontal)?,
+        vertical: polynomial(vertical)?,
+    })
+}
+
+/// The windshield as a message: the polynomials of the direction that is known.
+fn windshield_message(windshield: &Windshield) -> ExternalDistortion {
+    let horizontal = angle_coefficients(&windshield.horizontal);
+    let vertical = angle_coefficients(&windshield.vertical);
+    let message = match windshield.direction {
+        WindshieldDirection::Forward => BivariateWindshieldModelParameters {
+            reference_poly: ReferencePolynomial::Forward.into(),
+            horizontal_poly: horizontal,
+            vertical_poly: vertical,
+            ..Default::default()
+        },
+        WindshieldDirection::Backward => BivariateWindshieldModelParameters {
+            reference_poly: ReferencePolynomial::Backward.into(),
+            horizontal_poly_inverse: horizontal,
+            vertical_poly_inverse: vertical,
+            ..Default::default()
+        },
+    };
+    ExternalDistortion::BivariateWindshieldModelParam(message)
 }
 
 /// `values` and zeros behind them.
@@ -106,6 +191,8 @@ fn of_pinhole(
             Lens::OpenCv(lens)
         },
         photometry: Photometry::IDENTITY,
+        windshield: None,
+        shutter: Shutter::GLOBAL,
     })
 }
 
@@ -132,6 +219,8 @@ fn of_fisheye(
             max_angle_rad,
         }),
         photometry: Photometry::IDENTITY,
+        windshield: None,
+        shutter: Shutter::GLOBAL,
     })
 }
 
@@ -185,6 +274,8 @@ fn of_ftheta(
         cy_px: ftheta.principal_point_y + FTHETA_ORIGIN_PX,
         lens: lens_checked,
         photometry: Photometry::IDENTITY,
+        windshield: None,
+        shutter: Shutter::GLOBAL,
     })
 }
 
@@ -224,10 +315,18 @@ pub fn spec_of(intrinsics: &Intrinsics, logical_id: &str) -> CameraSpec {
     };
     CameraSpec {
         camera_param: Some(camera_param),
+        external_distortion: intrinsics.windshield.as_ref().map(windshield_message),
         logical_id: logical_id.to_owned(),
         resolution_h: intrinsics.height_px,
         resolution_w: intrinsics.width_px,
-        shutter_type: ShutterType::Global.into(),
+        shutter_type: match intrinsics.shutter.direction() {
+            ShutterDirection::Global => ShutterType::Global,
+            ShutterDirection::TopToBottom => ShutterType::RollingTopToBottom,
+            ShutterDirection::BottomToTop => ShutterType::RollingBottomToTop,
+            ShutterDirection::LeftToRight => ShutterType::RollingLeftToRight,
+            ShutterDirection::RightToLeft => ShutterType::RollingRightToLeft,
+        }
+        .into(),
         ..CameraSpec::default()
     }
 }
@@ -324,5 +423,34 @@ mod tests {
                 .message()
                 .contains("k.ftheta_param")
         );
+    }
+    #[test]
+    fn windshields_survive_the_wire_and_nonsense_is_refused() {
+        let mut windshield = Windshield::straight();
+        windshield.horizontal[0][0] = 0.01;
+        windshield.vertical[1][1] = -0.02;
+        for direction in [WindshieldDirection::Forward, WindshieldDirection::Backward] {
+            let own = Intrinsics {
+                windshield: Some(Windshield {
+                    direction,
+                    ..windshield
+                }),
+                ..Intrinsics::from_horizontal_fov(640, 360, 1.1)
+            };
+            let mut spec = spec_of(&own, "front");
+            assert_eq!(intrinsics_of(&spec, [0, 0], "k").unwrap(), own);
+            let Some(ExternalDistortion::BivariateWindshieldModelParam(model)) =
+                &mut spec.external_distortion
+            else {
+                panic!("{spec:?}")
+            };
+            model.vertical_poly = vec![0.0; 4];
+            model.vertical_poly_inverse = vec![0.0; 4];
+            let refused = intrinsics_of(&spec, [0, 0], "k").unwrap_err();
+            assert!(
+                refused.message().contains("k.external_distortion"),
+                "{refused}"
+            );
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! Poses of messages, checked, and back.
 
-use decouplegs::scene::Pose;
+use decouplegs::scene::{Motion, Pose};
 use glam::{DQuat, DVec3};
 use tonic::Status;
 
@@ -37,15 +37,25 @@ pub fn pose_of(pose: Option<&common::Pose>, field: &str) -> Result<Pose, Status>
     Ok(Pose::new(turn, place))
 }
 
-/// The pose halfway between the two in `field` of a message: where something is at mid-shutter.
+/// The pose halfway between the two in `field` of a message, where something is at mid-shutter, and
+/// the motion from one to the other in `duration_s`; rest where that is 0.
 ///
 /// # Errors
 /// INVALID_ARGUMENT with the name of the field that is missing or makes no sense.
-pub fn middle_of(pair: Option<&PosePair>, field: &str) -> Result<Pose, Status> {
+pub fn middle_of(
+    pair: Option<&PosePair>,
+    duration_s: f64,
+    field: &str,
+) -> Result<(Pose, Motion), Status> {
     let pair = pair.ok_or_else(|| Status::invalid_argument(format!("{field} is missing")))?;
     let start = pose_of(pair.start_pose.as_ref(), &format!("{field}.start_pose"))?;
     let end = pose_of(pair.end_pose.as_ref(), &format!("{field}.end_pose"))?;
-    Ok(start.interpolate(&end, 0.5))
+    let motion = if duration_s > 0.0 {
+        Motion::between(&start, &end, duration_s)
+    } else {
+        Motion::REST
+    };
+    Ok((start.interpolate(&end, 0.5), motion))
 }
 
 /// `pose` as a message.
@@ -154,7 +164,7 @@ mod tests {
                 .contains("x is missing")
         );
         assert!(
-            middle_of(Some(&PosePair::default()), "pair")
+            middle_of(Some(&PosePair::default()), 0.03, "pair")
                 .unwrap_err()
                 .message()
                 .contains("pair.start_pose")

@@ -2,10 +2,10 @@
 
 use std::collections::HashSet;
 
-use decouplegs::scene::{Intrinsics, Pose};
+use decouplegs::scene::{Intrinsics, Motion, Pose};
 use tonic::Status;
 
-use crate::camera_spec::intrinsics_of;
+use crate::camera_spec::{intrinsics_of, shutter_of};
 use crate::encoding::Encoding;
 use crate::names::check_name;
 use crate::options::Limits;
@@ -19,6 +19,8 @@ pub struct PlacedObject {
     pub track_id: String,
     /// Pose of the center of its box at mid-shutter.
     pub pose: Pose,
+    /// Motion from the opening of the shutter to its closing.
+    pub motion: Motion,
 }
 
 /// Render request of one camera.
@@ -30,6 +32,8 @@ pub struct RenderRequest {
     pub intrinsics: Intrinsics,
     /// Pose at mid-shutter, in the local frame.
     pub local_from_camera: Pose,
+    /// Motion from the opening of the shutter to its closing.
+    pub motion: Motion,
     /// The agents that are seen.
     pub objects: Vec<PlacedObject>,
     /// Encoding of the image.
@@ -64,8 +68,18 @@ impl RenderRequest {
                 "names no mask: there are none, as get_available_ego_masks says",
             ));
         }
-        let local_from_camera = middle_of(request.sensor_pose.as_ref(), &named("sensor_pose"))?;
-        let objects = objects_of(&request.dynamic_objects, &named("dynamic_objects"), limits)?;
+        let shutter_s = (request.frame_end_us - request.frame_start_us) as f64 * 1e-6;
+        let (local_from_camera, motion) = middle_of(
+            request.sensor_pose.as_ref(),
+            shutter_s,
+            &named("sensor_pose"),
+        )?;
+        let objects = objects_of(
+            &request.dynamic_objects,
+            shutter_s,
+            &named("dynamic_objects"),
+            limits,
+        )?;
         let encoding = Encoding::of(
             request.image_format,
             request.image_quality,
@@ -76,7 +90,12 @@ impl RenderRequest {
             .as_ref()
             .ok_or_else(|| invalid("camera_intrinsics", "is missing"))?;
         let size = [request.resolution_w, request.resolution_h];
-        let intrinsics = intrinsics_of(spec, size, &named("camera_intrinsics"))?;
+        let camera = named("camera_intrinsics");
+        let intrinsics = intrinsics_of(spec, size, &camera)?;
+        let intrinsics = Intrinsics {
+            shutter: shutter_of(spec, shutter_s, &intrinsics, &camera)?,
+            ..intrinsics
+        };
         if intrinsics.pixels() > limits.image_pixels {
             let (pixels, most) = (intrinsics.pixels(), limits.image_pixels);
             return Err(Status::resource_exhausted(format!(
@@ -88,6 +107,7 @@ impl RenderRequest {
             scene: request.scene_id,
             intrinsics,
             local_from_camera,
+            motion,
             objects,
             encoding,
         })
@@ -96,6 +116,7 @@ impl RenderRequest {
 
 fn objects_of(
     objects: &[DynamicObject],
+    shutter_s: f64,
     field: &str,
     limits: &Limits,
 ) -> Result<Vec<PlacedObject>, Status> {
@@ -114,13 +135,15 @@ fn objects_of(
                 "{field}[{index}].track_id is that of an object before it"
             )));
         }
-        let pose = middle_of(
+        let (pose, motion) = middle_of(
             object.pose_pair.as_ref(),
+            shutter_s,
             &format!("{field}[{index}].pose_pair"),
         )?;
         placed.push(PlacedObject {
             track_id: object.track_id.clone(),
             pose,
+            motion,
         });
     }
     Ok(placed)

@@ -13,7 +13,7 @@ use decouplegs::session::{
 use glam::DVec3;
 use tonic::Status;
 
-use crate::render_request::{PlacedObject, RenderRequest};
+use crate::render_request::RenderRequest;
 
 /// A scene that can be drawn.
 pub struct SceneRenderer {
@@ -83,11 +83,17 @@ impl SceneRenderer {
         let objects = requests.first().map_or(&[][..], |request| &request.objects);
         let mut drawn = Drawn::default();
         let mut placed = Vec::with_capacity(objects.len());
-        for PlacedObject { track_id, pose } in objects {
+        for object in objects {
+            let track_id = &object.track_id;
             match self.agents.get(track_id) {
                 Some(agent) => {
-                    let pose = self.in_world(pose);
-                    placed.push((track_id.clone(), AgentInstance { pose, ..*agent }));
+                    let (pose, motion) = (self.in_world(&object.pose), object.motion);
+                    let instance = AgentInstance {
+                        pose,
+                        motion,
+                        ..*agent
+                    };
+                    placed.push((track_id.clone(), instance));
                 }
                 None => drawn.unknown.push(track_id.clone()),
             }
@@ -112,6 +118,7 @@ impl SceneRenderer {
             name: index.to_string(),
             intrinsics: request.intrinsics,
             world_from_camera,
+            motion: request.motion,
         }
     }
 

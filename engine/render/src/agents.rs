@@ -6,12 +6,14 @@
 //! colors and depth keys come out the same.
 
 use bytemuck::Zeroable;
-use decouplegs_scene::{Camera, ColorTransfer, ContactShadow, Pose, ShFrame};
+use decouplegs_scene::{Camera, ColorTransfer, ContactShadow, Invalid, Motion, Pose, ShFrame};
 use glam::{DMat3, DVec3, Vec3};
 
 use crate::RenderError;
 use crate::asset_pool::{Asset, AssetId, AssetPool, PoolBuffers};
-use crate::layout::{AgentRecord, CameraRecord, RelightRecord, View};
+use crate::layout::{
+    AgentRecord, CameraRecord, RelightRecord, View, check_motion, exposed_within_s,
+};
 use crate::resident::GpuScene;
 use crate::stages::AgentCounts;
 use crate::twins;
@@ -21,8 +23,10 @@ use crate::twins;
 pub struct Agent {
     /// Asset of the agent.
     pub asset: AssetId,
-    /// Pose, f64 world coordinates.
+    /// Pose, f64 world coordinates, at the time 0 of the shutters.
     pub world_from_agent: Pose,
+    /// Motion while images are exposed; rolling shutters show it.
+    pub motion: Motion,
     /// Frame of the asset's colors; `None`: as the asset says.
     pub sh_frame: Option<ShFrame>,
     /// The id it has in instance images; 0 is the background's.
@@ -41,6 +45,7 @@ impl Agent {
         Self {
             asset,
             world_from_agent,
+            motion: Motion::REST,
             sh_frame: None,
             instance,
             relight: None,
@@ -94,6 +99,29 @@ impl<'a> Scene<'a> {
 }
 
 impl Scene<'_> {
+    /// Checks that the motions of `cameras` and agents can be projected during exposures, and up to
+    /// `interval_s` before and after the moment.
+    pub(crate) fn check_motions(
+        &self,
+        cameras: &[Camera],
+        interval_s: f64,
+    ) -> Result<(), RenderError> {
+        let within_s = |camera: &Camera| exposed_within_s(camera).max(interval_s);
+        for camera in cameras {
+            check_motion(&camera.motion, within_s(camera)).map_err(|reason| {
+                RenderError::View(Invalid::new(format!("camera {}: {reason}", camera.name)))
+            })?;
+        }
+        let longest_s = cameras.iter().map(within_s).fold(0.0, f64::max);
+        for agent in self.agents.iter().flat_map(|(_, agents)| agents.iter()) {
+            check_motion(&agent.motion, longest_s).map_err(|reason| RenderError::AgentMotion {
+                instance: agent.instance,
+                reason,
+            })?;
+        }
+        Ok(())
+    }
+
     /// No mean that is drawn is farther from the world's origin, meters.
     pub(crate) fn reach_m(&self) -> Result<f64, RenderError> {
         let mut reach_m = self.world.reach_m;
@@ -195,7 +223,9 @@ impl AgentList {
             // Records of cameras that may not see it are never read.
             let moved = |(index, (record, camera)): (usize, (&CameraRecord, &Camera))| {
                 if may_see(index) {
-                    record.moved_into(camera, origin, &agent.world_from_agent)
+                    record
+                        .moved_into(camera, origin, &agent.world_from_agent)
+                        .moving(camera, &agent.motion)
                 } else {
                     CameraRecord::zeroed()
                 }
@@ -203,8 +233,14 @@ impl AgentList {
             let seen_by: Vec<CameraRecord> = records.enumerate().map(moved).collect();
             let reached = |index: usize| {
                 let lens = twins::lens::lens_of(&view.lenses, index);
+                let (whole, camera) = (&asset.whole, &seen_by[index]);
                 may_see(index)
-                    && twins::cluster_overlaps_any_lens(&asset.whole, &seen_by[index], lens, near_m)
+                    && twins::cluster_overlaps_any_lens(
+                        &twins::rolling::swept(whole, camera),
+                        camera,
+                        lens,
+                        near_m,
+                    )
             };
             let mask = (0..seen_by.len()).fold(0u32, |mask, index| {
                 mask | u32::from(reached(index)) << index
@@ -240,6 +276,8 @@ impl AgentList {
             colors_in_world: u32::from(agent.sh_frame.unwrap_or(asset.sh_frame) == ShFrame::World),
             colors_relit: u32::from(agent.relight.is_some()),
             dc_residual_gain: agent.relight.map_or([1.0; 3], |light| light.gain[0]),
+            velocity_mps: agent.motion.velocity_mps.as_vec3().to_array(),
+            turn_rad_per_s: agent.motion.turn_rad_per_s.as_vec3().to_array(),
             ..asset.record(level)
         });
         if let Some(light) = &agent.relight {

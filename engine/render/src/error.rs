@@ -28,6 +28,14 @@ pub enum RenderError {
         /// Pose that was found.
         pose: String,
     },
+    /// An agent whose motion cannot be projected.
+    #[error("agent with instance {instance}: {reason}")]
+    AgentMotion {
+        /// Instance id.
+        instance: u16,
+        /// Reason of the refusal.
+        reason: Invalid,
+    },
     /// An agent in a light that is no light.
     #[error(
         "agent with instance {instance}: the light it is put in has numbers that are not finite"

@@ -3,11 +3,16 @@
 use decouplegs_gpu::{Buffer, Recorder};
 
 use crate::frame_buffers::{FrameBuffers, FrameShape};
-use crate::kernels::FrameStages;
+use crate::kernels::{FrameStages, ImageStages};
 use crate::keys::KeyDecision;
+use crate::options::RenderOptions;
+use crate::output::OutputBuffers;
+use crate::plane::Plane;
 use crate::resident::GpuScene;
 use crate::slot::FrameInFlight;
-use crate::stages::{AgentCounts, KeptKeys, PartialResults, Records, TileSortBuffers};
+use crate::stages::{
+    AgentCounts, Blend, KeptKeys, Project, ProjectAgents, Records, TileSortBuffers,
+};
 
 /// Inputs of a frame beside the agents, which are in its slot.
 #[derive(Clone, Copy)]
@@ -17,6 +22,7 @@ pub(crate) struct FrameInput<'a> {
     /// The persistent key buffer.
     pub kept_keys: &'a Buffer<u32>,
     pub agents: Option<AgentCounts>,
+    pub options: &'a RenderOptions,
 }
 
 /// Records the agents' part of a frame, which needs nothing of the frame before it: their shadows
@@ -111,6 +117,7 @@ pub(crate) fn record_frame(
         frame.shape.bins,
     );
     record_images(recorder, stages, frame, slot, input);
+    record_geometry(recorder, stages, frame, slot, input);
 }
 
 /// Hands over what the host wrote, and empties what is counted.
@@ -126,11 +133,6 @@ fn record_begin(
         r.copy(&slot.staged_cameras, 0, &frame.cameras, 0, cameras);
         slot.copy_lenses(r, &frame.lenses);
         r.copy(&slot.staged_key_sets, 0, &frame.key_sets, 0, cameras);
-        let PartialResults {
-            transmittances,
-            unfinished,
-            ..
-        } = &frame.partials;
         let emptied = [
             (counters.required.binding(), counters.required.byte_len()),
             (counters.arguments.binding(), counters.arguments.byte_len()),
@@ -142,12 +144,11 @@ fn record_begin(
                 slot.images.contributions.binding(),
                 slot.images.contributions.byte_len(),
             ),
-            (transmittances.binding(), transmittances.byte_len()),
-            (unfinished.binding(), unfinished.byte_len()),
         ];
         for (buffer, bytes) in emptied {
             r.fill(buffer, 0, bytes, 0);
         }
+        empty_partials(r, frame);
         if input.agents.is_none() {
             r.fill(slot.agents.offsets.binding(), 0, 4, 0);
         }
@@ -183,45 +184,122 @@ fn record_projection(
         );
     });
     recorder.stage("project", |r| {
-        let (visible, offsets, projected, shadows) = (
-            &frame.visible,
-            &frame.offsets,
-            &frame.projected,
-            &slot.shadows,
-        );
-        let kept = KeptKeys {
-            sets: &frame.key_sets,
-            keys: input.kept_keys,
-        };
-        let project = &background.project;
-        project.record(
-            r,
-            world,
-            cameras,
-            lenses,
-            camera_count,
-            visible,
-            offsets,
-            projected,
-            kept,
-            shadows,
-            slot.shadow_count,
-        );
+        project_background(r, &background.project, frame, slot, input, 0.0);
     });
-    if let (Some(counts), Some(agents), Some(pool)) = (input.agents, stages.agents, slot.pool()) {
+    if let Some(agents) = stages.agents {
         recorder.stage("project agents", |r| {
-            let lists = camera_count * clusters;
-            agents.project.record(
-                r,
-                pool,
-                &slot.agents,
-                &slot.relit.colors,
-                counts,
-                &frame.offsets,
-                lists,
-                &frame.projected,
-            );
+            project_agents(r, &agents.project, frame, slot, input, 0.0);
         });
+    }
+}
+
+/// Records a projection of the background.
+fn project_background(
+    recorder: &mut Recorder,
+    project: &Project,
+    frame: &FrameBuffers,
+    slot: &FrameInFlight,
+    input: FrameInput<'_>,
+    flow_interval_s: f64,
+) {
+    let kept = KeptKeys {
+        sets: &frame.key_sets,
+        keys: input.kept_keys,
+    };
+    project.record(
+        recorder,
+        input.world,
+        &frame.cameras,
+        &frame.lenses,
+        frame.shape.cameras,
+        &frame.visible,
+        &frame.offsets,
+        &frame.projected,
+        kept,
+        &slot.shadows,
+        slot.shadow_count,
+        flow_interval_s as f32,
+    );
+}
+
+/// Records a projection of the agents, if there are some.
+fn project_agents(
+    recorder: &mut Recorder,
+    project: &ProjectAgents,
+    frame: &FrameBuffers,
+    slot: &FrameInFlight,
+    input: FrameInput<'_>,
+    flow_interval_s: f64,
+) {
+    let (Some(counts), Some(pool)) = (input.agents, slot.pool()) else {
+        return;
+    };
+    project.record(
+        recorder,
+        pool,
+        &slot.agents,
+        &slot.relit.colors,
+        counts,
+        &frame.offsets,
+        frame.shape.cameras * frame.shape.clusters,
+        &frame.projected,
+        flow_interval_s as f32,
+    );
+}
+
+/// Records the planes of geometry: an attribute after the other is written into the records in the
+/// place of color, blended over black, and resolved. The order of splats and their lists stay.
+fn record_geometry(
+    recorder: &mut Recorder,
+    stages: &FrameStages<'_>,
+    frame: &FrameBuffers,
+    slot: &FrameInFlight,
+    input: FrameInput<'_>,
+) {
+    let Some(geometry) = stages.geometry else {
+        return;
+    };
+    let sums = slot.images.with_color_in(&frame.blended);
+    for plane in input.options.outputs.planes.geometry() {
+        let variant = stages.variant.of(plane.attribute());
+        let interval_s = match plane {
+            Plane::FlowBackward => -input.options.flow_interval_s,
+            _ => input.options.flow_interval_s,
+        };
+        recorder.stage(plane.name(), |r| {
+            if let Some(project) = geometry.background(variant.background) {
+                project_background(r, project, frame, slot, input, interval_s);
+            }
+            let agents = variant.agents.and_then(|variant| geometry.agents(variant));
+            if let Some(project) = agents {
+                project_agents(r, project, frame, slot, input, interval_s);
+            }
+            empty_partials(r, frame);
+        });
+        blend_images(recorder, &geometry.images, frame, &sums, [0.0; 3]);
+        recorder.stage("resolve", |r| {
+            geometry
+                .resolve
+                .record(r, plane, &frame.blended, &slot.images);
+        });
+    }
+}
+
+/// Empties what segments tell each other.
+fn empty_partials(recorder: &mut Recorder, frame: &FrameBuffers) {
+    let partials = &frame.partials;
+    let emptied = [
+        (
+            partials.transmittances.binding(),
+            partials.transmittances.byte_len(),
+        ),
+        (
+            partials.unfinished.binding(),
+            partials.unfinished.byte_len(),
+        ),
+    ];
+    for (buffer, bytes) in emptied {
+        recorder.fill(buffer, 0, bytes, 0);
     }
 }
 
@@ -239,14 +317,12 @@ fn record_images(
         bins,
         ..
     } = frame.shape;
-    let (counters, cameras) = (&frame.counters, &frame.cameras);
-    let (plan, partials, sky) = (&frame.plan, &frame.partials, input.world.sky);
+    let counters = &frame.counters;
     // Post-processing writes the images of what is blended.
     let blended = stages
         .post_process
         .map(|_| slot.images.with_color_in(&frame.blended));
     let images = blended.as_ref().unwrap_or(&slot.images);
-    let (records, projected) = (&frame.tile_sort.sorted_records, &frame.projected);
     recorder.stage("plan", |r| {
         stages.common.plan_segments.record(
             r,
@@ -254,52 +330,11 @@ fn record_images(
             &frame.tile_sort.tile_lists,
             bins,
             &capacity,
-            plan,
-        );
-    });
-    recorder.stage("blend", |r| {
-        stages.images.blend.record(
-            r,
-            counters,
-            cameras,
-            camera_count,
-            sky,
-            plan,
-            records,
-            projected,
-            partials,
-            images,
-        );
-    });
-    recorder.stage("composite", |r| {
-        stages.images.composite.record(
-            r,
-            counters,
-            cameras,
-            camera_count,
-            sky,
-            plan,
-            partials,
-            images,
+            &frame.plan,
         );
         r.copy(&counters.required, 0, &slot.found_required, 0, 1);
     });
-    if let Some(finish) = &stages.images.finish {
-        recorder.stage("finish", |r| {
-            finish.record(
-                r,
-                counters,
-                cameras,
-                camera_count,
-                sky,
-                plan,
-                records,
-                projected,
-                partials,
-                images,
-            );
-        });
-    }
+    blend_images(recorder, stages.images, frame, images, input.world.sky);
     if let Some(post_process) = stages.post_process {
         let sky = input.world.sky_map.as_ref();
         recorder.stage("post-process", |r| {
@@ -312,12 +347,55 @@ fn record_images(
             );
             post_process.record(
                 r,
-                (cameras, &frame.photometry),
+                (&frame.cameras, &frame.photometry),
                 &slot.processed,
                 sky,
                 &frame.blended,
                 &slot.images,
             );
         });
+    }
+}
+
+/// Records the blending of the planned segments over `sky` into `images`.
+fn blend_images(
+    recorder: &mut Recorder,
+    stages: &ImageStages,
+    frame: &FrameBuffers,
+    images: &OutputBuffers,
+    sky: [f32; 3],
+) {
+    let (counters, cameras, camera_count) = (&frame.counters, &frame.cameras, frame.shape.cameras);
+    let (plan, partials) = (&frame.plan, &frame.partials);
+    let (records, projected) = (&frame.tile_sort.sorted_records, &frame.projected);
+    let blend = |r: &mut Recorder, blend: &Blend| {
+        blend.record(
+            r,
+            counters,
+            cameras,
+            camera_count,
+            sky,
+            plan,
+            records,
+            projected,
+            partials,
+            images,
+        );
+    };
+    recorder.stage("blend", |r| blend(r, &stages.blend));
+    recorder.stage("composite", |r| {
+        stages.composite.record(
+            r,
+            counters,
+            cameras,
+            camera_count,
+            sky,
+            plan,
+            partials,
+            images,
+        );
+    });
+    if let Some(finish) = &stages.finish {
+        recorder.stage("finish", |r| blend(r, finish));
     }
 }

@@ -5,9 +5,11 @@ use decouplegs_scene::Rules;
 
 use crate::options::RenderOptions;
 use crate::output::{ColorFormat, Outputs};
+use crate::plane::Attribute;
 use crate::stages::{
-    Blend, BlendPass, CompositeSegments, Cull, CullAgents, CullShadows, KeySplats, PlanSegments,
-    PostProcess, Project, ProjectAgents, ProjectVariant, Relight, Scan, TileSort, finishes,
+    AgentVariant, Blend, BlendPass, CompositeSegments, Cull, CullAgents, CullShadows, KeySplats,
+    PlanSegments, PostProcess, Project, ProjectAgents, ProjectVariant, Relight, ResolvePlane, Scan,
+    TileSort, finishes,
 };
 
 /// Longer segments are no segments.
@@ -34,6 +36,23 @@ pub(crate) struct ImageStages {
     pub finish: Option<Blend>,
 }
 
+impl ImageStages {
+    fn new(
+        gpu: &Gpu,
+        rules: &Rules,
+        outputs: &Outputs,
+        segment_pairs: u32,
+    ) -> Result<Self, GpuError> {
+        let blend = |pass| Blend::new(gpu, rules, outputs, pass, segment_pairs);
+        let finishes = finishes(rules, outputs) && segment_pairs < u32::MAX;
+        Ok(Self {
+            blend: blend(BlendPass::Segments)?,
+            composite: CompositeSegments::new(gpu, rules, outputs)?,
+            finish: finishes.then(|| blend(BlendPass::Finish)).transpose()?,
+        })
+    }
+}
+
 /// Kernels for one kind of background.
 pub(crate) struct BackgroundStages {
     pub cull: Cull,
@@ -48,6 +67,28 @@ pub(crate) struct AgentStages {
     pub relight: Option<Relight>,
 }
 
+/// Kernels of the planes of geometry: attributes in the place of color, and their means.
+pub(crate) struct GeometryStages {
+    pub images: ImageStages,
+    pub resolve: ResolvePlane,
+    background: Vec<(ProjectVariant, Project)>,
+    agents: Vec<(AgentVariant, ProjectAgents)>,
+}
+
+impl GeometryStages {
+    /// The projection of the background that writes an attribute.
+    pub fn background(&self, variant: ProjectVariant) -> Option<&Project> {
+        let mut built = self.background.iter();
+        built.find_map(|(built, stage)| (*built == variant).then_some(stage))
+    }
+
+    /// The projection of agents that writes an attribute.
+    pub fn agents(&self, variant: AgentVariant) -> Option<&ProjectAgents> {
+        let mut built = self.agents.iter();
+        built.find_map(|(built, stage)| (*built == variant).then_some(stage))
+    }
+}
+
 /// All kernels of a renderer.
 pub(crate) struct Kernels {
     rules: Rules,
@@ -60,11 +101,13 @@ pub(crate) struct Kernels {
     background: Vec<(ProjectVariant, BackgroundStages)>,
     agents: Vec<(AgentVariant, AgentStages)>,
     shadows: Option<CullShadows>,
+    geometry: Option<GeometryStages>,
 }
 
 /// The kernels of one frame.
 #[derive(Clone, Copy)]
 pub(crate) struct FrameStages<'a> {
+    pub variant: FrameVariant,
     pub common: &'a CommonStages,
     pub images: &'a ImageStages,
     /// `None` where images are not post-processed.
@@ -72,17 +115,8 @@ pub(crate) struct FrameStages<'a> {
     pub background: &'a BackgroundStages,
     pub agents: Option<&'a AgentStages>,
     pub shadows: Option<&'a CullShadows>,
-}
-
-/// Specialization of the agents' kernels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct AgentVariant {
-    /// Degree of their colors.
-    pub sh_degree: u8,
-    /// True if some agents are relit.
-    pub relit: bool,
-    /// True if some camera is not a pinhole.
-    pub lenses: bool,
+    /// `None` where no plane of geometry is asked for.
+    pub geometry: Option<&'a GeometryStages>,
 }
 
 /// Specialization of a frame.
@@ -93,6 +127,23 @@ pub(crate) struct FrameVariant {
     pub post_processed: bool,
     /// `None` without agents.
     pub agents: Option<AgentVariant>,
+}
+
+impl FrameVariant {
+    /// The variant whose projections write an attribute in the place of color.
+    pub fn of(self, attribute: Attribute) -> Self {
+        Self {
+            background: ProjectVariant {
+                attribute,
+                ..self.background
+            },
+            agents: self.agents.map(|agents| AgentVariant {
+                attribute,
+                ..agents
+            }),
+            ..self
+        }
+    }
 }
 
 impl Kernels {
@@ -120,11 +171,51 @@ impl Kernels {
             background: Vec::new(),
             agents: Vec::new(),
             shadows: None,
+            geometry: None,
         }
+    }
+
+    /// Builds the kernels that the planes of geometry of `variant` need.
+    fn build_geometry(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<(), GpuError> {
+        if self.outputs.planes.geometry().next().is_none() {
+            return Ok(());
+        }
+        if self.geometry.is_none() {
+            let outputs = Outputs {
+                color: ColorFormat::F32,
+                ..Outputs::default()
+            };
+            self.geometry = Some(GeometryStages {
+                images: ImageStages::new(gpu, &self.rules, &outputs, self.segment_pairs)?,
+                resolve: ResolvePlane::new(gpu)?,
+                background: Vec::new(),
+                agents: Vec::new(),
+            });
+        }
+        let Some(geometry) = &mut self.geometry else {
+            return Ok(());
+        };
+        for plane in self.outputs.planes.geometry() {
+            let variant = variant.of(plane.attribute());
+            let kind = variant.background;
+            if geometry.background(kind).is_none() {
+                let stage = Project::new(gpu, &self.rules, kind)?;
+                geometry.background.push((kind, stage));
+            }
+            if let Some(kind) = variant
+                .agents
+                .filter(|kind| geometry.agents(*kind).is_none())
+            {
+                let stage = ProjectAgents::new(gpu, &self.rules, kind)?;
+                geometry.agents.push((kind, stage));
+            }
+        }
+        Ok(())
     }
 
     /// The kernels for `variant`, those that are new built now.
     pub fn of(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages<'_>, GpuError> {
+        self.build_geometry(gpu, variant)?;
         let Self {
             rules,
             outputs,
@@ -147,17 +238,7 @@ impl Kernels {
         };
         if !self.images.iter().any(|(built, _)| *built == color) {
             let outputs = Outputs { color, ..*outputs };
-            let blend = |pass| Blend::new(gpu, rules, &outputs, pass, *segment_pairs);
-            let finish = finishes(rules, &outputs) && *segment_pairs < u32::MAX;
-            let stages = ImageStages {
-                blend: blend(BlendPass::Segments)?,
-                composite: CompositeSegments::new(gpu, rules, &outputs)?,
-                finish: if finish {
-                    Some(blend(BlendPass::Finish)?)
-                } else {
-                    None
-                },
-            };
+            let stages = ImageStages::new(gpu, rules, &outputs, *segment_pairs)?;
             self.images.push((color, stages));
         }
         if variant.post_processed && self.post_process.is_none() {
@@ -166,7 +247,7 @@ impl Kernels {
         let kind = variant.background;
         if !self.background.iter().any(|(built, _)| *built == kind) {
             let (cull, project) = (
-                Cull::new(gpu, rules, kind.lenses)?,
+                Cull::new(gpu, rules, kind.cameras)?,
                 Project::new(gpu, rules, kind)?,
             );
             self.background
@@ -176,8 +257,8 @@ impl Kernels {
             && !self.agents.iter().any(|(built, _)| *built == kind)
         {
             let stages = AgentStages {
-                cull: CullAgents::new(gpu, rules, kind.lenses)?,
-                project: ProjectAgents::new(gpu, rules, kind.sh_degree, kind.relit, kind.lenses)?,
+                cull: CullAgents::new(gpu, rules, kind.cameras)?,
+                project: ProjectAgents::new(gpu, rules, kind)?,
                 relight: if kind.relit {
                     Some(Relight::new(gpu, kind.sh_degree)?)
                 } else {
@@ -194,6 +275,8 @@ impl Kernels {
             code: format!("{what} was not built"),
         };
         Ok(FrameStages {
+            variant,
+            geometry: self.geometry.as_ref(),
             common: self.common.as_ref().ok_or_else(|| built("a stage"))?,
             images: self
                 .images

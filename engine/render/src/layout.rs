@@ -11,7 +11,7 @@ pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
 pub use light::{RelightRecord, ShadowRecord};
 
 use bytemuck::{Pod, Zeroable};
-use decouplegs_scene::{Camera, Invalid, Pose, Rules, rules};
+use decouplegs_scene::{Camera, Invalid, Motion, Pose, Rules, rules};
 use decouplegs_shaders::constants;
 use glam::{DMat3, DVec3};
 
@@ -77,6 +77,16 @@ pub struct CameraRecord {
     pub first_bin: u32,
     /// Index of the camera's first pixel in the output buffers.
     pub first_pixel: u32,
+    /// Rotation vector of the camera per second, camera axes.
+    pub turn_rad_per_s: [f32; 3],
+    /// Rotation vector of the splats' frame per second, in its own axes.
+    pub frame_turn_rad_per_s: [f32; 3],
+    /// Velocity of the splats' frame relative to the camera, camera axes.
+    pub frame_velocity_mps: [f32; 3],
+    /// Time of exposure at pixel coordinates (0, 0).
+    pub shutter_first_s: f32,
+    /// Increase of that time per pixel along x and y.
+    pub shutter_s_per_px: [f32; 2],
 }
 
 impl CameraRecord {
@@ -127,7 +137,40 @@ impl CameraRecord {
             key_depth: (forward.dot(center) * f64::from(key_scale)) as f32,
             first_bin,
             first_pixel,
+            turn_rad_per_s: [0.0; 3],
+            frame_turn_rad_per_s: [0.0; 3],
+            frame_velocity_mps: [0.0; 3],
+            shutter_first_s: 0.0,
+            shutter_s_per_px: [0.0; 2],
         }
+    }
+
+    /// This record with the motion of `camera`, whose record it is, and of the frame of the splats.
+    /// Where nothing moves, the record stays as it is; with a global shutter, splats do not move in
+    /// the image while it is exposed.
+    #[must_use]
+    pub fn moving(self, camera: &Camera, frame: &Motion) -> Self {
+        let shutter = camera.intrinsics.shutter;
+        if camera.motion.is_rest() && frame.is_rest() {
+            return self;
+        }
+        let camera_from_world = camera.world_from_camera.rotation.normalize().conjugate();
+        let velocity = camera_from_world * (frame.velocity_mps - camera.motion.velocity_mps);
+        let vec3 = |vector: DVec3| vector.as_vec3().to_array();
+        Self {
+            turn_rad_per_s: vec3(camera.motion.turn_rad_per_s),
+            frame_turn_rad_per_s: vec3(frame.turn_rad_per_s),
+            frame_velocity_mps: vec3(velocity),
+            shutter_first_s: shutter.first_s as f32,
+            shutter_s_per_px: shutter.s_per_px.map(|s_per_px| s_per_px as f32),
+            ..self
+        }
+    }
+
+    /// True if splats move in the image while it is exposed.
+    #[must_use]
+    pub fn rolls(&self) -> bool {
+        self.shutter_s_per_px != [0.0; 2]
     }
 
     /// This camera as the splats of an agent see it, which stands at `world_from_agent`: the image
@@ -300,6 +343,10 @@ pub struct AgentRecord {
     pub colors_relit: u32,
     /// Factors on the part that is added to the DC term of its colors.
     pub dc_residual_gain: [f32; 3],
+    /// Velocity, world axes.
+    pub velocity_mps: [f32; 3],
+    /// Rotation vector per second, its own axes.
+    pub turn_rad_per_s: [f32; 3],
 }
 
 /// `BlendItem` of `frame.glsl`: one segment of one coarse tile's list.
@@ -384,15 +431,13 @@ impl View {
             let first_pixel = u32::try_from(view.pixels).map_err(|_| {
                 format!("camera {}: more than 2^32 pixels in one frame", camera.name)
             })?;
-            let record = CameraRecord::new(camera, origin, key_scale, view.bins, first_pixel);
+            let record = CameraRecord::new(camera, origin, key_scale, view.bins, first_pixel)
+                .moving(camera, &Motion::REST);
             view.bins += record.bins();
             view.pixels += record.pixels();
             view.cameras.push(record);
         }
-        if cameras
-            .iter()
-            .any(|camera| !camera.intrinsics.lens.is_pinhole())
-        {
+        if cameras.iter().any(|camera| !camera.intrinsics.is_pinhole()) {
             view.lenses = cameras
                 .iter()
                 .map(|camera| LensRecord::new(&camera.intrinsics))
@@ -400,6 +445,31 @@ impl View {
         }
         Ok(view)
     }
+}
+
+/// Largest turn of a camera or an agent between the time of its pose and any exposure, radians.
+const TURN_MAX_RAD: f64 = 1.0;
+
+/// Checks that `motion` can be projected at all times up to `within_s` before and after that of the
+/// pose.
+pub(crate) fn check_motion(motion: &Motion, within_s: f64) -> Result<(), Invalid> {
+    motion.check()?;
+    let turn_rad = motion.turn_rad_per_s.length() * within_s;
+    if turn_rad > TURN_MAX_RAD {
+        return Err(Invalid::new(format!(
+            "a turn of {turn_rad:.2} rad in {within_s} s, half of an exposure or the interval of \
+             flow; expected at most {TURN_MAX_RAD} rad"
+        )));
+    }
+    Ok(())
+}
+
+/// Largest distance of an exposure from the time of the pose, seconds.
+pub(crate) fn exposed_within_s(camera: &Camera) -> f64 {
+    let k = &camera.intrinsics;
+    let last_px = [f64::from(k.width_px), f64::from(k.height_px)];
+    let [first_s, last_s] = [[0.0; 2], last_px].map(|place| k.shutter.time_s(place).abs());
+    first_s.max(last_s)
 }
 
 #[cfg(test)]
@@ -413,6 +483,7 @@ mod tests {
             name: "c".into(),
             intrinsics,
             world_from_camera: Pose::IDENTITY,
+            motion: Motion::REST,
         }
     }
 

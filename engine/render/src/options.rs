@@ -17,6 +17,9 @@ pub struct RenderOptions {
     pub rules: Rules,
     /// Requested outputs.
     pub outputs: Outputs,
+    /// Time over which [`crate::Plane::FlowForward`] and [`crate::Plane::FlowBackward`] are
+    /// displacements, seconds.
+    pub flow_interval_s: f64,
     /// Highest degree of spherical harmonics that is evaluated, whatever the world stores.
     pub sh_degree_max: u8,
     /// Length of the segments in which lists of coarse tiles are blended, side by side, pairs.
@@ -47,6 +50,7 @@ impl Default for RenderOptions {
         Self {
             rules: Rules::DEFAULT,
             outputs: Outputs::default(),
+            flow_interval_s: 0.1,
             sh_degree_max: 3,
             segment_pairs: 1024,
             keep_keys: true,

@@ -40,8 +40,9 @@ impl Outputs {
     pub(crate) fn constants(&self) -> impl Iterator<Item = (&'static str, Constant)> {
         let planes = self.planes;
         let color = ("COLOR_U8", Constant::Bool(self.color == ColorFormat::U8));
-        let plane = move |plane: Plane| (plane.constant(), Constant::Bool(planes.contains(plane)));
-        std::iter::once(color).chain(Plane::ALL.into_iter().map(plane))
+        let plane =
+            move |plane: Plane| Some((plane.constant()?, Constant::Bool(planes.contains(plane))));
+        std::iter::once(color).chain(Plane::ALL.into_iter().filter_map(plane))
     }
 
     /// Words per pixel of the planes in the partial result of a segment.
@@ -85,12 +86,7 @@ impl OutputBuffers {
         Ok(Self {
             images_f32: image(gpu, "images_f32", if f32 { pixels } else { 0 }, outputs)?,
             images_u8: image(gpu, "images_u8", if u8 { pixels } else { 0 }, outputs)?,
-            planes: image(
-                gpu,
-                "planes",
-                outputs.planes.iter().count() * pixels,
-                outputs,
-            )?,
+            planes: image(gpu, "planes", outputs.planes.words() * pixels, outputs)?,
             contributions: gpu.buffer(
                 "contributions",
                 PURPOSE,
@@ -119,8 +115,15 @@ impl OutputBuffers {
     /// Place of `plane` in [`Self::planes`], words; `None` where it was not asked for.
     #[must_use]
     pub fn plane_words(&self, plane: Plane) -> Option<Range<usize>> {
-        let index = self.asked.iter().position(|asked| asked == plane)?;
-        Some(index * self.pixels..(index + 1) * self.pixels)
+        let mut first = 0;
+        for asked in self.asked.iter() {
+            let words = asked.channels() * self.pixels;
+            if asked == plane {
+                return Some(first..first + words);
+            }
+            first += words;
+        }
+        None
     }
 
     /// Pixels of all images together.

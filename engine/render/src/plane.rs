@@ -1,9 +1,14 @@
-//! The planes of an image beside its color: one table. A plane is one 32-bit word per pixel.
+//! The planes of an image beside its color: one table. A plane has one or more 32-bit words per
+//! pixel.
 //!
-//! Accumulation and output of a pixel are in `shaders/include/planes.glsl`, its CPU mirror is
-//! `twins/planes.rs`, and its definition in f64 `reference/blend.rs`.
+//! Depth and instances are blended together with color: `shaders/include/planes.glsl`, its CPU
+//! mirror `twins/planes.rs`, their definition in f64 `reference/blend.rs`. Planes of geometry are
+//! attributes of splats that are blended in the place of color, one after the other:
+//! `shaders/include/geometry.glsl`, with their definition in `reference/geometry.rs`.
 
 use std::collections::BTreeMap;
+
+use decouplegs_shaders::constants;
 
 /// A plane of an image beside its color.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -13,6 +18,36 @@ pub enum Plane {
     Depth,
     /// Instance of the splat with the largest weight, u16; 0 is the background.
     Instance,
+    /// Expected distance from the camera, meters, f32. As all planes of geometry, the mean over the
+    /// blended splats by weight, and 0 where nothing was blended.
+    Range,
+    /// Normal, three f32: the mean of the splats' thinnest axes, unit vectors in world axes that
+    /// point towards the camera. Its length tells how far they agree.
+    Normal,
+    /// Displacement in the image to the time [`crate::RenderOptions::flow_interval_s`] later, two
+    /// f32, pixels: cameras and agents go on with their motion. A splat that is behind the near
+    /// plane then counts as 0.
+    FlowForward,
+    /// The same to the time earlier.
+    FlowBackward,
+    /// Velocity, three f32, meters per second, world axes; the background is at rest.
+    SceneFlow,
+}
+
+/// Attribute of splats that is blended in the place of color; `ATTRIBUTE_*` in `geometry.glsl`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Attribute {
+    /// Color itself.
+    #[default]
+    None = constants::ATTRIBUTE_NONE as isize,
+    /// Distance from the camera.
+    Range = constants::ATTRIBUTE_RANGE as isize,
+    /// Unit normal.
+    Normal = constants::ATTRIBUTE_NORMAL as isize,
+    /// Displacement in the image.
+    Flow = constants::ATTRIBUTE_FLOW as isize,
+    /// Velocity in the world.
+    SceneFlow = constants::ATTRIBUTE_SCENE_FLOW as isize,
 }
 
 /// Type of a plane's values on the host.
@@ -24,7 +59,7 @@ pub enum PlaneType {
     U16,
 }
 
-/// Values of a plane on the host, one per pixel, row-major from the top left.
+/// Values of a plane on the host, row-major from the top left, those of a pixel together.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PlaneValues {
     /// Values of [`PlaneType::F32`].
@@ -38,7 +73,15 @@ pub type PlaneMap = BTreeMap<Plane, PlaneValues>;
 
 impl Plane {
     /// All planes, in the order in which they lie in [`crate::OutputBuffers::planes`].
-    pub const ALL: [Self; 2] = [Self::Depth, Self::Instance];
+    pub const ALL: [Self; 7] = [
+        Self::Depth,
+        Self::Instance,
+        Self::Range,
+        Self::Normal,
+        Self::FlowForward,
+        Self::FlowBackward,
+        Self::SceneFlow,
+    ];
 
     /// Name in options, files and messages.
     #[must_use]
@@ -46,6 +89,11 @@ impl Plane {
         match self {
             Self::Depth => "depth",
             Self::Instance => "instance",
+            Self::Range => "range",
+            Self::Normal => "normal",
+            Self::FlowForward => "flow_forward",
+            Self::FlowBackward => "flow_backward",
+            Self::SceneFlow => "scene_flow",
         }
     }
 
@@ -59,16 +107,41 @@ impl Plane {
     #[must_use]
     pub const fn value_type(self) -> PlaneType {
         match self {
-            Self::Depth => PlaneType::F32,
             Self::Instance => PlaneType::U16,
+            _ => PlaneType::F32,
         }
     }
 
-    /// Name of the specialization constant that turns it on.
-    pub(crate) const fn constant(self) -> &'static str {
+    /// Values per pixel.
+    #[must_use]
+    pub const fn channels(self) -> usize {
         match self {
-            Self::Depth => "DEPTH",
-            Self::Instance => "INSTANCE",
+            Self::Depth | Self::Instance | Self::Range => 1,
+            Self::FlowForward | Self::FlowBackward => 2,
+            Self::Normal | Self::SceneFlow => 3,
+        }
+    }
+
+    /// Attribute whose means are the plane's values; [`Attribute::None`] for a plane that is
+    /// blended together with color.
+    #[must_use]
+    pub const fn attribute(self) -> Attribute {
+        match self {
+            Self::Depth | Self::Instance => Attribute::None,
+            Self::Range => Attribute::Range,
+            Self::Normal => Attribute::Normal,
+            Self::FlowForward | Self::FlowBackward => Attribute::Flow,
+            Self::SceneFlow => Attribute::SceneFlow,
+        }
+    }
+
+    /// Name of the specialization constant that turns on a plane that is blended together with
+    /// color.
+    pub(crate) const fn constant(self) -> Option<&'static str> {
+        match self {
+            Self::Depth => Some("DEPTH"),
+            Self::Instance => Some("INSTANCE"),
+            _ => None,
         }
     }
 
@@ -77,6 +150,7 @@ impl Plane {
         match self {
             Self::Depth => 1,
             Self::Instance => 2,
+            _ => 0,
         }
     }
 }
@@ -86,6 +160,8 @@ impl Plane {
 pub struct Planes(u32);
 
 impl Planes {
+    /// The planes that are blended together with color.
+    pub const BESIDE_COLOR: Self = Self(1 << Plane::Depth as u32 | 1 << Plane::Instance as u32);
     /// Every plane.
     pub const ALL: Self = Self((1 << Plane::ALL.len()) - 1);
 
@@ -99,6 +175,18 @@ impl Planes {
     #[must_use]
     pub const fn is_empty(self) -> bool {
         self.0 == 0
+    }
+
+    /// Planes of geometry in the set, in the order of [`Plane::ALL`].
+    pub fn geometry(self) -> impl Iterator<Item = Plane> {
+        self.iter()
+            .filter(|plane| plane.attribute() != Attribute::None)
+    }
+
+    /// Words per pixel of all planes of the set.
+    #[must_use]
+    pub fn words(self) -> usize {
+        self.iter().map(Plane::channels).sum()
     }
 
     /// Planes of the set, in the order of [`Plane::ALL`].

@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use decouplegs_gpu::{Buffer, Gpu, GpuError};
-use decouplegs_scene::{Camera, Intrinsics, Photometry, RayMap, SkyMap};
+use decouplegs_scene::{Camera, Intrinsics, Photometry, RayMap, Shutter, SkyMap};
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -150,12 +150,14 @@ impl RayTables {
         gpu: &Gpu,
         intrinsics: &Intrinsics,
     ) -> Result<Option<Buffer<[f32; 3]>>, GpuError> {
-        if intrinsics.lens.is_pinhole() {
+        if intrinsics.is_pinhole() {
             return Ok(None);
         }
         // Exposure may change from frame to frame; rays do not depend on it.
         let geometry = Intrinsics {
             photometry: Photometry::IDENTITY,
+            windshield: None,
+            shutter: Shutter::GLOBAL,
             ..*intrinsics
         };
         let known = self.tables.iter().position(|(of, _)| *of == geometry);

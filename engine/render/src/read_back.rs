@@ -50,7 +50,9 @@ impl Renderer {
                 alpha: pixels[range.clone()].iter().map(|pixel| pixel[3]).collect(),
                 planes: (outputs.planes.iter())
                     .filter_map(|plane| {
-                        let own = &words[buffers.plane_words(plane)?][range.clone()];
+                        let channels = plane.channels();
+                        let own = channels * range.start..channels * range.end;
+                        let own = &words[buffers.plane_words(plane)?][own];
                         Some((plane, PlaneValues::new(plane, own)))
                     })
                     .collect(),

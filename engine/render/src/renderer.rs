@@ -10,16 +10,16 @@ use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::frame::{FrameInput, record_agents, record_frame};
 use crate::frame_buffers::{FrameBuffers, FrameShape};
-use crate::kernels::{AgentVariant, FrameVariant, Kernels};
+use crate::kernels::{FrameVariant, Kernels};
 use crate::keys::{KeyDecision, PersistentKeys};
 use crate::layout::{View, near_m};
 use crate::options::{FrameStatistics, RenderOptions};
 use crate::post_processing::RayTables;
 use crate::resident::GpuScene;
 use crate::slot::{FrameInFlight, Pending};
-use crate::stages::{AgentCounts, ProjectVariant};
+use crate::stages::{AgentCounts, AgentVariant, CameraVariant, ProjectVariant};
 use crate::taken::SharedShelf;
-use crate::{Plane, RenderError};
+use crate::{Attribute, Plane, RenderError};
 
 /// Splats an index can name with room for a camera beside it.
 const SPLATS_MAX: usize = 1 << 27;
@@ -143,6 +143,7 @@ impl Renderer {
     fn try_submit(&mut self, scene: Scene<'_>, cameras: &[Camera]) -> Result<(), RenderError> {
         let since = Instant::now();
         let options = self.options;
+        scene.check_motions(cameras, self.flow_interval_s())?;
         let view = View::new(cameras, scene.world.origin, self.reach_m(&scene, cameras)?)
             .map_err(RenderError::View)?;
         let slot = self.free_slot(view.pixels)?;
@@ -162,31 +163,10 @@ impl Renderer {
         } else {
             KeyDecision::computed(view.cameras.len())
         };
+        let kept_keys = keys.keys().clone();
         let (sky, tables) = (scene.world.sky_map.as_ref(), &mut self.ray_tables);
         let (processed, photometry) = tables.seen_by(&self.gpu, sky, cameras)?;
-        let variant = FrameVariant {
-            background: ProjectVariant {
-                sh_degree: scene.world.sh_degree.min(options.sh_degree_max),
-                instances: scene.world.has_instances
-                    && options.outputs.planes.contains(Plane::Instance),
-                splat_ids: options.outputs.contributions,
-                shadows: !scene.shadows.is_empty(),
-                shadows_by_camera: scene.shadow_cameras.is_some(),
-                lenses: !view.lenses.is_empty(),
-            },
-            post_processed: !processed.is_empty(),
-            // That of all assets, in view or not: building kernels in the middle of a drive
-            // would stall it.
-            agents: scene
-                .agents
-                .and_then(|(pool, _)| pool.sh_degree())
-                .map(|degree| AgentVariant {
-                    sh_degree: degree.min(options.sh_degree_max),
-                    relit: scene.relights(),
-                    lenses: !view.lenses.is_empty(),
-                }),
-        };
-        let kept_keys = keys.keys().clone();
+        let variant = self.variant(&scene, &view, list.as_ref(), !processed.is_empty());
         let added = scene
             .agents
             .and_then(|(pool, _)| pool.last_upload().cloned());
@@ -230,6 +210,54 @@ impl Renderer {
         self.slots[slot].pending = Some(pending);
         self.in_flight.push_back(slot);
         Ok(())
+    }
+
+    /// Specialization of the frame that shows `scene` to the cameras of `view`.
+    fn variant(
+        &self,
+        scene: &Scene<'_>,
+        view: &View,
+        list: Option<&AgentList>,
+        post_processed: bool,
+    ) -> FrameVariant {
+        let options = &self.options;
+        FrameVariant {
+            background: ProjectVariant {
+                sh_degree: scene.world.sh_degree.min(options.sh_degree_max),
+                instances: scene.world.has_instances
+                    && options.outputs.planes.contains(Plane::Instance),
+                splat_ids: options.outputs.contributions,
+                shadows: !scene.shadows.is_empty(),
+                shadows_by_camera: scene.shadow_cameras.is_some(),
+                cameras: CameraVariant::of(&view.cameras, &view.lenses),
+                attribute: Attribute::None,
+            },
+            post_processed,
+            // That of all assets, in view or not: building kernels in the middle of a drive
+            // would stall it.
+            agents: scene
+                .agents
+                .and_then(|(pool, _)| pool.sh_degree())
+                .map(|degree| AgentVariant {
+                    sh_degree: degree.min(options.sh_degree_max),
+                    relit: scene.relights(),
+                    cameras: CameraVariant::of(
+                        list.map_or(&[], |list| &list.cameras),
+                        &view.lenses,
+                    ),
+                    attribute: Attribute::None,
+                }),
+        }
+    }
+
+    /// Interval of optical flow, seconds; 0 where none is asked for.
+    fn flow_interval_s(&self) -> f64 {
+        let planes = self.options.outputs.planes;
+        let flows = [Plane::FlowForward, Plane::FlowBackward];
+        match flows.into_iter().any(|plane| planes.contains(plane)) {
+            true => self.options.flow_interval_s,
+            false => 0.0,
+        }
     }
 
     /// Waits for the oldest frame in flight, whose images can be read then.
@@ -401,6 +429,7 @@ impl Renderer {
             keys,
             kept_keys,
             agents,
+            options: &self.options,
         };
         record_frame(&mut recorder, &stages, frame, &self.slots[slot], input);
         let behind: Vec<&Ticket> = update.into_iter().collect();
@@ -417,6 +446,7 @@ impl Renderer {
         let Some(view) = &slot.view else {
             unreachable!("a slot is set before it is submitted")
         };
+        let with_geometry = self.options.outputs.planes.geometry().next().is_some();
         let splats = world.splats + slot.list.as_ref().map_or(0, |list| list.splats);
         let shape = FrameShape {
             capacity: self
@@ -425,7 +455,7 @@ impl Renderer {
             cameras: view.cameras.len(),
             clusters: world.cluster_count(),
             bins: view.bins,
-            blended_pixels: if slot.processed.is_empty() {
+            blended_pixels: if slot.processed.is_empty() && !with_geometry {
                 0
             } else {
                 view.pixels

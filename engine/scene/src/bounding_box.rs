@@ -89,7 +89,7 @@ pub fn agent_box(camera: &Camera, world_from_box: &Pose, dims_m: [f64; 3]) -> Op
         ends.filter(move |to| *to != from).map(move |to| (from, to))
     });
     let in_front = edges.filter_map(|(from, to)| cut(corner(from), corner(to)));
-    let amodal = if intrinsics.lens.is_pinhole() {
+    let amodal = if intrinsics.is_pinhole() {
         let ends = in_front.flat_map(|(from, to)| [from, to]);
         ImageBox::around(ends.filter_map(|ray| intrinsics.project(ray)))
     } else {
@@ -162,7 +162,7 @@ pub fn visible_boxes(instances: &[u16], width_px: u32, ids: usize) -> Vec<Option
 mod tests {
     use super::*;
     use crate::lens::Fisheye;
-    use crate::{Intrinsics, Lens};
+    use crate::{Intrinsics, Lens, Motion};
     use glam::DQuat;
 
     fn camera(lens: Lens) -> Camera {
@@ -177,6 +177,7 @@ mod tests {
                 ..Intrinsics::from_horizontal_fov(200, 120, 1.5)
             },
             world_from_camera: Pose::new(DQuat::from_rotation_y(0.3), DVec3::new(1.0, 2.0, 3.0)),
+            motion: Motion::REST,
         }
     }
 

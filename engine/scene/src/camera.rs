@@ -1,9 +1,9 @@
 //! Cameras and rigs of them.
 
-use crate::{Invalid, Photometry, Pose};
+use crate::{Invalid, Motion, Photometry, Pose, Shutter, Trajectory};
 use glam::{DVec2, DVec3};
 
-use crate::lens::{Lens, RayMap};
+use crate::lens::{Lens, RayMap, Windshield};
 
 /// Intrinsics of a camera. Pixel `(i, j)` has its center at `(i + 0.5, j + 0.5)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,8 +22,12 @@ pub struct Intrinsics {
     pub cy_px: f64,
     /// Lens: the deviation from a pinhole.
     pub lens: Lens,
+    /// Windshield before the lens.
+    pub windshield: Option<Windshield>,
     /// Photometric calibration.
     pub photometry: Photometry,
+    /// Time of exposure of each pixel.
+    pub shutter: Shutter,
 }
 
 impl Intrinsics {
@@ -41,6 +45,8 @@ impl Intrinsics {
             cy_px: 0.5 * f64::from(height_px),
             lens: Lens::Pinhole,
             photometry: Photometry::IDENTITY,
+            windshield: None,
+            shutter: Shutter::GLOBAL,
         }
     }
 
@@ -58,7 +64,9 @@ impl Intrinsics {
             cx_px: self.cx_px * sx,
             cy_px: self.cy_px * sy,
             lens: self.lens.scaled(sx, sy),
+            windshield: self.windshield,
             photometry: self.photometry.scaled(sx, sy),
+            shutter: self.shutter.scaled(sx, sy),
         }
     }
 
@@ -74,8 +82,15 @@ impl Intrinsics {
             photometry: self
                 .photometry
                 .cropped(f64::from(left_px), f64::from(top_px)),
+            shutter: self.shutter.cropped(f64::from(left_px), f64::from(top_px)),
             ..*self
         }
+    }
+
+    /// True if the camera is equal to a pinhole: by its lens, and without a windshield.
+    #[must_use]
+    pub fn is_pinhole(&self) -> bool {
+        self.lens.is_pinhole() && self.windshield.is_none()
     }
 
     /// Pixels in the image.
@@ -116,8 +131,12 @@ impl Intrinsics {
             )));
         }
         self.photometry.check()?;
+        self.shutter.check([self.width_px, self.height_px])?;
         self.lens.check()?;
-        if self.lens == Lens::Pinhole {
+        if let Some(windshield) = &self.windshield {
+            windshield.check()?;
+        }
+        if self.lens == Lens::Pinhole && self.windshield.is_none() {
             Ok(())
         } else {
             Ok(RayMap::new(self).check(self)?)
@@ -129,7 +148,7 @@ impl Intrinsics {
     /// once.
     #[must_use]
     pub fn project(&self, ray: DVec3) -> Option<DVec2> {
-        if self.lens.is_pinhole() {
+        if self.is_pinhole() {
             let on_plane = DVec2::new(self.fx_px, self.fy_px) * (ray.truncate() / ray.z)
                 + DVec2::new(self.cx_px, self.cy_px);
             return (ray.z > 0.0).then_some(on_plane);
@@ -140,7 +159,7 @@ impl Intrinsics {
     /// The ray of unit length that falls on `pixel`; `None` where there is none.
     #[must_use]
     pub fn unproject(&self, pixel: DVec2) -> Option<DVec3> {
-        if self.lens.is_pinhole() {
+        if self.is_pinhole() {
             let slope =
                 (pixel - DVec2::new(self.cx_px, self.cy_px)) / DVec2::new(self.fx_px, self.fy_px);
             return slope.is_finite().then(|| slope.extend(1.0).normalize());
@@ -156,8 +175,26 @@ pub struct Camera {
     pub name: String,
     /// Intrinsics, in pixels.
     pub intrinsics: Intrinsics,
-    /// Pose, f64 world coordinates.
+    /// Pose, f64 world coordinates, at the time 0 of the shutter.
     pub world_from_camera: Pose,
+    /// Motion while the image is exposed.
+    pub motion: Motion,
+}
+
+impl Camera {
+    /// The camera at the time `time_s` of its shutter, at rest, with all pixels exposed at once.
+    #[must_use]
+    pub fn at_rest(&self, time_s: f64) -> Self {
+        Self {
+            name: self.name.clone(),
+            intrinsics: Intrinsics {
+                shutter: Shutter::GLOBAL,
+                ..self.intrinsics
+            },
+            world_from_camera: self.world_from_camera.moved(&self.motion, time_s),
+            motion: Motion::REST,
+        }
+    }
 }
 
 /// A camera fixed to a vehicle.
@@ -221,13 +258,44 @@ impl Rig {
     /// The rig's cameras in the world when the vehicle stands at `world_from_rig`.
     #[must_use]
     pub fn at(&self, world_from_rig: &Pose) -> Vec<Camera> {
+        self.moving_at(world_from_rig, &Motion::REST)
+    }
+
+    /// The rig's cameras in the world when the vehicle passes `world_from_rig` with `motion`. The
+    /// motion of a camera with a rolling shutter is that between its poses at the start and at the
+    /// end of its readout; of others, the one at the moment.
+    #[must_use]
+    pub fn moving_at(&self, world_from_rig: &Pose, motion: &Motion) -> Vec<Camera> {
+        let moving = |camera: &RigCamera| {
+            let k = &camera.intrinsics;
+            let half_s = match k.shutter.readout_s([k.width_px, k.height_px]) {
+                0.0 => 1e-3,
+                readout_s => 0.5 * readout_s,
+            };
+            let at = |time_s: f64| {
+                let rig = world_from_rig.moved(motion, time_s);
+                rig.then(&camera.rig_from_camera)
+            };
+            Motion::between(&at(-half_s), &at(half_s), 2.0 * half_s)
+        };
         self.cameras()
             .map(|camera| Camera {
                 name: camera.name.clone(),
                 intrinsics: camera.intrinsics,
                 world_from_camera: world_from_rig.then(&camera.rig_from_camera),
+                motion: if motion.is_rest() {
+                    Motion::REST
+                } else {
+                    moving(camera)
+                },
             })
             .collect()
+    }
+
+    /// The rig's cameras in the world at `time_s` of the vehicle's trajectory.
+    #[must_use]
+    pub fn driving(&self, ego: &Trajectory, time_s: f64) -> Vec<Camera> {
+        self.moving_at(&ego.at(time_s), &ego.motion_at(time_s))
     }
 }
 

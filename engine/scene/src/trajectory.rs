@@ -1,6 +1,9 @@
 //! Motion as timed poses.
 
-use crate::{Invalid, Pose};
+use crate::{Invalid, Motion, Pose};
+
+/// Half the time over which the motion at a moment is measured, seconds.
+const MOTION_HALF_S: f64 = 0.005;
 
 /// Pose at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -89,6 +92,18 @@ impl Trajectory {
             None => before.pose,
         }
     }
+
+    /// Motion at `time_s`, measured over 10 ms; rest before the start and after the end.
+    #[must_use]
+    pub fn motion_at(&self, time_s: f64) -> Motion {
+        let from_s = (time_s - MOTION_HALF_S).max(self.start_s());
+        let to_s = (time_s + MOTION_HALF_S).min(self.end_s());
+        if from_s < to_s {
+            Motion::between(&self.at(from_s), &self.at(to_s), to_s - from_s)
+        } else {
+            Motion::REST
+        }
+    }
 }
 
 #[cfg(test)]
@@ -107,6 +122,21 @@ mod tests {
             pose(4.0, -3.0, 10.0),
         ])
         .unwrap()
+    }
+
+    #[test]
+    fn motion_is_that_between_the_poses_around() {
+        let trajectory = trajectory();
+        for (time_s, x_mps, turn_rad_per_s) in [(1.0, 10.0, 1.0), (1.5, 10.0, 1.0), (0.5, 0.0, 0.0)]
+        {
+            let motion = trajectory.motion_at(time_s);
+            assert!(
+                (motion.velocity_mps - DVec3::X * x_mps).length() < 1e-9,
+                "{motion:?}"
+            );
+            assert!((motion.turn_rad_per_s - DVec3::Z * turn_rad_per_s).length() < 1e-9);
+        }
+        assert!(trajectory.motion_at(9.0).is_rest());
     }
 
     #[test]

@@ -22,7 +22,7 @@
 //!     let translation = glam::DVec3::new(0.2 * f64::from(step), 3.5, 0.0);
 //!     let pose = Pose { translation, ..Pose::IDENTITY };
 //!     worlds[1].move_to("car_001", pose)?;
-//!     let cameras = scene.rig().at(&scene.ego().at(time_s));
+//!     let cameras = scene.rig().driving(scene.ego(), time_s);
 //!     let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
 //!     let drawn = renderer.draw(&views, &mut images)?;
 //!     println!("{:?}, first pixel {:?}", drawn[0].gpu_time, &images.rgba(0, 0)[..4]);

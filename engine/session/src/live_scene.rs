@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use decouplegs_asset::{Layer, LoadedAgent, LoadedScene};
 use decouplegs_render::{Agent, AssetId, AssetPool, GpuScene, RenderError, Renderer, Scene};
 use decouplegs_scene::light::Lighting;
-use decouplegs_scene::{CodedCloud, ContactShadow, Pose, ShFrame};
+use decouplegs_scene::{CodedCloud, ContactShadow, Motion, Pose, ShFrame};
 use glam::DVec3;
 
 /// A loaded scene on the device: what a loop of frames needs of it.
@@ -25,7 +25,7 @@ use glam::DVec3;
 /// let live = LiveScene::new(&renderer, &loaded)?;
 /// for step in 0..100 {
 ///     let time_s = 0.033 * f64::from(step);
-///     let cameras = loaded.rig.at(&loaded.ego.at(time_s));
+///     let cameras = loaded.rig.driving(&loaded.ego, time_s);
 ///     let statistics = renderer.render(live.with(&live.at(time_s)), &cameras)?;
 ///     println!("{:?} {:?}", statistics.gpu_time, statistics.keys);
 ///     let images = renderer.read_images()?;
@@ -60,6 +60,8 @@ pub struct AgentInstance {
     pub asset: usize,
     /// Pose, world coordinates.
     pub pose: Pose,
+    /// Motion, which rolling shutters show.
+    pub motion: Motion,
     /// Frame of the asset's colors; `None`: as the asset says.
     pub sh_frame: Option<ShFrame>,
     /// Instance id, above zero.
@@ -69,12 +71,13 @@ pub struct AgentInstance {
 }
 
 impl AgentInstance {
-    /// `agent` at `pose`.
+    /// `agent` at `time_s` of its trajectory.
     #[must_use]
-    pub fn of(agent: &LoadedAgent, pose: Pose) -> Self {
+    pub fn of(agent: &LoadedAgent, time_s: f64) -> Self {
         Self {
             asset: agent.asset,
-            pose,
+            pose: agent.trajectory.at(time_s),
+            motion: agent.trajectory.motion_at(time_s),
             sh_frame: Some(agent.sh_frame),
             instance: agent.instance,
             shines: false,
@@ -200,8 +203,8 @@ impl LiveScene {
     pub fn at(&self, time_s: f64) -> SceneSnapshot {
         let agents = self.agents.iter();
         let present = agents.filter_map(|agent| {
-            let pose = agent.pose_at(time_s)?;
-            Some(AgentInstance::of(agent, pose))
+            let present = agent.present.includes(time_s);
+            present.then(|| AgentInstance::of(agent, time_s))
         });
         self.placed(&present.collect::<Vec<_>>())
     }
@@ -236,6 +239,7 @@ impl LiveScene {
                 true => None,
                 false => relights.next().flatten(),
             },
+            motion: placed.motion,
             ..Agent::new(self.assets[placed.asset].id, placed.pose, placed.instance)
         };
         SceneSnapshot {

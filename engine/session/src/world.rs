@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use decouplegs_scene::{Pose, ShFrame};
+use decouplegs_scene::{Motion, Pose, ShFrame};
 
 use super::{SessionError, SessionScene};
 use crate::AgentInstance;
@@ -38,7 +38,7 @@ impl World {
     pub fn new(scene: &Arc<SessionScene>) -> Self {
         let agent = |agent: &decouplegs_asset::LoadedAgent| WorldAgent {
             name: agent.name.clone(),
-            placed: AgentInstance::of(agent, agent.trajectory.at(0.0)),
+            placed: AgentInstance::of(agent, 0.0),
             present: agent.present.includes(0.0),
         };
         Self {
@@ -81,20 +81,33 @@ impl World {
         for agent in &mut self.agents {
             if let Some(loaded) = self.scene.agent(&agent.name) {
                 agent.placed.pose = loaded.trajectory.at(time_s);
+                agent.placed.motion = loaded.trajectory.motion_at(time_s);
                 agent.present = loaded.present.includes(time_s);
             }
         }
     }
 
-    /// Moves an agent, which is present from now on; world coordinates of its origin, the center of
-    /// its box.
+    /// Moves an agent, which is present from now on and stands still; world coordinates of its
+    /// origin, the center of its box.
     ///
     /// # Errors
     /// Returns an error if there is none of that name, or it is part of the background.
     pub fn move_to(&mut self, name: &str, pose: Pose) -> Result<(), SessionError> {
         let index = self.index_of(name)?;
         let agent = &mut self.agents[index];
-        (agent.placed.pose, agent.present) = (pose, true);
+        (agent.placed.pose, agent.placed.motion) = (pose, Motion::REST);
+        agent.present = true;
+        Ok(())
+    }
+
+    /// Sets the motion of an agent, which rolling shutters show, until it is moved or placed or
+    /// another time is set.
+    ///
+    /// # Errors
+    /// Returns an error if there is none of that name, or it is part of the background.
+    pub fn set_motion(&mut self, name: &str, motion: Motion) -> Result<(), SessionError> {
+        let index = self.index_of(name)?;
+        self.agents[index].placed.motion = motion;
         Ok(())
     }
 
@@ -119,6 +132,7 @@ impl World {
                 agent.placed = AgentInstance {
                     asset,
                     pose,
+                    motion: Motion::REST,
                     sh_frame,
                     instance,
                     shines: false,
@@ -135,6 +149,7 @@ impl World {
             placed: AgentInstance {
                 asset,
                 pose,
+                motion: Motion::REST,
                 sh_frame,
                 instance,
                 shines: false,

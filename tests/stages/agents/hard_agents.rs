@@ -4,7 +4,7 @@ use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::{
     AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, RelightRecord, View,
 };
-use decouplegs::render::stages::{AgentBuffers, AgentCounts, RelitColors};
+use decouplegs::render::stages::{AgentBuffers, AgentCounts, CameraVariant, RelitColors};
 use decouplegs::render::twins::agent::{UnpackedSplat, axes_of, unpack_splat};
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::Variant;
@@ -115,6 +115,11 @@ impl AgentScene {
         scene
     }
 
+    /// Kind of the cameras.
+    pub fn camera_variant(&self) -> CameraVariant {
+        CameraVariant::of(&self.cameras, &self.lenses)
+    }
+
     /// Puts a cloud into the pool; returns where its parts begin.
     fn add(&mut self, cloud: &CodedCloud) -> AgentRecord {
         cloud.check().unwrap();
@@ -138,6 +143,8 @@ impl AgentScene {
             first_shape: self.shapes.len() as u32,
             first_color: self.dc.len() as u32,
             dc_residual_gain: [1.0; 3],
+            velocity_mps: [0.0; 3],
+            turn_rad_per_s: [0.0; 3],
             ..AgentRecord::default()
         };
         self.splats.extend(cloud.splats.iter().map(|splat| splat.0));

@@ -4,7 +4,7 @@ use std::ffi::{c_char, c_void};
 
 use decouplegs::gpu::{DeviceInfo, DeviceKind};
 use decouplegs::render::{Plane, Planes};
-use decouplegs::scene::{Camera, Intrinsics, Lens, Photometry, Pose};
+use decouplegs::scene::{Camera, Intrinsics, Lens, Motion, Photometry, Pose, Shutter};
 use glam::{DQuat, DVec3};
 
 use crate::status::{DgsStatus, Failure};
@@ -87,7 +87,9 @@ impl DgsCamera {
             cx_px,
             cy_px,
             lens,
+            windshield,
             photometry,
+            shutter,
         } = camera.intrinsics;
         if !photometry.is_identity() {
             let text = format!(
@@ -96,7 +98,14 @@ impl DgsCamera {
             );
             return Err(Failure::new(DgsStatus::Unsupported, text));
         }
-        if lens != Lens::Pinhole {
+        if !shutter.is_global() {
+            let text = format!(
+                "camera {:?} has a rolling shutter, and cameras of this interface have none: describe one of your own",
+                camera.name
+            );
+            return Err(Failure::new(DgsStatus::Unsupported, text));
+        }
+        if lens != Lens::Pinhole || windshield.is_some() {
             let text = format!(
                 "camera {:?} has a lens, and cameras of this interface are pinholes: describe one of your own",
                 camera.name
@@ -135,6 +144,8 @@ impl DgsCamera {
             cy_px,
             lens: Lens::Pinhole,
             photometry: Photometry::IDENTITY,
+            windshield: None,
+            shutter: Shutter::GLOBAL,
         };
         intrinsics
             .check()
@@ -143,6 +154,7 @@ impl DgsCamera {
             intrinsics,
             world_from_camera: self.world_from_camera.to_pose(&name)?,
             name,
+            motion: Motion::REST,
         })
     }
 }
@@ -201,12 +213,12 @@ pub enum DgsImageKind {
 impl DgsImageKind {
     /// The plane whose kind is `kind`.
     pub(crate) fn plane(kind: u32) -> Option<Plane> {
-        let kind_of = |plane: &Plane| match plane {
-            Plane::Depth => Self::DepthF32,
-            Plane::Instance => Self::InstanceU16,
-        };
-        let is_kind = |plane: &Plane| kind_of(plane) as u32 == kind;
-        Plane::ALL.into_iter().find(is_kind)
+        let kinds = [
+            (Plane::Depth, Self::DepthF32),
+            (Plane::Instance, Self::InstanceU16),
+        ];
+        let mut kinds = kinds.into_iter();
+        kinds.find_map(|(plane, of_plane)| (of_plane as u32 == kind).then_some(plane))
     }
 }
 
@@ -259,10 +271,7 @@ impl DgsSessionOptions {
 
     /// The planes that are asked for.
     pub(crate) fn planes(&self) -> Result<Planes, Failure> {
-        let flags = Plane::ALL.map(|plane| match plane {
-            Plane::Depth => (plane, self.depth),
-            Plane::Instance => (plane, self.instance),
-        });
+        let flags = [(Plane::Depth, self.depth), (Plane::Instance, self.instance)];
         if let Some((plane, number)) = flags.iter().find(|(_, number)| *number > 1) {
             let name = plane.name();
             let text = format!("{name} is {number}: expected 0 or 1");

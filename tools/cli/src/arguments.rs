@@ -70,6 +70,13 @@ pub fn plane_names() -> impl TypedValueParser<Value = Plane> {
     names.map(|name| Plane::by_name(&name).expect("it is one of the names"))
 }
 
+pub fn seconds_above_zero(text: &str) -> Result<f64, String> {
+    finite(text)
+        .ok()
+        .filter(|seconds| *seconds > 0.0)
+        .ok_or_else(|| format!("expected seconds above 0, found {text:?}"))
+}
+
 pub fn pixels(text: &str) -> Result<f64, String> {
     finite(text)
         .ok()

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 use std::path::Path;
 use std::str::FromStr;
 
-use decouplegs::scene::{Camera, Intrinsics, Pose, SplatCloud};
+use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, SplatCloud};
 use glam::{DQuat, DVec3};
 
 use crate::arguments::three_numbers;
@@ -125,6 +125,7 @@ impl OrbitArguments {
                 name: format!("orbit_{index:03}"),
                 intrinsics,
                 world_from_camera,
+                motion: Motion::REST,
             })
         };
         (0..count).map(camera).collect()

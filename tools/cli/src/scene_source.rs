@@ -110,7 +110,7 @@ impl Scene {
                 });
                 cameras
             }
-            None if drives => loaded.rig.at(&loaded.ego.at(time_s)),
+            None if drives => loaded.rig.driving(&loaded.ego, time_s),
             None => {
                 let (splats, origin) = (&loaded.world.splats, loaded.world.origin);
                 let around = arguments
@@ -153,7 +153,7 @@ impl Scene {
         let mut cameras = self
             .loaded
             .rig
-            .at(&self.loaded.ego.at(self.time_s + later_s));
+            .driving(&self.loaded.ego, self.time_s + later_s);
         cameras.truncate(self.cameras.len());
         cameras
     }

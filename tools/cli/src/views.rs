@@ -1,6 +1,6 @@
 //! Cameras around an asset.
 
-use decouplegs::scene::{Bounds, Camera, Intrinsics, Lens, Photometry, Pose};
+use decouplegs::scene::{Bounds, Camera, Intrinsics, Lens, Motion, Photometry, Pose, Shutter};
 use glam::DVec3;
 
 /// Field of view of the cameras on a sphere, radians: close to a car's, far from an orthographic
@@ -59,6 +59,8 @@ pub fn street(
         cy_px: 0.5 * f64::from(height_px),
         lens: Lens::Pinhole,
         photometry: Photometry::IDENTITY,
+        windshield: None,
+        shutter: Shutter::GLOBAL,
     };
     let camera = |view: usize| {
         let azimuth = 0.3 + std::f64::consts::TAU * view as f64 / views as f64;
@@ -78,6 +80,7 @@ fn looking_at(bounds: &Bounds, from_center: DVec3, intrinsics: Intrinsics, view:
         name: format!("view {view}"),
         intrinsics,
         world_from_camera: pose.unwrap_or(Pose::IDENTITY),
+        motion: Motion::REST,
     }
 }
 

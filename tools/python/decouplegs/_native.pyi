@@ -73,6 +73,8 @@ class Camera:
     @property
     def world_from_camera(self) -> NDArray[np.float64]:
         """Where it stands, float64 [4, 4], meters."""
+    def with_shutter(self, direction: Literal["global", "top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"], readout_s: float, start: ArrayLike, end: ArrayLike) -> Camera:
+        """The same camera in motion with such a shutter; start and end are world_from_camera at both ends of the readout, float64 [4, 4], meters."""
 
 class RigCamera:
     """A camera fixed to a vehicle."""
@@ -109,6 +111,8 @@ class Session:
         color: Literal["u8", "f32"] = "u8",
         depth: bool = False,
         instance: bool = False,
+        planes: Sequence[Literal["depth", "instance", "range", "normal", "flow_forward", "flow_backward", "scene_flow"]] = (),
+        flow_interval: float = 0.1,
         exported: bool | None = None,
         rules: Literal["default", "gsplat15", "gsplat16", "inria"] | None = None,
         taken_max: int = 16,
@@ -118,6 +122,7 @@ class Session:
 
         color: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
         depth, instance: whether renderers draw these layers too (BatchRenderer.draw_layers, Images).
+        planes: names of more layers; flow is the displacement in flow_interval seconds if cameras and agents go on with their motion.
         exported: whether images are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
         rules: the rules of image formation for all scenes. None: each scene's own, as its file says.
         taken_max: frames that may be held on the device by tensors before TooManyHeldError.
@@ -211,6 +216,8 @@ class World:
         """Puts the agents of the scene file that are still here where their trajectories have them; absent ones are hidden."""
     def move_to(self, name: str, pose: ArrayLike) -> None:
         """Moves an agent; pose is world_from_agent, float64 [4, 4], meters."""
+    def set_motion(self, name: str, velocity: Sequence[float], turn: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
+        """Sets the motion of an agent, which rolling shutters show: m/s along the axes of the world, rad/s about those of the agent."""
     def place(self, name: str, asset: int, pose: ArrayLike) -> int:
         """Adds an agent that shows an asset, or lets the one of that name show it; its instance id."""
     def remove(self, name: str) -> None:

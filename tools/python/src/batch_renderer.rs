@@ -170,8 +170,10 @@ impl BatchRenderer {
     }
 
     /// Draws like draw: ``color`` [C, H, W, 4], and where the session has them ``depth`` float32
-    /// [C, H, W], meters along the camera's z, 0 where nothing was hit, and ``instance`` int32 [C,
-    /// H, W], 0 the background.
+    /// [C, H, W], meters along the camera's z, 0 where nothing was hit, ``instance`` int32 [C, H,
+    /// W], 0 the background, and float32 planes of geometry: ``range`` [C, H, W], meters from the
+    /// camera; ``normal`` [C, H, W, 3], world axes, towards the camera; ``flow_forward`` and
+    /// ``flow_backward`` [C, H, W, 2], pixels; ``scene_flow`` [C, H, W, 3], m/s, world axes.
     fn draw_layers<'py>(
         &self,
         py: Python<'py>,
@@ -186,6 +188,8 @@ impl BatchRenderer {
                 to_numpy(py, layers.color, &[cameras, rows, columns, 4])?,
             )?;
             for (plane, values) in layers.planes {
+                let channels = (plane.channels() > 1).then_some(plane.channels());
+                let shape: Vec<usize> = shape.into_iter().chain(channels).collect();
                 dict.set_item(plane.name(), to_numpy(py, values, &shape)?)?;
             }
             Ok(dict)

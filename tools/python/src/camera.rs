@@ -1,7 +1,8 @@
 //! Cameras of Python.
 
 use decouplegs::scene::{
-    Camera as EngineCamera, Intrinsics, Lens, Photometry, RigCamera as EngineRigCamera,
+    Camera as EngineCamera, Intrinsics, Lens, Motion, Photometry, Pose,
+    RigCamera as EngineRigCamera, Shutter, ShutterDirection,
 };
 use pyo3::prelude::*;
 
@@ -44,6 +45,8 @@ fn intrinsics_of(width_px: u32, height_px: u32, k: &Bound<'_, PyAny>) -> PyResul
         cy_px,
         lens: Lens::Pinhole,
         photometry: Photometry::IDENTITY,
+        windshield: None,
+        shutter: Shutter::GLOBAL,
     };
     intrinsics.check().map_err(value_error)?;
     Ok(intrinsics)
@@ -80,6 +83,7 @@ impl Camera {
                 name,
                 intrinsics: intrinsics_of(width, height, K)?,
                 world_from_camera,
+                motion: Motion::REST,
             },
         })
     }
@@ -113,6 +117,43 @@ impl Camera {
     #[getter]
     fn world_from_camera<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_matrix(py, &self.inner.world_from_camera)
+    }
+
+    /// The same camera in motion, with a shutter whose direction is "global", "top_to_bottom",
+    /// "bottom_to_top", "left_to_right" or "right_to_left"; start and end are world_from_camera at
+    /// the start and at the end of the readout, float64 [4, 4], meters.
+    fn with_shutter(
+        &self,
+        direction: &str,
+        readout_s: f64,
+        start: &Bound<'_, PyAny>,
+        end: &Bound<'_, PyAny>,
+    ) -> PyResult<Self> {
+        let named = ShutterDirection::from_name(direction).ok_or_else(|| {
+            let names = ShutterDirection::ALL.map(ShutterDirection::name).join(", ");
+            value_error(format!(
+                "direction: expected one of {names}, found {direction:?}"
+            ))
+        })?;
+        if readout_s.is_nan() || readout_s <= 0.0 {
+            return Err(value_error(format!(
+                "readout_s: expected a number above 0, found {readout_s}"
+            )));
+        }
+        let (start, end) = (pose_of("start", start)?, pose_of("end", end)?);
+        let (world_from_camera, motion) = Pose::halfway(&start, &end, readout_s);
+        let k = self.inner.intrinsics;
+        let shutter = Shutter::new(named, readout_s, [k.width_px, k.height_px]);
+        let intrinsics = Intrinsics { shutter, ..k };
+        intrinsics.check().map_err(value_error)?;
+        Ok(Self {
+            inner: EngineCamera {
+                name: self.inner.name.clone(),
+                intrinsics,
+                world_from_camera,
+                motion,
+            },
+        })
     }
 
     fn __repr__(&self) -> String {
@@ -202,6 +243,7 @@ impl RigCamera {
                 name,
                 intrinsics,
                 world_from_camera,
+                motion: Motion::REST,
             },
         })
     }

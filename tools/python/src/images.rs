@@ -96,7 +96,8 @@ impl Frame {
                     PlaneType::F32 => DataType::F32,
                     PlaneType::U16 => DataType::I32,
                 };
-                (self.addresses.planes[plane as usize], dtype, None)
+                let channels = (plane.channels() > 1).then_some(plane.channels() as u32);
+                (self.addresses.planes[plane as usize], dtype, channels)
             }
             (_, None) => {
                 let names = Plane::ALL.map(|plane| format!("{:?}", plane.name()));
@@ -108,7 +109,7 @@ impl Frame {
         };
         if address == 0 {
             return Err(value_error(format!(
-                "the session draws no {layer}: open it with Session({layer}=True)"
+                "the session draws no {layer}: open it with Session(planes=[{layer:?}])"
             )));
         }
         let offset = start as u64 * u64::from(channels.unwrap_or(1_u32)) * dtype.bytes();

@@ -170,7 +170,7 @@ impl Rollout {
     /// Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4,
     /// 4], meters.
     fn show<'py>(&self, py: Python<'py>, world: &World) -> PyResult<Bound<'py, PyAny>> {
-        let ego = self
+        let (ego, _) = self
             .lock()
             .show(&mut world.lock())
             .map_err(|error| of_session(&error))?;

@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use decouplegs::scene::{Pose, Rig};
 use decouplegs::session::SessionScene;
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
@@ -18,14 +17,11 @@ pub struct Scene {
     pub inner: Arc<SessionScene>,
 }
 
-/// The cameras of `rig` where the vehicle stands at `world_from_rig`, of `size_px` where it is
-/// given.
-pub fn rig_at(
-    rig: &Rig,
-    world_from_rig: &Pose,
+/// `cameras`, of `size_px` where it is given.
+fn sized(
+    mut cameras: Vec<decouplegs::scene::Camera>,
     size_px: Option<(u32, u32)>,
 ) -> PyResult<Vec<Camera>> {
-    let mut cameras = rig.at(world_from_rig);
     if let Some((width_px, height_px)) = size_px {
         for camera in &mut cameras {
             camera.intrinsics = camera.intrinsics.resized(width_px, height_px);
@@ -74,11 +70,8 @@ impl Scene {
     /// is given.
     #[pyo3(signature = (time_s = 0.0, size = None))]
     fn cameras(&self, time_s: f64, size: Option<(u32, u32)>) -> PyResult<Vec<Camera>> {
-        rig_at(
-            self.inner.rig(),
-            &self.inner.ego().at(finite(time_s)?),
-            size,
-        )
+        let ego = self.inner.ego();
+        sized(self.inner.rig().driving(ego, finite(time_s)?), size)
     }
 
     /// The rig on a vehicle that stands at world_from_rig, float64 [4, 4], meters.
@@ -88,11 +81,8 @@ impl Scene {
         world_from_rig: &Bound<'_, PyAny>,
         size: Option<(u32, u32)>,
     ) -> PyResult<Vec<Camera>> {
-        rig_at(
-            self.inner.rig(),
-            &pose_of("world_from_rig", world_from_rig)?,
-            size,
-        )
+        let pose = pose_of("world_from_rig", world_from_rig)?;
+        sized(self.inner.rig().at(&pose), size)
     }
 
     /// Agents of the scene file that can be moved, with which a World begins.

@@ -80,7 +80,7 @@ fn cuda_of(gpu: &Gpu) -> Result<Cuda, String> {
 #[pymethods]
 impl Session {
     #[new]
-    #[pyo3(signature = (device = None, *, color = "u8", depth = false, instance = false, exported = None, rules = None, taken_max = 16, frames_in_flight = 2))]
+    #[pyo3(signature = (device = None, *, color = "u8", depth = false, instance = false, planes = Vec::new(), flow_interval = 0.1, exported = None, rules = None, taken_max = 16, frames_in_flight = 2))]
     #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn new(
         py: Python<'_>,
@@ -88,6 +88,8 @@ impl Session {
         color: &str,
         depth: bool,
         instance: bool,
+        planes: Vec<String>,
+        flow_interval: f64,
         exported: Option<bool>,
         rules: Option<&str>,
         taken_max: usize,
@@ -115,16 +117,31 @@ impl Session {
             device,
             ..SessionOptions::default()
         };
-        let asked = [(Plane::Depth, depth), (Plane::Instance, instance)].into_iter();
-        let planes = asked.filter_map(|(plane, asked)| asked.then_some(plane));
+        let named = planes.iter().map(|name| {
+            Plane::by_name(name).ok_or_else(|| {
+                let names = Plane::ALL.map(Plane::name).join(", ");
+                value_error(format!(
+                    "planes: expected names among {names}, found {name:?}"
+                ))
+            })
+        });
+        let mut planes = named.collect::<PyResult<Vec<Plane>>>()?;
+        planes.extend(depth.then_some(Plane::Depth));
+        planes.extend(instance.then_some(Plane::Instance));
+        if !(flow_interval.is_finite() && flow_interval > 0.0) {
+            return Err(value_error(format!(
+                "flow_interval: expected seconds above 0, found {flow_interval}"
+            )));
+        }
         let outputs = Outputs {
             color,
-            planes: planes.collect(),
+            planes: planes.into_iter().collect(),
             ..Outputs::default()
         };
         options.rules = rules.map(rules_of).transpose()?;
         options.render = RenderOptions {
             outputs,
+            flow_interval_s: flow_interval,
             taken_max,
             frames_in_flight,
             ..options.render

@@ -2,7 +2,9 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use decouplegs::scene::Motion;
 use decouplegs::session::World as EngineWorld;
+use glam::DVec3;
 use pyo3::prelude::*;
 
 use crate::error::{of_session, value_error};
@@ -83,6 +85,21 @@ impl World {
         let pose = pose_of("pose", pose)?;
         self.lock()
             .move_to(name, pose)
+            .map_err(|error| of_session(&error))
+    }
+
+    /// Sets the motion of an agent, which rolling shutters show, until it is moved or another time
+    /// is set: velocity in m/s along the axes of the world, and rotation vector per second, rad/s
+    /// about the axes of the agent; three numbers each.
+    #[pyo3(signature = (name, velocity, turn = [0.0; 3]))]
+    fn set_motion(&self, name: &str, velocity: [f64; 3], turn: [f64; 3]) -> PyResult<()> {
+        let motion = Motion {
+            velocity_mps: DVec3::from_array(velocity),
+            turn_rad_per_s: DVec3::from_array(turn),
+        };
+        motion.check().map_err(value_error)?;
+        self.lock()
+            .set_motion(name, motion)
             .map_err(|error| of_session(&error))
     }
 

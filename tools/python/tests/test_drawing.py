@@ -96,6 +96,60 @@ def test_agents_move_and_worlds_share_a_scene(session, scene):
     np.testing.assert_allclose({agent.name: agent.pose for agent in copy.agents}["moving"], pose(6.0, 2.0, 1.0), atol=1e-12)
 
 
+def test_rolling_shutters_show_motion(session, scene):
+    renderer = session.batch_renderer()
+    world = decouplegs.World(scene)
+    camera = scene.cameras(0.0)[0]
+    start, end = camera.world_from_camera.copy(), camera.world_from_camera.copy()
+    start[0, 3] -= 0.3
+    end[0, 3] += 0.3
+    drawn = lambda camera: renderer.draw([(world, [camera])])[0]
+    still = drawn(camera)
+    np.testing.assert_array_equal(drawn(camera.with_shutter("top_to_bottom", 0.03, *[camera.world_from_camera] * 2)), still)
+    down, up = (drawn(camera.with_shutter(way, 0.03, start, end)) for way in ("top_to_bottom", "bottom_to_top"))
+    assert (down != still).any() and (down != up).any()
+    # An agent that moves before a camera at rest.
+    rolled = camera.with_shutter("top_to_bottom", 0.03, *[camera.world_from_camera] * 2)
+    world.move_to("standing", pose(5.0, 0.0, 1.0))
+    before = drawn(rolled)
+    world.set_motion("standing", [0.0, 20.0, 0.0])
+    assert (drawn(rolled) != before).any()
+    with pytest.raises(ValueError, match="one of"):
+        camera.with_shutter("sideways", 0.03, start, end)
+    with pytest.raises(ValueError, match="readout"):
+        camera.with_shutter("top_to_bottom", 3.0, start, end)
+    with pytest.raises(ValueError, match="finite"):
+        world.set_motion("standing", [float("nan"), 0.0, 0.0])
+
+
+def test_planes_of_geometry(session, scene_file):
+    names = ["range", "normal", "flow_forward", "flow_backward", "scene_flow"]
+    other = decouplegs.Session(session.device.uuid, depth=True, planes=names, flow_interval=0.05, exported=False)
+    scene = other.open_scene(scene_file)
+    world = decouplegs.World(scene)
+    world.move_to("standing", pose(5.0, 0.0, 1.0))
+    world.set_motion("standing", [2.0, 0.0, 0.0])
+    camera = scene.cameras(0.0)[0]
+    still = camera.with_shutter("global", 0.01, camera.world_from_camera, camera.world_from_camera)
+    layers = other.batch_renderer().draw_layers([(world, [still])])[0]
+    shape = layers["color"].shape[:3]
+    assert [layers[name].shape[3:] for name in names] == [(), (3,), (2,), (2,), (3,)]
+    assert all(layers[name].shape[:3] == shape and layers[name].dtype == np.float32 for name in names)
+    solid = layers["color"][..., 3] > 250
+    assert solid.any() and (layers["range"][solid] >= 0.999 * layers["depth"][solid]).all()
+    assert (np.linalg.norm(layers["normal"], axis=-1) <= 1.001).all()
+    moving = layers["scene_flow"][..., 0]
+    assert moving.max() > 1.9 and abs(layers["scene_flow"][..., 1:]).max() < 1e-5
+    # It moves away from the camera: what moves in one direction of time moves back in the other.
+    forward, backward = layers["flow_forward"], layers["flow_backward"]
+    assert abs(forward).max() > 0.1 and abs(forward[moving == 0]).max() < 1e-4
+    assert (forward * backward).sum(axis=-1).max() < 1e-3
+    with pytest.raises(ValueError, match="expected names among"):
+        decouplegs.Session(session.device.uuid, planes=["speed"])
+    with pytest.raises(ValueError, match="flow_interval"):
+        decouplegs.Session(session.device.uuid, flow_interval=0.0)
+
+
 def test_a_scene_is_loaded_once_and_goes_with_the_last_who_holds_it(session, scene_file, scene):
     before = sum(session.memory().values())
     assert session.open_scene(scene_file).background_splats == scene.background_splats

@@ -5,7 +5,7 @@ use decouplegs::scene::Pose;
 use decouplegs_server::wire::common;
 use decouplegs_server::wire::sensorsim::available_cameras_return::AvailableCamera;
 use decouplegs_server::wire::sensorsim::camera_spec::CameraParam;
-use decouplegs_server::wire::sensorsim::{ImageFormat, RgbRenderRequest};
+use decouplegs_server::wire::sensorsim::{ImageFormat, RgbRenderRequest, ShutterType};
 use glam::{DQuat, DVec3};
 
 use crate::asking::{cameras, client, message, object, options, pair, pose, request, serve};
@@ -103,6 +103,66 @@ fn between(a: &Pose, b: &Pose) -> Pose {
         rotation: sum.normalize(),
         translation: 0.5 * (a.translation + b.translation),
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn light_lands_where_rolling_shutters_see_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let running = serve(&options(vec![marked(folder.path())])).await;
+    let mut client = client(&running).await;
+    let camera = cameras(&mut client, "marked").await.remove(0);
+    let size = [160, 100];
+    let place = Pose::from_yaw(0.12, DVec3::new(0.6, -0.9, 0.8));
+    let start = place.then(&pose(&camera.rig_to_camera.unwrap()));
+    let end = Pose::new(DQuat::from_rotation_z(0.2), DVec3::new(0.4, 0.2, 0.1)).then(&start);
+    let mut found = Vec::new();
+    for (shutter, axis, forward) in [
+        (ShutterType::Global, 0, true),
+        (ShutterType::RollingTopToBottom, 1, true),
+        (ShutterType::RollingBottomToTop, 1, false),
+        (ShutterType::RollingLeftToRight, 0, true),
+        (ShutterType::RollingRightToLeft, 0, false),
+    ] {
+        let mut asked = request("marked", &camera, &place, ImageFormat::RgbUint8Planar);
+        asked.sensor_pose = Some(pair(&start, &end));
+        asked.camera_intrinsics.as_mut().unwrap().shutter_type = shutter.into();
+        let image = client
+            .render_rgb(asked)
+            .await
+            .unwrap()
+            .into_inner()
+            .image_bytes;
+        let seen_at = |share: f64| {
+            let sensor = message(&start.interpolate(&end, share));
+            projected(&camera, size, &sensor, RED)
+        };
+        // The row or column that shows the light is exposed when it stands there.
+        let mut share = 0.5;
+        for _ in 0..20 {
+            let along = seen_at(share)[axis] / f64::from(size[axis]);
+            share = match (shutter, forward) {
+                (ShutterType::Global, _) => 0.5,
+                (_, true) => along,
+                (_, false) => 1.0 - along,
+            };
+        }
+        let light = middle_of_light(&image, size, 0);
+        assert_near(light, seen_at(share), shutter.as_str_name());
+        found.push(light);
+    }
+    let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+    assert!(
+        apart(found[1], found[2]) > 1.0 && apart(found[3], found[4]) > 0.5,
+        "{found:?}"
+    );
+    // A readout that takes seconds is none.
+    let mut asked = request("marked", &camera, &place, ImageFormat::RgbUint8Planar);
+    asked.frame_end_us = asked.frame_start_us + 5_000_000;
+    asked.camera_intrinsics.as_mut().unwrap().shutter_type = ShutterType::RollingTopToBottom.into();
+    let refused = client.render_rgb(asked).await.unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::InvalidArgument);
+    assert!(refused.message().contains("shutter_type"), "{refused}");
+    running.stop().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,7 +1,7 @@
 //! An image from the server is the image of a session in this process, byte for byte.
 
 use decouplegs::open_movable_scene;
-use decouplegs::scene::{Camera, Pose};
+use decouplegs::scene::{Camera, Motion, Pose};
 use decouplegs::session::{HostImages, Session, SessionOptions, World, WorldView};
 use decouplegs_server::wire::sensorsim::ImageFormat;
 use glam::DVec3;
@@ -41,6 +41,7 @@ async fn the_server_and_a_session_render_the_same_bytes() {
             name: own.name.clone(),
             intrinsics: own.intrinsics,
             world_from_camera: start.interpolate(&pose(&sent.end_pose.unwrap()), 0.5),
+            motion: Motion::REST,
         };
         let view = WorldView {
             world: &world,

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use decouplegs_scene::lens::{Fisheye, OpenCv};
-use decouplegs_scene::{Camera, Intrinsics, Lens, Photometry, Pose};
+use decouplegs_scene::{Camera, Intrinsics, Lens, Motion, Photometry, Pose, Shutter};
 use glam::{DQuat, DVec3};
 
 use crate::error::read_bytes;
@@ -192,6 +192,8 @@ fn intrinsics(
                 cy_px,
                 lens,
                 photometry: Photometry::IDENTITY,
+                windshield: None,
+                shutter: Shutter::GLOBAL,
             })
         };
     let open_cv = |radial: [f64; 6], tangential: [f64; 2]| {
@@ -316,6 +318,7 @@ fn camera(
         name: name.to_owned(),
         intrinsics,
         world_from_camera,
+        motion: Motion::REST,
     })
 }
 

@@ -78,7 +78,7 @@ impl Dataparser {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use decouplegs_scene::{Intrinsics, Pose};
+    use decouplegs_scene::{Intrinsics, Motion, Pose};
 
     #[test]
     fn cameras_follow_the_scene() {
@@ -90,6 +90,7 @@ mod tests {
                 translation: DVec3::new(10.0, 0.0, 0.0),
                 ..Pose::IDENTITY
             },
+            motion: Motion::REST,
         };
         Dataparser::decode(text, &Applied::NONE)
             .unwrap()

@@ -1,6 +1,6 @@
 //! INRIA `cameras.json`: what the original 3DGS writes beside a trained model.
 
-use decouplegs_scene::{Camera, Intrinsics, Lens, Photometry};
+use decouplegs_scene::{Camera, Intrinsics, Lens, Motion, Photometry, Shutter};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
@@ -44,9 +44,12 @@ fn camera(entry: Entry) -> Result<Camera, DecodeError> {
             cy_px: 0.5 * f64::from(entry.height),
             lens: Lens::Pinhole,
             photometry: Photometry::IDENTITY,
+            windshield: None,
+            shutter: Shutter::GLOBAL,
         },
         world_from_camera: pose_of(axes, DVec3::from_array(entry.position), &name)?,
         name,
+        motion: Motion::REST,
     })
 }
 

@@ -60,6 +60,7 @@ fn is_image_extension(extension: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use decouplegs_scene::Motion;
 
     #[test]
     fn names_cannot_leave_their_directory() {
@@ -83,6 +84,7 @@ mod tests {
             name: name.into(),
             intrinsics: decouplegs_scene::Intrinsics::from_horizontal_fov(4, 4, 1.0),
             world_from_camera: decouplegs_scene::Pose::IDENTITY,
+            motion: Motion::REST,
         };
         let names: Vec<_> = made_unique(["a", "a_2", "A", "a"].map(camera).to_vec())
             .into_iter()

@@ -9,7 +9,7 @@
 use std::path::Path;
 
 use decouplegs_scene::lens::{Fisheye, OpenCv};
-use decouplegs_scene::{Camera, Intrinsics, Lens as Distortion, Photometry};
+use decouplegs_scene::{Camera, Intrinsics, Lens as Distortion, Motion, Photometry, Shutter};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
@@ -160,6 +160,8 @@ impl Lens {
             cy_px: self.cy.unwrap_or(0.5 * f64::from(height_px)),
             lens: Distortion::Pinhole,
             photometry: Photometry::IDENTITY,
+            windshield: None,
+            shutter: Shutter::GLOBAL,
         })
     }
 }
@@ -250,6 +252,7 @@ fn camera(index: usize, frame: Frame, shared: &Lens) -> Result<Camera, DecodeErr
         intrinsics,
         world_from_camera: pose_of(axes, column(3), &name)?,
         name,
+        motion: Motion::REST,
     })
 }
 

@@ -2,7 +2,7 @@
 //! `ftheta`, `opencv-pinhole`, `opencv-fisheye`.
 
 use decouplegs_scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
-use decouplegs_scene::{Intrinsics, Lens};
+use decouplegs_scene::{Intrinsics, Lens, ShutterDirection};
 use serde_json::{Value, json};
 
 /// Coefficients of a polynomial, the constant first.
@@ -48,7 +48,13 @@ pub(super) fn model(intrinsics: &Intrinsics) -> Value {
     };
     let mut parameters = own;
     parameters["resolution"] = json!([intrinsics.width_px, intrinsics.height_px]);
-    parameters["shutter_type"] = json!("GLOBAL");
+    parameters["shutter_type"] = json!(match intrinsics.shutter.direction() {
+        ShutterDirection::Global => "GLOBAL",
+        ShutterDirection::TopToBottom => "ROLLING_TOP_TO_BOTTOM",
+        ShutterDirection::BottomToTop => "ROLLING_BOTTOM_TO_TOP",
+        ShutterDirection::LeftToRight => "ROLLING_LEFT_TO_RIGHT",
+        ShutterDirection::RightToLeft => "ROLLING_RIGHT_TO_LEFT",
+    });
     parameters["external_distortion_parameters"] = Value::Null;
     json!({"type": name, "parameters": parameters})
 }
@@ -140,6 +146,7 @@ fn fit(from: &[f64], to: &[f64]) -> [f64; COEFFICIENTS] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use decouplegs_scene::Shutter;
 
     fn usual() -> Intrinsics {
         let square = Intrinsics::from_horizontal_fov(1600, 900, 1.0);
@@ -233,5 +240,11 @@ mod tests {
             assert_eq!(model["parameters"]["resolution"], json!([1600, 900]));
             assert_eq!(model["parameters"]["shutter_type"], "GLOBAL");
         }
+        let rolling = Intrinsics {
+            shutter: Shutter::new(ShutterDirection::RightToLeft, 0.03, [1600, 900]),
+            ..usual()
+        };
+        let parameters = &model(&rolling)["parameters"];
+        assert_eq!(parameters["shutter_type"], "ROLLING_RIGHT_TO_LEFT");
     }
 }

@@ -1,6 +1,6 @@
 //! The ego's way and cameras as others read them.
 
-use decouplegs_scene::{Pose, Trajectory};
+use decouplegs_scene::{Intrinsics, Pose, Trajectory};
 use glam::{DMat4, DVec3};
 use serde_json::{Map, Value, json};
 
@@ -74,12 +74,19 @@ pub(super) fn rig_trajectories(
     };
     let mut calibrations = Map::new();
     let mut frames = Map::new();
-    // A frame is an instant, of which the end is not part; the last sample is where the way ends.
-    let frame_times: Vec<[u64; 2]> = moments
-        .iter()
-        .take(moments.len().max(2) - 1)
-        .map(|&(_, time_us)| [time_us, time_us + 1])
-        .collect();
+    // A frame lasts as long as its readout, around its moment, and at least an instant, of which
+    // the end is not part; the last sample is where the way ends.
+    let frame_times = |intrinsics: &Intrinsics| -> Vec<[u64; 2]> {
+        let size_px = [intrinsics.width_px, intrinsics.height_px];
+        let readout_us = (1e6 * intrinsics.shutter.readout_s(size_px)).round() as u64;
+        let moments = moments.iter().take(moments.len().max(2) - 1);
+        moments
+            .map(|&(_, time_us)| {
+                let start_us = time_us.saturating_sub(readout_us / 2);
+                [start_us, start_us + readout_us.max(1)]
+            })
+            .collect()
+    };
     for (index, camera) in scene.rig.cameras().enumerate() {
         let key = format!("{}@{}", camera.name, options.scene_id);
         let Pose {
@@ -99,7 +106,7 @@ pub(super) fn rig_trajectories(
             "camera_model": model(&camera.intrinsics),
         });
         calibrations.insert(key.clone(), calibration);
-        frames.insert(key, json!(frame_times));
+        frames.insert(key, json!(frame_times(&camera.intrinsics)));
     }
     let middle = DVec3::ZERO - options.rig_origin_m;
     let worlds: Vec<Value> = moments

@@ -50,6 +50,13 @@ pub fn pack(
             options.scene_id
         )));
     }
+    let mut cameras = scene.rig.cameras();
+    if let Some(camera) = cameras.find(|camera| camera.intrinsics.windshield.is_some()) {
+        return Err(refused(format!(
+            "camera {:?} has a windshield, which packages of this program do not hold: remove it",
+            camera.name
+        )));
+    }
     let span_s = span_of(scene).map_err(refused)?;
     let mut texts: Vec<(&str, Vec<u8>)> = vec![
         ("default.usda", STAGE.into()),

@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{
-    Intrinsics, Lens, Photometry, Pose, Presence, Rig, RigCamera, Rules, ShFrame, SkyMap,
+    Intrinsics, Lens, Photometry, Pose, Presence, Rig, RigCamera, Rules, ShFrame, Shutter, SkyMap,
     TimedPose, Trajectory,
 };
 use glam::{DMat3, DQuat, DVec3};
@@ -17,6 +17,7 @@ use super::form::{
     SkyKindForm, TimedPoseForm,
 };
 use super::lens::LensForm;
+use super::lens::WindshieldForm;
 use super::photometry::PhotometryForm;
 use super::{SceneAgent, SceneFile, SceneLight, SceneSky, VERSION};
 use crate::toml_text::{Checker, syntax_error};
@@ -191,6 +192,17 @@ impl Checker<'_> {
             photometry
                 .check()
                 .map_err(|reason| self.error(&span, &table, "photometry", reason))?;
+            let shutter = form
+                .shutter
+                .as_ref()
+                .map_or(Ok(Shutter::GLOBAL), |shutter| {
+                    shutter.shutter([form.width_px, form.height_px])
+                });
+            let shutter = shutter.map_err(|reason| self.error(&span, &table, "shutter", reason))?;
+            let windshield = form.windshield.as_ref().map(WindshieldForm::windshield);
+            let windshield = windshield
+                .transpose()
+                .map_err(|reason| self.error(&span, &table, "windshield", reason))?;
             let intrinsics = Intrinsics {
                 width_px: form.width_px,
                 height_px: form.height_px,
@@ -199,7 +211,9 @@ impl Checker<'_> {
                 cx_px: form.cx_px,
                 cy_px: form.cy_px,
                 lens,
+                windshield,
                 photometry,
+                shutter,
             };
             intrinsics.check().map_err(|reason| {
                 self.error(&span, &table, intrinsics_field(&intrinsics), reason)

@@ -11,7 +11,9 @@ use serde::{Deserialize, Deserializer, Serialize};
 use toml::Spanned;
 
 use super::lens::LensForm;
+use super::lens::WindshieldForm;
 use super::photometry::PhotometryForm;
+use super::shutter::ShutterForm;
 use super::{SceneAgent, SceneFile, SceneLight, VERSION};
 use crate::SkyKind;
 
@@ -144,6 +146,10 @@ pub(super) struct CameraForm {
     pub(super) lens: Option<LensForm>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) photometry: Option<PhotometryForm>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) shutter: Option<ShutterForm>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) windshield: Option<WindshieldForm>,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -313,7 +319,9 @@ fn camera_form(camera: &RigCamera) -> CameraForm {
         cx_px,
         cy_px,
         lens,
+        windshield,
         photometry,
+        shutter,
     } = camera.intrinsics;
     let Pose {
         rotation,
@@ -332,6 +340,8 @@ fn camera_form(camera: &RigCamera) -> CameraForm {
         look: None,
         lens: LensForm::of(&lens),
         photometry: PhotometryForm::of(&photometry),
+        shutter: ShutterForm::of(&shutter, [width_px, height_px]),
+        windshield: windshield.as_ref().map(WindshieldForm::of),
     }
 }
 

@@ -1,7 +1,10 @@
 //! The `lens` table of a rig's camera.
 
-use decouplegs_scene::Lens;
-use decouplegs_scene::lens::{ANGLE_LIMIT_RAD, FTheta, FThetaReference, Fisheye, OpenCv};
+use decouplegs_scene::lens::windshield::{angle_coefficients, angle_polynomial};
+use decouplegs_scene::lens::{
+    ANGLE_LIMIT_RAD, FTheta, FThetaReference, Fisheye, OpenCv, Windshield, WindshieldDirection,
+};
+use decouplegs_scene::{Invalid, Lens};
 use serde::{Deserialize, Serialize};
 
 /// A lens as it is written.
@@ -124,6 +127,46 @@ impl LensForm {
                 max_angle_rad: lens.max_angle_rad,
                 linear_cde: Some(lens.linear_cde),
             }),
+        }
+    }
+}
+
+/// A windshield as it is written: coefficients grouped by the power of the vertical angle.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WindshieldForm {
+    direction: DirectionForm,
+    horizontal: Vec<f64>,
+    vertical: Vec<f64>,
+}
+
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum DirectionForm {
+    Forward,
+    Backward,
+}
+
+impl WindshieldForm {
+    pub(super) fn windshield(&self) -> Result<Windshield, Invalid> {
+        Ok(Windshield {
+            direction: match self.direction {
+                DirectionForm::Forward => WindshieldDirection::Forward,
+                DirectionForm::Backward => WindshieldDirection::Backward,
+            },
+            horizontal: angle_polynomial(&self.horizontal)?,
+            vertical: angle_polynomial(&self.vertical)?,
+        })
+    }
+
+    pub(super) fn of(windshield: &Windshield) -> Self {
+        Self {
+            direction: match windshield.direction {
+                WindshieldDirection::Forward => DirectionForm::Forward,
+                WindshieldDirection::Backward => DirectionForm::Backward,
+            },
+            horizontal: angle_coefficients(&windshield.horizontal),
+            vertical: angle_coefficients(&windshield.vertical),
         }
     }
 }

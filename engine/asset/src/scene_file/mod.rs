@@ -10,6 +10,7 @@ mod lens;
 mod load;
 mod paths;
 mod photometry;
+mod shutter;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

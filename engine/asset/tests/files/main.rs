@@ -16,6 +16,7 @@ mod real;
 mod sample;
 mod scenario_files;
 mod scenarios;
+mod scene_cameras;
 mod scene_files;
 mod scene_imports;
 mod spz_round_trip;

@@ -4,8 +4,8 @@ use decouplegs_asset::{SceneAgent, SceneFile, SceneLight, SceneSky, SkyKind, cam
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::photometry::{ColorCurve, Vignetting};
 use decouplegs_scene::{
-    Camera, Intrinsics, Lens, Photometry, Pose, Presence, RigCamera, Rules, ShFrame, TimedPose,
-    Trajectory,
+    Camera, Intrinsics, Lens, Photometry, Pose, Presence, RigCamera, Rules, ShFrame, Shutter,
+    ShutterDirection, TimedPose, Trajectory,
 };
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use proptest::prelude::*;
@@ -39,6 +39,8 @@ fn intrinsics() -> impl Strategy<Value = Intrinsics> {
                 cy_px,
                 lens: Lens::Pinhole,
                 photometry: Photometry::IDENTITY,
+                windshield: None,
+                shutter: Shutter::GLOBAL,
             },
         )
 }
@@ -101,6 +103,11 @@ fn presences() -> impl Strategy<Value = Presence> {
         };
         Presence::new(steps.into_iter().map(interval).collect()).unwrap()
     })
+}
+
+fn shutters() -> impl Strategy<Value = (ShutterDirection, f64)> {
+    let direction = prop::sample::select(ShutterDirection::ALL.to_vec());
+    (direction, 1u32..=1_000_000).prop_map(|(direction, us)| (direction, f64::from(us) / 1e6))
 }
 
 fn photometries() -> impl Strategy<Value = Photometry> {
@@ -168,7 +175,11 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
         prop::collection::vec(agent, 0..4),
         "[a-z\"\\\\\u{e9}# ]{1,12}",
         prop::option::of(lights()),
-        (prop::option::of(photometries()), prop::option::of(skies())),
+        (
+            prop::option::of(photometries()),
+            shutters(),
+            prop::option::of(skies()),
+        ),
     )
         .prop_map(
             |(
@@ -179,16 +190,22 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                 agents,
                 name,
                 light,
-                (photometry, sky_map),
+                (photometry, (direction, readout_s), sky_map),
             )| {
-                let rig_camera = |(i, (intrinsics, rig_from_camera))| RigCamera {
-                    name: format!("c{i}"),
-                    intrinsics: Intrinsics {
-                        photometry: photometry.unwrap_or_default(),
-                        ..intrinsics
-                    },
-                    rig_from_camera,
-                };
+                let rig_camera =
+                    |(i, (intrinsics, rig_from_camera)): (usize, (Intrinsics, Pose))| RigCamera {
+                        name: format!("c{i}"),
+                        intrinsics: Intrinsics {
+                            photometry: photometry.unwrap_or_default(),
+                            shutter: Shutter::new(
+                                direction,
+                                readout_s,
+                                [intrinsics.width_px, intrinsics.height_px],
+                            ),
+                            ..intrinsics
+                        },
+                        rig_from_camera,
+                    };
                 let scene_agent = |(i, (is_world, trajectory, present)): (
                     usize,
                     (Option<bool>, Trajectory, Presence),

@@ -1,6 +1,7 @@
 //! Records of lenses.
 
 use bytemuck::{Pod, Zeroable};
+use decouplegs_scene::lens::windshield::Bending;
 use decouplegs_scene::{Intrinsics, Lens, RayMap};
 use glam::{DVec2, DVec3};
 
@@ -45,7 +46,16 @@ pub struct LensRecord {
     pub thin_prism: [f32; 4],
     /// Radius in the lens's plane, and what it grows by an interval.
     pub table: [[f32; 2]; LENS_INTERVALS + 1],
+    /// Tangents of half the angles along x and y up to which a windshield is followed; 0 without
+    /// one.
+    pub bend_reach: [f32; 2],
+    /// Change of the sines by a windshield: coefficients of `u^i v^j` at `[j][i]`, with u and v the
+    /// tangents divided by their reach.
+    pub bending: [[[f32; 2]; BEND_TERMS]; BEND_TERMS],
 }
+
+/// Terms of the polynomials of a windshield along each sine.
+const BEND_TERMS: usize = decouplegs_shaders::constants::BEND_TERMS as usize;
 
 /// Means lie before the camera and points of the transform a little farther round: 90 degrees and
 /// twice an arc of a quarter.
@@ -58,7 +68,7 @@ impl LensRecord {
     /// The lens of `intrinsics`, which must have passed [`Intrinsics::check`].
     #[must_use]
     pub fn new(intrinsics: &Intrinsics) -> Self {
-        if intrinsics.lens.is_pinhole() {
+        if intrinsics.is_pinhole() {
             return Self::zeroed();
         }
         let map = RayMap::new(intrinsics);
@@ -78,6 +88,10 @@ impl LensRecord {
             record.tangential = lens.tangential.map(|value| value as f32);
             record.thin_prism = lens.thin_prism.map(|value| value as f32);
         }
+        if let Some(bending) = map.bending() {
+            record.bend_reach = half_tangents(bending.reach()).as_vec2().to_array();
+            record.bending = bending_terms(bending);
+        }
         let interval = chord_limit / LENS_INTERVALS as f64;
         for (place, entry) in record.table.iter_mut().enumerate() {
             let angle_rad = (2.0 * (0.5 * interval * place as f64).asin()).min(map.limit_rad());
@@ -92,6 +106,53 @@ impl LensRecord {
         }
         record
     }
+}
+
+/// Tangents of half the angles whose sines are `sines`.
+fn half_tangents(sines: DVec2) -> DVec2 {
+    let cosines = DVec2::ONE - sines * sines;
+    sines / (1.0 + DVec2::new(cosines.x.sqrt(), cosines.y.sqrt()))
+}
+
+/// The polynomials that are equal to the change by `bending` at Chebyshev's nodes. They are as
+/// exact as f32 for windshields: in tangents of half the angles, the angles themselves are smooth.
+fn bending_terms(bending: &Bending) -> [[[f32; 2]; BEND_TERMS]; BEND_TERMS] {
+    let nodes: [f64; BEND_TERMS] = std::array::from_fn(|k| {
+        (std::f64::consts::PI * (k as f64 + 0.5) / BEND_TERMS as f64).cos()
+    });
+    // The coefficients that give 1 at one node and 0 at the others.
+    let basis = nodes.map(|node| {
+        let others = nodes.iter().filter(|other| **other != node);
+        let mut product = [0.0; BEND_TERMS];
+        product[0] = 1.0;
+        for other in others {
+            // Times (u - other) / (node - other).
+            let mut next = [0.0; BEND_TERMS];
+            for (power, coefficient) in product.iter().enumerate() {
+                let share = coefficient / (node - other);
+                if power + 1 < BEND_TERMS {
+                    next[power + 1] += share;
+                }
+                next[power] -= share * other;
+            }
+            product = next;
+        }
+        product
+    });
+    let reach = half_tangents(bending.reach());
+    let mut terms = [[DVec2::ZERO; BEND_TERMS]; BEND_TERMS];
+    for (of_v, v) in basis.iter().zip(nodes) {
+        for (of_u, u) in basis.iter().zip(nodes) {
+            let tangents = reach * DVec2::new(u, v);
+            let change = bending.change(2.0 * tangents / (1.0 + tangents * tangents));
+            for (j, by_v) in of_v.iter().enumerate() {
+                for (i, by_u) in of_u.iter().enumerate() {
+                    terms[j][i] += change * (by_v * by_u);
+                }
+            }
+        }
+    }
+    terms.map(|row| row.map(|term| term.as_vec2().to_array()))
 }
 
 /// The most pixels a radian that the lens makes anywhere within [`STEEPEST_WITHIN_RAD`], beyond its
@@ -130,7 +191,7 @@ fn steepest(map: &RayMap) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use decouplegs_scene::lens::Fisheye;
+    use decouplegs_scene::lens::{Fisheye, Windshield, WindshieldDirection};
 
     #[test]
     fn a_table_has_the_radius_of_its_lens_between_its_entries() {
@@ -155,6 +216,36 @@ mod tests {
                 a + s * (da + s * (3.0 * rise - 2.0 * da - db + s * (da + db - 2.0 * rise)));
             let error_px = (found - map.radius_at(angle_rad).unwrap().0).abs() * intrinsics.fx_px;
             assert!(error_px < 2e-4, "{error_px} px at {angle_rad}");
+        }
+    }
+
+    #[test]
+    fn polynomials_of_a_windshield_are_its_bending() {
+        let mut windshield = Windshield::straight();
+        windshield.horizontal[0] = [0.002, 1.01, -0.003, 0.004, 0.001, -0.002];
+        windshield.horizontal[1][1] = 0.006;
+        windshield.vertical[0][2] = 0.008;
+        windshield.vertical[1][0] = 0.985;
+        windshield.vertical[2][2] = -0.003;
+        for direction in [WindshieldDirection::Forward, WindshieldDirection::Backward] {
+            let intrinsics = Intrinsics {
+                windshield: Some(Windshield {
+                    direction,
+                    ..windshield
+                }),
+                ..Intrinsics::from_horizontal_fov(1600, 900, 1.4)
+            };
+            intrinsics.check().unwrap();
+            let (record, map) = (LensRecord::new(&intrinsics), RayMap::new(&intrinsics));
+            let mut most_px = 0.0f64;
+            for place in 0..400 {
+                let pixel = DVec2::new(f64::from(place % 20) * 84.0, f64::from(place / 20) * 47.0);
+                let ray = map.unproject(pixel).unwrap();
+                let found = crate::twins::lens::through_lens(&record, ray.as_vec3()).as_dvec2();
+                let principal_px = DVec2::new(intrinsics.cx_px, intrinsics.cy_px);
+                most_px = most_px.max((found + principal_px - pixel).length());
+            }
+            assert!(most_px < 1e-3, "{direction:?}: {most_px} px");
         }
     }
 

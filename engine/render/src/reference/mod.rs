@@ -8,11 +8,17 @@
 
 pub mod blend;
 pub mod color;
+pub mod geometry;
+mod moving;
 pub mod project;
 pub mod unscented;
 
 #[cfg(test)]
 mod truths;
+
+pub use moving::{render_moving, render_moving_window};
+
+use std::borrow::Cow;
 
 use decouplegs_scene::{Camera, Intrinsics, Photometry, RayMap, Rules, SkyMap, World};
 use glam::{DMat3, DVec2, DVec3};
@@ -116,16 +122,21 @@ impl Window {
     }
 }
 
-/// Renders `world` as seen by `camera` under `rules` (which replace the world's own).
+/// Renders `world` as seen by `camera` under `rules` (which replace the world's own). If the camera
+/// moves and has a rolling shutter, by [`render_moving`].
 ///
 /// # Panics
 /// Panics if the camera's intrinsics fail [`Intrinsics::check`]: readers refuse such cameras.
 #[must_use]
 pub fn render(world: &World, camera: &Camera, rules: &Rules) -> Image64 {
-    render_window(world, camera, rules, Window::whole(&camera.intrinsics))
+    if camera.motion.is_rest() || camera.intrinsics.shutter.is_global() {
+        return render_window(world, camera, rules, Window::whole(&camera.intrinsics));
+    }
+    render_moving(&|_| Cow::Borrowed(world), camera, rules)
 }
 
-/// The pixels of [`render`] that lie in `window`, bit for bit, in the time that the window takes.
+/// The pixels of [`render`] that lie in `window`, bit for bit, in the time that the window takes,
+/// with all of them exposed at the time of the camera's pose.
 ///
 /// A camera cropped by [`Intrinsics::cropped`] is not the same thing: where the Jacobian is clamped
 /// depends on the image's size, so splats beyond a crop's edges spread otherwise.
@@ -150,13 +161,14 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
         intrinsics.width_px,
         intrinsics.height_px
     );
-    let splats = front_to_back(world, camera, rules, &window);
+    let color = |splat: usize, center: DVec3| color::color(&world.splats, splat, center);
+    let splats = front_to_back(world, camera, rules, &window, &color);
     let background = match world.sky_map {
         Some(_) => [0.0; 3],
         None => world.sky,
     };
     let rotation = DMat3::from_quat(camera.world_from_camera.rotation);
-    let lens = (!intrinsics.lens.is_pinhole()).then(|| RayMap::new(intrinsics));
+    let lens = (!intrinsics.is_pinhole()).then(|| RayMap::new(intrinsics));
     let rays = |center_px: DVec2| {
         let ray = match &lens {
             Some(lens) => lens.unproject(center_px)?,
@@ -195,8 +207,15 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
     }
 }
 
-/// The splats that reach a pixel of `window`, nearest first, equal depths by index.
-fn front_to_back(world: &World, camera: &Camera, rules: &Rules, window: &Window) -> Vec<Splat64> {
+/// The splats that reach a pixel of `window`, nearest first, equal depths by index. `shade` gives
+/// the color of a splat, seen from the camera's center relative to the world's origin.
+fn front_to_back(
+    world: &World,
+    camera: &Camera,
+    rules: &Rules,
+    window: &Window,
+    shade: &(dyn Fn(usize, DVec3) -> [f64; 3] + Sync),
+) -> Vec<Splat64> {
     let view = View::new(world.origin, camera, rules);
     let mut splats: Vec<Splat64> = (0..world.splats.len())
         .into_par_iter()
@@ -210,7 +229,7 @@ fn front_to_back(world: &World, camera: &Camera, rules: &Rules, window: &Window)
             if !window.is_reached_by(&splat) {
                 return None;
             }
-            splat.color = color::color(&world.splats, index, view.center);
+            splat.color = shade(index, view.center);
             Some(splat)
         })
         .collect();

@@ -65,7 +65,7 @@ impl View {
             camera_from_world: DMat3::from_quat(camera.world_from_camera.rotation.conjugate()),
             center: camera.world_from_camera.translation - origin,
             intrinsics: camera.intrinsics,
-            lens: (!camera.intrinsics.lens.is_pinhole()).then(|| RayMap::new(&camera.intrinsics)),
+            lens: (!camera.intrinsics.is_pinhole()).then(|| RayMap::new(&camera.intrinsics)),
             rules: *rules,
         }
     }

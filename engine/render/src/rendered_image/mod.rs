@@ -5,8 +5,10 @@
 
 mod image_files;
 mod npy;
+mod preview;
 mod sheet;
 
+pub use preview::preview;
 pub use sheet::contact_sheet;
 
 use std::path::{Path, PathBuf};
@@ -211,18 +213,20 @@ impl Image {
         self.planes.get(&Plane::Instance)?.as_u16()
     }
 
-    /// `plane` as a NumPy file: float32 or uint16 `[height, width]`. `None` where it was not asked
-    /// for.
+    /// `plane` as a NumPy file: float32 or uint16 `[height, width]`, or `[height, width, channels]`
+    /// where a pixel has several values. `None` where it was not asked for.
     #[must_use]
     pub fn encode_plane(&self, plane: Plane) -> Option<Vec<u8>> {
         Some(match self.planes.get(&plane)? {
             PlaneValues::F32(values) => npy::encode_plane(
                 self,
+                plane.channels(),
                 "<f4",
                 values.iter().flat_map(|value| value.to_le_bytes()),
             ),
             PlaneValues::U16(values) => npy::encode_plane(
                 self,
+                plane.channels(),
                 "<u2",
                 values.iter().flat_map(|value| value.to_le_bytes()),
             ),

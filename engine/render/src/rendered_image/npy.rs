@@ -18,13 +18,19 @@ pub fn encode(image: &Image) -> Vec<u8> {
     )
 }
 
-/// A plane of `image`, `[height, width]`, of NumPy's type `descr`.
-pub fn encode_plane(image: &Image, descr: &str, values: impl Iterator<Item = u8>) -> Vec<u8> {
-    with_header(
-        descr,
-        &format!("({}, {})", image.height, image.width),
-        values,
-    )
+/// A plane of `image`, `[height, width]` or `[height, width, channels]`, of NumPy's type `descr`.
+pub fn encode_plane(
+    image: &Image,
+    channels: usize,
+    descr: &str,
+    values: impl Iterator<Item = u8>,
+) -> Vec<u8> {
+    let (height, width) = (image.height, image.width);
+    let shape = match channels {
+        1 => format!("({height}, {width})"),
+        _ => format!("({height}, {width}, {channels})"),
+    };
+    with_header(descr, &shape, values)
 }
 
 fn with_header(descr: &str, shape: &str, values: impl Iterator<Item = u8>) -> Vec<u8> {
@@ -193,11 +199,15 @@ mod tests {
     }
 
     #[test]
-    fn planes_have_two_dimensions_and_their_own_type() {
+    fn planes_have_their_own_shape_and_type() {
         let image = Image {
             planes: PlaneMap::from([
                 (Plane::Depth, PlaneValues::F32(vec![1.5, 0.0])),
                 (Plane::Instance, PlaneValues::U16(vec![0, 259])),
+                (
+                    Plane::FlowForward,
+                    PlaneValues::F32(vec![1.0, 2.0, 3.0, 4.0]),
+                ),
             ]),
             ..Image::filled(2, 1, [0.0; 3])
         };
@@ -211,6 +221,11 @@ mod tests {
         assert_eq!(
             depth[128..],
             [1.5f32.to_le_bytes(), 0f32.to_le_bytes()].concat()
+        );
+        let flow = image.encode_plane(Plane::FlowForward).unwrap();
+        assert!(
+            flow[10..]
+                .starts_with(b"{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2, 2), }")
         );
         assert!(instance[10..].starts_with(b"{'descr': '<u2'") && instance[128..] == [0, 0, 3, 1]);
         assert!(

@@ -4,10 +4,11 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{PURPOSE, Projected, RelitColors, Visible, kernel, push_constants};
+use super::{CameraVariant, PURPOSE, Projected, RelitColors, Visible, kernel, push_constants};
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::groups_for;
 use crate::layout::{AgentRecord, CameraRecord, LensRecord, near_m};
+use crate::plane::Attribute;
 
 /// The agents of a frame on the device.
 pub struct AgentBuffers {
@@ -80,7 +81,21 @@ push_constants! {
         cluster_count: u32,
         records_max: u32,
         static_lists: u32,
+        flow_interval_s: f32,
     }
+}
+
+/// Specialization of the agents' kernels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AgentVariant {
+    /// Degree of their colors.
+    pub sh_degree: u8,
+    /// True if some agents are relit.
+    pub relit: bool,
+    /// Kind of cameras.
+    pub cameras: CameraVariant,
+    /// Attribute that is written in the place of color, into records that are there.
+    pub attribute: Attribute,
 }
 
 /// `cull_agents.comp`.
@@ -89,15 +104,17 @@ pub struct CullAgents {
 }
 
 impl CullAgents {
-    /// The stage for images of the given rules; `lenses` where some camera is no pinhole.
+    /// The stage for images of the given rules and `cameras`.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, lenses: bool) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, rules: &Rules, cameras: CameraVariant) -> Result<Self, GpuError> {
+        let [lenses, rolling] = cameras.constants();
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
-            ("LENSES", Constant::Bool(lenses)),
+            lenses,
+            rolling,
         ];
         Ok(Self {
             kernel: kernel::<CullPush>(gpu, &decouplegs_shaders::CULL_AGENTS, &constants)?,
@@ -142,25 +159,21 @@ pub struct ProjectAgents {
 }
 
 impl ProjectAgents {
-    /// The stage for images of the given rules and colors of the given degree; `relit` where some
-    /// agents have colors of their own, `lenses` where some camera is no pinhole.
+    /// The stage for images of the given rules and agents of the given kind.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
-    pub fn new(
-        gpu: &Gpu,
-        rules: &Rules,
-        sh_degree: u8,
-        relit: bool,
-        lenses: bool,
-    ) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, rules: &Rules, variant: AgentVariant) -> Result<Self, GpuError> {
+        let [lenses, rolling] = variant.cameras.constants();
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
-            ("SH_DEGREE", Constant::U32(u32::from(sh_degree))),
+            ("SH_DEGREE", Constant::U32(u32::from(variant.sh_degree))),
             ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
-            ("RELIT", Constant::Bool(relit)),
-            ("LENSES", Constant::Bool(lenses)),
+            ("RELIT", Constant::Bool(variant.relit)),
+            lenses,
+            rolling,
+            ("ATTRIBUTE", Constant::U32(variant.attribute as u32)),
         ];
         Ok(Self {
             kernel: kernel::<ProjectPush>(gpu, &decouplegs_shaders::PROJECT_AGENTS, &constants)?,
@@ -183,6 +196,7 @@ impl ProjectAgents {
         static_offsets: &Buffer<u32>,
         static_lists: usize,
         projected: &Projected,
+        flow_interval_s: f32,
     ) {
         let push = ProjectPush {
             agent_count: counts.agents as u32,
@@ -190,6 +204,7 @@ impl ProjectAgents {
             cluster_count: counts.clusters as u32,
             records_max: projected.colors.len() as u32,
             static_lists: static_lists as u32,
+            flow_interval_s,
         };
         let bound = [
             ("agents", buffers.agents.binding()),

@@ -210,7 +210,7 @@ mod tests {
             ..Outputs::default()
         };
         let all = Outputs {
-            planes: Planes::ALL,
+            planes: Planes::BESIDE_COLOR,
             ..plain
         };
         let batches =

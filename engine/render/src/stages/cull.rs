@@ -4,7 +4,7 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::Rules;
 
-use super::{PURPOSE, kernel, push_constants};
+use super::{CameraVariant, PURPOSE, kernel, push_constants};
 use crate::capacity::groups_for;
 use crate::layout::{CLUSTER_SPLATS, CameraRecord, LensRecord, near_m};
 use crate::resident::GpuScene;
@@ -50,15 +50,17 @@ pub struct Cull {
 }
 
 impl Cull {
-    /// The stage for images of the given rules; `lenses` where some camera is no pinhole.
+    /// The stage for images of the given rules and `cameras`.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, lenses: bool) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, rules: &Rules, cameras: CameraVariant) -> Result<Self, GpuError> {
+        let [lenses, rolling] = cameras.constants();
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
-            ("LENSES", Constant::Bool(lenses)),
+            lenses,
+            rolling,
         ];
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL, &constants)?,

@@ -15,10 +15,11 @@ mod plan_segments;
 mod post_process;
 mod project;
 mod relight;
+mod resolve_plane;
 mod scan;
 mod tile_sort;
 
-pub use agents::{AgentBuffers, AgentCounts, CullAgents, ProjectAgents};
+pub use agents::{AgentBuffers, AgentCounts, AgentVariant, CullAgents, ProjectAgents};
 pub use blend::{Blend, BlendPass, PartialResults, finishes};
 pub use composite::CompositeSegments;
 pub use cull::{Cull, Visible};
@@ -28,15 +29,16 @@ pub use plan_segments::{Plan, PlanSegments};
 pub use post_process::PostProcess;
 pub use project::{Project, ProjectVariant, Projected};
 pub use relight::{RELIGHT_BLOCK, Relight, RelitColors};
+pub use resolve_plane::ResolvePlane;
 pub use scan::Scan;
 pub use tile_sort::{
     BinPairs, BinPass, PlanBuckets, PlanLists, Records, SortBuckets, TileSort, TileSortBuffers,
 };
 
-use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind};
 use decouplegs_shaders::constants;
 
-use crate::layout::{ARGUMENT_SETS, RequiredCounts};
+use crate::layout::{ARGUMENT_SETS, CameraRecord, LensRecord, RequiredCounts};
 
 /// Purpose under which the memory of a frame's lists is counted.
 pub const PURPOSE: &str = "frame";
@@ -87,6 +89,34 @@ trait PushConstants: bytemuck::Pod {
     const MEMBERS: &'static [(&'static str, usize)];
 }
 
+/// Specialization of a projection to the cameras of a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CameraVariant {
+    /// True if some camera is not a pinhole.
+    pub lenses: bool,
+    /// True if splats move in some image while it is exposed.
+    pub rolling: bool,
+}
+
+impl CameraVariant {
+    /// The variant for the cameras of a frame, as the splats' frame has them, and their lenses.
+    #[must_use]
+    pub fn of(cameras: &[CameraRecord], lenses: &[LensRecord]) -> Self {
+        Self {
+            lenses: !lenses.is_empty(),
+            rolling: cameras.iter().any(CameraRecord::rolls),
+        }
+    }
+
+    /// Specialization constants of the kernels.
+    fn constants(self) -> [(&'static str, Constant); 2] {
+        [
+            ("LENSES", Constant::Bool(self.lenses)),
+            ("ROLLING", Constant::Bool(self.rolling)),
+        ]
+    }
+}
+
 /// Declares the push constants of a kernel. [`kernel`] compares them with the shader's.
 macro_rules! push_constants {
     (struct $name:ident { $($member:ident: $type:ty,)* }) => {
@@ -117,7 +147,7 @@ impl PushConstants for NoPush {
 fn kernel<P: PushConstants>(
     gpu: &Gpu,
     shader: &'static decouplegs_shaders::Kernel,
-    constants: &[(&str, decouplegs_gpu::Constant)],
+    constants: &[(&str, Constant)],
 ) -> Result<Kernel, GpuError> {
     let kernel = gpu.kernel(shader.name, shader.spirv, constants)?;
     match push_fault::<P>(kernel.push_member_offsets(), kernel.push_bytes()) {

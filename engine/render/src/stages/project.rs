@@ -4,9 +4,12 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{KeptKeys, PURPOSE, ShadowBuffers, Visible, kernel, push_constants, words_for};
+use super::{
+    CameraVariant, KeptKeys, PURPOSE, ShadowBuffers, Visible, kernel, push_constants, words_for,
+};
 use crate::capacity::groups_for;
 use crate::layout::{CameraRecord, LensRecord, near_m};
+use crate::plane::Attribute;
 use crate::resident::GpuScene;
 
 /// One entry a visible (camera, splat): by camera, and by splat within a camera.
@@ -52,8 +55,10 @@ pub struct ProjectVariant {
     pub shadows: bool,
     /// True if some shadows are not visible to all cameras.
     pub shadows_by_camera: bool,
-    /// True if some camera is not a pinhole.
-    pub lenses: bool,
+    /// Kind of cameras.
+    pub cameras: CameraVariant,
+    /// Attribute that is written in the place of color, into records that are there.
+    pub attribute: Attribute,
 }
 
 push_constants! {
@@ -63,6 +68,7 @@ push_constants! {
         cluster_count: u32,
         records_max: u32,
         shadow_word_count: u32,
+        flow_interval_s: f32,
     }
 }
 
@@ -77,6 +83,7 @@ impl Project {
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, variant: ProjectVariant) -> Result<Self, GpuError> {
+        let [lenses, rolling] = variant.cameras.constants();
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
@@ -89,7 +96,9 @@ impl Project {
                 "SHADOWS_BY_CAMERA",
                 Constant::Bool(variant.shadows && variant.shadows_by_camera),
             ),
-            ("LENSES", Constant::Bool(variant.lenses)),
+            lenses,
+            rolling,
+            ("ATTRIBUTE", Constant::U32(variant.attribute as u32)),
         ];
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::PROJECT, &constants)?,
@@ -115,6 +124,7 @@ impl Project {
         kept: KeptKeys<'_>,
         shadows: &ShadowBuffers,
         shadow_count: usize,
+        flow_interval_s: f32,
     ) {
         let push = Push {
             splat_count: world.splats as u32,
@@ -122,6 +132,7 @@ impl Project {
             cluster_count: world.cluster_count() as u32,
             records_max: projected.colors.len() as u32,
             shadow_word_count: words_for(shadow_count) as u32,
+            flow_interval_s,
         };
         let buffers = [
             ("cameras", cameras.binding()),

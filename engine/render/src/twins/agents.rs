@@ -6,9 +6,10 @@ use glam::Vec3;
 use super::agent::{agent_of_cluster, axes_of, unpack_splat};
 use super::cull::VisibleBits;
 use super::depth_key::{depth_key, scaled_depth};
-use super::lens::{cluster_overlaps_any_lens, lens_of, project_splat_seen};
-use super::projection::{Variant, from_camera_m, to_camera_axes};
+use super::lens::{cluster_overlaps_any_lens, lens_of};
+use super::projection::Variant;
 use super::record::Record;
+use super::rolling::{see_splat, swept};
 use super::sh::{Stored, sh_color};
 use super::visibility::splat_overlaps;
 use super::write_record::Records;
@@ -84,20 +85,24 @@ pub fn cull_agents(
                 let camera = &agent_cameras[agent_index * camera_count + camera_index];
                 let lens = lens_of(lenses, camera_index);
                 if agent.cameras >> camera_index & 1 == 0
-                    || !cluster_overlaps_any_lens(cluster, camera, lens, variant.near_m)
+                    || !cluster_overlaps_any_lens(
+                        &swept(cluster, camera),
+                        camera,
+                        lens,
+                        variant.near_m,
+                    )
                 {
                     continue;
                 }
-                let t = to_camera_axes(camera, from_camera_m(coded.mean_m, camera));
-                let (splat, drawn) = project_splat_seen(
+                let seen = see_splat(
                     camera,
                     lens,
-                    t,
+                    coded.mean_m,
                     axes_of(agent, &coded, coded_shapes),
                     coded.opacity,
                     variant,
                 );
-                if drawn && splat_overlaps(&splat, camera) {
+                if seen.drawn && splat_overlaps(&seen.splat, camera) {
                     let list =
                         camera_index * cluster_count + agent.first_cluster as usize + own_cluster;
                     visible.mark(list, own_splat % CLUSTER_SPLATS);
@@ -162,22 +167,24 @@ pub fn project_agents(
                     (cluster_index - agent.first_cluster as usize) * CLUSTER_SPLATS + place;
                 let coded =
                     unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
-                let offset = from_camera_m(coded.mean_m, camera);
-                let t = to_camera_axes(camera, offset);
-                let (splat, _) = project_splat_seen(
+                let seen = see_splat(
                     camera,
                     lens_of(lenses, camera_index),
-                    t,
+                    coded.mean_m,
                     axes_of(agent, &coded, coded_shapes),
                     coded.opacity,
                     variant,
                 );
                 let record = Record {
-                    splat,
-                    depth_m: if radial { offset.length() } else { t.z },
+                    splat: seen.splat,
+                    depth_m: if radial {
+                        seen.offset_m.length()
+                    } else {
+                        seen.t.z
+                    },
                     instance: agent.instance,
                 };
-                let d = offset.normalize();
+                let d = seen.offset_m.normalize();
                 let d = if agent.colors_in_world != 0 {
                     turned(agent, d)
                 } else {

@@ -1,7 +1,8 @@
 //! Frustum culling of the splats of a cluster by camera: `cull.comp`.
 
-use super::lens::{cluster_overlaps_any_lens, lens_of, project_splat_seen};
-use super::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
+use super::lens::{cluster_overlaps_any_lens, lens_of};
+use super::projection::{Variant, axes_of};
+use super::rolling::{see_splat, swept};
 use super::visibility::splat_overlaps;
 use crate::layout::{CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord};
 
@@ -54,20 +55,20 @@ pub fn cull(
         let lens = lens_of(lenses, camera_index);
         for (splat_index, &mean_m) in splats.means_m.iter().enumerate() {
             let cluster_index = splat_index / CLUSTER_SPLATS;
-            if !cluster_overlaps_any_lens(&clusters[cluster_index], camera, lens, variant.near_m) {
+            let cluster = swept(&clusters[cluster_index], camera);
+            if !cluster_overlaps_any_lens(&cluster, camera, lens, variant.near_m) {
                 continue;
             }
             let shape = splats.shapes[splat_index];
-            let t = to_camera_axes(camera, from_camera_m(mean_m, camera));
-            let (splat, drawn) = project_splat_seen(
+            let seen = see_splat(
                 camera,
                 lens,
-                t,
+                mean_m,
                 axes_of(shape, splats.rotations[splat_index]),
                 shape[3],
                 variant,
             );
-            if drawn && splat_overlaps(&splat, camera) {
+            if seen.drawn && splat_overlaps(&seen.splat, camera) {
                 let list = camera_index * clusters.len() + cluster_index;
                 visible.mark(list, splat_index % CLUSTER_SPLATS);
             }

@@ -1,6 +1,8 @@
 //! Projection of a Gaussian through a lens other than a pinhole, in f32: `lens.glsl`.
 
-use decouplegs_shaders::constants::{SIGMA_REACH, SQRT_SIXTH, UNSCENTED_REACH};
+use decouplegs_shaders::constants::{
+    BEND_TERMS, BENDING_FADE_Z, SIGMA_REACH, SQRT_SIXTH, UNSCENTED_REACH,
+};
 use glam::{Mat3, Vec2, Vec3, vec2};
 
 use super::footprint::{Footprint, LOG2_255};
@@ -10,8 +12,37 @@ use super::projection::{
 use super::visibility::{DILATION_REACH_PX, cluster_overlaps, farthest};
 use crate::layout::{CameraRecord, ClusterRecord, LENS_INTERVALS, LensKind, LensRecord};
 
-fn shows(lens: &LensRecord, t: Vec3) -> bool {
+/// The ray behind the windshield of a point in camera axes; the point itself without a windshield.
+fn bent(lens: &LensRecord, t: Vec3) -> Vec3 {
+    let reach = Vec2::from_array(lens.bend_reach);
+    if reach.x == 0.0 {
+        return t;
+    }
+    let ray = t.normalize();
+    let cosines = (1.0 - ray.truncate() * ray.truncate()).max(Vec2::ZERO);
+    let tangents = ray.truncate() / (1.0 + vec2(cosines.x.sqrt(), cosines.y.sqrt()));
+    let at = (tangents / reach).clamp(Vec2::splat(-1.0), Vec2::ONE);
+    let row = |row: &[[f32; 2]; BEND_TERMS as usize]| {
+        let terms = row.iter().rev();
+        terms.fold(Vec2::ZERO, |sum, &term| sum * at.x + Vec2::from_array(term))
+    };
+    let rows = lens.bending.iter().rev();
+    let change = rows.fold(Vec2::ZERO, |sum, of| sum * at.y + row(of));
+    let sines = ray.truncate() + (ray.z / BENDING_FADE_Z).clamp(0.0, 1.0) * change;
+    let z = if ray.z > 0.0 {
+        (1.0 - sines.dot(sines)).max(0.0).sqrt()
+    } else {
+        ray.z
+    };
+    sines.extend(z)
+}
+
+fn shows_bent(lens: &LensRecord, t: Vec3) -> bool {
     t.z > 0.0 && t.truncate().length() <= lens.tan_limit * t.z
+}
+
+pub(super) fn shows(lens: &LensRecord, point: Vec3) -> bool {
+    shows_bent(lens, bent(lens, point))
 }
 
 fn distorted(lens: &LensRecord, p: Vec2) -> Vec2 {
@@ -42,7 +73,8 @@ fn radius_at(lens: &LensRecord, chord: f32) -> f32 {
 
 /// Projection of a point in camera axes, pixels from the principal point.
 #[must_use]
-pub fn through_lens(lens: &LensRecord, t: Vec3) -> Vec2 {
+pub fn through_lens(lens: &LensRecord, point: Vec3) -> Vec2 {
+    let t = bent(lens, point);
     let ray = t.normalize();
     let across = ray.truncate().length();
     let chord = if ray.z >= 0.0 {
@@ -55,7 +87,7 @@ pub fn through_lens(lens: &LensRecord, t: Vec3) -> Vec2 {
     } else {
         vec2(if ray.z < 0.0 { 1.0 } else { 0.0 }, 0.0)
     };
-    let shown = shows(lens, t);
+    let shown = shows_bent(lens, t);
     let mut p = if lens.kind == LensKind::Planar as u32 {
         distorted(
             lens,

@@ -4,9 +4,10 @@ use decouplegs_scene::{DepthOrder, Rules};
 
 use super::cull::SplatBuffers;
 use super::depth_key::{depth_key, scaled_depth};
-use super::lens::{lens_of, project_splat_seen};
-use super::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
+use super::lens::lens_of;
+use super::projection::{Variant, axes_of};
 use super::record::Record;
+use super::rolling::see_splat;
 use super::sh::{Stored, sh_color};
 use super::shadow::shadow_factor;
 use super::write_record::Records;
@@ -86,13 +87,11 @@ pub fn project(
             let seen = (0..CLUSTER_SPLATS).filter(|&place| visible(list, place));
             for (slot, place) in (input.offsets[list] as usize..records_max).zip(seen) {
                 let splat_index = cluster_index * CLUSTER_SPLATS + place;
-                let offset = from_camera_m(means_m[splat_index], camera);
-                let t = to_camera_axes(camera, offset);
                 let shape = shapes[splat_index];
-                let (splat, _) = project_splat_seen(
+                let seen = see_splat(
                     camera,
                     lens,
-                    t,
+                    means_m[splat_index],
                     axes_of(shape, rotations[splat_index]),
                     shape[3],
                     Variant::of(rules),
@@ -101,8 +100,12 @@ pub fn project(
                     ids[splat_index / 2] >> (16 * (splat_index % 2)) & 0xffff
                 });
                 let record = Record {
-                    splat,
-                    depth_m: if radial { offset.length() } else { t.z },
+                    splat: seen.splat,
+                    depth_m: if radial {
+                        seen.offset_m.length()
+                    } else {
+                        seen.t.z
+                    },
                     instance: if variant.splat_ids {
                         splat_index as u32
                     } else {
@@ -114,7 +117,7 @@ pub fn project(
                     &input.sh,
                     splat_index,
                     splat_count,
-                    offset.normalize(),
+                    seen.offset_m.normalize(),
                     degree,
                 );
                 let color = light_left(

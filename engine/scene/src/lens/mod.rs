@@ -7,11 +7,13 @@
 mod limit;
 mod radial;
 mod ray_map;
+pub mod windshield;
 
 #[cfg(test)]
 mod tests;
 
 pub use ray_map::RayMap;
+pub use windshield::{Windshield, WindshieldDirection};
 
 use crate::Invalid;
 

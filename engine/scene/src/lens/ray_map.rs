@@ -4,6 +4,7 @@ use glam::{DMat2, DVec2, DVec3};
 
 use super::limit::{self, Limit};
 use super::radial::Radial;
+use super::windshield::Bending;
 use super::{Lens, OpenCv};
 use crate::Intrinsics;
 
@@ -24,6 +25,8 @@ pub struct RayMap {
     tan_limit: f64,
     /// Image radius in the lens's plane by chord, beyond the limit.
     slope: f64,
+    /// Bending of rays before the lens.
+    bending: Option<Bending>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -78,13 +81,50 @@ impl RayMap {
         // By chord; never so flat that what is far beyond comes near.
         let mean = limit.radius / (2.0 * (0.5 * limit.angle_rad).sin()).max(1e-9);
         let slope = (rate / (0.5 * limit.angle_rad).cos()).max(0.25 * mean);
-        Self {
+        let map = Self {
             shape,
             matrix,
             principal_px,
             limit,
             tan_limit: limit.angle_rad.tan(),
             slope,
+            bending: None,
+        };
+        let bending = k
+            .windshield
+            .map(|windshield| Bending::new(windshield, map.edge_sines(k)));
+        Self { bending, ..map }
+    }
+
+    /// Largest sines along x and y of rays at the edges of the image.
+    fn edge_sines(&self, intrinsics: &Intrinsics) -> DVec2 {
+        const STEPS: u32 = 8;
+        let size = DVec2::new(intrinsics.width_px.into(), intrinsics.height_px.into());
+        let places = (0..=STEPS).flat_map(|step| {
+            let share = f64::from(step) / f64::from(STEPS);
+            let across = [DVec2::new(share, 0.0), DVec2::new(share, 1.0)];
+            across
+                .into_iter()
+                .chain([DVec2::new(0.0, share), DVec2::new(1.0, share)])
+        });
+        let beyond = DVec2::splat(self.limit.angle_rad.sin());
+        let sines = |place: DVec2| {
+            let ray = self.unproject(place * size);
+            ray.map_or(beyond, |ray| ray.truncate().abs())
+        };
+        places.map(sines).fold(DVec2::ZERO, DVec2::max)
+    }
+
+    /// Bending of rays before the lens; `None` without a windshield.
+    #[must_use]
+    pub fn bending(&self) -> Option<&Bending> {
+        self.bending.as_ref()
+    }
+
+    fn bent(&self, ray: DVec3) -> DVec3 {
+        match &self.bending {
+            Some(bending) => bending.bent(ray),
+            None => ray,
         }
     }
 
@@ -124,6 +164,7 @@ impl RayMap {
     /// True if `ray`, of any length, is within the limit.
     #[must_use]
     pub fn shows(&self, ray: DVec3) -> bool {
+        let ray = self.bent(ray);
         ray.z > 0.0 && ray.truncate().length() <= self.tan_limit * ray.z
     }
 
@@ -136,7 +177,7 @@ impl RayMap {
     /// Projection of `ray`; beyond the limit, by the linear continuation of the lens.
     #[must_use]
     pub fn project_extended(&self, ray: DVec3) -> DVec2 {
-        self.principal_px + self.matrix * self.in_plane(ray.normalize_or_zero())
+        self.principal_px + self.matrix * self.in_plane(self.bent(ray.normalize_or_zero()))
     }
 
     fn in_plane(&self, ray: DVec3) -> DVec2 {
@@ -165,6 +206,15 @@ impl RayMap {
     /// The ray of unit length that falls on `pixel`; `None` where there is none.
     #[must_use]
     pub fn unproject(&self, pixel: DVec2) -> Option<DVec3> {
+        let ray = self.unproject_by_lens(pixel)?;
+        match &self.bending {
+            Some(bending) => bending.unbent(ray),
+            None => Some(ray),
+        }
+    }
+
+    /// The ray behind the windshield that falls on `pixel`.
+    fn unproject_by_lens(&self, pixel: DVec2) -> Option<DVec3> {
         let v = self.matrix.inverse() * (pixel - self.principal_px);
         if !v.is_finite() {
             return None;
@@ -195,9 +245,34 @@ impl RayMap {
         }
     }
 
+    /// Checks that each pixel that the lens shows has one ray before the windshield.
+    fn check_bending(&self, intrinsics: &Intrinsics) -> Result<(), String> {
+        const STEPS: u32 = 8;
+        if self.bending.is_none() {
+            return Ok(());
+        }
+        let size = DVec2::new(intrinsics.width_px.into(), intrinsics.height_px.into());
+        for place in 0..(STEPS + 1) * (STEPS + 1) {
+            let steps = DVec2::new((place % (STEPS + 1)).into(), (place / (STEPS + 1)).into());
+            let pixel = steps / f64::from(STEPS) * size;
+            if self.unproject_by_lens(pixel).is_none() {
+                continue;
+            }
+            let back = self.unproject(pixel).map(|ray| self.project_extended(ray));
+            // Written so that a NaN fails.
+            if !back.is_some_and(|back| (back - pixel).length() < 1e-3) {
+                return Err(format!(
+                    "windshield: no ray before it reaches the pixel {pixel}; the polynomials have no inverse there"
+                ));
+            }
+        }
+        Ok(())
+    }
+
     /// Checks that the lens does not fold the image of `intrinsics` at any pixel, and gives the
     /// reason if it does.
     pub(crate) fn check(&self, intrinsics: &Intrinsics) -> Result<(), String> {
+        self.check_bending(intrinsics)?;
         let corner = farthest_corner(intrinsics, &self.matrix, self.principal_px);
         let Limit {
             angle_rad,

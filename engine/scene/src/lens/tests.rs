@@ -16,6 +16,8 @@ fn with(lens: Lens, focal_px: f64) -> Intrinsics {
         cy_px: 310.8,
         lens,
         photometry: crate::Photometry::IDENTITY,
+        windshield: None,
+        shutter: crate::Shutter::GLOBAL,
     }
 }
 

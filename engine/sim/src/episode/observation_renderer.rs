@@ -94,10 +94,10 @@ impl ObservationRenderer {
         if self.rig.sensors.is_empty() || !step.is_multiple_of(self.every) {
             return Ok(());
         }
-        let ego = simulation.show(&mut self.world)?;
+        let (ego, motion) = simulation.show(&mut self.world)?;
         let view = WorldView {
             world: &self.world,
-            cameras: &self.rig.at(&ego),
+            cameras: &self.rig.moving_at(&ego, &motion),
         };
         self.renderer.draw(&[view], &mut self.images)?;
         Ok(())

@@ -7,7 +7,7 @@ use decouplegs_drive::score::EpisodeScore;
 use decouplegs_scene::episode::{
     DrawnBy, Episode, EpisodeEnd, EpisodeHead, EpisodeStep, ImageRecord, LOG_VERSION, PlannerRecord,
 };
-use decouplegs_scene::{Plan, Pose, Scenario};
+use decouplegs_scene::{Motion, Plan, Pose, Scenario};
 
 use super::{EpisodeError, Simulation, Site};
 use decouplegs_session::{SessionError, World};
@@ -151,11 +151,11 @@ impl Rollout {
     }
 
     /// Puts the agents into `world` as they stand now, and takes out all others. Returns the ego's
-    /// pose.
+    /// pose and motion.
     ///
     /// # Errors
     /// Returns an error if the scene of `world` has not the assets.
-    pub fn show(&mut self, world: &mut World) -> Result<Pose, SessionError> {
+    pub fn show(&mut self, world: &mut World) -> Result<(Pose, Motion), SessionError> {
         self.simulation.show(world)
     }
 }

@@ -3,12 +3,13 @@
 use std::sync::Arc;
 
 use decouplegs_drive::lights::TrafficLights;
+use decouplegs_drive::polyline::wrapped;
 use decouplegs_drive::score::RouteProgress;
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{Ego, EgoOptions, OrientedBox, RoadSurface, Route, Traffic};
 use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick};
-use decouplegs_scene::{Plan, Pose, Scenario, SignKind, VehicleSize, VehicleState};
-use glam::DVec2;
+use decouplegs_scene::{Motion, Plan, Pose, Scenario, SignKind, VehicleSize, VehicleState};
+use glam::{DVec2, DVec3};
 
 use super::EpisodeError;
 use super::site::Site;
@@ -41,6 +42,8 @@ pub struct Simulation {
     /// Heights at which the ego and then the agents stood last; `None` for agents that were not
     /// shown since they came onto the map.
     ground_z_m: Vec<Option<f64>>,
+    /// Duration of the last sub-step and headings before it, of the ego and then of the agents.
+    before: (f64, Vec<Option<f64>>),
     substep: u32,
     /// Time and way since the ego was on the road last, seconds and meters.
     off_road: (f64, f64),
@@ -114,6 +117,7 @@ impl Simulation {
                 .collect(),
             scenario: scenario.clone(),
             site: site.clone(),
+            before: (0.0, Vec::new()),
             substep: 0,
             off_road: (0.0, 0.0),
             end: None,
@@ -289,6 +293,7 @@ impl Simulation {
             }
             // All act on the previous state: none sees another's step before its own.
             let seen = self.ego.state();
+            self.before = (substep_s, self.yaws_rad());
             self.ego.step(substep_s);
             self.traffic
                 .step(substep_s, Some((&seen, &self.scenario.ego.size)));
@@ -312,6 +317,27 @@ impl Simulation {
             instants.push(instant);
         }
         instants
+    }
+
+    /// Headings of the ego and then of the agents, radians.
+    fn yaws_rad(&self) -> Vec<Option<f64>> {
+        let ego = std::iter::once(Some(self.ego.state()));
+        let states = ego.chain(self.traffic.states().iter().copied());
+        states.map(|state| Some(state?.yaw_rad)).collect()
+    }
+
+    /// Motion of a vehicle that stands at `pose`: along its heading, with the turn of the last
+    /// sub-step.
+    fn motion_of(&self, vehicle: usize, state: VehicleState, pose: &Pose) -> Motion {
+        let (substep_s, yaws_rad) = &self.before;
+        let yaw_rate = match yaws_rad.get(vehicle) {
+            Some(&Some(yaw_rad)) => wrapped(state.yaw_rad - yaw_rad) / substep_s,
+            _ => 0.0,
+        };
+        Motion {
+            velocity_mps: pose.rotation * DVec3::X * state.speed_mps,
+            turn_rad_per_s: DVec3::Z * yaw_rate,
+        }
     }
 
     fn end_at(&self, instant: &EpisodeTick) -> Option<EpisodeEnd> {
@@ -339,12 +365,12 @@ impl Simulation {
     }
 
     /// Puts the agents, the lamps of traffic lights and the signs into `world` as they are now, and
-    /// takes out all others. Returns the ego's pose, world coordinates. Vehicles remember on what
-    /// ground they stood.
+    /// takes out all others. Returns the ego's pose, world coordinates, and its motion. Vehicles
+    /// remember on what ground they stood.
     ///
     /// # Errors
     /// Returns an error if the scene of `world` has not the assets.
-    pub fn show(&mut self, world: &mut World) -> Result<Pose, SessionError> {
+    pub fn show(&mut self, world: &mut World) -> Result<(Pose, Motion), SessionError> {
         let ego = self.stand(0, self.ego.state(), self.scenario.ego.size);
         let mut placed = Vec::with_capacity(self.agent_sizes.len());
         for index in 0..self.agent_sizes.len() {
@@ -353,9 +379,11 @@ impl Simulation {
             };
             let (name, kind, asset) = self.scenario.agent(index);
             let (name, asset) = (name.to_owned(), self.site.asset_of(kind, asset));
+            let pose = self.stand(index + 1, state, self.agent_sizes[index]);
             let instance = AgentInstance {
                 asset,
-                pose: self.stand(index + 1, state, self.agent_sizes[index]),
+                pose,
+                motion: self.motion_of(index + 1, state, &pose),
                 sh_frame: None,
                 instance: u16::try_from(index + 1).unwrap_or(u16::MAX),
                 shines: false,
@@ -386,6 +414,7 @@ impl Simulation {
             let instance = AgentInstance {
                 asset,
                 pose,
+                motion: Motion::REST,
                 sh_frame: None,
                 instance: u16::try_from(first + number).unwrap_or(u16::MAX),
                 shines,
@@ -393,7 +422,8 @@ impl Simulation {
             placed.push((name, instance));
         }
         world.set_agents(placed)?;
-        Ok(ego)
+        let motion = self.motion_of(0, self.ego.state(), &ego);
+        Ok((ego, motion))
     }
 
     /// Height of the lane below an agent, meters: vehicles that enter the map were nowhere before.

@@ -3,7 +3,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use decouplegs_scene::{
-    AgentPlacement, Intrinsics, Lens, Photometry, Pose, Rig, RigCamera, ShFrame,
+    AgentPlacement, Intrinsics, Lens, Photometry, Pose, Rig, RigCamera, ShFrame, Shutter,
 };
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
@@ -215,6 +215,8 @@ pub(super) fn rig() -> Rig {
             cy_px: 450.0,
             lens: Lens::Pinhole,
             photometry: Photometry::IDENTITY,
+            windshield: None,
+            shutter: Shutter::GLOBAL,
         },
         rig_from_camera: Pose::new(
             DQuat::from_rotation_z(yaw_deg.to_radians()) * vehicle_from_camera,

@@ -26,7 +26,7 @@ fn by_session(scene: &Path, time_s: f64) -> Vec<Vec<u8>> {
     let scene = session.open_scene(scene).unwrap();
     let mut world = World::new(&scene);
     world.set_time(time_s);
-    let cameras = scene.rig().at(&scene.ego().at(time_s));
+    let cameras = scene.rig().driving(scene.ego(), time_s);
     let view = WorldView {
         world: &world,
         cameras: &cameras,

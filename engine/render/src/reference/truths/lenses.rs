@@ -1,7 +1,7 @@
 //! Footprints through lenses against what each pixel's own ray sees of the Gaussian.
 
 use decouplegs_scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
-use decouplegs_scene::{Camera, Intrinsics, Lens, Pose, RayMap, Rules};
+use decouplegs_scene::{Camera, Intrinsics, Lens, Motion, Pose, RayMap, Rules};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::super::project::Projected64;
@@ -43,6 +43,7 @@ fn camera(lens: Lens, focal_px: f64, size: (u32, u32)) -> Camera {
         name: "lens".into(),
         intrinsics,
         world_from_camera: Pose::IDENTITY,
+        motion: Motion::REST,
     }
 }
 

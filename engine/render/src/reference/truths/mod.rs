@@ -5,7 +5,9 @@ mod lenses;
 mod limits;
 mod projection;
 
-use decouplegs_scene::{Camera, Intrinsics, Lens, Photometry, Pose, Rules, SplatCloud, World, sh};
+use decouplegs_scene::{
+    Camera, Intrinsics, Lens, Motion, Photometry, Pose, Rules, Shutter, SplatCloud, World, sh,
+};
 
 use super::Image64;
 use super::project::{Projected64, View};
@@ -64,8 +66,11 @@ fn camera(size_px: u32) -> Camera {
             cy_px: center_px,
             lens: Lens::Pinhole,
             photometry: Photometry::IDENTITY,
+            windshield: None,
+            shutter: Shutter::GLOBAL,
         },
         world_from_camera: Pose::IDENTITY,
+        motion: Motion::REST,
     }
 }
 

@@ -84,7 +84,7 @@ impl Image {
             colors: halved(frame.rgba, width, (kept_width, kept_height), 1 << halvings),
             rotation: DMat3::from_quat(rotation),
             translation,
-            lens: (!intrinsics.lens.is_pinhole()).then(|| RayMap::new(&intrinsics)),
+            lens: (!intrinsics.is_pinhole()).then(|| RayMap::new(&intrinsics)),
             intrinsics,
             ground_z_m: -0.5 * ego_height_m,
         };

@@ -1,0 +1,119 @@
+//! Planes of geometry in f64: weighted means of what each splat has.
+
+use std::borrow::Cow;
+
+use decouplegs_scene::{Camera, Rules, SplatCloud, World};
+use glam::{DMat3, DQuat, DVec2, DVec3};
+
+use super::blend::Pixel64;
+use super::{Window, front_to_back, render_band};
+
+/// Half the time over which the velocity of a splat is measured, seconds.
+const VELOCITY_HALF_S: f64 = 1e-3;
+
+/// Planes of geometry of an image, row-major from the top left: means over the blended splats by
+/// weight, 0 where nothing was blended.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Geometry64 {
+    /// Distance from the camera, meters.
+    pub range: Vec<f64>,
+    /// Mean of the unit normals towards the camera, world axes.
+    pub normal: Vec<DVec3>,
+    /// Displacement in the image during the interval, pixels.
+    pub flow_forward: Vec<[f64; 2]>,
+    /// Displacement in the image during the interval before, backwards in time, pixels.
+    pub flow_backward: Vec<[f64; 2]>,
+    /// Velocity, world axes, meters per second.
+    pub scene_flow: Vec<DVec3>,
+}
+
+/// Renders the planes of geometry of a moving world. `world_at` gives the world at a time in
+/// seconds after that of the camera's pose, always with the same splats; flow is over `interval_s`.
+/// The shutter of the camera does not count: all pixels are of time 0.
+///
+/// # Panics
+/// Panics if the camera's intrinsics fail [`decouplegs_scene::Intrinsics::check`].
+#[must_use]
+pub fn render_geometry<'a>(
+    world_at: &(dyn Fn(f64) -> Cow<'a, World> + Sync),
+    camera: &Camera,
+    rules: &Rules,
+    interval_s: f64,
+) -> Geometry64 {
+    let now = world_at(0.0);
+    let here = camera.at_rest(0.0);
+    let center = here.world_from_camera.translation - now.origin;
+    let means = |shade: &(dyn Fn(usize) -> DVec3 + Sync)| mean_of(&now, &here, rules, shade);
+    let flow = |time_s: f64| {
+        let (then, there) = (world_at(time_s), camera.at_rest(time_s));
+        let of_splat = |splat: usize| {
+            let from = place(&now, &here, rules, splat);
+            let to = place(&then, &there, rules, splat);
+            match (from, to) {
+                (Some(from), Some(to)) => (to - from).extend(0.0),
+                _ => DVec3::ZERO,
+            }
+        };
+        let flow = means(&of_splat);
+        flow.into_iter().map(|mean| [mean.x, mean.y]).collect()
+    };
+    let (before, after) = (world_at(-VELOCITY_HALF_S), world_at(VELOCITY_HALF_S));
+    let range = |splat: usize| DVec3::X * (mean_m(&now.splats, splat) - center).length();
+    Geometry64 {
+        range: means(&range).into_iter().map(|mean| mean.x).collect(),
+        normal: means(&|splat| normal(&now.splats, splat, center)),
+        flow_forward: flow(interval_s),
+        flow_backward: flow(-interval_s),
+        scene_flow: means(&|splat| {
+            let way_m = mean_m(&after.splats, splat) - mean_m(&before.splats, splat);
+            way_m / (2.0 * VELOCITY_HALF_S)
+        }),
+    }
+}
+
+/// Mean of `shade` over the blended splats of each pixel.
+fn mean_of(
+    world: &World,
+    camera: &Camera,
+    rules: &Rules,
+    shade: &(dyn Fn(usize) -> DVec3 + Sync),
+) -> Vec<DVec3> {
+    let window = Window::whole(&camera.intrinsics);
+    let color = |splat: usize, _: DVec3| shade(splat).to_array();
+    let splats = front_to_back(world, camera, rules, &window, &color);
+    let pixels = render_band(&splats, &window, rules, [0.0; 3]);
+    let mean = |pixel: &Pixel64| match pixel.alpha {
+        0.0 => DVec3::ZERO,
+        alpha => DVec3::from_array(pixel.rgb) / alpha,
+    };
+    pixels.iter().map(mean).collect()
+}
+
+fn mean_m(splats: &SplatCloud, splat: usize) -> DVec3 {
+    DVec3::from_array(splats.means[splat].map(f64::from))
+}
+
+/// Place of a splat's mean in the image, pixels; `None` behind the near plane.
+fn place(world: &World, camera: &Camera, rules: &Rules, splat: usize) -> Option<DVec2> {
+    let pose = &camera.world_from_camera;
+    let from_camera = mean_m(&world.splats, splat) - (pose.translation - world.origin);
+    let ray = pose.rotation.conjugate() * from_camera;
+    if ray.z < rules.near_m {
+        return None;
+    }
+    camera.intrinsics.project(ray)
+}
+
+/// The thinnest axis of a splat, towards the camera.
+fn normal(splats: &SplatCloud, splat: usize, center: DVec3) -> DVec3 {
+    let scales = splats.scales[splat];
+    let thinnest = (0..3).min_by(|&a, &b| scales[a].total_cmp(&scales[b]));
+    let [w, x, y, z] = splats.rotations[splat].map(f64::from);
+    let axes = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+    let axis = axes.col(thinnest.unwrap_or(0));
+    if axis.dot(mean_m(splats, splat) - center) > 0.0 {
+        -axis
+    } else {
+        axis
+    }
+}
