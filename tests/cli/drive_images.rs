@@ -147,3 +147,32 @@ fn the_background_of_a_map_follows_the_area_of_its_lanes() {
     let few = ["--background", "2000", "--render", "off"];
     assert_eq!(run("few", &few).0, "background = 2000");
 }
+
+/// Cameras with rolling shutters show the motion of the ego and of agents, and a log of them
+/// replays bit by bit.
+#[test]
+fn rolling_shutters_are_driven_and_replayed() {
+    let folder = tempfile::tempdir().unwrap();
+    let street = folder.path().join("street");
+    small_street(&street);
+    let (scene, rolling) = (street.join("scene.toml"), street.join("rolling.toml"));
+    let file = fs::read_to_string(&scene).unwrap();
+    let shutter = "[[rig]]\nshutter = { direction = \"top_to_bottom\", readout_s = 0.1 }";
+    fs::write(&rolling, file.replace("[[rig]]", shutter)).unwrap();
+    let lanes = street.join("lanes.json");
+    let run = |scene: &Path, name: &str| {
+        let out = folder.path().join(name);
+        let place = ["drive", "--scene", text(scene), "--map", text(&lanes)];
+        let what = ["--level", "extreme", "--road-users", "mixed", "--episodes", "1"];
+        let how = ["--planner", "constant-velocity", "--all-cameras", "--size", "96x54"];
+        let out_of = ["--images", "all", "--out", text(&out)];
+        succeed(&[&place[..], &what, &how, &out_of].concat());
+        out
+    };
+    let (still, rolled) = (run(&scene, "still"), run(&rolling, "rolled"));
+    let name = "extreme_0000";
+    let image = |out: &Path| Image::read(&out.join(format!("images/{name}/front_left_0002.png")));
+    assert!(image(&still).unwrap() != image(&rolled).unwrap());
+    let log = rolled.join(format!("logs/{name}.log"));
+    assert!(succeed(&["replay", text(&log)]).contains("to the last bit"));
+}

@@ -50,6 +50,9 @@ pub struct Simulation {
     end: Option<EpisodeEnd>,
 }
 
+/// Largest yaw rate that rolling shutters show, rad/s: pedestrians turn about within a sub-step.
+const YAW_RATE_MAX_RADPS: f64 = 4.0;
+
 impl Simulation {
     /// `scenario` at its start.
     ///
@@ -331,7 +334,10 @@ impl Simulation {
     fn motion_of(&self, vehicle: usize, state: VehicleState, pose: &Pose) -> Motion {
         let (substep_s, yaws_rad) = &self.before;
         let yaw_rate = match yaws_rad.get(vehicle) {
-            Some(&Some(yaw_rad)) => wrapped(state.yaw_rad - yaw_rad) / substep_s,
+            Some(&Some(yaw_rad)) => {
+                let rate = wrapped(state.yaw_rad - yaw_rad) / substep_s;
+                rate.clamp(-YAW_RATE_MAX_RADPS, YAW_RATE_MAX_RADPS)
+            }
             _ => 0.0,
         };
         Motion {
