@@ -163,8 +163,21 @@ fn rolling_shutters_are_driven_and_replayed() {
     let run = |scene: &Path, name: &str| {
         let out = folder.path().join(name);
         let place = ["drive", "--scene", text(scene), "--map", text(&lanes)];
-        let what = ["--level", "extreme", "--road-users", "mixed", "--episodes", "1"];
-        let how = ["--planner", "constant-velocity", "--all-cameras", "--size", "96x54"];
+        let what = [
+            "--level",
+            "extreme",
+            "--road-users",
+            "mixed",
+            "--episodes",
+            "1",
+        ];
+        let how = [
+            "--planner",
+            "constant-velocity",
+            "--all-cameras",
+            "--size",
+            "96x54",
+        ];
         let out_of = ["--images", "all", "--out", text(&out)];
         succeed(&[&place[..], &what, &how, &out_of].concat());
         out

@@ -99,6 +99,7 @@ def test_agents_move_and_worlds_share_a_scene(session, scene):
 def test_rolling_shutters_show_motion(session, scene):
     renderer = session.batch_renderer()
     world = decouplegs.World(scene)
+    world.remove("moving")
     camera = scene.cameras(0.0)[0]
     start, end = camera.world_from_camera.copy(), camera.world_from_camera.copy()
     start[0, 3] -= 0.3
@@ -127,6 +128,7 @@ def test_planes_of_geometry(session, scene_file):
     other = decouplegs.Session(session.device.uuid, depth=True, planes=names, flow_interval=0.05, exported=False)
     scene = other.open_scene(scene_file)
     world = decouplegs.World(scene)
+    world.remove("moving")
     world.move_to("standing", pose(5.0, 0.0, 1.0))
     world.set_motion("standing", [2.0, 0.0, 0.0])
     camera = scene.cameras(0.0)[0]
