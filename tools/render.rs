@@ -12,7 +12,9 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{Layer, memory, write_atomically};
 use decouplegs::render::rendered_image::{Image, ImageFileFormat, contact_sheet, preview};
-use decouplegs::render::{ColorFormat, Outputs, Plane, Planes, RenderOptions, reference};
+use decouplegs::render::{
+    Attribute, ColorFormat, Outputs, Plane, Planes, RenderOptions, reference,
+};
 use decouplegs::scene::{Camera, Photometry};
 use decouplegs::session::{Session, SessionOptions, World, WorldView};
 
@@ -187,10 +189,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 /// Says that agents of plain splats stand still where motion is asked for.
 fn warn_of_plain_agents(scene: &Scene, planes: &[Plane]) {
     let rolls = |camera: &Camera| !camera.intrinsics.shutter.is_global();
-    let shows_motion = |plane: &Plane| {
-        use Plane::{FlowBackward, FlowForward, SceneFlow};
-        [FlowForward, FlowBackward, SceneFlow].contains(plane)
-    };
+    let shows_motion =
+        |plane: &Plane| matches!(plane.attribute(), Attribute::Flow | Attribute::SceneFlow);
     let count = scene.loaded.plain_agents.len();
     let asks = planes.iter().any(shows_motion) || scene.cameras.iter().any(rolls);
     if count > 0 && asks {

@@ -1,14 +1,17 @@
 //! Images through lenses that are no pinhole.
 
+use std::sync::Arc;
+
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Agent, AssetPool, RenderOptions, Renderer, Scene, reference};
 use decouplegs::scene::lens::{Fisheye, OpenCv, Windshield, WindshieldDirection};
 use decouplegs::scene::{AgentPlacement, Camera, Intrinsics, Lens, Pose, Rules, ShFrame, World};
 use decouplegs::synth::street::{Street, StreetOptions};
-use glam::{DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 
 use super::agents::{background, camera_towards, coded_car};
 use super::hard_cases::crowd;
+use super::sky::noise;
 use super::{ERROR_MAX, PSNR_MIN_DB, Splat, all_outputs, assert_exact, camera_at, draw, world_of};
 use crate::device::Validated;
 use crate::stages::scenes::lens_rig;
@@ -91,6 +94,15 @@ fn a_crowd_through_a_windshield() {
     for (bent, straight) in bent.iter().zip(&straight) {
         assert!(Difference::between(bent, straight).unwrap().psnr_db < 40.0);
     }
+}
+
+#[test]
+fn a_sky_through_a_windshield() {
+    let world = World {
+        sky_map: Some(Arc::new(noise(8, DMat3::IDENTITY))),
+        ..world_of(&crowd(40))
+    };
+    assert_exact(&world, &behind_a_windshield(), Rules::DEFAULT);
 }
 
 #[test]

@@ -193,8 +193,6 @@ impl AssetPool {
                 first_shape: ranges.shapes.0 as u32,
                 first_color: ranges.colors.0 as u32,
                 dc_residual_gain: [1.0; 3],
-                velocity_mps: [0.0; 3],
-                turn_rad_per_s: [0.0; 3],
                 ..AgentRecord::default()
             },
             ranges,

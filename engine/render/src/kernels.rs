@@ -130,16 +130,24 @@ pub(crate) struct FrameVariant {
 }
 
 impl FrameVariant {
-    /// The variant whose projections write an attribute in the place of color.
+    /// The variant whose projections write an attribute in the place of color. It does not depend
+    /// on what colors and instances need.
     pub fn of(self, attribute: Attribute) -> Self {
         Self {
             background: ProjectVariant {
+                sh_degree: 0,
+                instances: false,
+                splat_ids: false,
+                shadows: false,
+                shadows_by_camera: false,
+                cameras: self.background.cameras,
                 attribute,
-                ..self.background
             },
             agents: self.agents.map(|agents| AgentVariant {
+                sh_degree: 0,
+                relit: false,
+                cameras: agents.cameras,
                 attribute,
-                ..agents
             }),
             ..self
         }

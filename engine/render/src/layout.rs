@@ -145,9 +145,9 @@ impl CameraRecord {
         }
     }
 
-    /// This record with the motion of `camera`, whose record it is, and of the frame of the splats.
-    /// Where nothing moves, the record stays as it is; with a global shutter, splats do not move in
-    /// the image while it is exposed.
+    /// Copy of the record with the motion of `camera`, whose record it is, and of the frame of the
+    /// splats; an equal record if both are at rest. With a global shutter, the times of all pixels
+    /// are 0, and splats do not move during the exposure.
     #[must_use]
     pub fn moving(self, camera: &Camera, frame: &Motion) -> Self {
         let shutter = camera.intrinsics.shutter;

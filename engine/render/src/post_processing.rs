@@ -153,10 +153,9 @@ impl RayTables {
         if intrinsics.is_pinhole() {
             return Ok(None);
         }
-        // Exposure may change from frame to frame; rays do not depend on it.
+        // Exposure may change from frame to frame; rays depend neither on it nor on the shutter.
         let geometry = Intrinsics {
             photometry: Photometry::IDENTITY,
-            windshield: None,
             shutter: Shutter::GLOBAL,
             ..*intrinsics
         };

@@ -252,9 +252,8 @@ impl Renderer {
 
     /// Interval of optical flow, seconds; 0 where none is asked for.
     fn flow_interval_s(&self) -> f64 {
-        let planes = self.options.outputs.planes;
-        let flows = [Plane::FlowForward, Plane::FlowBackward];
-        match flows.into_iter().any(|plane| planes.contains(plane)) {
+        let mut planes = self.options.outputs.planes.geometry();
+        match planes.any(|plane| plane.attribute() == Attribute::Flow) {
             true => self.options.flow_interval_s,
             false => 0.0,
         }

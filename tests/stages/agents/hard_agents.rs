@@ -143,8 +143,6 @@ impl AgentScene {
             first_shape: self.shapes.len() as u32,
             first_color: self.dc.len() as u32,
             dc_residual_gain: [1.0; 3],
-            velocity_mps: [0.0; 3],
-            turn_rad_per_s: [0.0; 3],
             ..AgentRecord::default()
         };
         self.splats.extend(cloud.splats.iter().map(|splat| splat.0));

@@ -22,17 +22,17 @@ impl ShutterForm {
                 names.join(", ")
             ))
         })?;
-        if size_px.contains(&0) {
-            // The camera is refused for its size.
-            return Ok(Shutter::GLOBAL);
-        }
-        let shutter = Shutter::new(direction, self.readout_s.abs(), size_px);
         if self.readout_s < 0.0 {
             return Err(Invalid::new(format!(
                 "readout_s = {}; expected 0 or more",
                 self.readout_s
             )));
         }
+        if size_px.contains(&0) {
+            // The camera is refused for its size.
+            return Ok(Shutter::GLOBAL);
+        }
+        let shutter = Shutter::new(direction, self.readout_s, size_px);
         shutter.check(size_px).map(|()| shutter)
     }
 

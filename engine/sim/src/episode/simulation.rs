@@ -329,8 +329,8 @@ impl Simulation {
         states.map(|state| Some(state?.yaw_rad)).collect()
     }
 
-    /// Motion of a vehicle that stands at `pose`: along its heading, with the turn of the last
-    /// sub-step.
+    /// Motion of vehicle `vehicle` (0 is the ego) with the pose `pose`: its speed along its
+    /// heading, and the yaw rate of the last sub-step.
     fn motion_of(&self, vehicle: usize, state: VehicleState, pose: &Pose) -> Motion {
         let (substep_s, yaws_rad) = &self.before;
         let yaw_rate = match yaws_rad.get(vehicle) {
