@@ -19,6 +19,7 @@
 #include "record.glsl"
 #include "shadow.glsl"
 #include "geometry.glsl"
+#include "fog.glsl"
 
 layout(local_size_x = 256) in;
 
@@ -51,6 +52,7 @@ layout(push_constant, scalar) uniform push_block {
     uint records_max;
     uint shadow_word_count; // a cluster
     float flow_interval_s;
+    vec4 fog;
 };
 
 // By plane: word w of splat i stands at w * splat_count + i, so that neighboring threads read
@@ -152,7 +154,7 @@ void main() {
         record.depth_m = RADIAL ? length(seen.offset_m) : seen.t.z;
         record.instance = SPLAT_IDS ? splat_index : INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
         vec3 color = sh_color(sh_dc[splat_index], splat_index, splat_count, normalize(seen.offset_m));
-        write_record(slot, record, SHADOWS ? light * color : color);
+        write_record(slot, record, in_fog(SHADOWS ? light * color : color, length(seen.offset_m), fog));
         keys[slot] = key_of(camera_index, splat_index, mean_m, camera);
     }
 }

@@ -18,6 +18,7 @@
 #include "record.glsl"
 #include "agent.glsl"
 #include "geometry.glsl"
+#include "fog.glsl"
 
 layout(local_size_x = 256) in;
 #include "agent_buffers.glsl"
@@ -40,6 +41,7 @@ layout(push_constant, scalar) uniform push_block {
     uint records_max;
     uint static_lists; // of the background: how many records it has stands behind them
     float flow_interval_s;
+    vec4 fog;
 };
 
 // All bands of a color in one piece: a codebook stays in cache, and its entries are read in any
@@ -124,7 +126,8 @@ void main() {
         vec3 d = normalize(seen.offset_m);
         uint color = agent.first_color + coded.color;
         vec3 dc = (RELIT && from_relit ? relit_dc[color] : coded_dc[color]) + agent.dc_residual_gain * coded.dc_residual;
-        write_record(slot, record, sh_color(dc, color, COLOR_WORDS, agent.colors_in_world != 0u ? turned(agent, d) : d));
+        vec3 rgb = sh_color(dc, color, COLOR_WORDS, agent.colors_in_world != 0u ? turned(agent, d) : d);
+        write_record(slot, record, in_fog(rgb, length(seen.offset_m), fog));
         keys[slot] = depth_key(RADIAL ? scaled_distance(coded.mean_m, camera) : scaled_depth(coded.mean_m, camera));
     }
 }

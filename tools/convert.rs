@@ -47,6 +47,10 @@ pub struct Arguments {
     /// models' names or numbers
     #[arg(long, value_name = "FILE")]
     tracks: Option<PathBuf>,
+    /// Training image, or camera, whose color correction is taken, counted from 0 (default: the
+    /// mean of all)
+    #[arg(long, value_name = "K")]
+    image: Option<usize>,
 }
 
 fn rate(text: &str) -> Result<f64, String> {
@@ -67,6 +71,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let options = ImportOptions {
         frame_rate_hz: arguments.frame_rate,
         tracks,
+        image: arguments.image,
     };
     let reading = progress::spinner(format!("reading {}", arguments.input.display()));
     let scene = read_scene(&arguments.input, &options)?;

@@ -4,7 +4,7 @@
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Agent, AssetPool, Image, RenderOptions, Renderer, Scene, reference};
 use decouplegs::scene::{
-    AgentPlacement, Bounds, Camera, CodedCloud, Intrinsics, Motion, Pose, Rules, ShFrame,
+    AgentPlacement, Bounds, Camera, CodedCloud, Fog, Intrinsics, Motion, Pose, Rules, ShFrame,
     SplatCodes, World,
 };
 use glam::{DQuat, DVec3};
@@ -180,54 +180,57 @@ fn agents_are_the_decoded_splats_placed_in_the_world() {
             (90, 70),
         ),
     ];
-    let mut renderer = Renderer::new(
-        &gpu,
-        RenderOptions {
-            outputs: all_outputs(),
-            ..RenderOptions::default()
-        },
-    );
-    let resident = renderer.upload(&world).unwrap();
-    let mut pool = AssetPool::new(&gpu).unwrap();
-    let assets = cars.each_ref().map(|car| pool.add(car).unwrap());
-    let agents: Vec<Agent> = moved
-        .iter()
-        .enumerate()
-        .map(|(i, &(world_from_agent, sh_frame))| Agent {
-            sh_frame: Some(sh_frame),
-            ..Agent::new(assets[i % 2], world_from_agent, i as u16 + 1)
-        })
-        .collect();
-    let statistics = renderer
-        .render(Scene::with_agents(&resident, &pool, &agents), &cameras)
-        .unwrap();
-    assert_eq!(
-        statistics.agents, 3,
-        "the one behind all cameras is not sent to the device"
-    );
-    let truth = baked(&world, &cars, &moved);
-    for (image, camera) in renderer.read_images().unwrap().iter().zip(&cameras) {
-        let expected = reference::render(&truth, camera, &Rules::DEFAULT).to_image();
-        let difference = Difference::between(image, &expected).unwrap();
-        println!(
-            "{}: {:.1} dB, max {:.5}",
-            camera.name, difference.psnr_db, difference.max_abs
+    for fog in [None, Some(Fog::new(0.05, [0.6, 0.7, 0.8]))] {
+        world.fog = fog;
+        let mut renderer = Renderer::new(
+            &gpu,
+            RenderOptions {
+                outputs: all_outputs(),
+                ..RenderOptions::default()
+            },
         );
-        assert!(
-            difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX,
-            "{}: {difference:?}",
-            camera.name
-        );
-        let ids = |image: &Image| image.instance().unwrap().to_vec();
-        let other = ids(image)
+        let resident = renderer.upload(&world).unwrap();
+        let mut pool = AssetPool::new(&gpu).unwrap();
+        let assets = cars.each_ref().map(|car| pool.add(car).unwrap());
+        let agents: Vec<Agent> = moved
             .iter()
-            .zip(ids(&expected))
-            .filter(|(a, b)| **a != *b)
-            .count();
-        assert!(
-            other * 500 <= ids(image).len(),
-            "{other} pixels belong to another instance"
+            .enumerate()
+            .map(|(i, &(world_from_agent, sh_frame))| Agent {
+                sh_frame: Some(sh_frame),
+                ..Agent::new(assets[i % 2], world_from_agent, i as u16 + 1)
+            })
+            .collect();
+        let statistics = renderer
+            .render(Scene::with_agents(&resident, &pool, &agents), &cameras)
+            .unwrap();
+        assert_eq!(
+            statistics.agents, 3,
+            "the one behind all cameras is not sent to the device"
         );
+        let truth = baked(&world, &cars, &moved);
+        for (image, camera) in renderer.read_images().unwrap().iter().zip(&cameras) {
+            let expected = reference::render(&truth, camera, &Rules::DEFAULT).to_image();
+            let difference = Difference::between(image, &expected).unwrap();
+            println!(
+                "{}: {:.1} dB, max {:.5}",
+                camera.name, difference.psnr_db, difference.max_abs
+            );
+            assert!(
+                difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX,
+                "{}: {difference:?}",
+                camera.name
+            );
+            let ids = |image: &Image| image.instance().unwrap().to_vec();
+            let other = ids(image)
+                .iter()
+                .zip(ids(&expected))
+                .filter(|(a, b)| **a != *b)
+                .count();
+            assert!(
+                other * 500 <= ids(image).len(),
+                "{other} pixels belong to another instance"
+            );
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 mod agents;
 mod determinism;
 mod editing;
+mod fog;
 mod geometry;
 mod growth;
 mod hard_cases;

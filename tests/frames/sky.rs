@@ -254,3 +254,31 @@ fn an_identity_beside_a_calibration_changes_no_bit() {
         assert!(plain.alpha == beside.alpha && plain.planes == beside.planes);
     }
 }
+
+/// The calibration of a scene is that of its cameras without one, in the images and in the
+/// reference; a camera with its own keeps it.
+#[test]
+fn a_calibration_of_the_scene_serves_cameras_without_one() {
+    let gpu = Validated::open();
+    let bare = world_under(noise(6, DMat3::IDENTITY));
+    let world = World {
+        photometry: Photometry {
+            vignetting: None,
+            ..some_photometry(0.8)
+        },
+        ..bare.clone()
+    };
+    let mut cameras = around();
+    cameras[1].intrinsics.photometry = some_photometry(1.8);
+    let mut calibrated = cameras.clone();
+    for camera in &mut calibrated {
+        camera.intrinsics.photometry = world.photometry_of(&camera.intrinsics);
+    }
+    let found = draw(&gpu, &world, &cameras, Rules::DEFAULT);
+    assert!(found == draw(&gpu, &bare, &calibrated, Rules::DEFAULT));
+    let plain = draw(&gpu, &bare, &cameras, Rules::DEFAULT);
+    for (index, (found, plain)) in found.iter().zip(&plain).enumerate() {
+        assert_eq!(found == plain, index == 1, "{index}");
+    }
+    assert_exact(&world, &cameras, Rules::DEFAULT);
+}

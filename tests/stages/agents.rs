@@ -8,7 +8,7 @@ use decouplegs::render::Attribute;
 use decouplegs::render::layout::{CLUSTER_SPLATS, near_m};
 use decouplegs::render::stages::{AgentCounts, AgentVariant, CullAgents, ProjectAgents, Projected};
 use decouplegs::render::twins::{self, agent::UnpackedSplat, lens::lens_of};
-use decouplegs::scene::{Camera, ColorTransfer, DepthOrder, Pose, Rules};
+use decouplegs::scene::{Camera, ColorTransfer, DepthOrder, Fog, Pose, Rules};
 use glam::{DQuat, DVec3};
 
 use super::project::rounding::{Projection, check_keys, check_record};
@@ -220,6 +220,7 @@ impl Case {
                 relit: is_relit,
                 cameras: scene.camera_variant(),
                 attribute: Attribute::None,
+                fog: scene.fog.is_some(),
             },
         )
         .unwrap();
@@ -235,6 +236,7 @@ impl Case {
                 lists,
                 &projected,
                 0.0,
+                scene.fog.as_ref(),
             );
         });
         ProjectedTwin {
@@ -381,6 +383,18 @@ fn records_of_relit_agents() {
 }
 
 #[test]
+fn records_of_agents_in_fog() {
+    let gpu = open();
+    let plain = Case::new(hard_agents(&rig()), Rules::DEFAULT, 2);
+    let mut scene = hard_agents(&rig());
+    scene.fog = Some(Fog::new(0.05, [0.6, 0.7, 0.8]));
+    let case = Case::new(scene, Rules::DEFAULT, 2);
+    let kernel = case.kernel(&gpu);
+    case.check(&kernel, &case.twin()).unwrap();
+    assert!(case.check(&kernel, &plain.twin()).is_err());
+}
+
+#[test]
 fn every_shape_and_color_is_read() {
     let case = Case::new(hard_agents(&rig()), Rules::DEFAULT, 3);
     let read = |of: fn(&UnpackedSplat) -> u32| {
@@ -427,6 +441,7 @@ fn no_agents_are_nothing() {
                 relit: false,
                 cameras: scene.camera_variant(),
                 attribute: Attribute::None,
+                fog: scene.fog.is_some(),
             },
         )
         .unwrap(),
@@ -450,6 +465,7 @@ fn no_agents_are_nothing() {
             0,
             &projected,
             0.0,
+            None,
         );
     });
     let left = [

@@ -7,7 +7,7 @@ use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::axes_of;
 use decouplegs::render::twins::shadow::shadow_factor;
 use decouplegs::render::{Attribute, twins};
-use decouplegs::scene::{Camera, DepthOrder, RayMap, Rules};
+use decouplegs::scene::{Camera, DepthOrder, Fog, RayMap, Rules};
 
 use super::scenes::{Listed, NoKeys, ProjectedTwin, Scene, hard_world, lens_rig, rig};
 use super::{ROUNDOFF, UNTOUCHED, open, run, upload};
@@ -189,6 +189,7 @@ pub const PLAIN: ProjectVariant = ProjectVariant {
         rolling: false,
     },
     attribute: Attribute::None,
+    fog: false,
 };
 
 #[test]
@@ -239,6 +240,22 @@ fn records_of_hard_splats() {
         let case = Case::new(&gpu, 3000, rules, variant);
         case.check(&case.kernel(&gpu), &case.twin()).unwrap();
     }
+}
+
+#[test]
+fn records_in_fog() {
+    let gpu = open();
+    let variant = ProjectVariant {
+        sh_degree: 1,
+        fog: true,
+        ..PLAIN
+    };
+    let mut case = Case::new(&gpu, 3000, Rules::DEFAULT, variant);
+    case.scene.resident.fog = Some(Fog::new(0.05, [0.6, 0.7, 0.8]));
+    let kernel = case.kernel(&gpu);
+    case.check(&kernel, &case.twin()).unwrap();
+    case.variant.fog = false;
+    assert!(case.check(&kernel, &case.twin()).is_err());
 }
 
 #[test]

@@ -4,6 +4,7 @@ use decouplegs::gpu::Buffer;
 use decouplegs::render::GpuScene;
 use decouplegs::render::layout::{
     CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, NO_KEY_SET, ShadowRecord, View,
+    fog_vector,
 };
 use decouplegs::render::stages::{KeptKeys, ProjectVariant, ShadowBuffers, words_for};
 use decouplegs::render::twins::footprint::{Footprint, reached_coarse_rows, reached_coarse_tiles};
@@ -447,6 +448,7 @@ impl Scene {
             kept_keys: &[],
             shadows: &self.shadows,
             shadow_words: &self.shadow_words(),
+            fog: fog_vector(self.resident.fog.as_ref()),
         };
         twins::project(&input, &mut out.records(), rules, &variant);
         out

@@ -165,6 +165,7 @@ fn seen_by_kernel(
             relit: false,
             cameras: CameraVariant::default(),
             attribute: Attribute::None,
+            fog: false,
         },
     )
     .unwrap();
@@ -179,6 +180,7 @@ fn seen_by_kernel(
         0,
         &projected,
         0.0,
+        None,
     );
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
     let (footprints, colors) = (

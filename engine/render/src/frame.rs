@@ -244,6 +244,7 @@ fn project_agents(
         frame.shape.cameras * frame.shape.clusters,
         &frame.projected,
         flow_interval_s as f32,
+        input.world.fog.as_ref(),
     );
 }
 

@@ -142,12 +142,14 @@ impl FrameVariant {
                 shadows_by_camera: false,
                 cameras: self.background.cameras,
                 attribute,
+                fog: false,
             },
             agents: self.agents.map(|agents| AgentVariant {
                 sh_degree: 0,
                 relit: false,
                 cameras: agents.cameras,
                 attribute,
+                fog: false,
             }),
             ..self
         }

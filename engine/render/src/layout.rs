@@ -11,7 +11,7 @@ pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
 pub use light::{RelightRecord, ShadowRecord};
 
 use bytemuck::{Pod, Zeroable};
-use decouplegs_scene::{Camera, Invalid, Motion, Pose, Rules, rules};
+use decouplegs_scene::{Camera, Fog, Invalid, Motion, Pose, Rules, rules};
 use decouplegs_shaders::constants;
 use glam::{DMat3, DVec3};
 
@@ -229,6 +229,16 @@ pub fn key_scale(reach_m: f64) -> f32 {
         .ceil()
         .clamp(-100.0, 100.0);
     (-exponent).exp2() as f32
+}
+
+/// Color of the air and extinction per meter, as the shaders take them; zeros for clear air.
+#[must_use]
+pub fn fog_vector(fog: Option<&Fog>) -> [f32; 4] {
+    let of = |fog: &Fog| {
+        let [red, green, blue] = fog.color.map(|value| value as f32);
+        [red, green, blue, fog.extinction_per_m as f32]
+    };
+    fog.map_or([0.0; 4], of)
 }
 
 /// The near plane as the shaders compare with it: the smallest f32 that is not nearer than the

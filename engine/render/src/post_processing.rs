@@ -2,15 +2,20 @@
 
 use bytemuck::{Pod, Zeroable};
 use decouplegs_gpu::{Buffer, Gpu, GpuError};
-use decouplegs_scene::{Camera, Intrinsics, Photometry, RayMap, Shutter, SkyMap};
+use decouplegs_scene::{Camera, Fog, Intrinsics, Photometry, RayMap, Shutter, SkyMap};
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
+
+use crate::resident::GpuScene;
 
 /// Purpose under which the memory of skies and their rays is counted.
 const PURPOSE: &str = "sky";
 
 /// Tables of rays that are kept beside those in use.
 const TABLES_MAX: usize = 32;
+
+/// Light that clear air adds to the sky, and the share that it leaves of it.
+pub const NO_FOG: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
 /// A sky map on the device.
 #[derive(Clone)]
@@ -23,6 +28,8 @@ pub struct SkyBuffers {
     pub clamps: bool,
     /// True if the color of splats is clamped to at most 1 before the sky is added.
     pub clamps_splats: bool,
+    /// Light that fog adds to the sky, and the share that it leaves of it.
+    pub fog: [f32; 4],
     sky_from_world: DMat3,
 }
 
@@ -37,8 +44,20 @@ impl SkyBuffers {
             face_texels: sky.face_texels() as u32,
             clamps: sky.clamps,
             clamps_splats: sky.clamps_splats,
+            fog: NO_FOG,
             sky_from_world: sky.sky_from_world(),
         })
+    }
+
+    /// The same sky behind `fog`.
+    #[must_use]
+    pub fn behind(self, fog: &Fog) -> Self {
+        let left = fog.left(fog.sky_range_m);
+        let [red, green, blue] = fog.color.map(|value| ((1.0 - left) * value) as f32);
+        Self {
+            fog: [red, green, blue, left as f32],
+            ..self
+        }
     }
 }
 
@@ -107,21 +126,18 @@ pub(crate) struct RayTables {
 }
 
 impl RayTables {
-    /// `cameras` as post-processing sees them, and their calibrations; none where colors stay as
+    /// `cameras` as post-processing of `scene` sees them, and their calibrations; none where colors stay as
     /// they are.
     pub fn seen_by(
         &mut self,
         gpu: &Gpu,
-        sky: Option<&SkyBuffers>,
+        scene: &GpuScene,
         cameras: &[Camera],
     ) -> Result<(Vec<ProcessedView>, Vec<PhotometryRecord>), GpuError> {
-        if sky.is_none()
-            && cameras
-                .iter()
-                .all(|camera| camera.intrinsics.photometry.is_identity())
-        {
+        if !scene.is_post_processed(cameras) {
             return Ok((Vec::new(), Vec::new()));
         }
+        let sky = scene.sky_map.as_ref();
         let mut views = Vec::with_capacity(cameras.len());
         for camera in cameras {
             let rotation = DMat3::from_quat(camera.world_from_camera.rotation);
@@ -141,7 +157,7 @@ impl RayTables {
             .len()
             .saturating_sub(TABLES_MAX.max(cameras.len()));
         self.tables.drain(..spare);
-        let record = |camera: &Camera| PhotometryRecord::new(&camera.intrinsics.photometry);
+        let record = |camera: &Camera| PhotometryRecord::new(&scene.photometry_of(camera));
         Ok((views, cameras.iter().map(record).collect()))
     }
 

@@ -164,8 +164,7 @@ impl Renderer {
             KeyDecision::computed(view.cameras.len())
         };
         let kept_keys = keys.keys().clone();
-        let (sky, tables) = (scene.world.sky_map.as_ref(), &mut self.ray_tables);
-        let (processed, photometry) = tables.seen_by(&self.gpu, sky, cameras)?;
+        let (processed, photometry) = self.ray_tables.seen_by(&self.gpu, scene.world, cameras)?;
         let variant = self.variant(&scene, &view, list.as_ref(), !processed.is_empty());
         let added = scene
             .agents
@@ -231,6 +230,7 @@ impl Renderer {
                 shadows_by_camera: scene.shadow_cameras.is_some(),
                 cameras: CameraVariant::of(&view.cameras, &view.lenses),
                 attribute: Attribute::None,
+                fog: scene.world.fog.is_some(),
             },
             post_processed,
             // That of all assets, in view or not: building kernels in the middle of a drive
@@ -246,6 +246,7 @@ impl Renderer {
                         &view.lenses,
                     ),
                     attribute: Attribute::None,
+                    fog: scene.world.fog.is_some(),
                 }),
         }
     }

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytemuck::Zeroable;
 use decouplegs_gpu::{Buffer, Gpu};
-use decouplegs_scene::{Bounds, SplatCloud, World, rules, sh};
+use decouplegs_scene::{Bounds, Camera, Fog, Photometry, SplatCloud, World, rules, sh};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -36,10 +36,14 @@ pub struct GpuScene {
     pub reach_m: f64,
     /// World coordinates of the point that means are relative to.
     pub origin: DVec3,
-    /// Color where transmittance is left; black where there is a sky map.
+    /// Color where transmittance is left, behind fog; black where there is a sky map.
     pub sky: [f32; 3],
     /// Colors where transmittance is left, by direction.
     pub sky_map: Option<SkyBuffers>,
+    /// Photometric calibration of cameras that have none of their own.
+    pub photometry: Photometry,
+    /// Fog between the cameras and everything else.
+    pub fog: Option<Fog>,
     /// One a [`CLUSTER_SPLATS`] splats.
     pub clusters: Buffer<ClusterRecord>,
     /// Relative to the origin, meters.
@@ -58,6 +62,19 @@ pub struct GpuScene {
 }
 
 impl GpuScene {
+    /// True if images of `cameras` are post-processed: there is a sky map, or a calibration.
+    #[must_use]
+    pub fn is_post_processed<'a>(&self, cameras: impl IntoIterator<Item = &'a Camera>) -> bool {
+        let calibrated = |camera: &Camera| !self.photometry_of(camera).is_identity();
+        self.sky_map.is_some() || cameras.into_iter().any(calibrated)
+    }
+
+    /// Photometric calibration of the images of `camera`, as `World::photometry_of` gives it.
+    #[must_use]
+    pub fn photometry_of(&self, camera: &Camera) -> Photometry {
+        camera.intrinsics.photometry.or(self.photometry)
+    }
+
     /// Copies `world` to the device.
     ///
     /// Splats are drawn in the order given; culling is quickest when neighbors in it are neighbors
@@ -107,16 +124,24 @@ impl GpuScene {
             sh_degree: cloud.sh_degree,
             has_instances: !world.instance_from_splat.is_empty(),
             origin: world.origin,
-            sky: if world.sky_map.is_some() {
-                [0.0; 3]
-            } else {
-                world.sky
+            sky: match (&world.sky_map, &world.fog) {
+                (Some(_), _) => [0.0; 3],
+                (None, None) => world.sky,
+                (None, Some(fog)) => fog
+                    .seen(world.sky.map(f64::from), fog.sky_range_m)
+                    .map(|value| value as f32),
             },
             sky_map: world
                 .sky_map
                 .as_ref()
                 .map(|sky| SkyBuffers::upload(gpu, sky))
-                .transpose()?,
+                .transpose()?
+                .map(|sky| match &world.fog {
+                    Some(fog) => sky.behind(fog),
+                    None => sky,
+                }),
+            fog: world.fog,
+            photometry: world.photometry,
             clusters: gpu.upload("clusters", PURPOSE, &clusters)?,
             means: gpu.upload("means", PURPOSE, &means)?,
             shapes: gather("shapes", |splat| splat.shape)?,

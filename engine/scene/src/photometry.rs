@@ -77,6 +77,12 @@ impl Photometry {
             }
     }
 
+    /// This calibration, or `other` where it is the identity.
+    #[must_use]
+    pub fn or(self, other: Self) -> Self {
+        if self.is_identity() { other } else { self }
+    }
+
     /// Factor of the exposure.
     #[must_use]
     pub fn gain(&self) -> f64 {

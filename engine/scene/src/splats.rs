@@ -1,5 +1,6 @@
 //! A cloud of 3D Gaussians in the one form the engine works with.
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::{Bounds, Pose, sh};
@@ -51,6 +52,15 @@ impl SplatCloud {
             sh_degree,
             ..Self::default()
         }
+    }
+
+    /// Mean of a splat, f64 meters.
+    ///
+    /// # Panics
+    /// Panics if there is no such splat.
+    #[must_use]
+    pub fn mean_m(&self, splat: usize) -> DVec3 {
+        DVec3::from_array(self.means[splat].map(f64::from))
     }
 
     /// Splats in the cloud.

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::{Invalid, Pose, Rules, SkyMap, SplatCloud};
+use crate::{Fog, Intrinsics, Invalid, Photometry, Pose, Rules, SkyMap, SplatCloud};
 use glam::DVec3;
 
 /// Frame of an asset's spherical harmonics.
@@ -45,6 +45,10 @@ pub struct World {
     pub sky: [f32; 3],
     /// Colors where transmittance is left, by direction. `None`: [`World::sky`] in all directions.
     pub sky_map: Option<Arc<SkyMap>>,
+    /// Photometric calibration of cameras that have none of their own.
+    pub photometry: Photometry,
+    /// Fog between the cameras and everything else. `None`: clear air.
+    pub fog: Option<Fog>,
     /// Image formation rules.
     pub rules: Rules,
 }
@@ -57,6 +61,13 @@ impl World {
             splats,
             ..Self::default()
         }
+    }
+
+    /// Photometric calibration of images of this world: that of `intrinsics`, or that of the world
+    /// where it is the identity.
+    #[must_use]
+    pub fn photometry_of(&self, intrinsics: &Intrinsics) -> Photometry {
+        intrinsics.photometry.or(self.photometry)
     }
 
     /// Adds `agent`, showing `asset`, as world-space splats with the id that follows the last one.

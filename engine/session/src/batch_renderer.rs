@@ -261,10 +261,9 @@ impl BatchRenderer {
         if let Some(view) = views.iter().position(is_foreign) {
             return Err(SessionError::OtherSession { view });
         }
-        let calibrated = |camera: &Camera| !camera.intrinsics.photometry.is_identity();
         let post_processed = views
             .iter()
-            .any(|view| view.world.scene().has_sky_map() || view.cameras.iter().any(calibrated));
+            .any(|view| view.world.scene().is_post_processed(view.cameras));
         let batches = batches(views, self.pixels_max(post_processed))?;
         self.submissions.push_back(batches.len());
         for batch in batches {

@@ -46,7 +46,7 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGua
 use decouplegs_asset::{AssetError, Layer, LoadedAgent, LoadedScene, open_scene, read_coded};
 use decouplegs_gpu::{DeviceOptions, Gpu, GpuError};
 use decouplegs_render::{ColorFormat, Outputs, RenderError, RenderOptions, Renderer};
-use decouplegs_scene::{Rig, Rules, Trajectory};
+use decouplegs_scene::{Camera, Rig, Rules, Trajectory};
 use glam::DVec3;
 
 pub use batch_renderer::{BatchRenderer, HostImages, WorldView};
@@ -370,9 +370,9 @@ impl SessionScene {
         Ok(self.live_mut().add_asset(&asset.cloud)?)
     }
 
-    /// True if a sky map is behind its splats.
-    pub(crate) fn has_sky_map(&self) -> bool {
-        self.live().world.sky_map.is_some()
+    /// True if images of `cameras` are post-processed.
+    pub(crate) fn is_post_processed(&self, cameras: &[Camera]) -> bool {
+        self.live().world.is_post_processed(cameras)
     }
 
     /// Splats of the background.

@@ -3,6 +3,7 @@
 use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::{
     AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, RelightRecord, View,
+    fog_vector,
 };
 use decouplegs::render::stages::{AgentBuffers, AgentCounts, CameraVariant, RelitColors};
 use decouplegs::render::twins::agent::{UnpackedSplat, axes_of, unpack_splat};
@@ -11,7 +12,7 @@ use decouplegs::render::twins::projection::Variant;
 use decouplegs::render::{PoolBuffers, sh_codec, twins};
 use decouplegs::scene::shape::principal_axes;
 use decouplegs::scene::{
-    Bounds, Camera, CodedCloud, CodedSplat, ColorTransfer, Pose, RayMap, Rules, SplatCodes, sh,
+    Bounds, Camera, CodedCloud, CodedSplat, ColorTransfer, Fog, Pose, RayMap, Rules, SplatCodes, sh,
 };
 use glam::{DMat3, DQuat, DVec3, Mat3};
 
@@ -58,6 +59,8 @@ pub struct AgentScene {
     pub clusters: Vec<ClusterRecord>,
     /// Colors of the agents that are relit.
     pub relit_dc: Vec<[f32; 3]>,
+    /// Fog between the agents and the cameras.
+    pub fog: Option<Fog>,
     pub relit_bands: Vec<[u32; 24]>,
     pub counts: AgentCounts,
 }
@@ -262,6 +265,7 @@ impl AgentScene {
             shapes: &self.shapes,
             camera_count: self.counts.cameras,
             cluster_count: self.counts.clusters,
+            fog: self.fog.as_ref().map(|fog| fog_vector(Some(fog))),
         }
     }
 

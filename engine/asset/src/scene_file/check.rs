@@ -6,15 +6,15 @@ use std::ops::Range;
 
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{
-    Intrinsics, Lens, Photometry, Pose, Presence, Rig, RigCamera, Rules, ShFrame, Shutter, SkyMap,
-    TimedPose, Trajectory,
+    Fog, Intrinsics, Lens, Photometry, Pose, Presence, Rig, RigCamera, Rules, ShFrame, Shutter,
+    SkyMap, TimedPose, Trajectory,
 };
 use glam::{DMat3, DQuat, DVec3};
 use toml::Spanned;
 
 use super::form::{
-    AgentForm, CameraForm, LightForm, RulesForm, SceneForm, ShFrameForm, ShadowForm, SkyForm,
-    SkyKindForm, TimedPoseForm,
+    AgentForm, CameraForm, FogForm, LightForm, RulesForm, SceneForm, ShFrameForm, ShadowForm,
+    SkyForm, SkyKindForm, TimedPoseForm,
 };
 use super::lens::LensForm;
 use super::lens::WindshieldForm;
@@ -52,6 +52,8 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
         background: form.background.into(),
         sky,
         sky_map,
+        photometry: checker.photometry(form.photometry.as_ref())?,
+        fog: form.fog.as_ref().map(|fog| checker.fog(fog)).transpose()?,
         rules: checker.rules(&form.rules)?,
         rig: Rig::from_iter(checker.cameras(&form.rig)?),
         ego,
@@ -87,6 +89,32 @@ impl Checker<'_> {
         SkyMap::check_frame(sky.world_from_sky)
             .map_err(|reason| self.error(&form.span(), "sky", "world_from_sky", reason))?;
         Ok(([0.0; 3], Some(sky)))
+    }
+
+    /// The calibration of a scene. Scenes have no pixels: vignetting belongs to a camera.
+    fn photometry(&self, form: Option<&Spanned<PhotometryForm>>) -> Result<Photometry, SceneError> {
+        let Some(form) = form else {
+            return Ok(Photometry::IDENTITY);
+        };
+        let photometry = form.get_ref().photometry();
+        let checked = match photometry.vignetting {
+            Some(_) => Err("vignetting belongs to a camera: state it in a [[rig]] table".into()),
+            None => photometry.check(),
+        };
+        match checked {
+            Ok(()) => Ok(photometry),
+            Err(reason) => Err(self.error(&form.span(), "", "photometry", reason)),
+        }
+    }
+
+    fn fog(&self, form: &Spanned<FogForm>) -> Result<Fog, SceneError> {
+        let own = form.get_ref();
+        let mut fog = Fog::new(own.extinction_per_m, own.color);
+        fog.sky_range_m = own.sky_range_m.unwrap_or(fog.sky_range_m);
+        match fog.check() {
+            Ok(()) => Ok(fog),
+            Err(reason) => Err(self.error(&form.span(), "", "fog", reason)),
+        }
     }
 
     fn rules(&self, form: &Spanned<RulesForm>) -> Result<Rules, SceneError> {

@@ -27,6 +27,10 @@ pub(super) struct SceneForm {
     pub(super) background: String,
     #[serde(default = "black_sky")]
     pub(super) sky: Spanned<SkyForm>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) photometry: Option<Spanned<PhotometryForm>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) fog: Option<Spanned<FogForm>>,
     #[serde(default = "default_rules")]
     pub(super) rules: Spanned<RulesForm>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -37,6 +41,15 @@ pub(super) struct SceneForm {
     pub(super) agent: Vec<Spanned<AgentForm>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) light: Option<Spanned<LightForm>>,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FogForm {
+    pub(super) extinction_per_m: f64,
+    pub(super) color: [f64; 3],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) sky_range_m: Option<f64>,
 }
 
 /// One color, or a table of an image.
@@ -220,6 +233,14 @@ pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
         origin: scene.origin.to_array(),
         background: path(&scene.background)?,
         sky: spanless(sky_form(scene, path)?),
+        photometry: PhotometryForm::of(&scene.photometry).map(spanless),
+        fog: scene.fog.map(|fog| {
+            spanless(FogForm {
+                extinction_per_m: fog.extinction_per_m,
+                color: fog.color,
+                sky_range_m: Some(fog.sky_range_m),
+            })
+        }),
         rules: spanless(rules_form(&scene.rules)?),
         rig: scene
             .rig

@@ -3,7 +3,7 @@
 
 use std::borrow::Cow;
 
-use decouplegs_scene::World;
+use decouplegs_scene::{Fog, Photometry, World};
 
 use super::LoadedScene;
 
@@ -71,6 +71,13 @@ fn only(world: &World, layer: Layer) -> World {
             .collect(),
         sky: [0.0; 3],
         sky_map: None,
+        // Images of the layer are laid over others before colors are calibrated.
+        photometry: Photometry::IDENTITY,
+        // Fog is in front of the agents; behind them it belongs to the background.
+        fog: world.fog.map(|fog| Fog {
+            sky_range_m: 0.0,
+            ..fog
+        }),
         ..*world
     }
 }
@@ -99,6 +106,7 @@ mod tests {
             origin: DVec3::new(4.5e6, 0.0, 0.0),
             sky: [0.2, 0.3, 0.4],
             rules: Rules::INRIA,
+            fog: Some(Fog::new(0.01, [0.5; 3])),
             ..World::of(splats(xs))
         };
         let background = of(&[3.0, 1.0, 2.0]);
@@ -121,6 +129,11 @@ mod tests {
         assert_eq!(
             (agents.sky, agents.origin, agents.rules),
             ([0.0; 3], world.origin, world.rules)
+        );
+        let fog = agents.fog.unwrap();
+        assert_eq!(
+            (fog.extinction_per_m, fog.left(fog.sky_range_m)),
+            (0.01, 1.0)
         );
         assert_eq!(only(&background, Layer::Background), background);
         assert!(only(&background, Layer::Agents).splats.is_empty());

@@ -251,6 +251,8 @@ impl SceneFile {
                 .as_ref()
                 .map(|sky| loaded_sky(sky, files))
                 .transpose()?,
+            photometry: self.photometry,
+            fog: self.fog,
             rules: self.rules,
             ..World::of(background)
         });

@@ -16,7 +16,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
-use decouplegs_scene::{Invalid, Presence, Rig, Rules, ShFrame, Trajectory};
+use decouplegs_scene::{Fog, Invalid, Photometry, Presence, Rig, Rules, ShFrame, Trajectory};
 use glam::{DMat3, DVec3};
 
 use crate::error::read_bytes;
@@ -52,6 +52,10 @@ pub struct SceneFile {
     pub sky: [f32; 3],
     /// Colors where no splat is, by direction. `None`: [`SceneFile::sky`] everywhere.
     pub sky_map: Option<SceneSky>,
+    /// Photometric calibration of cameras that have none of their own.
+    pub photometry: Photometry,
+    /// Fog between the cameras and everything else. `None`: clear air.
+    pub fog: Option<Fog>,
     /// Image formation rules.
     pub rules: Rules,
     /// The ego vehicle's cameras.
@@ -130,6 +134,8 @@ impl SceneFile {
             background: background.into(),
             sky: [0.0; 3],
             sky_map: None,
+            photometry: Photometry::IDENTITY,
+            fog: None,
             rules: Rules::DEFAULT,
             rig: Rig::default(),
             ego: None,

@@ -1,9 +1,10 @@
 //! Checkpoints of drivestudio (ziyc/drivestudio, `models/trainers/base.py` and
 //! `models/nodes/rigid.py`), with which OmniRe is made.
 
-use decouplegs_scene::{Pose, Presence, SplatCloud, TimedPose, Trajectory, sh};
+use decouplegs_scene::{Photometry, Pose, Presence, SplatCloud, TimedPose, Trajectory, sh};
 use glam::{DQuat, DVec3};
 
+use super::colors::of_embeddings;
 use super::sky::{SkyRules, sky_of, with_sky};
 use super::{ImportOptions, ImportedActor, ImportedScene};
 use crate::DecodeError;
@@ -22,6 +23,7 @@ const NAMES: Names = Names {
 const BACKGROUND: &str = "Background";
 const RIGID: &str = "RigidNodes";
 const SKY: &str = "Sky";
+const COLORS: &str = "Affine";
 
 /// The cube is looked up in the direction (x, z, -y), and splats are clamped before it is added
 /// (`models/modules.py` and `models/trainers/base.py`).
@@ -32,16 +34,12 @@ const SKY_RULES: SkyRules = SkyRules {
 };
 
 /// Descriptions of the other models of a checkpoint.
-const LEFT_OUT: [(&str, &str); 5] = [
+const LEFT_OUT: [(&str, &str); 4] = [
     (
         "DeformableNodes",
         "what deforms (cyclists, say) needs its network",
     ),
     ("SMPLNodes", "walking people need their body model"),
-    (
-        "Affine",
-        "corrections of each camera's colors belong to its images",
-    ),
     (
         "CamPose",
         "corrections of camera poses belong to its cameras",
@@ -74,7 +72,7 @@ pub(super) fn scene(
     };
     for key in tree
         .keys(models)
-        .filter(|key| ![BACKGROUND, RIGID, SKY].contains(key))
+        .filter(|key| ![BACKGROUND, RIGID, SKY, COLORS].contains(key))
     {
         let why = LEFT_OUT
             .iter()
@@ -94,11 +92,15 @@ pub(super) fn scene(
         background,
         actors,
         sky: None,
+        photometry: Photometry::IDENTITY,
         notes,
     };
     if let Some(model) = tree.get(models, SKY) {
         let sky = sky_of(checkpoint, model, &SKY_RULES)?;
         with_sky(&mut scene, SKY, sky);
+    }
+    if let Some(model) = tree.get(models, COLORS) {
+        of_embeddings(checkpoint, (COLORS, model), options.image, &mut scene)?;
     }
     Ok(scene)
 }

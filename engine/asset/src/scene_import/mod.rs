@@ -11,18 +11,20 @@
 //! every actor's `sh_frame` is `world`.
 //!
 //! Left out, with a line in [`ImportedScene::notes`] each: what deforms or walks
-//! (`DeformableNodes`, `SMPLNodes`), corrections of colors and of camera poses. An actor is present
+//! (`DeformableNodes`, `SMPLNodes`), corrections of camera poses. An actor is present
 //! in the frames that have it, from half a frame before to half a frame after. Skies are kept as
 //! cube maps; Street Gaussians adds its own only where more than 0.001 of the light comes through,
-//! here it is added everywhere.
+//! here it is added everywhere. Color corrections become the photometry of the scene: the one of
+//! views that were not trained on, or that of [`ImportOptions::image`].
 
+mod colors;
 mod drivestudio;
 mod sky;
 mod street_gaussians;
 
 use std::path::Path;
 
-use decouplegs_scene::{Presence, ShFrame, SkyMap, SplatCloud, Trajectory};
+use decouplegs_scene::{Photometry, Presence, ShFrame, SkyMap, SplatCloud, Trajectory};
 
 use crate::checkpoint::{self, Checkpoint};
 use crate::error::read_bytes;
@@ -38,6 +40,8 @@ pub struct ImportOptions {
     /// Trajectories of actors, for sources without tracks: by the name of the model (`obj_007`) or
     /// its number (`7`).
     pub tracks: Vec<decouplegs_scene::Track>,
+    /// Training image, or camera, whose color correction is taken. `None`: the mean of all.
+    pub image: Option<usize>,
 }
 
 impl Default for ImportOptions {
@@ -46,6 +50,7 @@ impl Default for ImportOptions {
         Self {
             frame_rate_hz: 10.0,
             tracks: Vec::new(),
+            image: None,
         }
     }
 }
@@ -61,6 +66,8 @@ pub struct ImportedScene {
     pub actors: Vec<ImportedActor>,
     /// Sky behind the splats.
     pub sky: Option<SkyMap>,
+    /// Photometric calibration of all images.
+    pub photometry: Photometry,
     /// Omissions and interpretations, one sentence each.
     pub notes: Vec<String>,
 }
@@ -162,7 +169,10 @@ impl ImportedScene {
             source,
         })?;
         inria_ply::write(&folder.join("background.ply"), &self.background)?;
-        let mut scene = SceneFile::of_background("background.ply");
+        let mut scene = SceneFile {
+            photometry: self.photometry,
+            ..SceneFile::of_background("background.ply")
+        };
         for actor in &self.actors {
             let asset = Path::new("assets").join(format!("{}.ply", actor.name));
             inria_ply::write(&folder.join(&asset), &actor.splats)?;

@@ -3,8 +3,9 @@
 
 use std::cell::Cell;
 
-use decouplegs_scene::{Pose, Presence, SplatCloud, TimedPose, Track, Trajectory};
+use decouplegs_scene::{Photometry, Pose, Presence, SplatCloud, TimedPose, Track, Trajectory};
 
+use super::colors::of_matrices;
 use super::sky::{SkyRules, sky_of, with_sky};
 use super::{ImportOptions, ImportedActor, ImportedScene};
 use crate::checkpoint::{Checkpoint, Names, Node, Tensor, cloud_of};
@@ -24,6 +25,7 @@ const NAMES: Names = Names {
 
 const SOURCE: &str = "Street Gaussians";
 const SKY: &str = "sky_cubemap";
+const COLORS: &str = "color_correction";
 
 /// The cube is looked up in the direction of the world and clamped (`lib/models/sky_cubemap.py`).
 const SKY_RULES: SkyRules = SkyRules {
@@ -65,7 +67,7 @@ pub(super) fn scene(
     let mut decoded_bytes = cloud_bytes(background.len() as u64, background.sh_degree);
     for key in tree
         .keys(root)
-        .filter(|&key| ![BACKGROUND, SKY].contains(&key))
+        .filter(|&key| ![BACKGROUND, SKY, COLORS].contains(&key))
     {
         if is_actor(key) {
             let splats = cloud(key)?;
@@ -91,6 +93,9 @@ pub(super) fn scene(
     if let Some(model) = tree.get(root, SKY) {
         let sky = sky_of(checkpoint, model, &SKY_RULES)?;
         with_sky(&mut scene, SKY, sky);
+    }
+    if let Some(model) = tree.get(root, COLORS) {
+        of_matrices(checkpoint, (COLORS, model), options.image, &mut scene)?;
     }
     Ok(scene)
 }
@@ -144,7 +149,6 @@ fn left_out(name: &str) -> String {
             "its splats lie around the scene: set 'sky' in the scene file to a color like theirs"
         }
         "actor_pose" => "it holds corrections of tracks that are in the data set, not the tracks",
-        "color_correction" => "corrections of each camera's colors belong to its images",
         "pose_correction" => "corrections of camera poses belong to its cameras",
         _ => "it is no model of splats that is known",
     };
@@ -188,6 +192,7 @@ fn finished(
         background,
         actors,
         sky: None,
+        photometry: Photometry::IDENTITY,
         notes,
     })
 }

@@ -161,7 +161,17 @@ def drivestudio(rows):
         instances_fv=Tensor("?", (3, 3), [True, False, False, True, True, False, True, True, False]),
     )
     sky = collections.OrderedDict(base=Tensor("f", (6, 2, 2, 3), SKY, True))
-    models = {"Background": node(rows), "RigidNodes": rigid, "SMPLNodes": node(rows[:1]), "Sky": sky}
+    # Two images, one hidden number of three: relu(1 - mean of the embedding) is added to the row of red.
+    affine = collections.OrderedDict(
+        [
+            ("embedding.weight", Tensor("f", (2, 4), [0.25] * 4 + [0.75] * 4, True)),
+            ("decoder.0.weight", Tensor("f", (3, 4), [-0.25] * 4 + [0] * 4 + [-1] * 4, True)),
+            ("decoder.0.bias", Tensor("f", (3,), [1, 0.125, 0], True)),
+            ("decoder.2.weight", Tensor("f", (12, 3), [1, 0, 0] * 4 + [0, 1, 5] * 8, True)),
+            ("decoder.2.bias", Tensor("f", (12,), [0] * 11 + [0.5], True)),
+        ]
+    )
+    models = {"Background": node(rows), "RigidNodes": rigid, "SMPLNodes": node(rows[:1]), "Sky": sky, "Affine": affine}
     return collections.OrderedDict(models=models, step=30000)
 
 
@@ -180,7 +190,12 @@ def street_gaussians(rows):
             "semantic": Tensor("f", (n, 0), [], True),
         }
 
-    return {"background": model(rows, 1), "obj_007": model(rows[:4], 5), "obj_012": model(rows[4:], 5), "actor_pose": {}, "sky_cubemap": {"params": {"sky_cube_map": Tensor("f", (6, 2, 2, 3), SKY, True)}}, "iter": 30000}
+    # Two cameras: the identity, and twice the light with an offset.
+    matrices = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 2, 0, 0, 0.25, 0, 2, 0, 0.25, 0, 0, 2, 0.25]
+    colors = {"params": collections.OrderedDict(affine_trans=Tensor("f", (2, 3, 4), matrices, True))}
+    sky = {"params": {"sky_cube_map": Tensor("f", (6, 2, 2, 3), SKY, True)}}
+    models = {"background": model(rows, 1), "obj_007": model(rows[:4], 5), "obj_012": model(rows[4:], 5)}
+    return {**models, "actor_pose": {}, "color_correction": colors, "sky_cubemap": sky, "iter": 30000}
 
 
 def main():

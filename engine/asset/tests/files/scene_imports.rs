@@ -173,6 +173,66 @@ fn street_gaussians_places_actors_where_tracks_say() {
     );
 }
 
+/// The network of the fixture by hand: the mean embedding is 0.5, that of image 1 is 0.75; relu(1 -
+/// mean) is added to the row of red, 0.125 to the others, 0.5 to the offset of blue.
+#[test]
+fn color_corrections_of_drivestudio_are_the_photometry_of_the_scene() {
+    let of = |image: Option<usize>| {
+        let options = ImportOptions {
+            image,
+            ..ImportOptions::default()
+        };
+        scene("drivestudio.pth", &options)
+    };
+    let matrix = |added: f64| {
+        [
+            [1.0 + added, added, added, added],
+            [0.125, 1.125, 0.125, 0.125],
+            [0.125, 0.125, 1.125, 0.625],
+        ]
+    };
+    let mean = of(None);
+    assert_eq!(mean.photometry.matrix, matrix(0.5));
+    assert_eq!(of(Some(1)).photometry.matrix, matrix(0.25));
+    assert!(
+        mean.notes
+            .iter()
+            .any(|note| note.contains("mean of 2 embeddings")),
+        "{:?}",
+        mean.notes
+    );
+    // The written scene applies it to all cameras that have no calibration of their own.
+    let folder = tempfile::tempdir().unwrap();
+    let file = mean.write(folder.path()).unwrap();
+    assert_eq!(file.photometry, mean.photometry);
+    let loaded = open_scene(&folder.path().join("scene.toml"), 0.0).unwrap();
+    assert_eq!(loaded.world.photometry, mean.photometry);
+}
+
+#[test]
+fn color_corrections_of_street_gaussians_are_a_mean_or_that_of_one_camera() {
+    let of = |image: Option<usize>| {
+        let options = ImportOptions {
+            image,
+            ..ImportOptions::default()
+        };
+        read_scene(&seed("scene_import/street_gaussians.pth"), &options)
+    };
+    let matrix = |image| of(image).unwrap().unwrap().photometry.matrix;
+    let expected = |factor: f64, offset: f64| {
+        [
+            [factor, 0.0, 0.0, offset],
+            [0.0, factor, 0.0, offset],
+            [0.0, 0.0, factor, offset],
+        ]
+    };
+    assert_eq!(matrix(None), expected(1.5, 0.125));
+    assert_eq!(matrix(Some(0)), expected(1.0, 0.0));
+    assert_eq!(matrix(Some(1)), expected(2.0, 0.25));
+    let message = of(Some(2)).unwrap_err().to_string();
+    assert!(message.contains("images 0 to 1"), "{message}");
+}
+
 /// A PLY with an element for each of `models`.
 fn several(models: &[(&str, SplatCloud)]) -> Vec<u8> {
     let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();

@@ -4,7 +4,7 @@ use decouplegs_asset::{SceneAgent, SceneFile, SceneLight, SceneSky, SkyKind, cam
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::photometry::{ColorCurve, Vignetting};
 use decouplegs_scene::{
-    Camera, Intrinsics, Lens, Photometry, Pose, Presence, RigCamera, Rules, ShFrame, Shutter,
+    Camera, Fog, Intrinsics, Lens, Photometry, Pose, Presence, RigCamera, Rules, ShFrame, Shutter,
     ShutterDirection, TimedPose, Trajectory,
 };
 use glam::{DMat3, DQuat, DVec3, EulerRot};
@@ -144,6 +144,15 @@ fn photometries() -> impl Strategy<Value = Photometry> {
         )
 }
 
+fn fogs() -> impl Strategy<Value = Fog> {
+    let colors = prop::array::uniform3(0.0f64..1.0);
+    (0.0f64..1.0, colors, 0.0f64..1e5).prop_map(|(extinction_per_m, color, sky_range_m)| Fog {
+        extinction_per_m,
+        color,
+        sky_range_m,
+    })
+}
+
 fn skies() -> impl Strategy<Value = SceneSky> {
     ("[a-z]{1,8}", any::<[bool; 3]>(), poses()).prop_map(
         |(file, [is_cube, clamps, clamps_splats], pose)| {
@@ -179,6 +188,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
             prop::option::of(photometries()),
             shutters(),
             prop::option::of(skies()),
+            prop::option::of(fogs()),
         ),
     )
         .prop_map(
@@ -190,7 +200,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                 agents,
                 name,
                 light,
-                (photometry, (direction, readout_s), sky_map),
+                (photometry, (direction, readout_s), sky_map, fog),
             )| {
                 let rig_camera =
                     |(i, (intrinsics, rig_from_camera)): (usize, (Intrinsics, Pose))| RigCamera {
@@ -223,6 +233,11 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                     present,
                 };
                 SceneFile {
+                    fog,
+                    photometry: Photometry {
+                        vignetting: None,
+                        ..photometry.unwrap_or_default()
+                    },
                     origin: DVec3::from_array(origin),
                     background: format!("{name}.spz").into(),
                     sky: if sky_map.is_some() { [0.0; 3] } else { sky },

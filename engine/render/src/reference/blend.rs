@@ -50,7 +50,7 @@ pub fn blend<'a>(
     splats: impl Iterator<Item = &'a Splat64>,
     center_px: DVec2,
     rules: &Rules,
-    sky: [f32; 3],
+    sky: [f64; 3],
 ) -> Pixel64 {
     let mut transmittance = 1.0;
     let mut rgb = [0.0; 3];
@@ -80,7 +80,7 @@ pub fn blend<'a>(
         }
     }
     for (sum, color) in rgb.iter_mut().zip(sky) {
-        *sum += transmittance * f64::from(color);
+        *sum += transmittance * color;
     }
     let depth_m = if weight_sum > 0.0 {
         weighted_depth_m / weight_sum

@@ -7,8 +7,7 @@ use glam::DVec3;
 /// (the camera's, relative to the world's origin) to the splat's mean.
 #[must_use]
 pub fn color(splats: &SplatCloud, splat: usize, center: DVec3) -> [f64; 3] {
-    let mean = DVec3::from_array(splats.means[splat].map(f64::from));
-    let basis = sh::basis((mean - center).normalize_or_zero());
+    let basis = sh::basis((splats.mean_m(splat) - center).normalize_or_zero());
     let coefficients = std::iter::once(&splats.sh_dc[splat]).chain(splats.rest_of(splat));
     let mut rgb = [0.5; 3];
     for (coefficient, y) in coefficients.zip(basis) {

@@ -58,14 +58,14 @@ pub fn render_geometry<'a>(
         flow.into_iter().map(|mean| [mean.x, mean.y]).collect()
     };
     let (before, after) = (world_at(-VELOCITY_HALF_S), world_at(VELOCITY_HALF_S));
-    let range = |splat: usize| DVec3::X * (mean_m(&now.splats, splat) - center).length();
+    let range = |splat: usize| DVec3::X * (now.splats.mean_m(splat) - center).length();
     Geometry64 {
         range: means(&range).into_iter().map(|mean| mean.x).collect(),
         normal: means(&|splat| normal(&now.splats, splat, center)),
         flow_forward: flow(interval_s),
         flow_backward: flow(-interval_s),
         scene_flow: means(&|splat| {
-            let way_m = mean_m(&after.splats, splat) - mean_m(&before.splats, splat);
+            let way_m = after.splats.mean_m(splat) - before.splats.mean_m(splat);
             way_m / (2.0 * VELOCITY_HALF_S)
         }),
     }
@@ -89,14 +89,10 @@ fn mean_of(
     pixels.iter().map(mean).collect()
 }
 
-fn mean_m(splats: &SplatCloud, splat: usize) -> DVec3 {
-    DVec3::from_array(splats.means[splat].map(f64::from))
-}
-
 /// Place of a splat's mean in the image, pixels; `None` behind the near plane.
 fn place(world: &World, camera: &Camera, rules: &Rules, splat: usize) -> Option<DVec2> {
     let pose = &camera.world_from_camera;
-    let from_camera = mean_m(&world.splats, splat) - (pose.translation - world.origin);
+    let from_camera = world.splats.mean_m(splat) - (pose.translation - world.origin);
     let ray = pose.rotation.conjugate() * from_camera;
     if ray.z < rules.near_m {
         return None;
@@ -111,7 +107,7 @@ fn normal(splats: &SplatCloud, splat: usize, center: DVec3) -> DVec3 {
     let [w, x, y, z] = splats.rotations[splat].map(f64::from);
     let axes = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
     let axis = axes.col(thinnest.unwrap_or(0));
-    if axis.dot(mean_m(splats, splat) - center) > 0.0 {
+    if axis.dot(splats.mean_m(splat) - center) > 0.0 {
         -axis
     } else {
         axis

@@ -20,7 +20,7 @@ pub use moving::{render_moving, render_moving_window};
 
 use std::borrow::Cow;
 
-use decouplegs_scene::{Camera, Intrinsics, Photometry, RayMap, Rules, SkyMap, World};
+use decouplegs_scene::{Camera, Intrinsics, Photometry, RayMap, Rules, World};
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -161,11 +161,21 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
         intrinsics.width_px,
         intrinsics.height_px
     );
-    let color = |splat: usize, center: DVec3| color::color(&world.splats, splat, center);
+    let color = |splat: usize, center: DVec3| {
+        let rgb = color::color(&world.splats, splat, center);
+        match &world.fog {
+            Some(fog) => fog.seen(rgb, center.distance(world.splats.mean_m(splat))),
+            None => rgb,
+        }
+    };
     let splats = front_to_back(world, camera, rules, &window, &color);
+    let seen_sky = |rgb: [f64; 3]| match &world.fog {
+        Some(fog) => fog.seen(rgb, fog.sky_range_m),
+        None => rgb,
+    };
     let background = match world.sky_map {
         Some(_) => [0.0; 3],
-        None => world.sky,
+        None => seen_sky(world.sky.map(f64::from)),
     };
     let rotation = DMat3::from_quat(camera.world_from_camera.rotation);
     let lens = (!intrinsics.is_pinhole()).then(|| RayMap::new(intrinsics));
@@ -177,6 +187,7 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
         Some(rotation * ray)
     };
     let bottom_px = window.top_px + window.height_px;
+    let photometry = world.photometry_of(intrinsics);
     let bands: Vec<Vec<Pixel64>> = (window.top_px..bottom_px)
         .into_par_iter()
         .step_by(BLOCK_PX as usize)
@@ -188,10 +199,12 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
             };
             let mut pixels = render_band(&splats, &band, rules, background);
             if let Some(sky) = &world.sky_map {
-                add_sky(&mut pixels, &band, sky, &rays);
+                let behind =
+                    |center_px| rays(center_px).map_or([0.0; 3], |ray| seen_sky(sky.color(ray)));
+                add_sky(&mut pixels, &band, sky.clamps_splats, &behind);
             }
-            if !intrinsics.photometry.is_identity() {
-                calibrate(&mut pixels, &band, &intrinsics.photometry);
+            if !photometry.is_identity() {
+                calibrate(&mut pixels, &band, &photometry);
             }
             pixels
         })
@@ -242,19 +255,18 @@ fn front_to_back(
     splats
 }
 
-/// Adds `sky` behind the pixels of `band`. `rays` gives the world direction of a place in the
-/// image, pixels; where no ray falls, the sky is black.
+/// Adds the sky behind the pixels of `band`. `behind` gives its color at a place in the image,
+/// pixels.
 fn add_sky(
     pixels: &mut [Pixel64],
     band: &Window,
-    sky: &SkyMap,
-    rays: &impl Fn(DVec2) -> Option<DVec3>,
+    clamps_splats: bool,
+    behind: &impl Fn(DVec2) -> [f64; 3],
 ) {
     for (index, pixel) in pixels.iter_mut().enumerate() {
-        let center_px = band.center_px(index);
-        let behind = rays(center_px).map_or([0.0; 3], |ray| sky.color(ray));
+        let behind = behind(band.center_px(index));
         for (value, behind) in pixel.rgb.iter_mut().zip(behind) {
-            if sky.clamps_splats {
+            if clamps_splats {
                 *value = value.min(1.0);
             }
             *value += (1.0 - pixel.alpha) * behind;
@@ -270,7 +282,7 @@ fn calibrate(pixels: &mut [Pixel64], band: &Window, photometry: &Photometry) {
 }
 
 /// A few rows of pixels, row-major.
-fn render_band(splats: &[Splat64], band: &Window, rules: &Rules, sky: [f32; 3]) -> Vec<Pixel64> {
+fn render_band(splats: &[Splat64], band: &Window, rules: &Rules, sky: [f64; 3]) -> Vec<Pixel64> {
     let in_band: Vec<&Splat64> = splats
         .iter()
         .filter(|splat| band.is_reached_by(splat))

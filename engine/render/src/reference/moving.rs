@@ -24,8 +24,9 @@ pub fn render_moving<'a>(
 
 /// The pixels of [`render_moving`] that lie in `window`, bit for bit.
 ///
-/// # Panics Panics if the camera's intrinsics fail [`decouplegs_scene::Intrinsics::check`] or the
-/// window does not lie in its image.
+/// # Panics
+/// Panics if the camera's intrinsics fail [`decouplegs_scene::Intrinsics::check`] or the window
+/// does not lie in its image.
 #[must_use]
 pub fn render_moving_window<'a>(
     world_at: &(dyn Fn(f64) -> Cow<'a, World> + Sync),

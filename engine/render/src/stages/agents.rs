@@ -2,12 +2,12 @@
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
-use decouplegs_scene::{DepthOrder, Rules};
+use decouplegs_scene::{DepthOrder, Fog, Rules};
 
 use super::{CameraVariant, PURPOSE, Projected, RelitColors, Visible, kernel, push_constants};
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::groups_for;
-use crate::layout::{AgentRecord, CameraRecord, LensRecord, near_m};
+use crate::layout::{AgentRecord, CameraRecord, LensRecord, fog_vector, near_m};
 use crate::plane::Attribute;
 
 /// The agents of a frame on the device.
@@ -82,6 +82,7 @@ push_constants! {
         records_max: u32,
         static_lists: u32,
         flow_interval_s: f32,
+        fog: [f32; 4],
     }
 }
 
@@ -96,6 +97,8 @@ pub struct AgentVariant {
     pub cameras: CameraVariant,
     /// Attribute that is written in the place of color, into records that are there.
     pub attribute: Attribute,
+    /// True if there is fog.
+    pub fog: bool,
 }
 
 /// `cull_agents.comp`.
@@ -174,6 +177,7 @@ impl ProjectAgents {
             lenses,
             rolling,
             ("ATTRIBUTE", Constant::U32(variant.attribute as u32)),
+            ("FOG", Constant::Bool(variant.fog)),
         ];
         Ok(Self {
             kernel: kernel::<ProjectPush>(gpu, &decouplegs_shaders::PROJECT_AGENTS, &constants)?,
@@ -197,6 +201,7 @@ impl ProjectAgents {
         static_lists: usize,
         projected: &Projected,
         flow_interval_s: f32,
+        fog: Option<&Fog>,
     ) {
         let push = ProjectPush {
             agent_count: counts.agents as u32,
@@ -205,6 +210,7 @@ impl ProjectAgents {
             records_max: projected.colors.len() as u32,
             static_lists: static_lists as u32,
             flow_interval_s,
+            fog: fog_vector(fog),
         };
         let bound = [
             ("agents", buffers.agents.binding()),

@@ -7,7 +7,7 @@ use super::{PURPOSE, kernel, push_constants};
 use crate::capacity::groups_for;
 use crate::layout::CameraRecord;
 use crate::output::{ColorFormat, OutputBuffers, Outputs};
-use crate::post_processing::{PhotometryRecord, ProcessedView, SkyBuffers};
+use crate::post_processing::{NO_FOG, PhotometryRecord, ProcessedView, SkyBuffers};
 
 push_constants! {
     struct Push {
@@ -18,6 +18,7 @@ push_constants! {
         face_texels: u32,
         clamps_sky: u32,
         clamps_splats: u32,
+        fog: [f32; 4],
     }
 }
 
@@ -76,6 +77,7 @@ impl PostProcess {
                 face_texels: sky.map_or(0, |sky| sky.face_texels),
                 clamps_sky: sky.is_some_and(|sky| sky.clamps).into(),
                 clamps_splats: sky.is_some_and(|sky| sky.clamps_splats).into(),
+                fog: sky.map_or(NO_FOG, |sky| sky.fog),
             };
             let kernel = match (sky, &view.rays) {
                 (None, _) => &self.without_sky,

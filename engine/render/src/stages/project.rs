@@ -8,7 +8,7 @@ use super::{
     CameraVariant, KeptKeys, PURPOSE, ShadowBuffers, Visible, kernel, push_constants, words_for,
 };
 use crate::capacity::groups_for;
-use crate::layout::{CameraRecord, LensRecord, near_m};
+use crate::layout::{CameraRecord, LensRecord, fog_vector, near_m};
 use crate::plane::Attribute;
 use crate::resident::GpuScene;
 
@@ -59,6 +59,8 @@ pub struct ProjectVariant {
     pub cameras: CameraVariant,
     /// Attribute that is written in the place of color, into records that are there.
     pub attribute: Attribute,
+    /// True if there is fog.
+    pub fog: bool,
 }
 
 push_constants! {
@@ -69,6 +71,7 @@ push_constants! {
         records_max: u32,
         shadow_word_count: u32,
         flow_interval_s: f32,
+        fog: [f32; 4],
     }
 }
 
@@ -99,6 +102,7 @@ impl Project {
             lenses,
             rolling,
             ("ATTRIBUTE", Constant::U32(variant.attribute as u32)),
+            ("FOG", Constant::Bool(variant.fog)),
         ];
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::PROJECT, &constants)?,
@@ -133,6 +137,7 @@ impl Project {
             records_max: projected.colors.len() as u32,
             shadow_word_count: words_for(shadow_count) as u32,
             flow_interval_s,
+            fog: fog_vector(world.fog.as_ref()),
         };
         let buffers = [
             ("cameras", cameras.binding()),

@@ -6,6 +6,7 @@ use glam::Vec3;
 use super::agent::{agent_of_cluster, axes_of, unpack_splat};
 use super::cull::VisibleBits;
 use super::depth_key::{depth_key, scaled_depth};
+use super::fog::in_fog;
 use super::lens::{cluster_overlaps_any_lens, lens_of};
 use super::projection::Variant;
 use super::record::Record;
@@ -35,6 +36,8 @@ pub struct AgentInputs<'a> {
     pub camera_count: usize,
     /// Number of clusters of all agents.
     pub cluster_count: usize,
+    /// Color of the air and extinction per meter; `None` for clear air.
+    pub fog: Option<[f32; 4]>,
 }
 
 /// Codebooks of colors: DC terms and bands of the assets, and of those in their light.
@@ -74,6 +77,7 @@ pub fn cull_agents(
         shapes: coded_shapes,
         camera_count,
         cluster_count,
+        fog: _,
     } = input;
     visible.clear();
     for (agent_index, agent) in agents.iter().enumerate() {
@@ -147,6 +151,7 @@ pub fn project_agents(
         shapes: coded_shapes,
         camera_count,
         cluster_count,
+        fog,
     } = input;
     let variant = Variant::of(rules);
     let radial = rules.order == DepthOrder::Radial;
@@ -199,6 +204,10 @@ pub fn project_agents(
                 let residual = Vec3::from_array(agent.dc_residual_gain) * coded.dc_residual;
                 let dc = [(Vec3::from_array(dc_of[entry]) + residual).to_array()];
                 let color = sh_color(&stored(&dc, &bands_of[entry]), 0, 1, d, sh_degree);
+                let color = match fog {
+                    Some(fog) => in_fog(color, seen.offset_m.length(), fog),
+                    None => color,
+                };
                 let key = depth_key(scaled_depth(coded.mean_m, camera, radial));
                 records.write(slot, &record, color, key);
             }

@@ -15,6 +15,7 @@
 
 pub mod agent;
 pub mod depth_key;
+pub mod fog;
 pub mod footprint;
 pub mod lens;
 pub mod output;

@@ -4,6 +4,7 @@ use decouplegs_scene::{DepthOrder, Rules};
 
 use super::cull::SplatBuffers;
 use super::depth_key::{depth_key, scaled_depth};
+use super::fog::in_fog;
 use super::lens::lens_of;
 use super::projection::{Variant, axes_of};
 use super::record::Record;
@@ -57,6 +58,8 @@ pub struct ProjectBuffers<'a> {
     pub shadows: &'a [ShadowRecord],
     /// One bit per (cluster, shadow).
     pub shadow_words: &'a [u32],
+    /// Color of the air and extinction per meter, where the variant has fog.
+    pub fog: [f32; 4],
 }
 
 /// Writes a record, its color and depth key for every visible bit, as far as `records` have
@@ -127,6 +130,10 @@ pub fn project(
                     input.shadows,
                     input.shadow_words,
                 ) * color;
+                let color = match variant.fog {
+                    true => in_fog(color, seen.offset_m.length(), input.fog),
+                    false => color,
+                };
                 let key = match input.key_sets[camera_index] {
                     NO_KEY_SET => depth_key(scaled_depth(means_m[splat_index], camera, radial)),
                     set => input.kept_keys[set as usize * splat_count + splat_index],
