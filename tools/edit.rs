@@ -132,6 +132,7 @@ fn change(scene: &mut SceneFile, arguments: &Arguments, folder: &Path) -> Result
         let asset = asset_from(folder, asset)?;
         scene.add_agent(SceneAgent {
             name: name.clone(),
+            class: None,
             asset,
             sh_frame: None,
             trajectory,

@@ -1,6 +1,8 @@
 //! `decouplegs render`: one image for each camera.
 
 mod boxes;
+mod coverage;
+mod labels;
 
 use std::borrow::Cow;
 use std::collections::HashSet;
@@ -11,6 +13,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{Layer, memory, write_atomically};
+use decouplegs::gpu::Gpu;
 use decouplegs::render::rendered_image::{Image, ImageFileFormat, contact_sheet, preview};
 use decouplegs::render::{
     Attribute, ColorFormat, Outputs, Plane, Planes, RenderOptions, reference,
@@ -19,8 +22,10 @@ use decouplegs::scene::{Camera, Photometry};
 use decouplegs::session::{Session, SessionOptions, World, WorldView};
 
 use self::boxes::BoxList;
+use self::coverage::Counter;
+use self::labels::{Labels, WrittenPlane};
 use crate::arguments::{
-    pixels, plane_names, print, seconds_above_zero, warn, write_image, write_image_with_alpha,
+    pixels, print, seconds_above_zero, warn, write_image, write_image_with_alpha,
 };
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
@@ -50,17 +55,18 @@ pub struct Arguments {
     /// meters, 0 where nothing is. instance: 0 the background, k the k-th agent, uint16. range:
     /// distance from the camera, meters. normal: 3 values, world axes, towards the camera.
     /// flow_forward, flow_backward: 2 values, pixels that the content moves in --flow-interval to
-    /// later and to earlier. scene_flow: 3 values, velocity in m/s, world axes
-    #[arg(long, value_name = "PLANES", value_delimiter = ',', value_parser = plane_names())]
-    planes: Vec<Plane>,
+    /// later and to earlier. scene_flow: 3 values, velocity in m/s, world axes. class: uint16, place
+    /// in the list of classes.json, which is written too. moving: uint16, 1 where an agent moves
+    #[arg(long, value_name = "PLANES", value_delimiter = ',', value_parser = WrittenPlane::parser())]
+    planes: Vec<WrittenPlane>,
     /// Write a preview of each plane too, as NAME.PLANE.png
     #[arg(long, requires = "planes")]
     plane_previews: bool,
     /// Interval of optical flow, seconds: the camera and agents go on with their motion
     #[arg(long, value_name = "S", default_value_t = 0.1, value_parser = seconds_above_zero)]
     flow_interval: f64,
-    /// Write boxes.json too: for each image the 3D, amodal and tight boxes of its agents, and their
-    /// visible pixels
+    /// Write boxes.json too: for each image the 3D, amodal and tight boxes of its agents, their
+    /// visible pixels, and the shares of them that are visible and beyond the edges of the image
     #[arg(long)]
     boxes: bool,
     #[command(flatten)]
@@ -148,6 +154,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let scene = scene;
     warn_of_plain_agents(&scene, &arguments.planes);
+    let labels = Labels::new(&scene);
+    let gpu = match arguments.reference {
+        true => None,
+        false => Some(arguments.device.open()?),
+    };
+    let counter = || match &gpu {
+        Some(gpu) => Counter::on(gpu, &scene),
+        None => Counter::Reference,
+    };
     let mut writer = ImageWriter {
         out: &arguments.out,
         format: arguments.format.into(),
@@ -155,22 +170,29 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         previews: arguments.plane_previews,
         transparent: arguments.layer == LayerName::Agents,
         kept: arguments.contact_sheet.as_ref().map(|_| vec![]),
-        boxes: arguments.boxes.then(|| BoxList::new(&scene)),
+        boxes: arguments
+            .boxes
+            .then(|| BoxList::new(&scene, &labels, counter())),
+        labels: &labels,
     };
-    if arguments.reference {
-        let planes = arguments.planes.iter();
-        if let Some(plane) = planes
-            .copied()
-            .find(|plane| !Planes::BESIDE_COLOR.contains(*plane))
-        {
-            bail!(
-                "the reference renders no plane of geometry, such as {}: leave out --reference",
-                plane.name()
-            );
+    match &gpu {
+        Some(gpu) => render_on_gpu(gpu, &scene, arguments, &mut writer)?,
+        None => {
+            let planes = arguments.planes.iter();
+            if let Some(plane) = planes
+                .copied()
+                .find(|plane| !Planes::BESIDE_COLOR.contains(plane.rendered()))
+            {
+                bail!(
+                    "the reference renders no plane of geometry, such as {}: leave out --reference",
+                    plane.name()
+                );
+            }
+            render_by_definition(&scene, arguments.layer.into(), &mut writer)?;
         }
-        render_by_definition(&scene, arguments.layer.into(), &mut writer)?;
-    } else {
-        render_on_gpu(&scene, arguments, &mut writer)?;
+    }
+    if arguments.planes.contains(&WrittenPlane::Class) {
+        print(&format!("{}\n", labels.write(&arguments.out)?.display()))?;
     }
     if let Some(boxes) = &writer.boxes {
         let path = arguments.out.join("boxes.json");
@@ -187,10 +209,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 /// Says that agents of plain splats stand still where motion is asked for.
-fn warn_of_plain_agents(scene: &Scene, planes: &[Plane]) {
+fn warn_of_plain_agents(scene: &Scene, planes: &[WrittenPlane]) {
     let rolls = |camera: &Camera| !camera.intrinsics.shutter.is_global();
-    let shows_motion =
-        |plane: &Plane| matches!(plane.attribute(), Attribute::Flow | Attribute::SceneFlow);
+    let shows_motion = |plane: &WrittenPlane| {
+        let attribute = plane.rendered().attribute();
+        matches!(attribute, Attribute::Flow | Attribute::SceneFlow)
+    };
     let count = scene.loaded.plain_agents.len();
     let asks = planes.iter().any(shows_motion) || scene.cameras.iter().any(rolls);
     if count > 0 && asks {
@@ -207,7 +231,9 @@ struct ImageWriter<'a> {
     out: &'a Path,
     format: ImageFileFormat,
     /// Planes that are written beside them.
-    planes: &'a [Plane],
+    planes: &'a [WrittenPlane],
+    /// Labels of agents.
+    labels: &'a Labels,
     /// True if each plane has a preview.
     previews: bool,
     /// True if there is no background behind the rendered splats.
@@ -239,8 +265,9 @@ impl ImageWriter<'_> {
         Ok(())
     }
 
-    fn add_plane(&self, camera: &Camera, image: &Image, plane: Plane) -> Result<()> {
-        let name = plane.name();
+    fn add_plane(&self, camera: &Camera, image: &Image, written: WrittenPlane) -> Result<()> {
+        let (name, plane) = (written.name(), written.rendered());
+        let image = &self.labels.applied(image, written);
         let bytes = image.encode_plane(plane);
         let bytes = bytes.with_context(|| format!("the image of {} has no {name}", camera.name))?;
         let path = self.out.join(format!("{}.{name}.npy", camera.name));
@@ -264,8 +291,12 @@ impl ImageWriter<'_> {
     }
 }
 
-fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter) -> Result<()> {
-    let gpu = arguments.device.open()?;
+fn render_on_gpu(
+    gpu: &Gpu,
+    scene: &Scene,
+    arguments: &Arguments,
+    writer: &mut ImageWriter,
+) -> Result<()> {
     let bar = progress::bar("images", scene.cameras.len());
     // What a PNG can hold takes a quarter of the memory; divided by alpha it would show the steps
     // of 8 bits.
@@ -278,7 +309,7 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter)
         planes: arguments
             .planes
             .iter()
-            .copied()
+            .map(|plane| plane.rendered())
             .chain(arguments.boxes.then_some(Plane::Instance))
             .collect(),
         ..Outputs::default()
@@ -294,7 +325,7 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter)
         bakes_light_on_demand: false,
         ..SessionOptions::default()
     };
-    let session = Session::on(&gpu, &options);
+    let session = Session::on(gpu, &options);
     let on_device = session.add_layer(&scene.loaded, arguments.layer.into())?;
     let mut world = World::new(&on_device);
     world.set_time(scene.time_s);
@@ -311,7 +342,7 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter)
         }
     }
     bar.finish_and_clear();
-    check_validation(&gpu)
+    check_validation(gpu)
 }
 
 fn render_by_definition(scene: &Scene, layer: Layer, writer: &mut ImageWriter) -> Result<()> {

@@ -200,6 +200,7 @@ fn scene_file(street: &Street, ego: Trajectory) -> Result<SceneFile> {
         .map(|(agent, way)| {
             Ok(SceneAgent {
                 name: agent.name.clone(),
+                class: Some("car".into()),
                 asset: asset_path(agent.asset),
                 sh_frame: Some(agent.sh_frame),
                 trajectory: trajectory(way)

@@ -2,6 +2,7 @@
 
 use decouplegs::asset::SceneFile;
 use decouplegs::render::metrics::Difference;
+use decouplegs::scene::Trajectory;
 
 use super::*;
 
@@ -432,12 +433,22 @@ fn boxes_of_agents_are_written_beside_the_images() {
     let (mut seen, mut amodal) = (0, 0);
     for agent in agents(&found) {
         let is_seen = agent["visible_pixels"].as_u64().unwrap() > 0;
+        assert_eq!(agent["class"], "car");
         assert_eq!(is_seen, !agent["tight_px"].is_null());
         seen += usize::from(is_seen);
         if agent["amodal_px"].is_null() {
             continue;
         }
         amodal += 1;
+        for share in ["visible_fraction", "truncated_fraction"] {
+            let share = agent[share].as_f64().unwrap_or(0.0);
+            assert!((0.0..=1.0).contains(&share), "{agent}");
+        }
+        let is_whole = agent["amodal_px"] == agent["amodal_in_image_px"];
+        assert!(
+            !is_whole || agent["truncated_fraction"].as_f64().unwrap_or(0.0) < 0.1,
+            "{agent}"
+        );
         let (inside, whole) = (
             edges(&agent["amodal_in_image_px"]),
             edges(&agent["amodal_px"]),
@@ -472,4 +483,67 @@ fn boxes_of_agents_are_written_beside_the_images() {
     let without = render(&timed);
     assert_eq!(of_first(&without), 0);
     println!("{} boxes of {first} before", of_first(&found));
+}
+
+/// Class and moving mask of each pixel are those of its instance.
+#[test]
+fn planes_of_labels_follow_instances() {
+    let folder = tempfile::tempdir().unwrap();
+    let (street, out) = (folder.path().join("street"), folder.path().join("out"));
+    small_street(&street);
+    let path = street.join("scene.toml");
+    let mut file = SceneFile::read(&path).unwrap();
+    // The first is a truck that stands, the second of unknown class and drives.
+    file.agents[0].class = Some("truck".into());
+    let pose = file.agents[0].trajectory.at(0.0);
+    file.agents[0].trajectory = Trajectory::standing(pose);
+    file.agents[1].class = None;
+    file.write(&path).unwrap();
+    let said = succeed(&[
+        "render",
+        text(&path),
+        "--planes",
+        "instance,class,moving",
+        "--plane-previews",
+        "--size",
+        "192x108",
+        "--time",
+        "0.5",
+        "--out",
+        text(&out),
+    ]);
+    assert!(
+        said.contains("classes.json") && said.contains("front.class.png"),
+        "{said}"
+    );
+    let classes = fs::read_to_string(out.join("classes.json")).unwrap();
+    let classes: Vec<String> = serde_json::from_str(&classes).unwrap();
+    assert_eq!(classes, ["background", "truck", "unknown"]);
+    let mut seen = std::collections::BTreeSet::new();
+    for camera in file.rig.cameras() {
+        let plane = |name: &str| -> Vec<u16> {
+            let bytes = fs::read(out.join(format!("{}.{name}.npy", camera.name))).unwrap();
+            assert!(bytes.windows(4).any(|part| part == b"'<u2"), "{name}");
+            let (values, _) = bytes[bytes.len() - 2 * 192 * 108..].as_chunks::<2>();
+            values
+                .iter()
+                .map(|value| u16::from_le_bytes(*value))
+                .collect()
+        };
+        let (instances, classes, moving) = (plane("instance"), plane("class"), plane("moving"));
+        for (pixel, &instance) in instances.iter().enumerate() {
+            let expected = match instance {
+                0 => (0, 0),
+                1 => (1, 0),
+                _ => (2, 1),
+            };
+            assert_eq!(
+                (classes[pixel], moving[pixel]),
+                expected,
+                "instance {instance}"
+            );
+            seen.insert(instance);
+        }
+    }
+    assert_eq!(seen.len(), 3, "{seen:?}");
 }

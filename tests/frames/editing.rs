@@ -87,6 +87,7 @@ impl Site {
         ]);
         let agent = |name: &str, asset: &str, trajectory| SceneAgent {
             name: name.into(),
+            class: None,
             asset: asset.into(),
             sh_frame: None,
             trajectory,
@@ -443,9 +444,9 @@ fn assert_same(world: (&[Image], &World), fresh: (&[Image], &LoadedScene), step:
     let plain = |instance: u16| {
         fresh
             .1
-            .agent_names
+            .agent_labels
             .get(usize::from(instance).wrapping_sub(1))
-            .cloned()
+            .map(|label| label.name.clone())
     };
     let named = |instance: u16| {
         let agents = world.1.agents();
@@ -547,6 +548,7 @@ fn a_world_edited_while_it_is_shown_is_the_edited_file_loaded() {
     );
     file.add_agent(SceneAgent {
         name: "new".into(),
+        class: None,
         asset: "green.safetensors".into(),
         sh_frame: Some(ShFrame::World),
         trajectory,

@@ -7,9 +7,11 @@ use anyhow::{Context, Result};
 use decouplegs::asset::write_atomically;
 use decouplegs::render::Image;
 use decouplegs::scene::bounding_box::{ImageBox, agent_box, visible_boxes};
-use decouplegs::scene::{Camera, Pose};
+use decouplegs::scene::{Camera, Pose, World};
 use serde_json::{Value, json};
 
+use super::coverage::Counter;
+use super::labels::Labels;
 use crate::scene_source::Scene;
 
 /// Bounding boxes of the images so far.
@@ -18,13 +20,15 @@ pub struct BoxList<'a> {
     /// Pose and size of the box of each agent, in the order of the scene file; `None` for those
     /// that are absent.
     placed: Vec<Option<(Pose, [f64; 3])>>,
+    labels: &'a Labels,
+    counter: Counter,
     images: Vec<Value>,
 }
 
 impl<'a> BoxList<'a> {
-    pub fn new(scene: &'a Scene) -> Self {
+    pub fn new(scene: &'a Scene, labels: &'a Labels, counter: Counter) -> Self {
         let loaded = &scene.loaded;
-        let mut placed = vec![None; loaded.agent_names.len()];
+        let mut placed = vec![None; loaded.agent_labels.len()];
         for plain in &loaded.plain_agents {
             placed[usize::from(plain.instance) - 1] = Some((plain.pose, plain.dims_m));
         }
@@ -37,6 +41,8 @@ impl<'a> BoxList<'a> {
         Self {
             scene,
             placed: placed.into_iter().map(|one| one.map(in_f64)).collect(),
+            labels,
+            counter,
             images: Vec::new(),
         }
     }
@@ -45,10 +51,10 @@ impl<'a> BoxList<'a> {
     pub fn add(&mut self, camera: &Camera, image: &Image) -> Result<()> {
         let loaded = &self.scene.loaded;
         let instances = image.instance().context("the image has no instances")?;
-        let ids = loaded.agent_names.len() + 1;
+        let ids = loaded.agent_labels.len() + 1;
         let visible = visible_boxes(instances, image.width, ids);
         let mut agents = Vec::new();
-        for (index, name) in loaded.agent_names.iter().enumerate() {
+        for (index, label) in loaded.agent_labels.iter().enumerate() {
             let instance = index + 1;
             let found = self.placed[index]
                 .and_then(|(pose, dims_m)| Some((agent_box(camera, &pose, dims_m)?, dims_m)));
@@ -56,6 +62,13 @@ impl<'a> BoxList<'a> {
             if found.is_none() && seen.is_none() {
                 continue;
             }
+            let coverage = match alone(self.scene, instance as u16) {
+                Some(agent) if found.is_some() => {
+                    let agent = (&agent, instance as u16);
+                    Some(self.counter.coverage(agent, camera, instances)?)
+                }
+                _ => None,
+            };
             let box_3d = found.map(|(found, dims_m)| {
                 let q = found.camera_from_box.rotation;
                 json!({
@@ -65,13 +78,17 @@ impl<'a> BoxList<'a> {
                 })
             });
             agents.push(json!({
-                "name": name,
+                "name": label.name,
+                "class": self.labels.class(instance),
+                "moving": self.labels.moves(instance),
                 "instance": instance,
                 "camera_from_box": box_3d,
                 "amodal_px": found.map(|(found, _)| edges(&found.amodal)),
                 "amodal_in_image_px": found.map(|(found, _)| edges(&found.in_image)),
                 "tight_px": seen.map(|seen| edges(&seen.tight)),
                 "visible_pixels": seen.map_or(0, |seen| seen.pixels),
+                "visible_fraction": coverage.and_then(|all| all.visible_fraction()),
+                "truncated_fraction": coverage.and_then(|all| all.truncated_fraction()),
             }));
         }
         self.images.push(json!({
@@ -92,6 +109,32 @@ impl<'a> BoxList<'a> {
             file.write_all(text.as_bytes())
         })?)
     }
+}
+
+/// The world of one agent alone; `None` where it is absent.
+fn alone(scene: &Scene, instance: u16) -> Option<World> {
+    let loaded = &scene.loaded;
+    let mut world = World {
+        origin: loaded.world.origin,
+        rules: loaded.world.rules,
+        ..World::default()
+    };
+    let coded = loaded
+        .agents
+        .iter()
+        .find(|agent| agent.instance == instance);
+    if let Some(agent) = coded {
+        let pose = agent.pose_at(scene.time_s)?;
+        let splats = loaded.assets[agent.asset].decoded(0);
+        world.bake_instance(&splats, &pose, agent.sh_frame, instance);
+    } else {
+        let ids = loaded.world.instance_from_splat.iter().zip(0..);
+        let own: Vec<u32> = ids
+            .filter_map(|(id, splat)| (*id == instance).then_some(splat))
+            .collect();
+        world.splats = loaded.world.splats.select(&own);
+    }
+    Some(world)
 }
 
 /// Left, top, right and bottom edge, pixels.

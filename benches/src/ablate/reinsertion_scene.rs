@@ -80,11 +80,7 @@ impl ReinsertionScene {
             agents: agents.collect::<Result<_>>()?,
             rig,
             ego: trajectory(street.ego.iter().copied())?,
-            agent_names: street
-                .agents
-                .iter()
-                .map(|agent| agent.name.clone())
-                .collect(),
+            agent_labels: Vec::new(),
             light: Some(LoadedLight {
                 transfer: Some(light.clone()),
                 ambient: AmbientOptions::default(),

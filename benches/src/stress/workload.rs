@@ -155,7 +155,7 @@ impl Workload {
             agents: Vec::new(),
             rig: street.rig.clone(),
             ego: trajectory(&street.ego)?,
-            agent_names: Vec::new(),
+            agent_labels: Vec::new(),
             light: None,
         };
         let named = |(at, cloud): (usize, &SplatCloud)| Asset {

@@ -87,6 +87,22 @@ impl Intrinsics {
         }
     }
 
+    /// The same camera with a wider image: `x_px` more pixels to the left and right, `y_px` more
+    /// above and below.
+    #[must_use]
+    pub fn padded(&self, x_px: u32, y_px: u32) -> Self {
+        let (left_px, top_px) = (-f64::from(x_px), -f64::from(y_px));
+        Self {
+            width_px: self.width_px + 2 * x_px,
+            height_px: self.height_px + 2 * y_px,
+            cx_px: self.cx_px - left_px,
+            cy_px: self.cy_px - top_px,
+            photometry: self.photometry.cropped(left_px, top_px),
+            shutter: self.shutter.cropped(left_px, top_px),
+            ..*self
+        }
+    }
+
     /// True if the camera is equal to a pinhole: by its lens, and without a windshield.
     #[must_use]
     pub fn is_pinhole(&self) -> bool {

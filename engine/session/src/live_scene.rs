@@ -133,7 +133,7 @@ impl LiveScene {
                 live.add_asset(asset)?;
             }
             let moving: HashSet<&str> = loaded.agents.iter().map(|agent| &*agent.name).collect();
-            let names = loaded.agent_names.iter();
+            let names = loaded.agent_labels.iter().map(|label| &label.name);
             let plain = names.filter(|name| !moving.contains(name.as_str()));
             live.plain_agents = plain.cloned().collect();
             live.agents.clone_from(&loaded.agents);

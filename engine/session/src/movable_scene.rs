@@ -4,8 +4,8 @@ use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use decouplegs_asset::{
-    AssetError, LoadedAgent, LoadedScene, SceneAgent, SceneFile, coded_asset, is_scene_file,
-    open_scene, read_splats,
+    AgentLabel, AssetError, LoadedAgent, LoadedScene, SceneAgent, SceneFile, coded_asset,
+    is_scene_file, open_scene, read_splats,
 };
 use decouplegs_train::compress::{compress_quickly, quick_dims_m};
 
@@ -82,8 +82,8 @@ fn code_plain(
                 loaded.assets.len() - 1
             }
         };
-        loaded.agent_names.push(agent.name.clone());
-        let instance = u16::try_from(loaded.agent_names.len());
+        loaded.agent_labels.push(AgentLabel::of(&agent));
+        let instance = u16::try_from(loaded.agent_labels.len());
         let too_many = |_| {
             AssetError::Placement(format!(
                 "agent {}: more than {} agents in one world",

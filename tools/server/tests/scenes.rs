@@ -51,6 +51,7 @@ pub fn street(folder: &Path) -> PathBuf {
         let trajectory = way(knots);
         agents.push(SceneAgent {
             name: agent.name.clone(),
+            class: None,
             asset: name.into(),
             sh_frame: Some(agent.sh_frame),
             trajectory,
@@ -152,6 +153,7 @@ pub fn marked(folder: &Path) -> PathBuf {
     ];
     let agent = SceneAgent {
         name: "lamp".into(),
+        class: None,
         asset: "lamp.ply".into(),
         sh_frame: Some(ShFrame::Canonical),
         trajectory: Trajectory::standing(Pose::from_yaw(0.0, MARKED_ORIGIN)),

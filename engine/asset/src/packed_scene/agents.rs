@@ -9,7 +9,7 @@ use super::rig::moments;
 use super::{PackOptions, SEQUENCE};
 use crate::{AssetError, SceneAgent, SceneFile, coded_asset, read_coded, read_splats};
 
-/// Class of every agent: scene files have none.
+/// Class of agents of unknown class, and of cars.
 const CLASS: &str = "automobile";
 /// An agent that moves by less than this, meters, stands.
 const STANDS_M: f64 = 0.05;
@@ -29,7 +29,10 @@ pub(super) fn sequence_tracks(
             continue;
         }
         ids.push(json!(agent.name));
-        classes.push(json!(CLASS));
+        classes.push(json!(match agent.class.as_deref() {
+            None | Some("car") => CLASS,
+            Some(class) => class,
+        }));
         flags.push(if stands(agent) {
             json!(["STATIC"])
         } else {

@@ -312,6 +312,10 @@ impl Checker<'_> {
         for (index, form) in forms.iter().enumerate() {
             let (span, form, table) = (form.span(), form.get_ref(), format!("agent[{index}]"));
             self.check_name(&mut names, &form.name, &span, &table)?;
+            if form.class.as_ref().is_some_and(String::is_empty) {
+                let reason = "empty; leave it out for an agent of unknown class";
+                return Err(self.error(&span, &table, "class", reason));
+            }
             let trajectory = match (form.position_m, form.trajectory.as_slice()) {
                 (Some(position_m), []) => Trajectory::standing(self.pose(
                     position_m,
@@ -340,6 +344,7 @@ impl Checker<'_> {
             });
             agents.push(SceneAgent {
                 name: form.name.clone(),
+                class: form.class.clone(),
                 asset: form.asset.clone().into(),
                 sh_frame,
                 trajectory,

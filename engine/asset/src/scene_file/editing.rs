@@ -184,6 +184,7 @@ impl SceneFile {
         let agent = &mut self.agents[place];
         agent.asset = asset.into();
         agent.sh_frame = None;
+        agent.class = None;
         Ok(())
     }
 
@@ -259,6 +260,7 @@ mod tests {
     fn scene(names: &[&str]) -> SceneFile {
         let agent = |name: &&str| SceneAgent {
             name: (*name).to_owned(),
+            class: None,
             asset: "car.ply".into(),
             sh_frame: Some(ShFrame::World),
             trajectory: Trajectory::standing(Pose::from_yaw(

@@ -180,6 +180,8 @@ pub(super) struct TimedPoseForm {
 #[serde(deny_unknown_fields)]
 pub(super) struct AgentForm {
     pub(super) name: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) class: Option<String>,
     pub(super) asset: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) sh_frame: Option<ShFrameForm>,
@@ -377,6 +379,7 @@ fn agent_form(agent: &SceneAgent, asset: String) -> AgentForm {
     };
     AgentForm {
         name: agent.name.clone(),
+        class: agent.class.clone(),
         asset,
         sh_frame,
         position_m: standing.map(|pose| pose.translation.to_array()),

@@ -9,8 +9,8 @@ use decouplegs_scene::light::{
     AmbientField, AmbientOptions, Lighting, LitAgent, ShadowOptions, bake_shadows,
 };
 use decouplegs_scene::{
-    CodedCloud, ContactShadow, LightTransfer, Pose, Presence, Rig, ShFrame, SkyMap, SplatCloud,
-    Trajectory, World,
+    CodedCloud, ContactShadow, LightTransfer, Motion, Pose, Presence, Rig, ShFrame, SkyMap,
+    SplatCloud, Trajectory, World,
 };
 use glam::DVec3;
 
@@ -37,10 +37,30 @@ pub struct LoadedScene {
     pub rig: Rig,
     /// Trajectory of the ego vehicle, world coordinates.
     pub ego: Trajectory,
-    /// Names of all agents of both kinds; the instance id of agent `i` is `i + 1`.
-    pub agent_names: Vec<String>,
+    /// Names and classes of all agents of both kinds; the instance id of agent `i` is `i + 1`.
+    pub agent_labels: Vec<AgentLabel>,
     /// Light of the background on the moving agents.
     pub light: Option<LoadedLight>,
+}
+
+/// Name and class of an agent.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AgentLabel {
+    /// Names the agent; unique in the scene.
+    pub name: String,
+    /// Class of what it shows; `None` if it is unknown.
+    pub class: Option<String>,
+}
+
+impl AgentLabel {
+    /// The label of `agent`.
+    #[must_use]
+    pub fn of(agent: &SceneAgent) -> Self {
+        Self {
+            name: agent.name.clone(),
+            class: agent.class.clone(),
+        }
+    }
 }
 
 /// The light of a loaded scene.
@@ -61,6 +81,8 @@ pub struct PlainAgent {
     pub instance: u16,
     /// Pose, world coordinates.
     pub pose: Pose,
+    /// Motion at the same moment.
+    pub motion: Motion,
     /// Length, width and height of the box around the means of its splats, meters.
     pub dims_m: [f32; 3],
 }
@@ -101,7 +123,7 @@ impl LoadedScene {
             plain_agents: Vec::new(),
             rig: Rig::default(),
             ego: Trajectory::standing(Pose::IDENTITY),
-            agent_names: Vec::new(),
+            agent_labels: Vec::new(),
             light: None,
         }
     }
@@ -297,7 +319,7 @@ impl SceneFile {
                 shadows: light.shadows,
             });
         }
-        scene.agent_names = self.agents.iter().map(|agent| agent.name.clone()).collect();
+        scene.agent_labels = self.agents.iter().map(AgentLabel::of).collect();
         Ok(scene)
     }
 }
@@ -398,6 +420,7 @@ impl AgentLoader<'_> {
                 scene.plain_agents.push(PlainAgent {
                     instance,
                     pose,
+                    motion: agent.trajectory.motion_at(self.time_s),
                     dims_m: asset.bounds().half_extent().map(|half_m| 2.0 * half_m),
                 });
             }

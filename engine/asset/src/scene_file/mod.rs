@@ -26,7 +26,7 @@ use crate::{AssetError, SceneError, SkyKind, write_atomically};
 pub use editing::EditError;
 pub use layer::Layer;
 pub(crate) use load::SceneFiles;
-pub use load::{LoadedAgent, LoadedLight, LoadedScene, PlainAgent, open_scene};
+pub use load::{AgentLabel, LoadedAgent, LoadedLight, LoadedScene, PlainAgent, open_scene};
 pub use paths::path_from;
 
 /// The version that is written, and the only one there is.
@@ -115,6 +115,8 @@ pub struct SceneLight {
 pub struct SceneAgent {
     /// Names the agent; unique in the scene.
     pub name: String,
+    /// Class of what it shows, as perception names it: car, truck, pedestrian. `None`: unknown.
+    pub class: Option<String>,
     /// Splat file, a path relative to the scene file. Agents may share one.
     pub asset: PathBuf,
     /// Frame of the asset's colors. None: as the asset says, canonical for a plain splat file.

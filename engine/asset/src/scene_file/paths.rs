@@ -89,6 +89,7 @@ mod tests {
         let elsewhere = root.path().join("absolute.ply");
         let agent = |asset: PathBuf| SceneAgent {
             name: "car".into(),
+            class: None,
             asset,
             sh_frame: None,
             trajectory: Trajectory::standing(Pose::IDENTITY),

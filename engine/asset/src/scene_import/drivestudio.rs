@@ -171,6 +171,7 @@ fn actors(
         unseen += usize::from(trajectory.is_none());
         actors.push(ImportedActor {
             name: format!("rigid_{instance:03}"),
+            class: None,
             splats: splats.select(members),
             trajectory,
             present,

@@ -77,6 +77,8 @@ pub struct ImportedScene {
 pub struct ImportedActor {
     /// Names it; unique in its scene, and fit for a file name.
     pub name: String,
+    /// Class of what it shows; `None` where the source does not tell.
+    pub class: Option<String>,
     /// Splats in the frame of the actor's box.
     pub splats: SplatCloud,
     /// Trajectory of the actor; `None` where the file has none.
@@ -179,6 +181,7 @@ impl ImportedScene {
             if let Some(trajectory) = &actor.trajectory {
                 scene.agents.push(SceneAgent {
                     name: actor.name.clone(),
+                    class: actor.class.clone(),
                     asset,
                     sh_frame: Some(ShFrame::World),
                     trajectory: trajectory.clone(),

@@ -80,6 +80,7 @@ pub(super) fn scene(
             }
             actors.push(ImportedActor {
                 name: key.to_owned(),
+                class: None,
                 splats,
                 trajectory: None,
                 present: Presence::ALWAYS,
@@ -123,6 +124,7 @@ pub(super) fn scene_of_ply(
             let splats = inria_ply::decode_ply(ply, element)?;
             actors.push(ImportedActor {
                 name: name.to_owned(),
+                class: None,
                 splats,
                 trajectory: None,
                 present: Presence::ALWAYS,
@@ -175,6 +177,7 @@ fn finished(
             .iter()
             .find(|track| names(&actor.name, &track.id));
         actor.trajectory = track.map(trajectory_of).transpose()?;
+        actor.class = track.map(|track| track.class.clone());
         actor.present = actor
             .trajectory
             .as_ref()

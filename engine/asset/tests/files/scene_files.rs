@@ -389,7 +389,12 @@ fn a_scene_is_loaded_with_its_agents_where_they_are() {
         ),
         (460, 2, 3)
     );
-    assert_eq!(early.agent_names, ["parked", "oncoming"]);
+    let names: Vec<&str> = early
+        .agent_labels
+        .iter()
+        .map(|label| &*label.name)
+        .collect();
+    assert_eq!(names, ["parked", "oncoming"]);
     let of_instance = |id: u16| {
         early
             .world
@@ -496,7 +501,7 @@ fn agents_of_coded_assets_are_kept_apart_with_the_ids_of_their_place() {
         };
         assert_eq!(
             (
-                scene.agent_names.len(),
+                scene.agent_labels.len(),
                 scene.assets.len(),
                 scene.agents.len()
             ),

@@ -101,7 +101,7 @@ fn an_imported_scene_is_written_and_opened() {
     );
     let loaded = open_scene(&path, 0.1).unwrap();
     assert_eq!(
-        (loaded.world.splats.len(), loaded.agent_names.len()),
+        (loaded.world.splats.len(), loaded.agent_labels.len()),
         (24, 2)
     );
     assert_eq!(

@@ -221,6 +221,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                     (Option<bool>, Trajectory, Presence),
                 )| SceneAgent {
                     name: format!("{name}{i}"),
+                    class: is_world.map(|_| name.clone()),
                     asset: format!("{name}.ply").into(),
                     sh_frame: is_world.map(|is_world| {
                         if is_world {

@@ -291,7 +291,7 @@ impl Site {
         };
         // Traffic replaces the vehicles that drove when the scene was captured.
         loaded.agents.clear();
-        loaded.agent_names.clear();
+        loaded.agent_labels.clear();
         if appearance.is_some() && loaded.assets.is_empty() {
             let scene = scene.display();
             return Err(SiteError::Unfit(format!(
@@ -479,7 +479,7 @@ fn empty_scene(world: World) -> LoadedScene {
         agents: Vec::new(),
         rig: Rig::default(),
         ego: Trajectory::standing(Pose::IDENTITY),
-        agent_names: Vec::new(),
+        agent_labels: Vec::new(),
         light: None,
     }
 }

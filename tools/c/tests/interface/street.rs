@@ -51,6 +51,7 @@ pub fn small_street(folder: &Path, size_px: [u32; 2]) -> PathBuf {
         |ahead_m: f64| Trajectory::new(vec![at(0.0, ahead_m), at(4.0, ahead_m + 20.0)]).unwrap();
     let agent = SceneAgent {
         name: "car".into(),
+        class: None,
         asset: "car.safetensors".into(),
         sh_frame: Some(ShFrame::Canonical),
         trajectory: way(9.0),

@@ -1,0 +1,208 @@
+//! Shares of agents that are hidden, or beyond the edges of an image.
+
+use anyhow::{Context, Result};
+use decouplegs::gpu::Gpu;
+use decouplegs::render::{Image, RenderOptions, Renderer, reference};
+use decouplegs::scene::{Camera, World};
+
+use crate::scene_source::Scene;
+
+/// Width of the image in which an agent is counted, pixels, where the camera's is wider than that.
+const COUNTED_WIDTH_PX: u32 = 400;
+
+/// Largest reduction of an image in which an agent is counted.
+const REDUCTION_MAX: u32 = 4;
+
+/// Alpha from which a pixel counts as covered.
+const COVERED_ALPHA: f32 = 0.5;
+
+/// Pixels that an agent would cover if nothing else were there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Coverage {
+    /// Those inside the image.
+    inside: u32,
+    /// Those inside the image that show the agent indeed.
+    visible: u32,
+    /// Those in an image twice as wide and high around it; `None` if the lens ends before.
+    around: Option<u32>,
+}
+
+impl Coverage {
+    /// Share of the part inside the image that is visible, 0 to 1; `None` where nothing is inside.
+    pub fn visible_fraction(&self) -> Option<f64> {
+        (self.inside > 0).then(|| f64::from(self.visible) / f64::from(self.inside))
+    }
+
+    /// Share of the agent beyond the edges of the image, 0 to 1.
+    pub fn truncated_fraction(&self) -> Option<f64> {
+        let around = self.around.filter(|pixels| *pixels > 0)?;
+        Some(1.0 - f64::from(self.inside) / f64::from(around))
+    }
+}
+
+/// Renderer of agents alone.
+pub enum Counter {
+    /// The device's.
+    Device(Box<Renderer>),
+    /// The reference.
+    Reference,
+}
+
+impl Counter {
+    /// A counter on `gpu`.
+    pub fn on(gpu: &Gpu, scene: &Scene) -> Self {
+        let options = RenderOptions {
+            rules: scene.rules(),
+            ..RenderOptions::default()
+        };
+        Self::Device(Box::new(Renderer::new(gpu, options)))
+    }
+
+    fn draw(&mut self, world: &World, camera: &Camera) -> Result<Image> {
+        match self {
+            Self::Device(renderer) => {
+                let scene = renderer.upload(world)?;
+                renderer.render(&scene, std::slice::from_ref(camera))?;
+                let mut images = renderer.read_images()?;
+                images.pop().context("a camera has no image")
+            }
+            Self::Reference => Ok(reference::render(world, camera, &world.rules).to_image()),
+        }
+    }
+
+    /// Coverage by `agent`, a world of one agent alone, in the image of `camera`, whose pixels show
+    /// `instances`. The agent and the camera are at rest in it.
+    pub fn coverage(
+        &mut self,
+        (agent, instance): (&World, u16),
+        camera: &Camera,
+        instances: &[u16],
+    ) -> Result<Coverage> {
+        let own = &camera.intrinsics;
+        let padded = own.padded(own.width_px / 2, own.height_px / 2);
+        let is_padded = padded.check().is_ok();
+        let shown = if is_padded { padded } else { *own };
+        let reduction = (own.width_px / COUNTED_WIDTH_PX).clamp(1, REDUCTION_MAX);
+        let counted = shown.resized(
+            shown.width_px.div_ceil(reduction),
+            shown.height_px.div_ceil(reduction),
+        );
+        let alone = Camera {
+            intrinsics: counted,
+            ..camera.at_rest(0.0)
+        };
+        let image = self.draw(agent, &alone)?;
+        // Place of a counted pixel in the camera's image; `None` beyond its edges.
+        let within = |index: u32, counted_px: u32, shown_px: u32, own_px: u32| {
+            let center_px = (f64::from(index) + 0.5) * f64::from(shown_px) / f64::from(counted_px);
+            let place_px = center_px - f64::from((shown_px - own_px) / 2);
+            let is_inside = place_px >= 0.0 && place_px < f64::from(own_px);
+            is_inside.then_some(place_px as usize)
+        };
+        let (mut coverage, mut around) = (Coverage::default(), 0);
+        let covered = image.alpha.iter().zip(0..);
+        for (_, pixel) in covered.filter(|(alpha, _)| **alpha >= COVERED_ALPHA) {
+            around += 1;
+            let (x, y) = (pixel % image.width, pixel / image.width);
+            let x = within(x, counted.width_px, shown.width_px, own.width_px);
+            let y = within(y, counted.height_px, shown.height_px, own.height_px);
+            if let (Some(x), Some(y)) = (x, y) {
+                coverage.inside += 1;
+                let shows = instances[y * own.width_px as usize + x] == instance;
+                coverage.visible += u32::from(shows);
+            }
+        }
+        coverage.around = is_padded.then_some(around);
+        Ok(coverage)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use decouplegs::scene::{Intrinsics, Motion, Pose, SplatCloud};
+
+    /// Opaque splats 5 cm apart on a plate from `left_m` to `right_m`, 2 m high, `ahead_m` away.
+    fn plate(left_m: f32, right_m: f32, ahead_m: f32) -> SplatCloud {
+        let columns = ((right_m - left_m) / 0.05).round() as usize;
+        let means: Vec<[f32; 3]> = (0..columns * 40)
+            .map(|index| {
+                let (column, row) = ((index / 40) as f32, (index % 40) as f32);
+                [
+                    left_m + 0.05 * (column + 0.5),
+                    0.05 * (row + 0.5) - 1.0,
+                    ahead_m,
+                ]
+            })
+            .collect();
+        SplatCloud {
+            scales: vec![[0.025, 0.025, 0.001]; means.len()],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; means.len()],
+            opacities: vec![0.99; means.len()],
+            sh_dc: vec![[0.0; 3]; means.len()],
+            means,
+            ..SplatCloud::default()
+        }
+    }
+
+    fn camera() -> Camera {
+        Camera {
+            name: "front".into(),
+            // 100 px per meter at 4 m.
+            intrinsics: Intrinsics {
+                fx_px: 400.0,
+                fy_px: 400.0,
+                ..Intrinsics::from_horizontal_fov(400, 300, 1.0)
+            },
+            world_from_camera: Pose::IDENTITY,
+            motion: Motion::REST,
+        }
+    }
+
+    #[test]
+    fn half_of_a_half_hidden_plate_is_visible() {
+        let agent = World::of(plate(-1.0, 1.0, 4.0));
+        // A wall 1 m nearer covers what is left of the middle.
+        let mut scene = World::of(plate(-2.0, 0.0, 3.0));
+        let at = Pose::IDENTITY;
+        scene.bake_instance(&agent.splats, &at, decouplegs::scene::ShFrame::World, 1);
+        let image = reference::render(&scene, &camera(), &scene.rules);
+        let alone = (&agent, 1);
+        let of = |instances: &[u16]| {
+            let coverage = Counter::Reference.coverage(alone, &camera(), instances);
+            coverage.unwrap()
+        };
+        let hidden = of(&image.instance);
+        let visible = hidden.visible_fraction().unwrap();
+        assert!((visible - 0.5).abs() < 0.02, "{visible}");
+        assert_eq!(hidden.truncated_fraction(), Some(0.0));
+        let own = reference::render(&agent, &camera(), &agent.rules);
+        let shown: Vec<u16> = own
+            .alpha
+            .iter()
+            .map(|alpha| u16::from(*alpha > 0.4))
+            .collect();
+        assert_eq!(of(&shown).visible_fraction(), Some(1.0));
+    }
+
+    #[test]
+    fn half_of_a_plate_across_the_edge_is_truncated() {
+        // The right edge of the image is 2 m to the right at 4 m.
+        let agent = World::of(plate(1.0, 3.0, 4.0));
+        let nothing = [0; 400 * 300];
+        let of = |world: &World| {
+            let coverage = Counter::Reference.coverage((world, 1), &camera(), &nothing);
+            coverage.unwrap()
+        };
+        let coverage = of(&agent);
+        assert_eq!(coverage.visible_fraction(), Some(0.0));
+        let truncated = coverage.truncated_fraction().unwrap();
+        assert!((truncated - 0.5).abs() < 0.02, "{truncated}");
+        let behind = World::of(plate(-1.0, 1.0, -4.0));
+        let none = of(&behind);
+        assert_eq!(
+            (none.visible_fraction(), none.truncated_fraction()),
+            (None, None)
+        );
+    }
+}
