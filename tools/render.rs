@@ -14,6 +14,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{Layer, memory, write_atomically};
 use decouplegs::gpu::Gpu;
+use decouplegs::render::rendered_image::exposure::{ExposureSum, sub_exposures_s};
 use decouplegs::render::rendered_image::{Image, ImageFileFormat, contact_sheet, preview};
 use decouplegs::render::{
     Attribute, ColorFormat, Outputs, Plane, Planes, RenderOptions, reference,
@@ -69,6 +70,13 @@ pub struct Arguments {
     /// visible pixels, and the shares of them that are visible and beyond the edges of the image
     #[arg(long)]
     boxes: bool,
+    /// Blur what moves: expose each pixel for this time, seconds, around that of its sharp image.
+    /// Planes and boxes stay those of the sharp image
+    #[arg(long, value_name = "S", value_parser = seconds_above_zero)]
+    exposure: Option<f64>,
+    /// Sharp images whose light is averaged for one exposure
+    #[arg(long, value_name = "N", requires = "exposure", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    sub_exposures: u32,
     #[command(flatten)]
     device: DeviceArguments,
     /// Render with the f64 reference on the CPU: exact and slow
@@ -153,7 +161,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         cameras.for_each(|camera| camera.intrinsics.photometry = Photometry::IDENTITY);
     }
     let scene = scene;
-    warn_of_plain_agents(&scene, &arguments.planes);
+    warn_of_plain_agents(&scene, arguments);
     let labels = Labels::new(&scene);
     let gpu = match arguments.reference {
         true => None,
@@ -188,7 +196,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
                     plane.name()
                 );
             }
-            render_by_definition(&scene, arguments.layer.into(), &mut writer)?;
+            render_by_definition(&scene, arguments, &mut writer)?;
         }
     }
     if arguments.planes.contains(&WrittenPlane::Class) {
@@ -209,18 +217,20 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 /// Says that agents of plain splats stand still where motion is asked for.
-fn warn_of_plain_agents(scene: &Scene, planes: &[WrittenPlane]) {
+fn warn_of_plain_agents(scene: &Scene, arguments: &Arguments) {
     let rolls = |camera: &Camera| !camera.intrinsics.shutter.is_global();
     let shows_motion = |plane: &WrittenPlane| {
         let attribute = plane.rendered().attribute();
         matches!(attribute, Attribute::Flow | Attribute::SceneFlow)
     };
     let count = scene.loaded.plain_agents.len();
-    let asks = planes.iter().any(shows_motion) || scene.cameras.iter().any(rolls);
+    let asks = arguments.exposure.is_some()
+        || arguments.planes.iter().any(shows_motion)
+        || scene.cameras.iter().any(rolls);
     if count > 0 && asks {
         warn(&format!(
             "{count} agents are plain splats, which are part of the background: they count as at \
-             rest in flow and under rolling shutters; 'decouplegs compress' makes agents that move"
+             rest in flow, exposures and under rolling shutters; 'decouplegs compress' makes agents that move"
         ));
     }
 }
@@ -301,7 +311,9 @@ fn render_on_gpu(
     // What a PNG can hold takes a quarter of the memory; divided by alpha it would show the steps
     // of 8 bits.
     let color = match writer.format {
-        ImageFileFormat::Png if !writer.transparent => ColorFormat::U8,
+        ImageFileFormat::Png if !writer.transparent && arguments.exposure.is_none() => {
+            ColorFormat::U8
+        }
         ImageFileFormat::Png | ImageFileFormat::Exr | ImageFileFormat::Npy => ColorFormat::F32,
     };
     let outputs = Outputs {
@@ -328,15 +340,18 @@ fn render_on_gpu(
     let session = Session::on(gpu, &options);
     let on_device = session.add_layer(&scene.loaded, arguments.layer.into())?;
     let mut world = World::new(&on_device);
-    world.set_time(scene.time_s);
     let mut renderer = session.batch_renderer();
     for cameras in scene.cameras.chunks(CAMERAS_AT_ONCE) {
-        let view = WorldView {
-            world: &world,
-            cameras,
-        };
-        let (images, _) = renderer.draw_images(&[view])?;
-        for (camera, image) in cameras.iter().zip(images.into_iter().flatten()) {
+        let images = exposed(scene, arguments, cameras, |later_s, cameras| {
+            world.set_time(scene.time_s + later_s);
+            let view = WorldView {
+                world: &world,
+                cameras,
+            };
+            let (images, _) = renderer.draw_images(&[view])?;
+            Ok(images.into_iter().flatten().collect())
+        })?;
+        for (camera, image) in cameras.iter().zip(images) {
             writer.add(camera, image)?;
             bar.inc(1);
         }
@@ -345,7 +360,12 @@ fn render_on_gpu(
     check_validation(gpu)
 }
 
-fn render_by_definition(scene: &Scene, layer: Layer, writer: &mut ImageWriter) -> Result<()> {
+fn render_by_definition(
+    scene: &Scene,
+    arguments: &Arguments,
+    writer: &mut ImageWriter,
+) -> Result<()> {
+    let layer = arguments.layer.into();
     let bar = progress::bar("reference", scene.cameras.len());
     scene.loaded.check_baked()?;
     let most = scene
@@ -363,13 +383,47 @@ fn render_by_definition(scene: &Scene, layer: Layer, writer: &mut ImageWriter) -
         0.0 => Cow::Borrowed(&world),
         _ => Cow::Owned(scene.loaded.baked_layer(scene.time_s + later_s, layer)),
     };
-    for camera in &scene.cameras {
-        let image = reference::render_moving(&world_at, camera, &world.rules);
-        writer.add(camera, image.to_image())?;
-        bar.inc(1);
+    for camera in scene.cameras.chunks(1) {
+        let images = exposed(scene, arguments, camera, |later_s, cameras| {
+            let world_at = |row_s: f64| world_at(later_s + row_s);
+            let render =
+                |camera| reference::render_moving(&world_at, camera, &world.rules).to_image();
+            Ok(cameras.iter().map(render).collect())
+        })?;
+        for (camera, image) in camera.iter().zip(images) {
+            writer.add(camera, image)?;
+            bar.inc(1);
+        }
     }
     bar.finish_and_clear();
     Ok(())
+}
+
+/// Images of `cameras`, blurred if `arguments` ask for it. `draw` gives sharp images at a time,
+/// seconds after that of the scene, of cameras that stand where they are then.
+fn exposed(
+    scene: &Scene,
+    arguments: &Arguments,
+    cameras: &[Camera],
+    mut draw: impl FnMut(f64, &[Camera]) -> Result<Vec<Image>>,
+) -> Result<Vec<Image>> {
+    let sharp = draw(0.0, cameras)?;
+    let Some(exposure_s) = arguments.exposure else {
+        return Ok(sharp);
+    };
+    let sum = |camera: &Camera| {
+        let photometry = scene.loaded.world.photometry_of(&camera.intrinsics);
+        ExposureSum::new(camera.intrinsics.pixels() as usize, photometry.curve)
+    };
+    let mut sums: Vec<ExposureSum> = cameras.iter().map(sum).collect();
+    for later_s in sub_exposures_s(exposure_s, arguments.sub_exposures) {
+        let later: Vec<Camera> = cameras.iter().map(|camera| camera.later(later_s)).collect();
+        for (sum, image) in sums.iter_mut().zip(draw(later_s, &later)?) {
+            sum.add(&image);
+        }
+    }
+    let images = sums.into_iter().zip(sharp);
+    Ok(images.map(|(sum, sharp)| sum.applied(sharp)).collect())
 }
 
 /// Refuses names that would write outside the folder, or over another camera's image.

@@ -547,3 +547,53 @@ fn planes_of_labels_follow_instances() {
     }
     assert_eq!(seen.len(), 3, "{seen:?}");
 }
+
+/// Blurred images come near to those of many more sub-exposures, and the reference blurs alike.
+#[test]
+fn exposures_blur_what_moves() {
+    let folder = tempfile::tempdir().unwrap();
+    let street = folder.path().join("street");
+    small_street(&street);
+    let scene = street.join("scene.toml");
+    let images = |name: &str, options: &[&str]| -> Vec<Image> {
+        let out = folder.path().join(name);
+        let own = ["render", text(&scene), "--size", "64x36", "--time", "0.5"];
+        let own = [&own[..], &["--format", "npy", "--out", text(&out)], options].concat();
+        succeed(&own);
+        let cameras = SceneFile::read(&scene).unwrap().rig;
+        cameras
+            .cameras()
+            .map(|camera| Image::read(&out.join(format!("{}.npy", camera.name))).unwrap())
+            .collect()
+    };
+    let exposure = ["--exposure", "0.3"];
+    let sharp = images("sharp", &[]);
+    let few = images("few", &exposure);
+    let many = images(
+        "many",
+        &[&exposure[..], &["--sub-exposures", "64"]].concat(),
+    );
+    let truth = images("truth", &[&exposure[..], &["--reference"]].concat());
+    let db = |a: &[Image], b: &[Image]| {
+        let pairs = a.iter().zip(b);
+        let db = pairs.map(|(a, b)| Difference::between(a, b).unwrap().psnr_db);
+        db.fold(f64::INFINITY, f64::min)
+    };
+    println!(
+        "8 and 64: {:.1} dB, reference {:.1} dB, sharp {:.1} dB",
+        db(&few, &many),
+        db(&few, &truth),
+        db(&sharp, &many)
+    );
+    assert!(db(&few, &many) >= 45.0 && db(&few, &truth) >= 90.0);
+    assert!(db(&sharp, &many) < 40.0, "the camera moves");
+    // Light is kept: it moves across the edges of the image alone.
+    let light = |images: &[Image]| -> f64 {
+        let values = images.iter().flat_map(|image| image.rgb.as_flattened());
+        values
+            .map(|value| f64::from(*value).max(0.0).powf(2.2))
+            .sum()
+    };
+    assert!((light(&few) / light(&many) - 1.0).abs() < 1e-3);
+    assert!((light(&few) / light(&sharp) - 1.0).abs() < 2e-2);
+}

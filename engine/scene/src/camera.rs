@@ -202,13 +202,21 @@ impl Camera {
     #[must_use]
     pub fn at_rest(&self, time_s: f64) -> Self {
         Self {
-            name: self.name.clone(),
             intrinsics: Intrinsics {
                 shutter: Shutter::GLOBAL,
                 ..self.intrinsics
             },
-            world_from_camera: self.world_from_camera.moved(&self.motion, time_s),
             motion: Motion::REST,
+            ..self.later(time_s)
+        }
+    }
+
+    /// The camera `time_s` later: it has gone on with its motion.
+    #[must_use]
+    pub fn later(&self, time_s: f64) -> Self {
+        Self {
+            world_from_camera: self.world_from_camera.moved(&self.motion, time_s),
+            ..self.clone()
         }
     }
 }

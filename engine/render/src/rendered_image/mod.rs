@@ -3,6 +3,7 @@
 //! Values are display-referred RGB as blended: the sky is in them, nothing is clamped. Only PNG
 //! clamps and rounds.
 
+pub mod exposure;
 mod image_files;
 mod npy;
 mod preview;
