@@ -145,6 +145,29 @@ typedef enum {
      * `instance`.
      */
     DGS_IMAGE_KIND_INSTANCE_U16 = 3,
+    /**
+     * float: expected distance from the camera, meters. This kind and those below are means over
+     * the splats of a pixel, and 0 where nothing was hit. Sessions with them in `planes`.
+     */
+    DGS_IMAGE_KIND_RANGE_F32 = 4,
+    /**
+     * float x, y, z: normal in world axes, towards the camera; its length tells how far the splats
+     * agree.
+     */
+    DGS_IMAGE_KIND_NORMAL_F32 = 5,
+    /**
+     * float x, y: pixels that the content moves in `flow_interval_s`. Agents go on with the motion
+     * of their trajectory; cameras of this interface stand.
+     */
+    DGS_IMAGE_KIND_FLOW_FORWARD_F32 = 6,
+    /**
+     * float x, y: the same to the time earlier.
+     */
+    DGS_IMAGE_KIND_FLOW_BACKWARD_F32 = 7,
+    /**
+     * float x, y, z: velocity in world axes, meters per second.
+     */
+    DGS_IMAGE_KIND_SCENE_FLOW_F32 = 8,
 } DgsImageKind;
 
 /**
@@ -250,6 +273,14 @@ typedef struct {
      * NULL or "auto" for the best.
      */
     const char *device;
+    /**
+     * Interval of flow images, seconds; 0 for 0.1.
+     */
+    double flow_interval_s;
+    /**
+     * Kinds of further images, DGS_IMAGE_KIND_RANGE_F32 and those behind it: the sum of 1 << kind.
+     */
+    uint32_t planes;
 } DgsSessionOptions;
 
 /**

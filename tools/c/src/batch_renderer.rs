@@ -289,13 +289,14 @@ fn image<T>(
     [width_px, height_px]: [u32; 2],
     values: Option<&[T]>,
 ) -> Result<DgsImage, Failure> {
-    if kind > DgsImageKind::InstanceU16 as u32 {
+    if kind > DgsImageKind::LAST {
         return Err(Failure::argument(format!(
-            "kind is {kind}: expected a DgsImageKind, 0 to 3"
+            "kind is {kind}: expected a DgsImageKind, 0 to {}",
+            DgsImageKind::LAST
         )));
     }
     let values = values.ok_or_else(|| {
-        let text = "the session has no images of this kind: ask for it in DgsSessionOptions (color, depth, instance)";
+        let text = "the session has no images of this kind: ask for it in DgsSessionOptions (color, depth, instance, planes)";
         Failure::new(DgsStatus::Unsupported, text)
     })?;
     let pixel_bytes = size_of_val(values) / (width_px as usize * height_px as usize);

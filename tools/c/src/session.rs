@@ -97,6 +97,16 @@ unsafe fn session_options(options: *const DgsSessionOptions) -> Result<SessionOp
         }
     };
     session.render.outputs.planes = options.planes()?;
+    match options.flow_interval_s {
+        0.0 => {}
+        interval_s if interval_s.is_finite() && interval_s > 0.0 => {
+            session.render.flow_interval_s = interval_s;
+        }
+        other => {
+            let text = format!("flow_interval_s is {other}: expected 0 or a positive number");
+            return Err(Failure::argument(text));
+        }
+    }
     if !options.device.is_null() {
         // SAFETY: as the header asks of all pointers.
         let Ok(choice) = unsafe { text("device", options.device) }?.parse::<DeviceChoice>();

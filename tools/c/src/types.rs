@@ -208,17 +208,42 @@ pub enum DgsImageKind {
     /// uint16_t: the agent that weighs most, by its `instance`; 0 is the background. Sessions with
     /// `instance`.
     InstanceU16 = 3,
+    /// float: expected distance from the camera, meters. This kind and those below are means over
+    /// the splats of a pixel, and 0 where nothing was hit. Sessions with them in `planes`.
+    RangeF32 = 4,
+    /// float x, y, z: normal in world axes, towards the camera; its length tells how far the splats
+    /// agree.
+    NormalF32 = 5,
+    /// float x, y: pixels that the content moves in `flow_interval_s`. Agents go on with the motion
+    /// of their trajectory; cameras of this interface stand.
+    FlowForwardF32 = 6,
+    /// float x, y: the same to the time earlier.
+    FlowBackwardF32 = 7,
+    /// float x, y, z: velocity in world axes, meters per second.
+    SceneFlowF32 = 8,
 }
 
 impl DgsImageKind {
+    /// The last kind.
+    pub(crate) const LAST: u32 = Self::SceneFlowF32 as u32;
+
+    /// The kind of the images of `plane`.
+    const fn of(plane: Plane) -> Self {
+        match plane {
+            Plane::Depth => Self::DepthF32,
+            Plane::Instance => Self::InstanceU16,
+            Plane::Range => Self::RangeF32,
+            Plane::Normal => Self::NormalF32,
+            Plane::FlowForward => Self::FlowForwardF32,
+            Plane::FlowBackward => Self::FlowBackwardF32,
+            Plane::SceneFlow => Self::SceneFlowF32,
+        }
+    }
+
     /// The plane whose kind is `kind`.
     pub(crate) fn plane(kind: u32) -> Option<Plane> {
-        let kinds = [
-            (Plane::Depth, Self::DepthF32),
-            (Plane::Instance, Self::InstanceU16),
-        ];
-        let mut kinds = kinds.into_iter();
-        kinds.find_map(|(plane, of_plane)| (of_plane as u32 == kind).then_some(plane))
+        let mut planes = Plane::ALL.into_iter();
+        planes.find(|plane| Self::of(*plane) as u32 == kind)
     }
 }
 
@@ -256,6 +281,10 @@ pub struct DgsSessionOptions {
     /// Device: a number as in dgs_device(), a part of a name, a UUID as 32 hexadecimal digits, or
     /// NULL or "auto" for the best.
     pub device: *const c_char,
+    /// Interval of flow images, seconds; 0 for 0.1.
+    pub flow_interval_s: f64,
+    /// Kinds of further images, DGS_IMAGE_KIND_RANGE_F32 and those behind it: the sum of 1 << kind.
+    pub planes: u32,
 }
 
 impl DgsSessionOptions {
@@ -267,6 +296,8 @@ impl DgsSessionOptions {
         depth: 0,
         instance: 0,
         device: std::ptr::null(),
+        flow_interval_s: 0.0,
+        planes: 0,
     };
 
     /// The planes that are asked for.
@@ -277,8 +308,22 @@ impl DgsSessionOptions {
             let text = format!("{name} is {number}: expected 0 or 1");
             return Err(Failure::argument(text));
         }
+        let bit = |plane: Plane| 1 << DgsImageKind::of(plane) as u32;
+        let known = Planes::ALL
+            .geometry()
+            .fold(0, |bits, plane| bits | bit(plane));
+        if self.planes & !known != 0 {
+            let text = format!(
+                "planes is {:#x}: expected the bits of kinds 4 to {}, {known:#x}",
+                self.planes,
+                DgsImageKind::LAST
+            );
+            return Err(Failure::argument(text));
+        }
         let asked = flags.into_iter().filter(|(_, number)| *number == 1);
-        Ok(asked.map(|(plane, _)| plane).collect())
+        let geometry = Planes::ALL.geometry();
+        let geometry = geometry.filter(|plane| self.planes & bit(*plane) != 0);
+        Ok(asked.map(|(plane, _)| plane).chain(geometry).collect())
     }
 }
 

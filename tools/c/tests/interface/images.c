@@ -1,6 +1,6 @@
 /*
  * Images of every kind, of sessions of every kind: bytes are the same whether depth is drawn beside them or not, and are the floats
- * rounded; depth and instances are where the agent is.
+ * rounded; depth and instances are where the agent is; planes of geometry agree with depth and with each other.
  *
  * images SCENE.toml: a scene with a rig whose first camera sees an agent.
  */
@@ -48,6 +48,10 @@ static struct drawn draw(const char *path, uint32_t color, uint32_t planes) {
     options.color = color;
     options.depth = planes;
     options.instance = planes;
+    if (planes) {
+        options.planes = 0x1f << DGS_IMAGE_KIND_RANGE_F32;
+        options.flow_interval_s = 0.05;
+    }
     options.device = "auto";
     CHECK(dgs_session_open(&options, &drawn.session));
     CHECK(dgs_scene_open(drawn.session, path, &scene));
@@ -82,9 +86,9 @@ static void end(struct drawn *drawn) {
 int main(int count, char **arguments) {
     struct drawn plain, full, floats;
     const uint8_t *bytes;
-    const float *colors, *depths;
+    const float *colors, *depths, *ranges, *normals, *flows, *backward, *velocities;
     const uint16_t *instances;
-    size_t lit = 0, on_agent = 0;
+    size_t lit = 0, on_agent = 0, moving = 0;
     if (count != 2) {
         fprintf(stderr, "usage: images SCENE.toml\n");
         return 2;
@@ -99,7 +103,22 @@ int main(int count, char **arguments) {
     depths = pixels(&floats, DGS_IMAGE_KIND_DEPTH_F32, 4);
     require(memcmp(depths, pixels(&full, DGS_IMAGE_KIND_DEPTH_F32, 4), 4 * plain.pixels) == 0, "depth is the same beside bytes");
     instances = pixels(&full, DGS_IMAGE_KIND_INSTANCE_U16, 2);
+    ranges = pixels(&full, DGS_IMAGE_KIND_RANGE_F32, 4);
+    normals = pixels(&full, DGS_IMAGE_KIND_NORMAL_F32, 12);
+    flows = pixels(&full, DGS_IMAGE_KIND_FLOW_FORWARD_F32, 8);
+    backward = pixels(&full, DGS_IMAGE_KIND_FLOW_BACKWARD_F32, 8);
+    velocities = pixels(&full, DGS_IMAGE_KIND_SCENE_FLOW_F32, 12);
     for (size_t pixel = 0; pixel < plain.pixels; pixel++) {
+        const float *normal = normals + 3 * pixel, *velocity = velocities + 3 * pixel;
+        const float speed = hypotf(hypotf(velocity[0], velocity[1]), velocity[2]);
+        require(ranges[pixel] >= 0.9999F * depths[pixel], "a range is no shorter than its depth");
+        require(hypotf(hypotf(normal[0], normal[1]), normal[2]) <= 1.0001F, "a normal has at most unit length");
+        require(instances[pixel] != 0 || speed < 5.1F, "what moves is the agent");
+        if (instances[pixel] != 0 && speed > 4.0F) {
+            moving++;
+            require(fabsf(flows[2 * pixel]) + fabsf(flows[2 * pixel + 1]) > 0.0F, "what moves flows");
+            require(backward[2 * pixel] != flows[2 * pixel], "and comes from elsewhere");
+        }
         for (size_t channel = 0; channel < 4; channel++) {
             const float value = fminf(fmaxf(colors[4 * pixel + channel], 0.0F), 1.0F);
             require(fabsf(255.0F * value - bytes[4 * pixel + channel]) <= 0.51F, "bytes are the floats rounded");
@@ -112,6 +131,7 @@ int main(int count, char **arguments) {
     }
     require(lit > plain.pixels / 2, "the image shows something");
     require(on_agent > 4, "the agent is in the image");
+    require(moving > 4, "the agent moves");
     printf("%lu of %lu pixels are the agent's\n", (unsigned long)on_agent, (unsigned long)plain.pixels);
     end(&plain);
     end(&full);
