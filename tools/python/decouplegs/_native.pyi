@@ -75,6 +75,16 @@ class Camera:
         """Where it stands, float64 [4, 4], meters."""
     def with_shutter(self, direction: Literal["global", "top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"], readout_s: float, start: ArrayLike, end: ArrayLike) -> Camera:
         """The same camera in motion with such a shutter; start and end are world_from_camera at both ends of the readout, float64 [4, 4], meters."""
+    def with_photometry(
+        self,
+        *,
+        exposure_ev: float = 0.0,
+        curve: Literal["display", "linear"] = "display",
+        vignetting: tuple[Sequence[float], Sequence[float], ArrayLike] | None = None,
+        matrix: ArrayLike | None = None,
+        gamma: Sequence[float] | None = None,
+    ) -> Camera:
+        """The same camera with a photometric calibration, whose stages come in this order: exposure in stops; vignetting: center [2] and radius [2], pixels, and coefficients of r^2, r^4 and r^6 [3, 3]; color matrix [3, 4]; exponents [3]."""
 
 class RigCamera:
     """A camera fixed to a vehicle."""
@@ -206,6 +216,9 @@ class Agent:
     @property
     def present(self) -> bool:
         """False where the scene file says that it is absent: it is in no image."""
+    @property
+    def moving(self) -> bool:
+        """True if it moves."""
 
 class World:
     """A set of agents over a scene, which other worlds may be over as well. It costs a few hundred bytes."""

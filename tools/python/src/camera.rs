@@ -1,12 +1,13 @@
 //! Cameras of Python.
 
+use decouplegs::scene::photometry::{ColorCurve, Vignetting};
 use decouplegs::scene::{
     Camera as EngineCamera, Intrinsics, Lens, Motion, Photometry, Pose,
     RigCamera as EngineRigCamera, Shutter, ShutterDirection,
 };
 use pyo3::prelude::*;
 
-use crate::array::{matrix, shaped};
+use crate::array::{self, matrix, shaped};
 use crate::error::value_error;
 use crate::pose::{pose_of, to_matrix};
 
@@ -154,6 +155,51 @@ impl Camera {
                 motion,
             },
         })
+    }
+
+    /// The same camera with a photometric calibration, whose stages come in this order: exposure in
+    /// stops, with colors that are "display"-referred or "linear"; vignetting, three arrays: center
+    /// [2] and radius [2], pixels, and coefficients of r^2, r^4 and r^6 [3, 3], a row per channel;
+    /// color matrix [3, 4], rows of three factors and an offset; exponents [3].
+    #[pyo3(signature = (*, exposure_ev = 0.0, curve = "display", vignetting = None, matrix = None, gamma = None))]
+    fn with_photometry(
+        &self,
+        exposure_ev: f64,
+        curve: &str,
+        vignetting: Option<([f64; 2], [f64; 2], Bound<'_, PyAny>)>,
+        matrix: Option<&Bound<'_, PyAny>>,
+        gamma: Option<[f64; 3]>,
+    ) -> PyResult<Self> {
+        let identity = Photometry::IDENTITY;
+        let photometry = Photometry {
+            exposure_ev,
+            curve: match curve {
+                "display" => ColorCurve::Display,
+                "linear" => ColorCurve::Linear,
+                other => {
+                    return Err(value_error(format!(
+                        "curve: expected \"display\" or \"linear\", found {other:?}"
+                    )));
+                }
+            },
+            vignetting: match vignetting {
+                Some((center_px, radius_px, rgb)) => Some(Vignetting {
+                    center_px,
+                    radius_px,
+                    rgb: array::matrix("vignetting", &rgb)?,
+                }),
+                None => None,
+            },
+            matrix: match matrix {
+                Some(matrix) => array::matrix("matrix", matrix)?,
+                None => identity.matrix,
+            },
+            gamma: gamma.unwrap_or(identity.gamma),
+        };
+        photometry.check().map_err(value_error)?;
+        let mut inner = self.inner.clone();
+        inner.intrinsics.photometry = photometry;
+        Ok(Self { inner })
     }
 
     fn __repr__(&self) -> String {

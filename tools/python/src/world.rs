@@ -32,6 +32,8 @@ pub struct Agent {
     pose: Py<PyAny>,
     /// False where the scene file says that it is absent: it is in no image.
     present: bool,
+    /// True if it moves.
+    moving: bool,
 }
 
 #[pymethods]
@@ -131,6 +133,7 @@ impl World {
                 instance: agent.placed.instance,
                 pose,
                 present: agent.present,
+                moving: !agent.placed.motion.is_rest(),
             })
         };
         agents.into_iter().map(agent).collect()

@@ -96,6 +96,32 @@ def test_agents_move_and_worlds_share_a_scene(session, scene):
     np.testing.assert_allclose({agent.name: agent.pose for agent in copy.agents}["moving"], pose(6.0, 2.0, 1.0), atol=1e-12)
 
 
+def test_cameras_have_a_photometric_calibration(session, scene_file):
+    floats = decouplegs.Session(session.device.uuid, color="f32", exported=False)
+    scene = floats.open_scene(scene_file)
+    world = decouplegs.World(scene)
+    camera = scene.cameras(0.0)[0]
+    drawn = lambda camera: floats.batch_renderer().draw([(world, [camera])])[0][0]
+    plain = drawn(camera)
+    np.testing.assert_array_equal(drawn(camera.with_photometry()), plain)
+    np.testing.assert_allclose(drawn(camera.with_photometry(exposure_ev=1.0, curve="linear"))[..., :3], 2 * plain[..., :3], rtol=1e-5)
+    matrix = np.array([[0.5, 0.1, 0.0, 0.2], [0.0, 1.5, 0.0, 0.0], [0.2, 0.0, 1.0, -0.1]])
+    found = drawn(camera.with_photometry(matrix=matrix, gamma=[1.0, 2.0, 1.0]))[..., :3]
+    expected = plain[..., :3] @ matrix[:, :3].T + matrix[:, 3]
+    expected[..., 1] = np.maximum(expected[..., 1], 0.0) ** 2
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    shade = ([32.0, 24.0], [40.0, 40.0], -0.5 * np.eye(3)[:, :1] @ np.ones((1, 3)) * [1, 0, 0])
+    shaded = drawn(camera.with_photometry(vignetting=shade))
+    np.testing.assert_array_equal(shaded[..., 1:], plain[..., 1:])
+    assert (shaded[0, 0, 0] < 0.8 * plain[0, 0, 0]).all()
+    with pytest.raises(ValueError, match="curve"):
+        camera.with_photometry(curve="log")
+    with pytest.raises(ValueError, match="stops"):
+        camera.with_photometry(exposure_ev=99.0)
+    moving = {agent.name: agent.moving for agent in world.agents}
+    assert not moving["standing"] and moving["moving"]
+
+
 def test_rolling_shutters_show_motion(session, scene):
     renderer = session.batch_renderer()
     world = decouplegs.World(scene)
