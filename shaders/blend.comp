@@ -46,6 +46,7 @@ layout(constant_id = 6) const bool CONTRIBUTIONS = false; // add up the weights 
 layout(constant_id = 7) const bool FINISH = false; // blend again what composite has left to be finished
 layout(constant_id = 8) const uint BATCH = 512u; // records that are staged at a time, a multiple of 32
 layout(constant_id = 9) const bool ONE_BATCH = false; // no segment is longer than a batch
+layout(constant_id = 10) const bool MEDIAN = false; // with EXCLUSIVE_STOP: the color of the splat in which half of the light is gone
 
 layout(set = 0, binding = 5, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { BlendItem items[]; };
@@ -69,8 +70,8 @@ layout(set = 0, binding = 15, scalar) readonly buffer partial_unfinished_block {
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; uint image_pixels; };
 
 #include "batch.glsl"
-#include "lane_pixels.glsl"
 #include "partial.glsl"
+#include "lane_pixels.glsl"
 
 shared uint open_tiles; // fine tiles that the segments before have not covered
 shared uint open_subgroups; // whether one of them has a pixel that is not full

@@ -16,6 +16,7 @@ layout(local_size_x = 256) in;
 
 layout(constant_id = 3) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
 layout(constant_id = 4) const bool CONTRIBUTIONS = false;  // every segment is left to be finished, so that its weights can be counted
+layout(constant_id = 5) const bool MEDIAN = false; // see blend.comp
 
 layout(set = 0, binding = 5, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer composites_block { Composite composites[]; };
@@ -68,7 +69,7 @@ void main() {
                 open = !(EXCLUSIVE_STOP && ahead[next].transmittance < 0.0);
                 ahead[next].transmittance = EXCLUSIVE_STOP ? abs(ahead[next].transmittance) : ahead[next].transmittance;
                 pixel = over(before, ahead[next]);
-                bool ends = EXCLUSIVE_STOP && segment > 0u && pixel.transmittance <= TRANSMITTANCE_MIN;
+                bool ends = EXCLUSIVE_STOP && segment > 0u && pixel.transmittance <= stop_limit();
                 if (ends || (CONTRIBUTIONS && segment > 0u)) {
                     leave_unfinished(composite.first_partial + segment, place, fine_tile(place), before);
                 }

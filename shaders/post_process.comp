@@ -32,7 +32,8 @@ layout(set = 0, binding = 4, scalar) readonly buffer photometry_block { Photomet
 layout(set = 0, binding = 5, std430) writeonly buffer images_f32_block { vec4 images_f32[]; };
 layout(set = 0, binding = 6, std430) writeonly buffer images_u8_block { uint images_u8[]; };
 
-// Rotation from the camera to the cube, by columns; light that fog adds to the sky, and the share that it leaves of it.
+// Rotation from the camera to the cube, by columns; light that fog adds to the sky, and the share
+// that it leaves of it.
 layout(push_constant, scalar) uniform push_block { vec3 right; vec3 down; vec3 forward; uint camera; uint face_texels; uint clamps_sky; uint clamps_splats; vec4 fog; };
 
 // Color of the sky in a direction of its cube, of any length but zero: see `SkyMap` in the engine.

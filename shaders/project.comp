@@ -95,6 +95,8 @@ vec3 attribute_of(Camera camera, uint lens, vec3 mean_m, mat3 axes, SeenSplat se
     switch (ATTRIBUTE) {
     case ATTRIBUTE_RANGE:
         return vec3(length(seen.t), 0.0, 0.0);
+    case ATTRIBUTE_DEPTH:
+        return vec3(RADIAL ? length(seen.offset_m) : seen.t.z, 0.0, 0.0);
     case ATTRIBUTE_NORMAL:
         return normal_of(axes, seen);
     case ATTRIBUTE_FLOW:

@@ -14,10 +14,11 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{Layer, memory, write_atomically};
 use decouplegs::gpu::Gpu;
+use decouplegs::render::reference::geometry::depth_median;
 use decouplegs::render::rendered_image::exposure::{ExposureSum, sub_exposures_s};
 use decouplegs::render::rendered_image::{Image, ImageFileFormat, contact_sheet, preview};
 use decouplegs::render::{
-    Attribute, ColorFormat, Outputs, Plane, Planes, RenderOptions, reference,
+    Attribute, ColorFormat, Outputs, Plane, PlaneValues, Planes, RenderOptions, reference,
 };
 use decouplegs::scene::{Camera, Photometry};
 use decouplegs::session::{Session, SessionOptions, World, WorldView};
@@ -53,11 +54,13 @@ pub struct Arguments {
     level_pitch: Option<f64>,
     /// Write these planes beside each image too, as NAME.PLANE.npy with one or more values per
     /// pixel, float32 where nothing else is said. depth: expected depth along the camera's z,
-    /// meters, 0 where nothing is. instance: 0 the background, k the k-th agent, uint16. range:
-    /// distance from the camera, meters. normal: 3 values, world axes, towards the camera.
-    /// flow_forward, flow_backward: 2 values, pixels that the content moves in --flow-interval to
-    /// later and to earlier. scene_flow: 3 values, velocity in m/s, world axes. class: uint16, place
-    /// in the list of classes.json, which is written too. moving: uint16, 1 where an agent moves
+    /// meters, 0 where nothing is. depth_median, range_median: those of the splat in which half of
+    /// a pixel's light is gone, 0 where more is left. instance: 0 the background, k the k-th agent,
+    /// uint16. range: distance from the camera, meters. normal: 3 values, world axes, towards the
+    /// camera. flow_forward, flow_backward: 2 values, pixels that the content moves in --flow-
+    /// interval to later and to earlier. scene_flow: 3 values, velocity in m/s, world axes. class:
+    /// uint16, place in the list of classes.json, which is written too. moving: uint16, 1 where an
+    /// agent moves
     #[arg(long, value_name = "PLANES", value_delimiter = ',', value_parser = WrittenPlane::parser())]
     planes: Vec<WrittenPlane>,
     /// Write a preview of each plane too, as NAME.PLANE.png
@@ -322,7 +325,7 @@ fn render_on_gpu(
             .planes
             .iter()
             .map(|plane| plane.rendered())
-            .chain(arguments.boxes.then_some(Plane::Instance))
+            .chain(BoxList::PLANES.into_iter().filter(|_| arguments.boxes))
             .collect(),
         ..Outputs::default()
     };
@@ -390,7 +393,11 @@ fn render_by_definition(
                 |camera| reference::render_moving(&world_at, camera, &world.rules).to_image();
             Ok(cameras.iter().map(render).collect())
         })?;
-        for (camera, image) in camera.iter().zip(images) {
+        for (camera, mut image) in camera.iter().zip(images) {
+            if writer.boxes.is_some() {
+                let depths_m = depth_median(&world, &camera.at_rest(0.0), &world.rules);
+                (image.planes).insert(Plane::DepthMedian, PlaneValues::F32(depths_m));
+            }
             writer.add(camera, image)?;
             bar.inc(1);
         }

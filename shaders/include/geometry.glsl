@@ -8,6 +8,7 @@ const uint ATTRIBUTE_RANGE = 1u;      // distance from the camera, meters
 const uint ATTRIBUTE_NORMAL = 2u;     // unit vector, world axes
 const uint ATTRIBUTE_FLOW = 3u;       // displacement in the image after a time, pixels
 const uint ATTRIBUTE_SCENE_FLOW = 4u; // velocity, meters per second, world axes
+const uint ATTRIBUTE_DEPTH = 5u;      // depth, meters, as in records
 
 // The axis of a Gaussian along which it is thinnest, of unit length: the eigenvector of the
 // smallest eigenvalue of the covariance `axes` * transpose(`axes`). Powers of the inverse turn

@@ -1,11 +1,11 @@
 // A lane's two pixels and how a record is blended into them.
 //
-// Included by blend.comp, after batch.glsl.
+// Included by blend.comp, after batch.glsl and partial.glsl.
 
 // A product of largest transmittances up to here means that composite stops before, its own
 // rounding included.
 float covered() {
-    return EXCLUSIVE_STOP ? 0.999 * TRANSMITTANCE_MIN : 0.999 * TRANSMITTANCE_FULL;
+    return EXCLUSIVE_STOP ? 0.999 * stop_limit() : 0.999 * TRANSMITTANCE_FULL;
 }
 
 // A segment that lets no more than this through holds the end of its pixel, or lies behind it.
@@ -37,7 +37,12 @@ LanePixels empty_pixels(uvec2 at, uvec2 size_px) {
 void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 color, Staged record) {
     float alpha = log2_alpha >= -LOG2_255 ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
     if (EXCLUSIVE_STOP) {
-        full = full || (stops && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN);
+        bool ends = !full && stops && pixel.transmittance * (1.0 - alpha) <= stop_limit();
+        if (MEDIAN && ends) {
+            pixel.color = color;
+            pixel.transmittance = MEDIAN_FOUND;
+        }
+        full = full || ends;
         alpha = full ? 0.0 : alpha;
     }
     float weight = pixel.transmittance * alpha;

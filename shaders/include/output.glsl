@@ -32,6 +32,12 @@ uvec2 pixel_offset(uint place) {
 // transmittance to this or below.
 const float TRANSMITTANCE_MIN = 1e-4;
 
+// Likewise for a median: a pixel ends at the splat in which half of its light is gone.
+const float TRANSMITTANCE_MEDIAN = 0.5;
+
+// Transmittance of a pixel whose median is found; elsewhere it is more than TRANSMITTANCE_MEDIAN.
+const float MEDIAN_FOUND = 1e-30;
+
 // Elsewhere it stops once no more than this is left: the rules allow an error of 1e-4, and 95 dB do
 // not.
 const float TRANSMITTANCE_FULL = 2e-5;

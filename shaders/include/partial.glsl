@@ -4,6 +4,11 @@
 // Included where partial_colors and partial_planes are bound. A negative transmittance is a mark,
 // which the two kernels explain.
 
+// Transmittance at which a pixel ends by an exclusive stop.
+float stop_limit() {
+    return MEDIAN ? TRANSMITTANCE_MEDIAN : TRANSMITTANCE_MIN;
+}
+
 Pixel load_partial(uint place) {
     vec4 color = partial_colors[place];
     uint words[3];

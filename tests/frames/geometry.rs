@@ -17,12 +17,14 @@ use crate::stages::scenes::lens_rig;
 
 const INTERVAL_S: f64 = 0.05;
 
-const GEOMETRY: [Plane; 5] = [
+const GEOMETRY: [Plane; 7] = [
     Plane::Range,
     Plane::Normal,
     Plane::FlowForward,
     Plane::FlowBackward,
     Plane::SceneFlow,
+    Plane::DepthMedian,
+    Plane::RangeMedian,
 ];
 
 /// A world with agents, cars that all look the same.
@@ -102,13 +104,13 @@ fn differences(image: &Image, plane: Plane, truth: &[DVec3]) -> Vec<f64> {
     differences
 }
 
-fn planes_of(truth: &Geometry64) -> [(Plane, Vec<DVec3>); 5] {
+fn planes_of(truth: &Geometry64) -> [(Plane, Vec<DVec3>); 7] {
     let flow = |flow: &[[f64; 2]]| flow.iter().map(|&[x, y]| DVec3::new(x, y, 0.0)).collect();
+    let scalar = |values: &[f64]| values.iter().map(|&value| DVec3::X * value).collect();
     [
-        (
-            Plane::Range,
-            truth.range.iter().map(|&range| DVec3::X * range).collect(),
-        ),
+        (Plane::Range, scalar(&truth.range)),
+        (Plane::DepthMedian, scalar(&truth.depth_median)),
+        (Plane::RangeMedian, scalar(&truth.range_median)),
         (Plane::Normal, truth.normal.clone()),
         (Plane::FlowForward, flow(&truth.flow_forward)),
         (Plane::FlowBackward, flow(&truth.flow_backward)),
@@ -119,7 +121,7 @@ fn planes_of(truth: &Geometry64) -> [(Plane, Vec<DVec3>); 5] {
 /// Largest allowed difference for all but one pixel in a hundred, whose last weights f32 decides.
 fn tolerance(plane: Plane) -> f64 {
     match plane {
-        Plane::Range => 2e-4,
+        Plane::Range | Plane::DepthMedian | Plane::RangeMedian => 2e-4,
         Plane::Normal => 2e-4,
         Plane::SceneFlow => 5e-3,
         _ => 1e-3,
@@ -274,10 +276,80 @@ fn a_wall_has_the_normal_range_and_flow_of_a_plane() {
     }
     println!("flow is off by at most {flow_px:.3} px");
     assert!(flow_px < 0.25, "{flow_px} px");
+    // Medians are those of single discs.
+    let medians = values(&image, Plane::RangeMedian).iter();
+    let off = |(median, mean): (&f32, &f32)| (median / mean - 1.0).abs();
+    let means = values(&image, Plane::Range).iter();
+    let middle = image
+        .alpha
+        .iter()
+        .zip(medians.zip(means))
+        .filter(|(alpha, _)| **alpha > 0.99);
+    let worst = middle.map(|(_, pair)| off(pair)).fold(0.0, f32::max);
+    assert!(worst < 0.05, "{worst}");
     // A camera at rest sees no flow.
     let image = moving.draw(&gpu, &still, GEOMETRY.into(), Rules::DEFAULT);
     for plane in [Plane::FlowForward, Plane::FlowBackward, Plane::SceneFlow] {
         assert!(values(&image, plane).iter().all(|&value| value == 0.0));
+    }
+}
+
+/// Lists that are cut into short segments have the medians of those that are not, but for pixels
+/// in which rounding decides which splat takes half of the light.
+#[test]
+fn medians_do_not_depend_on_segments() {
+    let gpu = Validated::open();
+    let world = world_of(&crowd(4000));
+    let camera = camera_at(DVec3::ZERO, 96, 64);
+    let draw = |segment_pairs: u32| {
+        let options = RenderOptions {
+            segment_pairs,
+            outputs: Outputs {
+                planes: [Plane::DepthMedian, Plane::RangeMedian].into(),
+                ..Outputs::default()
+            },
+            ..RenderOptions::default()
+        };
+        let mut renderer = Renderer::new(&gpu, options);
+        let scene = renderer.upload(&world).unwrap();
+        let statistics = renderer
+            .render(&scene, std::slice::from_ref(&camera))
+            .unwrap();
+        let image = renderer.read_images().unwrap().remove(0);
+        (image, statistics.required.partials)
+    };
+    let (whole, uncut) = draw(100_000);
+    let truth = render_geometry(
+        &|_| Cow::Borrowed(&world),
+        &camera,
+        &Rules::DEFAULT,
+        INTERVAL_S,
+    );
+    for segment_pairs in [16, 70] {
+        let (cut, partials) = draw(segment_pairs);
+        assert!(partials > uncut + 4, "{partials} partial results");
+        for (plane, truth) in [
+            (Plane::DepthMedian, &truth.depth_median),
+            (Plane::RangeMedian, &truth.range_median),
+        ] {
+            let (cut, whole) = (values(&cut, plane), values(&whole, plane));
+            let other = cut
+                .iter()
+                .zip(whole)
+                .filter(|(cut, whole)| cut != whole)
+                .count();
+            let wrong = cut
+                .iter()
+                .zip(truth)
+                .filter(|(cut, truth)| (f64::from(**cut) - **truth).abs() > 1e-3)
+                .count();
+            println!(
+                "{segment_pairs}: {other} others, {wrong} wrong of {}",
+                cut.len()
+            );
+            assert!(other * 500 <= cut.len() && wrong * 500 <= cut.len());
+            assert!(cut.iter().filter(|value| **value > 0.0).count() > cut.len() / 4);
+        }
     }
 }
 

@@ -1,19 +1,20 @@
 //! `blend.comp`: segments of lists become pixels.
 
 mod finish;
+mod median;
 mod rounding;
 
 use decouplegs::render::layout::{
     BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL, RequiredCounts,
 };
 use decouplegs::render::stages::{
-    Blend, BlendPass, IndirectArguments, PartialResults, Plan, ProjectVariant, Projected,
+    Blend, BlendPass, IndirectArguments, PartialResults, PixelEnd, Plan, ProjectVariant, Projected,
 };
 use decouplegs::render::twins::output::{
     Images, Pixel, coarse_tile_origin, pixel_offset, write_pixel,
 };
 use decouplegs::render::{Capacity, OutputBuffers, Outputs, Plane, Planes, twins};
-use decouplegs::scene::{EarlyStop, Rules};
+use decouplegs::scene::Rules;
 use glam::Vec3;
 
 use super::project::PLAIN;
@@ -48,6 +49,7 @@ struct Case {
     records: Vec<u32>,
     items: Vec<BlendItem>,
     rules: Rules,
+    end: PixelEnd,
 }
 
 /// Pixels of each item, as its threads keep them.
@@ -92,6 +94,7 @@ impl Case {
             records,
             items,
             rules,
+            end: PixelEnd::of(&rules),
         }
     }
 
@@ -110,8 +113,8 @@ impl Case {
             records,
             items,
             rules,
+            end,
         } = self;
-        let exclusive = rules.stop == EarlyStop::Exclusive;
         let blend = |item: &BlendItem| {
             let cameras = &scene.view.cameras;
             let before = before.map(|before| {
@@ -130,7 +133,7 @@ impl Case {
                 &projected.footprints,
                 &projected.colors,
                 alpha_max,
-                exclusive,
+                *end,
                 before,
             )
         };
@@ -176,6 +179,7 @@ impl Case {
             records,
             items,
             rules,
+            end,
         } = self;
         let (count, slots) = (projected.keys.len(), self.slots());
         let required = RequiredCounts {
@@ -215,7 +219,7 @@ impl Case {
                 .unwrap();
         }
         let longest = items.iter().map(|item| item.pairs).max().unwrap();
-        let blend = Blend::new(gpu, rules, &OUTPUTS, pass, longest).unwrap();
+        let blend = Blend::new(gpu, (rules, *end), &OUTPUTS, pass, longest).unwrap();
         let cameras = scene.view.cameras.len();
         run(gpu, |r| {
             blend.record(

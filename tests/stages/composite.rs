@@ -1,7 +1,9 @@
 //! `composite.comp`: segments are joined and pixels written.
 
 use decouplegs::render::layout::{COARSE_PIXELS, Composite, RequiredCounts, View};
-use decouplegs::render::stages::{CompositeSegments, IndirectArguments, PartialResults, Plan};
+use decouplegs::render::stages::{
+    CompositeSegments, IndirectArguments, PartialResults, PixelEnd, Plan,
+};
 use decouplegs::render::twins::output::{
     Images, Pixel, camera_of_bin, coarse_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
 };
@@ -66,15 +68,15 @@ impl Case {
             planes: Planes::BESIDE_COLOR,
             ..Outputs::default()
         };
-        let (images, bytes, _) = self.kernel_by(gpu, Rules::DEFAULT, outputs);
+        let (images, bytes, _) = self.kernel_by(gpu, PixelEnd::Full, outputs);
         (images, bytes)
     }
 
-    /// Output of the kernel under `rules`, and the partial results that it leaves.
+    /// Output of the kernel for pixels that end at `end`, and the partial results that it leaves.
     fn kernel_by(
         &self,
         gpu: &Validated,
-        rules: Rules,
+        end: PixelEnd,
         outputs: Outputs,
     ) -> (Images, Vec<u32>, PartialResults) {
         let Self {
@@ -105,6 +107,11 @@ impl Case {
         )
         .unwrap();
         gpu.write(&plan.composites, 0, composites).unwrap();
+        // Rules by which pixels are finished.
+        let rules = match end {
+            PixelEnd::Full => Rules::DEFAULT,
+            PixelEnd::Exclusive | PixelEnd::Median => Rules::GSPLAT15,
+        };
         let on_device =
             PartialResults::new(gpu, partials.len() / COARSE_PIXELS, &rules, &outputs).unwrap();
         gpu.write(
@@ -118,7 +125,7 @@ impl Case {
         gpu.write(&images.planes, 0, &vec![UNTOUCHED; images.planes.len()])
             .unwrap();
         let cameras = upload(gpu, &view.cameras);
-        let composite = CompositeSegments::new(gpu, &rules, &outputs).unwrap();
+        let composite = CompositeSegments::new(gpu, end, &outputs).unwrap();
         run(gpu, |r| {
             composite.record(
                 r,
@@ -141,17 +148,17 @@ impl Case {
     /// The twin's images, and for each pixel how many segments it was joined from: 0 where it was
     /// not written.
     fn twin(&self) -> (Images, Vec<u32>) {
-        self.twin_by(false, false)
+        self.twin_by(PixelEnd::Full, false)
     }
 
-    fn twin_by(&self, stops: bool, counts: bool) -> (Images, Vec<u32>) {
+    fn twin_by(&self, end: PixelEnd, counts: bool) -> (Images, Vec<u32>) {
         let pixels = self.view.pixels;
         let mut images = Images::filled(pixels, UNTOUCHED);
         let mut segments = vec![0; pixels];
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
             let origin = coarse_tile_origin(composite.bin, camera);
-            for (place, pixel) in twins::composite(composite, &self.partials, stops, counts)
+            for (place, pixel) in twins::composite(composite, &self.partials, end, counts)
                 .0
                 .iter()
                 .enumerate()
@@ -174,7 +181,7 @@ impl Case {
         &self,
         gpu: &Validated,
         left: &PartialResults,
-        stops: bool,
+        end: PixelEnd,
         counts: bool,
     ) -> Result<(), String> {
         let mut tiles = vec![0u32; left.unfinished.len()];
@@ -183,7 +190,7 @@ impl Case {
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
             let origin = coarse_tile_origin(composite.bin, camera);
-            for unfinished in twins::composite(composite, &self.partials, stops, counts).1 {
+            for unfinished in twins::composite(composite, &self.partials, end, counts).1 {
                 let twins::Unfinished {
                     slot,
                     place,
@@ -340,12 +347,13 @@ fn segments_in_another_order_are_seen() {
 #[test]
 fn pixels_are_left_to_be_finished_where_they_end() {
     let gpu = open();
-    for (rules, counts) in [
-        (Rules::GSPLAT15, false),
-        (Rules::INRIA, true),
-        (Rules::DEFAULT, true),
+    for (end, counts) in [
+        (PixelEnd::Exclusive, false),
+        (PixelEnd::Exclusive, true),
+        (PixelEnd::Full, true),
+        (PixelEnd::Median, false),
     ] {
-        let stops = rules != Rules::DEFAULT;
+        let stops = end != PixelEnd::Full;
         let mut case = Case::new(4);
         let mut random = Random(6);
         for composite in &case.composites {
@@ -364,12 +372,12 @@ fn pixels_are_left_to_be_finished_where_they_end() {
             contributions: counts,
             ..Outputs::default()
         };
-        let (images, _, left) = case.kernel_by(&gpu, rules, outputs);
-        let (twin, segments) = case.twin_by(stops, counts);
+        let (images, _, left) = case.kernel_by(&gpu, end, outputs);
+        let (twin, segments) = case.twin_by(end, counts);
         Case::check(&images, &twin, &segments).unwrap();
-        case.check_unfinished(&gpu, &left, stops, counts).unwrap();
+        case.check_unfinished(&gpu, &left, end, counts).unwrap();
         assert!(
-            case.check_unfinished(&gpu, &left, stops, !counts).is_err(),
+            case.check_unfinished(&gpu, &left, end, !counts).is_err(),
             "other pixels would be seen"
         );
     }

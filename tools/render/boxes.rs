@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use decouplegs::asset::write_atomically;
-use decouplegs::render::Image;
+use decouplegs::render::{Image, Plane};
 use decouplegs::scene::bounding_box::{ImageBox, agent_box, visible_boxes};
 use decouplegs::scene::{Camera, Pose, World};
 use serde_json::{Value, json};
@@ -26,6 +26,9 @@ pub struct BoxList<'a> {
 }
 
 impl<'a> BoxList<'a> {
+    /// Planes that boxes are made of.
+    pub const PLANES: [Plane; 2] = [Plane::Instance, Plane::DepthMedian];
+
     pub fn new(scene: &'a Scene, labels: &'a Labels, counter: Counter) -> Self {
         let loaded = &scene.loaded;
         let mut placed = vec![None; loaded.agent_labels.len()];
@@ -51,6 +54,8 @@ impl<'a> BoxList<'a> {
     pub fn add(&mut self, camera: &Camera, image: &Image) -> Result<()> {
         let loaded = &self.scene.loaded;
         let instances = image.instance().context("the image has no instances")?;
+        let scene_m = image.depth_median();
+        let scene_m = scene_m.context("the image has no median depth")?;
         let ids = loaded.agent_labels.len() + 1;
         let visible = visible_boxes(instances, image.width, ids);
         let mut agents = Vec::new();
@@ -65,7 +70,7 @@ impl<'a> BoxList<'a> {
             let coverage = match alone(self.scene, instance as u16) {
                 Some(agent) if found.is_some() => {
                     let agent = (&agent, instance as u16);
-                    Some(self.counter.coverage(agent, camera, instances)?)
+                    Some(self.counter.coverage(agent, camera, (instances, scene_m))?)
                 }
                 _ => None,
             };

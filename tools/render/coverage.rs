@@ -2,7 +2,8 @@
 
 use anyhow::{Context, Result};
 use decouplegs::gpu::Gpu;
-use decouplegs::render::{Image, RenderOptions, Renderer, reference};
+use decouplegs::render::reference::geometry;
+use decouplegs::render::{Image, Outputs, Plane, RenderOptions, Renderer};
 use decouplegs::scene::{Camera, World};
 
 use crate::scene_source::Scene;
@@ -13,15 +14,17 @@ const COUNTED_WIDTH_PX: u32 = 400;
 /// Largest reduction of an image in which an agent is counted.
 const REDUCTION_MAX: u32 = 4;
 
-/// Alpha from which a pixel counts as covered.
-const COVERED_ALPHA: f32 = 0.5;
+/// An agent is hidden where something else is nearer by more than this, meters, and by more than
+/// this share of its distance: splats of the ground before it reach over its edge.
+const NEARER_M: f32 = 0.25;
+const NEARER_SHARE: f32 = 0.03;
 
-/// Pixels that an agent would cover if nothing else were there.
+/// Pixels of which an agent would take half of the light or more if nothing else were there.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Coverage {
     /// Those inside the image.
     inside: u32,
-    /// Those inside the image that show the agent indeed.
+    /// Those inside the image before which nothing is.
     visible: u32,
     /// Those in an image twice as wide and high around it; `None` if the lens ends before.
     around: Option<u32>,
@@ -53,30 +56,37 @@ impl Counter {
     pub fn on(gpu: &Gpu, scene: &Scene) -> Self {
         let options = RenderOptions {
             rules: scene.rules(),
+            outputs: Outputs {
+                planes: [Plane::DepthMedian].into(),
+                ..Outputs::default()
+            },
             ..RenderOptions::default()
         };
         Self::Device(Box::new(Renderer::new(gpu, options)))
     }
 
-    fn draw(&mut self, world: &World, camera: &Camera) -> Result<Image> {
+    /// Median depth of each pixel, meters; 0 where more than half of the light is left.
+    fn depths_m(&mut self, world: &World, camera: &Camera) -> Result<Vec<f32>> {
         match self {
             Self::Device(renderer) => {
                 let scene = renderer.upload(world)?;
                 renderer.render(&scene, std::slice::from_ref(camera))?;
-                let mut images = renderer.read_images()?;
-                images.pop().context("a camera has no image")
+                let image = renderer.read_images()?.pop();
+                let depths_m = image.as_ref().and_then(Image::depth_median);
+                Ok(depths_m.context("a camera has no median depth")?.to_vec())
             }
-            Self::Reference => Ok(reference::render(world, camera, &world.rules).to_image()),
+            Self::Reference => Ok(geometry::depth_median(world, camera, &world.rules)),
         }
     }
 
     /// Coverage by `agent`, a world of one agent alone, in the image of `camera`, whose pixels show
-    /// `instances`. The agent and the camera are at rest in it.
+    /// `instances` and have the median depths `scene_m`. The agent and the camera are at rest in
+    /// it.
     pub fn coverage(
         &mut self,
         (agent, instance): (&World, u16),
         camera: &Camera,
-        instances: &[u16],
+        (instances, scene_m): (&[u16], &[f32]),
     ) -> Result<Coverage> {
         let own = &camera.intrinsics;
         let padded = own.padded(own.width_px / 2, own.height_px / 2);
@@ -91,7 +101,7 @@ impl Counter {
             intrinsics: counted,
             ..camera.at_rest(0.0)
         };
-        let image = self.draw(agent, &alone)?;
+        let agent_m = self.depths_m(agent, &alone)?;
         // Place of a counted pixel in the camera's image; `None` beyond its edges.
         let within = |index: u32, counted_px: u32, shown_px: u32, own_px: u32| {
             let center_px = (f64::from(index) + 0.5) * f64::from(shown_px) / f64::from(counted_px);
@@ -100,16 +110,22 @@ impl Counter {
             is_inside.then_some(place_px as usize)
         };
         let (mut coverage, mut around) = (Coverage::default(), 0);
-        let covered = image.alpha.iter().zip(0..);
-        for (_, pixel) in covered.filter(|(alpha, _)| **alpha >= COVERED_ALPHA) {
+        let covered = agent_m
+            .iter()
+            .zip(0..)
+            .filter(|(agent_m, _)| **agent_m > 0.0);
+        for (agent_m, pixel) in covered {
             around += 1;
-            let (x, y) = (pixel % image.width, pixel / image.width);
+            let (x, y) = (pixel % counted.width_px, pixel / counted.width_px);
             let x = within(x, counted.width_px, shown.width_px, own.width_px);
             let y = within(y, counted.height_px, shown.height_px, own.height_px);
             if let (Some(x), Some(y)) = (x, y) {
                 coverage.inside += 1;
-                let shows = instances[y * own.width_px as usize + x] == instance;
-                coverage.visible += u32::from(shows);
+                let pixel = y * own.width_px as usize + x;
+                let nearest_m = agent_m * (1.0 - NEARER_SHARE) - NEARER_M;
+                let is_behind = scene_m[pixel] > 0.0 && scene_m[pixel] < nearest_m;
+                let is_visible = instances[pixel] == instance || !is_behind;
+                coverage.visible += u32::from(is_visible);
             }
         }
         coverage.around = is_padded.then_some(around);
@@ -145,6 +161,9 @@ mod tests {
         }
     }
 
+    /// No pixel shows the agent.
+    static HIDDEN: [u16; 400 * 300] = [0; 400 * 300];
+
     fn camera() -> Camera {
         Camera {
             name: "front".into(),
@@ -166,32 +185,30 @@ mod tests {
         let mut scene = World::of(plate(-2.0, 0.0, 3.0));
         let at = Pose::IDENTITY;
         scene.bake_instance(&agent.splats, &at, decouplegs::scene::ShFrame::World, 1);
-        let image = reference::render(&scene, &camera(), &scene.rules);
-        let alone = (&agent, 1);
-        let of = |instances: &[u16]| {
-            let coverage = Counter::Reference.coverage(alone, &camera(), instances);
+        let of = |scene: &World| {
+            let depths_m = geometry::depth_median(scene, &camera(), &scene.rules);
+            let coverage =
+                Counter::Reference.coverage((&agent, 1), &camera(), (&HIDDEN, &depths_m));
             coverage.unwrap()
         };
-        let hidden = of(&image.instance);
+        let hidden = of(&scene);
         let visible = hidden.visible_fraction().unwrap();
         assert!((visible - 0.5).abs() < 0.02, "{visible}");
         assert_eq!(hidden.truncated_fraction(), Some(0.0));
-        let own = reference::render(&agent, &camera(), &agent.rules);
-        let shown: Vec<u16> = own
-            .alpha
-            .iter()
-            .map(|alpha| u16::from(*alpha > 0.4))
-            .collect();
-        assert_eq!(of(&shown).visible_fraction(), Some(1.0));
+        assert_eq!(of(&agent).visible_fraction(), Some(1.0));
+        let shown = vec![1; HIDDEN.len()];
+        let wall_m = vec![1.0; HIDDEN.len()];
+        let shown = Counter::Reference.coverage((&agent, 1), &camera(), (&shown, &wall_m));
+        assert_eq!(shown.unwrap().visible_fraction(), Some(1.0));
     }
 
     #[test]
     fn half_of_a_plate_across_the_edge_is_truncated() {
         // The right edge of the image is 2 m to the right at 4 m.
         let agent = World::of(plate(1.0, 3.0, 4.0));
-        let nothing = [0; 400 * 300];
+        let wall_m = [1.0; 400 * 300];
         let of = |world: &World| {
-            let coverage = Counter::Reference.coverage((world, 1), &camera(), &nothing);
+            let coverage = Counter::Reference.coverage((world, 1), &camera(), (&HIDDEN, &wall_m));
             coverage.unwrap()
         };
         let coverage = of(&agent);

@@ -277,7 +277,9 @@ fn record_geometry(
             }
             empty_partials(r, frame);
         });
-        blend_images(recorder, &geometry.images, frame, &sums, [0.0; 3]);
+        if let Some(images) = geometry.images(plane) {
+            blend_images(recorder, images, frame, &sums, [0.0; 3]);
+        }
         recorder.stage("resolve", |r| {
             geometry
                 .resolve

@@ -5,11 +5,11 @@ use decouplegs_scene::Rules;
 
 use crate::options::RenderOptions;
 use crate::output::{ColorFormat, Outputs};
-use crate::plane::Attribute;
+use crate::plane::{Attribute, Plane};
 use crate::stages::{
     AgentVariant, Blend, BlendPass, CompositeSegments, Cull, CullAgents, CullShadows, KeySplats,
-    PlanSegments, PostProcess, Project, ProjectAgents, ProjectVariant, Relight, ResolvePlane, Scan,
-    TileSort, finishes,
+    PixelEnd, PlanSegments, PostProcess, Project, ProjectAgents, ProjectVariant, Relight,
+    ResolvePlane, Scan, TileSort, finishes,
 };
 
 /// Longer segments are no segments.
@@ -39,15 +39,15 @@ pub(crate) struct ImageStages {
 impl ImageStages {
     fn new(
         gpu: &Gpu,
-        rules: &Rules,
+        (rules, end): (&Rules, PixelEnd),
         outputs: &Outputs,
         segment_pairs: u32,
     ) -> Result<Self, GpuError> {
-        let blend = |pass| Blend::new(gpu, rules, outputs, pass, segment_pairs);
-        let finishes = finishes(rules, outputs) && segment_pairs < u32::MAX;
+        let blend = |pass| Blend::new(gpu, (rules, end), outputs, pass, segment_pairs);
+        let finishes = finishes(end, outputs) && segment_pairs < u32::MAX;
         Ok(Self {
             blend: blend(BlendPass::Segments)?,
-            composite: CompositeSegments::new(gpu, rules, outputs)?,
+            composite: CompositeSegments::new(gpu, end, outputs)?,
             finish: finishes.then(|| blend(BlendPass::Finish)).transpose()?,
         })
     }
@@ -67,15 +67,27 @@ pub(crate) struct AgentStages {
     pub relight: Option<Relight>,
 }
 
-/// Kernels of the planes of geometry: attributes in the place of color, and their means.
+/// Kernels of the planes of geometry: attributes in the place of color, and their means and
+/// medians.
 pub(crate) struct GeometryStages {
-    pub images: ImageStages,
+    /// `None` where no plane is a mean.
+    means: Option<ImageStages>,
+    /// `None` where no plane is a median.
+    medians: Option<ImageStages>,
     pub resolve: ResolvePlane,
     background: Vec<(ProjectVariant, Project)>,
     agents: Vec<(AgentVariant, ProjectAgents)>,
 }
 
 impl GeometryStages {
+    /// Blending for `plane`.
+    pub fn images(&self, plane: Plane) -> Option<&ImageStages> {
+        match plane.is_median() {
+            true => self.medians.as_ref(),
+            false => self.means.as_ref(),
+        }
+    }
+
     /// The projection of the background that writes an attribute.
     pub fn background(&self, variant: ProjectVariant) -> Option<&Project> {
         let mut built = self.background.iter();
@@ -195,8 +207,16 @@ impl Kernels {
                 color: ColorFormat::F32,
                 ..Outputs::default()
             };
+            let images = |end, medians: bool| {
+                let mut planes = self.outputs.planes.geometry();
+                let is_needed = planes.any(|plane| plane.is_median() == medians);
+                let stages =
+                    || ImageStages::new(gpu, (&self.rules, end), &outputs, self.segment_pairs);
+                is_needed.then(stages).transpose()
+            };
             self.geometry = Some(GeometryStages {
-                images: ImageStages::new(gpu, &self.rules, &outputs, self.segment_pairs)?,
+                means: images(PixelEnd::of(&self.rules), false)?,
+                medians: images(PixelEnd::Median, true)?,
                 resolve: ResolvePlane::new(gpu)?,
                 background: Vec::new(),
                 agents: Vec::new(),
@@ -248,7 +268,8 @@ impl Kernels {
         };
         if !self.images.iter().any(|(built, _)| *built == color) {
             let outputs = Outputs { color, ..*outputs };
-            let stages = ImageStages::new(gpu, rules, &outputs, *segment_pairs)?;
+            let end = PixelEnd::of(rules);
+            let stages = ImageStages::new(gpu, (rules, end), &outputs, *segment_pairs)?;
             self.images.push((color, stages));
         }
         if variant.post_processed && self.post_process.is_none() {

@@ -32,6 +32,11 @@ pub enum Plane {
     FlowBackward,
     /// Velocity, three f32, meters per second, world axes; the background is at rest.
     SceneFlow,
+    /// Median depth, meters, f32: that of [`Plane::Depth`] of the splat in which half of a pixel's
+    /// light is gone. 0 where more than half is left.
+    DepthMedian,
+    /// The same of [`Plane::Range`].
+    RangeMedian,
 }
 
 /// Attribute of splats that is blended in the place of color; `ATTRIBUTE_*` in `geometry.glsl`.
@@ -48,6 +53,8 @@ pub enum Attribute {
     Flow = constants::ATTRIBUTE_FLOW as isize,
     /// Velocity in the world.
     SceneFlow = constants::ATTRIBUTE_SCENE_FLOW as isize,
+    /// Depth by which records are ordered.
+    Depth = constants::ATTRIBUTE_DEPTH as isize,
 }
 
 /// Type of a plane's values on the host.
@@ -73,7 +80,7 @@ pub type PlaneMap = BTreeMap<Plane, PlaneValues>;
 
 impl Plane {
     /// All planes, in the order in which they lie in [`crate::OutputBuffers::planes`].
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 9] = [
         Self::Depth,
         Self::Instance,
         Self::Range,
@@ -81,6 +88,8 @@ impl Plane {
         Self::FlowForward,
         Self::FlowBackward,
         Self::SceneFlow,
+        Self::DepthMedian,
+        Self::RangeMedian,
     ];
 
     /// Name in options, files and messages.
@@ -94,6 +103,8 @@ impl Plane {
             Self::FlowForward => "flow_forward",
             Self::FlowBackward => "flow_backward",
             Self::SceneFlow => "scene_flow",
+            Self::DepthMedian => "depth_median",
+            Self::RangeMedian => "range_median",
         }
     }
 
@@ -116,10 +127,16 @@ impl Plane {
     #[must_use]
     pub const fn channels(self) -> usize {
         match self {
-            Self::Depth | Self::Instance | Self::Range => 1,
+            Self::Depth | Self::Instance | Self::Range | Self::DepthMedian | Self::RangeMedian => 1,
             Self::FlowForward | Self::FlowBackward => 2,
             Self::Normal | Self::SceneFlow => 3,
         }
+    }
+
+    /// True if the values are medians of the attribute, not means.
+    #[must_use]
+    pub const fn is_median(self) -> bool {
+        matches!(self, Self::DepthMedian | Self::RangeMedian)
     }
 
     /// Attribute whose means are the plane's values; [`Attribute::None`] for a plane that is
@@ -128,7 +145,8 @@ impl Plane {
     pub const fn attribute(self) -> Attribute {
         match self {
             Self::Depth | Self::Instance => Attribute::None,
-            Self::Range => Attribute::Range,
+            Self::Range | Self::RangeMedian => Attribute::Range,
+            Self::DepthMedian => Attribute::Depth,
             Self::Normal => Attribute::Normal,
             Self::FlowForward | Self::FlowBackward => Attribute::Flow,
             Self::SceneFlow => Attribute::SceneFlow,

@@ -6,8 +6,6 @@ use decouplegs_scene::{Camera, Fog, Intrinsics, Photometry, RayMap, Shutter, Sky
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
-use crate::resident::GpuScene;
-
 /// Purpose under which the memory of skies and their rays is counted.
 const PURPOSE: &str = "sky";
 
@@ -126,18 +124,13 @@ pub(crate) struct RayTables {
 }
 
 impl RayTables {
-    /// `cameras` as post-processing of `scene` sees them, and their calibrations; none where colors stay as
-    /// they are.
+    /// `cameras` as post-processing sees them. Without `sky`, no rays are needed.
     pub fn seen_by(
         &mut self,
         gpu: &Gpu,
-        scene: &GpuScene,
+        sky: Option<&SkyBuffers>,
         cameras: &[Camera],
-    ) -> Result<(Vec<ProcessedView>, Vec<PhotometryRecord>), GpuError> {
-        if !scene.is_post_processed(cameras) {
-            return Ok((Vec::new(), Vec::new()));
-        }
-        let sky = scene.sky_map.as_ref();
+    ) -> Result<Vec<ProcessedView>, GpuError> {
         let mut views = Vec::with_capacity(cameras.len());
         for camera in cameras {
             let rotation = DMat3::from_quat(camera.world_from_camera.rotation);
@@ -157,8 +150,7 @@ impl RayTables {
             .len()
             .saturating_sub(TABLES_MAX.max(cameras.len()));
         self.tables.drain(..spare);
-        let record = |camera: &Camera| PhotometryRecord::new(&scene.photometry_of(camera));
-        Ok((views, cameras.iter().map(record).collect()))
+        Ok(views)
     }
 
     fn rays(

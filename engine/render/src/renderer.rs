@@ -14,7 +14,7 @@ use crate::kernels::{FrameVariant, Kernels};
 use crate::keys::{KeyDecision, PersistentKeys};
 use crate::layout::{View, near_m};
 use crate::options::{FrameStatistics, RenderOptions};
-use crate::post_processing::RayTables;
+use crate::post_processing::{PhotometryRecord, RayTables};
 use crate::resident::GpuScene;
 use crate::slot::{FrameInFlight, Pending};
 use crate::stages::{AgentCounts, AgentVariant, CameraVariant, ProjectVariant};
@@ -164,7 +164,15 @@ impl Renderer {
             KeyDecision::computed(view.cameras.len())
         };
         let kept_keys = keys.keys().clone();
-        let (processed, photometry) = self.ray_tables.seen_by(&self.gpu, scene.world, cameras)?;
+        let (mut processed, mut photometry) = (Vec::new(), Vec::new());
+        if scene.world.is_post_processed(cameras) {
+            let sky = scene.world.sky_map.as_ref();
+            processed = self.ray_tables.seen_by(&self.gpu, sky, cameras)?;
+            let calibrations = cameras
+                .iter()
+                .map(|camera| scene.world.photometry_of(camera));
+            photometry.extend(calibrations.map(|own| PhotometryRecord::new(&own)));
+        }
         let variant = self.variant(&scene, &view, list.as_ref(), !processed.is_empty());
         let added = scene
             .agents

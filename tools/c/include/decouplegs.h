@@ -146,8 +146,9 @@ typedef enum {
      */
     DGS_IMAGE_KIND_INSTANCE_U16 = 3,
     /**
-     * float: expected distance from the camera, meters. This kind and those below are means over
-     * the splats of a pixel, and 0 where nothing was hit. Sessions with them in `planes`.
+     * float: expected distance from the camera, meters. This kind and those up to the scene flow
+     * are means over the splats of a pixel, and 0 where nothing was hit. Sessions with them in
+     * `planes`.
      */
     DGS_IMAGE_KIND_RANGE_F32 = 4,
     /**
@@ -168,6 +169,15 @@ typedef enum {
      * float x, y, z: velocity in world axes, meters per second.
      */
     DGS_IMAGE_KIND_SCENE_FLOW_F32 = 8,
+    /**
+     * float: depth of the splat in which half of a pixel's light is gone, meters; 0 where more
+     * than half is left.
+     */
+    DGS_IMAGE_KIND_DEPTH_MEDIAN_F32 = 9,
+    /**
+     * float: distance of that splat from the camera, meters.
+     */
+    DGS_IMAGE_KIND_RANGE_MEDIAN_F32 = 10,
 } DgsImageKind;
 
 /**

@@ -208,8 +208,9 @@ pub enum DgsImageKind {
     /// uint16_t: the agent that weighs most, by its `instance`; 0 is the background. Sessions with
     /// `instance`.
     InstanceU16 = 3,
-    /// float: expected distance from the camera, meters. This kind and those below are means over
-    /// the splats of a pixel, and 0 where nothing was hit. Sessions with them in `planes`.
+    /// float: expected distance from the camera, meters. This kind and those up to the scene flow
+    /// are means over the splats of a pixel, and 0 where nothing was hit. Sessions with them in
+    /// `planes`.
     RangeF32 = 4,
     /// float x, y, z: normal in world axes, towards the camera; its length tells how far the splats
     /// agree.
@@ -221,11 +222,16 @@ pub enum DgsImageKind {
     FlowBackwardF32 = 7,
     /// float x, y, z: velocity in world axes, meters per second.
     SceneFlowF32 = 8,
+    /// float: depth of the splat in which half of a pixel's light is gone, meters; 0 where more
+    /// than half is left.
+    DepthMedianF32 = 9,
+    /// float: distance of that splat from the camera, meters.
+    RangeMedianF32 = 10,
 }
 
 impl DgsImageKind {
     /// The last kind.
-    pub(crate) const LAST: u32 = Self::SceneFlowF32 as u32;
+    pub(crate) const LAST: u32 = Self::RangeMedianF32 as u32;
 
     /// The kind of the images of `plane`.
     const fn of(plane: Plane) -> Self {
@@ -237,6 +243,8 @@ impl DgsImageKind {
             Plane::FlowForward => Self::FlowForwardF32,
             Plane::FlowBackward => Self::FlowBackwardF32,
             Plane::SceneFlow => Self::SceneFlowF32,
+            Plane::DepthMedian => Self::DepthMedianF32,
+            Plane::RangeMedian => Self::RangeMedianF32,
         }
     }
 

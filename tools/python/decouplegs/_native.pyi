@@ -121,7 +121,7 @@ class Session:
         color: Literal["u8", "f32"] = "u8",
         depth: bool = False,
         instance: bool = False,
-        planes: Sequence[Literal["depth", "instance", "range", "normal", "flow_forward", "flow_backward", "scene_flow"]] = (),
+        planes: Sequence[Literal["depth", "instance", "range", "normal", "flow_forward", "flow_backward", "scene_flow", "depth_median", "range_median"]] = (),
         flow_interval: float = 0.1,
         exported: bool | None = None,
         rules: Literal["default", "gsplat15", "gsplat16", "inria"] | None = None,

@@ -173,7 +173,9 @@ impl BatchRenderer {
     /// [C, H, W], meters along the camera's z, 0 where nothing was hit, ``instance`` int32 [C, H,
     /// W], 0 the background, and float32 planes of geometry: ``range`` [C, H, W], meters from the
     /// camera; ``normal`` [C, H, W, 3], world axes, towards the camera; ``flow_forward`` and
-    /// ``flow_backward`` [C, H, W, 2], pixels; ``scene_flow`` [C, H, W, 3], m/s, world axes.
+    /// ``flow_backward`` [C, H, W, 2], pixels; ``scene_flow`` [C, H, W, 3], m/s, world axes;
+    /// ``depth_median`` and ``range_median`` [C, H, W], of the splat in which half of the light is
+    /// gone.
     fn draw_layers<'py>(
         &self,
         py: Python<'py>,

@@ -57,8 +57,8 @@ pub(super) fn of_embeddings(
     with_matrix(scene, name, matrix, &format!("{of}{place}"))
 }
 
-/// Correction of Street Gaussians (`affine_trans` in `lib/models/color_correction.py`): a matrix per
-/// image or per camera. The file does not say which.
+/// Correction of Street Gaussians (`affine_trans` in `lib/models/color_correction.py`): a matrix
+/// per image or per camera. The file does not say which.
 ///
 /// # Errors
 /// Returns an error if the tensor is broken, or there is no such `image`.

@@ -1,8 +1,8 @@
-//! Shutters and windshields of cameras in scene files.
+//! Shutters and windshields of cameras in scene files; calibration and fog of scenes.
 
 use decouplegs_asset::SceneFile;
-use decouplegs_scene::ShutterDirection;
 use decouplegs_scene::lens::WindshieldDirection;
+use decouplegs_scene::{Fog, ShutterDirection};
 use glam::DVec2;
 
 /// A scene with one camera, which has `more`.
@@ -96,5 +96,38 @@ fn what_no_camera_has_is_refused_with_its_value() {
             error.contains(field) && error.contains(word),
             "{more}: {error}"
         );
+    }
+}
+
+#[test]
+fn a_scene_has_a_photometry_and_fog() {
+    let parsed = |table: &str| {
+        let head = "version = 1\nbackground = \"street.ply\"\n";
+        SceneFile::parse(&format!("{head}{table}\n"))
+    };
+    let scene = parsed(
+        "[photometry]\nexposure_ev = 1.0\n[fog]\nextinction_per_m = 0.1\ncolor = [0.5, 0.6, 0.7]",
+    );
+    let scene = scene.unwrap();
+    assert_eq!(scene.photometry.exposure_ev, 1.0);
+    assert_eq!(scene.fog, Some(Fog::new(0.1, [0.5, 0.6, 0.7])));
+    let vignetting = "[photometry]\nvignetting = { center_px = [1.0, 1.0], radius_px = [1.0, 1.0], rgb = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]] }";
+    for (table, expected) in [
+        (vignetting, "belongs to a camera"),
+        (
+            "[photometry]\nexposure_ev = 99.0",
+            "photometry: exposure_ev is 99",
+        ),
+        (
+            "[fog]\nextinction_per_m = -0.1\ncolor = [0.5, 0.5, 0.5]",
+            "fog: extinction_per_m is -0.1",
+        ),
+        (
+            "[fog]\nextinction_per_m = 0.1\ncolor = [inf, 0.5, 0.5]",
+            "not finite",
+        ),
+    ] {
+        let message = parsed(table).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
     }
 }

@@ -283,24 +283,6 @@ fn complaints_name_file_line_and_key() {
             "gamma",
         ),
         (
-            "[rules]",
-            "[photometry]\nvignetting = { center_px = [1.0, 1.0], radius_px = [1.0, 1.0], rgb = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]] }\n[rules]",
-            "photometry",
-            "belongs to a camera",
-        ),
-        (
-            "[rules]",
-            "[photometry]\nexposure_ev = 99.0\n[rules]",
-            "photometry",
-            "exposure_ev is 99",
-        ),
-        (
-            "[rules]",
-            "[fog]\nextinction_per_m = -0.1\ncolor = [0.5, 0.5, 0.5]\n[rules]",
-            "fog",
-            "extinction_per_m is -0.1",
-        ),
-        (
             "present = [[0.0, 4.0]]",
             "present = []",
             "agent[1].present",

@@ -4,8 +4,9 @@ use std::borrow::Cow;
 
 use decouplegs_scene::{Camera, Rules, SplatCloud, World};
 use glam::{DMat3, DQuat, DVec2, DVec3};
+use rayon::prelude::*;
 
-use super::blend::Pixel64;
+use super::blend::{Pixel64, alpha_at};
 use super::{Window, front_to_back, render_band};
 
 /// Half the time over which the velocity of a splat is measured, seconds.
@@ -25,6 +26,11 @@ pub struct Geometry64 {
     pub flow_backward: Vec<[f64; 2]>,
     /// Velocity, world axes, meters per second.
     pub scene_flow: Vec<DVec3>,
+    /// Depth of the splat in which half of the light is gone, meters; 0 where more than half is
+    /// left.
+    pub depth_median: Vec<f64>,
+    /// Distance of that splat from the camera, meters.
+    pub range_median: Vec<f64>,
 }
 
 /// Renders the planes of geometry of a moving world. `world_at` gives the world at a time in
@@ -59,7 +65,10 @@ pub fn render_geometry<'a>(
     };
     let (before, after) = (world_at(-VELOCITY_HALF_S), world_at(VELOCITY_HALF_S));
     let range = |splat: usize| DVec3::X * (now.splats.mean_m(splat) - center).length();
+    let (depth_median, range_median) = medians(&now, &here, rules, &range);
     Geometry64 {
+        depth_median,
+        range_median,
         range: means(&range).into_iter().map(|mean| mean.x).collect(),
         normal: means(&|splat| normal(&now.splats, splat, center)),
         flow_forward: flow(interval_s),
@@ -87,6 +96,43 @@ fn mean_of(
         alpha => DVec3::from_array(pixel.rgb) / alpha,
     };
     pixels.iter().map(mean).collect()
+}
+
+/// Depth of the splat in which half of the light of each pixel is gone, meters, row-major from the
+/// top left; 0 where more than half is left.
+///
+/// # Panics
+/// Panics if the camera's intrinsics fail [`decouplegs_scene::Intrinsics::check`].
+#[must_use]
+pub fn depth_median(world: &World, camera: &Camera, rules: &Rules) -> Vec<f32> {
+    let (depths_m, _) = medians(world, camera, rules, &|_| DVec3::ZERO);
+    depths_m.into_iter().map(|depth_m| depth_m as f32).collect()
+}
+
+/// Depth of the splat in which half of the light of each pixel is gone, and its `range` along x.
+fn medians(
+    world: &World,
+    camera: &Camera,
+    rules: &Rules,
+    range: &(dyn Fn(usize) -> DVec3 + Sync),
+) -> (Vec<f64>, Vec<f64>) {
+    let window = Window::whole(&camera.intrinsics);
+    let color = |splat: usize, _: DVec3| range(splat).to_array();
+    let splats = front_to_back(world, camera, rules, &window, &color);
+    let median = |pixel: usize| {
+        let center_px = window.center_px(pixel);
+        let mut transmittance = 1.0;
+        for splat in &splats {
+            let alpha = alpha_at(&splat.projected, center_px, rules).unwrap_or(0.0);
+            transmittance *= 1.0 - alpha;
+            if transmittance <= 0.5 {
+                return (splat.projected.depth_m, splat.color[0]);
+            }
+        }
+        (0.0, 0.0)
+    };
+    let pixels = camera.intrinsics.pixels() as usize;
+    (0..pixels).into_par_iter().map(median).unzip()
 }
 
 /// Place of a splat's mean in the image, pixels; `None` behind the near plane.

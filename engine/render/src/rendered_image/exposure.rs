@@ -21,8 +21,8 @@ pub struct ExposureSum {
 }
 
 impl ExposureSum {
-    /// No light yet on an image of `pixels`, whose colors have the meaning `curve`: display-referred
-    /// ones are light to the power of 1 / 2.2.
+    /// No light yet on an image of `pixels`, whose colors have the meaning `curve`:
+    /// display-referred ones are light to the power of 1 / 2.2.
     #[must_use]
     pub fn new(pixels: usize, curve: ColorCurve) -> Self {
         Self {

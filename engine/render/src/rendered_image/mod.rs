@@ -208,6 +208,12 @@ impl Image {
         self.planes.get(&Plane::Depth)?.as_f32()
     }
 
+    /// [`Plane::DepthMedian`], meters; `None` where it was not asked for.
+    #[must_use]
+    pub fn depth_median(&self) -> Option<&[f32]> {
+        self.planes.get(&Plane::DepthMedian)?.as_f32()
+    }
+
     /// [`Plane::Instance`]; `None` where it was not asked for.
     #[must_use]
     pub fn instance(&self) -> Option<&[u16]> {

@@ -3,6 +3,7 @@
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::{EarlyStop, Rules};
+use decouplegs_shaders::constants;
 
 use super::{FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, kernel, push_constants};
 use crate::layout::{COARSE_PIXELS, CameraRecord};
@@ -34,7 +35,9 @@ impl PartialResults {
         rules: &Rules,
         outputs: &Outputs,
     ) -> Result<Self, GpuError> {
-        let unfinished = if finishes(rules, outputs) { slots } else { 0 };
+        let finishes = finishes(PixelEnd::of(rules), outputs);
+        let medians = outputs.planes.iter().any(Plane::is_median);
+        let unfinished = if finishes || medians { slots } else { 0 };
         let pixels = slots * COARSE_PIXELS;
         Ok(Self {
             colors: gpu.buffer("partial_colors", PURPOSE, pixels, MemoryKind::Device)?,
@@ -60,11 +63,51 @@ impl PartialResults {
     }
 }
 
+/// End of a pixel: the splat behind which nothing counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PixelEnd {
+    /// The splat that leaves next to no light.
+    Full,
+    /// The last one before the limit of an exclusive stop.
+    Exclusive,
+    /// The one in which half of the light is gone; its color is that of the pixel.
+    Median,
+}
+
+impl PixelEnd {
+    /// The end of pixels of color by `rules`.
+    #[must_use]
+    pub fn of(rules: &Rules) -> Self {
+        match rules.stop {
+            EarlyStop::Exclusive => Self::Exclusive,
+            EarlyStop::None => Self::Full,
+        }
+    }
+
+    /// Transmittance at which a pixel ends by an exclusive stop; `None` by others.
+    #[must_use]
+    pub fn stop_limit(self) -> Option<f32> {
+        match self {
+            Self::Full => None,
+            Self::Exclusive => Some(constants::TRANSMITTANCE_MIN),
+            Self::Median => Some(constants::TRANSMITTANCE_MEDIAN),
+        }
+    }
+
+    /// Specialization constants of the kernels.
+    pub(super) fn constants(self) -> [(&'static str, Constant); 2] {
+        [
+            ("EXCLUSIVE_STOP", Constant::Bool(self != Self::Full)),
+            ("MEDIAN", Constant::Bool(self == Self::Median)),
+        ]
+    }
+}
+
 /// True if segments of a list are blended again from what lies before them: by an exclusive stop,
 /// and where weights are counted.
 #[must_use]
-pub fn finishes(rules: &Rules, outputs: &Outputs) -> bool {
-    rules.stop == EarlyStop::Exclusive || outputs.contributions
+pub fn finishes(end: PixelEnd, outputs: &Outputs) -> bool {
+    end != PixelEnd::Full || outputs.contributions
 }
 
 /// Purpose of a run of [`Blend`].
@@ -115,13 +158,14 @@ pub struct Blend {
 }
 
 impl Blend {
-    /// The stage for images of the given rules, and for items of at most `item_pairs_max` pairs.
+    /// The stage for images of the given rules whose pixels end at `end`, and for items of at most
+    /// `item_pairs_max` pairs.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
     pub fn new(
         gpu: &Gpu,
-        rules: &Rules,
+        (rules, end): (&Rules, PixelEnd),
         outputs: &Outputs,
         pass: BlendPass,
         item_pairs_max: u32,
@@ -129,17 +173,16 @@ impl Blend {
         let batch = batch_records(gpu.limits().shared_memory_bytes, outputs);
         let own = [
             ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
-            (
-                "EXCLUSIVE_STOP",
-                Constant::Bool(rules.stop == EarlyStop::Exclusive),
-            ),
             ("LANES", Constant::U32(gpu.limits().subgroup_size)),
             ("BATCH", Constant::U32(batch)),
             ("ONE_BATCH", Constant::Bool(item_pairs_max <= batch)),
             ("CONTRIBUTIONS", Constant::Bool(outputs.contributions)),
             ("FINISH", Constant::Bool(pass == BlendPass::Finish)),
         ];
-        let constants: Vec<_> = outputs.constants().chain(own).collect();
+        let constants: Vec<_> = (outputs.constants())
+            .chain(own)
+            .chain(end.constants())
+            .collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::BLEND, &constants)?,
         })

@@ -2,9 +2,10 @@
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder};
-use decouplegs_scene::{EarlyStop, Rules};
 
-use super::{FrameCounters, IndirectArguments, PartialResults, Plan, kernel, push_constants};
+use super::{
+    FrameCounters, IndirectArguments, PartialResults, PixelEnd, Plan, kernel, push_constants,
+};
 use crate::layout::CameraRecord;
 use crate::output::{OutputBuffers, Outputs};
 
@@ -22,17 +23,16 @@ pub struct CompositeSegments {
 }
 
 impl CompositeSegments {
-    /// The stage.
+    /// The stage for images whose pixels end at `end`.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs) -> Result<Self, GpuError> {
-        let stop = (
-            "EXCLUSIVE_STOP",
-            Constant::Bool(rules.stop == EarlyStop::Exclusive),
-        );
+    pub fn new(gpu: &Gpu, end: PixelEnd, outputs: &Outputs) -> Result<Self, GpuError> {
         let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
-        let constants: Vec<_> = outputs.constants().chain([stop, contributions]).collect();
+        let constants: Vec<_> = (outputs.constants())
+            .chain(end.constants())
+            .chain([contributions])
+            .collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::COMPOSITE, &constants)?,
         })

@@ -20,7 +20,7 @@ mod scan;
 mod tile_sort;
 
 pub use agents::{AgentBuffers, AgentCounts, AgentVariant, CullAgents, ProjectAgents};
-pub use blend::{Blend, BlendPass, PartialResults, finishes};
+pub use blend::{Blend, BlendPass, PartialResults, PixelEnd, finishes};
 pub use composite::CompositeSegments;
 pub use cull::{Cull, Visible};
 pub use cull_shadows::{CullShadows, ShadowBuffers, words_for};

@@ -1,4 +1,4 @@
-//! Resolving of a plane: means of an attribute by pixel.
+//! Resolving of a plane: means or medians of an attribute by pixel.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
@@ -13,6 +13,7 @@ push_constants! {
         pixels: u32,
         channels: u32,
         first_word: u32,
+        median: u32,
     }
 }
 
@@ -48,6 +49,7 @@ impl ResolvePlane {
             pixels: images.pixels() as u32,
             channels: plane.channels() as u32,
             first_word: words.start as u32,
+            median: plane.is_median().into(),
         };
         let bound = [
             ("sums", sums.binding()),

@@ -2,12 +2,13 @@
 
 use super::footprint::{LOG2_255, center_of, log2_alpha};
 use super::output::{
-    PIXEL_EMPTY, Pixel, TRANSMITTANCE_MIN, camera_of_bin, coarse_tile_origin, pixel_offset,
+    MEDIAN_FOUND, PIXEL_EMPTY, Pixel, camera_of_bin, coarse_tile_origin, pixel_offset,
 };
 use super::planes::add_to_planes;
 use super::projection::rgb_of;
 use super::record::load_footprint;
 use crate::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL};
+use crate::stages::PixelEnd;
 
 /// log2 of the alpha that record `record` has at pixel `(column, row)` of its image.
 #[must_use]
@@ -18,8 +19,8 @@ pub fn log2_alpha_at(footprints: &[[f32; 4]], record: u32, column: u32, row: u32
     )
 }
 
-/// Adds one splat to a pixel. `full`: the pixel takes no more; `stops`: a splat that would fill it
-/// makes it so.
+/// Adds one splat to a pixel. `full`: the pixel takes no more; the splat at which it ends makes it
+/// so.
 fn blend_pixel(
     pixel: &mut Pixel,
     full: &mut bool,
@@ -27,14 +28,19 @@ fn blend_pixel(
     color: [f32; 4],
     high: [f32; 4],
     alpha_max: f32,
-    stops: bool,
+    end: PixelEnd,
 ) {
     if log2_alpha < -LOG2_255 || *full {
         return;
     }
     let alpha = log2_alpha.exp2().min(alpha_max);
-    if stops && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN {
+    let left = pixel.transmittance * (1.0 - alpha);
+    if end.stop_limit().is_some_and(|limit| left <= limit) {
         *full = true;
+        if end == PixelEnd::Median {
+            pixel.color = rgb_of(color);
+            pixel.transmittance = MEDIAN_FOUND;
+        }
         return;
     }
     let weight = pixel.transmittance * alpha;
@@ -57,7 +63,7 @@ pub fn blend(
     footprints: &[[f32; 4]],
     colors: &[[f32; 4]],
     alpha_max: f32,
-    exclusive_stop: bool,
+    end: PixelEnd,
     before: Option<&[Pixel]>,
 ) -> Vec<Pixel> {
     let camera = &cameras[camera_of_bin(cameras, item.bin)];
@@ -72,14 +78,17 @@ pub fn blend(
         .iter_mut()
         .for_each(|pixel| pixel.transmittance = pixel.transmittance.abs());
     // Later segments do not know what lies before them.
-    let stops = exclusive_stop && (before.is_some() || item.segment == 0);
+    let end = match before.is_some() || item.segment == 0 {
+        true => end,
+        false => PixelEnd::Full,
+    };
     let first = item.first_pair as usize;
     for (place, (pixel, full)) in pixels.iter_mut().zip(&mut full).enumerate() {
         let [x, y] = pixel_offset(place);
         for &record in &records[first..first + item.pairs as usize] {
             let log2_alpha = log2_alpha_at(footprints, record, origin[0] + x, origin[1] + y);
             let (color, high) = (colors[record as usize], footprints[2 * record as usize + 1]);
-            blend_pixel(pixel, full, log2_alpha, color, high, alpha_max, stops);
+            blend_pixel(pixel, full, log2_alpha, color, high, alpha_max, end);
         }
     }
     for (place, pixel) in pixels.iter_mut().enumerate() {

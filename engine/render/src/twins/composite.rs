@@ -1,8 +1,9 @@
 //! Joins the segments of a coarse tile that was cut, front to back, until it is full:
 //! `composite.comp`.
 
-use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN, over};
+use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_FULL, over};
 use crate::layout::{COARSE_PIXELS, Composite};
+use crate::stages::PixelEnd;
 
 /// Pixel that composite leaves to a segment: its index there, and the color and transmittance
 /// before it, transmittance negated.
@@ -17,26 +18,27 @@ pub struct Unfinished {
 }
 
 /// The pixels of the coarse tile, in the order of `partials`: `COARSE_PIXELS` a slot, as
-/// [`super::blend`] keeps them. By an exclusive stop where `stops`, and with every segment behind
-/// the first left to be finished where `counts`: with that, what is left.
+/// [`super::blend`] keeps them. Pixels end at `end`. Every segment behind the first is left to be
+/// finished where `counts`: with that, what is left.
 #[must_use]
 pub fn composite(
     composite: &Composite,
     partials: &[Pixel],
-    stops: bool,
+    end: PixelEnd,
     counts: bool,
 ) -> (Vec<Pixel>, Vec<Unfinished>) {
-    let mut left = Vec::new();
+    let (limit, mut left) = (end.stop_limit(), Vec::new());
     let mut joined = |place: usize| {
         let mut pixel = PIXEL_EMPTY;
         for segment in 0..composite.partials as usize {
             let slot = composite.first_partial as usize + segment;
             let mut farther = partials[slot * COARSE_PIXELS + place];
-            let ended = stops && farther.transmittance < 0.0;
+            let ended = limit.is_some() && farther.transmittance < 0.0;
             farther.transmittance = farther.transmittance.abs();
             let before = pixel;
             pixel = over(before, &farther);
-            let ends = stops && segment > 0 && pixel.transmittance <= TRANSMITTANCE_MIN;
+            let is_over = limit.is_some_and(|limit| pixel.transmittance <= limit);
+            let ends = segment > 0 && is_over;
             if segment > 0 && (ends || counts) {
                 left.push(Unfinished {
                     slot,
@@ -47,7 +49,7 @@ pub fn composite(
                     },
                 });
             }
-            if ended || ends || (!stops && pixel.transmittance <= TRANSMITTANCE_FULL) {
+            if ended || ends || (limit.is_none() && pixel.transmittance <= TRANSMITTANCE_FULL) {
                 break;
             }
         }

@@ -1,7 +1,7 @@
 //! Accumulation of a pixel and its output: `output.glsl`.
 
 pub use decouplegs_shaders::constants::{
-    COARSE_COLUMNS, FINE_TILE_PX, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN,
+    COARSE_COLUMNS, FINE_TILE_PX, MEDIAN_FOUND, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN,
 };
 use glam::Vec3;
 

@@ -1,13 +1,16 @@
-//! Means of an attribute by pixel: `resolve_plane.comp`.
+//! Means and medians of an attribute by pixel: `resolve_plane.comp`.
 
-/// Values of a plane of `channels` per pixel, from weighted sums and alpha.
+use crate::plane::Plane;
+
+/// Values of `plane`, from weighted sums and alpha.
 #[must_use]
-pub fn resolve_plane(sums: &[[f32; 4]], channels: usize) -> Vec<f32> {
-    let mean = |sum: &[f32; 4], channel: usize| match sum[3] > 0.0 {
-        true => sum[channel] / sum[3],
-        false => 0.0,
+pub fn resolve_plane(sums: &[[f32; 4]], plane: Plane) -> Vec<f32> {
+    let value = |sum: &[f32; 4], channel: usize| match (plane.is_median(), sum[3]) {
+        (true, 1.0) => sum[channel],
+        (false, alpha) if alpha > 0.0 => sum[channel] / alpha,
+        _ => 0.0,
     };
     sums.iter()
-        .flat_map(|sum| (0..channels).map(move |channel| mean(sum, channel)))
+        .flat_map(|sum| (0..plane.channels()).map(move |channel| value(sum, channel)))
         .collect()
 }

@@ -198,7 +198,7 @@ static void misuse_batch_renderers(const DgsSession *session, const DgsScene *sc
     OK(dgs_batch_renderer_image(renderer, 0, 0, DGS_IMAGE_KIND_RGBA_U8, &image));
     require(image.row_bytes == 4 * (size_t)camera.width_px && image.height_px == camera.height_px, "an image has its size");
     EXPECT(DGS_STATUS_UNSUPPORTED, "no images of this kind", dgs_batch_renderer_image(renderer, 0, 0, DGS_IMAGE_KIND_DEPTH_F32, &image));
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "kind is 9", dgs_batch_renderer_image(renderer, 0, 0, 9, &image));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "kind is 11", dgs_batch_renderer_image(renderer, 0, 0, 11, &image));
     EXPECT(DGS_STATUS_NOT_FOUND, "no camera 1", dgs_batch_renderer_image(renderer, 0, 1, 0, &image));
     EXPECT(DGS_STATUS_NOT_FOUND, "in a view 1", dgs_batch_renderer_image(renderer, 1, 0, 0, &image));
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "statistics", dgs_batch_renderer_statistics(renderer, &statistics));
