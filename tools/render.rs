@@ -57,10 +57,10 @@ pub struct Arguments {
     /// meters, 0 where nothing is. depth_median, range_median: those of the splat in which half of
     /// a pixel's light is gone, 0 where more is left. instance: 0 the background, k the k-th agent,
     /// uint16. range: distance from the camera, meters. normal: 3 values, world axes, towards the
-    /// camera. flow_forward, flow_backward: 2 values, pixels that the content moves in --flow-
-    /// interval to later and to earlier. scene_flow: 3 values, velocity in m/s, world axes. class:
-    /// uint16, place in the list of classes.json, which is written too. moving: uint16, 1 where an
-    /// agent moves
+    /// camera. flow_forward, flow_backward: 2 values, pixels that the content moves in
+    /// --flow-interval to later and to earlier. scene_flow: 3 values, velocity in m/s, world axes.
+    /// class: uint16, place in the list of classes.json, which is written too. moving: uint16, 1
+    /// where an agent moves
     #[arg(long, value_name = "PLANES", value_delimiter = ',', value_parser = WrittenPlane::parser())]
     planes: Vec<WrittenPlane>,
     /// Write a preview of each plane too, as NAME.PLANE.png

@@ -1,10 +1,10 @@
 // Rolling shutters: a splat is projected with the poses of the time at which its mean is exposed,
 // and its footprint is sheared by its motion in the image during the readout.
 //
-// Row r of the image is row r of an image with all poses at the time of the row. A splat that moves
-// with w pixels per second stands at m + w (time(p) - time(m)) where pixel p is exposed. The time
-// is affine in p, so the exponent stays a quadratic form in p - m: the shear is folded into its
-// factors.
+// Row r of the image is row r of an image with all poses at the time of the row. A splat that is at
+// m when m is exposed, and moves by w pixels per second, is at m + w (time(p) - time(m)) when pixel
+// p is exposed. The time is affine in p, so the exponent stays a quadratic form in p - m: the shear
+// is folded into its factors.
 
 #include "turn.glsl"
 
@@ -20,6 +20,11 @@ const float LENS_STEP_RAD = 0.01;
 
 bool rolls(Camera camera) {
     return camera.shutter_s_per_px != vec2(0.0);
+}
+
+// Time at which a place in the image is exposed, seconds after that of the poses.
+float exposed_s(Camera camera, vec2 place_px) {
+    return camera.shutter_first_s + dot(camera.shutter_s_per_px, place_px);
 }
 
 // A splat's mean in camera axes at `time_s`, and its velocity there.
@@ -127,7 +132,7 @@ bool see_splat(Camera camera, uint lens, vec3 mean_m, mat3 axes, float opacity, 
     }
     vec2 s_per_px = camera.shutter_s_per_px;
     float first_s = camera.shutter_first_s;
-    float last_s = first_s + dot(s_per_px, vec2(camera.size_px));
+    float last_s = exposed_s(camera, vec2(camera.size_px));
     float low_s = min(first_s, last_s);
     float high_s = max(first_s, last_s);
     float time_s = clamp(0.0, low_s, high_s);
@@ -135,7 +140,7 @@ bool see_splat(Camera camera, uint lens, vec3 mean_m, mat3 axes, float opacity, 
     MovingPlace place = moving_place(camera, lens, point);
     // Newton's method for the time at which the place of the mean is exposed.
     for (uint i = 0u; i < TIME_STEPS; ++i) {
-        float late_s = first_s + dot(s_per_px, place.at_px) - time_s;
+        float late_s = exposed_s(camera, place.at_px) - time_s;
         float stand = max(1.0 - dot(s_per_px, place.px_per_s), 1.0 - FOLLOW_MAX);
         time_s = clamp(time_s + late_s / stand, low_s, high_s);
         point = moving_point(camera, mean_m, time_s);
@@ -149,7 +154,7 @@ bool see_splat(Camera camera, uint lens, vec3 mean_m, mat3 axes, float opacity, 
         return false;
     }
     if (is_sheared(camera, lens, seen.t, place.px_per_s)) {
-        float late_s = first_s + dot(s_per_px, seen.splat.mean_px) - time_s;
+        float late_s = exposed_s(camera, seen.splat.mean_px) - time_s;
         seen.splat = sheared(seen.splat, place.px_per_s, s_per_px, late_s);
     }
     return seen.splat.rate_x > 0.0 && seen.splat.rate_y > 0.0 && abs(seen.splat.slope) < 1e30
@@ -161,7 +166,7 @@ Cluster swept(Cluster cluster, Camera camera) {
     if (!ROLLING || !rolls(camera)) {
         return cluster;
     }
-    float last_s = camera.shutter_first_s + dot(camera.shutter_s_per_px, vec2(camera.size_px));
+    float last_s = exposed_s(camera, vec2(camera.size_px));
     float time_s = max(abs(camera.shutter_first_s), abs(last_s));
     float half_m = length(cluster.half_extent_m);
     float moved_m = time_s * (length(camera.frame_velocity_mps) + length(camera.frame_turn_rad_per_s) * (length(cluster.center_m) + half_m));

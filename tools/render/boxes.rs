@@ -67,12 +67,13 @@ impl<'a> BoxList<'a> {
             if found.is_none() && seen.is_none() {
                 continue;
             }
-            let coverage = match alone(self.scene, instance as u16) {
-                Some(agent) if found.is_some() => {
-                    let agent = (&agent, instance as u16);
+            let agent = found.and_then(|_| alone(self.scene, instance as u16));
+            let coverage = match &agent {
+                Some(agent) => {
+                    let agent = (agent, instance as u16);
                     Some(self.counter.coverage(agent, camera, (instances, scene_m))?)
                 }
-                _ => None,
+                None => None,
             };
             let box_3d = found.map(|(found, dims_m)| {
                 let q = found.camera_from_box.rotation;
