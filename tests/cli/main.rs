@@ -10,6 +10,7 @@ mod drive_images;
 mod edit;
 mod exchange;
 mod first_hour;
+mod ground_truth;
 mod hostile;
 mod interfaces;
 mod map;
