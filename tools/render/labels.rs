@@ -32,15 +32,12 @@ pub enum WrittenPlane {
 }
 
 impl WrittenPlane {
-    const CLASS: &str = "class";
-    const MOVING: &str = "moving";
-
     /// Name in options and files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Rendered(plane) => plane.name(),
-            Self::Class => Self::CLASS,
-            Self::Moving => Self::MOVING,
+            Self::Class => "class",
+            Self::Moving => "moving",
         }
     }
 

@@ -50,10 +50,10 @@ impl SkyBuffers {
     /// The same sky behind `fog`.
     #[must_use]
     pub fn behind(self, fog: &Fog) -> Self {
-        let left = fog.left(fog.sky_range_m);
-        let [red, green, blue] = fog.color.map(|value| ((1.0 - left) * value) as f32);
+        let left = fog.left(fog.sky_range_m) as f32;
+        let [red, green, blue] = fog.seen_sky([0.0; 3]).map(|value| value as f32);
         Self {
-            fog: [red, green, blue, left as f32],
+            fog: [red, green, blue, left],
             ..self
         }
     }

@@ -127,9 +127,10 @@ impl GpuScene {
             sky: match (&world.sky_map, &world.fog) {
                 (Some(_), _) => [0.0; 3],
                 (None, None) => world.sky,
-                (None, Some(fog)) => fog
-                    .seen(world.sky.map(f64::from), fog.sky_range_m)
-                    .map(|value| value as f32),
+                (None, Some(fog)) => {
+                    let seen = fog.seen_sky(world.sky.map(f64::from));
+                    seen.map(|value| value as f32)
+                }
             },
             sky_map: world
                 .sky_map

@@ -74,27 +74,26 @@ impl Intrinsics {
     /// as a camera of its own.
     #[must_use]
     pub fn cropped(&self, left_px: u32, top_px: u32, width_px: u32, height_px: u32) -> Self {
-        Self {
-            width_px,
-            height_px,
-            cx_px: self.cx_px - f64::from(left_px),
-            cy_px: self.cy_px - f64::from(top_px),
-            photometry: self
-                .photometry
-                .cropped(f64::from(left_px), f64::from(top_px)),
-            shutter: self.shutter.cropped(f64::from(left_px), f64::from(top_px)),
-            ..*self
-        }
+        let corner_px = [f64::from(left_px), f64::from(top_px)];
+        self.window(corner_px, [width_px, height_px])
     }
 
     /// The same camera with a wider image: `x_px` more pixels to the left and right, `y_px` more
     /// above and below.
     #[must_use]
     pub fn padded(&self, x_px: u32, y_px: u32) -> Self {
-        let (left_px, top_px) = (-f64::from(x_px), -f64::from(y_px));
+        let corner_px = [-f64::from(x_px), -f64::from(y_px)];
+        self.window(
+            corner_px,
+            [self.width_px + 2 * x_px, self.height_px + 2 * y_px],
+        )
+    }
+
+    /// The window of `size_px` whose top left corner is `corner_px`, inside the image or around it.
+    fn window(&self, [left_px, top_px]: [f64; 2], [width_px, height_px]: [u32; 2]) -> Self {
         Self {
-            width_px: self.width_px + 2 * x_px,
-            height_px: self.height_px + 2 * y_px,
+            width_px,
+            height_px,
             cx_px: self.cx_px - left_px,
             cy_px: self.cy_px - top_px,
             photometry: self.photometry.cropped(left_px, top_px),

@@ -41,6 +41,12 @@ impl Fog {
         std::array::from_fn(|channel| left * rgb[channel] + (1.0 - left) * self.color[channel])
     }
 
+    /// Color of the sky where it has the color `rgb` in clear air.
+    #[must_use]
+    pub fn seen_sky(&self, rgb: [f64; 3]) -> [f64; 3] {
+        self.seen(rgb, self.sky_range_m)
+    }
+
     /// Checks that all numbers can be used.
     ///
     /// # Errors

@@ -170,7 +170,7 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
     };
     let splats = front_to_back(world, camera, rules, &window, &color);
     let seen_sky = |rgb: [f64; 3]| match &world.fog {
-        Some(fog) => fog.seen(rgb, fog.sky_range_m),
+        Some(fog) => fog.seen_sky(rgb),
         None => rgb,
     };
     let background = match world.sky_map {
