@@ -23,6 +23,7 @@ layout(local_size_x = 256) in;
 
 layout(constant_id = 0) const bool FILL = false;   // the second run
 layout(constant_id = 1) const bool RADIAL = false; // keys are of distances instead of depths
+layout(constant_id = 2) const bool LIDAR = false;  // records have ranges of columns and rows instead of footprints
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer required_block { RequiredCounts required; };
@@ -63,9 +64,14 @@ Footprint load_footprint(uint record) {
     return unpack_footprint(footprints[2u * record], footprints[2u * record + 1u]);
 }
 
+// Rows of coarse tiles [x, y] that a record reaches; empty when x > y.
+ivec2 rows_of(Footprint splat, Camera camera) {
+    return LIDAR ? ivec2(splat.slope, splat.rate_x) / int(COARSE_HEIGHT_PX) : reached_coarse_rows(splat, camera.size_px.y);
+}
+
 void bin_row(Camera camera, Footprint splat, uint record, uint key, uint row) {
     uint slab = slab_and_place(key, RADIAL ? 0.0 : camera.key_depth, camera.key_scale).x;
-    ivec2 tiles = reached_coarse_tiles(splat, row, camera.size_px);
+    ivec2 tiles = LIDAR ? ivec2(splat.mean_px) / int(COARSE_WIDTH_PX) : reached_coarse_tiles(splat, row, camera.size_px);
     for (int tile = tiles.x; tile <= tiles.y; ++tile) {
         uint bin = camera.first_bin + row * camera.coarse_tiles.x + uint(tile);
         uint place = atomicAdd(slab_counts[bin * SLABS + slab], 1u);
@@ -98,7 +104,7 @@ void main() {
         uint record = real ? base + thread : first_record;
         Camera camera = cameras[camera_of(record)];
         Footprint splat = load_footprint(record);
-        ivec2 rows = reached_coarse_rows(splat, camera.size_px.y);
+        ivec2 rows = rows_of(splat, camera);
         uint row_count = real ? uint(rows.y - rows.x + 1) : 0u;
         bool alone = row_count <= ALONE_ROWS_MAX;
         uint row_total;
@@ -115,7 +121,7 @@ void main() {
             uint giver_record = shared_records[giver];
             Camera giver_camera = cameras[camera_of(giver_record)];
             Footprint giver_splat = load_footprint(giver_record);
-            uint row = uint(reached_coarse_rows(giver_splat, giver_camera.size_px.y).x) + given - shared_rows_before[giver];
+            uint row = uint(rows_of(giver_splat, giver_camera).x) + given - shared_rows_before[giver];
             bin_row(giver_camera, giver_splat, giver_record, keys[giver_record], row);
         }
         barrier(); // the shared lists are read to their end

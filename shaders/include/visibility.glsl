@@ -39,3 +39,15 @@ bool splat_overlaps(Footprint splat, Camera camera) {
 vec3 to_camera_axes(Camera camera, vec3 offset) {
     return vec3(dot(camera.row_x, offset), dot(camera.row_y, offset), dot(camera.row_z, offset));
 }
+
+// The place of bit `bit` among the set bits of a cluster's words, or -1 when it is not set.
+#define VISIBLE_RANK(bits, first_word, bit)                          \
+    uint word = bits[(first_word) + (bit) / 32u];                    \
+    if ((word >> ((bit) % 32u) & 1u) == 0u) {                        \
+        return -1;                                                   \
+    }                                                                \
+    int rank = bitCount(word & ((1u << ((bit) % 32u)) - 1u));        \
+    for (uint earlier = 0u; earlier < (bit) / 32u; ++earlier) {      \
+        rank += bitCount(bits[(first_word) + earlier]);              \
+    }                                                                \
+    return rank

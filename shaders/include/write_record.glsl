@@ -4,18 +4,6 @@ layout(set = 0, binding = 11, std430) writeonly buffer footprints_block { vec4 f
 layout(set = 0, binding = 12, std430) writeonly buffer colors_block { vec4 colors[]; };
 layout(set = 0, binding = 13, scalar) writeonly buffer keys_block { uint keys[]; }; // depth keys
 
-// The place of bit `bit` among the set bits of a cluster's words, or -1 when it is not set.
-#define VISIBLE_RANK(bits, first_word, bit)                          \
-    uint word = bits[(first_word) + (bit) / 32u];                    \
-    if ((word >> ((bit) % 32u) & 1u) == 0u) {                        \
-        return -1;                                                   \
-    }                                                                \
-    int rank = bitCount(word & ((1u << ((bit) % 32u)) - 1u));        \
-    for (uint earlier = 0u; earlier < (bit) / 32u; ++earlier) {      \
-        rank += bitCount(bits[(first_word) + earlier]);              \
-    }                                                                \
-    return rank
-
 void write_record(uint slot, Record record, vec3 color) {
     footprints[2u * slot] = pack_record_low(record);
     footprints[2u * slot + 1u] = pack_record_high(record);

@@ -204,17 +204,7 @@ impl AgentList {
         let Some((pool, agents)) = scene.agents else {
             return Ok(None);
         };
-        let mut list = Self {
-            pool: pool.buffers().clone(),
-            records: Vec::new(),
-            cameras: Vec::new(),
-            counts: AgentCounts {
-                cameras: cameras.len(),
-                ..AgentCounts::default()
-            },
-            splats: 0,
-            relights: Vec::new(),
-        };
+        let mut list = Self::empty(pool, cameras.len());
         for agent in agents {
             let asset = pool.asset(agent.asset)?;
             let records = view.cameras.iter().zip(cameras);
@@ -254,6 +244,53 @@ impl AgentList {
             list.push(agent, asset, level, mask, seen_by);
         }
         Ok((list.counts.clusters > 0).then_some(list))
+    }
+
+    /// The agents of `scene` at the finest level of detail, seen by all sectors of a sweep. Their
+    /// poses are those at the start of the sweep; sectors have them at `times_s`. `None` where
+    /// there are none.
+    pub fn of_sweep(
+        scene: &Scene<'_>,
+        sectors: &[Camera],
+        times_s: &[f64],
+        view: &View,
+    ) -> Result<Option<Self>, RenderError> {
+        let Some((pool, agents)) = scene.agents else {
+            return Ok(None);
+        };
+        let mut list = Self::empty(pool, sectors.len());
+        let all = u32::MAX >> (32 - sectors.len());
+        for agent in agents {
+            let seen_by = |index: usize| {
+                let pose = agent.world_from_agent.moved(&agent.motion, times_s[index]);
+                let (record, sector) = (&view.cameras[index], &sectors[index]);
+                record
+                    .moved_into(sector, scene.world.origin, &pose)
+                    .moving(sector, &agent.motion)
+            };
+            let seen_by = (0..sectors.len()).map(seen_by).collect();
+            let unlit = Agent {
+                relight: None,
+                ..*agent
+            };
+            list.push(&unlit, pool.asset(agent.asset)?, 0, all, seen_by);
+        }
+        Ok((list.counts.clusters > 0).then_some(list))
+    }
+
+    /// No agents yet, for a frame of `cameras`.
+    fn empty(pool: &AssetPool, cameras: usize) -> Self {
+        Self {
+            pool: pool.buffers().clone(),
+            records: Vec::new(),
+            cameras: Vec::new(),
+            counts: AgentCounts {
+                cameras,
+                ..AgentCounts::default()
+            },
+            splats: 0,
+            relights: Vec::new(),
+        }
     }
 
     fn push(

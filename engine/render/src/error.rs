@@ -12,6 +12,14 @@ pub enum RenderError {
     /// A camera that cannot make an image, or too many of them.
     #[error("{0}")]
     View(Invalid),
+    /// A LiDAR that cannot make a sweep.
+    #[error("LiDAR {name}: {reason}")]
+    Lidar {
+        /// Name in the rig.
+        name: String,
+        /// Reason of the refusal.
+        reason: Invalid,
+    },
     /// An asset that cannot be drawn.
     #[error("the asset cannot be drawn: {0}")]
     Asset(Invalid),

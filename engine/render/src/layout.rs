@@ -5,9 +5,11 @@
 //! block layout, whose offsets are those of `repr(C)`.
 
 mod lens;
+mod lidar;
 mod light;
 
 pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
+pub use lidar::{BeamRecord, BeamState, FiringRecord, SectorRecord};
 pub use light::{RelightRecord, ShadowRecord};
 
 use bytemuck::{Pod, Zeroable};
@@ -23,6 +25,8 @@ pub const COARSE_WIDTH_PX: u32 = constants::COARSE_COLUMNS * constants::FINE_TIL
 pub const COARSE_HEIGHT_PX: u32 = constants::COARSE_ROWS * constants::FINE_TILE_PX;
 /// Pixels of a coarse tile.
 pub const COARSE_PIXELS: usize = (COARSE_WIDTH_PX * COARSE_HEIGHT_PX) as usize;
+/// Fine tiles of a coarse tile.
+pub const FINE_TILES: usize = (constants::COARSE_COLUMNS * constants::COARSE_ROWS) as usize;
 /// Records that one workgroup of `bin_pairs` takes.
 pub const PAIR_BLOCK: usize = constants::PAIR_BLOCK as usize;
 /// Pairs after which a bucket of the tile sort ends with the next depth slab.

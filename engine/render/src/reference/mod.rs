@@ -9,6 +9,7 @@
 pub mod blend;
 pub mod color;
 pub mod geometry;
+pub mod lidar;
 mod moving;
 pub mod project;
 pub mod unscented;

@@ -11,6 +11,7 @@ mod composite;
 mod cull;
 mod cull_shadows;
 mod key_splats;
+mod lidar;
 mod plan_segments;
 mod post_process;
 mod project;
@@ -25,6 +26,10 @@ pub use composite::CompositeSegments;
 pub use cull::{Cull, Visible};
 pub use cull_shadows::{CullShadows, ShadowBuffers, words_for};
 pub use key_splats::{KeptKeys, KeySplats};
+pub use lidar::{
+    LidarAgents, LidarBuffers, LidarPass, LidarVariant, ProjectLidar, ProjectLidarAgents,
+    SectorBuffers, SectorTables, TraceLidar,
+};
 pub use plan_segments::{Plan, PlanSegments};
 pub use post_process::PostProcess;
 pub use project::{Project, ProjectVariant, Projected};

@@ -29,14 +29,16 @@ pub struct BinPairs {
 }
 
 impl BinPairs {
-    /// The stage; `radial` where keys are of distances.
+    /// The stage; `radial` where keys are of distances, `lidar` where records have cells of beams
+    /// instead of footprints.
     ///
     /// # Errors
     /// [`GpuError`]: the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, pass: BinPass, radial: bool) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, pass: BinPass, radial: bool, lidar: bool) -> Result<Self, GpuError> {
         let constants = [
             ("FILL", Constant::Bool(pass == BinPass::Fill)),
             ("RADIAL", Constant::Bool(radial)),
+            ("LIDAR", Constant::Bool(lidar)),
         ];
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::BIN_PAIRS, &constants)?,

@@ -105,12 +105,23 @@ impl TileSort {
     /// # Errors
     /// [`GpuError`]: the driver refuses a kernel.
     pub fn new(gpu: &Gpu, rules: &Rules) -> Result<Self, GpuError> {
-        let radial = rules.order == DepthOrder::Radial;
+        Self::of_records(gpu, rules.order == DepthOrder::Radial, false)
+    }
+
+    /// The stages for the records of a LiDAR, by distance.
+    ///
+    /// # Errors
+    /// [`GpuError`]: the driver refuses a kernel.
+    pub fn for_lidar(gpu: &Gpu) -> Result<Self, GpuError> {
+        Self::of_records(gpu, true, true)
+    }
+
+    fn of_records(gpu: &Gpu, radial: bool, lidar: bool) -> Result<Self, GpuError> {
         Ok(Self {
             plan_lists: PlanLists::new(gpu)?,
-            count: BinPairs::new(gpu, BinPass::Count, radial)?,
+            count: BinPairs::new(gpu, BinPass::Count, radial, lidar)?,
             plan_buckets: PlanBuckets::new(gpu)?,
-            fill: BinPairs::new(gpu, BinPass::Fill, radial)?,
+            fill: BinPairs::new(gpu, BinPass::Fill, radial, lidar)?,
             sort: SortBuckets::new(gpu, radial)?,
         })
     }

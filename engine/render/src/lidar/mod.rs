@@ -1,0 +1,391 @@
+//! Sweeps of LiDARs: the same splats as in images, met by exact rays.
+//!
+//! A sweep is cut into sectors of azimuth. Each is a view of the same scene, with a pose, an order
+//! of splats and lists of coarse tiles of its own; a tile is 64 x 32 beams. Lists may hold splats
+//! that no beam meets, but lack none that one meets. Ranges and weights come from the exact ray of
+//! each beam, at its own time: only the order of splats is that of the middle of the sector.
+
+mod sectors;
+
+use decouplegs_gpu::{DeviceKind, Gpu, MemoryKind, QueueRole, Recorder, Ticket};
+use decouplegs_scene::lidar::{Beam, LidarReturn, ReturnMode};
+use decouplegs_scene::{Lidar, LidarSweep, Rules};
+
+use crate::RenderError;
+use crate::agents::{AgentList, Scene};
+use crate::capacity::Capacity;
+use crate::layout::{BeamState, CAMERAS_MAX, RequiredCounts, View};
+use crate::stages::{
+    AgentBuffers, LidarAgents, LidarBuffers, LidarPass, LidarVariant, PURPOSE, ProjectLidar,
+    ProjectLidarAgents, Records, Scan, SectorBuffers, TileSort, TileSortBuffers, TraceLidar,
+};
+
+pub use sectors::Sectors;
+
+/// Standard deviation that is added to splats across the direction to their means, radians: that
+/// of images of 1100 pixels focal length, sqrt(0.3) pixels. Opacities were trained under it.
+pub const DILATION_RAD: f64 = 5e-4;
+
+/// Sweeps that may outgrow their buffers in a row.
+const ATTEMPTS_MAX: u32 = 6;
+
+/// Entries of a list that a software device walks in one dispatch: llvmpipe ends all loops of a
+/// thread after 65,535 rounds in total, silently.
+const ENTRIES_MAX_IN_SOFTWARE: u32 = 50_000;
+
+/// Options of a renderer of sweeps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LidarOptions {
+    /// Rules, of which the upper bound of alpha and antialiasing count.
+    pub rules: Rules,
+    /// Sectors of a sweep, at most 32.
+    pub sectors: usize,
+    /// Standard deviation that is added to splats across the direction to their means, radians.
+    pub dilation_rad: f64,
+    /// Share of a beam that splats have to take for a return, from 0 to 1.
+    pub opacity_min: f32,
+}
+
+impl Default for LidarOptions {
+    fn default() -> Self {
+        Self {
+            rules: Rules::DEFAULT,
+            sectors: 8,
+            dilation_rad: DILATION_RAD,
+            opacity_min: 0.5,
+        }
+    }
+}
+
+/// Kernels of one variant.
+struct LidarStages {
+    variant: LidarVariant,
+    background: ProjectLidar,
+    agents: ProjectLidarAgents,
+    trace: TraceLidar,
+}
+
+/// Traces the sweeps of LiDARs on one device. Buffers of lists are sized by the sweep before.
+pub struct LidarRenderer {
+    gpu: Gpu,
+    options: LidarOptions,
+    stages: Vec<LidarStages>,
+    common: Option<(Scan, TileSort)>,
+    capacity: Option<Capacity>,
+}
+
+/// States of the beams of a sweep.
+#[derive(Clone, Debug)]
+pub struct TracedSweep {
+    /// Beams, in the order of [`decouplegs_scene::LidarModel::beams`].
+    pub beams: Vec<Beam>,
+    /// State of each beam.
+    pub states: Vec<BeamState>,
+    /// Counts of the lists.
+    pub required: RequiredCounts,
+    /// Time on the device, nanoseconds.
+    pub gpu_time_ns: u64,
+    options: LidarOptions,
+}
+
+impl TracedSweep {
+    /// Returns by `mode` of `lidar`, whose sweep this is: a beam has one if splats took enough of
+    /// it and the range is one that the sensor reports.
+    #[must_use]
+    pub fn returns(&self, lidar: &Lidar, mode: ReturnMode) -> LidarSweep {
+        let [least_m, greatest_m] = lidar.model.range_m.map(|range| range as f32);
+        let found = |(beam, state): (usize, &BeamState)| {
+            let (range_m, instance) = state.range(mode)?;
+            let taken = 1.0 - state.transmittance;
+            (taken >= self.options.opacity_min && range_m >= least_m && range_m <= greatest_m).then(
+                || LidarReturn {
+                    beam: beam as u32,
+                    range_m,
+                    intensity: state.intensity(),
+                    instance,
+                },
+            )
+        };
+        LidarSweep {
+            lidar: lidar.clone(),
+            beams: self.beams.clone(),
+            returns: self.states.iter().enumerate().filter_map(found).collect(),
+        }
+    }
+}
+
+/// A sweep that is being traced.
+struct SweepInput<'a> {
+    scene: Scene<'a>,
+    view: View,
+    sectors: SectorBuffers,
+    agents: Option<(AgentList, AgentBuffers)>,
+    variant: LidarVariant,
+    range_min_m: f32,
+}
+
+impl LidarRenderer {
+    /// A renderer on `gpu`. Kernels are built when they are needed first.
+    #[must_use]
+    pub fn new(gpu: &Gpu, options: LidarOptions) -> Self {
+        Self {
+            gpu: gpu.clone(),
+            options,
+            stages: Vec::new(),
+            common: None,
+            capacity: None,
+        }
+    }
+
+    /// Options of the renderer.
+    #[must_use]
+    pub fn options(&self) -> &LidarOptions {
+        &self.options
+    }
+
+    /// Traces one sweep of `lidar` through `scene`, whose agents stand where they are at the start
+    /// of the sweep, and waits for it.
+    ///
+    /// # Errors
+    /// Returns an error if the model, a pose or a motion makes no sense, or the device has not the
+    /// memory or was lost.
+    pub fn trace<'a>(
+        &mut self,
+        scene: impl Into<Scene<'a>>,
+        lidar: &Lidar,
+    ) -> Result<TracedSweep, RenderError> {
+        let scene = scene.into();
+        let of_lidar = |reason| RenderError::Lidar {
+            name: lidar.name.clone(),
+            reason,
+        };
+        lidar.model.check().map_err(of_lidar)?;
+        lidar.motion.check().map_err(of_lidar)?;
+        let beams = lidar.model.beams();
+        let cells = lidar.model.cells();
+        let count = self.options.sectors.clamp(1, CAMERAS_MAX);
+        let cut = Sectors::new(lidar, &beams, &cells, count);
+        let origin = scene.world.origin;
+        let from_origin = |camera: &decouplegs_scene::Camera| {
+            (camera.world_from_camera.translation - origin).length()
+        };
+        let reach_m = scene.reach_m()? + cut.cameras.iter().map(from_origin).fold(0.0, f64::max);
+        let view = View::new(&cut.cameras, origin, reach_m).map_err(RenderError::View)?;
+        let list = AgentList::of_sweep(&scene, &cut.cameras, &cut.times_s, &view)?;
+        let agents_move = || {
+            let mut agents = scene.agents.iter().flat_map(|(_, agents)| agents.iter());
+            agents.any(|agent| !agent.motion.is_rest())
+        };
+        let variant = LidarVariant {
+            instances: scene.world.has_instances,
+            moving: !lidar.motion.is_rest() || agents_move(),
+            dilation_rad: self.options.dilation_rad as f32,
+        };
+        let input = SweepInput {
+            sectors: SectorBuffers::upload(&self.gpu, &view, &cut.tables)?,
+            agents: list.map(|list| self.agents_on_device(list)).transpose()?,
+            variant,
+            range_min_m: lidar.model.range_m[0] as f32,
+            scene,
+            view,
+        };
+        let (cells_states, required, gpu_time_ns) = self.run(&input)?;
+        let mut states = vec![BeamState::default(); beams.len()];
+        for (state, &beam) in cells_states.iter().zip(&cut.beam_of_cell) {
+            if let Some(of_beam) = states.get_mut(beam as usize) {
+                *of_beam = *state;
+            }
+        }
+        Ok(TracedSweep {
+            beams,
+            states,
+            required,
+            gpu_time_ns,
+            options: self.options,
+        })
+    }
+
+    /// Copies the agents to the device.
+    fn agents_on_device(&self, list: AgentList) -> Result<(AgentList, AgentBuffers), RenderError> {
+        let counts = list.counts;
+        let buffers = AgentBuffers::new(&self.gpu, counts.agents, counts.clusters, counts.cameras)?;
+        self.gpu.write(&buffers.agents, 0, &list.records)?;
+        self.gpu.write(&buffers.cameras, 0, &list.cameras)?;
+        Ok((list, buffers))
+    }
+
+    /// Builds the kernels that are not there yet.
+    fn build(&mut self, variant: LidarVariant) -> Result<(), RenderError> {
+        let (gpu, rules) = (&self.gpu, &self.options.rules);
+        if self.common.is_none() {
+            self.common = Some((Scan::new(gpu)?, TileSort::for_lidar(gpu)?));
+        }
+        if !self.stages.iter().any(|built| built.variant == variant) {
+            self.stages.push(LidarStages {
+                variant,
+                background: ProjectLidar::new(gpu, rules, variant)?,
+                agents: ProjectLidarAgents::new(gpu, rules, variant)?,
+                trace: TraceLidar::new(gpu, rules, variant.moving)?,
+            });
+        }
+        Ok(())
+    }
+
+    /// Makes the lists, with as much room as they need, and walks them.
+    fn run(
+        &mut self,
+        input: &SweepInput<'_>,
+    ) -> Result<(Vec<BeamState>, RequiredCounts, u64), RenderError> {
+        self.build(input.variant)?;
+        let splats =
+            input.scene.world.splats + input.agents.as_ref().map_or(0, |(list, _)| list.splats);
+        let clusters = input.scene.world.cluster_count();
+        let mut capacity = match self.capacity {
+            Some(capacity) => capacity,
+            None => Capacity::guess(splats, input.view.cameras.len()),
+        };
+        for _ in 0..ATTEMPTS_MAX {
+            let buffers = LidarBuffers::new(&self.gpu, &capacity, clusters, &input.view)?;
+            let (listed, required) = self.list(input, &buffers)?;
+            if capacity.holds(&required) {
+                self.capacity = Some(capacity);
+                let (states, walked) = self.walk(input, &buffers, &required)?;
+                return Ok((
+                    states,
+                    required,
+                    listed.gpu_time_ns()? + walked.gpu_time_ns()?,
+                ));
+            }
+            capacity = capacity.grown_to(&required, 0.25);
+        }
+        Err(RenderError::Unsettled {
+            attempts: ATTEMPTS_MAX,
+            required: format!("{capacity:?}"),
+        })
+    }
+
+    /// Makes the sorted lists of coarse tiles; returns what they needed.
+    fn list(
+        &self,
+        input: &SweepInput<'_>,
+        buffers: &LidarBuffers,
+    ) -> Result<(Ticket, RequiredCounts), RenderError> {
+        let (Some((scan, tile_sort)), Some(stages)) = (&self.common, self.stages_of(input.variant))
+        else {
+            unreachable!("build was called")
+        };
+        let found = self
+            .gpu
+            .buffer("found_required", PURPOSE, 1, MemoryKind::Readback)?;
+        let no_agents = self
+            .gpu
+            .upload("agent_offsets", PURPOSE, &vec![0u32; CAMERAS_MAX + 1])?;
+        let (world, sectors) = (input.scene.world, &input.sectors);
+        let lists = sectors.count * world.cluster_count();
+        let agents = input.agents.as_ref().map(|(list, agents)| LidarAgents {
+            pool: &list.pool,
+            agents,
+            counts: list.counts,
+            static_lists: lists,
+        });
+        let mut recorder = self.gpu.record(QueueRole::Main);
+        recorder.stage("begin", |r| empty_counts(r, buffers, sectors.bins));
+        recorder.stage("project lidar", |r| {
+            let background = &stages.background;
+            background.record(r, LidarPass::Mark, world, sectors, buffers);
+            scan.record(r, &buffers.visible.counts, &buffers.offsets, lists);
+            background.record(r, LidarPass::Write, world, sectors, buffers);
+        });
+        if let Some(agents) = &agents {
+            recorder.stage("project lidar agents", |r| {
+                let AgentBuffers {
+                    visible, offsets, ..
+                } = agents.agents;
+                let count = sectors.count * agents.counts.clusters;
+                stages
+                    .agents
+                    .record(r, LidarPass::Mark, agents, sectors, buffers);
+                scan.record(r, &visible.counts, offsets, count);
+                stages
+                    .agents
+                    .record(r, LidarPass::Write, agents, sectors, buffers);
+            });
+        }
+        let records = Records {
+            cameras: &sectors.cameras,
+            camera_count: sectors.count,
+            projected: &buffers.projected,
+            static_offsets: &buffers.offsets,
+            static_clusters: world.cluster_count(),
+            moving_offsets: agents.map_or(&no_agents, |agents| &agents.agents.offsets),
+            moving_clusters: agents.map_or(0, |agents| agents.counts.clusters),
+        };
+        let counters = &buffers.counters;
+        tile_sort.record(
+            &mut recorder,
+            counters,
+            records,
+            &buffers.lists,
+            sectors.bins,
+        );
+        recorder.copy(&counters.required, 0, &found, 0, 1);
+        let ticket = self.gpu.submit(recorder, &self.added(input))?;
+        ticket.wait()?;
+        Ok((ticket, found.read_host()[0]))
+    }
+
+    /// Walks the lists; returns the state of each cell.
+    fn walk(
+        &self,
+        input: &SweepInput<'_>,
+        buffers: &LidarBuffers,
+        required: &RequiredCounts,
+    ) -> Result<(Vec<BeamState>, Ticket), RenderError> {
+        let Some(stages) = self.stages_of(input.variant) else {
+            unreachable!("build was called")
+        };
+        let entries_max = match self.gpu.info().kind {
+            DeviceKind::Cpu => ENTRIES_MAX_IN_SOFTWARE,
+            _ => u32::MAX,
+        };
+        let cells = input.view.pixels;
+        let found = self
+            .gpu
+            .buffer("found_states", PURPOSE, cells, MemoryKind::Readback)?;
+        let mut recorder = self.gpu.record(QueueRole::Main);
+        recorder.stage("trace lidar", |r| {
+            for window in 0..required.longest.div_ceil(entries_max).max(1) {
+                let entries = (window * entries_max, entries_max);
+                let (sectors, trace) = (&input.sectors, &stages.trace);
+                trace.record(r, sectors, buffers, entries, input.range_min_m);
+            }
+        });
+        recorder.copy(&buffers.states, 0, &found, 0, cells);
+        let ticket = self.gpu.submit(recorder, &[])?;
+        ticket.wait()?;
+        Ok((found.read_host().to_vec(), ticket))
+    }
+
+    fn stages_of(&self, variant: LidarVariant) -> Option<&LidarStages> {
+        self.stages.iter().find(|built| built.variant == variant)
+    }
+
+    /// Uploads of assets that the sweep has to wait for.
+    fn added<'a>(&self, input: &'a SweepInput<'_>) -> Vec<&'a Ticket> {
+        let agents = input.scene.agents.iter();
+        agents.filter_map(|(pool, _)| pool.last_upload()).collect()
+    }
+}
+
+/// Empties what is counted.
+fn empty_counts(recorder: &mut Recorder, buffers: &LidarBuffers, bins: u32) {
+    let (counters, slabs) = (&buffers.counters, &buffers.lists.slab_counts);
+    let emptied = [
+        (counters.required.binding(), counters.required.byte_len()),
+        (counters.arguments.binding(), counters.arguments.byte_len()),
+        (slabs.binding(), TileSortBuffers::slab_bytes(bins)),
+    ];
+    for (buffer, bytes) in emptied {
+        recorder.fill(buffer, 0, bytes, 0);
+    }
+}

@@ -1,0 +1,379 @@
+//! Stages of a LiDAR's sweep: splats that its beams may meet, and the beams themselves.
+
+use bytemuck::bytes_of;
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
+use decouplegs_scene::Rules;
+
+use super::{
+    AgentBuffers, AgentCounts, FrameCounters, PURPOSE, Projected, TileSortBuffers, Visible, kernel,
+    push_constants,
+};
+use crate::asset_pool::PoolBuffers;
+use crate::capacity::{Capacity, groups_for};
+use crate::layout::{
+    BeamRecord, BeamState, CameraRecord, FINE_TILES, FiringRecord, SectorRecord, View,
+};
+use crate::resident::GpuScene;
+
+/// Specialization of the kernels, beside the rules.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LidarVariant {
+    /// True if splats of the background belong to instances.
+    pub instances: bool,
+    /// True if the sensor or agents move during the sweep.
+    pub moving: bool,
+    /// Standard deviation that is added to splats across the direction to their means, radians.
+    pub dilation_rad: f32,
+}
+
+impl LidarVariant {
+    fn constants(self, rules: &Rules, write: bool) -> [(&'static str, Constant); 4] {
+        [
+            ("ANTIALIAS", Constant::Bool(rules.antialias)),
+            ("WRITE", Constant::Bool(write)),
+            ("DILATION_RAD", Constant::F32(self.dilation_rad)),
+            ("MOVING", Constant::Bool(self.moving)),
+        ]
+    }
+}
+
+/// Sectors of a sweep on the device.
+pub struct SectorBuffers {
+    /// Number of sectors.
+    pub count: usize,
+    /// Coarse tiles of all sectors.
+    pub bins: u32,
+    /// Axes, grids and positions of the sectors.
+    pub cameras: Buffer<CameraRecord>,
+    /// Their motion, and the places of their bounds.
+    pub sectors: Buffer<SectorRecord>,
+    /// Lowest and highest azimuth of the beams of each column, as `around` in `lidar.glsl` orders
+    /// them.
+    pub column_bounds: Buffer<[f32; 2]>,
+    /// Lowest and highest slope of the beams of each row.
+    pub row_bounds: Buffer<[f32; 2]>,
+    /// Beams by cell.
+    pub beams: Buffer<BeamRecord>,
+    /// Places of the sensor by time of firing.
+    pub firings: Buffer<FiringRecord>,
+}
+
+impl SectorBuffers {
+    /// Copies the tables of a sweep to the device.
+    ///
+    /// # Errors
+    /// Returns an error if the device is out of memory.
+    pub fn upload(gpu: &Gpu, view: &View, tables: &SectorTables) -> Result<Self, GpuError> {
+        Ok(Self {
+            count: view.cameras.len(),
+            bins: view.bins,
+            cameras: gpu.upload("lidar_cameras", PURPOSE, &view.cameras)?,
+            sectors: gpu.upload("sectors", PURPOSE, &tables.sectors)?,
+            column_bounds: gpu.upload("column_bounds", PURPOSE, &tables.column_bounds)?,
+            row_bounds: gpu.upload("row_bounds", PURPOSE, &tables.row_bounds)?,
+            beams: gpu.upload("beams", PURPOSE, &tables.beams)?,
+            firings: gpu.upload("firings", PURPOSE, &tables.firings)?,
+        })
+    }
+}
+
+/// Tables of a sweep that the kernels read.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SectorTables {
+    /// Sectors.
+    pub sectors: Vec<SectorRecord>,
+    /// Bounds of columns of all sectors.
+    pub column_bounds: Vec<[f32; 2]>,
+    /// Bounds of rows of all sectors.
+    pub row_bounds: Vec<[f32; 2]>,
+    /// Beams by cell, row by row in each sector.
+    pub beams: Vec<BeamRecord>,
+    /// Places of the sensor.
+    pub firings: Vec<FiringRecord>,
+}
+
+/// What a sweep writes on its way to the states of beams.
+pub struct LidarBuffers {
+    /// Counts of the sweep.
+    pub counters: FrameCounters,
+    /// Visible splats of the background.
+    pub visible: Visible,
+    /// Visible splats before each `[sector][cluster]`, and their total.
+    pub offsets: Buffer<u32>,
+    /// Cells, directions and colors of records, and their distance keys.
+    pub projected: Projected,
+    /// Three vectors per record: the inverse factor of the covariance, and the velocity.
+    pub shapes: Buffer<[f32; 4]>,
+    /// Sorted lists of coarse tiles.
+    pub lists: TileSortBuffers,
+    /// States of beams by cell.
+    pub states: Buffer<BeamState>,
+}
+
+impl LidarBuffers {
+    /// Buffers for a background of `clusters` and the sectors and beams of `view`.
+    ///
+    /// # Errors
+    /// Returns an error if the device is out of memory.
+    pub fn new(
+        gpu: &Gpu,
+        capacity: &Capacity,
+        clusters: usize,
+        view: &View,
+    ) -> Result<Self, GpuError> {
+        let (device, sectors) = (MemoryKind::Device, view.cameras.len());
+        Ok(Self {
+            counters: FrameCounters::new(gpu)?,
+            visible: Visible::new(gpu, sectors, clusters)?,
+            offsets: gpu.buffer("offsets", PURPOSE, sectors * clusters + 1, device)?,
+            projected: Projected::new(gpu, capacity.records, capacity.pairs)?,
+            shapes: gpu.buffer("lidar_shapes", PURPOSE, 3 * capacity.records, device)?,
+            lists: TileSortBuffers::new(gpu, capacity, view.bins)?,
+            states: gpu.buffer("beam_states", PURPOSE, view.pixels, device)?,
+        })
+    }
+}
+
+/// Run of a projection for a LiDAR.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LidarPass {
+    /// Sets and counts the bits of visible splats.
+    Mark,
+    /// Writes a record for each bit.
+    Write,
+}
+
+push_constants! {
+    struct ProjectPush {
+        splat_count: u32,
+        camera_count: u32,
+        cluster_count: u32,
+        records_max: u32,
+    }
+}
+
+/// `project_lidar.comp`.
+pub struct ProjectLidar {
+    mark: Kernel,
+    write: Kernel,
+}
+
+impl ProjectLidar {
+    /// The stage for the given rules and sweeps.
+    ///
+    /// # Errors
+    /// Returns an error if the driver refuses the kernel.
+    pub fn new(gpu: &Gpu, rules: &Rules, variant: LidarVariant) -> Result<Self, GpuError> {
+        let build = |write| {
+            let [a, b, c, d] = variant.constants(rules, write);
+            let instances = ("INSTANCES", Constant::Bool(variant.instances));
+            let shader = &decouplegs_shaders::PROJECT_LIDAR;
+            kernel::<ProjectPush>(gpu, shader, &[a, b, c, d, instances])
+        };
+        Ok(Self {
+            mark: build(false)?,
+            write: build(true)?,
+        })
+    }
+
+    /// Records a run over `world`.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        pass: LidarPass,
+        world: &GpuScene,
+        sectors: &SectorBuffers,
+        buffers: &LidarBuffers,
+    ) {
+        let push = ProjectPush {
+            splat_count: world.splats as u32,
+            camera_count: sectors.count as u32,
+            cluster_count: world.cluster_count() as u32,
+            records_max: buffers.projected.colors.len() as u32,
+        };
+        let bound = [
+            ("cameras", sectors.cameras.binding()),
+            ("means_m", world.means.binding()),
+            ("shapes", world.shapes.binding()),
+            ("rotations", world.rotations.binding()),
+            ("visible_words", buffers.visible.words.binding()),
+            ("visible_counts", buffers.visible.counts.binding()),
+            ("offsets", buffers.offsets.binding()),
+            ("clusters", world.clusters.binding()),
+            ("sh_dc", world.sh_dc.binding()),
+            ("instances", world.instances.binding()),
+            ("footprints", buffers.projected.footprints.binding()),
+            ("colors", buffers.projected.colors.binding()),
+            ("keys", buffers.projected.keys.binding()),
+            ("lidar_shapes", buffers.shapes.binding()),
+            ("sectors", sectors.sectors.binding()),
+            ("column_bounds", sectors.column_bounds.binding()),
+            ("row_bounds", sectors.row_bounds.binding()),
+        ];
+        let kernel = match pass {
+            LidarPass::Mark => &self.mark,
+            LidarPass::Write => &self.write,
+        };
+        let groups = groups_for(world.cluster_count());
+        recorder.dispatch(kernel, &bound, bytes_of(&push), groups);
+    }
+}
+
+/// Agents of a sweep.
+#[derive(Clone, Copy)]
+pub struct LidarAgents<'a> {
+    /// Their assets.
+    pub pool: &'a PoolBuffers,
+    /// The agents, and the sectors as each of them has them.
+    pub agents: &'a AgentBuffers,
+    /// Counts of them.
+    pub counts: AgentCounts,
+    /// Lists of the background: sectors times clusters.
+    pub static_lists: usize,
+}
+
+push_constants! {
+    struct AgentsPush {
+        agent_count: u32,
+        camera_count: u32,
+        cluster_count: u32,
+        records_max: u32,
+        static_lists: u32,
+    }
+}
+
+/// `project_lidar_agents.comp`.
+pub struct ProjectLidarAgents {
+    mark: Kernel,
+    write: Kernel,
+}
+
+impl ProjectLidarAgents {
+    /// The stage for the given rules and sweeps.
+    ///
+    /// # Errors
+    /// Returns an error if the driver refuses the kernel.
+    pub fn new(gpu: &Gpu, rules: &Rules, variant: LidarVariant) -> Result<Self, GpuError> {
+        let build = |write| {
+            let constants = variant.constants(rules, write);
+            let shader = &decouplegs_shaders::PROJECT_LIDAR_AGENTS;
+            kernel::<AgentsPush>(gpu, shader, &constants)
+        };
+        Ok(Self {
+            mark: build(false)?,
+            write: build(true)?,
+        })
+    }
+
+    /// Records a run over `agents`, whose records come behind those of the background.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        pass: LidarPass,
+        agents: &LidarAgents<'_>,
+        sectors: &SectorBuffers,
+        buffers: &LidarBuffers,
+    ) {
+        let LidarAgents {
+            pool,
+            agents,
+            counts,
+            static_lists,
+        } = *agents;
+        let push = AgentsPush {
+            agent_count: counts.agents as u32,
+            camera_count: counts.cameras as u32,
+            cluster_count: counts.clusters as u32,
+            records_max: buffers.projected.colors.len() as u32,
+            static_lists: static_lists as u32,
+        };
+        let bound = [
+            ("agents", agents.agents.binding()),
+            ("agent_cameras", agents.cameras.binding()),
+            ("coded_splats", pool.splats.binding()),
+            ("coded_shapes", pool.shapes.binding()),
+            ("visible_words", agents.visible.words.binding()),
+            ("visible_counts", agents.visible.counts.binding()),
+            ("offsets", agents.offsets.binding()),
+            ("asset_clusters", pool.clusters.binding()),
+            ("coded_dc", pool.color_dc.binding()),
+            ("static_offsets", buffers.offsets.binding()),
+            ("footprints", buffers.projected.footprints.binding()),
+            ("colors", buffers.projected.colors.binding()),
+            ("keys", buffers.projected.keys.binding()),
+            ("lidar_shapes", buffers.shapes.binding()),
+            ("sectors", sectors.sectors.binding()),
+            ("column_bounds", sectors.column_bounds.binding()),
+            ("row_bounds", sectors.row_bounds.binding()),
+        ];
+        let kernel = match pass {
+            LidarPass::Mark => &self.mark,
+            LidarPass::Write => &self.write,
+        };
+        recorder.dispatch(kernel, &bound, bytes_of(&push), groups_for(counts.clusters));
+    }
+}
+
+push_constants! {
+    struct TracePush {
+        camera_count: u32,
+        bin_count: u32,
+        first_entry: u32,
+        entries_max: u32,
+        range_min_m: f32,
+    }
+}
+
+/// `trace_lidar.comp`.
+pub struct TraceLidar {
+    kernel: Kernel,
+}
+
+impl TraceLidar {
+    /// The stage for the given rules.
+    ///
+    /// # Errors
+    /// Returns an error if the driver refuses the kernel.
+    pub fn new(gpu: &Gpu, rules: &Rules, moving: bool) -> Result<Self, GpuError> {
+        let constants = [
+            ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
+            ("MOVING", Constant::Bool(moving)),
+        ];
+        let shader = &decouplegs_shaders::TRACE_LIDAR;
+        Ok(Self {
+            kernel: kernel::<TracePush>(gpu, shader, &constants)?,
+        })
+    }
+
+    /// Records the walk over entries `first_entry` to `first_entry + entries_max` of all lists.
+    /// Splats nearer than `range_min_m` are passed through.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        sectors: &SectorBuffers,
+        buffers: &LidarBuffers,
+        (first_entry, entries_max): (u32, u32),
+        range_min_m: f32,
+    ) {
+        let push = TracePush {
+            camera_count: sectors.count as u32,
+            bin_count: sectors.bins,
+            first_entry,
+            entries_max,
+            range_min_m,
+        };
+        let bound = [
+            ("cameras", sectors.cameras.binding()),
+            ("tile_lists", buffers.lists.tile_lists.binding()),
+            ("sorted_records", buffers.lists.sorted_records.binding()),
+            ("footprints", buffers.projected.footprints.binding()),
+            ("colors", buffers.projected.colors.binding()),
+            ("lidar_shapes", buffers.shapes.binding()),
+            ("beams", sectors.beams.binding()),
+            ("firings", sectors.firings.binding()),
+            ("states", buffers.states.binding()),
+        ];
+        let groups = groups_for(sectors.bins as usize * FINE_TILES);
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups);
+    }
+}

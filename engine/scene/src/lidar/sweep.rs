@@ -1,0 +1,112 @@
+//! Sweeps: returns of beams, and the points that they are in a frame of the caller's choice.
+
+use glam::DVec3;
+
+use super::{Beam, Lidar};
+use crate::Pose;
+
+/// Return of one beam.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LidarReturn {
+    /// Place of the beam among [`super::LidarModel::beams`].
+    pub beam: u32,
+    /// Range along the beam, meters.
+    pub range_m: f32,
+    /// Intensity from 0 to 1. Luma (Rec. 709) of the splats' colors: no physical quantity.
+    pub intensity: f32,
+    /// Instance of the splat that gives the range; 0 for the background.
+    pub instance: u16,
+}
+
+/// Returns of one sweep, in the order of beams.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LidarSweep {
+    /// Sensor, and its poses during the sweep.
+    pub lidar: Lidar,
+    /// Beams of the sweep.
+    pub beams: Vec<Beam>,
+    /// Returns; at most one per beam.
+    pub returns: Vec<LidarReturn>,
+}
+
+/// Frame in which points are given. Only the motion of the own vehicle is compensated: other agents
+/// are where each beam met them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PointFrame {
+    /// Sensor frame at the time of firing: not compensated.
+    Raw,
+    /// Sensor frame at the start of the sweep.
+    Start,
+    /// Sensor frame at the end of the sweep.
+    End,
+    /// Vehicle frame at a time after the start of the sweep, seconds.
+    EgoAt(f64),
+    /// World coordinates.
+    World,
+}
+
+impl PointFrame {
+    /// Names that [`PointFrame::by_name`] accepts.
+    pub const NAMES: [&'static str; 5] = ["raw", "start", "end", "ego", "world"];
+
+    /// The frame called `name`; `ego` is the vehicle at the end of a sweep of `sweep_s`.
+    #[must_use]
+    pub fn by_name(name: &str, sweep_s: f64) -> Option<Self> {
+        match name {
+            "raw" => Some(Self::Raw),
+            "start" => Some(Self::Start),
+            "end" => Some(Self::End),
+            "ego" => Some(Self::EgoAt(sweep_s)),
+            "world" => Some(Self::World),
+            _ => None,
+        }
+    }
+}
+
+/// Point of a sweep with all that is known of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LidarPoint {
+    /// Position in the chosen frame, meters.
+    pub position_m: DVec3,
+    /// Beam of the return.
+    pub beam: Beam,
+    /// The return.
+    pub measured: LidarReturn,
+}
+
+impl LidarSweep {
+    /// Points of the returns in `frame`.
+    #[must_use]
+    pub fn points(&self, frame: PointFrame) -> Vec<LidarPoint> {
+        let end_s = self.lidar.model.sweep_s;
+        let frame_from_world = match frame {
+            PointFrame::Raw | PointFrame::World => Pose::IDENTITY,
+            PointFrame::Start => self.lidar.pose_at(0.0).inverse(),
+            PointFrame::End => self.lidar.pose_at(end_s).inverse(),
+            PointFrame::EgoAt(time_s) => self.lidar.rig_at(time_s).inverse(),
+        };
+        // Beams that fire together follow each other: one pose serves them all.
+        let mut fired: Option<(f64, Pose)> = None;
+        let point = |measured: &LidarReturn| {
+            let beam = self.beams[measured.beam as usize];
+            let frame_from_sensor = match fired {
+                Some((time_s, pose)) if time_s == beam.time_s => pose,
+                _ => {
+                    let pose = match frame {
+                        PointFrame::Raw => Pose::IDENTITY,
+                        _ => frame_from_world.then(&self.lidar.pose_at(beam.time_s)),
+                    };
+                    fired = Some((beam.time_s, pose));
+                    pose
+                }
+            };
+            LidarPoint {
+                position_m: frame_from_sensor
+                    .transform(f64::from(measured.range_m) * beam.direction),
+                beam,
+                measured: *measured,
+            }
+        };
+        self.returns.iter().map(point).collect()
+    }
+}
