@@ -15,6 +15,7 @@ mod edit;
 mod episode_report;
 mod inspect;
 mod lane_drawing;
+mod lidar;
 mod map;
 mod open_loop;
 mod pack;
@@ -46,6 +47,7 @@ struct Program {
 #[derive(Subcommand)]
 enum Command {
     Render(render::Arguments),
+    Lidar(Box<lidar::Arguments>),
     Inspect(inspect::Arguments),
     Map(map::Arguments),
     Register(Box<register::Arguments>),
@@ -70,6 +72,7 @@ enum Command {
 fn main() -> ExitCode {
     let done = match &Program::parse().command {
         Command::Render(arguments) => render::run(arguments),
+        Command::Lidar(arguments) => lidar::run(arguments),
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Map(arguments) => map::run(arguments),
         Command::Register(arguments) => register::run(arguments),

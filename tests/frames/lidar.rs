@@ -296,12 +296,12 @@ fn sweeps_of_every_kind_of_sensor_are_their_definition() {
 #[test]
 fn sweeps_in_motion_are_their_definition() {
     let gpu = Validated::open();
-    let world = surroundings(3000, 2);
+    let world = surroundings(400, 2);
     let driving = Motion {
         velocity_mps: DVec3::new(24.0, 18.0, 0.0),
         turn_rad_per_s: DVec3::new(0.05, -0.1, 1.0),
     };
-    let cars = [coded_car(600, 2), coded_car(400, 3)];
+    let cars = [coded_car(3000, 2), coded_car(2000, 3)];
     let moving = [
         (
             Pose::from_yaw(0.3, DVec3::new(7.0, 6.0, -0.5)),

@@ -9,7 +9,7 @@ mod sectors;
 
 use decouplegs_gpu::{DeviceKind, Gpu, MemoryKind, QueueRole, Recorder, Ticket};
 use decouplegs_scene::lidar::{Beam, LidarReturn, ReturnMode};
-use decouplegs_scene::{Lidar, LidarSweep, Rules};
+use decouplegs_scene::{Lidar, LidarSweep, Rules, random};
 
 use crate::RenderError;
 use crate::agents::{AgentList, Scene};
@@ -90,9 +90,14 @@ pub struct TracedSweep {
 
 impl TracedSweep {
     /// Returns by `mode` of `lidar`, whose sweep this is: a beam has one if splats took enough of
-    /// it and the range is one that the sensor reports.
+    /// it and the range is one that the sensor reports. Noise, where the model has some, is added
+    /// last, and depends on `seed` and the beam alone.
     #[must_use]
-    pub fn returns(&self, lidar: &Lidar, mode: ReturnMode) -> LidarSweep {
+    pub fn returns(&self, lidar: &Lidar, mode: ReturnMode, seed: u64) -> LidarSweep {
+        let noise_m = |beam: usize| match lidar.model.range_noise_m {
+            0.0 => 0.0,
+            deviation_m => (deviation_m * normal(seed, beam as u64)) as f32,
+        };
         let [least_m, greatest_m] = lidar.model.range_m.map(|range| range as f32);
         let found = |(beam, state): (usize, &BeamState)| {
             let (range_m, instance) = state.range(mode)?;
@@ -100,7 +105,7 @@ impl TracedSweep {
             (taken >= self.options.opacity_min && range_m >= least_m && range_m <= greatest_m).then(
                 || LidarReturn {
                     beam: beam as u32,
-                    range_m,
+                    range_m: range_m + noise_m(beam),
                     intensity: state.intensity(),
                     instance,
                 },
@@ -112,6 +117,13 @@ impl TracedSweep {
             returns: self.states.iter().enumerate().filter_map(found).collect(),
         }
     }
+}
+
+/// A normally distributed number of mean 0 and variance 1 (Box and Muller, 1958).
+fn normal(seed: u64, index: u64) -> f64 {
+    let mut state = random::mix(seed ^ random::mix(index));
+    let [first, second] = std::array::from_fn(|_| random::unit(random::next(&mut state)));
+    (-2.0 * (1.0 - first).ln()).sqrt() * (std::f64::consts::TAU * second).cos()
 }
 
 /// A sweep that is being traced.

@@ -9,7 +9,7 @@ mod npy;
 mod preview;
 mod sheet;
 
-pub use preview::preview;
+pub use preview::{distance_color, preview};
 pub use sheet::contact_sheet;
 
 use std::path::{Path, PathBuf};

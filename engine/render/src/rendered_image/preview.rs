@@ -33,7 +33,7 @@ pub fn preview(image: &Image, plane: Plane) -> Option<Image> {
             .map(|n| [n[0], n[1], n[2]].map(|value| 0.5 * (value + 1.0)))
             .collect(),
         (_, PlaneValues::F32(values)) => match plane.channels() {
-            1 => values.iter().map(|&value| of_distance(value)).collect(),
+            1 => values.iter().map(|&value| distance_color(value)).collect(),
             channels => of_vectors(values, channels),
         },
     };
@@ -46,7 +46,9 @@ pub fn preview(image: &Image, plane: Plane) -> Option<Image> {
     })
 }
 
-fn of_distance(distance_m: f32) -> [f32; 3] {
+/// Color of a distance: from red (1 m) over green to blue (200 m).
+#[must_use]
+pub fn distance_color(distance_m: f32) -> [f32; 3] {
     let [near_m, far_m] = DISTANCE_RANGE_M;
     let share = (distance_m.max(near_m) / near_m).ln() / (far_m / near_m).ln();
     let place = share.clamp(0.0, 1.0) * (DISTANCES.len() - 1) as f32;

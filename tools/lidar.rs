@@ -1,0 +1,308 @@
+//! `decouplegs lidar`: sweeps of a LiDAR through a scene.
+
+mod picture;
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
+use decouplegs::asset::point_cloud::{McapSweeps, PointFormat, write_points};
+use decouplegs::asset::{lidar_names, open_scene, read_lidar, write_atomically};
+use decouplegs::gpu::Gpu;
+use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer, TracedSweep};
+use decouplegs::scene::lidar::{PointFrame, ReturnMode};
+use decouplegs::scene::{Lidar, LidarModel, LidarSweep, Motion, Pose};
+use decouplegs::session::LiveScene;
+use glam::{DQuat, DVec3};
+
+use crate::arguments::{finite, print, three_numbers};
+use crate::device::{DeviceArguments, check_validation};
+use crate::progress;
+
+/// Sweep a scene with a LiDAR: one file of points per sweep, listed as they are written
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Splats, or a scene (.toml, .usdz)
+    scene: PathBuf,
+    #[arg(long, value_name = "NAME|FILE", help = format!("Sensor: {}; a TOML file, or the parameters of NVIDIA NCore as JSON", lidar_names().join(", ")))]
+    sensor: PathBuf,
+    /// Folder for the files; created if it does not exist
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Format of the points
+    #[arg(long, value_enum, default_value_t = Format::Pcd)]
+    format: Format,
+    /// Start of the first sweep, seconds (default: the start of the ego's trajectory)
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
+    time: Option<f64>,
+    /// Number of sweeps, one after the other
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    sweeps: u32,
+    /// Frame of the points: of the sensor at each firing (raw), at the start or at the end of the
+    /// sweep, of the vehicle at its end (ego), or of the world (default: end; ego for av2)
+    #[arg(long, value_name = "FRAME", value_parser = PointFrame::NAMES)]
+    frame: Option<String>,
+    /// Place of the sensor on the vehicle, meters forward, left and up of the center of its box
+    #[arg(long, value_name = "X,Y,Z", default_value = "0,0,1.1", allow_hyphen_values = true, value_parser = place)]
+    mount: DVec3,
+    /// Direction of the sensor on the vehicle, degrees to the left
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
+    mount_yaw: f64,
+    /// Range that a return reports (default: the sensor's own): of the splat at which half of the
+    /// beam is gone, the mean by weight, or of the splat that takes most
+    #[arg(long, value_name = "MODE", value_parser = ReturnMode::NAMED.map(|(name, _)| name))]
+    returns: Option<String>,
+    /// Share of a beam that splats have to take for a return
+    #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = share)]
+    opacity_min: f32,
+    /// Standard deviation that is added to splats across the beams, radians: what the images that
+    /// the scene was trained on have. sqrt(0.3) pixels over their focal length
+    #[arg(long, value_name = "RAD", default_value_t = LidarOptions::default().dilation_rad, value_parser = dilation)]
+    dilation: f64,
+    /// Seed of the noise of ranges, for sensors that have some
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
+    /// Write pictures of each sweep too: from above, as an image of ranges, and over the images of
+    /// the scene's cameras
+    #[arg(long)]
+    picture: bool,
+    #[command(flatten)]
+    device: DeviceArguments,
+}
+
+/// Format of the points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// x, y, z, intensity from 0 to 1, float32 (.bin)
+    Kitti,
+    /// x to the right, y forward, z, intensity from 0 to 255, ring from the lowest, float32
+    /// (.pcd.bin)
+    Nuscenes,
+    /// Argoverse 2, 16-bit floats (.feather)
+    Av2,
+    /// Point Cloud Library, binary (.pcd)
+    Pcd,
+    /// Binary PLY (.ply)
+    Ply,
+    /// NumPy structured array (.npy)
+    Npy,
+    /// All sweeps in one file, ROS 2 PointCloud2 (.mcap)
+    Mcap,
+}
+
+impl Format {
+    /// The format of one file per sweep.
+    fn of_sweeps(self) -> Option<PointFormat> {
+        match self {
+            Self::Kitti => Some(PointFormat::Kitti),
+            Self::Nuscenes => Some(PointFormat::NuScenes),
+            Self::Av2 => Some(PointFormat::Argoverse2),
+            Self::Pcd => Some(PointFormat::Pcd),
+            Self::Ply => Some(PointFormat::Ply),
+            Self::Npy => Some(PointFormat::Npy),
+            Self::Mcap => None,
+        }
+    }
+}
+
+fn place(text: &str) -> Result<DVec3, String> {
+    three_numbers(text, 1e6)
+        .map(DVec3::from_array)
+        .ok_or_else(|| format!("expected X,Y,Z, found {text:?}"))
+}
+
+fn share(text: &str) -> Result<f32, String> {
+    let parsed = finite(text)
+        .ok()
+        .filter(|share| (0.0..=1.0).contains(share));
+    let parsed = parsed.ok_or_else(|| format!("expected 0 to 1, found {text:?}"))?;
+    Ok(parsed as f32)
+}
+
+fn dilation(text: &str) -> Result<f64, String> {
+    let parsed = finite(text)
+        .ok()
+        .filter(|angle| (1e-6..=0.1).contains(angle));
+    parsed.ok_or_else(|| format!("expected 0.000001 to 0.1, found {text:?}"))
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let model = read_lidar(&arguments.sensor)?;
+    let mode = ReturnMode::NAMED
+        .into_iter()
+        .find(|(name, _)| Some(*name) == arguments.returns.as_deref())
+        .map_or(model.returns, |(_, mode)| mode);
+    let name = file_name(&model)?;
+    let reading = progress::spinner(format!("reading {}", arguments.scene.display()));
+    let loaded = open_scene(&arguments.scene, arguments.time.unwrap_or(0.0))?;
+    reading.finish_and_clear();
+    let start_s = arguments.time.unwrap_or(loaded.ego.start_s());
+    let gpu = arguments.device.open()?;
+    let renderer = Renderer::new(&gpu, RenderOptions::default());
+    let live = LiveScene::new(&renderer, &loaded)?;
+    let options = LidarOptions {
+        rules: loaded.world.rules,
+        dilation_rad: arguments.dilation,
+        opacity_min: arguments.opacity_min,
+        ..LidarOptions::default()
+    };
+    fs::create_dir_all(&arguments.out)
+        .with_context(|| format!("{} cannot be made", arguments.out.display()))?;
+    let mut writer = SweepWriter::new(arguments, &name, mode, start_s)?;
+    let mut lidars = LidarRenderer::new(&gpu, options);
+    let mut pictures = arguments
+        .picture
+        .then(|| picture::Pictures::new(renderer, &live, &loaded));
+    let bar = progress::bar("sweeps", arguments.sweeps as usize);
+    let model = std::sync::Arc::new(model);
+    for index in 0..arguments.sweeps {
+        let time_s = start_s + f64::from(index) * model.sweep_s;
+        let start = loaded.ego.at(time_s);
+        let lidar = Lidar {
+            name: name.clone(),
+            model: model.clone(),
+            rig_from_lidar: Pose::new(
+                DQuat::from_rotation_z(arguments.mount_yaw.to_radians()),
+                arguments.mount,
+            ),
+            world_from_rig: start,
+            motion: Motion::between(
+                &start,
+                &loaded.ego.at(time_s + model.sweep_s),
+                model.sweep_s,
+            ),
+        };
+        let traced = lidars.trace(live.with(&live.at(time_s)), &lidar)?;
+        let seed = arguments.seed.wrapping_add(u64::from(index));
+        let sweep = traced.returns(&lidar, mode, seed);
+        writer.add(index, &traced, &sweep)?;
+        if let Some(pictures) = &mut pictures {
+            for path in pictures.write(&writer.stem(index), &sweep, time_s)? {
+                print(&format!("{}\n", path.display()))?;
+            }
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    writer.finish()?;
+    check_validation(&gpu)
+}
+
+/// Name of the sensor, as files have it.
+fn file_name(model: &LidarModel) -> Result<String> {
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
+    let name = &model.name;
+    ensure!(
+        !name.is_empty() && !name.starts_with('.') && name.chars().all(plain),
+        "the sensor's name {name:?} cannot name a file: use letters, digits, '-' and '_'"
+    );
+    Ok(name.clone())
+}
+
+/// Destination of sweeps.
+struct SweepWriter<'a> {
+    out: &'a Path,
+    name: &'a str,
+    format: Format,
+    mode: ReturnMode,
+    frame: &'a str,
+    start_s: f64,
+    mcap: Option<McapSweeps>,
+}
+
+impl<'a> SweepWriter<'a> {
+    fn new(
+        arguments: &'a Arguments,
+        name: &'a str,
+        mode: ReturnMode,
+        start_s: f64,
+    ) -> Result<Self> {
+        let frame = arguments.frame.as_deref();
+        let frame = frame.unwrap_or(match arguments.format {
+            Format::Av2 => "ego",
+            _ => "end",
+        });
+        let is_mcap = arguments.format == Format::Mcap;
+        let mcap = is_mcap.then(|| McapSweeps::new(&format!("/lidar/{name}"), frame));
+        Ok(Self {
+            out: &arguments.out,
+            name,
+            format: arguments.format,
+            mode,
+            frame,
+            start_s,
+            mcap: mcap.transpose()?,
+        })
+    }
+
+    /// Path of the files of a sweep, without extension.
+    fn stem(&self, index: u32) -> PathBuf {
+        self.out.join(format!("{}_{index:06}", self.name))
+    }
+
+    fn add(&mut self, index: u32, traced: &TracedSweep, sweep: &LidarSweep) -> Result<()> {
+        let model = &sweep.lidar.model;
+        let frame = PointFrame::by_name(self.frame, model.sweep_s)
+            .context("the frame is one of the list")?;
+        let points = sweep.points(frame);
+        let time_s = self.start_s + f64::from(index) * model.sweep_s;
+        let comments = [
+            format!(
+                "sensor {}, sweep from {time_s:.6} s to {:.6} s",
+                model.name,
+                time_s + model.sweep_s
+            ),
+            format!("frame {}, returns {}", self.frame, self.mode.name()),
+            "intensity is the luma of the splats' colors: uncalibrated".to_owned(),
+        ];
+        let summary = serde_json::json!({
+            "sensor": model.name,
+            "start_s": time_s,
+            "end_s": time_s + model.sweep_s,
+            "frame": self.frame,
+            "returns": self.mode.name(),
+            "intensity": "uncalibrated",
+            "beams": traced.beams.len(),
+            "points": points.len(),
+            "gpu_time_ms": traced.gpu_time_ns as f64 * 1e-6,
+        });
+        let described = self.stem(index).with_added_extension("json");
+        let text = format!("{summary:#}\n");
+        write_atomically(&described, |file| file.write_all(text.as_bytes()))?;
+        if let Some(mcap) = &mut self.mcap {
+            mcap.add((time_s.max(0.0) * 1e9).round() as u64, &points)?;
+        }
+        if let Some(format) = self.format.of_sweeps() {
+            let path = self.stem(index).with_added_extension(format.extension());
+            write_points(&path, format, &points, model.rings(), &comments)?;
+            print(&format!("{}\n", path.display()))?;
+        }
+        Ok(())
+    }
+
+    fn finish(self) -> Result<()> {
+        if let Some(mcap) = self.mcap {
+            let bytes = mcap.finish()?;
+            let path = self.out.join(format!("{}.mcap", self.name));
+            write_atomically(&path, |file| file.write_all(&bytes))?;
+            print(&format!("{}\n", path.display()))?;
+        }
+        Ok(())
+    }
+}
+
+/// Opens nothing: a device is only for those that draw.
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_out_of_range_are_refused() {
+        assert_eq!(place("1,-2,0.5").unwrap(), DVec3::new(1.0, -2.0, 0.5));
+        assert!(place("1,2").unwrap_err().contains("X,Y,Z"));
+        assert!(share("1.5").unwrap_err().contains("0 to 1"));
+        assert!(dilation("0").unwrap_err().contains("0.1"));
+    }
+}
