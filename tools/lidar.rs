@@ -1,6 +1,6 @@
 //! `decouplegs lidar`: sweeps of a LiDAR through a scene.
 
-mod picture;
+mod previews;
 
 use std::fs;
 use std::io::Write;
@@ -10,7 +10,6 @@ use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::point_cloud::{McapSweeps, PointFormat, write_points};
 use decouplegs::asset::{lidar_names, open_scene, read_lidar, write_atomically};
-use decouplegs::gpu::Gpu;
 use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer, TracedSweep};
 use decouplegs::scene::lidar::{PointFrame, ReturnMode};
 use decouplegs::scene::{Lidar, LidarModel, LidarSweep, Motion, Pose};
@@ -64,10 +63,10 @@ pub struct Arguments {
     /// Seed of the noise of ranges, for sensors that have some
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Write pictures of each sweep too: from above, as an image of ranges, and over the images of
+    /// Write previews of each sweep too: from above, as an image of ranges, and over the images of
     /// the scene's cameras
     #[arg(long)]
-    picture: bool,
+    previews: bool,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -152,9 +151,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .with_context(|| format!("{} cannot be made", arguments.out.display()))?;
     let mut writer = SweepWriter::new(arguments, &name, mode, start_s)?;
     let mut lidars = LidarRenderer::new(&gpu, options);
-    let mut pictures = arguments
-        .picture
-        .then(|| picture::Pictures::new(renderer, &live, &loaded));
+    let mut previews = arguments
+        .previews
+        .then(|| previews::Previews::new(renderer, &live, &loaded));
     let bar = progress::bar("sweeps", arguments.sweeps as usize);
     let model = std::sync::Arc::new(model);
     for index in 0..arguments.sweeps {
@@ -178,8 +177,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let seed = arguments.seed.wrapping_add(u64::from(index));
         let sweep = traced.returns(&lidar, mode, seed);
         writer.add(index, &traced, &sweep)?;
-        if let Some(pictures) = &mut pictures {
-            for path in pictures.write(&writer.stem(index), &sweep, time_s)? {
+        if let Some(previews) = &mut previews {
+            for path in previews.write(&writer.stem(index), &sweep, time_s)? {
                 print(&format!("{}\n", path.display()))?;
             }
         }

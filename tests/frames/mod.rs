@@ -10,7 +10,7 @@ mod hard_cases;
 mod in_flight;
 mod keys;
 mod lenses;
-mod lidar;
+pub mod lidar;
 mod light;
 mod light_on_demand;
 mod outputs;

@@ -7,8 +7,8 @@ use std::path::Path;
 
 use decouplegs::gpu::{DeviceOptions, Gpu};
 use decouplegs::render::layout::{
-    AgentRecord, BlendItem, Bucket, CameraRecord, ClusterRecord, Composite, LensRecord,
-    RelightRecord, RequiredCounts, ShadowRecord, ViewLists,
+    AgentRecord, BeamRecord, BeamState, BlendItem, Bucket, CameraRecord, ClusterRecord, Composite,
+    FiringRecord, LensRecord, RelightRecord, RequiredCounts, SectorRecord, ShadowRecord, ViewLists,
 };
 use decouplegs::render::post_processing::PhotometryRecord;
 use decouplegs::scene::rules;
@@ -33,6 +33,7 @@ macro_rules! record {
 fn records() -> Vec<Record> {
     let mut records = records_of_frames();
     records.extend(records_of_light_and_lenses());
+    records.extend(records_of_lidars());
     records.push(record!(PhotometryRecord {
         matrix,
         offset,
@@ -131,6 +132,29 @@ fn records_of_frames() -> Vec<Record> {
             bin,
             first_partial,
             partials
+        }),
+    ]
+}
+
+fn records_of_lidars() -> Vec<Record> {
+    vec![
+        record!(SectorRecord {
+            velocity_mps,
+            half_time_s,
+            residual_m,
+            first_column,
+            first_row
+        }),
+        record!(BeamRecord { direction, firing }),
+        record!(FiringRecord { offset_m, time_s }),
+        record!(BeamState {
+            transmittance,
+            range_sum_m,
+            intensity_sum,
+            median_m,
+            strongest_weight,
+            strongest_m,
+            instances
         }),
     ]
 }

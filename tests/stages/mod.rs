@@ -11,6 +11,7 @@ mod cull;
 mod cull_shadows;
 mod key_splats;
 mod layout;
+mod lidar;
 mod plan_segments;
 mod post_process;
 mod project;

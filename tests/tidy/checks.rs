@@ -10,6 +10,9 @@ use super::tree::{SourceFile, Tree};
 const KERNELS_OF_A_STAGE: &[(&str, &str)] = &[
     ("cull_agents", "agents"),
     ("project_agents", "agents"),
+    ("project_lidar", "lidar"),
+    ("project_lidar_agents", "lidar"),
+    ("trace_lidar", "lidar"),
     ("plan_lists", "tile_sort"),
     ("bin_pairs", "tile_sort"),
     ("plan_buckets", "tile_sort"),

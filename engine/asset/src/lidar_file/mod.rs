@@ -5,10 +5,10 @@
 //! name = "example"
 //! row_elevations_deg = [15.0, 0.0, -15.0]      # falling
 //! row_azimuth_offsets_deg = [1.4, -1.4, 1.4]   # positive to the left; 0 if left out
-//! row_ids = [2, 0, 1]                          # lasers as the manufacturer counts; rows if left out
+//! row_ids = [2, 0, 1]                          # lasers as the manufacturer counts
 //! columns = 1800                               # per sweep
 //! first_azimuth_deg = 180.0
-//! field_deg = 360.0                            # angle swept
+//! field_deg = 360.0                            # swept
 //! direction = "cw"                             # as seen from above; or "ccw"
 //! rate_hz = 10.0
 //! range_m = [0.3, 200.0]
@@ -17,8 +17,8 @@
 //! range_noise_m = 0.0
 //! ```
 //!
-//! Instead of rows and columns a file may list `rays`, each `[azimuth_deg, elevation_deg, offset_us,
-//! ring]`.
+//! Instead of rows and columns a file may list `rays`, each
+//! `[azimuth_deg, elevation_deg, offset_us, ring]`.
 
 mod form;
 mod ncore;

@@ -25,7 +25,7 @@ pub struct SectorRecord {
 pub struct BeamRecord {
     /// Unit direction in sector axes; zero for a cell without a beam.
     pub direction: [f32; 3],
-    /// Its time of firing among those of the sweep.
+    /// Index of the time of firing.
     pub firing: u32,
 }
 

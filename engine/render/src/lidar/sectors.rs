@@ -5,17 +5,18 @@ use std::ops::Range;
 
 use decouplegs_scene::lidar::{Beam, LidarCells, NO_BEAM};
 use decouplegs_scene::{Camera, Intrinsics, Lidar, Motion, Pose};
-use glam::{DQuat, DVec3, Vec3};
+use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
-use crate::layout::{BeamRecord, FiringRecord, SectorRecord};
+use crate::layout::{BeamRecord, CAMERAS_MAX, FiringRecord, SectorRecord};
 use crate::stages::SectorTables;
+use crate::twins::lidar::around;
 
 /// A sector with more than this angle lists every splat in all of its columns: the order of
 /// azimuths has an end.
 const SPAN_MAX_RAD: f64 = 5.5;
 
-/// What rounding may add to the way of the sensor, meters.
+/// Rounding of the way of the sensor, at most, meters.
 const ROUNDING_M: f64 = 1e-5;
 
 /// Sectors of one sweep.
@@ -46,13 +47,24 @@ struct Sector {
 
 impl Sectors {
     /// Cuts the sweep of `lidar`, whose beams and grid are given, into `count` sectors or fewer.
+    /// Explicit rays always become as many sectors as a sweep can have.
     #[must_use]
     pub fn new(lidar: &Lidar, beams: &[Beam], cells: &LidarCells, count: usize) -> Self {
-        let count = count.clamp(1, cells.columns);
-        let columns_of =
-            |index: usize| cells.columns * index / count..cells.columns * (index + 1) / count;
-        let cut = |index: usize| Sector::new(lidar, beams, cells, columns_of(index));
-        let sectors: Vec<Sector> = (0..count).into_par_iter().filter_map(cut).collect();
+        let blocks = cells.blocks.len();
+        let pieces = match blocks {
+            1 => count,
+            _ => CAMERAS_MAX / blocks,
+        };
+        let ends = cells.blocks.iter().copied().skip(1).chain([cells.columns]);
+        let cut = |(&first, end): (&usize, usize)| {
+            let columns = end - first;
+            let pieces = pieces.clamp(1, columns);
+            let at = move |piece: usize| first + columns * piece / pieces;
+            (0..pieces).map(move |piece| at(piece)..at(piece + 1))
+        };
+        let pieces: Vec<Range<usize>> = cells.blocks.iter().zip(ends).flat_map(cut).collect();
+        let sector = |columns: &Range<usize>| Sector::new(lidar, beams, cells, columns.clone());
+        let sectors: Vec<Sector> = pieces.par_iter().filter_map(sector).collect();
         let mut all = Self {
             cameras: Vec::new(),
             times_s: Vec::new(),
@@ -95,42 +107,29 @@ impl Sector {
         let (width, rows) = (columns.len(), cells.rows);
         let by_column = &cells.beams[columns.start * rows..columns.end * rows];
         let of_cell = |cell: u32| (cell != NO_BEAM).then(|| &beams[cell as usize]);
-        let fired = || by_column.iter().filter_map(|&cell| of_cell(cell));
-        let first = *fired().next()?;
-        let times = || fired().map(|beam| beam.time_s);
+        let filled = || by_column.iter().filter_map(|&cell| of_cell(cell));
+        let first = *filled().next()?;
+        let times = || filled().map(|beam| beam.time_s);
         let (start_s, end_s) = (
             times().fold(f64::INFINITY, f64::min),
             times().fold(f64::NEG_INFINITY, f64::max),
         );
         let time_s = 0.5 * (start_s + end_s);
-        // Azimuths are counted from that of the first column, so that none is cut at half a turn.
-        let start_rad = first.direction.y.atan2(first.direction.x);
-        let turn = DQuat::from_rotation_z(-start_rad);
-        let azimuth = |beam: &Beam| {
-            let direction = turn * beam.direction;
-            direction.y.atan2(direction.x)
-        };
-        let span = fired()
-            .map(azimuth)
-            .fold([0.0f64; 2], |[low, high], angle| {
-                [low.min(angle), high.max(angle)]
-            });
-        let is_wide = span[1] - span[0] > SPAN_MAX_RAD;
-        let middle_rad = start_rad + 0.5 * (span[0] + span[1]);
+        let [low_rad, high_rad] = azimuths(&first, filled());
+        let is_wide = high_rad - low_rad > SPAN_MAX_RAD;
+        let middle_rad = 0.5 * (low_rad + high_rad);
         let sensor_from_sector = Pose::new(DQuat::from_rotation_z(middle_rad), DVec3::ZERO);
         let middle = lidar.pose_at(time_s).then(&sensor_from_sector);
-        let to_sector = middle.rotation.conjugate();
-        let place =
-            |time_s: f64| to_sector * (lidar.pose_at(time_s).translation - middle.translation);
-
-        let mut firings: Vec<FiringRecord> = Vec::new();
-        let mut turns: Vec<DQuat> = Vec::new();
-        let mut known: HashMap<u64, u32> = HashMap::new();
+        let way = Way {
+            lidar,
+            middle,
+            time_s,
+        };
         let velocity = match end_s > start_s {
-            true => (place(end_s) - place(start_s)) / (end_s - start_s),
+            true => (way.offset(end_s) - way.offset(start_s)) / (end_s - start_s),
             false => DVec3::ZERO,
         };
-        let mut residual_m = 0.0f64;
+        let mut fired = Fired::new(&way, velocity);
         let mut records = vec![BeamRecord::default(); width * rows];
         let mut beam_of_cell = vec![NO_BEAM; width * rows];
         let mut column_bounds = vec![[f32::INFINITY, f32::NEG_INFINITY]; width];
@@ -140,25 +139,16 @@ impl Sector {
                 continue;
             };
             let (column, row) = (at / rows, at % rows);
-            let firing = *known.entry(beam.time_s.to_bits()).or_insert_with(|| {
-                let offset = place(beam.time_s);
-                let since_s = beam.time_s - time_s;
-                residual_m = residual_m.max((offset - velocity * since_s).length());
-                firings.push(FiringRecord {
-                    offset_m: offset.as_vec3().to_array(),
-                    time_s: since_s as f32,
-                });
-                turns.push(to_sector * lidar.pose_at(beam.time_s).rotation);
-                firings.len() as u32 - 1
-            });
-            let direction = (turns[firing as usize] * beam.direction).as_vec3();
+            let firing = fired.at(beam.time_s);
+            let turn = fired.turns[firing as usize];
+            let direction = (turn * beam.direction).as_vec3();
             let place = row * width + column;
             records[place] = BeamRecord {
                 direction: direction.to_array(),
                 firing,
             };
             beam_of_cell[place] = cell;
-            widen(&mut column_bounds[column], around(direction));
+            widen(&mut column_bounds[column], around(direction.x, direction.y));
             let slope = direction.z / direction.truncate().length();
             widen(&mut row_bounds[row], slope);
         }
@@ -184,26 +174,93 @@ impl Sector {
             record: SectorRecord {
                 velocity_mps: velocity.as_vec3().to_array(),
                 half_time_s: (0.5 * (end_s - start_s) * 1.001) as f32,
-                residual_m: (residual_m + ROUNDING_M) as f32,
+                residual_m: (fired.residual_m + ROUNDING_M) as f32,
                 ..SectorRecord::default()
             },
             column_bounds,
             row_bounds,
             beams: records,
-            firings,
+            firings: fired.firings,
             beam_of_cell,
         })
     }
 }
 
-/// A number that rises with the azimuth of a direction, as in `lidar.glsl`.
-fn around(direction: Vec3) -> f32 {
-    let Vec3 { x, y, .. } = direction;
-    let part = y / (x.abs() + y.abs());
-    match (x >= 0.0, y >= 0.0) {
-        (true, _) => part,
-        (false, true) => 2.0 - part,
-        (false, false) => -2.0 - part,
+/// Lowest and highest azimuth of `beams`, radians. They are counted from that of `first`, so that
+/// none is cut at half a turn.
+fn azimuths<'a>(first: &Beam, beams: impl Iterator<Item = &'a Beam>) -> [f64; 2] {
+    let start_rad = first.direction.y.atan2(first.direction.x);
+    let turn = DQuat::from_rotation_z(-start_rad);
+    let beyond = |beam: &Beam| {
+        let direction = turn * beam.direction;
+        direction.y.atan2(direction.x)
+    };
+    let [low, high] = beams.map(beyond).fold([0.0f64; 2], |[low, high], angle| {
+        [low.min(angle), high.max(angle)]
+    });
+    [start_rad + low, start_rad + high]
+}
+
+/// Way of the sensor during a sector, in the axes of the sector.
+struct Way<'a> {
+    lidar: &'a Lidar,
+    /// Axes and origin of the sector.
+    middle: Pose,
+    /// Middle of its time.
+    time_s: f64,
+}
+
+impl Way<'_> {
+    /// Place of the sensor.
+    fn offset(&self, time_s: f64) -> DVec3 {
+        let place = self.lidar.pose_at(time_s).translation;
+        self.middle.rotation.conjugate() * (place - self.middle.translation)
+    }
+
+    /// Rotation of the sensor.
+    fn turn(&self, time_s: f64) -> DQuat {
+        self.middle.rotation.conjugate() * self.lidar.pose_at(time_s).rotation
+    }
+}
+
+/// Times of firing of a sector, each once.
+struct Fired<'a> {
+    way: &'a Way<'a>,
+    velocity: DVec3,
+    known: HashMap<u64, u32>,
+    firings: Vec<FiringRecord>,
+    turns: Vec<DQuat>,
+    residual_m: f64,
+}
+
+impl<'a> Fired<'a> {
+    fn new(way: &'a Way<'a>, velocity: DVec3) -> Self {
+        Self {
+            way,
+            velocity,
+            known: HashMap::new(),
+            firings: Vec::new(),
+            turns: Vec::new(),
+            residual_m: 0.0,
+        }
+    }
+
+    /// Index of a time of firing.
+    fn at(&mut self, time_s: f64) -> u32 {
+        if let Some(&firing) = self.known.get(&time_s.to_bits()) {
+            return firing;
+        }
+        let (offset, since_s) = (self.way.offset(time_s), time_s - self.way.time_s);
+        let residual_m = (offset - self.velocity * since_s).length();
+        self.residual_m = self.residual_m.max(residual_m);
+        self.firings.push(FiringRecord {
+            offset_m: offset.as_vec3().to_array(),
+            time_s: since_s as f32,
+        });
+        self.turns.push(self.way.turn(time_s));
+        let firing = self.firings.len() as u32 - 1;
+        self.known.insert(time_s.to_bits(), firing);
+        firing
     }
 }
 

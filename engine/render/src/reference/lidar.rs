@@ -18,7 +18,7 @@ pub const THICKNESS_MIN: f64 = 1e-6;
 /// Splats that move together.
 #[derive(Clone, Copy, Debug)]
 pub struct SplatGroup<'a> {
-    /// Splats.
+    /// The splats of the group.
     pub splats: &'a SplatCloud,
     /// Instance of each splat; an empty slice where all have [`SplatGroup::instance`].
     pub instances: &'a [u16],
@@ -30,7 +30,7 @@ pub struct SplatGroup<'a> {
     pub motion: Motion,
 }
 
-/// What one beam found.
+/// Result of one beam.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BeamHit64 {
     /// Share of the beam that no splat took.

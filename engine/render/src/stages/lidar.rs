@@ -80,7 +80,7 @@ impl SectorBuffers {
 /// Tables of a sweep that the kernels read.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SectorTables {
-    /// Sectors.
+    /// Motion of each sector, and places of its bounds.
     pub sectors: Vec<SectorRecord>,
     /// Bounds of columns of all sectors.
     pub column_bounds: Vec<[f32; 2]>,
@@ -92,7 +92,7 @@ pub struct SectorTables {
     pub firings: Vec<FiringRecord>,
 }
 
-/// What a sweep writes on its way to the states of beams.
+/// Buffers that a sweep writes on the way to the states of beams.
 pub struct LidarBuffers {
     /// Counts of the sweep.
     pub counters: FrameCounters,

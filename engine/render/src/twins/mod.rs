@@ -1,8 +1,9 @@
 //! CPU mirrors of the kernels, the oracle of the stage tests: sequential, f32, simple.
 //!
 //! `twins/NAME.rs` computes what `shaders/NAME.comp` does. The modules `agent`, `depth_key`,
-//! `footprint`, `lens`, `output`, `planes`, `projection`, `record`, `rolling`, `sh`, `shadow`,
-//! `visibility` and `write_record` correspond to the shared GLSL of the same name. Arguments have
+//! `footprint`, `lens`, `lidar`, `output`, `planes`, `projection`, `record`, `rolling`, `sh`,
+//! `shadow`, `visibility` and `write_record` correspond to the shared GLSL of the same name.
+//! Arguments have
 //! the shader's names; outputs are written in place, as there. The stage tests feed both sides the
 //! same bytes. Twins use no workgroups and no shared memory.
 //!
@@ -18,6 +19,7 @@ pub mod depth_key;
 pub mod fog;
 pub mod footprint;
 pub mod lens;
+pub mod lidar;
 pub mod output;
 pub mod planes;
 pub mod post_process;

@@ -1,12 +1,15 @@
 //! Arrangement of beams in a grid in which neighbors are neighbors in space.
 
-use super::{LidarModel, LidarPattern, Spin};
+use super::{Beam, LidarModel, LidarPattern, Spin};
 
 /// A cell without a beam.
 pub const NO_BEAM: u32 = u32::MAX;
 
 /// Rows of the grid of explicit rays.
 const RAY_ROWS: usize = 64;
+
+/// Blocks of time into which explicit rays are cut.
+const RAY_BLOCKS: f64 = 8.0;
 
 /// Beams of a sweep in a grid: columns by rising azimuth, rows by falling elevation. Each beam has
 /// one cell.
@@ -21,6 +24,9 @@ pub struct LidarCells {
     pub rows: usize,
     /// Beam of each cell, `[column][row]`, or [`NO_BEAM`].
     pub beams: Vec<u32>,
+    /// First columns of blocks. The beams of a block are neighbors in time; azimuths rise within a
+    /// block.
+    pub blocks: Vec<usize>,
 }
 
 impl LidarModel {
@@ -56,6 +62,7 @@ impl LidarModel {
                     columns: count + (greatest - least) as usize,
                     rows: rows.len(),
                     beams: Vec::new(),
+                    blocks: vec![0],
                 };
                 cells.beams = vec![NO_BEAM; cells.columns * cells.rows];
                 for column in 0..count {
@@ -66,25 +73,40 @@ impl LidarModel {
                 }
                 cells
             }
-            LidarPattern::Rays(beams) => {
-                let azimuth = |beam: u32| {
-                    let direction = beams[beam as usize].direction;
-                    direction.y.atan2(direction.x)
-                };
-                let up = |beam: u32| beams[beam as usize].direction.z;
-                let mut order: Vec<u32> = (0..beams.len() as u32).collect();
-                order.sort_by(|&a, &b| azimuth(a).total_cmp(&azimuth(b)));
-                let mut cells = LidarCells {
-                    columns: beams.len().div_ceil(RAY_ROWS),
-                    rows: RAY_ROWS,
-                    beams: order,
-                };
-                for column in cells.beams.chunks_mut(RAY_ROWS) {
-                    column.sort_by(|&a, &b| up(b).total_cmp(&up(a)));
-                }
-                cells.beams.resize(cells.columns * RAY_ROWS, NO_BEAM);
-                cells
+            LidarPattern::Rays(beams) => self.cells_of_rays(beams),
+        }
+    }
+
+    /// The grid of explicit rays: rays that are fired one after the other may go anywhere, so time
+    /// comes before azimuth.
+    fn cells_of_rays(&self, beams: &[Beam]) -> LidarCells {
+        let direction = |beam: u32| beams[beam as usize].direction;
+        let azimuth = |beam: u32| direction(beam).y.atan2(direction(beam).x);
+        let block = |beam: u32| {
+            let share = beams[beam as usize].time_s / self.sweep_s;
+            (RAY_BLOCKS * share).min(RAY_BLOCKS - 1.0) as usize
+        };
+        let mut order: Vec<u32> = (0..beams.len() as u32).collect();
+        order.sort_by(|&a, &b| {
+            let later = block(a).cmp(&block(b));
+            later.then(azimuth(a).total_cmp(&azimuth(b)))
+        });
+        let mut cells = LidarCells {
+            columns: 0,
+            rows: RAY_ROWS,
+            beams: Vec::new(),
+            blocks: Vec::new(),
+        };
+        for together in order.chunk_by(|&a, &b| block(a) == block(b)) {
+            cells.blocks.push(cells.columns);
+            for column in together.chunks(RAY_ROWS) {
+                let mut column = column.to_vec();
+                column.sort_by(|&a, &b| direction(b).z.total_cmp(&direction(a).z));
+                column.resize(RAY_ROWS, NO_BEAM);
+                cells.beams.extend(column);
+                cells.columns += 1;
             }
         }
+        cells
     }
 }

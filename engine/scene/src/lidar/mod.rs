@@ -338,7 +338,7 @@ fn check_rays(beams: &[Beam], sweep_s: f64) -> Result<(), Invalid> {
 pub struct Lidar {
     /// Names the sweep; unique in the rig.
     pub name: String,
-    /// Model.
+    /// Model of the sensor.
     pub model: Arc<LidarModel>,
     /// Pose on the vehicle.
     pub rig_from_lidar: Pose,

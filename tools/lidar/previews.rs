@@ -1,4 +1,4 @@
-//! Pictures of sweeps.
+//! Previews of sweeps.
 
 use std::path::{Path, PathBuf};
 
@@ -12,22 +12,22 @@ use decouplegs::session::LiveScene;
 
 use crate::arguments::write_image;
 
-/// Side of the picture from above, pixels, and its side in the world, meters.
+/// Side of the view from above, pixels, and its side in the world, meters.
 const ABOVE_PX: u32 = 900;
 const ABOVE_M: f64 = 100.0;
 
 /// Least height of an image of ranges, pixels: rows of sensors with few are repeated.
 const RANGES_HEIGHT_PX: usize = 160;
 
-/// Writes pictures of sweeps.
-pub struct Pictures<'a> {
+/// Writes previews of sweeps.
+pub struct Previews<'a> {
     renderer: Renderer,
     live: &'a LiveScene,
     loaded: &'a LoadedScene,
 }
 
-impl<'a> Pictures<'a> {
-    /// Pictures of a scene, whose images `renderer` draws.
+impl<'a> Previews<'a> {
+    /// Previews of a scene, whose images `renderer` draws.
     pub fn new(renderer: Renderer, live: &'a LiveScene, loaded: &'a LoadedScene) -> Self {
         Self {
             renderer,
@@ -36,19 +36,21 @@ impl<'a> Pictures<'a> {
         }
     }
 
-    /// Writes the pictures of a sweep that began at `time_s`; returns their paths.
+    /// Writes the previews of a sweep that began at `time_s`; returns their paths.
     pub fn write(&mut self, stem: &Path, sweep: &LidarSweep, time_s: f64) -> Result<Vec<PathBuf>> {
-        let mut pictures = vec![
+        let mut previews = vec![
             ("above".to_owned(), from_above(sweep)),
             ("ranges".to_owned(), ranges(sweep)),
         ];
         let end_s = time_s + sweep.lidar.model.sweep_s;
         let cameras = self.loaded.rig.driving(&self.loaded.ego, end_s);
-        if !cameras.is_empty() {
-            let snapshot = self.live.at(end_s);
-            self.renderer.render(self.live.with(&snapshot), &cameras)?;
-            for (camera, image) in cameras.iter().zip(self.renderer.read_images()?) {
-                pictures.push((camera.name.clone(), over_image(sweep, camera, image)));
+        let snapshot = self.live.at(end_s);
+        // One by one: the images of a whole rig may be more than a buffer holds.
+        for camera in &cameras {
+            let scene = self.live.with(&snapshot);
+            self.renderer.render(scene, std::slice::from_ref(camera))?;
+            for image in self.renderer.read_images()? {
+                previews.push((camera.name.clone(), over_image(sweep, camera, image)));
             }
         }
         let write = |(name, image): (String, Image)| {
@@ -56,7 +58,7 @@ impl<'a> Pictures<'a> {
             write_image(&path, &image, ImageFileFormat::Png)?;
             Ok(path)
         };
-        pictures.into_iter().map(write).collect()
+        previews.into_iter().map(write).collect()
     }
 }
 

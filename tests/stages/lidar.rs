@@ -1,0 +1,422 @@
+//! `project_lidar.comp` and `trace_lidar.comp` against their twin, and the proof that no beam
+//! misses a splat.
+
+use decouplegs::gpu::QueueRole;
+use decouplegs::render::capacity::Capacity;
+use decouplegs::render::layout::{
+    BeamState, COARSE_HEIGHT_PX, COARSE_WIDTH_PX, RequiredCounts, View,
+};
+use decouplegs::render::lidar::{DILATION_RAD, Sectors};
+use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
+use decouplegs::render::stages::{
+    LidarBuffers, LidarPass, LidarVariant, ProjectLidar, Records, Scan, SectorBuffers, TileSort,
+    TraceLidar,
+};
+use decouplegs::render::twins::lidar::{
+    Cells, LidarConstants, LidarSplat, NO_CELLS, SLOPE_SLACK, SectorView, TwinBeam, meet,
+    see_from_lidar,
+};
+use decouplegs::render::twins::projection::axes_of;
+use decouplegs::render::{GpuScene, LidarOptions};
+use decouplegs::scene::lidar::Beam;
+use decouplegs::scene::{Lidar, Motion, Pose, Rules, World};
+use glam::{DQuat, DVec3, Mat3, Vec3};
+
+use super::{open, run};
+use crate::device::Validated;
+use crate::frames::lidar::{lidar_at, models, surroundings};
+
+/// A sweep whose lists the kernels made, and what the twin reads of them.
+struct Listed {
+    beams: Vec<Beam>,
+    cut: Sectors,
+    view: View,
+    /// Index of the splat of each record.
+    splat_of_record: Vec<usize>,
+    /// Sector of each record.
+    sector_of_record: Vec<usize>,
+    footprints: Vec<[f32; 4]>,
+    colors: Vec<[f32; 4]>,
+    shapes: Vec<[f32; 4]>,
+    tile_lists: Vec<[u32; 2]>,
+    sorted: Vec<u32>,
+    states: Vec<BeamState>,
+    /// Splats as the device has them.
+    stored: Vec<([f32; 3], Mat3, f32)>,
+}
+
+impl Listed {
+    fn new(gpu: &Validated, world: &World, lidar: &Lidar) -> Self {
+        let beams = lidar.model.beams();
+        let cut = Sectors::new(lidar, &beams, &lidar.model.cells(), 8);
+        let view = View::new(&cut.cameras, world.origin, 1e3).unwrap();
+        let scene = GpuScene::upload(gpu, world).unwrap();
+        let sectors = SectorBuffers::upload(gpu, &view, &cut.tables).unwrap();
+        let capacity = Capacity {
+            records: 32 * world.splats.len(),
+            pairs: 160 * world.splats.len(),
+            partials: 0,
+        };
+        let clusters = scene.cluster_count();
+        let buffers = LidarBuffers::new(gpu, &capacity, clusters, &view).unwrap();
+        let variant = LidarVariant {
+            instances: false,
+            moving: !lidar.motion.is_rest(),
+            dilation_rad: DILATION_RAD as f32,
+        };
+        let project = ProjectLidar::new(gpu, &world.rules, variant).unwrap();
+        let (scan, tile_sort) = (Scan::new(gpu).unwrap(), TileSort::for_lidar(gpu).unwrap());
+        let trace = TraceLidar::new(gpu, &world.rules, variant.moving).unwrap();
+        let no_agents = gpu.upload("none", "test", &[0u32; 33]).unwrap();
+        let mut recorder = gpu.record(QueueRole::Main);
+        let (counters, lists) = (&buffers.counters, &buffers.lists);
+        for (buffer, bytes) in [
+            (counters.required.binding(), counters.required.byte_len()),
+            (counters.arguments.binding(), counters.arguments.byte_len()),
+            (lists.slab_counts.binding(), lists.slab_counts.byte_len()),
+        ] {
+            recorder.fill(buffer, 0, bytes, 0);
+        }
+        project.record(&mut recorder, LidarPass::Mark, &scene, &sectors, &buffers);
+        let count = sectors.count * clusters;
+        let counts = &buffers.visible.counts;
+        scan.record(&mut recorder, counts, &buffers.offsets, count);
+        project.record(&mut recorder, LidarPass::Write, &scene, &sectors, &buffers);
+        let records = Records {
+            cameras: &sectors.cameras,
+            camera_count: sectors.count,
+            projected: &buffers.projected,
+            static_offsets: &buffers.offsets,
+            static_clusters: clusters,
+            moving_offsets: &no_agents,
+            moving_clusters: 0,
+        };
+        tile_sort.record(&mut recorder, counters, records, lists, sectors.bins);
+        gpu.submit(recorder, &[]).unwrap().wait().unwrap();
+        let required: RequiredCounts = gpu.read(&counters.required).unwrap()[0];
+        assert!(capacity.holds(&required), "{required:?}");
+        let range_min_m = lidar.model.range_m[0] as f32;
+        run(gpu, |r| {
+            // Two windows: the state between them is kept.
+            let cut = required.longest / 3;
+            trace.record(r, &sectors, &buffers, (0, cut), range_min_m);
+            trace.record(r, &sectors, &buffers, (cut, u32::MAX - cut), range_min_m);
+        });
+        let words = gpu.read(&buffers.visible.words).unwrap();
+        let (mut splat_of_record, mut sector_of_record) = (vec![], vec![]);
+        for sector in 0..sectors.count {
+            for bit in 0..clusters * 256 {
+                let place = sector * clusters * 256 + bit;
+                if words[place / 32] >> (place % 32) & 1 == 1 {
+                    splat_of_record.push(bit);
+                    sector_of_record.push(sector);
+                }
+            }
+        }
+        assert_eq!(splat_of_record.len(), required.records as usize);
+        let (means, shapes) = (gpu.read(&scene.means), gpu.read(&scene.shapes));
+        let rotations = gpu.read(&scene.rotations).unwrap();
+        let stored = (means
+            .unwrap()
+            .into_iter()
+            .zip(shapes.unwrap())
+            .zip(rotations))
+        .map(|((mean, shape), rotation)| (mean, axes_of(shape, rotation), shape[3]));
+        Self {
+            stored: stored.collect(),
+            footprints: gpu.read(&buffers.projected.footprints).unwrap(),
+            colors: gpu.read(&buffers.projected.colors).unwrap(),
+            shapes: gpu.read(&buffers.shapes).unwrap(),
+            tile_lists: gpu.read(&lists.tile_lists).unwrap(),
+            sorted: gpu.read(&lists.sorted_records).unwrap(),
+            states: gpu.read(&buffers.states).unwrap(),
+            beams,
+            cut,
+            view,
+            splat_of_record,
+            sector_of_record,
+        }
+    }
+
+    fn sector(&self, sector: usize) -> SectorView<'_> {
+        let tables = &self.cut.tables;
+        let record = &tables.sectors[sector];
+        let camera = &self.view.cameras[sector];
+        let [columns, rows] = camera.size_px.map(|size| size as usize);
+        let (column, row) = (record.first_column as usize, record.first_row as usize);
+        SectorView {
+            camera,
+            sector: record,
+            column_bounds: &tables.column_bounds[column..column + columns],
+            row_bounds: &tables.row_bounds[row..row + rows],
+        }
+    }
+
+    fn cells(&self, record: usize) -> Cells {
+        self.footprints[2 * record].map(|cell| cell as i32)
+    }
+
+    fn splat(&self, record: usize) -> LidarSplat {
+        let [x, y, z, range_m] = self.footprints[2 * record + 1];
+        let [a, b, c] = std::array::from_fn(|word| self.shapes[3 * record + word]);
+        LidarSplat {
+            toward: Vec3::new(x, y, z),
+            range_m,
+            whiten: Mat3::from_cols(
+                Vec3::new(a[0], a[1], a[2]),
+                Vec3::new(0.0, b[0], b[1]),
+                Vec3::new(0.0, 0.0, b[2]),
+            ),
+            drift_mps: Vec3::new(a[3], b[3], c[0]),
+            log2_opacity: self.colors[record][0],
+        }
+    }
+
+    /// Sector, column, row and place of each beam's cell.
+    fn places(&self) -> Vec<[usize; 4]> {
+        let mut places = vec![[usize::MAX; 4]; self.beams.len()];
+        for (sector, camera) in self.view.cameras.iter().enumerate() {
+            let [columns, rows] = camera.size_px.map(|size| size as usize);
+            for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |c| (row, c))) {
+                let place = camera.first_pixel as usize + row * columns + column;
+                let beam = self.cut.beam_of_cell[place];
+                if let Some(found) = places.get_mut(beam as usize) {
+                    *found = [sector, column, row, place];
+                }
+            }
+        }
+        assert!(places.iter().all(|place| place[0] != usize::MAX));
+        places
+    }
+
+    /// Records of the list of the coarse tile of a cell.
+    fn list(&self, [sector, column, row, _]: [usize; 4]) -> &[u32] {
+        let camera = &self.view.cameras[sector];
+        let (x, y) = (
+            column / COARSE_WIDTH_PX as usize,
+            row / COARSE_HEIGHT_PX as usize,
+        );
+        let bin = camera.first_bin as usize + y * camera.coarse_tiles[0] as usize + x;
+        let [first, count] = self.tile_lists[bin].map(|value| value as usize);
+        &self.sorted[first..first + count]
+    }
+}
+
+fn contains(outer: Cells, inner: Cells) -> bool {
+    inner == NO_CELLS
+        || (outer[0] <= inner[0]
+            && outer[1] >= inner[1]
+            && outer[2] <= inner[2]
+            && outer[3] >= inner[3])
+}
+
+/// Sensor at 30 m/s that turns with 1 rad/s.
+fn driving() -> Motion {
+    Motion {
+        velocity_mps: DVec3::new(24.0, 18.0, 0.0),
+        turn_rad_per_s: DVec3::new(0.05, -0.1, 1.0),
+    }
+}
+
+#[test]
+fn records_are_those_of_the_twin() {
+    let gpu = open();
+    for (motion, antialias) in [(Motion::REST, false), (driving(), true)] {
+        let mut world = surroundings(1500, 11);
+        world.rules = Rules {
+            antialias,
+            ..Rules::DEFAULT
+        };
+        for (what, model) in models() {
+            let lidar = lidar_at(model, DVec3::ZERO, motion);
+            let listed = Listed::new(&gpu, &world, &lidar);
+            let mut records = vec![None; 32 * world.splats.len()];
+            for (record, (&splat, &sector)) in
+                (listed.splat_of_record.iter().zip(&listed.sector_of_record)).enumerate()
+            {
+                records[sector * world.splats.len() + splat] = Some(record);
+            }
+            let mut unsettled = 0;
+            for sector in 0..listed.view.cameras.len() {
+                let view = listed.sector(sector);
+                for (splat, &(mean_m, axes, opacity)) in listed.stored.iter().enumerate() {
+                    // The kernel's cells lie between those with half and twice the room.
+                    let [least, most] = [0.5, 2.0].map(|room| {
+                        let constants = LidarConstants {
+                            dilation_rad: DILATION_RAD as f32,
+                            antialias,
+                            moving: !motion.is_rest(),
+                            slack: room * SLOPE_SLACK,
+                        };
+                        see_from_lidar(&view, &constants, mean_m, axes, opacity, Vec3::ZERO)
+                    });
+                    let cells = |seen: &Option<(LidarSplat, Cells)>| {
+                        seen.map_or(NO_CELLS, |(_, cells)| cells)
+                    };
+                    let (least_cells, most_cells) = (cells(&least), cells(&most));
+                    unsettled += usize::from(least_cells != most_cells);
+                    let Some(record) = records[sector * world.splats.len() + splat] else {
+                        assert_eq!(least_cells, NO_CELLS, "{what}: splat {splat} is missing");
+                        continue;
+                    };
+                    let found = listed.cells(record);
+                    assert!(
+                        contains(most_cells, found) && contains(found, least_cells),
+                        "{what}: splat {splat} has cells {found:?}; the twin {least_cells:?} to {most_cells:?}"
+                    );
+                    let (twin, _) = most.unwrap();
+                    let kernel = listed.splat(record);
+                    let near = |a: Vec3, b: Vec3, scale: f32| (a - b).length() <= 2e-5 * scale;
+                    let size = |m: Mat3| m.x_axis.length() + m.y_axis.length() + m.z_axis.length();
+                    let scale = size(twin.whiten);
+                    assert!(
+                        near(kernel.toward, twin.toward, 1.0)
+                            && near(kernel.drift_mps, twin.drift_mps, 30.0)
+                            && (kernel.range_m - twin.range_m).abs() <= 2e-6 * twin.range_m
+                            && (kernel.log2_opacity - twin.log2_opacity).abs() < 1e-4
+                            && size(kernel.whiten - twin.whiten) <= 2e-3 * scale,
+                        "{what}: splat {splat}: {kernel:?}, the twin {twin:?}"
+                    );
+                }
+            }
+            println!(
+                "{what}: {} records, {unsettled} with cells that rounding may move",
+                listed.splat_of_record.len()
+            );
+            assert!(unsettled * 20 < listed.splat_of_record.len());
+        }
+    }
+}
+
+#[test]
+fn beams_meet_their_lists_as_the_twin_does() {
+    let gpu = open();
+    for motion in [Motion::REST, driving()] {
+        let world = surroundings(1500, 12);
+        for (what, model) in models() {
+            let lidar = lidar_at(model, DVec3::ZERO, motion);
+            let listed = Listed::new(&gpu, &world, &lidar);
+            let mut medians = 0;
+            for place in listed.places().into_iter().step_by(7) {
+                let beam = listed.cut.tables.beams[place[3]];
+                let firing = &listed.cut.tables.firings[beam.firing as usize];
+                let traced = TwinBeam {
+                    direction: Vec3::from_array(beam.direction),
+                    firing: (!motion.is_rest()).then_some(firing),
+                    alpha_max: world.rules.alpha_max as f32,
+                    range_min_m: lidar.model.range_m[0] as f32,
+                };
+                let mut twin = BeamState {
+                    transmittance: 1.0,
+                    ..BeamState::default()
+                };
+                for &record in listed.list(place) {
+                    let record = record as usize;
+                    let [_, intensity, instance, _] = listed.colors[record];
+                    let splat = listed.splat(record);
+                    let [left, right, top, bottom] = listed.cells(record).map(|cell| cell / 8);
+                    let [column, row] = [place[1], place[2]].map(|cell| cell as i32 / 8);
+                    if twin.transmittance <= 1e-4
+                        || !(left..=right).contains(&column)
+                        || !(top..=bottom).contains(&row)
+                    {
+                        continue;
+                    }
+                    let look = (intensity, instance.to_bits());
+                    meet(&splat, look, &traced, &mut twin);
+                }
+                let kernel = listed.states[place[3]];
+                let near = |a: f32, b: f32| (a - b).abs() <= 1e-3 + 1e-4 * b.abs();
+                assert!(
+                    near(kernel.transmittance, twin.transmittance)
+                        && near(kernel.range_sum_m, twin.range_sum_m)
+                        && near(kernel.intensity_sum, twin.intensity_sum)
+                        && near(kernel.median_m, twin.median_m)
+                        && kernel.instances == twin.instances,
+                    "{what}, cell {place:?}: {kernel:?}, the twin {twin:?}"
+                );
+                medians += usize::from(twin.median_m > 0.0);
+            }
+            assert!(medians > 50, "{what}: only {medians} medians were compared");
+        }
+    }
+}
+
+/// Asserts that every splat of `world` that adds to a beam by definition is in the list of the
+/// beam's coarse tile, with cells around the beam's; returns pairs tested and pairs that add.
+fn check_lists(what: &str, listed: &Listed, world: &World, lidar: &Lidar) -> [usize; 2] {
+    let truth = LidarScene64 {
+        groups: vec![SplatGroup {
+            splats: &world.splats,
+            instances: &[],
+            instance: 0,
+            world_from_splats: Pose::new(DQuat::IDENTITY, world.origin),
+            motion: Motion::REST,
+        }],
+        rules: world.rules,
+        dilation_rad: LidarOptions::default().dilation_rad,
+    };
+    let contributions = truth.contributions(lidar, &listed.beams);
+    let (mut adding, mut tested) = (0, 0);
+    for (place, found) in listed.places().into_iter().zip(&contributions) {
+        let (column, row) = (place[1] as i32, place[2] as i32);
+        let reaches = |&record: &u32| {
+            let [left, right, top, bottom] = listed.cells(record as usize);
+            (left..=right).contains(&column) && (top..=bottom).contains(&row)
+        };
+        let reached: Vec<usize> = (listed.list(place).iter().filter(|record| reaches(record)))
+            .map(|&record| listed.splat_of_record[record as usize])
+            .collect();
+        tested += reached.len();
+        for met in found {
+            // Rounding decides at the threshold itself.
+            if met.alpha < (1.0 + 1e-4) / 255.0 {
+                continue;
+            }
+            adding += 1;
+            assert!(
+                reached.contains(&(met.splat as usize)),
+                "{what}: the beam of cell {place:?} meets splat {} with alpha {}, and its list lacks it",
+                met.splat,
+                met.alpha
+            );
+        }
+    }
+    println!("{what}: {tested} pairs tested, {adding} add to a beam, 0 missing");
+    [tested, adding]
+}
+
+#[test]
+fn no_beam_misses_a_splat() {
+    let gpu = open();
+    let (mut tested, mut adding) = (0, 0);
+    for seed in 0..4 {
+        let mut world = surroundings(600 + 300 * seed, seed as u64 + 20);
+        world.origin = DVec3::new(1e6 * seed as f64, -2e5, 12.0);
+        for motion in [Motion::REST, driving()] {
+            for (what, model) in models() {
+                let lidar = lidar_at(model, world.origin, motion);
+                let listed = Listed::new(&gpu, &world, &lidar);
+                let [of_tested, of_adding] = check_lists(what, &listed, &world, &lidar);
+                (tested, adding) = (tested + of_tested, adding + of_adding);
+            }
+        }
+    }
+    assert!(adding > 100_000, "{adding} pairs prove too little");
+    assert!(tested < 20 * adding, "{tested} tests for {adding} pairs");
+}
+
+#[test]
+#[should_panic(expected = "and its list lacks it")]
+fn a_missing_splat_is_noticed() {
+    let gpu = open();
+    let world = surroundings(900, 31);
+    let mut smaller = world.clone();
+    for scales in &mut smaller.splats.scales {
+        *scales = scales.map(|scale| 0.8 * scale);
+    }
+    let (what, model) = models().swap_remove(0);
+    let lidar = lidar_at(model, world.origin, Motion::REST);
+    let listed = Listed::new(&gpu, &smaller, &lidar);
+    check_lists(what, &listed, &world, &lidar);
+}
