@@ -13,6 +13,7 @@ mod first_hour;
 mod ground_truth;
 mod hostile;
 mod interfaces;
+mod lidar;
 mod map;
 mod register;
 mod rendering;

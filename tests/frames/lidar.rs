@@ -1,5 +1,7 @@
 //! Sweeps of LiDARs against their f64 definition.
 
+mod surfaces;
+
 use std::sync::Arc;
 
 use decouplegs::render::layout::BeamState;
@@ -361,4 +363,58 @@ fn sweeps_in_motion_are_their_definition() {
             found.assert(what, 4e-3);
         }
     }
+}
+
+#[test]
+fn sweeps_repeat_and_do_not_depend_on_sectors() {
+    let gpu = Validated::open();
+    let world = surroundings(2000, 3);
+    for (what, model) in models() {
+        let lidar = lidar_at(model.clone(), world.origin, Motion::REST);
+        let traced = trace(&gpu, &world, &lidar, 8);
+        assert_eq!(
+            traced.states,
+            trace(&gpu, &world, &lidar, 8).states,
+            "{what}"
+        );
+        for sectors in [1, 3, 32] {
+            let other = trace(&gpu, &world, &lidar, sectors);
+            let pairs = || traced.states.iter().zip(&other.states);
+            let median = |state: &BeamState| state.range(ReturnMode::Median);
+            let masks = pairs().filter(|(a, b)| median(a).is_some() != median(b).is_some());
+            assert_eq!(masks.count(), 0, "{what} in {sectors} sectors");
+            let apart = |(a, b): (&BeamState, &BeamState)| (a.median_m - b.median_m).abs();
+            let most = pairs().map(apart).fold(0.0, f32::max);
+            println!("{what}: {sectors} sectors are {most} m from 8 at most");
+            assert!(most < 1e-3, "{what}: {most} m in {sectors} sectors");
+        }
+        // A sensor whose poses say that it moves, but does not, finds the same.
+        let standing = Motion {
+            velocity_mps: DVec3::X * 1e-12,
+            ..Motion::REST
+        };
+        let moving = trace(&gpu, &world, &lidar_at(model, world.origin, standing), 8);
+        let apart = |(a, b): (&BeamState, &BeamState)| (a.median_m - b.median_m).abs();
+        let most = (traced.states.iter().zip(&moving.states)).map(apart);
+        assert!(most.fold(0.0, f32::max) < 1e-3, "{what}");
+        let seeded = |seed| traced.returns(&lidar, ReturnMode::Median, seed).returns;
+        assert_eq!(seeded(1), seeded(2), "{what}: noise without a deviation");
+    }
+    let (_, model) = models().swap_remove(0);
+    let noisy = LidarModel {
+        range_noise_m: 0.02,
+        ..model
+    };
+    let lidar = lidar_at(noisy, world.origin, Motion::REST);
+    let traced = trace(&gpu, &world, &lidar, 8);
+    let returns = |seed| traced.returns(&lidar, ReturnMode::Median, seed).returns;
+    assert_eq!(returns(7), returns(7));
+    assert_ne!(returns(7), returns(8));
+    let errors: Vec<f64> = (returns(7).iter())
+        .map(|found| f64::from(found.range_m - traced.states[found.beam as usize].median_m))
+        .collect();
+    let deviation = |values: &[f64]| {
+        (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
+    };
+    assert!((deviation(&errors) / 0.02 - 1.0).abs() < 0.05);
 }

@@ -149,9 +149,10 @@ fn of_gpu(error: &GpuError) -> DgsStatus {
 fn of_render(error: &RenderError) -> DgsStatus {
     match error {
         RenderError::Gpu(error) => of_gpu(error),
-        RenderError::View(_) | RenderError::AgentPose { .. } | RenderError::AgentMotion { .. } => {
-            DgsStatus::InvalidArgument
-        }
+        RenderError::View(_)
+        | RenderError::Lidar { .. }
+        | RenderError::AgentPose { .. }
+        | RenderError::AgentMotion { .. } => DgsStatus::InvalidArgument,
         // What is drawn comes from files, and was checked when they were read.
         RenderError::Asset(_) | RenderError::AgentLight { .. } | RenderError::Shadow { .. } => {
             DgsStatus::File

@@ -291,7 +291,7 @@ impl LidarRenderer {
             .buffer("found_required", PURPOSE, 1, MemoryKind::Readback)?;
         let no_agents = self
             .gpu
-            .upload("agent_offsets", PURPOSE, &vec![0u32; CAMERAS_MAX + 1])?;
+            .upload("agent_offsets", PURPOSE, &[0u32; CAMERAS_MAX + 1])?;
         let (world, sectors) = (input.scene.world, &input.sectors);
         let lists = sectors.count * world.cluster_count();
         let agents = input.agents.as_ref().map(|(list, agents)| LidarAgents {
