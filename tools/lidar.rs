@@ -10,7 +10,7 @@ use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::point_cloud::{McapSweeps, PointFormat, write_points};
 use decouplegs::asset::{lidar_names, open_scene, read_lidar, write_atomically};
-use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer, TracedSweep};
+use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer};
 use decouplegs::scene::lidar::{PointFrame, ReturnMode};
 use decouplegs::scene::{Lidar, LidarModel, LidarSweep, Motion, Pose};
 use decouplegs::session::LiveScene;
@@ -154,6 +154,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut previews = arguments
         .previews
         .then(|| previews::Previews::new(renderer, &live, &loaded));
+    let mut gpu_ms = Vec::new();
     let bar = progress::bar("sweeps", arguments.sweeps as usize);
     let model = std::sync::Arc::new(model);
     for index in 0..arguments.sweeps {
@@ -176,7 +177,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let traced = lidars.trace(live.with(&live.at(time_s)), &lidar)?;
         let seed = arguments.seed.wrapping_add(u64::from(index));
         let sweep = traced.returns(&lidar, mode, seed);
-        writer.add(index, &traced, &sweep)?;
+        writer.add(index, &sweep)?;
+        gpu_ms.push(traced.gpu_time_ns as f64 * 1e-6);
         if let Some(previews) = &mut previews {
             for path in previews.write(&writer.stem(index), &sweep, time_s)? {
                 print(&format!("{}\n", path.display()))?;
@@ -185,6 +187,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
+    gpu_ms.sort_by(f64::total_cmp);
+    let median_ms = gpu_ms.get(gpu_ms.len() / 2).copied().unwrap_or(0.0);
+    // Only for information.
+    let _ = writeln!(
+        std::io::stderr(),
+        "{median_ms:.2} ms on the device per sweep (median of {})",
+        gpu_ms.len()
+    );
     writer.finish()?;
     check_validation(&gpu)
 }
@@ -241,7 +251,7 @@ impl<'a> SweepWriter<'a> {
         self.out.join(format!("{}_{index:06}", self.name))
     }
 
-    fn add(&mut self, index: u32, traced: &TracedSweep, sweep: &LidarSweep) -> Result<()> {
+    fn add(&mut self, index: u32, sweep: &LidarSweep) -> Result<()> {
         let model = &sweep.lidar.model;
         let frame = PointFrame::by_name(self.frame, model.sweep_s)
             .context("the frame is one of the list")?;
@@ -263,9 +273,8 @@ impl<'a> SweepWriter<'a> {
             "frame": self.frame,
             "returns": self.mode.name(),
             "intensity": "uncalibrated",
-            "beams": traced.beams.len(),
+            "beams": sweep.beams.len(),
             "points": points.len(),
-            "gpu_time_ms": traced.gpu_time_ns as f64 * 1e-6,
         });
         let described = self.stem(index).with_added_extension("json");
         let text = format!("{summary:#}\n");
@@ -292,7 +301,6 @@ impl<'a> SweepWriter<'a> {
     }
 }
 
-/// Opens nothing: a device is only for those that draw.
 #[cfg(test)]
 mod tests {
     use super::*;

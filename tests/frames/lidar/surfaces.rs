@@ -94,6 +94,12 @@ fn ranges_of_known_surfaces_are_within_2_cm() {
             if to_sphere(beam.direction, center, radius_m + 0.25).is_some() && ball.is_none() {
                 continue;
             }
+            // Likewise at the edges of the cube, where its sides end.
+            let mut sizes = beam.direction.abs().to_array();
+            sizes.sort_by(f64::total_cmp);
+            if ball.is_none() && sizes[1] > 0.95 * sizes[2] {
+                continue;
+            }
             if let Some((ball_m, ball_cosine)) = ball {
                 (exact_m, cosine) = (ball_m, ball_cosine);
                 on_ball += usize::from(cosine > 75f64.to_radians().cos());
@@ -109,12 +115,7 @@ fn ranges_of_known_surfaces_are_within_2_cm() {
             mode.name()
         );
         assert!(on_ball > 200);
-        let limit_m = match mode {
-            // Splats of the far side show through what is left behind the near one.
-            ReturnMode::Expected => 0.1,
-            _ => 0.02,
-        };
-        assert!(worst < limit_m, "{}: {worst} m", mode.name());
+        assert!(worst < 0.02, "{}: {worst} m", mode.name());
     }
 }
 

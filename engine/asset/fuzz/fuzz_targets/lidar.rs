@@ -7,6 +7,7 @@ use libfuzzer_sys::fuzz_target;
 fuzz_target!(|bytes: &[u8]| {
     if let Ok(model) = lidar_file::decode(bytes) {
         assert!(model.check().is_ok());
+        assert!(model.cells().beams.len() >= model.beams().len());
         assert!(model.beams().iter().all(|beam| beam.direction.is_finite()));
     }
 });

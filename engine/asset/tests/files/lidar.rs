@@ -111,6 +111,11 @@ fn faults_of_models_are_named() {
         ),
         ("row_ids = [", "row_ids = [1,", "row_ids has 33 values"),
         ("field_deg = 360.0", "field_deg = 400.0", "at most 360"),
+        (
+            "field_deg = 360.0",
+            "field_deg = 1e-9",
+            "expected offsets of fewer columns",
+        ),
         ("rate_hz", "rays = []\nrate_hz", "both rays and"),
         ("name =", "nam =", "nam"),
     ] {
@@ -129,6 +134,7 @@ proptest! {
         mutated.splice(at..(at + 3).min(SEED.len()), bytes.iter().take(5).copied());
         if let Ok(model) = lidar_file::decode(&mutated) {
             prop_assert!(model.beams().len() <= BEAMS_MAX);
+            prop_assert!(model.cells().beams.len() <= 4 * BEAMS_MAX);
         }
     }
 }

@@ -19,6 +19,9 @@ pub use sweep::{LidarPoint, LidarReturn, LidarSweep, PointFrame};
 /// Beams of one sweep at most: more than any LiDAR on sale, and less than fills a memory.
 pub const BEAMS_MAX: usize = 1 << 22;
 
+/// Cells of the grid of one sweep at most: azimuth offsets make it wider than the sweep.
+const CELLS_MAX: f64 = 4.0 * BEAMS_MAX as f64;
+
 /// Rows of a spinning LiDAR at most.
 pub const ROWS_MAX: usize = 1024;
 
@@ -186,6 +189,17 @@ impl LidarModel {
                         "a field of {} degrees from azimuth {}; expected more than 0 and at most 360",
                         field_rad.to_degrees(),
                         first_azimuth_rad.to_degrees()
+                    ));
+                }
+                let offsets = || rows.iter().map(|row| row.azimuth_offset_rad);
+                let spread = offsets().fold(0.0, f64::max) - offsets().fold(0.0, f64::min);
+                let step_rad = field_rad / f64::from(*columns);
+                let cells = rows.len() as f64 * (f64::from(*columns) + spread / step_rad);
+                if cells > CELLS_MAX {
+                    return fail(format!(
+                        "azimuth offsets of {} degrees at columns {} degrees apart; expected offsets of fewer columns",
+                        spread.to_degrees(),
+                        step_rad.to_degrees()
                     ));
                 }
                 Ok(())
