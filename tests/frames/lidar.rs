@@ -168,7 +168,7 @@ pub fn surroundings(count: usize, seed: u64) -> World {
     world
 }
 
-/// A LiDAR that stands at the world's `origin`, or drives from there.
+/// Sweep of `model` from a vehicle at `origin` that moves with `motion`.
 pub fn lidar_at(model: LidarModel, origin: DVec3, motion: Motion) -> Lidar {
     Lidar {
         name: "roof".into(),
@@ -293,6 +293,21 @@ fn sweeps_of_every_kind_of_sensor_are_their_definition() {
             assert!(found.intensity_max < 2e-3, "{what}: {found:?}");
         }
     }
+}
+
+#[test]
+#[should_panic(expected = "shifted: Agreement")]
+fn splats_that_stand_2_mm_off_are_noticed() {
+    let gpu = Validated::open();
+    let mut world = surroundings(1500, 1);
+    let (_, model) = models().swap_remove(0);
+    let lidar = lidar_at(model, world.origin, Motion::REST);
+    let traced = trace(&gpu, &world, &lidar, 8);
+    for mean_m in &mut world.splats.means {
+        mean_m[0] += 2e-3;
+    }
+    let truth = truth_of(&world, &lidar, &traced.beams);
+    Agreement::of(&traced.states, &truth, 1e-3).assert("shifted", 1e-3);
 }
 
 #[test]
