@@ -173,20 +173,21 @@ fn report(episode: &Episode, replayed: &Replayed, device: Option<&str>) -> Resul
         .as_ref()
         .map_or("", |by| by.device.as_str());
     let Replayed {
-        images,
-        images_different,
+        readings,
+        readings_different,
         ..
     } = replayed;
-    if *images_different == 0 {
-        return print(&format!("{images} images: the same, to the last bit\n"));
+    let what = "images";
+    if *readings_different == 0 {
+        return print(&format!("{readings} {what}: the same, to the last bit\n"));
     }
     if logged_on == device {
         bail!(
-            "{images_different} of {images} images are not those of the log, on the same device: {device}"
+            "{readings_different} of {readings} {what} are not those of the log, on the same device: {device}"
         );
     }
     print(&format!(
-        "{images_different} of {images} images have other bits: they were drawn on {logged_on}, now on {device}, and devices round \
+        "{readings_different} of {readings} {what} have other bits: they were drawn on {logged_on}, now on {device}, and devices round \
          differently\n"
     ))
 }

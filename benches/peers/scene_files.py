@@ -1,6 +1,6 @@
 """Reads the files that both renderers are given: an INRIA PLY of splats, and cameras.
 
-RequiredCounts numpy alone. Poses are returned as OpenCV cameras (x right, y down, z forward), meters.
+Needs numpy alone. Poses are returned as OpenCV cameras (x right, y down, z forward), meters.
 """
 
 import json

@@ -148,7 +148,7 @@ fn recorded() -> Episode {
     };
     let step = EpisodeStep {
         step: 0,
-        images: vec![],
+        readings: vec![],
         plan: Plan::standing(),
         instants: vec![instant(1), instant(2)],
     };

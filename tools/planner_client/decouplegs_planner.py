@@ -43,7 +43,7 @@ class Frame:
         self.camera, self.width_px, self.height_px, self.rgba = camera, width_px, height_px, rgba
 
     def array(self):
-        """The image as a numpy array of shape (height_px, width_px, 4), uint8, read-only. RequiredCounts numpy."""
+        """The image as a numpy array of shape (height_px, width_px, 4), uint8, read-only. Needs numpy."""
         import numpy
 
         return numpy.frombuffer(self.rgba, numpy.uint8).reshape(self.height_px, self.width_px, 4)

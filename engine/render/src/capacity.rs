@@ -39,7 +39,7 @@ impl Capacity {
     /// Room for `required` with a share of them to `spare`, so that a moving camera does not
     /// outgrow it at every step. Never smaller.
     ///
-    /// RequiredCounts found while an earlier list overflowed are too low: it may take another turn.
+    /// Counts found while an earlier list overflowed are too low: it may take another turn.
     #[must_use]
     pub fn grown_to(&self, required: &RequiredCounts, spare: f64) -> Self {
         let grown = |have: usize, need: u32| {

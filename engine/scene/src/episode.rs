@@ -92,12 +92,12 @@ pub struct EpisodeHead {
     pub sign_lines: Vec<StopLineRecord>,
 }
 
-/// The bits of an image.
+/// The bits of a sensor's reading.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ImageRecord {
-    /// The camera's name.
-    pub camera: String,
-    /// XXH3-128 of the XXH3-128s (little-endian) of its RGBA bytes, 2^20 at a time.
+pub struct ReadingRecord {
+    /// The sensor's name.
+    pub sensor: String,
+    /// XXH3-128 of the XXH3-128s (little-endian) of its bytes, 2^20 at a time: RGBA of images.
     pub hash: u128,
 }
 
@@ -121,8 +121,8 @@ pub struct EpisodeTick {
 pub struct EpisodeStep {
     /// From 0.
     pub step: u32,
-    /// The images that the planner got, empty where none were drawn.
-    pub images: Vec<ImageRecord>,
+    /// Readings that the planner got, empty where none were drawn.
+    pub readings: Vec<ReadingRecord>,
     /// Plan that it returned.
     pub plan: Plan,
     /// The moments after it, one for each sub-step.

@@ -1,7 +1,9 @@
 //! Records as JSON: what serde sees, and what of an [`Episode`](decouplegs_scene::Episode) it
 //! stands for.
 
-use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord, StopLineRecord};
+use decouplegs_scene::episode::{
+    DrawnBy, EpisodeTick, PlannerRecord, ReadingRecord, StopLineRecord,
+};
 use decouplegs_scene::{
     EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint, VehicleSize,
     VehicleState,
@@ -71,7 +73,7 @@ struct DrawnByForm {
 #[serde(deny_unknown_fields)]
 pub(super) struct StepForm {
     step: u32,
-    /// Camera and hash in 32 hex digits.
+    /// Sensor and hash in 32 hex digits.
     images: Vec<(String, String)>,
     /// Time, x and y.
     plan: Vec<[f64; 3]>,
@@ -296,15 +298,15 @@ impl StepForm {
     pub(super) fn of(step: &EpisodeStep) -> Self {
         let EpisodeStep {
             step,
-            images,
+            readings,
             plan,
             instants,
         } = step;
         Self {
             step: *step,
-            images: images
+            images: readings
                 .iter()
-                .map(|image| (image.camera.clone(), format!("{:032x}", image.hash)))
+                .map(|reading| (reading.sensor.clone(), format!("{:032x}", reading.hash)))
                 .collect(),
             plan: plan
                 .points()
@@ -318,10 +320,10 @@ impl StepForm {
     /// # Errors
     /// A sentence, when a hash or the plan is none.
     pub(super) fn into_step(self) -> Result<EpisodeStep, String> {
-        let image = |(camera, hash): (String, String)| match u128::from_str_radix(&hash, 16) {
-            Ok(bits) => Ok(ImageRecord { camera, hash: bits }),
+        let reading = |(sensor, hash): (String, String)| match u128::from_str_radix(&hash, 16) {
+            Ok(bits) => Ok(ReadingRecord { sensor, hash: bits }),
             Err(_) => Err(format!(
-                "the image of camera {camera:?} has the hash {hash:?}; expected 32 hex digits"
+                "the reading of {sensor:?} has the hash {hash:?}; expected 32 hex digits"
             )),
         };
         let point = |[time_s, x, y]: [f64; 3]| PlanPoint {
@@ -330,10 +332,10 @@ impl StepForm {
         };
         Ok(EpisodeStep {
             step: self.step,
-            images: self
+            readings: self
                 .images
                 .into_iter()
-                .map(image)
+                .map(reading)
                 .collect::<Result<_, _>>()?,
             plan: Plan::new(self.plan.into_iter().map(point).collect())?,
             instants: self.instants.into_iter().map(instant).collect(),

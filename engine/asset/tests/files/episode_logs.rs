@@ -4,7 +4,9 @@ mod writing;
 
 use decouplegs_asset::episode_log::{VERSION, decode, encode};
 use decouplegs_asset::{EpisodeLog, read_episode_log};
-use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord, StopLineRecord};
+use decouplegs_scene::episode::{
+    DrawnBy, EpisodeTick, PlannerRecord, ReadingRecord, StopLineRecord,
+};
 use decouplegs_scene::{
     Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint,
     Scenario, VehicleSize, VehicleState,
@@ -139,10 +141,10 @@ fn ends() -> impl Strategy<Value = EpisodeEnd> {
 fn episodes() -> impl Strategy<Value = Episode> {
     heads().prop_flat_map(|head| {
         let agents = head.agent_sizes.len();
-        let image =
-            ("[a-z]{1,5}", any::<u128>()).prop_map(|(camera, hash)| ImageRecord { camera, hash });
+        let reading =
+            ("[a-z]{1,5}", any::<u128>()).prop_map(|(sensor, hash)| ReadingRecord { sensor, hash });
         let step = (
-            prop::collection::vec(image, 0..3),
+            prop::collection::vec(reading, 0..3),
             plans(),
             prop::collection::vec(instants(agents), 0..4),
         );
@@ -157,9 +159,9 @@ fn episodes() -> impl Strategy<Value = Episode> {
                     other => other,
                 };
                 let mut moment = 0;
-                let number = |(step, (images, plan, mut instants)): (
+                let number = |(step, (readings, plan, mut instants)): (
                     usize,
-                    (Vec<ImageRecord>, Plan, Vec<EpisodeTick>),
+                    (Vec<ReadingRecord>, Plan, Vec<EpisodeTick>),
                 )| {
                     for instant in &mut instants {
                         moment += 1;
@@ -167,7 +169,7 @@ fn episodes() -> impl Strategy<Value = Episode> {
                     }
                     EpisodeStep {
                         step: step as u32,
-                        images,
+                        readings,
                         plan,
                         instants,
                     }
@@ -204,8 +206,8 @@ fn small() -> Episode {
     };
     let step = |step: u32| EpisodeStep {
         step,
-        images: vec![ImageRecord {
-            camera: "front".into(),
+        readings: vec![ReadingRecord {
+            sensor: "front".into(),
             hash: 7 << 100 | u128::from(step),
         }],
         plan: Plan::new(vec![PlanPoint {

@@ -181,7 +181,7 @@ fn an_episode_log_of_version_1_reads_as_it_was_written() {
     );
     let last = &steps[2];
     assert_eq!(
-        (last.step, last.images[0].hash, last.instants.len()),
+        (last.step, last.readings[0].hash, last.instants.len()),
         (2, 7 << 100 | 2, 2)
     );
     assert!(

@@ -405,8 +405,8 @@ impl Register<'_> {
         pairs
     }
 
-    /// ObservationRequest how long the lane changes last under a motion that was found; always from
-    /// the guess, which an earlier motion may not shorten.
+    /// Measures how long the lane changes last under a motion that was found; always from the
+    /// guess, which an earlier motion may not shorten.
     pub(super) fn measure_changes(&self, routed: &mut Routed, found: &PlanarFit) {
         let feet = self.feet(routed, &found.motion);
         let laterals = feet

@@ -178,7 +178,7 @@ fn one_step(
         guidance: simulation.guidance(),
         privileged: privileged.as_ref(),
     };
-    let (answer, images) = std::thread::scope(|scope| {
+    let (answer, readings_hashed) = std::thread::scope(|scope| {
         let hashes = scope.spawn(|| {
             renderer
                 .map(ObservationRenderer::hashes)
@@ -196,7 +196,7 @@ fn one_step(
             return Ok(time);
         }
     };
-    let step = rollout.step(plan, images);
+    let step = rollout.step(plan, readings_hashed);
     time.advance = lap();
     observer.step(step, &readings)?;
     time.observer = lap();

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use decouplegs_scene::episode::{DrawnBy, ImageRecord};
+use decouplegs_scene::episode::{DrawnBy, ReadingRecord};
 use decouplegs_scene::{Invalid, Rig, RigCamera};
 use decouplegs_session::{BatchRenderer, HostImages, SessionError, SessionScene, World, WorldView};
 use rayon::prelude::*;
@@ -113,10 +113,10 @@ impl ObservationRenderer {
 
     /// Hashes of the readings of the last observation.
     #[must_use]
-    pub fn hashes(&self) -> Vec<ImageRecord> {
+    pub fn hashes(&self) -> Vec<ReadingRecord> {
         let drawn: Vec<_> = self.drawn().collect();
-        let hash = |(camera, rgba): (&RigCamera, &[u8])| ImageRecord {
-            camera: camera.name.clone(),
+        let hash = |(camera, rgba): (&RigCamera, &[u8])| ReadingRecord {
+            sensor: camera.name.clone(),
             hash: hash_of(rgba),
         };
         drawn.into_par_iter().map(hash).collect()
@@ -137,7 +137,7 @@ impl ObservationRenderer {
 /// Bytes that one thread hashes.
 const HASHED_BYTES: usize = 1 << 20;
 
-/// The hash of [`ImageRecord`]: of the hashes of its pieces, which are found side by side.
+/// The hash of [`ReadingRecord`]: of the hashes of its pieces, which are found side by side.
 fn hash_of(rgba: &[u8]) -> u128 {
     let pieces: Vec<[u8; 16]> = rgba
         .par_chunks(HASHED_BYTES)

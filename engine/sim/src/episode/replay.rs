@@ -15,10 +15,10 @@ pub struct Replayed {
     /// The first difference in what moved, a sentence; `None` where all is the same to the last
     /// bit.
     pub moved_differently: Option<String>,
-    /// Images that were drawn both times.
-    pub images: usize,
-    /// Number of images whose bits differ.
-    pub images_different: usize,
+    /// Readings that there are both times.
+    pub readings: usize,
+    /// Number of readings whose bits differ.
+    pub readings_different: usize,
 }
 
 /// Answers what the log says.
@@ -78,19 +78,19 @@ pub fn replay(
         });
     }
     let again = drive(scenario, site, renderer, &mut Logged { episode }, observer)?.episode;
-    let images = |episode: &Episode| {
+    let readings = |episode: &Episode| {
         episode
             .steps
             .iter()
-            .flat_map(|step| step.images.clone())
+            .flat_map(|step| step.readings.clone())
             .collect::<Vec<_>>()
     };
-    let (before, after) = (images(episode), images(&again));
+    let (before, after) = (readings(episode), readings(&again));
     let same_frames = before.len() == after.len();
     Ok(Replayed {
         moved_differently: first_difference(episode, &again),
-        images: if same_frames { after.len() } else { 0 },
-        images_different: if same_frames {
+        readings: if same_frames { after.len() } else { 0 },
+        readings_different: if same_frames {
             before.iter().zip(&after).filter(|(a, b)| a != b).count()
         } else {
             0

@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use decouplegs_drive::score::EpisodeScore;
 use decouplegs_scene::episode::{
-    DrawnBy, Episode, EpisodeEnd, EpisodeHead, EpisodeStep, ImageRecord, LOG_VERSION, PlannerRecord,
+    DrawnBy, Episode, EpisodeEnd, EpisodeHead, EpisodeStep, LOG_VERSION, PlannerRecord,
+    ReadingRecord,
 };
 use decouplegs_scene::{Motion, Plan, Pose, Scenario};
 
@@ -108,14 +109,14 @@ impl Rollout {
         self.simulation.end()
     }
 
-    /// Drives `plan` for a step, made from images whose hashes are `images`. Nothing moves any more
+    /// Drives `plan` for a step, made from readings whose hashes are `readings`. Nothing moves any more
     /// when it is over.
-    pub fn step(&mut self, plan: Plan, images: Vec<ImageRecord>) -> &EpisodeStep {
+    pub fn step(&mut self, plan: Plan, readings: Vec<ReadingRecord>) -> &EpisodeStep {
         let step = self.next_step();
         let instants = self.simulation.advance(&plan);
         self.episode.steps.push(EpisodeStep {
             step,
-            images,
+            readings,
             plan,
             instants,
         });

@@ -6,7 +6,7 @@ use glam::DVec2;
 use super::cadence::plan_through;
 use super::{EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError};
 
-/// ObservationRequest nothing and keeps its speed and heading.
+/// Planner that asks for nothing and keeps its speed and heading.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ConstantVelocity;
 

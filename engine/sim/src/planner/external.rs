@@ -79,7 +79,7 @@ impl External {
         Self { patience, ..self }
     }
 
-    /// ObservationRequest to it that there is a session, a new one where the last was lost.
+    /// Makes sure that there is a session, a new one where the last was lost.
     fn reopen(&mut self) -> Result<(), PlannerError> {
         if self.session.as_mut().is_some_and(Session::is_open) {
             return Ok(());
