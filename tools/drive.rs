@@ -14,17 +14,19 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{AssetError, read_episode_log, read_light_transfer};
-use decouplegs::episode::{self, Appearance, Driven, ObservationRenderer, chosen, drive};
+use decouplegs::episode::{
+    self, Appearance, Driven, ObservationRenderer, chosen, chosen_lidars, drive,
+};
 use decouplegs::planner::{Cameras, Planner, PlannerChoice, Timeouts};
-use decouplegs::scene::Level;
 use decouplegs::scene::episode::Episode;
+use decouplegs::scene::{Level, Sensor};
 use decouplegs::session::BatchRenderer;
 use indicatif::ProgressBar;
 use serde_json::json;
 
 use self::folder::RunFolder;
 use self::image_writer::EpisodeImages;
-pub use self::image_writer::{ImageWriter, Images};
+pub use self::image_writer::{ABOVE, ImageWriter, Images, RANGES};
 use self::jobs::Job;
 use crate::arguments::{Size, print, warn};
 use crate::device::{DeviceArguments, check_validation};
@@ -94,6 +96,10 @@ pub struct Arguments {
     /// Render all cameras of the rig for a planner that requests none, instead of the front one
     #[arg(long)]
     all_cameras: bool,
+    /// LiDAR to trace at every rendered step: one of the scene, or a model (see `lidar --help`) on
+    /// the roof of the ego. May be repeated. Planners that request LiDARs get those of the scene too
+    #[arg(long, value_name = "NAME|FILE")]
+    lidar: Vec<String>,
     /// Light transfer for the cars of a synthetic place, written by `calibrate-light`
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
@@ -178,6 +184,7 @@ impl Arguments {
             "render": self.render.0,
             "size": [self.size.width_px, self.size.height_px],
             "all_cameras": self.all_cameras,
+            "lidar": self.lidar,
             "traffic_lights": self.traffic_lights == TrafficLights::On,
             "density": self.density.map(Level::name),
             "surprise": self.surprise.map(Level::name),
@@ -211,9 +218,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         video::check_ffmpeg()?;
     }
     // Before the first episode: a planner that cannot be had is no episode's failure.
+    ensure!(
+        arguments.render.0 > 0 || arguments.lidar.is_empty(),
+        "--lidar traces sweeps, and --render off draws nothing"
+    );
     let planner = arguments.planner()?;
     ensure!(
-        arguments.render.0 > 0 || planner.sees().cameras == Cameras::None,
+        arguments.render.0 > 0 || planner.sees().cameras == Cameras::None && !planner.sees().lidars,
         "{} drives by what it sees, and --render off draws nothing",
         arguments.planner
     );
@@ -366,11 +377,18 @@ impl Worker<'_> {
                     Cameras::Front
                 };
                 let size = run.arguments.size;
-                let rig = chosen(
-                    &ready.site.loaded.rig,
+                let all = &ready.site.loaded.rig;
+                let mut rig = chosen(
+                    all,
                     episode::cameras_of(planner.as_ref(), at_least),
                     Some([size.width_px, size.height_px]),
                 )?;
+                let lidars = chosen_lidars(all, planner.sees().lidars, &run.arguments.lidar)?;
+                ensure!(
+                    !(planner.sees().lidars && lidars.is_empty()),
+                    "the planner wants sweeps, and the scene has no LiDARs: add a [[lidar]] to the scene file, or name a model with --lidar"
+                );
+                rig.sensors.extend(lidars.into_iter().map(Sensor::Lidar));
                 let mut renderer =
                     ObservationRenderer::new(renderer, scene, rig, run.arguments.render.0);
                 let driven = drive(

@@ -1,6 +1,6 @@
 //! `decouplegs lidar`: sweeps of a LiDAR through a scene.
 
-mod previews;
+pub mod previews;
 
 use std::fs;
 use std::io::Write;
@@ -9,10 +9,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::point_cloud::{McapSweeps, PointFormat, write_points};
-use decouplegs::asset::{lidar_names, open_scene, read_lidar, write_atomically};
+use decouplegs::asset::{lidar_names, open_scene, write_atomically};
+use decouplegs::episode::chosen_lidars;
 use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer};
-use decouplegs::scene::lidar::{PointFrame, ReturnMode};
-use decouplegs::scene::{Lidar, LidarModel, LidarSweep, Motion, Pose};
+use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions};
+use decouplegs::scene::{LidarSweep, Motion, Rig, RigLidar, Rules};
 use decouplegs::session::LiveScene;
 use glam::{DQuat, DVec3};
 
@@ -25,8 +26,8 @@ use crate::progress;
 pub struct Arguments {
     /// Splats, or a scene (.toml, .usdz)
     scene: PathBuf,
-    #[arg(long, value_name = "NAME|FILE", help = format!("Sensor: {}; a TOML file, or the parameters of NVIDIA NCore as JSON", lidar_names().join(", ")))]
-    sensor: PathBuf,
+    #[arg(long, value_name = "NAME|FILE", help = format!("LiDAR: one of the scene; {}; a TOML file, or the parameters of NVIDIA NCore as JSON (default: the first of the scene)", lidar_names().join(", ")))]
+    sensor: Option<String>,
     /// Folder for the files; created if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -44,11 +45,13 @@ pub struct Arguments {
     #[arg(long, value_name = "FRAME", value_parser = PointFrame::NAMES)]
     frame: Option<String>,
     /// Place of the sensor on the vehicle, meters forward, left and up of the center of its box
-    #[arg(long, value_name = "X,Y,Z", default_value = "0,0,1.1", allow_hyphen_values = true, value_parser = place)]
-    mount: DVec3,
-    /// Direction of the sensor on the vehicle, degrees to the left
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
-    mount_yaw: f64,
+    /// (default: that of the scene, otherwise 0,0,1.1)
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = place)]
+    mount: Option<DVec3>,
+    /// Direction of the sensor on the vehicle, degrees to the left (default: that of the scene,
+    /// otherwise 0)
+    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, value_parser = finite)]
+    mount_yaw: Option<f64>,
     /// Range that a return reports (default: the sensor's own): of the splat at which half of the
     /// beam is gone, the mean by weight, or of the splat that takes most
     #[arg(long, value_name = "MODE", value_parser = ReturnMode::NAMED.map(|(name, _)| name))]
@@ -57,9 +60,10 @@ pub struct Arguments {
     #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = share)]
     opacity_min: f32,
     /// Standard deviation that is added to splats across the beams, radians: what the images that
-    /// the scene was trained on have. sqrt(0.3) pixels over their focal length
-    #[arg(long, value_name = "RAD", default_value_t = LidarOptions::default().dilation_rad, value_parser = dilation)]
-    dilation: f64,
+    /// the scene was trained on have. sqrt(0.3) pixels over their focal length (default: that of the
+    /// scene, otherwise 0.0005)
+    #[arg(long, value_name = "RAD", value_parser = dilation)]
+    dilation: Option<f64>,
     /// Seed of the noise of ranges, for sensors that have some
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
@@ -128,55 +132,48 @@ fn dilation(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let model = read_lidar(&arguments.sensor)?;
+    let reading = progress::spinner(format!("reading {}", arguments.scene.display()));
+    let loaded = open_scene(&arguments.scene, arguments.time.unwrap_or(0.0))?;
+    reading.finish_and_clear();
+    let mounted = mounted(arguments, &loaded.rig)?;
+    let model = &mounted.model;
     let mode = ReturnMode::NAMED
         .into_iter()
         .find(|(name, _)| Some(*name) == arguments.returns.as_deref())
         .map_or(model.returns, |(_, mode)| mode);
-    let name = file_name(&model)?;
-    let reading = progress::spinner(format!("reading {}", arguments.scene.display()));
-    let loaded = open_scene(&arguments.scene, arguments.time.unwrap_or(0.0))?;
-    reading.finish_and_clear();
     let start_s = arguments.time.unwrap_or(loaded.ego.start_s());
     let gpu = arguments.device.open()?;
     let renderer = Renderer::new(&gpu, RenderOptions::default());
     let live = LiveScene::new(&renderer, &loaded)?;
+    let rules = loaded.world.rules;
     let options = LidarOptions {
-        rules: loaded.world.rules,
-        dilation_rad: arguments.dilation,
-        opacity_min: arguments.opacity_min,
+        rules: Rules {
+            lidar_dilation_rad: arguments.dilation.unwrap_or(rules.lidar_dilation_rad),
+            ..rules
+        },
         ..LidarOptions::default()
     };
     fs::create_dir_all(&arguments.out)
         .with_context(|| format!("{} cannot be made", arguments.out.display()))?;
-    let mut writer = SweepWriter::new(arguments, &name, mode, start_s)?;
+    let mut writer = SweepWriter::new(arguments, &mounted.name, mode, start_s)?;
     let mut lidars = LidarRenderer::new(&gpu, options);
     let mut previews = arguments
         .previews
         .then(|| previews::Previews::new(renderer, &live, &loaded));
     let mut gpu_ms = Vec::new();
     let bar = progress::bar("sweeps", arguments.sweeps as usize);
-    let model = std::sync::Arc::new(model);
     for index in 0..arguments.sweeps {
         let time_s = start_s + f64::from(index) * model.sweep_s;
         let start = loaded.ego.at(time_s);
-        let lidar = Lidar {
-            name: name.clone(),
-            model: model.clone(),
-            rig_from_lidar: Pose::new(
-                DQuat::from_rotation_z(arguments.mount_yaw.to_radians()),
-                arguments.mount,
-            ),
-            world_from_rig: start,
-            motion: Motion::between(
-                &start,
-                &loaded.ego.at(time_s + model.sweep_s),
-                model.sweep_s,
-            ),
-        };
+        let end = loaded.ego.at(time_s + model.sweep_s);
+        let motion = Motion::between(&start, &end, model.sweep_s);
+        let lidar = mounted.sweep_from(&start, &motion);
         let traced = lidars.trace(live.with(&live.at(time_s)), &lidar)?;
-        let seed = arguments.seed.wrapping_add(u64::from(index));
-        let sweep = traced.returns(&lidar, mode, seed);
+        let sweep = traced.returns(&ReturnOptions {
+            mode,
+            opacity_min: arguments.opacity_min,
+            seed: arguments.seed.wrapping_add(u64::from(index)),
+        });
         writer.add(index, &sweep)?;
         gpu_ms.push(traced.gpu_time_ns as f64 * 1e-6);
         if let Some(previews) = &mut previews {
@@ -199,15 +196,34 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     check_validation(&gpu)
 }
 
-/// Name of the sensor, as files have it.
-fn file_name(model: &LidarModel) -> Result<String> {
-    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
-    let name = &model.name;
+/// The LiDAR that is asked for, on the vehicle. Its name names files.
+fn mounted(arguments: &Arguments, rig: &Rig) -> Result<RigLidar> {
+    let of_rig = || rig.lidars().map(|lidar| lidar.name.clone());
+    let wanted = arguments.sensor.clone().or_else(|| of_rig().next());
+    let wanted = wanted.with_context(|| {
+        format!(
+            "{} has no LiDAR: name a model with --sensor, one of {} or a file",
+            arguments.scene.display(),
+            lidar_names().join(", ")
+        )
+    })?;
+    let mut lidars = chosen_lidars(rig, false, &[wanted])?;
+    let mut lidar = lidars.remove(0);
+    if !of_rig().any(|name| name == lidar.name) {
+        lidar.name.clone_from(&lidar.model.name);
+    }
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_. ".contains(letter);
+    let name = &lidar.name;
     ensure!(
         !name.is_empty() && !name.starts_with('.') && name.chars().all(plain),
         "the sensor's name {name:?} cannot name a file: use letters, digits, '-' and '_'"
     );
-    Ok(name.clone())
+    let pose = &mut lidar.rig_from_lidar;
+    pose.translation = arguments.mount.unwrap_or(pose.translation);
+    if let Some(yaw_deg) = arguments.mount_yaw {
+        pose.rotation = DQuat::from_rotation_z(yaw_deg.to_radians());
+    }
+    Ok(lidar)
 }
 
 /// Destination of sweeps.

@@ -7,10 +7,10 @@ use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::{read_episode_log, read_light_transfer};
 use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{
-    Appearance, EpisodeObserver, ObservationRenderer, Replayed, Site, replay,
+    Appearance, EpisodeObserver, ObservationRenderer, Replayed, Site, chosen_lidars, replay,
 };
-use decouplegs::scene::Rig;
 use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
+use decouplegs::scene::{Rig, Sensor};
 
 use crate::arguments::print;
 use crate::device::{DeviceArguments, check_validation};
@@ -102,12 +102,11 @@ fn drawn(
             .resized(drawn_by.width_px, drawn_by.height_px);
         cameras.push(camera);
     }
-    let mut renderer = ObservationRenderer::new(
-        session.batch_renderer(),
-        scene,
-        Rig::from_iter(cameras),
-        drawn_by.every,
-    );
+    let lidars = chosen_lidars(&site.loaded.rig, false, &episode.head.planner.lidars)?;
+    let mut rig = Rig::from_iter(cameras);
+    rig.sensors.extend(lidars.into_iter().map(Sensor::Lidar));
+    let mut renderer =
+        ObservationRenderer::new(session.batch_renderer(), scene, rig, drawn_by.every);
     let keeps = if arguments.images.is_some() {
         Images::All
     } else {
@@ -177,7 +176,11 @@ fn report(episode: &Episode, replayed: &Replayed, device: Option<&str>) -> Resul
         readings_different,
         ..
     } = replayed;
-    let what = "images";
+    // Sweeps of LiDARs are readings too.
+    let what = match episode.head.planner.lidars.is_empty() {
+        true => "images",
+        false => "images and sweeps",
+    };
     if *readings_different == 0 {
         return print(&format!("{readings} {what}: the same, to the last bit\n"));
     }

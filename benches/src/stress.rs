@@ -291,7 +291,10 @@ fn schedule(arguments: &Arguments, workload: &mut Workload) -> Result<DriveSched
         rig.chain(fixed)
             .for_each(|intrinsics| *intrinsics = intrinsics.resized(width_px, height_px));
     }
-    let there = standing.as_ref().map_or(scene.rig.sensors.len(), Vec::len);
+    let there = match &standing {
+        Some(standing) => standing.len(),
+        None => scene.rig.cameras().count(),
+    };
     ensure!(
         there > 0,
         "the scene has no cameras of its own: name some with --cameras FILE (INRIA or nerfstudio)"

@@ -9,7 +9,9 @@ use decouplegs::render::reference::lidar::{BeamHit64, LidarScene64, SplatGroup};
 use decouplegs::render::{
     Agent, AssetPool, GpuScene, LidarOptions, LidarRenderer, Scene, TracedSweep,
 };
-use decouplegs::scene::lidar::{Beam, FiringTime, LidarPattern, LidarRow, ReturnMode, Spin};
+use decouplegs::scene::lidar::{
+    Beam, FiringTime, LidarPattern, LidarRow, ReturnMode, ReturnOptions, Spin,
+};
 use decouplegs::scene::{Lidar, LidarModel, Motion, Pose, Rules, SplatCloud, World};
 use glam::{DQuat, DVec3};
 
@@ -265,7 +267,6 @@ fn truth_of(world: &World, lidar: &Lidar, beams: &[Beam]) -> Vec<BeamHit64> {
     let scene = LidarScene64 {
         groups: vec![group(&world.splats, world.origin)],
         rules: world.rules,
-        dilation_rad: LidarOptions::default().dilation_rad,
     };
     scene.hits(lidar, beams)
 }
@@ -357,7 +358,6 @@ fn sweeps_in_motion_are_their_definition() {
     let scene = LidarScene64 {
         groups,
         rules: world.rules,
-        dilation_rad: LidarOptions::default().dilation_rad,
     };
     for (what, model) in models() {
         let lidar = lidar_at(model, world.origin, driving);
@@ -412,7 +412,10 @@ fn sweeps_repeat_and_do_not_depend_on_sectors() {
         let apart = |(a, b): (&BeamState, &BeamState)| (a.median_m - b.median_m).abs();
         let most = (traced.states.iter().zip(&moving.states)).map(apart);
         assert!(most.fold(0.0, f32::max) < 1e-3, "{what}");
-        let seeded = |seed| traced.returns(&lidar, ReturnMode::Median, seed).returns;
+        let seeded = |seed| {
+            let options = ReturnOptions::of(&lidar.model);
+            traced.returns(&ReturnOptions { seed, ..options }).returns
+        };
         assert_eq!(seeded(1), seeded(2), "{what}: noise without a deviation");
     }
     let (_, model) = models().swap_remove(0);
@@ -422,7 +425,10 @@ fn sweeps_repeat_and_do_not_depend_on_sectors() {
     };
     let lidar = lidar_at(noisy, world.origin, Motion::REST);
     let traced = trace(&gpu, &world, &lidar, 8);
-    let returns = |seed| traced.returns(&lidar, ReturnMode::Median, seed).returns;
+    let returns = |seed| {
+        let options = ReturnOptions::of(&lidar.model);
+        traced.returns(&ReturnOptions { seed, ..options }).returns
+    };
     assert_eq!(returns(7), returns(7));
     assert_ne!(returns(7), returns(8));
     let errors: Vec<f64> = (returns(7).iter())

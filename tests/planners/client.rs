@@ -33,7 +33,8 @@ fn drive(planner: &mut dyn Planner) {
         planner.sees(),
         ObservationRequest {
             cameras: Cameras::All,
-            privileged: true
+            privileged: true,
+            ..ObservationRequest::default()
         }
     );
     let (briefing, known, rig) = (briefing(), privileged(), cameras());
@@ -194,7 +195,8 @@ fn the_example_slows_down_in_the_dark() {
         planner.sees(),
         ObservationRequest {
             cameras: Cameras::Front,
-            privileged: false
+            privileged: false,
+            ..ObservationRequest::default()
         }
     );
     let rig = cameras();

@@ -2,11 +2,12 @@
 //! misses a splat.
 
 use decouplegs::gpu::QueueRole;
+use decouplegs::render::GpuScene;
 use decouplegs::render::capacity::Capacity;
 use decouplegs::render::layout::{
     BeamState, COARSE_HEIGHT_PX, COARSE_WIDTH_PX, RequiredCounts, View,
 };
-use decouplegs::render::lidar::{DILATION_RAD, Sectors};
+use decouplegs::render::lidar::Sectors;
 use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
 use decouplegs::render::stages::{
     LidarBuffers, LidarPass, LidarVariant, ProjectLidar, Records, Scan, SectorBuffers, TileSort,
@@ -17,8 +18,8 @@ use decouplegs::render::twins::lidar::{
     see_from_lidar,
 };
 use decouplegs::render::twins::projection::axes_of;
-use decouplegs::render::{GpuScene, LidarOptions};
 use decouplegs::scene::lidar::Beam;
+use decouplegs::scene::rules::LIDAR_DILATION_RAD;
 use decouplegs::scene::{Lidar, Motion, Pose, Rules, World};
 use glam::{DQuat, DVec3, Mat3, Vec3};
 
@@ -62,7 +63,7 @@ impl Listed {
         let variant = LidarVariant {
             instances: false,
             moving: !lidar.motion.is_rest(),
-            dilation_rad: DILATION_RAD as f32,
+            dilation_rad: LIDAR_DILATION_RAD as f32,
         };
         let project = ProjectLidar::new(gpu, &world.rules, variant).unwrap();
         let (scan, tile_sort) = (Scan::new(gpu).unwrap(), TileSort::for_lidar(gpu).unwrap());
@@ -243,7 +244,7 @@ fn records_are_those_of_the_twin() {
                     // The kernel's cells lie between those with half and twice the room.
                     let [least, most] = [0.5, 2.0].map(|room| {
                         let constants = LidarConstants {
-                            dilation_rad: DILATION_RAD as f32,
+                            dilation_rad: LIDAR_DILATION_RAD as f32,
                             antialias,
                             moving: !motion.is_rest(),
                             slack: room * SLOPE_SLACK,
@@ -354,7 +355,6 @@ fn check_lists(what: &str, listed: &Listed, world: &World, lidar: &Lidar) -> [us
             motion: Motion::REST,
         }],
         rules: world.rules,
-        dilation_rad: LidarOptions::default().dilation_rad,
     };
     let contributions = truth.contributions(lidar, &listed.beams);
     let (mut adding, mut tested) = (0, 0);

@@ -1,27 +1,32 @@
 //! Images of an episode that are kept: all of them, or the few that a report shows.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use decouplegs::asset::EpisodeLog;
+use decouplegs::asset::point_cloud::{PointFormat, write_points};
 use decouplegs::episode::{EpisodeError, EpisodeObserver};
-use decouplegs::planner::{Frame, Reading, images};
+use decouplegs::planner::{Frame, Reading, images, sweeps};
 use decouplegs::render::Image;
 use decouplegs::render::rendered_image::ImageFileFormat;
 use decouplegs::scene::episode::{EpisodeEnd, EpisodeHead, EpisodeStep, EpisodeTick};
+use decouplegs::scene::lidar::PointFrame;
+use decouplegs::scene::{Lidar, LidarSweep};
 
 use crate::arguments::write_image;
+use crate::lidar::previews::{from_above, ranges};
 
 /// Images to keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Images {
     /// None
     None,
-    /// Images of the first camera: the first, the last and up to eight between, for the report
+    /// Images of the first camera and LiDAR: the first, the last and up to eight between, for the
+    /// report
     Key,
-    /// All images of all cameras, and the key images
+    /// All images of all cameras, all sweeps as point clouds (.pcd), and the key images
     All,
 }
 
@@ -36,17 +41,27 @@ pub struct ImageWriter {
     last: Option<Key>,
 }
 
-/// Image of one camera at a step, four bytes per pixel.
+/// Image of one camera at a step, four bytes per pixel, and the sweep of one LiDAR.
 #[derive(Clone)]
 struct Key {
     step: u32,
     size_px: [u32; 2],
     rgba: Vec<u8>,
+    sweep: Option<LidarSweep>,
 }
 
 /// Distance of key frames at first, steps. It is doubled when there are too many of them.
 const KEY_EVERY: u32 = 2;
 const KEYS_MAX: usize = 9;
+
+/// Kinds of images of sweeps.
+pub const ABOVE: &str = "above";
+pub const RANGES: &str = "ranges";
+
+/// Name of the image of a sweep. It does not end in a step, as images of cameras do.
+fn sweep_name(step: u32, kind: &str) -> String {
+    format!("sweep_{step:04}.{kind}.png")
+}
 
 impl ImageWriter {
     pub fn new(folder: PathBuf, keeps: Images) -> Self {
@@ -61,6 +76,9 @@ impl ImageWriter {
 
     pub fn add(&mut self, step: u32, readings: &[Reading]) -> Result<()> {
         if self.keeps == Images::All {
+            for sweep in sweeps(readings) {
+                self.write_points(step, sweep)?;
+            }
             for frame in images(readings) {
                 self.write(
                     &format!("{}_{step:04}.png", frame.camera.name),
@@ -77,6 +95,7 @@ impl ImageWriter {
                 step,
                 size_px: [lens.width_px, lens.height_px],
                 rgba,
+                sweep: sweeps(readings).next().cloned(),
             };
             if step.is_multiple_of(self.every) {
                 self.keys.push(key.clone());
@@ -87,6 +106,25 @@ impl ImageWriter {
             }
             self.last = Some(key);
         }
+        Ok(())
+    }
+
+    /// Writes the points of a sweep, in the frame of the ego at the step.
+    fn write_points(&self, step: u32, sweep: &LidarSweep) -> Result<()> {
+        fs::create_dir_all(&self.folder)
+            .with_context(|| format!("{} cannot be made", self.folder.display()))?;
+        let Lidar { name, model, .. } = &sweep.lidar;
+        // Names of models may be paths.
+        let name = Path::new(name).file_stem().unwrap_or_default();
+        let path = self
+            .folder
+            .join(format!("{}_{step:04}.pcd", name.display()));
+        let points = sweep.points(PointFrame::EgoAt(model.sweep_s));
+        let comments = [format!(
+            "sensor {}, frame of the ego at the end of the sweep",
+            model.name
+        )];
+        write_points(&path, PointFormat::Pcd, &points, model.rings(), &comments)?;
         Ok(())
     }
 
@@ -102,9 +140,14 @@ impl ImageWriter {
             step,
             size_px,
             rgba,
+            sweep,
         } in keys
         {
             self.write(&format!("key_{step:04}.png"), &image_of(size_px, &rgba))?;
+            if let Some(sweep) = sweep {
+                self.write(&sweep_name(step, ABOVE), &from_above(&sweep))?;
+                self.write(&sweep_name(step, RANGES), &ranges(&sweep))?;
+            }
         }
         Ok(())
     }

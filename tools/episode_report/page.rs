@@ -10,6 +10,7 @@ use decouplegs::scene::Lane;
 use decouplegs::scene::scenario::Place;
 
 use super::{Scored, birds_eye, charts, rows, score, share, spread, summary, timing};
+use crate::drive::{ABOVE, RANGES};
 use crate::plot::escaped;
 use crate::sites::Sites;
 use crate::{data_uri, plot};
@@ -53,10 +54,22 @@ fn facts(scored: &[Scored]) -> String {
             .drawn_by
             .as_ref()
             .map_or("Nothing was drawn.".to_owned(), |by| {
-                let cameras = planner.cameras.join(", ");
+                let cameras = match planner.cameras.is_empty() {
+                    true => String::new(),
+                    false => format!(
+                        "Cameras {} at {}x{}, ",
+                        planner.cameras.join(", "),
+                        by.width_px,
+                        by.height_px
+                    ),
+                };
+                let lidars = match planner.lidars.is_empty() {
+                    true => String::new(),
+                    false => format!("LiDARs {}, ", planner.lidars.join(", ")),
+                };
                 format!(
-                    "Cameras {cameras} at {}x{}, every {} steps, on {}.",
-                    by.width_px, by.height_px, by.every, by.device
+                    "{cameras}{lidars}every {} steps, on {}.",
+                    by.every, by.device
                 )
             });
     format!("<p>{} {}</p>", escaped(&sees), escaped(&drawn))
@@ -171,7 +184,7 @@ fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
 /// Images of the first camera over the episode, each with its time, and links to its films.
 fn strip(scored: &Scored) -> Result<String> {
     let mut html = String::new();
-    for path in key_frames(&scored.images) {
+    for path in files(&scored.images, "key_", ".png") {
         let image = data_uri::shrunk(&Image::read(&path)?, STRIP_WIDTH_PX);
         let step = step_of(&path.file_name().unwrap_or_default().to_string_lossy());
         let time_s = f64::from(step.unwrap_or(0)) * scored.episode.head.scenario.step_s;
@@ -184,6 +197,9 @@ fn strip(scored: &Scored) -> Result<String> {
     if !html.is_empty() {
         html = format!("<div class=\"wide\" style=\"display:flex;gap:4px\">{html}</div>");
     }
+    if let Some(lidar) = scored.episode.head.planner.lidars.first() {
+        html.push_str(&sweeps(scored, lidar)?);
+    }
     for camera in &scored.episode.head.planner.cameras {
         let file = format!("{camera}.mp4");
         if scored.images.join(&file).exists() {
@@ -192,6 +208,37 @@ fn strip(scored: &Scored) -> Result<String> {
                 html,
                 "<p><a href=\"{link}\">film of camera {}</a></p>",
                 escaped(camera)
+            );
+        }
+    }
+    Ok(html)
+}
+
+/// Sweeps of a LiDAR over the episode: from above, and ranges by column and row.
+fn sweeps(scored: &Scored, lidar: &str) -> Result<String> {
+    let caption = |of: &str| format!("LiDAR {}, {of}", escaped(lidar));
+    let rows = [
+        (
+            ABOVE,
+            caption("from above, the ego in the middle, ahead at the top"),
+        ),
+        (RANGES, caption("ranges by column and row")),
+    ];
+    let mut html = String::new();
+    for (kind, caption) in rows {
+        let mut figures = String::new();
+        for path in files(&scored.images, "sweep_", &format!(".{kind}.png")) {
+            let image = data_uri::shrunk(&Image::read(&path)?, STRIP_WIDTH_PX);
+            let _ = write!(
+                figures,
+                "<img src=\"{}\" alt=\"{caption}\">",
+                data_uri::png(&image)?
+            );
+        }
+        if !figures.is_empty() {
+            let _ = write!(
+                html,
+                "<figure style=\"margin:0\"><div class=\"wide\" style=\"display:flex;gap:4px\">{figures}</div><figcaption>{caption}</figcaption></figure>"
             );
         }
     }
@@ -244,18 +291,18 @@ fn image_before(scored: &Scored, time_s: f64) -> Option<String> {
     images.max().map(|(_, name)| name)
 }
 
-/// The key frames in `folder`, in time.
-fn key_frames(folder: &Path) -> Vec<std::path::PathBuf> {
+/// Files in `folder` whose names have this start and this end, by name.
+fn files(folder: &Path, start: &str, end: &str) -> Vec<std::path::PathBuf> {
     let entries = std::fs::read_dir(folder)
         .into_iter()
         .flatten()
         .flatten()
         .map(|entry| entry.path());
-    let is_key = |path: &std::path::PathBuf| {
-        path.file_name()
-            .is_some_and(|name| name.to_string_lossy().starts_with("key_"))
+    let is_wanted = |path: &std::path::PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        name.starts_with(start) && name.ends_with(end)
     };
-    let mut keys: Vec<_> = entries.filter(is_key).collect();
-    keys.sort();
-    keys
+    let mut wanted: Vec<_> = entries.filter(is_wanted).collect();
+    wanted.sort();
+    wanted
 }

@@ -70,7 +70,7 @@ fn set(image: &mut Image, column: i64, row: i64, rgb: [f32; 3]) {
 }
 
 /// Points from above, the sensor in the middle and ahead at the top, brighter with intensity.
-fn from_above(sweep: &LidarSweep) -> Image {
+pub fn from_above(sweep: &LidarSweep) -> Image {
     let mut image = Image::filled(ABOVE_PX, ABOVE_PX, [0.04; 3]);
     let px_per_m = f64::from(ABOVE_PX) / ABOVE_M;
     let middle = 0.5 * f64::from(ABOVE_PX);
@@ -88,7 +88,7 @@ fn from_above(sweep: &LidarSweep) -> Image {
 }
 
 /// Ranges by column and row, the first column at the left.
-fn ranges(sweep: &LidarSweep) -> Image {
+pub fn ranges(sweep: &LidarSweep) -> Image {
     let model = &sweep.lidar.model;
     let (rows, columns) = (model.rings(), model.columns());
     let repeats = RANGES_HEIGHT_PX.div_ceil(rows);

@@ -25,7 +25,7 @@ impl<'a> Speed<'a> {
     /// `frames` timed frames from the middle moment on backwards and forwards: the middle of the
     /// drive is the middle of the frames.
     pub fn over(gpu: &'a Gpu, scene: &'a LoadedScene, frames: u32) -> Self {
-        let cameras_used = scene.rig.sensors.len();
+        let cameras_used = scene.rig.cameras().count();
         let middle_s = 0.5 * (scene.ego.start_s() + scene.ego.end_s());
         let start_s = (middle_s - 0.5 * STEP_S * f64::from(frames)).max(scene.ego.start_s());
         let schedule = DriveSchedule {

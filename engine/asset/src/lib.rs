@@ -60,7 +60,7 @@ pub use read::{SplatFormat, read_splats};
 pub use scenario_file::{read_scenario, write_scenario};
 pub use scene_file::{
     AgentLabel, EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, PlainAgent, SceneAgent,
-    SceneFile, SceneLight, SceneSky, is_scene_file, open_scene,
+    SceneFile, SceneLidar, SceneLight, SceneSky, is_scene_file, open_scene,
 };
 pub use sky_file::SkyKind;
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};

@@ -4,6 +4,7 @@ use crate::{Invalid, Motion, Photometry, Pose, Shutter, Trajectory};
 use glam::{DVec2, DVec3};
 
 use crate::lens::{Lens, RayMap, Windshield};
+use crate::lidar::{Lidar, RigLidar};
 
 /// Intrinsics of a camera. Pixel `(i, j)` has its center at `(i + 0.5, j + 0.5)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -236,6 +237,8 @@ pub struct RigCamera {
 pub enum Sensor {
     /// Camera; its reading is an image.
     Camera(RigCamera),
+    /// LiDAR; its reading is a sweep.
+    Lidar(RigLidar),
 }
 
 impl Sensor {
@@ -244,6 +247,7 @@ impl Sensor {
     pub fn name(&self) -> &str {
         match self {
             Self::Camera(camera) => &camera.name,
+            Self::Lidar(lidar) => &lidar.name,
         }
     }
 }
@@ -251,7 +255,7 @@ impl Sensor {
 /// The sensors of one vehicle.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rig {
-    /// Sensors, in the order in which their readings are returned.
+    /// Sensors. Readings are returned in this order, those of cameras before those of LiDARs.
     pub sensors: Vec<Sensor>,
 }
 
@@ -265,16 +269,26 @@ impl FromIterator<RigCamera> for Rig {
 
 impl Rig {
     /// The cameras among the sensors, in order.
-    pub fn cameras(&self) -> impl ExactSizeIterator<Item = &RigCamera> + Clone {
-        self.sensors.iter().map(|sensor| match sensor {
-            Sensor::Camera(camera) => camera,
+    pub fn cameras(&self) -> impl Iterator<Item = &RigCamera> + Clone {
+        self.sensors.iter().filter_map(|sensor| match sensor {
+            Sensor::Camera(camera) => Some(camera),
+            Sensor::Lidar(_) => None,
+        })
+    }
+
+    /// The LiDARs among the sensors, in order.
+    pub fn lidars(&self) -> impl Iterator<Item = &RigLidar> + Clone {
+        self.sensors.iter().filter_map(|sensor| match sensor {
+            Sensor::Camera(_) => None,
+            Sensor::Lidar(lidar) => Some(lidar),
         })
     }
 
     /// [`Rig::cameras`], to be changed.
     pub fn cameras_mut(&mut self) -> impl Iterator<Item = &mut RigCamera> {
-        self.sensors.iter_mut().map(|sensor| match sensor {
-            Sensor::Camera(camera) => camera,
+        self.sensors.iter_mut().filter_map(|sensor| match sensor {
+            Sensor::Camera(camera) => Some(camera),
+            Sensor::Lidar(_) => None,
         })
     }
 
@@ -312,6 +326,14 @@ impl Rig {
                     moving(camera)
                 },
             })
+            .collect()
+    }
+
+    /// Sweeps of the rig's LiDARs that end when the vehicle passes `world_from_rig` with `motion`.
+    #[must_use]
+    pub fn sweeps_until(&self, world_from_rig: &Pose, motion: &Motion) -> Vec<Lidar> {
+        self.lidars()
+            .map(|lidar| lidar.sweep_until(world_from_rig, motion))
             .collect()
     }
 

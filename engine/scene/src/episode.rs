@@ -14,6 +14,8 @@ pub struct PlannerRecord {
     pub name: String,
     /// Cameras whose images it got, by name.
     pub cameras: Vec<String>,
+    /// LiDARs whose sweeps it got, by name.
+    pub lidars: Vec<String>,
     /// True if it received states of others and the map, which no camera shows.
     pub privileged: bool,
 }
@@ -23,9 +25,9 @@ pub struct PlannerRecord {
 pub struct DrawnBy {
     /// Device and driver.
     pub device: String,
-    /// Width of every image, pixels.
+    /// Width of every image, pixels; 0 without images.
     pub width_px: u32,
-    /// Height of every image, pixels.
+    /// Height of every image, pixels; 0 without images.
     pub height_px: u32,
     /// Every so manyth step is drawn, from the first on.
     pub every: u32,
@@ -80,7 +82,7 @@ pub struct EpisodeHead {
     pub scenario: Scenario,
     /// Planner that drove.
     pub planner: PlannerRecord,
-    /// Renderer of the images; `None` without images.
+    /// Renderer of the readings; `None` without readings.
     pub drawn_by: Option<DrawnBy>,
     /// The ego's route from start to end, world coordinates, meters: at least two points.
     pub route_m: Vec<DVec2>,
@@ -97,7 +99,8 @@ pub struct EpisodeHead {
 pub struct ReadingRecord {
     /// The sensor's name.
     pub sensor: String,
-    /// XXH3-128 of the XXH3-128s (little-endian) of its bytes, 2^20 at a time: RGBA of images.
+    /// XXH3-128 of the XXH3-128s (little-endian) of its bytes, 2^20 at a time: RGBA of images,
+    /// [`crate::LidarSweep::bytes`] of sweeps.
     pub hash: u128,
 }
 

@@ -48,7 +48,7 @@ pub use fog::Fog;
 pub use invalid::Invalid;
 pub use lane_map::{Lane, LaneKind, LaneMap};
 pub use lens::{Lens, RayMap};
-pub use lidar::{Lidar, LidarModel, LidarSweep};
+pub use lidar::{Lidar, LidarModel, LidarSweep, RigLidar};
 pub use light::{AmbientDescriptor, ColorTransfer, ContactShadow, LightTransfer};
 pub use motion::Motion;
 pub use obstacle::{Obstacle, ObstacleKind};

@@ -8,6 +8,10 @@
 /// (Kerbl et al., 3D Gaussian Splatting, 2023: a splat never falls below about a pixel).
 pub const DILATION_PX2: f64 = 0.3;
 
+/// [`Rules::lidar_dilation_rad`] by default: that of images of 1100 pixels focal length,
+/// sqrt([`DILATION_PX2`]) pixels. Opacities were trained under it.
+pub const LIDAR_DILATION_RAD: f64 = 5e-4;
+
 /// A splat adds nothing to a pixel where its alpha is below this.
 pub const ALPHA_MIN: f64 = 1.0 / 255.0;
 
@@ -54,6 +58,9 @@ pub struct Rules {
     pub antialias: bool,
     /// Front to back by what.
     pub order: DepthOrder,
+    /// Standard deviation that sweeps of LiDARs add to splats across the direction to their means,
+    /// radians.
+    pub lidar_dilation_rad: f64,
 }
 
 impl Rules {
@@ -64,6 +71,7 @@ impl Rules {
         near_m: 0.01,
         antialias: false,
         order: DepthOrder::Z,
+        lidar_dilation_rad: LIDAR_DILATION_RAD,
     };
     /// gsplat 1.5's: alpha at most 0.999, exclusive stop.
     pub const GSPLAT15: Self = Self {

@@ -4,12 +4,14 @@ use std::collections::VecDeque;
 
 use decouplegs_gpu::Gpu;
 use decouplegs_render::{
-    ColorFormat, FrameStatistics, Image, ImageBytes, RenderOptions, Renderer, TakenImages,
+    Agent, ColorFormat, FrameStatistics, Image, ImageBytes, LidarOptions, LidarRenderer,
+    RenderOptions, Renderer, Scene, TakenImages, TracedSweep,
 };
-use decouplegs_scene::{Camera, Rules};
+use decouplegs_scene::{Camera, Lidar, Rules};
 
 use super::batch::{Batch, batches};
 use super::{SessionError, SessionOptions, SessionScene, World};
+use crate::AgentInstance;
 
 /// A world, and the cameras that look at it.
 #[derive(Clone, Copy)]
@@ -30,6 +32,8 @@ pub struct BatchRenderer {
     bakes_light_on_demand: bool,
     /// One for each set of rules that was drawn by: kernels are specialized by them.
     renderers: Vec<Renderer>,
+    /// The same for sweeps of LiDARs.
+    lidars: Vec<LidarRenderer>,
     /// Number of frames of each submission, oldest first.
     submissions: VecDeque<usize>,
     /// The frames of all submissions that are not finished, oldest first.
@@ -94,6 +98,7 @@ impl BatchRenderer {
             rules: options.rules,
             bakes_light_on_demand: options.bakes_light_on_demand,
             renderers: Vec::new(),
+            lidars: Vec::new(),
             submissions: VecDeque::new(),
             frames: VecDeque::new(),
             in_flight: 0,
@@ -246,6 +251,47 @@ impl BatchRenderer {
         self.check_finished()?;
         self.submit(views)?;
         self.finish_on_device()
+    }
+
+    /// Traces one sweep of `lidar` through `world` and waits for it. The agents are where `world`
+    /// has them `world_s` after the start of the sweep; before and after that they go on with their
+    /// motion.
+    ///
+    /// # Errors
+    /// Returns an error if `world` is of another session, the model, a pose or a motion makes no
+    /// sense, or the device has not the memory or was lost.
+    pub fn trace(
+        &mut self,
+        world: &World,
+        lidar: &Lidar,
+        world_s: f64,
+    ) -> Result<TracedSweep, SessionError> {
+        if !world.scene().is_on(&self.gpu) {
+            return Err(SessionError::OtherSession { view: 0 });
+        }
+        let at_start = |agent: AgentInstance| AgentInstance {
+            pose: match agent.motion.is_rest() {
+                true => agent.pose,
+                false => agent.pose.moved(&agent.motion, -world_s),
+            },
+            ..agent
+        };
+        let placed: Vec<AgentInstance> = world.present_agents().map(at_start).collect();
+        let live = world.scene().live();
+        let agents: Vec<Agent> = live.unlit(&placed).collect();
+        let scene = Scene::with_agents(&live.world, &live.pool, &agents);
+        let rules = self.rules.unwrap_or(world.scene().rules());
+        let mut built = self.lidars.iter();
+        let index = built.position(|renderer| renderer.options().rules == rules);
+        let index = index.unwrap_or_else(|| {
+            let options = LidarOptions {
+                rules,
+                ..LidarOptions::default()
+            };
+            self.lidars.push(LidarRenderer::new(&self.gpu, options));
+            self.lidars.len() - 1
+        });
+        Ok(self.lidars[index].trace(scene, lidar)?)
     }
 
     fn check_finished(&self) -> Result<(), SessionError> {

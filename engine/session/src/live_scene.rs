@@ -215,16 +215,11 @@ impl LiveScene {
     /// Panics if an asset is not one of the scene's.
     #[must_use]
     pub fn placed(&self, placed: &[AgentInstance]) -> SceneSnapshot {
-        let sh_frame = |placed: &AgentInstance| {
-            placed
-                .sh_frame
-                .unwrap_or(self.assets[placed.asset].sh_frame)
-        };
         let to_light = |placed: &AgentInstance| {
             (
                 placed.pose,
                 self.assets[placed.asset].dims_m,
-                sh_frame(placed),
+                self.sh_frame_of(placed),
             )
         };
         let matt = || placed.iter().filter(|placed| !placed.shines);
@@ -233,20 +228,41 @@ impl LiveScene {
             .as_ref()
             .map(|lighting| lighting.of_agents(&matt().map(to_light).collect::<Vec<_>>()));
         let mut relights = lit.iter().flatten().map(|lit| lit.relight);
-        let agent = |placed: &AgentInstance| Agent {
-            sh_frame: Some(sh_frame(placed)),
+        let agent = |(placed, agent): (&AgentInstance, Agent)| Agent {
             relight: match placed.shines {
                 true => None,
                 false => relights.next().flatten(),
             },
-            motion: placed.motion,
-            ..Agent::new(self.assets[placed.asset].id, placed.pose, placed.instance)
+            ..agent
         };
         SceneSnapshot {
-            agents: placed.iter().map(agent).collect(),
+            agents: placed.iter().zip(self.unlit(placed)).map(agent).collect(),
             shadows: lit.iter().flatten().filter_map(|lit| lit.shadow).collect(),
             unlit: lit.iter().flatten().filter(|lit| !lit.known).count(),
         }
+    }
+
+    /// Any agents anywhere, in the light that their assets were captured in.
+    ///
+    /// # Panics
+    /// Panics if an asset is not one of the scene's.
+    pub fn unlit<'a>(
+        &'a self,
+        placed: &'a [AgentInstance],
+    ) -> impl ExactSizeIterator<Item = Agent> + 'a {
+        placed.iter().map(|placed| {
+            let asset = self.assets[placed.asset].id;
+            Agent {
+                sh_frame: Some(self.sh_frame_of(placed)),
+                motion: placed.motion,
+                ..Agent::new(asset, placed.pose, placed.instance)
+            }
+        })
+    }
+
+    fn sh_frame_of(&self, placed: &AgentInstance) -> ShFrame {
+        let asset = &self.assets[placed.asset];
+        placed.sh_frame.unwrap_or(asset.sh_frame)
     }
 
     /// The background with what moves, as [`Renderer::render`] takes it.

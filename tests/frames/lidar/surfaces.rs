@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use decouplegs::render::{Outputs, Plane, PlaneValues, RenderOptions, Renderer};
-use decouplegs::scene::lidar::{PointFrame, ReturnMode, Spin};
+use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions, Spin};
 use decouplegs::scene::{Lidar, Motion, Pose};
 use glam::{DQuat, DVec3};
 
@@ -146,7 +146,7 @@ fn a_camera_and_a_lidar_agree_on_opaque_surfaces() {
         motion: Motion::REST,
     };
     let traced = trace(&gpu, &world, &lidar, 8);
-    let sweep = traced.returns(&lidar, ReturnMode::Median, 0);
+    let sweep = traced.returns(&ReturnOptions::of(&lidar.model));
     let mut camera = camera_towards(
         "front",
         place,

@@ -88,7 +88,11 @@ pub unsafe extern "C" fn dgs_scene_camera_count(
     count: *mut usize,
 ) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
-    unsafe { read(scene, "count", count, |scene| Ok(scene.rig().sensors.len())) }
+    unsafe {
+        read(scene, "count", count, |scene| {
+            Ok(scene.rig().cameras().count())
+        })
+    }
 }
 
 /// The name of camera `index` of the rig, from 0. `length` may be NULL.
@@ -150,7 +154,7 @@ fn rig_camera(scene: &SessionScene, index: usize) -> Result<&RigCamera, Failure>
     let missing = || {
         Failure::not_found(format!(
             "the rig has no camera {index}: it has {}, counted from 0",
-            scene.rig().cameras().len()
+            scene.rig().cameras().count()
         ))
     };
     cameras.nth(index).ok_or_else(missing)

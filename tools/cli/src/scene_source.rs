@@ -97,7 +97,7 @@ impl Scene {
         }
         let drives = arguments.cameras.is_none()
             && !arguments.orbit.is_asked()
-            && !loaded.rig.sensors.is_empty();
+            && loaded.rig.cameras().next().is_some();
         let cameras = match &arguments.cameras {
             Some(file) => {
                 let options = CameraOptions {

@@ -111,6 +111,7 @@ impl Rollout {
         let planner = PlannerRecord {
             name: name.to_owned(),
             cameras,
+            lidars: Vec::new(),
             privileged: false,
         };
         let rollout = EngineRollout::new(

@@ -146,7 +146,7 @@ impl Scene {
         let (splats, agents) = (self.inner.background_splats(), self.inner.agents().len());
         format!(
             "Scene({splats} splats, {agents} agents, {} cameras)",
-            self.inner.rig().sensors.len()
+            self.inner.rig().cameras().count()
         )
     }
 }

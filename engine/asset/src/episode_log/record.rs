@@ -56,6 +56,8 @@ pub(super) struct HeadForm {
 struct PlannerForm {
     name: String,
     cameras: Vec<String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    lidars: Vec<String>,
     privileged: bool,
 }
 
@@ -213,6 +215,7 @@ impl HeadForm {
         let PlannerRecord {
             name,
             cameras,
+            lidars,
             privileged,
         } = planner.clone();
         let drawn_by = drawn_by.clone().map(
@@ -237,6 +240,7 @@ impl HeadForm {
             planner: PlannerForm {
                 name,
                 cameras,
+                lidars,
                 privileged,
             },
             drawn_by,
@@ -256,6 +260,7 @@ impl HeadForm {
         let PlannerForm {
             name,
             cameras,
+            lidars,
             privileged,
         } = self.planner;
         let drawn_by = self.drawn_by.map(
@@ -278,6 +283,7 @@ impl HeadForm {
             planner: PlannerRecord {
                 name,
                 cameras,
+                lidars,
                 privileged,
             },
             drawn_by,

@@ -54,15 +54,28 @@ pub fn lidar_names() -> [&'static str; 7] {
 /// [`AssetError::Read`] where there is neither, or [`AssetError::Decode`] with the line or value at
 /// fault.
 pub fn read_lidar(name: &Path) -> Result<LidarModel, AssetError> {
-    let built_in = BUILT_IN
-        .iter()
-        .find(|(built_in, _)| Path::new(built_in) == name);
-    let decoded = match built_in {
-        Some((_, text)) => decode(text.as_bytes()),
-        None => decode(&read_bytes(name)?),
-    };
-    decoded.map_err(|source| AssetError::Decode {
-        path: name.to_owned(),
+    match built_in(name) {
+        Some(text) => read_from(text.as_bytes(), name),
+        None => read_from(&read_bytes(name)?, name),
+    }
+}
+
+/// Text of the model called `name`, if it comes with the program.
+fn built_in(name: &Path) -> Option<&'static str> {
+    let mut models = BUILT_IN.iter();
+    let found = models.find(|(built_in, _)| Path::new(built_in) == name);
+    found.map(|(_, text)| *text)
+}
+
+/// True if the model called `name` comes with the program.
+pub(crate) fn is_built_in(name: &Path) -> bool {
+    built_in(name).is_some()
+}
+
+/// The model in `bytes`, which `path` names in messages.
+pub(crate) fn read_from(bytes: &[u8], path: &Path) -> Result<LidarModel, AssetError> {
+    decode(bytes).map_err(|source| AssetError::Decode {
+        path: path.to_owned(),
         format: "LiDAR",
         source,
     })

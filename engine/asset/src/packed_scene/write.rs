@@ -11,7 +11,7 @@ use super::agents::sequence_tracks;
 use super::rig::{geographic_origin, rig_trajectories, span_of};
 use super::{OURS, PackOptions, SCENE};
 use crate::zip::StoredZip;
-use crate::{AssetError, SceneFile, write_atomically};
+use crate::{AssetError, SceneFile, SceneLidar, write_atomically};
 
 /// The layer that makes a zip a USDZ: an empty stage.
 const STAGE: &str = "#usda 1.0\n(\n    defaultPrim = \"World\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n)\n\ndef Xform \"World\"\n{\n}\n";
@@ -158,6 +158,8 @@ fn renamed(scene: &SceneFile) -> (SceneFile, Vec<(PathBuf, String)>) {
     own.agents
         .iter_mut()
         .for_each(|agent| take(&mut agent.asset, "assets/"));
+    let models = own.lidars.iter_mut().filter_map(SceneLidar::file_mut);
+    models.for_each(|file| take(file, ""));
     if let Some(sky) = &mut own.sky_map {
         take(&mut sky.file, "");
     }

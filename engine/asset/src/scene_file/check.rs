@@ -47,6 +47,8 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
     } else {
         Some(checker.trajectory(&form.ego, "ego")?)
     };
+    let mut names = HashSet::new();
+    let cameras = checker.cameras(&form.rig, &mut names)?;
     Ok(SceneFile {
         origin: DVec3::from_array(form.origin),
         background: form.background.into(),
@@ -55,7 +57,8 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
         photometry: checker.photometry(form.photometry.as_ref())?,
         fog: form.fog.as_ref().map(|fog| checker.fog(fog)).transpose()?,
         rules: checker.rules(&form.rules)?,
-        rig: Rig::from_iter(checker.cameras(&form.rig)?),
+        rig: Rig::from_iter(cameras),
+        lidars: checker.lidars(&form.lidar, &mut names)?,
         ego,
         agents: checker.agents(&form.agent)?,
         light: form
@@ -137,7 +140,13 @@ impl Checker<'_> {
                 format!("{near_m} must be finite and positive"),
             ));
         }
+        let lidar_dilation_rad = form.lidar_dilation_rad.unwrap_or(rules.lidar_dilation_rad);
+        if !(1e-6..=0.1).contains(&lidar_dilation_rad) {
+            let reason = format!("{lidar_dilation_rad} must be from 0.000001 to 0.1");
+            return Err(self.error(&span, "rules", "lidar_dilation_rad", reason));
+        }
         Ok(Rules {
+            lidar_dilation_rad,
             antialias: form.antialias.unwrap_or(rules.antialias),
             near_m,
             ..rules
@@ -191,19 +200,15 @@ impl Checker<'_> {
         Ok(shadows)
     }
 
-    fn cameras(&self, forms: &[Spanned<CameraForm>]) -> Result<Vec<RigCamera>, SceneError> {
-        let mut names = HashSet::new();
+    fn cameras<'n>(
+        &self,
+        forms: &'n [Spanned<CameraForm>],
+        names: &mut HashSet<&'n str>,
+    ) -> Result<Vec<RigCamera>, SceneError> {
         let mut cameras = Vec::with_capacity(forms.len());
         for (index, form) in forms.iter().enumerate() {
             let (span, form, table) = (form.span(), form.get_ref(), format!("rig[{index}]"));
-            self.check_name(&mut names, &form.name, &span, &table)?;
-            if form.name.contains(['/', '\\', '\0']) || form.name.starts_with('.') {
-                let reason = format!(
-                    "'{}' names an image file: no slash, no leading dot",
-                    form.name
-                );
-                return Err(self.error(&span, &table, "name", reason));
-            }
+            self.check_file_name(names, &form.name, &span, &table)?;
             let lens = form.lens.as_ref().map_or(Ok(Lens::Pinhole), LensForm::lens);
             let lens = lens.map_err(|reason| self.error(&span, &table, "lens", reason))?;
             let focal_px = |given: Option<f64>, axis: usize, field: &str| match (given, &lens) {
@@ -404,7 +409,7 @@ impl Checker<'_> {
         Trajectory::new(poses).map_err(|reason| self.error(&start, table, "time_s", reason))
     }
 
-    fn pose(
+    pub(super) fn pose(
         &self,
         position_m: [f64; 3],
         rotation_wxyz: Option<[f64; 4]>,
@@ -458,6 +463,22 @@ impl Checker<'_> {
         } else {
             Err(self.error(span, table, "position_m", "must be finite"))
         }
+    }
+
+    /// [`Checker::check_name`], of what also names a file.
+    pub(super) fn check_file_name<'n>(
+        &self,
+        names: &mut HashSet<&'n str>,
+        name: &'n str,
+        span: &Range<usize>,
+        table: &str,
+    ) -> Result<(), SceneError> {
+        self.check_name(names, name, span, table)?;
+        if name.contains(['/', '\\', '\0']) || name.starts_with('.') {
+            let reason = format!("'{name}' names an image file: no slash, no leading dot");
+            return Err(self.error(span, table, "name", reason));
+        }
+        Ok(())
     }
 
     fn check_name<'n>(

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
+use decouplegs_scene::rules::LIDAR_DILATION_RAD;
 use decouplegs_scene::{Intrinsics, Pose, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
 use glam::{DMat3, DQuat};
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
@@ -12,6 +13,7 @@ use toml::Spanned;
 
 use super::lens::LensForm;
 use super::lens::WindshieldForm;
+use super::lidar::LidarForm;
 use super::photometry::PhotometryForm;
 use super::shutter::ShutterForm;
 use super::{SceneAgent, SceneFile, SceneLight, VERSION};
@@ -35,6 +37,8 @@ pub(super) struct SceneForm {
     pub(super) rules: Spanned<RulesForm>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) rig: Vec<Spanned<CameraForm>>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) lidar: Vec<Spanned<LidarForm>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) ego: Vec<Spanned<TimedPoseForm>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -135,6 +139,8 @@ pub(super) struct RulesForm {
     pub(super) name: Option<String>,
     pub(super) antialias: Option<bool>,
     pub(super) near_m: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) lidar_dilation_rad: Option<f64>,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -230,6 +236,8 @@ pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
         .agents
         .iter()
         .map(|agent| Ok(spanless(agent_form(agent, path(&agent.asset)?))));
+    let lidars = scene.lidars.iter();
+    let lidars = lidars.map(|lidar| Ok(spanless(LidarForm::of(lidar, path)?)));
     let form = SceneForm {
         version: VERSION,
         origin: scene.origin.to_array(),
@@ -249,6 +257,7 @@ pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
             .cameras()
             .map(|camera| spanless(camera_form(camera)))
             .collect(),
+        lidar: lidars.collect::<Result<_, String>>()?,
         ego: scene.ego.as_ref().map(timed_pose_forms).unwrap_or_default(),
         agent: agents.collect::<Result<_, String>>()?,
         light: scene
@@ -312,6 +321,7 @@ fn rules_form(rules: &Rules) -> Result<RulesForm, String> {
             Rules {
                 antialias: rules.antialias,
                 near_m: rules.near_m,
+                lidar_dilation_rad: rules.lidar_dilation_rad,
                 ..base
             } == *rules
         })
@@ -330,6 +340,8 @@ fn rules_form(rules: &Rules) -> Result<RulesForm, String> {
         name: Some((*name).to_owned()),
         antialias: Some(rules.antialias),
         near_m: Some(rules.near_m),
+        lidar_dilation_rad: (rules.lidar_dilation_rad != LIDAR_DILATION_RAD)
+            .then_some(rules.lidar_dilation_rad),
     })
 }
 
@@ -411,6 +423,6 @@ fn timed_pose_forms(trajectory: &Trajectory) -> Vec<Spanned<TimedPoseForm>> {
         .collect()
 }
 
-fn wxyz(rotation: DQuat) -> [f64; 4] {
+pub(super) fn wxyz(rotation: DQuat) -> [f64; 4] {
     [rotation.w, rotation.x, rotation.y, rotation.z]
 }

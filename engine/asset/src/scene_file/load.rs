@@ -9,7 +9,7 @@ use decouplegs_scene::light::{
     AmbientField, AmbientOptions, Lighting, LitAgent, ShadowOptions, bake_shadows,
 };
 use decouplegs_scene::{
-    CodedCloud, ContactShadow, LightTransfer, Motion, Pose, Presence, Rig, ShFrame, SkyMap,
+    CodedCloud, ContactShadow, LightTransfer, Motion, Pose, Presence, Rig, Sensor, ShFrame, SkyMap,
     SplatCloud, Trajectory, World,
 };
 use glam::DVec3;
@@ -33,7 +33,7 @@ pub struct LoadedScene {
     pub agents: Vec<LoadedAgent>,
     /// The agents of plain splat files that are in [`LoadedScene::world`].
     pub plain_agents: Vec<PlainAgent>,
-    /// The ego vehicle's cameras; none for a splat file.
+    /// The ego vehicle's sensors; none for a splat file.
     pub rig: Rig,
     /// Trajectory of the ego vehicle, world coordinates.
     pub ego: Trajectory,
@@ -296,6 +296,9 @@ impl SceneFile {
             loader.add(&mut scene, agent, instance)?;
         }
         scene.rig = self.rig.clone();
+        for lidar in &self.lidars {
+            scene.rig.sensors.push(Sensor::Lidar(lidar.load(files)?));
+        }
         let standing = || {
             Trajectory::standing(Pose {
                 translation: self.origin,

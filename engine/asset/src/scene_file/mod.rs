@@ -7,6 +7,7 @@ pub mod editing;
 mod form;
 mod layer;
 mod lens;
+mod lidar;
 mod load;
 mod paths;
 mod photometry;
@@ -25,6 +26,7 @@ use crate::{AssetError, SceneError, SkyKind, write_atomically};
 
 pub use editing::EditError;
 pub use layer::Layer;
+pub use lidar::SceneLidar;
 pub(crate) use load::SceneFiles;
 pub use load::{AgentLabel, LoadedAgent, LoadedLight, LoadedScene, PlainAgent, open_scene};
 pub use paths::path_from;
@@ -60,6 +62,8 @@ pub struct SceneFile {
     pub rules: Rules,
     /// The ego vehicle's cameras.
     pub rig: Rig,
+    /// The ego vehicle's LiDARs.
+    pub lidars: Vec<SceneLidar>,
     /// Trajectory of the ego vehicle, world coordinates. None: it stands at [`SceneFile::origin`].
     pub ego: Option<Trajectory>,
     /// Agents in front of the background.
@@ -140,6 +144,7 @@ impl SceneFile {
             fog: None,
             rules: Rules::DEFAULT,
             rig: Rig::default(),
+            lidars: Vec::new(),
             ego: None,
             agents: Vec::new(),
             light: None,

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Component, Path, PathBuf};
 
-use super::SceneFile;
+use super::{SceneFile, SceneLidar};
 
 /// The way to `target` from `directory`, both of which exist: relative where they share a folder
 /// below the root, else absolute.
@@ -61,6 +61,8 @@ impl SceneFile {
             .agents
             .iter_mut()
             .for_each(|agent| agent.asset = moved(&agent.asset));
+        let models = scene.lidars.iter_mut().filter_map(SceneLidar::file_mut);
+        models.for_each(|file| *file = moved(file));
         if let Some(sky) = &mut scene.sky_map {
             sky.file = moved(&sky.file);
         }

@@ -70,10 +70,12 @@ fn plans() -> impl Strategy<Value = Plan> {
 
 fn heads() -> impl Strategy<Value = EpisodeHead> {
     let text = || "(?s).{0,8}";
-    let planner = (text(), prop::collection::vec(text(), 0..3), any::<bool>()).prop_map(
-        |(name, cameras, privileged)| PlannerRecord {
+    let names = || prop::collection::vec(text(), 0..3);
+    let planner = (text(), names(), names(), any::<bool>()).prop_map(
+        |(name, cameras, lidars, privileged)| PlannerRecord {
             name,
             cameras,
+            lidars,
             privileged,
         },
     );
@@ -223,6 +225,7 @@ fn small() -> Episode {
     let planner = PlannerRecord {
         name: "lane-follow".into(),
         cameras: vec!["front".into()],
+        lidars: Vec::new(),
         privileged: true,
     };
     let drawn_by = DrawnBy {

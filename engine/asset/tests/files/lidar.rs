@@ -162,7 +162,7 @@ fn points(frame: PointFrame) -> Vec<LidarPoint> {
     let returns = vec![found(11, 10.0), found(900 * 32 + 11, 20.0)];
     let sweep = LidarSweep {
         lidar,
-        beams,
+        beams: beams.into(),
         returns,
     };
     sweep.points(frame)

@@ -1,6 +1,6 @@
 //! Properties over generated cameras and scene files.
 
-use decouplegs_asset::{SceneAgent, SceneFile, SceneLight, SceneSky, SkyKind, cameras};
+use decouplegs_asset::{SceneAgent, SceneFile, SceneLidar, SceneLight, SceneSky, SkyKind, cameras};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::photometry::{ColorCurve, Vignetting};
 use decouplegs_scene::{
@@ -178,8 +178,11 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
             prop::array::uniform3(-1e7f64..1e7),
             prop::array::uniform3(0.0f32..1.0),
         ),
-        (0usize..3, any::<bool>(), 0.001f64..1.0),
-        prop::collection::vec((intrinsics(), poses()), 0..4),
+        (0usize..3, any::<bool>(), 0.001f64..1.0, 1e-5f64..1e-2),
+        (
+            prop::collection::vec((intrinsics(), poses()), 0..4),
+            prop::collection::vec(("[a-z]{1,8}", poses()), 0..3),
+        ),
         prop::option::of(trajectories()),
         prop::collection::vec(agent, 0..4),
         "[a-z\"\\\\\u{e9}# ]{1,12}",
@@ -194,8 +197,8 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
         .prop_map(
             |(
                 (origin, sky),
-                (rules, antialias, near_m),
-                cameras,
+                (rules, antialias, near_m, lidar_dilation_rad),
+                (cameras, lidars),
                 ego,
                 agents,
                 name,
@@ -215,6 +218,12 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                             ..intrinsics
                         },
                         rig_from_camera,
+                    };
+                let scene_lidar =
+                    |(i, (sensor, rig_from_lidar)): (usize, (String, Pose))| SceneLidar {
+                        name: format!("l{i}"),
+                        sensor: sensor.into(),
+                        rig_from_lidar,
                     };
                 let scene_agent = |(i, (is_world, trajectory, present)): (
                     usize,
@@ -245,9 +254,11 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                     rules: Rules {
                         antialias,
                         near_m,
+                        lidar_dilation_rad,
                         ..Rules::by_name(Rules::NAMES[rules]).unwrap()
                     },
                     rig: cameras.into_iter().enumerate().map(rig_camera).collect(),
+                    lidars: lidars.into_iter().enumerate().map(scene_lidar).collect(),
                     ego,
                     agents: agents.into_iter().enumerate().map(scene_agent).collect(),
                     light,

@@ -7,9 +7,11 @@
 
 mod sectors;
 
+use std::sync::Arc;
+
 use decouplegs_gpu::{DeviceKind, Gpu, MemoryKind, QueueRole, Recorder, Ticket};
-use decouplegs_scene::lidar::{Beam, LidarReturn, ReturnMode};
-use decouplegs_scene::{Lidar, LidarSweep, Rules, random};
+use decouplegs_scene::lidar::{Beam, LidarCells, LidarReturn, ReturnOptions};
+use decouplegs_scene::{Lidar, LidarModel, LidarSweep, Rules, random};
 
 use crate::RenderError;
 use crate::agents::{AgentList, Scene};
@@ -22,10 +24,6 @@ use crate::stages::{
 
 pub use sectors::Sectors;
 
-/// Standard deviation that is added to splats across the direction to their means, radians: that
-/// of images of 1100 pixels focal length, sqrt(0.3) pixels. Opacities were trained under it.
-pub const DILATION_RAD: f64 = 5e-4;
-
 /// Sweeps that may outgrow their buffers in a row.
 const ATTEMPTS_MAX: u32 = 6;
 
@@ -36,14 +34,10 @@ const ENTRIES_MAX_IN_SOFTWARE: u32 = 50_000;
 /// Options of a renderer of sweeps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LidarOptions {
-    /// Rules, of which the upper bound of alpha and antialiasing count.
+    /// Rules, of which the upper bound of alpha, antialiasing and the dilation of LiDARs count.
     pub rules: Rules,
     /// Sectors of a sweep, at most 32.
     pub sectors: usize,
-    /// Standard deviation that is added to splats across the direction to their means, radians.
-    pub dilation_rad: f64,
-    /// Share of a beam that splats have to take for a return, from 0 to 1.
-    pub opacity_min: f32,
 }
 
 impl Default for LidarOptions {
@@ -51,8 +45,6 @@ impl Default for LidarOptions {
         Self {
             rules: Rules::DEFAULT,
             sectors: 8,
-            dilation_rad: DILATION_RAD,
-            opacity_min: 0.5,
         }
     }
 }
@@ -65,44 +57,58 @@ struct LidarStages {
     trace: TraceLidar,
 }
 
-/// Traces the sweeps of LiDARs on one device. Buffers of lists are sized by the sweep before.
+/// Beams of a model, and the grid that they are in.
+struct Grid {
+    model: Arc<LidarModel>,
+    beams: Arc<[Beam]>,
+    cells: LidarCells,
+}
+
+/// Models whose grids a renderer keeps.
+const GRIDS_MAX: usize = 16;
+
+/// Traces the sweeps of LiDARs on one device. Buffers of lists are sized by the sweep before, and
+/// the beams of models are made once.
 pub struct LidarRenderer {
     gpu: Gpu,
     options: LidarOptions,
     stages: Vec<LidarStages>,
     common: Option<(Scan, TileSort)>,
+    grids: Vec<Arc<Grid>>,
     capacity: Option<Capacity>,
 }
 
 /// States of the beams of a sweep.
 #[derive(Clone, Debug)]
 pub struct TracedSweep {
-    /// Beams, in the order of [`decouplegs_scene::LidarModel::beams`].
-    pub beams: Vec<Beam>,
+    /// Sensor, and its poses during the sweep.
+    pub lidar: Lidar,
+    /// Beams, in the order of [`LidarModel::beams`].
+    pub beams: Arc<[Beam]>,
     /// State of each beam.
     pub states: Vec<BeamState>,
     /// Counts of the lists.
     pub required: RequiredCounts,
     /// Time on the device, nanoseconds.
     pub gpu_time_ns: u64,
-    options: LidarOptions,
 }
 
 impl TracedSweep {
-    /// Returns by `mode` of `lidar`, whose sweep this is: a beam has one if splats took enough of
-    /// it and the range is one that the sensor reports. Noise, where the model has some, is added
-    /// last, and depends on `seed` and the beam alone.
+    /// Returns of the sweep: a beam has one if splats took enough of it and the range is one that
+    /// the sensor reports. Noise, where the model has some, is added last, and depends on the seed
+    /// and the beam alone.
     #[must_use]
-    pub fn returns(&self, lidar: &Lidar, mode: ReturnMode, seed: u64) -> LidarSweep {
-        let noise_m = |beam: usize| match lidar.model.range_noise_m {
+    pub fn returns(&self, options: &ReturnOptions) -> LidarSweep {
+        let model = &self.lidar.model;
+        let noise_m = |beam: usize| match model.range_noise_m {
             0.0 => 0.0,
-            deviation_m => (deviation_m * normal(seed, beam as u64)) as f32,
+            deviation_m => (deviation_m * normal(options.seed, beam as u64)) as f32,
         };
-        let [least_m, greatest_m] = lidar.model.range_m.map(|range| range as f32);
+        let [least_m, greatest_m] = model.range_m.map(|range| range as f32);
         let found = |(beam, state): (usize, &BeamState)| {
-            let (range_m, instance) = state.range(mode)?;
+            let (range_m, instance) = state.range(options.mode)?;
             let taken = 1.0 - state.transmittance;
-            (taken >= self.options.opacity_min && range_m >= least_m && range_m <= greatest_m).then(
+            (taken >= options.opacity_min && range_m >= least_m && range_m <= greatest_m).then(
                 || LidarReturn {
                     beam: beam as u32,
                     range_m: range_m + noise_m(beam),
@@ -112,7 +118,7 @@ impl TracedSweep {
             )
         };
         LidarSweep {
-            lidar: lidar.clone(),
+            lidar: self.lidar.clone(),
             beams: self.beams.clone(),
             returns: self.states.iter().enumerate().filter_map(found).collect(),
         }
@@ -145,6 +151,7 @@ impl LidarRenderer {
             options,
             stages: Vec::new(),
             common: None,
+            grids: Vec::new(),
             capacity: None,
         }
     }
@@ -173,10 +180,14 @@ impl LidarRenderer {
         };
         lidar.model.check().map_err(of_lidar)?;
         lidar.motion.check().map_err(of_lidar)?;
-        let beams = lidar.model.beams();
-        let cells = lidar.model.cells();
+        for agent in scene.agents.iter().flat_map(|(_, agents)| agents.iter()) {
+            let instance = agent.instance;
+            let of_agent = |reason| RenderError::AgentMotion { instance, reason };
+            agent.motion.check().map_err(of_agent)?;
+        }
+        let grid = self.grid_of(&lidar.model);
         let count = self.options.sectors.clamp(1, CAMERAS_MAX);
-        let cut = Sectors::new(lidar, &beams, &cells, count);
+        let cut = Sectors::new(lidar, &grid.beams, &grid.cells, count);
         let origin = scene.world.origin;
         let from_origin = |camera: &decouplegs_scene::Camera| {
             (camera.world_from_camera.translation - origin).length()
@@ -191,7 +202,7 @@ impl LidarRenderer {
         let variant = LidarVariant {
             instances: scene.world.has_instances,
             moving: !lidar.motion.is_rest() || agents_move(),
-            dilation_rad: self.options.dilation_rad as f32,
+            dilation_rad: self.options.rules.lidar_dilation_rad as f32,
         };
         let input = SweepInput {
             sectors: SectorBuffers::upload(&self.gpu, &view, &cut.tables)?,
@@ -202,19 +213,37 @@ impl LidarRenderer {
             view,
         };
         let (cells_states, required, gpu_time_ns) = self.run(&input)?;
-        let mut states = vec![BeamState::default(); beams.len()];
+        let mut states = vec![BeamState::default(); grid.beams.len()];
         for (state, &beam) in cells_states.iter().zip(&cut.beam_of_cell) {
             if let Some(of_beam) = states.get_mut(beam as usize) {
                 *of_beam = *state;
             }
         }
         Ok(TracedSweep {
-            beams,
+            lidar: lidar.clone(),
+            beams: grid.beams.clone(),
             states,
             required,
             gpu_time_ns,
-            options: self.options,
         })
+    }
+
+    /// Beams and grid of `model`, kept from sweep to sweep.
+    fn grid_of(&mut self, model: &Arc<LidarModel>) -> Arc<Grid> {
+        let mut kept = self.grids.iter();
+        if let Some(grid) = kept.find(|grid| Arc::ptr_eq(&grid.model, model)) {
+            return grid.clone();
+        }
+        let grid = Arc::new(Grid {
+            model: model.clone(),
+            beams: model.beams().into(),
+            cells: model.cells(),
+        });
+        if self.grids.len() >= GRIDS_MAX {
+            self.grids.remove(0);
+        }
+        self.grids.push(grid.clone());
+        grid
     }
 
     /// Copies the agents to the device.

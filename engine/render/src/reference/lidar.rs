@@ -67,10 +67,8 @@ pub struct Contribution64 {
 pub struct LidarScene64<'a> {
     /// Groups, the background first.
     pub groups: Vec<SplatGroup<'a>>,
-    /// Rules, of which upper bound of alpha and antialiasing count.
+    /// Rules, of which the upper bound of alpha, antialiasing and the dilation of LiDARs count.
     pub rules: Rules,
-    /// Standard deviation that is added to splats across the direction to their means, radians.
-    pub dilation_rad: f64,
 }
 
 /// A splat as the sensor has it at one time.
@@ -168,7 +166,7 @@ impl LidarScene64<'_> {
         let covariance = axes * axes.transpose();
         let along = DMat3::from_cols(toward * toward.x, toward * toward.y, toward * toward.z);
         let across = DMat3::IDENTITY - along;
-        let width_m = self.dilation_rad * mean_range_m;
+        let width_m = self.rules.lidar_dilation_rad * mean_range_m;
         let thickness_m = THICKNESS_MIN * mean_range_m;
         let dilated = covariance + across * width_m.powi(2) + along * thickness_m.powi(2);
         let mut opacity = f64::from(splats.opacities[index]);

@@ -25,6 +25,9 @@ const CELLS_MAX: f64 = 4.0 * BEAMS_MAX as f64;
 /// Rows of a spinning LiDAR at most.
 pub const ROWS_MAX: usize = 1024;
 
+/// Place of a LiDAR on the roof of a car, meters forward, left and up of the center of its box.
+pub const ROOF_M: DVec3 = DVec3::new(0.0, 0.0, 1.1);
+
 /// Longest sweep, seconds.
 const SWEEP_S_MAX: f64 = 10.0;
 
@@ -74,6 +77,29 @@ impl ReturnMode {
     pub fn name(self) -> &'static str {
         let named = Self::NAMED.into_iter().find(|(_, mode)| *mode == self);
         named.map_or("", |(name, _)| name)
+    }
+}
+
+/// Options of the returns of a sweep that was traced.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReturnOptions {
+    /// Kind of range.
+    pub mode: ReturnMode,
+    /// Share of a beam that splats have to take for a return, from 0 to 1.
+    pub opacity_min: f32,
+    /// Seed of the noise of ranges, for models that have some.
+    pub seed: u64,
+}
+
+impl ReturnOptions {
+    /// The kind of range that `model` reports, half of a beam, and seed 0.
+    #[must_use]
+    pub fn of(model: &LidarModel) -> Self {
+        Self {
+            mode: model.returns,
+            opacity_min: 0.5,
+            seed: 0,
+        }
     }
 }
 
@@ -344,6 +370,41 @@ fn check_rays(beams: &[Beam], sweep_s: f64) -> Result<(), Invalid> {
             beams[at]
         ))),
         None => Ok(()),
+    }
+}
+
+/// A LiDAR fixed to a vehicle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigLidar {
+    /// Names the sweep; unique in the rig.
+    pub name: String,
+    /// Model of the sensor.
+    pub model: Arc<LidarModel>,
+    /// Pose on the vehicle.
+    pub rig_from_lidar: Pose,
+}
+
+impl RigLidar {
+    /// The sweep that starts when the vehicle passes `world_from_rig` with `motion`.
+    #[must_use]
+    pub fn sweep_from(&self, world_from_rig: &Pose, motion: &Motion) -> Lidar {
+        Lidar {
+            name: self.name.clone(),
+            model: self.model.clone(),
+            rig_from_lidar: self.rig_from_lidar,
+            world_from_rig: *world_from_rig,
+            motion: *motion,
+        }
+    }
+
+    /// The sweep that ends when the vehicle passes `world_from_rig` with `motion`.
+    #[must_use]
+    pub fn sweep_until(&self, world_from_rig: &Pose, motion: &Motion) -> Lidar {
+        let start = match motion.is_rest() {
+            true => *world_from_rig,
+            false => world_from_rig.moved(motion, -self.model.sweep_s),
+        };
+        self.sweep_from(&start, motion)
     }
 }
 

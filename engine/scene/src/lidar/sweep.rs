@@ -1,5 +1,7 @@
 //! Sweeps: returns of beams, and the points that they are in a frame of the caller's choice.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 
 use super::{Beam, Lidar};
@@ -24,7 +26,7 @@ pub struct LidarSweep {
     /// Sensor, and its poses during the sweep.
     pub lidar: Lidar,
     /// Beams of the sweep.
-    pub beams: Vec<Beam>,
+    pub beams: Arc<[Beam]>,
     /// Returns; at most one per beam.
     pub returns: Vec<LidarReturn>,
 }
@@ -75,6 +77,27 @@ pub struct LidarPoint {
 }
 
 impl LidarSweep {
+    /// The returns as bytes, little-endian: number of the beam (u32), range in meters and intensity
+    /// (f32), instance (u16).
+    #[must_use]
+    pub fn bytes(&self) -> Vec<u8> {
+        let of_return = |found: &LidarReturn| {
+            let LidarReturn {
+                beam,
+                range_m,
+                intensity,
+                instance,
+            } = *found;
+            let mut bytes = [0; 14];
+            bytes[..4].copy_from_slice(&beam.to_le_bytes());
+            bytes[4..8].copy_from_slice(&range_m.to_le_bytes());
+            bytes[8..12].copy_from_slice(&intensity.to_le_bytes());
+            bytes[12..].copy_from_slice(&instance.to_le_bytes());
+            bytes
+        };
+        self.returns.iter().flat_map(of_return).collect()
+    }
+
     /// Points of the returns in `frame`.
     #[must_use]
     pub fn points(&self, frame: PointFrame) -> Vec<LidarPoint> {

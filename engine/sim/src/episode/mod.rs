@@ -25,7 +25,7 @@ use decouplegs_session::SessionError;
 
 use crate::planner::{Cameras, EpisodeInfo, Observation, Planner, Reading};
 
-pub use observation_renderer::{ObservationRenderer, chosen};
+pub use observation_renderer::{ObservationRenderer, chosen, chosen_lidars};
 pub use replay::{Replayed, replay};
 pub use rollout::{EpisodeMetadata, Rollout};
 pub use simulation::Simulation;
@@ -204,18 +204,14 @@ fn one_step(
 }
 
 fn metadata_of(renderer: Option<&ObservationRenderer>, planner: &dyn Planner) -> EpisodeMetadata {
-    let cameras = renderer
-        .map(|renderer| {
-            renderer
-                .rig()
-                .cameras()
-                .map(|camera| camera.name.clone())
-                .collect()
-        })
-        .unwrap_or_default();
+    let rig = renderer.map(|renderer| renderer.rig().clone());
+    let rig = rig.unwrap_or_default();
+    let cameras = rig.cameras().map(|camera| camera.name.clone()).collect();
+    let lidars = rig.lidars().map(|lidar| lidar.name.clone()).collect();
     let planner = PlannerRecord {
         name: planner.name(),
         cameras,
+        lidars,
         privileged: planner.sees().privileged,
     };
     EpisodeMetadata {

@@ -1,9 +1,11 @@
-//! Images of the ego's cameras.
+//! Readings of the ego's sensors.
 
 use std::sync::Arc;
 
+use decouplegs_asset::{AssetError, read_lidar};
 use decouplegs_scene::episode::{DrawnBy, ReadingRecord};
-use decouplegs_scene::{Invalid, Rig, RigCamera};
+use decouplegs_scene::lidar::{ROOF_M, ReturnOptions};
+use decouplegs_scene::{Invalid, LidarSweep, Pose, Rig, RigCamera, RigLidar, random};
 use decouplegs_session::{BatchRenderer, HostImages, SessionError, SessionScene, World, WorldView};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
@@ -11,13 +13,15 @@ use xxhash_rust::xxh3::xxh3_128;
 use super::simulation::Simulation;
 use crate::planner::{Cameras, Reading};
 
-/// Renderer of what the ego's cameras see in an episode.
+/// Renderer of what the ego's sensors observe in an episode.
 pub struct ObservationRenderer {
     renderer: BatchRenderer,
     world: World,
     rig: Rig,
     every: u32,
     images: HostImages,
+    /// The last sweep of each LiDAR; none at a step that is not drawn.
+    sweeps: Vec<LidarSweep>,
 }
 
 /// Cameras of `rig` that `cameras` selects, at `size_px` if given.
@@ -46,8 +50,38 @@ pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<
     Ok(Rig::from_iter(chosen))
 }
 
+/// The LiDARs called `names`: those of `rig`, otherwise models by name or file, on the roof of the
+/// ego. All of `rig` with `all`, and these first.
+///
+/// # Errors
+/// [`AssetError`] where `rig` has no such LiDAR and there is no such model.
+pub fn chosen_lidars(rig: &Rig, all: bool, names: &[String]) -> Result<Vec<RigLidar>, AssetError> {
+    let mut chosen: Vec<RigLidar> = match all {
+        true => rig.lidars().cloned().collect(),
+        false => Vec::new(),
+    };
+    for name in names {
+        if chosen.iter().any(|lidar| lidar.name == *name) {
+            continue;
+        }
+        let of_rig = rig.lidars().find(|lidar| lidar.name == *name);
+        chosen.push(match of_rig {
+            Some(lidar) => lidar.clone(),
+            None => RigLidar {
+                name: name.clone(),
+                model: Arc::new(read_lidar(name.as_ref())?),
+                rig_from_lidar: Pose {
+                    translation: ROOF_M,
+                    ..Pose::IDENTITY
+                },
+            },
+        });
+    }
+    Ok(chosen)
+}
+
 impl ObservationRenderer {
-    /// The cameras of `rig` in `scene`, drawn by `renderer` at every `every`th step.
+    /// The sensors of `rig` in `scene`, drawn by `renderer` at every `every`th step.
     #[must_use]
     pub fn new(renderer: BatchRenderer, scene: &Arc<SessionScene>, rig: Rig, every: u32) -> Self {
         Self {
@@ -56,10 +90,11 @@ impl ObservationRenderer {
             rig,
             every: every.max(1),
             images: HostImages::default(),
+            sweeps: Vec::new(),
         }
     }
 
-    /// The cameras.
+    /// The sensors.
     #[must_use]
     pub fn rig(&self) -> &Rig {
         &self.rig
@@ -74,40 +109,56 @@ impl ObservationRenderer {
     /// Record of the renderer for a log.
     #[must_use]
     pub fn drawn_by(&self) -> Option<DrawnBy> {
-        let first = self.rig.cameras().next()?;
-        Some(DrawnBy {
+        let first = self.rig.cameras().next();
+        let size_px = first.map(|camera| camera.intrinsics);
+        (!self.rig.sensors.is_empty()).then(|| DrawnBy {
             device: self.renderer.gpu().info().to_string(),
-            width_px: first.intrinsics.width_px,
-            height_px: first.intrinsics.height_px,
+            width_px: size_px.map_or(0, |k| k.width_px),
+            height_px: size_px.map_or(0, |k| k.height_px),
             every: self.every,
         })
     }
 
-    /// Draws `simulation` if `step` is one that is drawn. Images of earlier steps are gone either
-    /// way.
+    /// Draws `simulation` if `step` is one that is drawn, and traces the sweeps that end then.
+    /// Readings of earlier steps are gone either way.
     ///
     /// # Errors
     /// Returns an error if the device was lost or has not the memory, or the scene has not the
     /// agents' assets.
     pub fn draw(&mut self, simulation: &mut Simulation, step: u32) -> Result<(), SessionError> {
         self.images.clear();
+        self.sweeps.clear();
         if self.rig.sensors.is_empty() || !step.is_multiple_of(self.every) {
             return Ok(());
         }
         let (ego, motion) = simulation.show(&mut self.world)?;
-        let view = WorldView {
-            world: &self.world,
-            cameras: &self.rig.moving_at(&ego, &motion),
-        };
-        self.renderer.draw(&[view], &mut self.images)?;
+        let cameras = self.rig.moving_at(&ego, &motion);
+        if !cameras.is_empty() {
+            let view = WorldView {
+                world: &self.world,
+                cameras: &cameras,
+            };
+            self.renderer.draw(&[view], &mut self.images)?;
+        }
+        let seed = random::mix(simulation.scenario().seed ^ u64::from(step));
+        for (index, lidar) in self.rig.sweeps_until(&ego, &motion).iter().enumerate() {
+            let sweep_s = lidar.model.sweep_s;
+            let traced = self.renderer.trace(&self.world, lidar, sweep_s)?;
+            self.sweeps.push(traced.returns(&ReturnOptions {
+                seed: seed.wrapping_add(index as u64),
+                ..ReturnOptions::of(&lidar.model)
+            }));
+        }
         Ok(())
     }
 
     /// Readings of the last observation.
     #[must_use]
     pub fn readings(&self) -> Vec<Reading<'_>> {
-        self.drawn()
-            .map(|(camera, rgba)| Reading::image(camera, rgba))
+        let images = self.drawn();
+        let images = images.map(|(camera, rgba)| Reading::image(camera, rgba));
+        images
+            .chain(self.sweeps.iter().map(Reading::Sweep))
             .collect()
     }
 
@@ -119,17 +170,18 @@ impl ObservationRenderer {
             sensor: camera.name.clone(),
             hash: hash_of(rgba),
         };
-        drawn.into_par_iter().map(hash).collect()
+        let images = drawn.into_par_iter().map(hash);
+        let sweeps = self.sweeps.par_iter().map(|sweep| ReadingRecord {
+            sensor: sweep.lidar.name.clone(),
+            hash: hash_of(&sweep.bytes()),
+        });
+        images.chain(sweeps).collect()
     }
 
     /// Cameras and their images; none at a step that is not drawn.
     fn drawn(&self) -> impl Iterator<Item = (&RigCamera, &[u8])> {
-        let drawn = if self.images.views() > 0 {
-            self.rig.sensors.len()
-        } else {
-            0
-        };
-        let cameras = self.rig.cameras().enumerate().take(drawn);
+        let is_drawn = self.images.views() > 0;
+        let cameras = self.rig.cameras().enumerate().filter(move |_| is_drawn);
         cameras.map(|(index, camera)| (camera, self.images.rgba(0, index)))
     }
 }
@@ -138,8 +190,8 @@ impl ObservationRenderer {
 const HASHED_BYTES: usize = 1 << 20;
 
 /// The hash of [`ReadingRecord`]: of the hashes of its pieces, which are found side by side.
-fn hash_of(rgba: &[u8]) -> u128 {
-    let pieces: Vec<[u8; 16]> = rgba
+fn hash_of(bytes: &[u8]) -> u128 {
+    let pieces: Vec<[u8; 16]> = bytes
         .par_chunks(HASHED_BYTES)
         .map(|piece| xxh3_128(piece).to_le_bytes())
         .collect();

@@ -18,7 +18,7 @@ use decouplegs_scene::plan::Plan;
 use self::message::{Answer, Introduction};
 use self::session::Session;
 use super::{EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError};
-use crate::planner::images;
+use crate::planner::{images, sweeps};
 
 /// Transport to an external planner.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -152,10 +152,10 @@ impl Planner for External {
     }
 
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
-        let frames: Vec<&[u8]> = images(observation.readings)
-            .map(|frame| frame.rgba)
-            .collect();
-        match self.ask(&message::observe(observation), &frames)? {
+        let points: Vec<Vec<u8>> = sweeps(observation.readings).map(message::points).collect();
+        let frames = images(observation.readings).map(|frame| frame.rgba);
+        let payload: Vec<&[u8]> = frames.chain(points.iter().map(Vec::as_slice)).collect();
+        match self.ask(&message::observe(observation), &payload)? {
             Answer::Plan { step, plan } if step == u64::from(observation.step) => Ok(plan),
             other => Err(self.refused(
                 &other,

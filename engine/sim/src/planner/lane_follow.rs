@@ -80,6 +80,7 @@ impl Planner for LaneFollow {
         ObservationRequest {
             cameras: Cameras::None,
             privileged: true,
+            ..ObservationRequest::default()
         }
     }
 

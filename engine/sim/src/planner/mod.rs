@@ -22,7 +22,9 @@ pub use vision::{Perception, Vision};
 use decouplegs_scene::LightColor;
 use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::plan::Plan;
-use decouplegs_scene::{RigCamera, RoadUser, Sensor, SignKind, VehicleSize, VehicleState};
+use decouplegs_scene::{
+    LidarSweep, RigCamera, RoadUser, Sensor, SignKind, VehicleSize, VehicleState,
+};
 use glam::DVec2;
 
 /// Inputs that a planner requests.
@@ -30,6 +32,8 @@ use glam::DVec2;
 pub struct ObservationRequest {
     /// Requested images.
     pub cameras: Cameras,
+    /// True if it requests the sweeps of all LiDARs.
+    pub lidars: bool,
     /// True if it requests [`Privileged`] state.
     pub privileged: bool,
 }
@@ -61,6 +65,8 @@ pub struct Frame<'a> {
 pub enum Reading<'a> {
     /// Image of a camera.
     Image(Frame<'a>),
+    /// Sweep of a LiDAR that ends at the moment of the step.
+    Sweep(&'a LidarSweep),
 }
 
 impl<'a> Reading<'a> {
@@ -73,8 +79,17 @@ impl<'a> Reading<'a> {
 
 /// The images among `readings`, in order.
 pub fn images<'a>(readings: &[Reading<'a>]) -> impl Iterator<Item = Frame<'a>> {
-    readings.iter().map(|reading| match reading {
-        Reading::Image(frame) => *frame,
+    readings.iter().filter_map(|reading| match reading {
+        Reading::Image(frame) => Some(*frame),
+        Reading::Sweep(_) => None,
+    })
+}
+
+/// The sweeps among `readings`, in order.
+pub fn sweeps<'a>(readings: &[Reading<'a>]) -> impl Iterator<Item = &'a LidarSweep> {
+    readings.iter().filter_map(|reading| match reading {
+        Reading::Image(_) => None,
+        Reading::Sweep(sweep) => Some(*sweep),
     })
 }
 

@@ -55,6 +55,7 @@ impl Planner for Replay {
         ObservationRequest {
             cameras: Cameras::None,
             privileged: true,
+            ..ObservationRequest::default()
         }
     }
 

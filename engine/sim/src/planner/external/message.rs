@@ -2,13 +2,15 @@
 
 use decouplegs_scene::LightColor;
 use decouplegs_scene::episode::StopLineRecord;
+use decouplegs_scene::lidar::PointFrame;
 use decouplegs_scene::plan::{Plan, PlanPoint};
-use decouplegs_scene::{Sensor, SignKind, VehicleSize, VehicleState};
+use decouplegs_scene::{LidarSweep, Pose, Sensor, SignKind, VehicleSize, VehicleState};
 use glam::DVec2;
 use serde_json::{Value, json};
 
 use crate::planner::{
     Cameras, EpisodeInfo, Frame, KnownAgent, Observation, ObservationRequest, Privileged, images,
+    sweeps,
 };
 
 /// The version of the protocol. Another one is refused.
@@ -104,6 +106,11 @@ fn introduction(message: &Value) -> Result<Introduction, String> {
         Some("all") => Cameras::All,
         _ => return Err("said hello without `cameras`; expected none, front or all".into()),
     };
+    let lidars = match message.get("lidars").map(|lidars| lidars.as_str()) {
+        None | Some(Some("none")) => false,
+        Some(Some("all")) => true,
+        Some(_) => return Err("said hello with other `lidars` than none or all".into()),
+    };
     let privileged = message["privileged"]
         .as_bool()
         .ok_or("said hello without `privileged`; expected true or false")?;
@@ -111,6 +118,7 @@ fn introduction(message: &Value) -> Result<Introduction, String> {
         name: printable(name, NAME_CHARS_MAX),
         sees: ObservationRequest {
             cameras,
+            lidars,
             privileged,
         },
     })
@@ -171,35 +179,82 @@ pub(super) fn hello() -> Value {
 
 /// Before an episode.
 pub(super) fn begin(info: &EpisodeInfo) -> Value {
-    let camera = |sensor: &Sensor| {
-        let Sensor::Camera(camera) = sensor;
-        let (k, pose) = (camera.intrinsics, camera.rig_from_camera);
-        let rotation = [
-            pose.rotation.w,
-            pose.rotation.x,
-            pose.rotation.y,
-            pose.rotation.z,
-        ];
-        json!({
-            "name": camera.name, "width_px": k.width_px, "height_px": k.height_px,
-            "fx_px": k.fx_px, "fy_px": k.fy_px, "cx_px": k.cx_px, "cy_px": k.cy_px,
-            "position_m": pose.translation.to_array(), "rotation_wxyz": rotation,
-        })
+    let wxyz = |pose: &Pose| {
+        let turned = pose.rotation;
+        [turned.w, turned.x, turned.y, turned.z]
     };
-    json!({
+    let (mut cameras, mut lidars) = (Vec::new(), Vec::new());
+    for sensor in &info.sensors {
+        match sensor {
+            Sensor::Camera(camera) => {
+                let (k, pose) = (camera.intrinsics, camera.rig_from_camera);
+                cameras.push(json!({
+                    "name": camera.name, "width_px": k.width_px, "height_px": k.height_px,
+                    "fx_px": k.fx_px, "fy_px": k.fy_px, "cx_px": k.cx_px, "cy_px": k.cy_px,
+                    "position_m": pose.translation.to_array(), "rotation_wxyz": wxyz(&pose),
+                }));
+            }
+            Sensor::Lidar(lidar) => {
+                let (model, pose) = (&lidar.model, lidar.rig_from_lidar);
+                lidars.push(json!({
+                    "name": lidar.name, "sensor": model.name, "rings": model.rings(), "columns": model.columns(),
+                    "sweep_s": model.sweep_s, "range_m": model.range_m,
+                    "position_m": pose.translation.to_array(), "rotation_wxyz": wxyz(&pose),
+                }));
+            }
+        }
+    }
+    let mut message = json!({
         "type": "begin", "scenario": info.scenario, "step_s": info.step_s, "ego_size_m": info.ego_size.to_array(),
-        "cameras": info.sensors.iter().map(camera).collect::<Vec<_>>(), "bytes": 0,
-    })
+        "cameras": cameras, "bytes": 0,
+    });
+    if !lidars.is_empty() {
+        message["lidars"] = lidars.into();
+    }
+    message
 }
 
-/// At a step. The images follow the line in the order of `frames`.
+/// Bytes of a point in the protocol.
+const POINT_BYTES: usize = 24;
+
+/// The points of a sweep as the protocol has them, in the frame of the ego at the step.
+pub(super) fn points(sweep: &LidarSweep) -> Vec<u8> {
+    let frame = PointFrame::EgoAt(sweep.lidar.model.sweep_s);
+    let points = sweep.points(frame);
+    let mut bytes = Vec::with_capacity(POINT_BYTES * points.len());
+    for point in &points {
+        let [x, y, z] = point.position_m.as_vec3().to_array();
+        for value in [x, y, z, point.measured.intensity] {
+            bytes.extend(value.to_le_bytes());
+        }
+        let since_start_ns = (1e9 * point.beam.time_s).round() as u32;
+        bytes.extend(since_start_ns.to_le_bytes());
+        for value in [point.beam.ring, point.beam.laser] {
+            bytes.extend(value.to_le_bytes());
+        }
+    }
+    bytes
+}
+
+/// At a step. The images follow the line in the order of `frames`, the points of sweeps after them.
 pub(super) fn observe(observation: &Observation) -> Value {
     let (ego, guidance) = (observation.ego, observation.guidance);
     let frame = |frame: Frame| {
         let k = frame.camera.intrinsics;
         json!({ "camera": frame.camera.name, "width_px": k.width_px, "height_px": k.height_px, "bytes": frame.rgba.len() })
     };
-    json!({
+    let sweep = |sweep: &LidarSweep| {
+        let count = sweep.returns.len();
+        json!({ "lidar": sweep.lidar.name, "points": count, "bytes": POINT_BYTES * count })
+    };
+    let sweeps_sent: Vec<Value> = sweeps(observation.readings).map(sweep).collect();
+    let image_bytes: usize = images(observation.readings)
+        .map(|frame| frame.rgba.len())
+        .sum();
+    let points: usize = sweeps(observation.readings)
+        .map(|sweep| sweep.returns.len())
+        .sum();
+    let mut message = json!({
         "type": "observe", "step": observation.step, "time_s": observation.time_s,
         "ego": {
             "speed_mps": ego.speed_mps, "acceleration_mps2": ego.acceleration_mps2,
@@ -211,8 +266,12 @@ pub(super) fn observe(observation: &Observation) -> Value {
         },
         "frames": images(observation.readings).map(frame).collect::<Vec<_>>(),
         "privileged": observation.privileged.map(privileged),
-        "bytes": images(observation.readings).map(|frame| frame.rgba.len()).sum::<usize>(),
-    })
+        "bytes": image_bytes + POINT_BYTES * points,
+    });
+    if !sweeps_sent.is_empty() {
+        message["sweeps"] = sweeps_sent.into();
+    }
+    message
 }
 
 fn privileged(known: &Privileged) -> Value {

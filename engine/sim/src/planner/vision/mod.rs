@@ -126,6 +126,7 @@ impl Planner for Vision {
         ObservationRequest {
             cameras: Cameras::Front,
             privileged: false,
+            ..ObservationRequest::default()
         }
     }
 
