@@ -3,10 +3,14 @@
 
 use std::path::Path;
 use std::process::{Child, Command};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use decouplegs::asset::read_lidar;
 use decouplegs::planner::{Cameras, External, ObservationRequest, Planner, Reading, Transport};
-use glam::DVec2;
+use decouplegs::scene::lidar::{LidarReturn, PointFrame};
+use decouplegs::scene::{LidarSweep, Motion, Pose, RigLidar, Sensor};
+use glam::{DQuat, DVec2, DVec3};
 
 use super::scene_ahead::{PATIENT, briefing, cameras, observation, opened, privileged};
 
@@ -81,6 +85,62 @@ fn drive(planner: &mut dyn Planner) {
 #[test]
 fn what_is_sent_arrives_to_the_byte() {
     drive(&mut opened("checksum_planner.py", &[], PATIENT));
+}
+
+/// A sweep with two returns.
+fn sweep() -> LidarSweep {
+    let model = read_lidar("xt32".as_ref()).unwrap();
+    let lidar = RigLidar {
+        name: "top".into(),
+        model: Arc::new(model),
+        rig_from_lidar: Pose::new(DQuat::IDENTITY, DVec3::new(0.5, 0.25, 2.0)),
+    };
+    let motion = Motion {
+        velocity_mps: DVec3::X * 10.0,
+        ..Motion::REST
+    };
+    let found = |beam, range_m| LidarReturn {
+        beam,
+        range_m,
+        intensity: 0.25,
+        instance: 3,
+    };
+    LidarSweep {
+        beams: lidar.model.beams().into(),
+        lidar: lidar.sweep_until(&Pose::from_yaw(1.0, DVec3::new(40.0, 5.0, 1.0)), &motion),
+        returns: vec![found(15, 10.0), found(1000 * 32 + 31, 20.0)],
+    }
+}
+
+#[test]
+fn points_arrive_to_the_bit_in_the_frame_of_the_ego() {
+    let (mut planner, sweep, camera) = (
+        opened("sweep_planner.py", &[], PATIENT),
+        sweep(),
+        &cameras()[0],
+    );
+    assert!(planner.sees().lidars && !planner.sees().privileged);
+    let model = &sweep.lidar.model;
+    let mut info = briefing();
+    info.sensors.push(Sensor::Lidar(RigLidar {
+        name: "top".into(),
+        model: model.clone(),
+        rig_from_lidar: sweep.lidar.rig_from_lidar,
+    }));
+    planner.begin(&info).unwrap();
+    let rgba = image(camera.intrinsics.pixels(), 3);
+    let readings = [Reading::image(camera, &rgba), Reading::Sweep(&sweep)];
+    let plan = planner.plan(&observation(1, &readings, None)).unwrap();
+    let rgba_sum = rgba.iter().map(|&byte| f64::from(byte)).sum::<f64>() % 1000.0;
+    let mut expected = vec![DVec2::new(32.0, 0.1), DVec2::new(rgba_sum, 2.0)];
+    for found in sweep.points(PointFrame::EgoAt(model.sweep_s)) {
+        let [x, y, z] = found.position_m.as_vec3().to_array().map(f64::from);
+        let offset_ms = 1e-6 * (1e9 * found.beam.time_s).round();
+        let lasers = f64::from(10 * found.beam.ring + found.beam.laser);
+        expected.extend([[x, y], [z, 0.25], [offset_ms, lasers]].map(DVec2::from_array));
+    }
+    let places = plan.points().iter().map(|point| point.position_m);
+    assert_eq!(places.collect::<Vec<_>>(), expected);
 }
 
 #[test]

@@ -49,20 +49,38 @@ class Frame:
         return numpy.frombuffer(self.rgba, numpy.uint8).reshape(self.height_px, self.width_px, 4)
 
 
+class Sweep:
+    """A sweep of a LiDAR that ends at the step: `points` holds `count` points of `POINT_BYTES` bytes, in the ego's frame."""
+
+    POINT_BYTES = 24
+
+    def __init__(self, lidar: str, count: int, points: bytes):
+        self.lidar, self.count, self.points = lidar, count, points
+
+    def array(self):
+        """The points as a structured numpy array, read-only: x, y, z (meters), intensity (0 to 1), offset_ns since the start
+        of the sweep, ring (from the highest row), laser. Needs numpy."""
+        import numpy
+
+        fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("offset_ns", "<u4"), ("ring", "<u2"),
+                  ("laser", "<u2")]
+        return numpy.frombuffer(self.points, numpy.dtype(fields))
+
+
 class Observation:
     """What is known at a step.
 
     `step` counts from 0, `time_s` is since the episode's start. `ego` has speed_mps, acceleration_mps2, steer_rad and
     yaw_rate_radps; `guidance` has turn (straight, left, right), distance_m, angle_rad, length_m and cruise_mps. `frames` are the
-    images by camera. `privileged` is None or has ego, route_m, agents, stop_lines and signs.
+    images by camera, `sweeps` the sweeps by LiDAR. `privileged` is None or has ego, route_m, agents, stop_lines and signs.
     """
 
-    def __init__(self, header: dict, frames: Dict[str, Frame]):
+    def __init__(self, header: dict, frames: Dict[str, Frame], sweeps: Dict[str, Sweep]):
         self.step: int = header["step"]
         self.time_s: float = header["time_s"]
         self.ego = SimpleNamespace(**header["ego"])
         self.guidance = SimpleNamespace(**header["guidance"])
-        self.frames = frames
+        self.frames, self.sweeps = frames, sweeps
         known = header.get("privileged")
         self.privileged = None if known is None else SimpleNamespace(
             ego=SimpleNamespace(**known["ego"]),
@@ -74,11 +92,13 @@ class Observation:
 
 
 class Planner:
-    """What a planner is made of. Set the three wishes and override `plan`."""
+    """What a planner is made of. Set the wishes and override `plan`."""
 
     name = "unnamed"
     #: Images it wants: "none", "front" or "all".
     cameras = "none"
+    #: Sweeps it wants: "none" or "all" LiDARs of the ego.
+    lidars = "none"
     #: Whether it wants to be told the states of others and its route, which no camera shows.
     privileged = False
 
@@ -86,7 +106,8 @@ class Planner:
         """Before each episode: forget the one before.
 
         `briefing` has scenario, step_s, ego_size_m (length, width, height) and cameras, each a dictionary of name, width_px,
-        height_px, fx_px, fy_px, cx_px, cy_px, and where it sits on the ego: position_m and rotation_wxyz.
+        height_px, fx_px, fy_px, cx_px, cy_px, and where it sits on the ego: position_m and rotation_wxyz. With LiDARs it has
+        lidars too, each a dictionary of name, sensor, rings, columns, sweep_s, range_m, position_m and rotation_wxyz.
         """
 
     def plan(self, observation: Observation) -> Iterable[Tuple[float, float, float]]:
@@ -106,25 +127,29 @@ def read_exactly(stream: BinaryIO, count: int) -> bytes:
     return b"".join(parts)
 
 
-def read_frames(stream: BinaryIO, header: dict) -> Dict[str, Frame]:
-    """The images that follow the header of an observation."""
-    sizes = header["frames"]
-    if sum(size["bytes"] for size in sizes) != header["bytes"]:
-        raise ProtocolError(f"{header['bytes']} bytes follow; expected as many as the frames have together")
-    frames = {}
-    for size in sizes:
+def read_readings(stream: BinaryIO, header: dict) -> Tuple[Dict[str, Frame], Dict[str, Sweep]]:
+    """The images and sweeps that follow the header of an observation."""
+    images, clouds = header["frames"], header.get("sweeps", [])
+    if sum(size["bytes"] for size in images + clouds) != header["bytes"]:
+        raise ProtocolError(f"{header['bytes']} bytes follow; expected as many as frames and sweeps have together")
+    frames, sweeps = {}, {}
+    for size in images:
         rgba = read_exactly(stream, size["bytes"])
         frames[size["camera"]] = Frame(size["camera"], size["width_px"], size["height_px"], rgba)
-    return frames
+    for size in clouds:
+        sweeps[size["lidar"]] = Sweep(size["lidar"], size["points"], read_exactly(stream, size["bytes"]))
+    return frames, sweeps
 
 
-def answer_to(planner: Planner, header: dict, frames: Dict[str, Frame]) -> dict:
+def answer_to(planner: Planner, header: dict, frames: Dict[str, Frame], sweeps: Dict[str, Sweep]) -> dict:
     """What `planner` answers to a message other than `end`."""
     asked = header.get("type")
     if asked == "hello":
         if header.get("protocol") != PROTOCOL:
             raise ProtocolError(f"protocol {header.get('protocol')}; expected {PROTOCOL}")
         wishes = {"name": planner.name, "cameras": planner.cameras, "privileged": planner.privileged}
+        if planner.lidars != "none":
+            wishes["lidars"] = planner.lidars
         return {"type": "hello", "protocol": PROTOCOL, **wishes}
     if asked not in ("begin", "observe"):
         raise ProtocolError(f"a message of type {asked!r}; expected hello, begin, observe or end")
@@ -132,7 +157,7 @@ def answer_to(planner: Planner, header: dict, frames: Dict[str, Frame]) -> dict:
         if asked == "begin":
             planner.begin(SimpleNamespace(**{key: value for key, value in header.items() if key not in ("type", "bytes")}))
             return {"type": "ready"}
-        points = [[float(number) for number in point] for point in planner.plan(Observation(header, frames))]
+        points = [[float(number) for number in point] for point in planner.plan(Observation(header, frames, sweeps))]
         answer = {"type": "plan", "step": header["step"], "points": points}
         json.dumps(answer, allow_nan=False)
         return answer
@@ -151,14 +176,14 @@ def converse(planner: Planner, reading: BinaryIO, writing: BinaryIO) -> None:
             header = json.loads(line)
         except ValueError as error:
             raise ProtocolError(f"a line that is not JSON: {error}") from error
-        frames: Dict[str, Frame] = {}
+        frames, sweeps = {}, {}
         if header.get("type") == "end":
             return
         if header.get("type") == "observe":
-            frames = read_frames(reading, header)
+            frames, sweeps = read_readings(reading, header)
         elif header.get("bytes"):
             read_exactly(reading, header["bytes"])
-        writing.write(json.dumps(answer_to(planner, header, frames)).encode() + b"\n")
+        writing.write(json.dumps(answer_to(planner, header, frames, sweeps)).encode() + b"\n")
         writing.flush()
 
 

@@ -5,7 +5,10 @@ use std::process::Command;
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo:rerun-if-changed=proto");
-    let files = protox::compile(["sensorsim.proto", "physics.proto"], ["proto"])?;
+    let files = protox::compile(
+        ["sensorsim.proto", "physics.proto", "lidar.proto"],
+        ["proto"],
+    )?;
     let mut messages = tonic_prost_build::Config::new();
     messages.enable_type_names();
     tonic_prost_build::configure()

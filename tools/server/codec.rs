@@ -18,6 +18,7 @@ const REPEATED: &[(&str, &[&[u32]])] = &[
     ("BatchRGBRenderRequest", &[&[1], &[1, 2, 8]]),
     ("AggregatedRenderRequest", &[&[1], &[1, 8], &[2], &[2, 6]]),
     ("LidarRenderRequest", &[&[6]]),
+    ("SweepRequest", &[&[6]]),
     ("PhysicsGroundIntersectionRequest", &[&[5], &[4, 3, 1]]),
 ];
 

@@ -6,8 +6,8 @@
 //! | `proto/`, [`wire`], `codec` | the messages of the public contract, and how they are read without trusting their counts |
 //! | [`options`], [`names`] | options, and the names of the services |
 //! | `request_guard`, `connections` | admission: tokens, limits, deadlines, metrics |
-//! | `sensorsim`, `physics` | the services: messages in, messages out |
-//! | `render_request`, `poses`, `camera_spec` | a checked request: cameras and agents at mid-shutter |
+//! | `sensorsim`, `lidar`, `physics` | the services: messages in, messages out |
+//! | `render_request`, `sweep_request`, `poses`, `camera_spec` | a checked request: cameras, LiDARs and agents |
 //! | `scene_registry` | scenes that are served, and their metadata |
 //! | `render_queue`, `scene_renderer` | the thread that draws, and a scene on the device |
 //! | [`encoding`] | images as PNG, JPEG or planes, on threads of their own |
@@ -25,6 +25,7 @@ mod codec;
 mod connections;
 pub mod encoding;
 mod jpeg;
+mod lidar;
 mod log_limit;
 mod metrics;
 mod metrics_page;
@@ -39,4 +40,5 @@ pub mod running;
 mod scene_registry;
 mod scene_renderer;
 mod sensorsim;
+mod sweep_request;
 pub mod wire;

@@ -17,6 +17,8 @@ pub const PHYSICS_ALSO: [&str; 2] = [
     "nre.grpc.protos.physics.PhysicsService",
     "nurec.grpc.protos.physics.PhysicsService",
 ];
+/// The LiDAR service, our own.
+pub const LIDAR: &str = "decouplegs.Lidar";
 /// The health service.
 pub const HEALTH: &str = "grpc.health.v1.Health";
 
@@ -24,7 +26,7 @@ pub const HEALTH: &str = "grpc.health.v1.Health";
 pub const CONTRACT_VERSION: [u32; 3] = [0, 54, 0];
 
 /// Methods that are counted by name; any other is counted as `other`.
-const METHODS: [(&str, &str); 15] = [
+const METHODS: [(&str, &str); 17] = [
     (SENSORSIM, "render_rgb"),
     (SENSORSIM, "render_lidar"),
     (SENSORSIM, "render_aggregated"),
@@ -35,6 +37,8 @@ const METHODS: [(&str, &str); 15] = [
     (SENSORSIM, "get_available_cameras"),
     (SENSORSIM, "get_available_trajectories"),
     (SENSORSIM, "get_available_ego_masks"),
+    (LIDAR, "get_available_lidars"),
+    (LIDAR, "render_sweep"),
     (PHYSICS, "ground_intersection"),
     (PHYSICS, "get_version"),
     (PHYSICS, "get_available_scenes"),

@@ -47,15 +47,24 @@ pub fn middle_of(
     duration_s: f64,
     field: &str,
 ) -> Result<(Pose, Motion), Status> {
-    let pair = pair.ok_or_else(|| Status::invalid_argument(format!("{field} is missing")))?;
-    let start = pose_of(pair.start_pose.as_ref(), &format!("{field}.start_pose"))?;
-    let end = pose_of(pair.end_pose.as_ref(), &format!("{field}.end_pose"))?;
+    let (start, end) = pair_of(pair, field)?;
     let motion = if duration_s > 0.0 {
         Motion::between(&start, &end, duration_s)
     } else {
         Motion::REST
     };
     Ok((start.interpolate(&end, 0.5), motion))
+}
+
+/// The start and the end in `field` of a message.
+///
+/// # Errors
+/// INVALID_ARGUMENT with the name of the field that is missing or makes no sense.
+pub fn pair_of(pair: Option<&PosePair>, field: &str) -> Result<(Pose, Pose), Status> {
+    let pair = pair.ok_or_else(|| Status::invalid_argument(format!("{field} is missing")))?;
+    let start = pose_of(pair.start_pose.as_ref(), &format!("{field}.start_pose"))?;
+    let end = pose_of(pair.end_pose.as_ref(), &format!("{field}.end_pose"))?;
+    Ok((start, end))
 }
 
 /// `pose` as a message.

@@ -15,7 +15,8 @@ use anyhow::{Context, Result, ensure};
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::Gpu;
 use decouplegs::open_movable_scene;
-use decouplegs::session::{HostImages, Session};
+use decouplegs::scene::LidarSweep;
+use decouplegs::session::{HostImages, Session, SessionError};
 use tokio::sync::{oneshot, watch};
 use tonic::Status;
 
@@ -26,7 +27,8 @@ use crate::names::no_scene;
 use crate::options::Limits;
 use crate::render_request::RenderRequest;
 use crate::scene_registry::SceneRegistry;
-use crate::scene_renderer::{SceneRenderer, is_lost, status_of};
+use crate::scene_renderer::{Drawn, SceneRenderer, is_lost, status_of};
+use crate::sweep_request::SweepRequest;
 
 /// Frames whose images there may be at a time. When encoding falls so far behind, drawing waits:
 /// memory stays bounded.
@@ -36,7 +38,7 @@ const WARNED_MAX: usize = 1000;
 /// Threads that read files. One may wait for a slow disk while another reads.
 const READERS: usize = 2;
 
-/// Asks for images.
+/// Asks for images and sweeps.
 #[derive(Clone)]
 pub struct RenderQueue {
     messages: Sender<Message>,
@@ -99,10 +101,40 @@ enum Message {
     Stop,
 }
 
-/// Requests for one scene with the same objects.
-struct Job {
-    requests: Vec<RenderRequest>,
-    answer: oneshot::Sender<Result<Images, Status>>,
+/// Work for one scene.
+enum Job {
+    /// Requests with the same objects.
+    Images {
+        requests: Vec<RenderRequest>,
+        answer: oneshot::Sender<Result<Images, Status>>,
+    },
+    /// One sweep of a LiDAR.
+    Sweep {
+        request: Box<SweepRequest>,
+        answer: oneshot::Sender<Result<LidarSweep, Status>>,
+    },
+}
+
+impl Job {
+    /// Id of the scene.
+    fn scene(&self) -> String {
+        let of_images = |requests: &[RenderRequest]| {
+            let first = requests.first().map(|request| request.scene.clone());
+            first.unwrap_or_default()
+        };
+        match self {
+            Self::Images { requests, .. } => of_images(requests),
+            Self::Sweep { request, .. } => request.scene.clone(),
+        }
+    }
+
+    /// True if the client has gone, or the deadline has passed.
+    fn is_closed(&self) -> bool {
+        match self {
+            Self::Images { answer, .. } => answer.is_closed(),
+            Self::Sweep { answer, .. } => answer.is_closed(),
+        }
+    }
 }
 
 impl RenderQueue {
@@ -172,14 +204,33 @@ impl RenderQueue {
     /// NOT_FOUND for unknown scenes, and what reading or drawing meets.
     pub async fn draw(&self, requests: Vec<RenderRequest>) -> Result<Images, Status> {
         let (answer, answered) = oneshot::channel();
+        self.answered(Job::Images { requests, answer }, answered)
+            .await
+    }
+
+    /// The sweep that `request` asks for.
+    ///
+    /// # Errors
+    /// Those of [`RenderQueue::draw`].
+    pub async fn sweep(&self, request: SweepRequest) -> Result<LidarSweep, Status> {
+        let (answer, answered) = oneshot::channel();
+        let request = Box::new(request);
+        self.answered(Job::Sweep { request, answer }, answered)
+            .await
+    }
+
+    /// Sends `job` and waits for its answer.
+    async fn answered<T>(
+        &self,
+        job: Job,
+        answered: oneshot::Receiver<Result<T, Status>>,
+    ) -> Result<T, Status> {
         self.metrics.queued(1);
-        let sent = self.messages.send(Message::Draw(Job { requests, answer }));
         let gone = || Status::unavailable("the server is ending: ask another");
-        let answered = match sent {
-            Ok(()) => answered.await.map_err(|_| gone()),
+        match self.messages.send(Message::Draw(job)) {
+            Ok(()) => answered.await.map_err(|_| gone())?,
             Err(_) => Err(gone()),
-        };
-        answered?
+        }
     }
 
     /// Reads `scenes` into the cache.
@@ -301,19 +352,15 @@ impl RenderWorker {
     }
 
     fn draw_or_wait(&mut self, job: Job) {
-        let id = job
-            .requests
-            .first()
-            .map(|request| request.scene.clone())
-            .unwrap_or_default();
+        let id = job.scene();
         if self.refusing.load(Ordering::Relaxed) {
-            return self.answer(
-                job.answer,
-                Err(Status::unavailable("the server is ending: ask another")),
+            return self.refuse(
+                job,
+                Status::unavailable("the server is ending: ask another"),
             );
         }
         if self.registry.path(&id).is_none() {
-            return self.answer(job.answer, Err(no_scene(&id)));
+            return self.refuse(job, no_scene(&id));
         }
         if self.scenes.get(&id).is_some() {
             self.draw(&id, job);
@@ -350,7 +397,7 @@ impl RenderWorker {
                 );
             }
             jobs.into_iter()
-                .for_each(|job| self.answer(job.answer, Err(status.clone())));
+                .for_each(|job| self.refuse(job, status.clone()));
             return;
         }
         // As they came, and refused if the server is ending meanwhile.
@@ -399,36 +446,51 @@ impl RenderWorker {
     }
 
     fn draw(&mut self, id: &str, job: Job) {
-        let Job { requests, answer } = job;
-        // The client has gone, or the deadline has passed.
-        if answer.is_closed() {
+        if job.is_closed() {
             return self.metrics.queued(-1);
         }
-        let mut images = self.memory.take();
+        match job {
+            Job::Images { requests, answer } => {
+                let mut images = self.memory.take();
+                let drawn = self.on_scene(id, requests.len(), |scene| {
+                    let drawn = scene.draw(&requests, &mut images.bytes)?;
+                    Ok(((), drawn))
+                });
+                self.answer(answer, drawn.map(|()| images));
+            }
+            Job::Sweep { request, answer } => {
+                let swept = self.on_scene(id, 0, |scene| scene.sweep(&request));
+                self.answer(answer, swept);
+            }
+        }
+    }
+
+    /// The result of `work` on the scene `id`, which draws so many images.
+    fn on_scene<T>(
+        &mut self,
+        id: &str,
+        images: usize,
+        work: impl FnOnce(&mut SceneRenderer) -> Result<(T, Drawn), SessionError>,
+    ) -> Result<T, Status> {
         let (before, held) = (
             self.session.gpu().memory().total_bytes,
             self.scenes.bytes_of(id),
         );
         let Some(scene_renderer) = self.scenes.get(id) else {
-            return self.answer(
-                answer,
-                Err(Status::unavailable(format!(
-                    "scene {id:?} left the cache: ask again"
-                ))),
-            );
+            return Err(Status::unavailable(format!(
+                "scene {id:?} left the cache: ask again"
+            )));
         };
         let since = Instant::now();
-        let result = match caught("drawing", || {
-            scene_renderer.draw(&requests, &mut images.bytes)
-        }) {
-            Ok(Ok(drawn)) => {
+        match caught("drawing", || work(scene_renderer)) {
+            Ok(Ok((done, drawn))) => {
                 tracing::debug!(
                     scene = id,
-                    cameras = requests.len(),
+                    images,
                     seconds = since.elapsed().as_secs_f64(),
                     "a frame was drawn"
                 );
-                self.metrics.drew(requests.len(), drawn.unknown.len());
+                self.metrics.drew(images, drawn.unknown.len());
                 self.warn_of(id, drawn.unknown);
                 let grown =
                     i128::from(self.session.gpu().memory().total_bytes) - i128::from(before);
@@ -436,7 +498,7 @@ impl RenderWorker {
                     id,
                     u64::try_from((i128::from(held) + grown).max(0)).unwrap_or(u64::MAX),
                 );
-                Ok(images)
+                Ok(done)
             }
             // What the panic left of the scene is not drawn again.
             Err(status) => {
@@ -460,8 +522,7 @@ impl RenderWorker {
                 }
                 Err(status_of(&error))
             }
-        };
-        self.answer(answer, result);
+        }
     }
 
     fn resize(&mut self, id: &str, bytes: u64) {
@@ -489,11 +550,14 @@ impl RenderWorker {
         }
     }
 
-    fn answer(
-        &self,
-        answer: oneshot::Sender<Result<Images, Status>>,
-        result: Result<Images, Status>,
-    ) {
+    fn refuse(&self, job: Job, status: Status) {
+        match job {
+            Job::Images { answer, .. } => self.answer(answer, Err(status)),
+            Job::Sweep { answer, .. } => self.answer(answer, Err(status)),
+        }
+    }
+
+    fn answer<T>(&self, answer: oneshot::Sender<Result<T, Status>>, result: Result<T, Status>) {
         self.metrics.queued(-1);
         // A client may read the metrics as soon as it has the answer.
         self.metrics

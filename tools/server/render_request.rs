@@ -114,7 +114,12 @@ impl RenderRequest {
     }
 }
 
-fn objects_of(
+/// The agents of `objects` halfway through the `shutter_s` that their motion takes.
+///
+/// # Errors
+/// INVALID_ARGUMENT with the name of the field that makes no sense, RESOURCE_EXHAUSTED where there
+/// are too many.
+pub fn objects_of(
     objects: &[DynamicObject],
     shutter_s: f64,
     field: &str,

@@ -18,13 +18,14 @@ use tonic_health::server::{HealthReporter, health_reporter};
 
 use crate::encoding::Encoders;
 use crate::metrics::Metrics;
-use crate::names::{PHYSICS, PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
+use crate::names::{LIDAR, PHYSICS, PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
 use crate::options::ServerOptions;
 use crate::physics::Physics;
 use crate::render_queue::RenderQueue;
 use crate::request_guard::GateLayer;
 use crate::scene_registry::SceneRegistry;
 use crate::sensorsim::Sensorsim;
+use crate::wire::lidar::lidar_server::LidarServer;
 use crate::wire::physics::physics_service_server::PhysicsServiceServer;
 use crate::wire::sensorsim::sensorsim_service_server::SensorsimServiceServer;
 use crate::{connections, metrics_page};
@@ -195,6 +196,9 @@ impl Services {
                 .tls_config(tls.timeout(limits.handshake()))
                 .context("the certificate or its key cannot be used")?;
         }
+        let lidar = LidarServer::new(self.sensorsim.clone())
+            .max_decoding_message_size(limits.request_bytes)
+            .max_encoding_message_size(limits.message_bytes);
         let sensorsim = SensorsimServiceServer::new(self.sensorsim)
             .max_decoding_message_size(limits.request_bytes)
             .max_encoding_message_size(limits.message_bytes);
@@ -203,6 +207,7 @@ impl Services {
             .max_encoding_message_size(limits.message_bytes);
         let router = server
             .add_service(sensorsim)
+            .add_service(lidar)
             .add_service(physics)
             .add_service(health);
         let (close, closing) = watch::channel(false);
@@ -242,7 +247,7 @@ impl Services {
 }
 
 async fn report(reporter: &HealthReporter, status: ServingStatus) {
-    for name in ["", SENSORSIM, PHYSICS]
+    for name in ["", SENSORSIM, LIDAR, PHYSICS]
         .into_iter()
         .chain(SENSORSIM_ALSO)
         .chain(PHYSICS_ALSO)

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene};
-use decouplegs::scene::{Pose, Rig, RigCamera, TimedPose, Trajectory};
+use decouplegs::scene::{Pose, Rig, RigCamera, RigLidar, TimedPose, Trajectory};
 use glam::DVec3;
 
 /// Metadata of a scene as clients see it: in the local frame, and from the clients' rig origin.
@@ -14,6 +14,8 @@ use glam::DVec3;
 pub struct SceneMetadata {
     /// The rig's cameras.
     pub rig: Rig,
+    /// The rig's LiDARs.
+    pub lidars: Vec<RigLidar>,
     /// The way of the rig.
     pub ego: Trajectory,
 }
@@ -104,13 +106,14 @@ impl SceneRegistry {
         }
         let metadata = if is_scene_file(path) {
             let file = SceneFile::read(path)?;
-            let ego = file.ego.unwrap_or_else(|| {
+            let ego = file.ego.clone().unwrap_or_else(|| {
                 Trajectory::standing(Pose {
                     translation: file.origin,
                     ..Pose::IDENTITY
                 })
             });
-            self.seen_by_clients(file.rig, &ego, file.origin)
+            let directory = path.parent().unwrap_or(Path::new(""));
+            self.seen_by_clients(file.loaded_rig(directory)?, &ego, file.origin)
         } else {
             let loaded = open_scene(path, 0.0)?;
             self.seen_by_clients(loaded.rig, &loaded.ego, loaded.world.origin)
@@ -121,18 +124,17 @@ impl SceneRegistry {
     }
 
     fn seen_by_clients(&self, rig: Rig, ego: &Trajectory, world_origin: DVec3) -> SceneMetadata {
-        let moved = |camera: RigCamera| {
-            let Pose {
-                rotation,
-                translation,
-            } = camera.rig_from_camera;
-            RigCamera {
-                rig_from_camera: Pose {
-                    rotation,
-                    translation: translation - self.rig_origin,
-                },
-                ..camera
-            }
+        let in_rig = |pose: Pose| Pose {
+            translation: pose.translation - self.rig_origin,
+            ..pose
+        };
+        let moved = |camera: RigCamera| RigCamera {
+            rig_from_camera: in_rig(camera.rig_from_camera),
+            ..camera
+        };
+        let moved_lidar = |lidar: RigLidar| RigLidar {
+            rig_from_lidar: in_rig(lidar.rig_from_lidar),
+            ..lidar
         };
         let local = |timed: &TimedPose| {
             let translation = timed.pose.transform(self.rig_origin) - world_origin;
@@ -146,6 +148,7 @@ impl SceneRegistry {
         };
         let poses = ego.poses().iter().map(local).collect();
         SceneMetadata {
+            lidars: rig.lidars().cloned().map(moved_lidar).collect(),
             rig: rig.cameras().cloned().map(moved).collect(),
             ego: Trajectory::new(poses).unwrap_or_else(|_| ego.clone()),
         }

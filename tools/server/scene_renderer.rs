@@ -6,14 +6,15 @@ use decouplegs::AgentInstance;
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::GpuError;
 use decouplegs::render::{ColorFormat, Outputs, RenderError, RenderOptions};
-use decouplegs::scene::{Camera, Pose};
+use decouplegs::scene::{Camera, Lidar, LidarSweep, Pose};
 use decouplegs::session::{
     BatchRenderer, HostImages, Session, SessionError, SessionOptions, World, WorldView,
 };
 use glam::DVec3;
 use tonic::Status;
 
-use crate::render_request::RenderRequest;
+use crate::render_request::{PlacedObject, RenderRequest};
+use crate::sweep_request::SweepRequest;
 
 /// A scene that can be drawn.
 pub struct SceneRenderer {
@@ -81,24 +82,7 @@ impl SceneRenderer {
         images: &mut HostImages,
     ) -> Result<Drawn, SessionError> {
         let objects = requests.first().map_or(&[][..], |request| &request.objects);
-        let mut drawn = Drawn::default();
-        let mut placed = Vec::with_capacity(objects.len());
-        for object in objects {
-            let track_id = &object.track_id;
-            match self.agents.get(track_id) {
-                Some(agent) => {
-                    let (pose, motion) = (self.in_world(&object.pose), object.motion);
-                    let instance = AgentInstance {
-                        pose,
-                        motion,
-                        ..*agent
-                    };
-                    placed.push((track_id.clone(), instance));
-                }
-                None => drawn.unknown.push(track_id.clone()),
-            }
-        }
-        self.world.set_agents(placed)?;
+        let drawn = self.place(objects)?;
         let cameras: Vec<Camera> = requests
             .iter()
             .enumerate()
@@ -109,6 +93,48 @@ impl SceneRenderer {
             cameras: &cameras,
         };
         self.renderer.draw(&[view], images)?;
+        Ok(drawn)
+    }
+
+    /// Traces the sweep that `request` asks for. Its poses are those of the request. Instances are 1
+    /// and more in the order of the objects.
+    ///
+    /// # Errors
+    /// Returns an error if a pose makes no sense, the device has not the memory or was lost.
+    pub fn sweep(&mut self, request: &SweepRequest) -> Result<(LidarSweep, Drawn), SessionError> {
+        let drawn = self.place(&request.objects)?;
+        let lidar = Lidar {
+            world_from_rig: self.in_world(&request.lidar.world_from_rig),
+            ..request.lidar.clone()
+        };
+        let halfway_s = 0.5 * lidar.model.sweep_s;
+        let traced = self.renderer.trace(&self.world, &lidar, halfway_s)?;
+        let mut sweep = traced.returns(&request.options);
+        sweep.lidar = request.lidar.clone();
+        Ok((sweep, drawn))
+    }
+
+    /// Replaces the agents of the world by `objects`.
+    fn place(&mut self, objects: &[PlacedObject]) -> Result<Drawn, SessionError> {
+        let mut drawn = Drawn::default();
+        let mut placed = Vec::with_capacity(objects.len());
+        for (index, object) in objects.iter().enumerate() {
+            let track_id = &object.track_id;
+            match self.agents.get(track_id) {
+                Some(agent) => {
+                    let (pose, motion) = (self.in_world(&object.pose), object.motion);
+                    let instance = AgentInstance {
+                        pose,
+                        motion,
+                        instance: u16::try_from(index + 1).unwrap_or(u16::MAX),
+                        ..*agent
+                    };
+                    placed.push((track_id.clone(), instance));
+                }
+                None => drawn.unknown.push(track_id.clone()),
+            }
+        }
+        self.world.set_agents(placed)?;
         Ok(drawn)
     }
 

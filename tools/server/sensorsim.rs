@@ -173,7 +173,7 @@ impl Sensorsim {
         if cameras > self.limits.cameras {
             let most = self.limits.cameras;
             return Err(Status::resource_exhausted(format!(
-                "{field}: {cameras} cameras, at most {most}"
+                "{field}: {cameras} sensors, at most {most}"
             )));
         }
         Ok(())
@@ -203,9 +203,9 @@ impl SensorsimService for Sensorsim {
 
     async fn render_lidar(
         &self,
-        _: Request<LidarRenderRequest>,
+        request: Request<LidarRenderRequest>,
     ) -> Result<Response<LidarRenderReturn>, Status> {
-        Err(Status::unimplemented("this server renders no lidar"))
+        Ok(Response::new(self.lidar(request.get_ref(), "").await?))
     }
 
     async fn render_aggregated(
@@ -213,12 +213,8 @@ impl SensorsimService for Sensorsim {
         request: Request<AggregatedRenderRequest>,
     ) -> Result<Response<AggregatedRenderReturn>, Status> {
         let request = request.into_inner();
-        if !request.lidar_requests.is_empty() {
-            return Err(Status::unimplemented(
-                "lidar_requests: this server renders no lidar",
-            ));
-        }
         self.check_cameras(request.rgb_requests.len(), "rgb_requests")?;
+        self.check_cameras(request.lidar_requests.len(), "lidar_requests")?;
         let of = |(index, request)| {
             RenderRequest::of(request, &format!("rgb_requests[{index}]"), &self.limits)
         };
@@ -235,8 +231,14 @@ impl SensorsimService for Sensorsim {
             .into_iter()
             .map(|bytes| bytes.map(|image_bytes| RgbRenderReturn { image_bytes }));
         let rgb_returns = returned.collect::<Result<_, _>>()?;
+        let mut lidar_returns = Vec::with_capacity(request.lidar_requests.len());
+        for (index, lidar) in request.lidar_requests.iter().enumerate() {
+            let field = format!("lidar_requests[{index}]");
+            lidar_returns.push(self.lidar(lidar, &field).await?);
+        }
         Ok(Response::new(AggregatedRenderReturn {
             rgb_returns,
+            lidar_returns,
             ..AggregatedRenderReturn::default()
         }))
     }

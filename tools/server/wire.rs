@@ -12,6 +12,12 @@ pub mod physics {
     tonic::include_proto!("physics");
 }
 
+/// The LiDAR service.
+pub mod lidar {
+    #![allow(missing_docs, unused_qualifications, clippy::all)]
+    tonic::include_proto!("decouplegs");
+}
+
 /// The package of the camera service, whose folders the generated code expects.
 pub mod nre {
     /// `nre.grpc`.

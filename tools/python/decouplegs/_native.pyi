@@ -111,6 +111,34 @@ class RigCamera:
     def at(self, world_from_rig: ArrayLike) -> Camera:
         """The camera in the world, of a vehicle that stands at world_from_rig, float64 [4, 4], meters."""
 
+class Lidar:
+    """A LiDAR fixed to a vehicle. Frame: x forward, y left, z up."""
+
+    def __init__(self, sensor: str | os.PathLike[str], rig_from_lidar: ArrayLike | None = None, name: str | None = None) -> None:
+        """sensor: a model that comes with the program, such as ``pandar128``, or a file (.toml, NCore .json). rig_from_lidar, float64
+        [4, 4], meters, is where it sits on the vehicle; None: on the roof of a car."""
+    @property
+    def name(self) -> str:
+        """Names its sweep."""
+    @property
+    def sensor(self) -> str:
+        """Name of the model."""
+    @property
+    def rings(self) -> int:
+        """Rows, counted from the highest."""
+    @property
+    def columns(self) -> int:
+        """Columns of a sweep."""
+    @property
+    def sweep_s(self) -> float:
+        """Duration of a sweep, seconds."""
+    @property
+    def range_m(self) -> tuple[float, float]:
+        """Least and greatest range that it reports, meters."""
+    @property
+    def rig_from_lidar(self) -> NDArray[np.float64]:
+        """Pose on the vehicle, float64 [4, 4], meters."""
+
 class Session:
     """A device, and the scenes that were opened on it: each background and each asset is there once, however many show it."""
 
@@ -170,6 +198,11 @@ class Scene:
     @property
     def rig(self) -> list[RigCamera]:
         """The ego vehicle's cameras; none for a splat file."""
+    @property
+    def lidars(self) -> list[Lidar]:
+        """The ego vehicle's LiDARs; none for a splat file."""
+    def ego_motion(self, time_s: float) -> tuple[list[float], list[float]]:
+        """Motion of the ego vehicle by the scene file: velocity, m/s along the axes of the world, and turn, rad/s about those of the vehicle."""
     def ego_pose(self, time_s: float) -> NDArray[np.float64]:
         """Where the ego vehicle is by the scene file, world_from_rig, float64 [4, 4], meters."""
     @property
@@ -284,6 +317,19 @@ class Layers(TypedDict, total=False):
     depth: NDArray[np.float32]
     instance: NDArray[np.int32]
 
+class Sweep(TypedDict):
+    """Returns of one sweep of a LiDAR, an entry each."""
+
+    points: NDArray[np.float32]
+    range: NDArray[np.float32]
+    intensity: NDArray[np.float32]
+    offset_ns: NDArray[np.uint32]
+    column: NDArray[np.uint32]
+    beam: NDArray[np.uint32]
+    ring: NDArray[np.uint16]
+    laser: NDArray[np.uint16]
+    instance: NDArray[np.uint16]
+
 Views = Sequence[tuple[World, Sequence[Camera]]]
 
 class BatchRenderer:
@@ -300,6 +346,27 @@ class BatchRenderer:
         where nothing was hit, and ``instance`` int32 [C, H, W], 0 the background."""
     def draw_dlpack(self, views: Views) -> Images:
         """As draw, and leaves the images where they were drawn: on the device where Session.exported, otherwise on the host."""
+    def sweep(
+        self,
+        world: World,
+        lidar: Lidar,
+        world_from_rig: ArrayLike,
+        *,
+        velocity: Sequence[float] = (0.0, 0.0, 0.0),
+        turn: Sequence[float] = (0.0, 0.0, 0.0),
+        frame: Literal["raw", "start", "end", "ego", "world"] = "ego",
+        returns: Literal["median", "expected", "strongest"] | None = None,
+        opacity_min: float = 0.5,
+        seed: int = 0,
+    ) -> Sweep:
+        """Traces one sweep of a LiDAR through a world, on a vehicle that is at world_from_rig, float64 [4, 4], meters, when the sweep ends.
+
+        It and the agents go on with their motion during the sweep; velocity, m/s along the axes of the world, and turn, rad/s about those
+        of the vehicle, are the vehicle's. ``points`` float32 [N, 3], meters, are in ``frame``: of the sensor at each firing (``raw``), at
+        the ``start`` or ``end`` of the sweep, of the vehicle at its end (``ego``), or of the ``world``. ``intensity`` is the luma of splats,
+        0 to 1: uncalibrated. ``ring`` counts from the highest row; ``instance`` 0 is the background. NumPy arrays, which from_dlpack of
+        other libraries takes as they are.
+        """
     def collect(self) -> int:
         """Takes back images that nobody reads any more, which each draw_dlpack does first; how many frames the device still reads."""
     @property
@@ -419,6 +486,9 @@ class Rollout:
     def step_plan(self, points: ArrayLike) -> StepResult:
         """Drives a step along a trajectory: float64 [N, 3] of time (seconds from now, rising), x (forward) and y (left) in the ego's
         frame, meters."""
+    @property
+    def ego_motion(self) -> tuple[list[float], list[float]]:
+        """Motion of the ego when show was called last: velocity, m/s along the axes of the world, and turn, rad/s about those of the vehicle."""
     def show(self, world: World) -> NDArray[np.float64]:
         """Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4, 4], meters."""
     @property

@@ -12,6 +12,8 @@
 Observation, a dict:
 
 - ``cameras``: the rig's images by name, uint8 [H, W, 3];
+- ``lidars``, where some are asked for: sweeps that end at the step by name, float32 [rings, columns, 2]: range in meters, 0 without a
+  return, and intensity from 0 to 1;
 - ``ego``: speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s, float32 [4];
 - ``guidance``: turn (1 left, -1 right, 0 straight on), meters until it, radians it turns by, its length in meters, speed the route is to be
   driven at in m/s, float32 [5];
@@ -79,6 +81,7 @@ class _Course:
         level: str,
         size: tuple[int, int],
         cameras: Sequence[str] | None,
+        lidars: Sequence[str],
         action: Literal["controls", "plan"],
         plan_points: int,
         plan_step_s: float,
@@ -110,6 +113,8 @@ class _Course:
         if unknown or not names:
             raise ValueError(f"cameras: expected some of {', '.join(rig)}, found {', '.join(unknown) or 'none'}")
         self.rig = {name: rig[name] for name in names}
+        of_scene = {lidar.name: lidar for lidar in self.site.scene.lidars}
+        self.lidars = {name: of_scene.get(name) or _native.Lidar(name) for name in lidars}
         self.renderer = self.session.batch_renderer()
         self.plan_times = None
         if action == "controls":
@@ -127,8 +132,13 @@ class _Course:
         image = spaces.Box(0, 255, (height, width, 3), np.uint8)
         ego = np.array([100.0, 50.0, 1.0, 10.0], np.float32)
         far = np.array([1.0, FAR_M, 2 * np.pi, FAR_M, 100.0], np.float32)
+        sweeps = {
+            name: spaces.Box(0.0, max(lidar.range_m[1], 1.0), (lidar.rings, lidar.columns, 2), np.float32)
+            for name, lidar in self.lidars.items()
+        }
         return spaces.Dict(
             {
+                **({"lidars": spaces.Dict(sweeps)} if sweeps else {}),
                 "cameras": spaces.Dict({name: image for name in self.rig}),
                 "ego": spaces.Box(-ego, ego, dtype=np.float32),
                 "guidance": spaces.Box(-far, far, dtype=np.float32),
@@ -144,6 +154,7 @@ class _Drive:
         self.course = course
         self.world = _native.World(course.site.scene, empty=True)
         self.rollout: _native.Rollout | None = None
+        self.sweeps: dict[str, np.ndarray] = {}
 
     def begin(self, seed: int, options: dict[str, Any] | None) -> dict[str, Any]:
         level = (options or {}).get("level", self.course.level)
@@ -181,7 +192,17 @@ class _Drive:
         """What is to be drawn: the world as it is now, and the cameras on the ego."""
         assert self.rollout is not None
         world_from_rig = self.rollout.show(self.world)
+        self.sweeps = {name: self.sweep(lidar, world_from_rig) for name, lidar in self.course.lidars.items()}
         return self.world, [camera.at(world_from_rig) for camera in self.course.rig.values()]
+
+    def sweep(self, lidar: _native.Lidar, world_from_rig: np.ndarray) -> np.ndarray:
+        """Range and intensity by ring and column, float32 [rings, columns, 2]."""
+        assert self.rollout is not None
+        velocity, turn = self.rollout.ego_motion
+        found = self.course.renderer.sweep(self.world, lidar, world_from_rig, velocity=velocity, turn=turn, seed=self.rollout.steps)
+        image = np.zeros((lidar.rings, lidar.columns, 2), np.float32)
+        image[found["ring"], found["column"]] = np.column_stack([np.clip(found["range"], 0.0, lidar.range_m[1]), found["intensity"]])
+        return image
 
     def observe(self, images: np.ndarray) -> dict[str, Any]:
         """The observation, with images uint8 [C, H, W, 4]."""
@@ -191,6 +212,7 @@ class _Drive:
         told = [_TURNS[guidance["turn"]], *(guidance[name] for name in names)]
         space = self.course.observation_space
         return {
+            **({"lidars": self.sweeps} if self.sweeps else {}),
             "cameras": {name: np.ascontiguousarray(image[..., :3]) for name, image in zip(self.course.rig, images)},
             "ego": _within(space["ego"], self.rollout.ego_state),
             "guidance": _within(space["guidance"], np.array(told)),
@@ -217,6 +239,7 @@ class DriveEnv(gymnasium.Env):
         level: str = "easy",
         size: tuple[int, int] = (320, 180),
         cameras: Sequence[str] | None = None,
+        lidars: Sequence[str] = (),
         action: Literal["controls", "plan"] = "controls",
         plan_points: int = 6,
         plan_step_s: float = 0.5,
@@ -235,7 +258,8 @@ class DriveEnv(gymnasium.Env):
         """An environment on the synthetic street (``weather``, ``background`` and ``agent_splats`` splats, houses by ``place_seed``), or of
         one ``scenario`` file.
 
-        ``size`` is (width, height) of the images, ``cameras`` names some of the rig's. Give ``session`` and ``site`` to share a
+        ``size`` is (width, height) of the images, ``cameras`` names some of the rig's. ``lidars`` are LiDARs of the scene, or models on the
+        roof of the ego, such as ``xt32``. Give ``session`` and ``site`` to share a
         place that is on the device already.
         """
         self.render_mode = render_mode
@@ -246,6 +270,7 @@ class DriveEnv(gymnasium.Env):
             level=level,
             size=size,
             cameras=cameras,
+            lidars=lidars,
             action=action,
             plan_points=plan_points,
             plan_step_s=plan_step_s,
@@ -297,6 +322,7 @@ class DriveVectorEnv(VectorEnv):
         level: str = "easy",
         size: tuple[int, int] = (320, 180),
         cameras: Sequence[str] | None = None,
+        lidars: Sequence[str] = (),
         action: Literal["controls", "plan"] = "controls",
         plan_points: int = 6,
         plan_step_s: float = 0.5,
@@ -325,6 +351,7 @@ class DriveVectorEnv(VectorEnv):
             level=level,
             size=size,
             cameras=cameras,
+            lidars=lidars,
             action=action,
             plan_points=plan_points,
             plan_step_s=plan_step_s,
@@ -347,7 +374,9 @@ class DriveVectorEnv(VectorEnv):
         drawn = self.course.renderer.draw([drive.view() for drive in self.drives])
         each = [drive.observe(images) for drive, images in zip(self.drives, drawn)]
         observation: dict[str, Any] = {key: np.stack([one[key] for one in each]) for key in ("ego", "guidance", "route")}
-        observation["cameras"] = {name: np.stack([one["cameras"][name] for one in each]) for name in self.course.rig}
+        for kind, names in (("cameras", self.course.rig), ("lidars", self.course.lidars)):
+            if names:
+                observation[kind] = {name: np.stack([one[kind][name] for one in each]) for name in names}
         return observation
 
     def reset(

@@ -14,6 +14,8 @@ use crate::drawing::{Layers, Views, draw};
 use crate::error::{of_interop, of_session, value_error};
 use crate::images::{Frame, Images};
 use crate::lent::{CudaLender, addresses, lender};
+use crate::lidar::{Lidar, motion_of, options_of, points_of, to_dict};
+use crate::pose::pose_of;
 use crate::statistics::Statistics;
 use crate::world::World;
 
@@ -217,6 +219,48 @@ impl BatchRenderer {
             }
         };
         Ok(Images::new(frames, of_views))
+    }
+
+    /// Traces one sweep of a LiDAR through a world, on a vehicle that is at world_from_rig, float64
+    /// [4, 4], meters, when the sweep ends. It and the agents go on with their motion during the
+    /// sweep; velocity, m/s along the axes of the world, and turn, rad/s about those of the vehicle,
+    /// are the vehicle's.
+    ///
+    /// Arrays of N returns: ``points`` float32 [N, 3], meters, in ``frame``: ``raw``, ``start`` or
+    /// ``end`` of the sensor, ``ego`` (of the vehicle at the end) or ``world``; ``range`` and
+    /// ``intensity`` (0 to 1) float32 [N]; ``offset_ns`` since the start of the sweep, ``column`` and
+    /// ``beam`` uint32 [N]; ``ring`` (from the highest), ``laser`` and ``instance`` (0 the background)
+    /// uint16 [N]. NumPy arrays, which ``from_dlpack`` of other libraries takes as they are.
+    #[pyo3(signature = (world, lidar, world_from_rig, *, velocity = [0.0; 3], turn = [0.0; 3], frame = "ego", returns = None, opacity_min = 0.5, seed = 0))]
+    #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
+    fn sweep<'py>(
+        &self,
+        py: Python<'py>,
+        world: &World,
+        lidar: &Lidar,
+        world_from_rig: &Bound<'py, PyAny>,
+        velocity: [f64; 3],
+        turn: [f64; 3],
+        frame: &str,
+        returns: Option<&str>,
+        opacity_min: f32,
+        seed: u64,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let rig = &lidar.inner;
+        let options = options_of(rig, returns, opacity_min, seed)?;
+        let placed = rig.sweep_until(
+            &pose_of("world_from_rig", world_from_rig)?,
+            &motion_of((velocity, turn))?,
+        );
+        let world = world.lock().clone();
+        let traced = py.detach(|| {
+            let sweep_s = placed.model.sweep_s;
+            lock(&self.state).renderer.trace(&world, &placed, sweep_s)
+        });
+        let sweep = traced
+            .map_err(|error| of_session(&error))?
+            .returns(&options);
+        to_dict(py, &points_of(&sweep, frame)?)
     }
 
     /// Takes back images that nobody reads any more, which each draw_dlpack does first; how many

@@ -14,6 +14,7 @@ mod drawing;
 mod error;
 mod images;
 mod lent;
+mod lidar;
 mod pose;
 mod rollout;
 mod scene;
@@ -38,6 +39,8 @@ mod native {
     use crate::error::{DeviceError, Error, FileError, TooManyHeldError};
     #[pymodule_export]
     use crate::images::{Images, Tensor};
+    #[pymodule_export]
+    use crate::lidar::Lidar;
     #[pymodule_export]
     use crate::rollout::Rollout;
     #[pymodule_export]

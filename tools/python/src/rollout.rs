@@ -7,13 +7,14 @@ use decouplegs::asset::EpisodeLog;
 use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{EpisodeMetadata, Rollout as EngineRollout, Site as EngineSite};
 use decouplegs::scene::episode::{EpisodeEnd, PlannerRecord};
-use decouplegs::scene::{Plan, PlanPoint};
+use decouplegs::scene::{Motion, Plan, PlanPoint};
 use glam::DVec2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::array::{rows, shaped};
 use crate::error::{Error, FileError, of_episode, of_session, sentence, value_error};
+use crate::lidar::{MotionTuple, tuple_of};
 use crate::pose::to_matrix;
 use crate::site::Site;
 use crate::world::World;
@@ -32,6 +33,8 @@ const STEP_S: std::ops::RangeInclusive<f64> = 0.02..=5.0;
 pub struct Rollout {
     site: Arc<EngineSite>,
     inner: Mutex<EngineRollout>,
+    /// Motion of the ego when it was shown last.
+    shown: Mutex<Motion>,
 }
 
 impl Rollout {
@@ -126,6 +129,7 @@ impl Rollout {
         Ok(Self {
             site: site.site.clone(),
             inner,
+            shown: Mutex::default(),
         })
     }
 
@@ -171,11 +175,19 @@ impl Rollout {
     /// Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4,
     /// 4], meters.
     fn show<'py>(&self, py: Python<'py>, world: &World) -> PyResult<Bound<'py, PyAny>> {
-        let (ego, _) = self
+        let (ego, motion) = self
             .lock()
             .show(&mut world.lock())
             .map_err(|error| of_session(&error))?;
+        *self.shown.lock().unwrap_or_else(PoisonError::into_inner) = motion;
         to_matrix(py, &ego)
+    }
+
+    /// Motion of the ego when show was called last: velocity, m/s along the axes of the world, and
+    /// turn, rad/s about those of the vehicle.
+    #[getter]
+    fn ego_motion(&self) -> MotionTuple {
+        tuple_of(&self.shown.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s: float64 [4].

@@ -9,6 +9,7 @@ use pyo3::prelude::*;
 
 use crate::camera::{Camera, RigCamera};
 use crate::error::{of_session, value_error};
+use crate::lidar::{Lidar, MotionTuple, tuple_of};
 use crate::pose::{pose_of, to_matrix};
 
 /// A scene on the device, which stays there as long as something of it is held.
@@ -53,6 +54,19 @@ impl Scene {
                 inner: camera.clone(),
             })
             .collect()
+    }
+
+    /// The ego vehicle's LiDARs; none for a splat file.
+    #[getter]
+    fn lidars(&self) -> Vec<Lidar> {
+        let lidars = self.inner.rig().lidars().cloned();
+        lidars.map(|inner| Lidar { inner }).collect()
+    }
+
+    /// Motion of the ego vehicle from the scene file: velocity, m/s along the axes of the world, and
+    /// turn, rad/s about those of the vehicle.
+    fn ego_motion(&self, time_s: f64) -> PyResult<MotionTuple> {
+        Ok(tuple_of(&self.inner.ego().motion_at(finite(time_s)?)))
     }
 
     /// Pose of the ego vehicle from the scene file, world_from_rig, float64 [4, 4], meters.

@@ -8,7 +8,7 @@ import decouplegs
 from decouplegs import _native
 
 STUB = Path(decouplegs.__file__).with_name("_native.pyi")
-TYPES_ONLY = {"Layers", "StepResult"}
+TYPES_ONLY = {"Layers", "StepResult", "Sweep"}
 OF_EVERY_CLASS = set(dir(object)) | {"__module__", "__doc__", "__new__"}
 
 

@@ -4,6 +4,7 @@ The contract is the table below, written from the public documents and not from 
 either side shows as a field that does not arrive.
 """
 
+import struct
 import sys
 
 import grpc
@@ -60,8 +61,24 @@ CONTRACT = {
         ("camera_name", 1, "string"), ("result", 2, "RGBRenderReturn"), ("success", 3, "bool"), ("error_message", 4, "string"),
     ],
     "BatchRGBRenderReturn": [("items", 1, "BatchRGBRenderReturnItem", True)],
-    "AggregatedRenderRequest": [("rgb_requests", 1, "RGBRenderRequest", True)],
-    "AggregatedRenderReturn": [("rgb_returns", 1, "RGBRenderReturn", True), ("driver_data", 3, "bytes")],
+    "LidarSpec": [("lidar_type", 2, "int32")],
+    "LidarRenderRequest": [
+        ("scene_id", 1, "string"), ("lidar_config", 2, "LidarSpec"), ("frame_start_us", 3, "fixed64"), ("frame_end_us", 4, "fixed64"),
+        ("sensor_pose", 5, "PosePair"), ("dynamic_objects", 6, "DynamicObject", True),
+    ],
+    "LidarRenderReturn": [
+        ("point_xyzs", 1, "float", True), ("point_intensities", 2, "float", True), ("num_points", 3, "uint32"),
+        ("point_xyzs_buffer", 4, "bytes"), ("point_intensities_buffer", 5, "bytes"),
+    ],
+    # As TIER IV's fork has it.
+    "RingedLidarRenderReturn": [
+        ("num_points", 3, "uint32"), ("point_xyzs_buffer", 4, "bytes"), ("point_ring_ids", 6, "uint32", True),
+        ("point_ring_ids_buffer", 7, "bytes"),
+    ],
+    "AggregatedRenderRequest": [("rgb_requests", 1, "RGBRenderRequest", True), ("lidar_requests", 2, "LidarRenderRequest", True)],
+    "AggregatedRenderReturn": [
+        ("rgb_returns", 1, "RGBRenderReturn", True), ("lidar_returns", 2, "LidarRenderReturn", True), ("driver_data", 3, "bytes"),
+    ],
     "PhysicsPosePair": [("now_pose", 1, "Pose"), ("future_pose", 2, "Pose")],
     "EgoData": [("aabb", 1, "AABB"), ("ego_trajectory_aabb", 3, "Trajectory")],
     "OtherObject": [("aabb", 1, "AABB"), ("pose_pair", 2, "PhysicsPosePair")],
@@ -84,6 +101,7 @@ CALLS = {
     "get_available_ego_masks": ("Empty", "AvailableEgoMasksReturn"),
     "render_rgb": ("RGBRenderRequest", "RGBRenderReturn"),
     "batch_render_rgb": ("BatchRGBRenderRequest", "BatchRGBRenderReturn"),
+    "render_lidar": ("LidarRenderRequest", "LidarRenderReturn"),
     "render_aggregated": ("AggregatedRenderRequest", "AggregatedRenderReturn"),
     "ground_intersection": ("PhysicsGroundIntersectionRequest", "PhysicsGroundIntersectionReturn"),
 }
@@ -116,8 +134,9 @@ class Server:
         self.channel = grpc.insecure_channel(address, options=options)
         self.messages = messages()
 
-    def call(self, service, method, **fields):
+    def call(self, service, method, returns=None, **fields):
         asked, answered = (self.messages[name] for name in CALLS[method])
+        answered = self.messages[returns] if returns else answered
         stub = self.channel.unary_unary(f"/{service}/{method}", asked.SerializeToString, answered.FromString)
         return stub(asked(**fields), timeout=120, wait_for_ready=True)
 
@@ -177,6 +196,21 @@ def main():
             assert item.result.image_bytes[:8] == b"\x89PNG\r\n\x1a\n"
     aggregated = server.call(sensorsim, "render_aggregated", rgb_requests=[request(cameras[0], PLANAR), request(cameras[1], PLANAR)])
     assert aggregated.rgb_returns[0].image_bytes == planar and aggregated.rgb_returns[1].image_bytes != planar
+    roof = dict(vec=dict(x=way[0].pose.vec.x, y=way[0].pose.vec.y, z=way[0].pose.vec.z + 1.1), quat=dict(w=1))
+    sweep = dict(
+        scene_id="street", lidar_config=dict(lidar_type=1), frame_start_us=0, frame_end_us=100_000,
+        sensor_pose=dict(start_pose=roof, end_pose=roof),
+    )
+    points = server.call(sensorsim, "render_lidar", **sweep)
+    count = points.num_points
+    assert count > 1000 and len(points.point_xyzs) == 3 * count and len(points.point_intensities) == count, count
+    assert struct.unpack(f"<{3 * count}f", points.point_xyzs_buffer) == tuple(points.point_xyzs)
+    assert struct.unpack(f"<{count}f", points.point_intensities_buffer) == tuple(points.point_intensities)
+    ringed = server.call(sensorsim, "render_lidar", returns="RingedLidarRenderReturn", **sweep)
+    assert ringed.point_xyzs_buffer == points.point_xyzs_buffer and max(ringed.point_ring_ids) == 127, ringed.num_points
+    assert struct.unpack(f"<{count}H", ringed.point_ring_ids_buffer) == tuple(ringed.point_ring_ids)
+    mixed = server.call(sensorsim, "render_aggregated", rgb_requests=[request(cameras[0], PLANAR)], lidar_requests=[sweep])
+    assert mixed.rgb_returns[0].image_bytes == planar and mixed.lidar_returns[0] == points
     loaded = server.call(sensorsim, "get_loaded_scenes")
     assert [scene.scene_id for scene in loaded.scenes] == ["street"] and loaded.loaded_instance_capacity == 8, loaded
 

@@ -4,6 +4,7 @@ mod asking;
 mod contract;
 mod hostile;
 mod lasting;
+mod lidar;
 mod markers;
 mod python;
 mod rollout;

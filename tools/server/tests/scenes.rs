@@ -3,7 +3,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use decouplegs::asset::{CodedAsset, Provenance, SceneAgent, SceneFile, inria_ply, write_coded};
+use decouplegs::asset::{
+    CodedAsset, Provenance, SceneAgent, SceneFile, SceneLidar, inria_ply, write_coded,
+};
 use decouplegs::scene::{
     Intrinsics, Pose, Presence, Rig, RigCamera, ShFrame, SplatCloud, TimedPose, Trajectory,
 };
@@ -63,9 +65,15 @@ pub fn street(folder: &Path) -> PathBuf {
         camera.intrinsics = camera.intrinsics.resized(160, 90);
     }
     let ego = Some(way(&street.ego));
+    let roof = SceneLidar {
+        name: "roof".into(),
+        sensor: "xt32".into(),
+        rig_from_lidar: Pose::from_yaw(0.5, DVec3::new(0.2, 0.0, 1.1)),
+    };
     let file = SceneFile {
         sky: street.sky,
         rig,
+        lidars: vec![roof],
         ego,
         agents,
         ..SceneFile::of_background("background.ply")

@@ -258,6 +258,23 @@ impl SceneFile {
         self.load_from(&Folder(directory), time_s)
     }
 
+    /// The ego vehicle's sensors, with the models of its LiDARs, whose paths are relative to
+    /// `directory`.
+    ///
+    /// # Errors
+    /// [`AssetError`] of the model at fault.
+    pub fn loaded_rig(&self, directory: &Path) -> Result<Rig, AssetError> {
+        self.rig_from(&Folder(directory))
+    }
+
+    fn rig_from(&self, files: &dyn SceneFiles) -> Result<Rig, AssetError> {
+        let mut rig = self.rig.clone();
+        for lidar in &self.lidars {
+            rig.sensors.push(Sensor::Lidar(lidar.load(files)?));
+        }
+        Ok(rig)
+    }
+
     /// Loads like [`SceneFile::load`], from `files`.
     pub(crate) fn load_from(
         &self,
@@ -295,10 +312,7 @@ impl SceneFile {
             })?;
             loader.add(&mut scene, agent, instance)?;
         }
-        scene.rig = self.rig.clone();
-        for lidar in &self.lidars {
-            scene.rig.sensors.push(Sensor::Lidar(lidar.load(files)?));
-        }
+        scene.rig = self.rig_from(files)?;
         let standing = || {
             Trajectory::standing(Pose {
                 translation: self.origin,

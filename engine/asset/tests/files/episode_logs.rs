@@ -478,7 +478,7 @@ fn records_that_do_not_hold_together_are_refused_though_their_checksums_are_good
             1,
             "front\",\"0",
             "front\",\"x",
-            "line 2: the image of camera \"front\" has the hash",
+            "line 2: the reading of \"front\" has the hash",
         ),
         (
             4,
