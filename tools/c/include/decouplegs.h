@@ -18,8 +18,8 @@
  * but gets DGS_STATUS_BUSY.
  *
  * Memory. Pointers are NULL only where it says so, and aligned; arrays are as long as the count says. Nothing is kept that a
- * caller's pointer points at. Only the images of dgs_batch_renderer_image() belong to the library. When the host's memory is used up
- * the process ends.
+ * caller's pointer points at. Only the images of dgs_batch_renderer_image() and the points of dgs_batch_renderer_points() belong
+ * to the library. When the host's memory is used up the process ends.
  *
  * Text is UTF-8 and ends with a NUL. Text that is returned goes into the caller's buffer, and its length without the NUL into
  * `length`; NULL and 0 for the buffer ask for the length alone.
@@ -207,9 +207,80 @@ typedef enum {
 } DgsDeviceKind;
 
 /**
+ * Frame of the points of a sweep. Only the motion of the sensor is compensated.
+ */
+enum DgsPointFrame
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : uint32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    /**
+     * The sensor at the end of the sweep: x forward, y left, z up.
+     */
+    DGS_POINT_FRAME_END = 0,
+    /**
+     * The sensor at the start of the sweep.
+     */
+    DGS_POINT_FRAME_START = 1,
+    /**
+     * The sensor at the firing of each beam.
+     */
+    DGS_POINT_FRAME_RAW = 2,
+    /**
+     * The world.
+     */
+    DGS_POINT_FRAME_WORLD = 3,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum DgsPointFrame DgsPointFrame;
+#else
+typedef uint32_t DgsPointFrame;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+/**
+ * Kind of range that a beam reports.
+ */
+enum DgsReturn
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : uint32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    /**
+     * The model's.
+     */
+    DGS_RETURN_OF_MODEL = 0,
+    /**
+     * Of the splat at which half of the beam is gone.
+     */
+    DGS_RETURN_MEDIAN = 1,
+    /**
+     * The mean by weight.
+     */
+    DGS_RETURN_EXPECTED = 2,
+    /**
+     * Of the splat that takes most.
+     */
+    DGS_RETURN_STRONGEST = 3,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum DgsReturn DgsReturn;
+#else
+typedef uint32_t DgsReturn;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+/**
  * Draws worlds and keeps the images.
  */
 typedef struct DgsBatchRenderer DgsBatchRenderer;
+
+/**
+ * The model of a LiDAR.
+ */
+typedef struct DgsLidar DgsLidar;
 
 /**
  * A background, assets, a rig of cameras and a way of the ego vehicle.
@@ -446,6 +517,87 @@ typedef struct {
      */
     uint64_t memory_bytes;
 } DgsStatistics;
+
+/**
+ * A sweep that is asked for.
+ */
+typedef struct {
+    /**
+     * sizeof(DgsSweepOptions).
+     */
+    uint32_t struct_bytes;
+    /**
+     * A DgsPointFrame.
+     */
+    uint32_t frame;
+    /**
+     * A DgsReturn.
+     */
+    uint32_t returns;
+    /**
+     * Share of a beam that splats have to take for a return, above 0 and at most 1; 0 stands for
+     * 0.5.
+     */
+    float opacity_min;
+    /**
+     * Seed of the noise of ranges, for models that have some.
+     */
+    uint64_t seed;
+    /**
+     * Pose of the sensor at the end of the sweep: world from sensor.
+     */
+    DgsPose world_from_lidar;
+    /**
+     * Velocity of the sensor during the sweep, along the axes of the world, meters per second.
+     */
+    double velocity_mps[3];
+    /**
+     * Rotation vector of the sensor per second, in its own axes, radians per second.
+     */
+    double turn_rad_per_s[3];
+} DgsSweepOptions;
+
+/**
+ * A point of a sweep.
+ */
+typedef struct {
+    /**
+     * Position in the frame of the sweep, meters.
+     */
+    float position_m[3];
+    /**
+     * Range along the beam, meters.
+     */
+    float range_m;
+    /**
+     * Intensity from 0 to 1. Luma of splats: uncalibrated.
+     */
+    float intensity;
+    /**
+     * Time of firing after the start of the sweep, nanoseconds.
+     */
+    uint32_t offset_ns;
+    /**
+     * Column of the beam.
+     */
+    uint32_t column;
+    /**
+     * Row of the beam, from the highest.
+     */
+    uint16_t ring;
+    /**
+     * Laser of the beam, as the manufacturer counts.
+     */
+    uint16_t laser;
+    /**
+     * Number in images of instances; 0 is the background.
+     */
+    uint16_t instance;
+    /**
+     * Zero.
+     */
+    uint16_t reserved;
+} DgsLidarPoint;
 
 #ifdef __cplusplus
 extern "C" {
@@ -704,6 +856,54 @@ DgsStatus dgs_batch_renderer_image(const DgsBatchRenderer *renderer,
  * Writes the statistics of the last successful draw to `statistics`, whose `struct_bytes` is set.
  */
 DgsStatus dgs_batch_renderer_statistics(const DgsBatchRenderer *renderer, DgsStatistics *statistics);
+
+/**
+ * The model called `sensor` that comes with the library, such as "pandar128", or that of a file
+ * (.toml, or the parameters of NVIDIA NCore as .json).
+ */
+DgsStatus dgs_lidar_open(const char *sensor, DgsLidar **lidar);
+
+/**
+ * Closes a LiDAR.
+ */
+DgsStatus dgs_lidar_close(DgsLidar *lidar);
+
+/**
+ * Number of LiDARs of a scene's rig: 0 for a file of splats.
+ */
+DgsStatus dgs_scene_lidar_count(const DgsScene *scene, size_t *count);
+
+/**
+ * LiDAR `index` of a scene's rig, from 0, to be closed, and its pose on the vehicle.
+ */
+DgsStatus dgs_scene_lidar(const DgsScene *scene, size_t index, DgsLidar **lidar, DgsPose *rig_from_lidar);
+
+/**
+ * Beams of a LiDAR's sweep: no sweep has more points.
+ */
+DgsStatus dgs_lidar_beam_count(const DgsLidar *lidar, size_t *count);
+
+/**
+ * Duration of a LiDAR's sweep, seconds.
+ */
+DgsStatus dgs_lidar_sweep_s(const DgsLidar *lidar, double *sweep_s);
+
+/**
+ * Traces one sweep of a LiDAR through a world and waits for it. Agents are where the world has them
+ * at the end of the sweep. Its points replace those of the sweep before.
+ */
+DgsStatus dgs_batch_renderer_sweep(DgsBatchRenderer *renderer,
+                                   const DgsWorld *world,
+                                   const DgsLidar *lidar,
+                                   const DgsSweepOptions *options);
+
+/**
+ * The points of the last sweep, in the order of firing. They stay until the batch renderer traces
+ * another sweep or is closed.
+ */
+DgsStatus dgs_batch_renderer_points(const DgsBatchRenderer *renderer,
+                                    const DgsLidarPoint **points,
+                                    size_t *count);
 
 #ifdef __cplusplus
 }  // extern "C"

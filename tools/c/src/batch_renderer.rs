@@ -11,6 +11,7 @@ use decouplegs::session::{BatchRenderer, HostImages, Session, SessionError, Worl
 use crate::arguments::{array, give_growing, out, out_handle};
 use crate::boundary::{Call, guarded};
 use crate::handles::{Registry, alone};
+use crate::lidar::DgsLidarPoint;
 use crate::session::{DgsSession, SESSIONS};
 use crate::status::{DgsStatus, Failure};
 use crate::types::{DgsCamera, DgsImage, DgsImageKind, DgsStatistics, DgsView};
@@ -20,26 +21,28 @@ use crate::world::{HeldWorld, WORLDS};
 pub struct DgsBatchRenderer(());
 
 /// Object behind a batch renderer handle.
-struct HeldBatchRenderer {
+pub struct HeldBatchRenderer {
     session: Arc<Session>,
     drawing: Mutex<Drawing>,
 }
 
-static BATCH_RENDERERS: Registry<HeldBatchRenderer> = Registry::new("batch renderer");
+pub static BATCH_RENDERERS: Registry<HeldBatchRenderer> = Registry::new("batch renderer");
 
 impl HeldBatchRenderer {
-    fn lock(&self) -> Result<MutexGuard<'_, Drawing>, Failure> {
+    pub fn lock(&self) -> Result<MutexGuard<'_, Drawing>, Failure> {
         alone("batch renderer", &self.drawing)
     }
 }
 
 /// A batch renderer and what it drew last.
-struct Drawing {
-    renderer: BatchRenderer,
+pub struct Drawing {
+    pub renderer: BatchRenderer,
     /// Kept from draw to draw, their memory is used again.
     bytes: HostImages,
     drawn: Drawn,
     statistics: DgsStatistics,
+    /// Points of the last sweep.
+    pub points: Vec<DgsLidarPoint>,
 }
 
 enum Drawn {
@@ -106,6 +109,7 @@ pub unsafe extern "C" fn dgs_batch_renderer_new(
             bytes,
             drawn,
             statistics,
+            points: Vec::new(),
         });
         made.write(BATCH_RENDERERS.add(HeldBatchRenderer { session, drawing }));
         Ok(())

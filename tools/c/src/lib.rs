@@ -21,6 +21,7 @@ mod arguments;
 mod batch_renderer;
 mod boundary;
 mod handles;
+mod lidar;
 mod scene;
 mod session;
 mod status;

@@ -6,7 +6,7 @@ use std::{env, fs};
 use crate::library::{FOLDER, run, succeed};
 
 /// In the order in which the header has them.
-const SOURCES: [&str; 7] = [
+const SOURCES: [&str; 8] = [
     "status",
     "boundary",
     "types",
@@ -14,6 +14,7 @@ const SOURCES: [&str; 7] = [
     "scene",
     "world",
     "batch_renderer",
+    "lidar",
 ];
 
 /// The header of the sources as they are.

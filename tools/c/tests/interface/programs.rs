@@ -3,7 +3,10 @@
 use std::fs;
 use std::path::Path;
 
+use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions};
+use decouplegs::scene::{Motion, Pose, RigLidar};
 use decouplegs::session::{HostImages, Session, SessionOptions, World, WorldView};
+use glam::DVec3;
 
 use crate::library::{FOLDER, Linked, compiled, run, succeed};
 use crate::street::small_street;
@@ -106,6 +109,58 @@ fn images_of_every_kind_agree() {
         command.arg(&scene)
     }));
     assert!(said.contains("pixels are the agent's"), "{said}");
+}
+
+#[test]
+fn a_sweep_is_that_of_a_session() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = small_street(folder.path(), [64, 48]);
+    let program = compiled("tests/interface/sweep.c", Linked::Static, folder.path());
+    let out = folder.path().join("points");
+    let said = succeed(run(program.to_str().unwrap(), |command| {
+        command.args([&path, &out])
+    }));
+    let session = Session::open(&SessionOptions::default()).unwrap();
+    let scene = session.open_scene(&path).unwrap();
+    let mut world = World::new(&scene);
+    world.set_time(0.5);
+    let roof = scene.rig().lidars().next().unwrap();
+    let motion = Motion {
+        velocity_mps: DVec3::new(12.0, 0.0, 0.0),
+        turn_rad_per_s: DVec3::new(0.0, 0.0, 0.5),
+    };
+    let sensor = RigLidar {
+        rig_from_lidar: Pose::IDENTITY,
+        ..roof.clone()
+    };
+    let lidar = sensor.sweep_until(&roof.rig_from_lidar, &motion);
+    let sweep_s = lidar.model.sweep_s;
+    let traced = session.batch_renderer().trace(&world, &lidar, sweep_s);
+    let sweep = traced.unwrap().returns(&ReturnOptions {
+        mode: ReturnMode::Expected,
+        opacity_min: 0.25,
+        seed: 0,
+    });
+    let mut expected = Vec::new();
+    for point in sweep.points(PointFrame::World) {
+        let [x, y, z] = point.position_m.as_vec3().to_array();
+        let found = &point.measured;
+        for value in [x, y, z, found.range_m, found.intensity] {
+            expected.extend(value.to_ne_bytes());
+        }
+        let offset_ns = (1e9 * point.beam.time_s).round() as u32;
+        for value in [offset_ns, point.beam.column] {
+            expected.extend(value.to_ne_bytes());
+        }
+        for value in [point.beam.ring, point.beam.laser, found.instance, 0] {
+            expected.extend(value.to_ne_bytes());
+        }
+    }
+    assert!(sweep.returns.len() > 1000 && sweep.returns.iter().any(|found| found.instance > 0));
+    let points = sweep.returns.len();
+    let beams = sweep.beams.len();
+    assert_eq!(said, format!("{points} of {beams} beams in 0.1 s\n"));
+    assert!(fs::read(&out).unwrap() == expected, "the same bytes");
 }
 
 #[test]

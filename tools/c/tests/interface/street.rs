@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use decouplegs::asset::{CodedAsset, Provenance, SceneAgent, SceneFile, inria_ply, write_coded};
+use decouplegs::asset::{
+    CodedAsset, Provenance, SceneAgent, SceneFile, SceneLidar, inria_ply, write_coded,
+};
 use decouplegs::scene::{Pose, Presence, ShFrame, TimedPose, Trajectory};
 use decouplegs::synth::street::{Street, StreetOptions};
 use decouplegs::train::compress::{CompressOptions, compress};
@@ -60,6 +62,11 @@ pub fn small_street(folder: &Path, size_px: [u32; 2]) -> PathBuf {
     let scene = SceneFile {
         sky: street.sky,
         rig: street.rig,
+        lidars: vec![SceneLidar {
+            name: "roof".into(),
+            sensor: "xt32".into(),
+            rig_from_lidar: Pose::from_yaw(0.25, DVec3::new(0.5, 0.0, 1.0)),
+        }],
         ego: Some(way(0.0)),
         agents: vec![agent],
         ..SceneFile::of_background("background.ply")
