@@ -19,6 +19,7 @@ layout(local_size_x = 64) in;
 
 layout(constant_id = 2) const float ALPHA_MAX = 0.99;
 layout(constant_id = 21) const bool MOVING = false;
+layout(constant_id = 22) const bool ECHOES = false; // found for dual returns
 
 // A beam of the grid, at the place of its cell.
 struct LidarBeam {
@@ -43,6 +44,22 @@ struct BeamState {
     uint instances;        // of the median in the low half, of the strongest in the high half
 };
 
+// Splats of a beam that follow one another.
+struct Echo {
+    float weight; // 0: none
+    float range_sum_m;
+    float intensity_sum;
+    uint instance; // of the splat with the largest weight
+};
+
+// Echoes of a beam so far.
+struct BeamEchoes {
+    Echo open; // goes on
+    float open_strongest; // largest weight of a splat of it
+    Echo strongest;
+    Echo last;
+};
+
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first place and length
 layout(set = 0, binding = 2, scalar) readonly buffer sorted_records_block { uint sorted_records[]; };
@@ -52,6 +69,7 @@ layout(set = 0, binding = 5, std430) readonly buffer lidar_shapes_block { vec4 l
 layout(set = 0, binding = 6, scalar) readonly buffer beams_block { LidarBeam beams[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer firings_block { Firing firings[]; };
 layout(set = 0, binding = 8, scalar) buffer states_block { BeamState states[]; };
+layout(set = 0, binding = 9, scalar) buffer echoes_block { BeamEchoes echoes[]; };
 #include "camera_of_bin.glsl"
 
 layout(push_constant, scalar) uniform push_block {
@@ -65,10 +83,36 @@ layout(push_constant, scalar) uniform push_block {
 // A beam that has this little left ends.
 const float TRANSMITTANCE_END = 1e-4;
 
+const float ECHO_SEPARATION_M = 0.6;
+const float ECHO_WEIGHT_MIN = 0.1;
+
 shared uint shared_records[WORKGROUP_THREADS];
 
+// Adds a splat to the echoes of its beam.
+void add_to_echo(float weight, float range_m, float intensity, uint instance, inout BeamEchoes found) {
+    Echo open = found.open;
+    bool joins = abs(range_m * open.weight - open.range_sum_m) <= ECHO_SEPARATION_M * open.weight;
+    if (open.weight > 0.0 && !joins) {
+        if (open.weight >= ECHO_WEIGHT_MIN) {
+            found.last = open;
+            if (open.weight > found.strongest.weight) {
+                found.strongest = open;
+            }
+        }
+        found.open = Echo(0.0, 0.0, 0.0, 0u);
+        found.open_strongest = 0.0;
+    }
+    found.open.weight += weight;
+    found.open.range_sum_m += weight * range_m;
+    found.open.intensity_sum += weight * intensity;
+    if (weight > found.open_strongest) {
+        found.open_strongest = weight;
+        found.open.instance = instance;
+    }
+}
+
 // Adds a splat to the beam with direction `direction`, fired at `firing`.
-void meet(uint record, vec3 direction, Firing firing, inout BeamState state) {
+void meet(uint record, vec3 direction, Firing firing, inout BeamState state, inout BeamEchoes found) {
     vec4 toward = footprints[2u * record + 1u];
     vec4 x = lidar_shapes[3u * record];
     vec4 y = lidar_shapes[3u * record + 1u];
@@ -108,6 +152,9 @@ void meet(uint record, vec3 direction, Firing firing, inout BeamState state) {
         state.strongest_m = range_m;
         state.instances = state.instances & 0xffffu | instance << 16u;
     }
+    if (ECHOES) {
+        add_to_echo(weight, range_m, look.y, instance, found);
+    }
 }
 
 void main() {
@@ -130,10 +177,15 @@ void main() {
     uint place = camera.first_pixel + cell.y * camera.size_px.x + cell.x;
     LidarBeam beam = LidarBeam(vec3(0.0), 0u);
     BeamState state = BeamState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0u);
+    const Echo NONE = Echo(0.0, 0.0, 0.0, 0u);
+    BeamEchoes found = BeamEchoes(NONE, 0.0, NONE, NONE);
     if (inside) {
         beam = beams[place];
         if (first_entry > 0u) {
             state = states[place];
+            if (ECHOES) {
+                found = echoes[place];
+            }
         } else {
             state.transmittance = 1.0;
         }
@@ -168,12 +220,15 @@ void main() {
         uint count = total & 0xffffu;
         for (uint i = 0u; i < count; ++i) {
             if (alive) {
-                meet(shared_records[i], beam.direction, firing, state);
+                meet(shared_records[i], beam.direction, firing, state, found);
             }
         }
         barrier(); // the list is read to its end
     }
     if (inside) {
         states[place] = state;
+        if (ECHOES) {
+            echoes[place] = found;
+        }
     }
 }

@@ -26,7 +26,7 @@ use serde_json::json;
 
 use self::folder::RunFolder;
 use self::image_writer::EpisodeImages;
-pub use self::image_writer::{ABOVE, ImageWriter, Images, RANGES};
+pub use self::image_writer::{ImageWriter, Images};
 use self::jobs::Job;
 use crate::arguments::{Size, print, warn};
 use crate::device::{DeviceArguments, check_validation};
@@ -97,7 +97,8 @@ pub struct Arguments {
     #[arg(long)]
     all_cameras: bool,
     /// LiDAR to trace at every rendered step: one of the scene, or a model (see `lidar --help`) on
-    /// the roof of the ego. May be repeated. Planners that request LiDARs get those of the scene too
+    /// the roof of the ego. May be repeated. Planners that request LiDARs get those of the scene
+    /// too
     #[arg(long, value_name = "NAME|FILE")]
     lidar: Vec<String>,
     /// Light transfer for the cars of a synthetic place, written by `calibrate-light`

@@ -53,15 +53,16 @@ pub struct Arguments {
     #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, value_parser = finite)]
     mount_yaw: Option<f64>,
     /// Range that a return reports (default: the sensor's own): of the splat at which half of the
-    /// beam is gone, the mean by weight, or of the splat that takes most
+    /// beam is gone, the mean by weight, of the splat that takes most, or two: of the strongest and
+    /// of the last group of splats
     #[arg(long, value_name = "MODE", value_parser = ReturnMode::NAMED.map(|(name, _)| name))]
     returns: Option<String>,
     /// Share of a beam that splats have to take for a return
     #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = share)]
     opacity_min: f32,
     /// Standard deviation that is added to splats across the beams, radians: what the images that
-    /// the scene was trained on have. sqrt(0.3) pixels over their focal length (default: that of the
-    /// scene, otherwise 0.0005)
+    /// the scene was trained on have. sqrt(0.3) pixels over their focal length (default: that of
+    /// the scene, otherwise 0.0005)
     #[arg(long, value_name = "RAD", value_parser = dilation)]
     dilation: Option<f64>,
     /// Seed of the noise of ranges, for sensors that have some
@@ -137,10 +138,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     reading.finish_and_clear();
     let mounted = mounted(arguments, &loaded.rig)?;
     let model = &mounted.model;
-    let mode = ReturnMode::NAMED
-        .into_iter()
-        .find(|(name, _)| Some(*name) == arguments.returns.as_deref())
-        .map_or(model.returns, |(_, mode)| mode);
+    let asked = arguments.returns.as_deref().and_then(ReturnMode::by_name);
+    let mode = asked.unwrap_or(model.returns);
     let start_s = arguments.time.unwrap_or(loaded.ego.start_s());
     let gpu = arguments.device.open()?;
     let renderer = Renderer::new(&gpu, RenderOptions::default());
@@ -168,7 +167,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let end = loaded.ego.at(time_s + model.sweep_s);
         let motion = Motion::between(&start, &end, model.sweep_s);
         let lidar = mounted.sweep_from(&start, &motion);
-        let traced = lidars.trace(live.with(&live.at(time_s)), &lidar)?;
+        let traced = lidars.trace(live.with(&live.at(time_s)), &lidar, mode)?;
         let sweep = traced.returns(&ReturnOptions {
             mode,
             opacity_min: arguments.opacity_min,

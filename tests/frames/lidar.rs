@@ -260,7 +260,9 @@ fn trace(gpu: &Validated, world: &World, lidar: &Lidar, sectors: usize) -> Trace
     };
     let resident = GpuScene::upload(gpu, world).unwrap();
     let mut renderer = LidarRenderer::new(gpu, options);
-    renderer.trace(&resident, lidar).unwrap()
+    renderer
+        .trace(&resident, lidar, ReturnMode::Median)
+        .unwrap()
 }
 
 fn truth_of(world: &World, lidar: &Lidar, beams: &[Beam]) -> Vec<BeamHit64> {
@@ -294,6 +296,82 @@ fn sweeps_of_every_kind_of_sensor_are_their_definition() {
             assert!(found.intensity_max < 2e-3, "{what}: {found:?}");
         }
     }
+}
+
+#[test]
+fn dual_returns_are_their_definition() {
+    let gpu = Validated::open();
+    let world = surroundings(3000, 4);
+    let resident = GpuScene::upload(&gpu, &world).unwrap();
+    let mut renderer = LidarRenderer::new(&gpu, LidarOptions::default());
+    for (what, model) in models() {
+        let lidar = lidar_at(model, world.origin, Motion::REST);
+        let traced = renderer.trace(&resident, &lidar, ReturnMode::Dual).unwrap();
+        // Echoes cost the other returns nothing.
+        let single = renderer
+            .trace(&resident, &lidar, ReturnMode::Median)
+            .unwrap();
+        assert!(
+            traced.states == single.states && single.echoes.is_empty(),
+            "{what}"
+        );
+        let truth = truth_of(&world, &lidar, &traced.beams);
+        let [mut returns, mut seconds, mut masks, mut far, mut instances] = [0; 5];
+        for (echoes, hit) in traced.echoes.iter().zip(&truth) {
+            for (number, pair) in echoes.found().into_iter().zip(hit.dual()).enumerate() {
+                match pair {
+                    (Some(found), Some(exact)) => {
+                        returns += 1;
+                        seconds += number;
+                        far += usize::from((f64::from(found.range_m) - exact.range_m).abs() > 1e-3);
+                        instances += usize::from(found.instance != exact.instance);
+                        assert!((f64::from(found.intensity) - exact.intensity).abs() < 1e-2);
+                    }
+                    (None, None) => {}
+                    _ => masks += 1,
+                }
+            }
+        }
+        println!(
+            "{what}: {returns} returns, {seconds} of them second ones; {masks} in one alone, {far} farther than 1 mm, {instances} of another instance"
+        );
+        let limit = (traced.beams.len() + 999) / 1000;
+        assert!(seconds * 50 > returns, "{what}: {seconds} of {returns}");
+        assert!(
+            masks <= limit && far <= limit && instances <= limit,
+            "{what}"
+        );
+        let sweep = traced.returns(&ReturnOptions {
+            mode: ReturnMode::Dual,
+            ..ReturnOptions::of(&lidar.model)
+        });
+        let of_two: Vec<_> = sweep
+            .returns
+            .iter()
+            .filter(|found| found.count == 2)
+            .collect();
+        assert!(of_two.chunks(2).all(|pair| {
+            (pair[0].beam, pair[0].number, pair[1].number) == (pair[1].beam, 1, 2)
+        }));
+        assert!(
+            of_two.len() > returns / 50,
+            "{what}: {} returns",
+            of_two.len()
+        );
+    }
+}
+
+#[test]
+#[should_panic(expected = "traced without echoes")]
+fn dual_returns_of_a_single_sweep_are_refused() {
+    let gpu = Validated::open();
+    let (_, model) = models().swap_remove(0);
+    let lidar = lidar_at(model, DVec3::ZERO, Motion::REST);
+    let traced = trace(&gpu, &surroundings(200, 5), &lidar, 8);
+    let _ = traced.returns(&ReturnOptions {
+        mode: ReturnMode::Dual,
+        ..ReturnOptions::of(&lidar.model)
+    });
 }
 
 #[test]
@@ -368,7 +446,9 @@ fn sweeps_in_motion_are_their_definition() {
             };
             let mut renderer = LidarRenderer::new(&gpu, options);
             let with_agents = Scene::with_agents(&resident, &pool, &agents);
-            let traced = renderer.trace(with_agents, &lidar).unwrap();
+            let traced = renderer
+                .trace(with_agents, &lidar, ReturnMode::Dual)
+                .unwrap();
             let truth = scene.hits(&lidar, &traced.beams);
             let on_agents = truth
                 .iter()

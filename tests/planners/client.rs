@@ -104,6 +104,8 @@ fn sweep() -> LidarSweep {
         range_m,
         intensity: 0.25,
         instance: 3,
+        number: 1,
+        count: 1,
     };
     LidarSweep {
         beams: lidar.model.beams().into(),

@@ -7,11 +7,12 @@ use std::path::Path;
 
 use decouplegs::gpu::{DeviceOptions, Gpu};
 use decouplegs::render::layout::{
-    AgentRecord, BeamRecord, BeamState, BlendItem, Bucket, CameraRecord, ClusterRecord, Composite,
-    FiringRecord, LensRecord, RelightRecord, RequiredCounts, SectorRecord, ShadowRecord, ViewLists,
+    AgentRecord, BeamEchoes, BeamRecord, BeamState, BlendItem, Bucket, CameraRecord, ClusterRecord,
+    Composite, EchoRecord, FiringRecord, LensRecord, RelightRecord, RequiredCounts, SectorRecord,
+    ShadowRecord, ViewLists,
 };
 use decouplegs::render::post_processing::PhotometryRecord;
-use decouplegs::scene::rules;
+use decouplegs::scene::{lidar, rules};
 
 /// A structure of the host.
 struct Record {
@@ -156,6 +157,18 @@ fn records_of_lidars() -> Vec<Record> {
             strongest_m,
             instances
         }),
+        record!(EchoRecord {
+            weight,
+            range_sum_m,
+            intensity_sum,
+            instance
+        }),
+        record!(BeamEchoes {
+            open,
+            open_strongest,
+            strongest,
+            last
+        }),
     ]
 }
 
@@ -287,10 +300,15 @@ fn constant(text: &str, name: &str) -> Option<f64> {
 
 #[test]
 fn constants_of_the_rules_are_the_same_on_host_and_device() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders/include");
-    let paths = fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path());
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
+    let paths = [folder.join("include"), folder]
+        .into_iter()
+        .flat_map(|folder| fs::read_dir(folder).unwrap())
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| {
+            let extension = path.extension().unwrap_or_default();
+            extension == "glsl" || extension == "comp"
+        });
     let texts: Vec<String> = paths
         .map(|path| fs::read_to_string(path).unwrap())
         .collect();
@@ -304,6 +322,8 @@ fn constants_of_the_rules_are_the_same_on_host_and_device() {
         ("ALPHA_MIN", rules::ALPHA_MIN),
         ("TRANSMITTANCE_MIN", rules::TRANSMITTANCE_MIN),
         ("DILATION_PX2", rules::DILATION_PX2),
+        ("ECHO_SEPARATION_M", lidar::ECHO_SEPARATION_M),
+        ("ECHO_WEIGHT_MIN", lidar::ECHO_WEIGHT_MIN),
     ] {
         assert_eq!(of(name), [expected], "{name}");
     }

@@ -5,7 +5,7 @@ use decouplegs::gpu::QueueRole;
 use decouplegs::render::GpuScene;
 use decouplegs::render::capacity::Capacity;
 use decouplegs::render::layout::{
-    BeamState, COARSE_HEIGHT_PX, COARSE_WIDTH_PX, RequiredCounts, View,
+    BeamEchoes, BeamState, COARSE_HEIGHT_PX, COARSE_WIDTH_PX, RequiredCounts, View,
 };
 use decouplegs::render::lidar::Sectors;
 use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
@@ -42,6 +42,7 @@ struct Listed {
     tile_lists: Vec<[u32; 2]>,
     sorted: Vec<u32>,
     states: Vec<BeamState>,
+    echoes: Vec<BeamEchoes>,
     /// Splats as the device has them.
     stored: Vec<([f32; 3], Mat3, f32)>,
 }
@@ -59,15 +60,16 @@ impl Listed {
             partials: 0,
         };
         let clusters = scene.cluster_count();
-        let buffers = LidarBuffers::new(gpu, &capacity, clusters, &view).unwrap();
+        let buffers = LidarBuffers::new(gpu, &capacity, clusters, &view, true).unwrap();
         let variant = LidarVariant {
             instances: false,
             moving: !lidar.motion.is_rest(),
             dilation_rad: LIDAR_DILATION_RAD as f32,
+            echoes: true,
         };
         let project = ProjectLidar::new(gpu, &world.rules, variant).unwrap();
         let (scan, tile_sort) = (Scan::new(gpu).unwrap(), TileSort::for_lidar(gpu).unwrap());
-        let trace = TraceLidar::new(gpu, &world.rules, variant.moving).unwrap();
+        let trace = TraceLidar::new(gpu, &world.rules, variant).unwrap();
         let no_agents = gpu.upload("none", "test", &[0u32; 33]).unwrap();
         let mut recorder = gpu.record(QueueRole::Main);
         let (counters, lists) = (&buffers.counters, &buffers.lists);
@@ -131,6 +133,7 @@ impl Listed {
             tile_lists: gpu.read(&lists.tile_lists).unwrap(),
             sorted: gpu.read(&lists.sorted_records).unwrap(),
             states: gpu.read(&buffers.states).unwrap(),
+            echoes: gpu.read(&buffers.echoes).unwrap(),
             beams,
             cut,
             view,
@@ -297,7 +300,7 @@ fn beams_meet_their_lists_as_the_twin_does() {
         for (what, model) in models() {
             let lidar = lidar_at(model, DVec3::ZERO, motion);
             let listed = Listed::new(&gpu, &world, &lidar);
-            let mut medians = 0;
+            let (mut medians, mut seconds) = (0, 0);
             for place in listed.places().into_iter().step_by(7) {
                 let beam = listed.cut.tables.beams[place[3]];
                 let firing = &listed.cut.tables.firings[beam.firing as usize];
@@ -311,6 +314,7 @@ fn beams_meet_their_lists_as_the_twin_does() {
                     transmittance: 1.0,
                     ..BeamState::default()
                 };
+                let mut echoes = BeamEchoes::default();
                 for &record in listed.list(place) {
                     let record = record as usize;
                     let [_, intensity, instance, _] = listed.colors[record];
@@ -324,7 +328,7 @@ fn beams_meet_their_lists_as_the_twin_does() {
                         continue;
                     }
                     let look = (intensity, instance.to_bits());
-                    meet(&splat, look, &traced, &mut twin);
+                    meet(&splat, look, &traced, (&mut twin, &mut echoes));
                 }
                 let kernel = listed.states[place[3]];
                 let near = |a: f32, b: f32| (a - b).abs() <= 1e-3 + 1e-4 * b.abs();
@@ -337,8 +341,23 @@ fn beams_meet_their_lists_as_the_twin_does() {
                     "{what}, cell {place:?}: {kernel:?}, the twin {twin:?}"
                 );
                 medians += usize::from(twin.median_m > 0.0);
+                let of_kernel = listed.echoes[place[3]];
+                let records = |found: &BeamEchoes| [found.open, found.strongest, found.last];
+                for (a, b) in records(&of_kernel).into_iter().zip(records(&echoes)) {
+                    assert!(
+                        near(a.weight, b.weight)
+                            && near(a.range_sum_m, b.range_sum_m)
+                            && near(a.intensity_sum, b.intensity_sum)
+                            && a.instance == b.instance,
+                        "{what}, cell {place:?}: {of_kernel:?}, the twin {echoes:?}"
+                    );
+                }
+                seconds += usize::from(echoes.found()[1].is_some());
             }
-            assert!(medians > 50, "{what}: only {medians} medians were compared");
+            assert!(
+                medians > 50 && seconds > 20,
+                "{what}: only {medians} medians and {seconds} second returns were compared"
+            );
         }
     }
 }

@@ -16,7 +16,7 @@ use decouplegs::scene::lidar::PointFrame;
 use decouplegs::scene::{Lidar, LidarSweep};
 
 use crate::arguments::write_image;
-use crate::lidar::previews::{from_above, ranges};
+use crate::lidar::previews::{ABOVE, RANGES, from_above, ranges};
 
 /// Images to keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -53,10 +53,6 @@ struct Key {
 /// Distance of key frames at first, steps. It is doubled when there are too many of them.
 const KEY_EVERY: u32 = 2;
 const KEYS_MAX: usize = 9;
-
-/// Kinds of images of sweeps.
-pub const ABOVE: &str = "above";
-pub const RANGES: &str = "ranges";
 
 /// Name of the image of a sweep. It does not end in a step, as images of cameras do.
 fn sweep_name(step: u32, kind: &str) -> String {

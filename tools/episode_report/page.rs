@@ -10,7 +10,7 @@ use decouplegs::scene::Lane;
 use decouplegs::scene::scenario::Place;
 
 use super::{Scored, birds_eye, charts, rows, score, share, spread, summary, timing};
-use crate::drive::{ABOVE, RANGES};
+use crate::lidar::previews::{ABOVE, RANGES};
 use crate::plot::escaped;
 use crate::sites::Sites;
 use crate::{data_uri, plot};

@@ -12,6 +12,10 @@ use decouplegs::session::LiveScene;
 
 use crate::arguments::write_image;
 
+/// Kinds of images of sweeps, as files are named.
+pub const ABOVE: &str = "above";
+pub const RANGES: &str = "ranges";
+
 /// Side of the view from above, pixels, and its side in the world, meters.
 const ABOVE_PX: u32 = 900;
 const ABOVE_M: f64 = 100.0;
@@ -39,8 +43,8 @@ impl<'a> Previews<'a> {
     /// Writes the previews of a sweep that began at `time_s`; returns their paths.
     pub fn write(&mut self, stem: &Path, sweep: &LidarSweep, time_s: f64) -> Result<Vec<PathBuf>> {
         let mut previews = vec![
-            ("above".to_owned(), from_above(sweep)),
-            ("ranges".to_owned(), ranges(sweep)),
+            (ABOVE.to_owned(), from_above(sweep)),
+            (RANGES.to_owned(), ranges(sweep)),
         ];
         let end_s = time_s + sweep.lidar.model.sweep_s;
         let cameras = self.loaded.rig.driving(&self.loaded.ego, end_s);

@@ -24,6 +24,7 @@ mod camera_spec;
 mod codec;
 mod connections;
 pub mod encoding;
+mod image_memory;
 mod jpeg;
 mod lidar;
 mod log_limit;

@@ -140,6 +140,8 @@ impl Lidar for Sensorsim {
             point_ring_ids_buffer: words(points().map(|point| point.beam.ring)),
             point_laser_ids_buffer: words(points().map(|point| point.beam.laser)),
             point_instance_ids_buffer: words(points().map(|point| point.measured.instance)),
+            point_return_numbers_buffer: points().map(|point| point.measured.number).collect(),
+            point_return_counts_buffer: points().map(|point| point.measured.count).collect(),
         }))
     }
 }

@@ -7,7 +7,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{Builder, JoinHandle};
 use std::time::Instant;
 
@@ -16,11 +16,12 @@ use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::Gpu;
 use decouplegs::open_movable_scene;
 use decouplegs::scene::LidarSweep;
-use decouplegs::session::{HostImages, Session, SessionError};
+use decouplegs::session::{Session, SessionError};
 use tokio::sync::{oneshot, watch};
 use tonic::Status;
 
 use crate::cache::Cache;
+use crate::image_memory::{ImageMemory, Images};
 use crate::log_limit::LogLimit;
 use crate::metrics::Metrics;
 use crate::names::no_scene;
@@ -30,9 +31,6 @@ use crate::scene_registry::SceneRegistry;
 use crate::scene_renderer::{Drawn, SceneRenderer, is_lost, status_of};
 use crate::sweep_request::SweepRequest;
 
-/// Frames whose images there may be at a time. When encoding falls so far behind, drawing waits:
-/// memory stays bounded.
-const FRAMES_MAX: usize = 4;
 /// Unknown objects that are warned of, once each. Only hashes of their names are kept.
 const WARNED_MAX: usize = 1000;
 /// Threads that read files. One may wait for a slow disk while another reads.
@@ -47,51 +45,6 @@ pub struct RenderQueue {
     lost: watch::Receiver<bool>,
     /// True if queued requests are refused instead of rendered.
     refusing: Arc<AtomicBool>,
-}
-
-/// Images of one submission, in the order of its cameras. Their memory serves another frame
-/// afterwards.
-pub struct Images {
-    /// The images.
-    pub bytes: HostImages,
-    memory: Arc<ImageMemory>,
-}
-
-/// Memory of images, handed out again and again.
-#[derive(Default)]
-struct ImageMemory {
-    /// Free buffers, and the number of borrowed ones.
-    free: Mutex<(Vec<HostImages>, usize)>,
-    given_back: Condvar,
-}
-
-impl ImageMemory {
-    /// Memory for one frame, once there is some.
-    fn take(self: &Arc<Self>) -> Images {
-        let free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut free = self
-            .given_back
-            .wait_while(free, |(_, out)| *out >= FRAMES_MAX)
-            .unwrap_or_else(PoisonError::into_inner);
-        free.1 += 1;
-        Images {
-            bytes: free.0.pop().unwrap_or_default(),
-            memory: Arc::clone(self),
-        }
-    }
-}
-
-impl Drop for Images {
-    fn drop(&mut self) {
-        let mut free = self
-            .memory
-            .free
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        free.0.push(std::mem::take(&mut self.bytes));
-        free.1 -= 1;
-        self.memory.given_back.notify_one();
-    }
 }
 
 enum Message {

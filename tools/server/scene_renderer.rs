@@ -96,8 +96,8 @@ impl SceneRenderer {
         Ok(drawn)
     }
 
-    /// Traces the sweep that `request` asks for. Its poses are those of the request. Instances are 1
-    /// and more in the order of the objects.
+    /// Traces the sweep that `request` asks for. Its poses are those of the request. Instances are
+    /// 1 and more in the order of the objects.
     ///
     /// # Errors
     /// Returns an error if a pose makes no sense, the device has not the memory or was lost.
@@ -108,7 +108,8 @@ impl SceneRenderer {
             ..request.lidar.clone()
         };
         let halfway_s = 0.5 * lidar.model.sweep_s;
-        let traced = self.renderer.trace(&self.world, &lidar, halfway_s)?;
+        let mode = request.options.mode;
+        let traced = self.renderer.trace(&self.world, &lidar, halfway_s, mode)?;
         let mut sweep = traced.returns(&request.options);
         sweep.lidar = request.lidar.clone();
         Ok((sweep, drawn))

@@ -12,11 +12,12 @@ use tonic::{Code, Request, Response, Status};
 
 use crate::camera_spec::spec_of;
 use crate::encoding::{Encoders, encode};
+use crate::image_memory::Images;
 use crate::metrics::Metrics;
 use crate::names::{CONTRACT_VERSION, check_name, no_scene};
 use crate::options::Limits;
 use crate::poses::message_of;
-use crate::render_queue::{Images, RenderQueue};
+use crate::render_queue::RenderQueue;
 use crate::render_request::RenderRequest;
 use crate::scene_registry::{SceneMetadata, SceneRegistry};
 use crate::wire::common::version_id::ApiVersion;

@@ -106,13 +106,11 @@ impl SweepRequest {
         let mut checked = common.checked(&request.logical_id, model, "", limits)?;
         checked.options.seed = request.seed;
         if !request.returns.is_empty() {
-            let mut modes = ReturnMode::NAMED.into_iter();
-            let named = modes.find(|(name, _)| *name == request.returns);
             let unknown = || {
                 let names = ReturnMode::NAMED.map(|(name, _)| name).join(", ");
                 Status::invalid_argument(format!("returns: expected one of {names}"))
             };
-            checked.options.mode = named.ok_or_else(unknown)?.1;
+            checked.options.mode = ReturnMode::by_name(&request.returns).ok_or_else(unknown)?;
         }
         if request.opacity_threshold != 0.0 {
             let threshold = request.opacity_threshold;

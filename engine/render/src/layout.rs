@@ -9,7 +9,7 @@ mod lidar;
 mod light;
 
 pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
-pub use lidar::{BeamRecord, BeamState, FiringRecord, SectorRecord};
+pub use lidar::{BeamEchoes, BeamRecord, BeamState, EchoRecord, FiringRecord, SectorRecord};
 pub use light::{RelightRecord, ShadowRecord};
 
 use bytemuck::{Pod, Zeroable};

@@ -7,6 +7,7 @@ use decouplegs_render::{
     Agent, ColorFormat, FrameStatistics, Image, ImageBytes, LidarOptions, LidarRenderer,
     RenderOptions, Renderer, Scene, TakenImages, TracedSweep,
 };
+use decouplegs_scene::lidar::ReturnMode;
 use decouplegs_scene::{Camera, Lidar, Rules};
 
 use super::batch::{Batch, batches};
@@ -255,7 +256,7 @@ impl BatchRenderer {
 
     /// Traces one sweep of `lidar` through `world` and waits for it. The agents are where `world`
     /// has them `world_s` after the start of the sweep; before and after that they go on with their
-    /// motion.
+    /// motion. Returns by `mode` can be made of it; with [`ReturnMode::Dual`], by every mode.
     ///
     /// # Errors
     /// Returns an error if `world` is of another session, the model, a pose or a motion makes no
@@ -265,6 +266,7 @@ impl BatchRenderer {
         world: &World,
         lidar: &Lidar,
         world_s: f64,
+        mode: ReturnMode,
     ) -> Result<TracedSweep, SessionError> {
         if !world.scene().is_on(&self.gpu) {
             return Err(SessionError::OtherSession { view: 0 });
@@ -291,7 +293,7 @@ impl BatchRenderer {
             self.lidars.push(LidarRenderer::new(&self.gpu, options));
             self.lidars.len() - 1
         });
-        Ok(self.lidars[index].trace(scene, lidar)?)
+        Ok(self.lidars[index].trace(scene, lidar, mode)?)
     }
 
     fn check_finished(&self) -> Result<(), SessionError> {

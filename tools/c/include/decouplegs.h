@@ -252,17 +252,21 @@ enum DgsReturn
      */
     DGS_RETURN_OF_MODEL = 0,
     /**
-     * Of the splat at which half of the beam is gone.
+     * Range of the splat at which half of the beam is gone.
      */
     DGS_RETURN_MEDIAN = 1,
     /**
-     * The mean by weight.
+     * Mean range by weight.
      */
     DGS_RETURN_EXPECTED = 2,
     /**
-     * Of the splat that takes most.
+     * Range of the splat that takes most.
      */
     DGS_RETURN_STRONGEST = 3,
+    /**
+     * Up to two: ranges of the strongest and of the last group of splats.
+     */
+    DGS_RETURN_DUAL = 4,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -594,9 +598,13 @@ typedef struct {
      */
     uint16_t instance;
     /**
-     * Zero.
+     * Number among the returns of the beam, from 1.
      */
-    uint16_t reserved;
+    uint8_t return_number;
+    /**
+     * Returns of the beam.
+     */
+    uint8_t return_count;
 } DgsLidarPoint;
 
 #ifdef __cplusplus
@@ -889,8 +897,8 @@ DgsStatus dgs_lidar_beam_count(const DgsLidar *lidar, size_t *count);
 DgsStatus dgs_lidar_sweep_s(const DgsLidar *lidar, double *sweep_s);
 
 /**
- * Traces one sweep of a LiDAR through a world and waits for it. Agents are where the world has them
- * at the end of the sweep. Its points replace those of the sweep before.
+ * Traces one sweep of a LiDAR through a world and waits for it. Agents are where the world has
+ * them at the end of the sweep. Its points replace those of the sweep before.
  */
 DgsStatus dgs_batch_renderer_sweep(DgsBatchRenderer *renderer,
                                    const DgsWorld *world,

@@ -11,10 +11,9 @@ use decouplegs::session::{BatchRenderer, HostImages, Session, SessionError, Worl
 use crate::arguments::{array, give_growing, out, out_handle};
 use crate::boundary::{Call, guarded};
 use crate::handles::{Registry, alone};
-use crate::lidar::DgsLidarPoint;
 use crate::session::{DgsSession, SESSIONS};
 use crate::status::{DgsStatus, Failure};
-use crate::types::{DgsCamera, DgsImage, DgsImageKind, DgsStatistics, DgsView};
+use crate::types::{DgsCamera, DgsImage, DgsImageKind, DgsLidarPoint, DgsStatistics, DgsView};
 use crate::world::{HeldWorld, WORLDS};
 
 /// Draws worlds and keeps the images.

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use decouplegs::asset::read_lidar;
-use decouplegs::scene::lidar::{LidarPoint, PointFrame, ReturnMode, ReturnOptions};
+use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions};
 use decouplegs::scene::{LidarModel, Motion, Pose, RigLidar};
 use glam::DVec3;
 
@@ -15,7 +15,7 @@ use crate::boundary::guarded;
 use crate::handles::Registry;
 use crate::scene::{DgsScene, SCENES};
 use crate::status::{DgsStatus, Failure};
-use crate::types::DgsPose;
+use crate::types::{DgsLidarPoint, DgsPose};
 use crate::world::{DgsWorld, WORLDS};
 
 /// The model of a LiDAR.
@@ -43,12 +43,14 @@ pub enum DgsPointFrame {
 pub enum DgsReturn {
     /// The model's.
     OfModel = 0,
-    /// Of the splat at which half of the beam is gone.
+    /// Range of the splat at which half of the beam is gone.
     Median = 1,
-    /// The mean by weight.
+    /// Mean range by weight.
     Expected = 2,
-    /// Of the splat that takes most.
+    /// Range of the splat that takes most.
     Strongest = 3,
+    /// Up to two: ranges of the strongest and of the last group of splats.
+    Dual = 4,
 }
 
 /// A sweep that is asked for.
@@ -77,46 +79,6 @@ pub struct DgsSweepOptions {
 impl DgsSweepOptions {
     /// Bytes of the first version.
     const FIRST_BYTES: usize = size_of::<Self>();
-}
-
-/// A point of a sweep.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default)]
-pub struct DgsLidarPoint {
-    /// Position in the frame of the sweep, meters.
-    pub position_m: [f32; 3],
-    /// Range along the beam, meters.
-    pub range_m: f32,
-    /// Intensity from 0 to 1. Luma of splats: uncalibrated.
-    pub intensity: f32,
-    /// Time of firing after the start of the sweep, nanoseconds.
-    pub offset_ns: u32,
-    /// Column of the beam.
-    pub column: u32,
-    /// Row of the beam, from the highest.
-    pub ring: u16,
-    /// Laser of the beam, as the manufacturer counts.
-    pub laser: u16,
-    /// Number in images of instances; 0 is the background.
-    pub instance: u16,
-    /// Zero.
-    pub reserved: u16,
-}
-
-impl DgsLidarPoint {
-    fn of(point: &LidarPoint) -> Self {
-        Self {
-            position_m: point.position_m.as_vec3().to_array(),
-            range_m: point.measured.range_m,
-            intensity: point.measured.intensity,
-            offset_ns: (1e9 * point.beam.time_s).round() as u32,
-            column: point.beam.column,
-            ring: point.beam.ring,
-            laser: point.beam.laser,
-            instance: point.measured.instance,
-            reserved: 0,
-        }
-    }
 }
 
 /// The model called `sensor` that comes with the library, such as "pandar128", or that of a file
@@ -212,8 +174,8 @@ pub unsafe extern "C" fn dgs_lidar_sweep_s(lidar: *const DgsLidar, sweep_s: *mut
     })
 }
 
-/// Traces one sweep of a LiDAR through a world and waits for it. Agents are where the world has them
-/// at the end of the sweep. Its points replace those of the sweep before.
+/// Traces one sweep of a LiDAR through a world and waits for it. Agents are where the world has
+/// them at the end of the sweep. Its points replace those of the sweep before.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_batch_renderer_sweep(
     renderer: *mut DgsBatchRenderer,
@@ -253,8 +215,9 @@ pub unsafe extern "C" fn dgs_batch_renderer_sweep(
             mode if mode == DgsReturn::Median as u32 => ReturnMode::Median,
             mode if mode == DgsReturn::Expected as u32 => ReturnMode::Expected,
             mode if mode == DgsReturn::Strongest as u32 => ReturnMode::Strongest,
+            mode if mode == DgsReturn::Dual as u32 => ReturnMode::Dual,
             mode => {
-                let text = format!("returns is {mode}: expected a DgsReturn, 0 to 3");
+                let text = format!("returns is {mode}: expected a DgsReturn, 0 to 4");
                 return Err(Failure::argument(text));
             }
         };
@@ -283,7 +246,7 @@ pub unsafe extern "C" fn dgs_batch_renderer_sweep(
         let world = WORLDS.find(call, world)?;
         let world = world.read()?;
         let sweep_s = placed.model.sweep_s;
-        let traced = drawing.renderer.trace(&world, &placed, sweep_s)?;
+        let traced = drawing.renderer.trace(&world, &placed, sweep_s, mode)?;
         let sweep = traced.returns(&ReturnOptions {
             mode,
             opacity_min,

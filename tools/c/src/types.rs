@@ -4,6 +4,7 @@ use std::ffi::{c_char, c_void};
 
 use decouplegs::gpu::{DeviceInfo, DeviceKind};
 use decouplegs::render::{Plane, Planes};
+use decouplegs::scene::lidar::LidarPoint;
 use decouplegs::scene::{Camera, Intrinsics, Lens, Motion, Photometry, Pose, Shutter};
 use glam::{DQuat, DVec3};
 
@@ -493,6 +494,49 @@ mod tests {
             [1.0, 0.0, f64::INFINITY, 0.0],
         ] {
             assert!(with(nonsense, [0.0; 3]).unwrap_err().contains("length 1"));
+        }
+    }
+}
+
+/// A point of a sweep.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DgsLidarPoint {
+    /// Position in the frame of the sweep, meters.
+    pub position_m: [f32; 3],
+    /// Range along the beam, meters.
+    pub range_m: f32,
+    /// Intensity from 0 to 1. Luma of splats: uncalibrated.
+    pub intensity: f32,
+    /// Time of firing after the start of the sweep, nanoseconds.
+    pub offset_ns: u32,
+    /// Column of the beam.
+    pub column: u32,
+    /// Row of the beam, from the highest.
+    pub ring: u16,
+    /// Laser of the beam, as the manufacturer counts.
+    pub laser: u16,
+    /// Number in images of instances; 0 is the background.
+    pub instance: u16,
+    /// Number among the returns of the beam, from 1.
+    pub return_number: u8,
+    /// Returns of the beam.
+    pub return_count: u8,
+}
+
+impl DgsLidarPoint {
+    pub fn of(point: &LidarPoint) -> Self {
+        Self {
+            position_m: point.position_m.as_vec3().to_array(),
+            range_m: point.measured.range_m,
+            intensity: point.measured.intensity,
+            offset_ns: (1e9 * point.beam.time_s).round() as u32,
+            column: point.beam.column,
+            ring: point.beam.ring,
+            laser: point.beam.laser,
+            instance: point.measured.instance,
+            return_number: point.measured.number,
+            return_count: point.measured.count,
         }
     }
 }

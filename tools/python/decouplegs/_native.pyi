@@ -329,6 +329,8 @@ class Sweep(TypedDict):
     ring: NDArray[np.uint16]
     laser: NDArray[np.uint16]
     instance: NDArray[np.uint16]
+    return_number: NDArray[np.uint8]
+    return_count: NDArray[np.uint8]
 
 Views = Sequence[tuple[World, Sequence[Camera]]]
 
@@ -355,7 +357,7 @@ class BatchRenderer:
         velocity: Sequence[float] = (0.0, 0.0, 0.0),
         turn: Sequence[float] = (0.0, 0.0, 0.0),
         frame: Literal["raw", "start", "end", "ego", "world"] = "ego",
-        returns: Literal["median", "expected", "strongest"] | None = None,
+        returns: Literal["median", "expected", "strongest", "dual"] | None = None,
         opacity_min: float = 0.5,
         seed: int = 0,
     ) -> Sweep:

@@ -223,14 +223,15 @@ impl BatchRenderer {
 
     /// Traces one sweep of a LiDAR through a world, on a vehicle that is at world_from_rig, float64
     /// [4, 4], meters, when the sweep ends. It and the agents go on with their motion during the
-    /// sweep; velocity, m/s along the axes of the world, and turn, rad/s about those of the vehicle,
-    /// are the vehicle's.
+    /// sweep; velocity, m/s along the axes of the world, and turn, rad/s about those of the
+    /// vehicle, are the vehicle's.
     ///
     /// Arrays of N returns: ``points`` float32 [N, 3], meters, in ``frame``: ``raw``, ``start`` or
     /// ``end`` of the sensor, ``ego`` (of the vehicle at the end) or ``world``; ``range`` and
-    /// ``intensity`` (0 to 1) float32 [N]; ``offset_ns`` since the start of the sweep, ``column`` and
-    /// ``beam`` uint32 [N]; ``ring`` (from the highest), ``laser`` and ``instance`` (0 the background)
-    /// uint16 [N]. NumPy arrays, which ``from_dlpack`` of other libraries takes as they are.
+    /// ``intensity`` (0 to 1) float32 [N]; ``offset_ns`` since the start of the sweep, ``column``
+    /// and ``beam`` uint32 [N]; ``ring`` (from the highest), ``laser`` and ``instance`` (0 the
+    /// background) uint16 [N]; ``return_number`` and ``return_count`` of the beam, uint8 [N]. NumPy
+    /// arrays, which ``from_dlpack`` of other libraries takes as they are.
     #[pyo3(signature = (world, lidar, world_from_rig, *, velocity = [0.0; 3], turn = [0.0; 3], frame = "ego", returns = None, opacity_min = 0.5, seed = 0))]
     #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn sweep<'py>(
@@ -255,7 +256,8 @@ impl BatchRenderer {
         let world = world.lock().clone();
         let traced = py.detach(|| {
             let sweep_s = placed.model.sweep_s;
-            lock(&self.state).renderer.trace(&world, &placed, sweep_s)
+            let mut state = lock(&self.state);
+            state.renderer.trace(&world, &placed, sweep_s, options.mode)
         });
         let sweep = traced
             .map_err(|error| of_session(&error))?

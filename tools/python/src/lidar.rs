@@ -56,11 +56,9 @@ pub fn options_of(
     let mode = match returns {
         None => lidar.model.returns,
         Some(name) => {
-            let mut modes = ReturnMode::NAMED.into_iter();
-            let found = modes.find(|(known, _)| *known == name);
             let names = ReturnMode::NAMED.map(|(name, _)| name).join(", ");
             let wrong = || value_error(format!("returns: expected {names}, found {name:?}"));
-            found.ok_or_else(wrong)?.1
+            ReturnMode::by_name(name).ok_or_else(wrong)?
         }
     };
     if !(0.0..=1.0).contains(&opacity_min) {
@@ -104,6 +102,8 @@ pub fn to_dict<'py>(py: Python<'py>, points: &[LidarPoint]) -> PyResult<Bound<'p
     column(&dict, "range", measured().map(|found| found.range_m))?;
     column(&dict, "intensity", measured().map(|found| found.intensity))?;
     column(&dict, "instance", measured().map(|found| found.instance))?;
+    column(&dict, "return_number", measured().map(|found| found.number))?;
+    column(&dict, "return_count", measured().map(|found| found.count))?;
     column(&dict, "beam", measured().map(|found| found.beam))?;
     let beams = || points.iter().map(|point| point.beam);
     column(&dict, "ring", beams().map(|beam| beam.ring))?;

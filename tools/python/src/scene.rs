@@ -63,8 +63,8 @@ impl Scene {
         lidars.map(|inner| Lidar { inner }).collect()
     }
 
-    /// Motion of the ego vehicle from the scene file: velocity, m/s along the axes of the world, and
-    /// turn, rad/s about those of the vehicle.
+    /// Motion of the ego vehicle from the scene file: velocity, m/s along the axes of the world,
+    /// and turn, rad/s about those of the vehicle.
     fn ego_motion(&self, time_s: f64) -> PyResult<MotionTuple> {
         Ok(tuple_of(&self.inner.ego().motion_at(finite(time_s)?)))
     }

@@ -23,6 +23,8 @@ FIELDS = {
     "ring": np.uint16,
     "laser": np.uint16,
     "instance": np.uint16,
+    "return_number": np.uint8,
+    "return_count": np.uint8,
 }
 
 

@@ -4,6 +4,7 @@ use decouplegs::open_movable_scene;
 use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions};
 use decouplegs::scene::{Motion, Pose, RigLidar};
 use decouplegs::session::{Session, SessionOptions, World};
+use decouplegs_server::running::Running;
 use decouplegs_server::wire::lidar::lidar_client::LidarClient;
 use decouplegs_server::wire::lidar::{AvailableLidarsRequest, SweepRequest};
 use decouplegs_server::wire::sensorsim::{
@@ -11,6 +12,7 @@ use decouplegs_server::wire::sensorsim::{
 };
 use glam::DVec3;
 use tonic::Code;
+use tonic::transport::Channel;
 
 use crate::asking::{channel, client, message, object, options, pair, pose, serve};
 use crate::scenes::street;
@@ -33,6 +35,10 @@ fn lidar_request(sensor_pose: PosePair) -> LidarRenderRequest {
     }
 }
 
+async fn lidar_client(running: &Running) -> LidarClient<Channel> {
+    LidarClient::new(channel(running).await).max_decoding_message_size(64 << 20)
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn the_server_and_a_session_trace_the_same_points() {
     let folder = tempfile::tempdir().unwrap();
@@ -44,7 +50,7 @@ async fn the_server_and_a_session_trace_the_same_points() {
     let mut placed = world.agents()[0].placed;
     let name = world.agents()[0].name.clone();
     let running = serve(&options(vec![path])).await;
-    let mut lidars = LidarClient::new(channel(&running).await).max_decoding_message_size(64 << 20);
+    let mut lidars = lidar_client(&running).await;
 
     let asked = AvailableLidarsRequest {
         scene_id: "street".into(),
@@ -93,7 +99,9 @@ async fn the_server_and_a_session_trace_the_same_points() {
     (placed.pose, placed.motion) = Pose::halfway(&car[0], &car[1], sweep_s);
     world.set_agents([(name, placed)]).unwrap();
     let mut renderer = session.batch_renderer();
-    let traced = renderer.trace(&world, &lidar, 0.5 * sweep_s).unwrap();
+    let traced = renderer
+        .trace(&world, &lidar, 0.5 * sweep_s, ReturnMode::Strongest)
+        .unwrap();
     let sweep = traced.returns(&ReturnOptions {
         mode: ReturnMode::Strongest,
         opacity_min: 0.25,
@@ -132,9 +140,16 @@ async fn the_server_and_a_session_trace_the_same_points() {
         "the mode counts"
     );
 
-    // The same sensor by its kind, alone and aggregated, in its frame at the end.
-    let mut sensorsim = client(&running).await;
-    let asked = lidar_request(sent);
+    by_kind(&running, &request).await;
+    nonsense_is_refused(&running, &request).await;
+    running.stop().await.unwrap();
+}
+
+/// The same sensor by its kind, alone and aggregated, in its frame at the end of the sweep.
+async fn by_kind(running: &Running, request: &SweepRequest) {
+    let mut lidars = lidar_client(running).await;
+    let mut sensorsim = client(running).await;
+    let asked = lidar_request(request.sensor_pose.unwrap());
     let alone = sensorsim
         .render_lidar(asked.clone())
         .await
@@ -168,7 +183,10 @@ async fn the_server_and_a_session_trace_the_same_points() {
         .unwrap()
         .into_inner();
     assert!(both.lidar_returns == [alone.clone(), alone]);
+}
 
+async fn nonsense_is_refused(running: &Running, request: &SweepRequest) {
+    let mut lidars = lidar_client(running).await;
     let refused: [(&str, Code, fn(&mut SweepRequest)); 7] = [
         ("scene_id", Code::NotFound, |asked| {
             asked.scene_id = "no".into()
@@ -201,7 +219,8 @@ async fn the_server_and_a_session_trace_the_same_points() {
             "{status}"
         );
     }
-    let mut spoilt = lidar_request(sent);
+    let mut sensorsim = client(running).await;
+    let mut spoilt = lidar_request(request.sensor_pose.unwrap());
     spoilt.lidar_config = Some(LidarSpec { lidar_type: 9 });
     let both = AggregatedRenderRequest {
         lidar_requests: vec![spoilt],
@@ -214,5 +233,4 @@ async fn the_server_and_a_session_trace_the_same_points() {
             .starts_with("lidar_requests[0].lidar_config"),
         "{status}"
     );
-    running.stop().await.unwrap();
 }

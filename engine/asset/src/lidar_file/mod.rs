@@ -12,7 +12,7 @@
 //! direction = "cw"                             # as seen from above; or "ccw"
 //! rate_hz = 10.0
 //! range_m = [0.3, 200.0]
-//! returns = "median"                           # or "expected", "strongest"
+//! returns = "median"                           # or "expected", "strongest", "dual"
 //! firing_time = "middle"                       # or "start", "ncore"
 //! range_noise_m = 0.0
 //! ```

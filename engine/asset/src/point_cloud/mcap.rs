@@ -64,8 +64,11 @@ pub const POINT_FIELDS: [(&str, u32, u8); 10] = [
 /// Bytes of a point.
 const POINT_BYTES: u32 = 32;
 
-/// `return_type` of the strongest of one return, as Autoware numbers them.
+/// `return_type` as Autoware numbers them: the strongest of one return; of two, the strongest and
+/// the last.
 const RETURN_SINGLE_STRONGEST: u8 = 1;
+const RETURN_DUAL_STRONGEST_FIRST: u8 = 3;
+const RETURN_DUAL_WEAK_LAST: u8 = 6;
 
 /// Sweeps of one sensor that become one file.
 pub struct McapSweeps {
@@ -181,7 +184,11 @@ fn packed(point: &LidarPoint) -> [u8; POINT_BYTES as usize] {
         bytes[at..at + 4].copy_from_slice(&value.to_le_bytes());
     }
     bytes[12] = intensity_byte(point);
-    bytes[13] = RETURN_SINGLE_STRONGEST;
+    bytes[13] = match (point.measured.number, point.measured.count) {
+        (_, 1) => RETURN_SINGLE_STRONGEST,
+        (1, _) => RETURN_DUAL_STRONGEST_FIRST,
+        _ => RETURN_DUAL_WEAK_LAST,
+    };
     bytes[14..16].copy_from_slice(&point.beam.ring.to_le_bytes());
     bytes[28..32].copy_from_slice(&offset_ns(point).to_le_bytes());
     bytes

@@ -59,6 +59,8 @@ impl PointFormat {
 pub enum FieldType {
     /// 32-bit float.
     F32,
+    /// 8-bit unsigned integer.
+    U8,
     /// 16-bit unsigned integer.
     U16,
     /// 32-bit unsigned integer.
@@ -70,6 +72,7 @@ impl FieldType {
     fn names(self) -> ((char, u8), &'static str, &'static str) {
         match self {
             Self::F32 => (('F', 4), "float", "<f4"),
+            Self::U8 => (('U', 1), "uchar", "|u1"),
             Self::U16 => (('U', 2), "ushort", "<u2"),
             Self::U32 => (('U', 4), "uint", "<u4"),
         }
@@ -77,8 +80,9 @@ impl FieldType {
 }
 
 /// Values of a point in PCD, PLY and NumPy files: position and range in meters, intensity from 0
-/// to 1, ring from the highest row, time of firing after the start of the sweep.
-pub const FIELDS: [(&str, FieldType); 10] = [
+/// to 1, ring from the highest row, time of firing after the start of the sweep, number among the
+/// returns of the beam.
+pub const FIELDS: [(&str, FieldType); 12] = [
     ("x", FieldType::F32),
     ("y", FieldType::F32),
     ("z", FieldType::F32),
@@ -89,10 +93,12 @@ pub const FIELDS: [(&str, FieldType); 10] = [
     ("ring", FieldType::U16),
     ("laser", FieldType::U16),
     ("instance", FieldType::U16),
+    ("return_number", FieldType::U8),
+    ("return_count", FieldType::U8),
 ];
 
 /// Bytes of a point of [`FIELDS`].
-const FIELD_BYTES: usize = 34;
+const FIELD_BYTES: usize = 36;
 
 /// Writes `points` of a sensor with `rings` rows to `path`, atomically. `comments` are lines for
 /// people, in the headers of PCD and PLY.
@@ -223,6 +229,7 @@ fn records(points: &[LidarPoint]) -> Vec<u8> {
         for value in [point.beam.ring, point.beam.laser, measured.instance] {
             bytes.extend(value.to_le_bytes());
         }
+        bytes.extend([measured.number, measured.count]);
     }
     bytes
 }

@@ -157,6 +157,8 @@ fn points(frame: PointFrame) -> Vec<LidarPoint> {
         range_m,
         intensity: 0.5,
         instance: 3,
+        number: 1,
+        count: 1,
     };
     let beams = lidar.model.beams();
     let returns = vec![found(11, 10.0), found(900 * 32 + 11, 20.0)];
@@ -211,8 +213,8 @@ fn files_hold_the_layouts_of_their_formats() {
     assert!(npy.starts_with(b"\x93NUMPY"));
     assert_eq!(pcd[header..], ply[end..]);
     assert_eq!(pcd[header..], npy[npy.len() - 68..]);
-    assert_eq!(floats(&pcd[header + 34..header + 54]), [x, y, z, 0.5, 20.0]);
-    assert_eq!(FIELDS.len(), 10);
+    assert_eq!(floats(&pcd[header + 36..header + 56]), [x, y, z, 0.5, 20.0]);
+    assert_eq!(FIELDS.len(), 12);
     assert!(of(PointFormat::Argoverse2).starts_with(b"ARROW1"));
     let mut sweeps = McapSweeps::new("/lidar/roof", "end").unwrap();
     sweeps.add(5_000_000_007, &points).unwrap();

@@ -1,7 +1,7 @@
 //! Records of LiDARs.
 
 use bytemuck::{Pod, Zeroable};
-use decouplegs_scene::lidar::ReturnMode;
+use decouplegs_scene::lidar::{ECHO_WEIGHT_MIN, Echo, ReturnMode};
 
 /// `Sector` of `lidar.glsl`.
 #[repr(C)]
@@ -59,9 +59,68 @@ pub struct BeamState {
     pub instances: u32,
 }
 
+/// `Echo` of `trace_lidar.comp`: splats of a beam that follow one another.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct EchoRecord {
+    /// Sum of weights; 0 for none.
+    pub weight: f32,
+    /// Sum of weight times range.
+    pub range_sum_m: f32,
+    /// Sum of weight times intensity.
+    pub intensity_sum: f32,
+    /// Instance of the splat with the largest weight.
+    pub instance: u32,
+}
+
+impl EchoRecord {
+    /// The echo; `None` where it does not count.
+    fn echo(&self) -> Option<Echo> {
+        (f64::from(self.weight) >= ECHO_WEIGHT_MIN).then(|| Echo {
+            weight: self.weight,
+            range_m: self.range_sum_m / self.weight,
+            intensity: self.intensity_sum / self.weight,
+            instance: self.instance as u16,
+        })
+    }
+}
+
+/// `BeamEchoes` of `trace_lidar.comp`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct BeamEchoes {
+    /// The echo at the end of the walk.
+    pub open: EchoRecord,
+    /// Largest weight of a splat of it.
+    pub open_strongest: f32,
+    /// The strongest of the echoes before.
+    pub strongest: EchoRecord,
+    /// The last of the echoes before that counts.
+    pub last: EchoRecord,
+}
+
+impl BeamEchoes {
+    /// The strongest echo and the last, which is `None` if it is the same.
+    #[must_use]
+    pub fn found(&self) -> [Option<Echo>; 2] {
+        match (self.open.echo(), self.strongest.echo(), self.last.echo()) {
+            (None, None, _) => [None, None],
+            (Some(open), None, _) => [Some(open), None],
+            (None, Some(strongest), last) => {
+                [Some(strongest), last.filter(|last| *last != strongest)]
+            }
+            (Some(open), Some(strongest), _) if open.weight > strongest.weight => {
+                [Some(open), None]
+            }
+            (Some(open), Some(strongest), _) => [Some(strongest), Some(open)],
+        }
+    }
+}
+
 impl BeamState {
     /// Range by `mode` and the instance of the splat that gives it; for the mean range, of the
-    /// splat with the largest weight. `None` where nothing was met, or no median.
+    /// splat with the largest weight. `None` where nothing was met, or no median; dual returns are
+    /// in [`BeamEchoes`].
     #[must_use]
     pub fn range(&self, mode: ReturnMode) -> Option<(f32, u16)> {
         let strongest = (self.instances >> 16) as u16;
@@ -70,7 +129,7 @@ impl BeamState {
             ReturnMode::Median if self.median_m > 0.0 => {
                 Some((self.median_m, self.instances as u16))
             }
-            ReturnMode::Median => None,
+            ReturnMode::Median | ReturnMode::Dual => None,
             _ if self.strongest_weight <= 0.0 => None,
             ReturnMode::Expected => Some((self.range_sum_m / total, strongest)),
             ReturnMode::Strongest => Some((self.strongest_m, strongest)),

@@ -10,13 +10,13 @@ mod sectors;
 use std::sync::Arc;
 
 use decouplegs_gpu::{DeviceKind, Gpu, MemoryKind, QueueRole, Recorder, Ticket};
-use decouplegs_scene::lidar::{Beam, LidarCells, LidarReturn, ReturnOptions};
+use decouplegs_scene::lidar::{Beam, Echo, LidarCells, LidarReturn, ReturnMode, ReturnOptions};
 use decouplegs_scene::{Lidar, LidarModel, LidarSweep, Rules, random};
 
 use crate::RenderError;
 use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
-use crate::layout::{BeamState, CAMERAS_MAX, RequiredCounts, View};
+use crate::layout::{BeamEchoes, BeamState, CAMERAS_MAX, RequiredCounts, View};
 use crate::stages::{
     AgentBuffers, LidarAgents, LidarBuffers, LidarPass, LidarVariant, PURPOSE, ProjectLidar,
     ProjectLidarAgents, Records, Scan, SectorBuffers, TileSort, TileSortBuffers, TraceLidar,
@@ -87,6 +87,8 @@ pub struct TracedSweep {
     pub beams: Arc<[Beam]>,
     /// State of each beam.
     pub states: Vec<BeamState>,
+    /// Echoes of each beam; empty unless they were asked for.
+    pub echoes: Vec<BeamEchoes>,
     /// Counts of the lists.
     pub required: RequiredCounts,
     /// Time on the device, nanoseconds.
@@ -97,6 +99,9 @@ impl TracedSweep {
     /// Returns of the sweep: a beam has one if splats took enough of it and the range is one that
     /// the sensor reports. Noise, where the model has some, is added last, and depends on the seed
     /// and the beam alone.
+    ///
+    /// # Panics
+    /// Panics if the mode is [`ReturnMode::Dual`], and the sweep was traced for another one.
     #[must_use]
     pub fn returns(&self, options: &ReturnOptions) -> LidarSweep {
         let model = &self.lidar.model;
@@ -105,22 +110,48 @@ impl TracedSweep {
             deviation_m => (deviation_m * normal(options.seed, beam as u64)) as f32,
         };
         let [least_m, greatest_m] = model.range_m.map(|range| range as f32);
+        let is_dual = options.mode == ReturnMode::Dual;
+        assert!(
+            !is_dual || self.echoes.len() == self.states.len(),
+            "dual returns of a sweep that was traced without echoes"
+        );
         let found = |(beam, state): (usize, &BeamState)| {
-            let (range_m, instance) = state.range(options.mode)?;
-            let taken = 1.0 - state.transmittance;
-            (taken >= options.opacity_min && range_m >= least_m && range_m <= greatest_m).then(
-                || LidarReturn {
-                    beam: beam as u32,
-                    range_m: range_m + noise_m(beam),
-                    intensity: state.intensity(),
+            let of_state = || {
+                let (range_m, instance) = state.range(options.mode)?;
+                let weight = 1.0 - state.transmittance;
+                let intensity = state.intensity();
+                let echo = Echo {
+                    weight,
+                    range_m,
+                    intensity,
                     instance,
-                },
-            )
+                };
+                (weight >= options.opacity_min).then_some(echo)
+            };
+            let echoes = match is_dual {
+                true => self.echoes[beam].found(),
+                false => [of_state(), None],
+            };
+            let reports = |echo: &Echo| (least_m..=greatest_m).contains(&echo.range_m);
+            let echoes = echoes.map(|echo| echo.filter(reports));
+            let count = echoes.iter().flatten().count() as u8;
+            echoes
+                .into_iter()
+                .flatten()
+                .zip(1..)
+                .map(move |(echo, number)| LidarReturn {
+                    beam: beam as u32,
+                    range_m: echo.range_m + noise_m(beam),
+                    intensity: echo.intensity,
+                    instance: echo.instance,
+                    number,
+                    count,
+                })
         };
         LidarSweep {
             lidar: self.lidar.clone(),
             beams: self.beams.clone(),
-            returns: self.states.iter().enumerate().filter_map(found).collect(),
+            returns: self.states.iter().enumerate().flat_map(found).collect(),
         }
     }
 }
@@ -130,6 +161,23 @@ fn normal(seed: u64, index: u64) -> f64 {
     let mut state = random::mix(seed ^ random::mix(index));
     let [first, second] = std::array::from_fn(|_| random::unit(random::next(&mut state)));
     (-2.0 * (1.0 - first).ln()).sqrt() * (std::f64::consts::TAU * second).cos()
+}
+
+/// Results of a walk, by cell.
+struct Walked {
+    states: Vec<BeamState>,
+    echoes: Vec<BeamEchoes>,
+}
+
+/// `values` of cells, sorted by the beams of the cells.
+fn by_beam<T: Copy + Default>(values: &[T], beam_of_cell: &[u32], beams: usize) -> Vec<T> {
+    let mut sorted = vec![T::default(); beams];
+    for (value, &beam) in values.iter().zip(beam_of_cell) {
+        if let Some(of_beam) = sorted.get_mut(beam as usize) {
+            *of_beam = *value;
+        }
+    }
+    sorted
 }
 
 /// A sweep that is being traced.
@@ -163,7 +211,8 @@ impl LidarRenderer {
     }
 
     /// Traces one sweep of `lidar` through `scene`, whose agents stand where they are at the start
-    /// of the sweep, and waits for it.
+    /// of the sweep, and waits for it. Returns by `mode` can be made of it; with
+    /// [`ReturnMode::Dual`], by every mode.
     ///
     /// # Errors
     /// Returns an error if the model, a pose or a motion makes no sense, or the device has not the
@@ -172,6 +221,7 @@ impl LidarRenderer {
         &mut self,
         scene: impl Into<Scene<'a>>,
         lidar: &Lidar,
+        mode: ReturnMode,
     ) -> Result<TracedSweep, RenderError> {
         let scene = scene.into();
         let of_lidar = |reason| RenderError::Lidar {
@@ -203,6 +253,7 @@ impl LidarRenderer {
             instances: scene.world.has_instances,
             moving: !lidar.motion.is_rest() || agents_move(),
             dilation_rad: self.options.rules.lidar_dilation_rad as f32,
+            echoes: mode == ReturnMode::Dual,
         };
         let input = SweepInput {
             sectors: SectorBuffers::upload(&self.gpu, &view, &cut.tables)?,
@@ -212,17 +263,18 @@ impl LidarRenderer {
             scene,
             view,
         };
-        let (cells_states, required, gpu_time_ns) = self.run(&input)?;
-        let mut states = vec![BeamState::default(); grid.beams.len()];
-        for (state, &beam) in cells_states.iter().zip(&cut.beam_of_cell) {
-            if let Some(of_beam) = states.get_mut(beam as usize) {
-                *of_beam = *state;
-            }
-        }
+        let (walked, required, gpu_time_ns) = self.run(&input)?;
+        let beams = grid.beams.len();
+        let states = by_beam(&walked.states, &cut.beam_of_cell, beams);
+        let echoes = match input.variant.echoes {
+            true => by_beam(&walked.echoes, &cut.beam_of_cell, beams),
+            false => Vec::new(),
+        };
         Ok(TracedSweep {
             lidar: lidar.clone(),
             beams: grid.beams.clone(),
             states,
+            echoes,
             required,
             gpu_time_ns,
         })
@@ -266,7 +318,7 @@ impl LidarRenderer {
                 variant,
                 background: ProjectLidar::new(gpu, rules, variant)?,
                 agents: ProjectLidarAgents::new(gpu, rules, variant)?,
-                trace: TraceLidar::new(gpu, rules, variant.moving)?,
+                trace: TraceLidar::new(gpu, rules, variant)?,
             });
         }
         Ok(())
@@ -276,7 +328,7 @@ impl LidarRenderer {
     fn run(
         &mut self,
         input: &SweepInput<'_>,
-    ) -> Result<(Vec<BeamState>, RequiredCounts, u64), RenderError> {
+    ) -> Result<(Walked, RequiredCounts, u64), RenderError> {
         self.build(input.variant)?;
         let splats =
             input.scene.world.splats + input.agents.as_ref().map_or(0, |(list, _)| list.splats);
@@ -286,15 +338,21 @@ impl LidarRenderer {
             None => Capacity::guess(splats, input.view.cameras.len()),
         };
         for _ in 0..ATTEMPTS_MAX {
-            let buffers = LidarBuffers::new(&self.gpu, &capacity, clusters, &input.view)?;
+            let buffers = LidarBuffers::new(
+                &self.gpu,
+                &capacity,
+                clusters,
+                &input.view,
+                input.variant.echoes,
+            )?;
             let (listed, required) = self.list(input, &buffers)?;
             if capacity.holds(&required) {
                 self.capacity = Some(capacity);
-                let (states, walked) = self.walk(input, &buffers, &required)?;
+                let (walked, walk) = self.walk(input, &buffers, &required)?;
                 return Ok((
-                    states,
+                    walked,
                     required,
-                    listed.gpu_time_ns()? + walked.gpu_time_ns()?,
+                    listed.gpu_time_ns()? + walk.gpu_time_ns()?,
                 ));
             }
             capacity = capacity.grown_to(&required, 0.25);
@@ -375,13 +433,13 @@ impl LidarRenderer {
         Ok((ticket, found.read_host()[0]))
     }
 
-    /// Walks the lists; returns the state of each cell.
+    /// Walks the lists; returns what the beam of each cell found.
     fn walk(
         &self,
         input: &SweepInput<'_>,
         buffers: &LidarBuffers,
         required: &RequiredCounts,
-    ) -> Result<(Vec<BeamState>, Ticket), RenderError> {
+    ) -> Result<(Walked, Ticket), RenderError> {
         let Some(stages) = self.stages_of(input.variant) else {
             unreachable!("build was called")
         };
@@ -401,10 +459,21 @@ impl LidarRenderer {
                 trace.record(r, sectors, buffers, entries, input.range_min_m);
             }
         });
+        let echoes = buffers.echoes.len();
+        let found_echoes =
+            self.gpu
+                .buffer("found_echoes", PURPOSE, echoes, MemoryKind::Readback)?;
         recorder.copy(&buffers.states, 0, &found, 0, cells);
+        if input.variant.echoes {
+            recorder.copy(&buffers.echoes, 0, &found_echoes, 0, echoes);
+        }
         let ticket = self.gpu.submit(recorder, &[])?;
         ticket.wait()?;
-        Ok((found.read_host().to_vec(), ticket))
+        let walked = Walked {
+            states: found.read_host().to_vec(),
+            echoes: found_echoes.read_host().to_vec(),
+        };
+        Ok((walked, ticket))
     }
 
     fn stages_of(&self, variant: LidarVariant) -> Option<&LidarStages> {

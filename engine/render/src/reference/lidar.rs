@@ -5,7 +5,7 @@
 //! no approximation of motion. The exact ray in the Gaussian's own metric is that of Yu et al.,
 //! Gaussian Opacity Fields, 2024.
 
-use decouplegs_scene::lidar::Beam;
+use decouplegs_scene::lidar::{Beam, ECHO_SEPARATION_M, ECHO_WEIGHT_MIN};
 use decouplegs_scene::light::LUMA;
 use decouplegs_scene::{Lidar, Motion, Pose, Rules, SplatCloud, rules, sh};
 use glam::{DMat3, DQuat, DVec3};
@@ -30,8 +30,21 @@ pub struct SplatGroup<'a> {
     pub motion: Motion,
 }
 
-/// Result of one beam.
+/// Splats of a beam that follow one another within [`ECHO_SEPARATION_M`] of their mean range.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Echo64 {
+    /// Share of the beam that they take.
+    pub weight: f64,
+    /// Mean range by weight, meters.
+    pub range_m: f64,
+    /// Mean luma by weight.
+    pub intensity: f64,
+    /// Instance of the splat with the largest weight.
+    pub instance: u16,
+}
+
+/// Result of one beam.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct BeamHit64 {
     /// Share of the beam that no splat took.
     pub transmittance: f64,
@@ -43,6 +56,25 @@ pub struct BeamHit64 {
     pub expected_m: f64,
     /// Mean luma of the splats by weight; 0 where nothing was met.
     pub intensity: f64,
+    /// Echoes of at least [`ECHO_WEIGHT_MIN`], front to back.
+    pub echoes: Vec<Echo64>,
+}
+
+impl BeamHit64 {
+    /// The strongest echo, and the last unless it is the same.
+    #[must_use]
+    pub fn dual(&self) -> [Option<Echo64>; 2] {
+        let mut strongest: Option<usize> = None;
+        for (index, echo) in self.echoes.iter().enumerate() {
+            let is_stronger = |best: usize| echo.weight > self.echoes[best].weight;
+            if strongest.is_none_or(is_stronger) {
+                strongest = Some(index);
+            }
+        }
+        let last = self.echoes.len().checked_sub(1);
+        let last = last.filter(|last| strongest != Some(*last));
+        [strongest, last].map(|index| index.map(|index| self.echoes[index]))
+    }
 }
 
 /// Contribution of a splat to a beam.
@@ -231,6 +263,40 @@ fn solve(factor: &DMat3, right: DVec3) -> DVec3 {
     DVec3::new(x, y, z)
 }
 
+/// Echoes of the contributions of one beam.
+fn echoes(found: &[Contribution64]) -> Vec<Echo64> {
+    let mut groups: Vec<Vec<(f64, &Contribution64)>> = Vec::new();
+    let mut transmittance = 1.0;
+    for met in found {
+        let weight = transmittance * met.alpha;
+        transmittance *= 1.0 - met.alpha;
+        let joins = groups.last().is_some_and(|group| {
+            let total: f64 = group.iter().map(|(weight, _)| weight).sum();
+            let sum_m: f64 = group.iter().map(|(weight, met)| weight * met.range_m).sum();
+            (met.range_m - sum_m / total).abs() <= ECHO_SEPARATION_M
+        });
+        match groups.last_mut().filter(|_| joins) {
+            Some(group) => group.push((weight, met)),
+            None => groups.push(vec![(weight, met)]),
+        }
+    }
+    let echo = |group: &Vec<(f64, &Contribution64)>| {
+        let sum = |of: &dyn Fn(&Contribution64) -> f64| -> f64 {
+            group.iter().map(|(weight, met)| weight * of(met)).sum()
+        };
+        let weight = sum(&|_| 1.0);
+        let strongest = group.iter().rev().max_by(|(a, _), (b, _)| a.total_cmp(b));
+        Echo64 {
+            weight,
+            range_m: sum(&|met| met.range_m) / weight,
+            intensity: sum(&|met| met.luma) / weight,
+            instance: strongest.map_or(0, |(_, met)| met.instance),
+        }
+    };
+    let all = groups.iter().map(echo);
+    all.filter(|echo| echo.weight >= ECHO_WEIGHT_MIN).collect()
+}
+
 /// Alpha compositing of the contributions of one beam, front to back.
 fn composite(found: &[Contribution64]) -> BeamHit64 {
     let mut hit = BeamHit64 {
@@ -251,6 +317,7 @@ fn composite(found: &[Contribution64]) -> BeamHit64 {
             hit.strongest = Some((met.range_m, met.instance));
         }
     }
+    hit.echoes = echoes(found);
     let total = 1.0 - hit.transmittance;
     if total > 0.0 {
         hit.expected_m /= total;

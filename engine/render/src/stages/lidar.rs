@@ -11,7 +11,7 @@ use super::{
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::{Capacity, groups_for};
 use crate::layout::{
-    BeamRecord, BeamState, CameraRecord, FINE_TILES, FiringRecord, SectorRecord, View,
+    BeamEchoes, BeamRecord, BeamState, CameraRecord, FINE_TILES, FiringRecord, SectorRecord, View,
 };
 use crate::resident::GpuScene;
 
@@ -24,6 +24,8 @@ pub struct LidarVariant {
     pub moving: bool,
     /// Standard deviation that is added to splats across the direction to their means, radians.
     pub dilation_rad: f32,
+    /// True if echoes are found, for dual returns.
+    pub echoes: bool,
 }
 
 impl LidarVariant {
@@ -108,10 +110,13 @@ pub struct LidarBuffers {
     pub lists: TileSortBuffers,
     /// States of beams by cell.
     pub states: Buffer<BeamState>,
+    /// Echoes of beams by cell, where they are found.
+    pub echoes: Buffer<BeamEchoes>,
 }
 
 impl LidarBuffers {
-    /// Buffers for a background of `clusters` and the sectors and beams of `view`.
+    /// Buffers for a background of `clusters` and the sectors and beams of `view`, for `echoes` of
+    /// them.
     ///
     /// # Errors
     /// Returns an error if the device is out of memory.
@@ -120,7 +125,9 @@ impl LidarBuffers {
         capacity: &Capacity,
         clusters: usize,
         view: &View,
+        echoes: bool,
     ) -> Result<Self, GpuError> {
+        let cells_of_echoes = if echoes { view.pixels } else { 1 };
         let (device, sectors) = (MemoryKind::Device, view.cameras.len());
         Ok(Self {
             counters: FrameCounters::new(gpu)?,
@@ -130,6 +137,7 @@ impl LidarBuffers {
             shapes: gpu.buffer("lidar_shapes", PURPOSE, 3 * capacity.records, device)?,
             lists: TileSortBuffers::new(gpu, capacity, view.bins)?,
             states: gpu.buffer("beam_states", PURPOSE, view.pixels, device)?,
+            echoes: gpu.buffer("beam_echoes", PURPOSE, cells_of_echoes, device)?,
         })
     }
 }
@@ -334,10 +342,11 @@ impl TraceLidar {
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, moving: bool) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, rules: &Rules, variant: LidarVariant) -> Result<Self, GpuError> {
         let constants = [
             ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
-            ("MOVING", Constant::Bool(moving)),
+            ("MOVING", Constant::Bool(variant.moving)),
+            ("ECHOES", Constant::Bool(variant.echoes)),
         ];
         let shader = &decouplegs_shaders::TRACE_LIDAR;
         Ok(Self {
@@ -372,6 +381,7 @@ impl TraceLidar {
             ("beams", sectors.beams.binding()),
             ("firings", sectors.firings.binding()),
             ("states", buffers.states.binding()),
+            ("echoes", buffers.echoes.binding()),
         ];
         let groups = groups_for(sectors.bins as usize * FINE_TILES);
         recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups);

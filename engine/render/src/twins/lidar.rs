@@ -1,10 +1,11 @@
 //! Splats as a LiDAR meets them, in f32: `lidar.glsl`, `project_lidar.comp` and `trace_lidar.comp`.
 
+use decouplegs_scene::lidar::{ECHO_SEPARATION_M, ECHO_WEIGHT_MIN};
 use glam::{Mat3, Vec2, Vec3, vec2, vec3};
 
 use super::footprint::{LOG2_255, REACH_SLACK};
 use super::projection::{ALPHA_MIN, HALF_LOG2_E, from_camera_m, to_camera_axes};
-use crate::layout::{BeamState, CameraRecord, FiringRecord, SectorRecord};
+use crate::layout::{BeamEchoes, BeamState, CameraRecord, EchoRecord, FiringRecord, SectorRecord};
 pub use decouplegs_shaders::constants::{SLOPE_SLACK, THICKNESS_MIN};
 
 /// Cells of a sector: first and last column, first and last row.
@@ -267,12 +268,12 @@ pub struct TwinBeam<'a> {
     pub range_min_m: f32,
 }
 
-/// Adds a splat of the given intensity and instance to a beam.
+/// Adds a splat of the given intensity and instance to a beam and its echoes.
 pub fn meet(
     splat: &LidarSplat,
     (intensity, instance): (f32, u32),
     beam: &TwinBeam<'_>,
-    state: &mut BeamState,
+    (state, echoes): (&mut BeamState, &mut BeamEchoes),
 ) {
     let TwinBeam {
         direction,
@@ -310,5 +311,35 @@ pub fn meet(
         state.strongest_weight = weight;
         state.strongest_m = range_m;
         state.instances = state.instances & 0xffff | instance << 16;
+    }
+    add_to_echo(weight, range_m, (intensity, instance), echoes);
+}
+
+/// Adds a splat to the echoes of its beam.
+fn add_to_echo(
+    weight: f32,
+    range_m: f32,
+    (intensity, instance): (f32, u32),
+    found: &mut BeamEchoes,
+) {
+    let open = found.open;
+    let off_m = (range_m * open.weight - open.range_sum_m).abs();
+    let joins = off_m <= ECHO_SEPARATION_M as f32 * open.weight;
+    if open.weight > 0.0 && !joins {
+        if open.weight >= ECHO_WEIGHT_MIN as f32 {
+            found.last = open;
+            if open.weight > found.strongest.weight {
+                found.strongest = open;
+            }
+        }
+        found.open = EchoRecord::default();
+        found.open_strongest = 0.0;
+    }
+    found.open.weight += weight;
+    found.open.range_sum_m += weight * range_m;
+    found.open.intensity_sum += weight * intensity;
+    if weight > found.open_strongest {
+        found.open_strongest = weight;
+        found.open.instance = instance;
     }
 }

@@ -62,15 +62,46 @@ pub enum ReturnMode {
     Expected,
     /// Range of the splat with the largest weight.
     Strongest,
+    /// Up to two returns: mean ranges of the strongest and of the last [`Echo`].
+    Dual,
+}
+
+/// Splats farther from the mean of an echo than this begin another, meters.
+pub const ECHO_SEPARATION_M: f64 = 0.6;
+
+/// Least weight of an echo that counts.
+pub const ECHO_WEIGHT_MIN: f64 = 0.1;
+
+/// Splats of a beam that follow one another within [`ECHO_SEPARATION_M`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Echo {
+    /// Share of the beam that they take.
+    pub weight: f32,
+    /// Mean range by weight, meters.
+    pub range_m: f32,
+    /// Mean intensity by weight.
+    pub intensity: f32,
+    /// Instance of the splat with the largest weight.
+    pub instance: u16,
 }
 
 impl ReturnMode {
     /// All modes with their names.
-    pub const NAMED: [(&'static str, Self); 3] = [
+    pub const NAMED: [(&'static str, Self); 4] = [
         ("median", Self::Median),
         ("expected", Self::Expected),
         ("strongest", Self::Strongest),
+        ("dual", Self::Dual),
     ];
+
+    /// The mode called `name`, of [`ReturnMode::NAMED`].
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        let mut named = Self::NAMED.into_iter();
+        named
+            .find(|(known, _)| *known == name)
+            .map(|(_, mode)| mode)
+    }
 
     /// Name in files and on the command line.
     #[must_use]
@@ -85,7 +116,8 @@ impl ReturnMode {
 pub struct ReturnOptions {
     /// Kind of range.
     pub mode: ReturnMode,
-    /// Share of a beam that splats have to take for a return, from 0 to 1.
+    /// Share of a beam that splats have to take for a return, from 0 to 1. [`ReturnMode::Dual`] has
+    /// [`ECHO_WEIGHT_MIN`] instead.
     pub opacity_min: f32,
     /// Seed of the noise of ranges, for models that have some.
     pub seed: u64,

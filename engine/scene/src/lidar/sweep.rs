@@ -18,6 +18,10 @@ pub struct LidarReturn {
     pub intensity: f32,
     /// Instance of the splat that gives the range; 0 for the background.
     pub instance: u16,
+    /// Number among the returns of the beam, from 1: the strongest, then the last.
+    pub number: u8,
+    /// Returns of the beam.
+    pub count: u8,
 }
 
 /// Returns of one sweep, in the order of beams.
@@ -27,7 +31,7 @@ pub struct LidarSweep {
     pub lidar: Lidar,
     /// Beams of the sweep.
     pub beams: Arc<[Beam]>,
-    /// Returns; at most one per beam.
+    /// Returns; at most one per beam, two by [`super::ReturnMode::Dual`].
     pub returns: Vec<LidarReturn>,
 }
 
@@ -78,7 +82,7 @@ pub struct LidarPoint {
 
 impl LidarSweep {
     /// The returns as bytes, little-endian: number of the beam (u32), range in meters and intensity
-    /// (f32), instance (u16).
+    /// (f32), instance (u16), number and count of returns of the beam (u8).
     #[must_use]
     pub fn bytes(&self) -> Vec<u8> {
         let of_return = |found: &LidarReturn| {
@@ -87,12 +91,15 @@ impl LidarSweep {
                 range_m,
                 intensity,
                 instance,
+                number,
+                count,
             } = *found;
-            let mut bytes = [0; 14];
+            let mut bytes = [0; 16];
             bytes[..4].copy_from_slice(&beam.to_le_bytes());
             bytes[4..8].copy_from_slice(&range_m.to_le_bytes());
             bytes[8..12].copy_from_slice(&intensity.to_le_bytes());
-            bytes[12..].copy_from_slice(&instance.to_le_bytes());
+            bytes[12..14].copy_from_slice(&instance.to_le_bytes());
+            bytes[14..].copy_from_slice(&[number, count]);
             bytes
         };
         self.returns.iter().flat_map(of_return).collect()

@@ -143,11 +143,14 @@ impl ObservationRenderer {
         let seed = random::mix(simulation.scenario().seed ^ u64::from(step));
         for (index, lidar) in self.rig.sweeps_until(&ego, &motion).iter().enumerate() {
             let sweep_s = lidar.model.sweep_s;
-            let traced = self.renderer.trace(&self.world, lidar, sweep_s)?;
-            self.sweeps.push(traced.returns(&ReturnOptions {
+            let options = ReturnOptions {
                 seed: seed.wrapping_add(index as u64),
                 ..ReturnOptions::of(&lidar.model)
-            }));
+            };
+            let traced = self
+                .renderer
+                .trace(&self.world, lidar, sweep_s, options.mode)?;
+            self.sweeps.push(traced.returns(&options));
         }
         Ok(())
     }

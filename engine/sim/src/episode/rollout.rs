@@ -109,8 +109,8 @@ impl Rollout {
         self.simulation.end()
     }
 
-    /// Drives `plan` for a step, made from readings whose hashes are `readings`. Nothing moves any more
-    /// when it is over.
+    /// Drives `plan` for a step, made from readings whose hashes are `readings`. Nothing moves any
+    /// more when it is over.
     pub fn step(&mut self, plan: Plan, readings: Vec<ReadingRecord>) -> &EpisodeStep {
         let step = self.next_step();
         let instants = self.simulation.advance(&plan);

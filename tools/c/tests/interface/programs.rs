@@ -135,9 +135,12 @@ fn a_sweep_is_that_of_a_session() {
     };
     let lidar = sensor.sweep_until(&roof.rig_from_lidar, &motion);
     let sweep_s = lidar.model.sweep_s;
-    let traced = session.batch_renderer().trace(&world, &lidar, sweep_s);
+    let mode = ReturnMode::Expected;
+    let traced = session
+        .batch_renderer()
+        .trace(&world, &lidar, sweep_s, mode);
     let sweep = traced.unwrap().returns(&ReturnOptions {
-        mode: ReturnMode::Expected,
+        mode,
         opacity_min: 0.25,
         seed: 0,
     });
@@ -152,9 +155,10 @@ fn a_sweep_is_that_of_a_session() {
         for value in [offset_ns, point.beam.column] {
             expected.extend(value.to_ne_bytes());
         }
-        for value in [point.beam.ring, point.beam.laser, found.instance, 0] {
+        for value in [point.beam.ring, point.beam.laser, found.instance] {
             expected.extend(value.to_ne_bytes());
         }
+        expected.extend([found.number, found.count]);
     }
     assert!(sweep.returns.len() > 1000 && sweep.returns.iter().any(|found| found.instance > 0));
     let points = sweep.returns.len();

@@ -76,8 +76,8 @@ int main(int argc, char **argv) {
     options.frame = 4;
     REFUSED(DGS_STATUS_INVALID_ARGUMENT, "frame is 4", dgs_batch_renderer_sweep(renderer, world, lidar, &options));
     options.frame = DGS_POINT_FRAME_WORLD;
-    options.returns = 4;
-    REFUSED(DGS_STATUS_INVALID_ARGUMENT, "returns is 4", dgs_batch_renderer_sweep(renderer, world, lidar, &options));
+    options.returns = 5;
+    REFUSED(DGS_STATUS_INVALID_ARGUMENT, "returns is 5", dgs_batch_renderer_sweep(renderer, world, lidar, &options));
     options.returns = DGS_RETURN_EXPECTED;
     options.opacity_min = 2.0f;
     REFUSED(DGS_STATUS_INVALID_ARGUMENT, "opacity_min is 2", dgs_batch_renderer_sweep(renderer, world, lidar, &options));
