@@ -2,6 +2,7 @@
 
 pub mod previews;
 
+use std::collections::{BTreeSet, HashSet};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,13 +10,14 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::point_cloud::{McapSweeps, PointFormat, write_points};
-use decouplegs::asset::{lidar_names, open_scene, write_atomically};
+use decouplegs::asset::{LoadedScene, lidar_names, open_scene, write_atomically};
 use decouplegs::episode::chosen_lidars;
 use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer};
 use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions};
 use decouplegs::scene::{LidarSweep, Motion, Rig, RigLidar, Rules};
 use decouplegs::session::LiveScene;
 use glam::{DQuat, DVec3};
+use serde_json::json;
 
 use crate::arguments::{finite, print, three_numbers};
 use crate::device::{DeviceArguments, check_validation};
@@ -173,7 +175,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             opacity_min: arguments.opacity_min,
             seed: arguments.seed.wrapping_add(u64::from(index)),
         });
-        writer.add(index, &sweep)?;
+        writer.add(index, &sweep, instances(&loaded, &sweep, time_s))?;
         gpu_ms.push(traced.gpu_time_ns as f64 * 1e-6);
         if let Some(previews) = &mut previews {
             for path in previews.write(&writer.stem(index), &sweep, time_s)? {
@@ -225,6 +227,30 @@ fn mounted(arguments: &Arguments, rig: &Rig) -> Result<RigLidar> {
     Ok(lidar)
 }
 
+/// Agents with returns in a sweep that begins at `time_s`, by instance: name, class, and whether
+/// they move.
+fn instances(loaded: &LoadedScene, sweep: &LidarSweep, time_s: f64) -> serde_json::Value {
+    let found: BTreeSet<u16> = sweep.returns.iter().map(|found| found.instance).collect();
+    let moving: HashSet<u16> = loaded
+        .agents
+        .iter()
+        .filter(|agent| !agent.trajectory.motion_at(time_s).is_rest())
+        .map(|agent| agent.instance)
+        .collect();
+    let entry = |instance: &u16| {
+        let label = loaded
+            .agent_labels
+            .get(usize::from(*instance).checked_sub(1)?)?;
+        let of_agent = json!({
+            "name": label.name,
+            "class": label.class,
+            "moving": moving.contains(instance),
+        });
+        Some((instance.to_string(), of_agent))
+    };
+    found.iter().filter_map(entry).collect()
+}
+
 /// Destination of sweeps.
 struct SweepWriter<'a> {
     out: &'a Path,
@@ -266,7 +292,7 @@ impl<'a> SweepWriter<'a> {
         self.out.join(format!("{}_{index:06}", self.name))
     }
 
-    fn add(&mut self, index: u32, sweep: &LidarSweep) -> Result<()> {
+    fn add(&mut self, index: u32, sweep: &LidarSweep, instances: serde_json::Value) -> Result<()> {
         let model = &sweep.lidar.model;
         let frame = PointFrame::by_name(self.frame, model.sweep_s)
             .context("the frame is one of the list")?;
@@ -281,7 +307,7 @@ impl<'a> SweepWriter<'a> {
             format!("frame {}, returns {}", self.frame, self.mode.name()),
             "intensity is the luma of the splats' colors: uncalibrated".to_owned(),
         ];
-        let summary = serde_json::json!({
+        let summary = json!({
             "sensor": model.name,
             "start_s": time_s,
             "end_s": time_s + model.sweep_s,
@@ -290,6 +316,7 @@ impl<'a> SweepWriter<'a> {
             "intensity": "uncalibrated",
             "beams": sweep.beams.len(),
             "points": points.len(),
+            "instances": instances,
         });
         let described = self.stem(index).with_added_extension("json");
         let text = format!("{summary:#}\n");

@@ -1,6 +1,7 @@
 //! Sweeps of LiDARs against their f64 definition.
 
 mod surfaces;
+mod worlds;
 
 use std::sync::Arc;
 

@@ -2,9 +2,11 @@
 
 use std::sync::Arc;
 
+use decouplegs::render::layout::BeamState;
 use decouplegs::render::{Outputs, Plane, PlaneValues, RenderOptions, Renderer};
 use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions, Spin};
-use decouplegs::scene::{Lidar, Motion, Pose};
+use decouplegs::scene::{Lidar, Motion, Pose, World};
+use decouplegs::synth::street::{Street, StreetOptions};
 use glam::{DQuat, DVec3};
 
 use super::{spinning, trace, uniform};
@@ -207,4 +209,112 @@ fn a_camera_and_a_lidar_agree_on_opaque_surfaces() {
     println!("{agree} of {compared} points agree");
     assert!(compared > 5000);
     assert!(agree * 100 >= compared * 99, "{agree} of {compared}");
+}
+
+#[test]
+fn ranges_from_a_moving_sensor_are_those_of_each_beams_own_place() {
+    let gpu = Validated::open();
+    let half_m = 3.0;
+    let side = |normal: DVec3| {
+        let (u, v) = normal.any_orthonormal_pair();
+        grid(half_m, 0.1).map(move |(a, b)| (half_m * normal + a * u + b * v, -normal))
+    };
+    let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+    let sides = axes.into_iter().flat_map(|axis| [axis, -axis]);
+    let mut world = world_of(&surface(0.07, sides.flat_map(side)));
+    world.splats = world.splats.select(&world.splats.spatial_order());
+    let model = spinning(&uniform(40, 40.0, -40.0), 180, 360.0, Spin::Clockwise);
+    // 1.8 m and 0.3 rad in one sweep, inside of the cube.
+    let motion = Motion {
+        velocity_mps: DVec3::new(18.0, 0.0, 0.0),
+        turn_rad_per_s: DVec3::new(0.0, 0.0, 3.0),
+    };
+    let lidar = Lidar {
+        name: "fast".into(),
+        model: Arc::new(model),
+        rig_from_lidar: Pose::IDENTITY,
+        world_from_rig: Pose::from_yaw(0.0, DVec3::new(-0.9, 0.1, 0.0)),
+        motion,
+    };
+    let to_sides = |from: DVec3, direction: DVec3| {
+        let along = |axis: usize| {
+            let sign = direction[axis].signum();
+            (half_m * sign - from[axis]) / direction[axis]
+        };
+        let mut ranges = [0, 1, 2].map(|axis| (along(axis), direction[axis].abs()));
+        ranges.sort_by(|a, b| a.0.total_cmp(&b.0));
+        ranges
+    };
+    let traced = trace(&gpu, &world, &lidar, 8);
+    let (mut worst_m, mut compared, mut at_rest_m) = (0.0f64, 0, 0.0f64);
+    for (beam, state) in traced.beams.iter().zip(&traced.states) {
+        let pose = lidar.pose_at(beam.time_s);
+        let direction = pose.rotation * beam.direction;
+        let [(exact_m, cosine), (next_m, _), _] = to_sides(pose.translation, direction);
+        // Neither at the edges of the cube nor at grazing incidence.
+        if cosine < 75f64.to_radians().cos() || next_m - exact_m < 0.3 {
+            continue;
+        }
+        let (range_m, _) = state.range(ReturnMode::Median).expect("the cube is closed");
+        worst_m = worst_m.max((f64::from(range_m) - exact_m).abs());
+        let start = &lidar.world_from_rig;
+        let [(start_m, _), ..] = to_sides(start.translation, start.rotation * beam.direction);
+        at_rest_m = at_rest_m.max((f64::from(range_m) - start_m).abs());
+        compared += 1;
+    }
+    println!(
+        "{compared} beams: {worst_m:.4} m at most, {at_rest_m:.2} m from the pose at the start"
+    );
+    assert!(compared > 3000 && worst_m < 0.02, "{worst_m} m");
+    assert!(at_rest_m > 1.0, "the motion counts");
+    let other = trace(&gpu, &world, &lidar, 32);
+    let apart = |(a, b): (&BeamState, &BeamState)| (a.median_m - b.median_m).abs();
+    let mut apart: Vec<f32> = traced.states.iter().zip(&other.states).map(apart).collect();
+    apart.sort_by(f32::total_cmp);
+    let most = apart[apart.len() * 999 / 1000];
+    println!("8 and 32 sectors: {most} m apart at the 99.9th percentile");
+    assert!(most < 0.01, "{most} m between 8 and 32 sectors");
+}
+
+#[test]
+fn the_road_of_the_street_is_where_it_is() {
+    let gpu = Validated::open();
+    let street = Street::generate(&StreetOptions {
+        background: 100_000,
+        agents: 0,
+        ..StreetOptions::default()
+    });
+    let mut world = World::of(street.background);
+    world.splats = world.splats.select(&world.splats.spatial_order());
+    let model = spinning(&uniform(64, 5.0, -25.0), 720, 360.0, Spin::Clockwise);
+    let height_m = 1.9;
+    let lidar = Lidar {
+        name: "roof".into(),
+        model: Arc::new(model),
+        rig_from_lidar: Pose::IDENTITY,
+        world_from_rig: Pose::from_yaw(0.3, DVec3::new(-20.0, -1.75, height_m)),
+        motion: Motion::REST,
+    };
+    let sweep = trace(&gpu, &world, &lidar, 8).returns(&ReturnOptions::of(&lidar.model));
+    let mut by_incidence = [Vec::new(), Vec::new()];
+    for point in sweep.points(PointFrame::World) {
+        // Within the lanes, which are level at 0.
+        if point.position_m.y.abs() > 5.0 || point.position_m.z > 0.3 {
+            continue;
+        }
+        let cosine = height_m / f64::from(point.measured.range_m);
+        let is_grazing = cosine < 75f64.to_radians().cos();
+        by_incidence[usize::from(is_grazing)].push(point.position_m.z.abs());
+    }
+    for (heights_m, incidence) in by_incidence.iter_mut().zip(["below", "above"]) {
+        heights_m.sort_by(f64::total_cmp);
+        let [half, most] = [50, 95].map(|percent| heights_m[heights_m.len() * percent / 100]);
+        let count = heights_m.len();
+        println!(
+            "incidence {incidence} 75 degrees: {count} points on the road, {half:.3} m off in the median, {most:.3} m at the 95th percentile"
+        );
+    }
+    let steep = &by_incidence[0];
+    assert!(steep.len() > 2000, "{} points", steep.len());
+    assert!(steep[steep.len() / 2] < 0.02 && steep[steep.len() * 95 / 100] < 0.06);
 }

@@ -212,7 +212,7 @@ fn files_hold_the_layouts_of_their_formats() {
     let npy = of(PointFormat::Npy);
     assert!(npy.starts_with(b"\x93NUMPY"));
     assert_eq!(pcd[header..], ply[end..]);
-    assert_eq!(pcd[header..], npy[npy.len() - 68..]);
+    assert_eq!(pcd[header..], npy[npy.len() - 72..]);
     assert_eq!(floats(&pcd[header + 36..header + 56]), [x, y, z, 0.5, 20.0]);
     assert_eq!(FIELDS.len(), 12);
     assert!(of(PointFormat::Argoverse2).starts_with(b"ARROW1"));

@@ -20,5 +20,6 @@ mod scenarios;
 mod scene_cameras;
 mod scene_files;
 mod scene_imports;
+mod scene_lidars;
 mod spz_round_trip;
 mod text_properties;

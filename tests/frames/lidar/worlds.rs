@@ -1,0 +1,119 @@
+//! Sweeps of worlds: agents are where they are at the time of each beam.
+
+use decouplegs::AgentInstance;
+use decouplegs::asset::LoadedScene;
+use decouplegs::gpu::DeviceOptions;
+use decouplegs::render::{Agent, AssetPool, GpuScene, LidarOptions, LidarRenderer, Scene};
+use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions, Spin};
+use decouplegs::scene::{Motion, Pose, Rig, Trajectory};
+use decouplegs::session::{Session, SessionError, SessionOptions, World};
+use glam::DVec3;
+
+use super::{lidar_at, spinning, surroundings, uniform};
+use crate::frames::agents::coded_car;
+
+/// A scene without agents, whose asset is a car.
+fn scene() -> LoadedScene {
+    LoadedScene {
+        plain_agents: Vec::new(),
+        world: surroundings(300, 8),
+        assets: vec![coded_car(3000, 9)],
+        agents: Vec::new(),
+        rig: Rig::default(),
+        ego: Trajectory::standing(Pose::IDENTITY),
+        agent_labels: Vec::new(),
+        light: None,
+    }
+}
+
+#[test]
+fn agents_are_where_they_are_at_the_time_of_each_beam() {
+    let session = Session::open(&SessionOptions {
+        device: DeviceOptions {
+            validation: true,
+            ..DeviceOptions::default()
+        },
+        ..SessionOptions::default()
+    })
+    .unwrap();
+    let loaded = scene();
+    let scene = session.add_scene(&loaded).unwrap();
+    // Across, 2 m during the sweep, in front of the sensor when its beams are halfway round.
+    let motion = Motion {
+        velocity_mps: DVec3::new(0.0, 20.0, 0.0),
+        ..Motion::REST
+    };
+    let at_end = Pose::from_yaw(0.4, DVec3::new(7.0, 1.0, 0.0));
+    let placed = AgentInstance {
+        asset: 0,
+        pose: at_end,
+        motion,
+        sh_frame: None,
+        instance: 5,
+        shines: false,
+    };
+    let mut world = World::empty(&scene);
+    world.set_agents([("car".to_owned(), placed)]).unwrap();
+    let model = spinning(&uniform(40, 12.0, -20.0), 720, 360.0, Spin::Clockwise);
+    let lidar = lidar_at(model, DVec3::ZERO, Motion::REST);
+    let sweep_s = lidar.model.sweep_s;
+    let mut renderer = session.batch_renderer();
+    let mode = ReturnMode::Median;
+    let traced = renderer.trace(&world, &lidar, sweep_s, mode).unwrap();
+
+    // The same as a renderer finds, which is given the agent at the start.
+    let resident = GpuScene::upload(session.gpu(), &loaded.world).unwrap();
+    let mut pool = AssetPool::new(session.gpu()).unwrap();
+    let asset = pool.add(&loaded.assets[0]).unwrap();
+    let agents = [Agent {
+        motion,
+        ..Agent::new(asset, at_end.moved(&motion, -sweep_s), 5)
+    }];
+    let mut own = LidarRenderer::new(session.gpu(), LidarOptions::default());
+    let with_agents = Scene::with_agents(&resident, &pool, &agents);
+    assert!(traced.states == own.trace(with_agents, &lidar, mode).unwrap().states);
+
+    // Points on the car are in its box at their own time, and outside of it at the end.
+    let sweep = traced.returns(&ReturnOptions::of(&lidar.model));
+    let half_m = DVec3::from_array(
+        loaded.assets[0]
+            .dims_m
+            .map(|side| 0.5 * f64::from(side) + 0.3),
+    );
+    let is_inside = |pose: &Pose, point: DVec3| {
+        let local = pose.inverse().transform(point).abs();
+        local.cmple(half_m).all()
+    };
+    let (mut on_car, mut at_own_time, mut at_the_end) = (0, 0, 0);
+    for point in sweep.points(PointFrame::World) {
+        if point.measured.instance == 5 {
+            let then = at_end.moved(&motion, point.beam.time_s - sweep_s);
+            on_car += 1;
+            at_own_time += usize::from(is_inside(&then, point.position_m));
+            at_the_end += usize::from(is_inside(&at_end, point.position_m));
+        }
+    }
+    println!(
+        "{on_car} points on the car: {at_own_time} in its box at their time, {at_the_end} at the end"
+    );
+    // Splats at the surface stick out.
+    assert!(on_car > 200 && at_own_time * 100 > on_car * 99);
+    assert!(
+        at_the_end * 10 < on_car * 9,
+        "the car moves during the sweep"
+    );
+    assert_eq!(
+        session.gpu().take_validation_messages(),
+        Vec::<String>::new()
+    );
+
+    let elsewhere = Session::open(&SessionOptions::default()).unwrap();
+    let refused = elsewhere.batch_renderer().trace(&world, &lidar, 0.0, mode);
+    assert!(matches!(refused, Err(SessionError::OtherSession { .. })));
+    let mut agents = [placed];
+    agents[0].motion.velocity_mps.x = f64::NAN;
+    let agents = agents.map(|agent| ("car".to_owned(), agent));
+    world.set_agents(agents).unwrap();
+    let refused = renderer.trace(&world, &lidar, 0.0, mode).unwrap_err();
+    assert!(refused.to_string().contains("NaN"), "{refused}");
+}
