@@ -257,7 +257,6 @@ fn trace(gpu: &Validated, world: &World, lidar: &Lidar, sectors: usize) -> Trace
     let options = LidarOptions {
         rules: world.rules,
         sectors,
-        ..LidarOptions::default()
     };
     let resident = GpuScene::upload(gpu, world).unwrap();
     let mut renderer = LidarRenderer::new(gpu, options);
@@ -336,7 +335,7 @@ fn dual_returns_are_their_definition() {
         println!(
             "{what}: {returns} returns, {seconds} of them second ones; {masks} in one alone, {far} farther than 1 mm, {instances} of another instance"
         );
-        let limit = (traced.beams.len() + 999) / 1000;
+        let limit = traced.beams.len().div_ceil(1000);
         assert!(seconds * 50 > returns, "{what}: {seconds} of {returns}");
         assert!(
             masks <= limit && far <= limit && instances <= limit,

@@ -234,6 +234,7 @@ pub struct RigCamera {
 
 /// A sensor fixed to a vehicle. Every place that depends on the kind of sensor matches on it.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant, reason = "a rig has a handful of sensors")]
 pub enum Sensor {
     /// Camera; its reading is an image.
     Camera(RigCamera),

@@ -187,32 +187,66 @@ async fn by_kind(running: &Running, request: &SweepRequest) {
 
 async fn nonsense_is_refused(running: &Running, request: &SweepRequest) {
     let mut lidars = lidar_client(running).await;
-    let refused: [(&str, Code, fn(&mut SweepRequest)); 7] = [
-        ("scene_id", Code::NotFound, |asked| {
-            asked.scene_id = "no".into()
-        }),
-        ("logical_id", Code::NotFound, |asked| {
-            asked.logical_id = "no".into()
-        }),
-        ("sensor_pose is missing", Code::InvalidArgument, |asked| {
-            asked.sensor_pose = None
-        }),
-        ("frame_end_us", Code::InvalidArgument, |asked| {
-            asked.frame_end_us = 1
-        }),
-        ("returns", Code::InvalidArgument, |asked| {
-            asked.returns = "first".into()
-        }),
-        ("opacity_threshold", Code::InvalidArgument, |asked| {
-            asked.opacity_threshold = f32::NAN
-        }),
-        ("frame", Code::InvalidArgument, |asked| {
-            asked.frame = "ego".into()
-        }),
-    ];
-    for (field, code, spoil) in refused {
-        let mut spoilt = request.clone();
-        spoil(&mut spoilt);
+    let asked = || request.clone();
+    let (no, none) = (|| "no".to_owned(), f32::NAN);
+    for (field, code, spoilt) in [
+        (
+            "scene_id",
+            Code::NotFound,
+            SweepRequest {
+                scene_id: no(),
+                ..asked()
+            },
+        ),
+        (
+            "logical_id",
+            Code::NotFound,
+            SweepRequest {
+                logical_id: no(),
+                ..asked()
+            },
+        ),
+        (
+            "sensor_pose is missing",
+            Code::InvalidArgument,
+            SweepRequest {
+                sensor_pose: None,
+                ..asked()
+            },
+        ),
+        (
+            "frame_end_us",
+            Code::InvalidArgument,
+            SweepRequest {
+                frame_end_us: 1,
+                ..asked()
+            },
+        ),
+        (
+            "returns",
+            Code::InvalidArgument,
+            SweepRequest {
+                returns: no(),
+                ..asked()
+            },
+        ),
+        (
+            "opacity_threshold",
+            Code::InvalidArgument,
+            SweepRequest {
+                opacity_threshold: none,
+                ..asked()
+            },
+        ),
+        (
+            "frame",
+            Code::InvalidArgument,
+            SweepRequest {
+                frame: no(),
+                ..asked()
+            },
+        ),
+    ] {
         let status = lidars.render_sweep(spoilt).await.unwrap_err();
         assert!(
             status.code() == code && status.message().starts_with(field),
