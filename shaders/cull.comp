@@ -25,8 +25,7 @@ layout(set = 0, binding = 6, scalar) writeonly buffer visible_counts_block { uin
 
 layout(push_constant, scalar) uniform push_block { uint splat_count; uint camera_count; uint cluster_count; };
 
-const uint CAMERAS_MAX = 32u;
-shared uint words[CAMERAS_MAX * CLUSTER_WORDS];
+#include "visible_words.glsl"
 
 void main() {
     uint cluster_index = group_index();
@@ -34,10 +33,7 @@ void main() {
         return;
     }
     uint thread = gl_LocalInvocationIndex;
-    for (uint word = thread; word < camera_count * CLUSTER_WORDS; word += CLUSTER_SPLATS) {
-        words[word] = 0u;
-    }
-    barrier();
+    clear_words(thread);
 
     Cluster cluster = clusters[cluster_index];
     uint splat_index = cluster_index * CLUSTER_SPLATS + thread;
@@ -62,20 +58,8 @@ void main() {
         }
         SeenSplat seen;
         if (see_splat(camera, camera_index, mean_m, axes, opacity, seen) && splat_overlaps(seen.splat, camera)) {
-            atomicOr(words[camera_index * CLUSTER_WORDS + thread / 32u], 1u << (thread % 32u));
+            set_visible(camera_index, thread);
         }
     }
-    barrier();
-
-    for (uint word = thread; word < camera_count * CLUSTER_WORDS; word += CLUSTER_SPLATS) {
-        uint camera_index = word / CLUSTER_WORDS;
-        visible_words[(camera_index * cluster_count + cluster_index) * CLUSTER_WORDS + word % CLUSTER_WORDS] = words[word];
-    }
-    if (thread < camera_count) {
-        uint count = 0u;
-        for (uint word = 0u; word < CLUSTER_WORDS; ++word) {
-            count += bitCount(words[thread * CLUSTER_WORDS + word]);
-        }
-        visible_counts[thread * cluster_count + cluster_index] = count;
-    }
+    store_words(cluster_index, thread);
 }

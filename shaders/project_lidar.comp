@@ -41,8 +41,7 @@ layout(push_constant, scalar) uniform push_block {
     uint records_max;
 };
 
-const uint CAMERAS_MAX = 32u;
-shared uint words[CAMERAS_MAX * CLUSTER_WORDS];
+#include "visible_words.glsl"
 
 int visible_rank(uint first_word, uint bit) {
     VISIBLE_RANK(visible_words, first_word, bit);
@@ -84,10 +83,7 @@ void main() {
         }
         return;
     }
-    for (uint word = thread; word < camera_count * CLUSTER_WORDS; word += CLUSTER_SPLATS) {
-        words[word] = 0u;
-    }
-    barrier();
+    clear_words(thread);
     Cluster cluster = clusters[cluster_index];
     for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
         Camera camera = cameras[camera_index];
@@ -98,19 +94,8 @@ void main() {
         vec4 shape = shapes[splat_index];
         LidarSplat seen;
         if (any_cell(see_from_lidar(camera, sector, means_m[splat_index], axes_of(splat_index, shape.xyz), shape.w, vec3(0.0), seen))) {
-            atomicOr(words[camera_index * CLUSTER_WORDS + thread / 32u], 1u << (thread % 32u));
+            set_visible(camera_index, thread);
         }
     }
-    barrier();
-    for (uint word = thread; word < camera_count * CLUSTER_WORDS; word += CLUSTER_SPLATS) {
-        uint camera_index = word / CLUSTER_WORDS;
-        visible_words[(camera_index * cluster_count + cluster_index) * CLUSTER_WORDS + word % CLUSTER_WORDS] = words[word];
-    }
-    if (thread < camera_count) {
-        uint count = 0u;
-        for (uint word = 0u; word < CLUSTER_WORDS; ++word) {
-            count += bitCount(words[thread * CLUSTER_WORDS + word]);
-        }
-        visible_counts[thread * cluster_count + cluster_index] = count;
-    }
+    store_words(cluster_index, thread);
 }

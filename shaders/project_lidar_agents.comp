@@ -37,8 +37,7 @@ layout(push_constant, scalar) uniform push_block {
     uint static_lists; // of the background: how many records it has stands behind them
 };
 
-const uint CAMERAS_MAX = 32u;
-shared uint words[CAMERAS_MAX * CLUSTER_WORDS];
+#include "visible_words.glsl"
 
 int visible_rank(uint first_word, uint bit) {
     VISIBLE_RANK(visible_words, first_word, bit);
@@ -79,10 +78,7 @@ void main() {
         }
         return;
     }
-    for (uint word = thread; word < camera_count * CLUSTER_WORDS; word += CLUSTER_SPLATS) {
-        words[word] = 0u;
-    }
-    barrier();
+    clear_words(thread);
     Cluster cluster = asset_clusters[agent.first_bounds + own_cluster];
     for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
         if (own_splat >= agent.splat_count || (agent.cameras >> camera_index & 1u) == 0u) {
@@ -99,19 +95,8 @@ void main() {
         LidarSplat seen;
         vec3 turning_mps = cross(camera.frame_turn_rad_per_s, coded.mean_m);
         if (any_cell(see_from_lidar(camera, sector, coded.mean_m, axes_of(agent, coded), coded.opacity, turning_mps, seen))) {
-            atomicOr(words[camera_index * CLUSTER_WORDS + thread / 32u], 1u << (thread % 32u));
+            set_visible(camera_index, thread);
         }
     }
-    barrier();
-    for (uint word = thread; word < camera_count * CLUSTER_WORDS; word += CLUSTER_SPLATS) {
-        uint camera_index = word / CLUSTER_WORDS;
-        visible_words[(camera_index * cluster_count + cluster_index) * CLUSTER_WORDS + word % CLUSTER_WORDS] = words[word];
-    }
-    if (thread < camera_count) {
-        uint count = 0u;
-        for (uint word = 0u; word < CLUSTER_WORDS; ++word) {
-            count += bitCount(words[thread * CLUSTER_WORDS + word]);
-        }
-        visible_counts[thread * cluster_count + cluster_index] = count;
-    }
+    store_words(cluster_index, thread);
 }

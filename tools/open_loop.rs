@@ -91,6 +91,11 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
         answer: Duration::from_secs(60),
         ..Timeouts::default()
     })?;
+    ensure!(
+        !planner.sees().lidars,
+        "{} asks for sweeps of LiDARs, and an open loop shows images alone",
+        arguments.planner
+    );
     let base = arguments
         .base
         .as_deref()

@@ -88,7 +88,7 @@ pub fn table(scored: &[Scored]) -> String {
     let rows: String = parts.iter().map(row).collect();
     format!(
         "<h2>Time</h2><p>Over {steps} steps, the first {WARM_UP} of each episode left out. The simulator is all but the planner: poses, light, \
-         the frame and its images on the host (draw); what is left of hashing them when the planner is done (hash); ego and traffic \
+         the frame and its images on the host, sweeps of LiDARs (draw); what is left of hashing them when the planner is done (hash); ego and traffic \
          (advance); logs and images that are kept (keep).</p><table><tr><th>part<th>median, ms<th>p99, ms{rows}</table>"
     )
 }

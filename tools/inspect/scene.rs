@@ -1,19 +1,20 @@
-//! Contents of a scene file: cameras, the ego vehicle's trajectory, agents.
+//! Contents of a scene file: cameras, LiDARs, the ego vehicle's trajectory, agents.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
 
 use decouplegs::asset::{LoadedScene, SceneFile};
 use decouplegs::scene::light::ambient_by_definition;
-use decouplegs::scene::{Presence, RigCamera, ShFrame, Trajectory, World};
+use decouplegs::scene::{Presence, RigCamera, RigLidar, ShFrame, Trajectory, World};
 use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::summary::Lines;
 
-/// Cameras, ego and agents of a scene.
+/// Cameras, LiDARs, ego and agents of a scene.
 pub struct Listing {
     cameras: Vec<RigCamera>,
+    lidars: Vec<RigLidar>,
     ego: Trajectory,
     agents: Vec<Agent>,
     light: Option<Light>,
@@ -81,6 +82,7 @@ impl Listing {
         };
         Self {
             cameras: scene.rig.cameras().cloned().collect(),
+            lidars: loaded.rig.lidars().cloned().collect(),
             ego: loaded.ego.clone(),
             agents: scene.agents.iter().enumerate().map(agent).collect(),
             light: Light::of(scene, loaded),
@@ -105,6 +107,25 @@ impl Listing {
             lines.line(
                 "",
                 &format!("{name}: {width_px}x{height_px}, {fov_deg:.1} degrees wide, at {at}, turned {yaw_deg:.1} degrees"),
+            );
+        }
+        if !self.lidars.is_empty() {
+            lines.line("LiDARs", &self.lidars.len().to_string());
+        }
+        for RigLidar {
+            name,
+            model,
+            rig_from_lidar,
+        } in &self.lidars
+        {
+            let (rows, columns) = (model.rings(), model.columns());
+            let (at, rate_hz) = (meters(rig_from_lidar.translation), 1.0 / model.sweep_s);
+            lines.line(
+                "",
+                &format!(
+                    "{name}: {}, {rows} rows, {columns} columns, {rate_hz:.1} Hz, at {at}",
+                    model.name
+                ),
             );
         }
         lines.line("ego", &way_to_text(&self.ego));
@@ -157,8 +178,19 @@ impl Listing {
             }
             listed
         };
+        let lidar = |lidar: &RigLidar| {
+            json!({
+                "name": lidar.name,
+                "sensor": lidar.model.name,
+                "rings": lidar.model.rings(),
+                "columns": lidar.model.columns(),
+                "sweep_s": lidar.model.sweep_s,
+                "position_m": lidar.rig_from_lidar.translation.to_array(),
+            })
+        };
         json!({
             "cameras": self.cameras.iter().map(camera).collect::<Vec<_>>(),
+            "lidars": self.lidars.iter().map(lidar).collect::<Vec<_>>(),
             "ego": way_to_json(&self.ego),
             "agents": self.agents.iter().map(agent).collect::<Vec<_>>(),
             "light": self.light.as_ref().map(Light::to_json),

@@ -3,13 +3,15 @@
 use decouplegs::AgentInstance;
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::DeviceOptions;
+use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
 use decouplegs::render::{Agent, AssetPool, GpuScene, LidarOptions, LidarRenderer, Scene};
 use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions, Spin};
-use decouplegs::scene::{Motion, Pose, Rig, Trajectory};
+use decouplegs::scene::{Motion, Pose, Rig, Rules, Trajectory};
 use decouplegs::session::{Session, SessionError, SessionOptions, World};
 use glam::DVec3;
 
-use super::{lidar_at, spinning, surroundings, uniform};
+use super::{lidar_at, models, spinning, surroundings, uniform};
+use crate::device::Validated;
 use crate::frames::agents::coded_car;
 
 /// A scene without agents, whose asset is a car.
@@ -116,4 +118,70 @@ fn agents_are_where_they_are_at_the_time_of_each_beam() {
     world.set_agents(agents).unwrap();
     let refused = renderer.trace(&world, &lidar, 0.0, mode).unwrap_err();
     assert!(refused.to_string().contains("NaN"), "{refused}");
+}
+
+/// Largest difference of the transmittance of beams from that of all `agents` splats by definition,
+/// as a share of the latter, and the number of beams that meet some.
+fn missed(gpu: &Validated, listed: &[(Pose, u64)], defined: &[(Pose, u64)]) -> (f64, usize) {
+    let world = surroundings(0, 1);
+    let resident = GpuScene::upload(gpu, &world).unwrap();
+    let mut pool = AssetPool::new(gpu).unwrap();
+    let mut agents = Vec::new();
+    for &(pose, seed) in listed {
+        let asset = pool.add(&coded_car(400, seed)).unwrap();
+        agents.push(Agent::new(asset, pose, 1));
+    }
+    let decoded: Vec<_> = defined
+        .iter()
+        .map(|&(pose, seed)| (pose, coded_car(400, seed).decoded(0)))
+        .collect();
+    let group = |splats, world_from_splats| SplatGroup {
+        splats,
+        instances: &[],
+        instance: 0,
+        world_from_splats,
+        motion: Motion::REST,
+    };
+    let mut groups = vec![group(&world.splats, Pose::IDENTITY)];
+    groups.extend(decoded.iter().map(|(pose, splats)| group(splats, *pose)));
+    let truth = LidarScene64 {
+        groups,
+        rules: Rules::DEFAULT,
+    };
+    let mut renderer = LidarRenderer::new(gpu, LidarOptions::default());
+    let (mut worst, mut met) = (0.0f64, 0);
+    for (_, model) in models() {
+        let lidar = lidar_at(model, DVec3::ZERO, Motion::REST);
+        let scene = Scene::with_agents(&resident, &pool, &agents);
+        let traced = renderer.trace(scene, &lidar, ReturnMode::Median).unwrap();
+        let hits = truth.hits(&lidar, &traced.beams);
+        for (state, hit) in traced.states.iter().zip(&hits) {
+            // Beams end below 1e-4.
+            if hit.transmittance > 1e-3 {
+                let share = f64::from(state.transmittance) / hit.transmittance - 1.0;
+                worst = worst.max(share.abs());
+                met += usize::from(hit.transmittance < 0.99);
+            }
+        }
+    }
+    (worst, met)
+}
+
+#[test]
+fn no_beam_misses_a_splat_of_an_agent() {
+    // The transmittance does not depend on the order: one splat that a beam misses makes it larger
+    // by 1/255 or more.
+    let gpu = Validated::open();
+    let at = |yaw_rad, x, y| Pose::from_yaw(yaw_rad, DVec3::new(x, y, -0.4));
+    let agents = [
+        (at(0.3, 7.0, 4.0), 2),
+        (at(-2.0, -5.0, 3.0), 3),
+        (at(1.0, -9.0, 0.2), 4),
+        (at(0.0, 3.0, -2.5), 5),
+    ];
+    let (worst, met) = missed(&gpu, &agents, &agents);
+    println!("{met} beams: transmittance {worst:.1e} off at most");
+    assert!(met > 1000 && worst < 1e-3, "{worst} of {met} beams");
+    let (worst, _) = missed(&gpu, &agents[..3], &agents);
+    assert!(worst > 0.1, "an agent that is missed is noticed");
 }

@@ -367,10 +367,12 @@ fn a_scene_is_loaded_with_its_agents_where_they_are() {
         (
             early.world.splats.len(),
             early.world.splats.sh_degree,
-            early.rig.sensors.len()
+            early.rig.cameras().count()
         ),
         (460, 2, 3)
     );
+    let lidar = early.rig.lidars().next().unwrap();
+    assert_eq!((&*lidar.name, lidar.model.rings()), ("roof", 32));
     let names: Vec<&str> = early
         .agent_labels
         .iter()

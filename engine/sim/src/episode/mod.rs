@@ -85,7 +85,7 @@ impl EpisodeObserver for () {
 /// Wall-clock durations of one step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StepTime {
-    /// Poses, light, the frame on the device, and its images back on the host.
+    /// Poses, light, the frame on the device, its images back on the host, and sweeps of LiDARs.
     pub draw: Duration,
     /// The planner's.
     pub plan: Duration,
