@@ -307,7 +307,7 @@ fn dual_returns_are_their_definition() {
     for (what, model) in models() {
         let lidar = lidar_at(model, world.origin, Motion::REST);
         let traced = renderer.trace(&resident, &lidar, ReturnMode::Dual).unwrap();
-        // Echoes cost the other returns nothing.
+        // Echoes cost the other returns nothing, and buffers of earlier sweeps leave no trace.
         let single = renderer
             .trace(&resident, &lidar, ReturnMode::Median)
             .unwrap();

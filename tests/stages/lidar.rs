@@ -10,8 +10,8 @@ use decouplegs::render::layout::{
 use decouplegs::render::lidar::Sectors;
 use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
 use decouplegs::render::stages::{
-    LidarBuffers, LidarPass, LidarVariant, ProjectLidar, Records, Scan, SectorBuffers, TileSort,
-    TraceLidar,
+    LidarBuffers, LidarPass, LidarRoom, LidarVariant, ProjectLidar, Records, Scan, SectorBuffers,
+    TileSort, TraceLidar,
 };
 use decouplegs::render::twins::lidar::{
     Cells, LidarConstants, LidarSplat, NO_CELLS, SLOPE_SLACK, SectorView, TwinBeam, meet,
@@ -60,7 +60,8 @@ impl Listed {
             partials: 0,
         };
         let clusters = scene.cluster_count();
-        let buffers = LidarBuffers::new(gpu, &capacity, clusters, &view, true).unwrap();
+        let room = LidarRoom::new(capacity, clusters, &view, true);
+        let buffers = LidarBuffers::new(gpu, &room).unwrap();
         let variant = LidarVariant {
             instances: false,
             moving: !lidar.motion.is_rest(),
@@ -70,7 +71,6 @@ impl Listed {
         let project = ProjectLidar::new(gpu, &world.rules, variant).unwrap();
         let (scan, tile_sort) = (Scan::new(gpu).unwrap(), TileSort::for_lidar(gpu).unwrap());
         let trace = TraceLidar::new(gpu, &world.rules, variant).unwrap();
-        let no_agents = gpu.upload("none", "test", &[0u32; 33]).unwrap();
         let mut recorder = gpu.record(QueueRole::Main);
         let (counters, lists) = (&buffers.counters, &buffers.lists);
         for (buffer, bytes) in [
@@ -91,7 +91,7 @@ impl Listed {
             projected: &buffers.projected,
             static_offsets: &buffers.offsets,
             static_clusters: clusters,
-            moving_offsets: &no_agents,
+            moving_offsets: &buffers.no_agents,
             moving_clusters: 0,
         };
         tile_sort.record(&mut recorder, counters, records, lists, sectors.bins);

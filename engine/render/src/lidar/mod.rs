@@ -9,7 +9,7 @@ mod sectors;
 
 use std::sync::Arc;
 
-use decouplegs_gpu::{DeviceKind, Gpu, MemoryKind, QueueRole, Recorder, Ticket};
+use decouplegs_gpu::{DeviceKind, Gpu, GpuError, QueueRole, Recorder, Ticket};
 use decouplegs_scene::lidar::{Beam, Echo, LidarCells, LidarReturn, ReturnMode, ReturnOptions};
 use decouplegs_scene::{Lidar, LidarModel, LidarSweep, Rules, random};
 
@@ -18,7 +18,7 @@ use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::layout::{BeamEchoes, BeamState, CAMERAS_MAX, RequiredCounts, View};
 use crate::stages::{
-    AgentBuffers, LidarAgents, LidarBuffers, LidarPass, LidarVariant, PURPOSE, ProjectLidar,
+    AgentBuffers, LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ProjectLidar,
     ProjectLidarAgents, Records, Scan, SectorBuffers, TileSort, TileSortBuffers, TraceLidar,
 };
 
@@ -67,8 +67,11 @@ struct Grid {
 /// Models whose grids a renderer keeps.
 const GRIDS_MAX: usize = 16;
 
-/// Traces the sweeps of LiDARs on one device. Buffers of lists are sized by the sweep before, and
-/// the beams of models are made once.
+/// Sizes of sweeps whose buffers a renderer keeps.
+const ROOMS_MAX: usize = 4;
+
+/// Traces the sweeps of LiDARs on one device. Buffers of lists are sized by the sweep before and
+/// kept for others of the same size, and the beams of models are made once.
 pub struct LidarRenderer {
     gpu: Gpu,
     options: LidarOptions,
@@ -76,6 +79,8 @@ pub struct LidarRenderer {
     common: Option<(Scan, TileSort)>,
     grids: Vec<Arc<Grid>>,
     capacity: Option<Capacity>,
+    /// Buffers of earlier sweeps, the last ones last.
+    buffers: Vec<(LidarRoom, LidarBuffers)>,
 }
 
 /// States of the beams of a sweep.
@@ -201,6 +206,7 @@ impl LidarRenderer {
             common: None,
             grids: Vec::new(),
             capacity: None,
+            buffers: Vec::new(),
         }
     }
 
@@ -338,17 +344,13 @@ impl LidarRenderer {
             None => Capacity::guess(splats, input.view.cameras.len()),
         };
         for _ in 0..ATTEMPTS_MAX {
-            let buffers = LidarBuffers::new(
-                &self.gpu,
-                &capacity,
-                clusters,
-                &input.view,
-                input.variant.echoes,
-            )?;
+            let room = LidarRoom::new(capacity, clusters, &input.view, input.variant.echoes);
+            let buffers = self.buffers_of(&room)?;
             let (listed, required) = self.list(input, &buffers)?;
             if capacity.holds(&required) {
                 self.capacity = Some(capacity);
                 let (walked, walk) = self.walk(input, &buffers, &required)?;
+                self.buffers.push((room, buffers));
                 return Ok((
                     walked,
                     required,
@@ -363,6 +365,17 @@ impl LidarRenderer {
         })
     }
 
+    /// Buffers of `room`: those of an earlier sweep, or new ones in the place of the oldest.
+    fn buffers_of(&mut self, room: &LidarRoom) -> Result<LidarBuffers, GpuError> {
+        if let Some(index) = self.buffers.iter().position(|(kept, _)| kept == room) {
+            return Ok(self.buffers.remove(index).1);
+        }
+        if self.buffers.len() >= ROOMS_MAX {
+            self.buffers.remove(0);
+        }
+        LidarBuffers::new(&self.gpu, room)
+    }
+
     /// Makes the sorted lists of coarse tiles; returns what they needed.
     fn list(
         &self,
@@ -373,12 +386,6 @@ impl LidarRenderer {
         else {
             unreachable!("build was called")
         };
-        let found = self
-            .gpu
-            .buffer("found_required", PURPOSE, 1, MemoryKind::Readback)?;
-        let no_agents = self
-            .gpu
-            .upload("agent_offsets", PURPOSE, &[0u32; CAMERAS_MAX + 1])?;
         let (world, sectors) = (input.scene.world, &input.sectors);
         let lists = sectors.count * world.cluster_count();
         let agents = input.agents.as_ref().map(|(list, agents)| LidarAgents {
@@ -416,7 +423,7 @@ impl LidarRenderer {
             projected: &buffers.projected,
             static_offsets: &buffers.offsets,
             static_clusters: world.cluster_count(),
-            moving_offsets: agents.map_or(&no_agents, |agents| &agents.agents.offsets),
+            moving_offsets: agents.map_or(&buffers.no_agents, |agents| &agents.agents.offsets),
             moving_clusters: agents.map_or(0, |agents| agents.counts.clusters),
         };
         let counters = &buffers.counters;
@@ -427,10 +434,10 @@ impl LidarRenderer {
             &buffers.lists,
             sectors.bins,
         );
-        recorder.copy(&counters.required, 0, &found, 0, 1);
+        recorder.copy(&counters.required, 0, &buffers.found_required, 0, 1);
         let ticket = self.gpu.submit(recorder, &self.added(input))?;
         ticket.wait()?;
-        Ok((ticket, found.read_host()[0]))
+        Ok((ticket, buffers.found_required.read_host()[0]))
     }
 
     /// Walks the lists; returns what the beam of each cell found.
@@ -447,10 +454,6 @@ impl LidarRenderer {
             DeviceKind::Cpu => ENTRIES_MAX_IN_SOFTWARE,
             _ => u32::MAX,
         };
-        let cells = input.view.pixels;
-        let found = self
-            .gpu
-            .buffer("found_states", PURPOSE, cells, MemoryKind::Readback)?;
         let mut recorder = self.gpu.record(QueueRole::Main);
         recorder.stage("trace lidar", |r| {
             for window in 0..required.longest.div_ceil(entries_max).max(1) {
@@ -459,19 +462,19 @@ impl LidarRenderer {
                 trace.record(r, sectors, buffers, entries, input.range_min_m);
             }
         });
-        let echoes = buffers.echoes.len();
-        let found_echoes =
-            self.gpu
-                .buffer("found_echoes", PURPOSE, echoes, MemoryKind::Readback)?;
-        recorder.copy(&buffers.states, 0, &found, 0, cells);
+        let cells = buffers.states.len();
+        recorder.copy(&buffers.states, 0, &buffers.found_states, 0, cells);
         if input.variant.echoes {
-            recorder.copy(&buffers.echoes, 0, &found_echoes, 0, echoes);
+            recorder.copy(&buffers.echoes, 0, &buffers.found_echoes, 0, cells);
         }
         let ticket = self.gpu.submit(recorder, &[])?;
         ticket.wait()?;
         let walked = Walked {
-            states: found.read_host().to_vec(),
-            echoes: found_echoes.read_host().to_vec(),
+            states: buffers.found_states.read_host(),
+            echoes: match input.variant.echoes {
+                true => buffers.found_echoes.read_host(),
+                false => Vec::new(),
+            },
         };
         Ok((walked, ticket))
     }

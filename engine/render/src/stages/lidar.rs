@@ -11,7 +11,8 @@ use super::{
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::{Capacity, groups_for};
 use crate::layout::{
-    BeamEchoes, BeamRecord, BeamState, CameraRecord, FINE_TILES, FiringRecord, SectorRecord, View,
+    BeamEchoes, BeamRecord, BeamState, CAMERAS_MAX, CameraRecord, FINE_TILES, FiringRecord,
+    RequiredCounts, SectorRecord, View,
 };
 use crate::resident::GpuScene;
 
@@ -94,6 +95,38 @@ pub struct SectorTables {
     pub firings: Vec<FiringRecord>,
 }
 
+/// Sizes of the buffers of a sweep.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LidarRoom {
+    /// Room for lists.
+    pub capacity: Capacity,
+    /// Clusters of the background.
+    pub clusters: usize,
+    /// Sectors of the sweep.
+    pub sectors: usize,
+    /// Coarse tiles of all sectors.
+    pub bins: u32,
+    /// Cells of all sectors.
+    pub cells: usize,
+    /// True if echoes are found.
+    pub echoes: bool,
+}
+
+impl LidarRoom {
+    /// Room for lists of `capacity` over a background of `clusters`, and for the sectors of `view`.
+    #[must_use]
+    pub fn new(capacity: Capacity, clusters: usize, view: &View, echoes: bool) -> Self {
+        Self {
+            capacity,
+            clusters,
+            sectors: view.cameras.len(),
+            bins: view.bins,
+            cells: view.pixels,
+            echoes,
+        }
+    }
+}
+
 /// Buffers that a sweep writes on the way to the states of beams.
 pub struct LidarBuffers {
     /// Counts of the sweep.
@@ -112,32 +145,45 @@ pub struct LidarBuffers {
     pub states: Buffer<BeamState>,
     /// Echoes of beams by cell, where they are found.
     pub echoes: Buffer<BeamEchoes>,
+    /// Counts of the sweep on the host.
+    pub found_required: Buffer<RequiredCounts>,
+    /// States on the host.
+    pub found_states: Buffer<BeamState>,
+    /// Echoes on the host.
+    pub found_echoes: Buffer<BeamEchoes>,
+    /// Offsets of the records of agents where there are none.
+    pub no_agents: Buffer<u32>,
 }
 
 impl LidarBuffers {
-    /// Buffers for a background of `clusters` and the sectors and beams of `view`, for `echoes` of
-    /// them.
+    /// Buffers of the sizes of `room`.
     ///
     /// # Errors
     /// Returns an error if the device is out of memory.
-    pub fn new(
-        gpu: &Gpu,
-        capacity: &Capacity,
-        clusters: usize,
-        view: &View,
-        echoes: bool,
-    ) -> Result<Self, GpuError> {
-        let cells_of_echoes = if echoes { view.pixels } else { 1 };
-        let (device, sectors) = (MemoryKind::Device, view.cameras.len());
+    pub fn new(gpu: &Gpu, room: &LidarRoom) -> Result<Self, GpuError> {
+        let LidarRoom {
+            capacity,
+            clusters,
+            sectors,
+            bins,
+            cells,
+            echoes,
+        } = *room;
+        let cells_of_echoes = if echoes { cells } else { 1 };
+        let (device, host) = (MemoryKind::Device, MemoryKind::Readback);
         Ok(Self {
             counters: FrameCounters::new(gpu)?,
             visible: Visible::new(gpu, sectors, clusters)?,
             offsets: gpu.buffer("offsets", PURPOSE, sectors * clusters + 1, device)?,
             projected: Projected::new(gpu, capacity.records, capacity.pairs)?,
             shapes: gpu.buffer("lidar_shapes", PURPOSE, 3 * capacity.records, device)?,
-            lists: TileSortBuffers::new(gpu, capacity, view.bins)?,
-            states: gpu.buffer("beam_states", PURPOSE, view.pixels, device)?,
+            lists: TileSortBuffers::new(gpu, &capacity, bins)?,
+            states: gpu.buffer("beam_states", PURPOSE, cells, device)?,
             echoes: gpu.buffer("beam_echoes", PURPOSE, cells_of_echoes, device)?,
+            found_required: gpu.buffer("found_required", PURPOSE, 1, host)?,
+            found_states: gpu.buffer("found_states", PURPOSE, cells, host)?,
+            found_echoes: gpu.buffer("found_echoes", PURPOSE, cells_of_echoes, host)?,
+            no_agents: gpu.upload("agent_offsets", PURPOSE, &[0u32; CAMERAS_MAX + 1])?,
         })
     }
 }

@@ -27,8 +27,8 @@ pub use cull::{Cull, Visible};
 pub use cull_shadows::{CullShadows, ShadowBuffers, words_for};
 pub use key_splats::{KeptKeys, KeySplats};
 pub use lidar::{
-    LidarAgents, LidarBuffers, LidarPass, LidarVariant, ProjectLidar, ProjectLidarAgents,
-    SectorBuffers, SectorTables, TraceLidar,
+    LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ProjectLidar,
+    ProjectLidarAgents, SectorBuffers, SectorTables, TraceLidar,
 };
 pub use plan_segments::{Plan, PlanSegments};
 pub use post_process::PostProcess;
