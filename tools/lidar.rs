@@ -213,7 +213,7 @@ fn mounted(arguments: &Arguments, rig: &Rig) -> Result<RigLidar> {
     if !of_rig().any(|name| name == lidar.name) {
         lidar.name.clone_from(&lidar.model.name);
     }
-    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_. ".contains(letter);
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
     let name = &lidar.name;
     ensure!(
         !name.is_empty() && !name.starts_with('.') && name.chars().all(plain),

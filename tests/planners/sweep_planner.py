@@ -1,4 +1,4 @@
-"""Tells what it got: points of a sweep, and numbers of its LiDAR, as places of a plan."""
+"""Planner that returns its input, points of a sweep and numbers of its LiDAR, as waypoints."""
 
 import os
 import struct
@@ -18,10 +18,10 @@ class Points(decouplegs_planner.Planner):
         sweep = observation.sweeps[self.lidar["name"]]
         assert len(sweep.points) == sweep.count * sweep.POINT_BYTES
         points = [struct.unpack_from("<4fI2H", sweep.points, 24 * index) for index in range(sweep.count)]
-        told = [(self.lidar["rings"], self.lidar["sweep_s"]), (sum(observation.frames["front"].rgba) % 1000, sweep.count)]
+        values = [(self.lidar["rings"], self.lidar["sweep_s"]), (sum(observation.frames["front"].rgba) % 1000, sweep.count)]
         for x, y, z, intensity, offset_ns, ring, laser in points:
-            told += [(x, y), (z, intensity), (1e-6 * offset_ns, 10 * ring + laser)]
-        return [(1.0 + index, *place) for index, place in enumerate(told)]
+            values += [(x, y), (z, intensity), (1e-6 * offset_ns, 10 * ring + laser)]
+        return [(1.0 + index, *place) for index, place in enumerate(values)]
 
 
 if __name__ == "__main__":

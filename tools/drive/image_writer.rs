@@ -107,8 +107,7 @@ impl ImageWriter {
 
     /// Writes the points of a sweep, in the frame of the ego at the step.
     fn write_points(&self, step: u32, sweep: &LidarSweep) -> Result<()> {
-        fs::create_dir_all(&self.folder)
-            .with_context(|| format!("{} cannot be made", self.folder.display()))?;
+        self.make_folder()?;
         let Lidar { name, model, .. } = &sweep.lidar;
         // Names of models may be paths.
         let name = Path::new(name).file_stem().unwrap_or_default();
@@ -149,9 +148,13 @@ impl ImageWriter {
     }
 
     fn write(&self, name: &str, image: &Image) -> Result<()> {
-        fs::create_dir_all(&self.folder)
-            .with_context(|| format!("{} cannot be made", self.folder.display()))?;
+        self.make_folder()?;
         write_image(&self.folder.join(name), image, ImageFileFormat::Png)
+    }
+
+    fn make_folder(&self) -> Result<()> {
+        fs::create_dir_all(&self.folder)
+            .with_context(|| format!("{} cannot be made", self.folder.display()))
     }
 }
 

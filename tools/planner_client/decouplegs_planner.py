@@ -92,7 +92,7 @@ class Observation:
 
 
 class Planner:
-    """What a planner is made of. Set the wishes and override `plan`."""
+    """Base class of planners: set the requests below and override `plan`."""
 
     name = "unnamed"
     #: Images it wants: "none", "front" or "all".

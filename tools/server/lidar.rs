@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use decouplegs::scene::lidar::LidarPoint;
-use decouplegs::scene::{LidarModel, LidarSweep, RigLidar};
+use decouplegs::scene::{LidarModel, RigLidar};
 use tonic::{Request, Response, Status};
 
 use crate::names::check_name;
@@ -16,29 +16,20 @@ use crate::wire::lidar::{
     AvailableLidar, AvailableLidarsRequest, AvailableLidarsReturn, SweepRequest as NamedRequest,
     SweepReturn,
 };
-use crate::wire::sensorsim::{LidarRenderRequest, LidarRenderReturn};
+use crate::wire::sensorsim::LidarRenderReturn;
 
 impl Sensorsim {
-    /// Points of the sweep that `request` asks for, and the sweep.
-    async fn points(&self, request: SweepRequest) -> Result<(LidarSweep, Vec<LidarPoint>), Status> {
+    /// Points of the sweep that `request` asks for.
+    async fn points(&self, request: SweepRequest) -> Result<Vec<LidarPoint>, Status> {
         let frame = request.frame;
         let sweep = self.render_queue.sweep(request).await?;
-        let work = move || {
-            let points = sweep.points(frame);
-            (sweep, points)
-        };
-        let done = tokio::task::spawn_blocking(work).await;
+        let done = tokio::task::spawn_blocking(move || sweep.points(frame)).await;
         done.map_err(|error| Status::internal(error.to_string()))
     }
 
-    /// The answer to a request of the public contract, in `field` of a message.
-    pub async fn lidar(
-        &self,
-        request: &LidarRenderRequest,
-        field: &str,
-    ) -> Result<LidarRenderReturn, Status> {
-        let request = SweepRequest::of(request, field, &self.limits)?;
-        let (_, points) = self.points(request).await?;
+    /// The answer to a request of the public contract.
+    pub async fn lidar(&self, request: SweepRequest) -> Result<LidarRenderReturn, Status> {
+        let points = self.points(request).await?;
         let places = points
             .iter()
             .flat_map(|point| point.position_m.as_vec3().to_array());
@@ -124,10 +115,9 @@ impl Lidar for Sensorsim {
         let request = request.into_inner();
         let model = self.model(&request.scene_id, &request.logical_id).await?;
         let checked = SweepRequest::of_named(&request, &model, &self.limits)?;
-        let (_, points) = self.points(checked).await?;
+        let points = self.points(checked).await?;
         let points = || points.iter();
         let places = points().flat_map(|point| point.position_m.as_vec3().to_array());
-        let offset_ns = |point: &LidarPoint| (1e9 * point.beam.time_s).round() as u32;
         Ok(Response::new(SweepReturn {
             logical_id: request.logical_id,
             sensor: model.name.clone(),
@@ -135,7 +125,7 @@ impl Lidar for Sensorsim {
             point_xyzs_buffer: floats(places),
             point_intensities_buffer: floats(points().map(|point| point.measured.intensity)),
             point_ranges_buffer: floats(points().map(|point| point.measured.range_m)),
-            point_offsets_ns_buffer: integers(points().map(offset_ns)),
+            point_offsets_ns_buffer: integers(points().map(|point| point.beam.offset_ns())),
             point_columns_buffer: integers(points().map(|point| point.beam.column)),
             point_ring_ids_buffer: words(points().map(|point| point.beam.ring)),
             point_laser_ids_buffer: words(points().map(|point| point.beam.laser)),

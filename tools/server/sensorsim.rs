@@ -20,6 +20,7 @@ use crate::poses::message_of;
 use crate::render_queue::RenderQueue;
 use crate::render_request::RenderRequest;
 use crate::scene_registry::{SceneMetadata, SceneRegistry};
+use crate::sweep_request::SweepRequest;
 use crate::wire::common::version_id::ApiVersion;
 use crate::wire::common::{AvailableScenesReturn, Empty, PoseAtTime, Trajectory, VersionId};
 use crate::wire::sensorsim::available_cameras_return::AvailableCamera;
@@ -206,7 +207,8 @@ impl SensorsimService for Sensorsim {
         &self,
         request: Request<LidarRenderRequest>,
     ) -> Result<Response<LidarRenderReturn>, Status> {
-        Ok(Response::new(self.lidar(request.get_ref(), "").await?))
+        let request = SweepRequest::of(request.get_ref(), "", &self.limits)?;
+        Ok(Response::new(self.lidar(request).await?))
     }
 
     async fn render_aggregated(
@@ -225,6 +227,12 @@ impl SensorsimService for Sensorsim {
             .enumerate()
             .map(of)
             .collect::<Result<_, _>>()?;
+        // All requests are examined before the first is drawn.
+        let of = |(index, request)| {
+            SweepRequest::of(request, &format!("lidar_requests[{index}]"), &self.limits)
+        };
+        let sweeps = request.lidar_requests.iter().enumerate().map(of);
+        let sweeps: Vec<SweepRequest> = sweeps.collect::<Result<_, _>>()?;
         let requests: Vec<_> = requests.into_iter().map(Ok).collect();
         self.check_pixels(&requests, "rgb_requests")?;
         let images = self.images(requests).await;
@@ -232,10 +240,9 @@ impl SensorsimService for Sensorsim {
             .into_iter()
             .map(|bytes| bytes.map(|image_bytes| RgbRenderReturn { image_bytes }));
         let rgb_returns = returned.collect::<Result<_, _>>()?;
-        let mut lidar_returns = Vec::with_capacity(request.lidar_requests.len());
-        for (index, lidar) in request.lidar_requests.iter().enumerate() {
-            let field = format!("lidar_requests[{index}]");
-            lidar_returns.push(self.lidar(lidar, &field).await?);
+        let mut lidar_returns = Vec::with_capacity(sweeps.len());
+        for sweep in sweeps {
+            lidar_returns.push(self.lidar(sweep).await?);
         }
         Ok(Response::new(AggregatedRenderReturn {
             rgb_returns,

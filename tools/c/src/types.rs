@@ -530,7 +530,7 @@ impl DgsLidarPoint {
             position_m: point.position_m.as_vec3().to_array(),
             range_m: point.measured.range_m,
             intensity: point.measured.intensity,
-            offset_ns: (1e9 * point.beam.time_s).round() as u32,
+            offset_ns: point.beam.offset_ns(),
             column: point.beam.column,
             ring: point.beam.ring,
             laser: point.beam.laser,

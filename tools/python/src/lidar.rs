@@ -109,12 +109,7 @@ pub fn to_dict<'py>(py: Python<'py>, points: &[LidarPoint]) -> PyResult<Bound<'p
     column(&dict, "ring", beams().map(|beam| beam.ring))?;
     column(&dict, "laser", beams().map(|beam| beam.laser))?;
     column(&dict, "column", beams().map(|beam| beam.column))?;
-    let offset_ns = |time_s: f64| (1e9 * time_s).round() as u32;
-    column(
-        &dict,
-        "offset_ns",
-        beams().map(|beam| offset_ns(beam.time_s)),
-    )?;
+    column(&dict, "offset_ns", beams().map(|beam| beam.offset_ns()))?;
     Ok(dict)
 }
 

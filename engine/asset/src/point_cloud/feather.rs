@@ -7,7 +7,7 @@ use arrow_ipc::writer::FileWriter;
 use decouplegs_scene::lidar::LidarPoint;
 use half::f16;
 
-use super::{intensity_byte, offset_ns};
+use super::intensity_byte;
 use crate::EncodeError;
 
 /// The bytes of the file.
@@ -36,7 +36,8 @@ pub(super) fn encode(points: &[LidarPoint]) -> Result<Vec<u8>, EncodeError> {
     }
     let intensities = UInt8Array::from_iter_values(points.iter().map(intensity_byte));
     let lasers = UInt8Array::from_iter_values(points.iter().map(|point| point.beam.laser as u8));
-    let offsets = Int32Array::from_iter_values(points.iter().map(|point| offset_ns(point) as i32));
+    let offsets =
+        Int32Array::from_iter_values(points.iter().map(|point| point.beam.offset_ns() as i32));
     let failed = |error: arrow_schema::ArrowError| EncodeError(error.to_string());
     let table = RecordBatch::try_from_iter([
         ("x", axis(0)),

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use decouplegs_scene::lidar::LidarPoint;
 use mcap::{Channel, Message, Schema, WriteOptions, Writer};
 
-use super::{intensity_byte, offset_ns, rounded};
+use super::{intensity_byte, rounded};
 use crate::EncodeError;
 
 /// Definition of the message, with those that it is made of.
@@ -190,7 +190,7 @@ fn packed(point: &LidarPoint) -> [u8; POINT_BYTES as usize] {
         _ => RETURN_DUAL_WEAK_LAST,
     };
     bytes[14..16].copy_from_slice(&point.beam.ring.to_le_bytes());
-    bytes[28..32].copy_from_slice(&offset_ns(point).to_le_bytes());
+    bytes[28..32].copy_from_slice(&point.beam.offset_ns().to_le_bytes());
     bytes
 }
 

@@ -196,11 +196,6 @@ fn rounded(position_m: DVec3) -> [f32; 3] {
     position_m.as_vec3().to_array()
 }
 
-/// Time of firing after the start of the sweep, nanoseconds.
-fn offset_ns(point: &LidarPoint) -> u32 {
-    (1e9 * point.beam.time_s).round() as u32
-}
-
 /// Intensity from 0 to 255.
 fn intensity_byte(point: &LidarPoint) -> u8 {
     (255.0 * point.measured.intensity).round() as u8
@@ -223,7 +218,7 @@ fn records(points: &[LidarPoint]) -> Vec<u8> {
         for value in [x, y, z, measured.intensity, measured.range_m] {
             bytes.extend(value.to_le_bytes());
         }
-        for value in [offset_ns(point), point.beam.column] {
+        for value in [point.beam.offset_ns(), point.beam.column] {
             bytes.extend(value.to_le_bytes());
         }
         for value in [point.beam.ring, point.beam.laser, measured.instance] {

@@ -370,6 +370,9 @@ impl LidarRenderer {
         if let Some(index) = self.buffers.iter().position(|(kept, _)| kept == room) {
             return Ok(self.buffers.remove(index).1);
         }
+        // Lists only grow: smaller ones are not asked for again.
+        self.buffers
+            .retain(|(kept, _)| kept.capacity == room.capacity);
         if self.buffers.len() >= ROOMS_MAX {
             self.buffers.remove(0);
         }

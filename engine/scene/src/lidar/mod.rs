@@ -183,6 +183,14 @@ pub struct Beam {
     pub column: u32,
 }
 
+impl Beam {
+    /// Time of firing after the start of the sweep, nanoseconds.
+    #[must_use]
+    pub fn offset_ns(&self) -> u32 {
+        (1e9 * self.time_s).round() as u32
+    }
+}
+
 /// Model of a LiDAR.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LidarModel {

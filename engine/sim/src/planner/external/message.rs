@@ -227,8 +227,7 @@ pub(super) fn points(sweep: &LidarSweep) -> Vec<u8> {
         for value in [x, y, z, point.measured.intensity] {
             bytes.extend(value.to_le_bytes());
         }
-        let since_start_ns = (1e9 * point.beam.time_s).round() as u32;
-        bytes.extend(since_start_ns.to_le_bytes());
+        bytes.extend(point.beam.offset_ns().to_le_bytes());
         for value in [point.beam.ring, point.beam.laser] {
             bytes.extend(value.to_le_bytes());
         }
