@@ -35,6 +35,7 @@ use decouplegs_benches::{ablate, bench, stress};
 use decouplegs_cli::{
     arguments, data_uri, device, image_quality, plot, progress, scene_source, views, visibility,
 };
+use decouplegs_view as view;
 
 /// Renders 3D Gaussian scenes for driving simulation on any Vulkan 1.3 device.
 #[derive(Parser)]
@@ -66,6 +67,7 @@ enum Command {
     Replay(replay::Arguments),
     OpenLoop(open_loop::Arguments),
     Score(score::Arguments),
+    View(view::Arguments),
     Devices(devices::Arguments),
 }
 
@@ -91,6 +93,7 @@ fn main() -> ExitCode {
         Command::Replay(arguments) => replay::run(arguments),
         Command::OpenLoop(arguments) => open_loop::run(arguments),
         Command::Score(arguments) => score::run(arguments),
+        Command::View(arguments) => view::run(arguments),
         Command::Devices(arguments) => devices::run(arguments),
     };
     match done {

@@ -8,7 +8,7 @@ use super::*;
 
 /// The small street with its agents compressed: plain splats are part of the background, which
 /// stands still.
-fn coded_street(street: &Path) {
+pub fn coded_street(street: &Path) {
     small_street(street);
     let scene = street.join("scene.toml");
     let mut file = fs::read_to_string(&scene).unwrap();

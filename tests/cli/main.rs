@@ -18,6 +18,7 @@ mod map;
 mod register;
 mod rendering;
 mod stress;
+mod view;
 
 use std::fs;
 use std::path::Path;

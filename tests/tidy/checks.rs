@@ -57,9 +57,15 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("benches/Cargo.toml", &["decouplegs", "decouplegs-cli"]),
     (
         "tools/Cargo.toml",
-        &["decouplegs", "decouplegs-cli", "decouplegs-benches"],
+        &[
+            "decouplegs",
+            "decouplegs-cli",
+            "decouplegs-benches",
+            "decouplegs-view",
+        ],
     ),
-    ("tools/server/Cargo.toml", &["decouplegs"]),
+    ("tools/server/Cargo.toml", &["decouplegs", "decouplegs-cli"]),
+    ("tools/view/Cargo.toml", &["decouplegs", "decouplegs-cli"]),
     (
         "tools/python/Cargo.toml",
         &["decouplegs", "decouplegs-sharing"],

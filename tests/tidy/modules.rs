@@ -17,6 +17,7 @@ fn module_of(path: &str) -> Option<(&str, &str)> {
     let products = [
         "tools/cli/src",
         "tools/server",
+        "tools/view",
         "tools/c/src",
         "tools/python/src",
         "tools/python/sharing/src",

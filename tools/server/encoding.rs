@@ -3,10 +3,10 @@
 
 use std::sync::Arc;
 
+use decouplegs_cli::{jpeg, png_bytes};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use tonic::Status;
 
-use crate::jpeg;
 use crate::wire::sensorsim::ImageFormat;
 
 /// Quality of JPEG where a request leaves it at zero.
@@ -88,23 +88,7 @@ pub fn encode(
             }
             Ok(planes)
         }
-        Encoding::Png => {
-            let mut bytes = Vec::with_capacity(rgba.len() / 2);
-            let mut encoder = png::Encoder::new(&mut bytes, width_px, height_px);
-            encoder.set_color(png::ColorType::Rgb);
-            encoder.set_depth(png::BitDepth::Eight);
-            encoder.set_compression(png::Compression::Fast);
-            let mut rgb = vec![0; 3 * (rgba.len() / 4)];
-            rgb.chunks_exact_mut(3)
-                .zip(rgba.chunks_exact(4))
-                .for_each(|(to, pixel)| to.copy_from_slice(&pixel[..3]));
-            let mut writer = encoder.write_header().map_err(|error| error.to_string())?;
-            writer
-                .write_image_data(&rgb)
-                .and_then(|()| writer.finish())
-                .map_err(|error| error.to_string())?;
-            Ok(bytes)
-        }
+        Encoding::Png => png_bytes::encode(rgba, [width_px, height_px]),
         Encoding::Jpeg { quality } => jpeg::encode(rgba, [width_px, height_px], quality),
     }
 }

@@ -25,7 +25,6 @@ mod codec;
 mod connections;
 pub mod encoding;
 mod image_memory;
-mod jpeg;
 mod lidar;
 mod log_limit;
 mod metrics;

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `arguments`, `device`, `scene_source`, `orbit` | arguments of several subcommands, and what they open |
 //! | `progress` | progress lines and durations |
+//! | `jpeg`, `png_bytes` | images as bytes of a file |
 //! | `plot`, `data_uri` | plots as SVG, and images inside of HTML reports |
 //! | `views`, `visibility`, `image_quality` | views around an asset, how much each splat shows in them, and differences between images |
 #![forbid(unsafe_code)]
@@ -18,9 +19,13 @@ pub mod device;
 #[doc(hidden)]
 pub mod image_quality;
 #[doc(hidden)]
+pub mod jpeg;
+#[doc(hidden)]
 pub mod orbit;
 #[doc(hidden)]
 pub mod plot;
+#[doc(hidden)]
+pub mod png_bytes;
 #[doc(hidden)]
 pub mod progress;
 #[doc(hidden)]

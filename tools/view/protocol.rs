@@ -1,0 +1,385 @@
+//! Messages between the page and the renderer.
+//!
+//! The page sends commands as JSON. The viewer answers with JSON and with images. Each image has a
+//! header of 32 bytes, all fields little-endian.
+
+use serde::{Deserialize, Serialize};
+
+/// First four bytes of each image: "DGSV".
+pub const MAGIC: u32 = u32::from_le_bytes(*b"DGSV");
+/// Bytes of the header of an image.
+pub const HEADER_BYTES: usize = 32;
+/// Flag of images that are rendered at full size and encoded without loss.
+pub const FLAG_EXACT: u8 = 1;
+/// Flag of the last image of an update.
+pub const FLAG_LAST: u8 = 2;
+/// Panes that one client may have: the cameras of a large rig.
+pub const PANES_MAX: usize = 16;
+/// Width and height of a pane, pixels.
+pub const SIDES_PX: [u32; 2] = [16, 4096];
+/// Pixels of all panes of one client.
+pub const PIXELS_MAX: u64 = 32 << 20;
+/// Vertical field of view of free cameras, degrees.
+pub const FOVS_DEG: [f64; 2] = [0.1, 160.0];
+/// Speeds of playing, seconds of the scene per second.
+pub const SPEEDS: [f64; 2] = [0.1, 10.0];
+/// Bytes of one command.
+pub const COMMAND_BYTES_MAX: usize = 1 << 16;
+
+/// A command of the page.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+pub struct Request {
+    /// Number that its acknowledgement repeats.
+    pub sequence: u64,
+    /// Command and its values.
+    #[serde(flatten)]
+    pub command: Command,
+}
+
+/// Kinds of commands.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(tag = "command", rename_all = "snake_case")]
+pub enum Command {
+    /// Sets what the client sees.
+    Look(View),
+    /// Sets the time.
+    Time {
+        /// Time of the scene, seconds.
+        time_s: f64,
+    },
+    /// Moves by steps and pauses.
+    Step {
+        /// Steps, negative to earlier.
+        by: i32,
+    },
+    /// Plays or pauses.
+    Play {
+        /// True to play.
+        playing: bool,
+        /// Seconds of the scene per second.
+        speed: f64,
+        /// True to begin again at the end.
+        looping: bool,
+    },
+    /// Says that an update is on the screen, so that another may be sent.
+    Shown {
+        /// Number of the update.
+        update: u32,
+    },
+}
+
+/// Panes of a client.
+#[derive(Clone, Debug, Default, Deserialize, PartialEq)]
+pub struct View {
+    /// Panes, rendered together.
+    pub panes: Vec<Pane>,
+    /// True while the user moves a camera.
+    #[serde(default)]
+    pub moving: bool,
+    /// True if images may be smaller and have losses while something moves.
+    #[serde(default = "yes")]
+    pub reduce: bool,
+}
+
+/// One pane.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+pub struct Pane {
+    /// Number of the pane on the page.
+    pub stream: u16,
+    /// Width, pixels.
+    pub width_px: u32,
+    /// Height, pixels.
+    pub height_px: u32,
+    /// Camera that looks.
+    pub camera: CameraRequest,
+    /// Quantity that is shown.
+    #[serde(default)]
+    pub channel: Channel,
+    /// True if agents are shown.
+    #[serde(default = "yes")]
+    pub agents: bool,
+}
+
+/// Camera of a pane.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum CameraRequest {
+    /// A camera of the scene, by name. Its image has its own size, or is smaller where the pane is.
+    Named {
+        /// Name of the camera.
+        name: String,
+    },
+    /// A pinhole, relative to the world.
+    Free(Pinhole),
+    /// A pinhole, relative to a vehicle.
+    Attached {
+        /// Name of the agent; none for the ego vehicle.
+        agent: Option<String>,
+        /// Pose and field of view.
+        #[serde(flatten)]
+        pinhole: Pinhole,
+    },
+}
+
+/// Pose and field of view of a pinhole: x right, y down, z forward.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
+pub struct Pinhole {
+    /// Position, meters.
+    pub position_m: [f64; 3],
+    /// Rotation, a quaternion x, y, z, w; any length above 0.
+    pub rotation: [f64; 4],
+    /// Vertical field of view, degrees.
+    pub fov_deg: f64,
+}
+
+/// Quantity that a pane shows.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, Hash, Ord, PartialEq, PartialOrd)]
+#[serde(rename_all = "snake_case")]
+pub enum Channel {
+    /// Color of the image.
+    #[default]
+    Color,
+    /// Expected depth.
+    Depth,
+    /// Distance from the camera.
+    Range,
+    /// Agents, a color each.
+    Instance,
+    /// Surface normals.
+    Normal,
+    /// Optical flow.
+    Flow,
+    /// Opacity of each pixel.
+    Alpha,
+}
+
+const fn yes() -> bool {
+    true
+}
+
+/// Reads a command and checks its numbers.
+///
+/// # Errors
+/// A sentence, when `text` is not a command or a number is out of range.
+pub fn parse(text: &str) -> Result<Request, String> {
+    let request: Request =
+        serde_json::from_str(text).map_err(|error| format!("not a command: {error}"))?;
+    check(&request.command)?;
+    Ok(request)
+}
+
+fn check(command: &Command) -> Result<(), String> {
+    match command {
+        Command::Look(view) => check_view(view),
+        Command::Time { time_s } if !time_s.is_finite() => {
+            Err(format!("time_s: expected seconds, found {time_s}"))
+        }
+        Command::Play { speed, .. } => within("speed", *speed, SPEEDS),
+        Command::Time { .. } | Command::Step { .. } | Command::Shown { .. } => Ok(()),
+    }
+}
+
+fn check_view(view: &View) -> Result<(), String> {
+    if view.panes.len() > PANES_MAX {
+        return Err(format!(
+            "panes: expected at most {PANES_MAX}, found {}",
+            view.panes.len()
+        ));
+    }
+    let mut pixels = 0;
+    for pane in &view.panes {
+        let sides = SIDES_PX.map(f64::from);
+        within("width_px", f64::from(pane.width_px), sides)?;
+        within("height_px", f64::from(pane.height_px), sides)?;
+        pixels += u64::from(pane.width_px) * u64::from(pane.height_px);
+        let (CameraRequest::Free(pinhole) | CameraRequest::Attached { pinhole, .. }) = &pane.camera
+        else {
+            continue;
+        };
+        within("fov_deg", pinhole.fov_deg, FOVS_DEG)?;
+        let numbers = pinhole.position_m.iter().chain(&pinhole.rotation);
+        let length_squared: f64 = pinhole.rotation.iter().map(|x| x * x).sum();
+        let is_rotation = length_squared.is_finite() && length_squared > 1e-12;
+        if !is_rotation || !numbers.into_iter().all(|x| x.abs() < 1e9) {
+            return Err(
+                "camera: expected a position within 1e9 m and a rotation above length 0".into(),
+            );
+        }
+    }
+    if pixels > PIXELS_MAX {
+        return Err(format!(
+            "panes: expected at most {PIXELS_MAX} pixels in all, found {pixels}: make them smaller"
+        ));
+    }
+    Ok(())
+}
+
+fn within(what: &str, value: f64, [least, most]: [f64; 2]) -> Result<(), String> {
+    match (least..=most).contains(&value) {
+        true => Ok(()),
+        false => Err(format!("{what}: expected {least} to {most}, found {value}")),
+    }
+}
+
+/// Encoding of an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageKind {
+    /// JPEG, with losses.
+    Jpeg = 2,
+    /// PNG, without losses.
+    Png = 3,
+}
+
+/// Header of an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Header {
+    /// Pane that it is for.
+    pub stream: u16,
+    /// Encoding of the bytes behind the header.
+    pub kind: ImageKind,
+    /// [`FLAG_EXACT`], [`FLAG_LAST`].
+    pub flags: u8,
+    /// Number of the update.
+    pub update: u32,
+    /// Time of the scene, microseconds.
+    pub time_us: i64,
+    /// Width and height, pixels.
+    pub size_px: [u16; 2],
+}
+
+impl Header {
+    /// The 32 bytes, fields as in the module's table: magic u32, stream u16, kind u8, flags u8,
+    /// update u32, time i64, width u16, height u16, row of the strip u16, strips u16, 0 u32.
+    #[must_use]
+    pub fn bytes(&self) -> [u8; HEADER_BYTES] {
+        let mut bytes = [0; HEADER_BYTES];
+        let mut at = 0;
+        let mut put = |part: &[u8]| {
+            bytes[at..at + part.len()].copy_from_slice(part);
+            at += part.len();
+        };
+        put(&MAGIC.to_le_bytes());
+        put(&self.stream.to_le_bytes());
+        put(&[self.kind as u8, self.flags]);
+        put(&self.update.to_le_bytes());
+        put(&self.time_us.to_le_bytes());
+        put(&self.size_px[0].to_le_bytes());
+        put(&self.size_px[1].to_le_bytes());
+        // One strip, from row 0 on.
+        put(&0u16.to_le_bytes());
+        put(&1u16.to_le_bytes());
+        bytes
+    }
+}
+
+/// Answer to a command.
+#[derive(Debug, Serialize)]
+pub struct Acknowledgement<'a> {
+    /// Always "ack".
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    /// Number of the command.
+    pub sequence: u64,
+    /// Reason why it was not done.
+    pub error: Option<&'a str>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_are_read_and_nonsense_is_explained() {
+        let look = r#"{"sequence":7,"command":"look","panes":[{"stream":1,"width_px":640,"height_px":360,"camera":{"kind":"named","name":"front"}}]}"#;
+        let request = parse(look).unwrap();
+        let Command::Look(view) = &request.command else {
+            panic!("{request:?}")
+        };
+        assert_eq!(
+            (request.sequence, view.panes.len(), view.reduce),
+            (7, 1, true)
+        );
+        assert_eq!(view.panes[0].channel, Channel::Color);
+        for (text, word) in [
+            ("", "not a command"),
+            ("[]", "not a command"),
+            (r#"{"sequence":1,"command":"explode"}"#, "explode"),
+            (
+                r#"{"sequence":1,"command":"play","playing":true,"speed":1e9,"looping":false}"#,
+                "speed",
+            ),
+            (&look.replace("640", "0"), "width_px"),
+            (&look.replace("640", "4294967295"), "width_px"),
+            (
+                &look.replace(
+                    r#""kind":"named","name":"front""#,
+                    r#""kind":"free","position_m":[0,0,0],"rotation":[0,0,0,0],"fov_deg":60"#,
+                ),
+                "rotation",
+            ),
+            (
+                &look.replace(
+                    r#""kind":"named","name":"front""#,
+                    r#""kind":"free","position_m":[0,0,0],"rotation":[0,0,0,1],"fov_deg":180"#,
+                ),
+                "fov_deg",
+            ),
+        ] {
+            let error = parse(text).unwrap_err();
+            assert!(error.contains(word), "{text}: {error}");
+        }
+    }
+
+    /// Random edits of commands, by a linear congruential generator: none may panic.
+    #[test]
+    fn a_hundred_thousand_damaged_commands_are_read_or_refused() {
+        let samples = [
+            r#"{"sequence":7,"command":"look","panes":[{"stream":1,"width_px":640,"height_px":360,"camera":{"kind":"free","position_m":[0,1,2],"rotation":[0,0,0,1],"fov_deg":60}}]}"#,
+            r#"{"sequence":1,"command":"play","playing":true,"speed":1,"looping":false}"#,
+            r#"{"sequence":18446744073709551615,"command":"time","time_s":1e308}"#,
+        ];
+        let mut state = 7u64;
+        let mut random = |below: usize| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 33) as usize % below
+        };
+        let mut refused = 0;
+        for round in 0..100_000 {
+            let mut bytes = samples[round % samples.len()].as_bytes().to_vec();
+            for _ in 0..=random(4) {
+                let at = random(bytes.len());
+                match random(3) {
+                    0 => bytes[at] = b"0189eE-+.,:[]{}\"\\nu\0"[random(20)],
+                    1 => drop(bytes.drain(at..(at + random(9)).min(bytes.len()))),
+                    _ => bytes.truncate(at.max(1)),
+                }
+                if bytes.is_empty() {
+                    bytes.push(b'{');
+                }
+            }
+            refused += usize::from(parse(&String::from_utf8_lossy(&bytes)).is_err());
+        }
+        assert!((50_000..100_000).contains(&refused), "{refused}");
+    }
+
+    #[test]
+    fn a_header_has_32_bytes_in_the_order_of_the_protocol() {
+        let header = Header {
+            stream: 0x0102,
+            kind: ImageKind::Png,
+            flags: FLAG_EXACT | FLAG_LAST,
+            update: 5,
+            time_us: -1,
+            size_px: [640, 360],
+        };
+        let bytes = header.bytes();
+        assert_eq!(&bytes[..8], b"DGSV\x02\x01\x03\x03");
+        assert_eq!(
+            &bytes[8..20],
+            [5, 0, 0, 0, 255, 255, 255, 255, 255, 255, 255, 255]
+        );
+        assert_eq!(&bytes[20..], [128, 2, 104, 1, 0, 0, 1, 0, 0, 0, 0, 0]);
+    }
+}
