@@ -99,25 +99,6 @@ impl Scored {
 }
 
 impl Scored {
-    /// Kind of an infraction, for people.
-    pub fn what(&self, infraction: &Infraction) -> String {
-        let head = &self.episode.head;
-        match infraction.kind {
-            InfractionKind::Layout => "off the road".to_owned(),
-            InfractionKind::RedLight { light } => {
-                format!("red light {}", head.scenario.lights[light].name)
-            }
-            InfractionKind::StopSign { sign } => {
-                format!("stop sign on lane {}", head.scenario.signs[sign].line.lane)
-            }
-            InfractionKind::Obstacle { kind } => format!("collision with a {}", kind.name()),
-            InfractionKind::Collision { agent, fault, .. } => {
-                let name = head.scenario.agent(agent).0;
-                format!("collision with {name}, {}", fault.why())
-            }
-        }
-    }
-
     /// Position of the ego at a time, or at the last moment before it, meters.
     pub fn place_m(&self, time_s: f64) -> DVec2 {
         let start = self.episode.start.ego.position_m;
@@ -136,7 +117,7 @@ impl Scored {
             format!(
                 " × {:.2} ({} at {:.1} s)",
                 infraction.factor(),
-                self.what(infraction),
+                infraction.describe(&self.episode.head),
                 infraction.time_s
             )
         };

@@ -54,6 +54,11 @@ impl Viewer {
     }
 
     fn connect(&self) -> Page {
+        self.connect_with_facts().0
+    }
+
+    /// A client, and what it is sent of the scene.
+    fn connect_with_facts(&self) -> (Page, Value) {
         let stream = TcpStream::connect(&self.host).expect("it listens");
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         let url = format!("ws://{}/socket", self.host);
@@ -62,8 +67,9 @@ impl Viewer {
             socket,
             sequence: 0,
         };
-        assert_eq!(page.text()["type"], "scene");
-        page
+        let facts = page.text();
+        assert_eq!(facts["type"], "scene");
+        (page, facts)
     }
 }
 
@@ -206,6 +212,73 @@ fn a_still_image_of_the_viewer_is_that_of_render() {
     let seen = later.rgb(folder.path(), 0);
     assert!(seen != front);
     assert!(seen == rendered("later", &["--time", "0.7"])[0]);
+}
+
+/// Images at the steps of a log are compared with its hashes, and the badge says so: also when the
+/// scene was changed afterwards.
+#[test]
+fn an_episode_shows_the_bits_of_its_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let street = folder.path().join("street");
+    small_street(&street);
+    let (scene, lanes) = (street.join("scene.toml"), street.join("lanes.json"));
+    let out = folder.path().join("run");
+    let place = ["drive", "--scene", text(&scene), "--map", text(&lanes)];
+    let what = ["--level", "extreme", "--episodes", "1", "--size", "96x54"];
+    let how = ["--planner", "constant-velocity", "--all-cameras"];
+    succeed(&[&place[..], &what, &how, &["--out", text(&out)]].concat());
+    let log = out.join("logs/extreme_0000.log");
+    let badge = |panes: &[Value], time_s: f64| {
+        let viewer = Viewer::start(&[text(&log)]);
+        let (mut page, facts) = viewer.connect_with_facts();
+        page.send("look", looks(panes));
+        page.update_of(0.0);
+        page.send("time", json!({"time_s": time_s}));
+        let state = page.update_of(time_s).state;
+        (state["badge"].as_str().unwrap().to_owned(), state, facts)
+    };
+    let all = ["front", "front_left"].map(|name| named(0, name, [96, 54]));
+    let (same, state, facts) = badge(&all, 1.0);
+    assert_eq!(same, "exact, same bits as the log");
+    let log_facts = &facts["log"];
+    assert_eq!(log_facts["planner"], "constant-velocity");
+    assert_eq!(log_facts["departs_s"], Value::Null);
+    assert!(!log_facts["lanes"].as_array().unwrap().is_empty());
+    let speeds = log_facts["speed_mps"].as_array().unwrap();
+    assert_eq!(
+        speeds.len(),
+        log_facts["time_to_collision_s"].as_array().unwrap().len()
+    );
+    let json = json(&["score", text(&log), "--json"]);
+    assert!(
+        json.to_string()
+            .contains(&log_facts["score"]["driving_score"].to_string()),
+        "{json}"
+    );
+    // The plan starts below the middle of the ego's box and goes ahead.
+    let plan = state["plan"].as_array().unwrap();
+    let ego = &state["ego"]["position_m"];
+    assert!(
+        plan.len() > 2 && plan[0][0] == ego[0] && plan[0][1] == ego[1],
+        "{plan:?} {ego}"
+    );
+
+    // Between steps, at another size or without agents there is nothing to compare.
+    assert_eq!(badge(&all, 1.1).0, "exact");
+    assert_eq!(badge(&[named(0, "front", [48, 27])], 1.0).0, "exact");
+    let mut bare = all[0].clone();
+    bare["agents"] = false.into();
+    assert_eq!(badge(&[bare], 1.0).0, "exact");
+
+    let file = fs::read_to_string(&scene).unwrap();
+    fs::write(
+        &scene,
+        file.replacen(r#"name = "default""#, r#"name = "inria""#, 1),
+    )
+    .unwrap();
+    assert_eq!(badge(&all, 1.0).0, "exact, other bits than the log");
+    assert!(fail(1, &["view", text(&log), "--time", "1"]).contains("leave out"));
+    assert!(fail(1, &["view", text(&scene), "--base", "."]).contains("--base"));
 }
 
 #[test]

@@ -269,7 +269,7 @@ fn infractions(scored: &Scored) -> String {
             html,
             "<tr><td>{:.1}<td>{}<td>{:.2}<td>{:.1}<td>{:.1}<td>{image}",
             infraction.time_s,
-            escaped(&scored.what(infraction)),
+            escaped(&infraction.describe(&scored.episode.head)),
             infraction.factor(),
             at_m.x,
             at_m.y

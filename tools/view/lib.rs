@@ -4,10 +4,12 @@
 //! |---|---|
 //! | `protocol` | commands, acknowledgements and image headers |
 //! | `source` | the scene at a time: worlds, cameras, boxes |
+//! | `log` | an episode at a time, and its score |
 //! | `session` | the thread that renders |
 //! | `server` | HTTP, WebSockets, and who may connect |
 #![forbid(unsafe_code)]
 
+mod log;
 mod protocol;
 mod server;
 mod session;
@@ -20,12 +22,15 @@ use std::sync::atomic::AtomicU64;
 use std::sync::mpsc;
 
 use anyhow::{Context, Result, ensure};
+use decouplegs::gpu::Gpu;
+use decouplegs::scene::Rules;
 use decouplegs::session::Session;
 use decouplegs_cli::arguments::print;
 use decouplegs_cli::device::{DeviceArguments, check_validation};
 use decouplegs_cli::progress;
 use decouplegs_cli::scene_source::{Scene, SceneArguments};
 
+use log::{LogArguments, OpenLog};
 use protocol::Channel;
 use server::{Service, router};
 use session::{Event, Viewer};
@@ -34,7 +39,8 @@ use source::Source;
 /// Commands that wait for the thread that renders.
 const EVENTS_MAX: usize = 1024;
 
-/// Look into a scene in the browser: fly, play, step, switch cameras and channels
+/// Look into a scene or the log of an episode (.log) in the browser: fly, play, step, switch
+/// cameras and kinds of images
 ///
 /// Images are rendered here and sent to the page, so it works from a machine without a display:
 /// ssh -L 8090:localhost:8090. While something moves images may be smaller; at rest they are those
@@ -43,6 +49,8 @@ const EVENTS_MAX: usize = 1024;
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
+    #[command(flatten)]
+    log: LogArguments,
     /// Port; 0 takes a free one
     #[arg(long, default_value_t = 8090)]
     port: u16,
@@ -90,13 +98,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .block_on(tokio::net::TcpListener::bind(address))
         .with_context(|| format!("{address} cannot be listened on: give another --port"))?;
     let address = listener.local_addr()?;
-    let scene = Scene::open(&arguments.scene)?;
-    let gpu = arguments.device.open()?;
-    let rules = scene.rules();
-    let session = Session::on(&gpu, &session::options(rules, Channel::Color));
-    let copying = progress::spinner("copying the scene to the device".to_owned());
-    let source = Source::new(scene, &session)?;
-    copying.finish_and_clear();
+    let (gpu, rules, session, source) = open(arguments)?;
     let mut viewer = Viewer::new(&gpu, rules, source, session.batch_renderer());
     let (events, inbox) = mpsc::sync_channel(EVENTS_MAX);
     let renders = std::thread::Builder::new()
@@ -130,6 +132,43 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     drop(events);
     ensure!(renders.join().is_ok(), "the thread that renders failed");
     check_validation(&gpu)
+}
+
+/// Opens the scene or the log, on the device.
+fn open(arguments: &Arguments) -> Result<(Gpu, Rules, Session, Source)> {
+    let path = arguments.scene.path();
+    let is_log = path.extension().is_some_and(|extension| extension == "log");
+    let on = |rules: Rules| -> Result<(Gpu, Session)> {
+        let gpu = arguments.device.open()?;
+        let session = Session::on(&gpu, &session::options(rules, Channel::Color));
+        Ok((gpu, session))
+    };
+    if !is_log {
+        ensure!(
+            !arguments.log.is_given(),
+            "{}: --base and --light are for logs of episodes",
+            path.display()
+        );
+        let scene = Scene::open(&arguments.scene)?;
+        let rules = scene.rules();
+        let (gpu, session) = on(rules)?;
+        let copying = progress::spinner("copying the scene to the device".to_owned());
+        let source = Source::of_scene(scene, &session)?;
+        copying.finish_and_clear();
+        return Ok((gpu, rules, session, source));
+    }
+    ensure!(
+        !arguments.scene.has_options(),
+        "{}: a log has its own cameras, sizes and rules: leave out the options of scenes",
+        path.display()
+    );
+    let opening = progress::spinner(format!("opening {} and its place", path.display()));
+    let log = OpenLog::open(path, &arguments.log)?;
+    let rules = log.site.loaded.world.rules;
+    let (gpu, session) = on(rules)?;
+    let (played, on_device) = log.play(&session)?;
+    opening.finish_and_clear();
+    Ok((gpu, rules, session, Source::of_log(played, on_device)))
 }
 
 #[cfg(test)]

@@ -100,6 +100,13 @@ pub struct Pane {
     pub agents: bool,
 }
 
+impl Pane {
+    /// True if the image is that of a camera of a vehicle: color, with agents.
+    pub fn shows_all(&self) -> bool {
+        self.agents && self.channel == Channel::Color
+    }
+}
+
 /// Camera of a pane.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(tag = "kind", rename_all = "snake_case")]

@@ -212,8 +212,7 @@ impl Viewer {
                 return;
             }
             Command::Look(view) => {
-                let time_s = self.clock.time_s;
-                let mut cameras = view.panes.iter().map(|p| self.source.camera(p, time_s));
+                let mut cameras = view.panes.iter().map(|pane| self.source.camera(pane));
                 match cameras.find_map(Result::err) {
                     Some(reason) => error = Some(reason),
                     None => (client.view, client.stale) = (view, true),
@@ -309,11 +308,11 @@ impl Viewer {
         client.credits -= 1;
         client.stale = false;
         let (update, view) = (client.update, client.view.clone());
-        let time_s = self.clock.time_s;
+        let time_s = self.source.time_s();
         let cameras: Vec<(usize, Camera)> = (view.panes.iter().enumerate())
             .filter_map(|(index, pane)| {
                 // An agent may be gone by now: its pane keeps the last image.
-                let mut camera = self.source.camera(pane, time_s).ok()?;
+                let mut camera = self.source.camera(pane).ok()?;
                 camera.intrinsics = scaled(&camera.intrinsics, scale);
                 Some((index, camera))
             })
@@ -344,12 +343,24 @@ impl Viewer {
             messages.push(Outgoing::Image([&header.bytes()[..], &bytes].concat()));
         }
         let all = since.elapsed();
+        let logged = cameras
+            .iter()
+            .zip(&drawn)
+            .filter_map(|((index, _), image)| {
+                let pane = &view.panes[*index];
+                (self.source).is_logged(pane, image.size_px, &image.rgba)
+            });
+        let logged = logged.reduce(|all, same| all && same);
         let badge = match (reduced, scale) {
-            (false, _) => "exact".to_owned(),
+            (false, _) => match logged {
+                None => "exact".to_owned(),
+                Some(true) => "exact, same bits as the log".to_owned(),
+                Some(false) => "exact, other bits than the log".to_owned(),
+            },
             (true, 1.0) => format!("JPEG {QUALITY_MOVING}"),
             (true, scale) => format!("1/{} size while moving", 1.0 / scale),
         };
-        let mut state = self.source.state(time_s);
+        let mut state = self.source.state();
         state["type"] = "frame".into();
         state["update"] = update.into();
         state["time_s"] = time_s.into();

@@ -1,6 +1,6 @@
 //! Scene and cameras, as named on the command line.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use decouplegs::asset::{CameraOptions, LoadedScene, SplatFormat, open_scene, read_cameras};
@@ -39,6 +39,26 @@ pub struct SceneArguments {
     /// Compensate the dilation of thin splats by their opacity (Mip-Splatting)
     #[arg(long)]
     antialias: bool,
+}
+
+impl SceneArguments {
+    /// File of the splats or the scene.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.scene
+    }
+
+    /// True if more than the file was given.
+    #[must_use]
+    pub fn has_options(&self) -> bool {
+        self.cameras.is_some()
+            || self.dataparser.is_some()
+            || self.orbit.is_asked()
+            || self.time.is_some()
+            || self.size.is_some()
+            || self.rules.is_some()
+            || self.antialias
+    }
 }
 
 /// A scene and the cameras that look at it.

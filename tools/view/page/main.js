@@ -8,6 +8,10 @@ const LOOK_MS = 33;
 const TRAIL_S = 5;
 const BIRDS_EYE_FOV_DEG = 8;
 const FOV_DEG = 60;
+const LANES_WITHIN_M = 120;
+const LANE_COLOR = "#ffffffa0";
+const PLAN_COLOR = "#00e5a0";
+const TTC_SHOWN_S = 5;
 const PANES_MAX = 16;
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
 const CHANNELS = {
@@ -23,12 +27,13 @@ const KEYS = [
   ["w a s d q e", "fly; with Shift faster"], ["arrows", "turn the camera"],
   ["drag", "turn; with the right button or Shift move"], ["wheel", "nearer or farther"],
   ["1 to 9", "return to a saved view; with Shift save it"],
-  ["b n t g", "boxes, names, trails, agents on or off"], ["?", "this list"],
+  ["g l k", "agents, lanes, plan on or off"], ["b n t", "boxes, names, trails on or off"],
+  ["m", "next mark of the timeline; with Shift the one before"], ["?", "this list"],
 ];
 
 const state = {
   facts: null, frame: null, panes: [], active: 0, moving: false, trails: new Map(),
-  layers: { agents: true, boxes: false, names: false, trails: false },
+  layers: { agents: true, lanes: false, plan: true, boxes: false, names: false, trails: false },
   held: new Set(), bookmarks: new Map(), speed: 1, axes: geometry.axesOf([0, 0, 1]),
 };
 
@@ -255,25 +260,47 @@ function drawOverlays() {
     context.clip();
     context.lineWidth = (2 * ratio) / scale;
     context.font = `${(13 * ratio) / scale}px system-ui, sans-serif`;
+    if (layers.lanes) {
+      context.strokeStyle = LANE_COLOR;
+      nearLanes(camera).forEach((line) => stroke(context, geometry.polyline(camera, line, 2)));
+    }
+    if (layers.plan && frame.plan.length > 1) {
+      context.strokeStyle = PLAN_COLOR;
+      context.lineWidth *= 2;
+      stroke(context, geometry.polyline(camera, frame.plan, 6));
+      context.lineWidth /= 2;
+    }
     if (!layers.agents) return;
-    frame.agents.forEach((agent) => drawAgent(context, camera, agent));
+    const far = ({ pose }) => geometry.length(geometry.subtract(pose.position_m, camera.pose.position_m));
+    // The nearest last: their names cover others.
+    const sorted = frame.agents.map((agent) => [far(agent), agent]).sort((a, b) => b[0] - a[0]);
+    sorted.forEach(([, agent]) => drawAgent(context, camera, agent));
   });
+}
+
+function stroke(context, lines) {
+  context.beginPath();
+  lines.forEach(([from, to]) => {
+    context.moveTo(...from);
+    context.lineTo(...to);
+  });
+  context.stroke();
+}
+
+/** Lanes that come near to what a camera can see, straight above included. */
+function nearLanes(camera) {
+  const { position_m: at } = camera.pose;
+  return (state.facts.log?.lanes ?? []).filter((line) =>
+    line.some((point) => Math.hypot(point[0] - at[0], point[1] - at[1]) < LANES_WITHIN_M),
+  );
 }
 
 function drawAgent(context, camera, agent) {
   context.strokeStyle = COLORS[agent.id % COLORS.length];
-  const stroke = (lines) => {
-    context.beginPath();
-    lines.forEach(([from, to]) => {
-      context.moveTo(...from);
-      context.lineTo(...to);
-    });
-    context.stroke();
-  };
-  if (state.layers.boxes) stroke(geometry.boxLines(camera, agent));
+  if (state.layers.boxes) stroke(context, geometry.boxLines(camera, agent));
   if (state.layers.trails) {
     const places = (state.trails.get(agent.name) ?? []).map(({ place }) => place);
-    stroke(geometry.polyline(camera, places, 4));
+    stroke(context, geometry.polyline(camera, places, 4));
   }
   if (state.layers.names) {
     const top = geometry.fromLocal(agent.pose, [0, 0, agent.size_m[2] / 2 + 0.3]);
@@ -305,6 +332,8 @@ function showAgents({ agents, ego }) {
   const body = $("agents").tBodies[0];
   const rows = new Map([...body.rows].map((row) => [row.dataset.name, row]));
   const sorted = agents
+    // Lamps and signs stand where they are.
+    .filter(({ name }) => !name.startsWith("signal/") && !name.startsWith("sign/"))
     .map((agent) => {
       const away = geometry.subtract(agent.pose.position_m, ego.position_m);
       return { ...agent, distance: geometry.length(away) };
@@ -336,6 +365,91 @@ function showClock({ time_s: time, playing }) {
   if (document.activeElement !== $("time") || playing) $("time").value = time;
   $("clock").textContent = `${time.toFixed(2)} s`;
   $("play").textContent = playing ? "Pause" : "Play";
+  const { log, span_s: [begin, end] } = state.facts;
+  if (!log) return;
+  $("cursor").style.left = `${(100 * (time - begin)) / Math.max(end - begin, 1e-9)}%`;
+  const index = log.time_to_collision_s.findLastIndex(([at]) => at <= time + 1e-6);
+  const ttc = log.time_to_collision_s[index]?.[1];
+  $("speed-now").textContent = `${(3.6 * (log.speed_mps[index] ?? 0)).toFixed(0)} km/h`;
+  $("ttc-now").textContent = ttc === null || ttc === undefined ? "none" : `${ttc.toFixed(1)} s`;
+}
+
+/** Curves and marks of an episode, and its score. */
+function showLog(log, [begin, end]) {
+  $("course").hidden = $("score").hidden = !log;
+  if (!log) return;
+  const share = (time) => (time - begin) / Math.max(end - begin, 1e-9);
+  const times = log.time_to_collision_s.map(([time]) => time);
+  const fastest = Math.max(1, ...log.speed_mps);
+  const path = (name, values) => {
+    const element = document.createElementNS("http://www.w3.org/2000/svg", "path");
+    let pen = "M";
+    const d = values.map((value, i) => {
+      if (value === null) {
+        pen = "M";
+        return "";
+      }
+      const piece = `${pen}${(1000 * share(times[i])).toFixed(1)} ${(96 - 92 * value).toFixed(1)}`;
+      pen = "L";
+      return piece;
+    });
+    element.setAttribute("d", d.join(""));
+    element.setAttribute("class", name);
+    return element;
+  };
+  const ttcs = log.time_to_collision_s.map(([, ttc]) => ttc);
+  $("chart").firstElementChild.replaceChildren(
+    path("speed", log.speed_mps.map((speed) => speed / fastest)),
+    path("ttc", ttcs.map((ttc) => (ttc === null ? null : Math.min(1, ttc / TTC_SHOWN_S)))),
+  );
+  const button = (event, text) => {
+    const element = document.createElement("button");
+    element.textContent = text;
+    element.onclick = () => goTo(event.time_s);
+    return element;
+  };
+  const title = (event) => `${event.time_s.toFixed(1)} s: ${event.text}`;
+  $("marks").replaceChildren(
+    ...log.events.map((event) => {
+      const mark = button(event, "");
+      mark.className = "mark";
+      mark.style.left = `${100 * share(event.time_s)}%`;
+      mark.title = title(event);
+      mark.setAttribute("aria-label", title(event));
+      return mark;
+    }),
+  );
+  $("events").replaceChildren(
+    ...log.events.map((event) => {
+      const item = document.createElement("li");
+      item.append(button(event, title(event)), ` times ${event.factor.toFixed(2)}`);
+      return item;
+    }),
+  );
+  const percent = (value) => `${(100 * value).toFixed(1)} %`;
+  const { score } = log;
+  showList("score-list", [
+    ["Driving score", percent(score.driving_score)],
+    ["Route completed", percent(score.route_completion)],
+    ["Success", score.success ? "yes" : "no"],
+    ["Shortest time to collision", score.min_ttc_s === null ? "none" : `${score.min_ttc_s.toFixed(1)} s`],
+    ["Scenario", log.scenario],
+    ["Planner", log.planner],
+  ]);
+  if (log.departs_s !== null) {
+    notice(`From ${log.departs_s.toFixed(1)} s on vehicles move differently than in the log: its place or the program has changed.`);
+  }
+}
+
+function goTo(time_s) {
+  connection.send("time", { time_s });
+}
+
+function nextMark(back) {
+  const now = state.frame?.time_s ?? 0;
+  const times = (state.facts.log?.events ?? []).map((event) => event.time_s);
+  const found = back ? times.findLast((time) => time < now - 1e-3) : times.find((time) => time > now + 1e-3);
+  if (found !== undefined) goTo(found);
 }
 
 function showScene(facts) {
@@ -346,6 +460,7 @@ function showScene(facts) {
   Object.assign($("time"), { min: begin, max: end, value: begin });
   const still = end <= begin;
   ["time", "play", "back", "forward", "speed", "loop"].forEach((id) => ($(id).disabled = still));
+  showLog(facts.log, facts.span_s);
   showList("facts", [
     ["Background", `${facts.background_splats.toLocaleString("en")} splats`],
     ["Moving agents", facts.agents],
@@ -533,7 +648,7 @@ function pressed(event) {
   const digit = /^Digit([1-9])$/.exec(event.code)?.[1];
   const low = key.toLowerCase();
   const onTime = event.target === $("time");
-  const layers = { b: "boxes", n: "names", t: "trails", g: "agents" };
+  const layers = { l: "lanes", k: "plan", b: "boxes", n: "names", t: "trails", g: "agents" };
   const at = SPEEDS.indexOf(state.speed);
   if (key === " " && !["BUTTON", "SUMMARY"].includes(event.target.tagName) && event.target.type !== "checkbox") {
     play(!state.frame?.playing);
@@ -555,6 +670,7 @@ function pressed(event) {
   else if (low === "c") next(state.panes[state.active].select);
   else if (low === "v") next(state.panes[state.active].channels);
   else if (low === "p") setTwo(state.panes.length === 1);
+  else if (low === "m") nextMark(event.shiftKey);
   else if (key === "?") $("keys").showModal();
   else return;
   event.preventDefault();
@@ -570,7 +686,7 @@ function setTheme(light) {
   $("theme").textContent = light ? "Dark" : "Light";
 }
 
-const LAYER_NAMES = { agents: "Agents", boxes: "Boxes", names: "Names", trails: "Trails" };
+const LAYER_NAMES = { agents: "Agents", lanes: "Lanes", plan: "Plan", boxes: "Boxes", names: "Names", trails: "Trails" };
 Object.entries(LAYER_NAMES).forEach(([name, text]) => {
   const label = document.createElement("label");
   const box = Object.assign(document.createElement("input"), {
@@ -588,6 +704,12 @@ $("play").onclick = () => play(!state.frame?.playing);
 $("back").onclick = () => connection.send("step", { by: -1 });
 $("forward").onclick = () => connection.send("step", { by: 1 });
 $("time").oninput = () => connection.send("time", { time_s: Number($("time").value) });
+$("chart").onclick = ({ target, clientX }) => {
+  if (target.className === "mark") return;
+  const { left, width } = $("chart").getBoundingClientRect();
+  const [begin, end] = state.facts.span_s;
+  goTo(begin + ((clientX - left) / width) * (end - begin));
+};
 $("two").onclick = () => setTwo(state.panes.length === 1);
 $("help").onclick = () => $("keys").showModal();
 $("width").onchange = () => look();
@@ -615,10 +737,17 @@ history.replaceState(null, "", location.pathname);
 const connection = new Connection({
   scene: showScene,
   update: (frame, images) => {
-    notice("");
+    if (state.refused) notice("");
+    state.refused = false;
     showUpdate(frame, images);
   },
-  refused: notice,
-  failed: (text) => notice(`The image could not be rendered: ${text}`),
+  refused: (text) => {
+    state.refused = true;
+    notice(text);
+  },
+  failed: (text) => {
+    state.refused = true;
+    notice(`The image could not be rendered: ${text}`);
+  },
   status: notice,
 });

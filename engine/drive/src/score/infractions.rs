@@ -1,6 +1,6 @@
 //! Infractions of an episode: collisions, excursions from the road, red lights and stop signs.
 
-use decouplegs_scene::episode::{EpisodeTick, StopLineRecord};
+use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, StopLineRecord};
 use decouplegs_scene::{Episode, EpisodeEnd, LightColor, ObstacleKind, RoadUser, SignKind};
 use glam::DVec2;
 
@@ -62,6 +62,25 @@ pub enum InfractionKind {
 }
 
 impl Infraction {
+    /// Kind of the infraction in words, in the episode of `head`.
+    #[must_use]
+    pub fn describe(&self, head: &EpisodeHead) -> String {
+        match self.kind {
+            InfractionKind::Layout => "off the road".to_owned(),
+            InfractionKind::RedLight { light } => {
+                format!("red light {}", head.scenario.lights[light].name)
+            }
+            InfractionKind::StopSign { sign } => {
+                format!("stop sign on lane {}", head.scenario.signs[sign].line.lane)
+            }
+            InfractionKind::Obstacle { kind } => format!("collision with a {}", kind.name()),
+            InfractionKind::Collision { agent, fault, .. } => {
+                let name = head.scenario.agent(agent).0;
+                format!("collision with {name}, {}", fault.why())
+            }
+        }
+    }
+
     /// True if the ego is at fault.
     #[must_use]
     pub fn at_fault(&self) -> bool {

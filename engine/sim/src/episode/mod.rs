@@ -6,6 +6,7 @@
 //! loop; [`Rollout`] is for those who go round it themselves. Everything that happens is in an
 //! [`Episode`], from which [`replay`] makes it again, bit by bit.
 
+mod moments;
 mod observation_renderer;
 pub mod open_loop;
 mod replay;
@@ -25,7 +26,8 @@ use decouplegs_session::SessionError;
 
 use crate::planner::{Cameras, EpisodeInfo, Observation, Planner, Reading};
 
-pub use observation_renderer::{ObservationRenderer, chosen, chosen_lidars};
+pub use moments::{Moment, Moments, moments};
+pub use observation_renderer::{ObservationRenderer, chosen, chosen_lidars, reading_hash};
 pub use replay::{Replayed, replay};
 pub use rollout::{EpisodeMetadata, Rollout};
 pub use simulation::Simulation;

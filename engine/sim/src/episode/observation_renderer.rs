@@ -171,12 +171,12 @@ impl ObservationRenderer {
         let drawn: Vec<_> = self.drawn().collect();
         let hash = |(camera, rgba): (&RigCamera, &[u8])| ReadingRecord {
             sensor: camera.name.clone(),
-            hash: hash_of(rgba),
+            hash: reading_hash(rgba),
         };
         let images = drawn.into_par_iter().map(hash);
         let sweeps = self.sweeps.par_iter().map(|sweep| ReadingRecord {
             sensor: sweep.lidar.name.clone(),
-            hash: hash_of(&sweep.bytes()),
+            hash: reading_hash(&sweep.bytes()),
         });
         images.chain(sweeps).collect()
     }
@@ -192,8 +192,10 @@ impl ObservationRenderer {
 /// Bytes that one thread hashes.
 const HASHED_BYTES: usize = 1 << 20;
 
-/// The hash of [`ReadingRecord`]: of the hashes of its pieces, which are found side by side.
-fn hash_of(bytes: &[u8]) -> u128 {
+/// Hash of a reading, as [`ReadingRecord`] has it: of the hashes of its pieces, which are found in
+/// parallel.
+#[must_use]
+pub fn reading_hash(bytes: &[u8]) -> u128 {
     let pieces: Vec<[u8; 16]> = bytes
         .par_chunks(HASHED_BYTES)
         .map(|piece| xxh3_128(piece).to_le_bytes())

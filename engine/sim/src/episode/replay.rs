@@ -66,17 +66,7 @@ pub fn replay(
     observer: &mut dyn EpisodeObserver,
 ) -> Result<Replayed, EpisodeError> {
     let scenario: &Scenario = &episode.head.scenario;
-    let version = episode.head.log_version;
-    if version != LOG_VERSION {
-        return Err(EpisodeError::Unfit {
-            scenario: scenario.name.clone(),
-            reason: format!(
-                "its log is of version {version}, and traffic has moved by other rules since version \
-                 {LOG_VERSION}: score it, or drive it again with the program that wrote it, {}",
-                episode.head.version
-            ),
-        });
-    }
+    check_version(episode)?;
     let again = drive(scenario, site, renderer, &mut Logged { episode }, observer)?.episode;
     let readings = |episode: &Episode| {
         episode
@@ -97,6 +87,25 @@ pub fn replay(
         },
         episode: again,
     })
+}
+
+/// Checks that traffic still moves by the rules of the log of `episode`.
+///
+/// # Errors
+/// [`EpisodeError::Unfit`] where it does not.
+pub(super) fn check_version(episode: &Episode) -> Result<(), EpisodeError> {
+    let version = episode.head.log_version;
+    if version != LOG_VERSION {
+        return Err(EpisodeError::Unfit {
+            scenario: episode.head.scenario.name.clone(),
+            reason: format!(
+                "its log is of version {version}, and traffic has moved by other rules since version \
+                 {LOG_VERSION}: score it, or drive it again with the program that wrote it, {}",
+                episode.head.version
+            ),
+        });
+    }
+    Ok(())
 }
 
 /// First difference between two episodes, images apart.

@@ -287,6 +287,15 @@ impl Simulation {
     /// Drives `plan` for a step. The moments after each sub-step, the last of them that at which
     /// the episode ended, if it did.
     pub fn advance(&mut self, plan: &Plan) -> Vec<EpisodeTick> {
+        self.advance_with(plan, |_| {})
+    }
+
+    /// As [`Self::advance`], and calls `after` at the end of each sub-step.
+    pub fn advance_with(
+        &mut self,
+        plan: &Plan,
+        mut after: impl FnMut(&mut Self),
+    ) -> Vec<EpisodeTick> {
         let (substeps, substep_s) = self.scenario.substeps();
         self.ego.follow(plan);
         let mut instants = Vec::with_capacity(substeps as usize);
@@ -318,6 +327,7 @@ impl Simulation {
             };
             self.end = self.end_at(&instant);
             instants.push(instant);
+            after(self);
         }
         instants
     }
