@@ -36,9 +36,10 @@ DECOUPLEGS := cargo run --quiet --package decouplegs-tools --
 demo: NEEDS := $(NEEDS_RUN)
 demo: packages
 	cargo build --package decouplegs-tools
-	$(DECOUPLEGS) synth street --background 400000 --agents 8 --agent-splats 8000 --degree 1 --seed 7 --size 800x450 --out $(DEMO)/street
+	$(DECOUPLEGS) synth street --background 400000 --agents 8 --agent-splats 8000 --degree 1 --seed 7 --size 800x450 --movable --out $(DEMO)/street
 	$(DECOUPLEGS) render $(DEMO)/street/scene.toml --out $(DEMO) --contact-sheet $(DEMO)/contact-sheet.png
 	@echo "The six images are in $(DEMO), side by side in $(DEMO)/contact-sheet.png."
+	@echo "To look around in the street:  cargo run --package decouplegs-tools -- view"
 
 # Documentation tests come first: what stands last in the output is the count of the tests proper.
 test: export DECOUPLEGS_VALIDATION := 1

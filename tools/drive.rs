@@ -3,7 +3,6 @@
 mod folder;
 mod image_writer;
 mod jobs;
-mod video;
 
 use std::fs;
 use std::path::PathBuf;
@@ -33,6 +32,7 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
 use crate::progress;
 use crate::sites::Sites;
+use decouplegs_cli::video;
 
 /// Traffic lights of generated scenarios.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -216,7 +216,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             arguments.render.0 > 0,
             "--video needs images, and --render off draws none"
         );
-        video::check_ffmpeg()?;
+        ensure!(
+            video::has_ffmpeg(),
+            "--video needs ffmpeg, which is not installed: install it, or keep the images with --images all"
+        );
     }
     // Before the first episode: a planner that cannot be had is no episode's failure.
     ensure!(

@@ -1,7 +1,6 @@
 //! `decouplegs edit`: a scene with agents moved, swapped, removed and added, as a new scene file.
 
 mod change;
-mod footing;
 
 use std::path::{Path, PathBuf};
 
@@ -9,10 +8,10 @@ use anyhow::{Context, Result, ensure};
 use decouplegs::asset::scene_file::path_from;
 use decouplegs::asset::{SceneAgent, SceneFile, is_scene_file};
 use decouplegs::scene::{Pose, Presence, Trajectory};
+use decouplegs_cli::footing::{Footing, dims_of};
 
 use crate::arguments::print;
 use change::{Addition, Move, Shift, Swap, Times};
-use footing::{Footing, dims_of};
 
 /// Move, swap, remove, add and time agents of a scene, and write it as a new scene file
 ///

@@ -67,7 +67,7 @@ enum Command {
     Replay(replay::Arguments),
     OpenLoop(open_loop::Arguments),
     Score(score::Arguments),
-    View(view::Arguments),
+    View(Box<view::Arguments>),
     Devices(devices::Arguments),
 }
 
@@ -93,7 +93,7 @@ fn main() -> ExitCode {
         Command::Replay(arguments) => replay::run(arguments),
         Command::OpenLoop(arguments) => open_loop::run(arguments),
         Command::Score(arguments) => score::run(arguments),
-        Command::View(arguments) => view::run(arguments),
+        Command::View(arguments) => view::run(arguments, synth::demo),
         Command::Devices(arguments) => devices::run(arguments),
     };
     match done {

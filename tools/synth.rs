@@ -1,5 +1,6 @@
 //! `decouplegs synth`: synthetic scenes of any size.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,15 +10,20 @@ use clap::{Subcommand, ValueEnum};
 use decouplegs::asset::maps::lane_json;
 use decouplegs::asset::memory::{self, cloud_bytes};
 use decouplegs::asset::tracks::{self, PoseRow};
-use decouplegs::asset::{SceneAgent, SceneFile, inria_ply, write_atomically};
+use decouplegs::asset::{
+    CodedAsset, Provenance, SceneAgent, SceneFile, inria_ply, write_atomically, write_coded,
+};
 use decouplegs::scene::{Camera, Pose, Presence, Rules, SplatCloud, TimedPose, Trajectory, World};
 use decouplegs::synth::street::{AssetLight, Capture, Street, StreetOptions, Weather};
+use decouplegs::train::compress::compress_quickly;
 use glam::DVec3;
 use serde_json::{Value, json};
 
 use crate::arguments::{Size, print};
 use crate::progress;
 
+/// Scene that `make demo` makes, from the folder of the sources.
+const DEMO: &str = "out/demo/street/scene.toml";
 /// Sampling rate of the tracks.
 const TRACK_RATE_HZ: f64 = 10.0;
 
@@ -88,6 +94,10 @@ struct StreetArguments {
     /// Size of the cameras' images
     #[arg(long, value_name = "WxH", default_value = "1600x900")]
     size: Size,
+    /// Compress the cars (.safetensors), so that they move when the scene is played, at some loss.
+    /// Plain cars (.ply) stand still in one frame, without loss
+    #[arg(long)]
+    movable: bool,
     /// Write world.ply too: street and cars as one cloud of splats, for programs without agents
     #[arg(long)]
     baked: bool,
@@ -124,7 +134,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             .resized(arguments.size.width_px, arguments.size.height_px);
     }
     working.set_message(format!("writing {}", arguments.out.display()));
-    write_street(&street, &arguments.out, arguments.baked)?;
+    let cars = match arguments.movable {
+        true => Cars::Compressed,
+        false => Cars::Plain,
+    };
+    write_street(&street, &arguments.out, cars, arguments.baked)?;
     working.finish_and_clear();
     let out = arguments.out.display();
     let mut text = format!(
@@ -135,14 +149,48 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         street.rig.sensors.len()
     );
     text += &format!(
-        "  beside it: background.ply, assets/*.ply, transforms.json, lanes.json, tracks.csv{}\n",
+        "  beside it: background.ply, assets/*.{}, transforms.json, lanes.json, tracks.csv{}\n",
+        cars.extension(),
         if arguments.baked { ", world.ply" } else { "" }
     );
     text += &format!("  draw it:   decouplegs render {out}/scene.toml --out images\n");
+    text += &format!("  view it:   decouplegs view {out}/scene.toml\n");
     text += &format!(
         "  drive it:  decouplegs drive --level easy --planner lane-follow --scene {out}/scene.toml --map {out}/lanes.json --out run\n"
     );
     print(&text)
+}
+
+/// The demo scene: the file that `make demo` makes, or one of the same content beside the caches
+/// of this user, which is made if it is absent.
+pub fn demo() -> Result<PathBuf> {
+    let made = PathBuf::from(DEMO);
+    if made.exists() {
+        return Ok(made);
+    }
+    let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
+    let caches = variable("XDG_CACHE_HOME").map(PathBuf::from);
+    let caches = caches.or_else(|| Some(PathBuf::from(variable("HOME")?).join(".cache")));
+    let folder = caches.context("there is neither HOME nor XDG_CACHE_HOME: name a scene")?;
+    let scene = folder.join("decouplegs/demo/scene.toml");
+    if !scene.exists() {
+        let working = progress::spinner(format!("making the demo scene {}", scene.display()));
+        let mut street = Street::generate(&StreetOptions {
+            background: 400_000,
+            agents: 8,
+            agent_splats: 8_000,
+            sh_degree: 1,
+            seed: 7,
+            ..StreetOptions::default()
+        });
+        for camera in street.rig.cameras_mut() {
+            camera.intrinsics = camera.intrinsics.resized(800, 450);
+        }
+        let out = scene.parent().unwrap_or(Path::new(""));
+        write_street(&street, out, Cars::Compressed, false)?;
+        working.finish_and_clear();
+    }
+    Ok(scene)
 }
 
 /// Refuses what the memory cannot hold, before anything is made.
@@ -164,12 +212,51 @@ fn check_size(arguments: &StreetArguments) -> Result<()> {
     .map_err(anyhow::Error::msg)
 }
 
-fn write_street(street: &Street, out: &Path, baked: bool) -> Result<()> {
+/// Kind of the files of cars.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Cars {
+    Plain,
+    Compressed,
+}
+
+impl Cars {
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Plain => "ply",
+            Self::Compressed => "safetensors",
+        }
+    }
+
+    /// Relative to the scene file.
+    fn path(self, index: usize) -> PathBuf {
+        PathBuf::from(format!("assets/car_{index:02}.{}", self.extension()))
+    }
+
+    fn write(self, path: &Path, asset: &SplatCloud) -> Result<()> {
+        match self {
+            Self::Plain => inria_ply::write(path, asset)?,
+            Self::Compressed => {
+                let cloud = compress_quickly(asset);
+                let cloud = cloud.with_context(|| format!("{} has no splats", path.display()))?;
+                let provenance = Provenance {
+                    tool_version: env!("CARGO_PKG_VERSION").into(),
+                    source: "synth street".into(),
+                    source_sha256: String::new(),
+                    settings: BTreeMap::new(),
+                };
+                write_coded(path, &CodedAsset { cloud, provenance })?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn write_street(street: &Street, out: &Path, cars: Cars, baked: bool) -> Result<()> {
     let assets = out.join("assets");
     fs::create_dir_all(&assets).with_context(|| format!("{} cannot be made", assets.display()))?;
     inria_ply::write(&out.join("background.ply"), &street.background)?;
     for (index, asset) in street.assets.iter().enumerate() {
-        inria_ply::write(&out.join(asset_path(index)), asset)?;
+        cars.write(&out.join(cars.path(index)), asset)?;
     }
     let ego = trajectory(&street.ego).context("the ego's way is no trajectory")?;
     let cameras = transforms(&street.rig.at(&ego.at(ego.start_s())));
@@ -183,16 +270,11 @@ fn write_street(street: &Street, out: &Path, baked: bool) -> Result<()> {
     }
     // Last, because it is what makes a folder a scene: when it is there, all that it names is
     // there.
-    scene_file(street, ego)?.write(&out.join("scene.toml"))?;
+    scene_file(street, ego, cars)?.write(&out.join("scene.toml"))?;
     Ok(())
 }
 
-/// Relative to the scene file.
-fn asset_path(index: usize) -> PathBuf {
-    PathBuf::from(format!("assets/car_{index:02}.ply"))
-}
-
-fn scene_file(street: &Street, ego: Trajectory) -> Result<SceneFile> {
+fn scene_file(street: &Street, ego: Trajectory, cars: Cars) -> Result<SceneFile> {
     let agents = street
         .agents
         .iter()
@@ -201,7 +283,7 @@ fn scene_file(street: &Street, ego: Trajectory) -> Result<SceneFile> {
             Ok(SceneAgent {
                 name: agent.name.clone(),
                 class: Some("car".into()),
-                asset: asset_path(agent.asset),
+                asset: cars.path(agent.asset),
                 sh_frame: Some(agent.sh_frame),
                 trajectory: trajectory(way)
                     .with_context(|| format!("the way of {} is no trajectory", agent.name))?,

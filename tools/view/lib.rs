@@ -1,56 +1,58 @@
-//! `decouplegs view`: a scene in the browser.
+//! `decouplegs view`: a scene or an episode in the browser.
 //!
 //! | module | content |
 //! |---|---|
 //! | `protocol` | commands, acknowledgements and image headers |
+//! | `open` | scenes, logs and scenarios of the command line |
 //! | `source` | the scene at a time: worlds, cameras, boxes |
-//! | `log` | an episode at a time, and its score |
+//! | `scene_course`, `edits`, `lanes` | a scene with its tracks, edits with undo, lanes to snap to |
+//! | `played` | an episode at a time, and its score |
 //! | `session` | the thread that renders |
+//! | `drawing`, `recording` | images of views, agents under the mouse; images as files |
 //! | `server` | HTTP, WebSockets, and who may connect |
 #![forbid(unsafe_code)]
 
-mod log;
+mod drawing;
+mod edits;
+mod lanes;
+mod open;
+mod played;
 mod protocol;
+mod recording;
+mod scene_course;
 mod server;
 mod session;
 mod source;
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::mpsc;
 
 use anyhow::{Context, Result, ensure};
-use decouplegs::gpu::Gpu;
-use decouplegs::scene::Rules;
-use decouplegs::session::Session;
 use decouplegs_cli::arguments::print;
 use decouplegs_cli::device::{DeviceArguments, check_validation};
-use decouplegs_cli::progress;
-use decouplegs_cli::scene_source::{Scene, SceneArguments};
 
-use log::{LogArguments, OpenLog};
-use protocol::Channel;
+use drawing::Drawer;
+use open::SourceArguments;
 use server::{Service, router};
 use session::{Event, Viewer};
-use source::Source;
 
 /// Commands that wait for the thread that renders.
 const EVENTS_MAX: usize = 1024;
 
-/// Look into a scene or the log of an episode (.log) in the browser: fly, play, step, switch
-/// cameras and kinds of images
+/// Look into a scene or an episode in the browser: fly, play, edit agents, compare
 ///
+/// Shows splats, scenes, logs of episodes, and scenarios, which a planner drives while you look.
 /// Images are rendered here and sent to the page, so it works from a machine without a display:
 /// ssh -L 8090:localhost:8090. While something moves images may be smaller; at rest they are those
 /// of 'decouplegs render', bit for bit. Ctrl-C ends it
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(flatten)]
-    scene: SceneArguments,
-    #[command(flatten)]
-    log: LogArguments,
+    sources: SourceArguments,
     /// Port; 0 takes a free one
     #[arg(long, default_value_t = 8090)]
     port: u16,
@@ -77,11 +79,12 @@ fn token(text: &str) -> Result<String, String> {
     ))
 }
 
-/// Serves the page until Ctrl-C.
+/// Serves the page until Ctrl-C. `demo` makes the demo scene where it is absent, and returns its
+/// file.
 ///
 /// # Errors
 /// Returns an error if the scene is at fault, there is no device, or the port is taken.
-pub fn run(arguments: &Arguments) -> Result<()> {
+pub fn run(arguments: &Arguments, demo: impl FnOnce() -> Result<PathBuf>) -> Result<()> {
     let address = SocketAddr::new(arguments.address, arguments.port);
     ensure!(
         address.ip().is_loopback() || arguments.token.is_some(),
@@ -98,8 +101,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .block_on(tokio::net::TcpListener::bind(address))
         .with_context(|| format!("{address} cannot be listened on: give another --port"))?;
     let address = listener.local_addr()?;
-    let (gpu, rules, session, source) = open(arguments)?;
-    let mut viewer = Viewer::new(&gpu, rules, source, session.batch_renderer());
+    let gpu = arguments.device.open()?;
+    let drawer = Drawer::new(&gpu);
+    let sources = arguments.sources.open(drawer.session(), demo)?;
+    let mut viewer = Viewer::new(drawer, sources);
     let (events, inbox) = mpsc::sync_channel(EVENTS_MAX);
     let renders = std::thread::Builder::new()
         .name("viewer".into())
@@ -132,43 +137,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     drop(events);
     ensure!(renders.join().is_ok(), "the thread that renders failed");
     check_validation(&gpu)
-}
-
-/// Opens the scene or the log, on the device.
-fn open(arguments: &Arguments) -> Result<(Gpu, Rules, Session, Source)> {
-    let path = arguments.scene.path();
-    let is_log = path.extension().is_some_and(|extension| extension == "log");
-    let on = |rules: Rules| -> Result<(Gpu, Session)> {
-        let gpu = arguments.device.open()?;
-        let session = Session::on(&gpu, &session::options(rules, Channel::Color));
-        Ok((gpu, session))
-    };
-    if !is_log {
-        ensure!(
-            !arguments.log.is_given(),
-            "{}: --base and --light are for logs of episodes",
-            path.display()
-        );
-        let scene = Scene::open(&arguments.scene)?;
-        let rules = scene.rules();
-        let (gpu, session) = on(rules)?;
-        let copying = progress::spinner("copying the scene to the device".to_owned());
-        let source = Source::of_scene(scene, &session)?;
-        copying.finish_and_clear();
-        return Ok((gpu, rules, session, source));
-    }
-    ensure!(
-        !arguments.scene.has_options(),
-        "{}: a log has its own cameras, sizes and rules: leave out the options of scenes",
-        path.display()
-    );
-    let opening = progress::spinner(format!("opening {} and its place", path.display()));
-    let log = OpenLog::open(path, &arguments.log)?;
-    let rules = log.site.loaded.world.rules;
-    let (gpu, session) = on(rules)?;
-    let (played, on_device) = log.play(&session)?;
-    opening.finish_and_clear();
-    Ok((gpu, rules, session, Source::of_log(played, on_device)))
 }
 
 #[cfg(test)]

@@ -4,6 +4,9 @@
 //! header of 32 bytes, all fields little-endian.
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::edits::Edit;
 
 /// First four bytes of each image: "DGSV".
 pub const MAGIC: u32 = u32::from_le_bytes(*b"DGSV");
@@ -23,6 +26,12 @@ pub const PIXELS_MAX: u64 = 32 << 20;
 pub const FOVS_DEG: [f64; 2] = [0.1, 160.0];
 /// Speeds of playing, seconds of the scene per second.
 pub const SPEEDS: [f64; 2] = [0.1, 10.0];
+/// Images per second of a recording.
+pub const RATES_HZ: [f64; 2] = [0.1, 240.0];
+/// Images of each pane of one recording.
+const IMAGES_MAX: f64 = 1e5;
+/// Bytes of the name of a file.
+const NAME_BYTES_MAX: usize = 120;
 /// Bytes of one command.
 pub const COMMAND_BYTES_MAX: usize = 1 << 16;
 
@@ -61,11 +70,54 @@ pub enum Command {
         /// True to begin again at the end.
         looping: bool,
     },
+    /// Asks for the agent and the place at a pixel.
+    Pick {
+        /// Number of the pane.
+        stream: u16,
+        /// Pixel, shares of the image's width and height.
+        at: [f64; 2],
+    },
+    /// Drags an agent over the ground.
+    Drag {
+        /// Number of the pane.
+        stream: u16,
+        /// Name of the agent.
+        agent: String,
+        /// Pixel at which it was taken, shares of the image's width and height.
+        from: [f64; 2],
+        /// Pixel at which the mouse is.
+        to: [f64; 2],
+        /// True if the agent does not snap to lanes.
+        #[serde(default)]
+        free: bool,
+        /// True if the mouse was released.
+        done: bool,
+    },
+    /// Changes the agents of the scene.
+    Edit(Edit),
+    /// Writes the log of a live episode to a new file in the current folder.
+    SaveLog {
+        /// Name of the file, ending with .log.
+        file: String,
+    },
+    /// Records what the panes show.
+    Record(Recording),
     /// Says that an update is on the screen, so that another may be sent.
     Shown {
         /// Number of the update.
         update: u32,
     },
+}
+
+/// Images of the panes at a row of times, written to a new folder in the current one.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+pub struct Recording {
+    /// Name of the folder.
+    pub folder: String,
+    /// First and last time, seconds.
+    pub span_s: [f64; 2],
+    /// Images per second of the scene.
+    pub rate_hz: f64,
 }
 
 /// Panes of a client.
@@ -79,6 +131,9 @@ pub struct View {
     /// True if images may be smaller and have losses while something moves.
     #[serde(default = "yes")]
     pub reduce: bool,
+    /// Name of a LiDAR whose points are sent while nothing moves.
+    #[serde(default)]
+    pub lidar: Option<String>,
 }
 
 /// One pane.
@@ -90,6 +145,9 @@ pub struct Pane {
     pub width_px: u32,
     /// Height, pixels.
     pub height_px: u32,
+    /// Scene or episode that is shown: 0, or 1 for the one to compare with.
+    #[serde(default)]
+    pub source: usize,
     /// Camera that looks.
     pub camera: CameraRequest,
     /// Quantity that is shown.
@@ -182,7 +240,52 @@ fn check(command: &Command) -> Result<(), String> {
             Err(format!("time_s: expected seconds, found {time_s}"))
         }
         Command::Play { speed, .. } => within("speed", *speed, SPEEDS),
-        Command::Time { .. } | Command::Step { .. } | Command::Shown { .. } => Ok(()),
+        Command::Pick { at, .. } => check_pixel(*at),
+        Command::Drag { from, to, .. } => check_pixel(*from).and_then(|()| check_pixel(*to)),
+        Command::SaveLog { file } => check_name(file, ".log"),
+        Command::Record(recording) => check_recording(recording),
+        Command::Time { .. } | Command::Step { .. } | Command::Edit(_) | Command::Shown { .. } => {
+            Ok(())
+        }
+    }
+}
+
+fn check_pixel(at: [f64; 2]) -> Result<(), String> {
+    at.iter()
+        .try_for_each(|&share| within("pixel", share, [-1.0, 2.0]))
+}
+
+/// Checks that `name` is the name of a file, not a path, that ends with `ending`.
+///
+/// # Errors
+/// A sentence.
+pub fn check_name(name: &str, ending: &str) -> Result<(), String> {
+    let fits = |character: char| character.is_alphanumeric() || "-_ .".contains(character);
+    let stem = name.strip_suffix(ending).unwrap_or("");
+    let is_name = !stem.is_empty() && !stem.starts_with('.') && name.len() <= NAME_BYTES_MAX;
+    match is_name && name.chars().all(fits) {
+        true => Ok(()),
+        false => Err(format!(
+            "expected a name of letters, digits, spaces, '-', '_' and '.'{}, found {name:?}",
+            if ending.is_empty() {
+                String::new()
+            } else {
+                format!(", ending with {ending}")
+            }
+        )),
+    }
+}
+
+fn check_recording(recording: &Recording) -> Result<(), String> {
+    check_name(&recording.folder, "")?;
+    within("rate_hz", recording.rate_hz, RATES_HZ)?;
+    let [begin_s, end_s] = recording.span_s;
+    let images = (end_s - begin_s) * recording.rate_hz;
+    match begin_s <= end_s && images < IMAGES_MAX {
+        true => Ok(()),
+        false => Err(format!(
+            "span_s: expected a first time not after the last, and at most {IMAGES_MAX} images, found {begin_s} to {end_s} s"
+        )),
     }
 }
 
@@ -195,6 +298,9 @@ fn check_view(view: &View) -> Result<(), String> {
     }
     let mut pixels = 0;
     for pane in &view.panes {
+        if pane.source > 1 {
+            return Err(format!("source: expected 0 or 1, found {}", pane.source));
+        }
         let sides = SIDES_PX.map(f64::from);
         within("width_px", f64::from(pane.width_px), sides)?;
         within("height_px", f64::from(pane.height_px), sides)?;
@@ -235,6 +341,9 @@ pub enum ImageKind {
     Jpeg = 2,
     /// PNG, without losses.
     Png = 3,
+    /// Points of a LiDAR: for each x, y and z relative to the camera, meters, and the distance from
+    /// the sensor, meters; four f32.
+    Points = 4,
 }
 
 /// Header of an image.
@@ -289,6 +398,8 @@ pub struct Acknowledgement<'a> {
     pub sequence: u64,
     /// Reason why it was not done.
     pub error: Option<&'a str>,
+    /// Answer of commands that ask for something.
+    pub result: &'a Value,
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@ const FAULTS_MAX: u32 = 100;
 const FAREWELL: Duration = Duration::from_secs(2);
 
 const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
-const PAGE: [(&str, &str, &str); 5] = [
+const PAGE: [(&str, &str, &str); 12] = [
     (
         "index.html",
         "text/html; charset=utf-8",
@@ -37,13 +37,20 @@ const PAGE: [(&str, &str, &str); 5] = [
         "text/css; charset=utf-8",
         include_str!("page/style.css"),
     ),
-    ("main.js", JAVASCRIPT, include_str!("page/main.js")),
+    ("cameras.js", JAVASCRIPT, include_str!("page/cameras.js")),
+    ("compare.js", JAVASCRIPT, include_str!("page/compare.js")),
     (
         "connection.js",
         JAVASCRIPT,
         include_str!("page/connection.js"),
     ),
     ("geometry.js", JAVASCRIPT, include_str!("page/geometry.js")),
+    ("main.js", JAVASCRIPT, include_str!("page/main.js")),
+    ("overlays.js", JAVASCRIPT, include_str!("page/overlays.js")),
+    ("panels.js", JAVASCRIPT, include_str!("page/panels.js")),
+    ("state.js", JAVASCRIPT, include_str!("page/state.js")),
+    ("timeline.js", JAVASCRIPT, include_str!("page/timeline.js")),
+    ("views.js", JAVASCRIPT, include_str!("page/views.js")),
 ];
 
 /// State that requests are answered from.

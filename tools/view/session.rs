@@ -4,22 +4,19 @@ use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use decouplegs::gpu::Gpu;
-use decouplegs::render::rendered_image::preview;
-use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Plane};
-
+use decouplegs::explain::explain;
+use decouplegs::render::FrameStatistics;
 use decouplegs::scene::lens::FThetaReference;
-use decouplegs::scene::{Camera, Intrinsics, Lens, RayMap, Rules};
-use decouplegs::session::{
-    BatchRenderer, HostImages, Session, SessionError, SessionOptions, WorldView,
-};
+use decouplegs::scene::{Camera, Intrinsics, Lens, RayMap};
+use decouplegs::session::SessionError;
 use decouplegs_cli::{jpeg, png_bytes};
-use serde_json::json;
+use serde_json::{Value, json};
 
+use crate::drawing::Drawer;
 use crate::protocol::{
-    Acknowledgement, Channel, Command, FLAG_EXACT, FLAG_LAST, Header, ImageKind, Pane, Request,
-    View,
+    Acknowledgement, Command, FLAG_EXACT, FLAG_LAST, Header, ImageKind, Pane, Request, View,
 };
+use crate::recording::Recorder;
 use crate::source::{Source, pose_json, scaled};
 
 /// Updates that a client may have before it has shown the first: one on the way, one in work.
@@ -77,72 +74,34 @@ struct Clock {
     advanced: Instant,
 }
 
-/// Image of a pane before it is encoded.
-struct Drawn {
-    rgba: Vec<u8>,
-    size_px: [u32; 2],
-}
-
 /// Renders for all clients.
 pub struct Viewer {
-    gpu: Gpu,
-    rules: Rules,
-    source: Source,
-    color: BatchRenderer,
-    /// Renderers of other channels, made when one is asked for.
-    channels: BTreeMap<Channel, BatchRenderer>,
-    images: HostImages,
+    drawer: Drawer,
+    /// What is shown, and what it is compared with.
+    sources: Vec<Source>,
     clients: BTreeMap<u64, Client>,
     clock: Clock,
-}
-
-/// Options of a session that renders as `decouplegs render` does.
-pub fn options(rules: Rules, channel: Channel) -> SessionOptions {
-    let mut options = SessionOptions {
-        rules: Some(rules),
-        bakes_light_on_demand: false,
-        ..SessionOptions::default()
-    };
-    if channel != Channel::Color {
-        options.render.outputs = Outputs {
-            color: ColorFormat::F32,
-            planes: plane_of(channel).into_iter().collect(),
-            ..Outputs::default()
-        };
-    }
-    options
-}
-
-fn plane_of(channel: Channel) -> Option<Plane> {
-    match channel {
-        Channel::Color | Channel::Alpha => None,
-        Channel::Depth => Some(Plane::Depth),
-        Channel::Range => Some(Plane::Range),
-        Channel::Instance => Some(Plane::Instance),
-        Channel::Normal => Some(Plane::Normal),
-        Channel::Flow => Some(Plane::FlowForward),
-    }
+    recorder: Option<Recorder>,
 }
 
 impl Viewer {
-    /// A viewer of `source` on `gpu`.
-    pub fn new(gpu: &Gpu, rules: Rules, source: Source, color: BatchRenderer) -> Self {
-        Self {
-            gpu: gpu.clone(),
-            rules,
+    /// Viewer of `sources`, at least one, whose scenes are on the device of `drawer`.
+    pub fn new(drawer: Drawer, sources: Vec<Source>) -> Self {
+        let mut viewer = Self {
+            drawer,
+            sources,
+            clients: BTreeMap::new(),
             clock: Clock {
-                time_s: source.span_s()[0],
+                time_s: 0.0,
                 playing: false,
                 looping: false,
                 speed: 1.0,
                 advanced: Instant::now(),
             },
-            source,
-            color,
-            channels: BTreeMap::new(),
-            images: HostImages::default(),
-            clients: BTreeMap::new(),
-        }
+            recorder: None,
+        };
+        viewer.set_time(viewer.span_s()[0]);
+        viewer
     }
 
     /// Serves `events` until the program ends.
@@ -166,19 +125,25 @@ impl Viewer {
                 }
             }
             self.advance();
+            self.record();
             self.update_clients();
         }
     }
 
     fn is_busy(&self) -> bool {
         let waits = |client: &Client| client.stale && client.credits > 0;
-        self.clock.playing && !self.clients.is_empty() || self.clients.values().any(waits)
+        self.clock.playing && !self.clients.is_empty()
+            || self.recorder.is_some()
+            || self.clients.values().any(waits)
     }
 
     fn take(&mut self, event: Event) {
         match event {
             Event::Joined(id, outbox) => {
-                let _ = outbox.try_send(Outgoing::Text(self.source.facts().to_string()));
+                let sources: Vec<Value> = self.sources.iter().map(Source::facts).collect();
+                let facts = json!({"type": "scene", "sources": sources});
+                let _ = outbox.try_send(Outgoing::Text(facts.to_string()));
+                let _ = outbox.try_send(Outgoing::Text(self.changing_facts().to_string()));
                 let client = Client {
                     outbox,
                     view: View::default(),
@@ -191,7 +156,7 @@ impl Viewer {
             }
             Event::Left(id) => {
                 self.clients.remove(&id);
-                // Nobody looks: the scene does not play on for hours.
+                // No client is left: the scene does not play on for hours.
                 self.clock.playing &= !self.clients.is_empty();
             }
             Event::Command(id, request) => self.command(id, request),
@@ -203,57 +168,189 @@ impl Viewer {
         let Some(client) = self.clients.get_mut(&id) else {
             return;
         };
-        let mut error = None;
-        match request.command {
-            Command::Shown { update } => {
-                if update <= client.update {
-                    client.credits = (client.credits + 1).min(CREDITS);
-                }
-                return;
+        if let Command::Shown { update } = request.command {
+            if update <= client.update {
+                client.credits = (client.credits + 1).min(CREDITS);
             }
+            return;
+        }
+        let done = self.done(id, request.command);
+        let (result, error) = match done {
+            Ok(result) => (result, None),
+            Err(error) => (Value::Null, Some(error)),
+        };
+        let answer = Acknowledgement {
+            kind: "ack",
+            sequence: request.sequence,
+            error: error.as_deref(),
+            result: &result,
+        };
+        self.send(id, Outgoing::Text(json!(answer).to_string()));
+    }
+
+    /// Does `command`. Returns the answer of commands that ask for something.
+    fn done(&mut self, id: u64, command: Command) -> Result<Value, String> {
+        match command {
             Command::Look(view) => {
-                let mut cameras = view.panes.iter().map(|pane| self.source.camera(pane));
-                match cameras.find_map(Result::err) {
-                    Some(reason) => error = Some(reason),
-                    None => (client.view, client.stale) = (view, true),
+                for pane in &view.panes {
+                    self.source(pane)?.camera(pane)?;
+                }
+                if let Some(name) = &view.lidar {
+                    self.sources[0].lidar(name)?;
+                }
+                if let Some(client) = self.clients.get_mut(&id) {
+                    (client.view, client.stale) = (view, true);
                 }
             }
             Command::Time { time_s } => self.set_time(time_s),
-            Command::Step { by } => {
-                self.clock.playing = false;
-                let step_s = self.source.step_s();
-                let begin_s = self.source.span_s()[0];
-                let step = ((self.clock.time_s - begin_s) / step_s).round() + f64::from(by);
-                self.set_time(begin_s + step * step_s);
-            }
+            Command::Step { by } => self.step(by)?,
             Command::Play {
                 playing,
                 speed,
                 looping,
             } => {
-                let [begin_s, end_s] = self.source.span_s();
-                if playing && self.clock.time_s >= end_s {
+                let [begin_s, end_s] = self.span_s();
+                let goes_on = self.sources.iter().any(Source::goes_on);
+                if playing && self.clock.time_s >= end_s && !goes_on {
                     self.set_time(begin_s);
                 }
-                self.clock.playing = playing && end_s > begin_s;
+                self.clock.playing = playing && (end_s > begin_s || goes_on);
                 (self.clock.speed, self.clock.looping) = (speed, looping);
                 self.clock.advanced = Instant::now();
                 self.mark_all_stale();
             }
+            Command::Pick { stream, at } => return self.pick(id, stream, at),
+            Command::Drag {
+                stream,
+                agent,
+                from,
+                to,
+                free,
+                done,
+            } => {
+                self.clock.playing = false;
+                let (_, camera) = self.shown(id, stream)?;
+                let session = self.drawer.session();
+                let how = (free, done);
+                self.sources[0].drag(&agent, &camera, [from, to], how, session)?;
+                self.mark_all_stale();
+                if done {
+                    self.tell_changes();
+                }
+            }
+            Command::Edit(edit) => {
+                self.clock.playing = false;
+                let said = self.sources[0].edit(&edit, self.drawer.session())?;
+                self.mark_all_stale();
+                self.tell_changes();
+                return Ok(json!({"said": said}));
+            }
+            Command::SaveLog { file } => {
+                let played = self.sources[0].episode();
+                let played = played.ok_or("a scene has no log: save it as a scene")?;
+                return Ok(json!({"said": played.save(file.as_ref())?}));
+            }
+            Command::Record(recording) => {
+                if self.recorder.is_some() {
+                    return Err("a recording goes on: wait until it is done".into());
+                }
+                let view = self.clients.get(&id).map(|client| client.view.clone());
+                let recorder = Recorder::begin(id, view.unwrap_or_default(), &recording)?;
+                self.clock.playing = false;
+                self.recorder = Some(recorder);
+            }
+            Command::Shown { .. } => {}
         }
-        let answer = Acknowledgement {
-            kind: "ack",
-            sequence: request.sequence,
-            error: error.as_deref(),
+        Ok(Value::Null)
+    }
+
+    fn source(&self, pane: &Pane) -> Result<&Source, String> {
+        let none = || "there is nothing to compare with: start the viewer with --against".into();
+        self.sources.get(pane.source).ok_or_else(none)
+    }
+
+    /// A pane of a client, and its camera at full size.
+    fn shown(&self, id: u64, stream: u16) -> Result<(Pane, Camera), String> {
+        let view = self.clients.get(&id).map(|client| &client.view);
+        let mut panes = view.into_iter().flat_map(|view| &view.panes);
+        let pane = panes.find(|pane| pane.stream == stream);
+        let pane = pane.ok_or_else(|| format!("there is no view {stream}"))?;
+        Ok((pane.clone(), self.source(pane)?.camera(pane)?))
+    }
+
+    fn pick(&mut self, id: u64, stream: u16, at: [f64; 2]) -> Result<Value, String> {
+        let (pane, camera) = self.shown(id, stream)?;
+        let source = &self.sources[pane.source];
+        let picked = self.drawer.pick(source, &camera, at);
+        let picked = picked.map_err(|error| explain(&error))?;
+        let asset = picked.agent.as_deref().map(|name| source.asset_of(name));
+        let position_m = picked.position_m.map(|at_m| at_m.to_array());
+        Ok(json!({"agent": picked.agent, "asset": asset, "position_m": position_m}))
+    }
+
+    fn step(&mut self, by: i32) -> Result<(), String> {
+        self.clock.playing = false;
+        let step_s = self.sources[0].step_s();
+        let begin_s = self.span_s()[0];
+        let step = ((self.clock.time_s - begin_s) / step_s).round() + f64::from(by);
+        let time_s = begin_s + step * step_s;
+        if by > 0 && time_s > self.span_s()[1] {
+            self.drive_on()?;
+        }
+        self.set_time(time_s);
+        Ok(())
+    }
+
+    /// First and last time of all sources, seconds.
+    fn span_s(&self) -> [f64; 2] {
+        let spans = self.sources.iter().map(Source::span_s);
+        let both = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+        spans.reduce(both).unwrap_or_default()
+    }
+
+    fn changing_facts(&self) -> Value {
+        let sources: Vec<Value> = self.sources.iter().map(Source::changing_facts).collect();
+        let mut episodes = self.sources.iter().map(Source::episode);
+        let parts_s = match (episodes.next().flatten(), episodes.next().flatten()) {
+            (Some(one), Some(other)) => one.parts_from(other),
+            _ => None,
         };
-        self.send(id, Outgoing::Text(json!(answer).to_string()));
+        json!({
+            "type": "change",
+            "span_s": self.span_s(),
+            "sources": sources,
+            "parts_s": parts_s,
+        })
+    }
+
+    fn tell_changes(&mut self) {
+        self.tell(&self.changing_facts());
+    }
+
+    /// Sends `message` to all clients.
+    fn tell(&mut self, message: &Value) {
+        let clients: Vec<u64> = self.clients.keys().copied().collect();
+        for id in clients {
+            self.send(id, Outgoing::Text(message.to_string()));
+        }
+    }
+
+    /// Drives one more step of each episode that goes on.
+    fn drive_on(&mut self) -> Result<(), String> {
+        let goes_on = self.sources.iter_mut().filter(|source| source.goes_on());
+        for source in goes_on {
+            source.drive_on()?;
+        }
+        self.tell_changes();
+        Ok(())
     }
 
     fn set_time(&mut self, time_s: f64) {
-        let [begin_s, end_s] = self.source.span_s();
+        let [begin_s, end_s] = self.span_s();
         self.clock.time_s = time_s.clamp(begin_s, end_s);
         self.clock.advanced = Instant::now();
-        self.source.set_time(self.clock.time_s);
+        let time_s = self.clock.time_s;
+        (self.sources.iter_mut()).for_each(|source| source.set_time(time_s));
         self.mark_all_stale();
     }
 
@@ -265,10 +362,17 @@ impl Viewer {
         if !self.clock.playing {
             return;
         }
-        let [begin_s, end_s] = self.source.span_s();
+        let [begin_s, mut end_s] = self.span_s();
         let elapsed_s = self.clock.advanced.elapsed().as_secs_f64();
         let mut time_s = self.clock.time_s + elapsed_s * self.clock.speed;
-        if time_s >= end_s {
+        if time_s >= end_s && self.sources.iter().any(Source::goes_on) {
+            if let Err(error) = self.drive_on() {
+                self.clock.playing = false;
+                self.tell(&json!({"type": "error", "text": error}));
+            }
+            end_s = self.span_s()[1];
+            time_s = time_s.min(end_s);
+        } else if time_s >= end_s {
             self.clock.playing = self.clock.looping;
             time_s = match self.clock.looping {
                 true => begin_s,
@@ -276,6 +380,43 @@ impl Viewer {
             };
         }
         self.set_time(time_s);
+    }
+
+    /// Writes the images of the next time of a recording.
+    fn record(&mut self) {
+        let Some(mut recorder) = self.recorder.take() else {
+            return;
+        };
+        let client = recorder.client;
+        let message = match recorder.next_s() {
+            Some(time_s) => match self.record_at(&mut recorder, time_s) {
+                Ok(()) => {
+                    let progress = recorder.progress();
+                    self.recorder = Some(recorder);
+                    json!({"type": "recording", "progress": progress})
+                }
+                Err(error) => json!({"type": "recording", "error": error}),
+            },
+            None => match recorder.finish() {
+                Ok(said) => json!({"type": "recording", "said": said}),
+                Err(error) => json!({"type": "recording", "error": error}),
+            },
+        };
+        self.send(client, Outgoing::Text(message.to_string()));
+    }
+
+    fn record_at(&mut self, recorder: &mut Recorder, time_s: f64) -> Result<(), String> {
+        (self.sources.iter_mut()).for_each(|source| source.set_time(time_s));
+        let view = recorder.view.clone();
+        let panes: Vec<(&Pane, Camera)> = (view.panes.iter())
+            .filter_map(|pane| Some((pane, self.source(pane).ok()?.camera(pane).ok()?)))
+            .collect();
+        let drawn = self.drawer.draw(&self.sources, &panes);
+        let now_s = self.clock.time_s;
+        (self.sources.iter_mut()).for_each(|source| source.set_time(now_s));
+        let (drawn, _) = drawn.map_err(|error| explain(&error))?;
+        let panes: Vec<&Pane> = panes.iter().map(|(pane, _)| *pane).collect();
+        recorder.write(&panes, &drawn)
     }
 
     /// Sends an update to each client that has not seen the newest state and has credit for it.
@@ -286,8 +427,7 @@ impl Viewer {
         let due: Vec<u64> = self.clients.iter().filter_map(due).collect();
         for id in due {
             if let Err(error) = self.update(id) {
-                let text = decouplegs::explain::explain(&error);
-                let message = json!({"type": "error", "text": text});
+                let message = json!({"type": "error", "text": explain(&error)});
                 self.send(id, Outgoing::Text(message.to_string()));
                 // The same would fail again: wait for another view or time.
                 if let Some(client) = self.clients.get_mut(&id) {
@@ -308,48 +448,53 @@ impl Viewer {
         client.credits -= 1;
         client.stale = false;
         let (update, view) = (client.update, client.view.clone());
-        let time_s = self.source.time_s();
-        let cameras: Vec<(usize, Camera)> = (view.panes.iter().enumerate())
-            .filter_map(|(index, pane)| {
+        let time_s = self.sources[0].time_s();
+        let panes: Vec<(&Pane, Camera)> = (view.panes.iter())
+            .filter_map(|pane| {
                 // An agent may be gone by now: its pane keeps the last image.
-                let mut camera = self.source.camera(pane).ok()?;
+                let mut camera = self.source(pane).ok()?.camera(pane).ok()?;
                 camera.intrinsics = scaled(&camera.intrinsics, scale);
-                Some((index, camera))
+                Some((pane, camera))
             })
             .collect();
-        let (drawn, statistics) = self.draw(&view, &cameras)?;
+        let (drawn, statistics) = self.drawer.draw(&self.sources, &panes)?;
         let rendered = since.elapsed();
         let kind = match reduced {
             true => ImageKind::Jpeg,
             false => ImageKind::Png,
         };
+        let header = |stream: u16, kind: ImageKind, size_px: [u32; 2]| Header {
+            stream,
+            kind,
+            flags: FLAG_EXACT * u8::from(!reduced),
+            update,
+            time_us: (1e6 * time_s).round() as i64,
+            size_px: size_px.map(|side_px| side_px as u16),
+        };
         let mut messages = Vec::new();
-        for (place, ((index, _), image)) in cameras.iter().zip(&drawn).enumerate() {
+        for ((pane, _), image) in panes.iter().zip(&drawn) {
             let bytes = match kind {
                 ImageKind::Jpeg => jpeg::encode(&image.rgba, image.size_px, QUALITY_MOVING),
-                ImageKind::Png => png_bytes::encode(&image.rgba, image.size_px),
+                _ => png_bytes::encode(&image.rgba, image.size_px),
             };
             // Sides are at most 4096 pixels, which both formats hold.
             let Ok(bytes) = bytes else { continue };
-            let is_last = place + 1 == drawn.len();
-            let header = Header {
-                stream: view.panes[*index].stream,
-                kind,
-                flags: (FLAG_EXACT * u8::from(!reduced)) | (FLAG_LAST * u8::from(is_last)),
-                update,
-                time_us: (1e6 * time_s).round() as i64,
-                size_px: image.size_px.map(|side_px| side_px as u16),
-            };
-            messages.push(Outgoing::Image([&header.bytes()[..], &bytes].concat()));
+            messages.push((header(pane.stream, kind, image.size_px), bytes));
+        }
+        let mut fault = None;
+        if let Some(name) = view.lidar.as_ref().filter(|_| !reduced) {
+            match self.drawer.points(&self.sources[0], name) {
+                Ok(bytes) => messages.push((header(0, ImageKind::Points, [0, 0]), bytes)),
+                Err(error) => fault = Some(error),
+            }
+        }
+        if let Some((header, _)) = messages.last_mut() {
+            header.flags |= FLAG_LAST;
         }
         let all = since.elapsed();
-        let logged = cameras
-            .iter()
-            .zip(&drawn)
-            .filter_map(|((index, _), image)| {
-                let pane = &view.panes[*index];
-                (self.source).is_logged(pane, image.size_px, &image.rgba)
-            });
+        let logged = panes.iter().zip(&drawn).filter_map(|((pane, _), image)| {
+            self.sources[pane.source].is_logged(pane, image.size_px, &image.rgba)
+        });
         let logged = logged.reduce(|all, same| all && same);
         let badge = match (reduced, scale) {
             (false, _) => match logged {
@@ -360,21 +505,23 @@ impl Viewer {
             (true, 1.0) => format!("JPEG {QUALITY_MOVING}"),
             (true, scale) => format!("1/{} size while moving", 1.0 / scale),
         };
-        let mut state = self.source.state();
-        state["type"] = "frame".into();
-        state["update"] = update.into();
-        state["time_s"] = time_s.into();
-        state["playing"] = self.clock.playing.into();
-        state["speed"] = self.clock.speed.into();
-        state["badge"] = badge.into();
-        state["panes"] = (cameras.iter())
-            .map(|(index, camera)| pane_json(&view.panes[*index], camera))
-            .collect();
-        state["times_ms"] = times_json(&statistics, rendered, all);
+        let state = json!({
+            "type": "frame",
+            "update": update,
+            "time_s": time_s,
+            "playing": self.clock.playing,
+            "speed": self.clock.speed,
+            "badge": badge,
+            "images": messages.len(),
+            "panes": panes.iter().map(|(pane, camera)| pane_json(pane, camera)).collect::<Vec<_>>(),
+            "sources": self.sources.iter().map(Source::state).collect::<Vec<_>>(),
+            "times_ms": times_json(&statistics, rendered, all),
+            "error": fault,
+        });
         self.send(id, Outgoing::Text(state.to_string()));
-        messages
-            .into_iter()
-            .for_each(|message| self.send(id, message));
+        for (header, bytes) in messages {
+            self.send(id, Outgoing::Image([&header.bytes()[..], &bytes].concat()));
+        }
         if let Some(client) = self.clients.get_mut(&id).filter(|_| reduced) {
             match all {
                 all if all > SLOW => client.scale = (client.scale + 1).min(SCALES.len() - 1),
@@ -385,68 +532,6 @@ impl Viewer {
         Ok(())
     }
 
-    /// Images of the panes of `view` that have cameras: color in one submission, other channels one
-    /// by one.
-    fn draw(
-        &mut self,
-        view: &View,
-        cameras: &[(usize, Camera)],
-    ) -> Result<(Vec<Drawn>, Vec<FrameStatistics>), SessionError> {
-        let pane = |index: usize| -> &Pane { &view.panes[index] };
-        let in_color = |(index, _): &&(usize, Camera)| pane(*index).channel == Channel::Color;
-        let views: Vec<WorldView> = (cameras.iter())
-            .filter(in_color)
-            .map(|(index, camera)| WorldView {
-                world: self.source.world(pane(*index).agents),
-                cameras: std::slice::from_ref(camera),
-            })
-            .collect();
-        let mut statistics = Vec::new();
-        if !views.is_empty() {
-            statistics = self.color.draw(&views, &mut self.images)?;
-        }
-        let mut colored = 0;
-        let mut drawn = Vec::with_capacity(cameras.len());
-        for (index, camera) in cameras {
-            let Pane {
-                channel, agents, ..
-            } = *pane(*index);
-            if channel == Channel::Color {
-                drawn.push(Drawn {
-                    rgba: self.images.rgba(colored, 0).to_vec(),
-                    size_px: self.images.size_px(colored, 0),
-                });
-                colored += 1;
-                continue;
-            }
-            let (gpu, rules) = (&self.gpu, self.rules);
-            let renderer = (self.channels.entry(channel))
-                .or_insert_with(|| Session::on(gpu, &options(rules, channel)).batch_renderer());
-            let world_view = WorldView {
-                world: self.source.world(agents),
-                cameras: std::slice::from_ref(camera),
-            };
-            let (images, times) = renderer.draw_images(&[world_view])?;
-            statistics.extend(times);
-            let image = &images[0][0];
-            let shown = plane_of(channel).and_then(|plane| preview(image, plane));
-            let byte = |value: f32| (255.0 * value.clamp(0.0, 1.0)).round() as u8;
-            let rgba = match &shown {
-                Some(preview) => (preview.rgb.iter())
-                    .flat_map(|rgb| [byte(rgb[0]), byte(rgb[1]), byte(rgb[2]), 255])
-                    .collect(),
-                None => (image.alpha.iter())
-                    .flat_map(|&alpha| [byte(alpha), byte(alpha), byte(alpha), 255])
-                    .collect(),
-            };
-            drawn.push(Drawn {
-                rgba,
-                size_px: [image.width, image.height],
-            });
-        }
-        Ok((drawn, statistics))
-    }
-
     /// Sends, or drops a client that does not read.
     fn send(&mut self, id: u64, message: Outgoing) {
         let client = self.clients.get(&id);
@@ -455,11 +540,11 @@ impl Viewer {
         }
     }
 }
-
-fn pane_json(pane: &Pane, camera: &Camera) -> serde_json::Value {
+fn pane_json(pane: &Pane, camera: &Camera) -> Value {
     let k = &camera.intrinsics;
     json!({
         "stream": pane.stream,
+        "source": pane.source,
         "pose": pose_json(&camera.world_from_camera),
         "size_px": [k.width_px, k.height_px],
         "focal_px": [k.fx_px, k.fy_px],
@@ -470,9 +555,9 @@ fn pane_json(pane: &Pane, camera: &Camera) -> serde_json::Value {
 
 /// Lens as the page projects by it; null for pinholes. A windshield is left out: boxes behind one
 /// are off by its refraction.
-fn lens_json(k: &Intrinsics) -> serde_json::Value {
+fn lens_json(k: &Intrinsics) -> Value {
     let mut json = match k.lens {
-        Lens::Pinhole => return serde_json::Value::Null,
+        Lens::Pinhole => return Value::Null,
         Lens::OpenCv(lens) => json!({
             "kind": "opencv",
             "radial": lens.radial,
@@ -492,11 +577,7 @@ fn lens_json(k: &Intrinsics) -> serde_json::Value {
     json
 }
 
-fn times_json(
-    statistics: &[FrameStatistics],
-    rendered: Duration,
-    all: Duration,
-) -> serde_json::Value {
+fn times_json(statistics: &[FrameStatistics], rendered: Duration, all: Duration) -> Value {
     let ms = |duration: Duration| 1e3 * duration.as_secs_f64();
     let gpu: Duration = statistics.iter().map(|frame| frame.gpu_time).sum();
     json!({"gpu": ms(gpu), "render": ms(rendered), "encode": ms(all - rendered)})

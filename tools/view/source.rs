@@ -2,14 +2,18 @@
 
 use std::sync::Arc;
 
-use decouplegs::scene::{Camera, Intrinsics, Motion, Pose};
-use decouplegs::session::{Session, SessionScene, World};
-use decouplegs_cli::scene_source::Scene;
+use decouplegs::asset::{LoadedScene, lidar_names};
+use decouplegs::episode::chosen_lidars;
+use decouplegs::explain::explain;
+use decouplegs::scene::{Camera, Intrinsics, Lidar, Motion, Pose};
+use decouplegs::session::{Session, SessionError, SessionScene, World};
 use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
 
-use crate::log::Played;
+use crate::edits::Edit;
+use crate::played::Played;
 use crate::protocol::{CameraRequest, Pane, Pinhole};
+use crate::scene_course::{Boxed, SceneCourse};
 
 /// Step of the clock over a scene, seconds: that of nuScenes' LiDARs and of most simulators.
 const STEP_S: f64 = 0.1;
@@ -17,11 +21,11 @@ const STEP_S: f64 = 0.1;
 const STEPS_MAX: f64 = 1e6;
 
 /// Origin of worlds, cameras and the ego vehicle at each time.
-pub enum Course {
+enum Course {
     /// Trajectories of a scene.
-    Scene(Box<Scene>),
-    /// Log of an episode.
-    Log(Box<Played>),
+    Scene(Box<SceneCourse>),
+    /// Episode.
+    Episode(Box<Played>),
 }
 
 /// A scene on the device, at a time.
@@ -30,8 +34,8 @@ pub struct Source {
     on_device: Arc<SessionScene>,
     /// The scene without agents.
     background: World,
-    /// First and last time, seconds.
-    span_s: [f64; 2],
+    /// File or planner that it is shown from, for people.
+    title: String,
     now: Now,
 }
 
@@ -41,78 +45,113 @@ struct Now {
     world: World,
     cameras: Vec<Camera>,
     ego: Pose,
+    /// Motion of the ego vehicle.
+    motion: Motion,
 }
 
 impl Source {
-    /// Copies `scene` to the device.
+    /// Copies the scene of `course` to the device.
     ///
     /// # Errors
     /// Returns an error if the device has not the memory.
-    pub fn of_scene(scene: Scene, session: &Session) -> anyhow::Result<Self> {
-        let on_device = session.add_scene(&scene.loaded)?;
-        let agents = scene.loaded.agents.iter().map(|agent| &agent.trajectory);
-        let ends = agents
-            .chain([&scene.loaded.ego])
-            .filter(|trajectory| trajectory.poses().len() > 1)
-            .map(|trajectory| trajectory.end_s());
-        let end_s = ends.fold(scene.time_s, f64::max);
-        let span_s = [scene.time_s, end_s.min(scene.time_s + STEP_S * STEPS_MAX)];
-        Ok(Self::new(Course::Scene(Box::new(scene)), on_device, span_s))
+    pub fn of_scene(
+        course: SceneCourse,
+        title: String,
+        session: &Session,
+    ) -> Result<Self, SessionError> {
+        let on_device = session.add_scene(&course.scene.loaded)?;
+        Ok(Self::new(Course::Scene(Box::new(course)), on_device, title))
     }
 
-    /// Source of a log whose place is `on_device`.
-    pub fn of_log(played: Played, on_device: Arc<SessionScene>) -> Self {
-        let span_s = played.span_s();
-        Self::new(Course::Log(Box::new(played)), on_device, span_s)
+    /// Source of an episode whose place is `on_device`.
+    pub fn of_episode(played: Played, title: String, on_device: Arc<SessionScene>) -> Self {
+        Self::new(Course::Episode(Box::new(played)), on_device, title)
     }
 
-    fn new(course: Course, on_device: Arc<SessionScene>, span_s: [f64; 2]) -> Self {
+    fn new(course: Course, on_device: Arc<SessionScene>, title: String) -> Self {
         let mut source = Self {
             course,
             background: World::empty(&on_device),
+            title,
             now: Now {
-                time_s: span_s[0],
-                world: World::new(&on_device),
+                time_s: 0.0,
+                world: World::empty(&on_device),
                 cameras: Vec::new(),
                 ego: Pose::IDENTITY,
+                motion: Motion::REST,
             },
             on_device,
-            span_s,
         };
-        source.set_time(span_s[0]);
+        source.set_time(source.span_s()[0]);
         source
     }
 
     /// First and last time, seconds.
     pub fn span_s(&self) -> [f64; 2] {
-        self.span_s
+        match &self.course {
+            Course::Scene(course) => {
+                let start_s = course.scene.time_s;
+                let moving = course.trajectories().filter(|way| way.poses().len() > 1);
+                let end_s = moving.map(|way| way.end_s()).fold(start_s, f64::max);
+                [start_s, end_s.min(start_s + STEP_S * STEPS_MAX)]
+            }
+            Course::Episode(played) => played.span_s(),
+        }
     }
 
     /// Duration of a step, seconds.
     pub fn step_s(&self) -> f64 {
         match &self.course {
             Course::Scene(_) => STEP_S,
-            Course::Log(played) => played.step_s(),
+            Course::Episode(played) => played.step_s(),
+        }
+    }
+
+    /// The episode, if it is one.
+    pub fn episode(&self) -> Option<&Played> {
+        match &self.course {
+            Course::Scene(_) => None,
+            Course::Episode(played) => Some(played),
+        }
+    }
+
+    /// True while more steps of an episode can be driven.
+    pub fn goes_on(&self) -> bool {
+        self.episode().is_some_and(Played::goes_on)
+    }
+
+    /// Drives one more step of an episode that goes on.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub fn drive_on(&mut self) -> Result<(), String> {
+        match &mut self.course {
+            Course::Scene(_) => Ok(()),
+            Course::Episode(played) => played.drive_on().map_err(|error| explain(&error)),
         }
     }
 
     /// Puts agents, cameras and the ego vehicle where they are at `time_s`: between the moments of
-    /// a log, at the moment before.
+    /// an episode, at the moment before.
     pub fn set_time(&mut self, time_s: f64) {
         match &self.course {
-            Course::Scene(scene) => {
+            Course::Scene(course) => {
+                let scene = &course.scene;
                 self.now.time_s = time_s;
-                self.now.world.set_time(time_s);
+                // The assets are those of the scene: placing them does not fail.
+                let _ = self.now.world.set_agents(course.agents_at(time_s));
                 self.now.cameras = scene.cameras_after(time_s - scene.time_s);
                 self.now.ego = scene.loaded.ego.at(time_s);
+                self.now.motion = scene.loaded.ego.motion_at(time_s);
             }
-            Course::Log(played) => {
+            Course::Episode(played) => {
                 let moment = played.at(time_s);
                 self.now = Now {
                     time_s: moment.time_s,
                     world: moment.world.clone(),
                     cameras: played.cameras(moment),
                     ego: moment.ego,
+                    motion: moment.motion,
                 };
             }
         }
@@ -128,6 +167,98 @@ impl Source {
         match agents {
             true => &self.now.world,
             false => &self.background,
+        }
+    }
+
+    /// Makes `edit`. Returns a sentence for the user, where there is something to say.
+    ///
+    /// # Errors
+    /// A sentence. Nothing is changed then.
+    pub fn edit(&mut self, edit: &Edit, session: &Session) -> Result<Option<String>, String> {
+        let course = match &mut self.course {
+            Course::Scene(course) => course,
+            Course::Episode(_) => return Err("an episode is not edited: its score counts".into()),
+        };
+        let (said, on_device) = course.edit(edit, self.now.time_s, session)?;
+        self.show_anew(on_device);
+        Ok(said)
+    }
+
+    /// Drags the agent called `name` from the pixel `from` of `camera` to the pixel `to`, both in
+    /// shares of the image. `free`: it does not snap to lanes. `done`: the mouse is released.
+    ///
+    /// # Errors
+    /// A sentence. Nothing is changed then.
+    pub fn drag(
+        &mut self,
+        name: &str,
+        camera: &Camera,
+        [from, to]: [[f64; 2]; 2],
+        (free, done): (bool, bool),
+        session: &Session,
+    ) -> Result<(), String> {
+        let Course::Scene(course) = &mut self.course else {
+            return Err("an episode is not edited: its score counts".into());
+        };
+        let time_s = self.now.time_s;
+        let height_m = course.height_of(name, time_s);
+        let height_m = height_m.ok_or_else(|| format!("the scene has no agent {name:?}"))?;
+        let on_level = |at: [f64; 2]| point_at_height(camera, at, height_m);
+        let by_m = match (on_level(from), on_level(to)) {
+            (Some(from), Some(to)) => to - from,
+            _ => return Err("there is no ground at that point of the image".into()),
+        };
+        let on_device = course.drag(name, (by_m, free, done), time_s, session)?;
+        self.show_anew(on_device);
+        Ok(())
+    }
+
+    fn show_anew(&mut self, on_device: Option<Arc<SessionScene>>) {
+        if let Some(on_device) = on_device {
+            self.background = World::empty(&on_device);
+            self.now.world = World::empty(&on_device);
+            self.on_device = on_device;
+        }
+        self.set_time(self.now.time_s);
+    }
+
+    /// Name of the agent with instance id `instance`.
+    pub fn agent_of(&self, instance: u16) -> Option<String> {
+        let mut boxes = self.boxes().into_iter();
+        Some(boxes.find(|agent| agent.instance == instance)?.name)
+    }
+
+    /// The LiDAR called `name`, of the scene or a model on the roof of the ego, for the sweep that
+    /// ends now, and the ego's position.
+    ///
+    /// # Errors
+    /// A sentence, if there is no such LiDAR.
+    pub fn lidar(&self, name: &str) -> Result<(Lidar, DVec3), String> {
+        let rig = &self.loaded().rig;
+        // A page names sensors, no files.
+        let known = rig.lidars().any(|lidar| lidar.name == name) || lidar_names().contains(&name);
+        if !known {
+            return Err(format!("there is no LiDAR called {name:?}"));
+        }
+        let chosen = chosen_lidars(rig, false, &[name.to_owned()]);
+        let chosen = chosen.map_err(|error| explain(&error))?;
+        let lidar = chosen.first().ok_or("there is no LiDAR")?;
+        let sweep = lidar.sweep_until(&self.now.ego, &self.now.motion);
+        Ok((sweep, self.now.ego.translation))
+    }
+
+    fn loaded(&self) -> &LoadedScene {
+        match &self.course {
+            Course::Scene(course) => &course.scene.loaded,
+            Course::Episode(played) => played.loaded(),
+        }
+    }
+
+    /// Asset of an agent of a scene, as its file names it.
+    pub fn asset_of(&self, name: &str) -> Value {
+        match &self.course {
+            Course::Scene(course) => course.asset_of(name),
+            Course::Episode(_) => Value::Null,
         }
     }
 
@@ -156,11 +287,11 @@ impl Source {
                 let pose = match agent {
                     None => self.now.ego,
                     Some(name) => {
-                        let mut agents = self.now.world.agents().iter();
+                        let mut agents = self.boxes().into_iter();
                         let agent = agents.find(|agent| agent.name == *name);
-                        let agent =
-                            agent.ok_or_else(|| format!("the scene has no agent {name:?}"))?;
-                        agent.placed.pose
+                        agent
+                            .ok_or_else(|| format!("the scene has no agent {name:?}"))?
+                            .pose
                     }
                 };
                 Ok(pinhole(&pose, at))
@@ -172,14 +303,14 @@ impl Source {
     /// time; `None` where the log has none.
     pub fn is_logged(&self, pane: &Pane, size_px: [u32; 2], rgba: &[u8]) -> Option<bool> {
         match (&self.course, &pane.camera) {
-            (Course::Log(played), CameraRequest::Named { name }) if pane.shows_all() => {
+            (Course::Episode(played), CameraRequest::Named { name }) if pane.shows_all() => {
                 played.is_logged(self.now.time_s, name, size_px, rgba)
             }
             _ => None,
         }
     }
 
-    /// Facts that do not change: cameras, agents, counts, as JSON.
+    /// Facts that do not change while a scene is played: cameras, counts, lanes, as JSON.
     pub fn facts(&self) -> Value {
         let cameras: Vec<Value> = (self.now.cameras.iter())
             .map(|camera| {
@@ -187,63 +318,102 @@ impl Source {
                 json!({"name": camera.name, "width_px": k.width_px, "height_px": k.height_px})
             })
             .collect();
-        let (loaded, log) = match &self.course {
-            Course::Scene(scene) => (&scene.loaded, Value::Null),
-            Course::Log(played) => (played.loaded(), played.facts()),
+        let loaded = self.loaded();
+        let lanes = match &self.course {
+            Course::Scene(course) => course.lane_lines(),
+            Course::Episode(played) => played.lane_lines(),
         };
+        let own = loaded.rig.lidars().map(|lidar| lidar.name.as_str());
+        let lidars: Vec<&str> = own.chain(lidar_names()).collect();
         let first = self.now.cameras.first();
         let first = first.map_or(self.now.ego, |camera| camera.world_from_camera);
+        let has_rig = loaded.rig.cameras().next().is_some();
         json!({
-            "type": "scene",
+            "title": self.title,
             "cameras": cameras,
-            "span_s": self.span_s,
             "step_s": self.step_s(),
-            "has_ego": !log.is_null() || loaded.rig.cameras().next().is_some(),
-            "agents": self.now.world.agents().len(),
-            "plain_agents": loaded.plain_agents.len(),
+            "has_ego": self.episode().is_some() || has_rig,
             "background_splats": self.on_device.background_splats(),
             "assets": loaded.assets.len(),
             "first_camera": pose_json(&first),
-            "log": log,
+            "lanes": lanes,
+            "lidars": lidars,
+        })
+    }
+
+    /// Facts that change with edits and steps: counts, undo, score, as JSON.
+    pub fn changing_facts(&self) -> Value {
+        let (edits, plain) = match &self.course {
+            Course::Scene(course) => (course.edit_facts(), course.scene.loaded.plain_agents.len()),
+            Course::Episode(_) => (Value::Null, 0),
+        };
+        json!({
+            "span_s": self.span_s(),
+            "agents": self.now.world.agents().len(),
+            "plain_agents": plain,
+            "edits": edits,
+            "log": self.episode().map(Played::facts),
         })
     }
 
     /// Poses and boxes of the agents that are present at the time that was set, and of the ego.
     pub fn state(&self) -> Value {
-        let agents: Vec<Value> = (self.now.world.agents().iter())
-            .filter(|agent| agent.present)
+        let agents: Vec<Value> = (self.boxes().into_iter())
             .map(|agent| {
-                let placed = &agent.placed;
-                let size_m = self
-                    .on_device
-                    .asset_dims_m(placed.asset)
-                    .unwrap_or_default();
                 json!({
                     "name": agent.name,
-                    "id": placed.instance,
-                    "class": self.class_of(&agent.name),
-                    "pose": pose_json(&placed.pose),
-                    "size_m": size_m,
-                    "speed_mps": placed.motion.velocity_mps.length(),
+                    "id": agent.instance,
+                    "class": agent.class,
+                    "pose": pose_json(&agent.pose),
+                    "size_m": agent.size_m,
+                    "speed_mps": agent.speed_mps,
+                    "fixed": agent.fixed,
                 })
             })
             .collect();
-        let plan = match &self.course {
-            Course::Scene(_) => Vec::new(),
-            Course::Log(played) => played.plan(self.now.time_s),
-        };
-        json!({"agents": agents, "ego": pose_json(&self.now.ego), "plan": plan})
+        let plan = self.episode().map(|played| played.plan(self.now.time_s));
+        json!({
+            "agents": agents,
+            "ego": pose_json(&self.now.ego),
+            "plan": plan.unwrap_or_default(),
+        })
     }
 
-    fn class_of(&self, agent: &str) -> Option<String> {
+    fn boxes(&self) -> Vec<Boxed> {
         match &self.course {
-            Course::Scene(scene) => {
-                let mut labels = scene.loaded.agent_labels.iter();
-                labels.find(|label| label.name == agent)?.class.clone()
+            Course::Scene(course) => course.boxes_at(self.now.time_s),
+            Course::Episode(played) => {
+                let agents = self.now.world.agents().iter().filter(|agent| agent.present);
+                let boxed = agents.map(|agent| {
+                    let placed = &agent.placed;
+                    let size_m = self.on_device.asset_dims_m(placed.asset);
+                    Boxed {
+                        name: agent.name.clone(),
+                        instance: placed.instance,
+                        class: played.class_of(&agent.name),
+                        pose: placed.pose,
+                        size_m: size_m.unwrap_or_default(),
+                        speed_mps: placed.motion.velocity_mps.length(),
+                        fixed: false,
+                    }
+                });
+                boxed.collect()
             }
-            Course::Log(played) => played.class_of(agent),
         }
     }
+}
+
+/// Point at `at`, shares of the image, on the level `z_m` of the world; `None` where the ray does
+/// not come down to it within a kilometer.
+fn point_at_height(camera: &Camera, at: [f64; 2], z_m: f64) -> Option<DVec3> {
+    const FAR_M: f64 = 1000.0;
+    let k = &camera.intrinsics;
+    let pixel = glam::DVec2::from(at) * glam::DVec2::new(k.width_px.into(), k.height_px.into());
+    let ray = decouplegs::scene::RayMap::new(k).unproject(pixel)?;
+    let pose = &camera.world_from_camera;
+    let (from, ray) = (pose.translation, pose.rotation * ray);
+    let far_m = (z_m - from.z) / ray.z;
+    (far_m > 0.0 && far_m < FAR_M).then(|| from + far_m * ray)
 }
 
 /// A pose as the page reads it.

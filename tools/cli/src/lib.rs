@@ -4,8 +4,9 @@
 //! | module | content |
 //! |---|---|
 //! | `arguments`, `device`, `scene_source`, `orbit` | arguments of several subcommands, and what they open |
+//! | `footing` | the ground below agents |
 //! | `progress` | progress lines and durations |
-//! | `jpeg`, `png_bytes` | images as bytes of a file |
+//! | `jpeg`, `png_bytes`, `video` | images as bytes of a file, and as a video |
 //! | `plot`, `data_uri` | plots as SVG, and images inside of HTML reports |
 //! | `views`, `visibility`, `image_quality` | views around an asset, how much each splat shows in them, and differences between images |
 #![forbid(unsafe_code)]
@@ -16,6 +17,8 @@ pub mod arguments;
 pub mod data_uri;
 #[doc(hidden)]
 pub mod device;
+#[doc(hidden)]
+pub mod footing;
 #[doc(hidden)]
 pub mod image_quality;
 #[doc(hidden)]
@@ -30,6 +33,8 @@ pub mod png_bytes;
 pub mod progress;
 #[doc(hidden)]
 pub mod scene_source;
+#[doc(hidden)]
+pub mod video;
 #[doc(hidden)]
 pub mod views;
 #[doc(hidden)]

@@ -15,6 +15,13 @@ use crate::progress;
 pub struct SceneArguments {
     #[arg(help = format!("Splats ({}) or a scene (.toml, .usdz)", SplatFormat::EXTENSIONS))]
     scene: PathBuf,
+    #[command(flatten)]
+    options: SceneOptions,
+}
+
+/// Choice of cameras, time and rules for a scene.
+#[derive(clap::Args)]
+pub struct SceneOptions {
     /// Cameras: INRIA cameras.json, nerfstudio or NeRF-synthetic transforms.json, or the folder of
     /// a COLMAP model (default: the scene's own rig, or a circle of views around splats that have
     /// none)
@@ -41,23 +48,28 @@ pub struct SceneArguments {
     antialias: bool,
 }
 
-impl SceneArguments {
-    /// File of the splats or the scene.
+impl SceneOptions {
+    /// True if one of them was given.
     #[must_use]
-    pub fn path(&self) -> &Path {
-        &self.scene
+    pub fn is_given(&self) -> bool {
+        self.size.is_some() || self.is_given_beside_size()
     }
 
-    /// True if more than the file was given.
+    /// True if one of them was given, the size apart.
     #[must_use]
-    pub fn has_options(&self) -> bool {
+    pub fn is_given_beside_size(&self) -> bool {
         self.cameras.is_some()
             || self.dataparser.is_some()
             || self.orbit.is_asked()
             || self.time.is_some()
-            || self.size.is_some()
             || self.rules.is_some()
             || self.antialias
+    }
+
+    /// Size of every image, pixels, if given.
+    #[must_use]
+    pub fn size_px(&self) -> Option<[u32; 2]> {
+        self.size.map(|size| [size.width_px, size.height_px])
     }
 }
 
@@ -102,16 +114,24 @@ fn resized(name: &str, intrinsics: &Intrinsics, size_px: Option<[u32; 2]>) -> In
 
 impl Scene {
     pub fn open(arguments: &SceneArguments) -> Result<Self> {
-        let reading = progress::spinner(format!("reading {}", arguments.scene.display()));
-        let mut loaded = open_scene(&arguments.scene, arguments.time.unwrap_or(0.0))?;
+        Self::with_options(&arguments.scene, &arguments.options)
+    }
+
+    /// Opens the splats or the scene at `path`.
+    ///
+    /// # Errors
+    /// Returns an error if a file is at fault, or there is nothing to look at.
+    pub fn with_options(path: &Path, arguments: &SceneOptions) -> Result<Self> {
+        let reading = progress::spinner(format!("reading {}", path.display()));
+        let mut loaded = open_scene(path, arguments.time.unwrap_or(0.0))?;
         let start_s = loaded.ego.start_s();
         let time_s = arguments.time.unwrap_or(start_s);
         if arguments.time.is_none() && start_s != 0.0 {
-            loaded = open_scene(&arguments.scene, start_s)?;
+            loaded = open_scene(path, start_s)?;
         }
         reading.finish_and_clear();
 
-        let size_px = arguments.size.map(|size| [size.width_px, size.height_px]);
+        let size_px = arguments.size_px();
         for camera in loaded.rig.cameras_mut() {
             camera.intrinsics = resized(&camera.name, &camera.intrinsics, size_px);
         }
@@ -133,15 +153,9 @@ impl Scene {
             None if drives => loaded.rig.driving(&loaded.ego, time_s),
             None => {
                 let (splats, origin) = (&loaded.world.splats, loaded.world.origin);
-                let around = arguments
-                    .orbit
-                    .cameras(splats, origin, &arguments.scene, size_px);
-                around.with_context(|| {
-                    format!(
-                        "{} has no splats that can be seen",
-                        arguments.scene.display()
-                    )
-                })?
+                let around = arguments.orbit.cameras(splats, origin, path, size_px);
+                around
+                    .with_context(|| format!("{} has no splats that can be seen", path.display()))?
             }
         };
         let rules = &mut loaded.world.rules;
@@ -158,6 +172,19 @@ impl Scene {
             cameras,
             drives,
         })
+    }
+
+    /// The same cameras and rules over `loaded`, another state of the same scene.
+    pub fn changed(&self, loaded: LoadedScene) -> Self {
+        let mut changed = Self {
+            loaded,
+            time_s: self.time_s,
+            cameras: self.cameras.clone(),
+            drives: self.drives,
+        };
+        changed.loaded.rig = self.loaded.rig.clone();
+        changed.loaded.world.rules = self.loaded.world.rules;
+        changed
     }
 
     /// By whose definition splats become an image.

@@ -2,7 +2,7 @@
 
 const HEADER_BYTES = 32;
 const MAGIC = 0x56534744;
-const KINDS = { 2: "image/jpeg", 3: "image/png" };
+const KINDS = { 2: "image/jpeg", 3: "image/png", 4: "points" };
 const LAST = 2;
 const RETRY_MS = [500, 1000, 2000, 4000, 8000];
 
@@ -21,7 +21,8 @@ export function header(buffer) {
 
 /**
  * Connects, and connects again when the connection is lost.
- * `handlers`: scene(facts), update(state, images), refused(reason), failed(text), status(text).
+ * `handlers`: scene(facts), change(facts), update(state, images, points), recording(message),
+ * refused(reason), failed(text), status(text).
  */
 export class Connection {
   constructor(handlers) {
@@ -29,6 +30,7 @@ export class Connection {
     this.sequence = 0;
     this.tries = 0;
     this.last = new Map();
+    this.waiting = new Map();
     this.open();
   }
 
@@ -51,6 +53,8 @@ export class Connection {
       this.tries += 1;
       const reason = event.reason ? `: ${event.reason}` : "";
       this.handlers.status(`No connection to the viewer${reason}. Trying again …`);
+      this.waiting.forEach(({ reject }) => reject(new Error("the connection was lost")));
+      this.waiting.clear();
       setTimeout(() => this.open(), wait);
     };
   }
@@ -63,6 +67,15 @@ export class Connection {
     this.socket.send(JSON.stringify({ sequence: this.sequence, command, ...fields }));
   }
 
+  /** Sends a command, and promises the result of its acknowledgement. */
+  request(command, fields = {}) {
+    return new Promise((resolve, reject) => {
+      if (this.socket.readyState !== WebSocket.OPEN) return reject(new Error("no connection"));
+      this.send(command, fields);
+      return this.waiting.set(this.sequence, { resolve, reject });
+    });
+  }
+
   receive(data) {
     if (typeof data !== "string") {
       this.images.push({ ...header(data), data: data.slice(HEADER_BYTES) });
@@ -70,21 +83,31 @@ export class Connection {
       return;
     }
     const message = JSON.parse(data);
-    if (message.type === "scene") this.handlers.scene(message);
-    else if (message.type === "error") this.handlers.failed(message.text);
-    else if (message.type === "ack" && message.error) this.handlers.refused(message.error);
-    else if (message.type === "frame") {
+    const { type } = message;
+    if (type === "frame") {
       this.state = message;
       this.images = [];
-      if (message.panes.length === 0) this.complete();
-    }
+      if (message.images === 0) this.complete();
+    } else if (type === "ack") this.acknowledged(message);
+    else if (type === "error") this.handlers.failed(message.text);
+    else if (["scene", "change", "recording"].includes(type)) this.handlers[type](message);
+  }
+
+  acknowledged({ sequence, error, result }) {
+    const waiting = this.waiting.get(sequence);
+    this.waiting.delete(sequence);
+    if (waiting && error) waiting.reject(new Error(error));
+    else if (waiting) waiting.resolve(result);
+    else if (error) this.handlers.refused(error);
   }
 
   async complete() {
     const { state, images, socket } = this;
     this.images = [];
+    const points = images.find((image) => image.kind === "points");
+    const pictures = images.filter((image) => image.kind !== "points");
     const decoded = await Promise.all(
-      images.map(async (image) => ({
+      pictures.map(async (image) => ({
         ...image,
         // Pixels are shown as they are: no color management, no premultiplied alpha.
         bitmap: await createImageBitmap(new Blob([image.data], { type: image.kind }), {
@@ -94,7 +117,7 @@ export class Connection {
       })),
     );
     requestAnimationFrame(() => {
-      this.handlers.update(state, decoded);
+      this.handlers.update(state, decoded, points && new Float32Array(points.data));
       decoded.forEach((image) => image.bitmap.close());
       if (socket === this.socket) this.send("shown", { update: state.update });
     });

@@ -94,14 +94,40 @@ pub fn begun_at(
     position_m: DVec3,
     yaw_rad: f64,
 ) -> Result<Trajectory, Invalid> {
-    let first = trajectory.poses()[0].pose;
-    let turn = DQuat::from_rotation_z(yaw_rad - heading_rad(&first));
-    // Relative to the first pose: in UTM coordinates a turn about the origin would cost a nanometer
-    // and look odd in the file.
+    passing(trajectory, trajectory.start_s(), position_m, yaw_rad)
+}
+
+/// `trajectory` moved as a whole, as [`begun_at`] does, so that it is at `position_m`, its nose
+/// towards `yaw_rad`, at `time_s`.
+///
+/// # Errors
+/// A sentence, when a pose is not finite.
+pub fn passing(
+    trajectory: &Trajectory,
+    time_s: f64,
+    position_m: DVec3,
+    yaw_rad: f64,
+) -> Result<Trajectory, Invalid> {
+    let there = trajectory.at(time_s);
+    let turn = DQuat::from_rotation_z(yaw_rad - heading_rad(&there));
+    // Relative to that pose: in UTM coordinates a turn about the origin would cost a nanometer and
+    // look odd in the file.
     each_pose(trajectory, |pose| Pose {
         rotation: (turn * pose.rotation).normalize(),
-        translation: position_m + turn * (pose.translation - first.translation),
+        translation: position_m + turn * (pose.translation - there.translation),
     })
+}
+
+/// `trajectory` with all its times `later_s` later.
+///
+/// # Errors
+/// A sentence, when a time is not finite.
+pub fn delayed(trajectory: &Trajectory, later_s: f64) -> Result<Trajectory, Invalid> {
+    let timed = |timed: &TimedPose| TimedPose {
+        time_s: timed.time_s + later_s,
+        pose: timed.pose,
+    };
+    Trajectory::new(trajectory.poses().iter().map(timed).collect())
 }
 
 /// `trajectory` with each pose moved by `shift` in the agent's own frame: x forward, y left, z up.
@@ -379,6 +405,17 @@ mod tests {
                 ((old.pose.rotation * DVec3::X).z - (new.pose.rotation * DVec3::X).z).abs() < 1e-12
             );
         }
+        // Between two knots: there it is where it was asked to be, and moved as rigidly.
+        let (time_s, later) = (2.0, passing(&way, 2.0, begin, -1.0).unwrap());
+        assert!((later.at(time_s).translation - begin).length() < 1e-9);
+        assert!((heading_rad(&later.at(time_s)) + 1.0).abs() < 1e-9);
+        let apart = |way: &Trajectory| {
+            let knots = way.poses();
+            (knots[0].pose.translation - knots[2].pose.translation).length()
+        };
+        assert!((apart(&way) - apart(&later)).abs() < 1e-8);
+        let late = delayed(&way, 1.5).unwrap();
+        assert_eq!((late.start_s(), late.at(2.5)), (1.5, way.at(1.0)));
         let shift = Pose::new(DQuat::from_rotation_z(0.25), DVec3::new(4.0, -3.5, 0.0));
         for (old, new) in way
             .poses()

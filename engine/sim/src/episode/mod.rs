@@ -6,6 +6,7 @@
 //! loop; [`Rollout`] is for those who go round it themselves. Everything that happens is in an
 //! [`Episode`], from which [`replay`] makes it again, bit by bit.
 
+mod live;
 mod moments;
 mod observation_renderer;
 pub mod open_loop;
@@ -26,7 +27,8 @@ use decouplegs_session::SessionError;
 
 use crate::planner::{Cameras, EpisodeInfo, Observation, Planner, Reading};
 
-pub use moments::{Moment, Moments, moments};
+pub use live::LiveEpisode;
+pub use moments::{Moment, Moments};
 pub use observation_renderer::{ObservationRenderer, chosen, chosen_lidars, reading_hash};
 pub use replay::{Replayed, replay};
 pub use rollout::{EpisodeMetadata, Rollout};
@@ -127,11 +129,9 @@ pub fn drive(
     planner: &mut dyn Planner,
     observer: &mut dyn EpisodeObserver,
 ) -> Result<Driven, EpisodeError> {
-    let mut rollout = Rollout::new(scenario, site, metadata_of(renderer.as_deref(), planner))?;
+    let mut rollout = begun(scenario, site, renderer.as_deref(), planner)?;
     observer.begin(&rollout.episode().head, &rollout.episode().start)?;
-    if let Err(error) = planner.begin(&episode_info(scenario, renderer.as_deref())) {
-        rollout.fail(error.to_string());
-    }
+    introduce(&mut rollout, planner, renderer.as_deref());
     let mut times = Vec::new();
     while rollout.end().is_none() {
         times.push(one_step(
@@ -144,6 +144,28 @@ pub fn drive(
     let episode = rollout.into_episode();
     observer.end(&episode.end)?;
     Ok(Driven { episode, times })
+}
+
+/// `scenario` at its start, for a log that names `planner` and `renderer`.
+fn begun(
+    scenario: &Scenario,
+    site: &Arc<Site>,
+    renderer: Option<&ObservationRenderer>,
+    planner: &dyn Planner,
+) -> Result<Rollout, EpisodeError> {
+    Rollout::new(scenario, site, metadata_of(renderer, planner))
+}
+
+/// Tells `planner` what it will drive. One that fails ends the episode.
+fn introduce(
+    rollout: &mut Rollout,
+    planner: &mut dyn Planner,
+    renderer: Option<&ObservationRenderer>,
+) {
+    let scenario = &rollout.episode().head.scenario;
+    if let Err(error) = planner.begin(&episode_info(scenario, renderer)) {
+        rollout.fail(error.to_string());
+    }
 }
 
 /// Once round the loop. No step where the planner failed.

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use decouplegs_scene::episode::Episode;
-use decouplegs_scene::{Motion, Pose};
+use decouplegs_scene::episode::{Episode, EpisodeStep};
+use decouplegs_scene::{Motion, Pose, Scenario};
 use decouplegs_session::{SessionError, SessionScene, World};
 
 use super::replay::check_version;
@@ -24,63 +24,106 @@ pub struct Moment {
     pub motion: Motion,
 }
 
-/// Moments of an episode.
-pub struct Moments {
-    /// The start, and the end of each sub-step, in the order of time.
-    pub moments: Vec<Moment>,
-    /// Time of the first moment at which a vehicle is not where the log says, seconds; `None` where
-    /// all move as in the log, to the last bit.
-    pub departs_s: Option<f64>,
-}
-
-/// Moments of `episode` in `site`, whose copy on the device is `scene`.
+/// Moments of an episode, in the order of time: the start, and the end of each sub-step.
 ///
 /// Vehicles at rendered steps stand as they stood when the log was written: a vehicle remembers the
 /// ground of the last moment that was rendered.
-///
-/// # Errors
-/// Returns an error if the log is of another version or does not fit `site`, or if `scene` has not
-/// the agents' assets.
-pub fn moments(
-    episode: &Episode,
-    site: &Arc<Site>,
-    scene: &Arc<SessionScene>,
-) -> Result<Moments, EpisodeError> {
-    check_version(episode)?;
-    let scenario = &episode.head.scenario;
-    let drawn_by = episode.head.drawn_by.as_ref();
-    let every = drawn_by.map_or(1, |drawn_by| drawn_by.every.max(1));
-    let mut drawn = Shown::new(Simulation::new(scenario, site)?, scene);
-    let mut between = Shown::new(Simulation::new(scenario, site)?, scene);
-    let mut departs_s = (drawn.simulation.instant() != episode.start).then_some(0.0);
-    let mut moments = vec![between.moment()?];
-    for step in &episode.steps {
-        let Some(last) = moments.last_mut() else {
-            break;
-        };
-        if step.step.is_multiple_of(every) {
-            *last = drawn.moment()?;
+pub struct Moments {
+    moments: Vec<Moment>,
+    departs_s: Option<f64>,
+    /// Every how many steps images are rendered.
+    every: u32,
+    drawn: Shown,
+    between: Shown,
+}
+
+impl Moments {
+    /// The start of `scenario` in `site`, whose copy on the device is `scene`; images are rendered
+    /// at every `every`th step.
+    ///
+    /// # Errors
+    /// Returns an error if the scenario does not fit `site`, or if `scene` has not the agents'
+    /// assets.
+    pub fn begin(
+        scenario: &Scenario,
+        site: &Arc<Site>,
+        scene: &Arc<SessionScene>,
+        every: u32,
+    ) -> Result<Self, EpisodeError> {
+        let mut between = Shown::new(Simulation::new(scenario, site)?, scene);
+        Ok(Self {
+            moments: vec![between.moment()?],
+            departs_s: None,
+            every: every.max(1),
+            drawn: Shown::new(Simulation::new(scenario, site)?, scene),
+            between,
+        })
+    }
+
+    /// All moments of `episode`.
+    ///
+    /// # Errors
+    /// Returns an error if the log is of another version, and those of [`Moments::begin`].
+    pub fn of(
+        episode: &Episode,
+        site: &Arc<Site>,
+        scene: &Arc<SessionScene>,
+    ) -> Result<Self, EpisodeError> {
+        check_version(episode)?;
+        let drawn_by = episode.head.drawn_by.as_ref();
+        let every = drawn_by.map_or(1, |drawn_by| drawn_by.every);
+        let mut moments = Self::begin(&episode.head.scenario, site, scene, every)?;
+        if moments.drawn.simulation.instant() != episode.start {
+            moments.departs_s = Some(0.0);
         }
-        last.step = Some(step.step);
-        let instants = drawn.simulation.advance(&step.plan);
-        if departs_s.is_none() && instants != step.instants {
-            let pairs = instants.iter().zip(&step.instants);
-            let first = pairs.into_iter().find(|(now, logged)| now != logged);
-            departs_s = Some(first.map_or(last.time_s, |(now, _)| now.time_s));
+        for step in &episode.steps {
+            moments.add(step)?;
+        }
+        Ok(moments)
+    }
+
+    /// Adds the moments of `step`, which follows those that were added before.
+    ///
+    /// # Errors
+    /// Returns an error if the scene has not the agents' assets.
+    pub fn add(&mut self, step: &EpisodeStep) -> Result<(), EpisodeError> {
+        let Self {
+            moments, between, ..
+        } = self;
+        if let Some(last) = moments.last_mut() {
+            if step.step.is_multiple_of(self.every) {
+                *last = self.drawn.moment()?;
+            }
+            last.step = Some(step.step);
+        }
+        let instants = self.drawn.simulation.advance(&step.plan);
+        if self.departs_s.is_none() && instants != step.instants {
+            let mut pairs = instants.iter().zip(&step.instants);
+            let first = pairs.find(|(now, logged)| now != logged);
+            let ends_s = moments.last().map_or(0.0, |last| last.time_s);
+            self.departs_s = Some(first.map_or(ends_s, |(now, _)| now.time_s));
         }
         let mut failed = None;
-        let world = &mut between.world;
-        between
-            .simulation
-            .advance_with(&step.plan, |simulation| match moment(simulation, world) {
-                Ok(moment) => moments.push(moment),
-                Err(error) => failed = Some(error),
-            });
-        if let Some(error) = failed {
-            return Err(error.into());
-        }
+        let Shown { simulation, world } = between;
+        simulation.advance_with(&step.plan, |simulation| match moment(simulation, world) {
+            Ok(moment) => moments.push(moment),
+            Err(error) => failed = Some(error),
+        });
+        failed.map_or(Ok(()), |error| Err(error.into()))
     }
-    Ok(Moments { moments, departs_s })
+
+    /// The moments, at least one.
+    #[must_use]
+    pub fn as_slice(&self) -> &[Moment] {
+        &self.moments
+    }
+
+    /// Time of the first moment at which a vehicle is not where the log says, seconds; `None` where
+    /// all move as in the log, to the last bit.
+    #[must_use]
+    pub fn departs_s(&self) -> Option<f64> {
+        self.departs_s
+    }
 }
 
 /// A simulation, and the world that it is shown in.

@@ -6,22 +6,20 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
 
-/// Checks that ffmpeg can be started.
-pub fn check_ffmpeg() -> Result<()> {
+/// True if ffmpeg can be started.
+pub fn has_ffmpeg() -> bool {
     let asked = Command::new("ffmpeg")
         .arg("-version")
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .status();
-    match asked {
-        Ok(status) if status.success() => Ok(()),
-        _ => bail!(
-            "--video needs ffmpeg, which is not installed: install it, or keep the images with --images all"
-        ),
-    }
+    asked.is_ok_and(|status| status.success())
 }
 
 /// The images `CAMERA_0000.png` and on in `folder` as `video`, whole or not at all.
+///
+/// # Errors
+/// Returns an error if ffmpeg makes no video of them.
 pub fn encode(folder: &Path, camera: &str, frames_per_second: f64, video: &Path) -> Result<()> {
     let part = video.with_extension("part.mp4");
     let output = Command::new("ffmpeg")

@@ -19,6 +19,7 @@ pub struct Footing {
 
 /// A trajectory set on the ground.
 pub struct Grounded {
+    /// Poses with the wheels on the ground.
     pub trajectory: Trajectory,
     /// Poses that have ground below them; the others are as they were.
     pub grounded: usize,

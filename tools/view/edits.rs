@@ -1,0 +1,402 @@
+//! Agents of a scene file moved, turned, added and removed, with undo.
+
+use std::cell::OnceCell;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use decouplegs::asset::scene_file::editing::{delayed, heading_rad, passing, shifted};
+use decouplegs::asset::{SceneAgent, SceneFile};
+use decouplegs::explain::explain;
+use decouplegs::scene::{Pose, Presence};
+use decouplegs_cli::footing::{Footing, dims_of};
+use glam::{DQuat, DVec3};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::protocol::check_name;
+
+/// Changes that can be undone.
+const UNDO_MAX: usize = 200;
+/// Room between an agent and its copy behind it, meters.
+const COPY_GAP_M: f64 = 2.0;
+/// Longest shift in time, seconds, and sideways, meters.
+const SHIFT_MAX: f64 = 1e4;
+
+/// Change of a scene's agents.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(tag = "edit", rename_all = "snake_case")]
+pub enum Edit {
+    /// Turns an agent about the vertical.
+    Turn {
+        /// Name of the agent.
+        agent: String,
+        /// Angle, radians; above 0 to the left.
+        by_rad: f64,
+    },
+    /// Moves the whole track of an agent in its own frame and in time.
+    Shift {
+        /// Name of the agent.
+        agent: String,
+        /// Delay, seconds; below 0 earlier.
+        later_s: f64,
+        /// Meters ahead.
+        forward_m: f64,
+        /// Meters to the left.
+        left_m: f64,
+    },
+    /// Takes an agent out.
+    Remove {
+        /// Name of the agent.
+        agent: String,
+    },
+    /// Puts a copy of an agent behind it.
+    Duplicate {
+        /// Name of the agent.
+        agent: String,
+    },
+    /// Shows an agent as another asset of the scene.
+    Swap {
+        /// Name of the agent.
+        agent: String,
+        /// Path of the asset, as the scene file names it.
+        asset: String,
+    },
+    /// Takes back the last change.
+    Undo,
+    /// Makes the change again that was taken back last.
+    Redo,
+    /// Writes the scene to a new file beside the old one.
+    Save {
+        /// Name of the file, ending with .toml.
+        file: String,
+    },
+}
+
+/// State of a scene before or after a change.
+#[derive(Clone)]
+struct Step {
+    /// The change, in words.
+    change: String,
+    file: Arc<SceneFile>,
+}
+
+/// State of a scene, and the states that undo and redo lead to.
+#[derive(Clone)]
+pub struct History {
+    file: Arc<SceneFile>,
+    undo: Vec<Step>,
+    redo: Vec<Step>,
+}
+
+impl History {
+    /// The scene in this state.
+    pub fn file(&self) -> &SceneFile {
+        &self.file
+    }
+}
+
+/// Scene file that is edited.
+pub struct Editor {
+    path: PathBuf,
+    history: History,
+    /// Assets that the file named when it was opened.
+    assets: Vec<PathBuf>,
+    /// Files that were written: they may be written again.
+    saved: Vec<PathBuf>,
+    /// Ground below the agents; none where the background tells of none.
+    footing: OnceCell<Option<Footing>>,
+}
+
+impl Editor {
+    /// The scene file at `path`.
+    ///
+    /// # Errors
+    /// Returns an error if the file is at fault.
+    pub fn open(path: &Path) -> anyhow::Result<Self> {
+        let file = SceneFile::read(path)?;
+        let mut assets: Vec<PathBuf> = Vec::new();
+        for agent in &file.agents {
+            if !assets.contains(&agent.asset) {
+                assets.push(agent.asset.clone());
+            }
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            history: History {
+                file: Arc::new(file),
+                undo: Vec::new(),
+                redo: Vec::new(),
+            },
+            assets,
+            saved: Vec::new(),
+            footing: OnceCell::new(),
+        })
+    }
+
+    /// The scene as it is now.
+    pub fn file(&self) -> &SceneFile {
+        &self.history.file
+    }
+
+    /// State to go back to with [`Editor::restore`].
+    pub fn history(&self) -> History {
+        self.history.clone()
+    }
+
+    /// Goes back to `history`.
+    pub fn restore(&mut self, history: History) {
+        self.history = history;
+    }
+
+    /// Folder that its paths are relative to.
+    pub fn folder(&self) -> &Path {
+        self.path.parent().unwrap_or(Path::new(""))
+    }
+
+    /// Undo and redo in words, assets to swap to, and the name that [`Edit::Save`] may use, as
+    /// JSON.
+    pub fn facts(&self) -> Value {
+        let stem = self.path.file_stem().unwrap_or_default().to_string_lossy();
+        json!({
+            "undo": self.history.undo.last().map(|step| &step.change),
+            "redo": self.history.redo.last().map(|step| &step.change),
+            "assets": self.assets,
+            "file": format!("{stem}-edited.toml"),
+        })
+    }
+
+    /// Asset of the agent called `name`, as the file names it.
+    pub fn asset_of(&self, name: &str) -> Option<&Path> {
+        Some(&self.file().agent(name).ok()?.asset)
+    }
+
+    /// Makes `edit`, at the time `time_s` of the scene. Returns a sentence for the user, where there
+    /// is something to say.
+    ///
+    /// # Errors
+    /// A sentence. Nothing is changed then.
+    pub fn apply(&mut self, edit: &Edit, time_s: f64) -> Result<Option<String>, String> {
+        let mut file = self.file().clone();
+        let change = match edit {
+            Edit::Turn { agent, by_rad } => {
+                finite("by_rad", *by_rad)?;
+                let pose = self.agent(agent)?.trajectory.at(time_s);
+                let yaw_rad = heading_rad(&pose) + by_rad;
+                self.place(&mut file, agent, time_s, pose.translation, yaw_rad)?;
+                format!("turn {agent}")
+            }
+            Edit::Shift {
+                agent,
+                later_s,
+                forward_m,
+                left_m,
+            } => {
+                finite("later_s", *later_s)?;
+                finite("forward_m", *forward_m)?;
+                finite("left_m", *left_m)?;
+                self.shift(&mut file, agent, *later_s, [*forward_m, *left_m])?;
+                format!("shift {agent}")
+            }
+            Edit::Remove { agent } => {
+                file.remove_agent(agent)
+                    .map_err(|error| error.to_string())?;
+                format!("remove {agent}")
+            }
+            Edit::Duplicate { agent } => {
+                let name = self.duplicate(&mut file, agent)?;
+                self.commit(file, format!("duplicate {agent}"));
+                return Ok(Some(format!("{name} stands behind {agent}")));
+            }
+            Edit::Swap { agent, asset } => {
+                let known = (self.assets.iter()).find(|known| known.as_os_str() == asset.as_str());
+                let known = known.ok_or_else(|| format!("the scene has no asset {asset:?}"))?;
+                self.swap(&mut file, agent, known)?;
+                format!("show {agent} as {asset}")
+            }
+            Edit::Undo => {
+                let History { file, undo, redo } = &mut self.history;
+                exchange(file, undo, redo).ok_or("there is nothing to undo")?;
+                return Ok(None);
+            }
+            Edit::Redo => {
+                let History { file, undo, redo } = &mut self.history;
+                exchange(file, redo, undo).ok_or("there is nothing to redo")?;
+                return Ok(None);
+            }
+            Edit::Save { file } => return self.save(file).map(Some),
+        };
+        self.commit(file, change);
+        Ok(None)
+    }
+
+    /// Moves the agent called `name` so that it is at `position_m`, its nose towards `yaw_rad`, at
+    /// `time_s`, with its wheels on the ground.
+    ///
+    /// # Errors
+    /// A sentence. Nothing is changed then.
+    pub fn move_to(
+        &mut self,
+        name: &str,
+        time_s: f64,
+        position_m: DVec3,
+        yaw_rad: f64,
+    ) -> Result<(), String> {
+        let mut file = self.file().clone();
+        self.place(&mut file, name, time_s, position_m, yaw_rad)?;
+        self.commit(file, format!("move {name}"));
+        Ok(())
+    }
+
+    /// Pose that [`Editor::move_to`] would give the agent.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub fn pose_at(
+        &self,
+        name: &str,
+        time_s: f64,
+        position_m: DVec3,
+        yaw_rad: f64,
+    ) -> Result<Pose, String> {
+        let mut alone = SceneFile {
+            agents: vec![self.agent(name)?.clone()],
+            ..SceneFile::of_background(&self.file().background)
+        };
+        self.place(&mut alone, name, time_s, position_m, yaw_rad)?;
+        Ok(alone.agents[0].trajectory.at(time_s))
+    }
+
+    fn agent(&self, name: &str) -> Result<&SceneAgent, String> {
+        self.file().agent(name).map_err(|error| error.to_string())
+    }
+
+    fn commit(&mut self, file: SceneFile, change: String) {
+        let history = &mut self.history;
+        let file = std::mem::replace(&mut history.file, Arc::new(file));
+        history.undo.push(Step { change, file });
+        if history.undo.len() > UNDO_MAX {
+            history.undo.remove(0);
+        }
+        history.redo.clear();
+    }
+
+    fn place(
+        &self,
+        file: &mut SceneFile,
+        name: &str,
+        time_s: f64,
+        position_m: DVec3,
+        yaw_rad: f64,
+    ) -> Result<(), String> {
+        let trajectory = &self.agent(name)?.trajectory;
+        let moved = passing(trajectory, time_s, position_m, yaw_rad);
+        let moved = moved.map_err(|error| format!("{name} cannot be moved: {error}"))?;
+        let set = file.set_trajectory(name, moved);
+        set.map_err(|error| error.to_string())?;
+        self.ground(file, name)
+    }
+
+    fn shift(
+        &self,
+        file: &mut SceneFile,
+        name: &str,
+        later_s: f64,
+        [forward_m, left_m]: [f64; 2],
+    ) -> Result<(), String> {
+        let agent = self.agent(name)?;
+        let by = Pose::new(DQuat::IDENTITY, DVec3::new(forward_m, left_m, 0.0));
+        let moved = delayed(&agent.trajectory, later_s).and_then(|late| shifted(&late, &by));
+        let moved = moved.map_err(|error| format!("{name} cannot be shifted: {error}"))?;
+        let intervals = agent.present.intervals_s().iter();
+        let present = Presence::new(intervals.map(|ends| ends.map(|s| s + later_s)).collect());
+        let present = present.map_err(|error| format!("{name} cannot be shifted: {error}"))?;
+        let set =
+            (file.set_trajectory(name, moved)).and_then(|()| file.set_presence(name, present));
+        set.map_err(|error| error.to_string())?;
+        match [forward_m, left_m] == [0.0; 2] {
+            true => Ok(()),
+            false => self.ground(file, name),
+        }
+    }
+
+    fn duplicate(&self, file: &mut SceneFile, name: &str) -> Result<String, String> {
+        let original = self.agent(name)?;
+        let mut copy = original.clone();
+        let free = (1..).map(|number| match number {
+            1 => format!("{name} copy"),
+            number => format!("{name} copy {number}"),
+        });
+        let mut free = free.filter(|name| file.agent(name).is_err());
+        copy.name = free.next().unwrap_or_default();
+        let [length_m, ..] = self.dims_m(&original.asset)?;
+        let behind = DVec3::new(-length_m - COPY_GAP_M, 0.0, 0.0);
+        let moved = shifted(&original.trajectory, &Pose::new(DQuat::IDENTITY, behind));
+        copy.trajectory = moved.map_err(|error| format!("{name} cannot be copied: {error}"))?;
+        let name = copy.name.clone();
+        file.add_agent(copy).map_err(|error| error.to_string())?;
+        self.ground(file, &name)?;
+        Ok(name)
+    }
+
+    fn swap(&self, file: &mut SceneFile, name: &str, asset: &Path) -> Result<(), String> {
+        file.swap_asset(name, asset)
+            .map_err(|error| error.to_string())?;
+        self.ground(file, name)
+    }
+
+    /// Puts the wheels of an agent on the ground all along its track, where there is ground.
+    fn ground(&self, file: &mut SceneFile, name: &str) -> Result<(), String> {
+        let footing = self.footing.get_or_init(|| {
+            let background = self.folder().join(&self.file().background);
+            Footing::of(&background, self.file().origin).ok()
+        });
+        let Some(footing) = footing else {
+            return Ok(());
+        };
+        let agent = file.agent(name).map_err(|error| error.to_string())?;
+        let set = footing.under(&agent.trajectory, self.dims_m(&agent.asset)?);
+        let set = set.map_err(|error| format!("{name} cannot be set on the ground: {error}"))?;
+        let set = file.set_trajectory(name, set.trajectory);
+        set.map_err(|error| error.to_string())
+    }
+
+    fn dims_m(&self, asset: &Path) -> Result<[f64; 3], String> {
+        dims_of(&self.folder().join(asset)).map_err(|error| explain(error.as_ref()))
+    }
+
+    fn save(&mut self, name: &str) -> Result<String, String> {
+        check_name(name, ".toml")?;
+        let path = self.folder().join(name);
+        if path.exists() && !self.saved.contains(&path) {
+            return Err(format!(
+                "{} exists already and is left as it is: choose another name",
+                path.display()
+            ));
+        }
+        let written = self.file().write(&path);
+        written.map_err(|error| explain(&error))?;
+        if !self.saved.contains(&path) {
+            self.saved.push(path.clone());
+        }
+        Ok(format!("saved as {}", path.display()))
+    }
+}
+
+/// Puts the last state of `from` in the place of `file`, and that onto `to`; `None` where there is
+/// none.
+fn exchange(file: &mut Arc<SceneFile>, from: &mut Vec<Step>, to: &mut Vec<Step>) -> Option<()> {
+    let step = from.pop()?;
+    let file = std::mem::replace(file, step.file);
+    let change = step.change;
+    to.push(Step { change, file });
+    Some(())
+}
+
+fn finite(what: &str, value: f64) -> Result<(), String> {
+    match value.abs() <= SHIFT_MAX {
+        true => Ok(()),
+        false => Err(format!(
+            "{what}: expected -{SHIFT_MAX} to {SHIFT_MAX}, found {value}"
+        )),
+    }
+}

@@ -1,0 +1,259 @@
+//! Scenes, logs and scenarios, as named on the command line.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, Result, bail, ensure};
+use decouplegs::asset::{
+    SplatFormat, is_scene_file, read_episode_log, read_light_transfer, read_scenario,
+};
+use decouplegs::episode::{
+    Appearance, LiveEpisode, ObservationRenderer, Site, cameras_of, chosen, chosen_lidars,
+};
+use decouplegs::planner::{Cameras, PlannerChoice, Timeouts};
+use decouplegs::scene::episode::Episode;
+use decouplegs::scene::{Scenario, Sensor};
+use decouplegs::session::{Session, SessionScene};
+use decouplegs_cli::progress;
+use decouplegs_cli::scene_source::{Scene, SceneOptions};
+
+use crate::played::Played;
+use crate::scene_course::SceneCourse;
+use crate::source::Source;
+
+/// Size of the images that planners see, unless a log or the user says otherwise, pixels: as in
+/// `drive`.
+const SEEN_PX: [u32; 2] = [320, 180];
+
+/// What is shown, and what it is compared with.
+#[derive(clap::Args)]
+pub struct SourceArguments {
+    #[arg(value_name = "FILE", help = format!("Splats ({}), a scene (.toml, .usdz), the log of an episode (.log) or a scenario (.toml); without it the demo scene, which is made if absent", SplatFormat::EXTENSIONS))]
+    file: Option<PathBuf>,
+    #[command(flatten)]
+    options: SceneOptions,
+    /// With a scenario: the planner that drives while you look [default: lane-follow]. As in
+    /// 'decouplegs drive'
+    #[arg(long, value_name = "PLANNER")]
+    planner: Option<PlannerChoice>,
+    /// Compare with this: another scene, another log, or a planner that drives the same scenario
+    #[arg(long, value_name = "FILE|PLANNER")]
+    against: Option<String>,
+    /// With a scene: lanes to show, and to which agents snap that are moved [default: lanes.json
+    /// beside the scene]
+    #[arg(long, value_name = "FILE")]
+    map: Option<PathBuf>,
+    /// With a log or a scenario: folder that its files are relative to [default: its own]
+    #[arg(long, value_name = "DIR")]
+    base: Option<PathBuf>,
+    /// With a log or a scenario: light transfer for the cars, as given to 'drive'
+    #[arg(long, value_name = "FILE")]
+    light: Option<PathBuf>,
+}
+
+/// Kind of a file that can be shown.
+enum Input {
+    Scene,
+    Log(Box<Episode>),
+    Scenario(Box<Scenario>),
+}
+
+/// Reads `path` as far as its kind must be known.
+fn input(path: &Path) -> Result<Input> {
+    if path.extension().is_some_and(|extension| extension == "log") {
+        return Ok(Input::Log(Box::new(read_episode_log(path)?)));
+    }
+    if is_scene_file(path) {
+        // Both are TOML: a scenario has a place, which no scene has.
+        let text = std::fs::read_to_string(path).unwrap_or_default();
+        let has_place = text.lines().any(|line| line.trim().starts_with("[place"));
+        if has_place {
+            return Ok(Input::Scenario(Box::new(read_scenario(path)?)));
+        }
+    }
+    Ok(Input::Scene)
+}
+
+impl SourceArguments {
+    /// Opens all that is shown. `demo` makes the demo scene where it is absent, and returns its
+    /// file.
+    ///
+    /// # Errors
+    /// Returns an error if a file is at fault, or the device has not the memory.
+    pub fn open(
+        &self,
+        session: &Session,
+        demo: impl FnOnce() -> Result<PathBuf>,
+    ) -> Result<Vec<Source>> {
+        let path = match &self.file {
+            Some(path) => path.clone(),
+            None => demo()?,
+        };
+        match input(&path)? {
+            Input::Scene => self.scenes(&path, session),
+            Input::Log(episode) => self.episodes(&path, &Start::Log(*episode), session),
+            Input::Scenario(scenario) => {
+                let planner = self.planner.clone();
+                let planner = planner.unwrap_or(PlannerChoice::LaneFollow);
+                self.episodes(&path, &Start::Live(*scenario, planner), session)
+            }
+        }
+    }
+
+    fn scenes(&self, path: &Path, session: &Session) -> Result<Vec<Source>> {
+        let shown = path.display();
+        ensure!(
+            self.planner.is_none() && self.base.is_none() && self.light.is_none(),
+            "{shown}: --planner, --base and --light are for scenarios and logs. 'decouplegs drive' generates scenarios in a scene"
+        );
+        let open = |path: &Path| -> Result<Source> {
+            let scene = Scene::with_options(path, &self.options)?;
+            let copying = progress::spinner(format!("copying {} to the device", path.display()));
+            let course = SceneCourse::new(scene, path, self.map.as_deref())?;
+            let source = Source::of_scene(course, path.display().to_string(), session)?;
+            copying.finish_and_clear();
+            Ok(source)
+        };
+        let mut sources = vec![open(path)?];
+        if let Some(against) = &self.against {
+            let other = Path::new(against);
+            match input(other)? {
+                Input::Scene => sources.push(open(other)?),
+                _ => bail!("--against {against}: a scene is compared with a scene"),
+            }
+        }
+        Ok(sources)
+    }
+
+    fn episodes(&self, path: &Path, start: &Start, session: &Session) -> Result<Vec<Source>> {
+        ensure!(
+            !self.options.is_given_beside_size() && self.map.is_none(),
+            "{}: an episode has its own cameras, lanes and rules: leave out the options of scenes",
+            path.display()
+        );
+        let is_log = matches!(start, Start::Log(_));
+        ensure!(
+            !is_log || self.options.size_px().is_none() && self.planner.is_none(),
+            "{}: a log has its own size and planner: leave out --size, and give a planner to compare with by --against",
+            path.display()
+        );
+        let light = self.light.as_deref().map(read_light_transfer);
+        let appearance = Appearance {
+            transfer: light.transpose()?.map(|file| file.transfer),
+        };
+        let place_of = |path: &Path, scenario: &Scenario| -> Result<Place> {
+            let base = self.base.as_deref().or(path.parent());
+            let opening = progress::spinner(format!("opening the place of {}", path.display()));
+            let site = Site::open(
+                &scenario.place,
+                base.unwrap_or(Path::new("")),
+                Some(&appearance),
+            );
+            let site = Arc::new(site.context("the place of the episode is not usable")?);
+            let scene = site.add_to(session)?;
+            opening.finish_and_clear();
+            Ok(Place { site, scene })
+        };
+        let scenario = start.scenario();
+        let place = place_of(path, scenario)?;
+        let seen_px = self.options.size_px();
+        let mut sources = vec![match start {
+            Start::Log(episode) => place.logged(path, episode)?,
+            Start::Live(scenario, planner) => place.live(scenario, planner, seen_px, session)?,
+        }];
+        let Some(against) = &self.against else {
+            return Ok(sources);
+        };
+        if against.ends_with(".log") {
+            let other = Path::new(against);
+            let episode = read_episode_log(other)?;
+            // One place is on the device once.
+            let place = match episode.head.scenario.place == scenario.place {
+                true => place,
+                false => place_of(other, &episode.head.scenario)?,
+            };
+            sources.push(place.logged(other, &episode)?);
+        } else {
+            let planner: PlannerChoice = against.parse().map_err(|error: String| {
+                anyhow::anyhow!(
+                    "--against {against}: neither the name of a log (.log) nor a planner: {error}"
+                )
+            })?;
+            let logged_px = match start {
+                Start::Log(episode) => episode.head.drawn_by.as_ref(),
+                Start::Live(..) => None,
+            };
+            let logged_px = logged_px.map(|by| [by.width_px, by.height_px]);
+            sources.push(place.live(scenario, &planner, seen_px.or(logged_px), session)?);
+            if is_log {
+                drive_to_the_end(&mut sources[1])?;
+            }
+        }
+        Ok(sources)
+    }
+}
+
+/// What an episode begins with.
+enum Start {
+    Log(Episode),
+    Live(Scenario, PlannerChoice),
+}
+
+impl Start {
+    fn scenario(&self) -> &Scenario {
+        match self {
+            Self::Log(episode) => &episode.head.scenario,
+            Self::Live(scenario, _) => scenario,
+        }
+    }
+}
+
+/// Place of episodes, and its scene on the device.
+struct Place {
+    site: Arc<Site>,
+    scene: Arc<SessionScene>,
+}
+
+impl Place {
+    fn logged(&self, path: &Path, episode: &Episode) -> Result<Source> {
+        let played = Played::logged(episode.clone(), self.site.clone(), &self.scene)?;
+        let title = path.display().to_string();
+        Ok(Source::of_episode(played, title, self.scene.clone()))
+    }
+
+    fn live(
+        &self,
+        scenario: &Scenario,
+        planner: &PlannerChoice,
+        size_px: Option<[u32; 2]>,
+        session: &Session,
+    ) -> Result<Source> {
+        let title = format!("{} by {planner}", scenario.name);
+        let opened = planner.open(Timeouts::default());
+        let planner = opened.with_context(|| format!("the planner {planner} is not to be had"))?;
+        let all = &self.site.loaded.rig;
+        let cameras = cameras_of(planner.as_ref(), Cameras::Front);
+        let mut rig = chosen(all, cameras, Some(size_px.unwrap_or(SEEN_PX)))?;
+        let lidars = chosen_lidars(all, planner.sees().lidars, &[])?;
+        rig.sensors.extend(lidars.into_iter().map(Sensor::Lidar));
+        let renderer = ObservationRenderer::new(session.batch_renderer(), &self.scene, rig, 1);
+        let live = LiveEpisode::begin(scenario, &self.site, planner, renderer)?;
+        let played = Played::live(live, self.site.clone(), &self.scene)?;
+        Ok(Source::of_episode(played, title, self.scene.clone()))
+    }
+}
+
+/// Drives an episode that is compared with one that was driven.
+fn drive_to_the_end(source: &mut Source) -> Result<()> {
+    let steps = source.episode().map_or(0, |played| {
+        let scenario = &played.episode().head.scenario;
+        (scenario.duration_s / scenario.step_s).ceil() as usize
+    });
+    let bar = progress::bar("steps", steps);
+    while source.goes_on() {
+        source.drive_on().map_err(anyhow::Error::msg)?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(())
+}

@@ -1,0 +1,87 @@
+// Cameras of the user: which there are, where they stand, how they move.
+import * as geometry from "./geometry.js";
+import { state } from "./state.js";
+
+const BIRDS_EYE_FOV_DEG = 8;
+const FOV_DEG = 60;
+
+/** Cameras that a source offers: [value, text]. */
+export function cameraChoices({ cameras, has_ego: hasEgo }) {
+  const choices = [];
+  if (cameras.length > 1 && hasEgo) choices.push(["rig", "All cameras"]);
+  if (hasEgo) choices.push(["follow", "Behind the car"], ["driver", "Driver"]);
+  choices.push(["birds-eye", "From above"], ["orbit", "Around a point"], ["fly", "Free flight"]);
+  cameras.forEach(({ name }) => choices.push([`named:${name}`, `Camera ${name}`]));
+  return choices;
+}
+
+/** Start of a camera of the user. `rig` is a vehicle's name, "" for the ego, null for the world. */
+export function newCamera(kind, rig, first) {
+  const attached = rig !== null;
+  const axes = attached ? geometry.axesOf([0, 0, 1]) : state.axes;
+  if (kind === "driver") return { rig, axes, at: [0.9, 0.35, 1.3], yaw: 0, pitch: 0, fov: FOV_DEG };
+  if (kind === "follow") {
+    return { rig, axes, focus: [0, 0, 1], far: 11, yaw: 0, pitch: -0.3, fov: FOV_DEG };
+  }
+  const { yaw, pitch } = geometry.anglesOf(axes, first.rotation);
+  const ahead = geometry.direction(axes, yaw, pitch);
+  if (kind === "birds-eye") {
+    const focus = attached ? [0, 0, 0] : geometry.add(first.position_m, geometry.scale(ahead, 10));
+    return { rig, axes, focus, far: 400, yaw: attached ? 0 : yaw, pitch: -Math.PI / 2, fov: BIRDS_EYE_FOV_DEG };
+  }
+  if (kind === "orbit") {
+    return { rig, axes, focus: geometry.add(first.position_m, geometry.scale(ahead, 10)), far: 10, yaw, pitch, fov: FOV_DEG };
+  }
+  return { rig, axes, at: first.position_m, yaw, pitch, fov: FOV_DEG };
+}
+
+/** Position of a camera of the user, relative to its vehicle or the world. */
+function placeOf(camera) {
+  if (!camera.focus) return camera.at;
+  const ahead = geometry.direction(camera.axes, camera.yaw, camera.pitch);
+  return geometry.subtract(camera.focus, geometry.scale(ahead, camera.far));
+}
+
+/** Camera as the protocol asks for it. */
+export function cameraRequest(camera, name) {
+  if (name) return { kind: "named", name };
+  const pinhole = {
+    position_m: placeOf(camera),
+    rotation: geometry.looking(camera.axes, camera.yaw, camera.pitch),
+    fov_deg: camera.fov,
+  };
+  if (camera.rig === null) return { kind: "free", ...pinhole };
+  return { kind: "attached", agent: camera.rig || null, ...pinhole };
+}
+
+export function turn(camera, dx, dy) {
+  // A camera that flies turns itself; one around a point is dragged with the scene.
+  const sign = camera.focus ? -1 : 1;
+  camera.yaw += sign * dx;
+  const pitch = camera.pitch + sign * dy;
+  camera.pitch = Math.max(-Math.PI / 2, Math.min(Math.PI / 2, pitch));
+}
+
+/** Moves across the image, meters. */
+export function shift(camera, right, up) {
+  const forward = geometry.direction(camera.axes, camera.yaw, camera.pitch);
+  const [ahead, left] = camera.axes;
+  const across = geometry.add(
+    geometry.scale(ahead, Math.sin(camera.yaw)),
+    geometry.scale(left, -Math.cos(camera.yaw)),
+  );
+  const above = geometry.cross(across, forward);
+  const by = geometry.add(geometry.scale(across, right), geometry.scale(above, up));
+  const key = camera.focus ? "focus" : "at";
+  camera[key] = geometry.add(camera[key], by);
+}
+
+/** Moves toward what is looked at, meters. */
+export function approach(camera, by_m) {
+  if (camera.focus) {
+    camera.far = Math.max(0.3, camera.far - by_m);
+    return;
+  }
+  const forward = geometry.direction(camera.axes, camera.yaw, camera.pitch);
+  camera.at = geometry.add(camera.at, geometry.scale(forward, by_m));
+}

@@ -1,0 +1,56 @@
+// State of the page that its modules share.
+import * as geometry from "./geometry.js";
+
+export const $ = (id) => document.getElementById(id);
+
+export const state = {
+  /** Facts of each source that do not change. */
+  sources: [],
+  /** Facts that change: span_s, parts_s, and edits and log of each source. */
+  change: null,
+  /** State of the newest update. */
+  frame: null,
+  panes: [],
+  active: 0,
+  moving: false,
+  /** Name of the agent that is edited, and how far it is dragged. */
+  selected: null,
+  points: null,
+  trails: new Map(),
+  layers: { agents: true, lanes: false, plan: true, boxes: false, names: false, trails: false },
+  speed: 1,
+  axes: geometry.axesOf([0, 0, 1]),
+  connection: null,
+};
+
+export const send = (command, fields) => state.connection.send(command, fields);
+
+/** Sends a command; what it answers or refuses is shown. Returns its result, or null. */
+export async function ask(command, fields) {
+  try {
+    const result = await state.connection.request(command, fields);
+    if (result?.said) notice(result.said);
+    return result ?? {};
+  } catch (error) {
+    notice(error.message, true);
+    return null;
+  }
+}
+
+let noticeTimer = 0;
+
+/** Shows a sentence: faults until the next image, others for a while. */
+export function notice(text, fault = false) {
+  clearTimeout(noticeTimer);
+  $("notice").textContent = text;
+  $("notice").hidden = !text;
+  $("notice").classList.toggle("fault", fault);
+  if (text && !fault) noticeTimer = setTimeout(() => notice(""), 8000);
+}
+
+/** Elements `tag` with `fields`, and `children` in it. */
+export function make(tag, fields = {}, ...children) {
+  const element = Object.assign(document.createElement(tag), fields);
+  element.append(...children);
+  return element;
+}

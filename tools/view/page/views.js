@@ -1,0 +1,462 @@
+// Views: panes and their images, what they ask for, and the mouse over them.
+import { approach, cameraChoices, cameraRequest, newCamera, shift, turn } from "./cameras.js";
+import { showBoth } from "./compare.js";
+import * as geometry from "./geometry.js";
+import { drawOverlay } from "./overlays.js";
+import { $, ask, make, send, state } from "./state.js";
+
+const REST_MS = 150;
+const LOOK_MS = 33;
+const PANES_MAX = 16;
+/** Streams of the second source are this much above those of the first. */
+const OTHER = 32;
+/** A press that moves less than this is a click, pixels. */
+const CLICK_PX = 4;
+const CHANNELS = {
+  color: "Color", depth: "Depth", range: "Distance", instance: "Agents by color",
+  normal: "Surface direction", flow: "Motion", alpha: "Opacity",
+};
+const MODES = { wipe: "Wipe", blink: "Blink", difference: "Difference" };
+const HELD = ["w", "a", "s", "d", "q", "e", "arrowleft", "arrowright", "arrowup", "arrowdown"];
+
+let chosen = () => {};
+/** Calls `then` when an agent is chosen with the mouse. */
+export const onChosen = (then) => (chosen = then);
+
+// Panes ---------------------------------------------------------------------------------------
+
+const sourceOf = (pane) => state.sources[pane.source === 1 ? 1 : 0];
+
+function menu(pane, label, entries, changed) {
+  const select = make("select", { onchange: () => changed(select.value) });
+  select.setAttribute("aria-label", `${label} of view ${pane.number + 1}`);
+  entries.forEach(([value, text]) => select.add(new Option(text, value)));
+  pane.bar.append(select);
+  return select;
+}
+
+/** Adds a pane that shows source `source`: 0, 1 or "both". */
+export function addPane(source = 0) {
+  const number = state.panes.length;
+  const [bar, box] = [make("div", { className: "bar" }), make("div", { className: "views" })];
+  const element = make("section", { className: "pane" }, bar, box);
+  element.setAttribute("aria-label", `View ${number + 1}`);
+  const pane = {
+    element, bar, box, number, source, views: [], channel: "color", choice: "", camera: null,
+    mode: "wipe", wipe: 50, factor: 16, blink: false,
+  };
+  if (state.sources.length > 1) {
+    const names = [["0", `A: ${state.sources[0].title}`], ["1", `B: ${state.sources[1].title}`], ["both", "A and B"]];
+    pane.sources = menu(pane, "Content", names, (value) => {
+      pane.source = value === "both" ? value : Number(value);
+      choose(pane, pane.choice, pane.camera?.rig);
+    });
+    pane.sources.value = String(source);
+  }
+  pane.select = menu(pane, "Camera", cameraChoices(sourceOf(pane)), (value) => choose(pane, value));
+  pane.channels = menu(pane, "Image kind", Object.entries(CHANNELS), (value) => {
+    pane.channel = value;
+    look();
+  });
+  addComparison(pane);
+  element.addEventListener("pointerdown", () => activate(number));
+  element.addEventListener("focusin", () => activate(number));
+  $("panes").append(element);
+  state.panes.push(pane);
+  steer(pane);
+  new ResizeObserver(() => look()).observe(box);
+  return pane;
+}
+
+function addComparison(pane) {
+  const bar = make("div", { className: "comparison", hidden: true });
+  const inner = { ...pane, bar };
+  const changed = () => compare(pane);
+  pane.modes = menu(inner, "Comparison", Object.entries(MODES), (value) => {
+    pane.mode = value;
+    changed();
+  });
+  const wipe = make("input", { type: "range", min: 0, max: 100, value: pane.wipe });
+  wipe.setAttribute("aria-label", "Border between A and B");
+  wipe.oninput = () => {
+    pane.wipe = wipe.value;
+    changed();
+  };
+  const blink = make("button", { textContent: "Show B", title: "Hold to see B (x)" });
+  const hold = (shown) => () => setBlink(pane, shown);
+  Object.assign(blink, { onpointerdown: hold(true), onpointerup: hold(false), onpointerleave: hold(false) });
+  blink.onkeydown = ({ key }) => [" ", "Enter"].includes(key) && setBlink(pane, true);
+  blink.onkeyup = hold(false);
+  const factors = menu(inner, "Factor of the difference", [1, 4, 16, 64].map((k) => [k, `${k}×`]), (value) => {
+    pane.factor = Number(value);
+    changed();
+  });
+  factors.value = pane.factor;
+  const said = make("output", { className: "said" });
+  bar.append(wipe, blink, said);
+  Object.assign(pane, { comparison: bar, parts: { wipe, blink, difference: factors }, said });
+  pane.bar.append(bar);
+}
+
+export function setBlink(pane, shown) {
+  pane.blink = shown;
+  compare(pane);
+}
+
+/** Shows the views of a pane of two sources. */
+function compare(pane) {
+  pane.comparison.hidden = pane.source !== "both";
+  if (pane.source !== "both") return;
+  Object.entries(pane.parts).forEach(([mode, part]) => (part.hidden = mode !== pane.mode));
+  const said = pane.views.map((view) => showBoth(view, pane)).filter((text) => text);
+  const exact = state.frame?.badge.startsWith("exact");
+  const same = said.length > 0 && said.every((text) => text === "same bits");
+  pane.said.textContent = !exact ? "" : same ? "same bits" : said.filter((text) => text !== "same bits")[0] ?? "";
+}
+
+export function activate(number) {
+  state.active = number;
+  state.panes.forEach((pane) => pane.element.classList.toggle("active", pane.number === number));
+}
+
+export const activePane = () => state.panes[state.active];
+
+/** Lets a pane look by a camera; `rig` is the vehicle that it is fixed to. */
+export function choose(pane, choice, rig) {
+  pane.choice = choice;
+  const source = sourceOf(pane);
+  const own = choice === "rig" || choice.startsWith("named:");
+  const follows = ["follow", "driver", "birds-eye"].includes(choice) && source.has_ego;
+  pane.camera = own ? null : newCamera(choice, rig ?? (follows ? "" : null), source.first_camera);
+  pane.select.value = [...pane.select.options].some((o) => o.value === choice) ? choice : "";
+  layOut(pane);
+  share(pane);
+  look();
+}
+
+/** Gives the camera of `pane` to the other pane, where both are to look alike. */
+function share(pane) {
+  if (!$("linked").checked || state.sources.length < 2) return;
+  const other = state.panes.find((one) => one !== pane);
+  if (!other) return;
+  const again = other.choice !== pane.choice;
+  Object.assign(other, { choice: pane.choice, camera: structuredClone(pane.camera) });
+  other.select.value = pane.select.value;
+  if (again) layOut(other);
+}
+
+/** Makes the canvases of a pane: one, or one for each camera of the rig. */
+function layOut(pane) {
+  const most = pane.source === "both" ? PANES_MAX / 2 - 1 : PANES_MAX - 2;
+  const all = sourceOf(pane).cameras.map((camera) => camera.name).slice(0, most);
+  const named = pane.choice.startsWith("named:") ? [pane.choice.slice(6)] : [null];
+  const cameras = pane.choice === "rig" ? all : named;
+  pane.box.style.gridTemplateColumns = `repeat(${Math.ceil(Math.sqrt(cameras.length))}, 1fr)`;
+  pane.box.replaceChildren();
+  pane.views = cameras.map((camera, index) => {
+    const [image, other, difference, overlay] = [0, 1, 2, 3].map(() => make("canvas"));
+    const title = camera ?? pane.select.selectedOptions[0]?.text ?? "View";
+    image.setAttribute("role", "img");
+    image.setAttribute("aria-label", `Image: ${title}`);
+    [other, difference, overlay].forEach((canvas) => canvas.setAttribute("aria-hidden", "true"));
+    other.hidden = difference.hidden = true;
+    const element = make("div", { className: "view" }, image, other, difference, overlay);
+    if (cameras.length > 1) element.append(make("span", { className: "name", textContent: camera }));
+    pane.box.append(element);
+    const stream = pane.number * 64 + index;
+    return { camera, element, image, other, difference, overlay, stream, pane };
+  });
+  compare(pane);
+}
+
+// What is asked for ------------------------------------------------------------------------------
+
+let lastLook = 0;
+let pendingLook = 0;
+let restTimer = 0;
+
+/** Asks for what the views show now. */
+export function look(moving = false) {
+  state.moving = moving;
+  if (moving) {
+    clearTimeout(restTimer);
+    restTimer = setTimeout(() => look(false), REST_MS);
+  }
+  const wait = moving ? lastLook + LOOK_MS - performance.now() : 0;
+  if (pendingLook) return;
+  pendingLook = setTimeout(() => {
+    pendingLook = 0;
+    lastLook = performance.now();
+    sendLook();
+  }, Math.max(0, wait));
+}
+
+function sendLook() {
+  const widest = Number($("width").value);
+  const panes = state.panes.flatMap((pane) =>
+    pane.views.flatMap((view) => {
+      const { width, height } = view.element.getBoundingClientRect();
+      const ratio = Math.min(window.devicePixelRatio || 1, widest / Math.max(1, width));
+      const side = (css) => Math.round(Math.min(4096, Math.max(16, css * ratio)));
+      const asked = {
+        stream: view.stream, source: pane.source === 1 ? 1 : 0,
+        width_px: side(width), height_px: side(height),
+        camera: cameraRequest(pane.camera, view.camera), channel: pane.channel,
+        agents: state.layers.agents,
+      };
+      if (pane.source !== "both") return [asked];
+      return [asked, { ...asked, stream: view.stream + OTHER, source: 1 }];
+    }),
+  );
+  if (panes.length === 0) return;
+  const lidar = $("lidar").value || null;
+  send("look", { panes, moving: state.moving, reduce: $("reduce").checked, lidar });
+}
+
+const views = () => state.panes.flatMap((pane) => pane.views);
+
+export function showImages(images, points) {
+  state.points = points ?? null;
+  images.forEach(({ stream, bitmap, size_px: [width, height] }) => {
+    const isOther = stream % 64 >= OTHER;
+    const view = views().find((one) => one.stream === stream - (isOther ? OTHER : 0));
+    if (!view) return;
+    const canvas = isOther ? view.other : view.image;
+    Object.assign(canvas, { width, height });
+    canvas.getContext("2d", { willReadFrequently: view.pane.source === "both" }).drawImage(bitmap, 0, 0);
+  });
+  state.panes.forEach(compare);
+}
+
+export function drawOverlays() {
+  state.frame?.panes.forEach((camera) => {
+    const view = views().find((one) => one.stream === camera.stream);
+    if (view) drawOverlay(view, camera, state.frame.sources[camera.source]);
+  });
+}
+
+// The mouse -----------------------------------------------------------------------------------
+
+/** A camera of the file becomes one that can be moved, from where it is. */
+function movable(pane) {
+  if (pane.camera) return pane.camera;
+  const shown = cameraOf(pane.views[0]);
+  if (!shown || pane.views.length !== 1) return null;
+  const angles = geometry.anglesOf(state.axes, shown.pose.rotation);
+  choose(pane, "fly");
+  Object.assign(pane.camera, { at: shown.pose.position_m, ...angles });
+  return pane.camera;
+}
+
+const cameraOf = (view) => state.frame?.panes.find((camera) => camera.stream === view?.stream);
+
+/** View and pixel under the mouse: shares of its image, and where on the overlay. */
+function under(pane, { clientX, clientY }) {
+  for (const view of pane.views) {
+    const box = view.element.getBoundingClientRect();
+    const [x, y] = [clientX - box.left, clientY - box.top];
+    const camera = cameraOf(view);
+    if (!camera || x < 0 || y < 0 || x > box.width || y > box.height) continue;
+    const [width, height] = camera.size_px;
+    const scale = Math.min(box.width / width, box.height / height);
+    const pixel = [(x - (box.width - scale * width) / 2) / scale, (y - (box.height - scale * height) / 2) / scale];
+    return { view, camera, pixel, at: [pixel[0] / width, pixel[1] / height] };
+  }
+  return null;
+}
+
+/** True if the box of the selected agent is under the mouse. */
+function onSelected({ camera, pixel }) {
+  const { sources } = state.frame;
+  const agent = sources[0].agents.find(({ name }) => name === state.selected);
+  if (!agent || camera.source !== 0) return false;
+  const corners = geometry.corners(agent).map((corner) => geometry.project(camera, corner));
+  if (corners.some((corner) => !corner)) return false;
+  return [0, 1].every((axis) => {
+    const sides = corners.map((corner) => corner[axis]);
+    return pixel[axis] >= Math.min(...sides) && pixel[axis] <= Math.max(...sides);
+  });
+}
+
+async function pick(place) {
+  const picked = await ask("pick", { stream: place.view.stream, at: place.at });
+  if (picked) chosen(picked);
+  return picked;
+}
+
+/** Lets the camera of a pane circle around the place under the mouse. */
+async function circle(pane, place) {
+  const picked = await pick(place);
+  if (!picked?.position_m) return;
+  const { position_m: from, rotation } = place.camera.pose;
+  choose(pane, "orbit", null);
+  const far = geometry.length(geometry.subtract(picked.position_m, from));
+  const { yaw, pitch } = geometry.anglesOf(pane.camera.axes, rotation);
+  Object.assign(pane.camera, { focus: picked.position_m, far: Math.max(1, Math.min(far, 60)), yaw, pitch });
+  share(pane);
+  look();
+}
+
+let lastDrag = 0;
+
+/** Drags the selected agent to the pixel `at`; `done` when the mouse is released. */
+function drag({ place }, at, free, done) {
+  const now = performance.now();
+  if (!done && now - lastDrag < LOOK_MS) return;
+  lastDrag = now;
+  const fields = { stream: place.view.stream, agent: state.selected, from: place.at, to: at, free, done };
+  ask("drag", fields);
+}
+
+function steer(pane) {
+  const { box } = pane;
+  let press = null;
+  box.addEventListener("contextmenu", (event) => event.preventDefault());
+  box.addEventListener("pointerdown", (event) => {
+    const place = state.frame && under(pane, event);
+    const drags = event.button === 0 && !event.shiftKey && place && onSelected(place);
+    press = {
+      x: event.clientX, y: event.clientY, moves: event.button === 2 || event.shiftKey,
+      place, drags, far: 0, button: event.button,
+    };
+    box.setPointerCapture(event.pointerId);
+  });
+  box.addEventListener("pointermove", (event) => {
+    if (!press) return;
+    const [dx, dy] = [event.clientX - press.x, event.clientY - press.y];
+    press.far += Math.hypot(dx, dy);
+    Object.assign(press, { x: event.clientX, y: event.clientY });
+    if (press.far < CLICK_PX) return;
+    if (press.drags) {
+      const to = under(pane, event);
+      if (to?.view === press.place.view) drag(press, to.at, event.altKey, false);
+      return;
+    }
+    const camera = movable(pane);
+    if (!camera) return;
+    // A drag across the height of the view moves by that height, at the point looked at.
+    const height = box.getBoundingClientRect().height;
+    const extent = 2 * (camera.far ?? 10) * Math.tan((camera.fov * Math.PI) / 360);
+    const above = camera.focus && camera.pitch < -1.5;
+    if (press.moves || above) shift(camera, (-dx * extent) / height, (dy * extent) / height);
+    else turn(camera, (dx * 2) / height, (dy * 2) / height);
+    share(pane);
+    look(true);
+  });
+  box.addEventListener("pointerup", (event) => {
+    const ended = press;
+    press = null;
+    if (!ended?.place) return;
+    if (ended.far < CLICK_PX) {
+      if (ended.button === 0) pick(ended.place);
+    } else if (ended.drags) {
+      const to = under(pane, event);
+      drag(ended, (to?.view === ended.place.view ? to : ended.place).at, event.altKey, true);
+    }
+  });
+  box.addEventListener("pointercancel", () => (press = null));
+  box.addEventListener("dblclick", (event) => {
+    const place = state.frame && under(pane, event);
+    if (place) circle(pane, place);
+  });
+  box.addEventListener(
+    "wheel",
+    (event) => {
+      event.preventDefault();
+      const camera = movable(pane);
+      if (!camera) return;
+      if (camera.focus) camera.far = Math.max(0.3, camera.far * Math.exp(event.deltaY * 0.001));
+      else approach(camera, -event.deltaY * 0.01);
+      share(pane);
+      look(true);
+    },
+    { passive: false },
+  );
+}
+
+// Keys that are held ------------------------------------------------------------------------------
+
+const held = new Set();
+let flownAt = 0;
+
+export const isHeld = (key) => HELD.includes(key);
+
+export function hold(key, fast) {
+  if (held.size === 0) {
+    flownAt = performance.now();
+    requestAnimationFrame(fly);
+  }
+  held.add(key);
+  if (fast) held.add("shift");
+}
+
+export function release(key) {
+  held.delete(key);
+  // Shift alone does not fly.
+  if (held.size === 1) held.delete("shift");
+}
+
+export const releaseAll = () => held.clear();
+
+function fly(now) {
+  const seconds = Math.min(0.1, (now - flownAt) / 1000);
+  flownAt = now;
+  if (held.size === 0) return;
+  const pane = activePane();
+  const camera = movable(pane);
+  if (camera) {
+    const step = (held.has("shift") ? 30 : 8) * seconds;
+    const sign = (plus, minus) => Number(held.has(plus)) - Number(held.has(minus));
+    approach(camera, step * sign("w", "s"));
+    shift(camera, step * sign("d", "a"), step * sign("e", "q"));
+    turn(camera, -seconds * sign("arrowright", "arrowleft"), seconds * sign("arrowup", "arrowdown"));
+    share(pane);
+    look(true);
+  }
+  requestAnimationFrame(fly);
+}
+
+// Saved views -------------------------------------------------------------------------------------
+
+const bookmarks = new Map();
+
+export function bookmark(digit, save) {
+  const pane = activePane();
+  if (save) {
+    const { choice, channel, camera } = pane;
+    bookmarks.set(digit, structuredClone({ choice, channel, camera }));
+    const entries = [...bookmarks.keys()].sort().map((key) =>
+      make("li", {}, make("button", { textContent: `View ${key}`, onclick: () => bookmark(key, false) })),
+    );
+    $("bookmarks").replaceChildren(...entries);
+    return;
+  }
+  const saved = bookmarks.get(digit);
+  if (!saved) return;
+  choose(pane, saved.choice, saved.camera?.rig);
+  Object.assign(pane, structuredClone(saved));
+  pane.channels.value = pane.channel;
+  share(pane);
+  look();
+}
+
+/** One view or two. */
+export function setTwo(two) {
+  $("two").setAttribute("aria-pressed", two);
+  if (two && state.panes.length === 1) {
+    const source = state.sources.length > 1 && state.panes[0].source !== 1 ? 1 : 0;
+    const pane = addPane(source);
+    const [first] = state.panes;
+    choose(pane, state.sources.length > 1 ? first.choice : "birds-eye", first.camera?.rig);
+  } else if (!two && state.panes.length === 2) {
+    state.panes.pop().element.remove();
+    activate(0);
+  }
+  look();
+}
+
+/** The next entry of a menu. */
+export function next(select) {
+  select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
+  select.onchange();
+}

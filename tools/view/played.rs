@@ -1,0 +1,259 @@
+//! Episode at all its moments: from a log, or driven while it is shown.
+
+use std::io::Write;
+use std::path::Path;
+use std::sync::Arc;
+
+use decouplegs::asset::{LoadedScene, episode_log, write_atomically};
+use decouplegs::drive::score::{EpisodeScore, times_to_collision};
+use decouplegs::episode::{EpisodeError, LiveEpisode, Moment, Moments, Site, reading_hash};
+use decouplegs::explain::explain;
+use decouplegs::scene::episode::{Episode, EpisodeTick};
+use decouplegs::scene::{Camera, Rig};
+use decouplegs::session::SessionScene;
+use glam::DVec2;
+use serde_json::{Value, json};
+
+use crate::lanes::Lanes;
+
+/// Times of a log are matched to this, seconds: far below its steps.
+const SAME_S: f64 = 1e-6;
+
+enum Driven {
+    Logged(Box<Episode>),
+    Live(Box<LiveEpisode>),
+}
+
+/// Episode at all its moments.
+pub struct Played {
+    driven: Driven,
+    site: Arc<Site>,
+    lanes: Lanes,
+    /// Cameras, those of the log in its size.
+    rig: Rig,
+    moments: Moments,
+}
+
+impl Played {
+    /// Moments of `episode`, which was driven in `site`, whose copy on the device is `scene`.
+    ///
+    /// # Errors
+    /// Returns an error if the log does not fit the site.
+    pub fn logged(
+        episode: Episode,
+        site: Arc<Site>,
+        scene: &Arc<SessionScene>,
+    ) -> Result<Self, EpisodeError> {
+        let moments = Moments::of(&episode, &site, scene)?;
+        Ok(Self::new(Driven::Logged(Box::new(episode)), site, moments))
+    }
+
+    /// Start of an episode that goes on with [`Played::drive_on`].
+    ///
+    /// # Errors
+    /// Returns an error if the scenario does not fit the site.
+    pub fn live(
+        episode: LiveEpisode,
+        site: Arc<Site>,
+        scene: &Arc<SessionScene>,
+    ) -> Result<Self, EpisodeError> {
+        let scenario = &episode.episode().head.scenario;
+        let moments = Moments::begin(scenario, &site, scene, 1)?;
+        Ok(Self::new(Driven::Live(Box::new(episode)), site, moments))
+    }
+
+    fn new(driven: Driven, site: Arc<Site>, moments: Moments) -> Self {
+        let mut played = Self {
+            driven,
+            rig: Rig::from_iter(site.loaded.rig.cameras().cloned()),
+            lanes: Lanes::new(site.lanes.clone()),
+            site,
+            moments,
+        };
+        let head = &played.episode().head;
+        if let Some(drawn_by) = head.drawn_by.clone() {
+            let logged = head.planner.cameras.clone();
+            let cameras = played.rig.cameras_mut();
+            for camera in cameras.filter(|camera| logged.contains(&camera.name)) {
+                let k = &mut camera.intrinsics;
+                *k = k.resized(drawn_by.width_px, drawn_by.height_px);
+            }
+        }
+        played
+    }
+
+    /// Record of the episode, as far as it was driven.
+    pub fn episode(&self) -> &Episode {
+        match &self.driven {
+            Driven::Logged(episode) => episode,
+            Driven::Live(live) => live.episode(),
+        }
+    }
+
+    /// True while more steps can be driven.
+    pub fn goes_on(&self) -> bool {
+        matches!(&self.driven, Driven::Live(live) if !live.is_over())
+    }
+
+    /// Drives one more step, if the episode goes on.
+    ///
+    /// # Errors
+    /// Returns an error if the device fails.
+    pub fn drive_on(&mut self) -> Result<(), EpisodeError> {
+        if let Driven::Live(live) = &mut self.driven
+            && let Some(step) = live.step()?
+        {
+            self.moments.add(step)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the log of the episode so far to `path`, where no file is.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub fn save(&self, path: &Path) -> Result<String, String> {
+        if path.exists() {
+            return Err(format!(
+                "{} exists already and is left as it is: choose another name",
+                path.display()
+            ));
+        }
+        let bytes = episode_log::encode(self.episode()).map_err(|error| explain(&error))?;
+        let written = write_atomically(path, |file| file.write_all(&bytes));
+        written.map_err(|error| explain(&error))?;
+        Ok(format!("saved as {}", path.display()))
+    }
+
+    /// First and last time, seconds.
+    pub fn span_s(&self) -> [f64; 2] {
+        let time_s = |moment: Option<&Moment>| moment.map_or(0.0, |moment| moment.time_s);
+        let moments = self.moments.as_slice();
+        [time_s(moments.first()), time_s(moments.last())]
+    }
+
+    /// Scene of the place.
+    pub fn loaded(&self) -> &LoadedScene {
+        &self.site.loaded
+    }
+
+    /// Duration of a step of the planner, seconds.
+    pub fn step_s(&self) -> f64 {
+        self.episode().head.scenario.step_s
+    }
+
+    fn index_at(&self, time_s: f64) -> usize {
+        let moments = self.moments.as_slice();
+        let later = moments.partition_point(|moment| moment.time_s <= time_s + SAME_S);
+        later.saturating_sub(1)
+    }
+
+    /// The last moment until `time_s`.
+    pub fn at(&self, time_s: f64) -> &Moment {
+        &self.moments.as_slice()[self.index_at(time_s)]
+    }
+
+    /// Cameras of the ego at `moment`.
+    pub fn cameras(&self, moment: &Moment) -> Vec<Camera> {
+        self.rig.moving_at(&moment.ego, &moment.motion)
+    }
+
+    /// True if `rgba` has the hash that the log has for `camera` at `time_s`; `None` where the log
+    /// has no image of this size then.
+    pub fn is_logged(
+        &self,
+        time_s: f64,
+        camera: &str,
+        size_px: [u32; 2],
+        rgba: &[u8],
+    ) -> Option<bool> {
+        let episode = self.episode();
+        let drawn_by = episode.head.drawn_by.as_ref()?;
+        let step = &episode.steps[self.at(time_s).step? as usize];
+        let mut readings = step.readings.iter();
+        let reading = readings.find(|reading| reading.sensor == camera)?;
+        (size_px == [drawn_by.width_px, drawn_by.height_px])
+            .then(|| reading_hash(rgba) == reading.hash)
+    }
+
+    /// Points of the plan that the ego follows at `time_s`, world coordinates on the ground.
+    pub fn plan(&self, time_s: f64) -> Vec<[f64; 3]> {
+        let episode = self.episode();
+        let until = &self.moments.as_slice()[..=self.index_at(time_s)];
+        let begin = until.iter().rev().find_map(|m| Some((m.step? as usize, m)));
+        let Some((step, from)) = begin else {
+            return Vec::new();
+        };
+        let down_m = 0.5 * episode.head.scenario.ego.size.height_m;
+        let points = episode.steps[step].plan.points().iter();
+        let points = [DVec2::ZERO]
+            .into_iter()
+            .chain(points.map(|p| p.position_m));
+        points
+            .map(|at_m| from.ego.rotation * at_m.extend(-down_m) + from.ego.translation)
+            .map(|at_m| at_m.to_array())
+            .collect()
+    }
+
+    /// Kind of the agent called `name`.
+    pub fn class_of(&self, name: &str) -> Option<String> {
+        let head = &self.episode().head;
+        let mut agents = (0..head.agent_sizes.len()).map(|index| head.scenario.agent(index));
+        let (_, kind, _) = agents.find(|agent| agent.0 == name)?;
+        Some(kind.name().to_owned())
+    }
+
+    /// Score, infractions and curves over time, as JSON.
+    pub fn facts(&self) -> Value {
+        let episode = self.episode();
+        let head = &episode.head;
+        let score = EpisodeScore::of(episode);
+        let events: Vec<Value> = (score.infractions.iter())
+            .map(|infraction| {
+                json!({
+                    "time_s": infraction.time_s,
+                    "text": infraction.describe(head),
+                    "factor": infraction.factor(),
+                })
+            })
+            .collect();
+        let speeds = episode.instants().map(|tick| tick.ego.speed_mps);
+        let times: Vec<(f64, Option<f64>)> = (times_to_collision(episode).into_iter())
+            .map(|(time_s, closest)| (time_s, closest.map(|closest| closest.ttc_s)))
+            .collect();
+        json!({
+            "scenario": head.scenario.name,
+            "planner": head.planner.name,
+            "departs_s": self.moments.departs_s(),
+            "is_live": matches!(self.driven, Driven::Live(_)),
+            "goes_on": self.goes_on(),
+            "score": {
+                "driving_score": score.driving_score,
+                "route_completion": score.route_completion,
+                "success": score.success,
+                "min_ttc_s": score.min_ttc_s(),
+            },
+            "events": events,
+            "speed_mps": speeds.collect::<Vec<f64>>(),
+            "time_to_collision_s": times,
+        })
+    }
+
+    /// Lanes about the ego's way, as lines.
+    pub fn lane_lines(&self) -> Vec<Vec<[f64; 3]>> {
+        let way = self.moments.as_slice().iter();
+        let way = way.map(|moment| moment.ego.translation);
+        let z_m = way.clone().next().map_or(0.0, |start| start.z);
+        let route = self.episode().head.route_m.iter();
+        let route = route.map(|at| at.extend(z_m));
+        self.lanes.lines_about(way.chain(route))
+    }
+
+    /// Time of the first moment at which the ego or an agent is elsewhere than in `other`, seconds;
+    /// `None` where the two are the same as far as both were driven.
+    pub fn parts_from(&self, other: &Self) -> Option<f64> {
+        let mut pairs = self.episode().instants().zip(other.episode().instants());
+        let differs = |(a, b): &(&EpisodeTick, &EpisodeTick)| a != b;
+        pairs.find(differs).map(|(tick, _)| tick.time_s)
+    }
+}
