@@ -6,39 +6,6 @@ use decouplegs::scene::Trajectory;
 
 use super::*;
 
-/// The small street with its agents compressed: plain splats are part of the background, which
-/// stands still.
-pub fn coded_street(street: &Path) {
-    small_street(street);
-    let scene = street.join("scene.toml");
-    let mut file = fs::read_to_string(&scene).unwrap();
-    for entry in fs::read_dir(street.join("assets")).unwrap() {
-        let plain = entry.unwrap().path();
-        let coded = plain.with_extension("safetensors");
-        let sizes = [
-            "--views",
-            "4",
-            "--view-size",
-            "32",
-            "--colors",
-            "24",
-            "--shapes",
-            "12",
-        ];
-        succeed(
-            &[
-                &["compress", text(&plain), "--out", text(&coded)][..],
-                &sizes,
-            ]
-            .concat(),
-        );
-        let [plain, coded] =
-            [&plain, &coded].map(|path| path.file_name().unwrap().to_str().unwrap());
-        file = file.replace(plain, coded);
-    }
-    fs::write(&scene, file).unwrap();
-}
-
 /// Planes of geometry are arrays of their own shape, with previews, and cost color nothing.
 #[test]
 fn planes_of_geometry_are_written_beside_the_images() {

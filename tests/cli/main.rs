@@ -73,6 +73,15 @@ fn text(path: &Path) -> &str {
 
 /// A street of a few thousand splats in a folder of its own.
 fn small_street(folder: &Path) {
+    street(folder, &[]);
+}
+
+/// The same street with cars that move.
+fn coded_street(folder: &Path) {
+    street(folder, &["--movable"]);
+}
+
+fn street(folder: &Path, more: &[&str]) {
     let sizes = [
         "--background",
         "4000",
@@ -92,7 +101,7 @@ fn small_street(folder: &Path) {
         "--out",
         text(folder),
     ];
-    succeed(&[["synth", "street"].as_slice(), &sizes, &rest].concat());
+    succeed(&[["synth", "street"].as_slice(), &sizes, &rest, more].concat());
 }
 
 #[test]

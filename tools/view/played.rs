@@ -108,7 +108,7 @@ impl Played {
         Ok(())
     }
 
-    /// Writes the log of the episode so far to `path`, where no file is.
+    /// Writes the log of the episode, which has ended, to `path`, where no file is.
     ///
     /// # Errors
     /// A sentence.
@@ -118,6 +118,11 @@ impl Played {
                 "{} exists already and is left as it is: choose another name",
                 path.display()
             ));
+        }
+        if self.goes_on() {
+            return Err(
+                "the episode goes on: a log is that of a whole one. Play it to its end".into(),
+            );
         }
         let bytes = episode_log::encode(self.episode()).map_err(|error| explain(&error))?;
         let written = write_atomically(path, |file| file.write_all(&bytes));

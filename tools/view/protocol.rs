@@ -222,14 +222,30 @@ const fn yes() -> bool {
     true
 }
 
+/// Reason why a text is no command.
+#[derive(Debug, PartialEq)]
+pub struct Refused {
+    /// Number of the command, where it has one.
+    pub sequence: Option<u64>,
+    /// A sentence.
+    pub reason: String,
+}
+
 /// Reads a command and checks its numbers.
 ///
 /// # Errors
-/// A sentence, when `text` is not a command or a number is out of range.
-pub fn parse(text: &str) -> Result<Request, String> {
-    let request: Request =
-        serde_json::from_str(text).map_err(|error| format!("not a command: {error}"))?;
-    check(&request.command)?;
+/// Returns an error when `text` is not a command or a number is out of range.
+pub fn parse(text: &str) -> Result<Request, Refused> {
+    let request: Request = serde_json::from_str(text).map_err(|error| Refused {
+        sequence: serde_json::from_str(text)
+            .ok()
+            .and_then(|json: Value| json.get("sequence")?.as_u64()),
+        reason: format!("not a command: {error}"),
+    })?;
+    check(&request.command).map_err(|reason| Refused {
+        sequence: Some(request.sequence),
+        reason,
+    })?;
     Ok(request)
 }
 
@@ -443,8 +459,10 @@ mod tests {
                 "fov_deg",
             ),
         ] {
-            let error = parse(text).unwrap_err();
-            assert!(error.contains(word), "{text}: {error}");
+            let refused = parse(text).unwrap_err();
+            assert!(refused.reason.contains(word), "{text}: {refused:?}");
+            let is_numbered = text.starts_with("{\"sequence\"");
+            assert_eq!(refused.sequence.is_some(), is_numbered, "{text}");
         }
     }
 

@@ -15,7 +15,7 @@ use axum::routing::get;
 use subtle::ConstantTimeEq;
 use tokio::sync::mpsc;
 
-use crate::protocol::{COMMAND_BYTES_MAX, parse};
+use crate::protocol::{COMMAND_BYTES_MAX, Refused, parse};
 use crate::session::{Event, Outgoing};
 
 /// Messages that wait for a client before it is dropped.
@@ -191,12 +191,12 @@ async fn serve(mut socket: WebSocket, service: Service) {
                     Ok(request) => if !post(&service, Event::Command(id, request)).await {
                         break Some("the viewer ends");
                     },
-                    Err(error) => {
+                    Err(Refused { sequence, reason }) => {
                         faults += 1;
                         if faults > FAULTS_MAX {
                             break Some("too many messages were no commands");
                         }
-                        let answer = serde_json::json!({"type": "ack", "sequence": null, "error": error});
+                        let answer = serde_json::json!({"type": "ack", "sequence": sequence, "error": reason});
                         if socket.send(Message::Text(answer.to_string().into())).await.is_err() {
                             break None;
                         }

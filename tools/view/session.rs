@@ -294,7 +294,7 @@ impl Viewer {
         let begin_s = self.span_s()[0];
         let step = ((self.clock.time_s - begin_s) / step_s).round() + f64::from(by);
         let time_s = begin_s + step * step_s;
-        if by > 0 && time_s > self.span_s()[1] {
+        if by > 0 && time_s > self.reached_s() {
             self.drive_on()?;
         }
         self.set_time(time_s);
@@ -306,6 +306,14 @@ impl Viewer {
         let spans = self.sources.iter().map(Source::span_s);
         let both = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
         spans.reduce(both).unwrap_or_default()
+    }
+
+    /// Last time that is reached: that of the episode that goes on and is least far, if there is
+    /// one.
+    fn reached_s(&self) -> f64 {
+        let live = self.sources.iter().filter(|source| source.goes_on());
+        let ends = live.map(|source| source.span_s()[1]);
+        ends.fold(self.span_s()[1], f64::min)
     }
 
     fn changing_facts(&self) -> Value {
@@ -335,10 +343,11 @@ impl Viewer {
         }
     }
 
-    /// Drives one more step of each episode that goes on.
+    /// Drives one more step of the episodes that go on and are least far.
     fn drive_on(&mut self) -> Result<(), String> {
-        let goes_on = self.sources.iter_mut().filter(|source| source.goes_on());
-        for source in goes_on {
+        let reached_s = self.reached_s();
+        let live = self.sources.iter_mut().filter(|source| source.goes_on());
+        for source in live.filter(|source| source.span_s()[1] <= reached_s) {
             source.drive_on()?;
         }
         self.tell_changes();
@@ -346,8 +355,8 @@ impl Viewer {
     }
 
     fn set_time(&mut self, time_s: f64) {
-        let [begin_s, end_s] = self.span_s();
-        self.clock.time_s = time_s.clamp(begin_s, end_s);
+        let begin_s = self.span_s()[0];
+        self.clock.time_s = time_s.clamp(begin_s, self.reached_s().max(begin_s));
         self.clock.advanced = Instant::now();
         let time_s = self.clock.time_s;
         (self.sources.iter_mut()).for_each(|source| source.set_time(time_s));
@@ -362,21 +371,19 @@ impl Viewer {
         if !self.clock.playing {
             return;
         }
-        let [begin_s, mut end_s] = self.span_s();
+        let (begin_s, reached_s) = (self.span_s()[0], self.reached_s());
         let elapsed_s = self.clock.advanced.elapsed().as_secs_f64();
         let mut time_s = self.clock.time_s + elapsed_s * self.clock.speed;
-        if time_s >= end_s && self.sources.iter().any(Source::goes_on) {
+        if time_s >= reached_s && self.sources.iter().any(Source::goes_on) {
             if let Err(error) = self.drive_on() {
                 self.clock.playing = false;
                 self.tell(&json!({"type": "error", "text": error}));
             }
-            end_s = self.span_s()[1];
-            time_s = time_s.min(end_s);
-        } else if time_s >= end_s {
+        } else if time_s >= reached_s {
             self.clock.playing = self.clock.looping;
             time_s = match self.clock.looping {
                 true => begin_s,
-                false => end_s,
+                false => reached_s,
             };
         }
         self.set_time(time_s);

@@ -24,18 +24,27 @@ function drawDifference(canvas, a, b, factor) {
   canvas.getContext("2d").putImageData(shown, 0, 0);
 }
 
-/** Shows both images of `view` as `mode` says; a sentence on how much they differ. */
+/**
+ * Shows both images of `view` as `mode` says. Returns how much they differ; null where their sizes
+ * do.
+ */
 export function showBoth(view, { mode, wipe, blink, factor }) {
   const { image, other, difference } = view;
   const equalSizes = image.width === other.width && image.height === other.height;
   other.style.clipPath = mode === "wipe" ? `inset(0 0 0 ${wipe}%)` : "";
   other.hidden = mode === "blink" ? !blink : mode !== "wipe";
   difference.hidden = mode !== "difference";
-  if (!equalSizes || image.width === 0) return "";
+  if (!equalSizes || image.width === 0) return null;
   const read = (canvas) => canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
   const [a, b] = [read(image), read(other)];
   if (mode === "difference") drawDifference(difference, a, b, factor);
-  const { largest, psnr } = measure(a.data, b.data);
-  if (largest === 0) return "same bits";
-  return `${psnr.toFixed(1)} dB, largest difference ${largest} of 255`;
+  return measure(a.data, b.data);
+}
+
+/** Sentence on the views that were compared: on the one that differs most. */
+export function describe(measured) {
+  if (measured.length === 0) return "";
+  const worst = measured.reduce((one, two) => (one.psnr <= two.psnr ? one : two));
+  if (worst.largest === 0) return "same bits";
+  return `${worst.psnr.toFixed(1)} dB, largest difference ${worst.largest} of 255`;
 }

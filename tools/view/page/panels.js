@@ -42,7 +42,7 @@ export function showScore() {
   const logs = state.change.sources.map(({ log }) => log).filter((log) => log);
   $("score").hidden = logs.length === 0;
   if (logs.length === 0) return;
-  const percent = (value) => `${(100 * value).toFixed(1)} %`;
+  const percent = (value) => `${(100 * value).toFixed(0)} %`;
   const row = (name, value) => [name, ...logs.map(value)];
   const shortest = ({ score }) => (score.min_ttc_s === null ? "none" : `${score.min_ttc_s.toFixed(1)} s`);
   $("score-list").classList.toggle("two", logs.length > 1);
@@ -51,16 +51,17 @@ export function showScore() {
     row("Route completed", ({ score }) => percent(score.route_completion)),
     row("Success", ({ score }) => (score.success ? "yes" : "no")),
     row("Shortest time to collision", shortest),
-    row("Planner", ({ planner }) => planner),
-    row("Scenario", ({ scenario }) => scenario),
     row("State", ({ is_live: live, goes_on: on }) => (!live ? "recorded" : on ? "driving" : "ended")),
   ];
-  if (logs.length > 1) {
-    const { parts_s: parts } = state.change;
-    rows.unshift(["", "A", "B"]);
-    rows.push(["First difference", parts === null ? "none: A and B are the same" : `${parts.toFixed(1)} s`, ""]);
-  }
+  if (logs.length > 1) rows.unshift(["", "A", "B"]);
   showList("score-list", rows);
+  const { parts_s: parts } = state.change;
+  const of = (index) => (logs.length > 1 ? ` ${"AB"[index]}` : "");
+  const words = logs.map(({ planner, scenario }, index) => [`Planner${of(index)}`, `${planner}, in ${scenario}`]);
+  if (logs.length > 1) {
+    words.push(["First difference", parts === null ? "none: A and B are the same" : `at ${parts.toFixed(1)} s`]);
+  }
+  showList("score-words", words);
   $("log-save").hidden = !logs[0].is_live;
   const departs = logs.map(({ departs_s: time }) => time).find((time) => time !== null);
   if (departs !== undefined && !state.warned) {

@@ -80,6 +80,7 @@ export function showCourse() {
   Object.assign($("time"), { min: begin, max: end });
   ["time", "play", "back", "forward", "speed", "loop"].forEach((id) => ($(id).disabled = still));
   $("course").hidden = !logs()[0];
+  $("thin").hidden = logs().length < 2;
   if (!logs()[0]) return;
   const fastest = Math.max(1, ...logs().flatMap((log) => log?.speed_mps ?? []));
   const curves = logs().flatMap((log, index) => {

@@ -1,6 +1,6 @@
 // Views: panes and their images, what they ask for, and the mouse over them.
 import { approach, cameraChoices, cameraRequest, newCamera, shift, turn } from "./cameras.js";
-import { showBoth } from "./compare.js";
+import { describe, showBoth } from "./compare.js";
 import * as geometry from "./geometry.js";
 import { drawOverlay } from "./overlays.js";
 import { $, ask, make, send, state } from "./state.js";
@@ -108,10 +108,9 @@ function compare(pane) {
   pane.comparison.hidden = pane.source !== "both";
   if (pane.source !== "both") return;
   Object.entries(pane.parts).forEach(([mode, part]) => (part.hidden = mode !== pane.mode));
-  const said = pane.views.map((view) => showBoth(view, pane)).filter((text) => text);
+  const measured = pane.views.map((view) => showBoth(view, pane)).filter((one) => one);
   const exact = state.frame?.badge.startsWith("exact");
-  const same = said.length > 0 && said.every((text) => text === "same bits");
-  pane.said.textContent = !exact ? "" : same ? "same bits" : said.filter((text) => text !== "same bits")[0] ?? "";
+  pane.said.textContent = exact ? describe(measured) : "";
 }
 
 export function activate(number) {

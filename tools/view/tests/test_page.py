@@ -1,0 +1,436 @@
+"""The page of `decouplegs view` in a headless browser: what is seen is what is rendered, with mouse and keyboard.
+
+Needs playwright and Debian's chromium; without them the tests are skipped. Screenshots go to the folder VIEW_SCREENSHOTS, if it is set.
+VIEW_SOAK_S=1800 runs the soak test for half an hour.
+"""
+
+import base64
+import json
+import os
+import re
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+playwright = pytest.importorskip("playwright.sync_api")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+if CHROMIUM is None:
+    pytest.skip("chromium is not installed", allow_module_level=True)
+
+PROGRAM = os.environ.get("DECOUPLEGS_PROGRAM", "decouplegs")
+# As root Chromium needs --no-sandbox; it is to reach no other host.
+BROWSER_ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+PATIENCE_S = 60
+# Kinds of images: color, depth and so on.
+KINDS = 7
+# Longer than the page waits before it asks for images at rest.
+SETTLED_S = 0.4
+FISHEYE = 'lens = { model = "opencv-fisheye", radial = [0.05, -0.01, 0.0, 0.0] }\n'
+
+
+def run(*arguments, folder=None):
+    subprocess.run([PROGRAM, *map(str, arguments)], cwd=folder, check=True, capture_output=True)
+
+
+class Viewer:
+    """A running viewer; its address is `url`."""
+
+    def __init__(self, folder, *arguments):
+        self.program = subprocess.Popen(
+            [PROGRAM, "view", *map(str, arguments), *([] if "--port" in arguments else ["--port", "0"])],
+            cwd=folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        self.url = self.program.stdout.readline().strip()
+        assert self.url.startswith("http://127.0.0.1:")
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.program.kill()
+        self.program.wait()
+
+    def memory_kib(self):
+        status = Path(f"/proc/{self.program.pid}/status").read_text()
+        return int(re.search(r"VmRSS:\s+(\d+)", status)[1])
+
+
+class Page:
+    """A page of a browser, and what it shows."""
+
+    def __init__(self, page, url):
+        self.page = page
+        self.faults = []
+        page.on("pageerror", lambda error: self.faults.append(str(error)))
+        page.goto(url)
+        self.at_rest()
+
+    def shown(self):
+        return self.page.evaluate("() => window.viewer?.frame ?? null")
+
+    def wait(self, is_so):
+        """The state of the first update that `is_so` holds for."""
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            frame = self.shown()
+            if frame and is_so(frame):
+                return frame
+            time.sleep(0.02)
+        raise TimeoutError(str(self.shown())[:500])
+
+    def at_rest(self, after=0):
+        """The newest exact update, which no other has followed for a while."""
+        while True:
+            frame = self.wait(lambda frame: frame["update"] > after and frame["badge"].startswith("exact"))
+            time.sleep(SETTLED_S)
+            if self.shown()["update"] == frame["update"]:
+                return frame
+
+    def after(self, act):
+        """The update at rest that follows `act`."""
+        before = self.shown()["update"]
+        act()
+        return self.at_rest(before)
+
+    def choose(self, label, value):
+        return self.after(lambda: self.page.select_option(f"[aria-label='{label}']", value))
+
+    def pixels(self, canvas=0):
+        """Width, height and RGBA bytes of a canvas of the first view."""
+        script = """(index) => {
+            const canvas = document.querySelectorAll(".view")[0].querySelectorAll("canvas")[index];
+            const { width, height } = canvas;
+            const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
+            let text = "";
+            for (let i = 0; i < data.length; i += 32768) text += String.fromCharCode(...data.subarray(i, i + 32768));
+            return [width, height, btoa(text)];
+        }"""
+        width, height, text = self.page.evaluate(script, canvas)
+        return width, height, base64.b64decode(text)
+
+    def decoded(self, png):
+        """The same of a PNG file, decoded by the browser."""
+        script = """async (text) => {
+            const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+            const options = { colorSpaceConversion: "none", premultiplyAlpha: "none" };
+            const bitmap = await createImageBitmap(new Blob([bytes], { type: "image/png" }), options);
+            const canvas = new OffscreenCanvas(bitmap.width, bitmap.height);
+            const context = canvas.getContext("2d");
+            context.drawImage(bitmap, 0, 0);
+            const { data } = context.getImageData(0, 0, bitmap.width, bitmap.height);
+            let out = "";
+            for (let i = 0; i < data.length; i += 32768) out += String.fromCharCode(...data.subarray(i, i + 32768));
+            return [bitmap.width, bitmap.height, btoa(out)];
+        }"""
+        width, height, text = self.page.evaluate(script, base64.b64encode(png.read_bytes()).decode())
+        return width, height, base64.b64decode(text)
+
+    def notice(self):
+        return self.page.inner_text("#notice")
+
+
+@pytest.fixture(scope="session")
+def browser():
+    with playwright.sync_playwright() as started:
+        launched = started.chromium.launch(executable_path=CHROMIUM, args=BROWSER_ARGUMENTS)
+        yield launched
+        launched.close()
+
+
+@pytest.fixture
+def open_page(browser):
+    """Opens the page of a viewer, and checks in the end that no script failed."""
+    pages = []
+
+    def opened(viewer, width=1280, height=800, **options):
+        page = browser.new_page(viewport={"width": width, "height": height}, **options)
+        pages.append(Page(page, viewer.url))
+        return pages[-1]
+
+    yield opened
+    for page in pages:
+        page.page.close()
+        assert page.faults == []
+
+
+@pytest.fixture(scope="session")
+def street(tmp_path_factory):
+    """A street whose cars move; the back camera is a fisheye."""
+    folder = tmp_path_factory.mktemp("street")
+    sizes = ["--background", 20000, "--agents", 8, "--agent-splats", 400, "--degree", 1, "--seed", 5]
+    run("synth", "street", *sizes, "--size", "320x180", "--movable", "--out", folder)
+    scene = folder / "scene.toml"
+    back = '[[rig]]\nname = "back"\n'
+    text = scene.read_text()
+    assert back in text
+    scene.write_text(text.replace(back, back + FISHEYE))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def episode(tmp_path_factory):
+    """Logs of one scenario, by constant velocity, which crashes, and by lane-follow."""
+    folder = tmp_path_factory.mktemp("episode")
+    place = ["--background", 8000, "--agent-splats", 300, "--size", "160x90"]
+    planner = ["--planner", "constant-velocity"]
+    run("drive", "--level", "hard", "--episodes", 1, "--seed", 3, *place, *planner, "--out", "run", folder=folder)
+    other = ["--planner", "lane-follow", "--size", "160x90"]
+    run("drive", "run/scenarios/hard_0000.toml", *other, "--out", "other", folder=folder)
+    return folder
+
+
+def test_the_image_at_rest_is_that_of_render(street, tmp_path, open_page):
+    with Viewer(street, "scene.toml") as viewer:
+        page = open_page(viewer)
+        page.choose("Camera of view 1", "named:front")
+        for _ in range(5):
+            page.after(lambda: page.page.keyboard.press("."))
+        assert page.shown()["time_s"] == pytest.approx(0.5)
+        run("render", street / "scene.toml", "--time", "0.5", "--out", tmp_path)
+        assert page.pixels() == page.decoded(tmp_path / "front.png")
+
+
+def test_the_image_of_a_step_has_the_bits_of_the_log(episode, open_page):
+    with Viewer(episode, "run/logs/hard_0000.log") as viewer:
+        page = open_page(viewer)
+        page.choose("Camera of view 1", "named:front")
+        assert page.shown()["badge"] == "exact, same bits as the log"
+        page.after(lambda: page.page.keyboard.press("."))
+        assert page.shown()["badge"] == "exact, same bits as the log"
+        # The first mark is the collision; there the score says what it cost.
+        page.after(lambda: page.page.keyboard.press("m"))
+        marked = page.page.locator("#events button").first.inner_text()
+        assert marked.startswith(f"{page.shown()['time_s']:.1f} s: collision")
+        assert "Driving score" in page.page.inner_text("#score")
+
+
+def test_a_dragged_agent_is_saved_where_it_was_dropped(street, tmp_path, open_page):
+    with Viewer(street, "scene.toml") as viewer:
+        page = open_page(viewer)
+        mouse = page.page.mouse
+        page.choose("Camera of view 1", "birds-eye")
+        first = page.pixels()
+        place = """() => {
+            const { frame } = window.viewer;
+            const [camera] = frame.panes;
+            const agents = frame.sources[0].agents;
+            const box = document.querySelector(".view").getBoundingClientRect();
+            return import("/page/geometry.js").then((geometry) => {
+                const shown = agents.map(({ name, pose }) => [name, geometry.project(camera, pose.position_m), pose.position_m]);
+                const scale = box.width / camera.size_px[0];
+                return shown.filter(([, at]) => at && at[0] > 60 && at[1] > 60 && at[0] < camera.size_px[0] - 60 && at[1] < camera.size_px[1] - 60)
+                    .map(([name, at, position]) => [name, box.left + at[0] * scale, box.top + at[1] * scale, position]);
+            });
+        }"""
+        name, x, y, before = page.page.evaluate(place)[0]
+        mouse.click(x, y)
+        page.page.wait_for_selector(f"#agents tr[data-name='{name}'] button[aria-pressed='true']")
+        assert page.page.inner_text("#selected") == name
+        page.wait(lambda frame: frame["badge"].startswith("exact"))
+        mouse.move(x, y)
+        mouse.down()
+        for step in range(1, 6):
+            mouse.move(x + step, y - 8 * step)
+            time.sleep(0.05)
+        mouse.up()
+        page.page.wait_for_selector("#undo:not([disabled])")
+        after = page.at_rest()
+        moved = next(agent for agent in after["sources"][0]["agents"] if agent["name"] == name)
+        by_m = [b - a for a, b in zip(before, moved["pose"]["position_m"])]
+        assert 1 < abs(by_m[0]) + abs(by_m[1]) < 60
+        page.page.fill("#save-name", "dragged.toml")
+        page.page.click("#save")
+        page.page.wait_for_selector("#notice:not([hidden])")
+        assert "dragged.toml" in page.notice()
+        page.choose("Camera of view 1", "named:back")
+        run("render", street / "dragged.toml", "--time", "0", "--out", tmp_path)
+        assert page.pixels() == page.decoded(tmp_path / "back.png")
+        page.choose("Camera of view 1", "birds-eye")
+        page.after(lambda: page.page.keyboard.press("Control+z"))
+        assert page.pixels() == first
+        (street / "dragged.toml").unlink()
+
+
+def test_everything_is_done_by_keyboard(street, open_page):
+    with Viewer(street, "scene.toml") as viewer:
+        page = open_page(viewer)
+        keys = page.page.keyboard
+        keys.press("Space")
+        page.wait(lambda frame: frame["playing"] and frame["time_s"] > 0)
+        keys.press("Space")
+        page.wait(lambda frame: not frame["playing"] and frame["badge"].startswith("exact"))
+        page.after(lambda: keys.press("End"))
+        page.after(lambda: keys.press(","))
+        page.after(lambda: keys.press("Home"))
+        page.after(lambda: keys.press("c"))
+        keys.press("Shift+Digit2")
+        page.after(lambda: keys.press("v"))
+        page.after(lambda: keys.press("2"))
+        page.after(lambda: keys.press("p"))
+        assert len(page.shown()["panes"]) == 2
+        page.after(lambda: keys.press("p"))
+        moved = page.shown()["panes"][0]["pose"]
+        keys.down("w")
+        time.sleep(0.3)
+        keys.up("w")
+        page.wait(lambda frame: frame["panes"][0]["pose"] != moved and frame["badge"].startswith("exact"))
+        keys.press("?")
+        assert page.page.locator("#keys").is_visible()
+        keys.press("Escape")
+
+        # Every control is reached by Tab, and its focus is seen.
+        reached = set()
+        for _ in range(80):
+            keys.press("Tab")
+            focused = page.page.evaluate(
+                """() => {
+                    const element = document.activeElement;
+                    const style = getComputedStyle(element);
+                    return [element.id || element.getAttribute("aria-label") || element.tagName, style.outlineStyle, element === document.body];
+                }"""
+            )
+            if not focused[2]:
+                assert focused[1] != "none", focused
+                reached.add(focused[0])
+        for control in ["play", "time", "two", "theme", "layer-boxes", "Camera of view 1", "speed"]:
+            assert control in reached or control == (control, reached)
+        # An agent is edited without a mouse.
+        row = page.page.locator("#agents tbody tr").first.locator("button").first
+        row.focus()
+        keys.press("Enter")
+        assert page.page.inner_text("#selected") != ""
+        page.page.locator("#remove").focus()
+        agents = len(page.shown()["sources"][0]["agents"])
+        page.after(lambda: keys.press("Enter"))
+        assert len(page.shown()["sources"][0]["agents"]) == agents - 1
+
+
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_the_page_is_accessible(street, episode, open_page, scheme):
+    axe = pytest.importorskip("axe_core_python.sync_playwright").Axe()
+    for folder, what in [(street, ["scene.toml"]), (episode, ["run/logs/hard_0000.log", "--against", "other/logs/hard_0000.log"])]:
+        with Viewer(folder, *what) as viewer:
+            page = open_page(viewer, color_scheme=scheme, bypass_csp=True)
+            page.page.evaluate("() => document.querySelectorAll('details').forEach((one) => (one.open = true))")
+            if what == ["scene.toml"]:
+                page.page.locator("#agents tbody button").first.click()
+            found = axe.run(page.page)["violations"]
+            assert [(one["id"], [node["target"] for node in one["nodes"]]) for one in found] == []
+
+
+def test_an_episode_compared_with_itself_is_the_same(episode, open_page):
+    log = "run/logs/hard_0000.log"
+    with Viewer(episode, log, "--against", log) as viewer:
+        page = open_page(viewer)
+        page.after(lambda: page.page.keyboard.press("p"))
+        page.choose("Content of view 1", "both")
+        page.page.select_option("[aria-label='Comparison of view 1']", "difference")
+        said = page.page.locator(".said").first
+        assert said.inner_text() == "same bits"
+        _, _, difference = page.pixels(canvas=2)
+        assert len(difference) > 0 and not any(difference[i] for i in range(len(difference)) if i % 4 != 3)
+        assert "A and B are the same" in page.page.inner_text("#score-words")
+    with Viewer(episode, log, "--against", "other/logs/hard_0000.log") as viewer:
+        page = open_page(viewer)
+        page.after(lambda: page.page.keyboard.press("p"))
+        page.choose("Content of view 1", "both")
+        page.after(lambda: page.page.keyboard.press("End"))
+        assert "dB" in page.page.locator(".said").first.inner_text()
+        assert page.page.locator(".mark.parts").count() == 1
+
+
+def test_overlays_lie_on_what_the_renderer_shows(street, tmp_path, open_page):
+    run("render", street / "scene.toml", "--time", "0", "--boxes", "--out", tmp_path)
+    boxes = json.loads((tmp_path / "boxes.json").read_text())
+    with Viewer(street, "scene.toml") as viewer:
+        page = open_page(viewer)
+        page.choose("Camera of view 1", "rig")
+        script = """async () => {
+            const geometry = await import("/page/geometry.js");
+            const { frame } = window.viewer;
+            return frame.panes.map((camera) => frame.sources[0].agents.map((agent) => {
+                const corners = geometry.corners(agent).map((corner) => geometry.project(camera, corner));
+                return [agent.name, camera.lens?.kind ?? "pinhole", corners];
+            }));
+        }"""
+        cameras = page.page.evaluate(script)
+    compared = {"pinhole": 0, "fisheye": 0}
+    for image, camera in zip(boxes["images"], cameras):
+        seen = {agent["name"]: agent["amodal_px"] for agent in image["agents"]}
+        for name, kind, corners in camera:
+            if name not in seen or any(corner is None for corner in corners):
+                continue
+            xs, ys = zip(*corners)
+            for mine, theirs in zip([min(xs), min(ys), max(xs), max(ys)], seen[name]):
+                # Edges that a lens bends reach a little beyond their corners.
+                assert abs(mine - theirs) < 0.5, (name, kind, corners, seen[name])
+            compared[kind] += 1
+    assert compared["pinhole"] > 1 and compared["fisheye"] > 0, compared
+
+
+@pytest.mark.parametrize("width", [360, 768, 1440, 2560])
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_nothing_overlaps_at_any_width(street, open_page, width, scheme):
+    with Viewer(street, "scene.toml") as viewer:
+        page = open_page(viewer, width=width, height=900 if width > 400 else 740, color_scheme=scheme)
+        page.page.locator("#agents tbody button").first.click()
+        if folder := os.environ.get("VIEW_SCREENSHOTS"):
+            page.page.screenshot(path=f"{folder}/scene-{width}-{scheme}.png")
+        assert page.page.evaluate("() => document.documentElement.scrollWidth") <= width
+        controls = page.page.evaluate(
+            """() => [...document.querySelectorAll("button, select, input, summary")]
+                .filter((one) => one.offsetParent && !one.closest("footer") && !one.closest(".scrolls"))
+                .map((one) => { const { left, top, right, bottom } = one.getBoundingClientRect(); return [one.id || one.textContent, left, top, right, bottom]; })"""
+        )
+        for index, (name, left, top, right, bottom) in enumerate(controls):
+            assert left >= -0.5 and right <= width + 0.5, (name, left, right)
+            for other, left2, top2, right2, bottom2 in controls[index + 1 :]:
+                apart = right <= left2 + 0.5 or right2 <= left + 0.5 or bottom <= top2 + 0.5 or bottom2 <= top + 0.5
+                assert apart, (name, other)
+
+
+def test_a_lost_viewer_is_told_and_found_again(street, open_page):
+    with Viewer(street, "scene.toml") as viewer:
+        page = open_page(viewer)
+        port = viewer.url.split(":")[2].strip("/")
+    page.page.wait_for_selector("#notice.fault:not([hidden])")
+    assert "No connection" in page.notice()
+    with Viewer(street, "scene.toml", "--port", port) as viewer:
+        before = page.shown()["update"]
+        page.wait(lambda frame: frame["update"] != before or page.notice() == "")
+        page.after(lambda: page.page.keyboard.press("."))
+
+
+def test_memory_stays_flat(street, open_page):
+    seconds = float(os.environ.get("VIEW_SOAK_S", 15))
+    with Viewer(street, "scene.toml") as viewer:
+        pages = [open_page(viewer, width=640, height=480) for _ in range(3)]
+        # Renderers of other kinds of images are made when they are asked for first.
+        for _ in range(KINDS):
+            pages[2].after(lambda: pages[2].page.keyboard.press("v"))
+        pages[0].page.check("#loop")
+        pages[0].page.keyboard.press("Space")
+        time.sleep(max(3, seconds / 10))
+        first = viewer.memory_kib()
+        began = time.monotonic()
+        while time.monotonic() - began < seconds:
+            pages[1].page.keyboard.press("c")
+            pages[2].page.keyboard.press("v")
+            time.sleep(1)
+        last = viewer.memory_kib()
+        print(f"{first} KiB, after {seconds:.0f} s {last} KiB")
+        assert last < (1.05 if seconds > 600 else 1.15) * first
+        assert all(page.faults == [] for page in pages)
