@@ -11,7 +11,7 @@
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test shaders shaders-check python-test wheel-test packages ci-packages python
+.PHONY: demo test shaders shaders-check python-test wheel-test packages ci-packages python browser
 
 # What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
 # A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
@@ -25,7 +25,7 @@ NEEDS = $(NEEDS_TEST)
 # Tests use the project from Python as users do: they read compressed assets, build and install the wheel, speak to the server and
 # drive episodes on a cluster of this machine. A test whose package cannot be installed says that it is skipped.
 PYTHON_PACKAGES := safetensors numpy maturin pytest gymnasium matplotlib grpcio protobuf
-PYTHON_PACKAGES_OPTIONAL := ray
+PYTHON_PACKAGES_OPTIONAL := ray playwright axe-core-python
 PYTHON := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/python
 
 DEMO := out/demo
@@ -64,13 +64,13 @@ shaders-check: packages
 
 # The Python package over the library that the tests' own build makes: a wheel would compile everything once more.
 python-test: export DECOUPLEGS_VALIDATION := 1
-python-test: packages python
+python-test: packages python browser
 	@if ! [[ -x $(PYTHON)/bin/pytest ]]; then echo "The Python package is not tested: pytest could not be installed."; exit 0; fi; \
 	cargo build --workspace --all-targets; \
 	target=$$(cargo metadata --format-version 1 --no-deps | $(PYTHON)/bin/python -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])'); \
 	ln -sf "$$target/debug/libdecouplegs_native.so" tools/python/decouplegs/_native.abi3.so; \
 	DECOUPLEGS_PROGRAM="$$target/debug/decouplegs" PYTHONPATH=tools/python \
-		$(PYTHON)/bin/python -m pytest -q tools/python/tests
+		$(PYTHON)/bin/python -m pytest -q tools/python/tests tools/view/tests
 
 # As a user installs it: the wheel, in an environment that has nothing else, and its tests there.
 wheel-test: export DECOUPLEGS_VALIDATION := 1
@@ -81,11 +81,22 @@ wheel-test: packages
 
 # Without a network the test that needs it says that it is skipped.
 python: packages
-	@if $(PYTHON)/bin/python -c 'import safetensors, numpy, maturin, pytest, gymnasium, matplotlib, grpc' 2>/dev/null; then exit 0; fi; \
+	@if $(PYTHON)/bin/python -c 'import safetensors, numpy, maturin, pytest, gymnasium, matplotlib, grpc, playwright' 2>/dev/null; then exit 0; fi; \
 	python3 -m venv $(PYTHON) && $(PYTHON)/bin/pip install --quiet --disable-pip-version-check $(PYTHON_PACKAGES) \
 		|| { rm -rf $(PYTHON); echo "$(PYTHON_PACKAGES) cannot be installed for Python: the tests that need them are skipped."; exit 0; }; \
-	$(PYTHON)/bin/pip install --quiet --disable-pip-version-check $(PYTHON_PACKAGES_OPTIONAL) \
-		|| echo "$(PYTHON_PACKAGES_OPTIONAL) cannot be installed for Python: the test of a cluster is skipped."
+	for package in $(PYTHON_PACKAGES_OPTIONAL); do \
+		$(PYTHON)/bin/pip install --quiet --disable-pip-version-check $$package \
+			|| echo "$$package cannot be installed for Python: the tests that need it are skipped."; \
+	done
+
+# The browser that the viewer's page is tested in. Ubuntu has it as a snap alone: the tests are skipped there, unless it is installed.
+browser:
+	@if command -v chromium chromium-browser >/dev/null || ! command -v apt-get >/dev/null; then exit 0; fi; \
+	echo "Installing chromium"; \
+	sudo=(); if (( EUID != 0 )); then sudo=(sudo); fi; \
+	"$${sudo[@]}" apt-get update --quiet; \
+	DEBIAN_FRONTEND=noninteractive "$${sudo[@]}" apt-get install --yes --quiet --no-install-recommends chromium \
+		|| echo "chromium cannot be installed: the tests of the viewer's page are skipped."
 
 # Everything that `.ci/run` compiles and runs, shaderc included.
 ci-packages: NEEDS := $(NEEDS_CI)

@@ -95,6 +95,11 @@ impl Drawer {
         &self.session
     }
 
+    /// Name of the device.
+    pub fn device(&self) -> String {
+        self.gpu.info().to_string()
+    }
+
     /// Images of panes by their cameras: color in one submission, other channels one by one.
     ///
     /// # Errors

@@ -2,7 +2,6 @@
 
 use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use decouplegs::asset::scene_file::editing::{delayed, heading_rad, passing, shifted};
 use decouplegs::asset::{SceneAgent, SceneFile};
@@ -13,12 +12,11 @@ use glam::{DQuat, DVec3};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use crate::history::History;
 use crate::protocol::check_name;
 
-/// Changes that can be undone.
-const UNDO_MAX: usize = 200;
 /// Room between an agent and its copy behind it, meters.
-const COPY_GAP_M: f64 = 2.0;
+pub const COPY_GAP_M: f64 = 2.0;
 /// Longest shift in time, seconds, and sideways, meters.
 const SHIFT_MAX: f64 = 1e4;
 
@@ -72,33 +70,10 @@ pub enum Edit {
     },
 }
 
-/// State of a scene before or after a change.
-#[derive(Clone)]
-struct Step {
-    /// The change, in words.
-    change: String,
-    file: Arc<SceneFile>,
-}
-
-/// State of a scene, and the states that undo and redo lead to.
-#[derive(Clone)]
-pub struct History {
-    file: Arc<SceneFile>,
-    undo: Vec<Step>,
-    redo: Vec<Step>,
-}
-
-impl History {
-    /// The scene in this state.
-    pub fn file(&self) -> &SceneFile {
-        &self.file
-    }
-}
-
 /// Scene file that is edited.
 pub struct Editor {
     path: PathBuf,
-    history: History,
+    history: History<SceneFile>,
     /// Assets that the file named when it was opened.
     assets: Vec<PathBuf>,
     /// Files that were written: they may be written again.
@@ -122,11 +97,7 @@ impl Editor {
         }
         Ok(Self {
             path: path.to_owned(),
-            history: History {
-                file: Arc::new(file),
-                undo: Vec::new(),
-                redo: Vec::new(),
-            },
+            history: History::new(file),
             assets,
             saved: Vec::new(),
             footing: OnceCell::new(),
@@ -135,16 +106,16 @@ impl Editor {
 
     /// The scene as it is now.
     pub fn file(&self) -> &SceneFile {
-        &self.history.file
+        self.history.state()
     }
 
     /// State to go back to with [`Editor::restore`].
-    pub fn history(&self) -> History {
+    pub fn history(&self) -> History<SceneFile> {
         self.history.clone()
     }
 
     /// Goes back to `history`.
-    pub fn restore(&mut self, history: History) {
+    pub fn restore(&mut self, history: History<SceneFile>) {
         self.history = history;
     }
 
@@ -157,12 +128,10 @@ impl Editor {
     /// JSON.
     pub fn facts(&self) -> Value {
         let stem = self.path.file_stem().unwrap_or_default().to_string_lossy();
-        json!({
-            "undo": self.history.undo.last().map(|step| &step.change),
-            "redo": self.history.redo.last().map(|step| &step.change),
-            "assets": self.assets,
-            "file": format!("{stem}-edited.toml"),
-        })
+        let mut facts = self.history.facts();
+        facts["assets"] = json!(self.assets);
+        facts["file"] = format!("{stem}-edited.toml").into();
+        facts
     }
 
     /// Asset of the agent called `name`, as the file names it.
@@ -204,7 +173,7 @@ impl Editor {
             }
             Edit::Duplicate { agent } => {
                 let name = self.duplicate(&mut file, agent)?;
-                self.commit(file, format!("duplicate {agent}"));
+                self.history.commit(file, format!("duplicate {agent}"));
                 return Ok(Some(format!("{name} stands behind {agent}")));
             }
             Edit::Swap { agent, asset } => {
@@ -213,19 +182,11 @@ impl Editor {
                 self.swap(&mut file, agent, known)?;
                 format!("show {agent} as {asset}")
             }
-            Edit::Undo => {
-                let History { file, undo, redo } = &mut self.history;
-                exchange(file, undo, redo).ok_or("there is nothing to undo")?;
-                return Ok(None);
-            }
-            Edit::Redo => {
-                let History { file, undo, redo } = &mut self.history;
-                exchange(file, redo, undo).ok_or("there is nothing to redo")?;
-                return Ok(None);
-            }
+            Edit::Undo => return self.history.undo().map(|()| None),
+            Edit::Redo => return self.history.redo().map(|()| None),
             Edit::Save { file } => return self.save(file).map(Some),
         };
-        self.commit(file, change);
+        self.history.commit(file, change);
         Ok(None)
     }
 
@@ -243,7 +204,7 @@ impl Editor {
     ) -> Result<(), String> {
         let mut file = self.file().clone();
         self.place(&mut file, name, time_s, position_m, yaw_rad)?;
-        self.commit(file, format!("move {name}"));
+        self.history.commit(file, format!("move {name}"));
         Ok(())
     }
 
@@ -268,16 +229,6 @@ impl Editor {
 
     fn agent(&self, name: &str) -> Result<&SceneAgent, String> {
         self.file().agent(name).map_err(|error| error.to_string())
-    }
-
-    fn commit(&mut self, file: SceneFile, change: String) {
-        let history = &mut self.history;
-        let file = std::mem::replace(&mut history.file, Arc::new(file));
-        history.undo.push(Step { change, file });
-        if history.undo.len() > UNDO_MAX {
-            history.undo.remove(0);
-        }
-        history.redo.clear();
     }
 
     fn place(
@@ -380,16 +331,6 @@ impl Editor {
         }
         Ok(format!("saved as {}", path.display()))
     }
-}
-
-/// Puts the last state of `from` in the place of `file`, and that onto `to`; `None` where there is
-/// none.
-fn exchange(file: &mut Arc<SceneFile>, from: &mut Vec<Step>, to: &mut Vec<Step>) -> Option<()> {
-    let step = from.pop()?;
-    let file = std::mem::replace(file, step.file);
-    let change = step.change;
-    to.push(Step { change, file });
-    Some(())
 }
 
 fn finite(what: &str, value: f64) -> Result<(), String> {

@@ -1,6 +1,6 @@
 //! Lanes: lines that the page draws, and places that vehicles snap to.
 
-use decouplegs::drive::lane_index::LaneIndex;
+use decouplegs::drive::{LaneIndex, LanePoint};
 use decouplegs::scene::{Lane, LaneKind, LaneMap};
 use glam::{DVec2, DVec3};
 
@@ -24,13 +24,24 @@ impl Lanes {
         }
     }
 
+    /// Id of the nearest driving lane, and the length along it up to `at`, meters; `None` where no
+    /// lane is near.
+    pub fn lane_at(&self, at: DVec2) -> Option<(&str, f64)> {
+        let nearest = self.nearest(at)?;
+        Some((&self.map.lanes[nearest.lane].id, nearest.foot.arc_m))
+    }
+
     /// Nearest point in the middle of a driving lane, and the heading of the lane there, radians;
     /// `None` where no lane is near.
     pub fn snapped(&self, at: DVec2) -> Option<(DVec2, f64)> {
+        let foot = self.nearest(at)?.foot;
+        Some((foot.point.truncate(), foot.heading_rad))
+    }
+
+    fn nearest(&self, at: DVec2) -> Option<LanePoint> {
         let is_driven = |lane: usize| self.map.lanes[lane].kind == LaneKind::Driving;
-        let nearest = self.index.nearest(at, |point| is_driven(point.lane))?;
-        let foot = nearest.foot;
-        (foot.distance_m <= SNAP_M).then(|| (foot.point.truncate(), foot.heading_rad))
+        let nearest = self.index.nearest(at, |point| is_driven(point.lane));
+        nearest.filter(|nearest| nearest.foot.distance_m <= SNAP_M)
     }
 
     /// Borders of the lanes about `places`, or middles where a lane has none; world coordinates,

@@ -5,8 +5,8 @@
 //! | `protocol` | commands, acknowledgements and image headers |
 //! | `open` | scenes, logs and scenarios of the command line |
 //! | `source` | the scene at a time: worlds, cameras, boxes |
-//! | `scene_course`, `edits`, `lanes` | a scene with its tracks, edits with undo, lanes to snap to |
-//! | `played` | an episode at a time, and its score |
+//! | `scene_course`, `edits`, `history`, `lanes` | a scene with its tracks, edits, undo, lanes to snap to |
+//! | `played`, `scenario_edits` | an episode at a time, and its score; a scenario that is edited and begun anew |
 //! | `session` | the thread that renders |
 //! | `drawing`, `recording` | images of views, agents under the mouse; images as files |
 //! | `server` | HTTP, WebSockets, and who may connect |
@@ -14,11 +14,13 @@
 
 mod drawing;
 mod edits;
+mod history;
 mod lanes;
 mod open;
 mod played;
 mod protocol;
 mod recording;
+mod scenario_edits;
 mod scene_course;
 mod server;
 mod session;

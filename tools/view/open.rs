@@ -7,23 +7,18 @@ use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::{
     SplatFormat, is_scene_file, read_episode_log, read_light_transfer, read_scenario,
 };
-use decouplegs::episode::{
-    Appearance, LiveEpisode, ObservationRenderer, Site, cameras_of, chosen, chosen_lidars,
-};
-use decouplegs::planner::{Cameras, PlannerChoice, Timeouts};
+use decouplegs::episode::{Appearance, Site};
+use decouplegs::planner::PlannerChoice;
+use decouplegs::scene::Scenario;
 use decouplegs::scene::episode::Episode;
-use decouplegs::scene::{Scenario, Sensor};
-use decouplegs::session::{Session, SessionScene};
+use decouplegs::session::Session;
 use decouplegs_cli::progress;
 use decouplegs_cli::scene_source::{Scene, SceneOptions};
 
 use crate::played::Played;
+use crate::scenario_edits::{Place, ScenarioEditor};
 use crate::scene_course::SceneCourse;
 use crate::source::Source;
-
-/// Size of the images that planners see, unless a log or the user says otherwise, pixels: as in
-/// `drive`.
-const SEEN_PX: [u32; 2] = [320, 180];
 
 /// What is shown, and what it is compared with.
 #[derive(clap::Args)]
@@ -91,11 +86,11 @@ impl SourceArguments {
         };
         match input(&path)? {
             Input::Scene => self.scenes(&path, session),
-            Input::Log(episode) => self.episodes(&path, &Start::Log(*episode), session),
+            Input::Log(episode) => self.episodes(&path, &Start::Log(episode), session),
             Input::Scenario(scenario) => {
                 let planner = self.planner.clone();
                 let planner = planner.unwrap_or(PlannerChoice::LaneFollow);
-                self.episodes(&path, &Start::Live(*scenario, planner), session)
+                self.episodes(&path, &Start::Live(scenario, planner), session)
             }
         }
     }
@@ -158,8 +153,12 @@ impl SourceArguments {
         let place = place_of(path, scenario)?;
         let seen_px = self.options.size_px();
         let mut sources = vec![match start {
-            Start::Log(episode) => place.logged(path, episode)?,
-            Start::Live(scenario, planner) => place.live(scenario, planner, seen_px, session)?,
+            Start::Log(episode) => logged(&place, path, episode)?,
+            Start::Live(scenario, planner) => {
+                let (scenario, planner) = ((**scenario).clone(), planner.clone());
+                let edited = ScenarioEditor::new(path, place.clone(), scenario, planner, seen_px);
+                Source::of_live(edited, session)?
+            }
         }];
         let Some(against) = &self.against else {
             return Ok(sources);
@@ -172,7 +171,7 @@ impl SourceArguments {
                 true => place,
                 false => place_of(other, &episode.head.scenario)?,
             };
-            sources.push(place.logged(other, &episode)?);
+            sources.push(logged(&place, other, &episode)?);
         } else {
             let planner: PlannerChoice = against.parse().map_err(|error: String| {
                 anyhow::anyhow!(
@@ -184,7 +183,10 @@ impl SourceArguments {
                 Start::Live(..) => None,
             };
             let logged_px = logged_px.map(|by| [by.width_px, by.height_px]);
-            sources.push(place.live(scenario, &planner, seen_px.or(logged_px), session)?);
+            let seen_px = seen_px.or(logged_px);
+            let scenario = scenario.clone();
+            let edited = ScenarioEditor::new(path, place, scenario, planner, seen_px);
+            sources.push(Source::of_live(edited, session)?);
             if is_log {
                 drive_to_the_end(&mut sources[1])?;
             }
@@ -193,10 +195,10 @@ impl SourceArguments {
     }
 }
 
-/// What an episode begins with.
+/// Scenario, and how it is driven.
 enum Start {
-    Log(Episode),
-    Live(Scenario, PlannerChoice),
+    Log(Box<Episode>),
+    Live(Box<Scenario>, PlannerChoice),
 }
 
 impl Start {
@@ -208,39 +210,10 @@ impl Start {
     }
 }
 
-/// Place of episodes, and its scene on the device.
-struct Place {
-    site: Arc<Site>,
-    scene: Arc<SessionScene>,
-}
-
-impl Place {
-    fn logged(&self, path: &Path, episode: &Episode) -> Result<Source> {
-        let played = Played::logged(episode.clone(), self.site.clone(), &self.scene)?;
-        let title = path.display().to_string();
-        Ok(Source::of_episode(played, title, self.scene.clone()))
-    }
-
-    fn live(
-        &self,
-        scenario: &Scenario,
-        planner: &PlannerChoice,
-        size_px: Option<[u32; 2]>,
-        session: &Session,
-    ) -> Result<Source> {
-        let title = format!("{} by {planner}", scenario.name);
-        let opened = planner.open(Timeouts::default());
-        let planner = opened.with_context(|| format!("the planner {planner} is not to be had"))?;
-        let all = &self.site.loaded.rig;
-        let cameras = cameras_of(planner.as_ref(), Cameras::Front);
-        let mut rig = chosen(all, cameras, Some(size_px.unwrap_or(SEEN_PX)))?;
-        let lidars = chosen_lidars(all, planner.sees().lidars, &[])?;
-        rig.sensors.extend(lidars.into_iter().map(Sensor::Lidar));
-        let renderer = ObservationRenderer::new(session.batch_renderer(), &self.scene, rig, 1);
-        let live = LiveEpisode::begin(scenario, &self.site, planner, renderer)?;
-        let played = Played::live(live, self.site.clone(), &self.scene)?;
-        Ok(Source::of_episode(played, title, self.scene.clone()))
-    }
+fn logged(place: &Place, path: &Path, episode: &Episode) -> Result<Source> {
+    let played = Played::logged(episode.clone(), place.site.clone(), &place.scene)?;
+    let title = path.display().to_string();
+    Ok(Source::of_log(played, title, place.scene.clone()))
 }
 
 /// Drives an episode that is compared with one that was driven.

@@ -19,6 +19,9 @@ use crate::lanes::Lanes;
 /// Times of a log are matched to this, seconds: far below its steps.
 const SAME_S: f64 = 1e-6;
 
+/// Deceleration of hard braking: a passenger notices it (ISO 15622 limits cruise control to 3.5).
+const HARD_BRAKING_MPS2: f64 = 3.5;
+
 enum Driven {
     Logged(Box<Episode>),
     Live(Box<LiveEpisode>),
@@ -213,15 +216,16 @@ impl Played {
         let episode = self.episode();
         let head = &episode.head;
         let score = EpisodeScore::of(episode);
-        let events: Vec<Value> = (score.infractions.iter())
-            .map(|infraction| {
-                json!({
-                    "time_s": infraction.time_s,
-                    "text": infraction.describe(head),
-                    "factor": infraction.factor(),
-                })
+        let infractions = score.infractions.iter().map(|infraction| {
+            json!({
+                "time_s": infraction.time_s,
+                "text": infraction.describe(head),
+                "factor": infraction.factor(),
             })
-            .collect();
+        });
+        let brakings = hard_brakings(episode.instants());
+        let brakings = brakings.map(|time_s| json!({"time_s": time_s, "text": "hard braking"}));
+        let events: Vec<Value> = infractions.chain(brakings).collect();
         let speeds = episode.instants().map(|tick| tick.ego.speed_mps);
         let times: Vec<(f64, Option<f64>)> = (times_to_collision(episode).into_iter())
             .map(|(time_s, closest)| (time_s, closest.map(|closest| closest.ttc_s)))
@@ -244,6 +248,11 @@ impl Played {
         })
     }
 
+    /// Lanes of the place.
+    pub fn lanes(&self) -> &Lanes {
+        &self.lanes
+    }
+
     /// Lanes about the ego's way, as lines.
     pub fn lane_lines(&self) -> Vec<Vec<[f64; 3]>> {
         let way = self.moments.as_slice().iter();
@@ -260,5 +269,44 @@ impl Played {
         let mut pairs = self.episode().instants().zip(other.episode().instants());
         let differs = |(a, b): &(&EpisodeTick, &EpisodeTick)| a != b;
         pairs.find(differs).map(|(tick, _)| tick.time_s)
+    }
+}
+
+/// Times at which the ego begins to brake hard, seconds.
+fn hard_brakings<'a>(ticks: impl Iterator<Item = &'a EpisodeTick>) -> impl Iterator<Item = f64> {
+    let mut brakes = false;
+    ticks.filter_map(move |tick| {
+        // It ends well below its beginning, so that one braking is one event.
+        let least_mps2 = HARD_BRAKING_MPS2 * if brakes { 0.5 } else { 1.0 };
+        let before = std::mem::replace(&mut brakes, tick.ego.acceleration_mps2 <= -least_mps2);
+        (brakes && !before).then_some(tick.time_s)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use decouplegs::scene::VehicleState;
+
+    #[test]
+    fn one_braking_is_one_event() {
+        let ticks: Vec<EpisodeTick> = [0.0, -2.0, -4.0, -3.0, -5.0, 0.0, -6.0]
+            .into_iter()
+            .enumerate()
+            .map(|(index, acceleration_mps2)| EpisodeTick {
+                time_s: index as f64,
+                ego: VehicleState {
+                    position_m: DVec2::ZERO,
+                    yaw_rad: 0.0,
+                    speed_mps: 10.0,
+                    acceleration_mps2,
+                },
+                steer_rad: 0.0,
+                on_road: true,
+                agents: Vec::new(),
+            })
+            .collect();
+        let found: Vec<f64> = hard_brakings(ticks.iter()).collect();
+        assert_eq!(found, [2.0, 6.0]);
     }
 }

@@ -16,7 +16,8 @@ use decouplegs_cli::scene_source::Scene;
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use crate::edits::{Edit, Editor, History};
+use crate::edits::{Edit, Editor};
+use crate::history::History;
 use crate::lanes::Lanes;
 
 /// Lanes that are shown with a scene that has them beside it.
@@ -228,18 +229,18 @@ impl SceneCourse {
         self.follow(before, session)
     }
 
-    /// Height of the center of an agent at `time_s`, meters.
-    pub fn height_of(&self, name: &str, time_s: f64) -> Option<f64> {
+    /// Pose of an agent at `time_s`, before it is dragged.
+    pub fn pose_of(&self, name: &str, time_s: f64) -> Option<Pose> {
         let editor = self.editor.as_ref()?;
         let agent = editor.file().agent(name).ok()?;
-        Some(agent.trajectory.at(time_s).translation.z)
+        Some(agent.trajectory.at(time_s))
     }
 
     /// Brings agents, and the device where it must, to the state of the editor. On an error the
     /// editor goes back to `before`.
     fn follow(
         &mut self,
-        before: History,
+        before: History<SceneFile>,
         session: &Session,
     ) -> Result<Option<Arc<SessionScene>>, String> {
         let Some(editor) = self.editor.as_mut() else {
@@ -248,7 +249,7 @@ impl SceneCourse {
         let file = editor.file();
         let is_lit = self.scene.loaded.light.is_some();
         if !is_lit
-            && plain(before.file()) == plain(file)
+            && plain(before.state()) == plain(file)
             && let Some(agents) = self.assets.agents(file, &self.scene.loaded)
         {
             self.agents = agents;

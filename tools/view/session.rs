@@ -141,7 +141,11 @@ impl Viewer {
         match event {
             Event::Joined(id, outbox) => {
                 let sources: Vec<Value> = self.sources.iter().map(Source::facts).collect();
-                let facts = json!({"type": "scene", "sources": sources});
+                let facts = json!({
+                    "type": "scene",
+                    "sources": sources,
+                    "device": self.drawer.device(),
+                });
                 let _ = outbox.try_send(Outgoing::Text(facts.to_string()));
                 let _ = outbox.try_send(Outgoing::Text(self.changing_facts().to_string()));
                 let client = Client {
@@ -233,7 +237,7 @@ impl Viewer {
                 let session = self.drawer.session();
                 let how = (free, done);
                 self.sources[0].drag(&agent, &camera, [from, to], how, session)?;
-                self.mark_all_stale();
+                self.set_time(self.sources[0].time_s());
                 if done {
                     self.tell_changes();
                 }
@@ -241,7 +245,7 @@ impl Viewer {
             Command::Edit(edit) => {
                 self.clock.playing = false;
                 let said = self.sources[0].edit(&edit, self.drawer.session())?;
-                self.mark_all_stale();
+                self.set_time(self.sources[0].time_s());
                 self.tell_changes();
                 return Ok(json!({"said": said}));
             }
@@ -584,8 +588,28 @@ fn lens_json(k: &Intrinsics) -> Value {
     json
 }
 
+/// Times of an image, milliseconds: on the device in all and by stage, on the host, and for
+/// encoding; counts of what was drawn.
 fn times_json(statistics: &[FrameStatistics], rendered: Duration, all: Duration) -> Value {
     let ms = |duration: Duration| 1e3 * duration.as_secs_f64();
     let gpu: Duration = statistics.iter().map(|frame| frame.gpu_time).sum();
-    json!({"gpu": ms(gpu), "render": ms(rendered), "encode": ms(all - rendered)})
+    let mut stages: Vec<(&str, f64)> = Vec::new();
+    for stage in statistics.iter().flat_map(|frame| &frame.stages) {
+        let stage_ms = 1e-6 * stage.duration_ns as f64;
+        match stages.iter_mut().find(|(name, _)| *name == stage.name) {
+            Some((_, sum_ms)) => *sum_ms += stage_ms,
+            None => stages.push((stage.name, stage_ms)),
+        }
+    }
+    let count = |of: fn(&FrameStatistics) -> u32| -> u64 {
+        statistics.iter().map(|frame| u64::from(of(frame))).sum()
+    };
+    json!({
+        "gpu": ms(gpu),
+        "render": ms(rendered),
+        "encode": ms(all - rendered),
+        "stages": stages,
+        "splats": count(|frame| frame.required.records),
+        "pairs": count(|frame| frame.required.pairs),
+    })
 }

@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 use crate::edits::Edit;
 use crate::played::Played;
 use crate::protocol::{CameraRequest, Pane, Pinhole};
+use crate::scenario_edits::ScenarioEditor;
 use crate::scene_course::{Boxed, SceneCourse};
 
 /// Step of the clock over a scene, seconds: that of nuScenes' LiDARs and of most simulators.
@@ -20,13 +21,19 @@ const STEP_S: f64 = 0.1;
 /// A scene may have trajectories of days; more steps than this are not counted.
 const STEPS_MAX: f64 = 1e6;
 
+const RECORDED: &str =
+    "an episode that was recorded is not edited: its score counts. Open its scenario";
+
 /// Origin of worlds, cameras and the ego vehicle at each time.
 enum Course {
     /// Trajectories of a scene.
     Scene(Box<SceneCourse>),
-    /// Episode.
-    Episode(Box<Played>),
+    /// Episode, and the scenario that it begins anew from, if it is driven here.
+    Episode(Box<Played>, Option<Box<ScenarioEditor>>),
 }
+
+/// Agent that is dragged, and its pose until the mouse is released.
+type Dragged = Option<(String, Pose)>;
 
 /// A scene on the device, at a time.
 pub struct Source {
@@ -37,6 +44,8 @@ pub struct Source {
     /// File or planner that it is shown from, for people.
     title: String,
     now: Now,
+    /// Vehicle of an episode that is dragged. Agents of scenes follow by themselves.
+    dragged: Dragged,
 }
 
 /// State at the time that was set.
@@ -63,9 +72,20 @@ impl Source {
         Ok(Self::new(Course::Scene(Box::new(course)), on_device, title))
     }
 
-    /// Source of an episode whose place is `on_device`.
-    pub fn of_episode(played: Played, title: String, on_device: Arc<SessionScene>) -> Self {
-        Self::new(Course::Episode(Box::new(played)), on_device, title)
+    /// Source of a log whose place is `on_device`.
+    pub fn of_log(played: Played, title: String, on_device: Arc<SessionScene>) -> Self {
+        Self::new(Course::Episode(Box::new(played), None), on_device, title)
+    }
+
+    /// Source of an episode that is driven here.
+    ///
+    /// # Errors
+    /// Returns an error if it cannot begin.
+    pub fn of_live(edited: ScenarioEditor, session: &Session) -> anyhow::Result<Self> {
+        let (title, scene) = (edited.title(), edited.scene().clone());
+        let played = Box::new(edited.begin(session)?);
+        let course = Course::Episode(played, Some(Box::new(edited)));
+        Ok(Self::new(course, scene, title))
     }
 
     fn new(course: Course, on_device: Arc<SessionScene>, title: String) -> Self {
@@ -81,6 +101,7 @@ impl Source {
                 motion: Motion::REST,
             },
             on_device,
+            dragged: None,
         };
         source.set_time(source.span_s()[0]);
         source
@@ -95,7 +116,7 @@ impl Source {
                 let end_s = moving.map(|way| way.end_s()).fold(start_s, f64::max);
                 [start_s, end_s.min(start_s + STEP_S * STEPS_MAX)]
             }
-            Course::Episode(played) => played.span_s(),
+            Course::Episode(played, _) => played.span_s(),
         }
     }
 
@@ -103,7 +124,7 @@ impl Source {
     pub fn step_s(&self) -> f64 {
         match &self.course {
             Course::Scene(_) => STEP_S,
-            Course::Episode(played) => played.step_s(),
+            Course::Episode(played, _) => played.step_s(),
         }
     }
 
@@ -111,7 +132,7 @@ impl Source {
     pub fn episode(&self) -> Option<&Played> {
         match &self.course {
             Course::Scene(_) => None,
-            Course::Episode(played) => Some(played),
+            Course::Episode(played, _) => Some(played),
         }
     }
 
@@ -127,7 +148,7 @@ impl Source {
     pub fn drive_on(&mut self) -> Result<(), String> {
         match &mut self.course {
             Course::Scene(_) => Ok(()),
-            Course::Episode(played) => played.drive_on().map_err(|error| explain(&error)),
+            Course::Episode(played, _) => played.drive_on().map_err(|error| explain(&error)),
         }
     }
 
@@ -144,7 +165,7 @@ impl Source {
                 self.now.ego = scene.loaded.ego.at(time_s);
                 self.now.motion = scene.loaded.ego.motion_at(time_s);
             }
-            Course::Episode(played) => {
+            Course::Episode(played, _) => {
                 let moment = played.at(time_s);
                 self.now = Now {
                     time_s: moment.time_s,
@@ -170,18 +191,28 @@ impl Source {
         }
     }
 
-    /// Makes `edit`. Returns a sentence for the user, where there is something to say.
+    /// Makes `edit`. Returns a sentence for the user, where there is something to say. A live
+    /// episode begins anew.
     ///
     /// # Errors
     /// A sentence. Nothing is changed then.
     pub fn edit(&mut self, edit: &Edit, session: &Session) -> Result<Option<String>, String> {
-        let course = match &mut self.course {
-            Course::Scene(course) => course,
-            Course::Episode(_) => return Err("an episode is not edited: its score counts".into()),
-        };
-        let (said, on_device) = course.edit(edit, self.now.time_s, session)?;
-        self.show_anew(on_device);
-        Ok(said)
+        match &mut self.course {
+            Course::Scene(course) => {
+                let (said, on_device) = course.edit(edit, self.now.time_s, session)?;
+                self.show_anew(on_device);
+                Ok(said)
+            }
+            Course::Episode(played, edited) => {
+                let edited = edited.as_mut().ok_or(RECORDED)?;
+                let (said, anew) = edited.apply(edit, session)?;
+                if let Some(anew) = anew {
+                    **played = anew;
+                    self.begin_anew();
+                }
+                Ok(said)
+            }
+        }
     }
 
     /// Drags the agent called `name` from the pixel `from` of `camera` to the pixel `to`, both in
@@ -197,20 +228,48 @@ impl Source {
         (free, done): (bool, bool),
         session: &Session,
     ) -> Result<(), String> {
-        let Course::Scene(course) = &mut self.course else {
-            return Err("an episode is not edited: its score counts".into());
-        };
         let time_s = self.now.time_s;
-        let height_m = course.height_of(name, time_s);
-        let height_m = height_m.ok_or_else(|| format!("the scene has no agent {name:?}"))?;
-        let on_level = |at: [f64; 2]| point_at_height(camera, at, height_m);
+        let no_agent = || format!("the scene has no agent {name:?}");
+        let start = match &self.course {
+            Course::Scene(course) => course.pose_of(name, time_s),
+            Course::Episode(..) => {
+                let mut agents = self.now.world.agents().iter();
+                let agent = agents.find(|agent| agent.name == name);
+                agent.map(|agent| agent.placed.pose)
+            }
+        };
+        let start = start.ok_or_else(no_agent)?;
+        let on_level = |at: [f64; 2]| point_at_height(camera, at, start.translation.z);
         let by_m = match (on_level(from), on_level(to)) {
             (Some(from), Some(to)) => to - from,
             _ => return Err("there is no ground at that point of the image".into()),
         };
-        let on_device = course.drag(name, (by_m, free, done), time_s, session)?;
-        self.show_anew(on_device);
+        match &mut self.course {
+            Course::Scene(course) => {
+                let on_device = course.drag(name, (by_m, free, done), time_s, session)?;
+                self.show_anew(on_device);
+            }
+            Course::Episode(played, edited) => {
+                let edited = edited.as_mut().ok_or(RECORDED)?;
+                let at_m = (start.translation + by_m).truncate();
+                self.dragged = None;
+                if done {
+                    **played = edited.move_to(name, at_m, played.lanes(), session)?;
+                    self.begin_anew();
+                } else if let Some((at_m, yaw_rad)) = played.lanes().snapped(at_m) {
+                    let at_m = at_m.extend(start.translation.z);
+                    self.dragged = Some((name.to_owned(), Pose::from_yaw(yaw_rad, at_m)));
+                }
+            }
+        }
         Ok(())
+    }
+
+    fn begin_anew(&mut self) {
+        if let Course::Episode(_, Some(edited)) = &self.course {
+            self.title = edited.title();
+        }
+        self.set_time(0.0);
     }
 
     fn show_anew(&mut self, on_device: Option<Arc<SessionScene>>) {
@@ -250,7 +309,7 @@ impl Source {
     fn loaded(&self) -> &LoadedScene {
         match &self.course {
             Course::Scene(course) => &course.scene.loaded,
-            Course::Episode(played) => played.loaded(),
+            Course::Episode(played, _) => played.loaded(),
         }
     }
 
@@ -258,7 +317,7 @@ impl Source {
     pub fn asset_of(&self, name: &str) -> Value {
         match &self.course {
             Course::Scene(course) => course.asset_of(name),
-            Course::Episode(_) => Value::Null,
+            Course::Episode(..) => Value::Null,
         }
     }
 
@@ -303,7 +362,7 @@ impl Source {
     /// time; `None` where the log has none.
     pub fn is_logged(&self, pane: &Pane, size_px: [u32; 2], rgba: &[u8]) -> Option<bool> {
         match (&self.course, &pane.camera) {
-            (Course::Episode(played), CameraRequest::Named { name }) if pane.shows_all() => {
+            (Course::Episode(played, _), CameraRequest::Named { name }) if pane.shows_all() => {
                 played.is_logged(self.now.time_s, name, size_px, rgba)
             }
             _ => None,
@@ -321,7 +380,7 @@ impl Source {
         let loaded = self.loaded();
         let lanes = match &self.course {
             Course::Scene(course) => course.lane_lines(),
-            Course::Episode(played) => played.lane_lines(),
+            Course::Episode(played, _) => played.lane_lines(),
         };
         let own = loaded.rig.lidars().map(|lidar| lidar.name.as_str());
         let lidars: Vec<&str> = own.chain(lidar_names()).collect();
@@ -343,10 +402,14 @@ impl Source {
 
     /// Facts that change with edits and steps: counts, undo, score, as JSON.
     pub fn changing_facts(&self) -> Value {
-        let (edits, plain) = match &self.course {
-            Course::Scene(course) => (course.edit_facts(), course.scene.loaded.plain_agents.len()),
-            Course::Episode(_) => (Value::Null, 0),
+        let edits = match &self.course {
+            Course::Scene(course) => course.edit_facts(),
+            Course::Episode(_, edited) => {
+                let edited = edited.as_ref();
+                edited.map_or(Value::Null, |edited| edited.facts())
+            }
         };
+        let plain = self.loaded().plain_agents.len();
         json!({
             "span_s": self.span_s(),
             "agents": self.now.world.agents().len(),
@@ -382,7 +445,11 @@ impl Source {
     fn boxes(&self) -> Vec<Boxed> {
         match &self.course {
             Course::Scene(course) => course.boxes_at(self.now.time_s),
-            Course::Episode(played) => {
+            Course::Episode(played, _) => {
+                let dragged = |name: &str| {
+                    let dragged = self.dragged.as_ref().filter(|(one, _)| one == name);
+                    dragged.map(|(_, pose)| *pose)
+                };
                 let agents = self.now.world.agents().iter().filter(|agent| agent.present);
                 let boxed = agents.map(|agent| {
                     let placed = &agent.placed;
@@ -391,7 +458,7 @@ impl Source {
                         name: agent.name.clone(),
                         instance: placed.instance,
                         class: played.class_of(&agent.name),
-                        pose: placed.pose,
+                        pose: dragged(&agent.name).unwrap_or(placed.pose),
                         size_m: size_m.unwrap_or_default(),
                         speed_mps: placed.motion.velocity_mps.length(),
                         fixed: false,

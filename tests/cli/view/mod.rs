@@ -21,7 +21,7 @@ const FLAG_LAST: u8 = 2;
 /// Longest wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A running viewer, ended when dropped.
+/// A running viewer.
 struct Viewer {
     program: Child,
     /// Host and port.
@@ -85,10 +85,14 @@ impl Viewer {
     }
 }
 
+/// Ends it as Ctrl-C does: then messages of the validation layers count as failure.
 impl Drop for Viewer {
     fn drop(&mut self) {
-        let _ = self.program.kill();
-        let _ = self.program.wait();
+        let id = self.program.id().to_string();
+        let asked = Command::new("kill").args(["-INT", &id]).status();
+        let ended = self.program.wait().expect("it ends");
+        assert!(asked.is_ok_and(|status| status.success()));
+        assert!(std::thread::panicking() || ended.success(), "{ended}");
     }
 }
 

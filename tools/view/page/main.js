@@ -27,8 +27,8 @@ const KEYS = [
 
 // What comes from the viewer ----------------------------------------------------------------------
 
-function showScene({ sources }) {
-  state.sources = sources;
+function showScene({ sources, device }) {
+  Object.assign(state, { sources, device });
   const [first] = sources;
   document.title = `${first.title} – DecoupleGS`;
   const up = first.has_ego ? [0, 0, 1] : geometry.upOf(first.first_camera);

@@ -11,12 +11,16 @@ export function showList(id, rows) {
   $(id).replaceChildren(...cells);
 }
 
-export function showTimes({ gpu, render, encode }) {
+export function showTimes({ gpu, render, encode, stages, splats, pairs }) {
+  const ms = (value) => `${value.toFixed(value < 10 ? 2 : 0)} ms`;
   showList("times", [
-    ["Device", `${gpu.toFixed(1)} ms`],
-    ["Rendering in all", `${render.toFixed(1)} ms`],
-    ["Encoding", `${encode.toFixed(1)} ms`],
+    ["Device", ms(gpu)],
+    ["Device and copy", ms(render)],
+    ["Encoding", ms(encode)],
+    ["Visible splats", splats.toLocaleString("en")],
+    ["Splats times tiles", pairs.toLocaleString("en")],
   ]);
+  showList("stages", stages.map(([name, value]) => [name, ms(value)]));
 }
 
 export function showFacts() {
@@ -24,13 +28,14 @@ export function showFacts() {
   const [facts] = state.change.sources;
   const [begin, end] = state.change.span_s;
   const rows = [
-    ["File", source.title],
+    ["Content", source.title],
     ["Background", `${source.background_splats.toLocaleString("en")} splats`],
     ["Moving agents", facts.agents],
     ["Agents of plain splats", facts.plain_agents],
     ["Assets", source.assets],
     ["Cameras", source.cameras.length],
     ["Duration", `${(end - begin).toFixed(1)} s`],
+    ["Device", state.device],
   ];
   if (facts.plain_agents > 0) rows.push(["Note", "Agents of plain splats stand still. Compressed ones move."]);
   showList("facts", rows);
@@ -134,6 +139,7 @@ export function showEdits() {
   };
   describe("undo", "Undo", edits.undo);
   describe("redo", "Redo", edits.redo);
+  ["turning", "delaying", "asset-row", "left-m", "right-m"].forEach((id) => ($(id).hidden = edits.on_lanes === true));
   if (!$("save-name").value) $("save-name").value = edits.file;
   const shown = $("asset").value;
   $("asset").replaceChildren(new Option("Show as …", ""), ...edits.assets.map((asset) => new Option(asset, asset)));

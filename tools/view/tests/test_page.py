@@ -9,6 +9,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import time
 from pathlib import Path
@@ -59,9 +60,11 @@ class Viewer:
     def __enter__(self):
         return self
 
-    def __exit__(self, *_):
-        self.program.kill()
-        self.program.wait()
+    def __exit__(self, kind, *_):
+        """Ends it as Ctrl-C does: then messages of the validation layers count as failure."""
+        self.program.send_signal(signal.SIGINT)
+        ended = self.program.wait(PATIENCE_S)
+        assert kind is not None or ended == 0
 
     def memory_kib(self):
         status = Path(f"/proc/{self.program.pid}/status").read_text()
@@ -386,9 +389,9 @@ def test_overlays_lie_on_what_the_renderer_shows(street, tmp_path, open_page):
 def test_nothing_overlaps_at_any_width(street, open_page, width, scheme):
     with Viewer(street, "scene.toml") as viewer:
         page = open_page(viewer, width=width, height=900 if width > 400 else 740, color_scheme=scheme)
-        page.page.locator("#agents tbody button").first.click()
         if folder := os.environ.get("VIEW_SCREENSHOTS"):
             page.page.screenshot(path=f"{folder}/scene-{width}-{scheme}.png")
+        page.page.locator("#agents tbody button").first.click()
         assert page.page.evaluate("() => document.documentElement.scrollWidth") <= width
         controls = page.page.evaluate(
             """() => [...document.querySelectorAll("button, select, input, summary")]
