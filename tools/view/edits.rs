@@ -9,66 +9,15 @@ use decouplegs::explain::explain;
 use decouplegs::scene::{Pose, Presence};
 use decouplegs_cli::footing::{Footing, dims_of};
 use glam::{DQuat, DVec3};
-use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::history::History;
-use crate::protocol::check_name;
+use crate::protocol::{Edit, check_name};
 
 /// Room between an agent and its copy behind it, meters.
 pub const COPY_GAP_M: f64 = 2.0;
 /// Longest shift in time, seconds, and sideways, meters.
 const SHIFT_MAX: f64 = 1e4;
-
-/// Change of a scene's agents.
-#[derive(Clone, Debug, Deserialize, PartialEq)]
-#[serde(tag = "edit", rename_all = "snake_case")]
-pub enum Edit {
-    /// Turns an agent about the vertical.
-    Turn {
-        /// Name of the agent.
-        agent: String,
-        /// Angle, radians; above 0 to the left.
-        by_rad: f64,
-    },
-    /// Moves the whole track of an agent in its own frame and in time.
-    Shift {
-        /// Name of the agent.
-        agent: String,
-        /// Delay, seconds; below 0 earlier.
-        later_s: f64,
-        /// Meters ahead.
-        forward_m: f64,
-        /// Meters to the left.
-        left_m: f64,
-    },
-    /// Takes an agent out.
-    Remove {
-        /// Name of the agent.
-        agent: String,
-    },
-    /// Puts a copy of an agent behind it.
-    Duplicate {
-        /// Name of the agent.
-        agent: String,
-    },
-    /// Shows an agent as another asset of the scene.
-    Swap {
-        /// Name of the agent.
-        agent: String,
-        /// Path of the asset, as the scene file names it.
-        asset: String,
-    },
-    /// Takes back the last change.
-    Undo,
-    /// Makes the change again that was taken back last.
-    Redo,
-    /// Writes the scene to a new file beside the old one.
-    Save {
-        /// Name of the file, ending with .toml.
-        file: String,
-    },
-}
 
 /// Scene file that is edited.
 pub struct Editor {
@@ -139,8 +88,8 @@ impl Editor {
         Some(&self.file().agent(name).ok()?.asset)
     }
 
-    /// Makes `edit`, at the time `time_s` of the scene. Returns a sentence for the user, where there
-    /// is something to say.
+    /// Makes `edit`, at the time `time_s` of the scene. Returns a sentence for the user, where
+    /// there is something to say.
     ///
     /// # Errors
     /// A sentence. Nothing is changed then.

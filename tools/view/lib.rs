@@ -2,19 +2,21 @@
 //!
 //! | module | content |
 //! |---|---|
-//! | `protocol` | commands, acknowledgements and image headers |
+//! | `protocol`, `image_header` | commands and acknowledgements; what stands before an image |
 //! | `open` | scenes, logs and scenarios of the command line |
 //! | `source` | the scene at a time: worlds, cameras, boxes |
 //! | `scene_course`, `edits`, `history`, `lanes` | a scene with its tracks, edits, undo, lanes to snap to |
 //! | `played`, `scenario_edits` | an episode at a time, and its score; a scenario that is edited and begun anew |
-//! | `session` | the thread that renders |
+//! | `session`, `frame_state` | the thread that renders, and the state that goes with its images |
 //! | `drawing`, `recording` | images of views, agents under the mouse; images as files |
 //! | `server` | HTTP, WebSockets, and who may connect |
 #![forbid(unsafe_code)]
 
 mod drawing;
 mod edits;
+mod frame_state;
 mod history;
+mod image_header;
 mod lanes;
 mod open;
 mod played;

@@ -20,7 +20,7 @@ use crate::scenario_edits::{Place, ScenarioEditor};
 use crate::scene_course::SceneCourse;
 use crate::source::Source;
 
-/// What is shown, and what it is compared with.
+/// Scene or episode that is shown, and the one to compare it with.
 #[derive(clap::Args)]
 pub struct SourceArguments {
     #[arg(value_name = "FILE", help = format!("Splats ({}), a scene (.toml, .usdz), the log of an episode (.log) or a scenario (.toml); without it the demo scene, which is made if absent", SplatFormat::EXTENSIONS))]

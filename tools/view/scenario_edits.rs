@@ -15,11 +15,11 @@ use decouplegs::session::{Session, SessionScene};
 use glam::DVec2;
 use serde_json::{Value, json};
 
-use crate::edits::{COPY_GAP_M, Edit};
+use crate::edits::COPY_GAP_M;
 use crate::history::History;
 use crate::lanes::Lanes;
 use crate::played::Played;
-use crate::protocol::check_name;
+use crate::protocol::{Edit, check_name};
 
 /// Size of the images that planners see, unless a log or the user says otherwise, pixels: as in
 /// `drive`.

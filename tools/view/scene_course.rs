@@ -16,9 +16,10 @@ use decouplegs_cli::scene_source::Scene;
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use crate::edits::{Edit, Editor};
+use crate::edits::Editor;
 use crate::history::History;
 use crate::lanes::Lanes;
+use crate::protocol::Edit;
 
 /// Lanes that are shown with a scene that has them beside it.
 const LANES_FILE: &str = "lanes.json";

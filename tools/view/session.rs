@@ -5,24 +5,20 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use decouplegs::explain::explain;
-use decouplegs::render::FrameStatistics;
-use decouplegs::scene::lens::FThetaReference;
-use decouplegs::scene::{Camera, Intrinsics, Lens, RayMap};
+use decouplegs::scene::Camera;
 use decouplegs::session::SessionError;
 use decouplegs_cli::{jpeg, png_bytes};
 use serde_json::{Value, json};
 
 use crate::drawing::Drawer;
-use crate::protocol::{
-    Acknowledgement, Command, FLAG_EXACT, FLAG_LAST, Header, ImageKind, Pane, Request, View,
-};
+use crate::frame_state::{QUALITY_MOVING, badge, pane_json, times_json};
+use crate::image_header::{FLAG_EXACT, FLAG_LAST, Header, ImageKind};
+use crate::protocol::{Acknowledgement, Command, Pane, Request, View};
 use crate::recording::Recorder;
-use crate::source::{Source, pose_json, scaled};
+use crate::source::{Source, scaled};
 
 /// Updates that a client may have before it has shown the first: one on the way, one in work.
 const CREDITS: u32 = 2;
-/// Quality of JPEG while something moves.
-const QUALITY_MOVING: u8 = 75;
 /// Scales of images while something moves.
 const SCALES: [f64; 3] = [1.0, 0.5, 0.25];
 /// An update that takes longer is followed by a smaller one.
@@ -57,6 +53,8 @@ pub enum Event {
 struct Client {
     outbox: Outbox,
     view: View,
+    /// Number of the command that asked for the view.
+    look: u64,
     /// True if it has not seen the newest state at full size.
     stale: bool,
     credits: u32,
@@ -77,7 +75,7 @@ struct Clock {
 /// Renders for all clients.
 pub struct Viewer {
     drawer: Drawer,
-    /// What is shown, and what it is compared with.
+    /// Scene or episode that is shown, and the one to compare it with.
     sources: Vec<Source>,
     clients: BTreeMap<u64, Client>,
     clock: Clock,
@@ -151,6 +149,7 @@ impl Viewer {
                 let client = Client {
                     outbox,
                     view: View::default(),
+                    look: 0,
                     stale: true,
                     credits: CREDITS,
                     update: 0,
@@ -177,6 +176,9 @@ impl Viewer {
                 client.credits = (client.credits + 1).min(CREDITS);
             }
             return;
+        }
+        if let Command::Look(_) = request.command {
+            client.look = request.sequence;
         }
         let done = self.done(id, request.command);
         let (result, error) = match done {
@@ -458,7 +460,7 @@ impl Viewer {
         client.update = client.update.wrapping_add(1);
         client.credits -= 1;
         client.stale = false;
-        let (update, view) = (client.update, client.view.clone());
+        let (update, look, view) = (client.update, client.look, client.view.clone());
         let time_s = self.sources[0].time_s();
         let panes: Vec<(&Pane, Camera)> = (view.panes.iter())
             .filter_map(|pane| {
@@ -507,18 +509,11 @@ impl Viewer {
             self.sources[pane.source].is_logged(pane, image.size_px, &image.rgba)
         });
         let logged = logged.reduce(|all, same| all && same);
-        let badge = match (reduced, scale) {
-            (false, _) => match logged {
-                None => "exact".to_owned(),
-                Some(true) => "exact, same bits as the log".to_owned(),
-                Some(false) => "exact, other bits than the log".to_owned(),
-            },
-            (true, 1.0) => format!("JPEG {QUALITY_MOVING}"),
-            (true, scale) => format!("1/{} size while moving", 1.0 / scale),
-        };
+        let badge = badge(reduced.then_some(scale), logged);
         let state = json!({
             "type": "frame",
             "update": update,
+            "look": look,
             "time_s": time_s,
             "playing": self.clock.playing,
             "speed": self.clock.speed,
@@ -550,66 +545,4 @@ impl Viewer {
             self.clients.remove(&id);
         }
     }
-}
-fn pane_json(pane: &Pane, camera: &Camera) -> Value {
-    let k = &camera.intrinsics;
-    json!({
-        "stream": pane.stream,
-        "source": pane.source,
-        "pose": pose_json(&camera.world_from_camera),
-        "size_px": [k.width_px, k.height_px],
-        "focal_px": [k.fx_px, k.fy_px],
-        "center_px": [k.cx_px, k.cy_px],
-        "lens": lens_json(k),
-    })
-}
-
-/// Lens as the page projects by it; null for pinholes. A windshield is left out: boxes behind one
-/// are off by its refraction.
-fn lens_json(k: &Intrinsics) -> Value {
-    let mut json = match k.lens {
-        Lens::Pinhole => return Value::Null,
-        Lens::OpenCv(lens) => json!({
-            "kind": "opencv",
-            "radial": lens.radial,
-            "tangential": lens.tangential,
-            "thin_prism": lens.thin_prism,
-        }),
-        Lens::Fisheye(lens) => json!({"kind": "fisheye", "radial": lens.radial}),
-        Lens::FTheta(lens) => json!({
-            "kind": "ftheta",
-            "follows_pixel_distance": lens.reference == FThetaReference::PixelDistanceToAngle,
-            "pixel_distance_to_angle": lens.pixel_distance_to_angle,
-            "angle_to_pixel_distance": lens.angle_to_pixel_distance,
-            "linear_cde": lens.linear_cde,
-        }),
-    };
-    json["limit_rad"] = RayMap::new(k).limit_rad().into();
-    json
-}
-
-/// Times of an image, milliseconds: on the device in all and by stage, on the host, and for
-/// encoding; counts of what was drawn.
-fn times_json(statistics: &[FrameStatistics], rendered: Duration, all: Duration) -> Value {
-    let ms = |duration: Duration| 1e3 * duration.as_secs_f64();
-    let gpu: Duration = statistics.iter().map(|frame| frame.gpu_time).sum();
-    let mut stages: Vec<(&str, f64)> = Vec::new();
-    for stage in statistics.iter().flat_map(|frame| &frame.stages) {
-        let stage_ms = 1e-6 * stage.duration_ns as f64;
-        match stages.iter_mut().find(|(name, _)| *name == stage.name) {
-            Some((_, sum_ms)) => *sum_ms += stage_ms,
-            None => stages.push((stage.name, stage_ms)),
-        }
-    }
-    let count = |of: fn(&FrameStatistics) -> u32| -> u64 {
-        statistics.iter().map(|frame| u64::from(of(frame))).sum()
-    };
-    json!({
-        "gpu": ms(gpu),
-        "render": ms(rendered),
-        "encode": ms(all - rendered),
-        "stages": stages,
-        "splats": count(|frame| frame.required.records),
-        "pairs": count(|frame| frame.required.pairs),
-    })
 }

@@ -10,9 +10,8 @@ use decouplegs::session::{Session, SessionError, SessionScene, World};
 use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
 
-use crate::edits::Edit;
 use crate::played::Played;
-use crate::protocol::{CameraRequest, Pane, Pinhole};
+use crate::protocol::{CameraRequest, Edit, Pane, Pinhole};
 use crate::scenario_edits::ScenarioEditor;
 use crate::scene_course::{Boxed, SceneCourse};
 

@@ -31,6 +31,8 @@ export class Connection {
     this.tries = 0;
     this.last = new Map();
     this.waiting = new Map();
+    /** Number of the newest command that asked for a view. */
+    this.newestLook = 0;
     this.open();
   }
 
@@ -64,6 +66,7 @@ export class Connection {
     if (command === "look") this.last.set(command, fields);
     if (this.socket.readyState !== WebSocket.OPEN) return;
     this.sequence += 1;
+    if (command === "look") this.newestLook = this.sequence;
     this.socket.send(JSON.stringify({ sequence: this.sequence, command, ...fields }));
   }
 

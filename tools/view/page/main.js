@@ -58,8 +58,7 @@ function showUpdate(frame, images, points) {
   if (state.refused) notice("");
   state.refused = false;
   state.frame = frame;
-  $("badge").textContent = frame.badge;
-  $("badge").classList.toggle("exact", frame.badge.startsWith("exact"));
+  showBadge();
   if (frame.error) notice(frame.error, true);
   noteTrails(frame);
   views.showImages(images, points);
@@ -67,7 +66,15 @@ function showUpdate(frame, images, points) {
   timeline.showClock(frame);
   panels.showAgents(frame.sources[0]);
   panels.showTimes(frame.times_ms);
-  window.viewer = { frame, state, updates: (window.viewer?.updates ?? 0) + 1 };
+  window.viewer = { frame, state, newest: () => state.frame.look === state.connection.newestLook };
+}
+
+/** Tells how the image was made, or that it is not yet the one that was asked for. */
+function showBadge() {
+  const { frame, connection } = state;
+  const newest = frame !== null && frame.look === connection.newestLook;
+  $("badge").textContent = newest ? frame.badge : "rendering …";
+  $("badge").classList.toggle("exact", newest && frame.badge.startsWith("exact"));
 }
 
 function refused(text) {
@@ -183,3 +190,5 @@ state.connection = new Connection({
   failed: (text) => refused(`The image could not be rendered: ${text}`),
   status: (text) => notice(text, true),
 });
+// Late enough that quick images change nothing.
+setInterval(showBadge, 300);

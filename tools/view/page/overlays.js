@@ -4,7 +4,7 @@ import { state } from "./state.js";
 
 const TRAIL_S = 5;
 const LANES_WITHIN_M = 120;
-const LANE_COLOR = "#ffffffa0";
+const LANE_COLOR = "#ffffffb0";
 const PLAN_COLOR = "#00e5a0";
 const SELECTED_COLOR = "#ffffff";
 // Okabe and Ito, "Color Universal Design", 2008: told apart by color-blind people.
@@ -45,7 +45,10 @@ export function drawOverlay(view, camera, source) {
   if (state.points && camera.source === 0) drawPoints(context, camera, source.ego);
   if (layers.lanes) {
     context.strokeStyle = LANE_COLOR;
+    // Thin, since far lanes lie on each other.
+    context.lineWidth /= 2;
     nearLanes(camera).forEach((line) => stroke(context, geometry.polyline(camera, line, 2)));
+    context.lineWidth *= 2;
   }
   if (layers.plan && plan.length > 1) {
     context.strokeStyle = PLAN_COLOR;

@@ -82,7 +82,7 @@ class Page:
         self.at_rest()
 
     def shown(self):
-        return self.page.evaluate("() => window.viewer?.frame ?? null")
+        return self.page.evaluate("() => window.viewer?.newest() ? window.viewer.frame : null")
 
     def wait(self, is_so):
         """The state of the first update that `is_so` holds for."""
@@ -99,12 +99,13 @@ class Page:
         while True:
             frame = self.wait(lambda frame: frame["update"] > after and frame["badge"].startswith("exact"))
             time.sleep(SETTLED_S)
-            if self.shown()["update"] == frame["update"]:
+            now = self.shown()
+            if now and now["update"] == frame["update"]:
                 return frame
 
     def after(self, act):
         """The update at rest that follows `act`."""
-        before = self.shown()["update"]
+        before = self.wait(lambda frame: True)["update"]
         act()
         return self.at_rest(before)
 

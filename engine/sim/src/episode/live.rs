@@ -1,4 +1,4 @@
-//! An episode that is driven while somebody watches: step by step, with its planner.
+//! An episode that is driven step by step, with its planner, while a viewer shows it.
 
 use std::sync::Arc;
 

@@ -290,7 +290,8 @@ impl Simulation {
         self.advance_with(plan, |_| {})
     }
 
-    /// As [`Self::advance`], and calls `after` at the end of each sub-step.
+    /// Drives `plan` for a step like [`Self::advance`], and calls `after` at the end of each
+    /// sub-step.
     pub fn advance_with(
         &mut self,
         plan: &Plan,
