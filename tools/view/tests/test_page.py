@@ -426,7 +426,7 @@ def test_memory_stays_flat(street, open_page):
         for _ in range(KINDS):
             pages[2].after(lambda: pages[2].page.keyboard.press("v"))
         pages[0].page.check("#loop")
-        pages[0].page.keyboard.press("Space")
+        pages[0].page.click("#play")
         time.sleep(max(3, seconds / 10))
         first = viewer.memory_kib()
         began = time.monotonic()
