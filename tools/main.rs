@@ -13,6 +13,7 @@ mod devices;
 mod drive;
 mod edit;
 mod episode_report;
+mod export;
 mod inspect;
 mod lane_drawing;
 mod lidar;
@@ -67,6 +68,7 @@ enum Command {
     Replay(replay::Arguments),
     OpenLoop(open_loop::Arguments),
     Score(score::Arguments),
+    Export(export::Arguments),
     View(Box<view::Arguments>),
     Devices(devices::Arguments),
 }
@@ -93,6 +95,7 @@ fn main() -> ExitCode {
         Command::Replay(arguments) => replay::run(arguments),
         Command::OpenLoop(arguments) => open_loop::run(arguments),
         Command::Score(arguments) => score::run(arguments),
+        Command::Export(arguments) => export::run(arguments),
         Command::View(arguments) => view::run(arguments, synth::demo),
         Command::Devices(arguments) => devices::run(arguments),
     };

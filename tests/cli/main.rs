@@ -9,6 +9,7 @@ mod drive;
 mod drive_images;
 mod edit;
 mod exchange;
+mod export;
 mod first_hour;
 mod ground_truth;
 mod hostile;

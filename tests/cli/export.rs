@@ -1,0 +1,274 @@
+//! Episodes as data sets: tables that hold together, boxes where pixels are, and images of the log.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::*;
+
+/// An episode with images of two cameras of a camera rig, on a small street.
+fn episode(folder: &Path) -> std::path::PathBuf {
+    let out = folder.join("run");
+    let place = ["drive", "--background", "3000", "--agent-splats", "300"];
+    let what = [
+        "--level",
+        "hard",
+        "--episodes",
+        "1",
+        "--size",
+        "96x54",
+        "--seed",
+        "3",
+    ];
+    let how = ["--planner", "constant-velocity", "--all-cameras"];
+    succeed(&[&place[..], &what, &how, &["--out", text(&out)]].concat());
+    out.join("logs/hard_0000.log")
+}
+
+fn read(path: &Path) -> Value {
+    let bytes = fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    serde_json::from_slice(&bytes).unwrap()
+}
+
+#[test]
+fn episodes_become_data_sets_with_the_images_of_the_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = episode(folder.path());
+    let base = folder.path();
+    let export = |format: &str, more: &[&str]| {
+        let out = base.join(format);
+        let said = succeed(
+            &[
+                &["export", text(&log), "--as", format, "--out", text(&out)],
+                more,
+            ]
+            .concat(),
+        );
+        (out, said)
+    };
+
+    // nuScenes: each token that a row names is that of a row, and lists are linked both ways.
+    let (out, said) = export("nuscenes", &["--lidar", "vlp32c"]);
+    assert!(said.contains("images have the bits of the log"), "{said}");
+    let tables: BTreeMap<String, Vec<Value>> = fs::read_dir(out.join("v1.0-decouplegs"))
+        .unwrap()
+        .map(|entry| {
+            let path = entry.unwrap().path();
+            let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
+            (name, read(&path).as_array().unwrap().clone())
+        })
+        .collect();
+    assert_eq!(tables.len(), 13);
+    let tokens: BTreeMap<&str, BTreeSet<&str>> = tables
+        .iter()
+        .map(|(name, rows)| {
+            (
+                name.as_str(),
+                rows.iter()
+                    .map(|row| row["token"].as_str().unwrap())
+                    .collect(),
+            )
+        })
+        .collect();
+    for (name, rows) in &tables {
+        assert_eq!(
+            tokens[name.as_str()].len(),
+            rows.len(),
+            "tokens of {name} differ"
+        );
+        for row in rows {
+            for (key, value) in row.as_object().unwrap() {
+                let Some(table) = key.strip_suffix("_token") else {
+                    continue;
+                };
+                let table = match table {
+                    "first_sample" | "last_sample" => "sample",
+                    "first_annotation" | "last_annotation" => "sample_annotation",
+                    table => table,
+                };
+                assert!(
+                    tokens[table].contains(value.as_str().unwrap()),
+                    "{name}.{key}"
+                );
+            }
+            if let Some(next) = row
+                .get("next")
+                .and_then(Value::as_str)
+                .filter(|next| !next.is_empty())
+            {
+                let other = rows.iter().find(|other| other["token"] == next).unwrap();
+                assert_eq!(other["prev"], row["token"]);
+            }
+        }
+    }
+    let samples = tables["sample"].len();
+    assert_eq!(
+        tables["sample_data"].len(),
+        7 * samples,
+        "six cameras and a LiDAR"
+    );
+    for reading in &tables["sample_data"] {
+        let file = out.join(reading["filename"].as_str().unwrap());
+        assert!(
+            fs::metadata(&file).is_ok_and(|file| file.len() > 50),
+            "{}",
+            file.display()
+        );
+    }
+    let annotations = &tables["sample_annotation"];
+    assert!(
+        annotations
+            .iter()
+            .any(|row| row["num_lidar_pts"].as_u64().unwrap() > 20)
+    );
+    assert!(annotations.iter().any(|row| row["visibility_token"] == "4"));
+    // The image of the front camera at the first step is that which `replay` writes.
+    let images = base.join("images");
+    succeed(&["replay", text(&log), "--images", text(&images)]);
+    let front = tables["sample_data"]
+        .iter()
+        .find(|row| row["filename"].as_str().unwrap().contains("CAM_FRONT/"));
+    let front = out.join(front.unwrap()["filename"].as_str().unwrap());
+    let same = Image::read(&front).unwrap() == Image::read(&images.join("front_0000.png")).unwrap();
+    assert!(same);
+
+    // COCO: masks have as many pixels as areas say, inside their boxes.
+    let (out, _) = export("coco", &["--cameras", "front,back"]);
+    let coco = read(&out.join("annotations.json"));
+    let annotations = coco["annotations"].as_array().unwrap();
+    assert_eq!(coco["images"].as_array().unwrap().len(), 2 * samples);
+    assert!(!annotations.is_empty());
+    for annotation in annotations {
+        let number = |value: &Value| value.as_f64().unwrap();
+        let counts: Vec<usize> = annotation["segmentation"]["counts"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|count| count.as_u64().unwrap() as usize)
+            .collect();
+        assert_eq!(counts.iter().sum::<usize>(), 96 * 54);
+        assert_eq!(
+            counts.iter().skip(1).step_by(2).sum::<usize>() as f64,
+            number(&annotation["area"])
+        );
+        let first = counts[0];
+        let edges: Vec<f64> = annotation["bbox"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(number)
+            .collect();
+        assert_eq!(
+            (first / 54) as f64,
+            edges[0],
+            "the mask begins at the left edge of its box"
+        );
+    }
+
+    // KITTI: the middle of the floor of each box, projected by the calibration, is in the 2D box's
+    // columns, unless it is cut.
+    let (out, _) = export("kitti", &["--cameras", "front", "--lidar", "vlp32c"]);
+    let mut whole = 0;
+    for step in 0..samples {
+        let file = |kind: &str, ending: &str| out.join(format!("{kind}/{step:06}.{ending}"));
+        let calibration = fs::read_to_string(file("calib", "txt")).unwrap();
+        let p2 = calibration
+            .lines()
+            .find_map(|line| line.strip_prefix("P2: "))
+            .unwrap();
+        let p: Vec<f64> = p2
+            .split(' ')
+            .map(|number| number.parse().unwrap())
+            .collect();
+        assert_eq!(p.len(), 12);
+        assert_eq!(fs::metadata(file("velodyne", "bin")).unwrap().len() % 16, 0);
+        for line in fs::read_to_string(file("label_2", "txt")).unwrap().lines() {
+            let words: Vec<&str> = line.split(' ').collect();
+            assert_eq!(words.len(), 15, "{line}");
+            let n: Vec<f64> = words[1..]
+                .iter()
+                .map(|word| word.parse().unwrap())
+                .collect();
+            if n[0] > 0.0 || n[12] < 1.0 {
+                continue;
+            }
+            let x_px = (p[0] * n[10] + p[2] * n[12]) / n[12];
+            assert!(n[3] - 1.0 <= x_px && x_px <= n[5] + 1.0, "{line}: {x_px}");
+            // Wheels on the ground: below the camera.
+            assert!(n[11] > 0.5 && n[11] < 4.0, "{line}");
+            whole += 1;
+        }
+    }
+    assert!(whole > 0);
+
+    // What cannot be written is said, and nothing is left.
+    let out = base.join("again");
+    let arguments = |more: &[&'static str]| -> Vec<String> {
+        let all = [&["export", text(&log), "--out", text(&out)], more].concat();
+        all.into_iter().map(str::to_owned).collect()
+    };
+    for (more, word) in [
+        (&["--as", "kitti"][..], "--cameras"),
+        (&["--as", "coco", "--cameras", "roof"], "roof"),
+        (&["--as", "coco", "--lidar", "nowhere"], "nowhere"),
+    ] {
+        let all = arguments(more);
+        let all: Vec<&str> = all.iter().map(String::as_str).collect();
+        assert!(fail(1, &all).contains(word), "{more:?}");
+        assert!(!out.exists());
+    }
+    assert!(
+        fail(
+            1,
+            &["export", text(&log), "--as", "coco", "--out", text(base)]
+        )
+        .contains("exists already")
+    );
+    assert_eq!(
+        fs::read_dir(base)
+            .unwrap()
+            .filter(|entry| entry
+                .as_ref()
+                .unwrap()
+                .file_name()
+                .to_string_lossy()
+                .starts_with('.'))
+            .count(),
+        0
+    );
+}
+
+/// Another background is another image: the log's hashes notice.
+#[test]
+fn images_that_are_not_those_of_the_log_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let street = folder.path().join("street");
+    small_street(&street);
+    let (scene, lanes) = (street.join("scene.toml"), street.join("lanes.json"));
+    let out = folder.path().join("run");
+    let place = ["drive", "--scene", text(&scene), "--map", text(&lanes)];
+    let what = ["--level", "easy", "--episodes", "1", "--size", "48x27"];
+    succeed(
+        &[
+            &place[..],
+            &what,
+            &["--planner", "constant-velocity", "--out", text(&out)],
+        ]
+        .concat(),
+    );
+    let log = out.join("logs/easy_0000.log");
+    let file = fs::read_to_string(&scene).unwrap();
+    fs::write(
+        &scene,
+        file.replacen(r#"name = "default""#, r#"name = "inria""#, 1),
+    )
+    .unwrap();
+    let coco = folder.path().join("coco");
+    let export = ["export", text(&log), "--as", "coco", "--out", text(&coco)];
+    let said = fail(1, &export);
+    assert!(
+        said.contains("not those of the log") && said.contains("--unchecked"),
+        "{said}"
+    );
+    assert!(!coco.exists());
+    succeed(&[&export[..], &["--unchecked"]].concat());
+    assert!(coco.join("annotations.json").exists());
+}
