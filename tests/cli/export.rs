@@ -35,27 +35,21 @@ fn episodes_become_data_sets_with_the_images_of_the_log() {
     let base = folder.path();
     let export = |format: &str, more: &[&str]| {
         let out = base.join(format);
-        let said = succeed(
-            &[
-                &["export", text(&log), "--as", format, "--out", text(&out)],
-                more,
-            ]
-            .concat(),
-        );
-        (out, said)
+        let whole = ["export", text(&log), "--as", format, "--out", text(&out)];
+        let said = succeed(&[&whole, more].concat());
+        assert!(said.contains("images have the bits of the log"), "{said}");
+        out
     };
+    let nuscenes = export("nuscenes", &["--lidar", "vlp32c"]);
+    let samples = check_nuscenes(&nuscenes, &log, &base.join("images"));
+    check_coco(&export("coco", &["--cameras", "front,back"]), samples);
+    let kitti = ["--cameras", "front", "--lidar", "vlp32c"];
+    check_kitti(&export("kitti", &kitti), samples);
+    check_refusals(&log, base);
+}
 
-    // nuScenes: each token that a row names is that of a row, and lists are linked both ways.
-    let (out, said) = export("nuscenes", &["--lidar", "vlp32c"]);
-    assert!(said.contains("images have the bits of the log"), "{said}");
-    let tables: BTreeMap<String, Vec<Value>> = fs::read_dir(out.join("v1.0-decouplegs"))
-        .unwrap()
-        .map(|entry| {
-            let path = entry.unwrap().path();
-            let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
-            (name, read(&path).as_array().unwrap().clone())
-        })
-        .collect();
+/// Checks that each token that a row names is that of a row, and that lists are linked both ways.
+fn check_tables(tables: &BTreeMap<String, Vec<Value>>) {
     assert_eq!(tables.len(), 13);
     let tokens: BTreeMap<&str, BTreeSet<&str>> = tables
         .iter()
@@ -68,7 +62,7 @@ fn episodes_become_data_sets_with_the_images_of_the_log() {
             )
         })
         .collect();
-    for (name, rows) in &tables {
+    for (name, rows) in tables {
         assert_eq!(
             tokens[name.as_str()].len(),
             rows.len(),
@@ -99,6 +93,19 @@ fn episodes_become_data_sets_with_the_images_of_the_log() {
             }
         }
     }
+}
+
+/// Checks tables and files; returns the number of samples.
+fn check_nuscenes(out: &Path, log: &Path, images: &Path) -> usize {
+    let tables: BTreeMap<String, Vec<Value>> = fs::read_dir(out.join("v1.0-decouplegs"))
+        .unwrap()
+        .map(|entry| {
+            let path = entry.unwrap().path();
+            let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
+            (name, read(&path).as_array().unwrap().clone())
+        })
+        .collect();
+    check_tables(&tables);
     let samples = tables["sample"].len();
     assert_eq!(
         tables["sample_data"].len(),
@@ -121,17 +128,18 @@ fn episodes_become_data_sets_with_the_images_of_the_log() {
     );
     assert!(annotations.iter().any(|row| row["visibility_token"] == "4"));
     // The image of the front camera at the first step is that which `replay` writes.
-    let images = base.join("images");
-    succeed(&["replay", text(&log), "--images", text(&images)]);
+    succeed(&["replay", text(log), "--images", text(images)]);
     let front = tables["sample_data"]
         .iter()
         .find(|row| row["filename"].as_str().unwrap().contains("CAM_FRONT/"));
     let front = out.join(front.unwrap()["filename"].as_str().unwrap());
     let same = Image::read(&front).unwrap() == Image::read(&images.join("front_0000.png")).unwrap();
     assert!(same);
+    samples
+}
 
-    // COCO: masks have as many pixels as areas say, inside their boxes.
-    let (out, _) = export("coco", &["--cameras", "front,back"]);
+/// Checks that masks have as many pixels as areas say, inside their boxes.
+fn check_coco(out: &Path, samples: usize) {
     let coco = read(&out.join("annotations.json"));
     let annotations = coco["annotations"].as_array().unwrap();
     assert_eq!(coco["images"].as_array().unwrap().len(), 2 * samples);
@@ -162,10 +170,11 @@ fn episodes_become_data_sets_with_the_images_of_the_log() {
             "the mask begins at the left edge of its box"
         );
     }
+}
 
-    // KITTI: the middle of the floor of each box, projected by the calibration, is in the 2D box's
-    // columns, unless it is cut.
-    let (out, _) = export("kitti", &["--cameras", "front", "--lidar", "vlp32c"]);
+/// Checks that the middle of the floor of each box, projected by the calibration, is in the columns
+/// of the 2D box, unless that is cut.
+fn check_kitti(out: &Path, samples: usize) {
     let mut whole = 0;
     for step in 0..samples {
         let file = |kind: &str, ending: &str| out.join(format!("{kind}/{step:06}.{ending}"));
@@ -198,11 +207,13 @@ fn episodes_become_data_sets_with_the_images_of_the_log() {
         }
     }
     assert!(whole > 0);
+}
 
-    // What cannot be written is said, and nothing is left.
+/// Checks that what cannot be written is said, and that nothing is left of it.
+fn check_refusals(log: &Path, base: &Path) {
     let out = base.join("again");
     let arguments = |more: &[&'static str]| -> Vec<String> {
-        let all = [&["export", text(&log), "--out", text(&out)], more].concat();
+        let all = [&["export", text(log), "--out", text(&out)], more].concat();
         all.into_iter().map(str::to_owned).collect()
     };
     for (more, word) in [
@@ -218,7 +229,7 @@ fn episodes_become_data_sets_with_the_images_of_the_log() {
     assert!(
         fail(
             1,
-            &["export", text(&log), "--as", "coco", "--out", text(base)]
+            &["export", text(log), "--as", "coco", "--out", text(base)]
         )
         .contains("exists already")
     );

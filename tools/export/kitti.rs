@@ -99,8 +99,8 @@ impl DataSet for Folders {
     }
 }
 
-/// Line of `label_2`: type, truncated, occluded, alpha, 2D box, height, width, length, middle of the
-/// floor in the camera's frame, rotation about the camera's y axis.
+/// Line of `label_2`: type, truncated, occluded, alpha, 2D box, height, width, length, middle of
+/// the floor in the camera's frame, rotation about the camera's y axis.
 fn label(agent: &LabeledAgent, labeled: &Labeled) -> String {
     let kind = match agent.kind {
         RoadUser::Car => "Car",

@@ -36,7 +36,7 @@ pub struct Sensed {
 pub struct LabeledAgent {
     /// Name; unique in the episode.
     pub name: String,
-    /// Kind.
+    /// Kind of road user.
     pub kind: RoadUser,
     /// Instance id in images and sweeps.
     pub instance: u16,
@@ -44,7 +44,7 @@ pub struct LabeledAgent {
     pub pose: Pose,
     /// Length, width and height of its box, meters.
     pub dims_m: [f64; 3],
-    /// Motion.
+    /// Velocity and turn.
     pub motion: Motion,
 }
 
@@ -147,7 +147,7 @@ impl Renderers {
         &self.scene
     }
 
-    /// What `rig` senses at `moment`, at which a step begins.
+    /// Readings of `rig` at `moment`, at which a step begins, with their labels.
     pub fn sense(&mut self, episode: &Episode, rig: &Rig, moment: &Moment) -> Result<Sensed> {
         let step = moment.step.context("no step begins at this moment")?;
         let agents = labeled_agents(episode, &moment.world);
