@@ -31,7 +31,7 @@ use crate::progress;
 /// where one differs nothing is written, and the exit code is 1
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Log of an episode, as `drive` writes it
+    /// Log of an episode, as 'decouplegs drive' writes it
     log: PathBuf,
     /// Format of the data set
     #[arg(long = "as", value_name = "FORMAT", value_enum)]
@@ -65,9 +65,9 @@ pub struct Arguments {
 enum Format {
     /// nuScenes v1.0: tables, samples
     Nuscenes,
-    /// KITTI object detection of one camera: `image_2`, `label_2`, calib, velodyne
+    /// KITTI object detection of one camera: images, labels, calibration and points
     Kitti,
-    /// COCO: boxes and masks, `annotations.json`
+    /// COCO: boxes and masks in annotations.json
     Coco,
 }
 

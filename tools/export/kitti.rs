@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::point_cloud::{PointFormat, write_points};
 use decouplegs::asset::write_atomically;
+use decouplegs::drive::polyline::wrapped;
+use decouplegs::scene::bounding_box::AgentBox;
 use decouplegs::scene::lidar::PointFrame;
 use decouplegs::scene::{Camera, Pose, Rig, RoadUser};
 use glam::DVec3;
@@ -115,29 +117,26 @@ fn label(agent: &LabeledAgent, labeled: &Labeled) -> String {
     let ahead = box_3d.rotation * DVec3::X;
     let rotation_y = -f64::atan2(ahead.z, ahead.x);
     let alpha = wrapped(rotation_y - f64::atan2(floor.x, floor.z));
-    let area = |of: &decouplegs::scene::bounding_box::ImageBox| of.area_px().max(1e-9);
-    let truncated = 1.0 - area(&labeled.amodal.in_image) / area(&labeled.amodal.amodal);
+    let AgentBox {
+        amodal, in_image, ..
+    } = &labeled.amodal;
+    let truncated = 1.0 - in_image.area_px() / amodal.area_px().max(1e-9);
     let occluded = match labeled.visible_fraction() {
         share if share >= 0.8 => 0,
         share if share >= 0.4 => 1,
         _ => 2,
     };
-    let edges = &labeled.amodal.in_image;
     format!(
         "{kind} {:.2} {occluded} {alpha:.4} {:.2} {:.2} {:.2} {:.2} {height_m:.3} {width_m:.3} {length_m:.3} {:.4} {:.4} {:.4} {rotation_y:.4}\n",
         truncated.clamp(0.0, 1.0),
-        edges.min_px.x,
-        edges.min_px.y,
-        edges.max_px.x,
-        edges.max_px.y,
+        in_image.min_px.x,
+        in_image.min_px.y,
+        in_image.max_px.x,
+        in_image.max_px.y,
         floor.x,
         floor.y,
         floor.z,
     )
-}
-
-fn wrapped(angle_rad: f64) -> f64 {
-    decouplegs::drive::polyline::wrapped(angle_rad)
 }
 
 /// File of `calib`: KITTI counts pixels from the middle of the first, we from its corner.

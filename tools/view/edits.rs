@@ -267,18 +267,27 @@ impl Editor {
     fn save(&mut self, name: &str) -> Result<String, String> {
         check_name(name, ".toml")?;
         let path = self.folder().join(name);
-        if path.exists() && !self.saved.contains(&path) {
-            return Err(format!(
-                "{} exists already and is left as it is: choose another name",
-                path.display()
-            ));
-        }
+        check_unwritten(&path, &self.saved)?;
         let written = self.file().write(&path);
         written.map_err(|error| explain(&error))?;
         if !self.saved.contains(&path) {
             self.saved.push(path.clone());
         }
         Ok(format!("saved as {}", path.display()))
+    }
+}
+
+/// Checks that writing `path` loses nothing: no file is there, or one of `own`.
+///
+/// # Errors
+/// A sentence.
+pub fn check_unwritten(path: &Path, own: &[PathBuf]) -> Result<(), String> {
+    match path.exists() && !own.iter().any(|written| written == path) {
+        true => Err(format!(
+            "{} exists already and is left as it is: choose another name",
+            path.display()
+        )),
+        false => Ok(()),
     }
 }
 

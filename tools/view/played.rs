@@ -14,6 +14,7 @@ use decouplegs::session::SessionScene;
 use glam::DVec2;
 use serde_json::{Value, json};
 
+use crate::edits::check_unwritten;
 use crate::lanes::Lanes;
 
 /// Times of a log are matched to this, seconds: far below its steps.
@@ -116,12 +117,7 @@ impl Played {
     /// # Errors
     /// A sentence.
     pub fn save(&self, path: &Path) -> Result<String, String> {
-        if path.exists() {
-            return Err(format!(
-                "{} exists already and is left as it is: choose another name",
-                path.display()
-            ));
-        }
+        check_unwritten(path, &[])?;
         if self.goes_on() {
             return Err(
                 "the episode goes on: a log is that of a whole one. Play it to its end".into(),

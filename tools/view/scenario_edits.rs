@@ -15,7 +15,7 @@ use decouplegs::session::{Session, SessionScene};
 use glam::DVec2;
 use serde_json::{Value, json};
 
-use crate::edits::COPY_GAP_M;
+use crate::edits::{COPY_GAP_M, check_unwritten};
 use crate::history::History;
 use crate::lanes::Lanes;
 use crate::played::Played;
@@ -208,12 +208,7 @@ impl ScenarioEditor {
     fn save(&mut self, file: &str) -> Result<String, String> {
         check_name(file, ".toml")?;
         let path = self.path.with_file_name(file);
-        if path.exists() && !self.saved.contains(&path) {
-            return Err(format!(
-                "{} exists already and is left as it is: choose another name",
-                path.display()
-            ));
-        }
+        check_unwritten(&path, &self.saved)?;
         let written = write_scenario(&path, self.history.state());
         written.map_err(|error| explain(&error))?;
         self.saved.push(path.clone());
