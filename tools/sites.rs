@@ -78,8 +78,7 @@ impl Sites {
         let Some(session) = &self.session else {
             return Ok(Ready { site, scene: None });
         };
-        let scene = session.add_scene(&site.loaded)?;
-        scene.bake_light(site.places(Site::LIGHT_STEP_M));
+        let scene = site.add_to(session)?;
         Ok(Ready {
             site,
             scene: Some(scene),

@@ -83,11 +83,6 @@ impl Editor {
         facts
     }
 
-    /// Asset of the agent called `name`, as the file names it.
-    pub fn asset_of(&self, name: &str) -> Option<&Path> {
-        Some(&self.file().agent(name).ok()?.asset)
-    }
-
     /// Makes `edit`, at the time `time_s` of the scene. Returns a sentence for the user, where
     /// there is something to say.
     ///

@@ -9,11 +9,12 @@
 //! | `played`, `scenario_edits` | an episode at a time, and its score; a scenario that is edited and begun anew |
 //! | `session`, `frame_state` | the thread that renders, and the state that goes with its images |
 //! | `drawing`, `recording` | images of views, agents under the mouse; images as files |
-//! | `server` | HTTP, WebSockets, and who may connect |
+//! | `server`, `events` | HTTP, WebSockets, and who may connect |
 #![forbid(unsafe_code)]
 
 mod drawing;
 mod edits;
+mod events;
 mod frame_state;
 mod history;
 mod image_header;
@@ -40,9 +41,10 @@ use decouplegs_cli::arguments::print;
 use decouplegs_cli::device::{DeviceArguments, check_validation};
 
 use drawing::Drawer;
+use events::Event;
 use open::SourceArguments;
 use server::{Service, router};
-use session::{Event, Viewer};
+use session::Viewer;
 
 /// Commands that wait for the thread that renders.
 const EVENTS_MAX: usize = 1024;

@@ -14,7 +14,7 @@ use decouplegs::scene::{Pose, Trajectory};
 use decouplegs::session::{AgentInstance, Session, SessionScene};
 use decouplegs_cli::scene_source::Scene;
 use glam::DVec3;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use crate::edits::Editor;
 use crate::history::History;
@@ -154,15 +154,6 @@ impl SceneCourse {
         (self.editor.as_ref()).map_or(Value::Null, Editor::facts)
     }
 
-    /// Asset of an agent, for those who swap it.
-    pub fn asset_of(&self, name: &str) -> Value {
-        json!(
-            self.editor
-                .as_ref()
-                .and_then(|editor| editor.asset_of(name))
-        )
-    }
-
     /// Lanes about the agents and the ego, as lines.
     pub fn lane_lines(&self) -> Vec<Vec<[f64; 3]>> {
         let Some(lanes) = &self.lanes else {
@@ -190,6 +181,9 @@ impl SceneCourse {
         let editor = self.editor.as_mut().ok_or(NOT_EDITABLE)?;
         let before = editor.history();
         let said = editor.apply(edit, time_s)?;
+        if matches!(edit, Edit::Save { .. }) {
+            return Ok((said, None));
+        }
         Ok((said, self.follow(before, session)?))
     }
 
@@ -228,6 +222,11 @@ impl SceneCourse {
         let before = editor.history();
         editor.move_to(name, time_s, position_m, yaw_rad)?;
         self.follow(before, session)
+    }
+
+    /// Forgets where an agent is dragged to.
+    pub fn end_drag(&mut self) {
+        self.dragged = None;
     }
 
     /// Pose of an agent at `time_s`, before it is dragged.

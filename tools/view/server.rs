@@ -15,8 +15,8 @@ use axum::routing::get;
 use subtle::ConstantTimeEq;
 use tokio::sync::mpsc;
 
+use crate::events::{Event, Outgoing};
 use crate::protocol::{COMMAND_BYTES_MAX, Refused, parse};
-use crate::session::{Event, Outgoing};
 
 /// Messages that wait for a client before it is dropped.
 const OUTBOX: usize = 256;

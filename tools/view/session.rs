@@ -11,6 +11,7 @@ use decouplegs_cli::{jpeg, png_bytes};
 use serde_json::{Value, json};
 
 use crate::drawing::Drawer;
+use crate::events::{Event, Outbox, Outgoing};
 use crate::frame_state::{QUALITY_MOVING, badge, pane_json, times_json};
 use crate::image_header::{FLAG_EXACT, FLAG_LAST, Header, ImageKind};
 use crate::protocol::{Acknowledgement, Command, Pane, Request, View};
@@ -25,30 +26,6 @@ const SCALES: [f64; 3] = [1.0, 0.5, 0.25];
 const SLOW: Duration = Duration::from_millis(100);
 /// An update that takes less is followed by a larger one.
 const FAST: Duration = Duration::from_millis(20);
-
-/// Messages to a client.
-#[derive(Debug)]
-pub enum Outgoing {
-    /// JSON text.
-    Text(String),
-    /// An image with its header.
-    Image(Vec<u8>),
-}
-
-/// Way to a client. A client that leaves hundreds of messages unread is dropped.
-pub type Outbox = tokio::sync::mpsc::Sender<Outgoing>;
-
-/// Events for the thread that renders.
-pub enum Event {
-    /// A client came.
-    Joined(u64, Outbox),
-    /// A client went.
-    Left(u64),
-    /// A client sent a command.
-    Command(u64, Request),
-    /// The program ends.
-    Stop,
-}
 
 struct Client {
     outbox: Outbox,
@@ -159,6 +136,8 @@ impl Viewer {
             }
             Event::Left(id) => {
                 self.clients.remove(&id);
+                self.sources[0].end_drag();
+                self.mark_all_stale();
                 // No client is left: the scene does not play on for hours.
                 self.clock.playing &= !self.clients.is_empty();
             }
@@ -238,8 +217,10 @@ impl Viewer {
                 let (_, camera) = self.shown(id, stream)?;
                 let session = self.drawer.session();
                 let how = (free, done);
-                self.sources[0].drag(&agent, &camera, [from, to], how, session)?;
+                let moved = self.sources[0].drag(&agent, &camera, [from, to], how, session);
+                // Also where it is refused: what was dragged is where it was.
                 self.set_time(self.sources[0].time_s());
+                moved?;
                 if done {
                     self.tell_changes();
                 }
@@ -289,9 +270,8 @@ impl Viewer {
         let source = &self.sources[pane.source];
         let picked = self.drawer.pick(source, &camera, at);
         let picked = picked.map_err(|error| explain(&error))?;
-        let asset = picked.agent.as_deref().map(|name| source.asset_of(name));
         let position_m = picked.position_m.map(|at_m| at_m.to_array());
-        Ok(json!({"agent": picked.agent, "asset": asset, "position_m": position_m}))
+        Ok(json!({"agent": picked.agent, "position_m": position_m}))
     }
 
     fn step(&mut self, by: i32) -> Result<(), String> {
@@ -364,9 +344,13 @@ impl Viewer {
         let begin_s = self.span_s()[0];
         self.clock.time_s = time_s.clamp(begin_s, self.reached_s().max(begin_s));
         self.clock.advanced = Instant::now();
-        let time_s = self.clock.time_s;
-        (self.sources.iter_mut()).for_each(|source| source.set_time(time_s));
+        self.show_at(self.clock.time_s);
         self.mark_all_stale();
+    }
+
+    /// Puts all sources at a time, which need not be that of the clock.
+    fn show_at(&mut self, time_s: f64) {
+        (self.sources.iter_mut()).for_each(|source| source.set_time(time_s));
     }
 
     fn mark_all_stale(&mut self) {
@@ -419,14 +403,13 @@ impl Viewer {
     }
 
     fn record_at(&mut self, recorder: &mut Recorder, time_s: f64) -> Result<(), String> {
-        (self.sources.iter_mut()).for_each(|source| source.set_time(time_s));
+        self.show_at(time_s);
         let view = recorder.view.clone();
         let panes: Vec<(&Pane, Camera)> = (view.panes.iter())
             .filter_map(|pane| Some((pane, self.source(pane).ok()?.camera(pane).ok()?)))
             .collect();
         let drawn = self.drawer.draw(&self.sources, &panes);
-        let now_s = self.clock.time_s;
-        (self.sources.iter_mut()).for_each(|source| source.set_time(now_s));
+        self.show_at(self.clock.time_s);
         let (drawn, _) = drawn.map_err(|error| explain(&error))?;
         let panes: Vec<&Pane> = panes.iter().map(|(pane, _)| *pane).collect();
         recorder.write(&panes, &drawn)

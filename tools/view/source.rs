@@ -196,6 +196,7 @@ impl Source {
     /// # Errors
     /// A sentence. Nothing is changed then.
     pub fn edit(&mut self, edit: &Edit, session: &Session) -> Result<Option<String>, String> {
+        self.end_drag();
         match &mut self.course {
             Course::Scene(course) => {
                 let (said, on_device) = course.edit(edit, self.now.time_s, session)?;
@@ -218,8 +219,32 @@ impl Source {
     /// shares of the image. `free`: it does not snap to lanes. `done`: the mouse is released.
     ///
     /// # Errors
-    /// A sentence. Nothing is changed then.
+    /// A sentence. Nothing is changed then; where the mouse is released the agent is where it was.
     pub fn drag(
+        &mut self,
+        name: &str,
+        camera: &Camera,
+        pixels: [[f64; 2]; 2],
+        (free, done): (bool, bool),
+        session: &Session,
+    ) -> Result<(), String> {
+        let moved = self.drag_or_drop(name, camera, pixels, (free, done), session);
+        if done && moved.is_err() {
+            self.end_drag();
+        }
+        moved
+    }
+
+    /// Puts an agent that is dragged back to where it was.
+    pub fn end_drag(&mut self) {
+        self.dragged = None;
+        if let Course::Scene(course) = &mut self.course {
+            course.end_drag();
+        }
+        self.set_time(self.now.time_s);
+    }
+
+    fn drag_or_drop(
         &mut self,
         name: &str,
         camera: &Camera,
@@ -309,14 +334,6 @@ impl Source {
         match &self.course {
             Course::Scene(course) => &course.scene.loaded,
             Course::Episode(played, _) => played.loaded(),
-        }
-    }
-
-    /// Asset of an agent of a scene, as its file names it.
-    pub fn asset_of(&self, name: &str) -> Value {
-        match &self.course {
-            Course::Scene(course) => course.asset_of(name),
-            Course::Episode(..) => Value::Null,
         }
     }
 

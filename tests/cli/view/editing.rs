@@ -219,7 +219,13 @@ fn a_dragged_agent_follows_the_lane_and_is_found_under_the_mouse() {
     let saved = file.agent("car_001").unwrap().trajectory.at(0.0);
     assert!((saved.translation - free.translation).length() < 1e-6);
 
-    // Above the horizon there is no ground.
+    // Above the horizon there is no ground: an agent that is released there goes back.
+    let from_above = std::slice::from_ref(&pane);
+    let rest = page.look(from_above);
+    let shown = |update: &Update| (place_of(update, "car_001"), update.rgb(folder.path(), 0));
+    drag["done"] = false.into();
+    page.ask("drag", drag.clone()).unwrap();
+    assert!(shown(&page.look(from_above)) != shown(&rest));
     page.look(&[named(4, "front", [48, 27])]);
     let sky = json!({"stream": 4, "agent": "car_001", "from": [0.5, 0.9], "to": [0.5, 0.0], "done": true});
     assert!(
@@ -227,6 +233,13 @@ fn a_dragged_agent_follows_the_lane_and_is_found_under_the_mouse() {
             .unwrap_err()
             .contains("no ground")
     );
+    assert!(shown(&page.look(from_above)) == shown(&rest));
+    // So does one that is held while the scene is saved: what is shown is what is saved.
+    page.ask("drag", drag).unwrap();
+    page.ask("edit", json!({"edit": "save", "file": "edited.toml"}))
+        .unwrap();
+    assert!(shown(&page.look(from_above)) == shown(&rest));
+    page.look(&[named(4, "front", [48, 27])]);
     let mut nobody = sky;
     nobody["agent"] = "nobody".into();
     assert!(page.ask("drag", nobody).unwrap_err().contains("nobody"));

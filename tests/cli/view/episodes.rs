@@ -118,7 +118,7 @@ fn a_live_episode_is_that_of_drive() {
     );
     drop(viewer);
 
-    // Another planner parts from the log at some moment, which the page is told.
+    // Facts name the moment at which another planner departs from the log.
     let viewer = Viewer::start(&[text(&log), "--against", "lane-follow"]);
     let (mut page, facts) = viewer.connect_with_facts();
     let edit = page.ask("edit", json!({"edit": "remove", "agent": "lead"}));

@@ -1,0 +1,27 @@
+//! Events and messages between the server and the thread that renders.
+
+use crate::protocol::Request;
+
+/// Messages to a client.
+#[derive(Debug)]
+pub enum Outgoing {
+    /// JSON text.
+    Text(String),
+    /// An image with its header.
+    Image(Vec<u8>),
+}
+
+/// Way to a client. A client that leaves hundreds of messages unread is dropped.
+pub type Outbox = tokio::sync::mpsc::Sender<Outgoing>;
+
+/// Events for the thread that renders.
+pub enum Event {
+    /// A client came.
+    Joined(u64, Outbox),
+    /// A client went.
+    Left(u64),
+    /// A client sent a command.
+    Command(u64, Request),
+    /// The program ends.
+    Stop,
+}
