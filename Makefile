@@ -11,7 +11,7 @@
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test shaders shaders-check python-test wheel-test packages ci-packages python browser
+.PHONY: demo test shaders shaders-check python-test wheel-test packages ci-packages python browser torch
 
 # What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
 # A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
@@ -64,7 +64,7 @@ shaders-check: packages
 
 # The Python package over the library that the tests' own build makes: a wheel would compile everything once more.
 python-test: export DECOUPLEGS_VALIDATION := 1
-python-test: packages python browser
+python-test: packages python browser torch
 	@if ! [[ -x $(PYTHON)/bin/pytest ]]; then echo "The Python package is not tested: pytest could not be installed."; exit 0; fi; \
 	cargo build --workspace --all-targets; \
 	target=$$(cargo metadata --format-version 1 --no-deps | $(PYTHON)/bin/python -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])'); \
@@ -97,6 +97,15 @@ browser:
 	"$${sudo[@]}" apt-get update --quiet; \
 	DEBIAN_FRONTEND=noninteractive "$${sudo[@]}" apt-get install --yes --quiet --no-install-recommends chromium \
 		|| echo "chromium cannot be installed: the tests of the viewer's page are skipped."
+
+# PyTorch, which writes the checkpoints that readers are tested with. Its package is for the system's Python; PyPI has none without CUDA.
+torch:
+	@if /usr/bin/python3 -c 'import torch' 2>/dev/null || ! command -v apt-get >/dev/null; then exit 0; fi; \
+	echo "Installing python3-torch"; \
+	sudo=(); if (( EUID != 0 )); then sudo=(sudo); fi; \
+	"$${sudo[@]}" apt-get update --quiet; \
+	DEBIAN_FRONTEND=noninteractive "$${sudo[@]}" apt-get install --yes --quiet --no-install-recommends python3-torch \
+		|| echo "python3-torch cannot be installed: the tests of checkpoints that PyTorch writes are skipped."
 
 # Everything that `.ci/run` compiles and runs, shaderc included.
 ci-packages: NEEDS := $(NEEDS_CI)

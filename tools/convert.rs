@@ -20,12 +20,12 @@ use report::Report;
 /// the loss
 ///
 /// The formats that are written are listed under --to. What was written is read back and compared,
-/// splat by splat. A checkpoint of drivestudio (OmniRe) or Street Gaussians becomes a folder with a
-/// scene file.
+/// splat by splat. A checkpoint of drivestudio (OmniRe) or Street Gaussians, or a folder of HUGSIM
+/// with its scene.pth, becomes a folder with a scene file.
 #[derive(clap::Args)]
 pub struct Arguments {
     #[arg(help = format!(
-        "Splats ({}), the folder of an unpacked .sog, or a checkpoint with actors",
+        "Splats ({}), the folder of an unpacked .sog, a checkpoint with actors, or a folder of HUGSIM",
         SplatFormat::EXTENSIONS
     ))]
     input: PathBuf,

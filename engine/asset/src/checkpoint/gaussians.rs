@@ -42,37 +42,67 @@ pub(crate) fn cloud_of(
         })?;
         checkpoint.tensor(node, name)
     };
-    let means = rows::<3>(&tensor(names.means)?, names.means)?;
-    let count = means.len();
-    let same = |found: usize, name: &str| {
-        let message = || format!("'{name}' has {found} rows for {count} means");
-        if found == count {
-            Ok(())
-        } else {
-            Err(DecodeError::Malformed(message()))
-        }
+    let tensors = ModelTensors {
+        means: tensor(names.means)?,
+        scales: tensor(names.scales)?,
+        rotations: tensor(names.rotations)?,
+        opacities: tensor(names.opacities)?,
+        dc: tensor(names.dc)?,
+        rest: tensor(names.rest)?,
     };
-    let scales = rows::<3>(&tensor(names.scales)?, names.scales)?;
-    same(scales.len(), names.scales)?;
-    let rotations = rows::<4>(&tensor(names.rotations)?, names.rotations)?;
-    same(rotations.len(), names.rotations)?;
-    let opacities = tensor(names.opacities)?;
-    same(opacities.len(), names.opacities)?;
-    let sh_dc = dc(&tensor(names.dc)?)?;
-    same(sh_dc.len(), names.dc)?;
-    let (sh_degree, sh_rest) = coefficients(&tensor(names.rest)?, names.rest, count)?;
-    Ok(SplatCloud {
-        means,
-        scales: scales
-            .into_iter()
-            .map(|logarithms| logarithms.map(scale_of_log))
-            .collect(),
-        rotations: rotations.into_iter().map(normalized).collect(),
-        opacities: opacities.f32s().map(sigmoid).collect(),
-        sh_degree,
-        sh_dc,
-        sh_rest,
-    })
+    let scales = rows::<3>(&tensors.scales, names.scales)?;
+    tensors.cloud(names, &scales, dc)
+}
+
+/// Tensors of one model, in whatever container its file holds them. Shapes are those of [`Names`].
+pub(crate) struct ModelTensors<'a> {
+    pub(crate) means: Tensor<'a>,
+    pub(crate) scales: Tensor<'a>,
+    pub(crate) rotations: Tensor<'a>,
+    pub(crate) opacities: Tensor<'a>,
+    pub(crate) dc: Tensor<'a>,
+    pub(crate) rest: Tensor<'a>,
+}
+
+impl ModelTensors<'_> {
+    /// The splats of these tensors, with the logarithms of scales given as `log_scales`; tensors
+    /// are called by `names` in messages.
+    pub(crate) fn cloud(
+        &self,
+        names: &Names,
+        log_scales: &[[f32; 3]],
+        dc: impl Fn(&Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError>,
+    ) -> Result<SplatCloud, DecodeError> {
+        let means = rows::<3>(&self.means, names.means)?;
+        let count = means.len();
+        let same = |found: usize, name: &str| {
+            let message = || format!("'{name}' has {found} rows for {count} means");
+            if found == count {
+                Ok(())
+            } else {
+                Err(DecodeError::Malformed(message()))
+            }
+        };
+        same(log_scales.len(), names.scales)?;
+        let rotations = rows::<4>(&self.rotations, names.rotations)?;
+        same(rotations.len(), names.rotations)?;
+        same(self.opacities.len(), names.opacities)?;
+        let sh_dc = dc(&self.dc)?;
+        same(sh_dc.len(), names.dc)?;
+        let (sh_degree, sh_rest) = coefficients(&self.rest, names.rest, count)?;
+        Ok(SplatCloud {
+            means,
+            scales: log_scales
+                .iter()
+                .map(|logarithms| logarithms.map(scale_of_log))
+                .collect(),
+            rotations: rotations.into_iter().map(normalized).collect(),
+            opacities: self.opacities.f32s().map(sigmoid).collect(),
+            sh_degree,
+            sh_dc,
+            sh_rest,
+        })
+    }
 }
 
 /// DC as `[N, 3]` or `[N, 1, 3]` holds it.

@@ -11,6 +11,7 @@
 //! | gsplat (`simple_trainer.py`) | a cloud, by [`decode`] |
 //! | drivestudio, OmniRe | background, rigid actors and their tracks, by [`crate::scene_import`] |
 //! | Street Gaussians | background and actors, by [`crate::scene_import`] |
+//! | HUGSIM | background, ground and actors of a folder, by [`crate::scene_import`] |
 
 mod gaussians;
 mod gsplat;
@@ -25,7 +26,7 @@ use crate::DecodeError;
 use crate::zip::Archive;
 use pickle::Unpickler;
 
-pub(crate) use gaussians::{Names, cloud_of, plain_dc};
+pub(crate) use gaussians::{ModelTensors, Names, cloud_of, plain_dc, rows};
 pub(crate) use tensor::Tensor;
 pub(crate) use value::{Node, Tree};
 

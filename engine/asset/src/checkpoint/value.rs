@@ -98,6 +98,16 @@ impl Tree {
             .map(|(_, value)| self.node(*value))
     }
 
+    /// Items of a list or tuple; none of what is no list.
+    pub(crate) fn items<'t>(&'t self, node: &'t Node) -> impl ExactSizeIterator<Item = &'t Node> {
+        let ids = if let Node::List(ids) = node {
+            ids.as_slice()
+        } else {
+            &[]
+        };
+        ids.iter().map(|&id| self.node(id))
+    }
+
     /// The keys of a dictionary that are texts, in order.
     pub(crate) fn keys<'t>(&'t self, node: &'t Node) -> impl Iterator<Item = &'t str> {
         let pairs = if let Node::Dictionary(pairs) = node {

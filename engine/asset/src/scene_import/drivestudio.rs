@@ -1,7 +1,7 @@
 //! Checkpoints of drivestudio (ziyc/drivestudio, `models/trainers/base.py` and
 //! `models/nodes/rigid.py`), with which OmniRe is made.
 
-use decouplegs_scene::{Photometry, Pose, Presence, SplatCloud, TimedPose, Trajectory, sh};
+use decouplegs_scene::{Pose, Presence, SplatCloud, TimedPose, Trajectory, sh};
 use glam::{DQuat, DVec3};
 
 use super::colors::of_embeddings;
@@ -88,12 +88,10 @@ pub(super) fn scene(
         ));
     }
     let mut scene = ImportedScene {
-        source: "drivestudio",
         background,
         actors,
-        sky: None,
-        photometry: Photometry::IDENTITY,
         notes,
+        ..ImportedScene::empty("drivestudio")
     };
     if let Some(model) = tree.get(models, SKY) {
         let sky = sky_of(checkpoint, model, &SKY_RULES)?;

@@ -4,9 +4,10 @@
 //! | source | tracks |
 //! |---|---|
 //! | drivestudio, OmniRe (`checkpoint_*.pth`): `Background` and `RigidNodes` | in the checkpoint, one pose a frame; frames have no times, so a rate is asked for |
+//! | HUGSIM (a folder with `scene.pth`) | in its `meta_data.json`, with cameras and the path of the ego |
 //! | Street Gaussians (`.pth`, or the `.ply` with an element for each model): `background` and `obj_*` | in the data set alone: the checkpoint holds corrections; given beside it, or actors are written and not placed |
 //!
-//! Actors are in the frame of their boxes, x forward, y left, z up, origin in the middle. Both
+//! Actors are in the frame of their boxes, x forward, y left, z up, origin in the middle. All
 //! trainers evaluate spherical harmonics in the directions of the world and do not turn them, so
 //! every actor's `sh_frame` is `world`.
 //!
@@ -19,18 +20,24 @@
 
 mod colors;
 mod drivestudio;
+mod hugsim;
 mod sky;
 mod street_gaussians;
 
 use std::path::Path;
 
-use decouplegs_scene::{Photometry, Presence, ShFrame, SkyMap, SplatCloud, Trajectory};
+use decouplegs_scene::{
+    LaneMap, Photometry, Presence, Rig, Rules, ShFrame, SkyMap, SplatCloud, Trajectory,
+};
 
 use crate::checkpoint::{self, Checkpoint};
 use crate::error::read_bytes;
+use crate::maps::lane_json;
 use crate::ply::Ply;
 use crate::sky_file::write_cube;
 use crate::{AssetError, DecodeError, SceneAgent, SceneFile, SceneSky, SkyKind, inria_ply};
+
+pub use hugsim::{HugsimFault, HugsimFiles, decode as decode_hugsim};
 
 /// Interpretation of data that the files do not define.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,14 +67,22 @@ impl Default for ImportOptions {
 pub struct ImportedScene {
     /// Trainer that wrote the scene.
     pub source: &'static str,
-    /// Static splats, in the axes of the source.
+    /// Static splats, z up.
     pub background: SplatCloud,
     /// Moving actors.
     pub actors: Vec<ImportedActor>,
     /// Sky behind the splats.
     pub sky: Option<SkyMap>,
-    /// Photometric calibration of all images.
+    /// Photometric calibration of images whose cameras have none of their own.
     pub photometry: Photometry,
+    /// Image formation rules of the source.
+    pub rules: Rules,
+    /// Cameras of the ego vehicle; none where the source does not tell.
+    pub rig: Rig,
+    /// Trajectory of the ego vehicle during the recording.
+    pub ego: Option<Trajectory>,
+    /// A lane along the recording.
+    pub lanes: Option<LaneMap>,
     /// Omissions and interpretations, one sentence each.
     pub notes: Vec<String>,
 }
@@ -96,7 +111,9 @@ pub fn read_scene(
     options: &ImportOptions,
 ) -> Result<Option<ImportedScene>, AssetError> {
     if path.is_dir() {
-        return Ok(None);
+        return hugsim::is_scene(path)
+            .then(|| hugsim::read(path, options))
+            .transpose();
     }
     let bytes = read_bytes(path)?;
     let (format, decoded) = match bytes.as_slice() {
@@ -135,6 +152,9 @@ pub fn decode_checkpoint(
     if checkpoint.tree.get(root, "background").is_some() {
         return street_gaussians::scene(&checkpoint, root, options).map(Some);
     }
+    if hugsim::is_checkpoint(&checkpoint) {
+        return hugsim::scene(&checkpoint).map(Some);
+    }
     Ok(None)
 }
 
@@ -157,8 +177,24 @@ pub fn decode_ply(
 }
 
 impl ImportedScene {
-    /// Writes `scene.toml`, `background.ply`, `assets/*.ply` and, with a sky, `sky.exr` into
-    /// `folder`, which exists.
+    /// A scene of `source` without splats, by the default rules.
+    fn empty(source: &'static str) -> Self {
+        Self {
+            source,
+            background: SplatCloud::with_degree(0),
+            actors: Vec::new(),
+            sky: None,
+            photometry: Photometry::IDENTITY,
+            rules: Rules::DEFAULT,
+            rig: Rig::default(),
+            ego: None,
+            lanes: None,
+            notes: Vec::new(),
+        }
+    }
+
+    /// Writes `scene.toml`, `background.ply`, `assets/*.ply` and, where there are such, `sky.exr`
+    /// and `lanes.json` into `folder`, which exists.
     ///
     /// Actors without a trajectory are written, and not named in the scene.
     ///
@@ -173,6 +209,9 @@ impl ImportedScene {
         inria_ply::write(&folder.join("background.ply"), &self.background)?;
         let mut scene = SceneFile {
             photometry: self.photometry,
+            rules: self.rules,
+            rig: self.rig.clone(),
+            ego: self.ego.clone(),
             ..SceneFile::of_background("background.ply")
         };
         for actor in &self.actors {
@@ -198,6 +237,9 @@ impl ImportedScene {
                 clamps_splats: sky.clamps_splats,
                 ..SceneSky::new(file, SkyKind::Cube)
             });
+        }
+        if let Some(lanes) = &self.lanes {
+            lane_json::write(&folder.join("lanes.json"), lanes)?;
         }
         // Last: a scene that is found is complete.
         scene.write(&folder.join("scene.toml"))?;

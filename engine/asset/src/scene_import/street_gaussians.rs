@@ -3,7 +3,7 @@
 
 use std::cell::Cell;
 
-use decouplegs_scene::{Photometry, Pose, Presence, SplatCloud, TimedPose, Track, Trajectory};
+use decouplegs_scene::{Pose, Presence, SplatCloud, TimedPose, Track, Trajectory};
 
 use super::colors::of_matrices;
 use super::sky::{SkyRules, sky_of, with_sky};
@@ -191,12 +191,10 @@ fn finished(
         ));
     }
     Ok(ImportedScene {
-        source: SOURCE,
         background,
         actors,
-        sky: None,
-        photometry: Photometry::IDENTITY,
         notes,
+        ..ImportedScene::empty(SOURCE)
     })
 }
 

@@ -9,6 +9,7 @@ numbers are an entry of the zip. The splats are those of `cone` in sample.rs.
 
 import collections
 import io
+import json
 import math
 import pathlib
 import pickle
@@ -198,11 +199,76 @@ def street_gaussians(rows):
     return {**models, "actor_pose": {}, "color_correction": colors, "sky_cubemap": sky, "iter": 30000}
 
 
+def hugsim_model(rows, *more, flat=False):
+    """The tuple of HUGSIM's GaussianModel.capture; the ground's splats are flat."""
+    n, sizes = len(rows), 2 if flat else 3
+    return (
+        3,
+        Tensor("f", (n, 3), column(rows, "means"), True),
+        Tensor("f", (n, 1, 3), column(rows, "dc"), True),
+        Tensor("f", (n, 15, 3), column(rows, "rest"), True),
+        Tensor("f", (n, 20), [float(i % 20 == 7) for i in range(20 * n)], True),
+        Tensor("f", (n, sizes), [value for row in rows for value in row["scales"][:sizes]], True),
+        Tensor("f", (n, 4), column(rows, "quats"), True),
+        Tensor("f", (n, 1), column(rows, "opacities"), True),
+        *more,
+    )
+
+
+def hugsim_network():
+    """Weights of the color network: 48 inputs, two layers of 32, 16 outputs. Hidden number 0 is the constant input's."""
+    first = [0.0] * (32 * 48)
+    first[47] = 1.0  # row 0 takes the last input, a padding of 1
+    first[48 + 1] = 1.0  # row 1 takes the cosine of x
+    second = [0.0] * (32 * 32)
+    second[0], second[32 + 1] = 1.0, 1.0
+    last = [0.0] * (16 * 32)
+    last[1 * 32] = 2.5  # W[0][1]: red gives 0.25 to green
+    last[9 * 32 + 1] = 0.5  # the offset of red is 0.05 times the cosine
+    return collections.OrderedDict(params=Tensor("f", (len(first + second + last),), first + second + last, True))
+
+
+def hugsim_metadata():
+    """Two cameras at 2 Hz, three moments: the ego drives 4 m ahead per step, 'dynamic_3' 2 m, in the frames but the first."""
+
+    def matrix(x, y, z, turn=((1, 0, 0), (0, 1, 0), (0, 0, 1))):
+        return [[*turn[0], x], [*turn[1], y], [*turn[2], z], [0, 0, 0, 1]]
+
+    frames = []
+    for step in range(3):
+        # The box's axes are x forward, y right and z down: forward is the world's z, down its y.
+        box = matrix(3, 0.75, 10 + 2 * step, ((0, 1, 0), (0, 0, 1), (1, 0, 0)))
+        for camera, turn in (("CAM_FRONT", ((1, 0, 0), (0, 1, 0), (0, 0, 1))), ("CAM_BACK", ((-1, 0, 0), (0, 1, 0), (0, 0, -1)))):
+            z = 4 * step - (1 if camera == "CAM_BACK" else 0)
+            frames.append(
+                {
+                    "rgb_path": f"./images/{camera}/{step:04}.jpg",
+                    "camtoworld": matrix(0, 0, z, turn),
+                    "intrinsics": [[400, 0, 401], [0, 410, 226], [0, 0, 1]],
+                    "width": 800,
+                    "height": 450,
+                    "timestamp": 12.5 + 0.5 * step,
+                    "dynamics": {"3": box} if step else {},
+                }
+            )
+    return {"camera_model": "OPENCV", "frames": frames, "inv_pose": matrix(0, 0, 0), "verts": {}}
+
+
+def hugsim(folder, rows):
+    # The ground lies 1.5 m below the first camera, around it and ahead.
+    flat = [{**row, "means": [row["means"][0] - 2.5, 1.5, 4 * (i % 3)], "quats": [2, 0, 0, 0]} for i, row in enumerate(rows)]
+    ground = hugsim_model(flat, flat=True)
+    save(folder / "scene.pth", (hugsim_model(rows, 5.0, hugsim_network(), ground), 30000))
+    save(folder / "dynamic_3.pth", (hugsim_model(rows[:4], 5.0, None), 30000))
+    (folder / "meta_data.json").write_text(json.dumps(hugsim_metadata()) + "\n")
+
+
 def main():
     seeds, rows = pathlib.Path(sys.argv[1]), cone()
     save(seeds / "checkpoint/cone.pt", gsplat(rows))
     save(seeds / "scene_import/drivestudio.pth", drivestudio(rows))
     save(seeds / "scene_import/street_gaussians.pth", street_gaussians(rows))
+    hugsim(seeds / "scene_import/hugsim", rows)
 
 
 main()

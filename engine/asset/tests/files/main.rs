@@ -9,6 +9,7 @@ mod errors;
 mod exchange;
 mod frozen;
 mod hostile;
+mod hugsim;
 mod lidar;
 mod light_transfer;
 mod open_scenarios;
