@@ -7,6 +7,7 @@
 mod calibrate_light;
 mod compare;
 mod compress;
+mod conform;
 mod convert;
 mod decompress;
 mod devices;
@@ -68,6 +69,7 @@ enum Command {
     Replay(replay::Arguments),
     OpenLoop(open_loop::Arguments),
     Score(score::Arguments),
+    Conform(conform::Arguments),
     Export(export::Arguments),
     View(Box<view::Arguments>),
     Devices(devices::Arguments),
@@ -95,6 +97,7 @@ fn main() -> ExitCode {
         Command::Replay(arguments) => replay::run(arguments),
         Command::OpenLoop(arguments) => open_loop::run(arguments),
         Command::Score(arguments) => score::run(arguments),
+        Command::Conform(arguments) => conform::run(arguments),
         Command::Export(arguments) => export::run(arguments),
         Command::View(arguments) => view::run(arguments, synth::demo),
         Command::Devices(arguments) => devices::run(arguments),

@@ -11,6 +11,7 @@
 //! | `scene_registry` | scenes that are served, and their metadata |
 //! | `render_queue`, `scene_renderer` | the thread that draws, and a scene on the device |
 //! | [`encoding`] | images as PNG, JPEG or planes, on threads of their own |
+//! | [`conform`] | the client that judges any server of the contract |
 //! | [`running`] | the server as a whole, until it is stopped |
 //!
 //! A client's `local` frame is the scene's world seen from the scene's origin: messages hold f32,
@@ -22,6 +23,7 @@ pub mod bench;
 mod cache;
 mod camera_spec;
 mod codec;
+pub mod conform;
 mod connections;
 pub mod encoding;
 mod image_memory;

@@ -16,8 +16,13 @@ use glam::DVec3;
 /// A street of a few thousand splats with three cars in the folder `street` of `folder`: one of a
 /// compressed asset, others plain.
 pub fn street(folder: &Path) -> PathBuf {
+    street_of(folder, 4000)
+}
+
+/// [`street`] with a background of `background` splats.
+pub fn street_of(folder: &Path, background: usize) -> PathBuf {
     let options = StreetOptions {
-        background: 4000,
+        background,
         agents: 3,
         agent_splats: 300,
         sh_degree: 1,

@@ -1,0 +1,393 @@
+//! The conformance kit: all green on this server, and its failures on servers that do wrong are the
+//! right ones.
+
+use std::collections::HashMap;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
+
+use decouplegs_server::conform::{Check, ConformOptions, Outcome, Report, judge};
+use decouplegs_server::wire::common::{AvailableScenesReturn, Empty, VersionId};
+use decouplegs_server::wire::sensorsim::camera_spec::CameraParam;
+use decouplegs_server::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
+use decouplegs_server::wire::sensorsim::sensorsim_service_server::{
+    SensorsimService, SensorsimServiceServer,
+};
+use decouplegs_server::wire::sensorsim::{
+    AggregatedRenderRequest, AggregatedRenderReturn, AvailableCamerasRequest,
+    AvailableCamerasReturn, AvailableEgoMasksReturn, AvailableTrajectoriesRequest,
+    AvailableTrajectoriesReturn, BatchRgbRenderRequest, BatchRgbRenderReturn, ImageFormat,
+    LidarRenderRequest, LidarRenderReturn, LoadedScenesReturn, RgbRenderRequest, RgbRenderReturn,
+    ShutterType,
+};
+use tokio::net::TcpListener;
+use tokio_stream::wrappers::TcpListenerStream;
+use tonic::transport::{Channel, Server};
+use tonic::{Request, Response, Status};
+
+use crate::asking::{channel, options, serve};
+use crate::scenes::street_of;
+
+/// Faults of a server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fault {
+    /// F-theta principal points are taken to count from the corner of the first pixel.
+    HalfPixel,
+    /// All shutters are global.
+    IgnoresShutters,
+    /// Rolling shutters run from the end pose to the start pose.
+    SwapsPoses,
+    /// Objects that are listed are not drawn.
+    IgnoresObjects,
+    /// Images are made in the size of the camera's calibration.
+    IgnoresSize,
+    /// A batch draws all items with the objects of the last one.
+    SharesObjects,
+    /// Scenes that do not exist are answered with one that does.
+    InventsScenes,
+    /// Planes are blue, green, red.
+    SwapsPlanes,
+    /// A sweep says that it has a point more than it has.
+    MiscountsPoints,
+    /// Sweeps are in the local frame's directions, however the sensor is turned.
+    IgnoresSensorTurn,
+    /// Trajectories run backwards.
+    ReversesTime,
+}
+
+impl Fault {
+    /// Each fault, with the checks that fail for it and no others.
+    const ALL: [(Self, &'static [Check]); 11] = [
+        (Self::HalfPixel, &[Check::FTheta]),
+        (
+            Self::IgnoresShutters,
+            &[Check::RollingRows, Check::RollingReversed],
+        ),
+        (
+            Self::SwapsPoses,
+            &[Check::RollingRows, Check::RollingReversed],
+        ),
+        (
+            Self::IgnoresObjects,
+            &[Check::ObjectShown, Check::ObjectMoves],
+        ),
+        (Self::IgnoresSize, &[Check::LargeAnswer, Check::Resized]),
+        (Self::SharesObjects, &[Check::BatchPerCameraObjects]),
+        (Self::InventsScenes, &[Check::UnknownScene]),
+        (Self::SwapsPlanes, &[Check::Planar]),
+        (
+            Self::MiscountsPoints,
+            &[Check::Lidar, Check::LidarPose, Check::Aggregated],
+        ),
+        (Self::IgnoresSensorTurn, &[Check::LidarPose]),
+        (Self::ReversesTime, &[Check::Trajectories]),
+    ];
+}
+
+/// Answers of the good server to what it was asked before: each request is drawn once for all
+/// faults.
+#[derive(Clone, Default)]
+struct Known<T>(Arc<Mutex<HashMap<Vec<u8>, T>>>);
+
+impl<T: Clone> Known<T> {
+    async fn or_asked<Q: prost::Message>(
+        &self,
+        request: Q,
+        ask: impl AsyncFnOnce(Q) -> Result<Response<T>, Status>,
+    ) -> Result<T, Status> {
+        let key = request.encode_to_vec();
+        if let Some(known) = self.0.lock().unwrap().get(&key) {
+            return Ok(known.clone());
+        }
+        let answer = ask(request).await?.into_inner();
+        self.0.lock().unwrap().insert(key, answer.clone());
+        Ok(answer)
+    }
+}
+
+/// What the good server answered.
+#[derive(Clone, Default)]
+struct Answers {
+    images: Known<RgbRenderReturn>,
+    sweeps: Known<LidarRenderReturn>,
+    both: Known<AggregatedRenderReturn>,
+}
+
+/// A server that hands all requests to a good one, and spoils them or the answers.
+struct Faulty {
+    good: SensorsimServiceClient<Channel>,
+    answers: Answers,
+    scene: String,
+    fault: Fault,
+}
+
+impl Faulty {
+    fn spoiled(&self, mut request: RgbRenderRequest) -> RgbRenderRequest {
+        if let Some(spec) = &mut request.camera_intrinsics {
+            match (self.fault, &mut spec.camera_param) {
+                (Fault::HalfPixel, Some(CameraParam::FthetaParam(lens))) => {
+                    lens.principal_point_x -= 0.5;
+                    lens.principal_point_y -= 0.5;
+                }
+                (Fault::IgnoresShutters, _) => spec.shutter_type = ShutterType::Global.into(),
+                (Fault::IgnoresSize, _) => {
+                    request.resolution_w = spec.resolution_w;
+                    request.resolution_h = spec.resolution_h;
+                }
+                _ => {}
+            }
+        }
+        match (self.fault, &mut request.sensor_pose) {
+            (Fault::SwapsPoses, Some(pair)) => {
+                std::mem::swap(&mut pair.start_pose, &mut pair.end_pose);
+            }
+            (Fault::IgnoresObjects, _) => request.dynamic_objects.clear(),
+            (Fault::InventsScenes, _) => request.scene_id = self.scene.clone(),
+            _ => {}
+        }
+        request
+    }
+
+    fn spoiled_image(&self, format: ImageFormat, mut image: RgbRenderReturn) -> RgbRenderReturn {
+        if self.fault == Fault::SwapsPlanes && format == ImageFormat::RgbUint8Planar {
+            let plane = image.image_bytes.len() / 3;
+            let bytes = &image.image_bytes;
+            let planes = [
+                &bytes[2 * plane..],
+                &bytes[plane..2 * plane],
+                &bytes[..plane],
+            ];
+            image.image_bytes = planes.concat().into();
+        }
+        image
+    }
+
+    fn spoiled_sweep(&self, mut sweep: LidarRenderReturn) -> LidarRenderReturn {
+        if self.fault == Fault::MiscountsPoints {
+            sweep.num_points += 1;
+        }
+        sweep
+    }
+
+    fn spoiled_lidar(&self, mut request: LidarRenderRequest) -> LidarRenderRequest {
+        let poses = request
+            .sensor_pose
+            .as_mut()
+            .map(|pair| [&mut pair.start_pose, &mut pair.end_pose]);
+        for pose in poses.into_iter().flatten().flatten() {
+            if self.fault == Fault::IgnoresSensorTurn {
+                pose.quat = Some(decouplegs_server::wire::common::Quat {
+                    w: 1.0,
+                    ..Default::default()
+                });
+            }
+        }
+        request
+    }
+}
+
+#[tonic::async_trait]
+impl SensorsimService for Faulty {
+    async fn render_rgb(
+        &self,
+        request: Request<RgbRenderRequest>,
+    ) -> Result<Response<RgbRenderReturn>, Status> {
+        let request = request.into_inner();
+        let format = request.image_format();
+        let mut good = self.good.clone();
+        let ask = async |request| good.render_rgb(request).await;
+        let image = self
+            .answers
+            .images
+            .or_asked(self.spoiled(request), ask)
+            .await?;
+        Ok(Response::new(self.spoiled_image(format, image)))
+    }
+
+    async fn batch_render_rgb(
+        &self,
+        request: Request<BatchRgbRenderRequest>,
+    ) -> Result<Response<BatchRgbRenderReturn>, Status> {
+        let mut request = request.into_inner();
+        let last = request.items.last().and_then(|item| item.request.clone());
+        for item in &mut request.items {
+            let mut asked = self.spoiled(item.request.take().unwrap_or_default());
+            if let (Fault::SharesObjects, Some(last)) = (self.fault, &last) {
+                asked.dynamic_objects = last.dynamic_objects.clone();
+            }
+            item.request = Some(asked);
+        }
+        self.good.clone().batch_render_rgb(request).await
+    }
+
+    async fn render_lidar(
+        &self,
+        request: Request<LidarRenderRequest>,
+    ) -> Result<Response<LidarRenderReturn>, Status> {
+        let request = self.spoiled_lidar(request.into_inner());
+        let mut good = self.good.clone();
+        let ask = async |request| good.render_lidar(request).await;
+        let sweep = self.answers.sweeps.or_asked(request, ask).await?;
+        Ok(Response::new(self.spoiled_sweep(sweep)))
+    }
+
+    async fn render_aggregated(
+        &self,
+        request: Request<AggregatedRenderRequest>,
+    ) -> Result<Response<AggregatedRenderReturn>, Status> {
+        let asked = request.into_inner();
+        let request = AggregatedRenderRequest {
+            rgb_requests: asked
+                .rgb_requests
+                .into_iter()
+                .map(|r| self.spoiled(r))
+                .collect(),
+            lidar_requests: asked
+                .lidar_requests
+                .into_iter()
+                .map(|r| self.spoiled_lidar(r))
+                .collect(),
+        };
+        let mut good = self.good.clone();
+        let ask = async |request| good.render_aggregated(request).await;
+        let mut answer = self.answers.both.or_asked(request, ask).await?;
+        let sweeps = std::mem::take(&mut answer.lidar_returns);
+        answer.lidar_returns = sweeps.into_iter().map(|s| self.spoiled_sweep(s)).collect();
+        Ok(Response::new(answer))
+    }
+
+    async fn get_version(&self, _: Request<Empty>) -> Result<Response<VersionId>, Status> {
+        self.good.clone().get_version(Empty {}).await
+    }
+
+    async fn get_available_scenes(
+        &self,
+        _: Request<Empty>,
+    ) -> Result<Response<AvailableScenesReturn>, Status> {
+        self.good.clone().get_available_scenes(Empty {}).await
+    }
+
+    async fn get_loaded_scenes(
+        &self,
+        _: Request<Empty>,
+    ) -> Result<Response<LoadedScenesReturn>, Status> {
+        self.good.clone().get_loaded_scenes(Empty {}).await
+    }
+
+    async fn get_available_cameras(
+        &self,
+        request: Request<AvailableCamerasRequest>,
+    ) -> Result<Response<AvailableCamerasReturn>, Status> {
+        self.good
+            .clone()
+            .get_available_cameras(request.into_inner())
+            .await
+    }
+
+    async fn get_available_trajectories(
+        &self,
+        request: Request<AvailableTrajectoriesRequest>,
+    ) -> Result<Response<AvailableTrajectoriesReturn>, Status> {
+        let mut good = self.good.clone();
+        let answer = good.get_available_trajectories(request.into_inner());
+        let mut answer = answer.await?.into_inner();
+        if self.fault == Fault::ReversesTime {
+            for trajectory in &mut answer.available_trajectories {
+                trajectory
+                    .trajectory
+                    .iter_mut()
+                    .for_each(|t| t.poses.reverse());
+            }
+        }
+        Ok(Response::new(answer))
+    }
+
+    async fn get_available_ego_masks(
+        &self,
+        _: Request<Empty>,
+    ) -> Result<Response<AvailableEgoMasksReturn>, Status> {
+        self.good.clone().get_available_ego_masks(Empty {}).await
+    }
+}
+
+async fn serve_faulty(good: Channel, answers: &Answers, fault: Fault) -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let faulty = Faulty {
+        good: SensorsimServiceClient::new(good).max_decoding_message_size(64 << 20),
+        answers: answers.clone(),
+        scene: "street".into(),
+        fault,
+    };
+    let service = SensorsimServiceServer::new(faulty);
+    let server = Server::builder().add_service(service);
+    tokio::spawn(server.serve_with_incoming(TcpListenerStream::new(listener)));
+    address
+}
+
+async fn judged(address: SocketAddr) -> Report {
+    let options = ConformOptions {
+        object: Some("car_000".into()),
+        ..ConformOptions::of_target(address.to_string())
+    };
+    judge(&options, &mut |_, _| {}).await.unwrap()
+}
+
+fn scene(folder: &tempfile::TempDir) -> Vec<PathBuf> {
+    // Lenses are told apart by edges: with fewer splats these are as wide as the image.
+    vec![street_of(folder.path(), 30_000)]
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn this_server_conforms_and_faults_are_found_where_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let running = serve(&options(scene(&folder))).await;
+    let report = judged(running.address).await;
+    for (check, outcome) in &report.results {
+        assert!(
+            matches!(outcome, Outcome::Passed(_)),
+            "{check:?}: {outcome:?}"
+        );
+    }
+    assert_eq!(report.results.len(), Check::ALL.len());
+    let good = channel(&running).await;
+    let answers = Answers::default();
+    for (fault, expected) in Fault::ALL {
+        let report = judged(serve_faulty(good.clone(), &answers, fault).await).await;
+        let details: Vec<_> = report
+            .results
+            .iter()
+            .map(|(check, outcome)| format!("{check:?}: {outcome:?}"))
+            .collect();
+        assert_eq!(
+            report.failed(),
+            expected,
+            "{fault:?}\n{}",
+            details.join("\n")
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_is_not_there_and_a_camera_that_is_not_are_named() {
+    let absent = ConformOptions::of_target("127.0.0.1:1".into());
+    let message = format!("{:#}", judge(&absent, &mut |_, _| {}).await.unwrap_err());
+    assert!(
+        message.contains("no server answers at 127.0.0.1:1"),
+        "{message}"
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let running = serve(&options(scene(&folder))).await;
+    let of_camera = ConformOptions {
+        camera: Some("roof".into()),
+        ..ConformOptions::of_target(running.address.to_string())
+    };
+    let message = format!("{:#}", judge(&of_camera, &mut |_, _| {}).await.unwrap_err());
+    assert!(message.contains("no camera \"roof\"; it has "), "{message}");
+    let unknown = ConformOptions {
+        scene: Some("nowhere".into()),
+        ..ConformOptions::of_target(running.address.to_string())
+    };
+    let message = format!("{:#}", judge(&unknown, &mut |_, _| {}).await.unwrap_err());
+    assert!(message.contains("nowhere"), "{message}");
+}
