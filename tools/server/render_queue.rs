@@ -56,9 +56,9 @@ enum Message {
 
 /// Work for one scene.
 enum Job {
-    /// Requests with the same objects.
+    /// Requests by view: those of one view see the same objects.
     Images {
-        requests: Vec<RenderRequest>,
+        views: Vec<Vec<RenderRequest>>,
         answer: oneshot::Sender<Result<Images, Status>>,
     },
     /// One sweep of a LiDAR.
@@ -71,12 +71,12 @@ enum Job {
 impl Job {
     /// Id of the scene.
     fn scene(&self) -> String {
-        let of_images = |requests: &[RenderRequest]| {
-            let first = requests.first().map(|request| request.scene.clone());
-            first.unwrap_or_default()
+        let of_images = |views: &[Vec<RenderRequest>]| {
+            let first = views.iter().flatten().next();
+            first.map_or_else(String::new, |request| request.scene.clone())
         };
         match self {
-            Self::Images { requests, .. } => of_images(requests),
+            Self::Images { views, .. } => of_images(views),
             Self::Sweep { request, .. } => request.scene.clone(),
         }
     }
@@ -150,15 +150,14 @@ impl RenderQueue {
         ))
     }
 
-    /// Images of `requests`, which are of one scene and see the same objects, drawn in one
-    /// submission.
+    /// Images of the requests of `views`, which are all of one scene, drawn in one submission.
+    /// Requests of one view see the same objects.
     ///
     /// # Errors
     /// NOT_FOUND for unknown scenes, and what reading or drawing meets.
-    pub async fn draw(&self, requests: Vec<RenderRequest>) -> Result<Images, Status> {
+    pub async fn draw(&self, views: Vec<Vec<RenderRequest>>) -> Result<Images, Status> {
         let (answer, answered) = oneshot::channel();
-        self.answered(Job::Images { requests, answer }, answered)
-            .await
+        self.answered(Job::Images { views, answer }, answered).await
     }
 
     /// The sweep that `request` asks for.
@@ -403,10 +402,11 @@ impl RenderWorker {
             return self.metrics.queued(-1);
         }
         match job {
-            Job::Images { requests, answer } => {
+            Job::Images { views, answer } => {
                 let mut images = self.memory.take();
-                let drawn = self.on_scene(id, requests.len(), |scene| {
-                    let drawn = scene.draw(&requests, &mut images.bytes)?;
+                let count = views.iter().map(Vec::len).sum();
+                let drawn = self.on_scene(id, count, |scene| {
+                    let drawn = scene.draw(&views, &mut images.bytes)?;
                     Ok(((), drawn))
                 });
                 self.answer(answer, drawn.map(|()| images));

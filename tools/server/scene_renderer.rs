@@ -19,8 +19,8 @@ use crate::sweep_request::SweepRequest;
 /// A scene that can be drawn.
 pub struct SceneRenderer {
     renderer: BatchRenderer,
-    /// The objects of the last request.
-    world: World,
+    /// Objects of the last requests, one world per list of objects; at least one.
+    worlds: Vec<World>,
     /// World coordinates of the local frame's origin.
     origin: DVec3,
     /// Assets of the scene's agents, by name; their poses come with each request.
@@ -65,34 +65,41 @@ impl SceneRenderer {
         Ok(Self {
             renderer: session.batch_renderer(),
             agents: placed.collect(),
-            world: World::empty(&scene),
+            worlds: vec![World::empty(&scene)],
             origin: loaded.world.origin,
         })
     }
 
-    /// Draws what `requests` see, all of them in one submission, into `images`, as one view. They
-    /// see the same objects at the same places.
+    /// Draws what the requests of `views` see, all of them in one submission, into `images`.
+    /// Requests of one view see the same objects at the same places.
     ///
     /// # Errors
     /// Returns an error if a camera cannot make an image, the device has not the memory or was
     /// lost.
     pub fn draw(
         &mut self,
-        requests: &[RenderRequest],
+        views: &[Vec<RenderRequest>],
         images: &mut HostImages,
     ) -> Result<Drawn, SessionError> {
-        let objects = requests.first().map_or(&[][..], |request| &request.objects);
-        let drawn = self.place(objects)?;
-        let cameras: Vec<Camera> = requests
+        let mut drawn = Drawn::default();
+        let mut cameras: Vec<Vec<Camera>> = Vec::with_capacity(views.len());
+        for (view, requests) in views.iter().enumerate() {
+            let objects = requests.first().map_or(&[][..], |request| &request.objects);
+            drawn.unknown.extend(self.place(view, objects)?.unknown);
+            let of_view = requests.iter().enumerate();
+            cameras.push(
+                of_view
+                    .map(|(at, request)| self.camera(at, request))
+                    .collect(),
+            );
+        }
+        let views: Vec<WorldView<'_>> = self
+            .worlds
             .iter()
-            .enumerate()
-            .map(|(index, request)| self.camera(index, request))
+            .zip(&cameras)
+            .map(|(world, cameras)| WorldView { world, cameras })
             .collect();
-        let view = WorldView {
-            world: &self.world,
-            cameras: &cameras,
-        };
-        self.renderer.draw(&[view], images)?;
+        self.renderer.draw(&views, images)?;
         Ok(drawn)
     }
 
@@ -102,21 +109,23 @@ impl SceneRenderer {
     /// # Errors
     /// Returns an error if a pose makes no sense, the device has not the memory or was lost.
     pub fn sweep(&mut self, request: &SweepRequest) -> Result<(LidarSweep, Drawn), SessionError> {
-        let drawn = self.place(&request.objects)?;
+        let drawn = self.place(0, &request.objects)?;
         let lidar = Lidar {
             world_from_rig: self.in_world(&request.lidar.world_from_rig),
             ..request.lidar.clone()
         };
         let halfway_s = 0.5 * lidar.model.sweep_s;
         let mode = request.options.mode;
-        let traced = self.renderer.trace(&self.world, &lidar, halfway_s, mode)?;
+        let traced = self
+            .renderer
+            .trace(&self.worlds[0], &lidar, halfway_s, mode)?;
         let mut sweep = traced.returns(&request.options);
         sweep.lidar = request.lidar.clone();
         Ok((sweep, drawn))
     }
 
-    /// Replaces the agents of the world by `objects`.
-    fn place(&mut self, objects: &[PlacedObject]) -> Result<Drawn, SessionError> {
+    /// Replaces the agents of world `view` by `objects`; makes the world if it is the next one.
+    fn place(&mut self, view: usize, objects: &[PlacedObject]) -> Result<Drawn, SessionError> {
         let mut drawn = Drawn::default();
         let mut placed = Vec::with_capacity(objects.len());
         for (index, object) in objects.iter().enumerate() {
@@ -135,7 +144,10 @@ impl SceneRenderer {
                 None => drawn.unknown.push(track_id.clone()),
             }
         }
-        self.world.set_agents(placed)?;
+        if view == self.worlds.len() {
+            self.worlds.push(World::empty(self.worlds[0].scene()));
+        }
+        self.worlds[view].set_agents(placed)?;
         Ok(drawn)
     }
 

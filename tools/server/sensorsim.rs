@@ -78,29 +78,21 @@ pub async fn metadata_of(
 }
 
 impl Sensorsim {
-    /// Images of `requests`, in their order: those that see the same objects in the same scene are
-    /// drawn in one submission.
+    /// Images of `requests`, in their order. All that are of one scene are drawn in one submission,
+    /// with a view per list of objects.
     async fn images(
         &self,
         requests: Vec<Result<RenderRequest, Status>>,
     ) -> Vec<Result<Bytes, Status>> {
         let mut results: Vec<Result<Bytes, Status>> = Vec::with_capacity(requests.len());
-        let mut shots: Vec<(Vec<usize>, Vec<RenderRequest>)> = Vec::new();
+        let mut shots: Vec<Shot> = Vec::new();
         for (place, request) in requests.into_iter().enumerate() {
             match request {
                 Ok(request) => {
                     results.push(Err(Status::internal("it was not drawn")));
-                    let same = |(_, others): &&mut (Vec<usize>, Vec<RenderRequest>)| {
-                        others.first().is_some_and(|other| {
-                            other.scene == request.scene && other.objects == request.objects
-                        })
-                    };
-                    match shots.iter_mut().find(same) {
-                        Some((places, others)) => {
-                            places.push(place);
-                            others.push(request);
-                        }
-                        None => shots.push((vec![place], vec![request])),
+                    match shots.iter_mut().find(|shot| shot.scene == request.scene) {
+                        Some(shot) => shot.add(place, request),
+                        None => shots.push(Shot::of(place, request)),
                     }
                 }
                 Err(status) => results.push(Err(status)),
@@ -108,7 +100,7 @@ impl Sensorsim {
         }
         let drawn = shots
             .into_iter()
-            .map(|(places, requests)| async move { (places, self.shot(requests).await) });
+            .map(|shot| async move { (shot.places.concat(), self.shot(shot.views).await) });
         for (places, images) in join_all(drawn).await {
             for (place, image) in places.into_iter().zip(images) {
                 results[place] = image;
@@ -117,27 +109,31 @@ impl Sensorsim {
         results
     }
 
-    /// Images of one submission.
-    async fn shot(&self, requests: Vec<RenderRequest>) -> Vec<Result<Bytes, Status>> {
-        let encodings: Vec<_> = requests.iter().map(|request| request.encoding).collect();
-        let images = match self.render_queue.draw(requests).await {
+    /// Images of one submission, view by view.
+    async fn shot(&self, views: Vec<Vec<RenderRequest>>) -> Vec<Result<Bytes, Status>> {
+        let places = views.iter().enumerate().flat_map(|(view, requests)| {
+            let of_view = requests.iter().enumerate();
+            of_view.map(move |(camera, request)| (view, camera, request.encoding))
+        });
+        let places: Vec<_> = places.collect();
+        let images = match self.render_queue.draw(views).await {
             Ok(images) => Arc::new(images),
-            Err(status) => return vec![Err(status); encodings.len()],
+            Err(status) => return vec![Err(status); places.len()],
         };
-        let encode_one = |(index, encoding)| {
+        let encode_one = |(view, camera, encoding)| {
             let (images, (done, waited)) = (Arc::clone(&images), oneshot::channel());
             self.encoders.spawn(move || {
                 let Images { bytes, .. } = &*images;
                 // The client may have gone.
                 let _ = done.send(encode(
-                    bytes.rgba(0, index),
-                    bytes.size_px(0, index),
+                    bytes.rgba(view, camera),
+                    bytes.size_px(view, camera),
                     encoding,
                 ));
             });
             waited
         };
-        let encoded: Vec<_> = encodings.into_iter().enumerate().map(encode_one).collect();
+        let encoded: Vec<_> = places.into_iter().map(encode_one).collect();
         // Only the encoders keep it: its memory is free for another frame when they are done.
         drop(images);
         let encoded = join_all(encoded).await;
@@ -182,6 +178,42 @@ impl Sensorsim {
     }
 }
 
+/// Requests of one scene, drawn in one submission.
+struct Shot {
+    scene: String,
+    /// Requests by view: those of one view list the same objects.
+    views: Vec<Vec<RenderRequest>>,
+    /// Places of the requests in the answer.
+    places: Vec<Vec<usize>>,
+}
+
+impl Shot {
+    fn of(place: usize, request: RenderRequest) -> Self {
+        Self {
+            scene: request.scene.clone(),
+            views: vec![vec![request]],
+            places: vec![vec![place]],
+        }
+    }
+
+    fn add(&mut self, place: usize, request: RenderRequest) {
+        let same = |others: &Vec<RenderRequest>| {
+            let other = others.first();
+            other.is_some_and(|other| other.objects == request.objects)
+        };
+        match self.views.iter().position(same) {
+            Some(view) => {
+                self.views[view].push(request);
+                self.places[view].push(place);
+            }
+            None => {
+                self.views.push(vec![request]);
+                self.places.push(vec![place]);
+            }
+        }
+    }
+}
+
 /// True if the error belongs to one camera; errors of the request belong to all of it.
 fn is_of_one_camera(request: &Result<RenderRequest, Status>) -> bool {
     !request.as_ref().is_err_and(|status| {
@@ -199,7 +231,7 @@ impl SensorsimService for Sensorsim {
         request: Request<RgbRenderRequest>,
     ) -> Result<Response<RgbRenderReturn>, Status> {
         let request = RenderRequest::of(request.into_inner(), "", &self.limits)?;
-        let image_bytes = self.shot(vec![request]).await.remove(0)?;
+        let image_bytes = self.shot(vec![vec![request]]).await.remove(0)?;
         Ok(Response::new(RgbRenderReturn { image_bytes }))
     }
 

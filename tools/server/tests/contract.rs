@@ -4,6 +4,7 @@ use std::collections::HashSet;
 
 use decouplegs::scene::Pose;
 use decouplegs_server::names::{PHYSICS, PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
+use decouplegs_server::running::Running;
 use decouplegs_server::wire::common::{Aabb, AvailableScenesReturn, Empty, VersionId};
 use decouplegs_server::wire::physics::physics_ground_intersection_request::{
     OtherObject, PosePair,
@@ -15,7 +16,7 @@ use decouplegs_server::wire::sensorsim::{
     AggregatedRenderRequest, AggregatedRenderReturn, AvailableCamerasRequest,
     AvailableCamerasReturn, AvailableEgoMasksReturn, AvailableTrajectoriesRequest,
     AvailableTrajectoriesReturn, BatchRgbRenderReturn, ImageFormat, LidarRenderRequest,
-    LidarRenderReturn, LoadedScenesReturn, RgbRenderReturn,
+    LidarRenderReturn, LoadedScenesReturn, RgbRenderRequest, RgbRenderReturn,
 };
 use glam::DVec3;
 use tonic::client::Grpc;
@@ -24,7 +25,7 @@ use tonic::{Code, Request, Status};
 use tonic_prost::ProstCodec;
 
 use crate::asking::{
-    batch, cameras, channel, client, message, object, options, png, request, serve,
+    batch, cameras, channel, client, message, object, options, png, pose, request, serve,
 };
 use crate::scenes::{marked, street};
 
@@ -240,6 +241,7 @@ async fn a_batch_is_one_submission_and_every_name_comes_back_once() {
             );
         }
     }
+    cameras_with_different_objects_share_a_submission(&running, named(ImageFormat::Png)).await;
     // A camera that cannot be drawn takes none of the others with it.
     let mut asked = batch(named(ImageFormat::Png));
     asked.items[2].request.as_mut().unwrap().image_format = ImageFormat::Av1.into();
@@ -256,6 +258,42 @@ async fn a_batch_is_one_submission_and_every_name_comes_back_once() {
             && reply.items[3].error_message.contains("nowhere")
     );
     running.stop().await.unwrap();
+}
+
+/// Every second camera lists a car, at a place of its own: each image is that of its request alone.
+async fn cameras_with_different_objects_share_a_submission(
+    running: &Running,
+    requests: impl Iterator<Item = (String, RgbRenderRequest)>,
+) {
+    let mut client = client(running).await;
+    let requests: Vec<_> = requests
+        .enumerate()
+        .map(|(index, (name, mut request))| {
+            if index % 2 == 0 {
+                let sensor = request.sensor_pose.as_ref().unwrap().start_pose.unwrap();
+                let ahead = pose(&sensor).transform(DVec3::Z * (8.0 + index as f64));
+                let place = Pose::from_yaw(0.3 * index as f64, ahead);
+                request.dynamic_objects = vec![object("car_000", &place, &place)];
+            }
+            (name, request)
+        })
+        .collect();
+    let before = running.submissions();
+    let reply = client.batch_render_rgb(batch(requests.clone())).await;
+    assert_eq!(running.submissions() - before, 1);
+    let mut without = 0;
+    for (item, (_, request)) in reply.unwrap().into_inner().items.iter().zip(requests) {
+        let together = item.result.as_ref().unwrap().image_bytes.clone();
+        let plain = RgbRenderRequest {
+            dynamic_objects: Vec::new(),
+            ..request.clone()
+        };
+        let alone = client.render_rgb(request).await.unwrap().into_inner();
+        assert_eq!(together, alone.image_bytes, "{}", item.camera_name);
+        let plain = client.render_rgb(plain).await.unwrap().into_inner();
+        without += usize::from(plain.image_bytes == together);
+    }
+    assert_eq!(without, 3, "every second camera sees a car");
 }
 
 #[tokio::test(flavor = "multi_thread")]
