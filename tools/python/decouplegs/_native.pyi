@@ -497,6 +497,10 @@ class Rollout:
     def ego_state(self) -> NDArray[np.float64]:
         """Speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s: float64 [4]."""
     @property
+    def sizes(self) -> NDArray[np.float64]:
+        """Sizes of boxes: length, width, height, meters, float64 [N + 1, 3]. Row 0 is the ego, row i the vehicle or pedestrian whose instance
+        is i."""
+    @property
     def guidance(self) -> dict[str, Any]:
         """What a navigation system says: turn (``left``, ``right``, ``straight``), distance_m, angle_rad, length_m, cruise_mps."""
     def route_ahead(self, points: int = 10, spacing_m: float = 5.0) -> NDArray[np.float64]:

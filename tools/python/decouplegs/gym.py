@@ -1,7 +1,7 @@
 """Gymnasium environments over the closed loop: cameras are drawn, the ego does as it is told, traffic answers.
 
->>> import gymnasium, decouplegs.gym
->>> env = gymnasium.make("decouplegs/Drive-v0", level="medium", size=(320, 180))
+>>> import gymnasium
+>>> env = gymnasium.make("decouplegs.gym:decouplegs/Drive-v0", level="medium", size=(320, 180))
 >>> observation, info = env.reset(seed=7)
 >>> observation["cameras"]["front"].shape
 (180, 320, 3)
@@ -60,13 +60,14 @@ _TURNS = {"left": 1.0, "straight": 0.0, "right": -1.0}
 
 
 def register_envs() -> None:
-    """Tells Gymnasium of ``decouplegs/Drive-v0``; done when this module is imported."""
+    """Registers ``decouplegs/Drive-v0`` and ``decouplegs/HUGSim-v0``; done when this module is imported."""
     if "decouplegs/Drive-v0" not in gymnasium.registry:
         gymnasium.register(
             id="decouplegs/Drive-v0",
             entry_point="decouplegs.gym:DriveEnv",
             vector_entry_point="decouplegs.gym:DriveVectorEnv",
         )
+        gymnasium.register(id="decouplegs/HUGSim-v0", entry_point="decouplegs.hugsim:HUGSimEnv")
 
 
 class _Course:

@@ -206,6 +206,21 @@ impl Rollout {
         )
     }
 
+    /// Sizes of boxes: length, width, height, meters, float64 [N + 1, 3]. Row 0 is the ego, row i
+    /// the vehicle or pedestrian whose instance is i.
+    #[getter]
+    fn sizes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let rollout = self.lock();
+        let simulation = rollout.simulation();
+        let agents = simulation.agent_sizes().iter();
+        let values: Vec<f64> = std::iter::once(&simulation.scenario().ego.size)
+            .chain(agents)
+            .flat_map(|size| [size.length_m, size.width_m, size.height_m])
+            .collect();
+        let count = values.len() / 3;
+        shaped(py, values, &[count, 3])
+    }
+
     /// Navigation instructions: turn (``left``, ``right``, ``straight``), distance_m, angle_rad,
     /// length_m, cruise_mps.
     #[getter]
