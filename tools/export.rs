@@ -2,6 +2,7 @@
 
 mod coco;
 mod kitti;
+mod mcap;
 mod nuscenes;
 mod sensed;
 
@@ -69,6 +70,8 @@ enum Format {
     Kitti,
     /// COCO: boxes and masks in annotations.json
     Coco,
+    /// ROS 2 messages in episode.mcap: images, camera_info, points, transforms and boxes as markers
+    Mcap,
 }
 
 /// Writer of a data set.
@@ -136,6 +139,7 @@ fn write(
         Format::Nuscenes => Box::new(nuscenes::Tables::new(folder, episode, rig)?),
         Format::Kitti => Box::new(kitti::Folders::new(folder, rig)?),
         Format::Coco => Box::new(coco::Annotations::new(folder)?),
+        Format::Mcap => Box::new(mcap::Messages::new(folder, rig)?),
     };
     let begun = moments.as_slice().iter().filter(|m| m.step.is_some());
     let bar = progress::bar("steps", episode.steps.len());

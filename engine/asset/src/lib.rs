@@ -33,6 +33,7 @@ pub mod open_scenario;
 pub mod packed_scene;
 pub mod point_cloud;
 pub mod probe;
+pub mod ros;
 pub mod scenario_file;
 pub mod scene_file;
 pub mod scene_import;

@@ -20,7 +20,7 @@ use glam::DVec3;
 
 use crate::{AssetError, EncodeError, write_atomically};
 
-pub use mcap::{McapSweeps, POINT_FIELDS};
+pub use mcap::{McapSweeps, POINT_FIELDS, point_cloud2};
 
 /// A format of one file per sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

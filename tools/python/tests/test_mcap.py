@@ -1,0 +1,82 @@
+"""MCAP files of episodes, opened by the readers of their own project."""
+
+import os
+import subprocess
+
+import numpy as np
+import pytest
+
+PROGRAM = os.environ.get("DECOUPLEGS_PROGRAM")
+pytestmark = pytest.mark.skipif(PROGRAM is None, reason="DECOUPLEGS_PROGRAM names no program")
+
+
+def decouplegs(*arguments):
+    done = subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mcap")
+    place = ["--background", 30_000, "--agent-splats", 300]
+    how = ["--level", "hard", "--episodes", 1, "--size", "96x54", "--seed", 3, "--planner", "constant-velocity", "--all-cameras"]
+    decouplegs("drive", *place, *how, "--out", folder / "run")
+    said = decouplegs("export", folder / "run/logs/hard_0000.log", "--as", "mcap", "--cameras", "front,back", "--lidar", "vlp32c", "--out", folder / "mcap")
+    assert "images have the bits of the log" in said
+    decouplegs("export", folder / "run/logs/hard_0000.log", "--as", "coco", "--cameras", "front,back", "--out", folder / "coco")
+    return folder
+
+
+def messages(path):
+    reader = pytest.importorskip("mcap.reader", reason="the package mcap is not installed")
+    ros2 = pytest.importorskip("mcap_ros2.decoder", reason="the package mcap-ros2-support is not installed")
+    found = {}
+    with path.open("rb") as file:
+        for schema, channel, message, decoded in reader.make_reader(file, decoder_factories=[ros2.DecoderFactory()]).iter_decoded_messages():
+            found.setdefault(channel.topic, []).append((schema.name, message.log_time, decoded))
+    return found
+
+
+def test_an_episode_is_read_by_the_readers_of_mcap(exported):
+    found = messages(exported / "mcap/episode.mcap")
+    images = {name: sorted((exported / "coco/images").glob(f"*_{name}.png")) for name in ("front", "back")}
+    steps = len(images["front"])
+    assert steps > 4
+    topics = {"/tf": steps, "/tf_static": 1, "/objects": steps, "/lidar/vlp32c/points": steps}
+    for name in images:
+        topics |= {f"/camera/{name}/image/compressed": steps, f"/camera/{name}/camera_info": steps}
+    assert {topic: len(of_topic) for topic, of_topic in found.items()} == topics
+    for name, files in images.items():
+        for (kind, time, message), file in zip(found[f"/camera/{name}/image/compressed"], files):
+            assert kind == "sensor_msgs/msg/CompressedImage" and message.format == "png"
+            assert bytes(message.data) == file.read_bytes(), "the pixels are those of the other export"
+            assert message.header.frame_id == f"camera/{name}"
+            assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == time >= 10**9
+        info = found[f"/camera/{name}/camera_info"][0][2]
+        assert (info.width, info.height) == (96, 54) and info.distortion_model == "plumb_bob" and len(info.d) == 5
+        assert info.k[0] == info.p[0] > 20 and info.k[2] == pytest.approx(47.5) and info.p[6] == pytest.approx(26.5)
+
+
+def test_frames_join_boxes_and_points(exported):
+    found = messages(exported / "mcap/episode.mcap")
+    fixed = {transform.child_frame_id: transform for transform in found["/tf_static"][0][2].transforms}
+    assert set(fixed) == {"camera/front", "camera/back", "lidar/vlp32c"}
+    assert all(transform.header.frame_id == "base_link" for transform in fixed.values())
+    ego = [message.transforms[0] for _, _, message in found["/tf"]]
+    assert all((t.header.frame_id, t.child_frame_id) == ("map", "base_link") for t in ego)
+    moved = np.hypot(ego[-1].transform.translation.x - ego[0].transform.translation.x, ego[-1].transform.translation.y - ego[0].transform.translation.y)
+    assert moved > 5.0
+    markers = found["/objects"][0][2].markers
+    assert markers[0].action == 3 and len(markers) > 3, "the first takes away those before"
+    assert all(marker.type == 1 and marker.action == 0 and 1.0 < marker.scale.x < 20.0 for marker in markers[1:])
+    assert len({(marker.ns, marker.id) for marker in markers[1:]}) == len(markers) - 1
+    # Points of a sweep are on the road and on the boxes, not above the sensor.
+    cloud = found["/lidar/vlp32c/points"][0][2]
+    names = [field.name for field in cloud.fields]
+    assert cloud.point_step == 32 and names[:4] == ["x", "y", "z", "intensity"]
+    points = np.frombuffer(bytes(cloud.data), np.float32).reshape(cloud.width, 8)[:, :3]
+    assert len(points) > 500 and np.isfinite(points).all()
+    near = points[np.hypot(points[:, 0], points[:, 1]) < 10.0]
+    height = fixed["lidar/vlp32c"].transform.translation.z + ego[0].transform.translation.z
+    assert np.quantile(near[:, 2], 0.1) == pytest.approx(-height, abs=0.05), "the ground is at height 0"
