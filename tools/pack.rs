@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Context, Result, ensure};
+use decouplegs::asset::maps::{MapFormat, open_drive};
 use decouplegs::asset::packed_scene::{PackOptions, ground_mesh_ply, pack};
 use decouplegs::asset::{SceneFile, read_bytes, read_map};
 use decouplegs::scene::VehicleSize;
@@ -29,8 +30,9 @@ pub struct Arguments {
     /// Id of the scene for clients (default: the name of the scene's folder)
     #[arg(long, value_name = "ID")]
     scene_id: Option<String>,
-    /// An OpenDRIVE map of the scene's world
-    #[arg(long, value_name = "FILE.xodr")]
+    /// Map of the scene's world: OpenDRIVE as it is; OpenDRIVE is written of Lanelet2, Argoverse 2,
+    /// CommonRoad and lane JSON
+    #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
     /// Length, width and height of the ego vehicle, meters
     #[arg(long, value_name = "L,W,H", default_value = "4.5,1.8,1.5")]
@@ -90,13 +92,25 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     options.rig_origin_m = arguments
         .rig_origin
         .map_or(below, |Triple(origin)| DVec3::from_array(origin));
+    let mut notes = Vec::new();
     if let Some(map) = &arguments.map {
         // Read as a map too: an empty or wrong file would only be found by those who open the
         // package.
-        read_map(map)?;
-        options.map = Some(read_bytes(map)?);
+        let lanes = read_map(map)?;
+        let bytes = read_bytes(map)?;
+        options.map = Some(match MapFormat::detect(&bytes) {
+            Ok(MapFormat::OpenDrive) => bytes,
+            _ => {
+                notes.push(format!(
+                    "OpenDRIVE is written of {}: a road for each of {} lanes, without signals, at latitude and longitude 0",
+                    map.display(),
+                    lanes.lanes.len()
+                ));
+                open_drive::encode(&lanes)
+                    .with_context(|| format!("{} cannot be written as OpenDRIVE", map.display()))?
+            }
+        });
     }
-    let mut notes = Vec::new();
     if !arguments.no_ground {
         let mesh = ground::mesh_of(&scene, directory, dims_m[2])?;
         if mesh.triangles.is_empty() {

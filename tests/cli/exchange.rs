@@ -233,6 +233,29 @@ fn a_packed_scene_is_a_zip_that_others_read_and_opens_as_the_scene() {
     let [plain, packed] = [&scene, &package].map(|path| open_scene(path, 0.5).unwrap());
     assert_eq!(plain, packed);
     check_with_python(&package, &file);
+    // OpenDRIVE is written of other maps.
+    let lanes = street.join("lanes.json");
+    let said = succeed(&[
+        "pack",
+        text(&scene),
+        "--usdz",
+        text(&package),
+        "--map",
+        text(&lanes),
+        "--no-ground",
+    ]);
+    assert!(
+        said.contains("OpenDRIVE is written of") && !said.contains("geoReference"),
+        "{said}"
+    );
+    check_with_python(&package, &file);
+    let bytes = fs::read(&package).unwrap();
+    let holds = |text: &str| {
+        bytes
+            .windows(text.len())
+            .any(|window| window == text.as_bytes())
+    };
+    assert!(holds("<OpenDRIVE>") && holds("<laneOffset s="));
     assert!(fail(2, &["pack", text(&scene), "--usdz", "a.zip"]).contains("a.zip"));
     assert!(
         fail(

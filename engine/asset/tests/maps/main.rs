@@ -6,6 +6,7 @@ mod formats;
 mod hostile;
 mod open_drive;
 mod real;
+mod written;
 
 use std::path::Path;
 

@@ -22,6 +22,7 @@ mod road_positions;
 mod sampling;
 mod signals;
 mod tapers;
+mod write;
 
 use std::collections::HashMap;
 
@@ -33,6 +34,7 @@ use self::junctions::{Network, RoadPlaces};
 use self::lanes::{Section, SectionLane};
 use self::plan_view::Geometry;
 pub use self::road_positions::RoadPositions;
+pub use self::write::encode;
 use super::budget::Budget;
 use crate::DecodeError;
 use crate::xml::{Element, excerpt, parse};
