@@ -25,7 +25,7 @@ NEEDS = $(NEEDS_TEST)
 # Tests use the project from Python as users do: they read compressed assets, build and install the wheel, speak to the server and
 # drive episodes on a cluster of this machine. A test whose package cannot be installed says that it is skipped.
 PYTHON_PACKAGES := safetensors numpy maturin pytest gymnasium matplotlib grpcio protobuf
-PYTHON_PACKAGES_OPTIONAL := ray playwright axe-core-python hugsim-client requests tenacity mcap mcap-ros2-support
+PYTHON_PACKAGES_OPTIONAL := ray playwright axe-core-python grpcio-tools hugsim-client requests tenacity mcap mcap-ros2-support
 PYTHON := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/python
 
 DEMO := out/demo
@@ -81,7 +81,7 @@ wheel-test: packages
 
 # Without a network the test that needs it says that it is skipped.
 python: packages
-	@if $(PYTHON)/bin/python -c 'import safetensors, numpy, maturin, pytest, gymnasium, matplotlib, grpc, playwright, hugsim_client, mcap_ros2' 2>/dev/null; then exit 0; fi; \
+	@if $(PYTHON)/bin/python -c 'import safetensors, numpy, maturin, pytest, gymnasium, matplotlib, grpc, playwright, hugsim_client, mcap_ros2, grpc_tools' 2>/dev/null; then exit 0; fi; \
 	python3 -m venv $(PYTHON) && $(PYTHON)/bin/pip install --quiet --disable-pip-version-check $(PYTHON_PACKAGES) \
 		|| { rm -rf $(PYTHON); echo "$(PYTHON_PACKAGES) cannot be installed for Python: the tests that need them are skipped."; exit 0; }; \
 	for package in $(PYTHON_PACKAGES_OPTIONAL); do \
