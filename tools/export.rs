@@ -18,7 +18,7 @@ use decouplegs::asset::{
 };
 use decouplegs::episode::{Appearance, Moments, Site, chosen_lidars};
 use decouplegs::scene::episode::Episode;
-use decouplegs::scene::{Rig, RigCamera, RigLidar, RoadUser, Sensor};
+use decouplegs::scene::{Camera, Rig, RigCamera, RigLidar, RoadUser, Sensor};
 use decouplegs_cli::png_bytes;
 
 use self::sensed::{LabeledImage, Renderers, Sensed};
@@ -68,7 +68,7 @@ enum Format {
     Nuscenes,
     /// KITTI object detection of one camera: images, labels, calibration and points
     Kitti,
-    /// COCO: boxes and masks in annotations.json
+    /// COCO: boxes and masks in annotations.json, panoptic segmentation in panoptic.json
     Coco,
     /// ROS 2 messages in episode.mcap: images, camera_info, points, transforms and boxes as markers
     Mcap,
@@ -217,8 +217,13 @@ fn category_number(kind: RoadUser) -> usize {
 
 /// Writes `image` as PNG, without loss.
 fn write_png(path: &Path, image: &LabeledImage) -> Result<()> {
-    let k = &image.camera.intrinsics;
-    let bytes = png_bytes::encode(&image.rgba, [k.width_px, k.height_px]);
+    write_rgba(path, &image.rgba, &image.camera)
+}
+
+/// Writes an image of `camera`, 8-bit RGBA, as PNG.
+fn write_rgba(path: &Path, rgba: &[u8], camera: &Camera) -> Result<()> {
+    let k = &camera.intrinsics;
+    let bytes = png_bytes::encode(rgba, [k.width_px, k.height_px]);
     let bytes = bytes.map_err(anyhow::Error::msg)?;
     Ok(write_atomically(path, |file| file.write_all(&bytes))?)
 }

@@ -170,6 +170,36 @@ fn check_coco(out: &Path, samples: usize) {
             "the mask begins at the left edge of its box"
         );
     }
+    check_panoptic(out, 2 * samples, annotations.len());
+}
+
+/// Checks that panoptic images have as many pixels of each segment as their table says.
+fn check_panoptic(out: &Path, images: usize, objects: usize) {
+    let table = read(&out.join("panoptic.json"));
+    let annotations = table["annotations"].as_array().unwrap();
+    assert_eq!(annotations.len(), images);
+    let mut segments = 0;
+    for annotation in annotations {
+        let name = annotation["file_name"].as_str().unwrap();
+        let image = image::open(out.join("panoptic").join(name))
+            .unwrap()
+            .to_rgb8();
+        let mut pixels: BTreeMap<u64, u64> = BTreeMap::new();
+        for image::Rgb([red, green, blue]) in image.pixels() {
+            let id = u64::from(*red) + 256 * u64::from(*green) + 65536 * u64::from(*blue);
+            *pixels.entry(id).or_default() += 1;
+        }
+        pixels.remove(&0);
+        let listed: BTreeMap<u64, u64> = annotation["segments_info"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|info| (info["id"].as_u64().unwrap(), info["area"].as_u64().unwrap()))
+            .collect();
+        assert_eq!(pixels, listed, "{name}");
+        segments += listed.len();
+    }
+    assert_eq!(segments, objects, "each mask is a segment");
 }
 
 /// Checks that the middle of the floor of each box, projected by the calibration, is in the columns

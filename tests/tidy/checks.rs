@@ -60,6 +60,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
         &[
             "decouplegs",
             "decouplegs-cli",
+            "decouplegs-server",
             "decouplegs-benches",
             "decouplegs-view",
         ],

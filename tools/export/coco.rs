@@ -1,5 +1,6 @@
-//! COCO object detection: <https://cocodataset.org/#format-data>.
+//! COCO object detection and panoptic segmentation: <https://cocodataset.org/#format-data>.
 
+use std::collections::HashSet;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -10,24 +11,68 @@ use decouplegs::scene::RoadUser;
 use serde_json::{Value, json};
 
 use super::sensed::{Labeled, LabeledAgent, LabeledImage, Sensed};
-use super::{DataSet, category_number, write_png};
+use super::{DataSet, category_number, write_png, write_rgba};
 
 /// Images and annotations so far.
 pub struct Annotations {
     folder: PathBuf,
     images: Vec<Value>,
     annotations: Vec<Value>,
+    /// Annotations of panoptic segmentation, one per image.
+    panoptic: Vec<Value>,
 }
 
 impl Annotations {
     pub fn new(folder: &Path) -> Result<Self> {
-        let images = folder.join("images");
-        fs::create_dir(&images).with_context(|| format!("{} cannot be made", images.display()))?;
+        for name in ["images", "panoptic"] {
+            let part = folder.join(name);
+            fs::create_dir(&part).with_context(|| format!("{} cannot be made", part.display()))?;
+        }
         Ok(Self {
             folder: folder.to_owned(),
             images: Vec::new(),
             annotations: Vec::new(),
+            panoptic: Vec::new(),
         })
+    }
+
+    /// Writes the panoptic image of `image`, which is called `name`: the id of each pixel's road
+    /// user as R + 256 G + 65536 B, 0 where there is none.
+    fn segment(&mut self, name: &str, image: &LabeledImage, agents: &[LabeledAgent]) -> Result<()> {
+        let visible = agents
+            .iter()
+            .zip(&image.boxes)
+            .filter_map(|(agent, labeled)| {
+                let visible = labeled.as_ref()?.visible?;
+                let size_px = visible.tight.max_px - visible.tight.min_px;
+                let corner_px = visible.tight.min_px;
+                let segment = json!({
+                    "id": agent.instance,
+                    "category_id": category_number(agent.kind),
+                    "area": visible.pixels,
+                    "bbox": [corner_px.x, corner_px.y, size_px.x, size_px.y],
+                    "iscrowd": 0,
+                });
+                Some((agent.instance, segment))
+            });
+        let (ids, segments): (HashSet<u16>, Vec<Value>) = visible.unzip();
+        let pixels = image.instances.iter().flat_map(|instance| {
+            let id = if ids.contains(instance) { *instance } else { 0 };
+            let [red, green] = id.to_le_bytes();
+            [red, green, 0, 255]
+        });
+        let rgba: Vec<u8> = pixels.collect();
+        write_rgba(
+            &self.folder.join("panoptic").join(name),
+            &rgba,
+            &image.camera,
+        )?;
+        self.panoptic.push(json!({
+            "image_id": self.images.len(),
+            "file_name": name,
+            "segments_info": segments,
+        }));
+        Ok(())
     }
 
     fn annotate(&mut self, image: &LabeledImage, agent: &LabeledAgent, labeled: &Labeled) {
@@ -73,27 +118,38 @@ impl DataSet for Annotations {
                     self.annotate(image, agent, labeled);
                 }
             }
+            self.segment(&name, image, &sensed.agents)?;
         }
         Ok(())
     }
 
     fn finish(self: Box<Self>) -> Result<String> {
         let categories = RoadUser::ALL.map(|kind| {
-            json!({"id": category_number(kind), "name": kind.name(), "supercategory": "road user"})
+            json!({
+                "id": category_number(kind),
+                "name": kind.name(),
+                "supercategory": "road user",
+                "isthing": 1,
+            })
         });
-        let text = serde_json::to_string(&json!({
-            "info": {"description": "episode of DecoupleGS"},
-            "licenses": [],
-            "categories": categories,
-            "images": self.images,
-            "annotations": self.annotations,
-        }))?;
-        write_atomically(&self.folder.join("annotations.json"), |file| {
-            file.write_all(text.as_bytes())
-        })?;
         let (images, annotations) = (self.images.len(), self.annotations.len());
+        for (name, annotations) in [
+            ("annotations.json", &self.annotations),
+            ("panoptic.json", &self.panoptic),
+        ] {
+            let text = serde_json::to_string(&json!({
+                "info": {"description": "episode of DecoupleGS"},
+                "licenses": [],
+                "categories": categories,
+                "images": self.images,
+                "annotations": annotations,
+            }))?;
+            write_atomically(&self.folder.join(name), |file| {
+                file.write_all(text.as_bytes())
+            })?;
+        }
         Ok(format!(
-            "{images} images, {annotations} annotations with masks"
+            "{images} images, {annotations} annotations with masks, panoptic images"
         ))
     }
 }

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use tonic::Code;
 
 use super::check::{Judged, Stop, failed};
-use super::picture::Picture;
+use super::rgb_image::RgbImage;
 use super::target::Target;
 use crate::wire::common::{Empty, Pose};
 use crate::wire::sensorsim::{
@@ -126,7 +126,7 @@ pub(super) async fn ego_masks(target: &mut Target) -> Judged {
 async fn batch_of(
     target: &mut Target,
     requests: Vec<RgbRenderRequest>,
-) -> Result<Vec<Picture>, Stop> {
+) -> Result<Vec<RgbImage>, Stop> {
     let items = requests
         .into_iter()
         .enumerate()
@@ -141,7 +141,7 @@ async fn batch_of(
         .batch_render_rgb(BatchRgbRenderRequest { items })
         .await?
         .into_inner();
-    let mut pictures = Vec::new();
+    let mut images = Vec::new();
     for index in 0..count {
         let name = format!("camera_{index}");
         let mut found = answer.items.iter().filter(|item| item.camera_name == name);
@@ -154,12 +154,12 @@ async fn batch_of(
         let Some(result) = &item.result else {
             return failed(format!("{name} has success, and no image"));
         };
-        pictures.push(Picture::of_png(&result.image_bytes)?);
+        images.push(RgbImage::of_png(&result.image_bytes)?);
     }
     if answer.items.len() != count {
         return failed(format!("{} items for {count}", answer.items.len()));
     }
-    Ok(pictures)
+    Ok(images)
 }
 
 /// Compares the images of a batch with those of single requests.
@@ -167,7 +167,7 @@ async fn same_alone(target: &mut Target, requests: Vec<RgbRenderRequest>) -> Jud
     let together = batch_of(target, requests.clone()).await?;
     let mut largest: f64 = 0.0;
     for (request, together) in requests.into_iter().zip(&together) {
-        let alone = target.picture(request).await?;
+        let alone = target.image(request).await?;
         largest = largest.max(alone.difference(together));
     }
     if largest > 0.0 {
@@ -214,7 +214,7 @@ async fn refused(target: &mut Target, request: RgbRenderRequest, codes: &[Code])
         }
     };
     let after = target.request();
-    match target.picture(after).await {
+    match target.image(after).await {
         Ok(_) => Ok(format!("{said:?}")),
         Err(_) => failed(format!("{said:?}, and the request after it has no answer")),
     }

@@ -9,7 +9,7 @@ use tonic::{Request, Status};
 
 use super::MESSAGE_BYTES_MAX;
 use super::check::{Judged, Stop, failed};
-use super::picture::Picture;
+use super::rgb_image::RgbImage;
 use super::target::{FOCAL_PX, SIZE_PX, Target, spec_of};
 use crate::wire::sensorsim::camera_spec::CameraParam;
 use crate::wire::sensorsim::ftheta_camera_param::PolynomialType;
@@ -28,11 +28,11 @@ const LENS_DIFFERENCE_MAX: f64 = 2.0;
 /// Number of a field that no version of the contract has.
 const UNKNOWN_FIELD: u32 = 7_654;
 
-fn has_size(picture: &Picture, [width_px, height_px]: [u32; 2]) -> Result<(), Stop> {
-    if picture.size() == [width_px, height_px] {
+fn has_size(image: &RgbImage, [width_px, height_px]: [u32; 2]) -> Result<(), Stop> {
+    if image.size() == [width_px, height_px] {
         return Ok(());
     }
-    let [found_w, found_h] = picture.size();
+    let [found_w, found_h] = image.size();
     failed(format!(
         "{found_w} x {found_h} pixels; asked for {width_px} x {height_px}"
     ))
@@ -40,25 +40,25 @@ fn has_size(picture: &Picture, [width_px, height_px]: [u32; 2]) -> Result<(), St
 
 pub(super) async fn png(target: &mut Target) -> Judged {
     let request = target.request();
-    let picture = target.picture(request).await?;
-    has_size(&picture, SIZE_PX)?;
+    let image = target.image(request).await?;
+    has_size(&image, SIZE_PX)?;
     Ok(format!(
         "{} x {}, contrast {:.0} of 255",
         SIZE_PX[0],
         SIZE_PX[1],
-        picture.contrast()
+        image.contrast()
     ))
 }
 
 pub(super) async fn planar(target: &mut Target) -> Judged {
     let request = target.request();
-    let png = target.picture(request.clone()).await?;
+    let png = target.image(request.clone()).await?;
     let request = RgbRenderRequest {
         image_format: ImageFormat::RgbUint8Planar.into(),
         ..request
     };
     let answer = target.client.render_rgb(request).await?.into_inner();
-    let planes = Picture::of_planes(&answer.image_bytes, SIZE_PX)?;
+    let planes = RgbImage::of_planes(&answer.image_bytes, SIZE_PX)?;
     let difference = planes.difference(&png);
     if difference > 0.0 {
         return failed(format!(
@@ -70,13 +70,13 @@ pub(super) async fn planar(target: &mut Target) -> Judged {
 
 pub(super) async fn jpeg(target: &mut Target) -> Judged {
     let request = target.request();
-    let png = target.picture(request.clone()).await?;
+    let png = target.image(request.clone()).await?;
     let request = RgbRenderRequest {
         image_format: ImageFormat::Jpeg.into(),
         ..request
     };
     let answer = target.client.render_rgb(request).await?.into_inner();
-    let jpeg = Picture::of_jpeg(&answer.image_bytes)?;
+    let jpeg = RgbImage::of_jpeg(&answer.image_bytes)?;
     has_size(&jpeg, SIZE_PX)?;
     let difference = jpeg.difference(&png);
     if difference > JPEG_DIFFERENCE_MAX {
@@ -96,7 +96,7 @@ pub(super) async fn large(target: &mut Target) -> Judged {
         ..target.request()
     };
     let answer = target.client.render_rgb(request).await?.into_inner();
-    Picture::of_planes(&answer.image_bytes, size)?;
+    RgbImage::of_planes(&answer.image_bytes, size)?;
     Ok(format!("{} bytes", answer.image_bytes.len()))
 }
 
@@ -108,7 +108,7 @@ pub(super) async fn resized(target: &mut Target) -> Judged {
         resolution_h: SIZE_PX[1] / 2,
         ..request
     };
-    let half = target.picture(request).await?;
+    let half = target.image(request).await?;
     has_size(&half, [SIZE_PX[0] / 2, SIZE_PX[1] / 2])?;
     let difference = whole.halved().difference(&half);
     if difference > HALVED_DIFFERENCE_MAX {
@@ -121,8 +121,8 @@ pub(super) async fn resized(target: &mut Target) -> Judged {
 
 pub(super) async fn repeatable(target: &mut Target) -> Judged {
     let request = target.request();
-    let first = target.picture(request.clone()).await?;
-    let second = target.picture(request).await?;
+    let first = target.image(request.clone()).await?;
+    let second = target.image(request).await?;
     let difference = first.difference(&second);
     if difference > 0.0 {
         return failed(format!(
@@ -134,7 +134,7 @@ pub(super) async fn repeatable(target: &mut Target) -> Judged {
 
 pub(super) async fn parallel(target: &mut Target) -> Judged {
     let request = target.request();
-    let alone = target.picture(request.clone()).await?;
+    let alone = target.image(request.clone()).await?;
     let mut clients = tokio::task::JoinSet::new();
     for _ in 0..8 {
         let (mut client, request) = (target.client.clone(), request.clone());
@@ -144,8 +144,8 @@ pub(super) async fn parallel(target: &mut Target) -> Judged {
         let Ok(answer) = answer else {
             return failed("a request was dropped");
         };
-        let picture = Picture::of_png(&answer?.into_inner().image_bytes)?;
-        let difference = alone.difference(&picture);
+        let image = RgbImage::of_png(&answer?.into_inner().image_bytes)?;
+        let difference = alone.difference(&image);
         if difference > 0.0 {
             return failed(format!(
                 "pixels differ by {difference:.3} of 255 on average"
@@ -157,7 +157,7 @@ pub(super) async fn parallel(target: &mut Target) -> Judged {
 
 pub(super) async fn unknown_fields(target: &mut Target) -> Judged {
     let request = target.request();
-    let plain = target.picture(request.clone()).await?;
+    let plain = target.image(request.clone()).await?;
     let mut bytes = BytesMut::from(request.encode_to_vec().as_slice());
     // A varint and a text, as newer clients send them.
     bytes.put_slice(&key(UNKNOWN_FIELD, 0));
@@ -172,7 +172,7 @@ pub(super) async fn unknown_fields(target: &mut Target) -> Judged {
     let answer = grpc.unary(Request::new(bytes.freeze()), path, Raw).await?;
     let answer = RgbRenderReturn::decode(answer.into_inner());
     let answer = answer.or_else(|error| failed(format!("the answer is no message: {error}")))?;
-    let difference = Picture::of_png(&answer.image_bytes)?.difference(&plain);
+    let difference = RgbImage::of_png(&answer.image_bytes)?.difference(&plain);
     if difference > 0.0 {
         return failed(format!(
             "the image differs by {difference:.2} of 255 on average"
@@ -235,8 +235,8 @@ impl Decoder for Raw {
 /// Coefficients of the tangent's power series: theta, theta^3 and so on to theta^9.
 const TANGENT: [f64; 5] = [1.0, 1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
 
-/// Tangent and arc tangent as polynomials without a constant, within 2e-6 up to 0.52: f-theta lenses
-/// have six coefficients. Fitted with the largest error made smallest.
+/// Tangent and arc tangent as polynomials without a constant, within 2e-6 up to 0.52, fitted with
+/// the largest error made smallest: f-theta lenses have six coefficients.
 const TANGENT_FIT: [f64; 5] = [
     1.000_127_82,
     -0.003_210_727_03,
@@ -294,7 +294,7 @@ pub(super) async fn lens(target: &mut Target, lens: CameraParam) -> Judged {
     let expected = target.view(request).await?;
     let sensor = target.sensor();
     let request = target.request_of(spec_of(lens), &sensor, &sensor);
-    let found = target.picture(request).await?;
+    let found = target.image(request).await?;
     has_size(&found, SIZE_PX)?;
     let difference = expected.difference(&found);
     let Some([right_px, down_px]) = expected.shift_of(&found) else {

@@ -7,8 +7,8 @@ mod answers;
 mod check;
 mod images;
 mod motion;
-mod picture;
 mod report;
+mod rgb_image;
 mod sweeps;
 mod target;
 
@@ -102,7 +102,7 @@ pub fn run(options: &ConformOptions, said: &mut dyn FnMut(Check, &Outcome)) -> R
 /// [`run`], for callers in a runtime.
 ///
 /// # Errors
-/// As [`run`].
+/// Those of [`run`].
 pub async fn judge(
     options: &ConformOptions,
     said: &mut dyn FnMut(Check, &Outcome),

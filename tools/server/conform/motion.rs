@@ -4,7 +4,7 @@ use decouplegs::scene::Pose;
 use glam::DVec3;
 
 use super::check::{Judged, Stop, failed};
-use super::picture::Picture;
+use super::rgb_image::RgbImage;
 use super::target::{SIZE_PX, Target, pair, pinhole, spec_of};
 use crate::wire::sensorsim::{CameraSpec, RgbRenderRequest, ShutterType};
 
@@ -21,12 +21,12 @@ const SHOWN_SHARE_MIN: f64 = 0.002;
 
 pub(super) async fn instant(target: &mut Target) -> Judged {
     let request = target.request();
-    let with_shutter = target.picture(request.clone()).await?;
+    let with_shutter = target.image(request.clone()).await?;
     let request = RgbRenderRequest {
         frame_end_us: request.frame_start_us,
         ..request
     };
-    let instant = target.picture(request).await?;
+    let instant = target.image(request).await?;
     let difference = with_shutter.difference(&instant);
     if difference > 0.0 {
         return failed(format!(
@@ -49,7 +49,7 @@ pub(super) async fn at_rest(target: &mut Target) -> Judged {
     let sensor = target.sensor();
     let spec = rolling(ShutterType::RollingTopToBottom);
     let request = target.request_of(spec, &sensor, &sensor);
-    let difference = expected.difference(&target.picture(request).await?);
+    let difference = expected.difference(&target.image(request).await?);
     if difference > REST_DIFFERENCE_MAX {
         return failed(format!(
             "{difference:.2} of 255 from the global shutter; at most {REST_DIFFERENCE_MAX} is expected"
@@ -76,7 +76,7 @@ pub(super) async fn rows(target: &mut Target, reversed: bool) -> Judged {
         false => ShutterType::RollingTopToBottom,
     };
     let request = target.request_of(rolling(shutter), &start, &end);
-    let moving = target.picture(request).await?;
+    let moving = target.image(request).await?;
     if moving.size() != SIZE_PX {
         return failed("the image has another size");
     }
@@ -113,7 +113,7 @@ pub(super) async fn rows(target: &mut Target, reversed: bool) -> Judged {
 }
 
 /// Share of pixels that differ by more than 8 of 255, and their mean column.
-fn changed(a: &Picture, b: &Picture) -> (f64, f64) {
+fn changed(a: &RgbImage, b: &RgbImage) -> (f64, f64) {
     let width = a.width_px as usize;
     let pixels = a.rgb.chunks_exact(3).zip(b.rgb.chunks_exact(3)).enumerate();
     let columns: Vec<usize> = pixels
@@ -129,15 +129,15 @@ fn changed(a: &Picture, b: &Picture) -> (f64, f64) {
 }
 
 /// Views without the object and with it at `right_m`.
-async fn with_object(target: &mut Target, right_m: f64) -> Result<[Picture; 2], Stop> {
+async fn with_object(target: &mut Target, right_m: f64) -> Result<[RgbImage; 2], Stop> {
     let object = target.object(AHEAD_M, right_m)?;
     let request = target.request();
-    let without = target.picture(request.clone()).await?;
+    let without = target.image(request.clone()).await?;
     let request = RgbRenderRequest {
         dynamic_objects: vec![object],
         ..request
     };
-    Ok([without, target.picture(request).await?])
+    Ok([without, target.image(request).await?])
 }
 
 pub(super) async fn object_shown(target: &mut Target) -> Judged {
@@ -178,7 +178,7 @@ pub(super) async fn unlisted(target: &mut Target) -> Judged {
     let [before, with] = with_object(target, 0.0).await?;
     // The object was just drawn: the next request must forget it.
     let request = target.request();
-    let after = target.picture(request).await?;
+    let after = target.image(request).await?;
     if changed(&before, &with).0 < SHOWN_SHARE_MIN {
         return Err(Stop::Skipped(
             "the object is not drawn where it is listed".into(),
@@ -195,7 +195,7 @@ pub(super) async fn unlisted(target: &mut Target) -> Judged {
 
 pub(super) async fn unknown_object(target: &mut Target) -> Judged {
     let request = target.request();
-    let without = target.picture(request.clone()).await?;
+    let without = target.image(request.clone()).await?;
     let sensor = target.sensor();
     let request = RgbRenderRequest {
         dynamic_objects: vec![crate::wire::sensorsim::DynamicObject {
@@ -204,8 +204,8 @@ pub(super) async fn unknown_object(target: &mut Target) -> Judged {
         }],
         ..request
     };
-    match target.picture(request).await {
-        Ok(picture) if picture.difference(&without) == 0.0 => Ok("ignored".into()),
+    match target.image(request).await {
+        Ok(image) if image.difference(&without) == 0.0 => Ok("ignored".into()),
         Ok(_) => failed("the image changes"),
         Err(Stop::Refused(status))
             if matches!(

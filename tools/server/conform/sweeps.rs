@@ -4,7 +4,7 @@ use decouplegs::scene::Pose;
 use glam::{DQuat, DVec3};
 
 use super::check::{Judged, Stop, failed};
-use super::picture::Picture;
+use super::rgb_image::RgbImage;
 use super::target::{Target, pair};
 use crate::wire::sensorsim::{
     AggregatedRenderRequest, LidarDeviceType, LidarRenderRequest, LidarRenderReturn, LidarSpec,
@@ -129,7 +129,7 @@ pub(super) async fn frame(target: &mut Target) -> Judged {
 pub(super) async fn aggregated(target: &mut Target) -> Judged {
     let (rgb, lidar) = (target.request(), request(target, 0.0));
     let (alone, points_alone) = (
-        target.picture(rgb.clone()).await?,
+        target.image(rgb.clone()).await?,
         points(
             &target
                 .client
@@ -153,7 +153,7 @@ pub(super) async fn aggregated(target: &mut Target) -> Judged {
             answer.lidar_returns.len()
         ));
     };
-    let difference = Picture::of_png(&image.image_bytes)?.difference(&alone);
+    let difference = RgbImage::of_png(&image.image_bytes)?.difference(&alone);
     if difference > 0.0 {
         return failed(format!(
             "the image differs from render_rgb by {difference:.2} of 255"

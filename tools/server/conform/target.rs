@@ -11,7 +11,7 @@ use tonic::{Request, Status};
 use decouplegs::scene::Pose;
 
 use super::check::Stop;
-use super::picture::Picture;
+use super::rgb_image::RgbImage;
 use super::{ConformOptions, MESSAGE_BYTES_MAX};
 use crate::poses::{message_of, pose_of};
 use crate::wire::common::Empty;
@@ -137,23 +137,23 @@ impl Target {
     }
 
     /// Image of a request, which is sent as PNG.
-    pub(super) async fn picture(&mut self, request: RgbRenderRequest) -> Result<Picture, Stop> {
+    pub(super) async fn image(&mut self, request: RgbRenderRequest) -> Result<RgbImage, Stop> {
         let image = self.client.render_rgb(request).await?.into_inner();
-        Picture::of_png(&image.image_bytes)
+        RgbImage::of_png(&image.image_bytes)
     }
 
     /// Image of a request that shows something.
     ///
     /// Skips the check where it does not.
-    pub(super) async fn view(&mut self, request: RgbRenderRequest) -> Result<Picture, Stop> {
-        let picture = self.picture(request).await?;
-        let contrast = picture.contrast();
+    pub(super) async fn view(&mut self, request: RgbRenderRequest) -> Result<RgbImage, Stop> {
+        let image = self.image(request).await?;
+        let contrast = image.contrast();
         if contrast < CONTRAST_MIN {
             return Err(Stop::Skipped(format!(
                 "the view shows nothing to compare (contrast {contrast:.1} of 255): choose another --camera"
             )));
         }
-        Ok(picture)
+        Ok(image)
     }
 
     /// Object of the options, `ahead_m` in front of the camera and `right_m` to its right, standing

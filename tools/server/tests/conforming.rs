@@ -105,7 +105,7 @@ impl<T: Clone> Known<T> {
     }
 }
 
-/// What the good server answered.
+/// Answers of the good server.
 #[derive(Clone, Default)]
 struct Answers {
     images: Known<RgbRenderReturn>,

@@ -108,7 +108,7 @@ pub fn camera_info(time_ns: u64, frame: &str, model: &CameraModel) -> Vec<u8> {
 /// Box of a road user.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Marker {
-    /// Its kind; markers of one namespace have different ids.
+    /// Kind of the road user; markers of one namespace have different ids.
     pub namespace: String,
     /// Number of the road user.
     pub id: u32,

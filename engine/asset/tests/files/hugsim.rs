@@ -156,6 +156,26 @@ fn cameras_and_the_path_of_the_ego_come_from_the_metadata() {
 }
 
 #[test]
+fn cameras_of_one_folder_are_told_apart_by_their_order() {
+    let read = |name: &str| std::fs::read(folder().join(name)).unwrap();
+    let text = String::from_utf8(read("meta_data.json")).unwrap();
+    let metadata = text.replace("CAM_FRONT/", "").replace("CAM_BACK/", "");
+    let files = HugsimFiles {
+        scene: &read("scene.pth"),
+        metadata: Some(metadata.as_bytes()),
+        actors: &[],
+    };
+    let found = decode_hugsim(&files, &ImportOptions::default()).unwrap();
+    let names: Vec<&str> = found.rig.cameras().map(|c| c.name.as_str()).collect();
+    assert_eq!(names, ["camera", "camera_2"]);
+    let poses = [&found, &scene(&ImportOptions::default())].map(|scene| {
+        let cameras = scene.rig.cameras();
+        cameras.map(|c| c.rig_from_camera).collect::<Vec<_>>()
+    });
+    assert_eq!(poses[0], poses[1]);
+}
+
+#[test]
 fn the_color_network_is_evaluated_for_each_camera() {
     let scene = scene(&ImportOptions::default());
     // The offset of red is 0.05 relu(cos(pi x / 60)); cameras stand at x = 0.

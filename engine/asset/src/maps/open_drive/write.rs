@@ -206,7 +206,7 @@ fn road(text: &mut String, number: usize, lane: &Lane, links: &Links) -> Result<
 }
 
 impl Links {
-    /// Whether a lane's ends are linked to one road each.
+    /// True for each end of a lane, start and end, that is linked to one road.
     fn of_lane(&self, number: usize) -> [bool; 2] {
         [self.predecessors[number], self.successors[number]]
             .map(|link| matches!(link, Link::Road(_)))

@@ -146,6 +146,18 @@ pub struct HugsimFault {
     pub error: DecodeError,
 }
 
+impl std::fmt::Display for HugsimFault {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}: {}", self.file, self.error)
+    }
+}
+
+impl std::error::Error for HugsimFault {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        Some(&self.error)
+    }
+}
+
 /// Reads a scene from the bytes of its files.
 ///
 /// # Errors

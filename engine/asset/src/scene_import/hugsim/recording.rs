@@ -1,6 +1,6 @@
 //! Recording that a scene of HUGSIM was trained on: cameras, the path of the ego, boxes of actors.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use decouplegs_scene::{
     Intrinsics, Lane, LaneMap, Pose, Presence, Rig, RigCamera, SplatCloud, TimedPose, Trajectory,
@@ -90,11 +90,13 @@ impl Recording {
             .reduce(f64::min)
             .unwrap_or(0.0);
         let mut cameras: Vec<(String, Intrinsics)> = Vec::new();
+        let mut taken = HashMap::new();
         let mut views = Vec::new();
         let mut boxes: BTreeMap<String, Vec<TimedPose>> = BTreeMap::new();
         for (index, frame) in form.frames.iter().enumerate() {
             let at = |error: DecodeError| malformed(format!("frame {index}: {error}"));
-            let camera = camera_of(frame, &mut cameras).map_err(at)?;
+            let name = name_of(frame, &mut taken);
+            let camera = camera_of(frame, &name, &mut cameras).map_err(at)?;
             let before = views.iter().filter(|view: &&View| view.camera == camera);
             let time_s = match frame.timestamp {
                 Some(time_s) => time_s - first_s,
@@ -222,16 +224,32 @@ impl Recording {
     }
 }
 
-/// Index of the frame's camera in `cameras`, to which it is added if it is new. A camera is named
-/// by the folder of its images.
-fn camera_of(
-    frame: &FrameForm,
-    cameras: &mut Vec<(String, Intrinsics)>,
-) -> Result<usize, DecodeError> {
+/// Name of the frame's camera: the folder of its images. Where several images of one folder have
+/// the same time, they are of several cameras, which are told apart by their order.
+fn name_of(frame: &FrameForm, taken: &mut HashMap<(String, u64), usize>) -> String {
     let folder = frame.rgb_path.rsplit(['/', '\\']).nth(1);
     let name = folder
         .filter(|name| is_plain(name) && *name != "images")
         .unwrap_or("camera");
+    let Some(time_s) = frame.timestamp else {
+        return name.to_owned();
+    };
+    let before = taken
+        .entry((name.to_owned(), time_s.to_bits()))
+        .or_default();
+    *before += 1;
+    match *before {
+        1 => name.to_owned(),
+        number => format!("{name}_{number}"),
+    }
+}
+
+/// Index of the camera `name` in `cameras`, to which it is added if it is new.
+fn camera_of(
+    frame: &FrameForm,
+    name: &str,
+    cameras: &mut Vec<(String, Intrinsics)>,
+) -> Result<usize, DecodeError> {
     if let Some(known) = cameras.iter().position(|(known, _)| known == name) {
         return Ok(known);
     }

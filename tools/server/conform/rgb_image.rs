@@ -4,14 +4,14 @@ use super::check::{Stop, failed};
 
 /// Image of 8 bits.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Picture {
+pub(super) struct RgbImage {
     pub(super) width_px: u32,
     pub(super) height_px: u32,
     /// `[height, width, 3]`.
     pub(super) rgb: Vec<u8>,
 }
 
-impl Picture {
+impl RgbImage {
     /// Reads a PNG of 8 bits with or without alpha, which is dropped.
     pub(super) fn of_png(bytes: &[u8]) -> Result<Self, Stop> {
         let fault = |error: png::DecodingError| Stop::Failed(format!("this is no PNG: {error}"));
@@ -149,8 +149,8 @@ impl Picture {
         if self.size() != other.size() || width < 8 || height < 8 {
             return None;
         }
-        let gray = |picture: &Self| -> Vec<f64> {
-            let sums = picture.rgb.chunks_exact(3);
+        let gray = |image: &Self| -> Vec<f64> {
+            let sums = image.rgb.chunks_exact(3);
             sums.map(|p| p.iter().map(|&value| f64::from(value)).sum())
                 .collect()
         };
@@ -184,7 +184,7 @@ mod tests {
     use super::*;
 
     /// A smooth pattern, shifted to the right and down.
-    fn pattern(right_px: f64, down_px: f64) -> Picture {
+    fn pattern(right_px: f64, down_px: f64) -> RgbImage {
         let value = |x: f64, y: f64| {
             (127.0 + 60.0 * (0.3 * x).sin() + 60.0 * (0.2 * y + 0.1 * x).cos()) as u8
         };
@@ -192,7 +192,7 @@ mod tests {
             let (x, y) = (f64::from(i % 64) - right_px, f64::from(i / 64) - down_px);
             [value(x, y); 3]
         };
-        Picture {
+        RgbImage {
             width_px: 64,
             height_px: 48,
             rgb: (0..64 * 48).flat_map(pixel).collect(),
@@ -209,7 +209,7 @@ mod tests {
                 assert!((found - shift).abs() < 0.02, "{found} {shift}");
             }
         }
-        let flat = Picture {
+        let flat = RgbImage {
             rgb: vec![90; 3 * 64 * 48],
             ..pattern(0.0, 0.0)
         };
@@ -219,11 +219,11 @@ mod tests {
     #[test]
     fn planes_and_pixels_are_the_same_image() {
         let planes = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
-        let Ok(picture) = Picture::of_planes(&planes, [2, 2]) else {
+        let Ok(image) = RgbImage::of_planes(&planes, [2, 2]) else {
             panic!("three planes of four bytes")
         };
-        assert_eq!(picture.rgb[..6], [1, 5, 9, 2, 6, 10]);
-        assert_eq!(picture.halved().rgb, [3, 7, 11]);
-        assert!(Picture::of_planes(&planes, [3, 2]).is_err());
+        assert_eq!(image.rgb[..6], [1, 5, 9, 2, 6, 10]);
+        assert_eq!(image.halved().rgb, [3, 7, 11]);
+        assert!(RgbImage::of_planes(&planes, [3, 2]).is_err());
     }
 }
