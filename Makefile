@@ -11,7 +11,7 @@
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test shaders shaders-check python-test wheel-test packages ci-packages python browser torch
+.PHONY: demo test shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore
 
 # What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
 # A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
@@ -26,6 +26,10 @@ NEEDS = $(NEEDS_TEST)
 # drive episodes on a cluster of this machine. A test whose package cannot be installed says that it is skipped.
 PYTHON_PACKAGES := safetensors numpy maturin pytest gymnasium matplotlib grpcio protobuf
 PYTHON_PACKAGES_OPTIONAL := ray playwright axe-core-python grpcio-tools hugsim-client requests tenacity mcap mcap-ros2-support
+# Without their own dependencies: torch and NumPy are the system's.
+NCORE_PACKAGES := nvidia-ncore==19.8.3 dataclasses_json marshmallow typing_inspect mypy_extensions 'zarr<3' numcodecs asciitree fasteners cbor2 'scipy<1.13' \
+	pillow universal_pathlib fsspec pathlib_abc packaging typing_extensions
+NCORE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/ncore
 PYTHON := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/python
 
 DEMO := out/demo
@@ -64,12 +68,12 @@ shaders-check: packages
 
 # The Python package over the library that the tests' own build makes: a wheel would compile everything once more.
 python-test: export DECOUPLEGS_VALIDATION := 1
-python-test: packages python browser torch
+python-test: packages python browser torch ncore
 	@if ! [[ -x $(PYTHON)/bin/pytest ]]; then echo "The Python package is not tested: pytest could not be installed."; exit 0; fi; \
 	cargo build --workspace --all-targets; \
 	target=$$(cargo metadata --format-version 1 --no-deps | $(PYTHON)/bin/python -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])'); \
 	ln -sf "$$target/debug/libdecouplegs_native.so" tools/python/decouplegs/_native.abi3.so; \
-	DECOUPLEGS_PROGRAM="$$target/debug/decouplegs" PYTHONPATH=tools/python \
+	DECOUPLEGS_PROGRAM="$$target/debug/decouplegs" DECOUPLEGS_NCORE=$(NCORE) PYTHONPATH=tools/python \
 		$(PYTHON)/bin/python -m pytest -q tools/python/tests tools/view/tests
 
 # As a user installs it: the wheel, in an environment that has nothing else, and its tests there.
@@ -106,6 +110,17 @@ torch:
 	"$${sudo[@]}" apt-get update --quiet; \
 	DEBIAN_FRONTEND=noninteractive "$${sudo[@]}" apt-get install --yes --quiet --no-install-recommends python3-torch \
 		|| echo "python3-torch cannot be installed: the tests of checkpoints that PyTorch writes are skipped."
+
+# NVIDIA's camera models, which lenses are compared with, for the Python that has torch. Its wheels are those of the same version of Python.
+ncore: python torch
+	@if [[ -d $(NCORE)/ncore ]] || ! /usr/bin/python3 -c 'import torch' 2>/dev/null || ! [[ -x $(PYTHON)/bin/pip ]]; then exit 0; fi; \
+	if [[ $$(/usr/bin/python3 -c 'import sys; print(sys.version_info[:2])') != $$($(PYTHON)/bin/python -c 'import sys; print(sys.version_info[:2])') ]]; then exit 0; fi; \
+	rm -rf $(NCORE).part; \
+	if $(PYTHON)/bin/pip install --quiet --disable-pip-version-check --no-deps --target $(NCORE).part $(NCORE_PACKAGES); then \
+		mv $(NCORE).part $(NCORE); \
+	else \
+		echo "nvidia-ncore cannot be installed: lenses are not compared with it."; \
+	fi
 
 # Everything that `.ci/run` compiles and runs, shaderc included.
 ci-packages: NEEDS := $(NEEDS_CI)

@@ -1,0 +1,141 @@
+"""Lenses and windshields of the server against NVIDIA NCore's own camera models: dots of light land where NCore puts them."""
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from test_sensorsim import PROGRAM, classes  # noqa: F401
+
+pytestmark = pytest.mark.skipif(PROGRAM is None, reason="DECOUPLEGS_PROGRAM names no program")
+
+NCORE = os.environ.get("DECOUPLEGS_NCORE", "")
+SIZE = [960, 600]
+FORWARD = [0.0, 560.0, 4.0, -30.0, 6.0, 0.0]
+
+
+def backward():
+    """The inverse of FORWARD, by least squares."""
+    angles = np.linspace(0, 0.75, 2000)
+    distances = np.polyval(FORWARD[::-1], angles)
+    powers = np.stack([(distances / distances.max()) ** k for k in range(1, 6)], axis=1)
+    fitted = np.linalg.lstsq(powers, angles, rcond=None)[0]
+    return [0.0, *(fitted / distances.max() ** np.arange(1, 6)).tolist()]
+
+
+FTHETA = {"kind": "ftheta", "size": SIZE, "center": [470.3, 305.7], "forward": FORWARD, "backward": backward(), "max_angle": 1.2, "cde": [1.02, 0.003, -0.004]}
+OPENCV = {"size": SIZE, "center": [481.2, 297.4], "focal": [540.0, 545.0]}
+WINDSHIELD = {
+    "reference": "FORWARD",
+    "horizontal_poly": [0.002, 1.003, 0.004, 0.001, 0.002, -0.003],
+    "vertical_poly": [-0.001, 0.002, 0.001, 0.998, 0.003, 0.002],
+    "horizontal_poly_inverse": [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+    "vertical_poly_inverse": [0.0, 0.0, 0.0, 1.0, 0.0, 0.0],
+}
+CAMERAS = {
+    "ftheta_forward": {**FTHETA, "reference": "ANGLE_TO_PIXELDIST"},
+    "ftheta_backward": {**FTHETA, "reference": "PIXELDIST_TO_ANGLE"},
+    "fisheye": {**OPENCV, "kind": "fisheye", "radial": [0.05, -0.02, 0.01, -0.004], "max_angle": 1.2},
+    "pinhole": {
+        **OPENCV,
+        "kind": "pinhole",
+        "radial": [0.1, -0.05, 0.01, 0.02, 0.01, -0.003],
+        "tangential": [0.001, -0.002],
+        "thin_prism": [0.001, -0.0005, 0.0007, 0.0003],
+    },
+    "behind_a_windshield": {**FTHETA, "reference": "ANGLE_TO_PIXELDIST", "windshield": WINDSHIELD},
+}
+
+
+def rays():
+    away, around = np.linspace(0.03, 0.55, 16), 2.4 * np.arange(16)
+    return np.stack([np.sin(away) * np.cos(around), np.sin(away) * np.sin(around), np.cos(away)], axis=1)
+
+
+@pytest.fixture(scope="module")
+def points():
+    if not Path(NCORE).is_dir() or not NCORE:
+        pytest.skip("DECOUPLEGS_NCORE names no folder with the package nvidia-ncore")
+    asked = json.dumps({"rays": rays().tolist(), "cameras": CAMERAS})
+    script = Path(__file__).with_name("ncore_points.py")
+    environment = {**os.environ, "PYTHONPATH": NCORE}
+    done = subprocess.run(["/usr/bin/python3", script], input=asked, env=environment, capture_output=True, text=True)
+    if "No module named 'torch'" in done.stderr:
+        pytest.skip("the system's Python has no torch")
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def stub(tmp_path_factory, classes):  # noqa: F811
+    grpc = pytest.importorskip("grpc")
+    folder = tmp_path_factory.mktemp("dots")
+    names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
+    rows = np.zeros((16, len(names)), "<f4")
+    rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7:10], rows[:, 10] = 20 * rays(), 1.77, 6.0, np.log(0.02), 1.0
+    header = ["ply", "format binary_little_endian 1.0", "element vertex 16", *(f"property float {name}" for name in names), "end_header", ""]
+    (folder / "dots.ply").write_bytes("\n".join(header).encode() + rows.tobytes())
+    server = Path(PROGRAM).with_name("decouplegs-server")
+    serving = subprocess.Popen([server, "serve-grpc", folder / "dots.ply", "--port", "0"], stdout=subprocess.PIPE, text=True)
+    address = serving.stdout.readline().removeprefix("listening on ").strip()
+    with grpc.insecure_channel(address) as channel:
+        yield classes[1].SensorsimServiceStub(channel)
+    serving.terminate()
+    assert serving.wait(timeout=30) == 0
+
+
+def spec(messages, camera):
+    asked = messages.CameraSpec(logical_id="dots", resolution_w=SIZE[0], resolution_h=SIZE[1], shutter_type=messages.GLOBAL)
+    if camera["kind"] == "ftheta":
+        lens = asked.ftheta_param
+        lens.reference_poly = messages.FthetaCameraParam.PolynomialType.Value(camera["reference"])
+        lens.pixeldist_to_angle_poly.extend(camera["backward"])
+        lens.angle_to_pixeldist_poly.extend(camera["forward"])
+        lens.linear_cde.linear_c, lens.linear_cde.linear_d, lens.linear_cde.linear_e = camera["cde"]
+    else:
+        lens = asked.opencv_fisheye_param if camera["kind"] == "fisheye" else asked.opencv_pinhole_param
+        lens.focal_length_x, lens.focal_length_y = camera["focal"]
+        lens.radial_coeffs.extend(camera["radial"])
+    if camera["kind"] == "pinhole":
+        lens.tangential_coeffs.extend(camera["tangential"])
+        lens.thin_prism_coeffs.extend(camera["thin_prism"])
+    else:
+        lens.max_angle = camera["max_angle"]
+    lens.principal_point_x, lens.principal_point_y = camera["center"]
+    for name in (name for name in camera.get("windshield", {}) if name.endswith(("poly", "inverse"))):
+        getattr(asked.bivariate_windshield_model_param, name).extend(camera["windshield"][name])
+    return asked
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_dots_land_where_ncore_puts_them(points, stub, classes, name):  # noqa: F811
+    messages, _, common = classes
+    (scene,) = stub.get_available_scenes(common.Empty()).scene_ids
+    here = common.Pose(vec=common.Vec3(), quat=common.Quat(w=1))
+    request = messages.RGBRenderRequest(
+        scene_id=scene,
+        resolution_w=SIZE[0],
+        resolution_h=SIZE[1],
+        camera_intrinsics=spec(messages, CAMERAS[name]),
+        frame_start_us=0,
+        frame_end_us=1,
+        sensor_pose=messages.PosePair(start_pose=here, end_pose=here),
+        image_format=messages.RGB_UINT8_PLANAR,
+    )
+    planes = np.frombuffer(stub.render_rgb(request).image_bytes, np.uint8).reshape(3, SIZE[1], SIZE[0])
+    light = planes[0].astype(float)
+    off = []
+    for (x, y), valid in zip(points[name]["points"], points[name]["valid"]):
+        if not valid or not (10 < x < SIZE[0] - 10 and 10 < y < SIZE[1] - 10):
+            continue
+        left, top = int(x) - 6, int(y) - 6
+        window = light[top : top + 13, left : left + 13]
+        rows, columns = np.mgrid[top : top + 13, left : left + 13] + 0.5
+        off.append([np.sum(window * columns) / window.sum() - x, np.sum(window * rows) / window.sum() - y])
+    off = np.array(off)
+    assert len(off) >= 12
+    # Eight bits tell the middle of a dot to some 0.006 px.
+    assert np.abs(off).max() < 0.02 and np.abs(off.mean(axis=0)).max() < 0.01, off
