@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import decouplegs
+
 PROGRAM = os.environ.get("DECOUPLEGS_PROGRAM")
 ROOT = Path(__file__).parents[3]
 SEEDS = ROOT / "engine/asset/fuzz/seeds"
@@ -28,11 +30,13 @@ def test_the_commands_of_a_page_run(page, tmp_path):
         name, source = pair.split("=")
         source = (SEEDS / source).resolve()
         (shutil.copytree if source.is_dir() else shutil.copy)(source, tmp_path / name)
+    # The pages run elsewhere than this test: a relative PYTHONPATH would not lead to the package there.
+    package = str(Path(decouplegs.__file__).resolve().parents[1])
     path = [str(Path(PROGRAM).parent), str(Path(sys.executable).parent), os.environ["PATH"]]
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", commands(page)],
         cwd=tmp_path,
-        env={**os.environ, "PATH": os.pathsep.join(path)},
+        env={**os.environ, "PATH": os.pathsep.join(path), "PYTHONPATH": package},
         capture_output=True,
         text=True,
     )
