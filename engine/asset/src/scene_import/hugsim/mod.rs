@@ -168,7 +168,7 @@ pub fn decode(
 ) -> Result<ImportedScene, HugsimFault> {
     let in_scene = |error| fault(SCENE, error);
     let checkpoint = Checkpoint::parse(files.scene).map_err(in_scene)?;
-    let mut scene = of_checkpoint(&checkpoint, files)?;
+    let (mut scene, ground) = of_checkpoint(&checkpoint, files)?;
     let Some(metadata) = files.metadata else {
         let count = files.actors.len();
         scene.notes.push(format!(
@@ -179,7 +179,6 @@ pub fn decode(
     let in_metadata = |error| fault(METADATA, error);
     let recording = Recording::decode(metadata, options.frame_rate_hz).map_err(in_metadata)?;
     place_actors(&mut scene, &recording);
-    let ground = model::ground(&checkpoint).map_err(in_scene)?;
     recording
         .place_ego(ground.as_ref(), &mut scene)
         .map_err(in_metadata)?;
@@ -195,13 +194,25 @@ fn fault(file: &str, error: DecodeError) -> HugsimFault {
     }
 }
 
-/// Background and actors, in our axes, nothing placed yet.
+/// Background and actors, in our axes, nothing placed yet; and the ground, which is part of the
+/// background.
 fn of_checkpoint(
     checkpoint: &Checkpoint<'_>,
     files: &HugsimFiles<'_>,
-) -> Result<ImportedScene, HugsimFault> {
-    let (background, mut notes) =
-        model::background(checkpoint).map_err(|error| fault(SCENE, error))?;
+) -> Result<(ImportedScene, Option<SplatCloud>), HugsimFault> {
+    let (mut background, ground) =
+        model::background_and_ground(checkpoint).map_err(|error| fault(SCENE, error))?;
+    let mut notes = vec![
+        "the world is turned to x forward, y left, z up of the first camera".to_owned(),
+        "classes of splats (feats3D) are left out".to_owned(),
+    ];
+    if let Some(ground) = &ground {
+        notes.push(format!(
+            "{} splats of the ground are part of the background",
+            ground.len()
+        ));
+        background.append(ground);
+    }
     let mut actors = Vec::new();
     for (id, bytes) in files.actors {
         let file = format!("{ACTOR}{id}{CHECKPOINT}");
@@ -219,13 +230,14 @@ fn of_checkpoint(
     notes.push(
         "the far plane of HUGSIM, 500 m, does not exist here: splats beyond it are drawn".into(),
     );
-    Ok(ImportedScene {
+    let scene = ImportedScene {
         background,
         actors,
         rules: Rules::GSPLAT16,
         notes,
         ..ImportedScene::empty("HUGSIM")
-    })
+    };
+    Ok((scene, ground))
 }
 
 /// The scene of `scene.pth` alone.
@@ -235,7 +247,8 @@ pub(super) fn scene(checkpoint: &Checkpoint<'_>) -> Result<ImportedScene, Decode
         metadata: None,
         actors: &[],
     };
-    let mut scene = of_checkpoint(checkpoint, &alone).map_err(|HugsimFault { error, .. }| error)?;
+    let (mut scene, _) =
+        of_checkpoint(checkpoint, &alone).map_err(|HugsimFault { error, .. }| error)?;
     let note = "this is one file of a HUGSIM scene: convert its folder for cameras and actors";
     scene.notes.push(note.into());
     Ok(scene)

@@ -56,36 +56,19 @@ pub(super) fn appearance<'t>(checkpoint: &'t Checkpoint<'_>) -> Option<&'t Node>
     entries[ENTRIES..].iter().find(is_state).copied()
 }
 
-/// Static splats with those of the ground, in our axes, and notes on what is left out.
-pub(super) fn background(
+/// Static splats and those of the ground, which not all checkpoints have, in our axes.
+pub(super) fn background_and_ground(
     checkpoint: &Checkpoint<'_>,
-) -> Result<(SplatCloud, Vec<String>), DecodeError> {
+) -> Result<(SplatCloud, Option<SplatCloud>), DecodeError> {
     let entries = parts(checkpoint).ok_or_else(not_hugsim)?;
-    let mut background = turned(cloud(checkpoint, &entries)?);
-    let mut notes = vec![
-        "the world is turned to x forward, y left, z up of the first camera".to_owned(),
-        "classes of splats (feats3D) are left out".to_owned(),
-    ];
-    if let Some(ground) = ground(checkpoint)? {
-        notes.push(format!(
-            "{} splats of the ground are part of the background",
-            ground.len()
-        ));
-        background.append(&ground);
-    }
-    Ok((background, notes))
-}
-
-/// Splats of the ground, in our axes; none where the checkpoint has no ground model.
-pub(super) fn ground(checkpoint: &Checkpoint<'_>) -> Result<Option<SplatCloud>, DecodeError> {
-    let entries = parts(checkpoint).ok_or_else(not_hugsim)?;
+    let background = turned(cloud(checkpoint, &entries)?);
     let tree = &checkpoint.tree;
     let ground = entries[ENTRIES..]
         .iter()
-        .find(|node| tree.items(node).len() >= ENTRIES);
-    ground
+        .find(|node| tree.items(node).len() >= ENTRIES)
         .map(|node| cloud(checkpoint, &tree.items(node).collect::<Vec<_>>()).map(turned))
-        .transpose()
+        .transpose()?;
+    Ok((background, ground))
 }
 
 /// Splats of an actor, in the axes of its file, with colors in our world's frame.

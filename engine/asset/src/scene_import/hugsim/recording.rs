@@ -224,8 +224,8 @@ impl Recording {
     }
 }
 
-/// Name of the frame's camera: the folder of its images. Where several images of one folder have
-/// the same time, they are of several cameras, which are told apart by their order.
+/// Name of the frame's camera: the folder of its images. Images of one folder at the same time come
+/// from different cameras: the second is named `NAME_2`, the third `NAME_3`.
 fn name_of(frame: &FrameForm, taken: &mut HashMap<(String, u64), usize>) -> String {
     let folder = frame.rgb_path.rsplit(['/', '\\']).nth(1);
     let name = folder
