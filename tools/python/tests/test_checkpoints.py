@@ -3,7 +3,6 @@
 `write_checkpoints.py` writes them. It runs in this Python or the system's, whichever has torch; without one the tests are skipped.
 """
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-PROGRAM = os.environ.get("DECOUPLEGS_PROGRAM")
+from program import decouplegs, needs_program
 
-pytestmark = pytest.mark.skipif(PROGRAM is None, reason="DECOUPLEGS_PROGRAM names no program")
+pytestmark = needs_program
 
 
 @pytest.fixture(scope="module")
@@ -25,12 +24,6 @@ def checkpoints(tmp_path_factory):
     out = tmp_path_factory.mktemp("checkpoints")
     subprocess.run([with_torch[0], Path(__file__).with_name("write_checkpoints.py"), out], check=True)
     return out
-
-
-def decouplegs(*arguments):
-    done = subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 def read_ply(path):

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 import decouplegs
+from program import PROGRAM, needs_program
 
-PROGRAM = os.environ.get("DECOUPLEGS_PROGRAM")
 ROOT = Path(__file__).parents[3]
 SEEDS = ROOT / "engine/asset/fuzz/seeds"
 PAGES = sorted((ROOT / "engine/guides").glob("*.md"))
 
-pytestmark = pytest.mark.skipif(PROGRAM is None, reason="DECOUPLEGS_PROGRAM names no program")
+pytestmark = needs_program
 
 
 def commands(page: Path) -> str:

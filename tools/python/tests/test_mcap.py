@@ -1,19 +1,11 @@
 """MCAP files of episodes, opened by the readers of their own project."""
 
-import os
-import subprocess
-
 import numpy as np
 import pytest
 
-PROGRAM = os.environ.get("DECOUPLEGS_PROGRAM")
-pytestmark = pytest.mark.skipif(PROGRAM is None, reason="DECOUPLEGS_PROGRAM names no program")
+from program import decouplegs, needs_program
 
-
-def decouplegs(*arguments):
-    done = subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+pytestmark = needs_program
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from test_sensorsim import PROGRAM, classes  # noqa: F401
+from program import PROGRAM, needs_program
+from test_sensorsim import classes  # noqa: F401
 
-pytestmark = pytest.mark.skipif(PROGRAM is None, reason="DECOUPLEGS_PROGRAM names no program")
+pytestmark = needs_program
 
 NCORE = os.environ.get("DECOUPLEGS_NCORE", "")
 SIZE = [960, 600]

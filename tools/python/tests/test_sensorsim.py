@@ -1,7 +1,6 @@
 """A rollout over the server with the classes that Python's own gRPC tools make of the contract's messages, as AlpaSim's runtime has them."""
 
 import io
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-PROGRAM = os.environ.get("DECOUPLEGS_PROGRAM")
+from program import PROGRAM, needs_program
+
 PROTO = Path(__file__).parents[2] / "server/proto"
 STEPS = 100
 
-pytestmark = pytest.mark.skipif(PROGRAM is None, reason="DECOUPLEGS_PROGRAM names no program")
+pytestmark = needs_program
 
 
 @pytest.fixture(scope="module")
