@@ -17,6 +17,7 @@ fn transfer(folder: &Path) -> PathBuf {
         gain: vec![row; 3],
         offset: vec![row; 3],
         neutral: AmbientDescriptor::uniform([0.5; 3]),
+        confidence: None,
     };
     for channel in 0..3 {
         transfer.gain[channel].0[channel] = 2.0 * sh::Y0 as f32;

@@ -110,6 +110,7 @@ impl Site {
             ],
             light: Some(SceneLight {
                 transfer: Some("light.safetensors".into()),
+                full_effect: false,
                 ambient: AmbientOptions::default(),
                 // A slab that reaches the wheels of the plain car: its splats are darkened in every
                 // layer that has them.
@@ -169,6 +170,7 @@ fn some_theta() -> LightTransfer {
         gain: (0..rows).map(|_| row(0.2, 1.0)).collect(),
         offset: (0..rows).map(|_| row(0.1, 0.0)).collect(),
         neutral: AmbientDescriptor::uniform([0.5; 3]),
+        confidence: None,
     }
 }
 

@@ -276,6 +276,7 @@ fn world_light_and_agent_turned_together_look_the_same() {
         gain: (0..rows).map(|_| row(0.2, 1.0)).collect(),
         offset: (0..rows).map(|_| row(0.1, 0.0)).collect(),
         neutral: AmbientDescriptor::uniform([0.5; 3]),
+        confidence: None,
     };
     theta.check().unwrap();
     let light = AmbientDescriptor {

@@ -83,6 +83,7 @@ impl ReinsertionScene {
             agent_labels: Vec::new(),
             light: Some(LoadedLight {
                 transfer: Some(light.clone()),
+                full_effect: false,
                 ambient: AmbientOptions::default(),
                 shadows: Some(ShadowOptions::default()),
             }),

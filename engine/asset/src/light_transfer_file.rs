@@ -2,7 +2,9 @@
 //!
 //! Tensors, K coefficients of three channels: `gain_weights` and `offset_weights` f32 \[3K, 27\],
 //! `gain_constants` and `offset_constants` f32 \[3K\], rows in the order `[coefficient][rgb]`;
-//! `neutral` f32 \[9, 3\], the descriptor of the light that shows colors as they are. Metadata:
+//! `neutral` f32 \[9, 3\], the descriptor of the light that shows colors as they are. Version 2 adds
+//! what the calibration knows of its errors (`TransferConfidence`): `effect` f32 \[3K, 3\],
+//! `residual` f32 \[K\], `light_mean` f32 \[27\] and `light_precision` f32 \[27, 27\]. Metadata:
 //! `format`, `version`, `sh_degree` (K is its coefficients), `tool_version`, `sources.NAME`
 //! (SHA-256 of each asset and probe) and `settings.KEY`.
 
@@ -10,6 +12,7 @@ use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;
 
+use decouplegs_scene::light::TransferConfidence;
 use decouplegs_scene::{AmbientDescriptor, LightTransfer, sh};
 use safetensors::Dtype;
 
@@ -19,8 +22,10 @@ use crate::{AssetError, DecodeError, EncodeError, write_atomically};
 
 /// Value of `format` in the metadata.
 pub const FORMAT: &str = "decouplegs-light-transfer";
-/// The version that is written, and the only one there is.
-pub const VERSION: &str = "1";
+/// The version that is written for a transfer with a confidence.
+pub const VERSION: &str = "2";
+/// The version that is written for a transfer without one.
+pub const VERSION_PLAIN: &str = "1";
 
 /// Name of the format for users.
 const NAME: &str = "light transfer";
@@ -31,13 +36,20 @@ const WEIGHT_MAX: f32 = 1e6;
 const SOURCES: &str = "sources.";
 const SETTINGS: &str = "settings.";
 /// Tensors in the order in which they lie in the file.
-const NAMES: [&str; 5] = [
+const NAMES: [&str; 9] = [
     "gain_weights",
     "gain_constants",
     "offset_weights",
     "offset_constants",
     "neutral",
+    "effect",
+    "residual",
+    "light_mean",
+    "light_precision",
 ];
+
+/// How many of [`NAMES`] a file without a confidence has.
+const NAMES_PLAIN: usize = 5;
 
 type Row = ([f32; AmbientDescriptor::LEN], f32);
 
@@ -69,11 +81,13 @@ pub fn decode(bytes: &[u8]) -> Result<LightTransferFile, DecodeError> {
         return Err(DecodeError::Malformed(reason));
     }
     let version = container.text("version")?;
-    if version != VERSION {
-        let reason =
-            format!("version '{version}'; this program reads version {VERSION}: calibrate again");
+    if version != VERSION && version != VERSION_PLAIN {
+        let reason = format!(
+            "version '{version}'; this program reads versions {VERSION_PLAIN} and {VERSION}: calibrate again"
+        );
         return Err(DecodeError::Unsupported(reason));
     }
+    let is_plain = version == VERSION_PLAIN;
     let sh_degree = match container.text("sh_degree")?.parse() {
         Ok(degree @ 0..=sh::DEGREE_MAX) => degree,
         _ => {
@@ -82,7 +96,7 @@ pub fn decode(bytes: &[u8]) -> Result<LightTransferFile, DecodeError> {
             ));
         }
     };
-    container.check_names(&NAMES)?;
+    container.check_names(&NAMES[..if is_plain { NAMES_PLAIN } else { NAMES.len() }])?;
     let rows = 3 * sh::coefficient_count(sh_degree);
     let [
         gain_weights,
@@ -90,6 +104,7 @@ pub fn decode(bytes: &[u8]) -> Result<LightTransferFile, DecodeError> {
         offset_weights,
         offset_constants,
         neutral,
+        ..,
     ] = NAMES;
     let neutral = numbers(&container, neutral, AmbientDescriptor::COEFFICIENTS, &[3])?;
     let transfer = LightTransfer {
@@ -99,6 +114,9 @@ pub fn decode(bytes: &[u8]) -> Result<LightTransferFile, DecodeError> {
         neutral: AmbientDescriptor {
             coefficients: std::array::from_fn(|k| std::array::from_fn(|rgb| neutral[3 * k + rgb])),
         },
+        confidence: (!is_plain)
+            .then(|| read_confidence(&container, rows))
+            .transpose()?,
     };
     check(&transfer).map_err(DecodeError::Malformed)?;
     Ok(LightTransferFile {
@@ -116,9 +134,13 @@ pub fn decode(bytes: &[u8]) -> Result<LightTransferFile, DecodeError> {
 pub fn encode(file: &LightTransferFile) -> Result<Vec<u8>, EncodeError> {
     let transfer = &file.transfer;
     check(transfer).map_err(EncodeError)?;
+    let version = match transfer.confidence {
+        Some(_) => VERSION,
+        None => VERSION_PLAIN,
+    };
     let own = [
         ("format", FORMAT.to_owned()),
-        ("version", VERSION.to_owned()),
+        ("version", version.to_owned()),
         ("tool_version", file.tool_version.clone()),
         ("sh_degree", transfer.sh_degree.to_string()),
     ];
@@ -145,7 +167,7 @@ pub fn encode(file: &LightTransferFile) -> Result<Vec<u8>, EncodeError> {
     };
     let weights = |rows: &[Row]| rows.iter().flat_map(|(weights, _)| *weights).collect();
     let constants = |rows: &[Row]| rows.iter().map(|(_, constant)| *constant).collect();
-    let tensors = [
+    let mut tensors = vec![
         tensor(
             0,
             vec![rows, AmbientDescriptor::LEN],
@@ -164,6 +186,19 @@ pub fn encode(file: &LightTransferFile) -> Result<Vec<u8>, EncodeError> {
             transfer.neutral.coefficients.as_flattened().to_vec(),
         ),
     ];
+    if let Some(confidence) = &transfer.confidence {
+        let precision = confidence.light_precision.as_flattened().to_vec();
+        tensors.extend([
+            tensor(5, vec![rows, 3], confidence.effect.as_flattened().to_vec()),
+            tensor(6, vec![rows / 3], confidence.residual.clone()),
+            tensor(
+                7,
+                vec![AmbientDescriptor::LEN],
+                confidence.light_mean.to_vec(),
+            ),
+            tensor(8, vec![AmbientDescriptor::LEN; 2], precision),
+        ]);
+    }
     container::write(&metadata, &tensors)
 }
 
@@ -234,6 +269,20 @@ fn numbers(
         .iter()
         .map(|&word| f32::from_le_bytes(word))
         .collect())
+}
+
+fn read_confidence(container: &Container, rows: usize) -> Result<TransferConfidence, DecodeError> {
+    const LEN: usize = AmbientDescriptor::LEN;
+    let [.., effect, residual, light_mean, light_precision] = NAMES;
+    let effect = numbers(container, effect, rows, &[3])?;
+    let light_mean = numbers(container, light_mean, LEN, &[])?;
+    let precision = numbers(container, light_precision, LEN, &[LEN])?;
+    Ok(TransferConfidence {
+        effect: effect.as_chunks().0.to_vec(),
+        residual: numbers(container, residual, rows / 3, &[])?,
+        light_mean: std::array::from_fn(|index| light_mean[index]),
+        light_precision: precision.as_chunks().0.to_vec(),
+    })
 }
 
 fn read_rows(

@@ -173,6 +173,7 @@ impl Checker<'_> {
             .transpose()?;
         Ok(SceneLight {
             transfer: form.transfer.as_ref().map(Into::into),
+            full_effect: form.full_effect.unwrap_or(false),
             ambient,
             shadows,
         })

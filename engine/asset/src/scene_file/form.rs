@@ -116,6 +116,8 @@ impl<'de> Deserialize<'de> for SkyForm {
 pub(super) struct LightForm {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) transfer: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) full_effect: Option<bool>,
     pub(super) sigma_m: Option<f64>,
     pub(super) radius_m: Option<f64>,
     pub(super) spacing_m: Option<f64>,
@@ -307,6 +309,7 @@ fn light_form(
     };
     Ok(spanless(LightForm {
         transfer: light.transfer.as_deref().map(path).transpose()?,
+        full_effect: light.full_effect.then_some(true),
         sigma_m: Some(sigma_m),
         radius_m: Some(radius_m),
         spacing_m: Some(spacing_m),

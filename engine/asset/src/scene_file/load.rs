@@ -68,6 +68,8 @@ impl AgentLabel {
 pub struct LoadedLight {
     /// Effect of light on colors.
     pub transfer: Option<LightTransfer>,
+    /// True if the effect is applied in full, however uncertain it is.
+    pub full_effect: bool,
     /// From how far it is gathered.
     pub ambient: AmbientOptions,
     /// Contact shadows.
@@ -225,6 +227,7 @@ impl LoadedScene {
         Some(Lighting {
             field,
             transfer: light.transfer.clone(),
+            full_effect: light.full_effect,
             shadows: light.shadows,
         })
     }
@@ -332,6 +335,7 @@ impl SceneFile {
                 .map(|file| file.transfer);
             scene.light = Some(LoadedLight {
                 transfer,
+                full_effect: light.full_effect,
                 ambient: light.ambient,
                 shadows: light.shadows,
             });

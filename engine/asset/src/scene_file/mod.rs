@@ -108,6 +108,8 @@ pub struct SceneLight {
     /// Effect of light on colors: a path relative to the scene file, written by `calibrate-light`.
     /// None: colors stay.
     pub transfer: Option<PathBuf>,
+    /// Applies the effect in full, also where its predicted error is as large as itself.
+    pub full_effect: bool,
     /// From how far the light is gathered.
     pub ambient: AmbientOptions,
     /// Contact shadows. None: agents throw none.

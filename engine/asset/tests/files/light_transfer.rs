@@ -24,6 +24,7 @@ fn transfer(sh_degree: u8) -> LightTransferFile {
             gain: (0..rows).map(|index| row(index, 5)).collect(),
             offset: (0..rows).map(|index| row(index, 900)).collect(),
             neutral: AmbientDescriptor::uniform([0.4, 0.5, 0.6]),
+            confidence: None,
         },
         tool_version: "0.1.0".into(),
         sources: pair("city.exr", &"a5".repeat(32)),

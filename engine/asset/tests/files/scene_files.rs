@@ -139,6 +139,7 @@ fn a_lit_scene_is_baked_in_its_light() {
         gain: vec![([0.0; AmbientDescriptor::LEN], 1.0); rows],
         offset: vec![row; rows],
         neutral: AmbientDescriptor::uniform([0.5; 3]),
+        confidence: None,
     };
     transfer.offset[0].1 = 0.25;
     let file = LightTransferFile {

@@ -75,14 +75,16 @@ fn lights() -> impl Strategy<Value = SceneLight> {
         );
     (
         prop::option::of("[a-z]{1,8}"),
+        any::<bool>(),
         1.0f64..9.0,
         1.0f64..30.0,
         0.7f64..4.0,
         prop::option::of(shadows),
     )
         .prop_map(
-            |(transfer, sigma_m, radius_m, spacing_m, shadows)| SceneLight {
+            |(transfer, full_effect, sigma_m, radius_m, spacing_m, shadows)| SceneLight {
                 transfer: transfer.map(Into::into),
+                full_effect,
                 ambient: AmbientOptions {
                     sigma_m,
                     radius_m,

@@ -1,10 +1,11 @@
 //! L(x) over a background: its definition, and a field that answers for any place in microseconds.
 
 use std::collections::{HashMap, HashSet};
+use std::f64::consts::PI;
 use std::ops::Range;
 
 use crate::{Invalid, SplatCloud, sh};
-use glam::{DVec3, IVec3, ivec3};
+use glam::{DQuat, DVec3, IVec3, ivec3};
 use rayon::prelude::*;
 
 use crate::light::AmbientDescriptor;
@@ -12,8 +13,21 @@ use crate::light::AmbientDescriptor;
 /// Grid points on either side of the origin, along an axis.
 const CELLS_MAX: f64 = 1e9;
 
-/// Numbers of a sum: 27 of light, and the weight that they are divided by.
-const SUM: usize = AmbientDescriptor::LEN + 1;
+/// Numbers of a sum: 27 of light and their weight, then RGB of the ground and its weight.
+const SUM: usize = GROUND + 4;
+
+/// Weights below this are nothing that divides.
+const WEIGHT_MIN: f64 = 1e-12;
+
+/// Place of the weight of all splats in a sum.
+const WEIGHT: usize = AmbientDescriptor::LEN;
+
+/// Place of the ground's color in a sum; its weight comes after it.
+const GROUND: usize = WEIGHT + 1;
+
+/// Exponent of the cosine between a splat's normal and the vertical, in its weight as ground: half
+/// the weight at 11 degrees, 82 % on a road that climbs by 10 %.
+const UPWARD_EXPONENT: i32 = 40;
 
 /// Options for gathering the light around a position.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,8 +43,8 @@ pub struct AmbientOptions {
 impl Default for AmbientOptions {
     fn default() -> Self {
         Self {
-            sigma_m: 5.0,
-            radius_m: 15.0,
+            sigma_m: 4.0,
+            radius_m: 12.0,
             spacing_m: 1.0,
         }
     }
@@ -76,8 +90,13 @@ impl AmbientOptions {
 }
 
 /// The ambient descriptor at `place`, relative to the cloud's origin: the mean of the splats'
-/// spherical harmonics of bands 0 to 2, weighted by `opacity exp(-|x - mu|^2 / (2 sigma^2))`
-/// (DecoupleGS, section 3.4). `None` without a splat in reach.
+/// spherical harmonics of bands 0 to 2, weighted by `V exp(-|x - mu|^2 / (2 sigma^2))` (DecoupleGS,
+/// section 3.4). `None` without a splat in reach.
+///
+/// V of bands 1 and 2 is the opacity. V of DC is the opacity times the area that the splat turns
+/// to the sky (`facing_up_m2`): roads are of one gray, so they tell how bright and of which hue the
+/// light is. Facades, leaves and parked cars mostly tell their own color. Where no splat faces up,
+/// V is the opacity for DC too.
 ///
 /// This is the definition, summed over all splats; [`AmbientField`] is what a frame asks.
 #[must_use]
@@ -92,7 +111,7 @@ pub fn ambient_by_definition(
         let weight =
             options.weight(mean.distance_squared(place)) * f64::from(cloud.opacities[splat]);
         if weight > 0.0 {
-            add(&mut sum, weight, &light_of(cloud, splat));
+            add(&mut sum, weight, cloud, splat);
         }
     }
     descriptor(&sum)
@@ -109,19 +128,46 @@ fn light_of(cloud: &SplatCloud, splat: usize) -> [f64; AmbientDescriptor::LEN] {
     })
 }
 
-fn add(sum: &mut [f64; SUM], weight: f64, light: &[f64; AmbientDescriptor::LEN]) {
-    for (sum, light) in sum.iter_mut().zip(light) {
+/// Area of a splat that lies level, square meters: of its ellipse at one standard deviation, 0 if
+/// it is a ball or stands upright.
+fn facing_up_m2(cloud: &SplatCloud, splat: usize) -> f64 {
+    let scales = cloud.scales[splat].map(f64::from);
+    let mut axes = [0, 1, 2];
+    axes.sort_by(|&a, &b| scales[a].total_cmp(&scales[b]));
+    let [thin_m, broad_m, long_m] = axes.map(|axis| scales[axis]);
+    if broad_m <= 0.0 {
+        return 0.0;
+    }
+    let [w, x, y, z] = cloud.rotations[splat].map(f64::from);
+    let normal = DQuat::from_xyzw(x, y, z, w).normalize() * DVec3::AXES[axes[0]];
+    let upward = normal.z.abs().powi(UPWARD_EXPONENT);
+    PI * broad_m * long_m * (1.0 - thin_m / broad_m) * upward
+}
+
+/// Adds `splat` with the weight `weight`, its area aside.
+fn add(sum: &mut [f64; SUM], weight: f64, cloud: &SplatCloud, splat: usize) {
+    let light = light_of(cloud, splat);
+    for (sum, light) in sum.iter_mut().zip(&light) {
         *sum += weight * light;
     }
-    sum[SUM - 1] += weight;
+    sum[WEIGHT] += weight;
+    let ground = weight * facing_up_m2(cloud, splat);
+    for (sum, light) in sum[GROUND..].iter_mut().zip(&light[..3]) {
+        *sum += ground * light;
+    }
+    sum[SUM - 1] += ground;
 }
 
 fn descriptor(sum: &[f64; SUM]) -> Option<AmbientDescriptor> {
-    let weight = sum[SUM - 1];
+    let (weight, ground) = (sum[WEIGHT], sum[SUM - 1]);
+    let coefficient = |k: usize, channel: usize| match k {
+        0 if ground > WEIGHT_MIN => sum[GROUND + channel] / ground,
+        k => sum[3 * k + channel] / weight,
+    };
     // Written so that a NaN fails.
-    (weight > 1e-12).then(|| AmbientDescriptor {
+    (weight > WEIGHT_MIN).then(|| AmbientDescriptor {
         coefficients: std::array::from_fn(|k| {
-            std::array::from_fn(|channel| (sum[3 * k + channel] / weight) as f32)
+            std::array::from_fn(|channel| coefficient(k, channel) as f32)
         }),
     })
 }
@@ -306,11 +352,11 @@ fn voxel(cloud: &SplatCloud, run: &[(i32, i32, i32, u32)]) -> Voxel {
     for &(.., splat) in run {
         let splat = splat as usize;
         let weight = f64::from(cloud.opacities[splat]);
-        add(&mut sum, weight, &light_of(cloud, splat));
+        add(&mut sum, weight, cloud, splat);
         center += weight * DVec3::from_array(cloud.means[splat].map(f64::from));
     }
     Voxel {
-        center: center / sum[SUM - 1],
+        center: center / sum[WEIGHT],
         sum: sum.map(|value| value as f32),
     }
 }
@@ -337,7 +383,12 @@ mod tests {
             } else {
                 [x, y, 0.1 * unit()]
             });
-            cloud.scales.push([0.1; 3]);
+            // Disks: on the ground they lie, on the wall they stand.
+            cloud.scales.push(if wall {
+                [0.1, 0.01, 0.1]
+            } else {
+                [0.1, 0.1, 0.01]
+            });
             cloud.rotations.push([1.0, 0.0, 0.0, 0.0]);
             cloud.opacities.push(0.1 + 0.9 * unit());
             let bright = 0.02 * x + 0.4 * (unit() - 0.5);
@@ -407,10 +458,17 @@ mod tests {
             mean(20.0, 0.0)[1] > mean(-20.0, 0.0)[1] + 0.1,
             "lighter towards +x"
         );
+        let [red, green, _] = mean(0.0, 10.0);
         assert!(
-            mean(0.0, 10.0)[0] > mean(0.0, 10.0)[1] + 0.1,
-            "red beside the wall"
+            (red - green).abs() < 1e-3,
+            "the wall's own red is not the light's: {red} {green}"
         );
+        // Where nothing lies level, the wall is all there is to ask.
+        let mut upright = cloud.clone();
+        upright.scales.fill([0.1, 0.01, 0.1]);
+        let upright = AmbientField::new(&upright, upright.len(), DVec3::ZERO, &options);
+        let [red, green, _] = upright.at(DVec3::new(0.0, 10.0, 0.8)).unwrap().mean();
+        assert!(red > green + 0.1, "red beside the wall: {red} {green}");
         assert!(
             field.at(DVec3::new(0.0, 0.0, 500.0)).is_none(),
             "nothing in reach"

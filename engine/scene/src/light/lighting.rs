@@ -4,7 +4,9 @@ use crate::{Invalid, Pose, ShFrame};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::light::{AmbientDescriptor, AmbientField, ColorTransfer, ContactShadow, LightTransfer};
+use crate::light::{
+    AmbientDescriptor, AmbientField, ColorTransfer, ContactShadow, LightTransfer, Trust,
+};
 
 /// Options of contact shadows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,6 +105,9 @@ pub struct Lighting {
     pub field: AmbientField,
     /// Effect of the light on agents' colors; `None`: none.
     pub transfer: Option<LightTransfer>,
+    /// Applies the effect in full, also where its predicted error is large. False: it is drawn
+    /// towards none there, if the transfer knows its errors.
+    pub full_effect: bool,
     /// Options of contact shadows; `None`: no shadows.
     pub shadows: Option<ShadowOptions>,
 }
@@ -176,12 +181,37 @@ impl Lighting {
         sh_frame: ShFrame,
     ) -> Option<ColorTransfer> {
         let transfer = self.transfer.as_ref()?;
-        Some(match sh_frame {
-            ShFrame::Canonical => {
-                transfer.at(&light.turned(world_from_agent.rotation.normalize().inverse()))
-            }
-            ShFrame::World => transfer.at(light),
+        let light = in_frame(light, world_from_agent, sh_frame);
+        Some(if self.full_effect {
+            transfer.at(&light)
+        } else {
+            transfer.trusted_at(&light).0
         })
+    }
+
+    /// How far the effect of `light` on the colors of an agent can be trusted; `None` if nothing is
+    /// known of its errors. Arguments as in [`Lighting::relight`].
+    #[must_use]
+    pub fn trust(
+        &self,
+        light: &AmbientDescriptor,
+        world_from_agent: &Pose,
+        sh_frame: ShFrame,
+    ) -> Option<Trust> {
+        let light = in_frame(light, world_from_agent, sh_frame);
+        self.transfer.as_ref()?.trusted_at(&light).1
+    }
+}
+
+/// `light` in the frame of the colors of an agent at `world_from_agent`.
+fn in_frame(
+    light: &AmbientDescriptor,
+    world_from_agent: &Pose,
+    sh_frame: ShFrame,
+) -> AmbientDescriptor {
+    match sh_frame {
+        ShFrame::Canonical => light.turned(world_from_agent.rotation.normalize().inverse()),
+        ShFrame::World => *light,
     }
 }
 

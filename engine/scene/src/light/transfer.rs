@@ -1,7 +1,7 @@
 //! Light transfer, the effect of light on colors: c' = T(L) (.) c + b(L) with T = W_T L + w_0 and b
 //! = W_B L + b_0.
 
-use crate::light::AmbientDescriptor;
+use crate::light::{AmbientDescriptor, TransferConfidence, Trust, confidence};
 use crate::{Invalid, SplatCloud, sh};
 
 /// [`sh::DC_SHIFT`] as colors are stored.
@@ -67,6 +67,9 @@ pub struct LightTransfer {
     pub offset: Vec<([f32; AmbientDescriptor::LEN], f32)>,
     /// The light that assets are shown in as they are: for places whose light is not known.
     pub neutral: AmbientDescriptor,
+    /// Errors that the calibration measured; `None`: nothing is known, and the effect is applied in
+    /// full.
+    pub confidence: Option<TransferConfidence>,
 }
 
 impl LightTransfer {
@@ -89,6 +92,9 @@ impl LightTransfer {
                 self.gain.len(),
                 self.offset.len()
             )));
+        }
+        if let Some(confidence) = &self.confidence {
+            confidence.check(rows / 3)?;
         }
         let rows = self
             .gain
@@ -125,6 +131,18 @@ impl LightTransfer {
         }
         transfer
     }
+
+    /// T(L) and b(L) drawn towards the identity by their predicted error, and how much of them is
+    /// kept; all of them where no error is known. `light` as in [`LightTransfer::at`].
+    #[must_use]
+    pub fn trusted_at(&self, light: &AmbientDescriptor) -> (ColorTransfer, Option<Trust>) {
+        let mut transfer = self.at(light);
+        let trust = self.confidence.as_ref().map(|confidence| {
+            let brighter = self.at(&confidence::brighter(light));
+            confidence.shrink(&mut transfer, &brighter, &light.to_vector())
+        });
+        (transfer, trust)
+    }
 }
 
 #[cfg(test)]
@@ -139,6 +157,7 @@ mod tests {
             gain: vec![row; 12],
             offset: vec![row; 12],
             neutral: AmbientDescriptor::uniform([0.5; 3]),
+            confidence: None,
         };
         for channel in 0..3 {
             transfer.gain[channel].0[channel] = 2.0 * sh::Y0 as f32;

@@ -261,6 +261,7 @@ impl Site {
         }
         let light = LoadedLight {
             transfer: appearance.transfer.clone(),
+            full_effect: false,
             ambient: AmbientOptions::default(),
             shadows: Some(ShadowOptions::default()),
         };

@@ -195,7 +195,8 @@ fn shown(color: &Color, basis: &[f64; COEFFICIENTS]) -> [f64; 3] {
     std::array::from_fn(|channel| value(channel).clamp(0.0, 1.0))
 }
 
-fn best_affine(moments: &Moments, light: &LightMoments) -> ColorTransfer {
+/// The transfer that fits `light` best.
+pub(super) fn best_affine(moments: &Moments, light: &LightMoments) -> ColorTransfer {
     let count = moments.coefficients;
     let fitted = Ridge::new(moments, &[light])
         .solve(TRACE_RIDGE, &zero(count))

@@ -8,6 +8,7 @@
 //! mirrored and exposed (`lighting`) so that lights span all of R^27; a fit that they leave
 //! undetermined is refused.
 
+mod confidence;
 mod held_out;
 mod lighting;
 mod moments;
@@ -192,7 +193,20 @@ pub fn calibrate(
     }
     let errors = || (0..probes.len()).map(|probe| &left_out[probe][probe]);
     let ridge = fit.ridge_from(errors());
-    let transfer = fit.transfer(&all, ridge);
+    let mut transfer = fit.transfer(&all, ridge);
+    let mut judged: Vec<(&LightTransfer, &LightMoments)> = Vec::new();
+    for held_out in &held_out {
+        let of_probe = |light: &&LightMoments| light.probe == Some(held_out.probe);
+        judged.extend(
+            seen.lights
+                .iter()
+                .filter(of_probe)
+                .map(|light| (&held_out.transfer, light)),
+        );
+    }
+    if !judged.is_empty() {
+        transfer.confidence = Some(confidence::confidence(&seen, &all, &judged));
+    }
     Ok(Calibration {
         neutral: compare(&transfer, None),
         transfer,

@@ -58,6 +58,7 @@ impl Theta {
             gain: rows(0),
             offset: rows(coefficients),
             neutral,
+            confidence: None,
         }
     }
 }
@@ -99,7 +100,7 @@ fn eigen(matrix: &Mat<f64>) -> (Vec<f64>, Mat<f64>) {
     (values, eigen.U().to_owned())
 }
 
-fn standard_of(lights: &[&LightMoments]) -> Standard {
+pub(super) fn standard_of(lights: &[&LightMoments]) -> Standard {
     Standard::of(lights.iter().map(|light| light.descriptor.as_slice()))
 }
 

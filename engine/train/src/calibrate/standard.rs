@@ -36,6 +36,11 @@ impl Standard {
         Self { means, deviations }
     }
 
+    /// Means and standard deviations.
+    pub(super) fn parts(&self) -> (&[f64], &[f64]) {
+        (&self.means, &self.deviations)
+    }
+
     /// A row, standardized, and the constant behind it.
     pub(super) fn row(&self, row: &[f64]) -> Vec<f64> {
         let moved = row

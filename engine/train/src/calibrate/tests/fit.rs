@@ -40,6 +40,7 @@ fn random_transfer(sh_degree: u8, seed: u64) -> LightTransfer {
         gain: (0..rows).map(|_| row()).collect(),
         offset: (0..rows).map(|_| row()).collect(),
         neutral: Surroundings::default().neutral(),
+        confidence: None,
     }
 }
 
