@@ -226,7 +226,7 @@ fn settings(options: &CalibrateOptions, calibration: &Calibration) -> BTreeMap<S
 fn summary(out: &Path, subject: &Subject, calibration: &Calibration) -> String {
     let mut text = format!(
         "{}: degree {}, {} splats of {} asset(s) in {} lights from {} probes, objective {}, ridge {:.1e}\n\
-         smallest singular value {:.1e} of the largest; neutral light changes colors by {:.4} (RMSE)\n",
+         rank 28 of 28, condition number {:.0}; neutral light changes colors by {:.4} (RMSE)\n",
         out.display(),
         calibration.transfer.sh_degree,
         calibration.samples,
@@ -235,27 +235,36 @@ fn summary(out: &Path, subject: &Subject, calibration: &Calibration) -> String {
         subject.probes.len(),
         subject.options.objective,
         calibration.ridge,
-        calibration.smallest_over_largest,
+        calibration.smallest_over_largest.recip(),
         calibration.neutral.relit.rmse(),
     );
     if calibration.held_out.is_empty() {
         text.push_str(
             "no probe could be left out: the others do not determine a fit without it; give more\n",
         );
-        return text;
+    } else {
+        text.push_str(&format!("probe left out     {ROW_HEADER}"));
+        for held_out in &calibration.held_out {
+            text.push_str(&row(
+                &subject.probes[held_out.probe].name,
+                &held_out.comparison,
+            ));
+        }
+        text.push_str(&row("all", &calibration.total()));
     }
-    text.push_str(
-        "left out           RMSE none  relit  best affine   angle none mean/p95    relit mean/p95    affine mean/p95\n",
-    );
-    for held_out in &calibration.held_out {
-        text.push_str(&row(
-            &subject.probes[held_out.probe].name,
-            &held_out.comparison,
-        ));
+    if !calibration.held_out_assets.is_empty() {
+        text.push_str(&format!("asset left out     {ROW_HEADER}"));
     }
-    text.push_str(&row("all", &calibration.total()));
+    for held_out in &calibration.held_out_assets {
+        let name = &subject.assets[held_out.asset].0;
+        text.push_str(&row(name, &held_out.comparison));
+    }
     text
 }
+
+/// Columns of [`row`] behind the name.
+const ROW_HEADER: &str =
+    "RMSE none  relit  best affine   angle none mean/p95    relit mean/p95    affine mean/p95\n";
 
 fn row(name: &str, comparison: &Comparison) -> String {
     let Comparison {

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::path::PathBuf;
 
 use decouplegs::asset::{LoadedScene, SceneFile};
-use decouplegs::scene::light::ambient_by_definition;
+use decouplegs::scene::light::{Trust, ambient_by_definition};
 use decouplegs::scene::{Presence, RigCamera, RigLidar, ShFrame, Trajectory, World};
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -36,6 +36,9 @@ struct Start {
     instance: u16,
     /// Mean color and directionality of the light; `None` if the background has none.
     light: Option<([f32; 3], f64)>,
+    /// Trust in the effect of that light on colors; `None` if nothing is known of its
+    /// errors.
+    trust: Option<Trust>,
 }
 
 struct Agent {
@@ -218,9 +221,11 @@ impl Light {
             let place = agent.trajectory.poses()[0].pose.translation;
             let found = lighting.field.at(place);
             let light = found.map(|light| (light.mean(), shadows.starkness(&light)));
+            let pose = &agent.trajectory.poses()[0].pose;
             starts.push(Start {
                 instance: agent.instance,
                 light,
+                trust: found.and_then(|light| lighting.trust(&light, pose, agent.sh_frame)),
             });
             let truth =
                 ambient_by_definition(&background, place - loaded.world.origin, &file.ambient);
@@ -263,20 +268,48 @@ impl Light {
                 self.probes
             ),
         );
-        for Start { instance, light } in &self.starts {
+        for Start {
+            instance,
+            light,
+            trust,
+        } in &self.starts
+        {
             let message = light.map_or("no light is known where it starts".into(), |([red, green, blue], starkness)| {
                 format!("starts in light of ({red:.2}, {green:.2}, {blue:.2}), shadows {starkness:.2} stark")
             });
-            lines.line("", &format!("{instance}: {message}"));
+            let trust = trust.map_or(String::new(), |trust| {
+                let Trust {
+                    kept,
+                    effect,
+                    error,
+                    distance,
+                } = trust;
+                format!(
+                    "; changes colors by {effect:.3}, error {error:.3} (predicted), {:.0} % of the change kept, distance {distance:.1} from calibrated lights",
+                    100.0 * kept[0]
+                )
+            });
+            lines.line("", &format!("{instance}: {message}{trust}"));
         }
     }
 
     fn to_json(&self) -> Value {
-        let start = |Start { instance, light }: &Start| {
+        let start = |start: &Start| {
+            let Start {
+                instance,
+                light,
+                trust,
+            } = start;
             json!({
                 "instance": instance,
                 "mean_rgb": light.map(|(mean, _)| mean),
                 "starkness": light.map(|(_, starkness)| starkness),
+                "trust": trust.map(|trust| json!({
+                    "kept": trust.kept[0],
+                    "effect": trust.effect,
+                    "error": trust.error,
+                    "distance": trust.distance,
+                })),
             })
         };
         json!({

@@ -2,8 +2,8 @@
 //!
 //! Tensors, K coefficients of three channels: `gain_weights` and `offset_weights` f32 \[3K, 27\],
 //! `gain_constants` and `offset_constants` f32 \[3K\], rows in the order `[coefficient][rgb]`;
-//! `neutral` f32 \[9, 3\], the descriptor of the light that shows colors as they are. Version 2 adds
-//! what the calibration knows of its errors (`TransferConfidence`): `effect` f32 \[3K, 3\],
+//! `neutral` f32 \[9, 3\], the descriptor of the light that shows colors as they are. Version 2
+//! adds what the calibration knows of its errors (`TransferConfidence`): `effect` f32 \[3K, 3\],
 //! `residual` f32 \[K\], `light_mean` f32 \[27\] and `light_precision` f32 \[27, 27\]. Metadata:
 //! `format`, `version`, `sh_degree` (K is its coefficients), `tool_version`, `sources.NAME`
 //! (SHA-256 of each asset and probe) and `settings.KEY`.
@@ -48,7 +48,7 @@ const NAMES: [&str; 9] = [
     "light_precision",
 ];
 
-/// How many of [`NAMES`] a file without a confidence has.
+/// Number of [`NAMES`] in a file without a confidence.
 const NAMES_PLAIN: usize = 5;
 
 type Row = ([f32; AmbientDescriptor::LEN], f32);

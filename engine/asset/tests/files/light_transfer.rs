@@ -4,6 +4,7 @@ use decouplegs_asset::probe;
 use decouplegs_asset::{
     LightTransferFile, light_transfer_file, read_light_transfer, write_light_transfer,
 };
+use decouplegs_scene::light::TransferConfidence;
 use decouplegs_scene::{AmbientDescriptor, LightTransfer, sh};
 use image::{DynamicImage, ImageFormat, Rgb32FImage};
 use safetensors::SafeTensors;
@@ -32,6 +33,23 @@ fn transfer(sh_degree: u8) -> LightTransferFile {
     }
 }
 
+fn with_confidence(sh_degree: u8) -> LightTransferFile {
+    let count = sh::coefficient_count(sh_degree);
+    let wave = |index: usize| (index as f32 * 0.61).cos();
+    let mut file = transfer(sh_degree);
+    file.transfer.confidence = Some(TransferConfidence {
+        effect: (0..3 * count)
+            .map(|row| [wave(row), wave(row + 40), 0.08])
+            .collect(),
+        residual: (0..count).map(|k| 0.01 * k as f32).collect(),
+        light_mean: std::array::from_fn(wave),
+        light_precision: (0..27)
+            .map(|row| std::array::from_fn(|column| wave(27 * row + column)))
+            .collect(),
+    });
+    file
+}
+
 #[test]
 fn what_is_written_is_read_back_to_the_bit_and_by_others() {
     for sh_degree in 0..=3 {
@@ -44,6 +62,20 @@ fn what_is_written_is_read_back_to_the_bit_and_by_others() {
         assert_eq!(tensors.tensor("gain_weights").unwrap().shape(), [rows, 27]);
         assert_eq!(tensors.tensor("offset_constants").unwrap().shape(), [rows]);
         assert_eq!(tensors.tensor("neutral").unwrap().shape(), [9, 3]);
+    }
+    // Version 2 holds the errors of the calibration as well, and the first version none.
+    let known = with_confidence(2);
+    let bytes = light_transfer_file::encode(&known).unwrap();
+    assert_eq!(light_transfer_file::decode(&bytes).unwrap(), known);
+    let tensors = SafeTensors::deserialize(&bytes).unwrap();
+    assert_eq!(tensors.tensor("effect").unwrap().shape(), [27, 3]);
+    assert_eq!(tensors.tensor("residual").unwrap().shape(), [9]);
+    assert_eq!(tensors.tensor("light_precision").unwrap().shape(), [27, 27]);
+    for broken in [f32::NAN, -1.0] {
+        let mut file = with_confidence(2);
+        file.transfer.confidence.as_mut().unwrap().residual[4] = broken;
+        let refused = light_transfer_file::encode(&file).unwrap_err();
+        assert!(refused.to_string().contains("residual"), "{refused}");
     }
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("theta.safetensors");
@@ -70,7 +102,7 @@ fn broken_transfers_are_refused_with_what_is_wrong() {
         replaced("decouplegs-light-transfer", "decouplegs-asset---------")
             .contains("no light transfer")
     );
-    assert!(replaced("\"version\":\"1\"", "\"version\":\"2\"").contains("calibrate again"));
+    assert!(replaced("\"version\":\"1\"", "\"version\":\"3\"").contains("calibrate again"));
     assert!(replaced("\"sh_degree\":\"1\"", "\"sh_degree\":\"7\"").contains("sh_degree"));
     assert!(
         replaced("\"sh_degree\":\"1\"", "\"sh_degree\":\"2\"").contains("12 rows; expected 27")

@@ -112,12 +112,13 @@ impl TransferConfidence {
     /// With x the effect of a coefficient on colors and e its error, the share that errs least in
     /// the mean square is `1 - E|e|² / |x|²`, at least 0 (James and Stein, Estimation with
     /// quadratic loss, 1961). E|e|² adds the residual of the calibration, which grows with the
-    /// distance of the light from the calibrated ones, and the effect of `brighter`: the change of
-    /// gain and offset if the light were brighter by one [`ALBEDO_SPREAD`].
+    /// distance of the light from the calibrated ones; the effect of `brighter`: the change of gain
+    /// and offset if the light were brighter by one [`ALBEDO_SPREAD`]; and that of `neutral`: the
+    /// transfer in the light that shows colors as they are, whose effect should be none.
     pub(super) fn shrink(
         &self,
         transfer: &mut ColorTransfer,
-        brighter: &ColorTransfer,
+        [brighter, neutral]: [&ColorTransfer; 2],
         light: &[f64; AmbientDescriptor::LEN],
     ) -> Trust {
         let distance = self.distance(light);
@@ -143,7 +144,13 @@ impl TransferConfidence {
                 difference(&brighter.gain[k], &transfer.gain[k]),
                 difference(&brighter.offset[k], &transfer.offset[k]),
             );
-            let error = f64::from(*residual) * shown * distance.max(1.0) + of_albedo;
+            let of_neutral = self.energy(
+                k,
+                difference(&neutral.gain[k], &[1.0; 3]),
+                neutral.offset[k].map(f64::from),
+            );
+            let residual = f64::from(*residual) * shown * distance.max(1.0);
+            let error = residual + of_albedo + of_neutral;
             let kept = if effect > error {
                 1.0 - error / effect
             } else {
@@ -153,10 +160,8 @@ impl TransferConfidence {
                 (trust.effect, trust.error) = (effect.sqrt(), error.sqrt());
             }
             trust.kept[k] = kept as f32;
-            for channel in 0..3 {
-                transfer.gain[k][channel] = (1.0 + kept * gain[channel]) as f32;
-                transfer.offset[k][channel] *= kept as f32;
-            }
+            transfer.gain[k] = gain.map(|change| (1.0 + kept * change) as f32);
+            transfer.offset[k] = transfer.offset[k].map(|value| value * kept as f32);
         }
         trust
     }

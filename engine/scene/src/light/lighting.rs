@@ -33,7 +33,7 @@ impl Default for ShadowOptions {
             decay: 1.5,
             slab_m: 0.15,
             full_directionality: 0.002,
-            floor: 0.3,
+            floor: 0.6,
         }
     }
 }
@@ -189,7 +189,7 @@ impl Lighting {
         })
     }
 
-    /// How far the effect of `light` on the colors of an agent can be trusted; `None` if nothing is
+    /// Trust in the effect of `light` on the colors of an agent; `None` if nothing is
     /// known of its errors. Arguments as in [`Lighting::relight`].
     #[must_use]
     pub fn trust(
@@ -237,7 +237,7 @@ mod tests {
         };
         let (sunny, overcast) = (strength(&light(0.3, 0.0016)), strength(&light(0.9, 0.0002)));
         assert!(
-            (sunny - 0.86).abs() < 1e-5 && (overcast - 0.37).abs() < 1e-5,
+            (sunny - 0.92).abs() < 1e-5 && (overcast - 0.64).abs() < 1e-5,
             "{sunny} {overcast}"
         );
         assert!(
@@ -278,5 +278,57 @@ mod tests {
             .reason()
             .contains("decay is 0")
         );
+    }
+
+    /// Share of an even sky that a car of `dims_m`, 0.2 m above the ground, hides from the ground
+    /// at `at`, by cosine-weighted directions in f64.
+    fn hidden_sky(dims_m: [f32; 3], at: DVec3) -> f64 {
+        let [length_m, width_m, height_m] = dims_m.map(f64::from);
+        let (low, high) = (
+            DVec3::new(-0.5 * length_m, -0.5 * width_m, 0.2),
+            DVec3::new(0.5 * length_m, 0.5 * width_m, height_m),
+        );
+        const RAYS: usize = 4000;
+        let hits = |ray: usize| {
+            let share = (ray as f64 + 0.5) / RAYS as f64;
+            let (sin, cos) = (ray as f64 * 2.399_963_229_728_653).sin_cos();
+            let radius = share.sqrt();
+            let direction = DVec3::new(radius * cos, radius * sin, (1.0 - share).sqrt());
+            let (a, b) = ((low - at) / direction, (high - at) / direction);
+            a.max(b).min_element() > a.min(b).max_element().max(0.0)
+        };
+        (0..RAYS).filter(|ray| hits(*ray)).count() as f64 / RAYS as f64
+    }
+
+    /// Ground within a meter of a car under an even sky: the contact shadow darkens it as geometry
+    /// does, to 30 %. Without the floor that it has in light from nowhere it would not.
+    #[test]
+    fn an_overcast_shadow_is_as_dark_as_geometry_makes_it() {
+        let dims_m = [4.5, 1.85, 1.5];
+        let overcast = light(0.5, 0.0004);
+        let darkness = |options: &ShadowOptions| {
+            let pose = Pose::from_yaw(0.0, DVec3::new(0.0, 0.0, 0.75));
+            let shadow = options.shadow(&pose, dims_m, &overcast);
+            let (mut found, mut truth) = (0.0, 0.0);
+            for off_m in [0.05, 0.2, 0.4, 0.6, 0.8, 1.0] {
+                let side = (-9..=9).map(|i| (0.25 * f64::from(i), 0.925 + off_m));
+                let front = (-3..=3).map(|i| (2.25 + off_m, 0.3 * f64::from(i)));
+                for (x, y) in side.chain(front) {
+                    let at = DVec3::new(x, y, 0.0);
+                    found += 1.0 - shadow.factor(at);
+                    // Displays show light by its 2.2th root.
+                    truth += 1.0 - (1.0 - hidden_sky(dims_m, at)).powf(1.0 / 2.2);
+                }
+            }
+            found / truth
+        };
+        let ratio = darkness(&ShadowOptions::default());
+        println!("overcast shadow over geometry: {ratio:.2}");
+        assert!((0.7..1.3).contains(&ratio), "{ratio}");
+        let faint = ShadowOptions {
+            floor: 0.3,
+            ..ShadowOptions::default()
+        };
+        assert!(darkness(&faint) < 0.7);
     }
 }

@@ -139,7 +139,8 @@ impl LightTransfer {
         let mut transfer = self.at(light);
         let trust = self.confidence.as_ref().map(|confidence| {
             let brighter = self.at(&confidence::brighter(light));
-            confidence.shrink(&mut transfer, &brighter, &light.to_vector())
+            let neutral = self.at(&self.neutral);
+            confidence.shrink(&mut transfer, [&brighter, &neutral], &light.to_vector())
         });
         (transfer, trust)
     }

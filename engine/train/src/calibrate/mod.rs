@@ -21,7 +21,7 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
-use decouplegs_scene::light::{PROBE_WIDTH, Probe};
+use decouplegs_scene::light::{PROBE_WIDTH, Probe, TransferConfidence};
 use decouplegs_scene::{LightTransfer, SplatCloud, sh};
 use rayon::prelude::*;
 
@@ -73,6 +73,15 @@ pub struct HeldOut {
     pub comparison: Comparison,
 }
 
+/// An asset that was left out of a fit, and its colors in all lights.
+#[derive(Clone, Debug)]
+pub struct HeldOutAsset {
+    /// Index of the asset.
+    pub asset: usize,
+    /// Seen colors over all lights, by the transfer fitted without the asset.
+    pub comparison: Comparison,
+}
+
 /// A light transfer, and what is known of it.
 #[derive(Clone, Debug)]
 pub struct Calibration {
@@ -87,12 +96,15 @@ pub struct Calibration {
     pub lights: usize,
     /// Splats it was fitted to.
     pub samples: usize,
-    /// Smallest singular value of the standardized descriptors over the largest.
+    /// Smallest singular value of the standardized descriptors over the largest: the reciprocal of
+    /// the condition number.
     pub smallest_over_largest: f64,
     /// Colors in the neutral light, which should be as they are.
     pub neutral: Comparison,
     /// Each probe left out in turn; without those that the others cannot do without.
     pub held_out: Vec<HeldOut>,
+    /// Each asset left out in turn; none if there is only one.
+    pub held_out_assets: Vec<HeldOutAsset>,
 }
 
 impl Calibration {
@@ -121,7 +133,8 @@ pub fn calibrate(
 ) -> Result<Calibration, CalibrateError> {
     options.check(assets.len())?;
     progress(Progress::Sampling);
-    let samples = samples_of(assets, options)?;
+    let of_assets = samples_of(assets, options)?;
+    let samples: Vec<Sample> = of_assets.iter().flatten().cloned().collect();
     let prepare = |(index, probe): (usize, &Probe)| {
         progress(Progress::Probes(index));
         PreparedProbe::new(&probe.downsampled(PROBE_WIDTH), &options.ground)
@@ -138,20 +151,7 @@ pub fn calibrate(
         .sh_degree
         .unwrap_or(degree_of_assets)
         .min(sh::DEGREE_MAX);
-    let moments = |objective| {
-        let lit = |sample: &Sample, light: &Lighting<'_>| {
-            sample
-                .surface
-                .lit(light.reflected_by_white(sample.surface.normal))
-        };
-        Moments::of(
-            &samples,
-            &lights,
-            sh::coefficient_count(sh_degree),
-            objective,
-            lit,
-        )
-    };
+    let moments = |objective| moments_of(&samples, &lights, sh_degree, objective);
     let fit = Fit {
         fitted: moments(options.objective),
         sh_degree,
@@ -194,19 +194,7 @@ pub fn calibrate(
     let errors = || (0..probes.len()).map(|probe| &left_out[probe][probe]);
     let ridge = fit.ridge_from(errors());
     let mut transfer = fit.transfer(&all, ridge);
-    let mut judged: Vec<(&LightTransfer, &LightMoments)> = Vec::new();
-    for held_out in &held_out {
-        let of_probe = |light: &&LightMoments| light.probe == Some(held_out.probe);
-        judged.extend(
-            seen.lights
-                .iter()
-                .filter(of_probe)
-                .map(|light| (&held_out.transfer, light)),
-        );
-    }
-    if !judged.is_empty() {
-        transfer.confidence = Some(confidence::confidence(&seen, &all, &judged));
-    }
+    transfer.confidence = confidence_of(&held_out, &seen, &all);
     Ok(Calibration {
         neutral: compare(&transfer, None),
         transfer,
@@ -215,15 +203,79 @@ pub fn calibrate(
         lights: lights.len(),
         samples: samples.len(),
         smallest_over_largest,
+        held_out_assets: assets_left_out(&of_assets, &lights, &fit, ridge),
         held_out,
     })
 }
 
+/// Moments of `samples` in `lights` for colors of degree `sh_degree`.
+fn moments_of(
+    samples: &[Sample],
+    lights: &[Lighting<'_>],
+    sh_degree: u8,
+    objective: Objective,
+) -> Moments {
+    let lit = |sample: &Sample, light: &Lighting<'_>| {
+        sample
+            .surface
+            .lit(light.reflected_by_white(sample.surface.normal))
+    };
+    let coefficients = sh::coefficient_count(sh_degree);
+    Moments::of(samples, lights, coefficients, objective, lit)
+}
+
+/// Each asset compared with the truth by a fit to the others; none if there is only one.
+fn assets_left_out(
+    of_assets: &[Vec<Sample>],
+    lights: &[Lighting<'_>],
+    fit: &Fit<'_>,
+    ridge: f64,
+) -> Vec<HeldOutAsset> {
+    if of_assets.len() < 2 {
+        return Vec::new();
+    }
+    let all = of_assets.iter().map(Vec::len).sum::<usize>() as f64;
+    let without = |(asset, own): (usize, &Vec<Sample>)| {
+        let moments = |objective| moments_of(own, lights, fit.sh_degree, objective);
+        let share = own.len() as f64 / all;
+        let rest = Fit {
+            fitted: fit.fitted.without(&moments(fit.options.objective), share),
+            ..*fit
+        };
+        let transfer = rest.transfer(&rest.without(&[]), ridge);
+        let seen = moments(Objective::Seen);
+        let pairs: Vec<_> = lights.iter().zip(&seen.lights).collect();
+        HeldOutAsset {
+            asset,
+            comparison: Comparison::of(&transfer, own, &seen, &pairs),
+        }
+    };
+    of_assets.iter().enumerate().map(without).collect()
+}
+
+/// Confidence by the lights of probes left out, of all lights `fitted`; none where none could be.
+fn confidence_of(
+    held_out: &[HeldOut],
+    seen: &Moments,
+    fitted: &[&LightMoments],
+) -> Option<TransferConfidence> {
+    let mut judged: Vec<(&LightTransfer, &LightMoments)> = Vec::new();
+    for held_out in held_out {
+        let of_probe = seen
+            .lights
+            .iter()
+            .filter(|light| light.probe == Some(held_out.probe));
+        judged.extend(of_probe.map(|light| (&held_out.transfer, light)));
+    }
+    (!judged.is_empty()).then(|| confidence::confidence(seen, fitted, &judged))
+}
+
+/// Samples of each asset.
 fn samples_of(
     assets: &[(String, &SplatCloud)],
     options: &CalibrateOptions,
-) -> Result<Vec<Sample>, CalibrateError> {
-    let mut all = Vec::with_capacity(options.samples);
+) -> Result<Vec<Vec<Sample>>, CalibrateError> {
+    let mut all = Vec::with_capacity(assets.len());
     for (index, (name, cloud)) in assets.iter().enumerate() {
         let of_asset = samples(
             cloud,
@@ -233,7 +285,7 @@ fn samples_of(
         if of_asset.is_empty() {
             return Err(CalibrateError::NothingSeen(name.clone()));
         }
-        all.extend(of_asset);
+        all.push(of_asset);
     }
     Ok(all)
 }

@@ -90,6 +90,32 @@ impl Moments {
         }
     }
 
+    /// The moments of the other samples, if `part` are those of a `share` of all of them.
+    pub(super) fn without(&self, part: &Self, share: f64) -> Self {
+        let rest = |all: f64, part: f64| (all - share * part) / (1.0 - share);
+        let of_light = |(all, part): (&LightMoments, &LightMoments)| {
+            let cross = |channel: usize| {
+                let pairs = all.cross[channel].iter().zip(&part.cross[channel]);
+                pairs.map(|(all, part)| rest(*all, *part)).collect()
+            };
+            LightMoments {
+                cross: std::array::from_fn(cross),
+                power: std::array::from_fn(|channel| rest(all.power[channel], part.power[channel])),
+                ..all.clone()
+            }
+        };
+        let size = 2 * self.coefficients;
+        let gram = |channel: usize| {
+            let (all, part) = (&self.gram[channel], &part.gram[channel]);
+            Mat::from_fn(size, size, |i, j| rest(all[(i, j)], part[(i, j)]))
+        };
+        Self {
+            coefficients: self.coefficients,
+            gram: std::array::from_fn(gram),
+            lights: self.lights.iter().zip(&part.lights).map(of_light).collect(),
+        }
+    }
+
     /// Mean squared error over channels of the transfers `x`, one per channel, in one light.
     pub(super) fn error(&self, light: &LightMoments, x: &[Vec<f64>; 3]) -> f64 {
         let of_channel = |channel: usize| {

@@ -4,7 +4,7 @@
 use std::f64::consts::FRAC_PI_3;
 
 use decouplegs_scene::light::Surroundings;
-use decouplegs_scene::{AmbientDescriptor, LightTransfer, SplatCloud, sh};
+use decouplegs_scene::{AmbientDescriptor, ColorTransfer, LightTransfer, SplatCloud, sh};
 use decouplegs_synth::probes::procedural_probes;
 use glam::DQuat;
 
@@ -299,6 +299,7 @@ fn relit_colors_are_nearer_to_the_truth_in_light_that_the_fit_was_not_shown() {
         "{angles:?} {}",
         relit.angle_p95_deg()
     );
+    assert!(calibration.held_out_assets.is_empty(), "one asset is all");
     // The neutral light is one of 401, so it is pinned, not met: nearer to right than other lights
     // are without relighting.
     let neutral = calibration.neutral.relit.rmse();
@@ -399,4 +400,143 @@ fn turning_light_and_asset_together_turns_the_colors() {
     assert!(worst(&a, &b) < 1e-4, "{}", worst(&a, &b));
     // Light that is not turned into the agent's frame gives other colors.
     assert!(worst(&a, &relit(&turned).placed(&pose, true)) > 1e-2);
+}
+
+/// A ball of other colors left out in turn is nearer to the truth relit than not, and the moments
+/// without it are those of the others alone.
+#[test]
+fn assets_that_the_fit_was_not_shown_are_relit_too() {
+    let (one, mut other) = (ball(500, 1), ball(700, 1));
+    for dc in &mut other.sh_dc {
+        *dc = [0.5 * dc[0] - 0.4, dc[1], -dc[2]];
+    }
+    let names = ["one".to_owned(), "other".to_owned()];
+    let assets = [(names[0].clone(), &one), (names[1].clone(), &other)];
+    let calibration = calibrated(&assets, &skies(8), &options());
+    assert_eq!(calibration.held_out_assets.len(), 2);
+    for held_out in &calibration.held_out_assets {
+        let Comparison {
+            none,
+            relit,
+            affine,
+        } = &held_out.comparison;
+        assert!(
+            relit.rmse() < 0.6 * none.rmse() && affine.rmse() < relit.rmse(),
+            "asset {}: {} {} {}",
+            held_out.asset,
+            none.rmse(),
+            relit.rmse(),
+            affine.rmse()
+        );
+    }
+    // Left out of two, an asset leaves the other: its fit knows nothing of what was left out.
+    let alone = CalibrateOptions {
+        samples: 150,
+        ridge: Some(calibration.ridge),
+        ..options()
+    };
+    let alone = calibrated(&assets[..1], &skies(8), &alone);
+    let (found, expected) = (
+        calibration.held_out_assets[1].comparison.relit.rmse(),
+        judged(&alone.transfer, &other),
+    );
+    assert!((found / expected - 1.0).abs() < 0.05, "{found} {expected}");
+}
+
+/// Root mean squared error of the colors of `cloud`, relit by `transfer`, over [`skies`].
+fn judged(transfer: &LightTransfer, cloud: &SplatCloud) -> f64 {
+    let ground = Surroundings::default();
+    let probes: Vec<PreparedProbe> = skies(8)
+        .iter()
+        .map(|probe| PreparedProbe::new(probe, &ground))
+        .collect();
+    let lights = lightings(&probes, &ground, 5);
+    let samples = samples(cloud, 150, options().seed + 1);
+    let lit = |sample: &Sample, light: &Lighting<'_>| {
+        let white = light.reflected_by_white(sample.surface.normal);
+        sample.surface.lit(white)
+    };
+    let moments = Moments::of(&samples, &lights, 4, Objective::Seen, lit);
+    let pairs: Vec<_> = lights.iter().zip(&moments.lights).collect();
+    Comparison::of(transfer, &samples, &moments, &pairs)
+        .relit
+        .rmse()
+}
+
+/// The confidence of a fit: an effect that is far above its error is kept, light that makes no
+/// difference leaves colors bit for bit, and light unlike any that was calibrated is distrusted.
+/// The full effect of that light is the case that must fail.
+#[test]
+fn relighting_is_never_much_worse_than_none() {
+    let cloud = ball(600, 1);
+    let calibration = calibrated(&[("ball".to_owned(), &cloud)], &skies(8), &options());
+    let transfer = &calibration.transfer;
+    let ground = Surroundings::default();
+    let (same, trust) = transfer.trusted_at(&ground.neutral());
+    let trust = trust.expect("probes were left out, so errors are known");
+    println!("neutral: {trust:?}");
+    assert_eq!(trust.kept[0], 0.0);
+    assert_eq!((same.gain[0], same.offset[0]), ([1.0; 3], [0.0; 3]));
+
+    let probes: Vec<PreparedProbe> = skies(9)[8..]
+        .iter()
+        .map(|probe| PreparedProbe::new(probe, &ground))
+        .collect();
+    let samples = samples(&cloud, 300, 5);
+    let mut kept = Vec::new();
+    for light in &lightings(&probes, &ground, 5)[1..] {
+        let trusted = transfer.trusted_at(&light.descriptor);
+        let errors = [
+            error_of(&ColorTransfer::IDENTITY, &samples, light),
+            error_of(&trusted.0, &samples, light),
+        ];
+        let db = 20.0 * (errors[0] / errors[1]).log10();
+        assert!(db > -0.1, "{errors:?} kept {:?}", trusted.1);
+        kept.push(trusted.1.unwrap().kept[0]);
+    }
+    assert!(
+        kept.iter().any(|kept| *kept > 0.9) && kept.iter().any(|kept| *kept < 0.5),
+        "dark light is followed, light near neutral is not: {kept:?}"
+    );
+
+    // Light from one side, of a color that no sky has.
+    let mut strange = ground.neutral();
+    for (k, value) in [(3, [0.4, -0.3, 0.0]), (7, [-0.3, 0.0, 0.5])] {
+        strange.coefficients[k] = value;
+    }
+    let (trusted, trust) = transfer.trusted_at(&strange);
+    let trust = trust.unwrap();
+    assert!(trust.distance > 10.0 && trust.kept[0] == 0.0, "{trust:?}");
+    let neutral = Lighting::neutral(&ground);
+    let errors =
+        [&trusted, &transfer.at(&strange)].map(|transfer| error_of(transfer, &samples, &neutral));
+    assert!(errors[1] > 2.0 * errors[0] + 0.02, "{errors:?}");
+}
+
+/// Root mean squared error of seen colors in one light.
+fn error_of(transfer: &ColorTransfer, samples: &[Sample], light: &Lighting<'_>) -> f64 {
+    let shown = |color: &[[f64; 3]; 16], basis: &[f64; 16], channel: usize| {
+        let value: f64 = (0..16).map(|k| basis[k] * color[k][channel]).sum();
+        value.clamp(0.0, 1.0)
+    };
+    let mut sum = 0.0;
+    for sample in samples {
+        let color = &sample.surface.color;
+        let truth = sample
+            .surface
+            .lit(light.reflected_by_white(sample.surface.normal));
+        let relit = std::array::from_fn(|k| {
+            std::array::from_fn(|channel| {
+                f64::from(transfer.gain[k][channel]) * color[k][channel]
+                    + f64::from(transfer.offset[k][channel])
+            })
+        });
+        for basis in &sample.views {
+            for channel in 0..3 {
+                let off = shown(&relit, basis, channel) - shown(&truth, basis, channel);
+                sum += off * off / (9 * samples.len()) as f64;
+            }
+        }
+    }
+    sum.sqrt()
 }
