@@ -113,9 +113,9 @@ fn the_documented_light_is_the_default_one() {
             .unwrap_err()
             .to_string()
     };
-    assert!(complaint("sigma_m = 5.0", "sigma_m = -1.0").contains("light.sigma_m"));
+    assert!(complaint("sigma_m = 4.0", "sigma_m = -1.0").contains("light.sigma_m"));
     assert!(complaint("decay = 1.5", "decay = inf").contains("light.shadows.decay"));
-    assert!(complaint("floor = 0.3", "flor = 0.3").contains("flor"));
+    assert!(complaint("floor = 0.8", "flor = 0.8").contains("flor"));
 }
 
 /// A lit scene baked is the scene without light, its agents relit and the ground about them darker.

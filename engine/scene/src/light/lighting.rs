@@ -33,7 +33,7 @@ impl Default for ShadowOptions {
             decay: 1.5,
             slab_m: 0.15,
             full_directionality: 0.002,
-            floor: 0.6,
+            floor: 0.8,
         }
     }
 }
@@ -237,7 +237,7 @@ mod tests {
         };
         let (sunny, overcast) = (strength(&light(0.3, 0.0016)), strength(&light(0.9, 0.0002)));
         assert!(
-            (sunny - 0.92).abs() < 1e-5 && (overcast - 0.64).abs() < 1e-5,
+            (sunny - 0.96).abs() < 1e-5 && (overcast - 0.82).abs() < 1e-5,
             "{sunny} {overcast}"
         );
         assert!(
@@ -280,22 +280,24 @@ mod tests {
         );
     }
 
-    /// Share of an even sky that a car of `dims_m`, 0.2 m above the ground, hides from the ground
-    /// at `at`, by cosine-weighted directions in f64.
+    /// Share of an even sky that a car of `dims_m`, a cabin on a body 0.2 m above the ground, hides
+    /// from the ground at `at`, by cosine-weighted directions in f64.
     fn hidden_sky(dims_m: [f32; 3], at: DVec3) -> f64 {
         let [length_m, width_m, height_m] = dims_m.map(f64::from);
-        let (low, high) = (
-            DVec3::new(-0.5 * length_m, -0.5 * width_m, 0.2),
-            DVec3::new(0.5 * length_m, 0.5 * width_m, height_m),
-        );
+        let body = [[-0.5, -0.5, 0.13], [0.5, 0.5, 0.55]];
+        let cabin = [[-0.33, -0.43, 0.5], [0.25, 0.43, 1.0]];
+        let size = DVec3::new(length_m, width_m, height_m);
+        let boxes = [body, cabin].map(|corners| corners.map(|at| size * DVec3::from_array(at)));
         const RAYS: usize = 4000;
         let hits = |ray: usize| {
             let share = (ray as f64 + 0.5) / RAYS as f64;
             let (sin, cos) = (ray as f64 * 2.399_963_229_728_653).sin_cos();
             let radius = share.sqrt();
             let direction = DVec3::new(radius * cos, radius * sin, (1.0 - share).sqrt());
-            let (a, b) = ((low - at) / direction, (high - at) / direction);
-            a.max(b).min_element() > a.min(b).max_element().max(0.0)
+            boxes.iter().any(|[low, high]| {
+                let (a, b) = ((low - at) / direction, (high - at) / direction);
+                a.max(b).min_element() > a.min(b).max_element().max(0.0)
+            })
         };
         (0..RAYS).filter(|ray| hits(*ray)).count() as f64 / RAYS as f64
     }
