@@ -15,7 +15,7 @@ use decouplegs::asset::{
 use decouplegs::scene::SplatCloud;
 use decouplegs::scene::light::{Probe, Surroundings};
 use decouplegs::train::calibrate::{
-    CalibrateOptions, Calibration, Comparison, Objective, Progress, calibrate,
+    CalibrateOptions, Calibration, Comparison, LIGHTS_MIN, Objective, Progress, calibrate,
 };
 
 use crate::arguments::{print, warn};
@@ -226,7 +226,7 @@ fn settings(options: &CalibrateOptions, calibration: &Calibration) -> BTreeMap<S
 fn summary(out: &Path, subject: &Subject, calibration: &Calibration) -> String {
     let mut text = format!(
         "{}: degree {}, {} splats of {} asset(s) in {} lights from {} probes, objective {}, ridge {:.1e}\n\
-         rank 28 of 28, condition number {:.0}; neutral light changes colors by {:.4} (RMSE)\n",
+         rank {} of {LIGHTS_MIN}, condition number {:.0}; neutral light changes colors by {:.4} (RMSE)\n",
         out.display(),
         calibration.transfer.sh_degree,
         calibration.samples,
@@ -235,6 +235,7 @@ fn summary(out: &Path, subject: &Subject, calibration: &Calibration) -> String {
         subject.probes.len(),
         subject.options.objective,
         calibration.ridge,
+        calibration.rank,
         calibration.smallest_over_largest.recip(),
         calibration.neutral.relit.rmse(),
     );

@@ -218,10 +218,10 @@ impl Light {
         };
         let (mut starts, mut error) = (Vec::new(), 0.0f64);
         for agent in &loaded.agents {
-            let place = agent.trajectory.poses()[0].pose.translation;
+            let pose = &agent.trajectory.poses()[0].pose;
+            let place = pose.translation;
             let found = lighting.field.at(place);
             let light = found.map(|light| (light.mean(), shadows.starkness(&light)));
-            let pose = &agent.trajectory.poses()[0].pose;
             starts.push(Start {
                 instance: agent.instance,
                 light,

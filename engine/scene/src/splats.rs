@@ -1,6 +1,6 @@
 //! A cloud of 3D Gaussians in the one form the engine works with.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
 use crate::{Bounds, Pose, sh};
@@ -61,6 +61,32 @@ impl SplatCloud {
     #[must_use]
     pub fn mean_m(&self, splat: usize) -> DVec3 {
         DVec3::from_array(self.means[splat].map(f64::from))
+    }
+
+    /// Standard deviations of a splat, meters, from the smallest.
+    ///
+    /// # Panics
+    /// Panics if there is no such splat.
+    #[must_use]
+    pub fn sorted_scales_m(&self, splat: usize) -> [f64; 3] {
+        let mut scales_m = self.scales[splat].map(f64::from);
+        scales_m.sort_by(f64::total_cmp);
+        scales_m
+    }
+
+    /// Axis along which a splat is thinnest, a unit vector of either sign: the normal of a flat
+    /// one. Vertical if its rotation has no length.
+    ///
+    /// # Panics
+    /// Panics if there is no such splat.
+    #[must_use]
+    pub fn thin_axis(&self, splat: usize) -> DVec3 {
+        let scales = self.scales[splat];
+        let shortest = (0..3)
+            .min_by(|&a, &b| scales[a].total_cmp(&scales[b]))
+            .unwrap_or(2);
+        let [w, x, y, z] = self.rotations[splat].map(f64::from);
+        (DQuat::from_xyzw(x, y, z, w).normalize() * DVec3::AXES[shortest]).normalize_or(DVec3::Z)
     }
 
     /// Splats in the cloud.
@@ -191,7 +217,7 @@ impl SplatCloud {
         });
         placed.rotations.par_iter_mut().for_each(|rotation| {
             let [w, x, y, z] = rotation.map(f64::from);
-            let turned = (pose.rotation * glam::DQuat::from_xyzw(x, y, z, w)).normalize();
+            let turned = (pose.rotation * DQuat::from_xyzw(x, y, z, w)).normalize();
             *rotation = [
                 turned.w as f32,
                 turned.x as f32,

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use std::ops::Range;
 
 use crate::{Invalid, SplatCloud, sh};
-use glam::{DQuat, DVec3, IVec3, ivec3};
+use glam::{DVec3, IVec3, ivec3};
 use rayon::prelude::*;
 
 use crate::light::AmbientDescriptor;
@@ -16,7 +16,7 @@ const CELLS_MAX: f64 = 1e9;
 /// Numbers of a sum: 27 of light and their weight, then RGB of the ground and its weight.
 const SUM: usize = GROUND + 4;
 
-/// Weights below this are nothing that divides.
+/// Sum of weights up to which a mean counts as undefined.
 const WEIGHT_MIN: f64 = 1e-12;
 
 /// Place of the weight of all splats in a sum.
@@ -131,20 +131,15 @@ fn light_of(cloud: &SplatCloud, splat: usize) -> [f64; AmbientDescriptor::LEN] {
 /// Area of a splat that lies level, square meters: of its ellipse at one standard deviation, 0 if
 /// it is a ball or stands upright.
 fn facing_up_m2(cloud: &SplatCloud, splat: usize) -> f64 {
-    let scales = cloud.scales[splat].map(f64::from);
-    let mut axes = [0, 1, 2];
-    axes.sort_by(|&a, &b| scales[a].total_cmp(&scales[b]));
-    let [thin_m, broad_m, long_m] = axes.map(|axis| scales[axis]);
+    let [thin_m, broad_m, long_m] = cloud.sorted_scales_m(splat);
     if broad_m <= 0.0 {
         return 0.0;
     }
-    let [w, x, y, z] = cloud.rotations[splat].map(f64::from);
-    let normal = DQuat::from_xyzw(x, y, z, w).normalize() * DVec3::AXES[axes[0]];
-    let upward = normal.z.abs().powi(UPWARD_EXPONENT);
+    let upward = cloud.thin_axis(splat).z.abs().powi(UPWARD_EXPONENT);
     PI * broad_m * long_m * (1.0 - thin_m / broad_m) * upward
 }
 
-/// Adds `splat` with the weight `weight`, its area aside.
+/// Adds a splat to `sum`. `weight` is its opacity times the factor of distance.
 fn add(sum: &mut [f64; SUM], weight: f64, cloud: &SplatCloud, splat: usize) {
     let light = light_of(cloud, splat);
     for (sum, light) in sum.iter_mut().zip(&light) {
@@ -461,9 +456,9 @@ mod tests {
         let [red, green, _] = mean(0.0, 10.0);
         assert!(
             (red - green).abs() < 1e-3,
-            "the wall's own red is not the light's: {red} {green}"
+            "the red wall does not color the light: {red} {green}"
         );
-        // Where nothing lies level, the wall is all there is to ask.
+        // Without level splats, upright ones count.
         let mut upright = cloud.clone();
         upright.scales.fill([0.1, 0.01, 0.1]);
         let upright = AmbientField::new(&upright, upright.len(), DVec3::ZERO, &options);

@@ -1,15 +1,13 @@
 //! Confidence of a light transfer: how far its effect can be trusted in a given light.
 
+use crate::light::environment::GAMMA;
 use crate::light::{AmbientDescriptor, ColorTransfer};
 use crate::{Invalid, sh};
 
-/// Standard deviation of the logarithm of the ground's albedo, which nobody tells: worn asphalt
+/// Standard deviation of the logarithm of the ground's albedo, which is unknown: worn asphalt
 /// reflects 0.10 to 0.15 of the light, new asphalt 0.05 to 0.10, worn concrete 0.20 to 0.30
 /// (EPA, Reducing Urban Heat Islands: Cool Pavements, 2008).
 pub const ALBEDO_SPREAD: f64 = 0.15;
-
-/// Exponent of the display curve: a color of half the light has 0.5^(1/2.2) of the display value.
-const GAMMA: f64 = 2.2;
 
 /// The errors that a calibration measured, and the lights that it knows.
 #[derive(Clone, Debug, PartialEq)]
@@ -82,9 +80,24 @@ impl TransferConfidence {
         }
     }
 
-    /// Mean squared color change, over channels, by a change of gain and offset of coefficient `k`.
+    /// Mean squared color change, over channels, from coefficient `k` of `from` to that of `to`.
     #[must_use]
-    pub fn energy(&self, k: usize, gain: [f64; 3], offset: [f64; 3]) -> f64 {
+    pub fn change(&self, k: usize, from: &ColorTransfer, to: &ColorTransfer) -> f64 {
+        let difference = |from: [f32; 3], to: [f32; 3]| -> [f64; 3] {
+            std::array::from_fn(|channel| f64::from(to[channel]) - f64::from(from[channel]))
+        };
+        let gain = difference(from.gain[k], to.gain[k]);
+        self.energy(k, gain, difference(from.offset[k], to.offset[k]))
+    }
+
+    /// Mean square of the color, over channels, that coefficient `k` has under `transfer`.
+    #[must_use]
+    pub fn shown(&self, k: usize, transfer: &ColorTransfer) -> f64 {
+        let (gain, offset) = (transfer.gain[k], transfer.offset[k]);
+        self.energy(k, gain.map(f64::from), offset.map(f64::from))
+    }
+
+    fn energy(&self, k: usize, gain: [f64; 3], offset: [f64; 3]) -> f64 {
         let of = |channel: usize| {
             let [square, mean, one] = self.effect[3 * k + channel].map(f64::from);
             let (gain, offset) = (gain[channel], offset[channel]);
@@ -122,14 +135,7 @@ impl TransferConfidence {
         light: &[f64; AmbientDescriptor::LEN],
     ) -> Trust {
         let distance = self.distance(light);
-        let difference = |a: &[f32; 3], b: &[f32; 3]| -> [f64; 3] {
-            std::array::from_fn(|channel| f64::from(a[channel]) - f64::from(b[channel]))
-        };
-        let shown = self.energy(
-            0,
-            transfer.gain[0].map(f64::from),
-            transfer.offset[0].map(f64::from),
-        );
+        let shown = self.shown(0, transfer);
         let mut trust = Trust {
             kept: [1.0; sh::coefficient_count(sh::DEGREE_MAX)],
             effect: 0.0,
@@ -137,18 +143,9 @@ impl TransferConfidence {
             distance,
         };
         for (k, residual) in self.residual.iter().enumerate() {
-            let gain = difference(&transfer.gain[k], &[1.0; 3]);
-            let effect = self.energy(k, gain, transfer.offset[k].map(f64::from));
-            let of_albedo = self.energy(
-                k,
-                difference(&brighter.gain[k], &transfer.gain[k]),
-                difference(&brighter.offset[k], &transfer.offset[k]),
-            );
-            let of_neutral = self.energy(
-                k,
-                difference(&neutral.gain[k], &[1.0; 3]),
-                neutral.offset[k].map(f64::from),
-            );
+            let effect = self.change(k, &ColorTransfer::IDENTITY, transfer);
+            let of_albedo = self.change(k, transfer, brighter);
+            let of_neutral = self.change(k, &ColorTransfer::IDENTITY, neutral);
             let residual = f64::from(*residual) * shown * distance.max(1.0);
             let error = residual + of_albedo + of_neutral;
             let kept = if effect > error {
@@ -160,7 +157,8 @@ impl TransferConfidence {
                 (trust.effect, trust.error) = (effect.sqrt(), error.sqrt());
             }
             trust.kept[k] = kept as f32;
-            transfer.gain[k] = gain.map(|change| (1.0 + kept * change) as f32);
+            transfer.gain[k] =
+                transfer.gain[k].map(|gain| (1.0 + kept * (f64::from(gain) - 1.0)) as f32);
             transfer.offset[k] = transfer.offset[k].map(|value| value * kept as f32);
         }
         trust

@@ -13,12 +13,12 @@ use super::ridge::standard_of;
 /// light has differs by noise.
 const VARIANCE_MIN: f64 = 1e-3;
 
-/// Errors of coefficients in lights that the transfer beside them was not fitted to. `judged` pairs
-/// transfers and such lights; `fitted` are all lights of the final fit.
+/// Confidence of a fit to `fitted`, all lights. `judged` holds transfers, each with a light that
+/// was left out of its fit: its descriptor and its moments.
 pub(super) fn confidence(
     moments: &Moments,
     fitted: &[&LightMoments],
-    judged: &[(&LightTransfer, &LightMoments)],
+    judged: &[(&LightTransfer, &AmbientDescriptor, &LightMoments)],
 ) -> TransferConfidence {
     let count = moments.coefficients;
     let effect = |row: usize| {
@@ -39,28 +39,12 @@ pub(super) fn confidence(
     };
     let mut residual = vec![0.0; count];
     let mut shown = 0.0;
-    for &(transfer, light) in judged {
-        let descriptor = AmbientDescriptor {
-            coefficients: std::array::from_fn(|k| {
-                std::array::from_fn(|channel| light.descriptor[3 * k + channel] as f32)
-            }),
-        };
-        let (found, best) = (transfer.at(&descriptor), best_affine(moments, light));
-        let difference = |a: &[f32; 3], b: &[f32; 3]| -> [f64; 3] {
-            std::array::from_fn(|channel| f64::from(a[channel]) - f64::from(b[channel]))
-        };
+    for &(transfer, descriptor, light) in judged {
+        let (found, best) = (transfer.at(descriptor), best_affine(moments, light));
         for (k, sum) in residual.iter_mut().enumerate() {
-            *sum += confidence.energy(
-                k,
-                difference(&found.gain[k], &best.gain[k]),
-                difference(&found.offset[k], &best.offset[k]),
-            );
+            *sum += confidence.change(k, &best, &found);
         }
-        shown += confidence.energy(
-            0,
-            best.gain[0].map(f64::from),
-            best.offset[0].map(f64::from),
-        );
+        shown += confidence.shown(0, &best);
     }
     if shown > 0.0 {
         confidence.residual = residual.iter().map(|sum| (sum / shown) as f32).collect();

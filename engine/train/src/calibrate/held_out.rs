@@ -174,7 +174,7 @@ impl Comparison {
     }
 }
 
-fn relit_color(transfer: &ColorTransfer, color: &Color) -> Color {
+pub(super) fn relit_color(transfer: &ColorTransfer, color: &Color) -> Color {
     std::array::from_fn(|k| {
         let affine = |channel: usize| {
             f64::from(transfer.gain[k][channel]) * color[k][channel]
@@ -184,7 +184,7 @@ fn relit_color(transfer: &ColorTransfer, color: &Color) -> Color {
     })
 }
 
-fn shown(color: &Color, basis: &[f64; COEFFICIENTS]) -> [f64; 3] {
+pub(super) fn shown(color: &Color, basis: &[f64; COEFFICIENTS]) -> [f64; 3] {
     let value = |channel: usize| {
         basis
             .iter()

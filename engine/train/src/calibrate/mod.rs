@@ -21,7 +21,7 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
-use decouplegs_scene::light::{PROBE_WIDTH, Probe, TransferConfidence};
+use decouplegs_scene::light::{PROBE_WIDTH, Probe};
 use decouplegs_scene::{LightTransfer, SplatCloud, sh};
 use rayon::prelude::*;
 
@@ -32,7 +32,7 @@ pub use surface::lit_cloud;
 
 use moments::{LightMoments, Moments};
 use prior::prior;
-use ridge::{COLUMNS, Ridge, Theta, rank_of};
+use ridge::{COLUMNS, Rank, Ridge, Theta, rank_of};
 use sample::{Sample, samples};
 
 /// The ridge where too few probes are given to leave one out.
@@ -96,6 +96,8 @@ pub struct Calibration {
     pub lights: usize,
     /// Splats it was fitted to.
     pub samples: usize,
+    /// Dimensions that the descriptors and the constant span: all 28, as fewer are refused.
+    pub rank: usize,
     /// Smallest singular value of the standardized descriptors over the largest: the reciprocal of
     /// the condition number.
     pub smallest_over_largest: f64,
@@ -151,28 +153,23 @@ pub fn calibrate(
         .sh_degree
         .unwrap_or(degree_of_assets)
         .min(sh::DEGREE_MAX);
-    let moments = |objective| moments_of(&samples, &lights, sh_degree, objective);
+    let (fitted, seen) = moments_of(&samples, &lights, sh_degree, options.objective);
     let fit = Fit {
-        fitted: moments(options.objective),
+        fitted,
         sh_degree,
         options,
         probes: probes.len(),
     };
     let all: Vec<&LightMoments> = fit.fitted.lights.iter().collect();
-    let smallest_over_largest = check_rank(&all, probes.len())?;
-    let seen = if options.objective == Objective::Seen {
-        fit.fitted.clone()
-    } else {
-        moments(Objective::Seen)
-    };
+    let rank = check_rank(&all, probes.len())?;
 
     let left_out = fit.errors_of_left_out();
+    let in_light_of = |probe: Option<usize>| {
+        let pairs = lights.iter().zip(&seen.lights);
+        pairs.filter(move |(_, light)| light.probe == probe)
+    };
     let compare = |transfer: &LightTransfer, probe: Option<usize>| {
-        let of_probe: Vec<_> = lights
-            .iter()
-            .zip(&seen.lights)
-            .filter(|(_, light)| light.probe == probe)
-            .collect();
+        let of_probe: Vec<_> = in_light_of(probe).collect();
         Comparison::of(transfer, &samples, &seen, &of_probe)
     };
     let mut held_out = Vec::new();
@@ -194,7 +191,16 @@ pub fn calibrate(
     let errors = || (0..probes.len()).map(|probe| &left_out[probe][probe]);
     let ridge = fit.ridge_from(errors());
     let mut transfer = fit.transfer(&all, ridge);
-    transfer.confidence = confidence_of(&held_out, &seen, &all);
+    let mut judged = Vec::new();
+    for held_out in &held_out {
+        let of_probe = in_light_of(Some(held_out.probe));
+        judged.extend(
+            of_probe.map(|(light, of_light)| (&held_out.transfer, &light.descriptor, of_light)),
+        );
+    }
+    if !judged.is_empty() {
+        transfer.confidence = Some(confidence::confidence(&seen, &all, &judged));
+    }
     Ok(Calibration {
         neutral: compare(&transfer, None),
         transfer,
@@ -202,26 +208,34 @@ pub fn calibrate(
         tried: tried(errors()),
         lights: lights.len(),
         samples: samples.len(),
-        smallest_over_largest,
+        rank: rank.rank,
+        smallest_over_largest: rank.smallest_over_largest,
         held_out_assets: assets_left_out(&of_assets, &lights, &fit, ridge),
         held_out,
     })
 }
 
-/// Moments of `samples` in `lights` for colors of degree `sh_degree`.
+/// Moments of `samples` in `lights` for colors of degree `sh_degree`: by `objective`, and by
+/// visible colors.
 fn moments_of(
     samples: &[Sample],
     lights: &[Lighting<'_>],
     sh_degree: u8,
     objective: Objective,
-) -> Moments {
+) -> (Moments, Moments) {
     let lit = |sample: &Sample, light: &Lighting<'_>| {
         sample
             .surface
             .lit(light.reflected_by_white(sample.surface.normal))
     };
     let coefficients = sh::coefficient_count(sh_degree);
-    Moments::of(samples, lights, coefficients, objective, lit)
+    let moments = |objective| Moments::of(samples, lights, coefficients, objective, lit);
+    let seen = moments(Objective::Seen);
+    let fitted = match objective {
+        Objective::Seen => seen.clone(),
+        Objective::Coefficients => moments(objective),
+    };
+    (fitted, seen)
 }
 
 /// Each asset compared with the truth by a fit to the others; none if there is only one.
@@ -236,14 +250,13 @@ fn assets_left_out(
     }
     let all = of_assets.iter().map(Vec::len).sum::<usize>() as f64;
     let without = |(asset, own): (usize, &Vec<Sample>)| {
-        let moments = |objective| moments_of(own, lights, fit.sh_degree, objective);
+        let (fitted, seen) = moments_of(own, lights, fit.sh_degree, fit.options.objective);
         let share = own.len() as f64 / all;
         let rest = Fit {
-            fitted: fit.fitted.without(&moments(fit.options.objective), share),
+            fitted: fit.fitted.without(&fitted, share),
             ..*fit
         };
         let transfer = rest.transfer(&rest.without(&[]), ridge);
-        let seen = moments(Objective::Seen);
         let pairs: Vec<_> = lights.iter().zip(&seen.lights).collect();
         HeldOutAsset {
             asset,
@@ -251,23 +264,6 @@ fn assets_left_out(
         }
     };
     of_assets.iter().enumerate().map(without).collect()
-}
-
-/// Confidence by the lights of probes left out, of all lights `fitted`; none where none could be.
-fn confidence_of(
-    held_out: &[HeldOut],
-    seen: &Moments,
-    fitted: &[&LightMoments],
-) -> Option<TransferConfidence> {
-    let mut judged: Vec<(&LightTransfer, &LightMoments)> = Vec::new();
-    for held_out in held_out {
-        let of_probe = seen
-            .lights
-            .iter()
-            .filter(|light| light.probe == Some(held_out.probe));
-        judged.extend(of_probe.map(|light| (&held_out.transfer, light)));
-    }
-    (!judged.is_empty()).then(|| confidence::confidence(seen, fitted, &judged))
 }
 
 /// Samples of each asset.
@@ -290,8 +286,8 @@ fn samples_of(
     Ok(all)
 }
 
-/// The ratio of singular values, if lights determine all weights.
-fn check_rank(lights: &[&LightMoments], probes: usize) -> Result<f64, CalibrateError> {
+/// Rank and ratio of singular values of `lights`, if they determine all weights.
+fn check_rank(lights: &[&LightMoments], probes: usize) -> Result<Rank, CalibrateError> {
     let mut different: Vec<&LightMoments> = Vec::new();
     for &light in lights.iter().filter(|light| light.probe.is_some()) {
         let same = |other: &&LightMoments| {
@@ -321,7 +317,7 @@ fn check_rank(lights: &[&LightMoments], probes: usize) -> Result<f64, CalibrateE
             ratio,
         });
     }
-    Ok(rank.smallest_over_largest)
+    Ok(rank)
 }
 
 fn ridges() -> impl Iterator<Item = f64> {

@@ -107,9 +107,7 @@ impl Directions {
 
 /// Weight of a splat in images of its asset, square meters; 0 if its facing direction is unknown.
 fn weight(cloud: &SplatCloud, splat: usize, surface: &Surface, directions: &Directions) -> f64 {
-    let mut scales = cloud.scales[splat].map(f64::from);
-    scales.sort_by(f64::total_cmp);
-    let [thin, broad, long] = scales;
+    let [thin, broad, long] = cloud.sorted_scales_m(splat);
     let flat = if broad > 0.0 { 1.0 - thin / broad } else { 0.0 };
     f64::from(cloud.opacities[splat]) * broad * long * flat * directions.visible(surface.normal)
 }

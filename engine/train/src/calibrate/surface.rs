@@ -1,7 +1,7 @@
 //! Splats as bits of surface: which way they face, and what light makes of their color.
 
 use decouplegs_scene::{SplatCloud, sh};
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
 use decouplegs_scene::light::{DISPLAY_MAX, to_display, to_linear};
 
@@ -27,13 +27,7 @@ impl Surface {
     /// Splat `splat` of a cloud whose middle is `center`. The normal is the shortest axis, away
     /// from the middle.
     pub(super) fn of(cloud: &SplatCloud, splat: usize, center: DVec3) -> Self {
-        let scales = cloud.scales[splat];
-        let shortest = (0..3)
-            .min_by(|&a, &b| scales[a].total_cmp(&scales[b]))
-            .unwrap_or(2);
-        let [w, x, y, z] = cloud.rotations[splat].map(f64::from);
-        let axis = (DQuat::from_xyzw(x, y, z, w).normalize() * DVec3::AXES[shortest])
-            .normalize_or(DVec3::Z);
+        let axis = cloud.thin_axis(splat);
         let outward = DVec3::from_array(cloud.means[splat].map(f64::from)) - center;
         let normal = if axis.dot(outward) < 0.0 { -axis } else { axis };
         let mut color = [[0.0; 3]; COEFFICIENTS];

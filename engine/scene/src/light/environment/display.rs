@@ -2,7 +2,7 @@
 //! shoulder instead of a clip.
 
 /// Encoding exponent is its reciprocal.
-const GAMMA: f64 = 2.2;
+pub(in crate::light) const GAMMA: f64 = 2.2;
 
 /// Display value above which the curve bends towards 1 without reaching it.
 const SHOULDER: f64 = 0.8;

@@ -8,6 +8,7 @@ use decouplegs_scene::{AmbientDescriptor, ColorTransfer, LightTransfer, SplatClo
 use decouplegs_synth::probes::procedural_probes;
 use glam::DQuat;
 
+use super::super::held_out::{relit_color, shown};
 use super::super::moments::Moments;
 use super::super::ridge::{Ridge, zero};
 use super::super::sample::{Sample, samples};
@@ -429,7 +430,7 @@ fn assets_that_the_fit_was_not_shown_are_relit_too() {
             affine.rmse()
         );
     }
-    // Left out of two, an asset leaves the other: its fit knows nothing of what was left out.
+    // With one of two assets left out, the fit is that to the other alone.
     let alone = CalibrateOptions {
         samples: 150,
         ridge: Some(calibration.ridge),
@@ -452,11 +453,7 @@ fn judged(transfer: &LightTransfer, cloud: &SplatCloud) -> f64 {
         .collect();
     let lights = lightings(&probes, &ground, 5);
     let samples = samples(cloud, 150, options().seed + 1);
-    let lit = |sample: &Sample, light: &Lighting<'_>| {
-        let white = light.reflected_by_white(sample.surface.normal);
-        sample.surface.lit(white)
-    };
-    let moments = Moments::of(&samples, &lights, 4, Objective::Seen, lit);
+    let (_, moments) = moments_of(&samples, &lights, 1, Objective::Seen);
     let pairs: Vec<_> = lights.iter().zip(&moments.lights).collect();
     Comparison::of(transfer, &samples, &moments, &pairs)
         .relit
@@ -499,7 +496,7 @@ fn relighting_is_never_much_worse_than_none() {
         "dark light is followed, light near neutral is not: {kept:?}"
     );
 
-    // Light from one side, of a color that no sky has.
+    // Light from one side, in colors of no sky.
     let mut strange = ground.neutral();
     for (k, value) in [(3, [0.4, -0.3, 0.0]), (7, [-0.3, 0.0, 0.5])] {
         strange.coefficients[k] = value;
@@ -515,27 +512,16 @@ fn relighting_is_never_much_worse_than_none() {
 
 /// Root mean squared error of seen colors in one light.
 fn error_of(transfer: &ColorTransfer, samples: &[Sample], light: &Lighting<'_>) -> f64 {
-    let shown = |color: &[[f64; 3]; 16], basis: &[f64; 16], channel: usize| {
-        let value: f64 = (0..16).map(|k| basis[k] * color[k][channel]).sum();
-        value.clamp(0.0, 1.0)
-    };
     let mut sum = 0.0;
     for sample in samples {
         let color = &sample.surface.color;
         let truth = sample
             .surface
             .lit(light.reflected_by_white(sample.surface.normal));
-        let relit = std::array::from_fn(|k| {
-            std::array::from_fn(|channel| {
-                f64::from(transfer.gain[k][channel]) * color[k][channel]
-                    + f64::from(transfer.offset[k][channel])
-            })
-        });
+        let relit = relit_color(transfer, color);
         for basis in &sample.views {
-            for channel in 0..3 {
-                let off = shown(&relit, basis, channel) - shown(&truth, basis, channel);
-                sum += off * off / (9 * samples.len()) as f64;
-            }
+            let pairs = shown(&relit, basis).into_iter().zip(shown(&truth, basis));
+            sum += pairs.map(|(a, b)| (a - b).powi(2)).sum::<f64>() / (9 * samples.len()) as f64;
         }
     }
     sum.sqrt()
