@@ -5,6 +5,8 @@ mod cars;
 mod charts;
 mod example_crops;
 mod figures;
+#[cfg(test)]
+mod geometry;
 mod page;
 mod placing;
 mod reinsert;

@@ -1,0 +1,167 @@
+//! Bodies under environments: colors of the asset, of the truth and of the relit asset.
+
+use decouplegs::scene::light::{
+    AmbientOptions, Probe, Surroundings, ambient_by_definition, to_display,
+};
+use decouplegs::scene::{AmbientDescriptor, ColorTransfer, LightTransfer, SplatCloud, sh};
+use glam::{DQuat, DVec3};
+
+use super::body::Body;
+use super::skylight::{Environment, Scene, environment, on_open_ground};
+use crate::ablate::affine::best_on_dc;
+
+/// Half the side of the ground whose splats tell of the light, and their distance, meters.
+const GROUND_M: [f64; 2] = [12.0, 0.5];
+
+/// A light over the ground that a body stands on.
+pub struct Light {
+    /// Exposed radiance.
+    pub environment: Environment,
+    /// What the ground's splats tell of it.
+    pub descriptor: AmbientDescriptor,
+}
+
+impl Light {
+    /// `probe`, turned by `quarters` of a turn, exposed so that a ground as calibrations take it to
+    /// be shows `display`; on a ground of `ground`, whose albedo and gloss no calibration knows.
+    pub fn new(probe: &Probe, quarters: usize, display: f64, ground: &Surroundings) -> Self {
+        let mut environment = environment(probe, quarters);
+        let exposure = Surroundings::default().exposure(on_open_ground(&environment), display);
+        let exposure = exposure.expect("every environment lights the ground");
+        let exposed = |rgb: &mut [f64; 3]| *rgb = rgb.map(|value| value * exposure);
+        environment.iter_mut().for_each(exposed);
+        let sheen = ground.sheen(probe);
+        let sheen = sheen.map(|rgb| rgb.map(|value| value * exposure));
+        let turn = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2 * quarters as f64);
+        let shown = ground.descriptor(on_open_ground(&environment), &sheen);
+        Self {
+            descriptor: told_by_ground(&shown.turned(turn)),
+            environment,
+        }
+    }
+}
+
+/// The descriptor at run time amid splats of ground that all look like `shown`.
+fn told_by_ground(shown: &AmbientDescriptor) -> AmbientDescriptor {
+    let [half_m, step_m] = GROUND_M;
+    let side = (2.0 * half_m / step_m) as usize;
+    let mut ground = SplatCloud::with_degree(2);
+    for place in 0..side * side {
+        let at = |index: usize| (step_m * (index as f64 + 0.5) - half_m) as f32;
+        ground.means.push([at(place % side), at(place / side), 0.0]);
+        ground.scales.push([0.3, 0.3, 0.01]);
+        ground.rotations.push([1.0, 0.0, 0.0, 0.0]);
+        ground.opacities.push(0.9);
+        let dc = shown.coefficients[0].map(|value| value - sh::DC_SHIFT as f32);
+        ground.sh_dc.push(dc);
+        ground.sh_rest.extend_from_slice(&shown.coefficients[1..]);
+    }
+    ambient_by_definition(&ground, DVec3::ZERO, &AmbientOptions::default())
+        .expect("ground is in reach")
+}
+
+/// PSNR of seen colors in dB: as captured, relit, and by the best affine change of DC.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    pub none_db: f64,
+    pub relit_db: f64,
+    pub affine_db: f64,
+    /// Angles between relit and true colors that 95 % do not exceed, degrees.
+    pub relit_p95_deg: f64,
+    pub none_p95_deg: f64,
+}
+
+/// A body in its capture.
+pub struct Subject {
+    body: Body,
+    scene: Scene,
+    /// Share of white light that reaches each surfel.
+    open: Vec<f64>,
+    captured: SplatCloud,
+}
+
+impl Subject {
+    pub fn new(body: Body) -> Self {
+        let scene = Scene::new(&body);
+        let open = scene.in_white_light();
+        let white: Vec<[f64; 3]> = open.iter().map(|&open| [open; 3]).collect();
+        let captured = shown(&body, &white);
+        Self {
+            body,
+            scene,
+            open,
+            captured,
+        }
+    }
+
+    pub fn name(&self) -> &str {
+        &self.body.name
+    }
+
+    /// Colors in `light` over a ground of `albedo`, relit by `transfer`, against the truth.
+    pub fn compare(&self, transfer: &LightTransfer, light: &Light, albedo: f64) -> Row {
+        let truth = shown(&self.body, &self.scene.lit(&light.environment, albedo));
+        let weights: Vec<f32> = self.open.iter().map(|&open| open as f32).collect();
+        let relit = transfer.trusted_at(&light.descriptor).0;
+        let affine = best_on_dc(&self.captured, &truth, &weights);
+        let found = |transfer: &ColorTransfer| {
+            let found = transfer.relit(&self.captured);
+            self.difference(&found, &truth)
+        };
+        let (none_db, none_p95_deg) = found(&ColorTransfer::IDENTITY);
+        let (relit_db, relit_p95_deg) = found(&relit);
+        Row {
+            none_db,
+            none_p95_deg,
+            relit_db,
+            relit_p95_deg,
+            affine_db: found(&affine).0,
+        }
+    }
+
+    /// PSNR, each surfel by the share of light that reaches it, and the 95th percentile of angles
+    /// between colors that are not black.
+    fn difference(&self, found: &SplatCloud, truth: &SplatCloud) -> (f64, f64) {
+        let shown = |cloud: &SplatCloud, surfel: usize| {
+            let dc = DVec3::from_array(cloud.sh_dc[surfel].map(f64::from));
+            (sh::Y0 * dc + 0.5).clamp(DVec3::ZERO, DVec3::ONE)
+        };
+        let (mut squares, mut weights) = (0.0, 0.0);
+        let mut angles = Vec::new();
+        for (surfel, weight) in self.open.iter().enumerate() {
+            let (found, truth) = (shown(found, surfel), shown(truth, surfel));
+            squares += weight * found.distance_squared(truth) / 3.0;
+            weights += weight;
+            if truth.max_element() > 0.05 {
+                let angle_rad = found.normalize_or(DVec3::X).angle_between(truth);
+                angles.push((angle_rad.to_degrees(), *weight));
+            }
+        }
+        angles.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut left = 0.95 * angles.iter().map(|(_, weight)| weight).sum::<f64>();
+        let p95_deg = angles.iter().find(|(_, weight)| {
+            left -= weight;
+            left <= 0.0
+        });
+        (
+            -10.0 * (squares / weights).log10(),
+            p95_deg.map_or(0.0, |(angle_deg, _)| *angle_deg),
+        )
+    }
+}
+
+/// Surfels as splats of one color: their reflectance under `light`, E / pi.
+fn shown(body: &Body, light: &[[f64; 3]]) -> SplatCloud {
+    let mut cloud = SplatCloud::with_degree(0);
+    for (surfel, light) in body.surfels.iter().zip(light) {
+        cloud.means.push(surfel.position.as_vec3().to_array());
+        cloud.scales.push([0.05, 0.05, 0.001]);
+        cloud.rotations.push([1.0, 0.0, 0.0, 0.0]);
+        cloud.opacities.push(1.0);
+        cloud.sh_dc.push(std::array::from_fn(|channel| {
+            let display = to_display(surfel.albedo[channel] * light[channel]);
+            ((display - 0.5) / sh::Y0) as f32
+        }));
+    }
+    cloud
+}
