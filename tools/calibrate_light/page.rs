@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use anyhow::Result;
 use decouplegs::render::rendered_image::Image;
-use decouplegs::train::calibrate::{Calibration, ColorError, Comparison, HUE_FLOOR};
+use decouplegs::train::calibrate::{Calibration, ColorError, Comparison, HUE_FLOOR, LIGHTS_MIN};
 
 use super::{Subject, views};
 use crate::data_uri;
@@ -26,6 +26,7 @@ pub fn page(subject: &Subject, calibration: &Calibration) -> Result<String> {
         }
         html.push_str("</div>");
     }
+    html.push_str(&assets_left_out(subject, calibration));
     html.push_str("<h2>The neutral light</h2><div class=\"row\">");
     for (caption, image) in ["as it is", "relit"]
         .iter()
@@ -45,7 +46,7 @@ const HOW_TO_READ: &str = "<h2>How to read this</h2><ul>\
     irradiance without shadows of the asset on itself. The errors are those of one affine transfer for the whole asset against \
     this truth, not against photographs.</li>\
     <li>Each row is a fit without that probe, in all its turns, reflections and exposures; the ridge was chosen without it, too. \
-    The assets are those of the fit.</li>\
+    The assets are those of the fit. A row of an asset is a fit to the other assets, in all lights.</li>\
     <li><i>Best affine</i> is fitted to each light of the probe that was left out: what one factor and one summand for each \
     coefficient can do at best.</li></ul>";
 
@@ -56,8 +57,8 @@ fn summary(subject: &Subject, calibration: &Calibration) -> String {
         .map(|(name, _)| escaped(name))
         .collect();
     format!(
-        "<p>Degree {}, {} splats of {}, {} lights from {} probes, objective {}, ridge {:.1e}. The smallest singular value of \
-         the lights is {:.1e} of the largest. The neutral light changes colors by {:.4} (RMSE).</p>",
+        "<p>Degree {}, {} splats of {}, {} lights from {} probes, objective {}, ridge {:.1e}. Rank {} of \
+         {LIGHTS_MIN}, condition number {:.0}. The neutral light changes colors by {:.4} (RMSE).</p>",
         calibration.transfer.sh_degree,
         calibration.samples,
         assets.join(", "),
@@ -65,7 +66,8 @@ fn summary(subject: &Subject, calibration: &Calibration) -> String {
         subject.probes.len(),
         subject.options.objective,
         calibration.ridge,
-        calibration.smallest_over_largest,
+        calibration.rank,
+        calibration.smallest_over_largest.recip(),
         calibration.neutral.relit.rmse()
     )
 }
@@ -75,10 +77,7 @@ fn table(subject: &Subject, calibration: &Calibration) -> String {
         return "<p>No probe could be left out: the others do not determine a fit without it.</p>"
             .into();
     }
-    let mut html = String::from("<table><tr><th>left out");
-    for method in ["not relit", "relit", "best affine"] {
-        let _ = write!(html, "<th>RMSE, {method}<th>PSNR, dB<th>angle, mean<th>p95");
-    }
+    let mut html = table_head();
     for held_out in &calibration.held_out {
         table_row(
             &mut html,
@@ -92,6 +91,28 @@ fn table(subject: &Subject, calibration: &Calibration) -> String {
         "</table><p class=\"dim\">Display-referred colors as seen, 0 to 1. Angles between RGB vectors in degrees, where the truth's \
          largest channel is at least {HUE_FLOOR}.</p>"
     );
+    html
+}
+
+fn table_head() -> String {
+    let mut html = String::from("<table><tr><th>left out");
+    for method in ["not relit", "relit", "best affine"] {
+        let _ = write!(html, "<th>RMSE, {method}<th>PSNR, dB<th>angle, mean<th>p95");
+    }
+    html
+}
+
+/// Table of assets, each relit by a fit to the others; empty for one asset.
+fn assets_left_out(subject: &Subject, calibration: &Calibration) -> String {
+    if calibration.held_out_assets.is_empty() {
+        return String::new();
+    }
+    let mut html = format!("<h2>Assets left out</h2>{}", table_head());
+    for held_out in &calibration.held_out_assets {
+        let name = escaped(&subject.assets[held_out.asset].0);
+        table_row(&mut html, &name, &held_out.comparison);
+    }
+    html.push_str("</table>");
     html
 }
 

@@ -8,8 +8,9 @@ use glam::{DQuat, DVec3};
 
 use decouplegs_scene::light::{IrradianceMap, Probe, Surroundings};
 
-/// Display values of the reference ground to which each probe is exposed: from dusk to glaring.
-pub const GROUND_DISPLAY: [f64; 5] = [0.12, 0.25, 0.4, 0.55, 0.7];
+/// Display values of the reference ground to which each probe is exposed: from the dark between
+/// street lamps to glaring.
+pub const GROUND_DISPLAY: [f64; 6] = [0.06, 0.12, 0.25, 0.4, 0.55, 0.7];
 
 /// Coefficients of bands 0 to 2 that change their sign when y does: the basis functions y, xy and
 /// yz.
@@ -29,7 +30,7 @@ impl PreparedProbe {
     /// `probe` over `ground`.
     #[must_use]
     pub fn new(probe: &Probe, ground: &Surroundings) -> Self {
-        let irradiance = IrradianceMap::new(probe);
+        let irradiance = IrradianceMap::new(&ground.below(probe));
         let up = irradiance.reflected_by_white(DVec3::Z);
         Self {
             name: probe.name.clone(),

@@ -3,10 +3,10 @@
 //! DecoupleGS section 3.4 and supplement: `T = W_T L + w_0` and `b = W_B L + b_0` are fitted by
 //! ridge-regularized least squares over assets and probes. The truth is what light makes of matt
 //! surfaces (`surface`): each splat faces along its shortest axis, its color is its albedo, and the
-//! probe's irradiance falls on it. L is what a reference ground looks like in that light
-//! (`surroundings`), because at run time L is what the background looks like. Probes are turned,
-//! mirrored and exposed (`lighting`) so that lights span all of R^27; a fit that they leave
-//! undetermined is refused.
+//! probe's irradiance falls on it, with a reference ground below the horizon. L is what that ground
+//! looks like in that light (`surroundings`), because at run time L is what the background looks
+//! like. Probes are turned, mirrored and exposed (`lighting`) so that lights span all of R^27; a
+//! fit that they leave undetermined is refused.
 
 mod confidence;
 mod held_out;

@@ -11,6 +11,7 @@ use crate::{AmbientDescriptor, sh};
 use glam::DVec3;
 
 use super::display::{to_display, to_linear};
+use super::irradiance::reflected_by_white;
 use super::probe::Probe;
 
 /// Sheen of a fully glossy surface, in coefficients of its color for each unit of gloss, under a
@@ -71,6 +72,25 @@ impl Surroundings {
             .sum();
         let exposure = to_linear(display) / (self.albedo * luminance);
         exposure.is_finite().then_some(exposure)
+    }
+
+    /// `probe` with this ground, lit by it, in place of what the probe shows below the horizon: a
+    /// road is darker than many of the floors over which environments are photographed.
+    #[must_use]
+    pub fn below(&self, probe: &Probe) -> Probe {
+        let ground = reflected_by_white(probe, DVec3::Z).map(|up| (self.albedo * up) as f32);
+        let pixels = probe.rays().zip(probe.pixels());
+        let pixels = pixels.map(
+            |((direction, ..), &above)| {
+                if direction.z > 0.0 { above } else { ground }
+            },
+        );
+        Probe::new(
+            probe.name.clone(),
+            probe.width(),
+            probe.height(),
+            pixels.collect(),
+        )
     }
 
     /// Bands 1 and 2 of the ground's color, linear in the light; DC is left at 0.
@@ -166,6 +186,26 @@ mod tests {
                 }
             }
             assert!(sheen[6][0].abs() > 1e-3, "a sheen of nothing is no test");
+        }
+    }
+
+    #[test]
+    fn ground_below_lights_what_faces_down_and_leaves_the_sky() {
+        let ground = Surroundings::default();
+        // White floors of studios do not count: only what the sky sheds on the ground.
+        let studio = Probe::from_fn("studio", 64, |direction| {
+            [if direction.z > 0.0 { 0.6 } else { 5.0 }; 3]
+        });
+        let over = ground.below(&studio);
+        for (normal, expected) in [
+            (DVec3::Z, 0.6),
+            (DVec3::X, 0.3 + 0.3 * ground.albedo),
+            (DVec3::NEG_Z, 0.6 * ground.albedo),
+        ] {
+            let lit = reflected_by_white(&over, normal)[0];
+            assert!((lit - expected).abs() < 1e-3, "{normal}: {lit}");
+            let before = reflected_by_white(&studio, normal)[0];
+            assert_eq!(normal.z > 0.5, (lit - before).abs() < 1e-3, "{normal}");
         }
     }
 

@@ -124,7 +124,7 @@ fn lights_that_determine_nothing_are_refused_with_what_to_do() {
     assert_eq!(
         one,
         CalibrateError::TooFewLights {
-            found: 10,
+            found: 2 * GROUND_DISPLAY.len(),
             probes: 1
         }
     );
