@@ -17,7 +17,7 @@ const GROUND_M: [f64; 2] = [12.0, 0.5];
 pub struct Light {
     /// Exposed radiance.
     pub environment: Environment,
-    /// What the ground's splats tell of it.
+    /// Descriptor that the ground's splats give.
     pub descriptor: AmbientDescriptor,
 }
 

@@ -22,11 +22,11 @@ const ALBEDO: [f64; 2] = [0.02, 0.9];
 struct Glb {
     json: Value,
     bytes: Vec<u8>,
-    /// Where the binary chunk begins.
+    /// Start of the binary chunk.
     start: usize,
 }
 
-/// A picture whose colors multiply those of a material.
+/// An image whose colors multiply those of a material.
 struct Texture {
     width: usize,
     rgb: Vec<[u8; 3]>,
@@ -94,7 +94,7 @@ impl Glb {
 }
 
 impl Texture {
-    /// Linear color at `uv`, of the nearest pixel; the picture repeats.
+    /// Linear color at `uv`, of the nearest pixel; the image repeats.
     fn at(&self, uv: DVec2) -> [f64; 3] {
         let height = self.rgb.len() / self.width;
         let place = |share: f64, count: usize| {

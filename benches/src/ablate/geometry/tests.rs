@@ -212,17 +212,46 @@ fn gain_db((_, row): &(String, Row)) -> f64 {
     row.relit_db - row.none_db
 }
 
+/// Prints one row of the table of `benches/README.md`.
+fn print_row(name: &str, display: f64, ground: &Surroundings, rows: &[(String, Row)]) {
+    let worst = rows.iter().min_by(|a, b| gain_db(a).total_cmp(&gain_db(b)));
+    let worst = worst.expect("a row per light");
+    println!(
+        "| {}, {} | {display} | {name} | {:.1}; {:.1} | {:.1}; {:.1} | {:.1} | {} of {} | {:+.1} dB, {} |",
+        ground.albedo,
+        ground.gloss,
+        mean(rows, |row| row.none_db),
+        mean(rows, |row| row.none_p95_deg),
+        mean(rows, |row| row.relit_db),
+        mean(rows, |row| row.relit_p95_deg),
+        mean(rows, |row| row.affine_db),
+        rows.iter().filter(|row| gain_db(row) < -0.1).count(),
+        rows.len(),
+        gain_db(worst),
+        worst.0
+    );
+}
+
+/// With `DECOUPLEGS_RELIGHT_TABLE` set, all folds, bodies and grounds are taken, which takes
+/// minutes.
 #[test]
 fn relighting_helps_bodies_of_known_shape_in_light_left_out_of_the_fit() {
     let Some(data) = data() else { return };
+    let all = std::env::var_os("DECOUPLEGS_RELIGHT_TABLE").is_some();
+    let (count, samples, others) = if all { (4, 1200, 2) } else { (1, 300, 1) };
     let probes = probes(&data);
-    let transfers = fitted(&probes, 4, 1, 300);
-    let ground = Surroundings::default();
-    for subject in subjects(&data, 1) {
-        // By day, at dusk and at night: by far less than it gains, by far more than a tenth.
-        for (display, least_db) in DISPLAYS.into_iter().zip([12.0, 5.0, 0.0]) {
-            let rows = rows((&probes, &transfers, 4), &subject, display, &ground);
-            assert_eq!(rows.len(), 4 * probes.len().div_ceil(4));
+    let subjects = subjects(&data, others);
+    let transfers = fitted(&probes, 4, count, samples);
+    println!(
+        "| ground: albedo, gloss | shows | body | none | relit | best affine | below none | worst |"
+    );
+    // Mean gain over no relighting at night, at dusk and by day.
+    for (display, least_db) in DISPLAYS.into_iter().zip([12.0, 5.0, 0.0]) {
+        for subject in &subjects {
+            let ground = Surroundings::default();
+            let rows = rows((&probes, &transfers, 4), subject, display, &ground);
+            assert_eq!(rows.len(), 4 * count * probes.len().div_ceil(4));
+            print_row(subject.name(), display, &ground, &rows);
             let gain = mean(&rows, |row| row.relit_db - row.none_db);
             let name = subject.name();
             assert!(gain > least_db, "{name} at {display}: {gain:.2} dB");
@@ -231,38 +260,12 @@ fn relighting_helps_bodies_of_known_shape_in_light_left_out_of_the_fit() {
             assert!((0.2..8.0).contains(&below), "{name}: {below:.2} dB");
         }
     }
-}
-
-#[test]
-#[ignore = "takes minutes: prints the table of benches/README.md"]
-fn table_of_bodies_of_known_shape() {
-    let Some(data) = data() else { return };
-    let probes = probes(&data);
-    let subjects = subjects(&data, 2);
-    let transfers = fitted(&probes, 4, 4, 1200);
-    println!(
-        "| ground: albedo, gloss | shows | body | none | relit | best affine | below none | worst |"
-    );
-    for (albedo, gloss) in [(0.15, 0.0), (0.15, 0.35), (0.10, 0.35), (0.22, 0.35)] {
+    for (albedo, gloss) in [(0.15, 0.0), (0.10, 0.35), (0.22, 0.35)] {
         let ground = Surroundings { albedo, gloss };
-        for display in DISPLAYS {
+        for display in DISPLAYS.into_iter().filter(|_| all) {
             for subject in &subjects {
                 let rows = rows((&probes, &transfers, 4), subject, display, &ground);
-                let worst = rows.iter().min_by(|a, b| gain_db(a).total_cmp(&gain_db(b)));
-                let worst = worst.unwrap();
-                println!(
-                    "| {albedo}, {gloss} | {display} | {} | {:.1}; {:.1} | {:.1}; {:.1} | {:.1} | {} of {} | {:+.1} dB, {} |",
-                    subject.name(),
-                    mean(&rows, |row| row.none_db),
-                    mean(&rows, |row| row.none_p95_deg),
-                    mean(&rows, |row| row.relit_db),
-                    mean(&rows, |row| row.relit_p95_deg),
-                    mean(&rows, |row| row.affine_db),
-                    rows.iter().filter(|row| gain_db(row) < -0.1).count(),
-                    rows.len(),
-                    gain_db(worst),
-                    worst.0
-                );
+                print_row(subject.name(), display, &ground, &rows);
             }
         }
     }
