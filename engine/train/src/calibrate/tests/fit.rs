@@ -129,7 +129,7 @@ fn lights_that_determine_nothing_are_refused_with_what_to_do() {
         }
     );
     assert!(one.to_string().contains("at least 28"), "{one}");
-    // Turned, mirrored and exposed it makes 60 lights, but all of one hue and one height.
+    // Turned, mirrored and exposed it makes 72 lights, but all of one hue and one height.
     let turned = refused(
         &skies(1),
         CalibrateOptions {
@@ -141,7 +141,7 @@ fn lights_that_determine_nothing_are_refused_with_what_to_do() {
         matches!(
             turned,
             CalibrateError::RankDeficient {
-                lights: 61,
+                lights: 73,
                 probes: 1,
                 rank: 1..28,
                 ..
