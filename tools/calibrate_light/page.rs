@@ -42,8 +42,8 @@ pub fn page(subject: &Subject, calibration: &Calibration) -> Result<String> {
 }
 
 const HOW_TO_READ: &str = "<h2>How to read this</h2><ul>\
-    <li>Truth is what the calibration takes for it: matt surfaces, each splat facing along its shortest axis, lit by the probe's \
-    irradiance without shadows of the asset on itself. The errors are those of one affine transfer for the whole asset against \
+    <li>Truth is what the calibration takes for it: matt surfaces, each splat facing along its shortest axis, lit by the probe \
+    above the horizon and by the reference ground below it, without shadows of the asset on itself. The errors are those of one affine transfer for the whole asset against \
     this truth, not against photographs.</li>\
     <li>Each row is a fit without that probe, in all its turns, reflections and exposures; the ridge was chosen without it, too. \
     The assets are those of the fit. A row of an asset is a fit to the other assets, in all lights.</li>\

@@ -1,4 +1,4 @@
-//! Bodies of known shape: bits of surface, and what stands in the way of their light.
+//! Bodies of known shape: samples of their surface, and the triangles that block light.
 
 use decouplegs::scene::light::to_linear;
 use decouplegs::scene::{SplatCloud, sh};
@@ -6,17 +6,17 @@ use glam::{DQuat, DVec3};
 
 use super::rays::{Solid, Triangle};
 
-/// Bits of surface that are drawn from each body.
+/// Number of surface samples of each body.
 pub const SURFELS: usize = 1500;
 
-/// Height above their surface from which bits look out, meters: splats of one surface overlap, and
-/// their squares cut each other.
+/// Distance of samples above their surface, meters: splats of one surface overlap, and their
+/// squares intersect.
 const CLEARANCE_M: f64 = 0.02;
 
 /// Half the side of the square that stands for an opaque splat, standard deviations.
 const HALF_SIDE: f64 = 1.2;
 
-/// A bit of a matt surface.
+/// A sample of a matt surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Surfel {
     pub position: DVec3,
@@ -29,7 +29,7 @@ pub struct Surfel {
 /// A body on the ground z = 0.
 pub struct Body {
     pub name: String,
-    /// Bits of equal area.
+    /// Samples that stand for equal areas.
     pub surfels: Vec<Surfel>,
     pub solid: Solid,
 }
@@ -103,7 +103,7 @@ fn axes_of(cloud: &SplatCloud, splat: usize) -> [DVec3; 2] {
     let [w, x, y, z] = cloud.rotations[splat].map(f64::from);
     let rotation = DQuat::from_xyzw(x, y, z, w).normalize();
     let scales = cloud.scales[splat].map(f64::from);
-    let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| rotation * axis);
+    let axes = DVec3::AXES.map(|axis| rotation * axis);
     let mut long = (0..3).filter(|&axis| axes[axis].dot(normal).abs() < 0.5);
     let mut next = || {
         long.next()
@@ -112,7 +112,7 @@ fn axes_of(cloud: &SplatCloud, splat: usize) -> [DVec3; 2] {
     [next(), next()]
 }
 
-/// The bit of surface that faces the side from which more can be seen.
+/// The sample, its normal turned to the side from which light arrives in more directions.
 fn outward(solid: &Solid, position: DVec3, normal: DVec3, albedo: [f64; 3]) -> Surfel {
     let seen = |normal: DVec3| {
         let from = position + CLEARANCE_M * normal;
@@ -147,7 +147,7 @@ fn spread(nth: usize) -> [f64; 2] {
     STEP.map(|step| (0.5 + step * nth as f64).fract())
 }
 
-/// [`SURFELS`] bits, drawn by area in even steps.
+/// [`SURFELS`] samples, drawn by area in even steps.
 fn drawn(areas: &[f64], surfel: impl Fn(usize, usize) -> Surfel) -> Vec<Surfel> {
     let step = areas.iter().sum::<f64>() / SURFELS as f64;
     let (mut next, mut passed) = (0.5 * step, 0.0);

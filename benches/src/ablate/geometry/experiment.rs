@@ -3,14 +3,14 @@
 use decouplegs::scene::light::{
     AmbientOptions, Probe, Surroundings, ambient_by_definition, to_display,
 };
-use decouplegs::scene::{AmbientDescriptor, ColorTransfer, LightTransfer, SplatCloud, sh};
+use decouplegs::scene::{AmbientDescriptor, ColorTransfer, SplatCloud, sh};
 use glam::{DQuat, DVec3};
 
 use super::body::Body;
 use super::skylight::{Environment, Scene, environment, on_open_ground};
 use crate::ablate::affine::best_on_dc;
 
-/// Half the side of the ground whose splats tell of the light, and their distance, meters.
+/// Half the side of the ground around a body, and the spacing of its splats, meters.
 const GROUND_M: [f64; 2] = [12.0, 0.5];
 
 /// A light over the ground that a body stands on.
@@ -22,27 +22,26 @@ pub struct Light {
 }
 
 impl Light {
-    /// `probe`, turned by `quarters` of a turn, exposed so that a ground as calibrations take it to
-    /// be shows `display`; on a ground of `ground`, whose albedo and gloss no calibration knows.
+    /// `probe`, turned by `quarters` of a turn, over `ground`. The exposure is that at which the
+    /// reference ground of a calibration shows `display`.
     pub fn new(probe: &Probe, quarters: usize, display: f64, ground: &Surroundings) -> Self {
         let mut environment = environment(probe, quarters);
-        let exposure = Surroundings::default().exposure(on_open_ground(&environment), display);
+        let up = on_open_ground(&environment);
+        let exposure = Surroundings::default().exposure(up, display);
         let exposure = exposure.expect("every environment lights the ground");
-        let exposed = |rgb: &mut [f64; 3]| *rgb = rgb.map(|value| value * exposure);
-        environment.iter_mut().for_each(exposed);
-        let sheen = ground.sheen(probe);
-        let sheen = sheen.map(|rgb| rgb.map(|value| value * exposure));
+        let exposed = |rgb: [f64; 3]| rgb.map(|value| value * exposure);
+        environment.iter_mut().for_each(|rgb| *rgb = exposed(*rgb));
         let turn = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2 * quarters as f64);
-        let shown = ground.descriptor(on_open_ground(&environment), &sheen);
+        let shown = ground.descriptor(exposed(up), &ground.sheen(probe).map(exposed));
         Self {
-            descriptor: told_by_ground(&shown.turned(turn)),
+            descriptor: gathered_from_ground(&shown.turned(turn)),
             environment,
         }
     }
 }
 
 /// The descriptor at run time amid splats of ground that all look like `shown`.
-fn told_by_ground(shown: &AmbientDescriptor) -> AmbientDescriptor {
+fn gathered_from_ground(shown: &AmbientDescriptor) -> AmbientDescriptor {
     let [half_m, step_m] = GROUND_M;
     let side = (2.0 * half_m / step_m) as usize;
     let mut ground = SplatCloud::with_degree(2);
@@ -98,18 +97,18 @@ impl Subject {
         &self.body.name
     }
 
-    /// Colors in `light` over a ground of `albedo`, relit by `transfer`, against the truth.
-    pub fn compare(&self, transfer: &LightTransfer, light: &Light, albedo: f64) -> Row {
-        let truth = shown(&self.body, &self.scene.lit(&light.environment, albedo));
+    /// Colors as captured, by `relit` and by the best affine change, against the truth in
+    /// `environment` over a ground of `albedo`.
+    pub fn compare(&self, relit: &ColorTransfer, environment: &Environment, albedo: f64) -> Row {
+        let truth = shown(&self.body, &self.scene.lit(environment, albedo));
         let weights: Vec<f32> = self.open.iter().map(|&open| open as f32).collect();
-        let relit = transfer.trusted_at(&light.descriptor).0;
         let affine = best_on_dc(&self.captured, &truth, &weights);
         let found = |transfer: &ColorTransfer| {
             let found = transfer.relit(&self.captured);
             self.difference(&found, &truth)
         };
         let (none_db, none_p95_deg) = found(&ColorTransfer::IDENTITY);
-        let (relit_db, relit_p95_deg) = found(&relit);
+        let (relit_db, relit_p95_deg) = found(relit);
         Row {
             none_db,
             none_p95_deg,

@@ -84,7 +84,7 @@ impl Solid {
         &self.triangles
     }
 
-    /// True if nothing stands in the way of light from `direction`, a unit vector, to `origin`.
+    /// True if no triangle blocks light that arrives at `origin` from `direction`, a unit vector.
     pub fn open(&self, origin: DVec3, direction: DVec3) -> bool {
         let Some(hierarchy) = &self.hierarchy else {
             return true;

@@ -1,5 +1,5 @@
-//! Light from an environment that reaches bits of surface past their body, and by way of the
-//! ground.
+//! Light from an environment at surface samples: the part that the body does not block, and the
+//! reflection of the ground.
 
 use std::f64::consts::PI;
 
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::body::Body;
 
 /// Columns of the environment: light comes from the middle of each pixel.
-pub const COLUMNS: usize = 64;
+const COLUMNS: usize = 64;
 
 /// Side of the cells whose ground is lit alike, meters.
 const CELL_M: f64 = 0.5;
@@ -40,7 +40,7 @@ pub struct Scene {
 }
 
 /// Directions of the pixels of an environment, and their steradians.
-pub fn directions() -> Vec<(DVec3, f64)> {
+fn directions() -> Vec<(DVec3, f64)> {
     let grid = Probe::from_fn("grid", COLUMNS, |_| [1.0; 3]);
     grid.rays()
         .map(|(direction, steradians, _)| (direction, steradians))
