@@ -19,9 +19,10 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use decouplegs::asset::{read_light_transfer, write_atomically};
 use decouplegs::gpu::Gpu;
+use decouplegs::scene::light::RelightOptions;
 use decouplegs::synth::street::{AssetLight, Capture, StreetOptions, Weather};
 use serde_json::{Value, json};
 
@@ -46,6 +47,9 @@ pub struct Arguments {
     /// Light transfer: the effect of light on colors, written by `calibrate-light` (.safetensors)
     #[arg(long, value_name = "FILE")]
     light: PathBuf,
+    /// Mean albedo of the level ground, told to the system (default: that of the calibration)
+    #[arg(long, value_name = "ALBEDO", value_parser = albedo)]
+    ground_albedo: Option<f64>,
     /// Weather of the streets, one street each: clear, overcast, dusk, night; the system is
     /// measured in the first
     #[arg(long, value_name = "WEATHER", value_delimiter = ',', default_value = "clear,overcast,dusk,night", value_parser = weather)]
@@ -115,6 +119,12 @@ fn at_least_one(text: &str) -> Result<usize, String> {
         .ok_or_else(|| format!("expected a number of at least 1, found {text:?}"))
 }
 
+fn albedo(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok();
+    let number = number.filter(|value: &f64| *value > 0.0 && *value <= 1.0);
+    number.ok_or_else(|| format!("expected a number above 0, at most 1, found {text:?}"))
+}
+
 fn not_negative(text: &str) -> Result<f64, String> {
     let number = text
         .parse()
@@ -131,6 +141,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         check_output(out)?;
     }
     let light = read_light_transfer(&arguments.light)?.transfer;
+    let relighting = RelightOptions {
+        ground_albedo: arguments.ground_albedo,
+        ..RelightOptions::default()
+    };
     let mut weathers: Vec<Weather> = Vec::new();
     for &weather in &arguments.weather {
         if !weathers.contains(&weather) {
@@ -151,15 +165,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let stage = ReinsertionScene::set(
             &options,
             &cars,
-            &light,
+            (&light, relighting),
             arguments.size,
             arguments.cameras_used as usize,
         )?;
         let moments_s = stage.moments_s(arguments.moments);
+        let lighting = stage.loaded.lighting().context("the street has no light")?;
         let reinsertion = Reinsertion {
             gpu: &gpu,
             stage: &stage,
             cars: &cars,
+            lighting: &lighting,
             floor: arguments.floor,
         };
         let (measured, truths) = reinsertion.measure(&moments_s, &|| bar.inc(1))?;
@@ -232,6 +248,7 @@ fn conditions(arguments: &Arguments, gpu: &Gpu, cars: &Cars) -> Value {
         "device": gpu.info().name,
         "driver": gpu.info().driver,
         "light": arguments.light.file_name().map(|name| name.to_string_lossy()),
+        "ground_albedo": arguments.ground_albedo,
         "background_splats": arguments.background,
         "agents": arguments.agents,
         "agent_splats": arguments.agent_splats,
@@ -269,6 +286,10 @@ mod tests {
         }
         for nonsense in ["-0.1", "NaN", "inf", "far"] {
             assert!(not_negative(nonsense).unwrap_err().contains(nonsense));
+        }
+        assert_eq!(albedo("0.18"), Ok(0.18));
+        for nonsense in ["0", "1.2", "NaN", "gray"] {
+            assert!(albedo(nonsense).unwrap_err().contains(nonsense));
         }
     }
 }

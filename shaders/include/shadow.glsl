@@ -9,6 +9,7 @@ struct Shadow {
     vec3 normal; // of the ground, unit
     float strength;   // share of the light that is gone in the middle
     float log2_decay; // binary logarithm of what a half size farther out leaves of the mask, negated
+    uint sharpness;   // squarings of the radius before it decays: 0 fades from the middle on, more are evener within
     float reach;      // half sizes beyond which the mask counts as zero
     float slab_m;     // splats whose mean is farther from the plane are not ground
     uint cameras;     // those that see it, a bit each
@@ -27,5 +28,11 @@ float shadow_factor(Shadow shadow, vec3 mean_m) {
     vec2 u = vec2(dot(shadow.along, offset), dot(shadow.across, offset));
     u *= u;
     float radius = sqrt(sqrt(dot(u, u))); // (|x|^4 + |y|^4)^(1/4)
-    return radius > shadow.reach ? 1.0 : clamp(1.0 - shadow.strength * exp2(-shadow.log2_decay * radius), 0.0, 1.0);
+    if (radius > shadow.reach) {
+        return 1.0;
+    }
+    for (uint squaring = 0u; squaring < shadow.sharpness; ++squaring) {
+        radius *= radius;
+    }
+    return clamp(1.0 - shadow.strength * exp2(-shadow.log2_decay * radius), 0.0, 1.0);
 }

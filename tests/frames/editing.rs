@@ -11,7 +11,7 @@ use decouplegs::asset::{
 };
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Image, RenderOptions, Renderer, reference};
-use decouplegs::scene::light::{AmbientOptions, ShadowOptions};
+use decouplegs::scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions};
 use decouplegs::scene::{
     AmbientDescriptor, Camera, LightTransfer, Pose, Presence, Rules, ShFrame, TimedPose, Trajectory,
 };
@@ -110,7 +110,7 @@ impl Site {
             ],
             light: Some(SceneLight {
                 transfer: Some("light.safetensors".into()),
-                full_effect: false,
+                relighting: RelightOptions::default(),
                 ambient: AmbientOptions::default(),
                 // A slab that reaches the wheels of the plain car: its splats are darkened in every
                 // layer that has them.
@@ -118,6 +118,7 @@ impl Site {
                     slab_m: 0.5,
                     ..ShadowOptions::default()
                 }),
+                casting: CastingLights::default(),
             }),
             ..SceneFile::of_background("background.ply")
         };

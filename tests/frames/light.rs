@@ -38,6 +38,7 @@ pub fn shadow(at: DVec3, yaw_rad: f64, strength: f64) -> ContactShadow {
         half_size_m: [2.2, 0.9],
         strength,
         decay: 1.5,
+        sharpness: 0,
         slab_m: 1.2,
     }
 }
@@ -88,7 +89,11 @@ impl Case {
         ];
         let shadows = vec![
             shadow(at(8.0, 1.0, -0.6), 0.3, 0.9),
-            shadow(at(9.5, 0.0, -0.5), 1.3, 0.7),
+            // As it is cast by a lamp.
+            ContactShadow {
+                sharpness: 3,
+                ..shadow(at(9.5, 0.0, -0.5), 1.3, 0.7)
+            },
             shadow(at(20.0, -4.0, 0.0), 0.0, 1.0),
             shadow(at(-300.0, 0.0, 0.0), 0.0, 1.0),
         ];

@@ -28,6 +28,7 @@ fn hard_shadows(count: usize, center_m: DVec3, spread_m: DVec3) -> Vec<ShadowRec
             ],
             strength: f64::from(random.between(0.0, 1.0)),
             decay: f64::from(random.between(0.5, 6.0)),
+            sharpness: random.below(4),
             slab_m: f64::from(random.across_scales(0.05, 3.0)),
         };
         shadow.check().unwrap();

@@ -1,10 +1,11 @@
 //! Contents of a scene file: cameras, LiDARs, the ego vehicle's trajectory, agents.
 
 use std::borrow::Cow;
+use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use decouplegs::asset::{LoadedScene, SceneFile};
-use decouplegs::scene::light::{Trust, ambient_by_definition};
+use decouplegs::scene::light::{CastingLights, Sun, Trust, ambient_by_definition};
 use decouplegs::scene::{Presence, RigCamera, RigLidar, ShFrame, Trajectory, World};
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -23,7 +24,10 @@ pub struct Listing {
 /// The light of the scene, and how far its field is from what it stands for.
 struct Light {
     transfer: Option<PathBuf>,
+    /// Albedo that the ground is taken to have; `None` without a transfer.
+    ground_albedo: Option<f64>,
     shadows: bool,
+    casting: CastingLights,
     probes: usize,
     /// Start of each lit agent.
     starts: Vec<Start>,
@@ -222,10 +226,13 @@ impl Light {
             let place = pose.translation;
             let found = lighting.field.at(place);
             let light = found.map(|light| (light.mean(), shadows.starkness(&light)));
+            let (calibrated, known) = lighting.at(place);
             starts.push(Start {
                 instance: agent.instance,
                 light,
-                trust: found.and_then(|light| lighting.trust(&light, pose, agent.sh_frame)),
+                trust: known
+                    .then(|| lighting.trust(&calibrated, pose, agent.sh_frame))
+                    .flatten(),
             });
             let truth =
                 ambient_by_definition(&background, place - loaded.world.origin, &file.ambient);
@@ -241,7 +248,9 @@ impl Light {
         let (probes, _) = lighting.field.size();
         Some(Self {
             transfer: file.transfer.clone(),
+            ground_albedo: lighting.ground_albedo(),
             shadows: file.shadows.is_some(),
+            casting: lighting.casting.clone(),
             probes,
             starts,
             error,
@@ -253,13 +262,28 @@ impl Light {
             .transfer
             .as_ref()
             .map_or("colors stay as captured".into(), |path| {
-                format!("relit by {}", path.display())
+                let albedo = self.ground_albedo.map_or(String::new(), |albedo| {
+                    format!(" over a ground of albedo {albedo:.3}")
+                });
+                format!("relit by {}{albedo}", path.display())
             });
-        let shadows = if self.shadows {
-            "contact shadows"
-        } else {
-            "no shadows"
-        };
+        let mut shadows = match self.shadows {
+            true => "contact shadows",
+            false => "no shadows",
+        }
+        .to_owned();
+        if let Some(Sun { towards, share }) = self.casting.sun {
+            let elevation_deg = towards.normalize().z.asin().to_degrees();
+            let share = 100.0 * share;
+            let _ = write!(
+                shadows,
+                ", shadows of a sun {elevation_deg:.0} degrees high that gives {share:.0} % of the light"
+            );
+        }
+        if !self.casting.lamps.places.is_empty() {
+            let count = self.casting.lamps.places.len();
+            let _ = write!(shadows, ", shadows of {count} lamps");
+        }
         let error = 100.0 * self.error;
         lines.line(
             "light",
@@ -314,7 +338,10 @@ impl Light {
         };
         json!({
             "transfer": self.transfer.as_ref().map(|path| path.to_string_lossy().into_owned()),
+            "ground_albedo": self.ground_albedo,
             "shadows": self.shadows,
+            "sun": self.casting.sun.map(|sun| json!({"towards": sun.towards.to_array(), "share": sun.share})),
+            "lamps": self.casting.lamps.places.len(),
             "probes": self.probes,
             "field_error_of_mean": self.error,
             "starts": self.starts.iter().map(start).collect::<Vec<_>>(),

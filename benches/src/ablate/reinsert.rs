@@ -1,11 +1,12 @@
 //! Cars put back where true ones stood, in several ways, and how far each is from the truth.
 
 use anyhow::{Result, ensure};
+use decouplegs::asset::LoadedAgent;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
 use decouplegs::render::{Agent, AssetPool, Image, Outputs, Plane, RenderOptions, Renderer, Scene};
-use decouplegs::scene::light::{ShadowOptions, bake_shadows};
-use decouplegs::scene::{Camera, ContactShadow, ShFrame, World};
+use decouplegs::scene::light::{Lighting, ShadowOptions, bake_shadows};
+use decouplegs::scene::{AmbientDescriptor, Camera, ContactShadow, ShFrame, World};
 use decouplegs::synth::street::Weather;
 use decouplegs::{LiveScene, SceneSnapshot};
 
@@ -20,6 +21,7 @@ use super::ring::{self, Darkness};
 pub enum Arm {
     NoRelighting,
     Ours,
+    ContactShadows,
     OursUnshadowed,
     OursUncompressed,
     BestAffine,
@@ -27,9 +29,10 @@ pub enum Arm {
 }
 
 impl Arm {
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::NoRelighting,
         Self::Ours,
+        Self::ContactShadows,
         Self::OursUnshadowed,
         Self::OursUncompressed,
         Self::BestAffine,
@@ -40,6 +43,7 @@ impl Arm {
         match self {
             Self::NoRelighting => "no relighting",
             Self::Ours => "ours",
+            Self::ContactShadows => "ours, contact shadows",
             Self::OursUnshadowed => "ours, no shadows",
             Self::OursUncompressed => "ours, uncompressed",
             Self::BestAffine => "best affine on DC",
@@ -54,9 +58,13 @@ impl Arm {
                 "compressed cars as they were captured in neutral light, no shadows"
             }
             Self::Ours => {
-                "compressed cars, relit from the colors of the street about them, and contact shadows"
+                "compressed cars, relit from the colors of the street about them, with contact shadows and those that the sun and \
+                 the street lamps cast, whose places are told"
             }
-            Self::OursUnshadowed => "ours without the contact shadows",
+            Self::ContactShadows => {
+                "ours with contact shadows alone, as where nobody tells of sun and lamps"
+            }
+            Self::OursUnshadowed => "ours without any shadows",
             Self::OursUncompressed => {
                 "ours with every splat of the captured cars: what compression adds to the error"
             }
@@ -113,6 +121,8 @@ pub struct Reinsertion<'a> {
     pub gpu: &'a Gpu,
     pub stage: &'a ReinsertionScene,
     pub cars: &'a Cars,
+    /// The light of the street.
+    pub lighting: &'a Lighting,
     /// Colors shorter than this have no hue.
     pub floor: f64,
 }
@@ -234,6 +244,7 @@ impl Reinsertion<'_> {
         let mut moment = live.at(sample.time_s);
         match arm {
             Arm::Ours => {}
+            Arm::ContactShadows => moment.shadows = self.contact_shadows(&moment),
             Arm::OursUnshadowed => moment.shadows.clear(),
             Arm::NoRelighting => {
                 moment.shadows.clear();
@@ -269,6 +280,18 @@ impl Reinsertion<'_> {
             renderer.render(live.with(&moment), &sample.cameras)?;
         }
         Ok(renderer.read_images()?)
+    }
+
+    /// Shadows of `moment` where nothing is known of sun and lamps.
+    fn contact_shadows(&self, moment: &SceneSnapshot) -> Vec<ContactShadow> {
+        let placed = moment.agents.iter().zip(&self.stage.loaded.agents);
+        let shadow = |(agent, placed): (&Agent, &LoadedAgent)| {
+            let pose = &agent.world_from_agent;
+            let light = self.lighting.at(pose.translation).0;
+            let dims_m = self.cars.coded[placed.asset].dims_m;
+            ShadowOptions::default().shadow(pose, dims_m, &light)
+        };
+        placed.map(shadow).collect()
     }
 
     /// The true cars compressed, those that are seen: it takes long.
@@ -334,23 +357,17 @@ impl Reinsertion<'_> {
     /// light.
     fn light(&self, live: &LiveScene, moments_s: &[f64]) -> (f64, f64, usize) {
         let moments: Vec<SceneSnapshot> = moments_s.iter().map(|&time_s| live.at(time_s)).collect();
-        let strength = ShadowOptions::default().strength;
-        let starkness = |shadow: &ContactShadow| shadow.strength / strength;
-        let lighting = self.stage.loaded.lighting();
-        let places = moments
-            .iter()
-            .flat_map(|moment| &moment.agents)
-            .map(|agent| agent.world_from_agent.translation);
-        let directionality =
-            places.filter_map(|place| Some(lighting.as_ref()?.at(place).0.directionality()));
+        let agents = moments.iter().flat_map(|moment| &moment.agents);
+        let lights: Vec<_> = agents
+            .map(|agent| self.lighting.at(agent.world_from_agent.translation).0)
+            .collect();
         (
             mean(
-                moments
+                lights
                     .iter()
-                    .flat_map(|moment| &moment.shadows)
-                    .map(starkness),
+                    .map(|light| ShadowOptions::default().starkness(light)),
             ),
-            mean(directionality),
+            mean(lights.iter().map(AmbientDescriptor::directionality)),
             moments.iter().map(|moment| moment.unlit).sum(),
         )
     }

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use decouplegs::asset::{LoadedAgent, LoadedLight, LoadedScene};
-use decouplegs::scene::light::{AmbientOptions, ShadowOptions};
+use decouplegs::scene::light::{AmbientOptions, RelightOptions, ShadowOptions};
 use decouplegs::scene::{
     AgentPlacement, Camera, Intrinsics, LightTransfer, Pose, Presence, ShFrame, SplatCloud,
     TimedPose, Trajectory, World,
@@ -38,12 +38,12 @@ pub struct Truth {
 }
 
 impl ReinsertionScene {
-    /// The street of `options` with `cars` in its light, which `light` brings to colors, seen by
-    /// the first `cameras_used` cameras.
+    /// The street of `options` with `cars` in its light, which `light` brings to colors with
+    /// `relighting`, seen by the first `cameras_used` cameras.
     pub fn set(
         options: &StreetOptions,
         cars: &Cars,
-        light: &LightTransfer,
+        (light, relighting): (&LightTransfer, RelightOptions),
         size: Size,
         cameras_used: usize,
     ) -> Result<Self> {
@@ -83,9 +83,10 @@ impl ReinsertionScene {
             agent_labels: Vec::new(),
             light: Some(LoadedLight {
                 transfer: Some(light.clone()),
-                full_effect: false,
+                relighting,
                 ambient: AmbientOptions::default(),
                 shadows: Some(ShadowOptions::default()),
+                casting: street.casting.clone(),
             }),
         };
         Ok(Self {

@@ -90,7 +90,7 @@ impl AgentInstance {
 pub struct SceneSnapshot {
     /// The agents, in the light of where they stand.
     pub agents: Vec<Agent>,
-    /// The contact shadows that they throw.
+    /// The shadows that they throw on the ground.
     pub shadows: Vec<ContactShadow>,
     /// Agents about whose place the background tells nothing: they keep the light that their assets
     /// were captured in.
@@ -237,8 +237,12 @@ impl LiveScene {
         };
         SceneSnapshot {
             agents: placed.iter().zip(self.unlit(placed)).map(agent).collect(),
-            shadows: lit.iter().flatten().filter_map(|lit| lit.shadow).collect(),
             unlit: lit.iter().flatten().filter(|lit| !lit.known).count(),
+            shadows: lit
+                .into_iter()
+                .flatten()
+                .flat_map(|lit| lit.shadows)
+                .collect(),
         }
     }
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use decouplegs::asset::{probe_paths, read_probe};
-use decouplegs::scene::light::{Probe, Surroundings, to_display};
+use decouplegs::scene::light::{ALBEDO_SPREAD, Probe, Surroundings, to_display};
 use decouplegs::scene::{ColorTransfer, LightTransfer};
 use decouplegs::synth::street::{AssetLight, Street, StreetOptions};
 use decouplegs::train::calibrate::{CalibrateOptions, calibrate};
@@ -219,7 +219,9 @@ fn held_out<'a>(
             let light = Light::new(probe, quarters, display, ground);
             HeldOut {
                 probe: &probe.name,
-                relit: transfers[index % folds].trusted_at(&light.descriptor).0,
+                relit: transfers[index % folds]
+                    .trusted_at(&light.descriptor, ALBEDO_SPREAD)
+                    .0,
                 light,
             }
         };

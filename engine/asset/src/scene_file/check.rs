@@ -4,7 +4,6 @@
 use std::collections::HashSet;
 use std::ops::Range;
 
-use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{
     Fog, Intrinsics, Lens, Photometry, Pose, Presence, Rig, RigCamera, Rules, ShFrame, Shutter,
     SkyMap, TimedPose, Trajectory,
@@ -13,13 +12,13 @@ use glam::{DMat3, DQuat, DVec3};
 use toml::Spanned;
 
 use super::form::{
-    AgentForm, CameraForm, FogForm, LightForm, RulesForm, SceneForm, ShFrameForm, ShadowForm,
-    SkyForm, SkyKindForm, TimedPoseForm,
+    AgentForm, CameraForm, FogForm, RulesForm, SceneForm, ShFrameForm, SkyForm, SkyKindForm,
+    TimedPoseForm,
 };
 use super::lens::LensForm;
 use super::lens::WindshieldForm;
 use super::photometry::PhotometryForm;
-use super::{SceneAgent, SceneFile, SceneLight, SceneSky, VERSION};
+use super::{SceneAgent, SceneFile, SceneSky, VERSION};
 use crate::toml_text::{Checker, syntax_error};
 use crate::{SceneError, SkyKind};
 
@@ -151,54 +150,6 @@ impl Checker<'_> {
             near_m,
             ..rules
         })
-    }
-
-    fn light(&self, form: &Spanned<LightForm>) -> Result<SceneLight, SceneError> {
-        let (span, form) = (form.span(), form.get_ref());
-        let default = AmbientOptions::default();
-        let ambient = AmbientOptions {
-            sigma_m: form.sigma_m.unwrap_or(default.sigma_m),
-            radius_m: form
-                .radius_m
-                .unwrap_or(3.0 * form.sigma_m.unwrap_or(default.sigma_m)),
-            spacing_m: form.spacing_m.unwrap_or(default.spacing_m),
-        };
-        ambient.check().map_err(|reason| {
-            self.error(&span, "light", field_of(reason.reason()), reason.reason())
-        })?;
-        let shadows = form
-            .shadows
-            .as_ref()
-            .map(|form| self.shadows(form))
-            .transpose()?;
-        Ok(SceneLight {
-            transfer: form.transfer.as_ref().map(Into::into),
-            full_effect: form.full_effect.unwrap_or(false),
-            ambient,
-            shadows,
-        })
-    }
-
-    fn shadows(&self, form: &Spanned<ShadowForm>) -> Result<ShadowOptions, SceneError> {
-        let (span, form, default) = (form.span(), form.get_ref(), ShadowOptions::default());
-        let shadows = ShadowOptions {
-            strength: form.strength.unwrap_or(default.strength),
-            decay: form.decay.unwrap_or(default.decay),
-            slab_m: form.slab_m.unwrap_or(default.slab_m),
-            full_directionality: form
-                .full_directionality
-                .unwrap_or(default.full_directionality),
-            floor: form.floor.unwrap_or(default.floor),
-        };
-        shadows.check().map_err(|reason| {
-            self.error(
-                &span,
-                "light.shadows",
-                field_of(reason.reason()),
-                reason.reason(),
-            )
-        })?;
-        Ok(shadows)
     }
 
     fn cameras<'n>(
@@ -505,7 +456,7 @@ impl Checker<'_> {
 }
 
 /// The field that a complaint begins with.
-fn field_of(reason: &str) -> &str {
+pub(super) fn field_of(reason: &str) -> &str {
     reason.split(' ').next().unwrap_or_default()
 }
 

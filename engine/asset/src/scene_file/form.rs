@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
+use decouplegs_scene::light::{AmbientOptions, Lamps, ShadowOptions};
 use decouplegs_scene::rules::LIDAR_DILATION_RAD;
 use decouplegs_scene::{Intrinsics, Pose, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
 use glam::{DMat3, DQuat};
@@ -118,11 +118,31 @@ pub(super) struct LightForm {
     pub(super) transfer: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) full_effect: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) ground_albedo: Option<f64>,
     pub(super) sigma_m: Option<f64>,
     pub(super) radius_m: Option<f64>,
     pub(super) spacing_m: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) shadows: Option<Spanned<ShadowForm>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) sun: Option<Spanned<SunForm>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) lamps: Option<Spanned<LampsForm>>,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SunForm {
+    pub(super) towards: [f64; 3],
+    pub(super) share: f64,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LampsForm {
+    pub(super) places: Vec<[f64; 3]>,
+    pub(super) range_m: Option<f64>,
 }
 
 #[derive(Default, Deserialize, Serialize)]
@@ -300,6 +320,7 @@ fn light_form(
         radius_m,
         spacing_m,
     } = light.ambient;
+    let lamps = &light.casting.lamps;
     let shadows = |shadows: ShadowOptions| ShadowForm {
         strength: Some(shadows.strength),
         decay: Some(shadows.decay),
@@ -309,11 +330,24 @@ fn light_form(
     };
     Ok(spanless(LightForm {
         transfer: light.transfer.as_deref().map(path).transpose()?,
-        full_effect: light.full_effect.then_some(true),
+        full_effect: light.relighting.full_effect.then_some(true),
+        ground_albedo: light.relighting.ground_albedo,
         sigma_m: Some(sigma_m),
         radius_m: Some(radius_m),
         spacing_m: Some(spacing_m),
         shadows: light.shadows.map(|options| spanless(shadows(options))),
+        sun: light.casting.sun.map(|sun| {
+            spanless(SunForm {
+                towards: sun.towards.to_array(),
+                share: sun.share,
+            })
+        }),
+        lamps: (*lamps != Lamps::default()).then(|| {
+            spanless(LampsForm {
+                places: lamps.places.iter().map(|place| place.to_array()).collect(),
+                range_m: Some(lamps.range_m),
+            })
+        }),
     }))
 }
 

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use decouplegs_scene::light::{
-    AmbientField, AmbientOptions, Lighting, LitAgent, ShadowOptions, bake_shadows,
+    AmbientField, AmbientOptions, CastingLights, Lighting, LitAgent, RelightOptions, ShadowOptions,
+    bake_shadows,
 };
 use decouplegs_scene::{
     CodedCloud, ContactShadow, LightTransfer, Motion, Pose, Presence, Rig, Sensor, ShFrame, SkyMap,
@@ -68,12 +69,14 @@ impl AgentLabel {
 pub struct LoadedLight {
     /// Effect of light on colors.
     pub transfer: Option<LightTransfer>,
-    /// True if the effect is applied in full, however uncertain it is.
-    pub full_effect: bool,
+    /// Options of that effect.
+    pub relighting: RelightOptions,
     /// From how far it is gathered.
     pub ambient: AmbientOptions,
     /// Contact shadows.
     pub shadows: Option<ShadowOptions>,
+    /// Lights that cast shadows.
+    pub casting: CastingLights,
 }
 
 /// Pose and box of an agent whose asset is a plain splat file.
@@ -184,7 +187,8 @@ impl LoadedScene {
         // Before there are agents in it, which shadows do not lie on.
         let shadows: Vec<ContactShadow> = lit
             .iter()
-            .filter_map(|(_, _, lit)| lit.and_then(|lit| lit.shadow))
+            .filter_map(|(_, _, lit)| lit.as_ref())
+            .flat_map(|lit| lit.shadows.iter().copied())
             .collect();
         bake_shadows(&mut world, &shadows);
         let decoded: Vec<SplatCloud> = self.assets.iter().map(|asset| asset.decoded(0)).collect();
@@ -227,8 +231,9 @@ impl LoadedScene {
         Some(Lighting {
             field,
             transfer: light.transfer.clone(),
-            full_effect: light.full_effect,
+            relighting: light.relighting,
             shadows: light.shadows,
+            casting: light.casting.clone(),
         })
     }
 }
@@ -335,9 +340,10 @@ impl SceneFile {
                 .map(|file| file.transfer);
             scene.light = Some(LoadedLight {
                 transfer,
-                full_effect: light.full_effect,
+                relighting: light.relighting,
                 ambient: light.ambient,
                 shadows: light.shadows,
+                casting: light.casting.clone(),
             });
         }
         scene.agent_labels = self.agents.iter().map(AgentLabel::of).collect();

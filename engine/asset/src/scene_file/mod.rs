@@ -3,6 +3,7 @@
 //! The format is documented, with an example, in `engine/asset/scene-file.md`.
 
 mod check;
+mod check_light;
 pub mod editing;
 mod form;
 mod layer;
@@ -16,7 +17,7 @@ mod shutter;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
+use decouplegs_scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions};
 use decouplegs_scene::{Fog, Invalid, Photometry, Presence, Rig, Rules, ShFrame, Trajectory};
 use glam::{DMat3, DVec3};
 
@@ -108,12 +109,14 @@ pub struct SceneLight {
     /// Effect of light on colors: a path relative to the scene file, written by `calibrate-light`.
     /// None: colors stay.
     pub transfer: Option<PathBuf>,
-    /// Applies the effect in full, also where its predicted error is as large as itself.
-    pub full_effect: bool,
+    /// Options of that effect.
+    pub relighting: RelightOptions,
     /// From how far the light is gathered.
     pub ambient: AmbientOptions,
     /// Contact shadows. None: agents throw none.
     pub shadows: Option<ShadowOptions>,
+    /// Lights that cast shadows of agents; only with contact shadows.
+    pub casting: CastingLights,
 }
 
 /// An agent of a scene file.

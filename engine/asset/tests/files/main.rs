@@ -22,5 +22,6 @@ mod scene_cameras;
 mod scene_files;
 mod scene_imports;
 mod scene_lidars;
+mod scene_lights;
 mod spz_round_trip;
 mod text_properties;

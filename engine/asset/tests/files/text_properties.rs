@@ -1,7 +1,9 @@
 //! Properties over generated cameras and scene files.
 
 use decouplegs_asset::{SceneAgent, SceneFile, SceneLidar, SceneLight, SceneSky, SkyKind, cameras};
-use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
+use decouplegs_scene::light::{
+    AmbientOptions, CastingLights, Lamps, RelightOptions, ShadowOptions, Sun,
+};
 use decouplegs_scene::photometry::{ColorCurve, Vignetting};
 use decouplegs_scene::{
     Camera, Fog, Intrinsics, Lens, Photometry, Pose, Presence, RigCamera, Rules, ShFrame, Shutter,
@@ -75,24 +77,38 @@ fn lights() -> impl Strategy<Value = SceneLight> {
         );
     (
         prop::option::of("[a-z]{1,8}"),
-        any::<bool>(),
+        (any::<bool>(), prop::option::of(0.01f64..=1.0)),
         1.0f64..9.0,
         1.0f64..30.0,
         0.7f64..4.0,
-        prop::option::of(shadows),
+        prop::option::of((shadows, casting_lights())),
     )
         .prop_map(
-            |(transfer, full_effect, sigma_m, radius_m, spacing_m, shadows)| SceneLight {
-                transfer: transfer.map(Into::into),
-                full_effect,
-                ambient: AmbientOptions {
-                    sigma_m,
-                    radius_m,
-                    spacing_m,
-                },
-                shadows,
+            |(transfer, (full_effect, ground_albedo), sigma_m, radius_m, spacing_m, shadows)| {
+                SceneLight {
+                    transfer: transfer.map(Into::into),
+                    relighting: RelightOptions {
+                        full_effect,
+                        ground_albedo,
+                    },
+                    ambient: AmbientOptions {
+                        sigma_m,
+                        radius_m,
+                        spacing_m,
+                    },
+                    shadows: shadows.as_ref().map(|(options, _)| *options),
+                    casting: shadows.map_or_else(CastingLights::default, |(_, casting)| casting),
+                }
             },
         )
+}
+
+fn casting_lights() -> impl Strategy<Value = CastingLights> {
+    let place = || (-1e3f64..1e3, -1e3f64..1e3, 0.1f64..20.0).prop_map(DVec3::from);
+    let sun = (place(), 0.01f64..0.99).prop_map(|(towards, share)| Sun { towards, share });
+    let lamps = (prop::collection::vec(place(), 0..4), 1.0f64..90.0)
+        .prop_map(|(places, range_m)| Lamps { places, range_m });
+    (prop::option::of(sun), lamps).prop_map(|(sun, lamps)| CastingLights { sun, lamps })
 }
 
 fn presences() -> impl Strategy<Value = Presence> {

@@ -22,6 +22,8 @@ pub struct ShadowRecord {
     pub strength: f32,
     /// Decay for a half size, as a power of two.
     pub log2_decay: f32,
+    /// Squarings of the radius before it decays.
+    pub sharpness: u32,
     /// Half sizes beyond which the mask counts as zero.
     pub reach: f32,
     /// Splats whose mean is farther from the plane are not ground.
@@ -47,6 +49,7 @@ impl ShadowRecord {
             normal: axes.z_axis.as_vec3().to_array(),
             strength: shadow.strength as f32,
             log2_decay: (shadow.decay * std::f64::consts::LOG2_E) as f32,
+            sharpness: shadow.sharpness,
             reach: shadow.reach() as f32,
             slab_m: shadow.slab_m as f32,
             cameras: u32::MAX,

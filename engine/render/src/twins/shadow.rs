@@ -22,6 +22,7 @@ pub fn shadow_factor(shadow: &ShadowRecord, mean_m: [f32; 3]) -> f32 {
     if radius > shadow.reach {
         return 1.0;
     }
+    let radius = (0..shadow.sharpness).fold(radius, |radius, _| radius * radius);
     (1.0 - shadow.strength * (-shadow.log2_decay * radius).exp2()).clamp(0.0, 1.0)
 }
 

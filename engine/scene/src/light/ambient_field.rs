@@ -10,6 +10,8 @@ use rayon::prelude::*;
 
 use crate::light::AmbientDescriptor;
 
+mod open;
+
 /// Grid points on either side of the origin, along an axis.
 const CELLS_MAX: f64 = 1e9;
 
@@ -361,7 +363,7 @@ mod tests {
     use super::*;
 
     /// Ground, a wall that is red, and noise; lighter towards +x.
-    fn street(count: usize) -> SplatCloud {
+    pub(super) fn street(count: usize) -> SplatCloud {
         let mut state = 9u64;
         let mut unit = || {
             state = state

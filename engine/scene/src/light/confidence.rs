@@ -4,10 +4,48 @@ use crate::light::environment::GAMMA;
 use crate::light::{AmbientDescriptor, ColorTransfer};
 use crate::{Invalid, sh};
 
-/// Standard deviation of the logarithm of the ground's albedo, which is unknown: worn asphalt
+/// Standard deviation of the logarithm of the ground's albedo where nobody told it: worn asphalt
 /// reflects 0.10 to 0.15 of the light, new asphalt 0.05 to 0.10, worn concrete 0.20 to 0.30
 /// (EPA, Reducing Urban Heat Islands: Cool Pavements, 2008).
 pub const ALBEDO_SPREAD: f64 = 0.15;
+
+/// The same of an albedo that a scene gives: tables tell it to some 10 %.
+pub const ALBEDO_SPREAD_GIVEN: f64 = 0.10;
+
+/// Options of the effect of light on colors.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RelightOptions {
+    /// Applies the effect in full, also where its predicted error is large. False: it is drawn
+    /// towards none there, if the transfer knows its errors.
+    pub full_effect: bool,
+    /// Mean albedo of the level ground, linear, above 0, at most 1. The ground tells how bright the
+    /// light is only if its albedo is known. `None`: that of the calibration,
+    /// [`crate::LightTransfer::ground_albedo`], with the uncertainty [`ALBEDO_SPREAD`].
+    pub ground_albedo: Option<f64>,
+}
+
+impl RelightOptions {
+    /// Checks the options and describes the first fault.
+    ///
+    /// # Errors
+    /// A sentence naming the value at fault.
+    pub fn check(&self) -> Result<(), Invalid> {
+        match self.ground_albedo {
+            Some(albedo) if !(albedo > 0.0 && albedo <= 1.0) => Err(Invalid::new(format!(
+                "ground_albedo is {albedo}; expected a number above 0, at most 1"
+            ))),
+            _ => Ok(()),
+        }
+    }
+
+    /// Standard deviation of the logarithm of the ground's albedo.
+    pub(super) fn albedo_spread(&self) -> f64 {
+        match self.ground_albedo {
+            Some(_) => ALBEDO_SPREAD_GIVEN,
+            None => ALBEDO_SPREAD,
+        }
+    }
+}
 
 /// The errors that a calibration measured, and the lights that it knows.
 #[derive(Clone, Debug, PartialEq)]
@@ -126,7 +164,7 @@ impl TransferConfidence {
     /// the mean square is `1 - E|e|² / |x|²`, at least 0 (James and Stein, Estimation with
     /// quadratic loss, 1961). E|e|² adds the residual of the calibration, which grows with the
     /// distance of the light from the calibrated ones; the effect of `brighter`: the change of gain
-    /// and offset if the light were brighter by one [`ALBEDO_SPREAD`]; and that of `neutral`: the
+    /// and offset if the ground's albedo were one deviation off; and that of `neutral`: the
     /// transfer in the light that shows colors as they are, whose effect should be none.
     pub(super) fn shrink(
         &self,
@@ -165,10 +203,10 @@ impl TransferConfidence {
     }
 }
 
-/// `light` as the ground shows it if its albedo is higher by one [`ALBEDO_SPREAD`].
-pub(super) fn brighter(light: &AmbientDescriptor) -> AmbientDescriptor {
+/// `light` as the ground shows it if its albedo is higher by the factor `ratio`.
+pub(super) fn on_brighter_ground(light: &AmbientDescriptor, ratio: f64) -> AmbientDescriptor {
     let mut brighter = *light;
-    let factor = (ALBEDO_SPREAD / GAMMA).exp() as f32;
+    let factor = ratio.powf(1.0 / GAMMA) as f32;
     brighter.coefficients[0] = brighter.coefficients[0].map(|value| value * factor);
     brighter
 }

@@ -4,8 +4,11 @@ use crate::{Invalid, Pose, ShFrame};
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::light::confidence::on_brighter_ground;
+use crate::light::environment::{linear_loss, shown_loss};
 use crate::light::{
-    AmbientDescriptor, AmbientField, ColorTransfer, ContactShadow, LightTransfer, Trust,
+    AmbientDescriptor, AmbientField, CastingLights, ColorTransfer, ContactShadow, LightTransfer,
+    RelightOptions, Trust,
 };
 
 /// Options of contact shadows.
@@ -94,6 +97,7 @@ impl ShadowOptions {
             half_size_m: [0.5 * length_m, 0.5 * width_m].map(|half| half.max(1e-3)),
             strength: self.strength * self.starkness(light),
             decay: self.decay,
+            sharpness: 0,
             slab_m: self.slab_m,
         }
     }
@@ -105,20 +109,21 @@ pub struct Lighting {
     pub field: AmbientField,
     /// Effect of the light on agents' colors; `None`: none.
     pub transfer: Option<LightTransfer>,
-    /// Applies the effect in full, also where its predicted error is large. False: it is drawn
-    /// towards none there, if the transfer knows its errors.
-    pub full_effect: bool,
+    /// Options of that effect.
+    pub relighting: RelightOptions,
     /// Options of contact shadows; `None`: no shadows.
     pub shadows: Option<ShadowOptions>,
+    /// Lights that cast shadows; without options of contact shadows they cast none.
+    pub casting: CastingLights,
 }
 
 /// Effect of light on one agent.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LitAgent {
     /// To its colors, in the frame that these are meant in.
     pub relight: Option<ColorTransfer>,
-    /// The shadow that it throws.
-    pub shadow: Option<ContactShadow>,
+    /// Shadows that it throws on the ground: its contact shadow first, then those that it casts.
+    pub shadows: Vec<ContactShadow>,
     /// True if the light is from the background; false if it is the neutral light of the assets.
     pub known: bool,
 }
@@ -136,11 +141,40 @@ impl Lighting {
         let (light, known) = self.at(world_from_agent.translation);
         LitAgent {
             relight: self.relight(&light, world_from_agent, sh_frame),
-            shadow: self
-                .shadows
-                .map(|shadows| shadows.shadow(world_from_agent, dims_m, &light)),
+            shadows: self.shadows_of(world_from_agent, dims_m, &light),
             known,
         }
+    }
+
+    /// Shadows of an agent in `light`.
+    ///
+    /// A contact shadow alone stands for all light that the agent hides. Where lights cast shadows
+    /// of their own, it is what the agent hides of the sky.
+    fn shadows_of(
+        &self,
+        world_from_agent: &Pose,
+        dims_m: [f32; 3],
+        light: &AmbientDescriptor,
+    ) -> Vec<ContactShadow> {
+        let Some(options) = self.shadows else {
+            return Vec::new();
+        };
+        let contact = options.shadow(world_from_agent, dims_m, light);
+        if self.casting.is_empty() {
+            return vec![contact];
+        }
+        let sunlit = self.casting.sun.map_or(0.0, |sun| {
+            self.field.open_share(world_from_agent, dims_m, sun.towards)
+        });
+        let (cast, sky) = self
+            .casting
+            .shadows(world_from_agent, dims_m, sunlit, options.slab_m);
+        let hidden = linear_loss(options.strength * options.floor);
+        let contact = ContactShadow {
+            strength: shown_loss(sky * hidden),
+            ..contact
+        };
+        std::iter::once(contact).chain(cast).collect()
     }
 
     /// [`Lighting::of_agent`] for many: pose, size and frame of the colors of each. On as many
@@ -154,12 +188,12 @@ impl Lighting {
         agents.par_iter().with_min_len(8).map(lit).collect()
     }
 
-    /// The light at `place`, and whether the background told it: else it is the one that assets are
-    /// shown in as they are.
+    /// The light at `place`, as a ground of the calibrated albedo would show it, and whether the
+    /// background told it: else it is the one that assets are shown in as they are.
     #[must_use]
     pub fn at(&self, place: DVec3) -> (AmbientDescriptor, bool) {
         match self.field.at(place) {
-            Some(light) => (light, true),
+            Some(light) => (self.on_calibrated_ground(light), true),
             None => (
                 self.transfer
                     .as_ref()
@@ -168,6 +202,24 @@ impl Lighting {
                     }),
                 false,
             ),
+        }
+    }
+
+    /// Albedo that the ground is taken to have: that of the options, else that of the calibration.
+    /// `None` without a transfer.
+    #[must_use]
+    pub fn ground_albedo(&self) -> Option<f64> {
+        let transfer = self.transfer.as_ref()?;
+        let given = self.relighting.ground_albedo;
+        Some(given.unwrap_or_else(|| transfer.ground_albedo()))
+    }
+
+    fn on_calibrated_ground(&self, light: AmbientDescriptor) -> AmbientDescriptor {
+        match (self.relighting.ground_albedo, &self.transfer) {
+            (Some(albedo), Some(transfer)) => {
+                on_brighter_ground(&light, transfer.ground_albedo() / albedo)
+            }
+            _ => light,
         }
     }
 
@@ -182,10 +234,12 @@ impl Lighting {
     ) -> Option<ColorTransfer> {
         let transfer = self.transfer.as_ref()?;
         let light = in_frame(light, world_from_agent, sh_frame);
-        Some(if self.full_effect {
+        Some(if self.relighting.full_effect {
             transfer.at(&light)
         } else {
-            transfer.trusted_at(&light).0
+            transfer
+                .trusted_at(&light, self.relighting.albedo_spread())
+                .0
         })
     }
 
@@ -199,7 +253,8 @@ impl Lighting {
         sh_frame: ShFrame,
     ) -> Option<Trust> {
         let light = in_frame(light, world_from_agent, sh_frame);
-        self.transfer.as_ref()?.trusted_at(&light).1
+        let spread = self.relighting.albedo_spread();
+        self.transfer.as_ref()?.trusted_at(&light, spread).1
     }
 }
 
@@ -218,7 +273,8 @@ fn in_frame(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sh;
+    use crate::light::{AmbientOptions, Sun};
+    use crate::{SplatCloud, sh};
 
     /// A gray light of which `share` comes from one side.
     fn light(gray: f32, share: f32) -> AmbientDescriptor {
@@ -253,6 +309,130 @@ mod tests {
         let off_m = (shadow.world_from_ground.translation - DVec3::new(10.0, 20.0, 3.0)).length();
         assert!(shadow.half_size_m == [2.0, 1.0] && off_m < 1e-12);
         shadow.check().unwrap();
+    }
+
+    /// Level ground of gray `display`, and a transfer calibrated on ground that shows 0.4 in
+    /// neutral light, whose gains are the light over neutral.
+    fn over_ground(display: f32, relighting: RelightOptions) -> Lighting {
+        let ground = SplatCloud {
+            means: vec![[0.0; 3]],
+            scales: vec![[0.5, 0.5, 0.01]],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacities: vec![0.9],
+            sh_degree: 0,
+            sh_dc: vec![[(display - 0.5) / sh::Y0 as f32; 3]],
+            sh_rest: Vec::new(),
+        };
+        let row = ([0.0; AmbientDescriptor::LEN], 0.0);
+        let mut gain = vec![row; 3];
+        for (channel, (weights, _)) in gain.iter_mut().enumerate() {
+            weights[channel] = sh::Y0 as f32 / 0.4;
+        }
+        Lighting {
+            field: AmbientField::new(&ground, 1, DVec3::ZERO, &AmbientOptions::default()),
+            transfer: Some(LightTransfer {
+                sh_degree: 0,
+                gain,
+                offset: vec![row; 3],
+                neutral: AmbientDescriptor::uniform([0.4; 3]),
+                confidence: None,
+            }),
+            relighting,
+            shadows: None,
+            casting: CastingLights::default(),
+        }
+    }
+
+    #[test]
+    fn light_is_as_bright_as_the_albedo_of_the_ground_says() {
+        let gain = |display: f32, ground_albedo: Option<f64>| {
+            let relighting = RelightOptions {
+                ground_albedo,
+                ..RelightOptions::default()
+            };
+            let lit = over_ground(display, relighting).of_agent(
+                &Pose::IDENTITY,
+                [4.0, 2.0, 1.5],
+                ShFrame::World,
+            );
+            f64::from(lit.relight.unwrap().gain[0][1])
+        };
+        let calibrated = over_ground(0.4, RelightOptions::default());
+        assert_eq!(
+            calibrated.at(DVec3::ZERO).0,
+            calibrated.field.at(DVec3::ZERO).unwrap(),
+            "an albedo that nobody gives changes no bit"
+        );
+        let assumed = calibrated.ground_albedo().unwrap();
+        assert!((assumed - 0.4f64.powf(2.2)).abs() < 1e-6);
+        // Twice the albedo shows half the light alike.
+        let doubled = 0.4 * 2f64.powf(1.0 / 2.2);
+        for (display, albedo, expected) in [
+            (0.4, None, 1.0),
+            (0.4, Some(assumed), 1.0),
+            (doubled as f32, Some(2.0 * assumed), 1.0),
+            (doubled as f32, None, doubled / 0.4),
+        ] {
+            let found = gain(display, albedo);
+            assert!((found - expected).abs() < 1e-5, "{albedo:?}: {found}");
+        }
+        // Where the ground does not tell of the light, its albedo is of no account.
+        let far = over_ground(
+            0.4,
+            RelightOptions {
+                ground_albedo: Some(0.5),
+                full_effect: true,
+            },
+        );
+        let (light, known) = far.at(DVec3::new(500.0, 0.0, 0.0));
+        assert!(!known && light == AmbientDescriptor::uniform([0.4; 3]));
+        for albedo in [0.0, -0.1, 1.5, f64::NAN] {
+            let options = RelightOptions {
+                ground_albedo: Some(albedo),
+                full_effect: false,
+            };
+            let error = options.check().unwrap_err();
+            assert!(error.reason().contains("ground_albedo is"), "{error:?}");
+        }
+    }
+
+    /// Without lights that cast shadows an agent has its contact shadow, to the bit; with a sun the
+    /// contact shadow is what is hidden of the sky.
+    #[test]
+    fn a_cast_shadow_takes_its_part_from_the_contact_shadow() {
+        let options = ShadowOptions::default();
+        let shadows = |sun: Option<Sun>| {
+            let lighting = Lighting {
+                shadows: Some(options),
+                casting: CastingLights {
+                    sun,
+                    ..CastingLights::default()
+                },
+                ..over_ground(0.4, RelightOptions::default())
+            };
+            let pose = Pose::from_yaw(0.3, DVec3::new(1.0, 0.0, 0.75));
+            let lit = lighting.of_agent(&pose, [4.0, 2.0, 1.5], ShFrame::World);
+            let light = lighting.field.at(pose.translation).unwrap();
+            (lit.shadows, options.shadow(&pose, [4.0, 2.0, 1.5], &light))
+        };
+        let (alone, contact) = shadows(None);
+        assert_eq!(alone, [contact]);
+        let (lit, contact) = shadows(Some(Sun {
+            towards: DVec3::new(0.5, 0.0, 0.8),
+            share: 0.7,
+        }));
+        let [ofsky, cast] = lit[..] else {
+            panic!("{lit:?}");
+        };
+        assert!(ofsky.strength < 0.4 * contact.strength, "{ofsky:?}");
+        assert_eq!(
+            ContactShadow {
+                strength: contact.strength,
+                ..ofsky
+            },
+            contact
+        );
+        assert!(cast.sharpness > 0 && cast.strength > ofsky.strength);
     }
 
     #[test]

@@ -10,6 +10,7 @@ pub const LUMA: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 mod ambient;
 mod ambient_field;
+mod cast;
 mod confidence;
 mod environment;
 mod lighting;
@@ -18,7 +19,10 @@ mod transfer;
 
 pub use ambient::AmbientDescriptor;
 pub use ambient_field::{AmbientField, AmbientOptions, ambient_by_definition};
-pub use confidence::{ALBEDO_SPREAD, TransferConfidence, Trust};
+pub use cast::{CastingLights, Lamps, Sun};
+pub use confidence::{
+    ALBEDO_SPREAD, ALBEDO_SPREAD_GIVEN, RelightOptions, TransferConfidence, Trust,
+};
 pub use environment::{
     DISPLAY_MAX, IrradianceMap, PROBE_WIDTH, Probe, Surroundings, reflected_by_white,
     reflected_by_white_of_nine, to_display, to_linear,

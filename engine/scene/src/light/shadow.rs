@@ -7,6 +7,9 @@ use glam::{DVec2, DVec3};
 /// Exponent of the super-ellipse: a rounded rectangle.
 pub const EXPONENT: i32 = 4;
 
+/// Largest [`ContactShadow::sharpness`].
+pub const SHARPNESS_MAX: u32 = 8;
+
 /// The mask counts as zero below this: half of what an eight-bit image shows at full strength.
 pub const MASK_MIN: f64 = 1.0 / 512.0;
 
@@ -23,6 +26,9 @@ pub struct ContactShadow {
     pub strength: f64,
     /// tau_decay: how fast it fades outward.
     pub decay: f64,
+    /// Number of times that the radius is squared before it decays, at most [`SHARPNESS_MAX`]: 0
+    /// fades from the middle on, 3 is even within and has a soft edge.
+    pub sharpness: u32,
     /// Splats whose mean is farther from the plane are not ground, meters.
     pub slab_m: f64,
 }
@@ -58,6 +64,10 @@ impl ContactShadow {
                 "a strength of {}; expected 0 to 1",
                 self.strength
             ))),
+            None if self.sharpness > SHARPNESS_MAX => Err(Invalid::new(format!(
+                "a sharpness of {}; expected 0 to {SHARPNESS_MAX}",
+                self.sharpness
+            ))),
             None => Ok(()),
         }
     }
@@ -65,7 +75,7 @@ impl ContactShadow {
     /// Extent of the mask, in half sizes.
     #[must_use]
     pub fn reach(&self) -> f64 {
-        -MASK_MIN.ln() / self.decay
+        (-MASK_MIN.ln() / self.decay).powf(0.5f64.powi(self.sharpness as i32))
     }
 
     /// M at `u`, meters along and across the agent.
@@ -76,6 +86,7 @@ impl ContactShadow {
             .powf(f64::from(EXPONENT))
             .element_sum()
             .powf(1.0 / f64::from(EXPONENT));
+        let radius = (0..self.sharpness).fold(radius, |radius, _| radius * radius);
         let mask = (-self.decay * radius).exp();
         if mask >= MASK_MIN { mask } else { 0.0 }
     }
@@ -139,6 +150,7 @@ mod tests {
             half_size_m: [2.0, 1.0],
             strength: 0.8,
             decay: 2.0,
+            sharpness: 0,
             slab_m: 0.1,
         }
     }
@@ -154,6 +166,22 @@ mod tests {
                 && at(1.0, 0.0, 0.0) < at(2.0, 0.0, 0.0)
         );
         assert_eq!((at(0.0, 0.0, 0.11), at(40.0, 0.0, 0.0)), (1.0, 1.0));
+    }
+
+    #[test]
+    fn a_sharp_shadow_is_even_within_and_ends_at_its_reach() {
+        let sharp = ContactShadow {
+            decay: 0.5,
+            sharpness: 3,
+            ..shadow()
+        };
+        // Along the agent, which looks along y; a half length is 2 m.
+        let mask = |half_lengths: f64| sharp.mask(DVec2::new(2.0 * half_lengths, 0.0));
+        assert!(
+            mask(0.6) > 0.99 && (mask(1.0) - (-0.5f64).exp()).abs() < 1e-12 && mask(1.3) < 0.02
+        );
+        let reach = sharp.reach();
+        assert!(mask(0.999 * reach) > 0.0 && mask(1.001 * reach) == 0.0 && reach < 1.5);
     }
 
     #[test]
@@ -194,6 +222,7 @@ mod tests {
                 .contains("half width")
         );
         assert!(broken(|s| s.strength = 1.5).reason().contains("1.5"));
+        assert!(broken(|s| s.sharpness = 9).reason().contains("9"));
         assert!(broken(|s| s.decay = f64::NAN).reason().contains("decay"));
         assert!(
             broken(|s| s.world_from_ground.translation.x = f64::INFINITY)

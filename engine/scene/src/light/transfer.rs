@@ -1,7 +1,8 @@
 //! Light transfer, the effect of light on colors: c' = T(L) (.) c + b(L) with T = W_T L + w_0 and b
 //! = W_B L + b_0.
 
-use crate::light::{AmbientDescriptor, TransferConfidence, Trust, confidence};
+use crate::light::confidence::on_brighter_ground;
+use crate::light::{AmbientDescriptor, LUMA, TransferConfidence, Trust, to_linear};
 use crate::{Invalid, SplatCloud, sh};
 
 /// [`sh::DC_SHIFT`] as colors are stored.
@@ -132,13 +133,30 @@ impl LightTransfer {
         transfer
     }
 
-    /// T(L) and b(L) drawn towards the identity by their predicted error, and how much of them is
-    /// kept; all of them where no error is known. `light` as in [`LightTransfer::at`].
+    /// Albedo of the ground that the calibration took agents to stand on, linear: in neutral light
+    /// the ground shows it.
     #[must_use]
-    pub fn trusted_at(&self, light: &AmbientDescriptor) -> (ColorTransfer, Option<Trust>) {
+    pub fn ground_albedo(&self) -> f64 {
+        let luminance = self.neutral.mean().into_iter().zip(LUMA);
+        to_linear(
+            luminance
+                .map(|(value, weight)| f64::from(value) * weight)
+                .sum(),
+        )
+    }
+
+    /// T(L) and b(L) drawn towards the identity by their predicted error, and how much of them is
+    /// kept; all of them where no error is known. `light` as in [`LightTransfer::at`];
+    /// `albedo_spread` is the standard deviation of the logarithm of the ground's albedo.
+    #[must_use]
+    pub fn trusted_at(
+        &self,
+        light: &AmbientDescriptor,
+        albedo_spread: f64,
+    ) -> (ColorTransfer, Option<Trust>) {
         let mut transfer = self.at(light);
         let trust = self.confidence.as_ref().map(|confidence| {
-            let brighter = self.at(&confidence::brighter(light));
+            let brighter = self.at(&on_brighter_ground(light, albedo_spread.exp()));
             let neutral = self.at(&self.neutral);
             confidence.shrink(&mut transfer, [&brighter, &neutral], &light.to_vector())
         });

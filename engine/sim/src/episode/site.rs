@@ -15,7 +15,7 @@ use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{Ground, GroundOptions, Obstacles, RoadGraph, RoadSurface, occupancy};
 use decouplegs_scene::episode::StopLineRecord;
-use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
+use decouplegs_scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
     LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind, Trajectory,
@@ -261,9 +261,10 @@ impl Site {
         }
         let light = LoadedLight {
             transfer: appearance.transfer.clone(),
-            full_effect: false,
+            relighting: RelightOptions::default(),
             ambient: AmbientOptions::default(),
             shadows: Some(ShadowOptions::default()),
+            casting: CastingLights::default(),
         };
         let loaded = LoadedScene {
             assets,

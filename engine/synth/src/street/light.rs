@@ -1,6 +1,7 @@
 //! Light, baked: the sun with cast shadows, the sky, bounce from the ground, street lamps, and the
 //! dark under cars.
 
+use decouplegs_scene::light::{CastingLights, LUMA, Lamps, Sun};
 use glam::{Quat, Vec2, Vec3};
 
 use super::occluder::Occluder;
@@ -96,6 +97,29 @@ impl Light {
             rotation,
             translation,
             drawn_by,
+        }
+    }
+
+    /// The lights that cast shadows on open ground, as a scene tells them.
+    pub(super) fn casting(&self) -> CastingLights {
+        let luminance = |rgb: Vec3| -> f64 {
+            let weighted = rgb.to_array().into_iter().zip(LUMA);
+            weighted
+                .map(|(value, weight)| f64::from(value) * weight)
+                .sum()
+        };
+        let air = &self.air;
+        let sky = luminance(air.sky);
+        let sun = luminance(air.sun * air.sun_strength * self.towards_sun.z);
+        CastingLights {
+            sun: (sun > 0.0).then(|| Sun {
+                towards: self.towards_sun.as_dvec3(),
+                share: sun / (sun + sky),
+            }),
+            lamps: Lamps {
+                places: self.lamps.iter().map(|lamp| lamp.as_dvec3()).collect(),
+                range_m: f64::from(LAMP_REACH_M).min((luminance(air.lamp) / sky).sqrt().max(1.0)),
+            },
         }
     }
 

@@ -42,6 +42,7 @@ pub use focus::Capture;
 pub use truth::Truth;
 pub use weather::AssetLight;
 
+use decouplegs_scene::light::CastingLights;
 use decouplegs_scene::{AgentPlacement, LaneMap, Obstacle, Pose, Rig, SplatCloud};
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
@@ -120,6 +121,8 @@ pub struct Street {
     pub obstacles: Vec<Obstacle>,
     /// Seen where the dome of sky lets light through, display-referred RGB.
     pub sky: [f32; 3],
+    /// Lights that cast shadows of agents on open ground.
+    pub casting: CastingLights,
 }
 
 impl Street {
@@ -155,6 +158,7 @@ impl Street {
             signal_heads: signals::heads(),
             obstacles: obstacles::obstacles(&layout),
             sky: weather::sky_rgb(options.weather),
+            casting: street_light(options.weather, &layout, vec![]).casting(),
         }
     }
 }

@@ -36,6 +36,17 @@ pub fn to_linear(display: f64) -> f64 {
     encoded.powf(GAMMA)
 }
 
+/// Share of a display value that is gone where the share `linear` of the light is, both 0 to 1;
+/// without the shoulder.
+pub(in crate::light) fn shown_loss(linear: f64) -> f64 {
+    1.0 - (1.0 - linear).powf(1.0 / GAMMA)
+}
+
+/// The inverse of [`shown_loss`].
+pub(in crate::light) fn linear_loss(shown: f64) -> f64 {
+    1.0 - (1.0 - shown).powf(GAMMA)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -6,8 +6,8 @@ mod irradiance;
 mod probe;
 mod surroundings;
 
-pub(super) use display::GAMMA;
 pub use display::{DISPLAY_MAX, to_display, to_linear};
+pub(super) use display::{GAMMA, linear_loss, shown_loss};
 pub use irradiance::{IrradianceMap, reflected_by_white, reflected_by_white_of_nine};
 pub use probe::Probe;
 pub use surroundings::Surroundings;

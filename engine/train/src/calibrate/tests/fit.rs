@@ -3,7 +3,7 @@
 
 use std::f64::consts::FRAC_PI_3;
 
-use decouplegs_scene::light::Surroundings;
+use decouplegs_scene::light::{ALBEDO_SPREAD, Surroundings};
 use decouplegs_scene::{AmbientDescriptor, ColorTransfer, LightTransfer, SplatCloud, sh};
 use decouplegs_synth::probes::procedural_probes;
 use glam::DQuat;
@@ -469,7 +469,7 @@ fn relighting_is_never_much_worse_than_none() {
     let calibration = calibrated(&[("ball".to_owned(), &cloud)], &skies(8), &options());
     let transfer = &calibration.transfer;
     let ground = Surroundings::default();
-    let (same, trust) = transfer.trusted_at(&ground.neutral());
+    let (same, trust) = transfer.trusted_at(&ground.neutral(), ALBEDO_SPREAD);
     let trust = trust.expect("probes were left out, so errors are known");
     println!("neutral: {trust:?}");
     assert_eq!(trust.kept[0], 0.0);
@@ -482,7 +482,7 @@ fn relighting_is_never_much_worse_than_none() {
     let samples = samples(&cloud, 300, 5);
     let mut kept = Vec::new();
     for light in &lightings(&probes, &ground, 5)[1..] {
-        let trusted = transfer.trusted_at(&light.descriptor);
+        let trusted = transfer.trusted_at(&light.descriptor, ALBEDO_SPREAD);
         let errors = [
             error_of(&ColorTransfer::IDENTITY, &samples, light),
             error_of(&trusted.0, &samples, light),
@@ -501,7 +501,7 @@ fn relighting_is_never_much_worse_than_none() {
     for (k, value) in [(3, [0.4, -0.3, 0.0]), (7, [-0.3, 0.0, 0.5])] {
         strange.coefficients[k] = value;
     }
-    let (trusted, trust) = transfer.trusted_at(&strange);
+    let (trusted, trust) = transfer.trusted_at(&strange, ALBEDO_SPREAD);
     let trust = trust.unwrap();
     assert!(trust.distance > 10.0 && trust.kept[0] == 0.0, "{trust:?}");
     let neutral = Lighting::neutral(&ground);
