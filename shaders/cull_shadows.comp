@@ -1,5 +1,5 @@
 #version 460
-// Culling of contact shadows: a bit per shadow and cluster of the background. Where no agent stands
+// Culling of shadows on the ground: a bit per shadow and cluster of the background. Where no agent stands
 // near, projection reads a zero.
 //
 // One thread per word: 32 shadows on one cluster.

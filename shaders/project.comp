@@ -26,7 +26,7 @@ layout(local_size_x = 256) in;
 layout(constant_id = 3) const bool RADIAL = false;    // order by distance instead of z
 layout(constant_id = 4) const bool INSTANCES = false; // splats belong to instances, and these are asked for
 layout(constant_id = 6) const bool SPLAT_IDS = false; // records hold the splat's index instead of an instance
-layout(constant_id = 7) const bool SHADOWS = false;   // agents throw contact shadows
+layout(constant_id = 7) const bool SHADOWS = false;   // agents throw shadows on the ground
 layout(constant_id = 8) const bool SHADOWS_BY_CAMERA = false; // not all cameras see all of them
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };

@@ -1,10 +1,10 @@
-// The contact shadow of an agent: a soft super-ellipse about its footprint, laid on the ground that
-// it stands on.
+// A shadow of an agent on the ground that it stands on: a soft super-ellipse about its footprint, or
+// where its box keeps a light away.
 
 struct Shadow {
-    vec3 center_high_m; // the ground under the agent's middle, relative to the world's origin: high and low part
+    vec3 center_high_m; // the ground in the middle of the shadow, relative to the world's origin: high and low part
     vec3 center_low_m;
-    vec3 along;  // of the agent, in the ground; a half length of it is 1
+    vec3 along;  // in the ground; a half length of the shadow is 1
     vec3 across; // likewise, a half width
     vec3 normal; // of the ground, unit
     float strength;   // share of the light that is gone in the middle

@@ -1,4 +1,4 @@
-//! Relit agents and contact shadows against the definition: colors transferred, splats darkened,
+//! Relit agents and shadows against the definition: colors transferred, splats darkened,
 //! all baked and drawn in f64.
 
 use decouplegs::render::metrics::Difference;
@@ -7,8 +7,8 @@ use decouplegs::render::{
 };
 use decouplegs::scene::light::bake_shadows;
 use decouplegs::scene::{
-    AmbientDescriptor, Camera, CodedCloud, ColorTransfer, ContactShadow, LightTransfer, Pose,
-    Rules, ShFrame, World, sh,
+    AmbientDescriptor, Camera, CodedCloud, ColorTransfer, GroundShadow, LightTransfer, Pose, Rules,
+    ShFrame, World, sh,
 };
 use glam::{DQuat, DVec3};
 
@@ -29,8 +29,8 @@ pub fn some_transfer(seed: u64) -> ColorTransfer {
 }
 
 /// A shadow on ground that is tilted, below the background's middle.
-pub fn shadow(at: DVec3, yaw_rad: f64, strength: f64) -> ContactShadow {
-    ContactShadow {
+pub fn shadow(at: DVec3, yaw_rad: f64, strength: f64) -> GroundShadow {
+    GroundShadow {
         world_from_ground: Pose::new(
             DQuat::from_rotation_z(yaw_rad) * DQuat::from_rotation_x(0.1),
             at,
@@ -49,7 +49,7 @@ struct Case {
     cars: Vec<CodedCloud>,
     /// Car, pose, frame of its colors, and light.
     placed: Vec<(usize, Pose, ShFrame, Option<ColorTransfer>)>,
-    shadows: Vec<ContactShadow>,
+    shadows: Vec<GroundShadow>,
     cameras: Vec<Camera>,
 }
 
@@ -90,7 +90,7 @@ impl Case {
         let shadows = vec![
             shadow(at(8.0, 1.0, -0.6), 0.3, 0.9),
             // As it is cast by a lamp.
-            ContactShadow {
+            GroundShadow {
                 sharpness: 3,
                 ..shadow(at(9.5, 0.0, -0.5), 1.3, 0.7)
             },
@@ -175,7 +175,7 @@ impl Stage {
     fn draw(
         &mut self,
         agents: &[Agent],
-        shadows: &[ContactShadow],
+        shadows: &[GroundShadow],
         cameras: &[Camera],
     ) -> Vec<Image> {
         self.relit(agents, shadows, cameras);
@@ -183,7 +183,7 @@ impl Stage {
     }
 
     /// Draws; returns how many codebooks were relit for it.
-    fn relit(&mut self, agents: &[Agent], shadows: &[ContactShadow], cameras: &[Camera]) -> usize {
+    fn relit(&mut self, agents: &[Agent], shadows: &[GroundShadow], cameras: &[Camera]) -> usize {
         let scene = Scene {
             shadows,
             ..Scene::with_agents(&self.world, &self.pool, agents)
@@ -330,7 +330,7 @@ fn light_and_shadows_that_are_none_are_refused() {
     let case = Case::new();
     let mut stage = Stage::of(&gpu, &case);
     let mut agents = case.agents(&stage.assets);
-    let nowhere = [ContactShadow {
+    let nowhere = [GroundShadow {
         strength: f64::NAN,
         ..case.shadows[0]
     }];

@@ -3,7 +3,7 @@
 use decouplegs::render::layout::{ClusterRecord, ShadowRecord};
 use decouplegs::render::stages::{CullShadows, ProjectVariant, ShadowBuffers, words_for};
 use decouplegs::render::twins::{self, shadow::shadow_factor, shadow::shadow_reaches};
-use decouplegs::scene::{ContactShadow, Pose, Rules};
+use decouplegs::scene::{GroundShadow, Pose, Rules};
 use glam::{DQuat, DVec3};
 
 use super::project::{Case, PLAIN};
@@ -20,7 +20,7 @@ fn hard_shadows(count: usize, center_m: DVec3, spread_m: DVec3) -> Vec<ShadowRec
         let rotation = DQuat::from_xyzw(unit(), unit(), unit(), unit() + 1.5).normalize();
         let far = if index % 8 == 7 { 1e5 } else { 0.0 };
         let center = center_m + spread_m * DVec3::new(unit(), unit(), unit()) + DVec3::Z * far;
-        let shadow = ContactShadow {
+        let shadow = GroundShadow {
             world_from_ground: Pose::new(rotation, center),
             half_size_m: [
                 f64::from(random.across_scales(0.3, 9.0)),

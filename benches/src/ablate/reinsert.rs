@@ -6,7 +6,7 @@ use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
 use decouplegs::render::{Agent, AssetPool, Image, Outputs, Plane, RenderOptions, Renderer, Scene};
 use decouplegs::scene::light::{Lighting, ShadowOptions, bake_shadows};
-use decouplegs::scene::{AmbientDescriptor, Camera, ContactShadow, ShFrame, World};
+use decouplegs::scene::{AmbientDescriptor, Camera, GroundShadow, ShFrame, World};
 use decouplegs::synth::street::Weather;
 use decouplegs::{LiveScene, SceneSnapshot};
 
@@ -283,7 +283,7 @@ impl Reinsertion<'_> {
     }
 
     /// Shadows of `moment` where nothing is known of sun and lamps.
-    fn contact_shadows(&self, moment: &SceneSnapshot) -> Vec<ContactShadow> {
+    fn contact_shadows(&self, moment: &SceneSnapshot) -> Vec<GroundShadow> {
         let placed = moment.agents.iter().zip(&self.stage.loaded.agents);
         let shadow = |(agent, placed): (&Agent, &LoadedAgent)| {
             let pose = &agent.world_from_agent;

@@ -6,7 +6,7 @@
 //! colors and depth keys come out the same.
 
 use bytemuck::Zeroable;
-use decouplegs_scene::{Camera, ColorTransfer, ContactShadow, Invalid, Motion, Pose, ShFrame};
+use decouplegs_scene::{Camera, ColorTransfer, GroundShadow, Invalid, Motion, Pose, ShFrame};
 use glam::{DMat3, DVec3, Vec3};
 
 use crate::RenderError;
@@ -61,9 +61,9 @@ pub struct Scene<'a> {
     pub world: &'a GpuScene,
     /// The assets that agents show, and the agents, in the order in which equal depths are drawn.
     pub agents: Option<(&'a AssetPool, &'a [Agent])>,
-    /// Contact shadows on the background. They multiply, and need not be those of agents that are
+    /// Shadows on the ground of the background. They multiply, and need not be those of agents that are
     /// drawn.
-    pub shadows: &'a [ContactShadow],
+    pub shadows: &'a [GroundShadow],
     /// Cameras that see each shadow, a bit each, as in [`Agent::cameras`]; `None`: all see all.
     pub shadow_cameras: Option<&'a [u32]>,
 }

@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use decouplegs_gpu::{Buffer, Gpu, MemoryKind, Recorder, Ticket};
-use decouplegs_scene::ContactShadow;
+use decouplegs_scene::GroundShadow;
 
 use crate::RenderError;
 use crate::agents::{AgentList, Scene};
@@ -196,7 +196,7 @@ impl FrameInFlight {
             self.shadows = ShadowBuffers::new(gpu, wanted, clusters)?;
             self.shadow_room = (wanted, clusters);
         }
-        let record = |(index, shadow): (usize, &ContactShadow)| ShadowRecord {
+        let record = |(index, shadow): (usize, &GroundShadow)| ShadowRecord {
             cameras: cameras.map_or(u32::MAX, |cameras| cameras[index]),
             ..ShadowRecord::new(shadow, world.origin)
         };

@@ -49,7 +49,7 @@ pub use invalid::Invalid;
 pub use lane_map::{Lane, LaneKind, LaneMap};
 pub use lens::{Lens, RayMap};
 pub use lidar::{Lidar, LidarModel, LidarSweep, RigLidar};
-pub use light::{AmbientDescriptor, ColorTransfer, ContactShadow, LightTransfer};
+pub use light::{AmbientDescriptor, ColorTransfer, GroundShadow, LightTransfer};
 pub use motion::Motion;
 pub use obstacle::{Obstacle, ObstacleKind};
 pub use photometry::Photometry;

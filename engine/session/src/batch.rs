@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use decouplegs_render::layout::CAMERAS_MAX;
 use decouplegs_render::{Agent, Scene};
-use decouplegs_scene::{Camera, ContactShadow};
+use decouplegs_scene::{Camera, GroundShadow};
 use glam::DVec3;
 
 use super::batch_renderer::WorldView;
@@ -66,7 +66,7 @@ pub(super) fn batches(
 /// The agents of a batch, each seen by the cameras of its world.
 pub(super) struct AgentBatch {
     agents: Vec<Agent>,
-    shadows: Vec<ContactShadow>,
+    shadows: Vec<GroundShadow>,
     shadow_cameras: Option<Vec<u32>>,
 }
 

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use decouplegs_asset::{Layer, LoadedAgent, LoadedScene};
 use decouplegs_render::{Agent, AssetId, AssetPool, GpuScene, RenderError, Renderer, Scene};
 use decouplegs_scene::light::Lighting;
-use decouplegs_scene::{CodedCloud, ContactShadow, Motion, Pose, ShFrame};
+use decouplegs_scene::{CodedCloud, GroundShadow, Motion, Pose, ShFrame};
 use glam::DVec3;
 
 /// A loaded scene on the device: what a loop of frames needs of it.
@@ -91,7 +91,7 @@ pub struct SceneSnapshot {
     /// The agents, in the light of where they stand.
     pub agents: Vec<Agent>,
     /// The shadows that they throw on the ground.
-    pub shadows: Vec<ContactShadow>,
+    pub shadows: Vec<GroundShadow>,
     /// Agents about whose place the background tells nothing: they keep the light that their assets
     /// were captured in.
     pub unlit: usize,

@@ -10,7 +10,7 @@ use decouplegs_scene::light::{
     bake_shadows,
 };
 use decouplegs_scene::{
-    CodedCloud, ContactShadow, LightTransfer, Motion, Pose, Presence, Rig, Sensor, ShFrame, SkyMap,
+    CodedCloud, GroundShadow, LightTransfer, Motion, Pose, Presence, Rig, Sensor, ShFrame, SkyMap,
     SplatCloud, Trajectory, World,
 };
 use glam::DVec3;
@@ -185,7 +185,7 @@ impl LoadedScene {
             })
             .collect();
         // Before there are agents in it, which shadows do not lie on.
-        let shadows: Vec<ContactShadow> = lit
+        let shadows: Vec<GroundShadow> = lit
             .iter()
             .filter_map(|(_, _, lit)| lit.as_ref())
             .flat_map(|lit| lit.shadows.iter().copied())

@@ -1,7 +1,7 @@
-//! Records of light: contact shadows, and colors to be relit.
+//! Records of light: shadows on the ground, and colors to be relit.
 
 use bytemuck::{Pod, Zeroable};
-use decouplegs_scene::{ColorTransfer, ContactShadow, sh};
+use decouplegs_scene::{ColorTransfer, GroundShadow, sh};
 use glam::{DMat3, DVec3};
 
 /// `Shadow` of `shadow.glsl`.
@@ -36,7 +36,7 @@ impl ShadowRecord {
     /// `shadow` in a world whose means are relative to `origin`, seen by all cameras. Made in f64:
     /// only the result is rounded.
     #[must_use]
-    pub fn new(shadow: &ContactShadow, origin: DVec3) -> Self {
+    pub fn new(shadow: &GroundShadow, origin: DVec3) -> Self {
         let center = shadow.world_from_ground.translation - origin;
         let high = center.as_vec3();
         let axes = DMat3::from_quat(shadow.world_from_ground.rotation.normalize());

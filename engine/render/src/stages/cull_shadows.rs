@@ -1,4 +1,4 @@
-//! Culling of contact shadows per cluster of the background.
+//! Culling of shadows on the ground, per cluster of the background.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};

@@ -51,7 +51,7 @@ pub struct ProjectVariant {
     pub instances: bool,
     /// True if records have the index of their splat instead.
     pub splat_ids: bool,
-    /// True if agents cast contact shadows.
+    /// True if agents throw shadows on the ground.
     pub shadows: bool,
     /// True if some shadows are not visible to all cameras.
     pub shadows_by_camera: bool,

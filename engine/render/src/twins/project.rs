@@ -54,7 +54,7 @@ pub struct ProjectBuffers<'a> {
     pub key_sets: &'a [u32],
     /// The persistent key buffer, `[set][splat]`.
     pub kept_keys: &'a [u32],
-    /// Contact shadows.
+    /// Shadows on the ground.
     pub shadows: &'a [ShadowRecord],
     /// One bit per (cluster, shadow).
     pub shadow_words: &'a [u32],

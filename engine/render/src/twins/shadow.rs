@@ -1,4 +1,4 @@
-//! Contact shadows: `shadow.glsl`, and which clusters they may lie on: `cull_shadows.comp`.
+//! Shadows on the ground: `shadow.glsl`, and which clusters they may lie on: `cull_shadows.comp`.
 
 use glam::Vec3;
 

@@ -2,11 +2,11 @@
 
 use glam::{DMat2, DQuat, DVec2, DVec3};
 
-use crate::light::ContactShadow;
+use crate::light::GroundShadow;
 use crate::light::environment::shown_loss;
 use crate::{Invalid, Pose};
 
-/// [`ContactShadow::sharpness`] of a cast shadow: dark within, with a soft edge.
+/// [`GroundShadow::sharpness`] of a cast shadow: dark within, with a soft edge.
 const SHARPNESS: u32 = 3;
 
 /// Decay at which the mask of that sharpness, summed over the ground, is as large as its rectangle:
@@ -120,7 +120,7 @@ impl CastingLights {
         dims_m: [f32; 3],
         sunlit: f64,
         slab_m: f64,
-    ) -> (Vec<ContactShadow>, f64) {
+    ) -> (Vec<GroundShadow>, f64) {
         let place = world_from_agent.translation;
         // In units of the light of the sky.
         let mut lights = Vec::new();
@@ -163,7 +163,7 @@ fn shadow_of(
     dims_m: [f32; 3],
     share: f64,
     slab_m: f64,
-) -> Option<ContactShadow> {
+) -> Option<GroundShadow> {
     let [length_m, width_m, height_m] = dims_m.map(|size| f64::from(size).max(1e-3));
     let ground = world_from_agent.then(&Pose {
         translation: DVec3::new(0.0, 0.0, -0.5 * height_m),
@@ -208,7 +208,7 @@ fn shadow_of(
     let area_m2 =
         first.perp_dot(second).abs() + first.perp_dot(third).abs() + second.perp_dot(third).abs();
     let scale = (area_m2 / (4.0 * half_size_m[0] * half_size_m[1])).sqrt();
-    Some(ContactShadow {
+    Some(GroundShadow {
         world_from_ground: ground.then(&Pose {
             rotation: DQuat::from_rotation_z(turn_rad),
             translation: (0.5 * offset_m).extend(0.0),
@@ -241,7 +241,7 @@ mod tests {
 
     /// Area by which the mask of `shadow` departs from the ground that a light really is hidden
     /// from, and the area of the mask, both over the true area.
-    fn compare(shadow: &ContactShadow, hidden: impl Fn(DVec3) -> bool) -> (f64, f64) {
+    fn compare(shadow: &GroundShadow, hidden: impl Fn(DVec3) -> bool) -> (f64, f64) {
         let (mut off, mut masked, mut truth) = (0.0, 0.0, 0.0);
         for i in -150..=150 {
             for j in -150..=150 {
@@ -260,7 +260,7 @@ mod tests {
         Pose::from_yaw(yaw_rad, DVec3::new(0.0, 0.0, 0.75))
     }
 
-    fn only(lights: &CastingLights, pose: &Pose) -> ContactShadow {
+    fn only(lights: &CastingLights, pose: &Pose) -> GroundShadow {
         let (shadows, _) = lights.shadows(pose, CAR_M, 1.0, 0.15);
         let [shadow] = shadows[..] else {
             panic!("{} shadows", shadows.len());

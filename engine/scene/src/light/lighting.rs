@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::light::confidence::on_brighter_ground;
 use crate::light::environment::{linear_loss, shown_loss};
 use crate::light::{
-    AmbientDescriptor, AmbientField, CastingLights, ColorTransfer, ContactShadow, LightTransfer,
+    AmbientDescriptor, AmbientField, CastingLights, ColorTransfer, GroundShadow, LightTransfer,
     RelightOptions, Trust,
 };
 
@@ -86,13 +86,13 @@ impl ShadowOptions {
         world_from_agent: &Pose,
         dims_m: [f32; 3],
         light: &AmbientDescriptor,
-    ) -> ContactShadow {
+    ) -> GroundShadow {
         let [length_m, width_m, height_m] = dims_m.map(f64::from);
         let ground = Pose {
             translation: DVec3::new(0.0, 0.0, -0.5 * height_m),
             ..Pose::IDENTITY
         };
-        ContactShadow {
+        GroundShadow {
             world_from_ground: world_from_agent.then(&ground),
             half_size_m: [0.5 * length_m, 0.5 * width_m].map(|half| half.max(1e-3)),
             strength: self.strength * self.starkness(light),
@@ -123,7 +123,7 @@ pub struct LitAgent {
     /// To its colors, in the frame that these are meant in.
     pub relight: Option<ColorTransfer>,
     /// Shadows that it throws on the ground: its contact shadow first, then those that it casts.
-    pub shadows: Vec<ContactShadow>,
+    pub shadows: Vec<GroundShadow>,
     /// True if the light is from the background; false if it is the neutral light of the assets.
     pub known: bool,
 }
@@ -155,7 +155,7 @@ impl Lighting {
         world_from_agent: &Pose,
         dims_m: [f32; 3],
         light: &AmbientDescriptor,
-    ) -> Vec<ContactShadow> {
+    ) -> Vec<GroundShadow> {
         let Some(options) = self.shadows else {
             return Vec::new();
         };
@@ -170,7 +170,7 @@ impl Lighting {
             .casting
             .shadows(world_from_agent, dims_m, sunlit, options.slab_m);
         let hidden = linear_loss(options.strength * options.floor);
-        let contact = ContactShadow {
+        let contact = GroundShadow {
             strength: shown_loss(sky * hidden),
             ..contact
         };
@@ -426,7 +426,7 @@ mod tests {
         };
         assert!(ofsky.strength < 0.4 * contact.strength, "{ofsky:?}");
         assert_eq!(
-            ContactShadow {
+            GroundShadow {
                 strength: contact.strength,
                 ..ofsky
             },

@@ -2,7 +2,7 @@
 //! shadow they stand in.
 //!
 //! DecoupleGS section 3.4 and supplement: an ambient descriptor L(x) from the background's
-//! spherical harmonics, an affine transfer c' = T(L) (.) c + b(L), and a contact shadow on the
+//! spherical harmonics, an affine transfer c' = T(L) (.) c + b(L), and shadows on the
 //! ground.
 
 /// Weights of red, green and blue in luminance (Rec. 709).
@@ -28,5 +28,5 @@ pub use environment::{
     reflected_by_white_of_nine, to_display, to_linear,
 };
 pub use lighting::{Lighting, LitAgent, ShadowOptions};
-pub use shadow::{ContactShadow, bake_shadows};
+pub use shadow::{GroundShadow, bake_shadows};
 pub use transfer::{ColorTransfer, LightTransfer};

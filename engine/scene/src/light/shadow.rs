@@ -1,5 +1,5 @@
-//! The contact shadow: a soft super-ellipse about an agent's footprint, laid on the ground that it
-//! stands on.
+//! Shadows on the ground that an agent stands on: soft super-ellipses, about its footprint or where
+//! its box keeps a light away.
 
 use crate::{Invalid, Pose, SplatCloud, World, sh};
 use glam::{DVec2, DVec3};
@@ -7,18 +7,18 @@ use glam::{DVec2, DVec3};
 /// Exponent of the super-ellipse: a rounded rectangle.
 pub const EXPONENT: i32 = 4;
 
-/// Largest [`ContactShadow::sharpness`].
+/// Largest [`GroundShadow::sharpness`].
 pub const SHARPNESS_MAX: u32 = 8;
 
 /// The mask counts as zero below this: half of what an eight-bit image shows at full strength.
 pub const MASK_MIN: f64 = 1.0 / 512.0;
 
-/// The shadow of one agent: ground at u, in its plane, is darkened by `1 - strength M(u)`,
-/// `M(u) = exp(-decay (|u_x / (L / 2)|^4 + |u_y / (W / 2)|^4)^(1/4))`.
+/// A shadow of one agent: ground at u, in its plane, is darkened by `1 - strength M(u)`,
+/// `M(u) = exp(-decay r^(2^sharpness))`, `r = (|u_x / (L / 2)|^4 + |u_y / (W / 2)|^4)^(1/4)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ContactShadow {
-    /// The ground under the agent: origin below its middle, x along it, z out of the ground. f64
-    /// world coordinates.
+pub struct GroundShadow {
+    /// The ground: origin in the middle of the shadow, x along it, z out of the ground. f64 world
+    /// coordinates.
     pub world_from_ground: Pose,
     /// Half of its length and width, meters.
     pub half_size_m: [f64; 2],
@@ -33,7 +33,7 @@ pub struct ContactShadow {
     pub slab_m: f64,
 }
 
-impl ContactShadow {
+impl GroundShadow {
     /// Checks the shadow and describes the first fault.
     ///
     /// # Errors
@@ -107,7 +107,7 @@ impl ContactShadow {
 /// which shadows do not lie on.
 ///
 /// `max(0, 0.5 + SH) f = max(0, f (0.5 + SH))`, so a darkened splat is a splat again.
-pub fn bake_shadows(world: &mut World, shadows: &[ContactShadow]) {
+pub fn bake_shadows(world: &mut World, shadows: &[GroundShadow]) {
     if shadows.is_empty() {
         return;
     }
@@ -141,8 +141,8 @@ pub fn bake_shadows(world: &mut World, shadows: &[ContactShadow]) {
 mod tests {
     use super::*;
 
-    fn shadow() -> ContactShadow {
-        ContactShadow {
+    fn shadow() -> GroundShadow {
+        GroundShadow {
             world_from_ground: Pose::from_yaw(
                 std::f64::consts::FRAC_PI_2,
                 DVec3::new(4.5e6, 10.0, 0.0),
@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn a_sharp_shadow_is_even_within_and_ends_at_its_reach() {
-        let sharp = ContactShadow {
+        let sharp = GroundShadow {
             decay: 0.5,
             sharpness: 3,
             ..shadow()
@@ -211,7 +211,7 @@ mod tests {
     #[test]
     fn what_is_no_shadow_is_named() {
         shadow().check().unwrap();
-        let broken = |change: fn(&mut ContactShadow)| {
+        let broken = |change: fn(&mut GroundShadow)| {
             let mut shadow = shadow();
             change(&mut shadow);
             shadow.check().unwrap_err()
