@@ -1,6 +1,6 @@
 #version 460
-// Culling of shadows on the ground: a bit per shadow and cluster of the background. Where no agent stands
-// near, projection reads a zero.
+// Culling of shadows on the ground: a bit per shadow and cluster of the background. Where no agent
+// stands near, projection reads a zero.
 //
 // One thread per word: 32 shadows on one cluster.
 #extension GL_GOOGLE_include_directive : require

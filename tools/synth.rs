@@ -11,8 +11,10 @@ use decouplegs::asset::maps::lane_json;
 use decouplegs::asset::memory::{self, cloud_bytes};
 use decouplegs::asset::tracks::{self, PoseRow};
 use decouplegs::asset::{
-    CodedAsset, Provenance, SceneAgent, SceneFile, inria_ply, write_atomically, write_coded,
+    CodedAsset, Provenance, SceneAgent, SceneFile, SceneLight, inria_ply, write_atomically,
+    write_coded,
 };
+use decouplegs::scene::light::ShadowOptions;
 use decouplegs::scene::{Camera, Pose, Presence, Rules, SplatCloud, TimedPose, Trajectory, World};
 use decouplegs::synth::street::{AssetLight, Capture, Street, StreetOptions, Weather};
 use decouplegs::train::compress::compress_quickly;
@@ -98,6 +100,10 @@ struct StreetArguments {
     /// Plain cars (.ply) stand still in one frame, without loss
     #[arg(long)]
     movable: bool,
+    /// Let the cars throw shadows on the road, under the sun or the street lamps of the weather:
+    /// a [light] table. Best with --neutral-assets, since other cars show the dark below them
+    #[arg(long)]
+    shadows: bool,
     /// Write world.ply too: street and cars as one cloud of splats, for programs without agents
     #[arg(long)]
     baked: bool,
@@ -138,7 +144,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         true => Cars::Compressed,
         false => Cars::Plain,
     };
-    write_street(&street, &arguments.out, cars, arguments.baked)?;
+    let content = Content {
+        cars,
+        baked: arguments.baked,
+        shadows: arguments.shadows,
+    };
+    write_street(&street, &arguments.out, content)?;
     working.finish_and_clear();
     let out = arguments.out.display();
     let mut text = format!(
@@ -187,7 +198,12 @@ pub fn demo() -> Result<PathBuf> {
             camera.intrinsics = camera.intrinsics.resized(800, 450);
         }
         let out = scene.parent().unwrap_or(Path::new(""));
-        write_street(&street, out, Cars::Compressed, false)?;
+        let content = Content {
+            cars: Cars::Compressed,
+            baked: false,
+            shadows: false,
+        };
+        write_street(&street, out, content)?;
         working.finish_and_clear();
     }
     Ok(scene)
@@ -251,12 +267,23 @@ impl Cars {
     }
 }
 
-fn write_street(street: &Street, out: &Path, cars: Cars, baked: bool) -> Result<()> {
+/// Content of the folder of a street.
+#[derive(Clone, Copy)]
+struct Content {
+    cars: Cars,
+    /// True: `world.ply` too.
+    baked: bool,
+    /// True: the scene file has shadows.
+    shadows: bool,
+}
+
+fn write_street(street: &Street, out: &Path, content: Content) -> Result<()> {
     let assets = out.join("assets");
     fs::create_dir_all(&assets).with_context(|| format!("{} cannot be made", assets.display()))?;
     inria_ply::write(&out.join("background.ply"), &street.background)?;
     for (index, asset) in street.assets.iter().enumerate() {
-        cars.write(&out.join(cars.path(index)), asset)?;
+        let path = out.join(content.cars.path(index));
+        content.cars.write(&path, asset)?;
     }
     let ego = trajectory(&street.ego).context("the ego's way is no trajectory")?;
     let cameras = transforms(&street.rig.at(&ego.at(ego.start_s())));
@@ -265,16 +292,16 @@ fn write_street(street: &Street, out: &Path, cars: Cars, baked: bool) -> Result<
     })?;
     lane_json::write(&out.join("lanes.json"), &street.lanes)?;
     tracks::write_poses(&out.join("tracks.csv"), &poses(street)?)?;
-    if baked {
+    if content.baked {
         inria_ply::write(&out.join("world.ply"), &baked_world(street)?)?;
     }
     // Last, because it is what makes a folder a scene: when it is there, all that it names is
     // there.
-    scene_file(street, ego, cars)?.write(&out.join("scene.toml"))?;
+    scene_file(street, ego, content)?.write(&out.join("scene.toml"))?;
     Ok(())
 }
 
-fn scene_file(street: &Street, ego: Trajectory, cars: Cars) -> Result<SceneFile> {
+fn scene_file(street: &Street, ego: Trajectory, content: Content) -> Result<SceneFile> {
     let agents = street
         .agents
         .iter()
@@ -283,7 +310,7 @@ fn scene_file(street: &Street, ego: Trajectory, cars: Cars) -> Result<SceneFile>
             Ok(SceneAgent {
                 name: agent.name.clone(),
                 class: Some("car".into()),
-                asset: cars.path(agent.asset),
+                asset: content.cars.path(agent.asset),
                 sh_frame: Some(agent.sh_frame),
                 trajectory: trajectory(way)
                     .with_context(|| format!("the way of {} is no trajectory", agent.name))?,
@@ -296,6 +323,11 @@ fn scene_file(street: &Street, ego: Trajectory, cars: Cars) -> Result<SceneFile>
         rig: street.rig.clone(),
         ego: Some(ego),
         agents: agents.collect::<Result<_>>()?,
+        light: content.shadows.then(|| SceneLight {
+            shadows: Some(ShadowOptions::default()),
+            casting: street.casting.clone(),
+            ..SceneLight::default()
+        }),
         ..SceneFile::of_background("background.ply")
     })
 }

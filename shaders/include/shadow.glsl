@@ -1,5 +1,5 @@
-// A shadow of an agent on the ground that it stands on: a soft super-ellipse about its footprint, or
-// where its box keeps a light away.
+// A shadow of an agent on the ground that it stands on: a soft super-ellipse about its footprint,
+// or where its box keeps a light away.
 
 struct Shadow {
     vec3 center_high_m; // the ground in the middle of the shadow, relative to the world's origin: high and low part

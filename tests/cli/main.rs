@@ -283,6 +283,18 @@ fn weather_changes_the_street_and_neutral_light_the_cars_only() {
     }
     let [background, car] = bytes("neutral", &["--neutral-assets"]);
     assert!(background == plain[0] && car != plain[1]);
+    for (weather, sun, lamps) in [
+        ("clear", true, false),
+        ("overcast", false, false),
+        ("night", false, true),
+    ] {
+        bytes("shadows", &["--weather", weather, "--shadows"]);
+        let scene = folder.path().join("shadows/scene.toml");
+        let light = &json(&["inspect", text(&scene), "--json"])["scene"]["light"];
+        assert!(light["shadows"] == true, "{light}");
+        assert_eq!(light["sun"].is_object(), sun, "{weather}");
+        assert_eq!(light["lamps"] != 0, lamps, "{weather}");
+    }
     assert!(fail(2, &["synth", "street", "--weather", "hail", "--out", "a"]).contains("overcast"));
 }
 

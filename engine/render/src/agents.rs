@@ -61,8 +61,8 @@ pub struct Scene<'a> {
     pub world: &'a GpuScene,
     /// The assets that agents show, and the agents, in the order in which equal depths are drawn.
     pub agents: Option<(&'a AssetPool, &'a [Agent])>,
-    /// Shadows on the ground of the background. They multiply, and need not be those of agents that are
-    /// drawn.
+    /// Shadows on the ground of the background. They multiply, and need not be those of agents that
+    /// are drawn.
     pub shadows: &'a [GroundShadow],
     /// Cameras that see each shadow, a bit each, as in [`Agent::cameras`]; `None`: all see all.
     pub shadow_cameras: Option<&'a [u32]>,

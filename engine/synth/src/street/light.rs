@@ -108,16 +108,18 @@ impl Light {
                 .map(|(value, weight)| f64::from(value) * weight)
                 .sum()
         };
+        // What a file shows is no longer than it needs to be.
+        let rounded = |at: Vec3| (at.as_dvec3() * 1e6).round() / 1e6;
         let air = &self.air;
         let sky = luminance(air.sky);
         let sun = luminance(air.sun * air.sun_strength * self.towards_sun.z);
         CastingLights {
             sun: (sun > 0.0).then(|| Sun {
-                towards: self.towards_sun.as_dvec3(),
-                share: sun / (sun + sky),
+                towards: rounded(self.towards_sun),
+                share: (sun / (sun + sky) * 1e6).round() / 1e6,
             }),
             lamps: Lamps {
-                places: self.lamps.iter().map(|lamp| lamp.as_dvec3()).collect(),
+                places: self.lamps.iter().copied().map(rounded).collect(),
                 range_m: f64::from(LAMP_REACH_M).min((luminance(air.lamp) / sky).sqrt().max(1.0)),
             },
         }
