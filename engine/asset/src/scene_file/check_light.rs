@@ -1,13 +1,17 @@
 //! The light of a scene, checked.
 
+use std::ops::Range;
+
+use decouplegs_scene::Invalid;
 use decouplegs_scene::light::{
     AmbientOptions, CastingLights, Lamps, RelightOptions, ShadowOptions, Sun,
 };
+use glam::DVec3;
 use toml::Spanned;
 
 use super::SceneLight;
 use super::check::field_of;
-use super::form::{LightForm, ShadowForm};
+use super::form::{LampsForm, LightForm, ShadowForm, SunForm};
 use crate::SceneError;
 use crate::toml_text::Checker;
 
@@ -48,40 +52,36 @@ impl Checker<'_> {
     }
 
     fn casting(&self, form: &LightForm) -> Result<CastingLights, SceneError> {
-        let sun = form.sun.as_ref().map(|form| {
-            let (towards, share) = (form.get_ref().towards.into(), form.get_ref().share);
-            Sun { towards, share }
-        });
-        let lamps = form.lamps.as_ref().map(Spanned::get_ref).map(|form| Lamps {
-            places: form.places.iter().copied().map(Into::into).collect(),
-            range_m: form.range_m.unwrap_or(Lamps::default().range_m),
-        });
-        let tables = [
-            ("light.sun", form.sun.as_ref().map(Spanned::span)),
-            ("light.lamps", form.lamps.as_ref().map(Spanned::span)),
-        ];
-        let parts = [
-            CastingLights {
-                sun,
-                ..CastingLights::default()
-            },
-            CastingLights {
-                sun: None,
-                lamps: lamps.unwrap_or_default(),
-            },
-        ];
-        for ((table, span), part) in tables.into_iter().zip(&parts) {
-            let Some(span) = span else { continue };
-            part.check().map_err(|reason| {
-                self.error(&span, table, field_of(reason.reason()), reason.reason())
+        let check = |table: &str, span: &Range<usize>, checked: Result<(), Invalid>| {
+            checked.map_err(|reason| {
+                self.error(span, table, field_of(reason.reason()), reason.reason())
             })?;
-            if form.shadows.is_none() {
-                let reason = "it casts shadows, which a scene has only with a [light.shadows] table: add one, or remove this table";
-                return Err(self.error(&span, "", table, reason));
+            match form.shadows {
+                Some(_) => Ok(()),
+                None => {
+                    let reason = "it casts shadows, which a scene has only with a [light.shadows] table: add one, or remove this table";
+                    Err(self.error(span, "", table, reason))
+                }
             }
+        };
+        let mut casting = CastingLights::default();
+        if let Some(table) = &form.sun {
+            let SunForm { towards, share } = *table.get_ref();
+            let towards = DVec3::from_array(towards);
+            let sun = Sun { towards, share };
+            check("light.sun", &table.span(), sun.check())?;
+            casting.sun = Some(sun);
         }
-        let [_, CastingLights { lamps, .. }] = parts;
-        Ok(CastingLights { sun, lamps })
+        if let Some(table) = &form.lamps {
+            let LampsForm { places, range_m } = table.get_ref();
+            let lamps = Lamps {
+                places: places.iter().copied().map(DVec3::from_array).collect(),
+                range_m: range_m.unwrap_or(Lamps::default().range_m),
+            };
+            check("light.lamps", &table.span(), lamps.check())?;
+            casting.lamps = lamps;
+        }
+        Ok(casting)
     }
 
     fn shadows(&self, form: &Spanned<ShadowForm>) -> Result<ShadowOptions, SceneError> {

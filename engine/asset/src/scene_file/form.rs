@@ -131,7 +131,7 @@ pub(super) struct LightForm {
     pub(super) lamps: Option<Spanned<LampsForm>>,
 }
 
-#[derive(Deserialize, Serialize)]
+#[derive(Clone, Copy, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SunForm {
     pub(super) towards: [f64; 3],

@@ -49,6 +49,27 @@ pub struct Sun {
     pub share: f64,
 }
 
+impl Sun {
+    /// Checks the sun and describes the first fault.
+    ///
+    /// # Errors
+    /// A sentence naming the value at fault.
+    pub fn check(&self) -> Result<(), Invalid> {
+        let Self { towards, share } = *self;
+        if !(towards.is_finite() && towards.length() > 1e-6) {
+            return Err(Invalid::new(format!(
+                "towards is {towards}; expected a finite direction of any length above 0"
+            )));
+        }
+        if !(share > 0.0 && share < 1.0) {
+            return Err(Invalid::new(format!(
+                "share is {share}; expected a number above 0 and below 1"
+            )));
+        }
+        Ok(())
+    }
+}
+
 /// Street lamps that are lit, all alike.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lamps {
@@ -68,6 +89,27 @@ impl Default for Lamps {
     }
 }
 
+impl Lamps {
+    /// Checks the lamps and describes the first fault.
+    ///
+    /// # Errors
+    /// A sentence naming the value at fault.
+    pub fn check(&self) -> Result<(), Invalid> {
+        if let Some(place) = self.places.iter().find(|place| !place.is_finite()) {
+            return Err(Invalid::new(format!(
+                "places holds {place}; expected finite coordinates"
+            )));
+        }
+        let range_m = self.range_m;
+        if !(range_m.is_finite() && range_m > 0.0) {
+            return Err(Invalid::new(format!(
+                "range_m is {range_m}; expected a number of meters above zero"
+            )));
+        }
+        Ok(())
+    }
+}
+
 /// A light as it arrives at one place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Arriving {
@@ -78,37 +120,6 @@ enum Arriving {
 }
 
 impl CastingLights {
-    /// Checks the lights and describes the first fault.
-    ///
-    /// # Errors
-    /// A sentence naming the value at fault.
-    pub fn check(&self) -> Result<(), Invalid> {
-        if let Some(Sun { towards, share }) = self.sun {
-            if !(towards.is_finite() && towards.length() > 1e-6) {
-                return Err(Invalid::new(format!(
-                    "towards is {towards}; expected a finite direction of any length above 0"
-                )));
-            }
-            if !(share > 0.0 && share < 1.0) {
-                return Err(Invalid::new(format!(
-                    "share is {share}; expected a number above 0 and below 1"
-                )));
-            }
-        }
-        if let Some(place) = self.lamps.places.iter().find(|place| !place.is_finite()) {
-            return Err(Invalid::new(format!(
-                "places holds {place}; expected finite coordinates"
-            )));
-        }
-        let range_m = self.lamps.range_m;
-        if !(range_m.is_finite() && range_m > 0.0) {
-            return Err(Invalid::new(format!(
-                "range_m is {range_m}; expected a number of meters above zero"
-            )));
-        }
-        Ok(())
-    }
-
     /// True if nothing casts a shadow.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -128,9 +139,12 @@ impl CastingLights {
         let place = world_from_agent.translation;
         // In units of the light of the sky.
         let mut lights = Vec::new();
-        if let Some(Sun { towards, share }) = self.sun.filter(|_| sunlit > 0.0) {
-            let sun = sunlit * share / (1.0 - share);
-            lights.push((Arriving::Sun(towards.normalize()), sun));
+        if let Some(Sun { towards, share }) = self.sun {
+            let towards = towards.normalize();
+            // A sun that casts no shadow takes nothing from the contact shadow either.
+            if sunlit > 0.0 && towards.z >= SINE_MIN {
+                lights.push((Arriving::Sun(towards), sunlit * share / (1.0 - share)));
+            }
         }
         let range_m = self.lamps.range_m;
         let lamps = self.lamps.places.iter().filter_map(|&lamp| {
@@ -348,7 +362,8 @@ mod tests {
         assert!(((1.0 - cast[0]).powf(2.2) - 0.3).abs() < 1e-12);
         // In the shade of a house there is but the sky, and so there is under a sun on the horizon.
         assert_eq!(strength(&sun(high), 0.0), (vec![], 1.0));
-        assert_eq!(strength(&sun(DVec3::new(1.0, 0.0, 0.02)), 1.0).0, vec![]);
+        let low = sun(DVec3::new(1.0, 0.0, 0.02));
+        assert_eq!(strength(&low, 1.0), (vec![], 1.0));
         assert_eq!(strength(&CastingLights::default(), 1.0), (vec![], 1.0));
         // A lamp straight above at its range is as bright as the sky, at twice that a quarter.
         let lamps = Lamps::default();
@@ -375,15 +390,17 @@ mod tests {
 
     #[test]
     fn what_is_no_light_is_named() {
-        sun(DVec3::Z).check().unwrap();
-        let error = |lights: CastingLights| lights.check().unwrap_err().reason().to_owned();
-        assert!(error(sun(DVec3::ZERO)).starts_with("towards is"));
-        let mut full = sun(DVec3::Z);
-        full.sun.as_mut().unwrap().share = 1.0;
-        assert!(error(full).starts_with("share is 1;"));
-        assert!(error(lamp(DVec3::NAN)).starts_with("places holds"));
-        let mut dark = lamp(DVec3::Z);
-        dark.lamps.range_m = 0.0;
-        assert!(error(dark).starts_with("range_m is 0;"));
+        let of_sun = |towards: DVec3, share: f64| Sun { towards, share }.check();
+        of_sun(DVec3::Z, 0.5).unwrap();
+        let reason = |checked: Result<(), Invalid>| checked.unwrap_err().reason().to_owned();
+        assert!(reason(of_sun(DVec3::ZERO, 0.5)).starts_with("towards is"));
+        assert!(reason(of_sun(DVec3::Z, 1.0)).starts_with("share is 1;"));
+        Lamps::default().check().unwrap();
+        assert!(reason(lamp(DVec3::NAN).lamps.check()).starts_with("places holds"));
+        let dark = Lamps {
+            range_m: 0.0,
+            ..Lamps::default()
+        };
+        assert!(reason(dark.check()).starts_with("range_m is 0;"));
     }
 }
