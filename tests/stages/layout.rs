@@ -197,6 +197,7 @@ fn records_of_light_and_lenses() -> Vec<Record> {
             normal,
             strength,
             log2_decay,
+            sharpness,
             reach,
             slab_m,
             cameras
