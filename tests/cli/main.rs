@@ -290,7 +290,7 @@ fn weather_changes_the_street_and_neutral_light_the_cars_only() {
     ] {
         bytes("shadows", &["--weather", weather, "--shadows"]);
         let scene = folder.path().join("shadows/scene.toml");
-        let light = &json(&["inspect", text(&scene), "--json"])["scene"]["light"];
+        let light = &json(&["inspect", text(&scene), "--json"])["light"];
         assert!(light["shadows"] == true, "{light}");
         assert_eq!(light["sun"].is_object(), sun, "{weather}");
         assert_eq!(light["lamps"] != 0, lamps, "{weather}");
