@@ -58,11 +58,11 @@ impl Arm {
                 "compressed cars as they were captured in neutral light, no shadows"
             }
             Self::Ours => {
-                "compressed cars, relit from the colors of the street about them, with contact shadows and those that the sun and \
-                 the street lamps cast, whose places are told"
+                "compressed cars, relit from the colors of the street about them, with contact shadows and the cast shadows of \
+                 the sun and the street lamps, whose positions the scene gives"
             }
             Self::ContactShadows => {
-                "ours with contact shadows alone, as where nobody tells of sun and lamps"
+                "ours with contact shadows only: the scene gives neither sun nor lamps"
             }
             Self::OursUnshadowed => "ours without any shadows",
             Self::OursUncompressed => {

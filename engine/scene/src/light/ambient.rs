@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-use crate::light::LUMA;
+use crate::light::luminance;
 use crate::sh::{self, ShRotation};
 
 /// The light about a place: bands 0 to 2 of spherical harmonics of display-referred color, as a
@@ -54,14 +54,8 @@ impl AmbientDescriptor {
     /// direction, not brightness.
     #[must_use]
     pub fn directionality(&self) -> f64 {
-        let luminance = |coefficient: &[f32; 3]| {
-            coefficient
-                .iter()
-                .zip(LUMA)
-                .map(|(c, w)| f64::from(*c) * w)
-                .sum::<f64>()
-        };
-        let [direct, y, z, x] = std::array::from_fn(|index| luminance(&self.coefficients[index]));
+        let [direct, y, z, x] =
+            std::array::from_fn(|index| luminance(self.coefficients[index].map(f64::from)));
         let sideways = DVec3::new(x, y, z).length();
         if direct > 0.0 {
             (sideways / (3f64.sqrt() * direct)).min(1.0)

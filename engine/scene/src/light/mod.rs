@@ -8,6 +8,13 @@
 /// Weights of red, green and blue in luminance (Rec. 709).
 pub const LUMA: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
+/// Luminance of `rgb` (Rec. 709).
+#[must_use]
+pub fn luminance(rgb: [f64; 3]) -> f64 {
+    let weighted = rgb.into_iter().zip(LUMA);
+    weighted.map(|(value, weight)| value * weight).sum()
+}
+
 mod ambient;
 mod ambient_field;
 mod cast;

@@ -2,7 +2,7 @@
 //! = W_B L + b_0.
 
 use crate::light::confidence::on_brighter_ground;
-use crate::light::{AmbientDescriptor, LUMA, TransferConfidence, Trust, to_linear};
+use crate::light::{AmbientDescriptor, TransferConfidence, Trust, luminance, to_linear};
 use crate::{Invalid, SplatCloud, sh};
 
 /// [`sh::DC_SHIFT`] as colors are stored.
@@ -137,12 +137,7 @@ impl LightTransfer {
     /// the ground shows it.
     #[must_use]
     pub fn ground_albedo(&self) -> f64 {
-        let luminance = self.neutral.mean().into_iter().zip(LUMA);
-        to_linear(
-            luminance
-                .map(|(value, weight)| f64::from(value) * weight)
-                .sum(),
-        )
+        to_linear(luminance(self.neutral.mean().map(f64::from)))
     }
 
     /// T(L) and b(L) drawn towards the identity by their predicted error, and how much of them is

@@ -1,7 +1,7 @@
 //! Light, baked: the sun with cast shadows, the sky, bounce from the ground, street lamps, and the
 //! dark under cars.
 
-use decouplegs_scene::light::{CastingLights, LUMA, Lamps, Sun};
+use decouplegs_scene::light::{CastingLights, Lamps, Sun, luminance};
 use glam::{Quat, Vec2, Vec3};
 
 use super::occluder::Occluder;
@@ -102,12 +102,7 @@ impl Light {
 
     /// The lights that cast shadows on open ground, as a scene tells them.
     pub(super) fn casting(&self) -> CastingLights {
-        let luminance = |rgb: Vec3| -> f64 {
-            let weighted = rgb.to_array().into_iter().zip(LUMA);
-            weighted
-                .map(|(value, weight)| f64::from(value) * weight)
-                .sum()
-        };
+        let luminance = |rgb: Vec3| luminance(rgb.as_dvec3().to_array());
         // What a file shows is no longer than it needs to be.
         let rounded = |at: Vec3| (at.as_dvec3() * 1e6).round() / 1e6;
         let air = &self.air;
@@ -118,9 +113,12 @@ impl Light {
                 towards: rounded(self.towards_sun),
                 share: (sun / (sun + sky) * 1e6).round() / 1e6,
             }),
-            lamps: Lamps {
-                places: self.lamps.iter().copied().map(rounded).collect(),
-                range_m: f64::from(LAMP_REACH_M).min((luminance(air.lamp) / sky).sqrt().max(1.0)),
+            lamps: match self.lamps[..] {
+                [] => Lamps::default(),
+                _ => Lamps {
+                    places: self.lamps.iter().copied().map(rounded).collect(),
+                    range_m: f64::from(LAMP_REACH_M).min((luminance(air.lamp) / sky).sqrt()),
+                },
             },
         }
     }

@@ -158,7 +158,7 @@ impl Street {
             signal_heads: signals::heads(),
             obstacles: obstacles::obstacles(&layout),
             sky: weather::sky_rgb(options.weather),
-            casting: street_light(options.weather, &layout, vec![]).casting(),
+            casting: open_light(options.weather, &layout, vec![]).casting(),
         }
     }
 }
@@ -204,6 +204,11 @@ fn sh_degree(options: &StreetOptions) -> u8 {
 fn street_light(weather: Weather, layout: &Layout, others: Vec<Occluder>) -> Light {
     let mut occluders = occluders(layout, weather);
     occluders.extend(others);
+    open_light(weather, layout, occluders)
+}
+
+/// The light of the street past `occluders` alone.
+fn open_light(weather: Weather, layout: &Layout, occluders: Vec<Occluder>) -> Light {
     let lamps = if weather == Weather::Night {
         layout.lamps.iter().map(furniture::lamp_light).collect()
     } else {

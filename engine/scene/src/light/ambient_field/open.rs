@@ -62,7 +62,7 @@ mod tests {
 
     #[test]
     fn the_sun_does_not_reach_past_a_wall() {
-        // The wall stands at y = 12, 8 m high.
+        // The wall is at y = 12 m and is 8 m high.
         let cloud = street(60_000);
         let field = AmbientField::new(&cloud, cloud.len(), DVec3::ZERO, &AmbientOptions::default());
         let open = |y: f64, towards: DVec3| {

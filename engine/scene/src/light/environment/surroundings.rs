@@ -6,7 +6,7 @@
 
 use std::f64::consts::PI;
 
-use crate::light::LUMA;
+use crate::light::luminance;
 use crate::{AmbientDescriptor, sh};
 use glam::DVec3;
 
@@ -65,12 +65,7 @@ impl Surroundings {
     /// Factor on the light that gives the ground the display value `display` in luminance. `up` is
     /// the value of a white, upward surface without the factor. None in the dark.
     pub fn exposure(&self, up: [f64; 3], display: f64) -> Option<f64> {
-        let luminance: f64 = up
-            .iter()
-            .zip(LUMA)
-            .map(|(value, weight)| value * weight)
-            .sum();
-        let exposure = to_linear(display) / (self.albedo * luminance);
+        let exposure = to_linear(display) / (self.albedo * luminance(up));
         exposure.is_finite().then_some(exposure)
     }
 
