@@ -47,7 +47,7 @@ pub struct Arguments {
     /// Light transfer: the effect of light on colors, written by `calibrate-light` (.safetensors)
     #[arg(long, value_name = "FILE")]
     light: PathBuf,
-    /// Mean albedo of the road that the scene gives for relighting (default: that of the calibration)
+    /// Mean albedo of the road that the scene gives (default: that of the calibration)
     #[arg(long, value_name = "ALBEDO", value_parser = albedo)]
     ground_albedo: Option<f64>,
     /// Weather of the streets, one street each: clear, overcast, dusk, night; the system is
