@@ -18,14 +18,15 @@ layout(local_size_x = 256) in;
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer clusters_block { Cluster clusters[]; };
 layout(set = 0, binding = 2, scalar) readonly buffer means_block { vec3 means_m[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer shapes_block { vec4 shapes[]; };       // scales (m), opacity
-layout(set = 0, binding = 4, scalar) readonly buffer rotations_block { vec4 rotations[]; }; // w, x, y, z
+layout(set = 0, binding = 3, scalar) readonly buffer shapes_block { uvec4 shapes[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer rotations_block { uvec4 rotations[]; };
 layout(set = 0, binding = 5, scalar) writeonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 6, scalar) writeonly buffer visible_counts_block { uint visible_counts[]; };
 
 layout(push_constant, scalar) uniform push_block { uint splat_count; uint camera_count; uint cluster_count; };
 
 #include "visible_words.glsl"
+#include "stored_splat.glsl"
 
 void main() {
     uint cluster_index = group_index();
@@ -48,12 +49,7 @@ void main() {
         }
         if (!loaded) {
             mean_m = means_m[splat_index];
-            vec4 shape = shapes[splat_index];
-            opacity = shape.w;
-            axes = matrix_from_quaternion(rotations[splat_index]);
-            axes[0] *= shape.x;
-            axes[1] *= shape.y;
-            axes[2] *= shape.z;
+            axes = load_axes(splat_index, opacity);
             loaded = true;
         }
         SeenSplat seen;

@@ -31,14 +31,14 @@ layout(constant_id = 8) const bool SHADOWS_BY_CAMERA = false; // not all cameras
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer means_block { vec3 means_m[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer shapes_block { vec4 shapes[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer rotations_block { vec4 rotations[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer shapes_block { uvec4 shapes[]; };
+layout(set = 0, binding = 3, scalar) readonly buffer rotations_block { uvec4 rotations[]; };
 layout(set = 0, binding = 4, scalar) readonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 5, scalar) readonly buffer offsets_block { uint offsets[]; };
-layout(set = 0, binding = 6, scalar) readonly buffer sh_dc_block { vec3 sh_dc[]; };
-layout(set = 0, binding = 7, scalar) readonly buffer sh_band1_block { uint sh_band1[]; }; // 5 words
-layout(set = 0, binding = 8, scalar) readonly buffer sh_band2_block { uint sh_band2[]; }; // 8 words
-layout(set = 0, binding = 9, scalar) readonly buffer sh_band3_block { uint sh_band3[]; }; // 11 words
+layout(set = 0, binding = 6, scalar) readonly buffer sh_dc_block { uint sh_dc[]; };
+layout(set = 0, binding = 7, scalar) readonly buffer sh_band1_block { uint sh_band1[]; };
+layout(set = 0, binding = 8, scalar) readonly buffer sh_band2_block { uint sh_band2[]; };
+layout(set = 0, binding = 9, scalar) readonly buffer sh_band3_block { uint sh_band3[]; };
 layout(set = 0, binding = 10, scalar) readonly buffer instances_block { uint instances[]; }; // two 16-bit ids a word
 layout(set = 0, binding = 14, scalar) readonly buffer key_sets_block { uint key_sets[]; };    // of each camera, or NO_KEY_SET
 layout(set = 0, binding = 15, scalar) readonly buffer kept_keys_block { uint kept_keys[]; }; // [set][splat]
@@ -58,6 +58,10 @@ layout(push_constant, scalar) uniform push_block {
 // By plane: word w of splat i stands at w * splat_count + i, so that neighboring threads read
 // neighboring words.
 #define SH_WORD(band, word, index, stride) sh_band##band[(word) * (stride) + (index)]
+#include "stored_splat.glsl"
+#include "sh_coding.glsl"
+#include "stored_dc.glsl"
+#define SH_COMPACT COMPACT
 #include "sh.glsl"
 #include "write_record.glsl"
 
@@ -130,12 +134,7 @@ void main() {
         }
         if (!loaded) {
             mean_m = means_m[splat_index];
-            vec4 shape = shapes[splat_index];
-            opacity = shape.w;
-            axes = matrix_from_quaternion(rotations[splat_index]);
-            axes[0] *= shape.x;
-            axes[1] *= shape.y;
-            axes[2] *= shape.z;
+            axes = load_axes(splat_index, opacity);
             if (SHADOWS && !SHADOWS_BY_CAMERA) {
                 light = light_left(cluster_index, mean_m, camera_index);
             }
@@ -155,7 +154,7 @@ void main() {
         record.splat = seen.splat;
         record.depth_m = RADIAL ? length(seen.offset_m) : seen.t.z;
         record.instance = SPLAT_IDS ? splat_index : INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
-        vec3 color = sh_color(sh_dc[splat_index], splat_index, splat_count, normalize(seen.offset_m));
+        vec3 color = sh_color(load_dc(splat_index), splat_index, splat_count, normalize(seen.offset_m));
         write_record(slot, record, in_fog(SHADOWS ? light * color : color, length(seen.offset_m), fog));
         keys[slot] = key_of(camera_index, splat_index, mean_m, camera);
     }

@@ -56,6 +56,8 @@ uint color_word(uint at) {
     return RELIT && from_relit ? relit_bands[at] : coded_bands[at];
 }
 #define SH_WORD(band, word, index, stride) color_word((index) * (stride) + FIRST_WORD_##band + (word))
+#define SH_COMPACT false
+#include "sh_coding.glsl"
 #include "sh.glsl"
 #include "write_record.glsl"
 

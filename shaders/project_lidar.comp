@@ -20,13 +20,13 @@ layout(constant_id = 4) const bool INSTANCES = false; // splats belong to instan
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer means_block { vec3 means_m[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer shapes_block { vec4 shapes[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer rotations_block { vec4 rotations[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer shapes_block { uvec4 shapes[]; };
+layout(set = 0, binding = 3, scalar) readonly buffer rotations_block { uvec4 rotations[]; };
 layout(set = 0, binding = 4, scalar) buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 5, scalar) writeonly buffer visible_counts_block { uint visible_counts[]; };
 layout(set = 0, binding = 6, scalar) readonly buffer offsets_block { uint offsets[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer clusters_block { Cluster clusters[]; };
-layout(set = 0, binding = 8, scalar) readonly buffer sh_dc_block { vec3 sh_dc[]; };
+layout(set = 0, binding = 8, scalar) readonly buffer sh_dc_block { uint sh_dc[]; };
 layout(set = 0, binding = 9, scalar) readonly buffer instances_block { uint instances[]; }; // two 16-bit ids a word
 layout(set = 0, binding = 16, scalar) readonly buffer column_bounds_block { vec2 column_bounds[]; };
 layout(set = 0, binding = 17, scalar) readonly buffer row_bounds_block { vec2 row_bounds[]; };
@@ -42,14 +42,12 @@ layout(push_constant, scalar) uniform push_block {
 };
 
 #include "visible_words.glsl"
+#include "stored_splat.glsl"
+#include "sh_coding.glsl"
+#include "stored_dc.glsl"
 
 int visible_rank(uint first_word, uint bit) {
     VISIBLE_RANK(visible_words, first_word, bit);
-}
-
-mat3 axes_of(uint splat_index, vec3 scales_m) {
-    mat3 axes = matrix_from_quaternion(rotations[splat_index]);
-    return mat3(axes[0] * scales_m.x, axes[1] * scales_m.y, axes[2] * scales_m.z);
 }
 
 void write_records(uint cluster_index, uint splat_index) {
@@ -61,11 +59,12 @@ void write_records(uint cluster_index, uint splat_index) {
             continue; // the need is known: the host grows the buffer and traces again
         }
         vec3 mean_m = means_m[splat_index];
-        vec4 shape = shapes[splat_index];
+        float opacity;
+        mat3 axes = load_axes(splat_index, opacity);
         LidarSplat seen;
-        ivec4 cells = see_from_lidar(cameras[camera_index], sectors[camera_index], mean_m, axes_of(splat_index, shape.xyz), shape.w, vec3(0.0), seen);
+        ivec4 cells = see_from_lidar(cameras[camera_index], sectors[camera_index], mean_m, axes, opacity, vec3(0.0), seen);
         uint instance = INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
-        write_lidar_record(slot, seen, cells, intensity_of(sh_dc[splat_index]), instance);
+        write_lidar_record(slot, seen, cells, intensity_of(load_dc(splat_index)), instance);
         keys[slot] = depth_key(scaled_distance(mean_m, cameras[camera_index]));
     }
 }
@@ -91,9 +90,10 @@ void main() {
         if (splat_index >= splat_count || !any_cell(cluster_cells(cluster, camera, sector, 0.0))) {
             continue;
         }
-        vec4 shape = shapes[splat_index];
+        float opacity;
+        mat3 axes = load_axes(splat_index, opacity);
         LidarSplat seen;
-        if (any_cell(see_from_lidar(camera, sector, means_m[splat_index], axes_of(splat_index, shape.xyz), shape.w, vec3(0.0), seen))) {
+        if (any_cell(see_from_lidar(camera, sector, means_m[splat_index], axes, opacity, vec3(0.0), seen))) {
             set_visible(camera_index, thread);
         }
     }

@@ -32,6 +32,7 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
 use crate::progress;
 use crate::sites::Sites;
+use crate::storage::StorageArguments;
 use decouplegs_cli::video;
 
 /// Traffic lights of generated scenarios.
@@ -116,6 +117,8 @@ pub struct Arguments {
     /// Time limit for an answer of an external planner: a later answer ends its episode
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     planner_timeout: f64,
+    #[command(flatten)]
+    storage: StorageArguments,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -246,7 +249,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             .transpose()?
             .map(|file| file.transfer),
     };
-    let sites = Sites::new(gpu.as_ref(), appearance);
+    let sites = Sites::new(gpu.as_ref(), arguments.storage.storage(), appearance);
     let run = Run {
         arguments,
         folder: &folder,

@@ -22,6 +22,7 @@ use serde_json::json;
 use crate::arguments::{finite, print, three_numbers};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
+use crate::storage::StorageArguments;
 
 /// Sweep a scene with a LiDAR: one file of points per sweep, listed as they are written
 #[derive(clap::Args)]
@@ -74,6 +75,8 @@ pub struct Arguments {
     /// the scene's cameras
     #[arg(long)]
     previews: bool,
+    #[command(flatten)]
+    storage: StorageArguments,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -144,7 +147,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mode = asked.unwrap_or(model.returns);
     let start_s = arguments.time.unwrap_or(loaded.ego.start_s());
     let gpu = arguments.device.open()?;
-    let renderer = Renderer::new(&gpu, RenderOptions::default());
+    let stored = RenderOptions {
+        storage: arguments.storage.storage(),
+        ..RenderOptions::default()
+    };
+    let renderer = Renderer::new(&gpu, stored);
     let live = LiveScene::new(&renderer, &loaded)?;
     let rules = loaded.world.rules;
     let options = LidarOptions {

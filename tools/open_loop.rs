@@ -21,6 +21,7 @@ use crate::arguments::print;
 use crate::device::DeviceArguments;
 use crate::episode_report::spread;
 use crate::sites::Sites;
+use crate::storage::StorageArguments;
 
 /// Show a planner two sources of images along the same log, such as real images and rendered ones,
 /// and compare its plans. The ego drives as in the log, regardless of the plans
@@ -47,6 +48,8 @@ pub struct Arguments {
     /// Write the figures, step by step, to this file
     #[arg(long, value_name = "FILE.json")]
     json: Option<PathBuf>,
+    #[command(flatten)]
+    storage: StorageArguments,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -111,7 +114,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
             .transpose()?
             .map(|file| file.transfer),
     };
-    let sites = Sites::new(gpu.as_ref(), appearance);
+    let sites = Sites::new(gpu.as_ref(), arguments.storage.storage(), appearance);
     let ready = sites.get(&episode.head.scenario.place, base)?;
     let size_px = episode
         .head

@@ -32,6 +32,7 @@ use crate::arguments::{
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
+use crate::storage::StorageArguments;
 
 /// Render a scene for every camera, one image each, named by the camera; the files are listed as
 /// they are written
@@ -80,6 +81,8 @@ pub struct Arguments {
     /// Sharp images whose light is averaged for one exposure
     #[arg(long, value_name = "N", requires = "exposure", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1024))]
     sub_exposures: u32,
+    #[command(flatten)]
+    storage: StorageArguments,
     #[command(flatten)]
     device: DeviceArguments,
     /// Render with the f64 reference on the CPU: exact and slow
@@ -332,6 +335,7 @@ fn render_on_gpu(
     let options = SessionOptions {
         render: RenderOptions {
             outputs,
+            storage: arguments.storage.storage(),
             level_pitch_px: arguments.level_pitch,
             flow_interval_s: arguments.flow_interval,
             ..RenderOptions::default()

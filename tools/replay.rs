@@ -17,6 +17,7 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::drive::{ImageWriter, Images};
 use crate::progress;
 use crate::sites::{Ready, Sites};
+use crate::storage::StorageArguments;
 
 /// Repeat the plans of a log and compare: the motion of all vehicles and the score to the last bit,
 /// images by their hashes. Exits with 1 if something differs
@@ -36,6 +37,8 @@ pub struct Arguments {
     /// Write the images to this folder
     #[arg(long, value_name = "DIR", conflicts_with = "no_render")]
     images: Option<PathBuf>,
+    #[command(flatten)]
+    storage: StorageArguments,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -75,7 +78,7 @@ fn drawn(
             .transpose()?
             .map(|file| file.transfer),
     };
-    let sites = Sites::new(Some(&gpu), appearance);
+    let sites = Sites::new(Some(&gpu), arguments.storage.storage(), appearance);
     let ready = sites.get(&episode.head.scenario.place, base)?;
     let (
         Some(session),

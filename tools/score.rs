@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use decouplegs::asset::read_episode_log;
 use decouplegs::episode::Appearance;
+use decouplegs::render::Storage;
 
 use crate::arguments::print;
 use crate::episode_report::{self, Scored};
@@ -34,7 +35,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         _ if !arguments.against.is_empty() => {
             episode_report::compare(&scored, &read(&arguments.against)?, out)?
         }
-        Some(out) => episode_report::write(&scored, &Sites::new(None, Appearance::default()), out)?,
+        Some(out) => episode_report::write(
+            &scored,
+            &Sites::new(None, Storage::Exact, Appearance::default()),
+            out,
+        )?,
         None => episode_report::text(&scored)?,
     };
     print(&text)

@@ -26,6 +26,7 @@ use crate::arguments::{Size, finite, pixels, plane_names, print};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
+use crate::storage::StorageArguments;
 
 /// Measure frames on a GPU: time per stage, memory by purpose, and error against the f64 reference
 #[derive(clap::Args)]
@@ -55,6 +56,8 @@ pub struct Arguments {
     /// apart (default: always the finest)
     #[arg(long, value_name = "PX", value_parser = pixels)]
     level_pitch: Option<f64>,
+    #[command(flatten)]
+    storage: StorageArguments,
     /// Time step between frames, in which the ego and the agents move, seconds (default: they stand
     /// still)
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = finite)]
@@ -95,6 +98,7 @@ impl Arguments {
         RenderOptions {
             rules,
             outputs: self.outputs(),
+            storage: self.storage.storage(),
             keep_keys: !self.compute_keys,
             level_pitch_px: self.level_pitch,
             frames_in_flight: usize::from(self.in_flight),

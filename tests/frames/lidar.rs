@@ -8,7 +8,7 @@ use std::sync::Arc;
 use decouplegs::render::layout::BeamState;
 use decouplegs::render::reference::lidar::{BeamHit64, LidarScene64, SplatGroup};
 use decouplegs::render::{
-    Agent, AssetPool, GpuScene, LidarOptions, LidarRenderer, Scene, TracedSweep,
+    Agent, AssetPool, GpuScene, LidarOptions, LidarRenderer, Scene, Storage, TracedSweep,
 };
 use decouplegs::scene::lidar::{
     Beam, FiringTime, LidarPattern, LidarRow, ReturnMode, ReturnOptions, Spin,
@@ -258,7 +258,7 @@ fn trace(gpu: &Validated, world: &World, lidar: &Lidar, sectors: usize) -> Trace
         rules: world.rules,
         sectors,
     };
-    let resident = GpuScene::upload(gpu, world).unwrap();
+    let resident = GpuScene::upload(gpu, world, Storage::Exact).unwrap();
     let mut renderer = LidarRenderer::new(gpu, options);
     renderer
         .trace(&resident, lidar, ReturnMode::Median)
@@ -302,7 +302,7 @@ fn sweeps_of_every_kind_of_sensor_are_their_definition() {
 fn dual_returns_are_their_definition() {
     let gpu = Validated::open();
     let world = surroundings(3000, 4);
-    let resident = GpuScene::upload(&gpu, &world).unwrap();
+    let resident = GpuScene::upload(&gpu, &world, Storage::Exact).unwrap();
     let mut renderer = LidarRenderer::new(&gpu, LidarOptions::default());
     for (what, model) in models() {
         let lidar = lidar_at(model, world.origin, Motion::REST);
@@ -414,7 +414,7 @@ fn sweeps_in_motion_are_their_definition() {
             },
         ),
     ];
-    let resident = GpuScene::upload(&gpu, &world).unwrap();
+    let resident = GpuScene::upload(&gpu, &world, Storage::Exact).unwrap();
     let mut pool = AssetPool::new(&gpu).unwrap();
     let agents: Vec<Agent> = (cars.iter().zip(moving).enumerate())
         .map(|(index, (car, (pose, motion)))| Agent {

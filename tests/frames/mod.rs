@@ -18,6 +18,7 @@ mod presence;
 mod rolling_shutter;
 mod scenes;
 pub mod sky;
+mod storage;
 mod worlds;
 
 pub use agents::background;

@@ -14,7 +14,7 @@ use crate::data;
 const SIZE: (u32, u32) = (240, 160);
 
 /// Three cameras around an object whose up is along `up`, near enough to fill the image.
-fn around(cloud: &SplatCloud, up: DVec3) -> Vec<Camera> {
+pub fn around(cloud: &SplatCloud, up: DVec3) -> Vec<Camera> {
     // Captures have floaters far out: the middle and the size are taken over the inner 90 %.
     let inner = |axis: usize| {
         let mut values: Vec<f32> = cloud.means.iter().map(|mean| mean[axis]).collect();

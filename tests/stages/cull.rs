@@ -1,5 +1,6 @@
 //! `cull.comp`: which splats can be seen by which camera.
 
+use decouplegs::render::Storage;
 use decouplegs::render::layout::CLUSTER_SPLATS;
 use decouplegs::render::stages::{CameraVariant, Cull, Visible};
 use decouplegs::render::twins::lens::lens_of;
@@ -21,6 +22,7 @@ pub fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<
         gpu,
         rules,
         CameraVariant::of(&scene.view.cameras, &scene.view.lenses),
+        scene.resident.storage,
     )
     .unwrap();
     let (of_cameras, lenses) = (&scene.camera_buffer, &scene.lens_buffer);
@@ -59,7 +61,17 @@ fn check(scene: &Scene, rules: &Rules, words: &[u32], twin_words: &[u32]) -> Res
 }
 
 fn compare(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) {
-    let scene = Scene::new(gpu, world, cameras);
+    compare_stored(gpu, world, cameras, rules, Storage::Exact);
+}
+
+fn compare_stored(
+    gpu: &Validated,
+    world: &World,
+    cameras: &[Camera],
+    rules: Rules,
+    storage: Storage,
+) {
+    let scene = Scene::stored(gpu, world, cameras, storage);
     let (words, counts) = visible(gpu, &scene, &rules);
     let (twin_words, _) = scene.culled(&rules);
     let unsettled = check(&scene, &rules, &words, &twin_words).unwrap();
@@ -92,6 +104,8 @@ fn hard_splats_are_seen_by_the_same_cameras() {
         compare(&gpu, &hard_world(3000, 1), &rig(), rules);
         compare(&gpu, &hard_world(3000, 1), &lens_rig(), rules);
     }
+    let (world, storage) = (hard_world(3000, 1), Storage::Compact);
+    compare_stored(&gpu, &world, &rig(), Rules::DEFAULT, storage);
 }
 
 #[test]

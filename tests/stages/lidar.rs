@@ -2,7 +2,6 @@
 //! misses a splat.
 
 use decouplegs::gpu::QueueRole;
-use decouplegs::render::GpuScene;
 use decouplegs::render::capacity::Capacity;
 use decouplegs::render::layout::{
     BeamEchoes, BeamState, COARSE_HEIGHT_PX, COARSE_WIDTH_PX, RequiredCounts, View,
@@ -18,6 +17,9 @@ use decouplegs::render::twins::lidar::{
     see_from_lidar,
 };
 use decouplegs::render::twins::projection::axes_of;
+use decouplegs::render::twins::sh::Stored;
+use decouplegs::render::twins::stored_splat::load_shape;
+use decouplegs::render::{GpuScene, Storage};
 use decouplegs::scene::lidar::Beam;
 use decouplegs::scene::rules::LIDAR_DILATION_RAD;
 use decouplegs::scene::{Lidar, Motion, Pose, Rules, World};
@@ -45,14 +47,20 @@ struct Listed {
     echoes: Vec<BeamEchoes>,
     /// Splats as the device has them.
     stored: Vec<([f32; 3], Mat3, f32)>,
+    /// Their DC coefficients.
+    dc: Vec<Vec3>,
 }
 
 impl Listed {
     fn new(gpu: &Validated, world: &World, lidar: &Lidar) -> Self {
+        Self::stored(gpu, world, lidar, Storage::Exact)
+    }
+
+    fn stored(gpu: &Validated, world: &World, lidar: &Lidar, storage: Storage) -> Self {
         let beams = lidar.model.beams();
         let cut = Sectors::new(lidar, &beams, &lidar.model.cells(), 8);
         let view = View::new(&cut.cameras, world.origin, 1e3).unwrap();
-        let scene = GpuScene::upload(gpu, world).unwrap();
+        let scene = GpuScene::upload(gpu, world, storage).unwrap();
         let sectors = SectorBuffers::upload(gpu, &view, &cut.tables).unwrap();
         let capacity = Capacity {
             records: 32 * world.splats.len(),
@@ -67,6 +75,7 @@ impl Listed {
             moving: !lidar.motion.is_rest(),
             dilation_rad: LIDAR_DILATION_RAD as f32,
             echoes: true,
+            storage,
         };
         let project = ProjectLidar::new(gpu, &world.rules, variant).unwrap();
         let (scan, tile_sort) = (Scan::new(gpu).unwrap(), TileSort::for_lidar(gpu).unwrap());
@@ -117,16 +126,24 @@ impl Listed {
             }
         }
         assert_eq!(splat_of_record.len(), required.records as usize);
-        let (means, shapes) = (gpu.read(&scene.means), gpu.read(&scene.shapes));
+        let means = gpu.read(&scene.means).unwrap();
+        let shapes = gpu.read(&scene.shapes).unwrap();
         let rotations = gpu.read(&scene.rotations).unwrap();
-        let stored = (means
-            .unwrap()
-            .into_iter()
-            .zip(shapes.unwrap())
-            .zip(rotations))
-        .map(|((mean, shape), rotation)| (mean, axes_of(shape, rotation), shape[3]));
+        let sh_dc = gpu.read(&scene.sh_dc).unwrap();
+        let colors = Stored {
+            storage,
+            sh_dc: &sh_dc,
+            sh_bands: [&[]; 3],
+        };
+        let stored = means.iter().enumerate().map(|(splat, &mean)| {
+            let (shape, rotation) = load_shape(storage, &shapes, &rotations, splat);
+            (mean, axes_of(shape, rotation), shape[3])
+        });
         Self {
             stored: stored.collect(),
+            dc: (0..means.len())
+                .map(|splat| colors.dc(splat, means.len()))
+                .collect(),
             footprints: gpu.read(&buffers.projected.footprints).unwrap(),
             colors: gpu.read(&buffers.projected.colors).unwrap(),
             shapes: gpu.read(&buffers.shapes).unwrap(),
@@ -206,6 +223,12 @@ impl Listed {
     }
 }
 
+/// Intensity of a splat by its DC coefficients: luma (Rec. 709).
+fn intensity_of(dc: Vec3) -> f32 {
+    let rgb = (0.5 + 0.282_094_8 * dc).max(Vec3::ZERO);
+    rgb.dot(Vec3::new(0.2126, 0.7152, 0.0722)).min(1.0)
+}
+
 fn contains(outer: Cells, inner: Cells) -> bool {
     inner == NO_CELLS
         || (outer[0] <= inner[0]
@@ -225,7 +248,11 @@ fn driving() -> Motion {
 #[test]
 fn records_are_those_of_the_twin() {
     let gpu = open();
-    for (motion, antialias) in [(Motion::REST, false), (driving(), true)] {
+    for (motion, antialias, storage) in [
+        (Motion::REST, false, Storage::Exact),
+        (driving(), true, Storage::Exact),
+        (Motion::REST, false, Storage::Compact),
+    ] {
         let mut world = surroundings(1500, 11);
         world.rules = Rules {
             antialias,
@@ -233,7 +260,7 @@ fn records_are_those_of_the_twin() {
         };
         for (what, model) in models() {
             let lidar = lidar_at(model, DVec3::ZERO, motion);
-            let listed = Listed::new(&gpu, &world, &lidar);
+            let listed = Listed::stored(&gpu, &world, &lidar, storage);
             let mut records = vec![None; 32 * world.splats.len()];
             for (record, (&splat, &sector)) in
                 (listed.splat_of_record.iter().zip(&listed.sector_of_record)).enumerate()
@@ -270,6 +297,12 @@ fn records_are_those_of_the_twin() {
                     );
                     let (twin, _) = most.unwrap();
                     let kernel = listed.splat(record);
+                    let intensity = intensity_of(listed.dc[splat]);
+                    assert!(
+                        (listed.colors[record][1] - intensity).abs() <= 1e-6,
+                        "{what}: splat {splat} has intensity {}, the twin {intensity}",
+                        listed.colors[record][1]
+                    );
                     let near = |a: Vec3, b: Vec3, scale: f32| (a - b).length() <= 2e-5 * scale;
                     let size = |m: Mat3| m.x_axis.length() + m.y_axis.length() + m.z_axis.length();
                     let scale = size(twin.whiten);

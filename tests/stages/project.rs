@@ -6,7 +6,7 @@ use decouplegs::render::stages::{CameraVariant, Project, ProjectVariant, Project
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::axes_of;
 use decouplegs::render::twins::shadow::shadow_factor;
-use decouplegs::render::{Attribute, twins};
+use decouplegs::render::{Attribute, Storage, twins};
 use decouplegs::scene::{Camera, DepthOrder, Fog, RayMap, Rules};
 
 use super::scenes::{Listed, NoKeys, ProjectedTwin, Scene, hard_world, lens_rig, rig};
@@ -36,7 +36,7 @@ impl Case {
         rules: Rules,
         variant: ProjectVariant,
     ) -> Self {
-        let scene = Scene::new(gpu, &hard_world(splats, 11), cameras);
+        let scene = Scene::stored(gpu, &hard_world(splats, 11), cameras, variant.storage);
         let maps = cameras
             .iter()
             .map(|camera| RayMap::new(&camera.intrinsics))
@@ -171,9 +171,8 @@ impl Case {
         } else {
             0.0
         };
-        rest + stored.sh_dc[splat]
-            .iter()
-            .fold(0.0, |largest, &c| f64::from(c.abs()).max(largest))
+        let dc = stored.dc(splat, self.scene.resident.splats);
+        rest + f64::from(dc.abs().max_element())
     }
 }
 
@@ -190,6 +189,7 @@ pub const PLAIN: ProjectVariant = ProjectVariant {
     },
     attribute: Attribute::None,
     fog: false,
+    storage: Storage::Exact,
 };
 
 #[test]
@@ -233,6 +233,14 @@ fn records_of_hard_splats() {
             Rules::DEFAULT,
             ProjectVariant {
                 splat_ids: true,
+                ..PLAIN
+            },
+        ),
+        (
+            Rules::DEFAULT,
+            ProjectVariant {
+                sh_degree: 3,
+                storage: Storage::Compact,
                 ..PLAIN
             },
         ),

@@ -2,6 +2,7 @@
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::RelightRecord;
+use decouplegs::render::sh_codec::EXACT_BITS;
 use decouplegs::render::stages::{Relight, RelitColors};
 use decouplegs::render::{PoolBuffers, sh_codec, twins};
 use decouplegs::scene::{AmbientDescriptor, ColorTransfer, sh};
@@ -47,7 +48,8 @@ impl Case {
             dc.push(std::array::from_fn(|_| random.between(-2.0, 3.0)));
             let band = |band: usize| {
                 let range = band * band - 1..(band + 1) * (band + 1) - 1;
-                sh_codec::encode_band(&coefficients[range])[..sh_codec::words_of(band)].to_vec()
+                sh_codec::encode_band(&coefficients[range], EXACT_BITS)[..sh_codec::words_of(band)]
+                    .to_vec()
             };
             bands.push([band(1), band(2), band(3)].concat().try_into().unwrap());
         }
@@ -156,7 +158,8 @@ impl Case {
                 if kernel == twin {
                     continue;
                 }
-                let [a, b] = [kernel, twin].map(|words| sh_codec::decode_band(words, 2 * band + 1));
+                let [a, b] = [kernel, twin]
+                    .map(|words| sh_codec::decode_band(words, 2 * band + 1, EXACT_BITS));
                 let largest = b
                     .as_flattened()
                     .iter()
@@ -226,7 +229,7 @@ fn relit_codebooks_are_the_transfer_of_the_definition() {
     for entry in 0..300usize {
         let mut color = vec![case.dc[5 + entry]];
         let decoded = |words: &[u32; 24], band: usize, first: usize| {
-            sh_codec::decode_band(&words[first..], 2 * band + 1)
+            sh_codec::decode_band(&words[first..], 2 * band + 1, EXACT_BITS)
         };
         for (band, first) in [(1, 0), (2, 5), (3, 13)] {
             color.extend(decoded(&case.bands[5 + entry], band, first));

@@ -1,7 +1,6 @@
 //! Splats of every kind that is hard for a stage, as the stages hold them.
 
 use decouplegs::gpu::Buffer;
-use decouplegs::render::GpuScene;
 use decouplegs::render::layout::{
     CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, NO_KEY_SET, ShadowRecord, View,
     fog_vector,
@@ -10,7 +9,9 @@ use decouplegs::render::stages::{KeptKeys, ProjectVariant, ShadowBuffers, words_
 use decouplegs::render::twins::footprint::{Footprint, reached_coarse_rows, reached_coarse_tiles};
 use decouplegs::render::twins::lens::{lens_of, project_splat_seen};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
+use decouplegs::render::twins::stored_splat::load_shape;
 use decouplegs::render::twins::{self, sh::Stored};
+use decouplegs::render::{GpuScene, Storage};
 use decouplegs::scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
 use decouplegs::scene::{Camera, Intrinsics, Lens, Motion, Pose, Rules, World};
 use glam::{DQuat, DVec3, Mat3, Vec3};
@@ -182,7 +183,7 @@ pub struct Scene {
     pub shapes: Vec<[f32; 4]>,
     pub rotations: Vec<[f32; 4]>,
     pub instances: Vec<u32>,
-    sh_dc: Vec<[f32; 3]>,
+    sh_dc: Vec<u32>,
     sh_bands: [Vec<u32>; 3],
     /// None, unless a test puts some there.
     pub shadows: Vec<ShadowRecord>,
@@ -190,15 +191,24 @@ pub struct Scene {
 
 impl Scene {
     pub fn new(gpu: &Validated, world: &World, cameras: &[Camera]) -> Self {
-        let resident = GpuScene::upload(gpu, world).unwrap();
+        Self::stored(gpu, world, cameras, Storage::Exact)
+    }
+
+    pub fn stored(gpu: &Validated, world: &World, cameras: &[Camera], storage: Storage) -> Self {
+        let resident = GpuScene::upload(gpu, world, storage).unwrap();
+        let shapes = gpu.read(&resident.shapes).unwrap();
+        let rotations = gpu.read(&resident.rotations).unwrap();
+        let (shapes, rotations) = (0..resident.splats)
+            .map(|splat| load_shape(storage, &shapes, &rotations, splat))
+            .unzip();
         let view = View::new(cameras, world.origin, resident.reach_m).unwrap();
         Self {
             camera_buffer: upload(gpu, &view.cameras),
             lens_buffer: upload(gpu, &view.lenses),
             clusters: gpu.read(&resident.clusters).unwrap(),
             means_m: gpu.read(&resident.means).unwrap(),
-            shapes: gpu.read(&resident.shapes).unwrap(),
-            rotations: gpu.read(&resident.rotations).unwrap(),
+            shapes,
+            rotations,
             instances: gpu.read(&resident.instances).unwrap(),
             sh_dc: gpu.read(&resident.sh_dc).unwrap(),
             sh_bands: std::array::from_fn(|band| gpu.read(&resident.sh_bands[band]).unwrap()),
@@ -210,6 +220,7 @@ impl Scene {
 
     pub fn sh(&self) -> Stored<'_> {
         Stored {
+            storage: self.resident.storage,
             sh_dc: &self.sh_dc,
             sh_bands: std::array::from_fn(|band| self.sh_bands[band].as_slice()),
         }

@@ -5,7 +5,7 @@ use std::f64::consts::LOG2_E;
 
 use decouplegs::gpu::QueueRole;
 use decouplegs::render::Attribute;
-use decouplegs::render::sh_codec;
+use decouplegs::render::sh_codec::{self, EXACT_BITS};
 use decouplegs::render::stages::{AgentVariant, CameraVariant, ProjectAgents, Projected};
 use decouplegs::scene::rules::DILATION_PX2;
 use decouplegs::scene::sh::{ShRotation, basis};
@@ -139,7 +139,11 @@ fn turned(
 fn stored_rest(coefficients: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let band = |band: usize| {
         let range = sh::coefficient_count(band as u8 - 1)..sh::coefficient_count(band as u8);
-        sh_codec::decode_band(&sh_codec::encode_band(&coefficients[range]), 2 * band + 1)
+        sh_codec::decode_band(
+            &sh_codec::encode_band(&coefficients[range], EXACT_BITS),
+            2 * band + 1,
+            EXACT_BITS,
+        )
     };
     (1..=3).flat_map(band).collect()
 }

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use clap::{Args, Parser, ValueEnum};
 use decouplegs::gpu::DeviceChoice;
+use decouplegs::render::Storage;
 
 /// Options of the server.
 #[derive(Args, Clone, Debug)]
@@ -30,6 +31,10 @@ pub struct ServerOptions {
     /// them
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
+    /// Storage of the scenes' splats on the device: exact, 152 bytes per splat of degree 3, or
+    /// compact, 120 bytes with an error that no 8-bit image shows
+    #[arg(long, value_name = "STORAGE", value_parser = storage, default_value = "exact")]
+    pub storage: Storage,
     /// Origin of the clients' rig, in the scenes' vehicle frame (meters, x forward, y left, z up):
     /// simulators put it on the ground below the rear axle, scene files in the center of the box
     #[arg(long, value_name = "X,Y,Z", value_parser = meters, default_value = "0,0,0", allow_hyphen_values = true)]
@@ -62,6 +67,10 @@ impl ServerOptions {
         options.scenes = scenes;
         options
     }
+}
+
+fn storage(text: &str) -> Result<Storage, String> {
+    Storage::by_name(text).ok_or_else(|| format!("expected exact or compact, found {text:?}"))
 }
 
 /// Options as a command line of their own.

@@ -15,6 +15,7 @@ use anyhow::{Context, Result, ensure};
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::Gpu;
 use decouplegs::open_movable_scene;
+use decouplegs::render::Storage;
 use decouplegs::scene::LidarSweep;
 use decouplegs::session::{Session, SessionError};
 use tokio::sync::{oneshot, watch};
@@ -91,12 +92,13 @@ impl Job {
 }
 
 impl RenderQueue {
-    /// Starts the threads, which draw scenes of `registry` on `gpu`.
+    /// Starts the threads, which draw scenes of `registry` on `gpu`, stored there as `storage` says.
     ///
     /// # Errors
     /// Returns an error if the operating system gives no threads.
     pub fn start(
         gpu: Gpu,
+        storage: Storage,
         registry: Arc<SceneRegistry>,
         limits: &Limits,
         metrics: Arc<Metrics>,
@@ -114,7 +116,7 @@ impl RenderQueue {
         let (lost_sender, lost) = watch::channel(false);
         let refusing = Arc::new(AtomicBool::new(false));
         let mut worker = RenderWorker {
-            session: Session::on(&gpu, &SceneRenderer::session_options()),
+            session: Session::on(&gpu, &SceneRenderer::session_options(storage)),
             registry,
             scenes: Cache::new(limits.cache_size as usize, limits.cache_bytes),
             waiting: HashMap::new(),

@@ -114,8 +114,13 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
         Arc::new(options.limits.clone()),
         Arc::new(Metrics::default()),
     );
-    let (render_queue, painting) =
-        RenderQueue::start(gpu, Arc::clone(&registry), &limits, Arc::clone(&metrics))?;
+    let (render_queue, painting) = RenderQueue::start(
+        gpu,
+        options.storage,
+        Arc::clone(&registry),
+        &limits,
+        Arc::clone(&metrics),
+    )?;
     if options.preload {
         render_queue.preload(
             registry

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use decouplegs::AgentInstance;
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::GpuError;
-use decouplegs::render::{ColorFormat, Outputs, RenderError, RenderOptions};
+use decouplegs::render::{ColorFormat, Outputs, RenderError, RenderOptions, Storage};
 use decouplegs::scene::{Camera, Lidar, LidarSweep, Pose};
 use decouplegs::session::{
     BatchRenderer, HostImages, Session, SessionError, SessionOptions, World, WorldView,
@@ -37,7 +37,7 @@ pub struct Drawn {
 impl SceneRenderer {
     /// Options of the session that [`SceneRenderer::new`] takes.
     #[must_use]
-    pub fn session_options() -> SessionOptions {
+    pub fn session_options(storage: Storage) -> SessionOptions {
         let outputs = Outputs {
             color: ColorFormat::U8,
             ..Outputs::default()
@@ -45,6 +45,7 @@ impl SceneRenderer {
         SessionOptions {
             render: RenderOptions {
                 outputs,
+                storage,
                 ..RenderOptions::default()
             },
             ..SessionOptions::default()

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use decouplegs::gpu::Gpu;
 use decouplegs::render::rendered_image::preview;
-use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Plane};
+use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Plane, Storage};
 use decouplegs::scene::Camera;
 use decouplegs::scene::lidar::{PointFrame, ReturnOptions};
 use decouplegs::session::{
@@ -77,9 +77,11 @@ fn plane_of(channel: Channel) -> Option<Plane> {
 }
 
 impl Drawer {
-    /// Renderers on `gpu`.
-    pub fn new(gpu: &Gpu) -> Self {
-        let session = Session::on(gpu, &options(None));
+    /// Renderers on `gpu`, whose backgrounds are stored as `storage` says.
+    pub fn new(gpu: &Gpu, storage: Storage) -> Self {
+        let mut options = options(None);
+        options.render.storage = storage;
+        let session = Session::on(gpu, &options);
         Self {
             gpu: gpu.clone(),
             color: session.batch_renderer(),

@@ -43,6 +43,9 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
             .or_default() += 1;
     }
     let size = |camera: &Camera| json!([camera.intrinsics.width_px, camera.intrinsics.height_px]);
+    let splat_bytes = options
+        .storage
+        .splat_bytes(scene.loaded.world.splats.sh_degree);
     json!({
         "version": env!("CARGO_PKG_VERSION"),
         "device": device.name,
@@ -50,6 +53,7 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
         "splats": scene.loaded.world.splats.len(),
         "sh_degree": scene.loaded.world.splats.sh_degree,
         "agents": { "in_scene": scene.loaded.agents.len(), "drawn": last.agents, "splats": last.agent_splats },
+        "storage": { "name": options.storage.name(), "splat_bytes": splat_bytes },
         "keep_keys": options.keep_keys,
         "level_pitch_px": options.level_pitch_px,
         "frames_in_flight": options.frames_in_flight,
@@ -171,11 +175,13 @@ fn text(value: &Value) -> &str {
 
 fn heading(figures: &Value) -> String {
     format!(
-        "{} ({})\n{} splats of degree {} and {} agents of {} splats, rules {}\nviews by the source of their background's depth keys: {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up, {} redrawn\n",
+        "{} ({})\n{} splats of degree {} in {} storage ({} bytes each) and {} agents of {} splats, rules {}\nviews by the source of their background's depth keys: {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up, {} redrawn\n",
         text(&figures["device"]),
         text(&figures["driver"]),
         figures["splats"],
         figures["sh_degree"],
+        text(&figures["storage"]["name"]),
+        figures["storage"]["splat_bytes"],
         figures["agents"]["drawn"],
         figures["agents"]["splats"],
         text(&figures["rules"]),

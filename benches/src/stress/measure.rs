@@ -6,7 +6,7 @@ use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, GpuError};
 use decouplegs::render::layout::{CLUSTER_SPLATS, ClusterRecord};
 use decouplegs::render::{
-    ColorFormat, GpuScene, Image, Outputs, Plane, RenderError, RenderOptions, Renderer, sh_codec,
+    ColorFormat, GpuScene, Image, Outputs, Plane, RenderError, RenderOptions, Renderer, Storage,
 };
 use decouplegs::scene::{Camera, CodedCloud, World};
 
@@ -129,7 +129,7 @@ impl<'a> TestRig<'a> {
                         instance_from_splat: Vec::new(),
                         ..self.copies(count, schedule.middle_s(), kept.as_deref())
                     };
-                    predicted_scene_bytes = world_bytes(&world);
+                    predicted_scene_bytes = world_bytes(&world, mode.storage);
                     world_splats = world.splats.len();
                     if predicted_scene_bytes > limit_bytes {
                         return Ok((out_of_memory(predicted_scene_bytes, PREDICTED), Vec::new()));
@@ -138,7 +138,7 @@ impl<'a> TestRig<'a> {
                 }
                 Agents::Coded(coding) => {
                     let scene = self.workload.staged(count, coding);
-                    predicted_scene_bytes = world_bytes(&scene.world)
+                    predicted_scene_bytes = world_bytes(&scene.world, mode.storage)
                         + scene.assets.iter().map(asset_bytes).sum::<u64>();
                     world_splats = scene.world.splats.len();
                     if predicted_scene_bytes > limit_bytes {
@@ -324,16 +324,10 @@ fn refusal(error: &anyhow::Error) -> Option<Outcome> {
 }
 
 /// Size of `world` on the device, without the allocator's rounding.
-fn world_bytes(world: &World) -> u64 {
-    // Mean, scales and opacity, rotation, DC.
-    const SPLAT_BYTES: usize = 12 + 16 + 16 + 12;
-    let words: usize = (1..=usize::from(world.splats.sh_degree))
-        .map(sh_codec::words_of)
-        .sum();
+fn world_bytes(world: &World, storage: Storage) -> u64 {
+    let splat_bytes = storage.splat_bytes(world.splats.sh_degree);
     let clusters = world.splats.len().div_ceil(CLUSTER_SPLATS) * size_of::<ClusterRecord>();
-    (world.splats.len() * (SPLAT_BYTES + 4 * words)
-        + clusters
-        + 2 * world.instance_from_splat.len()) as u64
+    (world.splats.len() * splat_bytes + clusters + 2 * world.instance_from_splat.len()) as u64
 }
 
 /// Size of an asset on the device, without rounding.

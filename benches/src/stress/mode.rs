@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use decouplegs::render::{ColorFormat, Outputs, RenderOptions};
+use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Storage};
 use decouplegs::scene::{Rules, sh};
 
 /// Representation of the agents.
@@ -39,12 +39,13 @@ pub struct Mode {
     sh_degree_max: u8,
     overlap: bool,
     frames_in_flight: usize,
+    pub storage: Storage,
 }
 
 /// Default modes.
 pub const DEFAULT_MODES: &str = "vanilla,decoupled";
 
-const KNOWN: &str = "vanilla, prune[=SHARE], decoupled, decoupled-serial, lod[=PIXELS], sh0, sh1, sh2, \
+const KNOWN: &str = "vanilla, prune[=SHARE], decoupled, decoupled-serial, compact, lod[=PIXELS], sh0, sh1, sh2, \
                      keep=SHARE or colors=N";
 
 /// Share that pruned baselines keep (Fan et al., LightGaussian, 2024: 66 % are pruned).
@@ -70,6 +71,7 @@ impl Mode {
             sh_degree_max: sh::DEGREE_MAX,
             overlap: true,
             frames_in_flight: 2,
+            storage: Storage::Exact,
         }
     }
 
@@ -106,6 +108,7 @@ impl Mode {
             level_pitch_px: self.level_pitch_px,
             frames_in_flight: self.frames_in_flight,
             overlap: self.overlap,
+            storage: self.storage,
             ..RenderOptions::default()
         }
     }
@@ -156,6 +159,13 @@ impl FromStr for Mode {
                     ..decoupled
                 }
             }
+            ("compact", None) => Self {
+                storage: Storage::Compact,
+                what:
+                    "decoupled, the background in compact storage, 120 bytes per splat of degree 3"
+                        .into(),
+                ..decoupled
+            },
             ("lod", _) => {
                 let pitch_px = number(0.01, 1000.0, Some(LEVEL_PITCH_PX))?;
                 let what = format!(

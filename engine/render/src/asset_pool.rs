@@ -470,8 +470,9 @@ fn encode_bands(coefficients: &[[f32; 3]], sh_degree: u8) -> [u32; COLOR_WORDS] 
         let count = sh_codec::words_of(band);
         if band <= usize::from(sh_degree) {
             let range = sh::coefficient_count(band as u8 - 1)..sh::coefficient_count(band as u8);
-            words[first_word..first_word + count]
-                .copy_from_slice(&sh_codec::encode_band(&coefficients[range])[..count]);
+            words[first_word..first_word + count].copy_from_slice(
+                &sh_codec::encode_band(&coefficients[range], sh_codec::EXACT_BITS)[..count],
+            );
         }
         first_word += count;
     }

@@ -155,6 +155,7 @@ impl FrameVariant {
                 cameras: self.background.cameras,
                 attribute,
                 fog: false,
+                storage: self.background.storage,
             },
             agents: self.agents.map(|agents| AgentVariant {
                 sh_degree: 0,
@@ -278,7 +279,7 @@ impl Kernels {
         let kind = variant.background;
         if !self.background.iter().any(|(built, _)| *built == kind) {
             let (cull, project) = (
-                Cull::new(gpu, rules, kind.cameras)?,
+                Cull::new(gpu, rules, kind.cameras, kind.storage)?,
                 Project::new(gpu, rules, kind)?,
             );
             self.background

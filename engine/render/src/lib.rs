@@ -35,6 +35,7 @@ pub mod reference;
 pub mod rendered_image;
 pub mod sh_codec;
 pub mod stages;
+pub mod storage;
 pub mod twins;
 
 pub use agents::{Agent, Scene};
@@ -50,4 +51,5 @@ pub use plane::{Attribute, Plane, PlaneMap, PlaneType, PlaneValues, Planes};
 pub use rendered_image::Image;
 pub use renderer::Renderer;
 pub use resident::GpuScene;
+pub use storage::Storage;
 pub use taken::TakenImages;

@@ -9,6 +9,7 @@ use crate::capacity::Capacity;
 use crate::keys::KeySource;
 use crate::layout::RequiredCounts;
 use crate::output::Outputs;
+use crate::storage::Storage;
 
 /// Options of a renderer.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,6 +23,9 @@ pub struct RenderOptions {
     pub flow_interval_s: f64,
     /// Highest degree of spherical harmonics that is evaluated, whatever the world stores.
     pub sh_degree_max: u8,
+    /// Storage of the splats of worlds that this renderer uploads. A world that another renderer
+    /// uploaded is drawn as it is stored.
+    pub storage: Storage,
     /// Length of the segments in which lists of coarse tiles are blended, side by side, pairs.
     /// Shorter segments balance better and take more memory: 32 KiB of partial result each. Above
     /// 2^24 lists are not cut; a software device cuts them at 10,000.
@@ -52,6 +56,7 @@ impl Default for RenderOptions {
             outputs: Outputs::default(),
             flow_interval_s: 0.1,
             sh_degree_max: 3,
+            storage: Storage::Exact,
             segment_pairs: 1024,
             keep_keys: true,
             level_pitch_px: None,

@@ -97,7 +97,7 @@ impl Renderer {
                 max: SPLATS_MAX,
             });
         }
-        GpuScene::upload(&self.gpu, world)
+        GpuScene::upload(&self.gpu, world, self.options.storage)
     }
 
     /// Draws `scene` for all `cameras` in one submission and waits for the images.
@@ -239,6 +239,7 @@ impl Renderer {
                 cameras: CameraVariant::of(&view.cameras, &view.lenses),
                 attribute: Attribute::None,
                 fog: scene.world.fog.is_some(),
+                storage: scene.world.storage,
             },
             post_processed,
             // That of all assets, in view or not: building kernels in the middle of a drive

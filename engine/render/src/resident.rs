@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use crate::layout::{CLUSTER_SPLATS, ClusterRecord};
 use crate::post_processing::SkyBuffers;
 use crate::reference::unscented::SIGMA_REACH;
+use crate::storage::{CompactShape, Storage, unit};
 use crate::{RenderError, sh_codec};
 
 /// Purpose under which the memory of worlds is counted.
@@ -46,14 +47,16 @@ pub struct GpuScene {
     pub fog: Option<Fog>,
     /// One a [`CLUSTER_SPLATS`] splats.
     pub clusters: Buffer<ClusterRecord>,
+    /// Storage of the buffers below.
+    pub storage: Storage,
     /// Relative to the origin, meters.
     pub means: Buffer<[f32; 3]>,
-    /// Scales (m) and opacity.
-    pub shapes: Buffer<[f32; 4]>,
-    /// Unit quaternions w, x, y, z.
-    pub rotations: Buffer<[f32; 4]>,
-    /// DC coefficients.
-    pub sh_dc: Buffer<[f32; 3]>,
+    /// Exact: scales (m) and opacity, f32. Compact: [`CompactShape`].
+    pub shapes: Buffer<[u32; 4]>,
+    /// Exact: unit quaternions w, x, y, z, f32. Compact: opacities of four splats, f32.
+    pub rotations: Buffer<[u32; 4]>,
+    /// DC coefficients. Exact: f32, three a splat. Compact: by plane of words.
+    pub sh_dc: Buffer<u32>,
     /// Bands 1, 2 and 3, by plane of words; of length 0 where the degree is lower.
     pub sh_bands: [Buffer<u32>; 3],
     /// Two 16-bit ids a word, the earlier one in the low half; of length 0 where splats belong to
@@ -75,7 +78,7 @@ impl GpuScene {
         camera.intrinsics.photometry.or(self.photometry)
     }
 
-    /// Copies `world` to the device.
+    /// Copies `world` to the device, its splats stored as `storage` says.
     ///
     /// Splats are drawn in the order given; culling is quickest when neighbors in it are neighbors
     /// in space ([`SplatCloud::spatial_order`]). Splats with a defect are kept as ones of opacity
@@ -83,23 +86,18 @@ impl GpuScene {
     ///
     /// # Errors
     /// Returns an error if the device has not the memory, with the bytes wanted.
-    pub fn upload(gpu: &Gpu, world: &World) -> Result<Self, RenderError> {
+    pub fn upload(gpu: &Gpu, world: &World, storage: Storage) -> Result<Self, RenderError> {
         let cloud = &world.splats;
         let prepared: Vec<Prepared> = (0..cloud.len())
             .into_par_iter()
-            .map(|splat| Prepared::of(cloud, splat))
+            .map(|splat| Prepared::of(cloud, splat, storage))
             .collect();
-        let gather =
-            |name, of: fn(&Prepared) -> [f32; 4]| -> Result<Buffer<[f32; 4]>, RenderError> {
-                let values: Vec<[f32; 4]> = prepared.par_iter().map(of).collect();
-                Ok(gpu.upload(name, PURPOSE, &values)?)
-            };
         let means: Vec<[f32; 3]> = prepared.par_iter().map(|splat| splat.mean_m).collect();
-        let dc: Vec<[f32; 3]> = prepared
-            .iter()
-            .zip(&cloud.sh_dc)
-            .map(|(splat, dc)| if splat.drawn { *dc } else { [0.0; 3] })
+        let shapes: Vec<[u32; 4]> = prepared
+            .par_iter()
+            .map(|s| s.shape_words(storage))
             .collect();
+        let band = |band| upload_band(gpu, cloud, &prepared, storage, band);
         let clusters: Vec<ClusterRecord> = prepared
             .par_chunks(CLUSTER_SPLATS)
             .map(|splats| {
@@ -145,14 +143,11 @@ impl GpuScene {
             photometry: world.photometry,
             clusters: gpu.upload("clusters", PURPOSE, &clusters)?,
             means: gpu.upload("means", PURPOSE, &means)?,
-            shapes: gather("shapes", |splat| splat.shape)?,
-            rotations: gather("rotations", |splat| splat.rotation)?,
-            sh_dc: gpu.upload("sh_dc", PURPOSE, &dc)?,
-            sh_bands: [
-                upload_band(gpu, cloud, &prepared, 1)?,
-                upload_band(gpu, cloud, &prepared, 2)?,
-                upload_band(gpu, cloud, &prepared, 3)?,
-            ],
+            storage,
+            shapes: gpu.upload("shapes", PURPOSE, &shapes)?,
+            rotations: gpu.upload("rotations", PURPOSE, &rotation_words(&prepared, storage))?,
+            sh_dc: band(0)?,
+            sh_bands: [band(1)?, band(2)?, band(3)?],
             instances: gpu.upload(
                 "instances",
                 PURPOSE,
@@ -178,7 +173,7 @@ struct Prepared {
 }
 
 impl Prepared {
-    fn of(cloud: &SplatCloud, splat: usize) -> Self {
+    fn of(cloud: &SplatCloud, splat: usize, storage: Storage) -> Self {
         if cloud.defect_of(splat).is_some() {
             return Self {
                 drawn: false,
@@ -187,14 +182,23 @@ impl Prepared {
                 rotation: [1.0, 0.0, 0.0, 0.0],
             };
         }
-        let [sx, sy, sz] = cloud.scales[splat];
-        let q = cloud.rotations[splat].map(f64::from);
-        let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+        // Boxes of clusters must hold what is drawn, so scales are those that are read back.
+        let ([sx, sy, sz], rotation) =
+            storage.stored_shape(cloud.scales[splat], unit(cloud.rotations[splat]));
         Self {
             drawn: true,
             mean_m: cloud.means[splat],
             shape: [sx, sy, sz, cloud.opacities[splat]],
-            rotation: q.map(|x| (x / norm) as f32),
+            rotation,
+        }
+    }
+
+    /// The splat's words in [`GpuScene::shapes`].
+    fn shape_words(&self, storage: Storage) -> [u32; 4] {
+        let [x, y, z, _] = self.shape;
+        match storage {
+            Storage::Exact => self.shape.map(f32::to_bits),
+            Storage::Compact => CompactShape::new([x, y, z], self.rotation).0,
         }
     }
 
@@ -251,32 +255,57 @@ pub(crate) fn cluster_of(splats: &[Extent]) -> ClusterRecord {
     }
 }
 
+/// Words of [`GpuScene::rotations`].
+fn rotation_words(prepared: &[Prepared], storage: Storage) -> Vec<[u32; 4]> {
+    match storage {
+        Storage::Exact => prepared
+            .par_iter()
+            .map(|splat| splat.rotation.map(f32::to_bits))
+            .collect(),
+        Storage::Compact => prepared
+            .par_chunks(4)
+            .map(|splats| {
+                std::array::from_fn(|k| splats.get(k).map_or(0, |splat| splat.shape[3].to_bits()))
+            })
+            .collect(),
+    }
+}
+
 fn upload_band(
     gpu: &Gpu,
     cloud: &SplatCloud,
     prepared: &[Prepared],
+    storage: Storage,
     band: usize,
 ) -> Result<Buffer<u32>, RenderError> {
-    const NAMES: [&str; 3] = ["sh_band1", "sh_band2", "sh_band3"];
-    let name = NAMES[band - 1];
+    const NAMES: [&str; 4] = ["sh_dc", "sh_band1", "sh_band2", "sh_band3"];
+    let name = NAMES[band];
     if usize::from(cloud.sh_degree) < band {
         return Ok(gpu.upload(name, PURPOSE, &[])?);
     }
-    let (first, end) = (
-        sh::coefficient_count(band as u8 - 1) - 1,
-        sh::coefficient_count(band as u8) - 1,
-    );
+    let Some(bits) = storage.sh_bits(band) else {
+        let kept = prepared.iter().zip(&cloud.sh_dc);
+        let words = kept.flat_map(|(splat, dc)| match splat.drawn {
+            true => dc.map(f32::to_bits),
+            false => [0; 3],
+        });
+        return Ok(gpu.upload(name, PURPOSE, &words.collect::<Vec<u32>>())?);
+    };
+    let coefficients = |splat: usize| match band {
+        0 => std::slice::from_ref(&cloud.sh_dc[splat]),
+        _ => {
+            let first = sh::coefficient_count(band as u8 - 1) - 1;
+            &cloud.rest_of(splat)[first..sh::coefficient_count(band as u8) - 1]
+        }
+    };
     let encoded: Vec<[u32; sh_codec::WORDS_MAX]> = (0..cloud.len())
         .into_par_iter()
-        .map(|splat| {
-            if prepared[splat].drawn {
-                sh_codec::encode_band(&cloud.rest_of(splat)[first..end])
-            } else {
-                [0; sh_codec::WORDS_MAX]
-            }
+        .map(|splat| match prepared[splat].drawn {
+            true => sh_codec::encode_band(coefficients(splat), bits),
+            false => [0; sh_codec::WORDS_MAX],
         })
         .collect();
-    let planes: Vec<u32> = (0..sh_codec::words_of(band))
+    let planes: Vec<u32> = (0..storage.sh_words(band))
         .into_par_iter()
         .flat_map_iter(|word| encoded.iter().map(move |words| words[word]))
         .collect();

@@ -398,7 +398,8 @@ fn encoded_bands(coefficients: &[[f32; 3]]) -> [u32; 24] {
     for band in 1..=3u8 {
         let range = sh::coefficient_count(band - 1)..sh::coefficient_count(band);
         words.extend(
-            &sh_codec::encode_band(&coefficients[range])[..sh_codec::words_of(band.into())],
+            &sh_codec::encode_band(&coefficients[range], sh_codec::EXACT_BITS)
+                [..sh_codec::words_of(band.into())],
         );
     }
     words.try_into().unwrap()

@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use decouplegs::gpu::{DeviceChoice, Gpu};
-use decouplegs::render::ColorFormat;
+use decouplegs::render::{ColorFormat, Storage};
 use decouplegs::session::{Session, SessionOptions};
 
 use crate::arguments::{give_growing, growing, out, out_handle, text};
 use crate::boundary::guarded;
 use crate::handles::Registry;
 use crate::status::{DgsStatus, Failure};
-use crate::types::{DgsColor, DgsDevice, DgsSessionOptions};
+use crate::types::{DgsColor, DgsDevice, DgsSessionOptions, DgsStorage};
 
 /// A device and the scenes on it.
 pub struct DgsSession(());
@@ -93,6 +93,15 @@ unsafe fn session_options(options: *const DgsSessionOptions) -> Result<SessionOp
         other => {
             return Err(Failure::argument(format!(
                 "color is {other}: expected a DgsColor, 0 or 1"
+            )));
+        }
+    };
+    session.render.storage = match options.storage {
+        storage if storage == DgsStorage::Exact as u32 => Storage::Exact,
+        storage if storage == DgsStorage::Compact as u32 => Storage::Compact,
+        other => {
+            return Err(Failure::argument(format!(
+                "storage is {other}: expected a DgsStorage, 0 or 1"
             )));
         }
     };

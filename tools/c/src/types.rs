@@ -195,6 +195,16 @@ pub enum DgsColor {
     F32 = 1,
 }
 
+/// Storage of the backgrounds' splats on the device.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DgsStorage {
+    /// 152 bytes per splat of degree 3.
+    Exact = 0,
+    /// 120 bytes per splat of degree 3, with an error that no image of bytes shows.
+    Compact = 1,
+}
+
 /// Content of an image.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -294,6 +304,8 @@ pub struct DgsSessionOptions {
     pub flow_interval_s: f64,
     /// Kinds of further images, DGS_IMAGE_KIND_RANGE_F32 and those behind it: the sum of 1 << kind.
     pub planes: u32,
+    /// Storage of the backgrounds' splats: a DgsStorage.
+    pub storage: u32,
 }
 
 impl DgsSessionOptions {
@@ -307,6 +319,7 @@ impl DgsSessionOptions {
         device: std::ptr::null(),
         flow_interval_s: 0.0,
         planes: 0,
+        storage: 0,
     };
 
     /// The planes that are asked for.

@@ -153,6 +153,7 @@ class Session:
         flow_interval: float = 0.1,
         exported: bool | None = None,
         rules: Literal["default", "gsplat15", "gsplat16", "inria"] | None = None,
+        storage: Literal["exact", "compact"] = "exact",
         taken_max: int = 16,
         frames_in_flight: int = 2,
     ) -> None:
@@ -163,6 +164,7 @@ class Session:
         planes: names of more layers; flow is the displacement in flow_interval seconds if cameras and agents go on with their motion.
         exported: whether images are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
         rules: the rules of image formation for all scenes. None: each scene's own, as its file says.
+        storage: storage of the backgrounds' splats on the device. exact: 152 bytes per splat of degree 3; compact: 120 bytes, with an error that no 8-bit image shows.
         taken_max: frames that may be held on the device by tensors before TooManyHeldError.
         frames_in_flight: frames of one call that are submitted before the first is waited for.
         """

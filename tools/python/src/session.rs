@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use decouplegs::gpu::{DeviceChoice, DeviceOptions, Gpu};
-use decouplegs::render::{ColorFormat, Outputs, Plane, RenderOptions};
+use decouplegs::render::{ColorFormat, Outputs, Plane, RenderOptions, Storage};
 use decouplegs::scene::Rules;
 use decouplegs::session::{Session as EngineSession, SessionOptions};
 use decouplegs_sharing::Cuda;
@@ -80,7 +80,7 @@ fn cuda_of(gpu: &Gpu) -> Result<Cuda, String> {
 #[pymethods]
 impl Session {
     #[new]
-    #[pyo3(signature = (device = None, *, color = "u8", depth = false, instance = false, planes = Vec::new(), flow_interval = 0.1, exported = None, rules = None, taken_max = 16, frames_in_flight = 2))]
+    #[pyo3(signature = (device = None, *, color = "u8", depth = false, instance = false, planes = Vec::new(), flow_interval = 0.1, exported = None, rules = None, storage = "exact", taken_max = 16, frames_in_flight = 2))]
     #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn new(
         py: Python<'_>,
@@ -92,6 +92,7 @@ impl Session {
         flow_interval: f64,
         exported: Option<bool>,
         rules: Option<&str>,
+        storage: &str,
         taken_max: usize,
         frames_in_flight: usize,
     ) -> PyResult<Self> {
@@ -138,10 +139,16 @@ impl Session {
             planes: planes.into_iter().collect(),
             ..Outputs::default()
         };
+        let storage = Storage::by_name(storage).ok_or_else(|| {
+            value_error(format!(
+                "storage: expected \"exact\" or \"compact\", found {storage:?}"
+            ))
+        })?;
         options.rules = rules.map(rules_of).transpose()?;
         options.render = RenderOptions {
             outputs,
             flow_interval_s: flow_interval,
+            storage,
             taken_max,
             frames_in_flight,
             ..options.render

@@ -260,6 +260,7 @@ impl LidarRenderer {
             moving: !lidar.motion.is_rest() || agents_move(),
             dilation_rad: self.options.rules.lidar_dilation_rad as f32,
             echoes: mode == ReturnMode::Dual,
+            storage: scene.world.storage,
         };
         let input = SweepInput {
             sectors: SectorBuffers::upload(&self.gpu, &view, &cut.tables)?,

@@ -8,6 +8,7 @@ use super::{CameraVariant, PURPOSE, kernel, push_constants};
 use crate::capacity::groups_for;
 use crate::layout::{CLUSTER_SPLATS, CameraRecord, LensRecord, near_m};
 use crate::resident::GpuScene;
+use crate::storage::Storage;
 
 /// Per-(camera, cluster) visibility bit mask and count.
 pub struct Visible {
@@ -50,17 +51,23 @@ pub struct Cull {
 }
 
 impl Cull {
-    /// The stage for images of the given rules and `cameras`.
+    /// The stage for images of the given rules and `cameras`, and for worlds of the given storage.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, cameras: CameraVariant) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        rules: &Rules,
+        cameras: CameraVariant,
+        storage: Storage,
+    ) -> Result<Self, GpuError> {
         let [lenses, rolling] = cameras.constants();
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             lenses,
             rolling,
+            storage.constant(),
         ];
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL, &constants)?,

@@ -15,6 +15,7 @@ use crate::layout::{
     RequiredCounts, SectorRecord, View,
 };
 use crate::resident::GpuScene;
+use crate::storage::Storage;
 
 /// Specialization of the kernels, beside the rules.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,6 +28,8 @@ pub struct LidarVariant {
     pub dilation_rad: f32,
     /// True if echoes are found, for dual returns.
     pub echoes: bool,
+    /// Storage of the splats of the background.
+    pub storage: Storage,
 }
 
 impl LidarVariant {
@@ -222,7 +225,8 @@ impl ProjectLidar {
             let [a, b, c, d] = variant.constants(rules, write);
             let instances = ("INSTANCES", Constant::Bool(variant.instances));
             let shader = &decouplegs_shaders::PROJECT_LIDAR;
-            kernel::<ProjectPush>(gpu, shader, &[a, b, c, d, instances])
+            let storage = variant.storage.constant();
+            kernel::<ProjectPush>(gpu, shader, &[a, b, c, d, instances, storage])
         };
         Ok(Self {
             mark: build(false)?,

@@ -11,6 +11,7 @@ use crate::capacity::groups_for;
 use crate::layout::{CameraRecord, LensRecord, fog_vector, near_m};
 use crate::plane::Attribute;
 use crate::resident::GpuScene;
+use crate::storage::Storage;
 
 /// One entry a visible (camera, splat): by camera, and by splat within a camera.
 pub struct Projected {
@@ -61,6 +62,8 @@ pub struct ProjectVariant {
     pub attribute: Attribute,
     /// True if there is fog.
     pub fog: bool,
+    /// Storage of the splats.
+    pub storage: Storage,
 }
 
 push_constants! {
@@ -103,6 +106,7 @@ impl Project {
             rolling,
             ("ATTRIBUTE", Constant::U32(variant.attribute as u32)),
             ("FOG", Constant::Bool(variant.fog)),
+            variant.storage.constant(),
         ];
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::PROJECT, &constants)?,

@@ -16,6 +16,7 @@ use super::visibility::splat_overlaps;
 use super::write_record::Records;
 use crate::layout::{AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord};
 use crate::sh_codec::words_of;
+use crate::storage::Storage;
 
 /// Words that bands 1 to 3 of a color take, one behind the other.
 const COLOR_WORDS: usize = 24;
@@ -124,10 +125,11 @@ fn turned(agent: &AgentRecord, d: Vec3) -> Vec3 {
 }
 
 /// The DC and the bands of a color, as [`sh_color`] takes those of a single splat.
-fn stored<'a>(dc: &'a [[f32; 3]; 1], bands: &'a [u32; COLOR_WORDS]) -> Stored<'a> {
+fn stored<'a>(dc: &'a [u32; 3], bands: &'a [u32; COLOR_WORDS]) -> Stored<'a> {
     let (band1, rest) = bands.split_at(words_of(1));
     let (band2, band3) = rest.split_at(words_of(2));
     Stored {
+        storage: Storage::Exact,
         sh_dc: dc,
         sh_bands: [band1, band2, band3],
     }
@@ -202,7 +204,8 @@ pub fn project_agents(
                     (codebooks.dc, codebooks.bands)
                 };
                 let residual = Vec3::from_array(agent.dc_residual_gain) * coded.dc_residual;
-                let dc = [(Vec3::from_array(dc_of[entry]) + residual).to_array()];
+                let dc = (Vec3::from_array(dc_of[entry]) + residual).to_array();
+                let dc = dc.map(f32::to_bits);
                 let color = sh_color(&stored(&dc, &bands_of[entry]), 0, 1, d, sh_degree);
                 let color = match fog {
                     Some(fog) => in_fog(color, seen.offset_m.length(), fog),

@@ -2,9 +2,8 @@
 //!
 //! `twins/NAME.rs` computes what `shaders/NAME.comp` does. The modules `agent`, `depth_key`,
 //! `footprint`, `lens`, `lidar`, `output`, `planes`, `projection`, `record`, `rolling`, `sh`,
-//! `shadow`, `visibility` and `write_record` correspond to the shared GLSL of the same name.
-//! Arguments have
-//! the shader's names; outputs are written in place, as there. The stage tests feed both sides the
+//! `shadow`, `stored_splat`, `visibility` and `write_record` correspond to the shared GLSL of the
+//! same name. Arguments have the shader's names; outputs are written in place, as there. The stage tests feed both sides the
 //! same bytes. Twins use no workgroups and no shared memory.
 //!
 //! A twin shares the shader's formulas, so it shows that a kernel is implemented right, not that
@@ -29,6 +28,7 @@ pub mod resolve_plane;
 pub mod rolling;
 pub mod sh;
 pub mod shadow;
+pub mod stored_splat;
 pub mod visibility;
 
 mod agents;

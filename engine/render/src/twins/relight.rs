@@ -1,7 +1,7 @@
 //! Codebooks in the light of their agents: `relight.comp`.
 
 use crate::layout::RelightRecord;
-use crate::sh_codec::{decode_band, encode_band, words_of};
+use crate::sh_codec::{EXACT_BITS, decode_band, encode_band, words_of};
 
 /// 0.5 / Y0: what the DC term of a splat's color leaves out.
 const DC_SHIFT: f32 = 1.772_453_9;
@@ -36,6 +36,7 @@ pub fn relight(
                 let mut coefficients = decode_band(
                     &coded_bands[from][first_word..first_word + words],
                     2 * band + 1,
+                    EXACT_BITS,
                 );
                 for (k, coefficient) in coefficients.iter_mut().enumerate() {
                     *coefficient = std::array::from_fn(|channel| {
@@ -43,7 +44,7 @@ pub fn relight(
                     });
                 }
                 relit_bands[to][first_word..first_word + words]
-                    .copy_from_slice(&encode_band(&coefficients)[..words]);
+                    .copy_from_slice(&encode_band(&coefficients, EXACT_BITS)[..words]);
                 first_word += words;
             }
         }

@@ -3,15 +3,43 @@
 use glam::{Vec3, vec3};
 
 use crate::sh_codec;
+use crate::storage::Storage;
 
-/// Coefficients of a splat on the device: DC as they are, bands by plane of words (word `w` of
-/// splat `i` is at `w * splat_count + i`).
+/// Coefficients of splats on the device, by plane of words (word `w` of splat `i` is at `w *
+/// splat_count + i`), but for exact DC: three f32 a splat.
 #[derive(Clone, Copy, Debug)]
 pub struct Stored<'a> {
+    /// Their storage.
+    pub storage: Storage,
     /// DC coefficients.
-    pub sh_dc: &'a [[f32; 3]],
+    pub sh_dc: &'a [u32],
     /// Bands 1, 2 and 3; those above the degree that is evaluated are not read.
     pub sh_bands: [&'a [u32]; 3],
+}
+
+impl Stored<'_> {
+    /// DC coefficients of a splat.
+    #[must_use]
+    pub fn dc(&self, splat: usize, splat_count: usize) -> Vec3 {
+        match self.storage {
+            Storage::Exact => Vec3::from_array(std::array::from_fn(|k| {
+                f32::from_bits(self.sh_dc[3 * splat + k])
+            })),
+            Storage::Compact => Vec3::from_array(self.band(0, splat, splat_count)[0]),
+        }
+    }
+
+    fn band(&self, band: usize, splat: usize, splat_count: usize) -> Vec<[f32; 3]> {
+        let planes = match band {
+            0 => self.sh_dc,
+            _ => self.sh_bands[band - 1],
+        };
+        let words: Vec<u32> = (0..self.storage.sh_words(band))
+            .map(|word| planes[word * splat_count + splat])
+            .collect();
+        let bits = self.storage.sh_bits(band).unwrap_or(sh_codec::EXACT_BITS);
+        sh_codec::decode_band(&words, 2 * band + 1, bits)
+    }
 }
 
 /// The splat's color seen along the unit vector `d`, from the camera to the splat.
@@ -23,13 +51,9 @@ pub fn sh_color(
     d: Vec3,
     sh_degree: usize,
 ) -> Vec3 {
-    let mut color = 0.282_094_8 * Vec3::from_array(stored.sh_dc[splat]) + 0.5;
+    let mut color = 0.282_094_8 * stored.dc(splat, splat_count) + 0.5;
     for band in 1..=sh_degree {
-        let planes = stored.sh_bands[band - 1];
-        let words: Vec<u32> = (0..sh_codec::words_of(band))
-            .map(|word| planes[word * splat_count + splat])
-            .collect();
-        let coefficients = sh_codec::decode_band(&words, 2 * band + 1);
+        let coefficients = stored.band(band, splat, splat_count);
         for (coefficient, basis) in coefficients.iter().zip(band_basis(band, d)) {
             color += basis * Vec3::from_array(*coefficient);
         }

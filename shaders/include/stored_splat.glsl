@@ -1,0 +1,44 @@
+// Splats of the background as they are stored; engine/render/src/storage.rs says how. The including
+// kernel declares shapes and rotations.
+
+layout(constant_id = 23) const bool COMPACT = false; // 120 bytes per splat of degree 3 instead of 152
+
+const uint SCALE_BITS = 21u;
+const uint SCALE_BIAS = 7143424u; // pattern of 2^-18 as f32, without its lowest 7 bits
+const float COMPONENT_STEP = 6.7435012e-07; // 1/sqrt(2) / (2^20 - 1)
+
+vec3 unpack_scales_m(uvec3 words) {
+    uvec3 codes = words & ((1u << SCALE_BITS) - 1u);
+    return mix(uintBitsToFloat((codes + SCALE_BIAS) << 7u), vec3(0.0), equal(codes, uvec3(0u)));
+}
+
+// Unit quaternion, w first; the largest component is what the others leave.
+vec4 unpack_rotation(uvec4 words) {
+    uint first = words.x >> SCALE_BITS | (words.y >> SCALE_BITS & 0x3ffu) << 11u;
+    uint second = words.z >> SCALE_BITS | (words.w >> SCALE_BITS & 0x3ffu) << 11u;
+    vec3 others = COMPONENT_STEP * vec3(ivec3(first, second, words.w) << 11 >> 11);
+    float left_out = sqrt(max(1.0 - dot(others, others), 0.0));
+    uint place = words.y >> 31u | words.w >> 31u << 1u;
+    return place == 0u   ? vec4(left_out, others)
+           : place == 1u ? vec4(others.x, left_out, others.yz)
+           : place == 2u ? vec4(others.xy, left_out, others.z)
+                         : vec4(others, left_out);
+}
+
+// Axes of the splat, as long as its standard deviations (m), and its opacity.
+mat3 load_axes(uint splat_index, out float opacity) {
+    uvec4 words = shapes[splat_index];
+    vec3 scales_m;
+    vec4 rotation;
+    if (COMPACT) {
+        scales_m = unpack_scales_m(words.xyz);
+        rotation = unpack_rotation(words);
+        opacity = uintBitsToFloat(rotations[splat_index / 4u][splat_index % 4u]);
+    } else {
+        scales_m = uintBitsToFloat(words.xyz);
+        rotation = uintBitsToFloat(rotations[splat_index]);
+        opacity = uintBitsToFloat(words.w);
+    }
+    mat3 axes = matrix_from_quaternion(rotation);
+    return mat3(axes[0] * scales_m.x, axes[1] * scales_m.y, axes[2] * scales_m.z);
+}
