@@ -86,7 +86,7 @@ pub struct Arguments {
     #[command(flatten)]
     device: DeviceArguments,
     /// Render with the f64 reference on the CPU: exact and slow
-    #[arg(long, conflicts_with = "device")]
+    #[arg(long, conflicts_with_all = ["device", "storage"])]
     reference: bool,
     /// Write all images side by side to this file too, which ends with .png
     #[arg(long, value_name = "FILE", value_parser = png_path)]

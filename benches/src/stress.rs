@@ -86,17 +86,18 @@ pub struct Arguments {
     /// Time of the first timed frame, seconds (default: the start of the ego's trajectory)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
-    /// Modes of rendering: vanilla, prune[=SHARE], decoupled, decoupled-serial, compact, lod[=PX],
-    /// sh0, sh1, sh2, keep=SHARE, colors=N
+    /// Modes of rendering; all but vanilla are compared with it
     ///
-    /// vanilla: uncompressed copies of the agents, depth keys computed in every frame; the others
-    /// are compared with it prune=SHARE: vanilla with a share of all splats kept (0.34) decoupled:
-    /// compressed agents that drive, the background's depth keys kept while a camera does not turn
-    /// decoupled-serial: the same without overlap, 1 frame in flight instead of 2 compact:
-    /// decoupled, the background in compact storage lod=PX: decoupled, agents at the coarsest level whose splats are at most so far apart (0.7) sh0,
-    /// sh1, sh2: decoupled, colors evaluated to that degree keep=SHARE: decoupled, assets
-    /// compressed with a share of their splats kept colors=N: decoupled, assets compressed with N
-    /// colors and half as many shapes
+    /// vanilla: uncompressed copies of the agents, depth keys computed in every frame
+    /// prune=SHARE: vanilla with a share of all splats kept (0.34)
+    /// decoupled: compressed agents that drive, depth keys of the background kept while a camera
+    ///   does not turn
+    /// decoupled-serial: the same without overlap, 1 frame in flight instead of 2
+    /// compact: decoupled, the background in compact storage
+    /// lod=PX: decoupled, agents at the coarsest level whose splats are at most so far apart (0.7)
+    /// sh0, sh1, sh2: decoupled, colors evaluated to that degree
+    /// keep=SHARE: decoupled, assets compressed with a share of their splats kept
+    /// colors=N: decoupled, assets compressed with N colors and half as many shapes
     #[arg(long, verbatim_doc_comment, value_name = "MODE,...", value_delimiter = ',', default_value = mode::DEFAULT_MODES)]
     modes: Vec<Mode>,
     /// Number of moments at which images are compared with vanilla's

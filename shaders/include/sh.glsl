@@ -1,10 +1,10 @@
 // Spherical harmonics of a splat, to degree 3, with the basis signs of the original 3DGS.
 //
 // Bands are coded as sh_coding.glsl says. In codebooks and exact storage fractions have 16 bits:
-// against f32 the error is at most 1.6e-5 of the band's largest coefficient, a thirtieth of what f16
-// would make of it, for the same bytes. In compact storage they have 13 or 14. Where the words stand
-// is the including kernel's: it says SH_WORD(band, word, index, stride), and SH_COMPACT, before it
-// includes this.
+// against f32 the error is at most 1.6e-5 of the band's largest coefficient, a thirtieth of what
+// f16 would make of it, for the same bytes. In compact storage they have 13 or 14. Where the words
+// stand is the including kernel's: it says SH_WORD(band, word, index, stride), and SH_COMPACT,
+// before it includes this.
 
 layout(constant_id = 2) const uint SH_DEGREE = 3u;
 

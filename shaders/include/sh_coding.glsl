@@ -1,5 +1,5 @@
-// Coding of a band of spherical harmonics, a stream of bits from the lowest bit of its first word on:
-// a scale, its largest coefficient rounded up, then signed fractions of it, [coefficient][rgb]
+// Coding of a band of spherical harmonics, a stream of bits from the lowest bit of its first word
+// on: a scale, its largest coefficient rounded up, then signed fractions of it, [coefficient][rgb]
 // (engine/render/src/sh_codec.rs).
 
 // The signed number of `bits` bits whose lowest bit is bit `place` of `low`; `high` is the word

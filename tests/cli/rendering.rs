@@ -172,6 +172,62 @@ fn png_and_exr_hold_the_same_image_and_nothing_is_drawn_on_what_is_no_terminal()
     assert!(max_abs > 0.001 && max_abs <= 0.5001 / 255.0, "{difference}");
 }
 
+/// Folder with the images of `scene`, floats, drawn with `more` options.
+fn drawn(scene: &Path, name: &str, more: &[&str]) -> std::path::PathBuf {
+    let out = scene.with_file_name(name);
+    let common = [
+        "render",
+        text(scene),
+        "--format",
+        "npy",
+        "--out",
+        text(&out),
+    ];
+    succeed(&[&common[..], more].concat());
+    out
+}
+
+#[test]
+fn compact_storage_is_asked_for_and_shows_in_no_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    let scene = folder.path().join("scene.toml");
+    let [default, exact, compact] = [
+        drawn(&scene, "default", &[]),
+        drawn(&scene, "exact", &["--storage", "exact"]),
+        drawn(&scene, "compact", &["--storage", "compact"]),
+    ];
+    let mut differ = 0;
+    for entry in fs::read_dir(&default).unwrap() {
+        let name = entry.unwrap().file_name();
+        let [default, exact, compact] =
+            [&default, &exact, &compact].map(|folder| folder.join(&name));
+        assert_eq!(fs::read(&default).unwrap(), fs::read(&exact).unwrap());
+        let difference = json(&["compare", text(&exact), text(&compact), "--json"]);
+        assert!(
+            difference["psnr_db"].as_f64().is_none_or(|db| db > 95.0),
+            "{difference}"
+        );
+        differ += usize::from(fs::read(&exact).unwrap() != fs::read(&compact).unwrap());
+    }
+    assert!(differ > 0, "nothing was rounded");
+    let said = succeed(
+        &[
+            &["bench", text(&scene), "--frames", "1", "--warm-up", "1"][..],
+            &["--storage", "compact"],
+        ]
+        .concat(),
+    );
+    assert!(
+        said.contains("in compact storage (56 bytes each)"),
+        "{said}"
+    );
+    let refused = ["render", text(&scene), "--out", text(folder.path())];
+    let refused = |more: &[&str]| fail(2, &[&refused[..], more].concat());
+    assert!(refused(&["--storage", "half"]).contains("exact"));
+    assert!(refused(&["--storage", "compact", "--reference"]).contains("--reference"));
+}
+
 #[test]
 fn a_bench_reports_time_memory_and_error() {
     let folder = tempfile::tempdir().unwrap();

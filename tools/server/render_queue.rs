@@ -92,7 +92,7 @@ impl Job {
 }
 
 impl RenderQueue {
-    /// Starts the threads, which draw scenes of `registry` on `gpu`, stored there as `storage` says.
+    /// Starts the threads, which draw scenes of `registry` on `gpu`, stored as `storage` says.
     ///
     /// # Errors
     /// Returns an error if the operating system gives no threads.

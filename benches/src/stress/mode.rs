@@ -136,6 +136,11 @@ impl FromStr for Mode {
                 }),
         };
         let decoupled = Self::decoupled(text);
+        let coded = |keep, colors, what| Self {
+            agents: Agents::Coded(Coding { keep, colors }),
+            what,
+            ..Self::decoupled(text)
+        };
         Ok(match (base, value) {
             ("vanilla", None) => Self::vanilla(text),
             ("prune", _) => {
@@ -189,14 +194,7 @@ impl FromStr for Mode {
             ("keep", _) => {
                 let keep = number(1e-6, 1.0, None)? as f32;
                 let what = format!("decoupled, assets compressed with {keep} of their splats kept");
-                Self {
-                    agents: Agents::Coded(Coding {
-                        keep: Some(keep),
-                        colors: None,
-                    }),
-                    what,
-                    ..decoupled
-                }
+                coded(Some(keep), None, what)
             }
             ("colors", _) => {
                 let colors = number(COLORS_MIN, COLORS_MAX, None)? as usize;
@@ -204,14 +202,7 @@ impl FromStr for Mode {
                     "decoupled, assets compressed with {colors} colors and {} shapes",
                     colors / 2
                 );
-                Self {
-                    agents: Agents::Coded(Coding {
-                        keep: None,
-                        colors: Some(colors),
-                    }),
-                    what,
-                    ..decoupled
-                }
+                coded(None, Some(colors), what)
             }
             _ => return Err(format!("'{text}' is no mode: there are {KNOWN}")),
         })

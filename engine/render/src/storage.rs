@@ -148,8 +148,8 @@ pub(crate) fn unit(rotation: [f32; 4]) -> [f32; 4] {
 
 /// Scales and rotation of a splat in 128 bits.
 ///
-/// A scale has 21 bits: 5 of exponent and 16 of mantissa, from 2^-18 to 2^14 m, rounded to 7.7e-6 of
-/// itself; smaller ones become 2^-18 m (3.8 um) or 0, larger ones 2^14 m (16 km). The rotation
+/// A scale has 21 bits: 5 of exponent and 16 of mantissa, from 2^-18 to 2^14 m, rounded to 7.7e-6
+/// of itself; smaller ones become 2^-18 m (3.8 um) or 0, larger ones 2^14 m (16 km). The rotation
 /// leaves out the largest component of its quaternion (2 bits say which); the others are signed
 /// fractions of 1/sqrt(2) with 21 bits, an error of 3.4e-7 each.
 ///

@@ -124,6 +124,20 @@ typedef enum {
 } DgsColor;
 
 /**
+ * Storage of the backgrounds' splats on the device.
+ */
+typedef enum {
+    /**
+     * 152 bytes per splat of degree 3.
+     */
+    DGS_STORAGE_EXACT = 0,
+    /**
+     * 120 bytes per splat of degree 3, with an error that no image of bytes shows.
+     */
+    DGS_STORAGE_COMPACT = 1,
+} DgsStorage;
+
+/**
  * Content of an image.
  */
 typedef enum {
@@ -366,6 +380,10 @@ typedef struct {
      * Kinds of further images, DGS_IMAGE_KIND_RANGE_F32 and those behind it: the sum of 1 << kind.
      */
     uint32_t planes;
+    /**
+     * Storage of the backgrounds' splats: a DgsStorage.
+     */
+    uint32_t storage;
 } DgsSessionOptions;
 
 /**

@@ -10,7 +10,7 @@ use crate::arguments::{give_growing, growing, out, out_handle, text};
 use crate::boundary::guarded;
 use crate::handles::Registry;
 use crate::status::{DgsStatus, Failure};
-use crate::types::{DgsColor, DgsDevice, DgsSessionOptions, DgsStorage};
+use crate::types::{DgsColor, DgsDevice, DgsSessionOptions};
 
 /// A device and the scenes on it.
 pub struct DgsSession(());
@@ -67,6 +67,16 @@ pub unsafe extern "C" fn dgs_session_open(
         session.write(SESSIONS.add(Arc::new(Session::open(&options)?)));
         Ok(())
     })
+}
+
+/// Storage of the backgrounds' splats on the device.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DgsStorage {
+    /// 152 bytes per splat of degree 3.
+    Exact = 0,
+    /// 120 bytes per splat of degree 3, with an error that no image of bytes shows.
+    Compact = 1,
 }
 
 /// Options requested by the caller.

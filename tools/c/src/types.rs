@@ -195,16 +195,6 @@ pub enum DgsColor {
     F32 = 1,
 }
 
-/// Storage of the backgrounds' splats on the device.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DgsStorage {
-    /// 152 bytes per splat of degree 3.
-    Exact = 0,
-    /// 120 bytes per splat of degree 3, with an error that no image of bytes shows.
-    Compact = 1,
-}
-
 /// Content of an image.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -66,6 +66,15 @@ fn rules_of(name: &str) -> PyResult<Rules> {
     Rules::by_name(name).ok_or_else(message)
 }
 
+fn storage_of(name: &str) -> PyResult<Storage> {
+    let message = || {
+        value_error(format!(
+            "storage: expected \"exact\" or \"compact\", found {name:?}"
+        ))
+    };
+    Storage::by_name(name).ok_or_else(message)
+}
+
 /// CUDA functions on the device of `gpu`, or the reason why there are none.
 fn cuda_of(gpu: &Gpu) -> Result<Cuda, String> {
     if !gpu.can_export() {
@@ -139,11 +148,7 @@ impl Session {
             planes: planes.into_iter().collect(),
             ..Outputs::default()
         };
-        let storage = Storage::by_name(storage).ok_or_else(|| {
-            value_error(format!(
-                "storage: expected \"exact\" or \"compact\", found {storage:?}"
-            ))
-        })?;
+        let storage = storage_of(storage)?;
         options.rules = rules.map(rules_of).transpose()?;
         options.render = RenderOptions {
             outputs,

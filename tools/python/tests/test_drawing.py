@@ -308,6 +308,22 @@ def test_a_scene_is_drawn_by_its_own_rules(session, scene_file, tmp_path):
         decouplegs.Session(rules="mine")
 
 
+def test_compact_storage_takes_less_memory_and_draws_the_same(session, scene_file):
+    def drawn(storage):
+        own = decouplegs.Session(session.device.uuid, color="f32", storage=storage, exported=False)
+        scene = own.open_scene(scene_file)
+        images = own.batch_renderer().draw([(decouplegs.World(scene), scene.cameras(0.0))])
+        return images[0], own.memory()["scene"]
+
+    exact, exact_bytes = drawn("exact")
+    compact, compact_bytes = drawn("compact")
+    assert compact_bytes < exact_bytes
+    assert (exact != compact).any(), "nothing was rounded"
+    np.testing.assert_allclose(exact, compact, atol=0.004)
+    with pytest.raises(ValueError, match="compact"):
+        decouplegs.Session(storage="half")
+
+
 def test_python_and_the_program_render_the_same_floats(session, scene_file, tmp_path):
     program = os.environ.get("DECOUPLEGS_PROGRAM")
     if program is None:

@@ -71,6 +71,9 @@ static void misuse_options(void) {
     options.planes = 1;
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "planes is 0x1", dgs_session_open(&options, &session));
     options.planes = 0;
+    options.storage = 2;
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "storage is 2", dgs_session_open(&options, &session));
+    options.storage = DGS_STORAGE_EXACT;
     options.flow_interval_s = -1.0;
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "flow_interval_s is -1", dgs_session_open(&options, &session));
     options.flow_interval_s = 0.0;
