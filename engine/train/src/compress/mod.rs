@@ -15,7 +15,6 @@ mod quick;
 pub(crate) mod random;
 mod report;
 mod shape_space;
-mod symmetric;
 #[cfg(test)]
 mod tests;
 mod vector_quantize;

@@ -12,10 +12,9 @@
 //! | root at size 1, size per splat (default) | 37.0 | 41.2 |
 
 use decouplegs_scene::shape::{PrincipalAxes, triangular_factor};
+use decouplegs_scene::symmetric::{OwnAxes, from_six, to_six};
 use glam::{DMat3, DQuat, DVec3};
 use serde::Serialize;
-
-use super::symmetric::{OwnAxes, from_six, to_six};
 
 /// Axes are held to this share of the longest before a logarithm is taken: a tenth of a pixel on a
 /// splat that is 25 pixels wide. Thinner ones look the same, yet would be far apart.

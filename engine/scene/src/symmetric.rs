@@ -5,15 +5,18 @@ use glam::{DMat3, DQuat, DVec3};
 /// A symmetric matrix by its own axes: eigenvalues and the rotation whose columns are the
 /// eigenvectors.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct OwnAxes {
+pub struct OwnAxes {
+    /// Eigenvalues, in no order.
     pub values: DVec3,
+    /// Unit eigenvectors, one per column.
     pub axes: DMat3,
 }
 
 impl OwnAxes {
     /// Computes the eigenvalues and eigenvectors of a matrix by Jacobi rotations: exact to the last
     /// digits of the largest value, for any finite input.
-    pub(super) fn of(matrix: &DMat3) -> Self {
+    #[must_use]
+    pub fn of(matrix: &DMat3) -> Self {
         let (mut m, mut axes) = (*matrix, DMat3::IDENTITY);
         for _sweep in 0..30 {
             let off = m.y_axis.x.abs() + m.z_axis.x.abs() + m.z_axis.y.abs();
@@ -34,13 +37,15 @@ impl OwnAxes {
     }
 
     /// The matrix.
-    pub(super) fn matrix(&self) -> DMat3 {
+    #[must_use]
+    pub fn matrix(&self) -> DMat3 {
         self.axes * DMat3::from_diagonal(self.values) * self.axes.transpose()
     }
 
     /// The rotation as a unit quaternion w, x, y, z; a mirrored axis is turned round, which no
     /// covariance sees.
-    pub(super) fn rotation_wxyz(&self) -> [f32; 4] {
+    #[must_use]
+    pub fn rotation_wxyz(&self) -> [f32; 4] {
         let mut axes = self.axes;
         if axes.determinant() < 0.0 {
             axes.z_axis = -axes.z_axis;
@@ -73,7 +78,8 @@ fn rotation_that_clears(m: &DMat3, i: usize, j: usize) -> DMat3 {
 
 /// The six numbers whose L2 distance is the Frobenius distance of the matrices: off-diagonals by
 /// sqrt 2.
-pub(super) fn to_six(m: &DMat3) -> [f64; 6] {
+#[must_use]
+pub fn to_six(m: &DMat3) -> [f64; 6] {
     let root = std::f64::consts::SQRT_2;
     [
         m.x_axis.x,
@@ -86,7 +92,8 @@ pub(super) fn to_six(m: &DMat3) -> [f64; 6] {
 }
 
 /// Back from [`to_six`].
-pub(super) fn from_six(six: &[f64; 6]) -> DMat3 {
+#[must_use]
+pub fn from_six(six: &[f64; 6]) -> DMat3 {
     let [xx, yy, zz, xy, xz, yz] = *six;
     let [xy, xz, yz] = [xy, xz, yz].map(|value| value * std::f64::consts::FRAC_1_SQRT_2);
     DMat3::from_cols(
