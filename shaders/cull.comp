@@ -12,6 +12,7 @@
 #include "visibility.glsl"
 #include "lens.glsl"
 #include "rolling.glsl"
+#include "detail.glsl"
 
 layout(local_size_x = 256) in;
 
@@ -23,10 +24,27 @@ layout(set = 0, binding = 4, scalar) readonly buffer rotations_block { uvec4 rot
 layout(set = 0, binding = 5, scalar) writeonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 6, scalar) writeonly buffer visible_counts_block { uint visible_counts[]; };
 
-layout(push_constant, scalar) uniform push_block { uint splat_count; uint camera_count; uint cluster_count; };
+layout(set = 0, binding = 7, scalar) readonly buffer nodes_block { DetailNode nodes[]; };
+
+layout(push_constant, scalar) uniform push_block {
+    uint splat_count;
+    uint camera_count;
+    uint cluster_count;
+    float pitch_px; // of levels of detail; negative where there are none
+};
 
 #include "visible_words.glsl"
 #include "stored_splat.glsl"
+
+// True if the camera draws the cluster, which is a node of the levels of detail if there are any.
+bool is_shown(uint cluster_index, Camera camera) {
+    if (pitch_px < 0.0) {
+        return true;
+    }
+    DetailNode node = nodes[cluster_index];
+    return fine_enough(node, camera, pitch_px)
+        && (node.parent == NO_PARENT || !fine_enough(nodes[node.parent], camera, pitch_px));
+}
 
 void main() {
     uint cluster_index = group_index();
@@ -44,7 +62,8 @@ void main() {
     mat3 axes;
     for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
         Camera camera = cameras[camera_index];
-        if (splat_index >= splat_count || !cluster_overlaps_any_lens(swept(cluster, camera), camera, camera_index)) {
+        if (splat_index >= splat_count || !cluster_overlaps_any_lens(swept(cluster, camera), camera, camera_index)
+            || !is_shown(cluster_index, camera)) {
             continue;
         }
         if (!loaded) {

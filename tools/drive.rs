@@ -28,11 +28,11 @@ use self::image_writer::EpisodeImages;
 pub use self::image_writer::{ImageWriter, Images};
 use self::jobs::Job;
 use crate::arguments::{Size, print, warn};
+use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
 use crate::progress;
 use crate::sites::Sites;
-use crate::storage::StorageArguments;
 use decouplegs_cli::video;
 
 /// Traffic lights of generated scenarios.
@@ -118,7 +118,7 @@ pub struct Arguments {
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     planner_timeout: f64,
     #[command(flatten)]
-    storage: StorageArguments,
+    background: BackgroundArguments,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -249,7 +249,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             .transpose()?
             .map(|file| file.transfer),
     };
-    let sites = Sites::new(gpu.as_ref(), arguments.storage.storage(), appearance);
+    let sites = Sites::new(gpu.as_ref(), arguments.background, appearance);
     let run = Run {
         arguments,
         folder: &folder,

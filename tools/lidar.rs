@@ -20,9 +20,9 @@ use glam::{DQuat, DVec3};
 use serde_json::json;
 
 use crate::arguments::{finite, print, three_numbers};
+use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
-use crate::storage::StorageArguments;
 
 /// Sweep a scene with a LiDAR: one file of points per sweep, listed as they are written
 #[derive(clap::Args)]
@@ -76,7 +76,7 @@ pub struct Arguments {
     #[arg(long)]
     previews: bool,
     #[command(flatten)]
-    storage: StorageArguments,
+    background: BackgroundArguments,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -147,10 +147,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mode = asked.unwrap_or(model.returns);
     let start_s = arguments.time.unwrap_or(loaded.ego.start_s());
     let gpu = arguments.device.open()?;
-    let stored = RenderOptions {
-        storage: arguments.storage.storage(),
-        ..RenderOptions::default()
-    };
+    let mut stored = RenderOptions::default();
+    arguments.background.apply_to(&mut stored);
     let renderer = Renderer::new(&gpu, stored);
     let live = LiveScene::new(&renderer, &loaded)?;
     let rules = loaded.world.rules;

@@ -18,10 +18,10 @@ use decouplegs::scene::{Plan, Pose, Rig, TimedPose, Trajectory};
 use serde_json::{Value, json};
 
 use crate::arguments::print;
+use crate::background::BackgroundArguments;
 use crate::device::DeviceArguments;
 use crate::episode_report::spread;
 use crate::sites::Sites;
-use crate::storage::StorageArguments;
 
 /// Show a planner two sources of images along the same log, such as real images and rendered ones,
 /// and compare its plans. The ego drives as in the log, regardless of the plans
@@ -49,7 +49,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE.json")]
     json: Option<PathBuf>,
     #[command(flatten)]
-    storage: StorageArguments,
+    background: BackgroundArguments,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -114,7 +114,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
             .transpose()?
             .map(|file| file.transfer),
     };
-    let sites = Sites::new(gpu.as_ref(), arguments.storage.storage(), appearance);
+    let sites = Sites::new(gpu.as_ref(), arguments.background, appearance);
     let ready = sites.get(&episode.head.scenario.place, base)?;
     let size_px = episode
         .head

@@ -29,10 +29,10 @@ use self::labels::{Labels, WrittenPlane};
 use crate::arguments::{
     pixels, print, seconds_above_zero, warn, write_image, write_image_with_alpha,
 };
+use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
-use crate::storage::StorageArguments;
 
 /// Render a scene for every camera, one image each, named by the camera; the files are listed as
 /// they are written
@@ -82,11 +82,11 @@ pub struct Arguments {
     #[arg(long, value_name = "N", requires = "exposure", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1024))]
     sub_exposures: u32,
     #[command(flatten)]
-    storage: StorageArguments,
+    background: BackgroundArguments,
     #[command(flatten)]
     device: DeviceArguments,
     /// Render with the f64 reference on the CPU: exact and slow
-    #[arg(long, conflicts_with_all = ["device", "storage"])]
+    #[arg(long, conflicts_with_all = ["device", "storage", "background_pitch"])]
     reference: bool,
     /// Write all images side by side to this file too, which ends with .png
     #[arg(long, value_name = "FILE", value_parser = png_path)]
@@ -332,10 +332,9 @@ fn render_on_gpu(
             .collect(),
         ..Outputs::default()
     };
-    let options = SessionOptions {
+    let mut options = SessionOptions {
         render: RenderOptions {
             outputs,
-            storage: arguments.storage.storage(),
             level_pitch_px: arguments.level_pitch,
             flow_interval_s: arguments.flow_interval,
             ..RenderOptions::default()
@@ -344,6 +343,7 @@ fn render_on_gpu(
         bakes_light_on_demand: false,
         ..SessionOptions::default()
     };
+    arguments.background.apply_to(&mut options.render);
     let session = Session::on(gpu, &options);
     let on_device = session.add_layer(&scene.loaded, arguments.layer.into())?;
     let mut world = World::new(&on_device);

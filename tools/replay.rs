@@ -13,11 +13,11 @@ use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
 use decouplegs::scene::{Rig, Sensor};
 
 use crate::arguments::print;
+use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::drive::{ImageWriter, Images};
 use crate::progress;
 use crate::sites::{Ready, Sites};
-use crate::storage::StorageArguments;
 
 /// Repeat the plans of a log and compare: the motion of all vehicles and the score to the last bit,
 /// images by their hashes. Exits with 1 if something differs
@@ -38,7 +38,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", conflicts_with = "no_render")]
     images: Option<PathBuf>,
     #[command(flatten)]
-    storage: StorageArguments,
+    background: BackgroundArguments,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -78,7 +78,7 @@ fn drawn(
             .transpose()?
             .map(|file| file.transfer),
     };
-    let sites = Sites::new(Some(&gpu), arguments.storage.storage(), appearance);
+    let sites = Sites::new(Some(&gpu), arguments.background, appearance);
     let ready = sites.get(&episode.head.scenario.place, base)?;
     let (
         Some(session),

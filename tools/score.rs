@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use anyhow::Result;
 use decouplegs::asset::read_episode_log;
 use decouplegs::episode::Appearance;
-use decouplegs::render::Storage;
 
 use crate::arguments::print;
+use crate::background::BackgroundArguments;
 use crate::episode_report::{self, Scored};
 use crate::progress;
 use crate::sites::Sites;
@@ -37,7 +37,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
         Some(out) => episode_report::write(
             &scored,
-            &Sites::new(None, Storage::Exact, Appearance::default()),
+            &Sites::new(None, BackgroundArguments::default(), Appearance::default()),
             out,
         )?,
         None => episode_report::text(&scored)?,

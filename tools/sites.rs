@@ -6,10 +6,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::{Context, Result};
 use decouplegs::episode::{Appearance, Site};
 use decouplegs::gpu::Gpu;
-use decouplegs::render::Storage;
 use decouplegs::scene::Lane;
 use decouplegs::scene::scenario::Place;
 use decouplegs::session::{Session, SessionOptions, SessionScene};
+
+use crate::background::BackgroundArguments;
 
 /// Places that are kept: a street in four weathers and a few more.
 const KEPT_MAX: usize = 6;
@@ -30,15 +31,14 @@ pub struct Sites {
 }
 
 impl Sites {
-    /// Places whose scenes are kept on `gpu`, stored there as `storage` says; without a device
-    /// nothing is rendered.
-    pub fn new(gpu: Option<&Gpu>, storage: Storage, appearance: Appearance) -> Self {
+    /// Places whose scenes are kept on `gpu`; without a device nothing is rendered.
+    pub fn new(gpu: Option<&Gpu>, background: BackgroundArguments, appearance: Appearance) -> Self {
         // Episodes share scenes, and each must be drawn as if it were alone.
         let mut options = SessionOptions {
             bakes_light_on_demand: false,
             ..SessionOptions::default()
         };
-        options.render.storage = storage;
+        background.apply_to(&mut options.render);
         Self {
             session: gpu.map(|gpu| Session::on(gpu, &options)),
             appearance,

@@ -23,10 +23,10 @@ use decouplegs::render::{
 use decouplegs::scene::{Intrinsics, Rules};
 
 use crate::arguments::{Size, finite, pixels, plane_names, print};
+use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
-use crate::storage::StorageArguments;
 
 /// Measure frames on a GPU: time per stage, memory by purpose, and error against the f64 reference
 #[derive(clap::Args)]
@@ -57,7 +57,7 @@ pub struct Arguments {
     #[arg(long, value_name = "PX", value_parser = pixels)]
     level_pitch: Option<f64>,
     #[command(flatten)]
-    storage: StorageArguments,
+    background: BackgroundArguments,
     /// Time step between frames, in which the ego and the agents move, seconds (default: they stand
     /// still)
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = finite)]
@@ -95,16 +95,17 @@ enum Color {
 
 impl Arguments {
     fn options(&self, rules: Rules) -> RenderOptions {
-        RenderOptions {
+        let mut options = RenderOptions {
             rules,
             outputs: self.outputs(),
-            storage: self.storage.storage(),
             keep_keys: !self.compute_keys,
             level_pitch_px: self.level_pitch,
             frames_in_flight: usize::from(self.in_flight),
             overlap: !self.serial,
             ..RenderOptions::default()
-        }
+        };
+        self.background.apply_to(&mut options);
+        options
     }
 
     fn outputs(&self) -> Outputs {

@@ -16,6 +16,6 @@ pub mod bench;
 pub mod stress;
 
 use decouplegs_cli::{
-    arguments, data_uri, device, image_quality, plot, progress, scene_source, storage, views,
+    arguments, background, data_uri, device, image_quality, plot, progress, scene_source, views,
     visibility,
 };

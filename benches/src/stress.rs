@@ -94,6 +94,7 @@ pub struct Arguments {
     ///   does not turn
     /// decoupled-serial: the same without overlap, 1 frame in flight instead of 2
     /// compact: decoupled, the background in compact storage
+    /// far=PX: decoupled, the background with fewer splats where they lie at most so far apart (2)
     /// lod=PX: decoupled, agents at the coarsest level whose splats are at most so far apart (0.7)
     /// sh0, sh1, sh2: decoupled, colors evaluated to that degree
     /// keep=SHARE: decoupled, assets compressed with a share of their splats kept

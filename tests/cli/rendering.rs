@@ -229,6 +229,36 @@ fn compact_storage_is_asked_for_and_shows_in_no_byte() {
 }
 
 #[test]
+fn backgrounds_are_drawn_with_fewer_splats_where_that_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    let scene = folder.path().join("scene.toml");
+    let [default, zero, coarse] = [
+        drawn(&scene, "default", &[]),
+        drawn(&scene, "zero", &["--background-pitch", "0"]),
+        drawn(&scene, "coarse", &["--background-pitch", "6"]),
+    ];
+    let image = |folder: &Path| fs::read(folder.join("front.npy")).unwrap();
+    assert_eq!(image(&default), image(&zero));
+    assert_ne!(image(&default), image(&coarse));
+    let said = succeed(
+        &[
+            &["bench", text(&scene), "--frames", "1", "--warm-up", "1"][..],
+            &["--background-pitch", "6"],
+        ]
+        .concat(),
+    );
+    assert!(
+        said.contains("fewer where they lie at most 6 px apart"),
+        "{said}"
+    );
+    let refused = ["render", text(&scene), "--out", text(folder.path())];
+    let refused = |more: &[&str]| fail(2, &[&refused[..], more].concat());
+    assert!(refused(&["--background-pitch", "-1"]).contains("pixels"));
+    assert!(refused(&["--background-pitch", "1", "--reference"]).contains("--reference"));
+}
+
+#[test]
 fn a_bench_reports_time_memory_and_error() {
     let folder = tempfile::tempdir().unwrap();
     small_street(folder.path());

@@ -1,6 +1,7 @@
 //! Frames on the GPU against the f64 definition.
 
 mod agents;
+mod detail;
 mod determinism;
 mod editing;
 mod fog;

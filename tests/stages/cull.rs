@@ -23,6 +23,7 @@ pub fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<
         rules,
         CameraVariant::of(&scene.view.cameras, &scene.view.lenses),
         scene.resident.storage,
+        0.0,
     )
     .unwrap();
     let (of_cameras, lenses) = (&scene.camera_buffer, &scene.lens_buffer);

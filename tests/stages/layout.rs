@@ -8,8 +8,8 @@ use std::path::Path;
 use decouplegs::gpu::{DeviceOptions, Gpu};
 use decouplegs::render::layout::{
     AgentRecord, BeamEchoes, BeamRecord, BeamState, BlendItem, Bucket, CameraRecord, ClusterRecord,
-    Composite, EchoRecord, FiringRecord, LensRecord, RelightRecord, RequiredCounts, SectorRecord,
-    ShadowRecord, ViewLists,
+    Composite, EchoRecord, FiringRecord, LensRecord, NodeRecord, RelightRecord, RequiredCounts,
+    SectorRecord, ShadowRecord, ViewLists,
 };
 use decouplegs::render::post_processing::PhotometryRecord;
 use decouplegs::scene::{lidar, rules};
@@ -73,6 +73,12 @@ fn records_of_frames() -> Vec<Record> {
             frame_velocity_mps,
             shutter_first_s,
             shutter_s_per_px
+        }),
+        record!(NodeRecord {
+            center_m,
+            radius_m,
+            error_m,
+            parent
         }),
         record!(ClusterRecord {
             center_m,
@@ -269,7 +275,7 @@ fn structures_are_the_same_on_host_and_device() {
     );
     assert!(seen >= 20, "{seen}");
     // And it can fail: a member that moved, one that is called otherwise, another size.
-    let cluster = &records[1];
+    let cluster = &records[2];
     let mut moved = cluster.members.clone();
     moved[1].1 += 4;
     assert!(

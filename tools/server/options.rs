@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::{Args, Parser, ValueEnum};
 use decouplegs::gpu::DeviceChoice;
-use decouplegs::render::Storage;
+use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Storage};
 
 /// Options of the server.
 #[derive(Args, Clone, Debug)]
@@ -35,6 +35,10 @@ pub struct ServerOptions {
     /// compact, 120 bytes with an error that no 8-bit image shows
     #[arg(long, value_name = "STORAGE", value_parser = storage, default_value = "exact")]
     pub storage: Storage,
+    /// Render backgrounds with fewer splats where they lie at most this many pixels apart (default:
+    /// always the finest, which is exact)
+    #[arg(long, value_name = "PX", value_parser = pixels)]
+    pub background_pitch: Option<f64>,
     /// Origin of the clients' rig, in the scenes' vehicle frame (meters, x forward, y left, z up):
     /// simulators put it on the ground below the rear axle, scene files in the center of the box
     #[arg(long, value_name = "X,Y,Z", value_parser = meters, default_value = "0,0,0", allow_hyphen_values = true)]
@@ -60,6 +64,20 @@ pub struct ServerOptions {
 }
 
 impl ServerOptions {
+    /// Options of the renderers, images in bytes.
+    #[must_use]
+    pub fn render(&self) -> RenderOptions {
+        RenderOptions {
+            outputs: Outputs {
+                color: ColorFormat::U8,
+                ..Outputs::default()
+            },
+            storage: self.storage,
+            background_pitch_px: self.background_pitch,
+            ..RenderOptions::default()
+        }
+    }
+
     /// The defaults for `scenes`, on a free port of the loopback.
     #[must_use]
     pub fn on_a_free_port(scenes: Vec<PathBuf>) -> Self {
@@ -71,6 +89,13 @@ impl ServerOptions {
 
 fn storage(text: &str) -> Result<Storage, String> {
     Storage::by_name(text).ok_or_else(|| format!("expected exact or compact, found {text:?}"))
+}
+
+fn pixels(text: &str) -> Result<f64, String> {
+    let parsed = text.parse::<f64>().ok();
+    parsed
+        .filter(|pixels| pixels.is_finite() && *pixels >= 0.0)
+        .ok_or_else(|| format!("expected pixels, 0 or more, found {text:?}"))
 }
 
 /// Options as a command line of their own.

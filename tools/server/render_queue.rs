@@ -15,9 +15,9 @@ use anyhow::{Context, Result, ensure};
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::Gpu;
 use decouplegs::open_movable_scene;
-use decouplegs::render::Storage;
+use decouplegs::render::RenderOptions;
 use decouplegs::scene::LidarSweep;
-use decouplegs::session::{Session, SessionError};
+use decouplegs::session::{Session, SessionError, SessionOptions};
 use tokio::sync::{oneshot, watch};
 use tonic::Status;
 
@@ -92,13 +92,13 @@ impl Job {
 }
 
 impl RenderQueue {
-    /// Starts the threads, which draw scenes of `registry` on `gpu`, stored as `storage` says.
+    /// Starts the threads, which draw scenes of `registry` on `gpu` as `render` says.
     ///
     /// # Errors
     /// Returns an error if the operating system gives no threads.
     pub fn start(
         gpu: Gpu,
-        storage: Storage,
+        render: RenderOptions,
         registry: Arc<SceneRegistry>,
         limits: &Limits,
         metrics: Arc<Metrics>,
@@ -115,8 +115,12 @@ impl RenderQueue {
         }
         let (lost_sender, lost) = watch::channel(false);
         let refusing = Arc::new(AtomicBool::new(false));
+        let options = SessionOptions {
+            render,
+            ..SessionOptions::default()
+        };
         let mut worker = RenderWorker {
-            session: Session::on(&gpu, &SceneRenderer::session_options(storage)),
+            session: Session::on(&gpu, &options),
             registry,
             scenes: Cache::new(limits.cache_size as usize, limits.cache_bytes),
             waiting: HashMap::new(),

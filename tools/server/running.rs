@@ -116,7 +116,7 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
     );
     let (render_queue, painting) = RenderQueue::start(
         gpu,
-        options.storage,
+        options.render(),
         Arc::clone(&registry),
         &limits,
         Arc::clone(&metrics),

@@ -5,11 +5,9 @@ use std::collections::HashMap;
 use decouplegs::AgentInstance;
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::GpuError;
-use decouplegs::render::{ColorFormat, Outputs, RenderError, RenderOptions, Storage};
+use decouplegs::render::RenderError;
 use decouplegs::scene::{Camera, Lidar, LidarSweep, Pose};
-use decouplegs::session::{
-    BatchRenderer, HostImages, Session, SessionError, SessionOptions, World, WorldView,
-};
+use decouplegs::session::{BatchRenderer, HostImages, Session, SessionError, World, WorldView};
 use glam::DVec3;
 use tonic::Status;
 
@@ -35,23 +33,6 @@ pub struct Drawn {
 }
 
 impl SceneRenderer {
-    /// Options of the session that [`SceneRenderer::new`] takes.
-    #[must_use]
-    pub fn session_options(storage: Storage) -> SessionOptions {
-        let outputs = Outputs {
-            color: ColorFormat::U8,
-            ..Outputs::default()
-        };
-        SessionOptions {
-            render: RenderOptions {
-                outputs,
-                storage,
-                ..RenderOptions::default()
-            },
-            ..SessionOptions::default()
-        }
-    }
-
     /// `loaded` on the device of `session`.
     ///
     /// # Errors

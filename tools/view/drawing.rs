@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 
 use decouplegs::gpu::Gpu;
 use decouplegs::render::rendered_image::preview;
-use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Plane, Storage};
+use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Plane};
 use decouplegs::scene::Camera;
 use decouplegs::scene::lidar::{PointFrame, ReturnOptions};
 use decouplegs::session::{
     BatchRenderer, HostImages, Session, SessionError, SessionOptions, WorldView,
 };
+use decouplegs_cli::background::BackgroundArguments;
 use glam::DVec3;
 
 use crate::protocol::{Channel, Pane};
@@ -77,10 +78,10 @@ fn plane_of(channel: Channel) -> Option<Plane> {
 }
 
 impl Drawer {
-    /// Renderers on `gpu`, whose backgrounds are stored as `storage` says.
-    pub fn new(gpu: &Gpu, storage: Storage) -> Self {
+    /// Renderers on `gpu`, whose backgrounds are stored and drawn as `background` says.
+    pub fn new(gpu: &Gpu, background: BackgroundArguments) -> Self {
         let mut options = options(None);
-        options.render.storage = storage;
+        background.apply_to(&mut options.render);
         let session = Session::on(gpu, &options);
         Self {
             gpu: gpu.clone(),

@@ -38,8 +38,8 @@ use std::sync::mpsc;
 
 use anyhow::{Context, Result, ensure};
 use decouplegs_cli::arguments::print;
+use decouplegs_cli::background::BackgroundArguments;
 use decouplegs_cli::device::{DeviceArguments, check_validation};
-use decouplegs_cli::storage::StorageArguments;
 
 use drawing::Drawer;
 use events::Event;
@@ -70,7 +70,7 @@ pub struct Arguments {
     #[arg(long, value_parser = token)]
     token: Option<String>,
     #[command(flatten)]
-    storage: StorageArguments,
+    background: BackgroundArguments,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -111,7 +111,7 @@ pub fn run(arguments: &Arguments, demo: impl FnOnce() -> Result<PathBuf>) -> Res
         .with_context(|| format!("{address} cannot be listened on: give another --port"))?;
     let address = listener.local_addr()?;
     let gpu = arguments.device.open()?;
-    let drawer = Drawer::new(&gpu, arguments.storage.storage());
+    let drawer = Drawer::new(&gpu, arguments.background);
     let sources = arguments.sources.open(drawer.session(), demo)?;
     let mut viewer = Viewer::new(drawer, sources);
     let (events, inbox) = mpsc::sync_channel(EVENTS_MAX);

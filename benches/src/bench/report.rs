@@ -56,6 +56,7 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
         "storage": { "name": options.storage.name(), "splat_bytes": splat_bytes },
         "keep_keys": options.keep_keys,
         "level_pitch_px": options.level_pitch_px,
+        "background_pitch_px": options.background_pitch_px,
         "frames_in_flight": options.frames_in_flight,
         "step_s": step_s,
         "cameras": scene.cameras.len(),
@@ -175,13 +176,17 @@ fn text(value: &Value) -> &str {
 
 fn heading(figures: &Value) -> String {
     format!(
-        "{} ({})\n{} splats of degree {} in {} storage ({} bytes each) and {} agents of {} splats, rules {}\nviews by the source of their background's depth keys: {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up, {} redrawn\n",
+        "{} ({})\n{} splats of degree {} in {} storage ({} bytes each){} and {} agents of {} splats, rules {}\nviews by the source of their background's depth keys: {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up, {} redrawn\n",
         text(&figures["device"]),
         text(&figures["driver"]),
         figures["splats"],
         figures["sh_degree"],
         text(&figures["storage"]["name"]),
         figures["storage"]["splat_bytes"],
+        match figures["background_pitch_px"].as_f64() {
+            Some(pitch_px) => format!(", fewer where they lie at most {pitch_px} px apart,"),
+            None => String::new(),
+        },
         figures["agents"]["drawn"],
         figures["agents"]["splats"],
         text(&figures["rules"]),

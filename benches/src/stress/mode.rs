@@ -40,17 +40,19 @@ pub struct Mode {
     overlap: bool,
     frames_in_flight: usize,
     pub storage: Storage,
+    pub background_pitch_px: Option<f64>,
 }
 
 /// Default modes.
 pub const DEFAULT_MODES: &str = "vanilla,decoupled";
 
-const KNOWN: &str = "vanilla, prune[=SHARE], decoupled, decoupled-serial, compact, lod[=PIXELS], sh0, sh1, sh2, \
+const KNOWN: &str = "vanilla, prune[=SHARE], decoupled, decoupled-serial, compact, far[=PIXELS], lod[=PIXELS], sh0, sh1, sh2, \
                      keep=SHARE or colors=N";
 
 /// Share that pruned baselines keep (Fan et al., LightGaussian, 2024: 66 % are pruned).
 const PRUNE_KEEP: f64 = 0.34;
 const LEVEL_PITCH_PX: f64 = 0.7;
+const BACKGROUND_PITCH_PX: f64 = 2.0;
 /// Fewer make no codebook worth the name, and shapes have half as many.
 const COLORS_MIN: f64 = 2.0;
 const COLORS_MAX: f64 = decouplegs::scene::codebook::COLORS_MAX as f64;
@@ -72,6 +74,7 @@ impl Mode {
             overlap: true,
             frames_in_flight: 2,
             storage: Storage::Exact,
+            background_pitch_px: None,
         }
     }
 
@@ -109,6 +112,7 @@ impl Mode {
             frames_in_flight: self.frames_in_flight,
             overlap: self.overlap,
             storage: self.storage,
+            background_pitch_px: self.background_pitch_px,
             ..RenderOptions::default()
         }
     }
@@ -136,31 +140,29 @@ impl FromStr for Mode {
                 }),
         };
         let decoupled = Self::decoupled(text);
-        let coded = |keep, colors, what| Self {
+        let coded = |keep, colors, how: String| Self {
             agents: Agents::Coded(Coding { keep, colors }),
-            what,
+            what: format!("decoupled, assets compressed {how}"),
             ..Self::decoupled(text)
         };
         Ok(match (base, value) {
             ("vanilla", None) => Self::vanilla(text),
             ("prune", _) => {
                 let keep = number(1e-6, 1.0, Some(PRUNE_KEEP))?;
-                let what = format!(
-                    "vanilla with {keep} of all splats kept, by their weights in the ego's views and their volume"
-                );
                 Self {
                     agents: Agents::Copies { keep },
-                    what,
+                    what: format!(
+                        "vanilla with {keep} of all splats kept, by their weights in the ego's views and their volume"
+                    ),
                     ..Self::vanilla(text)
                 }
             }
             ("decoupled", None) => decoupled,
             ("decoupled-serial", None) => {
-                let what = "decoupled, the agents' updates in line with the rest of the frame, 1 frame in flight".into();
                 Self {
                     overlap: false,
                     frames_in_flight: 1,
-                    what,
+                    what: "decoupled, the agents' updates in line with the rest of the frame, 1 frame in flight".into(),
                     ..decoupled
                 }
             }
@@ -171,37 +173,41 @@ impl FromStr for Mode {
                         .into(),
                 ..decoupled
             },
+            ("far", _) => {
+                let pitch_px = number(0.01, 1000.0, Some(BACKGROUND_PITCH_PX))?;
+                Self {
+                    background_pitch_px: Some(pitch_px),
+                    what: format!(
+                        "decoupled, the background with fewer splats where they lie at most {pitch_px} px apart"
+                    ),
+                    ..decoupled
+                }
+            }
             ("lod", _) => {
                 let pitch_px = number(0.01, 1000.0, Some(LEVEL_PITCH_PX))?;
-                let what = format!(
-                    "decoupled, agents at the coarsest level whose splats are at most {pitch_px} px apart"
-                );
                 Self {
                     level_pitch_px: Some(pitch_px),
-                    what,
+                    what: format!(
+                        "decoupled, agents at the coarsest level whose splats are at most {pitch_px} px apart"
+                    ),
                     ..decoupled
                 }
             }
             ("sh0" | "sh1" | "sh2", None) => {
                 let sh_degree_max = base.as_bytes()[2] - b'0';
-                let what = format!("decoupled, colors evaluated to degree {sh_degree_max}");
                 Self {
                     sh_degree_max,
-                    what,
+                    what: format!("decoupled, colors evaluated to degree {sh_degree_max}"),
                     ..decoupled
                 }
             }
             ("keep", _) => {
                 let keep = number(1e-6, 1.0, None)? as f32;
-                let what = format!("decoupled, assets compressed with {keep} of their splats kept");
-                coded(Some(keep), None, what)
+                coded(Some(keep), None, format!("with {keep} of their splats kept"))
             }
             ("colors", _) => {
                 let colors = number(COLORS_MIN, COLORS_MAX, None)? as usize;
-                let what = format!(
-                    "decoupled, assets compressed with {colors} colors and {} shapes",
-                    colors / 2
-                );
+                let what = format!("with {colors} colors and {} shapes", colors / 2);
                 coded(None, Some(colors), what)
             }
             _ => return Err(format!("'{text}' is no mode: there are {KNOWN}")),

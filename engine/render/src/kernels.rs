@@ -107,6 +107,8 @@ pub(crate) struct Kernels {
     outputs: Outputs,
     segment_pairs: u32,
     keep_keys: bool,
+    /// Limit of the background's levels of detail; 0: the finest.
+    pitch_px: f32,
     common: Option<CommonStages>,
     images: Vec<(ColorFormat, ImageStages)>,
     post_process: Option<PostProcess>,
@@ -177,12 +179,14 @@ impl Kernels {
             outputs,
             segment_pairs,
             keep_keys,
+            background_pitch_px,
             ..
         } = *options;
         Self {
             rules,
             outputs,
             keep_keys,
+            pitch_px: background_pitch_px.unwrap_or(0.0) as f32,
             segment_pairs: match device {
                 DeviceKind::Cpu => segment_pairs.clamp(1, SEGMENT_PAIRS_MAX_IN_SOFTWARE),
                 _ if segment_pairs > SEGMENT_PAIRS_MAX => u32::MAX,
@@ -252,6 +256,7 @@ impl Kernels {
             outputs,
             segment_pairs,
             keep_keys,
+            pitch_px,
             ..
         } = self;
         if self.common.is_none() {
@@ -279,7 +284,7 @@ impl Kernels {
         let kind = variant.background;
         if !self.background.iter().any(|(built, _)| *built == kind) {
             let (cull, project) = (
-                Cull::new(gpu, rules, kind.cameras, kind.storage)?,
+                Cull::new(gpu, rules, kind.cameras, kind.storage, *pitch_px)?,
                 Project::new(gpu, rules, kind)?,
             );
             self.background

@@ -4,10 +4,12 @@
 //! Arrays of `f32` and `u32` only: glam's vectors may be padded for SIMD. The shaders use scalar
 //! block layout, whose offsets are those of `repr(C)`.
 
+mod detail;
 mod lens;
 mod lidar;
 mod light;
 
+pub use detail::NodeRecord;
 pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
 pub use lidar::{BeamEchoes, BeamRecord, BeamState, EchoRecord, FiringRecord, SectorRecord};
 pub use light::{RelightRecord, ShadowRecord};

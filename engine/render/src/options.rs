@@ -36,6 +36,10 @@ pub struct RenderOptions {
     /// Agents are drawn at the coarsest level of detail whose splats are at most this far apart in
     /// the image. `None`: always at the finest, which is exact.
     pub level_pitch_px: Option<f64>,
+    /// The background is drawn at levels of detail whose splats lay at most this far apart in the
+    /// image before they were merged, in its middle; worlds are uploaded with levels of detail
+    /// then, which take a third more memory. `None`: always at the finest, which is exact.
+    pub background_pitch_px: Option<f64>,
     /// Frames that may be submitted before the first of them is finished, at least 1. Each has
     /// images of its own.
     pub frames_in_flight: usize,
@@ -60,6 +64,7 @@ impl Default for RenderOptions {
             segment_pairs: 1024,
             keep_keys: true,
             level_pitch_px: None,
+            background_pitch_px: None,
             frames_in_flight: 2,
             taken_max: 16,
             spare: 1.0 / 16.0,

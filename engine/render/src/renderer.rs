@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::Instant;
 
 use decouplegs_gpu::{Buffer, Gpu, QueueRole, Ticket};
-use decouplegs_scene::{Camera, DepthOrder, World};
+use decouplegs_scene::{Camera, DepthOrder, DetailLevels, World};
 
 use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
@@ -90,14 +90,20 @@ impl Renderer {
     /// # Errors
     /// Returns an error if it has too many splats, or the device not the memory.
     pub fn upload(&self, world: &World) -> Result<GpuScene, RenderError> {
-        let splats = world.splats.len();
+        let splats = match self.options.background_pitch_px {
+            None => world.splats.len(),
+            Some(_) => DetailLevels::splats_at_most(world.splats.len()),
+        };
         if splats > SPLATS_MAX {
             return Err(RenderError::TooManySplats {
                 splats,
                 max: SPLATS_MAX,
             });
         }
-        GpuScene::upload(&self.gpu, world, self.options.storage)
+        match self.options.background_pitch_px {
+            None => GpuScene::upload(&self.gpu, world, self.options.storage),
+            Some(_) => GpuScene::upload_with_levels(&self.gpu, world, self.options.storage),
+        }
     }
 
     /// Draws `scene` for all `cameras` in one submission and waits for the images.

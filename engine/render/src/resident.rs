@@ -4,11 +4,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytemuck::Zeroable;
 use decouplegs_gpu::{Buffer, Gpu};
-use decouplegs_scene::{Bounds, Camera, Fog, Photometry, SplatCloud, World, rules, sh};
+use decouplegs_scene::{
+    Bounds, Camera, DetailLevels, Fog, Photometry, SplatCloud, World, rules, sh,
+};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::layout::{CLUSTER_SPLATS, ClusterRecord};
+use crate::layout::{CLUSTER_SPLATS, ClusterRecord, NodeRecord};
 use crate::post_processing::SkyBuffers;
 use crate::reference::unscented::SIGMA_REACH;
 use crate::storage::{CompactShape, Storage, unit};
@@ -25,7 +27,8 @@ static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 #[derive(Clone)]
 pub struct GpuScene {
     pub(crate) id: u64,
-    /// Splats, defective ones included: these are never drawn, but keep their index.
+    /// Splats of all levels of detail, defective ones included: these are never drawn, but keep
+    /// their index.
     pub splats: usize,
     /// Splats that cannot be drawn.
     pub defects: usize,
@@ -47,6 +50,10 @@ pub struct GpuScene {
     pub fog: Option<Fog>,
     /// One a [`CLUSTER_SPLATS`] splats.
     pub clusters: Buffer<ClusterRecord>,
+    /// Nodes of the levels of detail, one per cluster; of length 0 without levels.
+    pub nodes: Buffer<NodeRecord>,
+    /// Clusters of the finest level, which come first: all, without levels.
+    pub finest_clusters: usize,
     /// Storage of the buffers below.
     pub storage: Storage,
     /// Relative to the origin, meters.
@@ -88,6 +95,40 @@ impl GpuScene {
     /// Returns an error if the device has not the memory, with the bytes wanted.
     pub fn upload(gpu: &Gpu, world: &World, storage: Storage) -> Result<Self, RenderError> {
         let cloud = &world.splats;
+        Self::of(
+            gpu,
+            world,
+            (cloud, &world.instance_from_splat),
+            &[],
+            storage,
+        )
+    }
+
+    /// [`GpuScene::upload`] with levels of detail, which take a third more memory.
+    ///
+    /// # Errors
+    /// Returns an error if the device has not the memory, with the bytes wanted.
+    pub fn upload_with_levels(
+        gpu: &Gpu,
+        world: &World,
+        storage: Storage,
+    ) -> Result<Self, RenderError> {
+        let levels = DetailLevels::build(&world.splats, &world.instance_from_splat);
+        let nodes: Vec<NodeRecord> = levels.nodes.iter().map(NodeRecord::from).collect();
+        let cloud = (&levels.splats, levels.instance_from_splat.as_slice());
+        let mut scene = Self::of(gpu, world, cloud, &nodes, storage)?;
+        scene.finest_clusters = levels.finest_nodes;
+        Ok(scene)
+    }
+
+    /// `world` with other splats, and the instances that they belong to.
+    fn of(
+        gpu: &Gpu,
+        world: &World,
+        (cloud, instance_from_splat): (&SplatCloud, &[u16]),
+        nodes: &[NodeRecord],
+        storage: Storage,
+    ) -> Result<Self, RenderError> {
         let prepared: Vec<Prepared> = (0..cloud.len())
             .into_par_iter()
             .map(|splat| Prepared::of(cloud, splat, storage))
@@ -120,7 +161,7 @@ impl GpuScene {
             splats: cloud.len(),
             defects: prepared.iter().filter(|splat| !splat.drawn).count(),
             sh_degree: cloud.sh_degree,
-            has_instances: !world.instance_from_splat.is_empty(),
+            has_instances: !instance_from_splat.is_empty(),
             origin: world.origin,
             sky: match (&world.sky_map, &world.fog) {
                 (Some(_), _) => [0.0; 3],
@@ -141,6 +182,8 @@ impl GpuScene {
                 }),
             fog: world.fog,
             photometry: world.photometry,
+            finest_clusters: clusters.len(),
+            nodes: gpu.upload("nodes", PURPOSE, nodes)?,
             clusters: gpu.upload("clusters", PURPOSE, &clusters)?,
             means: gpu.upload("means", PURPOSE, &means)?,
             storage,
@@ -148,11 +191,7 @@ impl GpuScene {
             rotations: gpu.upload("rotations", PURPOSE, &rotation_words(&prepared, storage))?,
             sh_dc: band(0)?,
             sh_bands: [band(1)?, band(2)?, band(3)?],
-            instances: gpu.upload(
-                "instances",
-                PURPOSE,
-                &pack_pairs(&world.instance_from_splat),
-            )?,
+            instances: gpu.upload("instances", PURPOSE, &pack_pairs(instance_from_splat))?,
         })
     }
 

@@ -384,6 +384,11 @@ typedef struct {
      * Storage of the backgrounds' splats: a DgsStorage.
      */
     uint32_t storage;
+    /**
+     * Backgrounds are drawn with fewer splats where they lie at most this many pixels apart; 0:
+     * always the finest, which is exact.
+     */
+    double background_pitch_px;
 } DgsSessionOptions;
 
 /**

@@ -115,6 +115,16 @@ unsafe fn session_options(options: *const DgsSessionOptions) -> Result<SessionOp
             )));
         }
     };
+    match options.background_pitch_px {
+        0.0 => {}
+        pitch_px if pitch_px.is_finite() && pitch_px > 0.0 => {
+            session.render.background_pitch_px = Some(pitch_px);
+        }
+        other => {
+            let text = format!("background_pitch_px is {other}: expected 0 or a positive number");
+            return Err(Failure::argument(text));
+        }
+    }
     session.render.outputs.planes = options.planes()?;
     match options.flow_interval_s {
         0.0 => {}

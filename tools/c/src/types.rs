@@ -296,6 +296,9 @@ pub struct DgsSessionOptions {
     pub planes: u32,
     /// Storage of the backgrounds' splats: a DgsStorage.
     pub storage: u32,
+    /// Backgrounds are drawn with fewer splats where they lie at most this many pixels apart; 0:
+    /// always the finest, which is exact.
+    pub background_pitch_px: f64,
 }
 
 impl DgsSessionOptions {
@@ -310,6 +313,7 @@ impl DgsSessionOptions {
         flow_interval_s: 0.0,
         planes: 0,
         storage: 0,
+        background_pitch_px: 0.0,
     };
 
     /// The planes that are asked for.

@@ -3,7 +3,7 @@
 //!
 //! | module | content |
 //! |---|---|
-//! | `arguments`, `device`, `scene_source`, `orbit`, `storage` | arguments of several subcommands, and what they open |
+//! | `arguments`, `device`, `scene_source`, `orbit`, `background` | arguments of several subcommands, and what they open |
 //! | `footing` | the ground below agents |
 //! | `progress` | progress lines and durations |
 //! | `jpeg`, `png_bytes`, `video` | images as bytes of a file, and as a video |
@@ -13,6 +13,8 @@
 
 #[doc(hidden)]
 pub mod arguments;
+#[doc(hidden)]
+pub mod background;
 #[doc(hidden)]
 pub mod data_uri;
 #[doc(hidden)]
@@ -33,8 +35,6 @@ pub mod png_bytes;
 pub mod progress;
 #[doc(hidden)]
 pub mod scene_source;
-#[doc(hidden)]
-pub mod storage;
 #[doc(hidden)]
 pub mod video;
 #[doc(hidden)]

@@ -154,6 +154,7 @@ class Session:
         exported: bool | None = None,
         rules: Literal["default", "gsplat15", "gsplat16", "inria"] | None = None,
         storage: Literal["exact", "compact"] = "exact",
+        background_pitch: float | None = None,
         taken_max: int = 16,
         frames_in_flight: int = 2,
     ) -> None:
@@ -165,6 +166,7 @@ class Session:
         exported: whether images are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
         rules: the rules of image formation for all scenes. None: each scene's own, as its file says.
         storage: storage of the backgrounds' splats on the device. exact: 152 bytes per splat of degree 3; compact: 120 bytes, with an error that no 8-bit image shows.
+        background_pitch: pixels; backgrounds are drawn with fewer splats where they lie at most so far apart. None: always the finest, which is exact.
         taken_max: frames that may be held on the device by tensors before TooManyHeldError.
         frames_in_flight: frames of one call that are submitted before the first is waited for.
         """

@@ -66,6 +66,15 @@ fn rules_of(name: &str) -> PyResult<Rules> {
     Rules::by_name(name).ok_or_else(message)
 }
 
+fn pitch_of(pitch_px: f64) -> PyResult<f64> {
+    let is_one = pitch_px.is_finite() && pitch_px >= 0.0;
+    is_one.then_some(pitch_px).ok_or_else(|| {
+        value_error(format!(
+            "background_pitch: expected pixels, 0 or more, found {pitch_px}"
+        ))
+    })
+}
+
 fn storage_of(name: &str) -> PyResult<Storage> {
     let message = || {
         value_error(format!(
@@ -89,7 +98,7 @@ fn cuda_of(gpu: &Gpu) -> Result<Cuda, String> {
 #[pymethods]
 impl Session {
     #[new]
-    #[pyo3(signature = (device = None, *, color = "u8", depth = false, instance = false, planes = Vec::new(), flow_interval = 0.1, exported = None, rules = None, storage = "exact", taken_max = 16, frames_in_flight = 2))]
+    #[pyo3(signature = (device = None, *, color = "u8", depth = false, instance = false, planes = Vec::new(), flow_interval = 0.1, exported = None, rules = None, storage = "exact", background_pitch = None, taken_max = 16, frames_in_flight = 2))]
     #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn new(
         py: Python<'_>,
@@ -102,6 +111,7 @@ impl Session {
         exported: Option<bool>,
         rules: Option<&str>,
         storage: &str,
+        background_pitch: Option<f64>,
         taken_max: usize,
         frames_in_flight: usize,
     ) -> PyResult<Self> {
@@ -154,6 +164,7 @@ impl Session {
             outputs,
             flow_interval_s: flow_interval,
             storage,
+            background_pitch_px: background_pitch.map(pitch_of).transpose()?,
             taken_max,
             frames_in_flight,
             ..options.render

@@ -324,6 +324,18 @@ def test_compact_storage_takes_less_memory_and_draws_the_same(session, scene_fil
         decouplegs.Session(storage="half")
 
 
+def test_backgrounds_have_levels_of_detail(session, scene_file):
+    def drawn(pitch):
+        own = decouplegs.Session(session.device.uuid, background_pitch=pitch, exported=False)
+        scene = own.open_scene(scene_file)
+        return own.batch_renderer().draw([(decouplegs.World(scene), scene.cameras(0.0))])[0]
+
+    np.testing.assert_array_equal(drawn(None), drawn(0.0))
+    assert drawn(1e6).shape == drawn(None).shape
+    with pytest.raises(ValueError, match="background_pitch"):
+        decouplegs.Session(background_pitch=-1.0)
+
+
 def test_python_and_the_program_render_the_same_floats(session, scene_file, tmp_path):
     program = os.environ.get("DECOUPLEGS_PROGRAM")
     if program is None:

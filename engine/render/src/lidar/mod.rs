@@ -16,7 +16,7 @@ use decouplegs_scene::{Lidar, LidarModel, LidarSweep, Rules, random};
 use crate::RenderError;
 use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
-use crate::layout::{BeamEchoes, BeamState, CAMERAS_MAX, RequiredCounts, View};
+use crate::layout::{BeamEchoes, BeamState, CAMERAS_MAX, CLUSTER_SPLATS, RequiredCounts, View};
 use crate::stages::{
     AgentBuffers, LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ProjectLidar,
     ProjectLidarAgents, Records, Scan, SectorBuffers, TileSort, TileSortBuffers, TraceLidar,
@@ -337,9 +337,9 @@ impl LidarRenderer {
         input: &SweepInput<'_>,
     ) -> Result<(Walked, RequiredCounts, u64), RenderError> {
         self.build(input.variant)?;
-        let splats =
-            input.scene.world.splats + input.agents.as_ref().map_or(0, |(list, _)| list.splats);
-        let clusters = input.scene.world.cluster_count();
+        let splats = input.scene.world.finest_clusters * CLUSTER_SPLATS
+            + input.agents.as_ref().map_or(0, |(list, _)| list.splats);
+        let clusters = input.scene.world.finest_clusters;
         let mut capacity = match self.capacity {
             Some(capacity) => capacity,
             None => Capacity::guess(splats, input.view.cameras.len()),
@@ -391,7 +391,7 @@ impl LidarRenderer {
             unreachable!("build was called")
         };
         let (world, sectors) = (input.scene.world, &input.sectors);
-        let lists = sectors.count * world.cluster_count();
+        let lists = sectors.count * world.finest_clusters;
         let agents = input.agents.as_ref().map(|(list, agents)| LidarAgents {
             pool: &list.pool,
             agents,
@@ -426,7 +426,7 @@ impl LidarRenderer {
             camera_count: sectors.count,
             projected: &buffers.projected,
             static_offsets: &buffers.offsets,
-            static_clusters: world.cluster_count(),
+            static_clusters: world.finest_clusters,
             moving_offsets: agents.map_or(&buffers.no_agents, |agents| &agents.agents.offsets),
             moving_clusters: agents.map_or(0, |agents| agents.counts.clusters),
         };

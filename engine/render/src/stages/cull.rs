@@ -42,16 +42,19 @@ push_constants! {
         splat_count: u32,
         camera_count: u32,
         cluster_count: u32,
+        pitch_px: f32,
     }
 }
 
 /// `cull.comp`.
 pub struct Cull {
     kernel: Kernel,
+    pitch_px: f32,
 }
 
 impl Cull {
     /// The stage for images of the given rules and `cameras`, and for worlds of the given storage.
+    /// Of worlds with levels of detail it marks those that `pitch_px` allows; 0: the finest.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
@@ -60,6 +63,7 @@ impl Cull {
         rules: &Rules,
         cameras: CameraVariant,
         storage: Storage,
+        pitch_px: f32,
     ) -> Result<Self, GpuError> {
         let [lenses, rolling] = cameras.constants();
         let constants = [
@@ -71,6 +75,7 @@ impl Cull {
         ];
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL, &constants)?,
+            pitch_px,
         })
     }
 
@@ -88,10 +93,15 @@ impl Cull {
             splat_count: world.splats as u32,
             camera_count: camera_count as u32,
             cluster_count: world.cluster_count() as u32,
+            pitch_px: match world.nodes.len() {
+                0 => -1.0,
+                _ => self.pitch_px,
+            },
         };
         let buffers = [
             ("cameras", cameras.binding()),
             ("clusters", world.clusters.binding()),
+            ("nodes", world.nodes.binding()),
             ("means_m", world.means.binding()),
             ("shapes", world.shapes.binding()),
             ("rotations", world.rotations.binding()),

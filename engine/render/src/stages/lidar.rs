@@ -246,7 +246,7 @@ impl ProjectLidar {
         let push = ProjectPush {
             splat_count: world.splats as u32,
             camera_count: sectors.count as u32,
-            cluster_count: world.cluster_count() as u32,
+            cluster_count: world.finest_clusters as u32,
             records_max: buffers.projected.colors.len() as u32,
         };
         let bound = [
@@ -272,7 +272,7 @@ impl ProjectLidar {
             LidarPass::Mark => &self.mark,
             LidarPass::Write => &self.write,
         };
-        let groups = groups_for(world.cluster_count());
+        let groups = groups_for(world.finest_clusters);
         recorder.dispatch(kernel, &bound, bytes_of(&push), groups);
     }
 }

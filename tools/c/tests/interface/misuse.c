@@ -74,6 +74,9 @@ static void misuse_options(void) {
     options.storage = 2;
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "storage is 2", dgs_session_open(&options, &session));
     options.storage = DGS_STORAGE_EXACT;
+    options.background_pitch_px = -2.0;
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "background_pitch_px is -2", dgs_session_open(&options, &session));
+    options.background_pitch_px = 0.0;
     options.flow_interval_s = -1.0;
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "flow_interval_s is -1", dgs_session_open(&options, &session));
     options.flow_interval_s = 0.0;
