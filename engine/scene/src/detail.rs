@@ -27,6 +27,11 @@ const ROOTS_MAX: usize = 8;
 /// Parent of a node that has none.
 pub const NO_PARENT: u32 = u32::MAX;
 
+/// Weight of color beside place when splats are grouped ([`clusters`]). On a street of 2.2 million
+/// splats, 640x360, 0.1 left 587,000 visible splats at 40.9 dB, 0.3 526,000 at 41.3 dB, and 1.0
+/// 564,000 at 40.7 dB (limits of 2, 2.5 and 3 pixels).
+const COLOR_WEIGHT: f64 = 0.3;
+
 /// Smallest error of a node that is not one of the finest, meters: a limit of 0 draws none of them.
 const ERROR_MIN_M: f32 = 1e-9;
 
@@ -299,7 +304,7 @@ fn groups(cloud: &SplatCloud, weights: &[f64], instances: &[u16]) -> Vec<Vec<u32
     let of_instance = members.iter().zip(counts).flat_map(|(members, count)| {
         let own = cloud.select(members);
         let weights: Vec<f64> = members.iter().map(|&m| weights[m as usize]).collect();
-        let groups = clusters(&own, &weights, count);
+        let groups = clusters(&own, &weights, count, COLOR_WEIGHT);
         let indices = move |group: Vec<u32>| group.iter().map(|&m| members[m as usize]).collect();
         groups.into_iter().map(indices).collect::<Vec<Vec<u32>>>()
     });

@@ -13,10 +13,6 @@ use crate::{SplatCloud, sh};
 /// Most that a merged splat is widened.
 const WIDENING_MAX: f64 = 2.0;
 
-/// A difference of 1 in an RGB channel is as bad as a displacement by this share of the longest
-/// side.
-const COLOR_WEIGHT: f64 = 0.1;
-
 /// Exponent of Thomsen's approximation to the surface of an ellipsoid (error below 1.1 %).
 const THOMSEN: f64 = 1.6075;
 
@@ -108,16 +104,23 @@ fn covariance_of(cloud: &SplatCloud, splat: usize) -> DMat3 {
 
 /// The splats of `cloud` in `count` clusters (fewer where it has fewer different ones): again and
 /// again the cluster that spreads most, in place and color, is cut in two at its mean across the
-/// axis of its largest spread (Wan et al., Variance-Based Color Image Quantization, 1988).
+/// axis of its largest spread (Wan et al., Variance-Based Color Image Quantization, 1988). A
+/// difference of 1 in an RGB channel is as bad as a displacement by `color_weight` of the longest
+/// side of the cloud.
 #[must_use]
-pub fn clusters(cloud: &SplatCloud, weights: &[f64], count: usize) -> Vec<Vec<u32>> {
+pub fn clusters(
+    cloud: &SplatCloud,
+    weights: &[f64],
+    count: usize,
+    color_weight: f64,
+) -> Vec<Vec<u32>> {
     let bounds = cloud.bounds();
     let longest_m = bounds
         .half_extent()
         .iter()
         .fold(0.0f64, |longest, &half| longest.max(2.0 * f64::from(half)));
     let feature = |splat: usize| -> Feature {
-        let color = cloud.sh_dc[splat].map(|dc| f64::from(dc) * sh::Y0 * COLOR_WEIGHT * longest_m);
+        let color = cloud.sh_dc[splat].map(|dc| f64::from(dc) * sh::Y0 * color_weight * longest_m);
         let mean = cloud.means[splat].map(f64::from);
         Feature {
             at: [mean[0], mean[1], mean[2], color[0], color[1], color[2]],

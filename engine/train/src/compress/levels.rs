@@ -30,6 +30,10 @@ pub const LEVEL_SPLATS_MIN: usize = 32;
 /// Weight of opacity times area beside visibility. It orders splats that no view shows.
 const UNSEEN_SHARE: f64 = 1e-6;
 
+/// A difference of 1 in an RGB channel is as bad as a displacement by this share of the longest
+/// side.
+const COLOR_WEIGHT: f64 = 0.1;
+
 /// The coarser levels of `cloud`, which has no splat with a defect; `visibility` is that of its
 /// splats.
 #[must_use]
@@ -38,7 +42,11 @@ pub fn coarser_levels(cloud: &SplatCloud, visibility: &[f32]) -> Vec<SplatCloud>
     let mut levels = Vec::new();
     let mut splats = cloud.len() / LEVEL_RATIO;
     while levels.len() + 1 < LEVELS && splats >= LEVEL_SPLATS_MIN {
-        levels.push(merged(cloud, &weights, &clusters(cloud, &weights, splats)));
+        levels.push(merged(
+            cloud,
+            &weights,
+            &clusters(cloud, &weights, splats, COLOR_WEIGHT),
+        ));
         splats /= LEVEL_RATIO;
     }
     levels
@@ -134,11 +142,15 @@ mod tests {
         assert!((alone.opacities[0] - cloud.opacities[1]).abs() < 1e-6);
         cloud = cloud.select(&[1, 1, 1]);
         assert_eq!(
-            clusters(&cloud, &[1.0; 3], 3).len(),
+            clusters(&cloud, &[1.0; 3], 3, COLOR_WEIGHT).len(),
             1,
             "equal splats cannot be told apart"
         );
-        let heap = merged(&cloud, &[1.0; 3], &clusters(&cloud, &[1.0; 3], 1));
+        let heap = merged(
+            &cloud,
+            &[1.0; 3],
+            &clusters(&cloud, &[1.0; 3], 1, COLOR_WEIGHT),
+        );
         assert_eq!(
             (heap.len(), heap.opacities[0]),
             (1, 1.0),
@@ -155,7 +167,7 @@ mod tests {
     #[test]
     fn clusters_are_near_in_place_and_color_and_hold_every_splat_once() {
         let cloud = plane(1000, 0);
-        let clusters = clusters(&cloud, &[1.0; 1000], 125);
+        let clusters = clusters(&cloud, &[1.0; 1000], 125, COLOR_WEIGHT);
         assert_eq!(clusters.len(), 125);
         let mut all = clusters.concat();
         all.sort_unstable();
