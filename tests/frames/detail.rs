@@ -133,8 +133,7 @@ fn a_street_is_near_its_finest_level_where_splats_are_a_pixel_apart() {
     let (world, rig) = street(300_000);
     let cameras = [sized(&rig[0], 320, 180)];
     let (exact, all) = draw_at(&gpu, &world, &cameras, (None, Storage::Exact));
-    for (pitch_px, least_db, most_share) in
-        [(1.0, 70.0, 1.0), (2.0, 46.0, 0.85), (3.0, 42.0, 0.65)]
+    for (pitch_px, least_db, most_share) in [(1.0, 70.0, 1.0), (2.0, 46.0, 0.85), (3.0, 42.0, 0.65)]
     {
         let (images, records) = draw_at(&gpu, &world, &cameras, (Some(pitch_px), Storage::Exact));
         let difference = Difference::between(&images[0], &exact[0]).unwrap();
