@@ -345,7 +345,9 @@ fn render_on_gpu(
     };
     arguments.background.apply_to(&mut options.render);
     let session = Session::on(gpu, &options);
+    let copying = progress::spinner("copying the scene to the device".into());
     let on_device = session.add_layer(&scene.loaded, arguments.layer.into())?;
+    copying.finish_and_clear();
     let mut world = World::new(&on_device);
     let mut renderer = session.batch_renderer();
     for cameras in scene.cameras.chunks(CAMERAS_AT_ONCE) {

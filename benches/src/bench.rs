@@ -194,7 +194,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 /// took.
 fn time_frames(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Timed> {
     let mut renderer = Renderer::new(gpu, arguments.options(scene.rules()));
+    let copying = progress::spinner("copying the scene to the device".into());
     let live = LiveScene::new(&renderer, &scene.loaded)?;
+    copying.finish_and_clear();
     let count = arguments.warm_up + arguments.frames;
     let bar = progress::bar("frames", count as usize);
     let (mut frames, mut steps_ms) = (Vec::new(), Vec::new());

@@ -46,16 +46,11 @@ pub struct Drawer {
     images: HostImages,
 }
 
-/// Options of a session that renders as `decouplegs render` does: each scene by its own rules.
-fn options(outputs: Option<Outputs>) -> SessionOptions {
-    let mut options = SessionOptions {
-        bakes_light_on_demand: false,
-        ..SessionOptions::default()
-    };
-    if let Some(outputs) = outputs {
-        options.render.outputs = outputs;
-    }
-    options
+/// Renderer of `outputs` on `gpu`, with the other options of `session`.
+fn renderer_of(gpu: &Gpu, session: &Session, outputs: Outputs) -> BatchRenderer {
+    let mut options = session.options().clone();
+    options.render.outputs = outputs;
+    Session::on(gpu, &options).batch_renderer()
 }
 
 fn planes(planes: impl IntoIterator<Item = Plane>) -> Outputs {
@@ -80,7 +75,11 @@ fn plane_of(channel: Channel) -> Option<Plane> {
 impl Drawer {
     /// Renderers on `gpu`, whose backgrounds are stored and drawn as `background` says.
     pub fn new(gpu: &Gpu, background: BackgroundArguments) -> Self {
-        let mut options = options(None);
+        // As `decouplegs render` does: each scene by its own rules.
+        let mut options = SessionOptions {
+            bakes_light_on_demand: false,
+            ..SessionOptions::default()
+        };
         background.apply_to(&mut options.render);
         let session = Session::on(gpu, &options);
         Self {
@@ -132,11 +131,9 @@ impl Drawer {
                 colored += 1;
                 continue;
             }
-            let (gpu, channel) = (&self.gpu, pane.channel);
-            let renderer = (self.channels.entry(channel)).or_insert_with(|| {
-                let outputs = planes(plane_of(channel));
-                Session::on(gpu, &options(Some(outputs))).batch_renderer()
-            });
+            let (gpu, session, channel) = (&self.gpu, &self.session, pane.channel);
+            let renderer = (self.channels.entry(channel))
+                .or_insert_with(|| renderer_of(gpu, session, planes(plane_of(channel))));
             let (images, times) = renderer.draw_images(&[view((pane, camera))])?;
             statistics.extend(times);
             let image = &images[0][0];
@@ -176,10 +173,9 @@ impl Drawer {
         let (x_px, y_px) = (cell(at[0], k.width_px), cell(at[1], k.height_px));
         let mut one = camera.clone();
         one.intrinsics = k.cropped(x_px, y_px, 1, 1);
-        let gpu = &self.gpu;
+        let (gpu, session) = (&self.gpu, &self.session);
         let picker = self.picker.get_or_insert_with(|| {
-            let outputs = planes([Plane::Instance, Plane::RangeMedian]);
-            Session::on(gpu, &options(Some(outputs))).batch_renderer()
+            renderer_of(gpu, session, planes([Plane::Instance, Plane::RangeMedian]))
         });
         let view = WorldView {
             world: source.world(true),

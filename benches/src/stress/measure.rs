@@ -4,11 +4,11 @@
 use anyhow::Result;
 use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, GpuError};
-use decouplegs::render::layout::{CLUSTER_SPLATS, ClusterRecord};
+use decouplegs::render::layout::{CLUSTER_SPLATS, ClusterRecord, NodeRecord};
 use decouplegs::render::{
-    ColorFormat, GpuScene, Image, Outputs, Plane, RenderError, RenderOptions, Renderer, Storage,
+    ColorFormat, GpuScene, Image, Outputs, Plane, RenderError, RenderOptions, Renderer,
 };
-use decouplegs::scene::{Camera, CodedCloud, World};
+use decouplegs::scene::{Camera, CodedCloud, DetailLevels, World};
 
 use super::drive_schedule::{DriveSchedule, Driven};
 use super::fidelity::Fidelity;
@@ -129,7 +129,7 @@ impl<'a> TestRig<'a> {
                         instance_from_splat: Vec::new(),
                         ..self.copies(count, schedule.middle_s(), kept.as_deref())
                     };
-                    predicted_scene_bytes = world_bytes(&world, mode.storage);
+                    predicted_scene_bytes = world_bytes(&world, mode);
                     world_splats = world.splats.len();
                     if predicted_scene_bytes > limit_bytes {
                         return Ok((out_of_memory(predicted_scene_bytes, PREDICTED), Vec::new()));
@@ -138,7 +138,7 @@ impl<'a> TestRig<'a> {
                 }
                 Agents::Coded(coding) => {
                     let scene = self.workload.staged(count, coding);
-                    predicted_scene_bytes = world_bytes(&scene.world, mode.storage)
+                    predicted_scene_bytes = world_bytes(&scene.world, mode)
                         + scene.assets.iter().map(asset_bytes).sum::<u64>();
                     world_splats = scene.world.splats.len();
                     if predicted_scene_bytes > limit_bytes {
@@ -324,10 +324,17 @@ fn refusal(error: &anyhow::Error) -> Option<Outcome> {
 }
 
 /// Size of `world` on the device, without the allocator's rounding.
-fn world_bytes(world: &World, storage: Storage) -> u64 {
-    let splat_bytes = storage.splat_bytes(world.splats.sh_degree);
-    let clusters = world.splats.len().div_ceil(CLUSTER_SPLATS) * size_of::<ClusterRecord>();
-    (world.splats.len() * splat_bytes + clusters + 2 * world.instance_from_splat.len()) as u64
+fn world_bytes(world: &World, mode: &Mode) -> u64 {
+    let (splats, cluster_bytes) = match mode.background_pitch_px {
+        None => (world.splats.len(), size_of::<ClusterRecord>()),
+        Some(_) => (
+            DetailLevels::splats_at_most(world.splats.len()),
+            size_of::<ClusterRecord>() + size_of::<NodeRecord>(),
+        ),
+    };
+    let ids = 2 * usize::from(!world.instance_from_splat.is_empty());
+    let splat_bytes = mode.storage.splat_bytes(world.splats.sh_degree) + ids;
+    (splats * splat_bytes + splats.div_ceil(CLUSTER_SPLATS) * cluster_bytes) as u64
 }
 
 /// Size of an asset on the device, without rounding.

@@ -82,9 +82,9 @@ impl DetailLevels {
             for (place, node) in level.nodes.iter_mut().enumerate() {
                 node.parent = first_parent + (place / MERGED) as u32;
             }
-            levels.append(&std::mem::replace(&mut level, coarser));
+            levels.append(std::mem::replace(&mut level, coarser));
         }
-        levels.append(&level);
+        levels.append(level);
         levels
     }
 
@@ -95,10 +95,14 @@ impl DetailLevels {
         splats + splats.div_ceil(MERGED - 1) + 32 * NODE_SPLATS
     }
 
-    fn append(&mut self, level: &Level) {
-        self.splats.append(&level.splats);
-        self.instance_from_splat.extend(&level.instances);
-        self.nodes.extend(&level.nodes);
+    fn append(&mut self, level: Level) {
+        if self.splats.is_empty() {
+            self.splats = level.splats; // the finest, which is most of it, without a copy
+        } else {
+            self.splats.append(&level.splats);
+        }
+        self.instance_from_splat.extend(level.instances);
+        self.nodes.extend(level.nodes);
     }
 
     /// Indices of the splats that are drawn for a camera at `center_m` with `focal_px` pixels per
