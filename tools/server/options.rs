@@ -32,7 +32,7 @@ pub struct ServerOptions {
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
     /// Storage of the scenes' splats on the device: exact, 152 bytes per splat of degree 3, or
-    /// compact, 120 bytes with an error that no 8-bit image shows
+    /// compact, 120 bytes with an error of less than one step of an 8-bit image
     #[arg(long, value_name = "STORAGE", value_parser = storage, default_value = "exact")]
     pub storage: Storage,
     /// Render backgrounds with fewer splats where they lie at most this many pixels apart (default:

@@ -132,7 +132,7 @@ typedef enum {
      */
     DGS_STORAGE_EXACT = 0,
     /**
-     * 120 bytes per splat of degree 3, with an error that no image of bytes shows.
+     * 120 bytes per splat of degree 3, with an error of less than one step of a byte.
      */
     DGS_STORAGE_COMPACT = 1,
 } DgsStorage;

@@ -75,7 +75,7 @@ pub unsafe extern "C" fn dgs_session_open(
 pub enum DgsStorage {
     /// 152 bytes per splat of degree 3.
     Exact = 0,
-    /// 120 bytes per splat of degree 3, with an error that no image of bytes shows.
+    /// 120 bytes per splat of degree 3, with an error of less than one step of a byte.
     Compact = 1,
 }
 

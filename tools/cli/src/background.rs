@@ -34,7 +34,7 @@ enum StorageName {
     /// 152 bytes per splat of degree 3
     #[default]
     Exact,
-    /// 120 bytes per splat of degree 3: scales, rotations and colors are rounded, which no 8-bit
-    /// image shows. `bench` measures the error
+    /// 120 bytes per splat of degree 3: scales, rotations and colors are rounded, by less than one
+    /// step of an 8-bit image. `bench` measures the error
     Compact,
 }

@@ -165,7 +165,7 @@ class Session:
         planes: names of more layers; flow is the displacement in flow_interval seconds if cameras and agents go on with their motion.
         exported: whether images are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
         rules: the rules of image formation for all scenes. None: each scene's own, as its file says.
-        storage: storage of the backgrounds' splats on the device. exact: 152 bytes per splat of degree 3; compact: 120 bytes, with an error that no 8-bit image shows.
+        storage: storage of the backgrounds' splats on the device. exact: 152 bytes per splat of degree 3; compact: 120 bytes, with an error of less than one step of an 8-bit image.
         background_pitch: pixels; backgrounds are drawn with fewer splats where they lie at most so far apart. None: always the finest, which is exact.
         taken_max: frames that may be held on the device by tensors before TooManyHeldError.
         frames_in_flight: frames of one call that are submitted before the first is waited for.
