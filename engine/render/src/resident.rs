@@ -134,10 +134,7 @@ impl GpuScene {
             .map(|splat| Prepared::of(cloud, splat, storage))
             .collect();
         let means: Vec<[f32; 3]> = prepared.par_iter().map(|splat| splat.mean_m).collect();
-        let shapes: Vec<[u32; 4]> = prepared
-            .par_iter()
-            .map(|s| s.shape_words(storage))
-            .collect();
+        let shapes: Vec<[u32; 4]> = prepared.par_iter().map(|splat| splat.shape_words).collect();
         let band = |band| upload_band(gpu, cloud, &prepared, storage, band);
         let clusters: Vec<ClusterRecord> = prepared
             .par_chunks(CLUSTER_SPLATS)
@@ -206,8 +203,10 @@ impl GpuScene {
 struct Prepared {
     drawn: bool,
     mean_m: [f32; 3],
-    /// Scales (m) and opacity.
+    /// Scales (m) and opacity, as they are read back.
     shape: [f32; 4],
+    /// Words in [`GpuScene::shapes`].
+    shape_words: [u32; 4],
     rotation: [f32; 4],
 }
 
@@ -218,26 +217,30 @@ impl Prepared {
                 drawn: false,
                 mean_m: [0.0; 3],
                 shape: [0.0; 4],
+                shape_words: [0; 4],
                 rotation: [1.0, 0.0, 0.0, 0.0],
             };
         }
+        let (scales_m, opacity) = (cloud.scales[splat], cloud.opacities[splat]);
+        let rotation = unit(cloud.rotations[splat]);
+        let with_opacity = |[x, y, z]: [f32; 3]| [x, y, z, opacity];
         // Boxes of clusters must hold what is drawn, so scales are those that are read back.
-        let ([sx, sy, sz], rotation) =
-            storage.stored_shape(cloud.scales[splat], unit(cloud.rotations[splat]));
+        let (shape, shape_words) = match storage {
+            Storage::Exact => {
+                let shape = with_opacity(scales_m);
+                (shape, shape.map(f32::to_bits))
+            }
+            Storage::Compact => {
+                let code = CompactShape::new(scales_m, rotation);
+                (with_opacity(code.unpack().0), code.0)
+            }
+        };
         Self {
             drawn: true,
             mean_m: cloud.means[splat],
-            shape: [sx, sy, sz, cloud.opacities[splat]],
+            shape,
+            shape_words,
             rotation,
-        }
-    }
-
-    /// The splat's words in [`GpuScene::shapes`].
-    fn shape_words(&self, storage: Storage) -> [u32; 4] {
-        let [x, y, z, _] = self.shape;
-        match storage {
-            Storage::Exact => self.shape.map(f32::to_bits),
-            Storage::Compact => CompactShape::new([x, y, z], self.rotation).0,
         }
     }
 
