@@ -12,6 +12,7 @@
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "frame.glsl"
 #include "footprint.glsl"
+#include "color_code.glsl"
 #include "record.glsl"
 #include "double_float.glsl"
 #include "depth_key.glsl"
@@ -29,7 +30,7 @@ layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera came
 layout(set = 0, binding = 1, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 2, scalar) readonly buffer lists_block { ViewLists lists[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer keys_block { uint keys[]; };
-layout(set = 0, binding = 4, std430) readonly buffer footprints_block { vec4 footprints[]; };
+layout(set = 0, binding = 4, std430) readonly buffer footprints_block { uvec4 footprints[]; };
 layout(set = 0, binding = 5, scalar) buffer slab_counts_block { uint slab_counts[]; }; // [coarse tile][slab]; for FILL, the next place
 layout(set = 0, binding = 6, scalar) writeonly buffer pair_keys_block { uint pair_keys[]; };
 layout(set = 0, binding = 7, scalar) writeonly buffer pair_records_block { uint pair_records[]; };

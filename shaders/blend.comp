@@ -33,6 +33,7 @@
 #extension GL_KHR_shader_subgroup_vote : require
 #include "frame.glsl"
 #include "footprint.glsl"
+#include "color_code.glsl"
 #include "record.glsl"
 #include "output.glsl"
 
@@ -47,14 +48,18 @@ layout(constant_id = 7) const bool FINISH = false; // blend again what composite
 layout(constant_id = 8) const uint BATCH = 512u; // records that are staged at a time, a multiple of 32
 layout(constant_id = 9) const bool ONE_BATCH = false; // no segment is longer than a batch
 layout(constant_id = 10) const bool MEDIAN = false; // with EXCLUSIVE_STOP: the color of the splat in which half of the light is gone
+layout(constant_id = 11) const bool ATTRIBUTES = false; // blend attributes in the place of colors
 
 layout(set = 0, binding = 5, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { BlendItem items[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer records_block { uint records[]; };
-layout(set = 0, binding = 8, std430) readonly buffer footprints_block { vec4 footprints[]; };
-layout(set = 0, binding = 9, std430) readonly buffer colors_block { vec4 colors[]; };
+layout(set = 0, binding = 8, std430) readonly buffer footprints_block { uvec4 footprints[]; };
+layout(set = 0, binding = 9, scalar) readonly buffer attributes_block { vec3 attributes[]; }; // only with ATTRIBUTES
 layout(set = 0, binding = 10, std430) buffer partial_colors_block { vec4 partial_colors[]; };
 layout(set = 0, binding = 11, std430) buffer partial_planes_block { uint partial_planes[]; };
+
+// Of each record, where planes or contributions need them: bits of the depth, and the instance.
+layout(set = 0, binding = 12, std430) readonly buffer labels_block { uvec2 labels[]; };
 
 // Per partial result and fine tile: bits of the largest transmittance that it left, or 0 while
 // that is not known.

@@ -16,6 +16,7 @@
 #include "rolling.glsl"
 #include "double_float.glsl"
 #include "depth_key.glsl"
+#include "color_code.glsl"
 #include "record.glsl"
 #include "shadow.glsl"
 #include "geometry.glsl"
@@ -155,7 +156,8 @@ void main() {
         record.depth_m = RADIAL ? length(seen.offset_m) : seen.t.z;
         record.instance = SPLAT_IDS ? splat_index : INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
         vec3 color = sh_color(load_dc(splat_index), splat_index, splat_count, normalize(seen.offset_m));
-        write_record(slot, record, in_fog(SHADOWS ? light * color : color, length(seen.offset_m), fog));
+        record.color = in_fog(SHADOWS ? light * color : color, length(seen.offset_m), fog);
+        write_record(slot, record);
         keys[slot] = key_of(camera_index, splat_index, mean_m, camera);
     }
 }

@@ -15,6 +15,7 @@
 #include "rolling.glsl"
 #include "double_float.glsl"
 #include "depth_key.glsl"
+#include "color_code.glsl"
 #include "record.glsl"
 #include "agent.glsl"
 #include "geometry.glsl"
@@ -131,7 +132,8 @@ void main() {
         uint color = agent.first_color + coded.color;
         vec3 dc = (RELIT && from_relit ? relit_dc[color] : coded_dc[color]) + agent.dc_residual_gain * coded.dc_residual;
         vec3 rgb = sh_color(dc, color, COLOR_WORDS, agent.colors_in_world != 0u ? turned(agent, d) : d);
-        write_record(slot, record, in_fog(rgb, length(seen.offset_m), fog));
+        record.color = in_fog(rgb, length(seen.offset_m), fog);
+        write_record(slot, record);
         keys[slot] = depth_key(RADIAL ? scaled_distance(coded.mean_m, camera) : scaled_depth(coded.mean_m, camera));
     }
 }

@@ -63,8 +63,8 @@ struct BeamEchoes {
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first place and length
 layout(set = 0, binding = 2, scalar) readonly buffer sorted_records_block { uint sorted_records[]; };
-layout(set = 0, binding = 3, std430) readonly buffer footprints_block { vec4 footprints[]; };
-layout(set = 0, binding = 4, std430) readonly buffer colors_block { vec4 colors[]; };
+layout(set = 0, binding = 3, std430) readonly buffer footprints_block { uvec4 footprints[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer looks_block { vec3 looks[]; };
 layout(set = 0, binding = 5, std430) readonly buffer lidar_shapes_block { vec4 lidar_shapes[]; };
 layout(set = 0, binding = 6, scalar) readonly buffer beams_block { LidarBeam beams[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer firings_block { Firing firings[]; };
@@ -113,7 +113,7 @@ void add_to_echo(float weight, float range_m, float intensity, uint instance, in
 
 // Adds a splat to the beam with direction `direction`, fired at `firing`.
 void meet(uint record, vec3 direction, Firing firing, inout BeamState state, inout BeamEchoes found) {
-    vec4 toward = footprints[2u * record + 1u];
+    vec4 toward = uintBitsToFloat(footprints[2u * record + 1u]);
     vec4 x = lidar_shapes[3u * record];
     vec4 y = lidar_shapes[3u * record + 1u];
     // Whitening: the inverse W of the triangular factor. W toward is W direction less the whitened
@@ -132,7 +132,7 @@ void meet(uint record, vec3 direction, Firing firing, inout BeamState state, ino
     }
     float square = dot(e, e);
     float range_m = dot(e, h) / square;
-    vec4 look = colors[record];
+    vec3 look = looks[record];
     float exponent = look.x - HALF_LOG2_E * dot(across, across) / square;
     if (!(exponent >= -LOG2_255) || !(range_m > range_min_m)) {
         return;
@@ -203,7 +203,7 @@ void main() {
         bool reached = false;
         if (first + thread < end_entry) {
             record = sorted_records[list.x + first + thread];
-            vec4 cells = footprints[2u * record];
+            vec4 cells = uintBitsToFloat(footprints[2u * record]);
             reached = cells.x <= tile_cells.y && cells.y >= tile_cells.x && cells.z <= tile_cells.w && cells.w >= tile_cells.z;
         }
         bool alive = real && state.transmittance > TRANSMITTANCE_END;

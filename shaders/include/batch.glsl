@@ -66,20 +66,19 @@ uint stage_record(uint first, uint count, uint entry, uvec2 origin, uvec2 size_p
         return 0u;
     }
     uint record = records[first + entry];
-    vec4 low = footprints[2u * record];
-    vec4 high = footprints[2u * record + 1u];
-    Footprint splat = unpack_footprint(low, high);
-    vec4 color = colors[record];
+    uvec4 high = footprints[2u * record + 1u];
+    Footprint splat = unpack_footprint(footprints[2u * record], high);
+    vec3 color = ATTRIBUTES ? attributes[record] : unpack_record_color(high);
     vec2 mean = splat.mean_px - vec2(origin);
     float sheared_x = mean.x - splat.slope * mean.y;
     batch_slants[entry] = vec4(splat.rate_x, -splat.slope * splat.rate_x, -sheared_x * splat.rate_x, -mean.y * splat.rate_y);
     batch_tones[entry] = vec4(splat.rate_y, splat.log2_opacity, color.rg);
     batch_blues[entry] = color.b;
     if (DEPTH) {
-        batch_depths[entry] = high.z;
+        batch_depths[entry] = uintBitsToFloat(labels[record].x);
     }
     if (INSTANCE || CONTRIBUTIONS) {
-        batch_instances[entry] = floatBitsToUint(high.w);
+        batch_instances[entry] = labels[record].y;
     }
     return reached_fine_tiles(splat, origin, size_px);
 }

@@ -9,10 +9,10 @@ use decouplegs::render::layout::{CLUSTER_SPLATS, near_m};
 use decouplegs::render::stages::{AgentCounts, AgentVariant, CullAgents, ProjectAgents, Projected};
 use decouplegs::render::twins::{self, agent::UnpackedSplat, lens::lens_of};
 use decouplegs::scene::{Camera, ColorTransfer, DepthOrder, Fog, Pose, Rules};
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec3, Vec3};
 
 use super::project::rounding::{Projection, check_keys, check_record};
-use super::scenes::{ProjectedTwin, lens_rig, rig};
+use super::scenes::{LABELED, ProjectedTwin, lens_rig, rig};
 use super::{ROUNDOFF, UNTOUCHED, identical, open, run, untouched, upload};
 use crate::device::Validated;
 use hard_agents::{AgentInstance, AgentScene, ListedAgents, hard_agents};
@@ -208,7 +208,7 @@ impl Case {
         gpu.write(&buffers.visible.words, 0, &listed.words).unwrap();
         gpu.write(&buffers.offsets, 0, &listed.offsets).unwrap();
         let static_offsets = upload(gpu, &STATIC_FIRSTS);
-        let projected = Projected::new(gpu, *room, 0).unwrap();
+        let projected = Projected::new(gpu, *room, 0, LABELED).unwrap();
         gpu.write(&projected.keys, 0, &vec![UNTOUCHED; *room])
             .unwrap();
         let (relit, is_relit) = (scene.relit(gpu), !scene.relit_dc.is_empty());
@@ -217,6 +217,7 @@ impl Case {
             rules,
             AgentVariant {
                 sh_degree: *sh_degree,
+                labels: true,
                 relit: is_relit,
                 cameras: scene.camera_variant(),
                 attribute: Attribute::None,
@@ -239,11 +240,7 @@ impl Case {
                 scene.fog.as_ref(),
             );
         });
-        ProjectedTwin {
-            footprints: gpu.read(&projected.footprints).unwrap(),
-            colors: gpu.read(&projected.colors).unwrap(),
-            keys: gpu.read(&projected.keys).unwrap(),
-        }
+        ProjectedTwin::read(gpu, &projected)
     }
 
     /// Projection of record `record` of the agents.
@@ -376,10 +373,10 @@ fn records_of_relit_agents() {
             + STATIC_RECORDS
     };
     assert!(
-        kernel.colors[of(1)] == lit.colors[of(1)],
+        kernel.color(of(1)) == lit.color(of(1)),
         "an agent that is not relit has the bits it has without light"
     );
-    assert!(kernel.colors[of(0)] != lit.colors[of(0)]);
+    assert!(kernel.color(of(0)) != lit.color(of(0)));
 }
 
 #[test]
@@ -429,7 +426,7 @@ fn no_agents_are_nothing() {
     let gpu = open();
     let scene = hard_agents(&rig());
     let (pool, buffers) = (scene.pool(&gpu), scene.buffers(&gpu));
-    let projected = Projected::new(&gpu, 8, 0).unwrap();
+    let projected = Projected::new(&gpu, 8, 0, LABELED).unwrap();
     gpu.write(&projected.keys, 0, &[UNTOUCHED; 8]).unwrap();
     let (cull, project) = (
         CullAgents::new(&gpu, &Rules::DEFAULT, scene.camera_variant()).unwrap(),
@@ -438,6 +435,7 @@ fn no_agents_are_nothing() {
             &Rules::DEFAULT,
             AgentVariant {
                 sh_degree: 3,
+                labels: true,
                 relit: false,
                 cameras: scene.camera_variant(),
                 attribute: Attribute::None,
@@ -491,12 +489,10 @@ fn one_changed_value_is_seen() {
         change(&mut twin);
         case.check(&kernel, &twin).unwrap_err()
     };
-    assert!(failure(&|twin| twin.footprints[2 * record][3] *= 1.0002).contains("value 3"));
-    assert!(failure(&|twin| twin.colors[record][1] += 0.001).contains("value 1"));
-    assert!(
-        failure(&|twin| twin.footprints[2 * record + 1][3] = f32::from_bits(99))
-            .contains("instance")
-    );
+    assert!(failure(&|twin| twin.footprints[2 * record][3] += 2000).contains("value 3"));
+    let greener = |twin: &mut ProjectedTwin| twin.change_color(record, Vec3::Y * 0.001);
+    assert!(failure(&greener).contains("value 1"));
+    assert!(failure(&|twin| twin.labels[record][1] = 99).contains("instance"));
     assert!(failure(&|twin| twin.keys[record] += 2).contains("keys"));
     let mut wrong = case.kernel(&gpu);
     wrong.keys[0] = 1;

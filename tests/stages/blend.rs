@@ -8,7 +8,8 @@ use decouplegs::render::layout::{
     BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL, RequiredCounts,
 };
 use decouplegs::render::stages::{
-    Blend, BlendPass, IndirectArguments, PartialResults, PixelEnd, Plan, ProjectVariant, Projected,
+    Blend, BlendPass, BlendVariant, IndirectArguments, PartialResults, PixelEnd, Plan,
+    ProjectVariant, Projected,
 };
 use decouplegs::render::twins::output::{
     Images, Pixel, coarse_tile_origin, pixel_offset, write_pixel,
@@ -18,7 +19,7 @@ use decouplegs::scene::Rules;
 use glam::Vec3;
 
 use super::project::PLAIN;
-use super::scenes::{ProjectedTwin, Scene, hard_world, rig};
+use super::scenes::{LABELED, ProjectedTwin, Scene, hard_world, rig};
 use super::{
     UNTOUCHED, counters, identical, open, read_partials, run, upload, within, write_partials,
 };
@@ -131,7 +132,7 @@ impl Case {
                 item,
                 records,
                 &projected.footprints,
-                &projected.colors,
+                &projected.labels,
                 alpha_max,
                 *end,
                 before,
@@ -198,10 +199,10 @@ impl Case {
         )
         .unwrap();
         gpu.write(&plan.items, 0, items).unwrap();
-        let on_device = Projected::new(gpu, count, 0).unwrap();
+        let on_device = Projected::new(gpu, count, 0, LABELED).unwrap();
         gpu.write(&on_device.footprints, 0, &projected.footprints)
             .unwrap();
-        gpu.write(&on_device.colors, 0, &projected.colors).unwrap();
+        gpu.write(&on_device.labels, 0, &projected.labels).unwrap();
         let partials = PartialResults::new(gpu, slots, rules, &OUTPUTS).unwrap();
         let outputs = OutputBuffers::new(gpu, scene.view.pixels, 0, &OUTPUTS).unwrap();
         gpu.write(&outputs.planes, 0, &vec![UNTOUCHED; outputs.planes.len()])
@@ -219,7 +220,13 @@ impl Case {
                 .unwrap();
         }
         let longest = items.iter().map(|item| item.pairs).max().unwrap();
-        let blend = Blend::new(gpu, (rules, *end), &OUTPUTS, pass, longest).unwrap();
+        let variant = BlendVariant {
+            end: *end,
+            pass,
+            attributes: false,
+            item_pairs_max: longest,
+        };
+        let blend = Blend::new(gpu, rules, &OUTPUTS, variant).unwrap();
         let cameras = scene.view.cameras.len();
         run(gpu, |r| {
             blend.record(

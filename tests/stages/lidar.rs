@@ -38,8 +38,8 @@ struct Listed {
     splat_of_record: Vec<usize>,
     /// Sector of each record.
     sector_of_record: Vec<usize>,
-    footprints: Vec<[f32; 4]>,
-    colors: Vec<[f32; 4]>,
+    footprints: Vec<[u32; 4]>,
+    looks: Vec<[f32; 3]>,
     shapes: Vec<[f32; 4]>,
     tile_lists: Vec<[u32; 2]>,
     sorted: Vec<u32>,
@@ -145,7 +145,7 @@ impl Listed {
                 .map(|splat| colors.dc(splat, means.len()))
                 .collect(),
             footprints: gpu.read(&buffers.projected.footprints).unwrap(),
-            colors: gpu.read(&buffers.projected.colors).unwrap(),
+            looks: gpu.read(&buffers.looks).unwrap(),
             shapes: gpu.read(&buffers.shapes).unwrap(),
             tile_lists: gpu.read(&lists.tile_lists).unwrap(),
             sorted: gpu.read(&lists.sorted_records).unwrap(),
@@ -174,11 +174,11 @@ impl Listed {
     }
 
     fn cells(&self, record: usize) -> Cells {
-        self.footprints[2 * record].map(|cell| cell as i32)
+        self.footprints[2 * record].map(|cell| f32::from_bits(cell) as i32)
     }
 
     fn splat(&self, record: usize) -> LidarSplat {
-        let [x, y, z, range_m] = self.footprints[2 * record + 1];
+        let [x, y, z, range_m] = self.footprints[2 * record + 1].map(f32::from_bits);
         let [a, b, c] = std::array::from_fn(|word| self.shapes[3 * record + word]);
         LidarSplat {
             toward: Vec3::new(x, y, z),
@@ -189,7 +189,7 @@ impl Listed {
                 Vec3::new(0.0, 0.0, b[2]),
             ),
             drift_mps: Vec3::new(a[3], b[3], c[0]),
-            log2_opacity: self.colors[record][0],
+            log2_opacity: self.looks[record][0],
         }
     }
 
@@ -299,9 +299,9 @@ fn records_are_those_of_the_twin() {
                     let kernel = listed.splat(record);
                     let intensity = intensity_of(listed.dc[splat]);
                     assert!(
-                        (listed.colors[record][1] - intensity).abs() <= 1e-6,
+                        (listed.looks[record][1] - intensity).abs() <= 1e-6,
                         "{what}: splat {splat} has intensity {}, the twin {intensity}",
-                        listed.colors[record][1]
+                        listed.looks[record][1]
                     );
                     let near = |a: Vec3, b: Vec3, scale: f32| (a - b).length() <= 2e-5 * scale;
                     let size = |m: Mat3| m.x_axis.length() + m.y_axis.length() + m.z_axis.length();
@@ -350,7 +350,7 @@ fn beams_meet_their_lists_as_the_twin_does() {
                 let mut echoes = BeamEchoes::default();
                 for &record in listed.list(place) {
                     let record = record as usize;
-                    let [_, intensity, instance, _] = listed.colors[record];
+                    let [_, intensity, instance] = listed.looks[record];
                     let splat = listed.splat(record);
                     let [left, right, top, bottom] = listed.cells(record).map(|cell| cell / 8);
                     let [column, row] = [place[1], place[2]].map(|cell| cell as i32 / 8);

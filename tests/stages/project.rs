@@ -8,8 +8,9 @@ use decouplegs::render::twins::projection::axes_of;
 use decouplegs::render::twins::shadow::shadow_factor;
 use decouplegs::render::{Attribute, Storage, twins};
 use decouplegs::scene::{Camera, DepthOrder, Fog, RayMap, Rules};
+use glam::Vec3;
 
-use super::scenes::{Listed, NoKeys, ProjectedTwin, Scene, hard_world, lens_rig, rig};
+use super::scenes::{LABELED, Listed, NoKeys, ProjectedTwin, Scene, hard_world, lens_rig, rig};
 use super::{ROUNDOFF, UNTOUCHED, open, run, upload};
 use crate::device::Validated;
 use rounding::{Projection, check_keys, check_record};
@@ -70,7 +71,7 @@ impl Case {
         let cameras = scene.view.cameras.len();
         let visible = Visible::new(gpu, cameras, scene.clusters.len()).unwrap();
         gpu.write(&visible.words, 0, &listed.words).unwrap();
-        let projected = Projected::new(gpu, *room, 0).unwrap();
+        let projected = Projected::new(gpu, *room, 0, LABELED).unwrap();
         gpu.write(&projected.keys, 0, &vec![UNTOUCHED; *room])
             .unwrap();
         let (no_keys, shadows) = (NoKeys::new(gpu), scene.shadow_buffers(gpu));
@@ -95,11 +96,7 @@ impl Case {
                 0.0,
             );
         });
-        ProjectedTwin {
-            footprints: gpu.read(&projected.footprints).unwrap(),
-            colors: gpu.read(&projected.colors).unwrap(),
-            keys: gpu.read(&projected.keys).unwrap(),
-        }
+        ProjectedTwin::read(gpu, &projected)
     }
 
     /// Projection of record `record`, with the bounds of [`rounding`].
@@ -176,9 +173,10 @@ impl Case {
     }
 }
 
-/// Colors of degree 0 and nothing else.
+/// Colors of degree 0, labels and nothing else.
 pub const PLAIN: ProjectVariant = ProjectVariant {
     sh_degree: 0,
+    labels: true,
     instances: false,
     splat_ids: false,
     shadows: false,
@@ -366,10 +364,9 @@ fn one_changed_value_is_seen() {
         change(&mut twin, ordinary);
         case.check(&kernel, &twin).unwrap_err()
     };
-    assert!(failure(|twin, i| twin.footprints[2 * i][3] *= 1.0001).contains("value 3"));
-    assert!(failure(|twin, i| twin.colors[i][1] += 0.001).contains("value 1"));
-    assert!(
-        failure(|twin, i| twin.footprints[2 * i + 1][3] = f32::from_bits(9)).contains("instance")
-    );
+    assert!(failure(|twin, i| twin.footprints[2 * i][3] += 1000).contains("value 3"));
+    assert!(failure(|twin, i| twin.change_color(i, Vec3::Y * 0.001)).contains("value 1"));
+    assert!(failure(|twin, i| twin.labels[i][0] += 1000).contains("value 6"));
+    assert!(failure(|twin, i| twin.labels[i][1] = 9).contains("instance"));
     assert!(failure(|twin, i| twin.keys[i] += 2).contains("keys"));
 }

@@ -16,7 +16,7 @@ use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 
 use super::project::PLAIN;
-use super::scenes::{NoKeys, Scene, hard_splats, hard_world, rig};
+use super::scenes::{LABELED, NoKeys, Scene, hard_splats, hard_world, rig};
 use super::{open, run, upload};
 use crate::device::Validated;
 use crate::frames::{Splat, camera_at, draw, world_of};
@@ -214,7 +214,7 @@ fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
     let offsets: Vec<u32> = (0..scene.clusters.len() as u32)
         .map(|cluster| cluster * 256)
         .collect();
-    let projected = Projected::new(gpu, splats, 0).unwrap();
+    let projected = Projected::new(gpu, splats, 0, LABELED).unwrap();
     let (offsets, no_keys) = (upload(gpu, &offsets), NoKeys::new(gpu));
     let shadows = scene.shadow_buffers(gpu);
     let project = Project::new(gpu, &Rules::DEFAULT, PLAIN).unwrap();

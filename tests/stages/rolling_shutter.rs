@@ -74,17 +74,14 @@ fn clusters_are_dropped_only_if_no_splat_is_seen_during_the_readout() {
 /// Shares of records whose footprints and colors lie within the tolerances.
 fn agreeing(kernel: &ProjectedTwin, twin: &ProjectedTwin) -> [f64; 2] {
     let near = |a: f32, b: f32, tolerance: f32| (a - b).abs() <= tolerance * (1.0 + b.abs());
-    let records = twin.colors.len();
+    let records = twin.labels.len();
     let footprint = |record: &usize| {
-        let at = 2 * record;
-        let values = |of: &ProjectedTwin| [of.footprints[at], of.footprints[at + 1]].concat();
-        let (kernel, twin) = (values(kernel), values(twin));
-        // The last word is an instance.
+        let (kernel, twin) = (kernel.values(*record), twin.values(*record));
         (0..7).all(|index| near(kernel[index], twin[index], 1e-3))
     };
     let color = |record: &usize| {
-        let values = kernel.colors[*record].iter().zip(&twin.colors[*record]);
-        values.into_iter().all(|(a, b)| near(*a, *b, 1e-4))
+        let [kernel, twin] = [kernel, twin].map(|side| side.color(*record));
+        (0..3).all(|channel| near(kernel[channel], twin[channel], 1e-4))
     };
     let share = |count: usize| count as f64 / records as f64;
     [
@@ -110,8 +107,8 @@ fn records_of_moving_cameras() {
         let case = Case::seen_by(&gpu, 3000, &cameras, Rules::DEFAULT, variant);
         let (kernel, twin) = (case.kernel(&gpu), case.twin());
         let shares = agreeing(&kernel, &twin);
-        println!("{} records, {shares:?} agree", twin.colors.len());
-        assert!(twin.colors.len() > CLUSTER_SPLATS);
+        println!("{} records, {shares:?} agree", twin.labels.len());
+        assert!(twin.labels.len() > CLUSTER_SPLATS);
         assert!(shares.iter().all(|&share| share > 0.995), "{shares:?}");
         // Keys are those of the time of the pose.
         assert_eq!(kernel.keys, twin.keys);

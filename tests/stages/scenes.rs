@@ -5,10 +5,14 @@ use decouplegs::render::layout::{
     CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, NO_KEY_SET, ShadowRecord, View,
     fog_vector,
 };
-use decouplegs::render::stages::{KeptKeys, ProjectVariant, ShadowBuffers, words_for};
+use decouplegs::render::stages::{
+    KeptKeys, ProjectVariant, Projected, RecordContents, ShadowBuffers, words_for,
+};
+use decouplegs::render::twins::color_code::pack_color;
 use decouplegs::render::twins::footprint::{Footprint, reached_coarse_rows, reached_coarse_tiles};
 use decouplegs::render::twins::lens::{lens_of, project_splat_seen};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
+use decouplegs::render::twins::record::{load_color, load_footprint};
 use decouplegs::render::twins::stored_splat::load_shape;
 use decouplegs::render::twins::{self, sh::Stored};
 use decouplegs::render::{GpuScene, Storage};
@@ -357,19 +361,71 @@ pub fn settled_tile_count(splat: &Footprint, camera: &CameraRecord) -> Option<u3
 
 /// Output of the twin of project.
 pub struct ProjectedTwin {
-    pub footprints: Vec<[f32; 4]>,
-    pub colors: Vec<[f32; 4]>,
+    pub footprints: Vec<[u32; 4]>,
+    pub labels: Vec<[u32; 2]>,
     pub keys: Vec<u32>,
 }
 
+/// Records with depth and instance.
+pub const LABELED: RecordContents = RecordContents {
+    labels: true,
+    attributes: false,
+};
+
 impl ProjectedTwin {
+    /// Room for `room` records. What is not written is `UNTOUCHED`.
+    pub fn empty(room: usize) -> Self {
+        Self {
+            footprints: vec![[0; 4]; 2 * room],
+            labels: vec![[0; 2]; room],
+            keys: vec![UNTOUCHED; room],
+        }
+    }
+
+    /// The output of the kernel.
+    pub fn read(gpu: &Validated, projected: &Projected) -> Self {
+        Self {
+            footprints: gpu.read(&projected.footprints).unwrap(),
+            labels: gpu.read(&projected.labels).unwrap(),
+            keys: gpu.read(&projected.keys).unwrap(),
+        }
+    }
+
     /// The buffers to write to.
     pub fn records(&mut self) -> twins::Records<'_> {
         twins::Records {
             footprints: &mut self.footprints,
-            colors: &mut self.colors,
+            labels: &mut self.labels,
             keys: &mut self.keys,
         }
+    }
+
+    pub fn color(&self, record: usize) -> Vec3 {
+        load_color(&self.footprints, record)
+    }
+
+    /// Adds `change` to a color.
+    pub fn change_color(&mut self, record: usize, change: Vec3) {
+        let code = pack_color(self.color(record) + change);
+        self.footprints[2 * record + 1][2..].copy_from_slice(&code);
+    }
+
+    /// Footprint and depth of a record.
+    pub fn values(&self, record: usize) -> [f32; 7] {
+        let splat = load_footprint(&self.footprints, record);
+        [
+            splat.mean_px.x,
+            splat.mean_px.y,
+            splat.slope,
+            splat.rate_x,
+            splat.rate_y,
+            splat.log2_opacity,
+            self.depth_m(record),
+        ]
+    }
+
+    pub fn depth_m(&self, record: usize) -> f32 {
+        f32::from_bits(self.labels[record][0])
     }
 }
 
@@ -442,11 +498,7 @@ impl Scene {
         variant: ProjectVariant,
         room: usize,
     ) -> ProjectedTwin {
-        let mut out = ProjectedTwin {
-            footprints: vec![[0.0; 4]; 2 * room],
-            colors: vec![[0.0; 4]; room],
-            keys: vec![UNTOUCHED; room],
-        };
+        let mut out = ProjectedTwin::empty(room);
         let input = twins::ProjectBuffers {
             cameras: &self.view.cameras,
             lenses: &self.view.lenses,

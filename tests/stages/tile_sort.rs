@@ -7,8 +7,8 @@ use decouplegs::render::layout::{
     BUCKET_PAIRS, Bucket, CameraRecord, PAIR_BLOCK, RequiredCounts, SLABS, View,
 };
 use decouplegs::render::stages::{
-    IndirectArguments, Plan, PlanBuckets, PlanSegments, Projected, Records, TileSort,
-    TileSortBuffers,
+    IndirectArguments, Plan, PlanBuckets, PlanSegments, Projected, RecordContents, Records,
+    TileSort, TileSortBuffers,
 };
 use decouplegs::render::twins;
 use decouplegs::render::twins::depth_key::{depth_key, depth_of_key};
@@ -26,7 +26,7 @@ use crate::frames::camera_at;
 struct Case {
     cameras: Vec<CameraRecord>,
     camera_buffer: Buffer<CameraRecord>,
-    footprints: Vec<[f32; 4]>,
+    footprints: Vec<[u32; 4]>,
     keys: Vec<u32>,
     /// First record of each camera in its half, and the number of all in it.
     static_offsets: Vec<u32>,
@@ -95,7 +95,8 @@ impl Case {
     /// Records that all lie in the one coarse tile of one camera.
     fn pile(gpu: &Validated, keys: Vec<u32>) -> Self {
         let view = View::new(&[camera_at(DVec3::ZERO, 64, 32)], DVec3::ZERO, 100.0).unwrap();
-        let footprint = [[32.0, 16.0, 0.0, 0.5], [0.5, -0.1, 1.0, 0.0]];
+        let footprint =
+            [[32.0f32, 16.0, 0.0, 0.5], [0.5, -0.1, 1.0, 0.0]].map(|half| half.map(f32::to_bits));
         Self {
             camera_buffer: upload(gpu, &view.cameras),
             cameras: view.cameras,
@@ -149,7 +150,8 @@ impl Case {
     ) -> Result<(Option<Sorted>, RequiredCounts), String> {
         let bins = self.bins();
         let counters = counters(gpu, RequiredCounts::default(), &[]);
-        let projected = Projected::new(gpu, self.keys.len(), pairs_max).unwrap();
+        let projected =
+            Projected::new(gpu, self.keys.len(), pairs_max, RecordContents::default()).unwrap();
         gpu.write(&projected.footprints, 0, &self.footprints)
             .unwrap();
         gpu.write(&projected.keys, 0, &self.keys).unwrap();

@@ -6,7 +6,10 @@ use std::f64::consts::LOG2_E;
 use decouplegs::gpu::QueueRole;
 use decouplegs::render::Attribute;
 use decouplegs::render::sh_codec::{self, EXACT_BITS};
-use decouplegs::render::stages::{AgentVariant, CameraVariant, ProjectAgents, Projected};
+use decouplegs::render::stages::{
+    AgentVariant, CameraVariant, ProjectAgents, Projected, RecordContents,
+};
+use decouplegs::render::twins::record::{load_color, load_footprint};
 use decouplegs::scene::rules::DILATION_PX2;
 use decouplegs::scene::sh::{ShRotation, basis};
 use decouplegs::scene::{Bounds, Camera, CodedCloud, Pose, Rules, ShFrame, SplatCodes, sh};
@@ -160,12 +163,13 @@ fn seen_by_kernel(
     gpu.write(&buffers.visible.words, 0, &listed.words).unwrap();
     gpu.write(&buffers.offsets, 0, &listed.offsets).unwrap();
     let static_offsets = gpu.upload("no background", "test", &[0u32]).unwrap();
-    let projected = Projected::new(gpu, room, 0).unwrap();
+    let projected = Projected::new(gpu, room, 0, RecordContents::default()).unwrap();
     let project = ProjectAgents::new(
         gpu,
         rules,
         AgentVariant {
             sh_degree: 3,
+            labels: false,
             relit: false,
             cameras: CameraVariant::default(),
             attribute: Attribute::None,
@@ -187,25 +191,21 @@ fn seen_by_kernel(
         None,
     );
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
-    let (footprints, colors) = (
-        gpu.read(&projected.footprints).unwrap(),
-        gpu.read(&projected.colors).unwrap(),
-    );
+    let footprints = gpu.read(&projected.footprints).unwrap();
     let seen = |record: usize| {
-        let [_, _, slope, rate_x] = footprints[2 * record].map(f64::from);
-        let rate_y = f64::from(footprints[2 * record + 1][0]);
+        let splat = load_footprint(&footprints, record);
+        let [slope, rate_x, rate_y] = [splat.slope, splat.rate_x, splat.rate_y].map(f64::from);
         // In d.y the variance is half log2(e) over the squared rate; along x what slope explains
         // comes on top.
         let half = 0.5 * LOG2_E;
         let yy = half / (rate_y * rate_y);
         let xx = half / (rate_x * rate_x) + slope * slope * yy;
-        let [r, g, b, _] = colors[record].map(f64::from);
         Seen {
             covariance_px2: DMat2::from_cols(
                 DVec2::new(xx, slope * yy),
                 DVec2::new(slope * yy, yy),
             ),
-            rgb: DVec3::new(r, g, b),
+            rgb: load_color(&footprints, record).as_dvec3(),
         }
     };
     listed

@@ -7,7 +7,8 @@ use crate::layout::{CAMERAS_MAX, CameraRecord, LensRecord};
 use crate::options::RenderOptions;
 use crate::post_processing::PhotometryRecord;
 use crate::stages::{
-    FrameCounters, PURPOSE, PartialResults, Plan, Projected, TileSortBuffers, Visible,
+    FrameCounters, PURPOSE, PartialResults, Plan, Projected, RecordContents, TileSortBuffers,
+    Visible,
 };
 
 /// Counts that determine the size of a frame's buffers.
@@ -83,7 +84,12 @@ impl FrameBuffers {
             visible: Visible::new(gpu, cameras, clusters)?,
             offsets: gpu.buffer("offsets", PURPOSE, cameras * clusters + 1, device)?,
             key_sets: gpu.buffer("key_sets", PURPOSE, CAMERAS_MAX, device)?,
-            projected: Projected::new(gpu, capacity.records, capacity.pairs)?,
+            projected: Projected::new(
+                gpu,
+                capacity.records,
+                capacity.pairs,
+                RecordContents::of(&options.outputs),
+            )?,
             tile_sort: TileSortBuffers::new(gpu, &capacity, bins)?,
             plan: Plan::new(gpu, &capacity, bins)?,
             partials: PartialResults::new(

@@ -7,9 +7,9 @@ use crate::options::RenderOptions;
 use crate::output::{ColorFormat, Outputs};
 use crate::plane::{Attribute, Plane};
 use crate::stages::{
-    AgentVariant, Blend, BlendPass, CompositeSegments, Cull, CullAgents, CullShadows, KeySplats,
-    PixelEnd, PlanSegments, PostProcess, Project, ProjectAgents, ProjectVariant, Relight,
-    ResolvePlane, Scan, TileSort, finishes,
+    AgentVariant, Blend, BlendPass, BlendVariant, CompositeSegments, Cull, CullAgents, CullShadows,
+    KeySplats, PixelEnd, PlanSegments, PostProcess, Project, ProjectAgents, ProjectVariant,
+    Relight, ResolvePlane, Scan, TileSort, finishes,
 };
 
 /// Longer segments are no segments.
@@ -41,9 +41,18 @@ impl ImageStages {
         gpu: &Gpu,
         (rules, end): (&Rules, PixelEnd),
         outputs: &Outputs,
+        attributes: bool,
         segment_pairs: u32,
     ) -> Result<Self, GpuError> {
-        let blend = |pass| Blend::new(gpu, (rules, end), outputs, pass, segment_pairs);
+        let blend = |pass| {
+            let variant = BlendVariant {
+                end,
+                pass,
+                attributes,
+                item_pairs_max: segment_pairs,
+            };
+            Blend::new(gpu, rules, outputs, variant)
+        };
         let finishes = finishes(end, outputs) && segment_pairs < u32::MAX;
         Ok(Self {
             blend: blend(BlendPass::Segments)?,
@@ -150,6 +159,7 @@ impl FrameVariant {
         Self {
             background: ProjectVariant {
                 sh_degree: 0,
+                labels: false,
                 instances: false,
                 splat_ids: false,
                 shadows: false,
@@ -161,6 +171,7 @@ impl FrameVariant {
             },
             agents: self.agents.map(|agents| AgentVariant {
                 sh_degree: 0,
+                labels: false,
                 relit: false,
                 cameras: agents.cameras,
                 attribute,
@@ -215,8 +226,10 @@ impl Kernels {
             let images = |end, medians: bool| {
                 let mut planes = self.outputs.planes.geometry();
                 let is_needed = planes.any(|plane| plane.is_median() == medians);
-                let stages =
-                    || ImageStages::new(gpu, (&self.rules, end), &outputs, self.segment_pairs);
+                let stages = || {
+                    let ends = (&self.rules, end);
+                    ImageStages::new(gpu, ends, &outputs, true, self.segment_pairs)
+                };
                 is_needed.then(stages).transpose()
             };
             self.geometry = Some(GeometryStages {
@@ -275,7 +288,7 @@ impl Kernels {
         if !self.images.iter().any(|(built, _)| *built == color) {
             let outputs = Outputs { color, ..*outputs };
             let end = PixelEnd::of(rules);
-            let stages = ImageStages::new(gpu, (rules, end), &outputs, *segment_pairs)?;
+            let stages = ImageStages::new(gpu, (rules, end), &outputs, false, *segment_pairs)?;
             self.images.push((color, stages));
         }
         if variant.post_processed && self.post_process.is_none() {

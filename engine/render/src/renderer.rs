@@ -17,7 +17,7 @@ use crate::options::{FrameStatistics, RenderOptions};
 use crate::post_processing::{PhotometryRecord, RayTables};
 use crate::resident::GpuScene;
 use crate::slot::{FrameInFlight, Pending};
-use crate::stages::{AgentCounts, AgentVariant, CameraVariant, ProjectVariant};
+use crate::stages::{AgentCounts, AgentVariant, CameraVariant, ProjectVariant, RecordContents};
 use crate::taken::SharedShelf;
 use crate::{Attribute, Plane, RenderError};
 
@@ -234,9 +234,11 @@ impl Renderer {
         post_processed: bool,
     ) -> FrameVariant {
         let options = &self.options;
+        let labels = RecordContents::of(&options.outputs).labels;
         FrameVariant {
             background: ProjectVariant {
                 sh_degree: scene.world.sh_degree.min(options.sh_degree_max),
+                labels,
                 instances: scene.world.has_instances
                     && options.outputs.planes.contains(Plane::Instance),
                 splat_ids: options.outputs.contributions,
@@ -255,6 +257,7 @@ impl Renderer {
                 .and_then(|(pool, _)| pool.sh_degree())
                 .map(|degree| AgentVariant {
                     sh_degree: degree.min(options.sh_degree_max),
+                    labels,
                     relit: scene.relights(),
                     cameras: CameraVariant::of(
                         list.map_or(&[], |list| &list.cameras),

@@ -328,11 +328,7 @@ impl AgentScene {
         sh_degree: u8,
         room: usize,
     ) -> ProjectedTwin {
-        let mut out = ProjectedTwin {
-            footprints: vec![[0.0; 4]; 2 * room],
-            colors: vec![[0.0; 4]; room],
-            keys: vec![UNTOUCHED; room],
-        };
+        let mut out = ProjectedTwin::empty(room);
         let codebooks = twins::ColorCodebooks {
             dc: &self.dc,
             bands: &self.bands,

@@ -72,17 +72,15 @@ impl PixelBounds {
             if log2_alpha < -LOG2_255 - error {
                 continue;
             }
-            let color = projected.colors[record][..3]
-                .iter()
-                .fold(0.0, |largest, &c| f64::from(c).max(largest));
-            let depth_m = f64::from(projected.footprints[2 * record + 1][2]);
+            let color = f64::from(projected.color(record).max_element());
+            let depth_m = f64::from(projected.depth_m(record));
             let full = run.transmittance <= TRANSMITTANCE_MIN * (1.0 + 1e-3);
             if rules.stop == EarlyStop::None && full {
                 behind = [behind[0].max(color), behind[1].max(depth_m)];
                 continue;
             }
             run.bounds.unsettled |= (log2_alpha + LOG2_255).abs() <= error;
-            let instance = projected.footprints[2 * record + 1][3].to_bits() as usize;
+            let instance = projected.labels[record][1] as usize;
             if run.add(log2_alpha, error, [color, depth_m], instance, rules) {
                 break;
             }

@@ -2,6 +2,7 @@
 
 use decouplegs::render::layout::{CameraRecord, LensRecord};
 use decouplegs::render::reference::unscented::unscented;
+use decouplegs::render::twins::color_code::COLOR_CODE_ERROR;
 use decouplegs::render::twins::projection::from_camera_m;
 use decouplegs::scene::rules::DILATION_PX2;
 use decouplegs::scene::{DepthOrder, RayMap, Rules};
@@ -215,13 +216,7 @@ pub fn check_record(
     twin: &ProjectedTwin,
     bounds: &RecordBounds,
 ) -> Result<[f64; 2], String> {
-    let [a, b] = [kernel, twin].map(|side| {
-        let [low, high] = [side.footprints[2 * record], side.footprints[2 * record + 1]];
-        (
-            [low[0], low[1], low[2], low[3], high[0], high[1], high[2]],
-            high[3].to_bits(),
-        )
-    });
+    let [a, b] = [kernel, twin].map(|side| (side.values(record), side.labels[record][1]));
     let [mean_x, mean_y, slope, rate_x, rate_y, log2_opacity] = bounds.footprint;
     let footprint = [
         mean_x,
@@ -234,11 +229,11 @@ pub fn check_record(
     ];
     let footprint = within(what, &a.0, &b.0, &footprint)?;
     identical("instance", &[a.1], &[b.1])?;
-    let colors = [&kernel.colors[record][..3], &twin.colors[record][..3]];
-    Ok([
-        footprint,
-        within(what, colors[0], colors[1], &[bounds.color; 3])?,
-    ])
+    let [kernel, twin] = [kernel, twin].map(|side| side.color(record));
+    // Both are rounded to a code.
+    let color = bounds.color + f64::from(2.0 * COLOR_CODE_ERROR * twin.max_element());
+    let colors = within(what, &kernel.to_array(), &twin.to_array(), &[color; 3])?;
+    Ok([footprint, colors])
 }
 
 /// The shader computes a depth with 48 digits and the twin with 53: a step's edge may fall between

@@ -91,6 +91,8 @@ push_constants! {
 pub struct AgentVariant {
     /// Degree of their colors.
     pub sh_degree: u8,
+    /// True if records have labels.
+    pub labels: bool,
     /// True if some agents are relit.
     pub relit: bool,
     /// Kind of cameras.
@@ -173,6 +175,7 @@ impl ProjectAgents {
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             ("SH_DEGREE", Constant::U32(u32::from(variant.sh_degree))),
             ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
+            ("LABELS", Constant::Bool(variant.labels)),
             ("RELIT", Constant::Bool(variant.relit)),
             lenses,
             rolling,
@@ -207,7 +210,7 @@ impl ProjectAgents {
             agent_count: counts.agents as u32,
             camera_count: counts.cameras as u32,
             cluster_count: counts.clusters as u32,
-            records_max: projected.colors.len() as u32,
+            records_max: projected.room() as u32,
             static_lists: static_lists as u32,
             flow_interval_s,
             fog: fog_vector(fog),
@@ -225,7 +228,8 @@ impl ProjectAgents {
             ("relit_dc", relit.dc.binding()),
             ("relit_bands", relit.bands.binding()),
             ("footprints", projected.footprints.binding()),
-            ("colors", projected.colors.binding()),
+            ("labels", projected.labels.binding()),
+            ("attributes", projected.attributes.binding()),
             ("keys", projected.keys.binding()),
             ("lenses", buffers.lenses.binding()),
         ];

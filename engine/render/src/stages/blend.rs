@@ -152,24 +152,41 @@ fn batch_records(shared_memory_bytes: u32, outputs: &Outputs) -> u32 {
     BATCHES.into_iter().find(fits).unwrap_or(BATCHES[4])
 }
 
+/// Specialization of [`Blend`], beside rules and outputs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BlendVariant {
+    /// End of a pixel.
+    pub end: PixelEnd,
+    /// Purpose of the run.
+    pub pass: BlendPass,
+    /// True if attributes are blended in the place of colors.
+    pub attributes: bool,
+    /// Pairs of an item, at most.
+    pub item_pairs_max: u32,
+}
+
 /// `blend.comp`.
 pub struct Blend {
     kernel: Kernel,
 }
 
 impl Blend {
-    /// The stage for images of the given rules whose pixels end at `end`, and for items of at most
-    /// `item_pairs_max` pairs.
+    /// The stage for images of the given rules and outputs.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
     pub fn new(
         gpu: &Gpu,
-        (rules, end): (&Rules, PixelEnd),
+        rules: &Rules,
         outputs: &Outputs,
-        pass: BlendPass,
-        item_pairs_max: u32,
+        variant: BlendVariant,
     ) -> Result<Self, GpuError> {
+        let BlendVariant {
+            end,
+            pass,
+            attributes,
+            item_pairs_max,
+        } = variant;
         let batch = batch_records(gpu.limits().shared_memory_bytes, outputs);
         let own = [
             ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
@@ -178,6 +195,7 @@ impl Blend {
             ("ONE_BATCH", Constant::Bool(item_pairs_max <= batch)),
             ("CONTRIBUTIONS", Constant::Bool(outputs.contributions)),
             ("FINISH", Constant::Bool(pass == BlendPass::Finish)),
+            ("ATTRIBUTES", Constant::Bool(attributes)),
         ];
         let constants: Vec<_> = (outputs.constants())
             .chain(own)
@@ -224,7 +242,8 @@ impl Blend {
             ("items", plan.items.binding()),
             ("records", records.binding()),
             ("footprints", projected.footprints.binding()),
-            ("colors", projected.colors.binding()),
+            ("labels", projected.labels.binding()),
+            ("attributes", projected.attributes.binding()),
             ("partial_colors", partials.colors.binding()),
             ("partial_planes", partials.planes.binding()),
             ("partial_transmittances", partials.transmittances.binding()),

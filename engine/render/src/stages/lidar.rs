@@ -5,8 +5,8 @@ use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Record
 use decouplegs_scene::Rules;
 
 use super::{
-    AgentBuffers, AgentCounts, FrameCounters, PURPOSE, Projected, TileSortBuffers, Visible, kernel,
-    push_constants,
+    AgentBuffers, AgentCounts, FrameCounters, PURPOSE, Projected, RecordContents, TileSortBuffers,
+    Visible, kernel, push_constants,
 };
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::{Capacity, groups_for};
@@ -138,8 +138,10 @@ pub struct LidarBuffers {
     pub visible: Visible,
     /// Visible splats before each `[sector][cluster]`, and their total.
     pub offsets: Buffer<u32>,
-    /// Cells, directions and colors of records, and their distance keys.
+    /// Cells and directions of records, and their distance keys.
     pub projected: Projected,
+    /// Log2 of the opacity, intensity and instance of each record.
+    pub looks: Buffer<[f32; 3]>,
     /// Three vectors per record: the inverse factor of the covariance, and the velocity.
     pub shapes: Buffer<[f32; 4]>,
     /// Sorted lists of coarse tiles.
@@ -178,7 +180,13 @@ impl LidarBuffers {
             counters: FrameCounters::new(gpu)?,
             visible: Visible::new(gpu, sectors, clusters)?,
             offsets: gpu.buffer("offsets", PURPOSE, sectors * clusters + 1, device)?,
-            projected: Projected::new(gpu, capacity.records, capacity.pairs)?,
+            projected: Projected::new(
+                gpu,
+                capacity.records,
+                capacity.pairs,
+                RecordContents::default(),
+            )?,
+            looks: gpu.buffer("looks", PURPOSE, capacity.records, device)?,
             shapes: gpu.buffer("lidar_shapes", PURPOSE, 3 * capacity.records, device)?,
             lists: TileSortBuffers::new(gpu, &capacity, bins)?,
             states: gpu.buffer("beam_states", PURPOSE, cells, device)?,
@@ -247,7 +255,7 @@ impl ProjectLidar {
             splat_count: world.splats as u32,
             camera_count: sectors.count as u32,
             cluster_count: world.finest_clusters as u32,
-            records_max: buffers.projected.colors.len() as u32,
+            records_max: buffers.projected.room() as u32,
         };
         let bound = [
             ("cameras", sectors.cameras.binding()),
@@ -261,7 +269,7 @@ impl ProjectLidar {
             ("sh_dc", world.sh_dc.binding()),
             ("instances", world.instances.binding()),
             ("footprints", buffers.projected.footprints.binding()),
-            ("colors", buffers.projected.colors.binding()),
+            ("looks", buffers.looks.binding()),
             ("keys", buffers.projected.keys.binding()),
             ("lidar_shapes", buffers.shapes.binding()),
             ("sectors", sectors.sectors.binding()),
@@ -342,7 +350,7 @@ impl ProjectLidarAgents {
             agent_count: counts.agents as u32,
             camera_count: counts.cameras as u32,
             cluster_count: counts.clusters as u32,
-            records_max: buffers.projected.colors.len() as u32,
+            records_max: buffers.projected.room() as u32,
             static_lists: static_lists as u32,
         };
         let bound = [
@@ -357,7 +365,7 @@ impl ProjectLidarAgents {
             ("coded_dc", pool.color_dc.binding()),
             ("static_offsets", buffers.offsets.binding()),
             ("footprints", buffers.projected.footprints.binding()),
-            ("colors", buffers.projected.colors.binding()),
+            ("looks", buffers.looks.binding()),
             ("keys", buffers.projected.keys.binding()),
             ("lidar_shapes", buffers.shapes.binding()),
             ("sectors", sectors.sectors.binding()),
@@ -426,7 +434,7 @@ impl TraceLidar {
             ("tile_lists", buffers.lists.tile_lists.binding()),
             ("sorted_records", buffers.lists.sorted_records.binding()),
             ("footprints", buffers.projected.footprints.binding()),
-            ("colors", buffers.projected.colors.binding()),
+            ("looks", buffers.looks.binding()),
             ("lidar_shapes", buffers.shapes.binding()),
             ("beams", sectors.beams.binding()),
             ("firings", sectors.firings.binding()),

@@ -21,7 +21,7 @@ mod scan;
 mod tile_sort;
 
 pub use agents::{AgentBuffers, AgentCounts, AgentVariant, CullAgents, ProjectAgents};
-pub use blend::{Blend, BlendPass, PartialResults, PixelEnd, finishes};
+pub use blend::{Blend, BlendPass, BlendVariant, PartialResults, PixelEnd, finishes};
 pub use composite::CompositeSegments;
 pub use cull::{Cull, Visible};
 pub use cull_shadows::{CullShadows, ShadowBuffers, words_for};
@@ -32,7 +32,7 @@ pub use lidar::{
 };
 pub use plan_segments::{Plan, PlanSegments};
 pub use post_process::PostProcess;
-pub use project::{Project, ProjectVariant, Projected};
+pub use project::{Project, ProjectVariant, Projected, RecordContents};
 pub use relight::{RELIGHT_BLOCK, Relight, RelitColors};
 pub use resolve_plane::ResolvePlane;
 pub use scan::Scan;

@@ -9,17 +9,42 @@ use super::{
 };
 use crate::capacity::groups_for;
 use crate::layout::{CameraRecord, LensRecord, fog_vector, near_m};
-use crate::plane::Attribute;
+use crate::output::Outputs;
+use crate::plane::{Attribute, Plane};
 use crate::resident::GpuScene;
 use crate::storage::Storage;
 
-/// One entry a visible (camera, splat): by camera, and by splat within a camera.
+/// Contents of records beside footprint, color and depth key.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RecordContents {
+    /// True if they have a depth and an instance.
+    pub labels: bool,
+    /// True if they have an attribute.
+    pub attributes: bool,
+}
+
+impl RecordContents {
+    /// The contents that `outputs` need.
+    #[must_use]
+    pub fn of(outputs: &Outputs) -> Self {
+        let planes = outputs.planes;
+        let labels = planes.contains(Plane::Depth) || planes.contains(Plane::Instance);
+        Self {
+            labels: labels || outputs.contributions,
+            attributes: planes.geometry().next().is_some(),
+        }
+    }
+}
+
+/// One entry per visible (camera, splat): by camera, and by splat within a camera.
 pub struct Projected {
-    /// Two vectors a record: mean (px), slope, rate_x; rate_y, log2 opacity, depth (m), instance
-    /// bits. See `footprint.glsl`.
-    pub footprints: Buffer<[f32; 4]>,
-    /// RGB and an unused fourth.
-    pub colors: Buffer<[f32; 4]>,
+    /// Two vectors per record, 32 bytes: mean (px), slope, rate_x; rate_y, log2 opacity, color in
+    /// 64 bits. See `record.glsl`.
+    pub footprints: Buffer<[u32; 4]>,
+    /// Bits of the depth (m), and instance. Of length 0 without [`RecordContents::labels`].
+    pub labels: Buffer<[u32; 2]>,
+    /// Attribute in the place of color. Of length 0 without [`RecordContents::attributes`].
+    pub attributes: Buffer<[f32; 3]>,
     /// Depth keys. The sort of tiles overwrites them.
     pub keys: Buffer<u32>,
 }
@@ -28,18 +53,28 @@ impl Projected {
     /// Buffers for `records` entries, their keys with room for `pairs`.
     ///
     /// # Errors
-    /// Returns an error if the device is out of memory.
-    pub fn new(gpu: &Gpu, records: usize, pairs: usize) -> Result<Self, GpuError> {
+    /// [`GpuError`]: the device is out of memory.
+    pub fn new(
+        gpu: &Gpu,
+        records: usize,
+        pairs: usize,
+        contents: RecordContents,
+    ) -> Result<Self, GpuError> {
+        let device = MemoryKind::Device;
+        let if_asked = |asked: bool| if asked { records } else { 0 };
+        let (labels, attributes) = (if_asked(contents.labels), if_asked(contents.attributes));
         Ok(Self {
-            footprints: gpu.buffer("footprints", PURPOSE, 2 * records, MemoryKind::Device)?,
-            colors: gpu.buffer("colors", PURPOSE, records, MemoryKind::Device)?,
-            keys: gpu.buffer(
-                "depth_keys",
-                PURPOSE,
-                records.max(pairs),
-                MemoryKind::Device,
-            )?,
+            footprints: gpu.buffer("footprints", PURPOSE, 2 * records, device)?,
+            labels: gpu.buffer("labels", PURPOSE, labels, device)?,
+            attributes: gpu.buffer("attributes", PURPOSE, attributes, device)?,
+            keys: gpu.buffer("depth_keys", PURPOSE, records.max(pairs), device)?,
         })
+    }
+
+    /// Number of entries that there is room for.
+    #[must_use]
+    pub fn room(&self) -> usize {
+        self.footprints.len() / 2
     }
 }
 
@@ -48,9 +83,11 @@ impl Projected {
 pub struct ProjectVariant {
     /// Degree of the colors evaluated; bands above it are neither stored nor read.
     pub sh_degree: u8,
-    /// True if records have an instance id.
+    /// True if records have labels.
+    pub labels: bool,
+    /// True if the instance of a label is that of the splat; else it is 0.
     pub instances: bool,
-    /// True if records have the index of their splat instead.
+    /// True if it is the index of the splat instead.
     pub splat_ids: bool,
     /// True if agents throw shadows on the ground.
     pub shadows: bool,
@@ -95,6 +132,7 @@ impl Project {
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             ("SH_DEGREE", Constant::U32(u32::from(variant.sh_degree))),
             ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
+            ("LABELS", Constant::Bool(variant.labels)),
             ("INSTANCES", Constant::Bool(variant.instances)),
             ("SPLAT_IDS", Constant::Bool(variant.splat_ids)),
             ("SHADOWS", Constant::Bool(variant.shadows)),
@@ -138,7 +176,7 @@ impl Project {
             splat_count: world.splats as u32,
             camera_count: camera_count as u32,
             cluster_count: world.cluster_count() as u32,
-            records_max: projected.colors.len() as u32,
+            records_max: projected.room() as u32,
             shadow_word_count: words_for(shadow_count) as u32,
             flow_interval_s,
             fog: fog_vector(world.fog.as_ref()),
@@ -156,7 +194,8 @@ impl Project {
             ("sh_band3", world.sh_bands[2].binding()),
             ("instances", world.instances.binding()),
             ("footprints", projected.footprints.binding()),
-            ("colors", projected.colors.binding()),
+            ("labels", projected.labels.binding()),
+            ("attributes", projected.attributes.binding()),
             ("keys", projected.keys.binding()),
             ("key_sets", kept.sets.binding()),
             ("kept_keys", kept.keys.binding()),

@@ -157,7 +157,7 @@ pub fn project_agents(
     } = input;
     let variant = Variant::of(rules);
     let radial = rules.order == DepthOrder::Radial;
-    let records_max = records.colors.len();
+    let records_max = records.labels.len();
     let visible = |list: usize, place: usize| {
         listed.visible_words[(list * CLUSTER_SPLATS + place) / 32] >> (place % 32) & 1 == 1
     };
@@ -182,15 +182,6 @@ pub fn project_agents(
                     coded.opacity,
                     variant,
                 );
-                let record = Record {
-                    splat: seen.splat,
-                    depth_m: if radial {
-                        seen.offset_m.length()
-                    } else {
-                        seen.t.z
-                    },
-                    instance: agent.instance,
-                };
                 let d = seen.offset_m.normalize();
                 let d = if agent.colors_in_world != 0 {
                     turned(agent, d)
@@ -211,8 +202,18 @@ pub fn project_agents(
                     Some(fog) => in_fog(color, seen.offset_m.length(), fog),
                     None => color,
                 };
+                let record = Record {
+                    splat: seen.splat,
+                    color,
+                    depth_m: if radial {
+                        seen.offset_m.length()
+                    } else {
+                        seen.t.z
+                    },
+                    instance: agent.instance,
+                };
                 let key = depth_key(scaled_depth(coded.mean_m, camera, radial));
-                records.write(slot, &record, color, key);
+                records.write(slot, &record, key);
             }
         }
     }

@@ -1,18 +1,19 @@
 //! Blends one segment of one coarse tile's list, front to back: `blend.comp`.
 
+use glam::Vec3;
+
 use super::footprint::{LOG2_255, center_of, log2_alpha};
 use super::output::{
     MEDIAN_FOUND, PIXEL_EMPTY, Pixel, camera_of_bin, coarse_tile_origin, pixel_offset,
 };
 use super::planes::add_to_planes;
-use super::projection::rgb_of;
-use super::record::load_footprint;
+use super::record::{load_color, load_footprint};
 use crate::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL};
 use crate::stages::PixelEnd;
 
 /// log2 of the alpha that record `record` has at pixel `(column, row)` of its image.
 #[must_use]
-pub fn log2_alpha_at(footprints: &[[f32; 4]], record: u32, column: u32, row: u32) -> f32 {
+pub fn log2_alpha_at(footprints: &[[u32; 4]], record: u32, column: u32, row: u32) -> f32 {
     log2_alpha(
         &load_footprint(footprints, record as usize),
         center_of(column, row),
@@ -25,8 +26,8 @@ fn blend_pixel(
     pixel: &mut Pixel,
     full: &mut bool,
     log2_alpha: f32,
-    color: [f32; 4],
-    high: [f32; 4],
+    color: Vec3,
+    [depth_m, instance]: [u32; 2],
     alpha_max: f32,
     end: PixelEnd,
 ) {
@@ -38,15 +39,15 @@ fn blend_pixel(
     if end.stop_limit().is_some_and(|limit| left <= limit) {
         *full = true;
         if end == PixelEnd::Median {
-            pixel.color = rgb_of(color);
+            pixel.color = color;
             pixel.transmittance = MEDIAN_FOUND;
         }
         return;
     }
     let weight = pixel.transmittance * alpha;
-    pixel.color += weight * rgb_of(color);
+    pixel.color += weight * color;
     pixel.transmittance -= weight;
-    add_to_planes(&mut pixel.planes, weight, high[2], high[3].to_bits());
+    add_to_planes(&mut pixel.planes, weight, f32::from_bits(depth_m), instance);
 }
 
 /// The pixels of the item's coarse tile, by their place in a partial result ([`pixel_offset`]).
@@ -60,8 +61,8 @@ pub fn blend(
     cameras: &[CameraRecord],
     item: &BlendItem,
     records: &[u32],
-    footprints: &[[f32; 4]],
-    colors: &[[f32; 4]],
+    footprints: &[[u32; 4]],
+    labels: &[[u32; 2]],
     alpha_max: f32,
     end: PixelEnd,
     before: Option<&[Pixel]>,
@@ -87,8 +88,11 @@ pub fn blend(
         let [x, y] = pixel_offset(place);
         for &record in &records[first..first + item.pairs as usize] {
             let log2_alpha = log2_alpha_at(footprints, record, origin[0] + x, origin[1] + y);
-            let (color, high) = (colors[record as usize], footprints[2 * record as usize + 1]);
-            blend_pixel(pixel, full, log2_alpha, color, high, alpha_max, end);
+            let (color, label) = (
+                load_color(footprints, record as usize),
+                labels[record as usize],
+            );
+            blend_pixel(pixel, full, log2_alpha, color, label, alpha_max, end);
         }
     }
     for (place, pixel) in pixels.iter_mut().enumerate() {

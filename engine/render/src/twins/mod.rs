@@ -2,9 +2,10 @@
 //!
 //! `twins/NAME.rs` computes what `shaders/NAME.comp` does. The modules `agent`, `depth_key`,
 //! `footprint`, `lens`, `lidar`, `output`, `planes`, `projection`, `record`, `rolling`, `sh`,
-//! `shadow`, `stored_splat`, `visibility` and `write_record` correspond to the shared GLSL of the
-//! same name. Arguments have the shader's names; outputs are written in place, as there. The stage
-//! tests feed both sides the same bytes. Twins use no workgroups and no shared memory.
+//! `shadow`, `stored_splat`, `visibility`, `color_code` and `write_record` correspond to the shared
+//! GLSL of the same name. Arguments have the shader's names; outputs are written in place, as
+//! there. The stage tests feed both sides the same bytes. Twins use no workgroups and no shared
+//! memory.
 //!
 //! A twin shares the shader's formulas, so it shows that a kernel is implemented right, not that
 //! the formulas are right: that is measured against [`crate::reference`].
@@ -14,6 +15,7 @@
 )]
 
 pub mod agent;
+pub mod color_code;
 pub mod depth_key;
 pub mod fog;
 pub mod footprint;

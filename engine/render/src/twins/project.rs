@@ -79,7 +79,7 @@ pub fn project(
     let radial = rules.order == DepthOrder::Radial;
     let splat_count = means_m.len();
     let cluster_count = splat_count.div_ceil(CLUSTER_SPLATS);
-    let records_max = records.colors.len();
+    let records_max = records.labels.len();
     let visible = |list: usize, place: usize| {
         input.visible_words[(list * CLUSTER_SPLATS + place) / 32] >> (place % 32) & 1 == 1
     };
@@ -102,19 +102,6 @@ pub fn project(
                 let id = input.instances.map_or(0, |ids| {
                     ids[splat_index / 2] >> (16 * (splat_index % 2)) & 0xffff
                 });
-                let record = Record {
-                    splat: seen.splat,
-                    depth_m: if radial {
-                        seen.offset_m.length()
-                    } else {
-                        seen.t.z
-                    },
-                    instance: if variant.splat_ids {
-                        splat_index as u32
-                    } else {
-                        id
-                    },
-                };
                 let degree = usize::from(variant.sh_degree);
                 let color = sh_color(
                     &input.sh,
@@ -134,11 +121,25 @@ pub fn project(
                     true => in_fog(color, seen.offset_m.length(), input.fog),
                     false => color,
                 };
+                let record = Record {
+                    splat: seen.splat,
+                    color,
+                    depth_m: if radial {
+                        seen.offset_m.length()
+                    } else {
+                        seen.t.z
+                    },
+                    instance: if variant.splat_ids {
+                        splat_index as u32
+                    } else {
+                        id
+                    },
+                };
                 let key = match input.key_sets[camera_index] {
                     NO_KEY_SET => depth_key(scaled_depth(means_m[splat_index], camera, radial)),
                     set => input.kept_keys[set as usize * splat_count + splat_index],
                 };
-                records.write(slot, &record, color, key);
+                records.write(slot, &record, key);
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use decouplegs_scene::{Rules, rules};
 pub use decouplegs_shaders::constants::HALF_LOG2_E;
-use glam::{Mat3, Vec2, Vec3, Vec4, vec3};
+use glam::{Mat3, Vec2, Vec3, vec3};
 
 use super::footprint::{Footprint, LOG2_255};
 use crate::layout::{CameraRecord, near_m};
@@ -137,10 +137,4 @@ pub fn project_splat(
         && splat.mean_px.x.abs() < 1e30
         && splat.mean_px.y.abs() < 1e30;
     (splat, drawn)
-}
-
-/// A point or color from the first three values of a vector.
-#[must_use]
-pub fn rgb_of(value: [f32; 4]) -> Vec3 {
-    Vec4::from_array(value).truncate()
 }

@@ -40,7 +40,7 @@ pub fn bin_pairs(
     cameras: &[CameraRecord],
     lists: &[ViewLists],
     keys: &[u32],
-    footprints: &[[f32; 4]],
+    footprints: &[[u32; 4]],
     radial: bool,
 ) -> Vec<Vec<[u32; 2]>> {
     let bins: u32 = cameras.iter().map(CameraRecord::bins).sum();

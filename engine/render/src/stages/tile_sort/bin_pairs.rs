@@ -55,7 +55,7 @@ impl BinPairs {
     ) {
         let push = Push {
             camera_count: records.camera_count as u32,
-            records_max: records.projected.colors.len() as u32,
+            records_max: records.projected.room() as u32,
             pairs_max: buffers.sorted_records.len() as u32,
         };
         let bound = [

@@ -43,7 +43,7 @@ impl PlanLists {
             camera_count: records.camera_count as u32,
             static_clusters: records.static_clusters as u32,
             moving_clusters: records.moving_clusters as u32,
-            records_max: records.projected.colors.len() as u32,
+            records_max: records.projected.room() as u32,
         };
         let bound = [
             ("static_offsets", records.static_offsets.binding()),
