@@ -50,7 +50,7 @@ layout(constant_id = 9) const bool ONE_BATCH = false; // no segment is longer th
 layout(constant_id = 10) const bool MEDIAN = false; // with EXCLUSIVE_STOP: the color of the splat in which half of the light is gone
 layout(constant_id = 11) const bool ATTRIBUTES = false; // blend attributes in the place of colors
 
-layout(set = 0, binding = 5, scalar) readonly buffer required_block { RequiredCounts required; };
+layout(set = 0, binding = 5, scalar) buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { BlendItem items[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer records_block { uint records[]; };
 layout(set = 0, binding = 8, std430) readonly buffer footprints_block { uvec4 footprints[]; };
@@ -72,7 +72,10 @@ layout(set = 0, binding = 14, scalar) buffer contributions_block { uint contribu
 // EXCLUSIVE_STOP or CONTRIBUTIONS.
 layout(set = 0, binding = 15, scalar) readonly buffer partial_unfinished_block { uint partial_unfinished[]; };
 
-layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; uint image_pixels; };
+// Per partial result: the fine tiles that have one. Written by the first run, read by FINISH.
+layout(set = 0, binding = 16, scalar) buffer partial_tiles_block { PartialTiles partial_tiles[]; };
+
+layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; uint tiles_max; float contribution_scale; uint image_pixels; };
 
 #include "batch.glsl"
 #include "partial.glsl"
@@ -81,6 +84,8 @@ layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; 
 shared uint open_tiles; // fine tiles that the segments before have not covered
 shared uint open_subgroups; // whether one of them has a pixel that is not full
 shared uint next_share;
+shared uint drawn_tiles; // fine tiles with records in the segment
+shared PartialTiles held_tiles;
 shared uint tile_largest[32];
 
 // Fine tiles that the segments before this one are not known to have covered. Every thread of the
@@ -190,15 +195,56 @@ bool blend_share(inout LanePixels pixels, uint first_place, uint batch_records) 
     return open;
 }
 
+// True if the segment's result goes through a partial result that this run writes.
+bool writes_partial(BlendItem item) {
+    return !FINISH && item.partial != NO_PARTIAL;
+}
+
+// Finds room for the results of `tiles`, and writes where it is. One thread calls it. Without room
+// there are no results: the host grows the buffers and draws again.
+PartialTiles hold_tiles(BlendItem item, uint tiles) {
+    uint count = uint(bitCount(tiles));
+    uint first = count == 0u ? 0u : atomicAdd(required.next_tile, count);
+    atomicMax(required.tiles, first + count);
+    PartialTiles held = PartialTiles(first, first + count <= tiles_max ? tiles : 0u);
+    partial_tiles[item.partial] = held;
+    return held;
+}
+
+// True if staged records reach the fine tile `tile`.
+bool has_records(uint tile, uint batch_records) {
+    uint any = 0u;
+    for (uint word = 0u; word < (batch_records + 31u) / 32u; ++word) {
+        any |= tile_records[tile][word];
+    }
+    return any != 0u;
+}
+
+// Finds room for the results of those of `tiles` that have records: `has_any`, by the first 32
+// threads. Every thread of the workgroup calls it.
+void hold_drawn_tiles(BlendItem item, uint tiles, bool has_any) {
+    uint thread = gl_LocalInvocationIndex;
+    if (thread < 32u && has_any) {
+        atomicOr(drawn_tiles, 1u << thread);
+    }
+    barrier();
+    if (thread == 0u) {
+        held_tiles = hold_tiles(item, tiles & drawn_tiles);
+    }
+    barrier();
+}
+
 void write_partial(uint place, Pixel pixel, bool full) {
-    // Negative: the pixel ends here.
-    pixel.transmittance = EXCLUSIVE_STOP && full ? -pixel.transmittance : pixel.transmittance;
-    store_partial(place, pixel);
+    if (has_partial(held_tiles, place)) {
+        // Negative: the pixel ends here.
+        pixel.transmittance = EXCLUSIVE_STOP && full ? -pixel.transmittance : pixel.transmittance;
+        store_partial(held_tiles, place, pixel);
+    }
 }
 
 // Pixel before its segment, or a full pixel if there is nothing to finish in it.
-Pixel unfinished_pixel(uint place, out bool full) {
-    Pixel pixel = load_partial(place);
+Pixel unfinished_pixel(PartialTiles held, uint place, out bool full) {
+    Pixel pixel = load_partial(held, place);
     full = !(pixel.transmittance < 0.0);
     pixel.transmittance = full ? 0.0 : -pixel.transmittance;
     return pixel;
@@ -209,9 +255,9 @@ Pixel unfinished_pixel(uint place, out bool full) {
 LanePixels first_pixels(BlendItem item, Camera camera, uvec2 origin, uint place) {
     LanePixels pixels = empty_pixels(origin + pixel_offset(place), camera.size_px);
     if (FINISH) {
-        uint left = item.partial * COARSE_PIXELS + place;
-        pixels.left = unfinished_pixel(left, pixels.left_full);
-        pixels.right = unfinished_pixel(left + LEFT_PIXELS, pixels.right_full);
+        PartialTiles held = partial_tiles[item.partial];
+        pixels.left = unfinished_pixel(held, place, pixels.left_full);
+        pixels.right = unfinished_pixel(held, place + LEFT_PIXELS, pixels.right_full);
     }
     return pixels;
 }
@@ -231,9 +277,8 @@ void write_result(BlendItem item, Camera camera, uvec2 origin, uint place, LaneP
         write_pixel(camera, at, pixels.left, sky, image_pixels);
         write_pixel(camera, at + uvec2(2u, 0u), pixels.right, sky, image_pixels);
     } else {
-        uint left = item.partial * COARSE_PIXELS + place;
-        write_partial(left, pixels.left, pixels.left_full);
-        write_partial(left + LEFT_PIXELS, pixels.right, pixels.right_full);
+        write_partial(place, pixels.left, pixels.left_full);
+        write_partial(place + LEFT_PIXELS, pixels.right, pixels.right_full);
         // Positive floats order as their bits.
         float through = max(left_through(pixels.left, pixels.left_full), left_through(pixels.right, pixels.right_full));
         atomicMax(tile_largest[fine_tile(place)], floatBitsToUint(through));
@@ -250,6 +295,10 @@ bool is_drawn(uint tiles, uint first_place) {
 void blend_one_batch(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
     stage_records(item.first_pair, item.pairs, origin, camera.size_px);
     barrier();
+    if (writes_partial(item)) {
+        uint thread = gl_LocalInvocationIndex;
+        hold_drawn_tiles(item, tiles, thread < 32u && has_records(thread, item.pairs));
+    }
     // As many rounds as shares, so that the loop ends even if a counter is wrong.
     for (uint taken = 0u; taken < SHARES; ++taken) {
         uint share = 0u;
@@ -285,6 +334,7 @@ void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
     bool open1 = is_drawn(tiles, first1);
     bool open2 = is_drawn(tiles, first2);
     bool open3 = is_drawn(tiles, first3);
+    bool has_any = false; // records in a fine tile, by the first 32 threads
     for (uint done = 0u; done < item.pairs; done += BATCH) {
         uint count = min(BATCH, item.pairs - done);
         stage_records(item.first_pair + done, count, origin, camera.size_px);
@@ -292,6 +342,9 @@ void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
             open_subgroups = 0u;
         }
         barrier();
+        if (writes_partial(item) && gl_LocalInvocationIndex < 32u) {
+            has_any = has_any || has_records(gl_LocalInvocationIndex, count);
+        }
         open0 = open0 && blend_share(pixels0, first0, count);
         open1 = open1 && blend_share(pixels1, first1, count);
         open2 = open2 && blend_share(pixels2, first2, count);
@@ -304,6 +357,9 @@ void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
             break;
         }
         barrier(); // and so is open_subgroups
+    }
+    if (writes_partial(item)) {
+        hold_drawn_tiles(item, tiles, has_any);
     }
     if (is_drawn(tiles, first0)) {
         write_result(item, camera, origin, first0 + lane, pixels0);
@@ -333,6 +389,7 @@ void main() {
     }
     if (thread == 0u) {
         next_share = 0u;
+        drawn_tiles = 0u;
         stage_no_record();
     }
     if (EXCLUSIVE_STOP || CONTRIBUTIONS) {
@@ -347,6 +404,9 @@ void main() {
         tiles = uncovered_tiles(item, thread);
     }
     if (tiles == 0u) {
+        if (writes_partial(item) && thread == 0u) {
+            hold_tiles(item, 0u);
+        }
         return; // composite stops before it gets here, or leaves nothing to be finished
     }
     if (ONE_BATCH) {

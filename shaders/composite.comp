@@ -24,6 +24,7 @@ layout(set = 0, binding = 7, std430) buffer partial_colors_block { vec4 partial_
 layout(set = 0, binding = 8, std430) buffer partial_planes_block { uint partial_planes[]; };
 
 layout(set = 0, binding = 9, scalar) buffer partial_unfinished_block { uint partial_unfinished[]; };
+layout(set = 0, binding = 10, scalar) readonly buffer partial_tiles_block { PartialTiles partial_tiles[]; };
 
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint image_pixels; };
 
@@ -33,11 +34,13 @@ const uint AHEAD = 4u;
 #include "partial.glsl"
 
 // Leaves `before`, what lies before segment `slot`, in the place of what the segment adds, to be
-// blended again from there.
-void leave_unfinished(uint slot, uint place, uint tile, Pixel before) {
-    before.transmittance = -before.transmittance;
-    store_partial(slot * COARSE_PIXELS + place, before);
-    atomicOr(partial_unfinished[slot], 1u << tile);
+// blended again from there; nothing where the segment draws nothing.
+void leave_unfinished(uint slot, PartialTiles held, uint place, Pixel before) {
+    if (has_partial(held, place)) {
+        before.transmittance = -before.transmittance;
+        store_partial(held, place, before);
+        atomicOr(partial_unfinished[slot], 1u << fine_tile(place));
+    }
 }
 
 void main() {
@@ -54,12 +57,13 @@ void main() {
     }
     Pixel pixel = PIXEL_EMPTY;
     bool open = true;
-    uint first_place = composite.first_partial * COARSE_PIXELS + place;
     // Segments behind a full pixel may never have been blended. They may be read, not used.
     for (uint base = 0u; base < composite.partials && open; base += AHEAD) {
+        PartialTiles held[AHEAD];
         Pixel ahead[AHEAD];
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
-            ahead[next] = load_partial(first_place + min(base + next, composite.partials - 1u) * COARSE_PIXELS);
+            held[next] = partial_tiles[composite.first_partial + min(base + next, composite.partials - 1u)];
+            ahead[next] = load_partial(held[next], place);
         }
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
             uint segment = base + next;
@@ -71,7 +75,7 @@ void main() {
                 pixel = over(before, ahead[next]);
                 bool ends = EXCLUSIVE_STOP && segment > 0u && pixel.transmittance <= stop_limit();
                 if (ends || (CONTRIBUTIONS && segment > 0u)) {
-                    leave_unfinished(composite.first_partial + segment, place, fine_tile(place), before);
+                    leave_unfinished(composite.first_partial + segment, held[next], place, before);
                 }
                 open = EXCLUSIVE_STOP ? open && !ends : pixel.transmittance > TRANSMITTANCE_FULL;
             }

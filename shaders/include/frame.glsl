@@ -57,6 +57,8 @@ struct RequiredCounts {
     uint partials;   // items of coarse tiles with more than one segment
     uint composites; // coarse tiles with more than one segment
     uint longest;    // pairs of one coarse tile, at most
+    uint tiles;      // fine tiles with partial results, at most in any blending of the frame
+    uint next_tile;  // of those, in the blending that runs; zero before it
 };
 
 // Pairs that were wanted; what an u32 cannot hold is its largest value. Sums of up to 65,536 coarse
@@ -119,6 +121,14 @@ struct BlendItem {
     uint segment; // its place in its tile's list; the slots of those before it are the ones before its own
 };
 const uint NO_PARTIAL = 0xffffffffu;
+
+// Fine tiles of a segment that have a partial result, as bits: the first of them has place `first`
+// among the results of all segments, and the others follow. A fine tile without one adds nothing,
+// or lies behind others that are full.
+struct PartialTiles {
+    uint first;
+    uint tiles;
+};
 
 // A coarse tile whose partial results are to be joined.
 struct Composite {

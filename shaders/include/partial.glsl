@@ -1,15 +1,32 @@
 // Results of segments, a pixel each: blend leaves them for composite, and composite for the pass of
 // blend that finishes pixels.
 //
-// Included where partial_colors and partial_planes are bound. A negative transmittance is a mark,
-// which the two kernels explain.
+// Included where partial_colors and partial_planes are bound. Only fine tiles that a segment draws
+// have results. A negative transmittance is a mark, which the two kernels explain.
 
 // Transmittance at which a pixel ends by an exclusive stop.
 float stop_limit() {
     return MEDIAN ? TRANSMITTANCE_MEDIAN : TRANSMITTANCE_MIN;
 }
 
-Pixel load_partial(uint place) {
+const uint TILE_PIXELS = FINE_TILE_PX * FINE_TILE_PX;
+
+bool has_partial(PartialTiles held, uint at) {
+    return (held.tiles >> fine_tile(at) & 1u) != 0u;
+}
+
+// Index of the result of the pixel at `at` of the coarse tile, which has one.
+uint partial_index(PartialTiles held, uint at) {
+    uint before = held.tiles & ((1u << fine_tile(at)) - 1u);
+    uint right = at / LEFT_PIXELS;
+    return (held.first + uint(bitCount(before))) * TILE_PIXELS + right * TILE_LEFT_PIXELS + at % TILE_LEFT_PIXELS;
+}
+
+Pixel load_partial(PartialTiles held, uint at) {
+    if (!has_partial(held, at)) {
+        return PIXEL_EMPTY;
+    }
+    uint place = partial_index(held, at);
     vec4 color = partial_colors[place];
     uint words[3];
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
@@ -18,7 +35,9 @@ Pixel load_partial(uint place) {
     return Pixel(color.rgb, color.a, plane_sums(words));
 }
 
-void store_partial(uint place, Pixel pixel) {
+// The pixel must have a result.
+void store_partial(PartialTiles held, uint at, Pixel pixel) {
+    uint place = partial_index(held, at);
     partial_colors[place] = vec4(pixel.color, pixel.transmittance);
     uint words[3] = plane_words(pixel.planes);
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {

@@ -51,16 +51,25 @@ fn every_list_grows_and_the_image_is_whole() {
             records: 1,
             pairs: 1,
             partials: 1,
+            tiles: 1,
         },
         Capacity {
             records: 5000,
             pairs: 100,
             partials: 200,
+            tiles: 10,
         },
         Capacity {
             records: 5000,
             pairs: 50_000,
             partials: 3,
+            tiles: 1,
+        },
+        Capacity {
+            records: 5000,
+            pairs: 50_000,
+            partials: 200,
+            tiles: 3,
         },
     ] {
         let mut tight = Renderer::new(&gpu, options).with_capacity(capacity);
@@ -72,6 +81,30 @@ fn every_list_grows_and_the_image_is_whole() {
         assert!(statistics.capacity.holds(&statistics.required));
         assert!(tight.read_images().unwrap() == whole, "{capacity:?}");
     }
+}
+
+#[test]
+fn segments_have_results_only_where_they_draw() {
+    let gpu = Validated::open();
+    // All in the fine tile in the middle of the image, and too faint to cover it.
+    let splats: Vec<Splat> = (0..600)
+        .map(|i| Splat {
+            opacity: 0.01,
+            scale_m: [0.01; 3],
+            ..Splat::at(0.0, 0.0, 4.0 + i as f32 * 0.001)
+        })
+        .collect();
+    let options = RenderOptions {
+        segment_pairs: 256,
+        ..RenderOptions::default()
+    };
+    let mut renderer = Renderer::new(&gpu, options);
+    let resident = renderer.upload(&world_of(&splats)).unwrap();
+    let required = renderer
+        .render(&resident, &[camera_at(DVec3::ZERO, 152, 104)])
+        .unwrap()
+        .required;
+    assert_eq!((required.partials, required.tiles), (3, 3));
 }
 
 #[test]

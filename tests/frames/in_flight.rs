@@ -56,6 +56,7 @@ fn frames_in_flight_are_those_drawn_one_by_one() {
             records: 900,
             pairs: 900,
             partials: 1,
+            tiles: 1,
         };
         let options = RenderOptions {
             frames_in_flight,

@@ -14,14 +14,15 @@ use decouplegs::render::stages::{
 use decouplegs::render::twins::output::{
     Images, Pixel, coarse_tile_origin, pixel_offset, write_pixel,
 };
-use decouplegs::render::{Capacity, OutputBuffers, Outputs, Plane, Planes, twins};
+use decouplegs::render::{OutputBuffers, Outputs, Plane, Planes, twins};
 use decouplegs::scene::Rules;
 use glam::Vec3;
 
 use super::project::PLAIN;
 use super::scenes::{LABELED, ProjectedTwin, Scene, hard_world, rig};
 use super::{
-    UNTOUCHED, counters, identical, open, read_partials, run, upload, within, write_partials,
+    UNTOUCHED, counters, identical, open, read_partials, room_for_partials, run, upload, within,
+    write_partials,
 };
 use crate::device::Validated;
 use rounding::PixelBounds;
@@ -188,22 +189,14 @@ impl Case {
             ..RequiredCounts::default()
         };
         let counters = counters(gpu, required, &[(IndirectArguments::Blend, items.len())]);
-        let plan = Plan::new(
-            gpu,
-            &Capacity {
-                records: 1,
-                pairs: 1,
-                partials: 1,
-            },
-            items.len() as u32,
-        )
-        .unwrap();
+        let plan = Plan::new(gpu, &room_for_partials(1), items.len() as u32).unwrap();
         gpu.write(&plan.items, 0, items).unwrap();
         let on_device = Projected::new(gpu, count, 0, LABELED).unwrap();
         gpu.write(&on_device.footprints, 0, &projected.footprints)
             .unwrap();
         gpu.write(&on_device.labels, 0, &projected.labels).unwrap();
-        let partials = PartialResults::new(gpu, slots, rules, &OUTPUTS).unwrap();
+        let partials =
+            PartialResults::new(gpu, &room_for_partials(slots), rules, &OUTPUTS).unwrap();
         let outputs = OutputBuffers::new(gpu, scene.view.pixels, 0, &OUTPUTS).unwrap();
         gpu.write(&outputs.planes, 0, &vec![UNTOUCHED; outputs.planes.len()])
             .unwrap();

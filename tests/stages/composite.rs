@@ -1,20 +1,21 @@
 //! `composite.comp`: segments are joined and pixels written.
 
-use decouplegs::render::layout::{COARSE_PIXELS, Composite, RequiredCounts, View};
+use decouplegs::render::layout::{COARSE_PIXELS, Composite, FINE_TILES, RequiredCounts, View};
 use decouplegs::render::stages::{
     CompositeSegments, IndirectArguments, PartialResults, PixelEnd, Plan,
 };
 use decouplegs::render::twins::output::{
-    Images, Pixel, camera_of_bin, coarse_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
+    Images, PIXEL_EMPTY, Pixel, camera_of_bin, coarse_tile_origin, pack_unorm_4x8, pixel_offset,
+    places_of_tile, write_pixel,
 };
-use decouplegs::render::{Capacity, ColorFormat, OutputBuffers, Outputs, Plane, Planes, twins};
+use decouplegs::render::{ColorFormat, OutputBuffers, Outputs, Plane, Planes, twins};
 use decouplegs::scene::Rules;
 use glam::{DVec3, Vec3};
 
 use super::scenes::rig;
 use super::{
-    ROUNDOFF, Random, UNTOUCHED, counters, identical, open, read_partials, run, upload, within,
-    write_partials,
+    ROUNDOFF, Random, UNTOUCHED, counters, identical, open, read_partials, room_for_partials, run,
+    upload, within, write_partials,
 };
 use crate::device::Validated;
 use decouplegs::render::twins::planes::PlaneSums;
@@ -51,9 +52,15 @@ impl Case {
             });
             first_partial += partials;
         }
-        let partials = (0..first_partial as usize * COARSE_PIXELS)
+        let mut partials: Vec<Pixel> = (0..first_partial as usize * COARSE_PIXELS)
             .map(|_| random_pixel(&mut random))
             .collect();
+        for pixels in partials.chunks_exact_mut(COARSE_PIXELS) {
+            // Of the fine tiles, some have nothing drawn in them.
+            for tile in (0..FINE_TILES).filter(|_| random.below(3) == 0) {
+                places_of_tile(tile).for_each(|place| pixels[place] = PIXEL_EMPTY);
+            }
+        }
         Self {
             view,
             composites,
@@ -96,24 +103,20 @@ impl Case {
                 composites.len() * COMPOSITE_GROUPS,
             )],
         );
-        let plan = Plan::new(
-            gpu,
-            &Capacity {
-                records: 1,
-                pairs: 1,
-                partials: 1,
-            },
-            view.bins,
-        )
-        .unwrap();
+        let plan = Plan::new(gpu, &room_for_partials(1), view.bins).unwrap();
         gpu.write(&plan.composites, 0, composites).unwrap();
         // Rules by which pixels are finished.
         let rules = match end {
             PixelEnd::Full => Rules::DEFAULT,
             PixelEnd::Exclusive | PixelEnd::Median => Rules::GSPLAT15,
         };
-        let on_device =
-            PartialResults::new(gpu, partials.len() / COARSE_PIXELS, &rules, &outputs).unwrap();
+        let on_device = PartialResults::new(
+            gpu,
+            &room_for_partials(partials.len() / COARSE_PIXELS),
+            &rules,
+            &outputs,
+        )
+        .unwrap();
         gpu.write(
             &on_device.unfinished,
             0,
@@ -266,7 +269,7 @@ impl Case {
 fn random_pixel(random: &mut Random) -> Pixel {
     // One in five saw nothing; transmittance is at most one, and the depth a mean times alpha.
     if random.below(5) == 0 {
-        return twins::output::PIXEL_EMPTY;
+        return PIXEL_EMPTY;
     }
     let transmittance = if random.below(3) == 0 {
         random.across_scales(1e-5, 1.0)

@@ -8,8 +8,8 @@ use std::path::Path;
 use decouplegs::gpu::{DeviceOptions, Gpu};
 use decouplegs::render::layout::{
     AgentRecord, BeamEchoes, BeamRecord, BeamState, BlendItem, Bucket, CameraRecord, ClusterRecord,
-    Composite, EchoRecord, FiringRecord, LensRecord, NodeRecord, RelightRecord, RequiredCounts,
-    SectorRecord, ShadowRecord, ViewLists,
+    Composite, EchoRecord, FiringRecord, LensRecord, NodeRecord, PartialTiles, RelightRecord,
+    RequiredCounts, SectorRecord, ShadowRecord, ViewLists,
 };
 use decouplegs::render::post_processing::PhotometryRecord;
 use decouplegs::scene::{lidar, rules};
@@ -94,8 +94,11 @@ fn records_of_frames() -> Vec<Record> {
             items,
             partials,
             composites,
-            longest
+            longest,
+            tiles,
+            next_tile
         }),
+        record!(PartialTiles { first, tiles }),
         record!(ViewLists {
             first_static,
             first_moving

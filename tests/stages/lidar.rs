@@ -66,6 +66,7 @@ impl Listed {
             records: 32 * world.splats.len(),
             pairs: 160 * world.splats.len(),
             partials: 0,
+            tiles: 1,
         };
         let clusters = scene.cluster_count();
         let room = LidarRoom::new(capacity, clusters, &view, true);

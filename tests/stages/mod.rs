@@ -28,10 +28,12 @@ use std::cmp::Ordering;
 use std::fmt::Debug;
 
 use decouplegs::gpu::{Buffer, QueueRole, Recorder};
-use decouplegs::render::capacity::groups_for;
-use decouplegs::render::layout::{ARGUMENT_SETS, RequiredCounts};
+use decouplegs::render::capacity::{Capacity, groups_for};
+use decouplegs::render::layout::{
+    ARGUMENT_SETS, COARSE_PIXELS, FINE_TILES, PartialTiles, RequiredCounts,
+};
 use decouplegs::render::stages::{FrameCounters, IndirectArguments, PartialResults};
-use decouplegs::render::twins::output::Pixel;
+use decouplegs::render::twins::output::{PIXEL_EMPTY, Pixel, places_of_tile};
 
 use crate::device::Validated;
 use decouplegs::render::twins::planes::{plane_sums, plane_words};
@@ -91,34 +93,69 @@ fn counters(
     counters
 }
 
-/// Results of segments as a kernel finds them, `COARSE_PIXELS` for each slot.
+/// Pixels of a fine tile.
+const TILE_PIXELS: usize = COARSE_PIXELS / FINE_TILES;
+
+/// Room for the partial results of `slots` segments in all their fine tiles.
+fn room_for_partials(slots: usize) -> Capacity {
+    Capacity {
+        records: 1,
+        pairs: 1,
+        partials: slots,
+        tiles: slots * FINE_TILES,
+    }
+}
+
+/// Writes `pixels` as partial results; fine tiles in which nothing is drawn have none.
 fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel]) {
-    let colors: Vec<_> = pixels
+    let (mut tiles, mut drawn) = (Vec::new(), Vec::new());
+    for slot in 0..pixels.len() / COARSE_PIXELS {
+        let pixels = &pixels[slot * COARSE_PIXELS..][..COARSE_PIXELS];
+        let is_drawn =
+            |tile: &usize| places_of_tile(*tile).any(|place| pixels[place] != PIXEL_EMPTY);
+        let first = (drawn.len() / TILE_PIXELS) as u32;
+        let mut bits = 0u32;
+        for tile in (0..FINE_TILES).filter(is_drawn) {
+            bits |= 1 << tile;
+            drawn.extend(places_of_tile(tile).map(|place| pixels[place]));
+        }
+        tiles.push(PartialTiles { first, tiles: bits });
+    }
+    let colors: Vec<[f32; 4]> = drawn
         .iter()
         .map(|pixel| pixel.color.extend(pixel.transmittance).to_array())
         .collect();
-    let planes: Vec<u32> = pixels
+    let planes: Vec<u32> = drawn
         .iter()
         .flat_map(|pixel| plane_words(&pixel.planes))
         .collect();
+    gpu.write(&partials.tiles, 0, &tiles).unwrap();
     gpu.write(&partials.colors, 0, &colors).unwrap();
     gpu.write(&partials.planes, 0, &planes).unwrap();
 }
 
-/// Results of segments as a kernel left them.
+/// The pixels of all partial results, all planes among them.
 fn read_partials(gpu: &Validated, partials: &PartialResults) -> Vec<Pixel> {
+    let tiles = gpu.read(&partials.tiles).unwrap();
     let colors = gpu.read(&partials.colors).unwrap();
     let words = gpu.read(&partials.planes).unwrap();
-    let pixel = |(color, words): (&[f32; 4], &[u32])| Pixel {
-        color: Vec3::from_slice(color),
-        transmittance: color[3],
-        planes: plane_sums(words.try_into().expect("all planes were asked for")),
-    };
-    colors
-        .iter()
-        .zip(words.chunks_exact(3))
-        .map(pixel)
-        .collect()
+    let mut pixels = vec![PIXEL_EMPTY; tiles.len() * COARSE_PIXELS];
+    for (slot, held) in tiles.iter().enumerate() {
+        let first = held.first;
+        let held = (0..FINE_TILES).filter(|tile| held.tiles >> tile & 1 == 1);
+        for (next, tile) in held.enumerate() {
+            let indices = (first as usize + next) * TILE_PIXELS..;
+            for (index, place) in indices.zip(places_of_tile(tile)) {
+                let words = words[3 * index..][..3].try_into();
+                pixels[slot * COARSE_PIXELS + place] = Pixel {
+                    color: Vec3::from_slice(&colors[index]),
+                    transmittance: colors[index][3],
+                    planes: plane_sums(words.expect("all planes were asked for")),
+                };
+            }
+        }
+    }
+    pixels
 }
 
 /// Counts from the kernel, and the sizes of the dispatches after it.

@@ -41,6 +41,7 @@ impl Case<'_> {
             records: 1,
             pairs: self.pairs_max,
             partials: self.partials_max,
+            tiles: 1,
         };
         let (tile_lists, pairs) = (self.tile_lists(), self.lengths.iter().sum::<u32>());
         let before = RequiredCounts {

@@ -159,6 +159,7 @@ impl Case {
             records: self.keys.len(),
             pairs: pairs_max,
             partials: 1,
+            tiles: 1,
         };
         let buffers = TileSortBuffers::new(gpu, &capacity, bins).unwrap();
         gpu.write(&buffers.slab_counts, 0, &vec![0; bins as usize * SLABS])
@@ -362,6 +363,7 @@ fn more_pairs_than_32_bits_hold_do_not_look_like_few() {
         records: 1,
         pairs: 5000,
         partials: 4,
+        tiles: 1,
     };
     let bins = 9u32;
     // Eight times 2^30 wrap to nothing.

@@ -14,7 +14,12 @@ pub struct Capacity {
     pub pairs: usize,
     /// Results of segments that are not their coarse tile's only one.
     pub partials: usize,
+    /// Fine tiles of such results that something is drawn in.
+    pub tiles: usize,
 }
+
+/// Fine tiles per partial result that are expected to have something drawn in them, of 32.
+const TILES_EXPECTED: usize = 16;
 
 impl Capacity {
     /// A first guess for `splats` seen by `cameras`: a wrong one costs one redrawn frame.
@@ -25,6 +30,7 @@ impl Capacity {
             records,
             pairs: records * 2 + 1024,
             partials: 64,
+            tiles: 64 * TILES_EXPECTED,
         }
     }
 
@@ -34,6 +40,7 @@ impl Capacity {
         required.records as usize <= self.records
             && required.pairs as usize <= self.pairs
             && required.partials as usize <= self.partials
+            && required.tiles as usize <= self.tiles
     }
 
     /// Room for `required` with a share of them to `spare`, so that a moving camera does not
@@ -50,10 +57,17 @@ impl Capacity {
                 have
             }
         };
+        let partials = grown(self.partials, required.partials);
+        // Results that had no room did not count their tiles.
+        let expected = match partials > self.partials {
+            true => partials * TILES_EXPECTED,
+            false => 0,
+        };
         Self {
             records: grown(self.records, required.records),
             pairs: grown(self.pairs, required.pairs),
-            partials: grown(self.partials, required.partials),
+            partials,
+            tiles: grown(self.tiles, required.tiles).max(expected),
         }
     }
 
@@ -93,11 +107,13 @@ mod tests {
             records: 100,
             pairs: 1000,
             partials: 64,
+            tiles: 64,
         };
         let required = RequiredCounts {
             records: 5000,
             pairs: 10,
             partials: 65,
+            tiles: 2000,
             ..RequiredCounts::default()
         };
         assert!(!start.holds(&required));

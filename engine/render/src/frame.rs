@@ -1,10 +1,13 @@
 //! The frame: one function that lists the stages in the order they run.
 
+use std::mem::offset_of;
+
 use decouplegs_gpu::{Buffer, Recorder};
 
 use crate::frame_buffers::{FrameBuffers, FrameShape};
 use crate::kernels::{FrameStages, ImageStages};
 use crate::keys::KeyDecision;
+use crate::layout::RequiredCounts;
 use crate::options::RenderOptions;
 use crate::output::OutputBuffers;
 use crate::plane::Plane;
@@ -118,6 +121,9 @@ pub(crate) fn record_frame(
     );
     record_images(recorder, stages, frame, slot, input);
     record_geometry(recorder, stages, frame, slot, input);
+    recorder.stage("end", |r| {
+        r.copy(&frame.counters.required, 0, &slot.found_required, 0, 1);
+    });
 }
 
 /// Hands over what the host wrote, and empties what is counted.
@@ -290,7 +296,9 @@ fn record_geometry(
 
 /// Empties what segments tell each other.
 fn empty_partials(recorder: &mut Recorder, frame: &FrameBuffers) {
-    let partials = &frame.partials;
+    let (required, partials) = (&frame.counters.required, &frame.partials);
+    let next_tile = offset_of!(RequiredCounts, next_tile) as u64;
+    recorder.fill(required.binding(), next_tile, 4, 0);
     let emptied = [
         (
             partials.transmittances.binding(),
@@ -335,7 +343,6 @@ fn record_images(
             &capacity,
             &frame.plan,
         );
-        r.copy(&counters.required, 0, &slot.found_required, 0, 1);
     });
     blend_images(recorder, stages.images, frame, images, input.world.sky);
     if let Some(post_process) = stages.post_process {

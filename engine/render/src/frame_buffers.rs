@@ -92,12 +92,7 @@ impl FrameBuffers {
             )?,
             tile_sort: TileSortBuffers::new(gpu, &capacity, bins)?,
             plan: Plan::new(gpu, &capacity, bins)?,
-            partials: PartialResults::new(
-                gpu,
-                capacity.partials,
-                &options.rules,
-                &options.outputs,
-            )?,
+            partials: PartialResults::new(gpu, &capacity, &options.rules, &options.outputs)?,
             blended: gpu.buffer("blended", PURPOSE, blended_pixels, device)?,
             photometry: gpu.buffer("photometry", PURPOSE, cameras, device)?,
         })

@@ -8,11 +8,15 @@ mod detail;
 mod lens;
 mod lidar;
 mod light;
+mod lists;
 
 pub use detail::NodeRecord;
 pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
 pub use lidar::{BeamEchoes, BeamRecord, BeamState, EchoRecord, FiringRecord, SectorRecord};
 pub use light::{RelightRecord, ShadowRecord};
+pub use lists::{
+    BlendItem, Bucket, Composite, NO_PARTIAL, PartialTiles, RequiredCounts, ViewLists,
+};
 
 use bytemuck::{Pod, Zeroable};
 use decouplegs_scene::{Camera, Fog, Invalid, Motion, Pose, Rules, rules};
@@ -271,52 +275,6 @@ pub struct ClusterRecord {
     pub reach_m: f32,
 }
 
-/// `RequiredCounts` of `frame.glsl`: how many of each were wanted, whatever the capacity.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, serde::Serialize)]
-pub struct RequiredCounts {
-    /// Visible (camera, splat).
-    pub records: u32,
-    /// (Coarse tile, record); `u32::MAX` where there are more.
-    pub pairs: u32,
-    /// The same: the sum of the lower 16 bits of each coarse tile's number.
-    pub pairs_low: u32,
-    /// And of the upper 16 bits.
-    pub pairs_high: u32,
-    /// Buckets of pairs, sorted one by one.
-    pub buckets: u32,
-    /// (Coarse tile, segment of its list).
-    pub items: u32,
-    /// Items of coarse tiles that were cut into more than one segment.
-    pub partials: u32,
-    /// Coarse tiles that were cut.
-    pub composites: u32,
-    /// Pairs of the coarse tile that has most.
-    pub longest: u32,
-}
-
-/// `Bucket` of `frame.glsl`: a run of one coarse tile's pairs that is sorted by itself.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Pod, Zeroable)]
-pub struct Bucket {
-    /// First pair.
-    pub first_pair: u32,
-    /// Number of entries.
-    pub pairs: u32,
-    /// Coarse tile.
-    pub bin: u32,
-}
-
-/// `ViewLists` of `frame.glsl`: first records of a camera.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-pub struct ViewLists {
-    /// First record of the background.
-    pub first_static: u32,
-    /// First record of the agents.
-    pub first_moving: u32,
-}
-
 /// `Agent` of `agent.glsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
@@ -363,37 +321,6 @@ pub struct AgentRecord {
     pub velocity_mps: [f32; 3],
     /// Rotation vector per second, its own axes.
     pub turn_rad_per_s: [f32; 3],
-}
-
-/// `BlendItem` of `frame.glsl`: one segment of one coarse tile's list.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-pub struct BlendItem {
-    /// Coarse tile.
-    pub bin: u32,
-    /// First entry of the segment in the sorted pairs.
-    pub first_pair: u32,
-    /// Number of entries.
-    pub pairs: u32,
-    /// Slot of its partial result, or [`NO_PARTIAL`].
-    pub partial: u32,
-    /// Index in its coarse tile's list; the slots before it belong to the segments before it.
-    pub segment: u32,
-}
-
-/// The segment is its tile's only one and writes pixels itself.
-pub const NO_PARTIAL: u32 = constants::NO_PARTIAL;
-
-/// `Composite` of `frame.glsl`: a coarse tile whose partial results are joined.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-pub struct Composite {
-    /// Coarse tile.
-    pub bin: u32,
-    /// First partial result.
-    pub first_partial: u32,
-    /// Number of partial results.
-    pub partials: u32,
 }
 
 /// The cameras of one frame as the shaders see them.

@@ -6,13 +6,16 @@ use decouplegs_scene::{EarlyStop, Rules};
 use decouplegs_shaders::constants;
 
 use super::{FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, kernel, push_constants};
-use crate::layout::{COARSE_PIXELS, CameraRecord};
+use crate::capacity::Capacity;
+use crate::layout::{COARSE_PIXELS, CameraRecord, FINE_TILES, PartialTiles};
 use crate::output::{OutputBuffers, Outputs};
 use crate::plane::Plane;
 
-/// Partial accumulations of segments for composite: one per pixel, in the order of blend. Of length
-/// 0 where the output was not asked for.
+/// Partial accumulations of segments for composite: one per pixel of the fine tiles that a segment
+/// draws something in. Of length 0 where the output was not asked for.
 pub struct PartialResults {
+    /// Fine tiles that have results.
+    pub tiles: Buffer<PartialTiles>,
     /// RGB and transmittance.
     pub colors: Buffer<[f32; 4]>,
     /// Sums of the planes, all words of a pixel together: see `planes.glsl`.
@@ -25,21 +28,23 @@ pub struct PartialResults {
 }
 
 impl PartialResults {
-    /// Buffers for `slots` segments.
+    /// Buffers for as many segments and fine tiles as `capacity` says.
     ///
     /// # Errors
     /// Returns an error if the device is out of memory.
     pub fn new(
         gpu: &Gpu,
-        slots: usize,
+        capacity: &Capacity,
         rules: &Rules,
         outputs: &Outputs,
     ) -> Result<Self, GpuError> {
         let finishes = finishes(PixelEnd::of(rules), outputs);
         let medians = outputs.planes.iter().any(Plane::is_median);
+        let slots = capacity.partials;
         let unfinished = if finishes || medians { slots } else { 0 };
-        let pixels = slots * COARSE_PIXELS;
+        let pixels = capacity.tiles * (COARSE_PIXELS / FINE_TILES);
         Ok(Self {
+            tiles: gpu.buffer("partial_tiles", PURPOSE, slots, MemoryKind::Device)?,
             colors: gpu.buffer("partial_colors", PURPOSE, pixels, MemoryKind::Device)?,
             planes: gpu.buffer(
                 "partial_planes",
@@ -60,6 +65,12 @@ impl PartialResults {
                 MemoryKind::Device,
             )?,
         })
+    }
+
+    /// Fine tiles that there is room for.
+    #[must_use]
+    pub fn tiles_max(&self) -> usize {
+        self.colors.len() / (COARSE_PIXELS / FINE_TILES)
     }
 }
 
@@ -124,6 +135,7 @@ push_constants! {
         sky: [f32; 3],
         camera_count: u32,
         items_max: u32,
+        tiles_max: u32,
         contribution_scale: f32,
         image_pixels: u32,
     }
@@ -229,6 +241,7 @@ impl Blend {
             sky,
             camera_count: camera_count as u32,
             items_max: plan.items.len() as u32,
+            tiles_max: partials.tiles_max() as u32,
             contribution_scale: images.contribution_scale(),
             image_pixels: images.pixels() as u32,
         };
@@ -248,6 +261,7 @@ impl Blend {
             ("partial_planes", partials.planes.binding()),
             ("partial_transmittances", partials.transmittances.binding()),
             ("partial_unfinished", partials.unfinished.binding()),
+            ("partial_tiles", partials.tiles.binding()),
             ("contributions", images.contributions.binding()),
         ];
         recorder.dispatch_indirect(

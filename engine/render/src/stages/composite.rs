@@ -69,6 +69,7 @@ impl CompositeSegments {
             ("composites", plan.composites.binding()),
             ("partial_colors", partials.colors.binding()),
             ("partial_planes", partials.planes.binding()),
+            ("partial_tiles", partials.tiles.binding()),
             ("partial_unfinished", partials.unfinished.binding()),
         ];
         let offset = IndirectArguments::Composite.byte_offset();

@@ -1,8 +1,8 @@
 //! Joins the segments of a coarse tile that was cut, front to back, until it is full:
 //! `composite.comp`.
 
-use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_FULL, over};
-use crate::layout::{COARSE_PIXELS, Composite};
+use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_FULL, over, places_of_tile};
+use crate::layout::{COARSE_PIXELS, Composite, FINE_TILES};
 use crate::stages::PixelEnd;
 
 /// Pixel that composite leaves to a segment: its index there, and the color and transmittance
@@ -19,7 +19,7 @@ pub struct Unfinished {
 
 /// The pixels of the coarse tile, in the order of `partials`: `COARSE_PIXELS` a slot, as
 /// [`super::blend`] keeps them. Pixels end at `end`. Every segment behind the first is left to be
-/// finished where `counts`: with that, what is left.
+/// finished where `counts`, in the fine tiles that it draws something in: with that, what is left.
 #[must_use]
 pub fn composite(
     composite: &Composite,
@@ -28,9 +28,17 @@ pub fn composite(
     counts: bool,
 ) -> (Vec<Pixel>, Vec<Unfinished>) {
     let (limit, mut left) = (end.stop_limit(), Vec::new());
+    let draws_in = |slot: usize, tile: usize| {
+        places_of_tile(tile).any(|place| partials[slot * COARSE_PIXELS + place] != PIXEL_EMPTY)
+    };
+    let slots = (0..composite.partials).map(|segment| (composite.first_partial + segment) as usize);
+    let drawn: Vec<[bool; FINE_TILES]> = slots
+        .map(|slot| std::array::from_fn(|tile| draws_in(slot, tile)))
+        .collect();
+    let tile_of = |place: usize| place % (COARSE_PIXELS / 2) / (COARSE_PIXELS / FINE_TILES / 2);
     let mut joined = |place: usize| {
         let mut pixel = PIXEL_EMPTY;
-        for segment in 0..composite.partials as usize {
+        for (segment, drawn) in drawn.iter().enumerate() {
             let slot = composite.first_partial as usize + segment;
             let mut farther = partials[slot * COARSE_PIXELS + place];
             let ended = limit.is_some() && farther.transmittance < 0.0;
@@ -39,7 +47,7 @@ pub fn composite(
             pixel = over(before, &farther);
             let is_over = limit.is_some_and(|limit| pixel.transmittance <= limit);
             let ends = segment > 0 && is_over;
-            if segment > 0 && (ends || counts) {
+            if segment > 0 && (ends || counts) && drawn[tile_of(place)] {
                 left.push(Unfinished {
                     slot,
                     place,

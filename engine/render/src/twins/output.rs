@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use super::planes::{PLANES_EMPTY, PlaneSums, planes_over, write_planes};
 use crate::Plane;
-use crate::layout::{COARSE_HEIGHT_PX, COARSE_PIXELS, COARSE_WIDTH_PX, CameraRecord};
+use crate::layout::{COARSE_HEIGHT_PX, COARSE_PIXELS, COARSE_WIDTH_PX, CameraRecord, FINE_TILES};
 
 /// Position `[column, row]` in the coarse tile of the pixel at `place` of a partial result.
 #[must_use]
@@ -25,6 +25,15 @@ pub fn pixel_offset(place: usize) -> [u32; 2] {
         tile % COARSE_COLUMNS * FINE_TILE_PX + in_tile[0],
         tile / COARSE_COLUMNS * FINE_TILE_PX + in_tile[1],
     ]
+}
+
+/// Places of the pixels of fine tile `tile`, in the order of a partial result: the left ones, then
+/// the right ones.
+pub fn places_of_tile(tile: usize) -> impl Iterator<Item = usize> {
+    let half = COARSE_PIXELS / FINE_TILES / 2;
+    let left = tile * half..(tile + 1) * half;
+    left.clone()
+        .chain(left.map(|place| place + COARSE_PIXELS / 2))
 }
 
 /// Accumulated color and transmittance of a pixel, front to back.

@@ -1,0 +1,95 @@
+//! Lists of splats, their parts and what blending leaves between them: structures of `frame.glsl`.
+
+use bytemuck::{Pod, Zeroable};
+use decouplegs_shaders::constants;
+
+/// `RequiredCounts` of `frame.glsl`: how many of each were wanted, whatever the capacity.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, serde::Serialize)]
+pub struct RequiredCounts {
+    /// Visible (camera, splat).
+    pub records: u32,
+    /// (Coarse tile, record); `u32::MAX` where there are more.
+    pub pairs: u32,
+    /// The same: the sum of the lower 16 bits of each coarse tile's number.
+    pub pairs_low: u32,
+    /// And of the upper 16 bits.
+    pub pairs_high: u32,
+    /// Buckets of pairs, sorted one by one.
+    pub buckets: u32,
+    /// (Coarse tile, segment of its list).
+    pub items: u32,
+    /// Items of coarse tiles that were cut into more than one segment.
+    pub partials: u32,
+    /// Coarse tiles that were cut.
+    pub composites: u32,
+    /// Pairs of the coarse tile that has most.
+    pub longest: u32,
+    /// Fine tiles with partial results, at most in any blending of the frame.
+    pub tiles: u32,
+    /// Those of the last blending. The kernel counts with it.
+    pub next_tile: u32,
+}
+
+/// `Bucket` of `frame.glsl`: a run of one coarse tile's pairs that is sorted by itself.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Pod, Zeroable)]
+pub struct Bucket {
+    /// First pair.
+    pub first_pair: u32,
+    /// Number of entries.
+    pub pairs: u32,
+    /// Coarse tile.
+    pub bin: u32,
+}
+
+/// `ViewLists` of `frame.glsl`: first records of a camera.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct ViewLists {
+    /// First record of the background.
+    pub first_static: u32,
+    /// First record of the agents.
+    pub first_moving: u32,
+}
+
+/// `BlendItem` of `frame.glsl`: one segment of one coarse tile's list.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct BlendItem {
+    /// Coarse tile.
+    pub bin: u32,
+    /// First entry of the segment in the sorted pairs.
+    pub first_pair: u32,
+    /// Number of entries.
+    pub pairs: u32,
+    /// Slot of its partial result, or [`NO_PARTIAL`].
+    pub partial: u32,
+    /// Index in its coarse tile's list; the slots before it belong to the segments before it.
+    pub segment: u32,
+}
+
+/// The segment is its tile's only one and writes pixels itself.
+pub const NO_PARTIAL: u32 = constants::NO_PARTIAL;
+
+/// `PartialTiles` of `frame.glsl`: the fine tiles of a segment that have a partial result.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct PartialTiles {
+    /// Place of the first among the results of all segments; the others follow.
+    pub first: u32,
+    /// One bit per fine tile.
+    pub tiles: u32,
+}
+
+/// `Composite` of `frame.glsl`: a coarse tile whose partial results are joined.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct Composite {
+    /// Coarse tile.
+    pub bin: u32,
+    /// First partial result.
+    pub first_partial: u32,
+    /// Number of partial results.
+    pub partials: u32,
+}
