@@ -6,7 +6,9 @@ mod hard_clouds;
 
 use decouplegs::render::Attribute;
 use decouplegs::render::layout::{CLUSTER_SPLATS, near_m};
-use decouplegs::render::stages::{AgentCounts, AgentVariant, CullAgents, ProjectAgents, Projected};
+use decouplegs::render::stages::{
+    AgentCounts, AgentVariant, CullAgents, ProjectAgents, Projected, SeenAgents,
+};
 use decouplegs::render::twins::{self, agent::UnpackedSplat, lens::lens_of};
 use decouplegs::scene::{Camera, ColorTransfer, DepthOrder, Fog, Pose, Rules};
 use glam::{DQuat, DVec3, Vec3};
@@ -227,18 +229,15 @@ impl Case {
         .unwrap();
         let lists = STATIC_FIRSTS.len() - 1;
         run(gpu, |r| {
-            project.record(
-                r,
-                &pool,
-                &buffers,
-                &relit,
-                scene.counts,
-                &static_offsets,
-                lists,
-                &projected,
-                0.0,
-                scene.fog.as_ref(),
-            );
+            let seen = SeenAgents {
+                pool: &pool,
+                buffers: &buffers,
+                relit: &relit,
+                counts: scene.counts,
+                fog: scene.fog.as_ref(),
+                flow_interval_s: 0.0,
+            };
+            project.record(r, seen, &static_offsets, lists, &projected);
         });
         ProjectedTwin::read(gpu, &projected)
     }
@@ -453,18 +452,15 @@ fn no_agents_are_nothing() {
     );
     run(&gpu, |r| {
         cull.record(r, &pool, &buffers, none);
-        project.record(
-            r,
-            &pool,
-            &buffers,
-            &scene.relit(&gpu),
-            none,
-            &static_offsets,
-            0,
-            &projected,
-            0.0,
-            None,
-        );
+        let seen = SeenAgents {
+            pool: &pool,
+            buffers: &buffers,
+            relit: &scene.relit(&gpu),
+            counts: none,
+            fog: None,
+            flow_interval_s: 0.0,
+        };
+        project.record(r, seen, &static_offsets, 0, &projected);
     });
     let left = [
         &buffers.visible.words,

@@ -8,8 +8,8 @@ use decouplegs::render::layout::{
     BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL, RequiredCounts,
 };
 use decouplegs::render::stages::{
-    Blend, BlendPass, BlendVariant, IndirectArguments, PartialResults, PixelEnd, Plan,
-    ProjectVariant, Projected,
+    Blend, BlendPass, BlendVariant, IndirectArguments, ListedSplats, PartialResults, PixelEnd,
+    Plan, ProjectVariant, Projected, Segments, Target,
 };
 use decouplegs::render::twins::output::{
     Images, Pixel, coarse_tile_origin, pixel_offset, write_pixel,
@@ -220,20 +220,21 @@ impl Case {
             item_pairs_max: longest,
         };
         let blend = Blend::new(gpu, rules, &OUTPUTS, variant).unwrap();
-        let cameras = scene.view.cameras.len();
+        let splats = ListedSplats {
+            records: &records,
+            projected: &on_device,
+        };
+        let segments = Segments {
+            counters: &counters,
+            plan: &plan,
+            partials: &partials,
+        };
+        let target = Target {
+            images: &outputs,
+            sky: SKY,
+        };
         run(gpu, |r| {
-            blend.record(
-                r,
-                &counters,
-                &scene.camera_buffer,
-                cameras,
-                SKY,
-                &plan,
-                &records,
-                &on_device,
-                &partials,
-                &outputs,
-            );
+            blend.record(r, scene.views(), splats, segments, target);
         });
         let images = Images {
             images_f32: gpu.read(&outputs.images_f32).unwrap(),

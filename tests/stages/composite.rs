@@ -2,7 +2,7 @@
 
 use decouplegs::render::layout::{COARSE_PIXELS, Composite, FINE_TILES, RequiredCounts, View};
 use decouplegs::render::stages::{
-    CompositeSegments, IndirectArguments, PartialResults, PixelEnd, Plan,
+    CompositeSegments, IndirectArguments, PartialResults, PixelEnd, Plan, Segments, Target, Views,
 };
 use decouplegs::render::twins::output::{
     Images, PIXEL_EMPTY, Pixel, camera_of_bin, coarse_tile_origin, pack_unorm_4x8, pixel_offset,
@@ -127,19 +127,24 @@ impl Case {
         let images = OutputBuffers::new(gpu, view.pixels, 0, &outputs).unwrap();
         gpu.write(&images.planes, 0, &vec![UNTOUCHED; images.planes.len()])
             .unwrap();
-        let cameras = upload(gpu, &view.cameras);
+        let (cameras, lenses) = (upload(gpu, &view.cameras), upload(gpu, &view.lenses));
+        let views = Views {
+            cameras: &cameras,
+            lenses: &lenses,
+            count: view.cameras.len(),
+        };
+        let segments = Segments {
+            counters: &counters,
+            plan: &plan,
+            partials: &on_device,
+        };
+        let target = Target {
+            images: &images,
+            sky: SKY,
+        };
         let composite = CompositeSegments::new(gpu, end, &outputs).unwrap();
         run(gpu, |r| {
-            composite.record(
-                r,
-                &counters,
-                &cameras,
-                view.cameras.len(),
-                SKY,
-                &plan,
-                &on_device,
-                &images,
-            );
+            composite.record(r, views, segments, target);
         });
         let floats = Images {
             images_f32: gpu.read(&images.images_f32).unwrap(),

@@ -26,9 +26,8 @@ pub fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<
         0.0,
     )
     .unwrap();
-    let (of_cameras, lenses) = (&scene.camera_buffer, &scene.lens_buffer);
     run(gpu, |r| {
-        cull.record(r, &scene.resident, of_cameras, lenses, cameras, &visible);
+        cull.record(r, &scene.resident, scene.views(), &visible);
     });
     (
         gpu.read(&visible.words).unwrap(),

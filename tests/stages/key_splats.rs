@@ -1,6 +1,6 @@
 //! `key_splats.comp`: depth keys of a whole background.
 
-use decouplegs::render::stages::KeySplats;
+use decouplegs::render::stages::{KeySplats, WantedKeys};
 use decouplegs::render::twins;
 
 use super::scenes::{Scene, hard_world, rig};
@@ -14,7 +14,13 @@ fn keys_of_all_splats_go_to_their_set() {
     let keys = untouched(&gpu, 3 * splats);
     let key_splats = KeySplats::new(&gpu).unwrap();
     run(&gpu, |r| {
-        key_splats.record(r, &scene.resident, &scene.camera_buffer, (1, 2), &keys);
+        key_splats.record(
+            r,
+            &scene.resident,
+            &scene.camera_buffer,
+            WantedKeys { camera: 1, set: 2 },
+            &keys,
+        );
     });
     let kernel = gpu.read(&keys).unwrap();
     assert!(

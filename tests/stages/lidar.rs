@@ -112,8 +112,8 @@ impl Listed {
         run(gpu, |r| {
             // Two windows: the state between them is kept.
             let cut = required.longest / 3;
-            trace.record(r, &sectors, &buffers, (0, cut), range_min_m);
-            trace.record(r, &sectors, &buffers, (cut, u32::MAX - cut), range_min_m);
+            trace.record(r, &sectors, &buffers, 0..cut, range_min_m);
+            trace.record(r, &sectors, &buffers, cut..u32::MAX, range_min_m);
         });
         let words = gpu.read(&buffers.visible.words).unwrap();
         let (mut splat_of_record, mut sector_of_record) = (vec![], vec![]);

@@ -3,7 +3,7 @@
 use bytemuck::Zeroable;
 use decouplegs::render::Capacity;
 use decouplegs::render::layout::{BlendItem, Composite, RequiredCounts};
-use decouplegs::render::stages::{Plan, PlanSegments};
+use decouplegs::render::stages::{Plan, PlanSegments, TileLists};
 use decouplegs::render::twins;
 
 use super::{Random, UNTOUCHED, counters, found, identical, open, run, upload};
@@ -73,8 +73,10 @@ impl Case<'_> {
             plan_segments.record(
                 r,
                 &counters,
-                &upload(gpu, &tile_lists),
-                bin_count,
+                TileLists {
+                    lists: &upload(gpu, &tile_lists),
+                    count: bin_count,
+                },
                 &capacity,
                 &plan,
             );

@@ -2,7 +2,7 @@
 
 use decouplegs::render::layout::View;
 use decouplegs::render::post_processing::{PhotometryRecord, ProcessedView, SkyBuffers};
-use decouplegs::render::stages::PostProcess;
+use decouplegs::render::stages::{PostProcess, PostProcessInputs};
 use decouplegs::render::twins::output::pack_unorm_4x8;
 use decouplegs::render::twins::post_process::{calibrated, over_sky};
 use decouplegs::render::{ColorFormat, OutputBuffers, Outputs};
@@ -81,8 +81,13 @@ impl Case {
         );
         let blended = upload(gpu, &self.blended);
         run(gpu, |r| {
-            let inputs = (&cameras, &photometry);
-            stage.record(r, inputs, &views, sky_buffers.as_ref(), &blended, &images);
+            let inputs = PostProcessInputs {
+                cameras: &cameras,
+                photometry: &photometry,
+                views: &views,
+                sky: sky_buffers.as_ref(),
+            };
+            stage.record(r, inputs, &blended, &images);
         });
         images
     }

@@ -2,7 +2,9 @@
 
 pub mod rounding;
 
-use decouplegs::render::stages::{CameraVariant, Project, ProjectVariant, Projected, Visible};
+use decouplegs::render::stages::{
+    CameraVariant, Project, ProjectInputs, ProjectVariant, Projected, Visible,
+};
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::axes_of;
 use decouplegs::render::twins::shadow::shadow_factor;
@@ -78,23 +80,15 @@ impl Case {
         let offsets = upload(gpu, &listed.offsets);
         let project = Project::new(gpu, rules, *variant).unwrap();
         run(gpu, |r| {
-            let (cameras_of, lenses, kept) =
-                (&scene.camera_buffer, &scene.lens_buffer, no_keys.kept());
-            let (shadows, count) = (&shadows, scene.shadows.len());
-            project.record(
-                r,
-                &scene.resident,
-                cameras_of,
-                lenses,
-                cameras,
-                &visible,
-                &offsets,
-                &projected,
-                kept,
-                shadows,
-                count,
-                0.0,
-            );
+            let inputs = ProjectInputs {
+                visible: &visible,
+                offsets: &offsets,
+                kept: no_keys.kept(),
+                shadows: &shadows,
+                shadow_count: scene.shadows.len(),
+                flow_interval_s: 0.0,
+            };
+            project.record(r, &scene.resident, scene.views(), inputs, &projected);
         });
         ProjectedTwin::read(gpu, &projected)
     }

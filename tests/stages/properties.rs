@@ -2,7 +2,7 @@
 
 use decouplegs::render::layout::{CameraRecord, View};
 use decouplegs::render::reference;
-use decouplegs::render::stages::{Project, Projected, Visible};
+use decouplegs::render::stages::{Project, ProjectInputs, Projected, Visible};
 use decouplegs::render::twins::footprint::{
     Footprint, log2_alpha, reached_coarse_rows, reached_coarse_tiles,
 };
@@ -219,21 +219,15 @@ fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
     let shadows = scene.shadow_buffers(gpu);
     let project = Project::new(gpu, &Rules::DEFAULT, PLAIN).unwrap();
     run(gpu, |r| {
-        let (camera, kept) = (&scene.camera_buffer, no_keys.kept());
-        project.record(
-            r,
-            &scene.resident,
-            camera,
-            &scene.lens_buffer,
-            1,
-            &visible,
-            &offsets,
-            &projected,
-            kept,
-            &shadows,
-            0,
-            0.0,
-        );
+        let inputs = ProjectInputs {
+            visible: &visible,
+            offsets: &offsets,
+            kept: no_keys.kept(),
+            shadows: &shadows,
+            shadow_count: 0,
+            flow_interval_s: 0.0,
+        };
+        project.record(r, &scene.resident, scene.views(), inputs, &projected);
     });
     gpu.read(&projected.keys).unwrap()
 }

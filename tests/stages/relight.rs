@@ -3,7 +3,7 @@
 use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::RelightRecord;
 use decouplegs::render::sh_codec::EXACT_BITS;
-use decouplegs::render::stages::{Relight, RelitColors};
+use decouplegs::render::stages::{Relight, RelightWork, RelitColors};
 use decouplegs::render::{PoolBuffers, sh_codec, twins};
 use decouplegs::scene::{AmbientDescriptor, ColorTransfer, sh};
 
@@ -103,9 +103,11 @@ impl Case {
             relight.record(
                 r,
                 &pool,
-                &relights,
-                self.relights.len(),
-                self.groups,
+                RelightWork {
+                    records: &relights,
+                    count: self.relights.len(),
+                    groups: self.groups,
+                },
                 &relit,
             );
         });

@@ -6,7 +6,7 @@ use decouplegs::render::layout::{
     fog_vector,
 };
 use decouplegs::render::stages::{
-    KeptKeys, ProjectVariant, Projected, RecordContents, ShadowBuffers, words_for,
+    KeptKeys, ProjectVariant, Projected, RecordContents, ShadowBuffers, Views, words_for,
 };
 use decouplegs::render::twins::color_code::pack_color;
 use decouplegs::render::twins::footprint::{Footprint, reached_coarse_rows, reached_coarse_tiles};
@@ -460,6 +460,14 @@ pub struct Listed {
 }
 
 impl Scene {
+    pub fn views(&self) -> Views<'_> {
+        Views {
+            cameras: &self.camera_buffer,
+            lenses: &self.lens_buffer,
+            count: self.view.cameras.len(),
+        }
+    }
+
     /// The visible splats, without those whose visibility is a matter of rounding.
     pub fn listed(&self, rules: &Rules) -> Listed {
         let (mut words, _) = self.culled(rules);

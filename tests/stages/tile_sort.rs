@@ -8,7 +8,7 @@ use decouplegs::render::layout::{
 };
 use decouplegs::render::stages::{
     IndirectArguments, Plan, PlanBuckets, PlanSegments, Projected, RecordContents, Records,
-    TileSort, TileSortBuffers,
+    TileLists, TileSort, TileSortBuffers,
 };
 use decouplegs::render::twins;
 use decouplegs::render::twins::depth_key::{depth_key, depth_of_key};
@@ -384,9 +384,13 @@ fn more_pairs_than_32_bits_hold_do_not_look_like_few() {
         PlanBuckets::new(&gpu).unwrap(),
         PlanSegments::new(&gpu, 1024).unwrap(),
     );
+    let lists = TileLists {
+        lists: &buffers.tile_lists,
+        count: bins,
+    };
     run(&gpu, |r| {
         buckets.record(r, &counters, &buffers, bins);
-        segments.record(r, &counters, &buffers.tile_lists, bins, &capacity, &plan);
+        segments.record(r, &counters, lists, &capacity, &plan);
     });
     let (required, arguments) = found(&gpu, &counters);
     assert_eq!((required.pairs, required.longest), (u32::MAX, 1 << 30));

@@ -2,12 +2,35 @@
 
 use super::Finding;
 use super::code::functions;
-use super::tree::Tree;
+use super::tree::{SourceFile, Tree};
 
 /// Most values that a function may take, `self` left out; clippy allows as many parameters.
 const VALUES_MAX: usize = 7;
 
+/// Most values that a stage may take to record its commands, `self` left out.
+const STAGE_VALUES_MAX: usize = 5;
+
 pub fn tuples_hide_no_parameters(tree: &Tree) -> Vec<Finding> {
+    let too_many = |_: &SourceFile, _: &str, values: &[usize]| {
+        values.iter().any(|&count| count > 1) && values.iter().sum::<usize>() > VALUES_MAX
+    };
+    functions_of(tree, too_many)
+}
+
+pub fn stages_take_few_values(tree: &Tree) -> Vec<Finding> {
+    let too_many = |file: &SourceFile, function: &str, values: &[usize]| {
+        file.path.starts_with("engine/render/src/stages/")
+            && function.starts_with("fn record(")
+            && values.iter().sum::<usize>() > STAGE_VALUES_MAX
+    };
+    functions_of(tree, too_many)
+}
+
+/// The functions whose code and numbers of values by parameter `is_wrong`.
+fn functions_of(
+    tree: &Tree,
+    is_wrong: impl Fn(&SourceFile, &str, &[usize]) -> bool,
+) -> Vec<Finding> {
     let mut findings = Vec::new();
     for file in tree.files.iter().filter(|file| file.is_rust()) {
         for (line, function) in functions(&file.code) {
@@ -15,15 +38,14 @@ pub fn tuples_hide_no_parameters(tree: &Tree) -> Vec<Finding> {
                 continue;
             };
             let values: Vec<usize> = pieces(parameters).into_iter().filter_map(values).collect();
-            let (sum, has_tuple) = (
-                values.iter().sum::<usize>(),
-                values.iter().any(|&count| count > 1),
-            );
-            if has_tuple && sum > VALUES_MAX {
+            if is_wrong(file, function, &values) {
                 findings.push(Finding {
                     path: file.path.clone(),
                     line,
-                    what: format!("a function of {sum} values, some of them in tuples"),
+                    what: format!(
+                        "a function of {} values, members of tuples counted",
+                        values.iter().sum::<usize>()
+                    ),
                 });
             }
         }

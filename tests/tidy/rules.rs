@@ -8,7 +8,7 @@ use super::checks::{
     shader_says_what_it_is, unsafe_is_explained, unsafe_only_in_gpu, vulkan_only_in_gpu,
 };
 use super::modules::modules_do_not_use_each_other;
-use super::parameters::tuples_hide_no_parameters;
+use super::parameters::{stages_take_few_values, tuples_hide_no_parameters};
 use super::words::{
     comments_are_narrow, docs_name_their_subject, docs_say_something, no_retired_words,
 };
@@ -264,6 +264,30 @@ pub const RULES: &[Rule] = &[
             "engine/a.rs",
             "fn a(b: (u8, u8), c: &(u8, Vec<(u8, u8)>), d: u8, e: u8, f: u8, g: u8) {}\n",
         )],
+    },
+    Rule {
+        name: "a stage takes at most 5 values to record its commands",
+        check: stages_take_few_values,
+        kept_by: &[
+            (
+                "engine/render/src/stages/a.rs",
+                "fn record(&self, r: &mut R, a: u8, b: (u8, u8), c: u8) {}\n",
+            ),
+            (
+                "engine/render/src/a.rs",
+                "fn record(a: u8, b: u8, c: u8, d: u8, e: u8, f: u8) {}\n",
+            ),
+        ],
+        broken_by: &[
+            (
+                "engine/render/src/stages/a.rs",
+                "fn record(&self, r: &mut R, a: u8, b: (u8, u8), c: u8, d: u8) {}\n",
+            ),
+            (
+                "engine/render/src/stages/b/a.rs",
+                "fn record(r: &mut R, a: u8, b: u8, c: u8, d: u8, e: u8) {}\n",
+            ),
+        ],
     },
     Rule {
         name: "a doc comment has more than one word",

@@ -7,7 +7,7 @@ use decouplegs::gpu::QueueRole;
 use decouplegs::render::Attribute;
 use decouplegs::render::sh_codec::{self, EXACT_BITS};
 use decouplegs::render::stages::{
-    AgentVariant, CameraVariant, ProjectAgents, Projected, RecordContents,
+    AgentVariant, CameraVariant, ProjectAgents, Projected, RecordContents, SeenAgents,
 };
 use decouplegs::render::twins::record::{load_color, load_footprint};
 use decouplegs::scene::rules::DILATION_PX2;
@@ -178,18 +178,15 @@ fn seen_by_kernel(
     )
     .unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    project.record(
-        &mut recorder,
-        &pool,
-        &buffers,
-        &scene.relit(gpu),
-        scene.counts,
-        &static_offsets,
-        0,
-        &projected,
-        0.0,
-        None,
-    );
+    let seen = SeenAgents {
+        pool: &pool,
+        buffers: &buffers,
+        relit: &scene.relit(gpu),
+        counts: scene.counts,
+        fog: None,
+        flow_interval_s: 0.0,
+    };
+    project.record(&mut recorder, seen, &static_offsets, 0, &projected);
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
     let footprints = gpu.read(&projected.footprints).unwrap();
     let seen = |record: usize| {

@@ -14,7 +14,8 @@ use crate::plane::Plane;
 use crate::resident::GpuScene;
 use crate::slot::FrameInFlight;
 use crate::stages::{
-    AgentCounts, Blend, KeptKeys, Project, ProjectAgents, Records, TileSortBuffers,
+    AgentCounts, Blend, KeptKeys, ListedSplats, PostProcessInputs, Project, ProjectAgents,
+    ProjectInputs, Records, SeenAgents, Segments, Target, TileSortBuffers,
 };
 
 /// Inputs of a frame beside the agents, which are in its slot.
@@ -48,16 +49,8 @@ pub(crate) fn record_agents(
     };
     if let Some(relight) = agents.relight.as_ref().filter(|_| slot.relit.to_make.0 > 0) {
         recorder.stage("relight", |r| {
-            let (count, groups) = slot.relit.to_make;
             slot.relit.copy(r);
-            relight.record(
-                r,
-                pool,
-                &slot.relit.records,
-                count,
-                groups,
-                &slot.relit.colors,
-            );
+            relight.record(r, pool, slot.relit.work(), &slot.relit.colors);
         });
     }
     recorder.stage("agents", |r| {
@@ -91,14 +84,8 @@ pub(crate) fn record_frame(
         .filter(|_| !input.keys.find.is_empty())
     {
         recorder.stage("key splats", |r| {
-            for &camera_and_set in &input.keys.find {
-                key_splats.record(
-                    r,
-                    input.world,
-                    &frame.cameras,
-                    camera_and_set,
-                    input.kept_keys,
-                );
+            for &wanted in &input.keys.find {
+                key_splats.record(r, input.world, &frame.cameras, wanted, input.kept_keys);
             }
         });
     }
@@ -174,12 +161,10 @@ fn record_projection(
         clusters,
         ..
     } = frame.shape;
-    let (world, cameras, lenses) = (input.world, &frame.cameras, &frame.lenses);
     let background = stages.background;
     recorder.stage("cull", |r| {
-        background
-            .cull
-            .record(r, world, cameras, lenses, camera_count, &frame.visible);
+        let cull = &background.cull;
+        cull.record(r, input.world, frame.views(), &frame.visible);
     });
     recorder.stage("scan", |r| {
         stages.common.scan.record(
@@ -208,23 +193,23 @@ fn project_background(
     input: FrameInput<'_>,
     flow_interval_s: f64,
 ) {
-    let kept = KeptKeys {
-        sets: &frame.key_sets,
-        keys: input.kept_keys,
+    let inputs = ProjectInputs {
+        visible: &frame.visible,
+        offsets: &frame.offsets,
+        kept: KeptKeys {
+            sets: &frame.key_sets,
+            keys: input.kept_keys,
+        },
+        shadows: &slot.shadows,
+        shadow_count: slot.shadow_count,
+        flow_interval_s: flow_interval_s as f32,
     };
     project.record(
         recorder,
         input.world,
-        &frame.cameras,
-        &frame.lenses,
-        frame.shape.cameras,
-        &frame.visible,
-        &frame.offsets,
+        frame.views(),
+        inputs,
         &frame.projected,
-        kept,
-        &slot.shadows,
-        slot.shadow_count,
-        flow_interval_s as f32,
     );
 }
 
@@ -240,17 +225,21 @@ fn project_agents(
     let (Some(counts), Some(pool)) = (input.agents, slot.pool()) else {
         return;
     };
+    let agents = SeenAgents {
+        pool,
+        buffers: &slot.agents,
+        relit: &slot.relit.colors,
+        counts,
+        fog: input.world.fog.as_ref(),
+        flow_interval_s: flow_interval_s as f32,
+    };
+    let static_lists = frame.shape.cameras * frame.shape.clusters;
     project.record(
         recorder,
-        pool,
-        &slot.agents,
-        &slot.relit.colors,
-        counts,
+        agents,
         &frame.offsets,
-        frame.shape.cameras * frame.shape.clusters,
+        static_lists,
         &frame.projected,
-        flow_interval_s as f32,
-        input.world.fog.as_ref(),
     );
 }
 
@@ -338,8 +327,7 @@ fn record_images(
         stages.common.plan_segments.record(
             r,
             counters,
-            &frame.tile_sort.tile_lists,
-            bins,
+            frame.tile_sort.lists_of(bins),
             &capacity,
             &frame.plan,
         );
@@ -355,14 +343,13 @@ fn record_images(
                 0,
                 camera_count,
             );
-            post_process.record(
-                r,
-                (&frame.cameras, &frame.photometry),
-                &slot.processed,
+            let inputs = PostProcessInputs {
+                cameras: &frame.cameras,
+                photometry: &frame.photometry,
+                views: &slot.processed,
                 sky,
-                &frame.blended,
-                &slot.images,
-            );
+            };
+            post_process.record(r, inputs, &frame.blended, &slot.images);
         });
     }
 }
@@ -375,35 +362,22 @@ fn blend_images(
     images: &OutputBuffers,
     sky: [f32; 3],
 ) {
-    let (counters, cameras, camera_count) = (&frame.counters, &frame.cameras, frame.shape.cameras);
-    let (plan, partials) = (&frame.plan, &frame.partials);
-    let (records, projected) = (&frame.tile_sort.sorted_records, &frame.projected);
+    let (views, target) = (frame.views(), Target { images, sky });
+    let splats = ListedSplats {
+        records: &frame.tile_sort.sorted_records,
+        projected: &frame.projected,
+    };
+    let segments = Segments {
+        counters: &frame.counters,
+        plan: &frame.plan,
+        partials: &frame.partials,
+    };
     let blend = |r: &mut Recorder, blend: &Blend| {
-        blend.record(
-            r,
-            counters,
-            cameras,
-            camera_count,
-            sky,
-            plan,
-            records,
-            projected,
-            partials,
-            images,
-        );
+        blend.record(r, views, splats, segments, target);
     };
     recorder.stage("blend", |r| blend(r, &stages.blend));
     recorder.stage("composite", |r| {
-        stages.composite.record(
-            r,
-            counters,
-            cameras,
-            camera_count,
-            sky,
-            plan,
-            partials,
-            images,
-        );
+        stages.composite.record(r, views, segments, target);
     });
     if let Some(finish) = &stages.finish {
         recorder.stage("finish", |r| blend(r, finish));

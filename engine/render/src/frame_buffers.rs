@@ -8,7 +8,7 @@ use crate::options::RenderOptions;
 use crate::post_processing::PhotometryRecord;
 use crate::stages::{
     FrameCounters, PURPOSE, PartialResults, Plan, Projected, RecordContents, TileSortBuffers,
-    Visible,
+    Views, Visible,
 };
 
 /// Counts that determine the size of a frame's buffers.
@@ -96,6 +96,15 @@ impl FrameBuffers {
             blended: gpu.buffer("blended", PURPOSE, blended_pixels, device)?,
             photometry: gpu.buffer("photometry", PURPOSE, cameras, device)?,
         })
+    }
+
+    /// The cameras of the frame.
+    pub fn views(&self) -> Views<'_> {
+        Views {
+            cameras: &self.cameras,
+            lenses: &self.lenses,
+            count: self.shape.cameras,
+        }
     }
 
     /// Shape that the buffers were allocated for.

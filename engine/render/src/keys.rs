@@ -10,7 +10,7 @@ use decouplegs_scene::{DepthOrder, Rules};
 use crate::RenderError;
 use crate::layout::{CameraRecord, NO_KEY_SET, View};
 use crate::resident::GpuScene;
-use crate::stages::PURPOSE;
+use crate::stages::{PURPOSE, WantedKeys};
 
 /// Source of the depth keys of one view's background.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -54,7 +54,7 @@ pub(crate) struct KeyDecision {
     pub sets: Vec<u32>,
     pub sources: Vec<KeySource>,
     /// Cameras whose keys are to be found, and the sets that they go to.
-    pub find: Vec<(usize, usize)>,
+    pub find: Vec<WantedKeys>,
 }
 
 impl KeyDecision {
@@ -124,7 +124,7 @@ impl PersistentKeys {
                 {
                     // A direction that did not change for a frame is worth it: its keys are paid
                     // for once and serve many frames.
-                    decision.find.push((camera, free));
+                    decision.find.push(WantedKeys { camera, set: free });
                     (free, KeySource::Found)
                 } else {
                     continue;

@@ -9,7 +9,7 @@ use crate::RenderError;
 use crate::asset_pool::AssetId;
 use crate::layout::RelightRecord;
 use crate::range_allocator::RangeAllocator;
-use crate::stages::{PURPOSE, RELIGHT_BLOCK, RelitColors};
+use crate::stages::{PURPOSE, RELIGHT_BLOCK, RelightWork, RelitColors};
 
 /// An asset in a light: the bits of T and b.
 type InLight = (AssetId, [u32; 96]);
@@ -71,6 +71,16 @@ impl RelitCodebooks {
     /// Makes all again next time: what was to be made may never have been.
     pub fn forget(&mut self) {
         self.places = RelitPlaces::default();
+    }
+
+    /// The codebooks that are to be made.
+    pub fn work(&self) -> RelightWork<'_> {
+        let (count, groups) = self.to_make;
+        RelightWork {
+            records: &self.records,
+            count,
+            groups,
+        }
     }
 
     /// Records the copy of what is to be made.

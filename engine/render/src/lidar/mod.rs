@@ -461,7 +461,8 @@ impl LidarRenderer {
         let mut recorder = self.gpu.record(QueueRole::Main);
         recorder.stage("trace lidar", |r| {
             for window in 0..required.longest.div_ceil(entries_max).max(1) {
-                let entries = (window * entries_max, entries_max);
+                let first = window * entries_max;
+                let entries = first..first.saturating_add(entries_max);
                 let (sectors, trace) = (&input.sectors, &stages.trace);
                 trace.record(r, sectors, buffers, entries, input.range_min_m);
             }

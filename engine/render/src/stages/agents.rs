@@ -158,6 +158,23 @@ impl CullAgents {
     }
 }
 
+/// Agents that are projected.
+#[derive(Clone, Copy)]
+pub struct SeenAgents<'a> {
+    /// Their assets.
+    pub pool: &'a PoolBuffers,
+    /// The agents, the cameras as each of them has them, and what is visible.
+    pub buffers: &'a AgentBuffers,
+    /// Colors of those that are relit.
+    pub relit: &'a RelitColors,
+    /// Counts of them.
+    pub counts: AgentCounts,
+    /// The world's fog.
+    pub fog: Option<&'a Fog>,
+    /// Interval of optical flow, where it is the attribute, seconds.
+    pub flow_interval_s: f32,
+}
+
 /// `project_agents.comp`.
 pub struct ProjectAgents {
     kernel: Kernel,
@@ -189,23 +206,22 @@ impl ProjectAgents {
 
     /// Writes a record for every visible splat of the agents behind those of the background, whose
     /// `static_lists` lists begin at `static_offsets`, and its depth key.
-    #[expect(
-        clippy::too_many_arguments,
-        reason = "one argument a group of buffers that the stage reads or writes"
-    )]
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        pool: &PoolBuffers,
-        buffers: &AgentBuffers,
-        relit: &RelitColors,
-        counts: AgentCounts,
+        agents: SeenAgents<'_>,
         static_offsets: &Buffer<u32>,
         static_lists: usize,
         projected: &Projected,
-        flow_interval_s: f32,
-        fog: Option<&Fog>,
     ) {
+        let SeenAgents {
+            pool,
+            buffers,
+            relit,
+            counts,
+            fog,
+            flow_interval_s,
+        } = agents;
         let push = ProjectPush {
             agent_count: counts.agents as u32,
             camera_count: counts.cameras as u32,

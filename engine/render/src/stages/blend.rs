@@ -5,9 +5,11 @@ use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Record
 use decouplegs_scene::{EarlyStop, Rules};
 use decouplegs_shaders::constants;
 
-use super::{FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, kernel, push_constants};
+use super::{
+    FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, Views, kernel, push_constants,
+};
 use crate::capacity::Capacity;
-use crate::layout::{COARSE_PIXELS, CameraRecord, FINE_TILES, PartialTiles};
+use crate::layout::{COARSE_PIXELS, FINE_TILES, PartialTiles};
 use crate::output::{OutputBuffers, Outputs};
 use crate::plane::Plane;
 
@@ -177,6 +179,35 @@ pub struct BlendVariant {
     pub item_pairs_max: u32,
 }
 
+/// Splats by lists.
+#[derive(Clone, Copy)]
+pub struct ListedSplats<'a> {
+    /// Entries of the lists: indices of projected splats.
+    pub records: &'a Buffer<u32>,
+    /// Projected splats.
+    pub projected: &'a Projected,
+}
+
+/// Segments of lists.
+#[derive(Clone, Copy)]
+pub struct Segments<'a> {
+    /// Counts of the frame.
+    pub counters: &'a FrameCounters,
+    /// The plan of the work.
+    pub plan: &'a Plan,
+    /// Results of segments of cut lists.
+    pub partials: &'a PartialResults,
+}
+
+/// Images that are drawn.
+#[derive(Clone, Copy)]
+pub struct Target<'a> {
+    /// The images.
+    pub images: &'a OutputBuffers,
+    /// Color behind all splats.
+    pub sky: [f32; 3],
+}
+
 /// `blend.comp`.
 pub struct Blend {
     kernel: Kernel,
@@ -218,28 +249,25 @@ impl Blend {
         })
     }
 
-    /// Blends the items of `plan`, whose entries are `records` of `projected`; writes images or
-    /// partial results.
-    #[expect(
-        clippy::too_many_arguments,
-        reason = "one argument a buffer that the stage reads or writes"
-    )]
+    /// Blends `segments` of the lists of `splats` into the target or partial results.
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        counters: &FrameCounters,
-        cameras: &Buffer<CameraRecord>,
-        camera_count: usize,
-        sky: [f32; 3],
-        plan: &Plan,
-        records: &Buffer<u32>,
-        projected: &Projected,
-        partials: &PartialResults,
-        images: &OutputBuffers,
+        views: Views<'_>,
+        splats: ListedSplats<'_>,
+        segments: Segments<'_>,
+        target: Target<'_>,
     ) {
+        let ListedSplats { records, projected } = splats;
+        let Segments {
+            counters,
+            plan,
+            partials,
+        } = segments;
+        let Target { images, sky } = target;
         let push = Push {
             sky,
-            camera_count: camera_count as u32,
+            camera_count: views.count as u32,
             items_max: plan.items.len() as u32,
             tiles_max: partials.tiles_max() as u32,
             contribution_scale: images.contribution_scale(),
@@ -247,7 +275,7 @@ impl Blend {
         };
         let [images_f32, images_u8, planes] = images.bindings();
         let buffers = [
-            ("cameras", cameras.binding()),
+            ("cameras", views.cameras.binding()),
             images_f32,
             images_u8,
             planes,

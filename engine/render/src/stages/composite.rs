@@ -1,13 +1,10 @@
 //! Alpha compositing of partial results: joins the segments of cut lists.
 
 use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder};
+use decouplegs_gpu::{Constant, Gpu, GpuError, Kernel, Recorder};
 
-use super::{
-    FrameCounters, IndirectArguments, PartialResults, PixelEnd, Plan, kernel, push_constants,
-};
-use crate::layout::CameraRecord;
-use crate::output::{OutputBuffers, Outputs};
+use super::{IndirectArguments, PixelEnd, Segments, Target, Views, kernel, push_constants};
+use crate::output::Outputs;
 
 push_constants! {
     struct Push {
@@ -38,30 +35,28 @@ impl CompositeSegments {
         })
     }
 
-    /// Writes the pixels of every coarse tile that `plan` cut.
-    #[expect(
-        clippy::too_many_arguments,
-        reason = "one argument a buffer that the stage reads or writes"
-    )]
+    /// Joins the results of `segments` into the target.
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        counters: &FrameCounters,
-        cameras: &Buffer<CameraRecord>,
-        camera_count: usize,
-        sky: [f32; 3],
-        plan: &Plan,
-        partials: &PartialResults,
-        images: &OutputBuffers,
+        views: Views<'_>,
+        segments: Segments<'_>,
+        target: Target<'_>,
     ) {
+        let Segments {
+            counters,
+            plan,
+            partials,
+        } = segments;
+        let Target { images, sky } = target;
         let push = Push {
             sky,
-            camera_count: camera_count as u32,
+            camera_count: views.count as u32,
             image_pixels: images.pixels() as u32,
         };
         let [images_f32, images_u8, planes] = images.bindings();
         let buffers = [
-            ("cameras", cameras.binding()),
+            ("cameras", views.cameras.binding()),
             images_f32,
             images_u8,
             planes,

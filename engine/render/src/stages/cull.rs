@@ -4,9 +4,9 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::Rules;
 
-use super::{CameraVariant, PURPOSE, kernel, push_constants};
+use super::{CameraVariant, PURPOSE, Views, kernel, push_constants};
 use crate::capacity::groups_for;
-use crate::layout::{CLUSTER_SPLATS, CameraRecord, LensRecord, near_m};
+use crate::layout::{CLUSTER_SPLATS, near_m};
 use crate::resident::GpuScene;
 use crate::storage::Storage;
 
@@ -79,19 +79,17 @@ impl Cull {
         })
     }
 
-    /// Marks what `cameras` see of `world`.
+    /// Marks what `views` see of `world`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         world: &GpuScene,
-        cameras: &Buffer<CameraRecord>,
-        lenses: &Buffer<LensRecord>,
-        camera_count: usize,
+        views: Views<'_>,
         visible: &Visible,
     ) {
         let push = Push {
             splat_count: world.splats as u32,
-            camera_count: camera_count as u32,
+            camera_count: views.count as u32,
             cluster_count: world.cluster_count() as u32,
             pitch_px: match world.nodes.len() {
                 0 => -1.0,
@@ -99,7 +97,7 @@ impl Cull {
             },
         };
         let buffers = [
-            ("cameras", cameras.binding()),
+            ("cameras", views.cameras.binding()),
             ("clusters", world.clusters.binding()),
             ("nodes", world.nodes.binding()),
             ("means_m", world.means.binding()),
@@ -107,7 +105,7 @@ impl Cull {
             ("rotations", world.rotations.binding()),
             ("visible_words", visible.words.binding()),
             ("visible_counts", visible.counts.binding()),
-            ("lenses", lenses.binding()),
+            ("lenses", views.lenses.binding()),
         ];
         recorder.dispatch(
             &self.kernel,

@@ -17,6 +17,15 @@ pub struct KeptKeys<'a> {
     pub keys: &'a Buffer<u32>,
 }
 
+/// Keys that are computed and kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WantedKeys {
+    /// Index of the camera.
+    pub camera: usize,
+    /// Index of the set.
+    pub set: usize,
+}
+
 push_constants! {
     struct Push {
         splat_count: u32,
@@ -41,20 +50,20 @@ impl KeySplats {
         })
     }
 
-    /// Writes the depth keys of all splats of `world` along the direction of camera `camera` as set
-    /// `set` of `keys`.
+    /// Writes the depth keys of all splats of `world` along the direction of a camera to a set of
+    /// `keys`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         world: &GpuScene,
         cameras: &Buffer<CameraRecord>,
-        (camera, set): (usize, usize),
+        wanted: WantedKeys,
         keys: &Buffer<u32>,
     ) {
         let push = Push {
             splat_count: world.splats as u32,
-            camera: camera as u32,
-            key_set: set as u32,
+            camera: wanted.camera as u32,
+            key_set: wanted.set as u32,
         };
         let bound = [
             ("cameras", cameras.binding()),

@@ -1,5 +1,7 @@
 //! Stages of a LiDAR's sweep: splats that its beams may meet, and the beams themselves.
 
+use std::ops::Range;
+
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::Rules;
@@ -412,21 +414,21 @@ impl TraceLidar {
         })
     }
 
-    /// Records the walk over entries `first_entry` to `first_entry + entries_max` of all lists.
-    /// Splats nearer than `range_min_m` are passed through.
+    /// Records the walk over `entries` of all lists. Splats nearer than `range_min_m` are passed
+    /// through.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         sectors: &SectorBuffers,
         buffers: &LidarBuffers,
-        (first_entry, entries_max): (u32, u32),
+        entries: Range<u32>,
         range_min_m: f32,
     ) {
         let push = TracePush {
             camera_count: sectors.count as u32,
             bin_count: sectors.bins,
-            first_entry,
-            entries_max,
+            first_entry: entries.start,
+            entries_max: entries.end - entries.start,
             range_min_m,
         };
         let bound = [

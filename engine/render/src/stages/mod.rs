@@ -20,20 +20,23 @@ mod resolve_plane;
 mod scan;
 mod tile_sort;
 
-pub use agents::{AgentBuffers, AgentCounts, AgentVariant, CullAgents, ProjectAgents};
-pub use blend::{Blend, BlendPass, BlendVariant, PartialResults, PixelEnd, finishes};
+pub use agents::{AgentBuffers, AgentCounts, AgentVariant, CullAgents, ProjectAgents, SeenAgents};
+pub use blend::{
+    Blend, BlendPass, BlendVariant, ListedSplats, PartialResults, PixelEnd, Segments, Target,
+    finishes,
+};
 pub use composite::CompositeSegments;
 pub use cull::{Cull, Visible};
 pub use cull_shadows::{CullShadows, ShadowBuffers, words_for};
-pub use key_splats::{KeptKeys, KeySplats};
+pub use key_splats::{KeptKeys, KeySplats, WantedKeys};
 pub use lidar::{
     LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ProjectLidar,
     ProjectLidarAgents, SectorBuffers, SectorTables, TraceLidar,
 };
-pub use plan_segments::{Plan, PlanSegments};
-pub use post_process::PostProcess;
-pub use project::{Project, ProjectVariant, Projected, RecordContents};
-pub use relight::{RELIGHT_BLOCK, Relight, RelitColors};
+pub use plan_segments::{Plan, PlanSegments, TileLists};
+pub use post_process::{PostProcess, PostProcessInputs};
+pub use project::{Project, ProjectInputs, ProjectVariant, Projected, RecordContents};
+pub use relight::{RELIGHT_BLOCK, Relight, RelightWork, RelitColors};
 pub use resolve_plane::ResolvePlane;
 pub use scan::Scan;
 pub use tile_sort::{
@@ -67,6 +70,17 @@ impl FrameCounters {
             arguments: gpu.buffer("arguments", PURPOSE, ARGUMENT_SETS, MemoryKind::Device)?,
         })
     }
+}
+
+/// Cameras of a frame, on the device.
+#[derive(Clone, Copy)]
+pub struct Views<'a> {
+    /// The cameras.
+    pub cameras: &'a Buffer<CameraRecord>,
+    /// One per camera, where some camera is no pinhole.
+    pub lenses: &'a Buffer<LensRecord>,
+    /// Number of cameras.
+    pub count: usize,
 }
 
 /// Indirect dispatches, by their place in [`FrameCounters::arguments`]; the twins of `ARGUMENTS_*`

@@ -34,6 +34,15 @@ impl Plan {
     }
 }
 
+/// Lists of coarse tiles.
+#[derive(Clone, Copy)]
+pub struct TileLists<'a> {
+    /// First place and length of each.
+    pub lists: &'a Buffer<[u32; 2]>,
+    /// Number of coarse tiles.
+    pub count: u32,
+}
+
 push_constants! {
     struct Push {
         bin_count: u32,
@@ -62,25 +71,24 @@ impl PlanSegments {
         })
     }
 
-    /// Writes `plan` for the lists of `tile_lists`, by first place and length.
+    /// Writes `plan` for `lists`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         counters: &FrameCounters,
-        tile_lists: &Buffer<[u32; 2]>,
-        bin_count: u32,
+        lists: TileLists<'_>,
         capacity: &Capacity,
         plan: &Plan,
     ) {
         let push = Push {
-            bin_count,
+            bin_count: lists.count,
             pairs_max: capacity.pairs as u32,
             items_max: plan.items.len() as u32,
             partials_max: capacity.partials as u32,
         };
         let buffers = [
             ("required", counters.required.binding()),
-            ("tile_lists", tile_lists.binding()),
+            ("tile_lists", lists.lists.binding()),
             ("items", plan.items.binding()),
             ("composites", plan.composites.binding()),
             ("arguments", counters.arguments.binding()),
@@ -90,7 +98,7 @@ impl PlanSegments {
             &self.kernel,
             &buffers,
             bytes_of(&push),
-            [bin_count.div_ceil(256), waves, 1],
+            [lists.count.div_ceil(256), waves, 1],
         );
     }
 }

@@ -22,6 +22,19 @@ push_constants! {
     }
 }
 
+/// Inputs of [`PostProcess`] beside the blended images.
+#[derive(Clone, Copy)]
+pub struct PostProcessInputs<'a> {
+    /// Cameras of the frame.
+    pub cameras: &'a Buffer<CameraRecord>,
+    /// Their photometric calibrations.
+    pub photometry: &'a Buffer<PhotometryRecord>,
+    /// The same cameras, as post-processing sees them.
+    pub views: &'a [ProcessedView],
+    /// The sky map.
+    pub sky: Option<&'a SkyBuffers>,
+}
+
 /// `post_process.comp`.
 pub struct PostProcess {
     without_sky: Kernel,
@@ -54,18 +67,22 @@ impl PostProcess {
         })
     }
 
-    /// Adds `sky` to `blended`, the colors of splats, for each of `views`, applies the calibration
-    /// of its camera, and writes `images`. Without `sky`, the color behind the splats is in
+    /// Adds the sky to `blended`, the colors of splats, for each view, applies the calibration of
+    /// its camera, and writes `images`. Without a sky map, the color behind the splats is in
     /// `blended`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        (cameras, photometry): (&Buffer<CameraRecord>, &Buffer<PhotometryRecord>),
-        views: &[ProcessedView],
-        sky: Option<&SkyBuffers>,
+        inputs: PostProcessInputs<'_>,
         blended: &Buffer<[f32; 4]>,
         images: &OutputBuffers,
     ) {
+        let PostProcessInputs {
+            cameras,
+            photometry,
+            views,
+            sky,
+        } = inputs;
         let [images_f32, images_u8, _] = images.bindings();
         for (camera, view) in views.iter().enumerate() {
             let [right, down, forward] = view.sky_from_camera;

@@ -5,10 +5,11 @@ use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Record
 use decouplegs_scene::{DepthOrder, Rules};
 
 use super::{
-    CameraVariant, KeptKeys, PURPOSE, ShadowBuffers, Visible, kernel, push_constants, words_for,
+    CameraVariant, KeptKeys, PURPOSE, ShadowBuffers, Views, Visible, kernel, push_constants,
+    words_for,
 };
 use crate::capacity::groups_for;
-use crate::layout::{CameraRecord, LensRecord, fog_vector, near_m};
+use crate::layout::{fog_vector, near_m};
 use crate::output::Outputs;
 use crate::plane::{Attribute, Plane};
 use crate::resident::GpuScene;
@@ -103,6 +104,23 @@ pub struct ProjectVariant {
     pub storage: Storage,
 }
 
+/// Inputs of [`Project`] beside world and cameras.
+#[derive(Clone, Copy)]
+pub struct ProjectInputs<'a> {
+    /// Visible splats, as culling marks them.
+    pub visible: &'a Visible,
+    /// First record of each list of them.
+    pub offsets: &'a Buffer<u32>,
+    /// Depth keys that are kept.
+    pub kept: KeptKeys<'a>,
+    /// Shadows on the ground.
+    pub shadows: &'a ShadowBuffers,
+    /// Number of shadows.
+    pub shadow_count: usize,
+    /// Interval of optical flow, where it is the attribute, seconds.
+    pub flow_interval_s: f32,
+}
+
 push_constants! {
     struct Push {
         splat_count: u32,
@@ -151,30 +169,26 @@ impl Project {
         })
     }
 
-    /// Writes a record and a depth key for every bit of `visible`, the first of each list at
-    /// `offsets`, darkened by the first `shadow_count` of `shadows`.
-    #[expect(
-        clippy::too_many_arguments,
-        reason = "one argument a group of buffers that the stage reads or writes"
-    )]
+    /// Writes a record and a depth key for every visible splat.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         world: &GpuScene,
-        cameras: &Buffer<CameraRecord>,
-        lenses: &Buffer<LensRecord>,
-        camera_count: usize,
-        visible: &Visible,
-        offsets: &Buffer<u32>,
+        views: Views<'_>,
+        inputs: ProjectInputs<'_>,
         projected: &Projected,
-        kept: KeptKeys<'_>,
-        shadows: &ShadowBuffers,
-        shadow_count: usize,
-        flow_interval_s: f32,
     ) {
+        let ProjectInputs {
+            visible,
+            offsets,
+            kept,
+            shadows,
+            shadow_count,
+            flow_interval_s,
+        } = inputs;
         let push = Push {
             splat_count: world.splats as u32,
-            camera_count: camera_count as u32,
+            camera_count: views.count as u32,
             cluster_count: world.cluster_count() as u32,
             records_max: projected.room() as u32,
             shadow_word_count: words_for(shadow_count) as u32,
@@ -182,7 +196,7 @@ impl Project {
             fog: fog_vector(world.fog.as_ref()),
         };
         let buffers = [
-            ("cameras", cameras.binding()),
+            ("cameras", views.cameras.binding()),
             ("means_m", world.means.binding()),
             ("shapes", world.shapes.binding()),
             ("rotations", world.rotations.binding()),
@@ -201,7 +215,7 @@ impl Project {
             ("kept_keys", kept.keys.binding()),
             ("shadows", shadows.shadows.binding()),
             ("shadow_words", shadows.words.binding()),
-            ("lenses", lenses.binding()),
+            ("lenses", views.lenses.binding()),
         ];
         recorder.dispatch(
             &self.kernel,

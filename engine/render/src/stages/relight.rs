@@ -38,6 +38,17 @@ push_constants! {
     }
 }
 
+/// Codebooks that are made.
+#[derive(Clone, Copy)]
+pub struct RelightWork<'a> {
+    /// The assets and their light.
+    pub records: &'a Buffer<RelightRecord>,
+    /// Number of records.
+    pub count: usize,
+    /// Workgroups that all of them take.
+    pub groups: usize,
+}
+
 /// `relight.comp`.
 pub struct Relight {
     kernel: Kernel,
@@ -55,26 +66,29 @@ impl Relight {
         })
     }
 
-    /// Makes the colors of the first `count` of `relights`, which take `groups` workgroups in all.
+    /// Makes the colors that `work` asks for.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         pool: &PoolBuffers,
-        relights: &Buffer<RelightRecord>,
-        count: usize,
-        groups: usize,
+        work: RelightWork<'_>,
         relit: &RelitColors,
     ) {
         let push = Push {
-            relight_count: count as u32,
+            relight_count: work.count as u32,
         };
         let bound = [
-            ("relights", relights.binding()),
+            ("relights", work.records.binding()),
             ("coded_dc", pool.color_dc.binding()),
             ("coded_bands", pool.color_bands.binding()),
             ("relit_dc", relit.dc.binding()),
             ("relit_bands", relit.bands.binding()),
         ];
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(groups));
+        recorder.dispatch(
+            &self.kernel,
+            &bound,
+            bytes_of(&push),
+            groups_for(work.groups),
+        );
     }
 }

@@ -19,7 +19,7 @@ pub use sort_buckets::SortBuckets;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{FrameCounters, PURPOSE, Projected};
+use super::{FrameCounters, PURPOSE, Projected, TileLists};
 use crate::capacity::Capacity;
 use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists};
 
@@ -63,6 +63,14 @@ impl TileSortBuffers {
             pair_records: gpu.buffer("pair_records", PURPOSE, capacity.pairs, device)?,
             sorted_records: gpu.buffer("sorted_records", PURPOSE, capacity.pairs, device)?,
         })
+    }
+
+    /// The lists of `bins` coarse tiles.
+    pub(crate) fn lists_of(&self, bins: u32) -> TileLists<'_> {
+        TileLists {
+            lists: &self.tile_lists,
+            count: bins,
+        }
     }
 
     /// Size of the slab counts of `bins` coarse tiles, bytes.
