@@ -84,6 +84,46 @@ fn every_list_grows_and_the_image_is_whole() {
 }
 
 #[test]
+fn counts_that_grow_slowly_find_room() {
+    let gpu = Validated::open();
+    let splats: Vec<Splat> = (0..800)
+        .map(|i| Splat {
+            scale_m: [0.3; 3],
+            ..Splat::at(0.0, 0.0, i as f32 * 0.05)
+        })
+        .collect();
+    let options = RenderOptions {
+        spare: 0.25,
+        ..RenderOptions::default()
+    };
+    let small = Capacity {
+        records: 1,
+        pairs: 1,
+        partials: 1,
+        tiles: 1,
+    };
+    let mut renderer = Renderer::new(&gpu, options).with_capacity(small);
+    let resident = renderer.upload(&world_of(&splats)).unwrap();
+    // A camera that goes back along a row of splats sees a twentieth more of them in each frame.
+    let mut seen = 40.0;
+    let mut frames = Vec::new();
+    while seen < 800.0 {
+        let at = DVec3::Z * (0.05 * (800.0 - seen));
+        let statistics = renderer
+            .render(&resident, &[camera_at(at, 96, 64)])
+            .unwrap();
+        frames.push((statistics.redrawn, statistics.required.records));
+        seen *= 1.05;
+    }
+    let records = frames.iter().map(|frame| frame.1);
+    assert!(records.clone().max() > records.min().map(|least| 10 * least));
+    assert!(
+        frames[1..].iter().all(|&(redrawn, _)| redrawn == 0),
+        "{frames:?}"
+    );
+}
+
+#[test]
 fn segments_have_results_only_where_they_draw() {
     let gpu = Validated::open();
     // All in the fine tile in the middle of the image, and too faint to cover it.

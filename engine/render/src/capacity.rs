@@ -49,25 +49,46 @@ impl Capacity {
     /// Counts found while an earlier list overflowed are too low: it may take another turn.
     #[must_use]
     pub fn grown_to(&self, required: &RequiredCounts, spare: f64) -> Self {
+        let grown = self.grown_where(required, spare, |have, need| need > have);
+        // Results that had no room did not count their tiles.
+        let expected = match required.partials as usize > self.partials {
+            true => grown.partials * TILES_EXPECTED,
+            false => 0,
+        };
+        Self {
+            tiles: grown.tiles.max(expected),
+            ..grown
+        }
+    }
+
+    /// The same for lists of which less than half of what was to `spare` is left: a frame whose
+    /// counts grow slowly finds room, and is not drawn twice.
+    #[must_use]
+    pub fn grown_ahead_of(&self, required: &RequiredCounts, spare: f64) -> Self {
+        self.grown_where(required, spare, |have, need| {
+            need as f64 * (1.0 + 0.5 * spare.max(0.0)) > have as f64
+        })
+    }
+
+    /// Room for `required` where it `is_short`, given what there is and what is needed.
+    fn grown_where(
+        &self,
+        required: &RequiredCounts,
+        spare: f64,
+        is_short: impl Fn(usize, usize) -> bool,
+    ) -> Self {
         let grown = |have: usize, need: u32| {
             let need = need as usize;
-            if need > have {
-                need + (need as f64 * spare.max(0.0)) as usize + 64
-            } else {
-                have
+            match is_short(have, need) {
+                true => have.max(need + (need as f64 * spare.max(0.0)) as usize + 64),
+                false => have,
             }
-        };
-        let partials = grown(self.partials, required.partials);
-        // Results that had no room did not count their tiles.
-        let expected = match partials > self.partials {
-            true => partials * TILES_EXPECTED,
-            false => 0,
         };
         Self {
             records: grown(self.records, required.records),
             pairs: grown(self.pairs, required.pairs),
-            partials,
-            tiles: grown(self.tiles, required.tiles).max(expected),
+            partials: grown(self.partials, required.partials),
+            tiles: grown(self.tiles, required.tiles),
         }
     }
 
@@ -127,6 +148,26 @@ mod tests {
             }),
             "one too many must be seen"
         );
+    }
+
+    #[test]
+    fn room_grows_before_it_is_used_up() {
+        let capacity = Capacity {
+            records: 1500,
+            pairs: 1500,
+            partials: 1500,
+            tiles: 1500,
+        };
+        let required = RequiredCounts {
+            records: 1000,
+            pairs: 1201,
+            ..RequiredCounts::default()
+        };
+        let grown = capacity.grown_ahead_of(&required, 0.5);
+        assert_eq!((grown.records, grown.partials), (1500, 1500));
+        assert_eq!(grown.pairs, 1201 + 600 + 64);
+        assert_eq!(grown.grown_ahead_of(&required, 0.5), grown);
+        assert_eq!(capacity.grown_ahead_of(&required, 0.0), capacity);
     }
 
     #[test]

@@ -296,6 +296,9 @@ impl Renderer {
             pending.frame.wait()?;
             let required = self.slots[slot].found_required.read_host()[0];
             if pending.capacity.holds(&required) {
+                // Another frame may have grown the buffers since.
+                let capacity = self.capacity.unwrap_or(pending.capacity);
+                self.capacity = Some(capacity.grown_ahead_of(&required, self.options.spare));
                 self.shown = Some(slot);
                 self.slots[slot].done = Some(pending.frame.clone());
                 let statistics =
