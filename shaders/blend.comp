@@ -204,9 +204,12 @@ bool writes_partial(BlendItem item) {
 // there are no results: the host grows the buffers and draws again.
 PartialTiles hold_tiles(BlendItem item, uint tiles) {
     uint count = uint(bitCount(tiles));
-    uint first = count == 0u ? 0u : atomicAdd(required.next_tile, count);
-    atomicMax(required.tiles, first + count);
-    PartialTiles held = PartialTiles(first, first + count <= tiles_max ? tiles : 0u);
+    PartialTiles held = PartialTiles(0u, 0u);
+    if (count > 0u) {
+        held.first = atomicAdd(required.next_tile, count);
+        held.tiles = held.first + count <= tiles_max ? tiles : 0u;
+        atomicMax(required.tiles, held.first + count);
+    }
     partial_tiles[item.partial] = held;
     return held;
 }
