@@ -55,7 +55,7 @@ layout(set = 0, binding = 6, scalar) readonly buffer items_block { BlendItem ite
 layout(set = 0, binding = 7, scalar) readonly buffer records_block { uint records[]; };
 layout(set = 0, binding = 8, std430) readonly buffer footprints_block { uvec4 footprints[]; };
 layout(set = 0, binding = 9, scalar) readonly buffer attributes_block { vec3 attributes[]; }; // only with ATTRIBUTES
-layout(set = 0, binding = 10, std430) buffer partial_colors_block { vec4 partial_colors[]; };
+layout(set = 0, binding = 10, scalar) buffer partial_colors_block { uint partial_colors[]; };
 layout(set = 0, binding = 11, std430) buffer partial_planes_block { uint partial_planes[]; };
 
 // Of each record, where planes or contributions need them: bits of the depth, and the instance.

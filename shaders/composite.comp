@@ -9,6 +9,7 @@
 #extension GL_EXT_control_flow_attributes : require
 #include "frame.glsl"
 #include "output.glsl"
+#include "color_code.glsl"
 
 const uint WORKGROUP_THREADS = 256u;
 const uint COMPOSITE_GROUPS = COARSE_PIXELS / WORKGROUP_THREADS; // workgroups that share a coarse tile
@@ -17,10 +18,11 @@ layout(local_size_x = 256) in;
 layout(constant_id = 3) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
 layout(constant_id = 4) const bool CONTRIBUTIONS = false;  // every segment is left to be finished, so that its weights can be counted
 layout(constant_id = 5) const bool MEDIAN = false; // see blend.comp
+layout(constant_id = 6) const bool ATTRIBUTES = false; // likewise
 
 layout(set = 0, binding = 5, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer composites_block { Composite composites[]; };
-layout(set = 0, binding = 7, std430) buffer partial_colors_block { vec4 partial_colors[]; };
+layout(set = 0, binding = 7, scalar) buffer partial_colors_block { uint partial_colors[]; };
 layout(set = 0, binding = 8, std430) buffer partial_planes_block { uint partial_planes[]; };
 
 layout(set = 0, binding = 9, scalar) buffer partial_unfinished_block { uint partial_unfinished[]; };

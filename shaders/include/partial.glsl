@@ -9,6 +9,10 @@ float stop_limit() {
     return MEDIAN ? TRANSMITTANCE_MEDIAN : TRANSMITTANCE_MIN;
 }
 
+// Words per pixel: color and transmittance. Stops are decided by transmittance, which stays whole;
+// attributes may be negative, and are not coded.
+const uint PARTIAL_COLOR_WORDS = ATTRIBUTES ? 4u : 3u;
+
 const uint TILE_PIXELS = FINE_TILE_PX * FINE_TILE_PX;
 
 bool has_partial(PartialTiles held, uint at) {
@@ -27,18 +31,29 @@ Pixel load_partial(PartialTiles held, uint at) {
         return PIXEL_EMPTY;
     }
     uint place = partial_index(held, at);
-    vec4 color = partial_colors[place];
+    uint first = place * PARTIAL_COLOR_WORDS;
+    uvec3 low = uvec3(partial_colors[first], partial_colors[first + 1u], partial_colors[first + 2u]);
+    vec3 color = ATTRIBUTES ? uintBitsToFloat(low) : unpack_color(low.xy);
+    float transmittance = uintBitsToFloat(ATTRIBUTES ? partial_colors[first + 3u] : low.z);
     uint words[3];
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
         words[word] = partial_planes[place * PLANE_PARTIAL_WORDS + word];
     }
-    return Pixel(color.rgb, color.a, plane_sums(words));
+    return Pixel(color, transmittance, plane_sums(words));
 }
 
 // The pixel must have a result.
 void store_partial(PartialTiles held, uint at, Pixel pixel) {
     uint place = partial_index(held, at);
-    partial_colors[place] = vec4(pixel.color, pixel.transmittance);
+    uint first = place * PARTIAL_COLOR_WORDS;
+    uint transmittance = floatBitsToUint(pixel.transmittance);
+    uvec3 low = ATTRIBUTES ? floatBitsToUint(pixel.color) : uvec3(pack_color(pixel.color), transmittance);
+    partial_colors[first] = low.x;
+    partial_colors[first + 1u] = low.y;
+    partial_colors[first + 2u] = low.z;
+    if (ATTRIBUTES) {
+        partial_colors[first + 3u] = transmittance;
+    }
     uint words[3] = plane_words(pixel.planes);
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
         partial_planes[place * PLANE_PARTIAL_WORDS + word] = words[word];

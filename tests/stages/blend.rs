@@ -11,6 +11,7 @@ use decouplegs::render::stages::{
     Blend, BlendPass, BlendVariant, IndirectArguments, ListedSplats, PartialResults, PixelEnd,
     Plan, ProjectVariant, Projected, Segments, Target,
 };
+use decouplegs::render::twins::color_code::COLOR_CODE_ERROR;
 use decouplegs::render::twins::output::{
     Images, Pixel, coarse_tile_origin, pixel_offset, write_pixel,
 };
@@ -274,7 +275,9 @@ impl Case {
                             pixel.planes.weighted_depth,
                         ]
                     };
-                    let [c, t, d] = [bounds.color, bounds.transmittance, bounds.weighted_depth];
+                    let [t, d] = [bounds.transmittance, bounds.weighted_depth];
+                    let coded = COLOR_CODE_ERROR * twin.color.max_element();
+                    let c = bounds.color + f64::from(coded);
                     let share = within(&what, &values(kernel), &values(twin), &[c, c, c, t, d])?;
                     bounds.check_instance(
                         &what,

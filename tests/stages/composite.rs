@@ -4,6 +4,7 @@ use decouplegs::render::layout::{COARSE_PIXELS, Composite, FINE_TILES, RequiredC
 use decouplegs::render::stages::{
     CompositeSegments, IndirectArguments, PartialResults, PixelEnd, Plan, Segments, Target, Views,
 };
+use decouplegs::render::twins::color_code::COLOR_CODE_ERROR;
 use decouplegs::render::twins::output::{
     Images, PIXEL_EMPTY, Pixel, camera_of_bin, coarse_tile_origin, pack_unorm_4x8, pixel_offset,
     places_of_tile, write_pixel,
@@ -14,8 +15,8 @@ use glam::{DVec3, Vec3};
 
 use super::scenes::rig;
 use super::{
-    ROUNDOFF, Random, UNTOUCHED, counters, identical, open, read_partials, room_for_partials, run,
-    upload, within, write_partials,
+    ROUNDOFF, Random, UNTOUCHED, coded, counters, identical, open, read_partials,
+    room_for_partials, run, upload, within, write_partials,
 };
 use crate::device::Validated;
 use decouplegs::render::twins::planes::PlaneSums;
@@ -142,7 +143,7 @@ impl Case {
             images: &images,
             sky: SKY,
         };
-        let composite = CompositeSegments::new(gpu, end, &outputs).unwrap();
+        let composite = CompositeSegments::new(gpu, end, &outputs, false).unwrap();
         run(gpu, |r| {
             composite.record(r, views, segments, target);
         });
@@ -222,7 +223,10 @@ impl Case {
                     [red, green, blue, pixel.transmittance, depth]
                 };
                 let expected = values(&before);
-                let bounds = expected.map(|value| relative * f64::from(value.abs()));
+                let mut bounds = expected.map(|value| relative * f64::from(value.abs()));
+                // Colors are rounded to a code.
+                let rounding = f64::from(COLOR_CODE_ERROR * before.color.max_element());
+                bounds[..3].iter_mut().for_each(|bound| *bound += rounding);
                 within(
                     &format!("pixel {place} of slot {slot}"),
                     &values(&left_pixels[at]),
@@ -283,7 +287,9 @@ fn random_pixel(random: &mut Random) -> Pixel {
     };
     let alpha = 1.0 - transmittance;
     Pixel {
-        color: Vec3::from_array(std::array::from_fn(|_| alpha * random.between(0.0, 1.0))),
+        color: coded(Vec3::from_array(std::array::from_fn(|_| {
+            alpha * random.between(0.0, 1.0)
+        }))),
         transmittance,
         planes: PlaneSums {
             weighted_depth: alpha * random.between(0.5, 100.0),

@@ -33,6 +33,7 @@ use decouplegs::render::layout::{
     ARGUMENT_SETS, COARSE_PIXELS, FINE_TILES, PartialTiles, RequiredCounts,
 };
 use decouplegs::render::stages::{FrameCounters, IndirectArguments, PartialResults};
+use decouplegs::render::twins::color_code::{pack_color, unpack_color};
 use decouplegs::render::twins::output::{PIXEL_EMPTY, Pixel, places_of_tile};
 
 use crate::device::Validated;
@@ -106,6 +107,11 @@ fn room_for_partials(slots: usize) -> Capacity {
     }
 }
 
+/// The color that the code of `color` stands for.
+fn coded(color: Vec3) -> Vec3 {
+    unpack_color(pack_color(color))
+}
+
 /// Writes `pixels` as partial results; fine tiles in which nothing is drawn have none.
 fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel]) {
     let (mut tiles, mut drawn) = (Vec::new(), Vec::new());
@@ -121,9 +127,12 @@ fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel]) 
         }
         tiles.push(PartialTiles { first, tiles: bits });
     }
-    let colors: Vec<[f32; 4]> = drawn
+    let colors: Vec<u32> = drawn
         .iter()
-        .map(|pixel| pixel.color.extend(pixel.transmittance).to_array())
+        .flat_map(|pixel| {
+            let [low, high] = pack_color(pixel.color);
+            [low, high, pixel.transmittance.to_bits()]
+        })
         .collect();
     let planes: Vec<u32> = drawn
         .iter()
@@ -147,9 +156,10 @@ fn read_partials(gpu: &Validated, partials: &PartialResults) -> Vec<Pixel> {
             let indices = (first as usize + next) * TILE_PIXELS..;
             for (index, place) in indices.zip(places_of_tile(tile)) {
                 let words = words[3 * index..][..3].try_into();
+                let color = &colors[3 * index..][..3];
                 pixels[slot * COARSE_PIXELS + place] = Pixel {
-                    color: Vec3::from_slice(&colors[index]),
-                    transmittance: colors[index][3],
+                    color: unpack_color([color[0], color[1]]),
+                    transmittance: f32::from_bits(color[2]),
                     planes: plane_sums(words.expect("all planes were asked for")),
                 };
             }

@@ -56,7 +56,7 @@ impl ImageStages {
         let finishes = finishes(end, outputs) && segment_pairs < u32::MAX;
         Ok(Self {
             blend: blend(BlendPass::Segments)?,
-            composite: CompositeSegments::new(gpu, end, outputs)?,
+            composite: CompositeSegments::new(gpu, end, outputs, attributes)?,
             finish: finishes.then(|| blend(BlendPass::Finish)).transpose()?,
         })
     }

@@ -27,9 +27,9 @@ pub struct RenderOptions {
     /// uploaded is drawn as it is stored.
     pub storage: Storage,
     /// Length of the segments in which lists of coarse tiles are blended, side by side, pairs.
-    /// Shorter segments balance better and take more memory: 1 KiB of partial result per segment
-    /// and fine tile that it draws in. Above 2^24 lists are not cut; a software device cuts them at
-    /// 10,000.
+    /// Shorter segments balance better and take more memory: 768 bytes of partial result per
+    /// segment and fine tile that it draws in. Above 2^24 lists are not cut; a software device cuts
+    /// them at 10,000.
     pub segment_pairs: u32,
     /// True keeps depth keys of the background per view direction, false computes them in every
     /// frame. Images are the same.

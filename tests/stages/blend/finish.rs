@@ -6,7 +6,7 @@ use decouplegs::scene::Rules;
 use glam::Vec3;
 
 use super::{Blended, Case, open};
-use crate::stages::Random;
+use crate::stages::{Random, coded};
 use decouplegs::render::twins::planes::PlaneSums;
 
 /// Pixels before the segments of `case`: two of three are to be finished there, some of them almost
@@ -17,7 +17,9 @@ fn before(case: &Case) -> Blended {
         let transmittance = random.across_scales(1.2e-4, 1.0);
         let alpha = 1.0 - transmittance;
         Pixel {
-            color: Vec3::from_array(std::array::from_fn(|_| alpha * random.between(0.0, 1.0))),
+            color: coded(Vec3::from_array(std::array::from_fn(|_| {
+                alpha * random.between(0.0, 1.0)
+            }))),
             transmittance: if random.below(3) == 0 {
                 transmittance
             } else {

@@ -6,7 +6,8 @@ use decouplegs_scene::{EarlyStop, Rules};
 use decouplegs_shaders::constants;
 
 use super::{
-    FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, Views, kernel, push_constants,
+    FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, RecordContents, Views, kernel,
+    push_constants,
 };
 use crate::capacity::Capacity;
 use crate::layout::{COARSE_PIXELS, FINE_TILES, PartialTiles};
@@ -18,8 +19,9 @@ use crate::plane::Plane;
 pub struct PartialResults {
     /// Fine tiles that have results.
     pub tiles: Buffer<PartialTiles>,
-    /// RGB and transmittance.
-    pub colors: Buffer<[f32; 4]>,
+    /// Color in 64 bits and transmittance, three words per pixel; where attributes are blended,
+    /// four f32.
+    pub colors: Buffer<u32>,
     /// Sums of the planes, all words of a pixel together: see `planes.glsl`.
     pub planes: Buffer<u32>,
     /// Bits of the largest transmittance by fine tile; zero before the frame.
@@ -27,6 +29,7 @@ pub struct PartialResults {
     /// Fine tiles with pixels that are to be finished, as bits; zero before the frame. Of length 0
     /// where nothing is finished.
     pub unfinished: Buffer<u32>,
+    tiles_max: usize,
 }
 
 impl PartialResults {
@@ -45,9 +48,19 @@ impl PartialResults {
         let slots = capacity.partials;
         let unfinished = if finishes || medians { slots } else { 0 };
         let pixels = capacity.tiles * (COARSE_PIXELS / FINE_TILES);
+        let color_words = match RecordContents::of(outputs).attributes {
+            true => 4,
+            false => 3,
+        };
         Ok(Self {
+            tiles_max: capacity.tiles,
             tiles: gpu.buffer("partial_tiles", PURPOSE, slots, MemoryKind::Device)?,
-            colors: gpu.buffer("partial_colors", PURPOSE, pixels, MemoryKind::Device)?,
+            colors: gpu.buffer(
+                "partial_colors",
+                PURPOSE,
+                pixels * color_words,
+                MemoryKind::Device,
+            )?,
             planes: gpu.buffer(
                 "partial_planes",
                 PURPOSE,
@@ -67,12 +80,6 @@ impl PartialResults {
                 MemoryKind::Device,
             )?,
         })
-    }
-
-    /// Fine tiles that there is room for.
-    #[must_use]
-    pub fn tiles_max(&self) -> usize {
-        self.colors.len() / (COARSE_PIXELS / FINE_TILES)
     }
 }
 
@@ -269,7 +276,7 @@ impl Blend {
             sky,
             camera_count: views.count as u32,
             items_max: plan.items.len() as u32,
-            tiles_max: partials.tiles_max() as u32,
+            tiles_max: partials.tiles_max as u32,
             contribution_scale: images.contribution_scale(),
             image_pixels: images.pixels() as u32,
         };

@@ -20,15 +20,20 @@ pub struct CompositeSegments {
 }
 
 impl CompositeSegments {
-    /// The stage for images whose pixels end at `end`.
+    /// The stage for images whose pixels end at `end`, or for `attributes` in the place of colors.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, end: PixelEnd, outputs: &Outputs) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        end: PixelEnd,
+        outputs: &Outputs,
+        attributes: bool,
+    ) -> Result<Self, GpuError> {
         let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
         let constants: Vec<_> = (outputs.constants())
             .chain(end.constants())
-            .chain([contributions])
+            .chain([contributions, ("ATTRIBUTES", Constant::Bool(attributes))])
             .collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::COMPOSITE, &constants)?,
