@@ -65,6 +65,8 @@ void main() {
         Pixel ahead[AHEAD];
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
             held[next] = partial_tiles[composite.first_partial + min(base + next, composite.partials - 1u)];
+        }
+        [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
             ahead[next] = load_partial(held[next], place);
         }
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {

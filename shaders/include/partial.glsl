@@ -26,11 +26,10 @@ uint partial_index(PartialTiles held, uint at) {
     return (held.first + uint(bitCount(before))) * TILE_PIXELS + right * TILE_LEFT_PIXELS + at % TILE_LEFT_PIXELS;
 }
 
+// No branch around the reads, so that those of several segments overlap.
 Pixel load_partial(PartialTiles held, uint at) {
-    if (!has_partial(held, at)) {
-        return PIXEL_EMPTY;
-    }
-    uint place = partial_index(held, at);
+    bool there = has_partial(held, at);
+    uint place = there ? partial_index(held, at) : 0u;
     uint first = place * PARTIAL_COLOR_WORDS;
     uvec3 low = uvec3(partial_colors[first], partial_colors[first + 1u], partial_colors[first + 2u]);
     vec3 color = ATTRIBUTES ? uintBitsToFloat(low) : unpack_color(low.xy);
@@ -39,7 +38,11 @@ Pixel load_partial(PartialTiles held, uint at) {
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
         words[word] = partial_planes[place * PLANE_PARTIAL_WORDS + word];
     }
-    return Pixel(color, transmittance, plane_sums(words));
+    Pixel pixel = Pixel(color, transmittance, plane_sums(words));
+    if (!there) {
+        pixel = PIXEL_EMPTY;
+    }
+    return pixel;
 }
 
 // The pixel must have a result.
