@@ -295,9 +295,9 @@ impl Renderer {
         for redrawn in 0..ATTEMPTS_MAX {
             pending.frame.wait()?;
             let required = self.slots[slot].found_required.read_host()[0];
+            // Another frame may have grown the buffers since.
+            let capacity = self.capacity.unwrap_or(pending.capacity);
             if pending.capacity.holds(&required) {
-                // Another frame may have grown the buffers since.
-                let capacity = self.capacity.unwrap_or(pending.capacity);
                 self.capacity = Some(capacity.grown_ahead_of(&required, self.options.spare));
                 self.shown = Some(slot);
                 self.slots[slot].done = Some(pending.frame.clone());
@@ -305,8 +305,6 @@ impl Renderer {
                     self.slots[slot].statistics(&pending, required, redrawn, awaited)?;
                 return Ok(statistics);
             }
-            // Another frame may have grown the buffers since.
-            let capacity = self.capacity.unwrap_or(pending.capacity);
             self.capacity = Some(capacity.grown_to(&required, self.options.spare));
             let record_start = Instant::now();
             // Frames submitted since may have taken the place of the keys that this one was to use.

@@ -1,16 +1,14 @@
 //! A color in 64 bits: `color_code.glsl`.
 
+use decouplegs_shaders::constants::{
+    COLOR_CHANNEL_BITS, COLOR_EXPONENT_MAX, COLOR_EXPONENT_MIN, COLOR_MAX,
+};
 use glam::Vec3;
 
 /// Error of a channel, at most, in units of the largest channel.
-pub const COLOR_CODE_ERROR: f32 = 1.0 / (1 << 19) as f32;
+pub const COLOR_CODE_ERROR: f32 = 1.0 / (1 << COLOR_CHANNEL_BITS) as f32;
 
-/// The largest channel that the code holds.
-pub const COLOR_MAX: f32 = (((1 << 19) - 1) as f32) * (1 << 14) as f32;
-
-const CHANNEL_MAX: u32 = (1 << 19) - 1;
-const EXPONENT_MIN: u32 = 32;
-const EXPONENT_MAX: u32 = 159;
+const CHANNEL_MAX: u32 = (1 << COLOR_CHANNEL_BITS) - 1;
 
 fn power_of_two(field: u32) -> f32 {
     f32::from_bits(field << 23)
@@ -22,21 +20,21 @@ fn power_of_two(field: u32) -> f32 {
 pub fn pack_color(color: Vec3) -> [u32; 2] {
     let color = color.clamp(Vec3::ZERO, Vec3::splat(COLOR_MAX));
     let rounded = (color.max_element().to_bits() + 16) >> 23;
-    let exponent = rounded.clamp(EXPONENT_MIN, EXPONENT_MAX);
+    let exponent = rounded.clamp(COLOR_EXPONENT_MIN, COLOR_EXPONENT_MAX);
     let scaled = color * power_of_two(272 - exponent);
     let [r, g, b] = scaled
         .to_array()
         .map(|channel| ((channel + 0.5) as u32).min(CHANNEL_MAX));
     [
         r | g << 19,
-        g >> 13 | b << 6 | (exponent - EXPONENT_MIN) << 25,
+        g >> 13 | b << 6 | (exponent - COLOR_EXPONENT_MIN) << 25,
     ]
 }
 
 /// The color of `code`.
 #[must_use]
 pub fn unpack_color([low, high]: [u32; 2]) -> Vec3 {
-    let exponent = (high >> 25) + EXPONENT_MIN;
+    let exponent = (high >> 25) + COLOR_EXPONENT_MIN;
     let channels = [low, low >> 19 | high << 13, high >> 6];
     Vec3::from_array(channels.map(|channel| (channel & CHANNEL_MAX) as f32))
         * power_of_two(exponent - 18)
