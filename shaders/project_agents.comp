@@ -30,10 +30,10 @@ layout(constant_id = 4) const bool RELIT = false; // some agents have colors of 
 layout(set = 0, binding = 4, scalar) readonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 5, scalar) readonly buffer offsets_block { uint offsets[]; }; // of agents, [camera][cluster]
 layout(set = 0, binding = 6, scalar) readonly buffer coded_dc_block { vec3 coded_dc[]; };
-layout(set = 0, binding = 7, scalar) readonly buffer coded_bands_block { uint coded_bands[]; }; // 24 words a color
+layout(set = 0, binding = 7, std430) readonly buffer coded_bands_block { uvec4 coded_bands[]; }; // 6 per color
 layout(set = 0, binding = 8, scalar) readonly buffer static_offsets_block { uint static_offsets[]; }; // of the background
 layout(set = 0, binding = 9, scalar) readonly buffer relit_dc_block { vec3 relit_dc[]; };
-layout(set = 0, binding = 10, scalar) readonly buffer relit_bands_block { uint relit_bands[]; };
+layout(set = 0, binding = 10, std430) readonly buffer relit_bands_block { uvec4 relit_bands[]; };
 
 layout(push_constant, scalar) uniform push_block {
     uint agent_count;
@@ -46,17 +46,13 @@ layout(push_constant, scalar) uniform push_block {
 };
 
 // All bands of a color in one piece: a codebook stays in cache, and its entries are read in any
-// order.
+// order, 16 bytes at a time.
 const uint COLOR_WORDS = 24u;
 const uint FIRST_WORD_1 = 0u;
 const uint FIRST_WORD_2 = 5u;
 const uint FIRST_WORD_3 = 13u;
-// True if colors are read from the relit codebooks.
-bool from_relit = false;
-uint color_word(uint at) {
-    return RELIT && from_relit ? relit_bands[at] : coded_bands[at];
-}
-#define SH_WORD(band, word, index, stride) color_word((index) * (stride) + FIRST_WORD_##band + (word))
+uint color_words[COLOR_WORDS];
+#define SH_WORD(band, word, index, stride) color_words[FIRST_WORD_##band + (word)]
 #define SH_COMPACT false
 #include "sh_coding.glsl"
 #include "sh.glsl"
@@ -64,6 +60,21 @@ uint color_word(uint at) {
 
 int visible_rank(uint first_word, uint bit) {
     VISIBLE_RANK(visible_words, first_word, bit);
+}
+
+// Reads the words that colors of SH_DEGREE have into color_words.
+void load_color(uint color, bool from_relit) {
+    uint words = SH_DEGREE >= 3u ? COLOR_WORDS : SH_DEGREE == 2u ? FIRST_WORD_3 : SH_DEGREE == 1u ? FIRST_WORD_2 : 0u;
+    [[unroll]] for (uint first = 0u; first < COLOR_WORDS; first += 4u) {
+        if (first < words) {
+            uint at = (color * COLOR_WORDS + first) / 4u;
+            uvec4 four = RELIT && from_relit ? relit_bands[at] : coded_bands[at];
+            color_words[first] = four.x;
+            color_words[first + 1u] = four.y;
+            color_words[first + 2u] = four.z;
+            color_words[first + 3u] = four.w;
+        }
+    }
 }
 
 vec3 turned(Agent agent, vec3 d) {
@@ -98,7 +109,7 @@ void main() {
     if (own_splat >= agent.splat_count) {
         return;
     }
-    from_relit = agent.colors_relit != 0u;
+    bool from_relit = agent.colors_relit != 0u;
     bool loaded = false;
     CodedSplat coded;
     mat3 axes;
@@ -131,6 +142,7 @@ void main() {
         vec3 d = normalize(seen.offset_m);
         uint color = agent.first_color + coded.color;
         vec3 dc = (RELIT && from_relit ? relit_dc[color] : coded_dc[color]) + agent.dc_residual_gain * coded.dc_residual;
+        load_color(color, from_relit);
         vec3 rgb = sh_color(dc, color, COLOR_WORDS, agent.colors_in_world != 0u ? turned(agent, d) : d);
         record.color = in_fog(rgb, length(seen.offset_m), fog);
         write_record(slot, record);

@@ -3,7 +3,7 @@
 layout(set = 0, binding = 0, scalar) readonly buffer agents_block { Agent agents[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer agent_cameras_block { Camera agent_cameras[]; }; // [agent][camera]
 layout(set = 0, binding = 2, scalar) readonly buffer coded_splats_block { uvec3 coded_splats[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer coded_shapes_block { float coded_shapes[]; }; // 6 a shape
+layout(set = 0, binding = 3, std430) readonly buffer coded_shapes_block { vec4 coded_shapes[]; }; // 2 per shape: 6 numbers, 2 unused
 
 // The last agent whose clusters begin at or before this one.
 uint agent_of_cluster(uint cluster, uint agent_count) {
@@ -22,8 +22,9 @@ uint agent_of_cluster(uint cluster, uint agent_count) {
 
 // Columns whose products with themselves sum to the covariance, in the agent's frame.
 mat3 axes_of(Agent agent, CodedSplat splat) {
-    uint first = 6u * (agent.first_shape + splat.shape);
-    float xx = coded_shapes[first], yx = coded_shapes[first + 1u], yy = coded_shapes[first + 2u];
-    float zx = coded_shapes[first + 3u], zy = coded_shapes[first + 4u], zz = coded_shapes[first + 5u];
+    uint first = 2u * (agent.first_shape + splat.shape);
+    vec4 low = coded_shapes[first], high = coded_shapes[first + 1u];
+    float xx = low.x, yx = low.y, yy = low.z;
+    float zx = low.w, zy = high.x, zz = high.y;
     return splat.size * mat3(xx, yx, zx, 0.0, yy, zy, 0.0, 0.0, zz);
 }

@@ -20,6 +20,9 @@ pub const PURPOSE: &str = "assets";
 /// Words that bands 1 to 3 of a color take.
 pub const COLOR_WORDS: usize = 24;
 
+/// Words that a shape takes: one sector, read as two vectors.
+pub const SHAPE_WORDS: usize = 8;
+
 /// Names an asset of a pool. Stale after the asset was removed, which is noticed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct AssetId {
@@ -34,8 +37,8 @@ pub struct PoolBuffers {
     pub splats: Buffer<[u32; 3]>,
     /// Boxes of clusters of 256 splats, each level of detail beginning one.
     pub clusters: Buffer<ClusterRecord>,
-    /// Triangular factors.
-    pub shapes: Buffer<[f32; 6]>,
+    /// Triangular factors, as [`stored_shape`] stores them.
+    pub shapes: Buffer<[f32; SHAPE_WORDS]>,
     /// DC coefficients of colors.
     pub color_dc: Buffer<[f32; 3]>,
     /// Bands 1 to 3 of colors, 24 words each.
@@ -416,7 +419,7 @@ fn levels_of(cloud: &CodedCloud, ranges: &Ranges) -> Vec<Level> {
 struct Encoded {
     splats: Vec<[u32; 3]>,
     clusters: Vec<ClusterRecord>,
-    shapes: Vec<[f32; 6]>,
+    shapes: Vec<[f32; SHAPE_WORDS]>,
     color_dc: Vec<[f32; 3]>,
     color_bands: Vec<[u32; COLOR_WORDS]>,
     whole: ClusterRecord,
@@ -449,7 +452,7 @@ impl Encoded {
         }
         Self {
             splats: cloud.splats.iter().map(|splat| splat.0).collect(),
-            shapes: cloud.shapes.clone(),
+            shapes: cloud.shapes.iter().map(stored_shape).collect(),
             color_dc: (0..cloud.color_count())
                 .map(|entry| cloud.color(entry)[0])
                 .collect(),
@@ -460,6 +463,12 @@ impl Encoded {
             clusters,
         }
     }
+}
+
+/// A triangular factor and the padding that keeps it in one sector.
+#[must_use]
+pub fn stored_shape(&[xx, yx, yy, zx, zy, zz]: &[f32; 6]) -> [f32; SHAPE_WORDS] {
+    [xx, yx, yy, zx, zy, zz, 0.0, 0.0]
 }
 
 /// Bands 1 to 3 one behind the other; those that the color has not are zero.

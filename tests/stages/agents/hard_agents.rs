@@ -9,7 +9,7 @@ use decouplegs::render::stages::{AgentBuffers, AgentCounts, CameraVariant, Relit
 use decouplegs::render::twins::agent::{UnpackedSplat, axes_of, unpack_splat};
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::Variant;
-use decouplegs::render::{PoolBuffers, sh_codec, twins};
+use decouplegs::render::{PoolBuffers, sh_codec, stored_shape, twins};
 use decouplegs::scene::shape::principal_axes;
 use decouplegs::scene::{
     Bounds, Camera, CodedCloud, CodedSplat, ColorTransfer, Fog, Pose, RayMap, Rules, SplatCodes, sh,
@@ -356,7 +356,10 @@ impl AgentScene {
         PoolBuffers {
             splats: upload(gpu, &self.splats),
             clusters: upload(gpu, &self.clusters),
-            shapes: upload(gpu, &self.shapes),
+            shapes: upload(
+                gpu,
+                &self.shapes.iter().map(stored_shape).collect::<Vec<_>>(),
+            ),
             color_dc: upload(gpu, &self.dc),
             color_bands: upload(gpu, &self.bands),
         }
