@@ -229,7 +229,7 @@ impl Gpu {
         Kernel::new(&self.0.context, name, spirv, constants)
     }
 
-    /// Starts a command buffer.
+    /// Starts a list of commands.
     pub fn record(&self, role: QueueRole) -> Recorder {
         Recorder::new(&self.0.context, self.0.queue(role))
     }
@@ -238,8 +238,8 @@ impl Gpu {
     /// queue before.
     ///
     /// # Errors
-    /// Returns an error if the device is lost or memory is used up, also where that happened while
-    /// recording.
+    /// Returns an error if the device is lost or memory is used up, and in a process that was forked
+    /// from the one that opened the device.
     ///
     /// # Panics
     /// Panics if the recorder or a ticket belongs to another device.
@@ -254,8 +254,7 @@ impl Gpu {
             "a ticket belongs to another device"
         );
         let queue = recorder.queue.clone();
-        let (slot, stages) = recorder.finish()?;
-        queue.submit(slot, stages, after)
+        queue.submit(recorder.finish(), after)
     }
 
     /// Relates the device's clock to the host's. Waits for everything submitted to the main queue

@@ -3,7 +3,10 @@
 mod module;
 mod reflection;
 
-use std::sync::Arc;
+use std::sync::{
+    Arc, OnceLock,
+    atomic::{AtomicU64, Ordering},
+};
 
 use ash::vk;
 
@@ -84,9 +87,13 @@ impl std::fmt::Debug for Kernel {
 }
 
 pub(crate) struct KernelCore {
+    /// Different for each kernel of this process.
+    pub(crate) id: u64,
     pub(crate) name: &'static str,
     pub(crate) bindings: Vec<KernelBinding>,
-    pub(crate) push_bytes: u32,
+    /// Where callers give each binding ([`crate::Recorder`]).
+    pub(crate) places: OnceLock<Vec<u8>>,
+    push_bytes: u32,
     pub(crate) pipeline: vk::Pipeline,
     pub(crate) layout: vk::PipelineLayout,
     set_layout: vk::DescriptorSetLayout,
@@ -125,9 +132,12 @@ impl Kernel {
             .collect();
         // Handles stay null until they are made, and destroying null does nothing: so a failure
         // half way leaks nothing.
+        static NEXT_ID: AtomicU64 = AtomicU64::new(0);
         let mut core = KernelCore {
+            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             name,
             bindings,
+            places: OnceLock::new(),
             push_bytes: push.bytes,
             pipeline: vk::Pipeline::null(),
             layout: vk::PipelineLayout::null(),
@@ -202,6 +212,10 @@ impl Kernel {
 }
 
 impl KernelCore {
+    pub(crate) fn push_len(&self) -> usize {
+        self.push_bytes as usize
+    }
+
     pub(crate) fn binding_names(&self) -> Vec<&str> {
         self.bindings
             .iter()

@@ -1,13 +1,13 @@
 //! Vulkan layer of DecoupleGS: compute only, without knowledge of splats.
 //!
 //! A [`Gpu`] is opened once. Buffers are typed and counted by purpose ([`Buffer`]), kernels bind
-//! them by the names that the shader gives them ([`Kernel`]), a [`Recorder`] turns dispatches into
-//! a command buffer and derives its barriers, and submitting gives a [`Ticket`] to wait for and to
-//! read times from.
+//! them by the names that the shader gives them ([`Kernel`]), a [`Recorder`] lists dispatches, and
+//! submitting makes a command buffer with barriers of them, or repeats one that did the same, and
+//! gives a [`Ticket`] to wait for and to read times from.
 //!
 //! # Reading order
 //! `choice` and `device` (opening), `memory` and `buffer`, `kernel`, `kernel/reflection` and
-//! `kernel_cache`, `recorder` and `recorder/hazards` (the one home of barriers), `queue`
+//! `kernel_cache`, `recorder`, `commands` and `recorder/hazards` (the one home of barriers), `queue`
 //! (submitting, waiting, recycling), `transfer` (staged uploads and reads).
 //!
 //! # What is not done here
@@ -23,6 +23,7 @@
 
 mod buffer;
 mod choice;
+mod commands;
 mod context;
 mod device;
 mod error;

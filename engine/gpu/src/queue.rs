@@ -13,6 +13,7 @@ use ash::vk;
 
 use crate::{
     DeviceKind, GpuError,
+    commands::CommandList,
     context::Context,
     error::failed,
     export,
@@ -38,8 +39,12 @@ const HANG_AFTER: Duration = Duration::from_secs(300);
 /// device is lost.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
 
-/// Command slots kept for reuse; more are in flight only in a burst of uploads.
-const FREE_SLOTS_MAX: usize = 8;
+/// Command slots kept for what they have recorded: those of a few frames in flight, drawings of
+/// several sizes and sweeps. More are in flight only in a burst of uploads.
+const FREE_SLOTS_MAX: usize = 16;
+
+/// Empty lists kept for the room of their vectors.
+const SPARE_LISTS_MAX: usize = 4;
 
 pub(crate) struct Queue {
     pub(crate) context: Arc<Context>,
@@ -57,7 +62,9 @@ struct State {
     /// The last value that the timeline was told to count to.
     submitted: u64,
     in_flight: VecDeque<(u64, CommandSlot, Arc<Submission>)>,
-    free: Vec<CommandSlot>,
+    /// The one whose work was done first comes first.
+    free: VecDeque<CommandSlot>,
+    spare: Vec<CommandList>,
 }
 
 impl Queue {
@@ -91,35 +98,56 @@ impl Queue {
         })
     }
 
-    /// A slot that is being recorded.
-    pub(crate) fn begin(&self) -> Result<CommandSlot, GpuError> {
+    /// A list to record into.
+    pub(crate) fn spare_list(&self) -> CommandList {
+        self.state().spare.pop().unwrap_or_default()
+    }
+
+    /// A slot that does what `list` says, and whether it was recorded before: a free one that was
+    /// recorded from an equal list, else a new one, else the one that was not used for the longest
+    /// time, recorded again.
+    fn slot_for(&self, list: CommandList) -> Result<(CommandSlot, bool), GpuError> {
         // A child would wait for threads that it does not have.
         if std::process::id() != self.process {
             return Err(GpuError::Forked);
         }
         self.reap()?;
-        let free = self.state().free.pop();
-        let mut slot = match free {
+        let mut state = self.state();
+        let equal = state.free.iter().position(|slot| slot.does(&list.commands));
+        if let Some(mut slot) = equal.and_then(|place| state.free.remove(place)) {
+            let mut spare = slot.repeat(list);
+            if state.spare.len() < SPARE_LISTS_MAX {
+                spare.clear();
+                state.spare.push(spare);
+            }
+            return Ok((slot, true));
+        }
+        let oldest = (state.free.len() >= FREE_SLOTS_MAX)
+            .then(|| state.free.pop_front())
+            .flatten();
+        drop(state);
+        let mut slot = match oldest {
             Some(slot) => slot,
             None => CommandSlot::new(&self.context, self.family, self.timestamp_bits > 0)?,
         };
-        slot.begin()?;
-        Ok(slot)
+        slot.record(list)?;
+        Ok((slot, false))
     }
 
-    /// Submits a recorded slot behind `after`.
+    /// Submits what `list` says behind `after`.
     pub(crate) fn submit(
         self: &Arc<Self>,
-        slot: CommandSlot,
-        stages: Vec<&'static str>,
+        list: CommandList,
         after: &[&Ticket],
     ) -> Result<Ticket, GpuError> {
+        let (slot, repeated) = self.slot_for(list)?;
         let waits: Vec<vk::SemaphoreSubmitInfo<'_>> = after
             .iter()
             .filter(|ticket| !Arc::ptr_eq(&ticket.queue, self))
             .map(|ticket| semaphore_at(ticket.queue.timeline, ticket.value))
             .collect();
-        let submission = Arc::new(Submission::new(stages));
+        let (stages, timed) = (slot.stages.clone(), slot.times_stages());
+        let submission = Arc::new(Submission::new(stages, timed, repeated));
         let mut state = self.state();
         let value = state.submitted + 1;
         let commands = [vk::CommandBufferSubmitInfo::default().command_buffer(slot.commands)];
@@ -129,7 +157,7 @@ impl Queue {
             .command_buffer_infos(&commands)
             .signal_semaphore_infos(&signals);
         // SAFETY: the state's lock makes us the only user of the queue; the command buffer is
-        // recorded and not pending, and the slot with all that it uses stays in flight until the
+        // recorded, of live buffers and kernels, and not pending, and the slot with all that it uses stays in flight until the
         // timeline has its value.
         let submitted = unsafe {
             self.context
@@ -213,7 +241,7 @@ impl Queue {
             );
             slot.release();
             if state.free.len() < FREE_SLOTS_MAX {
-                state.free.push(slot);
+                state.free.push_back(slot);
             }
         }
         Ok(())
@@ -295,7 +323,7 @@ mod tests {
             .collect();
         let spin = gpu.kernel("spin", &spirv, &[]).unwrap();
         let values = gpu.upload("values", "test", &vec![1_u32; 1 << 15]).unwrap();
-        let mut recorder = gpu.record(QueueRole::Main);
+        let mut recorder = gpu.record(QueueRole::Main).time_stages();
         for (name, rounds) in [("short", 1_u32), ("long", 50_000)] {
             let push: Vec<u8> = [1_u32 << 15, rounds]
                 .iter()

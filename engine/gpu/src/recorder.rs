@@ -1,73 +1,69 @@
-//! Recording a command buffer: dispatches by name, copies and fills, in stages that are labeled and
-//! timed.
+//! Recording commands: dispatches by name, copies and fills, in stages that are labeled and timed.
 
 pub(crate) mod hazards;
 
-use std::sync::Arc;
+use std::{borrow::Cow, sync::Arc};
 
-use ash::vk;
 use bytemuck::Pod;
 
 use crate::{
-    Access, Bound, Buffer, GpuError, Kernel,
-    context::{Context, ShortName},
-    device::BINDINGS_MAX,
+    Bound, Buffer, Kernel,
+    commands::{Command, CommandList},
+    context::Context,
     kernel::KernelCore,
     memory::BufferMemory,
     queue::Queue,
-    slot::{CommandSlot, STAGES_MAX},
+    slot::STAGES_MAX,
 };
 
-/// A command buffer being recorded. Commands run in the order recorded, with barriers where one
-/// command needs another's results.
+/// Commands being recorded. They run in the order recorded, with barriers where one command needs
+/// another's results.
 ///
-/// A recorder that could not be started (device lost, no memory) records nothing, and submitting it
-/// gives the reason.
+/// Submitting makes a command buffer of them, or takes one that was made of the same commands and
+/// is free. So a frame that does what an earlier one did costs the driver no recording.
 #[must_use = "a recorder does nothing until it is submitted"]
 pub struct Recorder {
     pub(crate) context: Arc<Context>,
     pub(crate) queue: Arc<Queue>,
-    slot: Result<CommandSlot, GpuError>,
-    stages: Vec<&'static str>,
+    list: CommandList,
+    stages: usize,
     in_stage: bool,
-    barriers: bool,
 }
 
 impl Recorder {
     pub(crate) fn new(context: &Arc<Context>, queue: &Arc<Queue>) -> Self {
-        let slot = queue.begin();
         Self {
             context: context.clone(),
             queue: queue.clone(),
-            slot,
-            stages: Vec::new(),
+            list: queue.spare_list(),
+            stages: 0,
             in_stage: false,
-            barriers: true,
         }
     }
 
-    /// Records `body` as a stage: labeled in debuggers, timed, and named when the device is lost.
+    /// Times every stage ([`crate::Ticket::stage_times`]). Stages that are timed do not overlap; so
+    /// a command buffer whose stages are not timed may take less time.
+    pub fn time_stages(mut self) -> Self {
+        self.list.commands.stage_times = true;
+        self
+    }
+
+    /// Records `body` as a stage: labeled in debuggers, timed where that is asked for, and then
+    /// named when the device is lost.
     ///
     /// # Panics
     /// For a stage inside a stage, and for more than 127 stages.
     pub fn stage(&mut self, name: &'static str, body: impl FnOnce(&mut Self)) {
         assert!(!self.in_stage, "stage {name}: stages do not nest");
         assert!(
-            self.stages.len() < STAGES_MAX,
+            self.stages < STAGES_MAX,
             "stage {name}: a command buffer has at most {STAGES_MAX} stages"
         );
-        let index = self.stages.len();
-        self.stages.push(name);
+        self.stages += 1;
         self.in_stage = true;
-        if let Ok(slot) = &self.slot {
-            begin_label(&self.context, slot.commands, name);
-            slot.stage_starts(index);
-        }
+        self.list.add(Command::BeginStage(name));
         body(self);
-        if let Ok(slot) = &self.slot {
-            slot.stage_ends(index);
-            end_label(&self.context, slot.commands);
-        }
+        self.list.add(Command::EndStage);
         self.in_stage = false;
     }
 
@@ -91,12 +87,8 @@ impl Recorder {
             "kernel {}: {groups:?} workgroups, the device runs at most {max:?}",
             kernel.name()
         );
-        let Some(commands) = self.bind(kernel, buffers, push, None) else {
-            return;
-        };
-        let [x, y, z] = groups;
-        // SAFETY: pipeline, descriptors and push constants are bound; counts are within the limits.
-        unsafe { self.context.device.cmd_dispatch(commands, x, y, z) };
+        self.bind(kernel, buffers, push);
+        self.list.add(Command::Dispatch(groups));
     }
 
     /// Like [`Recorder::dispatch`], with the number of workgroups read on the device: three `u32`
@@ -122,17 +114,9 @@ impl Recorder {
             "kernel {}: no indirect arguments at byte {byte_offset} of {arguments:?}",
             kernel.name()
         );
-        let Some(commands) = self.bind(kernel, buffers, push, Some(arguments)) else {
-            return;
-        };
-        // SAFETY: pipeline, descriptors and push constants are bound; the arguments lie inside a
-        // buffer with indirect usage that the slot holds, and a barrier orders them behind their
-        // writer.
-        unsafe {
-            self.context
-                .device
-                .cmd_dispatch_indirect(commands, arguments.memory.raw, byte_offset);
-        };
+        self.bind(kernel, buffers, push);
+        self.use_buffer(arguments.memory);
+        self.list.add(Command::DispatchIndirect(byte_offset));
     }
 
     /// Sets `byte_len` bytes from `byte_offset` on to repetitions of `value`.
@@ -147,20 +131,15 @@ impl Recorder {
             fits && words,
             "fill of {buffer:?}: {byte_len} bytes at {byte_offset} are not whole words inside it"
         );
-        let used = [(buffer.memory, Access::Write)];
-        let Some(commands) = self.use_buffers(byte_len > 0, &used) else {
+        if byte_len == 0 {
             return;
-        };
-        // SAFETY: a range of whole words inside a buffer with transfer usage that the slot holds.
-        unsafe {
-            self.context.device.cmd_fill_buffer(
-                commands,
-                buffer.memory.raw,
-                byte_offset,
-                byte_len,
-                value,
-            );
-        };
+        }
+        self.use_buffer(buffer.memory);
+        self.list.add(Command::Fill {
+            byte_offset,
+            byte_len,
+            value,
+        });
     }
 
     /// Copies `count` values from element `from_first` on to element `to_first` on.
@@ -211,139 +190,73 @@ impl Recorder {
             || from_offset + byte_len <= to_offset
             || to_offset + byte_len <= from_offset;
         assert!(apart, "copy inside {}: the ranges overlap", from.name);
-        let used = [(from, Access::Read), (to, Access::Write)];
-        let Some(commands) = self.use_buffers(byte_len > 0, &used) else {
+        if byte_len == 0 {
             return;
-        };
-        let regions = [vk::BufferCopy {
-            src_offset: from_offset,
-            dst_offset: to_offset,
-            size: byte_len,
-        }];
-        // SAFETY: ranges inside their buffers that do not overlap; both have transfer usage and are
-        // held by the slot.
-        unsafe {
-            self.context
-                .device
-                .cmd_copy_buffer(commands, from.raw, to.raw, &regions);
-        };
+        }
+        self.use_buffer(from);
+        self.use_buffer(to);
+        self.list.add(Command::Copy {
+            from_offset,
+            to_offset,
+            byte_len,
+        });
     }
 
     /// Leaves the derived barriers out from here on. Only to prove that synchronization validation
     /// sees a missing barrier: what the device computes then is undefined.
     pub fn without_barriers(mut self) -> Self {
-        self.barriers = false;
+        self.list.commands.without_barriers = true;
         self
     }
 
-    /// Ends recording.
-    pub(crate) fn finish(self) -> Result<(CommandSlot, Vec<&'static str>), GpuError> {
-        let mut slot = self.slot?;
-        slot.end()?;
-        Ok((slot, self.stages))
+    /// Returns all that was recorded.
+    pub(crate) fn finish(self) -> CommandList {
+        self.list
     }
 
-    /// Binds all that a dispatch needs. `None` when there is nothing to record into.
-    fn bind(
-        &mut self,
-        kernel: &Kernel,
-        buffers: &[(&str, Bound<'_>)],
-        push: &[u8],
-        arguments: Option<Bound<'_>>,
-    ) -> Option<vk::CommandBuffer> {
+    /// Notes all that a dispatch needs.
+    fn bind(&mut self, kernel: &Kernel, buffers: &[(&str, Bound<'_>)], push: &[u8]) {
         let core = &kernel.core;
         assert!(
-            push.len() == core.push_bytes as usize,
+            push.len() == core.push_len(),
             "kernel {}: {} bytes of push constants given, the shader declares {}",
             core.name,
             push.len(),
-            core.push_bytes
+            core.push_len()
         );
-        // Binding 0 of the array is the kernel's first; one more for the arguments of an indirect
-        // dispatch.
-        let mut used = [None; BINDINGS_MAX + 1];
-        for (slot, bound) in used.iter_mut().zip(resolve(core, buffers)) {
-            *slot = Some(bound);
+        for &place in resolve(core, buffers).iter() {
+            self.use_buffer(buffers[usize::from(place)].1.memory);
         }
-        let count = core.bindings.len();
-        used[count] = arguments.map(|arguments| (arguments.memory, Access::Read));
-        let used = &used[..count + usize::from(arguments.is_some())];
-        let slot = self.slot.as_mut().ok()?;
-        note(
-            &self.context,
-            slot,
-            self.barriers,
-            used.iter().flatten().copied(),
-        );
-        slot.kernels.push(core.clone());
-        let commands = slot.commands;
-        let device = &self.context.device;
-        // SAFETY: recording, by us alone; the slot holds the kernel.
-        unsafe {
-            device.cmd_bind_pipeline(commands, vk::PipelineBindPoint::COMPUTE, core.pipeline);
-        };
-        push_descriptors(&self.context, commands, core, &used[..count]);
-        if !push.is_empty() {
-            // SAFETY: the size is that of the layout's one range.
-            unsafe {
-                device.cmd_push_constants(
-                    commands,
-                    core.layout,
-                    vk::ShaderStageFlags::COMPUTE,
-                    0,
-                    push,
-                );
-            };
-        }
-        Some(commands)
+        self.list.use_kernel(core, push);
     }
 
-    /// Command buffer for a transfer that uses `buffers`; `None` if there is nothing to do.
-    fn use_buffers(
-        &mut self,
-        any: bool,
-        buffers: &[(&Arc<BufferMemory>, Access)],
-    ) -> Option<vk::CommandBuffer> {
-        let slot = self.slot.as_mut().ok().filter(|_| any)?;
-        note(&self.context, slot, self.barriers, buffers.iter().copied());
-        Some(slot.commands)
-    }
-}
-
-/// Emits the barrier that a command on `used` needs, and holds the buffers.
-fn note<'a>(
-    context: &Arc<Context>,
-    slot: &mut CommandSlot,
-    barriers: bool,
-    used: impl Iterator<Item = (&'a Arc<BufferMemory>, Access)> + Clone,
-) {
-    for (memory, _) in used.clone() {
+    fn use_buffer(&mut self, memory: &Arc<BufferMemory>) {
         assert!(
-            Arc::ptr_eq(&memory.context, context),
+            Arc::ptr_eq(&memory.context, &self.context),
             "buffer {} belongs to another device",
             memory.name
         );
-        slot.buffers.push(memory.clone());
-    }
-    let needed = slot
-        .hazards
-        .touch(used.map(|(memory, access)| (memory.id, access)));
-    if needed && barriers {
-        hazards::barrier_between(context, slot.commands);
+        self.list.use_buffer(memory);
     }
 }
 
-/// The buffers in the order of the kernel's bindings.
+/// Place in `buffers` of each of the kernel's bindings. Callers give a kernel's buffers in one
+/// order, so the places that were found first are compared and not searched again.
 ///
 /// # Panics
 /// Panics if a name is not the kernel's, comes twice, or a binding is not given.
-fn resolve<'a>(
-    core: &KernelCore,
-    buffers: &[(&str, Bound<'a>)],
-) -> impl Iterator<Item = (&'a Arc<BufferMemory>, Access)> {
+fn resolve<'a>(core: &'a KernelCore, buffers: &[(&str, Bound<'_>)]) -> Cow<'a, [u8]> {
+    let names = || core.bindings.iter().map(|binding| binding.name.as_str());
+    let known = core.places.get().filter(|places| {
+        let given = |&place: &u8| buffers.get(usize::from(place)).map(|(name, _)| *name);
+        places.len() == buffers.len() && places.iter().map(given).eq(names().map(Some))
+    });
+    if let Some(known) = known {
+        return Cow::Borrowed(known);
+    }
     if let Some((name, _)) = buffers
         .iter()
-        .find(|(name, _)| core.bindings.iter().all(|binding| binding.name != *name))
+        .find(|(name, _)| names().all(|known| known != *name))
     {
         panic!(
             "kernel {}: no binding '{name}', it has {:?}",
@@ -351,72 +264,20 @@ fn resolve<'a>(
             core.binding_names()
         );
     }
-    core.bindings.iter().map(|binding| {
-        let mut given = buffers.iter().filter(|(name, _)| *name == binding.name);
-        let (Some((_, bound)), None) = (given.next(), given.next()) else {
+    let place = |wanted: &str| {
+        let mut given = (0_u8..)
+            .zip(buffers)
+            .filter(|(_, (name, _))| *name == wanted);
+        let (Some((place, _)), None) = (given.next(), given.next()) else {
             panic!(
-                "kernel {}: binding '{}' is not given exactly once",
-                core.name, binding.name
+                "kernel {}: binding '{wanted}' is not given exactly once",
+                core.name
             );
         };
-        (bound.memory, binding.access)
-    })
-}
-
-fn push_descriptors(
-    context: &Context,
-    commands: vk::CommandBuffer,
-    core: &KernelCore,
-    used: &[Option<(&Arc<BufferMemory>, Access)>],
-) {
-    let mut infos = [vk::DescriptorBufferInfo::default(); BINDINGS_MAX];
-    for (info, (memory, _)) in infos.iter_mut().zip(used.iter().flatten()) {
-        *info = vk::DescriptorBufferInfo {
-            buffer: memory.raw,
-            offset: 0,
-            range: memory.bound_bytes,
-        };
-    }
-    let mut writes = [vk::WriteDescriptorSet::default(); BINDINGS_MAX];
-    for ((write, info), binding) in writes
-        .iter_mut()
-        .zip(infos.chunks_exact(1))
-        .zip(&core.bindings)
-    {
-        *write = vk::WriteDescriptorSet::default()
-            .dst_binding(binding.binding)
-            .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
-            .buffer_info(info);
-    }
-    let writes = &writes[..core.bindings.len()];
-    if !writes.is_empty() {
-        let point = vk::PipelineBindPoint::COMPUTE;
-        // SAFETY: every binding of the layout's set 0 is written with a live storage buffer that
-        // the slot holds, and no longer than the device's limit for ranges.
-        unsafe {
-            context.push_descriptor.cmd_push_descriptor_set(
-                commands,
-                point,
-                core.layout,
-                0,
-                writes,
-            );
-        };
-    }
-}
-
-fn begin_label(context: &Context, commands: vk::CommandBuffer, name: &str) {
-    if let Some(debug) = &context.debug {
-        let name = ShortName::new(name);
-        let label = vk::DebugUtilsLabelEXT::default().label_name(name.as_c_str());
-        // SAFETY: recording, by us alone; `stage` ends the label.
-        unsafe { debug.cmd_begin_debug_utils_label(commands, &label) };
-    }
-}
-
-fn end_label(context: &Context, commands: vk::CommandBuffer) {
-    if let Some(debug) = &context.debug {
-        // SAFETY: recording, by us alone, and `stage` began a label in this command buffer.
-        unsafe { debug.cmd_end_debug_utils_label(commands) };
-    }
+        place
+    };
+    let found: Vec<u8> = names().map(place).collect();
+    // Another thread may have been first, with an order of its own.
+    let _ = core.places.set(found.clone());
+    Cow::Owned(found)
 }

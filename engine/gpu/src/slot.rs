@@ -1,5 +1,5 @@
 //! Command slots: a command buffer with its pool, its timestamps, and hold of all that it uses.
-//! Reused frame after frame.
+//! Submitted again as it is, or recorded again.
 
 use std::sync::Arc;
 
@@ -7,11 +7,10 @@ use ash::vk;
 
 use crate::{
     GpuError,
+    commands::{CommandList, Commands},
     context::Context,
     error::failed,
-    kernel::KernelCore,
-    memory::BufferMemory,
-    recorder::hazards::{self, Hazards},
+    recorder::hazards,
 };
 
 /// Stages of one command buffer; a frame has about forty.
@@ -28,10 +27,11 @@ type Answer = [u64; 2];
 
 pub(crate) struct CommandSlot {
     pub(crate) commands: vk::CommandBuffer,
-    pub(crate) hazards: Hazards,
-    /// Held until the device is done with them.
-    pub(crate) buffers: Vec<Arc<BufferMemory>>,
-    pub(crate) kernels: Vec<Arc<KernelCore>>,
+    /// Commands that it was recorded from, with hold of all that they use until the device is done.
+    /// None if recording failed.
+    recorded: Option<CommandList>,
+    /// Names of its stages.
+    pub(crate) stages: Arc<[&'static str]>,
     pool: vk::CommandPool,
     /// Null where the queue has no timestamps.
     queries: vk::QueryPool,
@@ -44,9 +44,7 @@ impl CommandSlot {
         family: u32,
         timestamps: bool,
     ) -> Result<Self, GpuError> {
-        let create = vk::CommandPoolCreateInfo::default()
-            .queue_family_index(family)
-            .flags(vk::CommandPoolCreateFlags::TRANSIENT);
+        let create = vk::CommandPoolCreateInfo::default().queue_family_index(family);
         // SAFETY: `family` is one that the device was opened with.
         let pool = unsafe { context.device.create_command_pool(&create, None) }
             .map_err(failed("vkCreateCommandPool"))?;
@@ -54,9 +52,8 @@ impl CommandSlot {
         // allowed then.
         let mut slot = Self {
             commands: vk::CommandBuffer::null(),
-            hazards: Hazards::default(),
-            buffers: Vec::new(),
-            kernels: Vec::new(),
+            recorded: None,
+            stages: Arc::new([]),
             pool,
             queries: vk::QueryPool::null(),
             context: context.clone(),
@@ -79,50 +76,79 @@ impl CommandSlot {
         Ok(slot)
     }
 
-    /// Starts recording. The device must be done with what was recorded before.
-    pub(crate) fn begin(&mut self) -> Result<(), GpuError> {
+    /// True if it was recorded from `commands`.
+    pub(crate) fn does(&self, commands: &Commands) -> bool {
+        self.recorded
+            .as_ref()
+            .is_some_and(|recorded| recorded.commands == *commands)
+    }
+
+    /// Prepares what is recorded for another submission, which `list`, an equal one, holds
+    /// everything for. The device must be done with the submission before. Returns a list to use
+    /// again.
+    pub(crate) fn repeat(&mut self, mut list: CommandList) -> CommandList {
+        self.reset_queries();
+        if let Some(recorded) = &mut self.recorded {
+            std::mem::swap(&mut recorded.held, &mut list.held);
+        }
+        list
+    }
+
+    /// Records `list`. The device must be done with what was recorded before.
+    pub(crate) fn record(&mut self, list: CommandList) -> Result<(), GpuError> {
+        self.recorded = None;
         let device = &self.context.device;
         // SAFETY: the device is done with the pool's one command buffer, by this function's
         // contract.
         unsafe { device.reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty()) }
             .map_err(failed("vkResetCommandPool"))?;
-        if self.has_timestamps() {
-            // SAFETY: the feature is required of every device, and no pending command buffer uses
-            // the pool.
-            unsafe { device.reset_query_pool(self.queries, 0, QUERIES) };
-        }
-        let begin = vk::CommandBufferBeginInfo::default()
-            .flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+        self.reset_queries();
+        let begin = vk::CommandBufferBeginInfo::default();
         // SAFETY: the command buffer was just reset.
         unsafe { device.begin_command_buffer(self.commands, &begin) }
             .map_err(failed("vkBeginCommandBuffer"))?;
         hazards::barrier_at_start(&self.context, self.commands);
         self.timestamp(QUERY_START);
-        Ok(())
-    }
-
-    /// Ends recording.
-    pub(crate) fn end(&mut self) -> Result<(), GpuError> {
+        let timed = list.commands.stage_times;
+        list.encode(&self.context, self.commands, |stage, ends| {
+            if timed {
+                self.timestamp(2 + 2 * stage as u32 + u32::from(ends));
+            }
+        });
         hazards::barrier_to_host(&self.context, self.commands);
         self.timestamp(QUERY_END);
         // SAFETY: the command buffer is being recorded, by us alone.
-        unsafe { self.context.device.end_command_buffer(self.commands) }
-            .map_err(failed("vkEndCommandBuffer"))
+        unsafe { device.end_command_buffer(self.commands) }
+            .map_err(failed("vkEndCommandBuffer"))?;
+        self.stages = list.commands.stages().collect();
+        self.recorded = Some(list);
+        Ok(())
     }
 
     /// Gives back what the finished work held.
     pub(crate) fn release(&mut self) {
-        self.buffers.clear();
-        self.kernels.clear();
-        self.hazards.clear();
+        if let Some(recorded) = &mut self.recorded {
+            recorded.held.clear();
+        }
     }
 
-    pub(crate) fn stage_starts(&self, stage: usize) {
-        self.timestamp(2 + 2 * stage as u32);
+    /// True if its stages are timed.
+    pub(crate) fn times_stages(&self) -> bool {
+        self.recorded
+            .as_ref()
+            .is_some_and(|recorded| recorded.commands.stage_times)
     }
 
-    pub(crate) fn stage_ends(&self, stage: usize) {
-        self.timestamp(3 + 2 * stage as u32);
+    fn reset_queries(&self) {
+        if self.has_timestamps() {
+            // SAFETY: the feature is required of every device, and no pending command buffer uses
+            // the pool.
+            unsafe {
+                self.context
+                    .device
+                    .reset_query_pool(self.queries, 0, QUERIES)
+            };
+        }
     }
 
     /// Marks the time at which everything recorded so far is done, so that consecutive stages do
@@ -140,22 +166,27 @@ impl CommandSlot {
         }
     }
 
-    pub(crate) fn has_timestamps(&self) -> bool {
+    fn has_timestamps(&self) -> bool {
         self.queries != vk::QueryPool::null()
     }
 
-    /// The timestamps of the start, the end, and of start and end of each of `stages` stages,
+    /// The timestamps of the start, the end, and of start and end of each stage that is timed,
     /// `None` for those that the device has not written yet. Empty where the queue has none.
-    pub(crate) fn ticks(&self, stages: usize) -> Vec<Option<u64>> {
+    pub(crate) fn ticks(&self) -> Vec<Option<u64>> {
         if !self.has_timestamps() {
             return Vec::new();
         }
-        let mut answers: Vec<Answer> = vec![[0; 2]; 2 + 2 * stages];
+        let timed = if self.times_stages() {
+            self.stages.len()
+        } else {
+            0
+        };
+        let mut answers: Vec<Answer> = vec![[0; 2]; 2 + 2 * timed];
         let flags = vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WITH_AVAILABILITY;
         // Not ready, or a device lost, leaves the words of timestamps that are not there at zero:
         // that is the answer then.
-        // SAFETY: the queries are inside the pool, and an answer has the
-        // two words that the flags ask for.
+        // SAFETY: the queries are inside the pool, and an answer has the two words that the flags
+        // ask for.
         let _ = unsafe {
             self.context
                 .device

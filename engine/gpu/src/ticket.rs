@@ -43,6 +43,12 @@ impl Ticket {
         self.queue.wait(self.value, &self.submission)
     }
 
+    /// True if it was submitted as it had been recorded for earlier work.
+    #[must_use]
+    pub fn is_repeated(&self) -> bool {
+        self.submission.repeated
+    }
+
     /// Value of the queue's timeline ([`crate::Gpu::export_timeline`]) when the work is done.
     #[must_use]
     pub fn value(&self) -> u64 {
@@ -57,7 +63,8 @@ impl Ticket {
         self.queue.is_done(self.value)
     }
 
-    /// Start and end of each stage, in the order recorded; waits for the work.
+    /// Start and end of each stage, in the order recorded; empty unless
+    /// [`crate::Recorder::time_stages`] asked for them. Waits for the work.
     ///
     /// # Errors
     /// Those of [`Ticket::wait`], and when the queue has no timestamps.
@@ -95,7 +102,11 @@ impl Ticket {
 
 /// Submission record that outlives its command buffer.
 pub(crate) struct Submission {
-    stages: Vec<&'static str>,
+    stages: Arc<[&'static str]>,
+    /// True if they are timed.
+    timed: bool,
+    /// True if it was recorded for earlier work.
+    repeated: bool,
     /// Stages known to have finished.
     finished: AtomicUsize,
     /// Set once the work is done; `None` inside where there are no timestamps.
@@ -109,9 +120,11 @@ struct Times {
 }
 
 impl Submission {
-    pub(crate) fn new(stages: Vec<&'static str>) -> Self {
+    pub(crate) fn new(stages: Arc<[&'static str]>, timed: bool, repeated: bool) -> Self {
         Self {
             stages,
+            timed,
+            repeated,
             finished: AtomicUsize::new(0),
             times: OnceLock::new(),
         }
@@ -120,12 +133,8 @@ impl Submission {
     /// Takes the times over from `slot`, whose work is done. `valid_bits` of a timestamp count, a
     /// tick takes `period_ns`.
     pub(crate) fn finish(&self, slot: &CommandSlot, valid_bits: u32, period_ns: f32) {
-        let times = times(
-            &self.stages,
-            &slot.ticks(self.stages.len()),
-            valid_bits,
-            period_ns,
-        );
+        let timed = if self.timed { &self.stages[..] } else { &[] };
+        let times = times(timed, &slot.ticks(), valid_bits, period_ns);
         self.finished.store(self.stages.len(), Ordering::Relaxed);
         // Set once: the thread that retires the slot has taken it out of the queue.
         let _ = self.times.set(times);
@@ -133,7 +142,7 @@ impl Submission {
 
     /// Looks how far the device is with `slot`, whose work may still run.
     pub(crate) fn look(&self, slot: &CommandSlot) {
-        let ticks = slot.ticks(self.stages.len());
+        let ticks = slot.ticks();
         let finished = (0..self.stages.len())
             .take_while(|stage| ticks.get(3 + 2 * stage).is_some_and(Option::is_some))
             .count();
@@ -142,6 +151,9 @@ impl Submission {
 
     /// Known progress of the work, as a clause.
     pub(crate) fn progress(&self) -> String {
+        if !self.timed {
+            return "how far it came is not known, as its stages are not timed".into();
+        }
         let finished = self.finished.load(Ordering::Relaxed);
         let next = self
             .stages
@@ -238,8 +250,17 @@ mod tests {
     }
 
     #[test]
+    fn progress_of_stages_that_are_not_timed_is_not_claimed() {
+        let submission = Submission::new(Arc::new(["project"]), false, false);
+        assert_eq!(
+            submission.progress(),
+            "how far it came is not known, as its stages are not timed"
+        );
+    }
+
+    #[test]
     fn progress_names_the_last_stage_and_the_next() {
-        let submission = Submission::new(vec!["project", "sort", "blend"]);
+        let submission = Submission::new(Arc::new(["project", "sort", "blend"]), true, false);
         assert_eq!(
             submission.progress(),
             "no stage is known to have finished, the next is 'project'"

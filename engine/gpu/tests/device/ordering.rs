@@ -159,7 +159,7 @@ fn stages_are_timed_in_order_and_do_not_overlap() {
     let values = gpu.upload("values", "test", &[1_u32; 1024]).unwrap();
     // The same slot serves all three, so stale times would show.
     for _ in 0..3 {
-        let mut recorder = gpu.record(QueueRole::Main);
+        let mut recorder = gpu.record(QueueRole::Main).time_stages();
         for (name, rounds) in [("short", 10), ("long", 50_000), ("last", 10)] {
             recorder.stage(name, |recorder| {
                 recorder.dispatch(
@@ -198,6 +198,131 @@ fn stages_are_timed_in_order_and_do_not_overlap() {
             whole >= stages[2].start_ns + stages[2].duration_ns && whole <= wall_ns,
             "{whole} of {wall_ns}: {stages:?}"
         );
+    }
+}
+
+/// Submits what `body` records, waits for it, and tells whether it was recorded before.
+fn repeats(gpu: &Gpu, body: impl FnOnce(&mut Recorder)) -> bool {
+    let mut recorder = gpu.record(QueueRole::Main);
+    body(&mut recorder);
+    let ticket = gpu.submit(recorder, &[]).unwrap();
+    ticket.wait().unwrap();
+    ticket.is_repeated()
+}
+
+#[test]
+fn equal_commands_are_recorded_once() {
+    let gpu = Watched::open();
+    let (a, b) = two_buffers(&gpu);
+    let kernel = scale(&gpu, 1);
+    let twice = |r: &mut Recorder| r.stage("twice", |r| there_and_back(r, &kernel, &a, &b));
+    assert!(!repeats(&gpu, twice));
+    for _ in 0..3 {
+        assert!(repeats(&gpu, twice));
+    }
+    let expected: Vec<i32> = (0..COUNT as i32).map(|value| value + 8).collect();
+    assert_eq!(gpu.read(&a).unwrap(), expected);
+    // Readings of the buffer above were submissions too: what is recorded outlives them.
+    assert!(repeats(&gpu, twice));
+    assert_eq!(gpu.take_validation_messages(), [""; 0]);
+}
+
+#[test]
+fn a_command_buffer_serves_equal_commands_alone() {
+    let gpu = Watched::open();
+    let (a, b) = two_buffers(&gpu);
+    let (kernel, other_kernel) = (scale(&gpu, 1), scale(&gpu, 1));
+    let arguments = gpu.upload("arguments", "test", &[1_u32; 6]).unwrap();
+    let push = scale_push(COUNT, 1);
+    let buffers = |from: &Buffer<i32>, to: &Buffer<i32>| {
+        [
+            ("source_values", from.clone()),
+            ("target_values", to.clone()),
+        ]
+    };
+    let run = |kernel: &Kernel, from: &Buffer<i32>, to: &Buffer<i32>, push: &[u8], groups: u32| {
+        repeats(&gpu, |r| {
+            let bound = buffers(from, to);
+            let bound = bound
+                .each_ref()
+                .map(|(name, buffer)| (*name, buffer.binding()));
+            r.dispatch(kernel, &bound, push, [groups, 1, 1]);
+        })
+    };
+    let indirect = |byte_offset: u64| {
+        repeats(&gpu, |r| {
+            let bound = [
+                ("source_values", a.binding()),
+                ("target_values", b.binding()),
+            ];
+            r.dispatch_indirect(&kernel, &bound, &push, arguments.binding(), byte_offset);
+        })
+    };
+    let copied =
+        |from: usize, to: usize, count: usize| repeats(&gpu, |r| r.copy(&a, from, &b, to, count));
+    let filled = |offset: u64, bytes: u64, value: u32| {
+        repeats(&gpu, |r| r.fill(b.binding(), offset, bytes, value))
+    };
+    let staged = |name: &'static str| repeats(&gpu, |r| r.stage(name, |r| r.copy(&a, 0, &b, 0, 1)));
+    // Every one differs from those before it in one thing.
+    let first = [
+        run(&kernel, &a, &b, &push, 4),
+        run(&other_kernel, &a, &b, &push, 4),
+        run(&kernel, &b, &a, &push, 4),
+        run(&kernel, &a, &b, &scale_push(COUNT, 2), 4),
+        run(&kernel, &a, &b, &push, 5),
+        indirect(0),
+        indirect(12),
+        copied(0, 0, 4),
+        copied(1, 0, 4),
+        copied(0, 1, 4),
+        copied(0, 0, 5),
+        staged("one"),
+        staged("two"),
+    ];
+    assert_eq!(first, [false; 13]);
+    let fills = [
+        filled(0, 8, 1),
+        filled(4, 8, 1),
+        filled(0, 4, 1),
+        filled(0, 8, 2),
+    ];
+    assert_eq!(fills, [false; 4]);
+    // Those are the last of sixteen that are kept.
+    assert!(filled(0, 8, 2) && staged("two") && indirect(12));
+    // A new buffer is another buffer, also where it has the handle of one that is gone.
+    let of_new = || {
+        let c = gpu.buffer("c", "test", 4, MemoryKind::Device).unwrap();
+        repeats(&gpu, |r| r.copy(&a, 0, &c, 0, 4))
+    };
+    assert_eq!([of_new(), of_new(), of_new()], [false; 3]);
+    assert_eq!(gpu.take_validation_messages(), [""; 0]);
+}
+
+#[test]
+fn what_is_recorded_holds_no_memory() {
+    let gpu = Watched::open();
+    let (a, b) = two_buffers(&gpu);
+    assert!(!repeats(&gpu, |r| r.copy(&a, 0, &b, 0, 4)));
+    assert!(gpu.memory().total_bytes > 0);
+    drop((a, b));
+    assert_eq!(gpu.memory().total_bytes, 0);
+    assert_eq!(gpu.take_validation_messages(), [""; 0]);
+}
+
+#[test]
+fn stages_are_timed_only_where_that_is_asked_for() {
+    let gpu = Watched::open();
+    let (a, b) = two_buffers(&gpu);
+    for asked in [false, true, false] {
+        let mut recorder = gpu.record(QueueRole::Main);
+        if asked {
+            recorder = recorder.time_stages();
+        }
+        recorder.stage("copy", |r| r.copy(&a, 0, &b, 0, 4));
+        let ticket = gpu.submit(recorder, &[]).unwrap();
+        assert_eq!(ticket.stage_times().unwrap().len(), usize::from(asked));
+        assert!(ticket.gpu_time_ns().unwrap() > 0);
     }
 }
 
@@ -262,7 +387,8 @@ fn recording_a_frame_takes_little_of_the_host() {
     .unwrap();
     let (a, b) = two_buffers(&gpu);
     let kernel = scale(&gpu, 1);
-    let record = || {
+    // With the same `value` the commands are those of the call before.
+    let record = |value: i32| {
         let start = Instant::now();
         let mut recorder = gpu.record(QueueRole::Main);
         for _ in 0..20 {
@@ -270,12 +396,17 @@ fn recording_a_frame_takes_little_of_the_host() {
                 there_and_back(recorder, &kernel, &a, &b);
             });
         }
+        recorder.fill(b.binding(), 0, 4, value as u32);
+        let ticket = gpu.submit(recorder, &[]).unwrap();
         let took = start.elapsed();
-        gpu.submit(recorder, &[]).unwrap().wait().unwrap();
+        ticket.wait().unwrap();
         took
     };
-    let best = (0..50).map(|_| record()).min().unwrap();
-    println!("40 dispatches in 20 stages recorded in {best:?}");
+    let best = (0..50).map(record).min().unwrap();
+    let repeated = (0..50).map(|_| record(50)).min().unwrap();
+    println!(
+        "40 dispatches in 20 stages: recorded and submitted in {best:?}, again in {repeated:?}"
+    );
     // A frame has about forty dispatches and a millisecond. Ten times what it takes on two slow
     // cores.
     assert!(best.as_micros() < 1000, "{best:?}");
