@@ -35,8 +35,10 @@ void main() {
     uint agent_index = agent_of_cluster(cluster_index, agent_count);
     Agent agent = agents[agent_index];
     uint own_cluster = cluster_index - agent.first_cluster;
-    Cluster cluster = asset_clusters[agent.first_bounds + own_cluster];
     uint own_splat = own_cluster * CLUSTER_SPLATS + thread;
+    // Clusters behind the last agent's end only fill up their number: they have no box.
+    bool in_asset = own_cluster * CLUSTER_SPLATS < agent.splat_count;
+    Cluster cluster = asset_clusters[agent.first_bounds + (in_asset ? own_cluster : 0u)];
     bool loaded = false;
     CodedSplat coded;
     mat3 axes;

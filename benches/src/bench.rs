@@ -6,6 +6,7 @@ mod trace;
 
 use std::borrow::Cow;
 use std::io::Write;
+use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -121,9 +122,15 @@ impl Arguments {
     }
 }
 
+/// Frames drawn once more after those that are timed, with every stage timed: stages that are timed
+/// do not overlap, and a frame may take longer.
+const FRAMES_BY_STAGE_MAX: u32 = 20;
+
 /// Frames that were timed.
 struct Timed {
     frames: Vec<FrameStatistics>,
+    /// The last of them, drawn once more with every stage timed.
+    by_stage: Vec<FrameStatistics>,
     /// Wall clock from the end of the frame before to the end of each.
     steps_ms: Vec<f64>,
     /// While the frames were drawn.
@@ -160,7 +167,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gpu = arguments.device.open()?;
     let timed = time_frames(&gpu, &scene, arguments)?;
     if arguments.trace.is_some() || arguments.trace_image.is_some() {
-        let trace = trace::chrome_trace(&timed.frames, gpu.clock()?);
+        let trace = trace::chrome_trace(&timed.by_stage, gpu.clock()?);
         if let Some(path) = &arguments.trace {
             write_atomically(path, |file| writeln!(file, "{trace}"))?;
         }
@@ -191,39 +198,47 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 /// The frames after the warm-up, the wall clock from one to the next, and the memory that they
-/// took.
+/// took; then the frames whose stages are timed.
 fn time_frames(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Timed> {
     let mut renderer = Renderer::new(gpu, arguments.options(scene.rules()));
     let copying = progress::spinner("copying the scene to the device".into());
     let live = LiveScene::new(&renderer, &scene.loaded)?;
     copying.finish_and_clear();
     let count = arguments.warm_up + arguments.frames;
-    let bar = progress::bar("frames", count as usize);
-    let (mut frames, mut steps_ms) = (Vec::new(), Vec::new());
-    let mut last = Instant::now();
-    let in_flight = u32::from(arguments.in_flight);
-    for frame in 0..count + in_flight - 1 {
-        if frame < count {
-            let later_s = f64::from(frame) * arguments.step;
-            let moment = live.at(scene.time_s + later_s);
-            renderer.submit(live.with(&moment), &scene.cameras_after(later_s))?;
-        }
-        if frame + 1 >= in_flight {
-            let statistics = renderer.finish()?;
-            let now = Instant::now();
-            let step_ms = (now - std::mem::replace(&mut last, now)).as_secs_f64() * 1e3;
-            if frame + 1 - in_flight >= arguments.warm_up {
-                frames.push(statistics);
-                steps_ms.push(step_ms);
+    let by_stage_count = arguments.frames.min(FRAMES_BY_STAGE_MAX);
+    let bar = progress::bar("frames", (count + by_stage_count) as usize);
+    let draw = |renderer: &mut Renderer, range: Range<u32>| {
+        let (mut frames, mut steps_ms) = (Vec::new(), Vec::new());
+        let mut last = Instant::now();
+        let ahead = usize::from(arguments.in_flight) - 1;
+        for place in 0..range.len() + ahead {
+            if let Some(frame) = range.clone().nth(place) {
+                let later_s = f64::from(frame) * arguments.step;
+                let moment = live.at(scene.time_s + later_s);
+                renderer.submit(live.with(&moment), &scene.cameras_after(later_s))?;
             }
-            bar.inc(1);
+            if place >= ahead {
+                frames.push(renderer.finish()?);
+                let now = Instant::now();
+                let step = now - std::mem::replace(&mut last, now);
+                steps_ms.push(step.as_secs_f64() * 1e3);
+                bar.inc(1);
+            }
         }
-    }
+        anyhow::Ok((frames, steps_ms))
+    };
+    let (mut frames, mut steps_ms) = draw(&mut renderer, 0..count)?;
+    frames.drain(..arguments.warm_up as usize);
+    steps_ms.drain(..arguments.warm_up as usize);
+    let memory = gpu.memory();
+    renderer.time_stages(true);
+    let (by_stage, _) = draw(&mut renderer, count - by_stage_count..count)?;
     bar.finish_and_clear();
     Ok(Timed {
         frames,
+        by_stage,
         steps_ms,
-        memory: gpu.memory(),
+        memory,
     })
 }
 

@@ -122,3 +122,41 @@ fn one_frame_too_many_is_refused_and_the_others_are_kept() {
     renderer.render(&resident, &camera(0)).unwrap();
     assert!(renderer.read_images().unwrap() == first);
 }
+
+#[test]
+fn a_drive_is_recorded_once() {
+    let gpu = Validated::open();
+    let world = background(3000, 73);
+    let mut pool = AssetPool::new(&gpu).unwrap();
+    let asset = pool.add(&coded_car(500, 74)).unwrap();
+    // Four to seven of them are in view.
+    let agents = |frame: usize| {
+        let place = |agent: usize| DVec3::new(8.0 + agent as f64, 0.1 * frame as f64, 0.0);
+        let agent = |agent: usize| Agent::new(asset, Pose::from_yaw(0.1, place(agent)), 1);
+        (0..4 + frame % 4).map(agent).collect::<Vec<_>>()
+    };
+    let mut renderer = Renderer::new(&gpu, RenderOptions::default());
+    let resident = renderer.upload(&world).unwrap();
+    let mut draw = |renderer: &mut Renderer, frame: usize| {
+        let (agents, camera) = (agents(frame), camera(frame));
+        let scene = Scene::with_agents(&resident, &pool, &agents);
+        let statistics = renderer.render(scene, &camera).unwrap();
+        assert_eq!(statistics.agents, 4 + frame % 4);
+        (statistics.repeated, renderer.read_images().unwrap())
+    };
+    let drawn: Vec<_> = (0..20).map(|frame| draw(&mut renderer, frame)).collect();
+    let recorded: Vec<usize> = (0..20).filter(|&frame| !drawn[frame].0).collect();
+    assert!(
+        recorded.iter().all(|&frame| frame < 6),
+        "the commands of frames {recorded:?} are new"
+    );
+    for frame in [7, 13, 19] {
+        let mut fresh = Renderer::new(&gpu, RenderOptions::default());
+        let (repeated, images) = draw(&mut fresh, frame);
+        assert!(!repeated && images == drawn[frame].1, "frame {frame}");
+    }
+    // What changes commands is not missed.
+    renderer.time_stages(true);
+    let timed = [18, 17, 18].map(|frame| draw(&mut renderer, frame).0);
+    assert_eq!(timed, [false, true, true]);
+}

@@ -81,6 +81,8 @@ impl Drawer {
             ..SessionOptions::default()
         };
         background.apply_to(&mut options.render);
+        // The page shows them.
+        options.render.stage_times = true;
         let session = Session::on(gpu, &options);
         Self {
             gpu: gpu.clone(),

@@ -6,7 +6,7 @@ use decouplegs::render::{ColorFormat, GpuScene, Outputs, RenderOptions, Renderer
 use decouplegs::scene::World;
 use decouplegs::{LiveScene, asset::LoadedScene};
 
-use crate::stress::drive_schedule::{DriveSchedule, Driven};
+use crate::stress::drive_schedule::DriveSchedule;
 use crate::stress::figures::Measured;
 
 /// Least number of frames before the timed ones.
@@ -107,9 +107,7 @@ impl<'a> Speed<'a> {
         renderer: &mut Renderer,
         submit: impl FnMut(&mut Renderer, f64) -> Result<()>,
     ) -> Result<Measured> {
-        let Driven {
-            frames, steps_ms, ..
-        } = self.schedule.drive(renderer, submit)?;
-        Ok(Measured::of(&frames, &steps_ms, self.gpu.memory()))
+        let driven = self.schedule.drive(renderer, submit)?;
+        Ok(Measured::of(&driven, self.gpu.memory()))
     }
 }

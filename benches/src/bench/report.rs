@@ -22,6 +22,7 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
     } = measured;
     let Timed {
         frames,
+        by_stage,
         steps_ms,
         memory,
     } = timed;
@@ -32,9 +33,12 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
     let step_wall_ms = spread(steps_ms.clone());
     // Not from the median: with frames in flight, their ends may come in bursts.
     let rig_steps_per_s = 1e3 * steps_ms.len() as f64 / steps_ms.iter().sum::<f64>();
-    let stages: Vec<Value> = stage_names(frames)
+    let stages: Vec<Value> = stage_names(by_stage)
         .into_iter()
-        .map(|name| json!({ "name": name, "gpu_ms": milliseconds(&|frame| stage_ms(frame, name)) }))
+        .map(|name| {
+            let times = by_stage.iter().map(|frame| stage_ms(frame, name));
+            json!({ "name": name, "gpu_ms": spread(times.collect()) })
+        })
         .collect();
     let mut keys = BTreeMap::<String, usize>::new();
     for source in frames.iter().flat_map(|frame| &frame.keys) {
@@ -68,6 +72,7 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
         "warm_up": warm_up,
         "frames": frames.len(),
         "frames_redrawn": frames.iter().filter(|frame| frame.redrawn > 0).count(),
+        "frames_repeated": frames.iter().filter(|frame| frame.repeated).count(),
         "frame_gpu_ms": milliseconds(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
         "frame_wall_ms": wall_ms,
         "step_wall_ms": step_wall_ms,
@@ -76,6 +81,7 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
         "record_ms": milliseconds(&|frame| frame.record_time.as_secs_f64() * 1e3),
         "rig_steps_per_s": rig_steps_per_s,
         "images_per_s": rig_steps_per_s * scene.cameras.len() as f64,
+        "frames_by_stage": by_stage.len(),
         "stages": stages,
         "required": last.required,
         "capacity": last.capacity,
@@ -176,7 +182,7 @@ fn text(value: &Value) -> &str {
 
 fn heading(figures: &Value) -> String {
     format!(
-        "{} ({})\n{} splats of degree {} in {} storage ({} bytes each){} and {} agents of {} splats, rules {}\nviews by the source of their background's depth keys: {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up, {} redrawn\n",
+        "{} ({})\n{} splats of degree {} in {} storage ({} bytes each){} and {} agents of {} splats, rules {}\nviews by the source of their background's depth keys: {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up: {} redrawn, {} with the commands of an earlier frame; times of stages are of {} more frames\n",
         text(&figures["device"]),
         text(&figures["driver"]),
         figures["splats"],
@@ -198,6 +204,8 @@ fn heading(figures: &Value) -> String {
         figures["frames"],
         figures["warm_up"],
         figures["frames_redrawn"],
+        figures["frames_repeated"],
+        figures["frames_by_stage"],
     )
 }
 

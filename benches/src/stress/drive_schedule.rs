@@ -17,6 +17,10 @@ const CLOCKS_RISE: Duration = Duration::from_millis(500);
 /// A drive of more frames is not made once as a warm-up.
 const REHEARSED_FRAMES_MAX: u32 = 240;
 
+/// Frames drawn once more with every stage timed: stages that are timed do not overlap, and a frame
+/// may take longer.
+const FRAMES_BY_STAGE_MAX: u32 = 10;
+
 /// The drive that every mode makes.
 pub struct DriveSchedule {
     /// The moment of the first timed frame, seconds.
@@ -48,6 +52,8 @@ pub struct WarmUp {
 pub struct Driven {
     /// The timed frames.
     pub frames: Vec<FrameStatistics>,
+    /// The last of them, drawn once more with every stage timed.
+    pub by_stage: Vec<FrameStatistics>,
     /// Wall clock from the end of the frame before to that of each, milliseconds.
     pub steps_ms: Vec<f64>,
     /// Frames before the timed ones.
@@ -101,8 +107,8 @@ impl DriveSchedule {
         }
     }
 
-    /// The warm-up and then the schedule, as far ahead as frames may be in flight; `submit` draws
-    /// the moment it is given, seconds.
+    /// The warm-up and then the schedule, as far ahead as frames may be in flight, and its last
+    /// frames with every stage timed; `submit` draws the moment it is given, seconds.
     pub fn drive(
         &self,
         renderer: &mut Renderer,
@@ -110,6 +116,7 @@ impl DriveSchedule {
     ) -> Result<Driven> {
         let mut driven = Driven {
             frames: Vec::new(),
+            by_stage: Vec::new(),
             steps_ms: Vec::new(),
             warm_up_frames: 0,
         };
@@ -132,7 +139,7 @@ impl DriveSchedule {
                 continue;
             }
             let Some(is_timed) = in_flight.pop_front() else {
-                return Ok(driven);
+                break;
             };
             let statistics = renderer.finish()?;
             let now = Instant::now();
@@ -144,6 +151,13 @@ impl DriveSchedule {
                 driven.warm_up_frames += 1;
             }
         }
+        renderer.time_stages(true);
+        for frame in self.frames.saturating_sub(FRAMES_BY_STAGE_MAX)..self.frames {
+            submit(renderer, self.time_s(frame))?;
+            driven.by_stage.push(renderer.finish()?);
+        }
+        renderer.time_stages(false);
+        Ok(driven)
     }
 
     /// The middle of the timed frames, seconds: where agents stand that cannot drive.

@@ -6,6 +6,7 @@ use decouplegs::gpu::MemoryReport;
 use decouplegs::render::FrameStatistics;
 use serde_json::{Value, json};
 
+use super::drive_schedule::Driven;
 use super::fidelity::Fidelity;
 use super::mode::Mode;
 
@@ -41,7 +42,8 @@ pub struct Measured {
     pub update_ms: Option<Spread>,
     /// Host time to record and submit.
     pub record_ms: Spread,
-    /// In the order they run; of both queues.
+    /// In the order they run; of both queues. Of frames drawn once more, as stages that are timed
+    /// do not overlap.
     pub stages: Vec<(&'static str, Spread)>,
     /// While the last of the frames was shown.
     pub memory: MemoryReport,
@@ -122,9 +124,10 @@ impl Point {
 }
 
 impl Measured {
-    /// The figures of `frames`, which took `steps_ms` one after the other; neither is empty.
-    /// Fidelity and what the frames do not tell are left open.
-    pub fn of(frames: &[FrameStatistics], steps_ms: &[f64], memory: MemoryReport) -> Self {
+    /// The figures of `driven`, which has at least one frame. Fidelity and what the frames do not
+    /// tell are left open.
+    pub fn of(driven: &Driven, memory: MemoryReport) -> Self {
+        let frames = &driven.frames;
         let spread = |of: &dyn Fn(&FrameStatistics) -> f64| Spread::of(frames.iter().map(of));
         let median = |of: &dyn Fn(&FrameStatistics) -> f64| spread(of).median;
         let updates: Vec<f64> = frames
@@ -138,14 +141,17 @@ impl Measured {
                 .or_default() += 1;
         }
         Self {
-            warm_up_frames: 0,
-            step_ms: Spread::of(steps_ms.iter().copied()),
+            warm_up_frames: driven.warm_up_frames,
+            step_ms: Spread::of(driven.steps_ms.iter().copied()),
             gpu_ms: spread(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
             update_ms: (!updates.is_empty()).then(|| Spread::of(updates)),
             record_ms: spread(&|frame| frame.record_time.as_secs_f64() * 1e3),
-            stages: stage_names(frames)
+            stages: stage_names(&driven.by_stage)
                 .into_iter()
-                .map(|name| (name, spread(&|frame| stage_ms(frame, name))))
+                .map(|name| {
+                    let times = driven.by_stage.iter().map(|frame| stage_ms(frame, name));
+                    (name, Spread::of(times))
+                })
                 .collect(),
             memory,
             predicted_scene_bytes: 0,

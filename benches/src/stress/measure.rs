@@ -10,7 +10,7 @@ use decouplegs::render::{
 };
 use decouplegs::scene::{Camera, CodedCloud, DetailLevels, World};
 
-use super::drive_schedule::{DriveSchedule, Driven};
+use super::drive_schedule::DriveSchedule;
 use super::fidelity::Fidelity;
 use super::figures::{Measured, Outcome};
 use super::mode::{Agents, Mode};
@@ -147,21 +147,14 @@ impl<'a> TestRig<'a> {
                     Resident::Live(Box::new(LiveScene::new(&renderer, scene)?))
                 }
             };
-            let Driven {
-                frames,
-                steps_ms,
-                warm_up_frames,
-            } = self.schedule.drive(&mut renderer, |renderer, time_s| {
+            let driven = self.schedule.drive(&mut renderer, |renderer, time_s| {
                 Ok(resident.submit(
                     renderer,
                     time_s,
                     &self.schedule.cameras(self.workload.background(), time_s),
                 )?)
             })?;
-            Measured {
-                warm_up_frames,
-                ..Measured::of(&frames, &steps_ms, self.gpu.memory())
-            }
+            Measured::of(&driven, self.gpu.memory())
         };
         if measured.memory.total_bytes > limit_bytes {
             return Ok((

@@ -23,8 +23,8 @@ pub(crate) enum Command {
     EndStage,
     /// Takes a kernel, its buffers and its push constants.
     Dispatch([u32; 3]),
-    /// As [`Command::Dispatch`], and then the buffer of the number of workgroups, which are at this
-    /// byte.
+    /// Takes what [`Command::Dispatch`] takes, and the buffer that has the number of workgroups at
+    /// this byte.
     DispatchIndirect(u64),
     /// Takes a buffer.
     Fill {
@@ -52,6 +52,8 @@ pub(crate) struct Commands {
     pub(crate) without_barriers: bool,
     /// True if every stage is timed, not only the whole.
     pub(crate) stage_times: bool,
+    /// True if no list that comes later will be equal.
+    pub(crate) only_once: bool,
 }
 
 impl Commands {
@@ -60,7 +62,7 @@ impl Commands {
         self.buffers.clear();
         self.kernels.clear();
         self.push.clear();
-        (self.without_barriers, self.stage_times) = (false, false);
+        (self.without_barriers, self.stage_times, self.only_once) = (false, false, false);
     }
 
     /// Names of the stages, in order.

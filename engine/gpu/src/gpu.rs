@@ -238,8 +238,8 @@ impl Gpu {
     /// queue before.
     ///
     /// # Errors
-    /// Returns an error if the device is lost or memory is used up, and in a process that was forked
-    /// from the one that opened the device.
+    /// Returns an error if the device is lost or memory is used up, and in a process that was
+    /// forked from the one that opened the device.
     ///
     /// # Panics
     /// Panics if the recorder or a ticket belongs to another device.

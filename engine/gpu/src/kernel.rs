@@ -91,7 +91,7 @@ pub(crate) struct KernelCore {
     pub(crate) id: u64,
     pub(crate) name: &'static str,
     pub(crate) bindings: Vec<KernelBinding>,
-    /// Where callers give each binding ([`crate::Recorder`]).
+    /// Places at which callers give each binding ([`crate::Recorder`]).
     pub(crate) places: OnceLock<Vec<u8>>,
     push_bytes: u32,
     pub(crate) pipeline: vk::Pipeline,

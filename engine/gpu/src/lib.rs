@@ -7,8 +7,8 @@
 //!
 //! # Reading order
 //! `choice` and `device` (opening), `memory` and `buffer`, `kernel`, `kernel/reflection` and
-//! `kernel_cache`, `recorder`, `commands` and `recorder/hazards` (the one home of barriers), `queue`
-//! (submitting, waiting, recycling), `transfer` (staged uploads and reads).
+//! `kernel_cache`, `recorder`, `commands` and `recorder/hazards` (the one home of barriers),
+//! `queue` (submitting, waiting, repeating), `transfer` (staged uploads and reads).
 //!
 //! # What is not done here
 //! - No robust access: a kernel that reads or writes out of bounds is undefined, as robustness

@@ -40,8 +40,11 @@ const HANG_AFTER: Duration = Duration::from_secs(300);
 const LOOK_EVERY: Duration = Duration::from_millis(200);
 
 /// Command slots kept for what they have recorded: those of a few frames in flight, drawings of
-/// several sizes and sweeps. More are in flight only in a burst of uploads.
-const FREE_SLOTS_MAX: usize = 16;
+/// several sizes and sweeps.
+const RECORDED_SLOTS_MAX: usize = 16;
+
+/// Command slots kept to be recorded; more are in flight only in a burst of uploads.
+const SPENT_SLOTS_MAX: usize = 4;
 
 /// Empty lists kept for the room of their vectors.
 const SPARE_LISTS_MAX: usize = 4;
@@ -62,8 +65,10 @@ struct State {
     /// The last value that the timeline was told to count to.
     submitted: u64,
     in_flight: VecDeque<(u64, CommandSlot, Arc<Submission>)>,
-    /// The one whose work was done first comes first.
-    free: VecDeque<CommandSlot>,
+    /// Free slots whose commands may come again; the one whose work was done first comes first.
+    recorded: VecDeque<CommandSlot>,
+    /// Free slots whose commands will not.
+    spent: Vec<CommandSlot>,
     spare: Vec<CommandList>,
 }
 
@@ -104,8 +109,8 @@ impl Queue {
     }
 
     /// A slot that does what `list` says, and whether it was recorded before: a free one that was
-    /// recorded from an equal list, else a new one, else the one that was not used for the longest
-    /// time, recorded again.
+    /// recorded from an equal list, else one that is spent, else a new one. When there are too
+    /// many, the one that was not used for the longest time is recorded again.
     fn slot_for(&self, list: CommandList) -> Result<(CommandSlot, bool), GpuError> {
         // A child would wait for threads that it does not have.
         if std::process::id() != self.process {
@@ -113,8 +118,11 @@ impl Queue {
         }
         self.reap()?;
         let mut state = self.state();
-        let equal = state.free.iter().position(|slot| slot.does(&list.commands));
-        if let Some(mut slot) = equal.and_then(|place| state.free.remove(place)) {
+        let equal = state
+            .recorded
+            .iter()
+            .position(|slot| slot.does(&list.commands));
+        if let Some(mut slot) = equal.and_then(|place| state.recorded.remove(place)) {
             let mut spare = slot.repeat(list);
             if state.spare.len() < SPARE_LISTS_MAX {
                 spare.clear();
@@ -122,11 +130,13 @@ impl Queue {
             }
             return Ok((slot, true));
         }
-        let oldest = (state.free.len() >= FREE_SLOTS_MAX)
-            .then(|| state.free.pop_front())
-            .flatten();
+        let free = if state.recorded.len() >= RECORDED_SLOTS_MAX {
+            state.recorded.pop_front()
+        } else {
+            state.spent.pop()
+        };
         drop(state);
-        let mut slot = match oldest {
+        let mut slot = match free {
             Some(slot) => slot,
             None => CommandSlot::new(&self.context, self.family, self.timestamp_bits > 0)?,
         };
@@ -157,8 +167,8 @@ impl Queue {
             .command_buffer_infos(&commands)
             .signal_semaphore_infos(&signals);
         // SAFETY: the state's lock makes us the only user of the queue; the command buffer is
-        // recorded, of live buffers and kernels, and not pending, and the slot with all that it uses stays in flight until the
-        // timeline has its value.
+        // recorded, of live buffers and kernels, and not pending, and the slot with all that it
+        // uses stays in flight until the timeline has its value.
         let submitted = unsafe {
             self.context
                 .device
@@ -240,8 +250,10 @@ impl Queue {
                 self.context.limits.timestamp_period_ns,
             );
             slot.release();
-            if state.free.len() < FREE_SLOTS_MAX {
-                state.free.push_back(slot);
+            if !slot.is_spent() {
+                state.recorded.push_back(slot);
+            } else if state.spent.len() < SPENT_SLOTS_MAX {
+                state.spent.push(slot);
             }
         }
         Ok(())

@@ -48,6 +48,13 @@ impl Recorder {
         self
     }
 
+    /// Says that these commands will not be recorded a second time, so that they do not take the
+    /// place of others that will.
+    pub fn only_once(mut self) -> Self {
+        self.list.commands.only_once = true;
+        self
+    }
+
     /// Records `body` as a stage: labeled in debuggers, timed where that is asked for, and then
     /// named when the device is lost.
     ///

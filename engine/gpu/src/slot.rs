@@ -83,6 +83,13 @@ impl CommandSlot {
             .is_some_and(|recorded| recorded.commands == *commands)
     }
 
+    /// True if what is recorded will not be submitted again.
+    pub(crate) fn is_spent(&self) -> bool {
+        self.recorded
+            .as_ref()
+            .is_none_or(|recorded| recorded.commands.only_once)
+    }
+
     /// Prepares what is recorded for another submission, which `list`, an equal one, holds
     /// everything for. The device must be done with the submission before. Returns a list to use
     /// again.
@@ -146,7 +153,7 @@ impl CommandSlot {
             unsafe {
                 self.context
                     .device
-                    .reset_query_pool(self.queries, 0, QUERIES)
+                    .reset_query_pool(self.queries, 0, QUERIES);
             };
         }
     }

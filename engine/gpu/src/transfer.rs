@@ -30,7 +30,7 @@ pub(crate) fn write<T: Pod>(
             None => gpu.buffer(STAGING, STAGING, piece.len(), MemoryKind::Upload)?,
         };
         staging.write_host(0, piece);
-        let mut recorder = gpu.record(QueueRole::Main);
+        let mut recorder = gpu.record(QueueRole::Main).only_once();
         let to = (range.start + i * piece_bytes) as u64;
         recorder.copy_bytes(&staging.memory, 0, &buffer.memory, to, piece.len() as u64);
         pieces[i % 2] = Some((staging, gpu.submit(recorder, &[])?));
@@ -71,7 +71,7 @@ fn read_piece(
     staging: &Buffer<u8>,
     piece: &mut [u8],
 ) -> Result<(), GpuError> {
-    let mut recorder = gpu.record(QueueRole::Main);
+    let mut recorder = gpu.record(QueueRole::Main).only_once();
     recorder.copy_bytes(
         memory,
         byte_offset as u64,

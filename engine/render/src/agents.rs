@@ -182,7 +182,10 @@ pub(crate) struct AgentList {
     pub records: Vec<AgentRecord>,
     /// `[agent][camera]`.
     pub cameras: Vec<CameraRecord>,
+    /// Counts of the lists, padding included.
     pub counts: AgentCounts,
+    /// Agents that some camera may see.
+    pub agents: usize,
     /// Splats of the levels of detail that were chosen.
     pub splats: usize,
     /// The agents that are to be relit, as places in [`AgentList::records`]: their asset and light.
@@ -243,7 +246,7 @@ impl AgentList {
             });
             list.push(agent, asset, level, mask, seen_by);
         }
-        Ok((list.counts.clusters > 0).then_some(list))
+        Ok((list.counts.clusters > 0).then(|| list.padded()))
     }
 
     /// The agents of `scene` at the finest level of detail, seen by all sectors of a sweep. Their
@@ -288,9 +291,31 @@ impl AgentList {
                 cameras,
                 ..AgentCounts::default()
             },
+            agents: 0,
             splats: 0,
             relights: Vec::new(),
         }
+    }
+
+    /// Rounds the counts up by at most an eighth or to 8, so that frames that see nearly as many
+    /// have equal commands, which are recorded once. Agents that are added come after all clusters,
+    /// and clusters that are added have no splats.
+    fn padded(mut self) -> Self {
+        let up = |count: usize| count.next_multiple_of((count / 16).next_power_of_two().max(8));
+        let AgentCounts {
+            agents,
+            cameras,
+            clusters,
+        } = &mut self.counts;
+        (*agents, *clusters) = (up(*agents), up(*clusters));
+        let none = AgentRecord {
+            first_cluster: u32::MAX,
+            ..AgentRecord::default()
+        };
+        self.records.resize(*agents, none);
+        self.cameras
+            .resize(*agents * *cameras, CameraRecord::zeroed());
+        self
     }
 
     fn push(
@@ -324,6 +349,7 @@ impl AgentList {
                 .push((self.records.len() - 1, agent.asset, relight));
         }
         self.cameras.extend(seen_by);
+        self.agents += 1;
         self.counts.agents += 1;
         self.counts.clusters += asset.levels[level].chunks();
         self.splats += self.records[self.records.len() - 1].splat_count as usize;

@@ -302,7 +302,7 @@ impl AssetPool {
             color_dc: grown(&self.gpu, "coded_dc", &old.color_dc, lengths[3])?,
             color_bands: grown(&self.gpu, "coded_bands", &old.color_bands, lengths[3])?,
         };
-        let mut recorder = self.gpu.record(QueueRole::Main);
+        let mut recorder = self.gpu.record(QueueRole::Main).only_once();
         recorder.stage("grow assets", |r| {
             r.copy(&old.splats, 0, &buffers.splats, 0, old.splats.len());
             r.copy(&old.clusters, 0, &buffers.clusters, 0, old.clusters.len());
@@ -331,7 +331,7 @@ impl AssetPool {
             color_bands: staged(gpu, &encoded.color_bands)?,
         };
         let to = &self.buffers;
-        let mut recorder = gpu.record(QueueRole::Main);
+        let mut recorder = gpu.record(QueueRole::Main).only_once();
         recorder.stage("add asset", |r| {
             r.copy(
                 &staged.splats,

@@ -52,6 +52,9 @@ pub struct RenderOptions {
     /// True if the agents' part of a frame runs on the queue for updates, beside the frame before;
     /// otherwise it runs in line.
     pub overlap: bool,
+    /// True if stages are timed ([`FrameStatistics::stages`]). Stages that are timed do not
+    /// overlap, so frames may take longer.
+    pub stage_times: bool,
 }
 
 impl Default for RenderOptions {
@@ -70,6 +73,7 @@ impl Default for RenderOptions {
             taken_max: 16,
             spare: 1.0 / 16.0,
             overlap: true,
+            stage_times: false,
         }
     }
 }
@@ -125,7 +129,7 @@ pub struct FrameStatistics {
     /// GPU time from the first command to the last, without the agents' part where that ran on its
     /// own queue.
     pub gpu_time: Duration,
-    /// GPU time by stage, in order.
+    /// GPU time by stage, in order; empty unless [`RenderOptions::stage_times`].
     pub stages: Vec<StageTime>,
     /// GPU time of the agents' part where it was submitted by itself.
     pub update_time: Option<Duration>,
@@ -139,4 +143,7 @@ pub struct FrameStatistics {
     pub wall_time: Duration,
     /// Host time to record and submit the last drawing.
     pub record_time: Duration,
+    /// True if the frame had the commands of an earlier one, which were submitted again and not
+    /// recorded again.
+    pub repeated: bool,
 }

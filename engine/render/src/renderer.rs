@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use decouplegs_gpu::{Buffer, Gpu, QueueRole, Ticket};
+use decouplegs_gpu::{Buffer, Gpu, QueueRole, Recorder, Ticket};
 use decouplegs_scene::{Camera, DepthOrder, DetailLevels, World};
 
 use crate::agents::{AgentList, Scene};
@@ -75,6 +75,12 @@ impl Renderer {
     #[must_use]
     pub fn options(&self) -> &RenderOptions {
         &self.options
+    }
+
+    /// Times the stages of frames that are submitted from here on, or no longer times them
+    /// ([`RenderOptions::stage_times`]).
+    pub fn time_stages(&mut self, timed: bool) {
+        self.options.stage_times = timed;
     }
 
     /// Starts with room for exactly `capacity` instead of a guess: for callers that know their
@@ -417,8 +423,8 @@ impl Renderer {
         if !self.options.overlap || (counts.is_none() && self.slots[slot].shadow_count == 0) {
             return Ok(None);
         }
+        let mut recorder = self.recorder(QueueRole::Update);
         let stages = self.kernels.of(&self.gpu, variant)?;
-        let mut recorder = self.gpu.record(QueueRole::Update);
         record_agents(&mut recorder, &stages, &self.slots[slot], world, counts);
         let behind: Vec<&Ticket> = added.into_iter().collect();
         Ok(Some(self.gpu.submit(recorder, &behind)?))
@@ -438,8 +444,8 @@ impl Renderer {
         let Some(frame) = &self.frame else {
             unreachable!("fit_buffers made them")
         };
+        let mut recorder = self.recorder(QueueRole::Main);
         let stages = self.kernels.of(&self.gpu, variant)?;
-        let mut recorder = self.gpu.record(QueueRole::Main);
         if update.is_none() {
             record_agents(&mut recorder, &stages, &self.slots[slot], world, agents);
         }
@@ -453,6 +459,14 @@ impl Renderer {
         record_frame(&mut recorder, &stages, frame, &self.slots[slot], input);
         let behind: Vec<&Ticket> = update.into_iter().collect();
         Ok((self.gpu.submit(recorder, &behind)?, frame_capacity))
+    }
+
+    fn recorder(&self, role: QueueRole) -> Recorder {
+        let recorder = self.gpu.record(role);
+        match self.options.stage_times {
+            true => recorder.time_stages(),
+            false => recorder,
+        }
     }
 
     fn agent_counts(&self, slot: usize) -> Option<AgentCounts> {

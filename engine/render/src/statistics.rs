@@ -27,7 +27,7 @@ impl FrameInFlight {
             capacity: pending.capacity,
             redrawn,
             keys: pending.keys.sources.clone(),
-            agents: list.map_or(0, |list| list.counts.agents),
+            agents: list.map_or(0, |list| list.agents),
             agent_splats: list.map_or(0, |list| list.splats),
             relit: list.map_or(0, |_| self.relit.to_make.0),
             gpu_time: Duration::from_nanos(queues[0].total_ns),
@@ -40,6 +40,7 @@ impl FrameInFlight {
             awaited: (awaited, Instant::now()),
             wall_time: pending.since.elapsed(),
             record_time: pending.record_time,
+            repeated: pending.frame.is_repeated(),
         })
     }
 }

@@ -1,5 +1,6 @@
 //! Agents of every kind that is hard for a stage, as the stages hold them.
 
+use bytemuck::Zeroable;
 use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::{
     AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, RelightRecord, View,
@@ -116,6 +117,19 @@ impl AgentScene {
             .map(|camera| RayMap::new(&camera.intrinsics))
             .collect();
         scene
+    }
+
+    /// Adds an agent and three clusters that only fill up their number, as frames do.
+    fn padded(mut self) -> Self {
+        self.agents.push(AgentRecord {
+            first_cluster: u32::MAX,
+            ..AgentRecord::default()
+        });
+        self.cameras
+            .extend(vec![CameraRecord::zeroed(); self.counts.cameras]);
+        self.counts.agents += 1;
+        self.counts.clusters += 3;
+        self
     }
 
     /// Kind of the cameras.
@@ -478,5 +492,5 @@ pub fn hard_agents(cameras: &[Camera]) -> AgentScene {
             ..at(0, 0.0, 0.0, 9.0, turned)
         },
     ];
-    AgentScene::new(&clouds, &placed, cameras)
+    AgentScene::new(&clouds, &placed, cameras).padded()
 }

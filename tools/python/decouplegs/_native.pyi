@@ -157,6 +157,7 @@ class Session:
         background_pitch: float | None = None,
         taken_max: int = 16,
         frames_in_flight: int = 2,
+        stage_times: bool = False,
     ) -> None:
         """Opens a device: the best, or by number, a part of its name, or ``uuid:...``.
 
@@ -169,6 +170,7 @@ class Session:
         background_pitch: pixels; backgrounds are drawn with fewer splats where they lie at most so far apart. None: always the finest, which is exact.
         taken_max: frames that may be held on the device by tensors before TooManyHeldError.
         frames_in_flight: frames of one call that are submitted before the first is waited for.
+        stage_times: whether stages are timed (Statistics.stages_ms). Stages that are timed do not overlap, so frames may take longer.
         """
     @property
     def device(self) -> Device:
@@ -300,7 +302,7 @@ class Statistics:
         """The host's part of it."""
     @property
     def stages_ms(self) -> dict[str, float]:
-        """Time on the device by stage."""
+        """Time on the device by stage; empty unless the session has stage_times."""
     @property
     def cameras(self) -> int:
         """Cameras that were drawn."""

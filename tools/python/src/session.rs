@@ -95,10 +95,23 @@ fn cuda_of(gpu: &Gpu) -> Result<Cuda, String> {
     Cuda::open(gpu.info().uuid).map_err(|error| error.to_string())
 }
 
+/// The planes of these names.
+fn planes_of(names: &[String]) -> PyResult<Vec<Plane>> {
+    let named = names.iter().map(|name| {
+        Plane::by_name(name).ok_or_else(|| {
+            let names = Plane::ALL.map(Plane::name).join(", ");
+            value_error(format!(
+                "planes: expected names among {names}, found {name:?}"
+            ))
+        })
+    });
+    named.collect()
+}
+
 #[pymethods]
 impl Session {
     #[new]
-    #[pyo3(signature = (device = None, *, color = "u8", depth = false, instance = false, planes = Vec::new(), flow_interval = 0.1, exported = None, rules = None, storage = "exact", background_pitch = None, taken_max = 16, frames_in_flight = 2))]
+    #[pyo3(signature = (device = None, *, color = "u8", depth = false, instance = false, planes = Vec::new(), flow_interval = 0.1, exported = None, rules = None, storage = "exact", background_pitch = None, taken_max = 16, frames_in_flight = 2, stage_times = false))]
     #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn new(
         py: Python<'_>,
@@ -114,6 +127,7 @@ impl Session {
         background_pitch: Option<f64>,
         taken_max: usize,
         frames_in_flight: usize,
+        stage_times: bool,
     ) -> PyResult<Self> {
         let color = match color {
             "u8" => ColorFormat::U8,
@@ -137,15 +151,7 @@ impl Session {
             device,
             ..SessionOptions::default()
         };
-        let named = planes.iter().map(|name| {
-            Plane::by_name(name).ok_or_else(|| {
-                let names = Plane::ALL.map(Plane::name).join(", ");
-                value_error(format!(
-                    "planes: expected names among {names}, found {name:?}"
-                ))
-            })
-        });
-        let mut planes = named.collect::<PyResult<Vec<Plane>>>()?;
+        let mut planes = planes_of(&planes)?;
         planes.extend(depth.then_some(Plane::Depth));
         planes.extend(instance.then_some(Plane::Instance));
         if !(flow_interval.is_finite() && flow_interval > 0.0) {
@@ -167,6 +173,7 @@ impl Session {
             background_pitch_px: background_pitch.map(pitch_of).transpose()?,
             taken_max,
             frames_in_flight,
+            stage_times,
             ..options.render
         };
         let opened = py.detach(|| {

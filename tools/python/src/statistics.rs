@@ -18,7 +18,7 @@ pub struct Statistics {
     wall_ms: f64,
     /// The host's part of it.
     record_ms: f64,
-    /// Time on the device by stage.
+    /// Time on the device by stage; empty unless the session has `stage_times=True`.
     stages_ms: BTreeMap<String, f64>,
     /// Cameras that were drawn.
     cameras: usize,
