@@ -137,7 +137,7 @@ fn a_drive_is_recorded_once() {
     };
     let mut renderer = Renderer::new(&gpu, RenderOptions::default());
     let resident = renderer.upload(&world).unwrap();
-    let mut draw = |renderer: &mut Renderer, frame: usize| {
+    let draw = |renderer: &mut Renderer, frame: usize| {
         let (agents, camera) = (agents(frame), camera(frame));
         let scene = Scene::with_agents(&resident, &pool, &agents);
         let statistics = renderer.render(scene, &camera).unwrap();

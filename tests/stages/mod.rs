@@ -5,6 +5,7 @@
 //! own decision does not survive that rounding.
 
 pub mod agents;
+mod begin;
 mod blend;
 mod composite;
 mod cull;

@@ -1,21 +1,18 @@
 //! The frame: one function that lists the stages in the order they run.
 
-use std::mem::offset_of;
-
 use decouplegs_gpu::{Buffer, Recorder};
 
 use crate::frame_buffers::{FrameBuffers, FrameShape};
 use crate::kernels::{FrameStages, ImageStages};
 use crate::keys::KeyDecision;
-use crate::layout::RequiredCounts;
 use crate::options::RenderOptions;
 use crate::output::OutputBuffers;
 use crate::plane::Plane;
 use crate::resident::GpuScene;
 use crate::slot::FrameInFlight;
 use crate::stages::{
-    AgentCounts, Blend, KeptKeys, ListedSplats, PostProcessInputs, Project, ProjectAgents,
-    ProjectInputs, Records, SeenAgents, Segments, Target, TileSortBuffers,
+    AgentCounts, Blend, Counted, FrameData, HostWritten, KeptKeys, ListedSplats, PostProcessInputs,
+    Project, ProjectAgents, ProjectInputs, Records, SeenAgents, Segments, Target,
 };
 
 /// Inputs of a frame beside the agents, which are in its slot.
@@ -76,7 +73,8 @@ pub(crate) fn record_frame(
     slot: &FrameInFlight,
     input: FrameInput<'_>,
 ) {
-    record_begin(recorder, frame, slot, input);
+    let (written, counted) = begin_buffers(frame, slot, input);
+    recorder.stage("begin", |r| stages.common.begin.record(r, written, counted));
     if let Some(key_splats) = stages
         .common
         .key_splats
@@ -113,39 +111,32 @@ pub(crate) fn record_frame(
     });
 }
 
-/// Hands over what the host wrote, and empties what is counted.
-fn record_begin(
-    recorder: &mut Recorder,
-    frame: &FrameBuffers,
-    slot: &FrameInFlight,
+/// Buffers with which a frame begins: what the host wrote, and what is counted.
+fn begin_buffers<'a>(
+    frame: &'a FrameBuffers,
+    slot: &'a FrameInFlight,
     input: FrameInput<'_>,
-) {
-    let counters = &frame.counters;
-    recorder.stage("begin", |r| {
-        let cameras = frame.shape.cameras;
-        r.copy(&slot.staged_cameras, 0, &frame.cameras, 0, cameras);
-        slot.copy_lenses(r, &frame.lenses);
-        r.copy(&slot.staged_key_sets, 0, &frame.key_sets, 0, cameras);
-        let emptied = [
-            (counters.required.binding(), counters.required.byte_len()),
-            (counters.arguments.binding(), counters.arguments.byte_len()),
-            (
-                frame.tile_sort.slab_counts.binding(),
-                TileSortBuffers::slab_bytes(frame.shape.bins),
-            ),
-            (
-                slot.images.contributions.binding(),
-                slot.images.contributions.byte_len(),
-            ),
-        ];
-        for (buffer, bytes) in emptied {
-            r.fill(buffer, 0, bytes, 0);
-        }
-        empty_partials(r, frame);
-        if input.agents.is_none() {
-            r.fill(slot.agents.offsets.binding(), 0, 4, 0);
-        }
-    });
+) -> (HostWritten<'a>, Counted<'a>) {
+    let written = HostWritten {
+        from: slot.staged(),
+        to: FrameData {
+            cameras: &frame.cameras,
+            lenses: &frame.lenses,
+            key_sets: &frame.key_sets,
+        },
+        cameras: frame.shape.cameras,
+        lenses: slot.lens_count(),
+    };
+    let counted = Counted {
+        counters: &frame.counters,
+        slab_counts: &frame.tile_sort.slab_counts,
+        bins: frame.shape.bins,
+        contributions: &slot.images.contributions,
+        agent_offsets: &slot.agents.offsets,
+        agents: input.agents.is_some(),
+        partials: &frame.partials,
+    };
+    (written, counted)
 }
 
 /// From splats to records: those of the background, then those of agents.
@@ -270,7 +261,8 @@ fn record_geometry(
             if let Some(project) = agents {
                 project_agents(r, project, frame, slot, input, interval_s);
             }
-            empty_partials(r, frame);
+            let (written, counted) = begin_buffers(frame, slot, input);
+            stages.common.begin.record_partials(r, written, counted);
         });
         if let Some(images) = geometry.images(plane) {
             blend_images(recorder, images, frame, &sums, [0.0; 3]);
@@ -280,26 +272,6 @@ fn record_geometry(
                 .resolve
                 .record(r, plane, &frame.blended, &slot.images);
         });
-    }
-}
-
-/// Empties what segments tell each other.
-fn empty_partials(recorder: &mut Recorder, frame: &FrameBuffers) {
-    let (required, partials) = (&frame.counters.required, &frame.partials);
-    let next_tile = offset_of!(RequiredCounts, next_tile) as u64;
-    recorder.fill(required.binding(), next_tile, 4, 0);
-    let emptied = [
-        (
-            partials.transmittances.binding(),
-            partials.transmittances.byte_len(),
-        ),
-        (
-            partials.unfinished.binding(),
-            partials.unfinished.byte_len(),
-        ),
-    ];
-    for (buffer, bytes) in emptied {
-        recorder.fill(buffer, 0, bytes, 0);
     }
 }
 

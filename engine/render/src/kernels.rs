@@ -7,9 +7,9 @@ use crate::options::RenderOptions;
 use crate::output::{ColorFormat, Outputs};
 use crate::plane::{Attribute, Plane};
 use crate::stages::{
-    AgentVariant, Blend, BlendPass, BlendVariant, CompositeSegments, Cull, CullAgents, CullShadows,
-    KeySplats, PixelEnd, PlanSegments, PostProcess, Project, ProjectAgents, ProjectVariant,
-    Relight, ResolvePlane, Scan, TileSort, finishes,
+    AgentVariant, Begin, Blend, BlendPass, BlendVariant, CompositeSegments, Cull, CullAgents,
+    CullShadows, KeySplats, PixelEnd, PlanSegments, PostProcess, Project, ProjectAgents,
+    ProjectVariant, Relight, ResolvePlane, Scan, TileSort, finishes,
 };
 
 /// Longer segments are no segments.
@@ -21,6 +21,7 @@ const SEGMENT_PAIRS_MAX_IN_SOFTWARE: u32 = 10_000;
 
 /// Kernels that every frame runs.
 pub(crate) struct CommonStages {
+    pub begin: Begin,
     pub scan: Scan,
     /// `None` where no depth keys are kept.
     pub key_splats: Option<KeySplats>,
@@ -274,6 +275,7 @@ impl Kernels {
         } = self;
         if self.common.is_none() {
             self.common = Some(CommonStages {
+                begin: Begin::new(gpu)?,
                 scan: Scan::new(gpu)?,
                 key_splats: keep_keys.then(|| KeySplats::new(gpu)).transpose()?,
                 tile_sort: TileSort::new(gpu, rules)?,

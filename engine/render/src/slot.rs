@@ -18,7 +18,7 @@ use crate::output::{OutputBuffers, Outputs};
 use crate::post_processing::{PhotometryRecord, ProcessedView};
 use crate::relit::RelitCodebooks;
 use crate::resident::GpuScene;
-use crate::stages::{AgentBuffers, AgentCounts, PURPOSE, ShadowBuffers};
+use crate::stages::{AgentBuffers, AgentCounts, FrameData, PURPOSE, ShadowBuffers};
 use crate::taken::SharedShelf;
 
 /// A frame that was submitted and not yet finished.
@@ -40,7 +40,7 @@ pub(crate) struct Pending {
 
 /// The buffers of one frame in flight.
 pub(crate) struct FrameInFlight {
-    pub staged_cameras: Buffer<CameraRecord>,
+    staged_cameras: Buffer<CameraRecord>,
     staged_lenses: Buffer<LensRecord>,
     pub staged_key_sets: Buffer<u32>,
     pub staged_photometry: Buffer<PhotometryRecord>,
@@ -248,12 +248,18 @@ impl FrameInFlight {
         );
     }
 
-    /// Records the copy of what the host wrote of lenses, if it did.
-    pub fn copy_lenses(&self, recorder: &mut Recorder, lenses: &Buffer<LensRecord>) {
-        let count = self.view.as_ref().map_or(0, |view| view.lenses.len());
-        if count > 0 {
-            recorder.copy(&self.staged_lenses, 0, lenses, 0, count);
+    /// Buffers that the host wrote of the view.
+    pub fn staged(&self) -> FrameData<'_> {
+        FrameData {
+            cameras: &self.staged_cameras,
+            lenses: &self.staged_lenses,
+            key_sets: &self.staged_key_sets,
         }
+    }
+
+    /// Lenses of the view; 0 where all cameras are pinholes.
+    pub fn lens_count(&self) -> usize {
+        self.view.as_ref().map_or(0, |view| view.lenses.len())
     }
 
     /// Records the copy of what the host wrote of agents.
@@ -272,6 +278,7 @@ impl FrameInFlight {
             0,
             counts.agents * counts.cameras,
         );
-        self.copy_lenses(recorder, &self.agents.lenses);
+        let lenses = &self.agents.lenses;
+        recorder.copy(&self.staged_lenses, 0, lenses, 0, self.lens_count());
     }
 }

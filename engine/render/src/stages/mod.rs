@@ -6,6 +6,7 @@
 //! named struct of buffers, made beforehand, that the next stage takes.
 
 mod agents;
+mod begin;
 mod blend;
 mod composite;
 mod cull;
@@ -21,6 +22,7 @@ mod scan;
 mod tile_sort;
 
 pub use agents::{AgentBuffers, AgentCounts, AgentVariant, CullAgents, ProjectAgents, SeenAgents};
+pub use begin::{Begin, Counted, FrameData, HostWritten};
 pub use blend::{
     Blend, BlendPass, BlendVariant, ListedSplats, PartialResults, PixelEnd, Segments, Target,
     finishes,

@@ -34,6 +34,7 @@ pub mod stored_splat;
 pub mod visibility;
 
 mod agents;
+mod begin;
 mod blend;
 mod composite;
 mod cull;
@@ -47,6 +48,7 @@ mod tile_sort;
 mod write_record;
 
 pub use agents::{AgentInputs, ColorCodebooks, ListedSplats, cull_agents, project_agents};
+pub use begin::begin;
 pub use blend::{blend, log2_alpha_at};
 pub use composite::{Unfinished, composite};
 pub use cull::{SplatBuffers, VisibleBits, cull};

@@ -1,0 +1,174 @@
+//! Start of a frame: what the host wrote reaches the device's buffers, and what is counted is
+//! emptied.
+
+use std::mem::offset_of;
+
+use bytemuck::{Pod, Zeroable, bytes_of};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
+
+use super::{FrameCounters, PartialResults, kernel, push_constants};
+use crate::layout::{CameraRecord, LensRecord, RequiredCounts, SLABS};
+
+/// Words that a thread writes, at most, where there are fewer workgroups than [`GROUPS_MAX`].
+const WORDS_PER_THREAD: u64 = 8;
+
+/// Workgroups at most: enough to fill any device.
+const GROUPS_MAX: u64 = 1024;
+
+push_constants! {
+    struct Push {
+        camera_words: u32,
+        lens_words: u32,
+        key_set_words: u32,
+        required_first: u32,
+        required_words: u32,
+        argument_words: u32,
+        slab_words: u32,
+        contribution_words: u32,
+        agent_offset_words: u32,
+        transmittance_words: u32,
+        unfinished_words: u32,
+    }
+}
+
+/// Buffers that the host writes for a frame, or those of the device with the same content.
+#[derive(Clone, Copy)]
+pub struct FrameData<'a> {
+    /// The cameras.
+    pub cameras: &'a Buffer<CameraRecord>,
+    /// One per camera, where some camera is no pinhole.
+    pub lenses: &'a Buffer<LensRecord>,
+    /// The set of each camera in the persistent key buffer.
+    pub key_sets: &'a Buffer<u32>,
+}
+
+/// Copies at the start of a frame.
+#[derive(Clone, Copy)]
+pub struct HostWritten<'a> {
+    /// Buffers that the host writes.
+    pub from: FrameData<'a>,
+    /// Buffers of the device.
+    pub to: FrameData<'a>,
+    /// Number of cameras.
+    pub cameras: usize,
+    /// Number of lenses.
+    pub lenses: usize,
+}
+
+/// Buffers that a frame counts in.
+#[derive(Clone, Copy)]
+pub struct Counted<'a> {
+    /// Required counts and arguments of indirect dispatches.
+    pub counters: &'a FrameCounters,
+    /// Pairs of each coarse tile and depth slab.
+    pub slab_counts: &'a Buffer<u32>,
+    /// Coarse tiles of the frame.
+    pub bins: u32,
+    /// Largest weights of splats; of length 0 where nothing is asked for.
+    pub contributions: &'a Buffer<u32>,
+    /// Visible splats before each list of the agents; their total, which is its first word, is set
+    /// to zero where there are none.
+    pub agent_offsets: &'a Buffer<u32>,
+    /// True if there are agents.
+    pub agents: bool,
+    /// Partial results of segments.
+    pub partials: &'a PartialResults,
+}
+
+/// `begin.comp`.
+pub struct Begin {
+    kernel: Kernel,
+}
+
+impl Begin {
+    /// The stage.
+    ///
+    /// # Errors
+    /// Returns an error if the driver refuses the kernel.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::BEGIN, &[])?,
+        })
+    }
+
+    /// Copies what the host has `written`, and empties what is `counted`.
+    pub fn record(&self, recorder: &mut Recorder, written: HostWritten<'_>, counted: Counted<'_>) {
+        let Counted {
+            counters, partials, ..
+        } = counted;
+        let push = Push {
+            camera_words: words(written.from.cameras, written.cameras),
+            lens_words: words(written.from.lenses, written.lenses),
+            key_set_words: written.cameras as u32,
+            required_first: 0,
+            required_words: words(&counters.required, 1),
+            argument_words: words(&counters.arguments, counters.arguments.len()),
+            slab_words: counted.bins * SLABS as u32,
+            contribution_words: counted.contributions.len() as u32,
+            agent_offset_words: u32::from(!counted.agents),
+            ..Push::of_partials(partials)
+        };
+        self.dispatch(recorder, written, counted, push);
+    }
+
+    /// Empties what segments tell each other, for another blending of the same frame.
+    pub fn record_partials(
+        &self,
+        recorder: &mut Recorder,
+        written: HostWritten<'_>,
+        counted: Counted<'_>,
+    ) {
+        let push = Push::of_partials(counted.partials);
+        self.dispatch(recorder, written, counted, push);
+    }
+
+    fn dispatch(
+        &self,
+        recorder: &mut Recorder,
+        written: HostWritten<'_>,
+        counted: Counted<'_>,
+        push: Push,
+    ) {
+        let HostWritten { from, to, .. } = written;
+        let bound = [
+            ("staged_cameras", from.cameras.binding()),
+            ("staged_lenses", from.lenses.binding()),
+            ("staged_key_sets", from.key_sets.binding()),
+            ("cameras", to.cameras.binding()),
+            ("lenses", to.lenses.binding()),
+            ("key_sets", to.key_sets.binding()),
+            ("required", counted.counters.required.binding()),
+            ("arguments", counted.counters.arguments.binding()),
+            ("slab_counts", counted.slab_counts.binding()),
+            ("contributions", counted.contributions.binding()),
+            ("agent_offsets", counted.agent_offsets.binding()),
+            ("transmittances", counted.partials.transmittances.binding()),
+            ("unfinished", counted.partials.unfinished.binding()),
+        ];
+        let all_words: u64 = bytemuck::cast_slice::<u8, u32>(bytes_of(&push))
+            .iter()
+            .map(|&words| u64::from(words))
+            .sum();
+        let threads = 256 * WORDS_PER_THREAD;
+        let groups = all_words.div_ceil(threads).clamp(1, GROUPS_MAX) as u32;
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), [groups, 1, 1]);
+    }
+}
+
+impl Push {
+    /// Emptying of what segments tell each other, and of nothing else.
+    fn of_partials(partials: &PartialResults) -> Self {
+        Self {
+            required_first: (offset_of!(RequiredCounts, next_tile) / 4) as u32,
+            required_words: 1,
+            transmittance_words: words(&partials.transmittances, partials.transmittances.len()),
+            unfinished_words: partials.unfinished.len() as u32,
+            ..Self::zeroed()
+        }
+    }
+}
+
+/// Words of `count` elements.
+fn words<T: Pod>(_: &Buffer<T>, count: usize) -> u32 {
+    (count * size_of::<T>() / 4) as u32
+}
