@@ -16,7 +16,7 @@
 
 layout(local_size_x = 256) in;
 
-layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
+layout(set = 0, binding = 0, scalar) uniform cameras_block { Camera cameras[CAMERAS_MAX]; };
 layout(set = 0, binding = 1, scalar) readonly buffer clusters_block { Cluster clusters[]; };
 layout(set = 0, binding = 2, scalar) readonly buffer means_block { vec3 means_m[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer shapes_block { uvec4 shapes[]; };

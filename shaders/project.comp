@@ -30,7 +30,7 @@ layout(constant_id = 6) const bool SPLAT_IDS = false; // records hold the splat'
 layout(constant_id = 7) const bool SHADOWS = false;   // agents throw shadows on the ground
 layout(constant_id = 8) const bool SHADOWS_BY_CAMERA = false; // not all cameras see all of them
 
-layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
+layout(set = 0, binding = 0, scalar) uniform cameras_block { Camera cameras[CAMERAS_MAX]; };
 layout(set = 0, binding = 1, scalar) readonly buffer means_block { vec3 means_m[]; };
 layout(set = 0, binding = 2, scalar) readonly buffer shapes_block { uvec4 shapes[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer rotations_block { uvec4 rotations[]; };

@@ -39,6 +39,9 @@ struct Camera {
     vec2 shutter_s_per_px;     // its increase per pixel; zero where nothing moves or all is exposed at once
 };
 
+// Cameras of a frame, at most.
+const uint CAMERAS_MAX = 32u;
+
 struct Cluster {
     vec3 center_m; // of the box around the means
     vec3 half_extent_m;

@@ -2,7 +2,6 @@
 // `visible_words` and `visible_counts` and the push constants `camera_count` and `cluster_count`.
 // All threads of a workgroup call each function.
 
-const uint CAMERAS_MAX = 32u;
 shared uint words[CAMERAS_MAX * CLUSTER_WORDS];
 
 // Before the first bit is set.

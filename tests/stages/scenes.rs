@@ -1,9 +1,10 @@
 //! Splats of every kind that is hard for a stage, as the stages hold them.
 
+use bytemuck::Zeroable;
 use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::{
-    CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, NO_KEY_SET, ShadowRecord, View,
-    fog_vector,
+    CAMERAS_MAX, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, NO_KEY_SET, ShadowRecord,
+    View, fog_vector,
 };
 use decouplegs::render::stages::{
     KeptKeys, ProjectVariant, Projected, RecordContents, ShadowBuffers, Views, words_for,
@@ -207,7 +208,7 @@ impl Scene {
             .unzip();
         let view = View::new(cameras, world.origin, resident.reach_m).unwrap();
         Self {
-            camera_buffer: upload(gpu, &view.cameras),
+            camera_buffer: uniform_cameras(gpu, &view.cameras),
             lens_buffer: upload(gpu, &view.lenses),
             clusters: gpu.read(&resident.clusters).unwrap(),
             means_m: gpu.read(&resident.means).unwrap(),
@@ -457,6 +458,13 @@ pub struct Listed {
     pub offsets: Vec<u32>,
     /// (camera, splat) of each record.
     pub records: Vec<(usize, usize)>,
+}
+
+/// The cameras, in a buffer as long as kernels read it as a uniform buffer.
+fn uniform_cameras(gpu: &Validated, cameras: &[CameraRecord]) -> Buffer<CameraRecord> {
+    let mut cameras = cameras.to_vec();
+    cameras.resize(CAMERAS_MAX, CameraRecord::zeroed());
+    upload(gpu, &cameras)
 }
 
 impl Scene {

@@ -235,11 +235,11 @@ impl Encoder<'_> {
 
     fn push_descriptors(&self, kernel: &KernelCore, buffers: &[Arc<BufferMemory>]) {
         let mut infos = [vk::DescriptorBufferInfo::default(); BINDINGS_MAX];
-        for (info, memory) in infos.iter_mut().zip(buffers) {
+        for ((info, memory), binding) in infos.iter_mut().zip(buffers).zip(&kernel.bindings) {
             *info = vk::DescriptorBufferInfo {
                 buffer: memory.raw,
                 offset: 0,
-                range: memory.bound_bytes,
+                range: binding.uniform_bytes().unwrap_or(memory.bound_bytes),
             };
         }
         let mut writes = [vk::WriteDescriptorSet::default(); BINDINGS_MAX];
@@ -250,14 +250,15 @@ impl Encoder<'_> {
         {
             *write = vk::WriteDescriptorSet::default()
                 .dst_binding(binding.binding)
-                .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                .descriptor_type(binding.descriptor_type())
                 .buffer_info(info);
         }
         let writes = &writes[..kernel.bindings.len()];
         if !writes.is_empty() {
             let point = vk::PipelineBindPoint::COMPUTE;
-            // SAFETY: every binding of the layout's set 0 is written with a live storage buffer
-            // that is held, and no longer than the device's limit for ranges.
+            // SAFETY: every binding of the layout's set 0 is written with a live buffer that is
+            // held, of both usages, and no longer than the limits of ranges; the recorder made
+            // sure that uniform ranges lie inside their buffers.
             unsafe {
                 self.context.push_descriptor.cmd_push_descriptor_set(
                     self.commands,

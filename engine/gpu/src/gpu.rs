@@ -215,8 +215,8 @@ impl Gpu {
     ///
     /// # Errors
     /// Returns an error if the device lacks a feature that the module uses, its workgroup is too
-    /// large for the device, the module binds something other than storage buffers in set 0, or the
-    /// driver cannot build it.
+    /// large for the device, the module binds something other than storage and uniform buffers in
+    /// set 0, or the driver cannot build it.
     ///
     /// # Panics
     /// Panics if the module has no constant of a name, or one of another type.

@@ -63,6 +63,9 @@ impl Constant {
     }
 }
 
+/// Size of a uniform buffer: what Vulkan guarantees (`maxUniformBufferRange`).
+const UNIFORM_BYTES_MAX: u32 = 16_384;
+
 /// A buffer that a kernel wants.
 #[derive(Clone, Debug)]
 pub struct KernelBinding {
@@ -71,7 +74,23 @@ pub struct KernelBinding {
     /// Access of the kernel.
     pub access: Access,
     pub(crate) binding: u32,
+    /// True for a uniform buffer, false for a storage buffer.
+    uniform: bool,
     block: Block,
+}
+
+impl KernelBinding {
+    pub(crate) fn descriptor_type(&self) -> vk::DescriptorType {
+        match self.uniform {
+            true => vk::DescriptorType::UNIFORM_BUFFER,
+            false => vk::DescriptorType::STORAGE_BUFFER,
+        }
+    }
+
+    /// Bytes that a uniform buffer must have; `None` for a storage buffer.
+    pub(crate) fn uniform_bytes(&self) -> Option<u64> {
+        self.uniform.then_some(u64::from(self.block.bytes))
+    }
 }
 
 /// A compute pipeline, ready to be dispatched. Clones share it.
@@ -127,6 +146,7 @@ impl Kernel {
                 name: found.name.clone(),
                 access: found.access,
                 binding: found.binding,
+                uniform: found.uniform,
                 block: found.block.clone(),
             })
             .collect();
@@ -231,7 +251,7 @@ impl KernelCore {
             .map(|found| {
                 vk::DescriptorSetLayoutBinding::default()
                     .binding(found.binding)
-                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                    .descriptor_type(found.descriptor_type())
                     .descriptor_count(1)
                     .stage_flags(vk::ShaderStageFlags::COMPUTE)
             })
@@ -418,6 +438,13 @@ fn check_sizes(limits: &Limits, interface: &Interface, workgroup: [u32; 3]) -> R
         return Err(format!(
             "{} buffers bound, at most {BINDINGS_MAX} can be",
             interface.bindings.len()
+        ));
+    }
+    let mut uniforms = interface.bindings.iter().filter(|binding| binding.uniform);
+    if let Some(large) = uniforms.find(|binding| binding.block.bytes > UNIFORM_BYTES_MAX) {
+        return Err(format!(
+            "{} has {} bytes, a uniform buffer at most {UNIFORM_BYTES_MAX}",
+            large.name, large.block.bytes
         ));
     }
     let push_bytes = interface.push.as_ref().map_or(0, |push| push.bytes);

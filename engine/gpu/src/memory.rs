@@ -269,7 +269,11 @@ fn create(context: &Context, bytes: u64, exported: bool) -> Result<vk::Buffer, v
         context.families.update.unwrap_or(context.families.main),
     ];
     let mut create = vk::BufferCreateInfo::default().size(bytes).usage(
-        Usage::STORAGE_BUFFER | Usage::INDIRECT_BUFFER | Usage::TRANSFER_SRC | Usage::TRANSFER_DST,
+        Usage::STORAGE_BUFFER
+            | Usage::UNIFORM_BUFFER
+            | Usage::INDIRECT_BUFFER
+            | Usage::TRANSFER_SRC
+            | Usage::TRANSFER_DST,
     );
     if context.families.update.is_some() {
         // Buffers need no ownership transfers: storage buffers lose nothing by being shared on the

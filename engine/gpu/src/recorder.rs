@@ -231,8 +231,18 @@ impl Recorder {
             push.len(),
             core.push_len()
         );
-        for &place in resolve(core, buffers).iter() {
-            self.use_buffer(buffers[usize::from(place)].1.memory);
+        for (&place, binding) in resolve(core, buffers).iter().zip(&core.bindings) {
+            let memory = buffers[usize::from(place)].1.memory;
+            let wanted_bytes = binding.uniform_bytes().unwrap_or(0);
+            assert!(
+                memory.bound_bytes >= wanted_bytes,
+                "kernel {}: buffer {} of {} bytes, the shader reads {wanted_bytes} of '{}'",
+                core.name,
+                memory.name,
+                memory.bound_bytes,
+                binding.name
+            );
+            self.use_buffer(memory);
         }
         self.list.use_kernel(core, push);
     }

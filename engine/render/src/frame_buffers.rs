@@ -79,7 +79,7 @@ impl FrameBuffers {
             room: shape,
             shape,
             counters: FrameCounters::new(gpu)?,
-            cameras: gpu.buffer("cameras", PURPOSE, cameras, device)?,
+            cameras: gpu.buffer("cameras", PURPOSE, CAMERAS_MAX, device)?,
             lenses: gpu.buffer("lenses", PURPOSE, cameras, device)?,
             visible: Visible::new(gpu, cameras, clusters)?,
             offsets: gpu.buffer("offsets", PURPOSE, cameras * clusters + 1, device)?,

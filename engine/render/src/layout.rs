@@ -46,7 +46,7 @@ pub const SCAN_BLOCK: usize = 1024;
 /// Indirect dispatches of a frame.
 pub const ARGUMENT_SETS: usize = 3;
 /// Cameras that one submission can draw.
-pub const CAMERAS_MAX: usize = 32;
+pub const CAMERAS_MAX: usize = constants::CAMERAS_MAX as usize;
 
 /// `Camera` of `frame.glsl`.
 #[repr(C)]

@@ -42,6 +42,7 @@ mod op {
 }
 
 pub(super) mod decoration {
+    pub const BLOCK: u32 = 2;
     pub const SPEC_ID: u32 = 1;
     pub const BUILT_IN: u32 = 11;
     pub const ROW_MAJOR: u32 = 4;

@@ -30,6 +30,8 @@ pub(crate) struct ReflectedBinding {
     pub(crate) name: String,
     pub(crate) binding: u32,
     pub(crate) access: Access,
+    /// True for a uniform buffer, false for a storage buffer.
+    pub(crate) uniform: bool,
     pub(crate) block: Block,
 }
 
@@ -73,7 +75,7 @@ impl Interface {
 ///
 /// # Errors
 /// A sentence, when it is no SPIR-V, has no compute entry point, or binds something other than
-/// storage buffers in set 0.
+/// storage and uniform buffers in set 0.
 pub(crate) fn reflect(words: &[u32]) -> Result<Interface, String> {
     Declarations::parse(words)?.interface()
 }
@@ -88,11 +90,14 @@ impl Declarations {
         let mut push = None;
         for &(id, pointer, class) in &self.variables {
             match class {
-                CLASS_STORAGE_BUFFER => bindings.push(self.binding(id, pointer)?),
+                CLASS_STORAGE_BUFFER => bindings.push(self.binding(id, pointer, false)?),
+                CLASS_UNIFORM if self.is_block(pointer) => {
+                    bindings.push(self.binding(id, pointer, true)?);
+                }
                 CLASS_PUSH_CONSTANT => push = Some(self.block(self.pointee(pointer)?)?),
                 CLASS_UNIFORM | CLASS_UNIFORM_CONSTANT => {
                     return Err(format!(
-                        "{} is not a storage buffer, and nothing else can be bound",
+                        "{} is neither a storage nor a uniform buffer, and nothing else can be bound",
                         self.named(id)
                     ));
                 }
@@ -120,7 +125,14 @@ impl Declarations {
         })
     }
 
-    fn binding(&self, id: u32, pointer: u32) -> Result<ReflectedBinding, String> {
+    /// True if a pointer of storage class Uniform points to a uniform buffer, not to a storage
+    /// buffer of SPIR-V before 1.3.
+    fn is_block(&self, pointer: u32) -> bool {
+        self.pointee(pointer)
+            .is_ok_and(|block| self.decorations.contains_key(&(block, decoration::BLOCK)))
+    }
+
+    fn binding(&self, id: u32, pointer: u32, uniform: bool) -> Result<ReflectedBinding, String> {
         let block_id = self.pointee(pointer)?;
         let name = self.binding_name(id, block_id);
         let of = |decoration| self.decorations.get(&(id, decoration)).copied();
@@ -147,7 +159,8 @@ impl Declarations {
             });
             whole || (!members.is_empty() && each.all(|there| there))
         };
-        let access = match (all(decoration::NON_WRITABLE), all(decoration::NON_READABLE)) {
+        let read_only = uniform || all(decoration::NON_WRITABLE);
+        let access = match (read_only, all(decoration::NON_READABLE)) {
             (true, _) => Access::Read,
             (false, true) => Access::Write,
             (false, false) => Access::ReadWrite,
@@ -155,6 +168,7 @@ impl Declarations {
         Ok(ReflectedBinding {
             binding,
             access,
+            uniform,
             block: self.block(block_id)?,
             name,
         })

@@ -59,8 +59,11 @@ impl Hazards {
 pub(crate) fn barrier_between(context: &Context, commands: vk::CommandBuffer) {
     use vk::AccessFlags2 as Flags;
     let written = Flags::SHADER_STORAGE_WRITE | Flags::TRANSFER_WRITE;
-    let touched =
-        written | Flags::SHADER_STORAGE_READ | Flags::TRANSFER_READ | Flags::INDIRECT_COMMAND_READ;
+    let touched = written
+        | Flags::SHADER_STORAGE_READ
+        | Flags::UNIFORM_READ
+        | Flags::TRANSFER_READ
+        | Flags::INDIRECT_COMMAND_READ;
     emit(context, commands, (stages(), written), (stages(), touched));
 }
 

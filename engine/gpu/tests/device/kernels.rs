@@ -3,7 +3,7 @@
 use std::fs;
 
 use decouplegs_gpu::{
-    Access, Constant, DeviceOptions, Gpu, GpuError, KernelCache, MemoryKind, QueueRole,
+    Access, Constant, DeviceOptions, Gpu, GpuError, KernelCache, MemoryKind, QueueRole, Recorder,
 };
 
 use crate::{Watched, bytes, scale, scale_push, spirv};
@@ -134,7 +134,9 @@ fn what_is_no_storage_buffer_and_what_is_no_spirv_is_refused() {
         Err(error @ GpuError::Kernel { .. }) => error.to_string(),
         other => panic!("expected a refusal, got {other:?}"),
     };
-    assert!(refusal(&spirv("texture")).contains("picture is not a storage buffer"));
+    assert!(
+        refusal(&spirv("texture")).contains("picture is neither a storage nor a uniform buffer")
+    );
     assert!(refusal(&[1, 2, 3]).contains("not a SPIR-V module"));
     let large = Constant::U32(gpu.limits().workgroup_threads_max + 1);
     let error = gpu
@@ -145,6 +147,43 @@ fn what_is_no_storage_buffer_and_what_is_no_spirv_is_refused() {
         error.contains(&format!("1 to {}", gpu.limits().workgroup_threads_max)),
         "{error}"
     );
+}
+
+#[test]
+fn uniform_buffers_are_read_behind_their_writer() {
+    let gpu = Watched::open();
+    let kernel = gpu.kernel("table", &spirv("table"), &[]).unwrap();
+    let table: Vec<i32> = (1..=20).collect();
+    let table = gpu.upload("table", "test", &table).unwrap();
+    let values = gpu.upload("values", "test", &[0_i32; 64]).unwrap();
+    let bound = [("table", table.binding()), ("values", values.binding())];
+    let fill_and_read = |mut recorder: Recorder| {
+        recorder.fill(table.binding(), 0, 4, 7);
+        recorder.dispatch(&kernel, &bound, &[], [1, 1, 1]);
+        gpu.submit(recorder, &[]).unwrap().wait().unwrap();
+        gpu.take_validation_messages()
+    };
+    assert_eq!(fill_and_read(gpu.record(QueueRole::Main)), [""; 0]);
+    assert_eq!(gpu.read(&values).unwrap()[14..19], [30, 32, 14, 4, 6]);
+    let missing = fill_and_read(gpu.record(QueueRole::Main).without_barriers());
+    assert!(
+        missing
+            .iter()
+            .any(|message| message.contains("SYNC-HAZARD-READ-AFTER-WRITE")),
+        "{missing:#?}"
+    );
+}
+
+#[test]
+#[should_panic(expected = "buffer table of 16 bytes, the shader reads 64 of 'table'")]
+fn a_uniform_buffer_that_is_too_short_asserts() {
+    let gpu = Watched::open();
+    let kernel = gpu.kernel("table", &spirv("table"), &[]).unwrap();
+    let table = gpu.upload("table", "test", &[1; 4]).unwrap();
+    let values = gpu.upload("values", "test", &[0_i32; 64]).unwrap();
+    let bound = [("table", table.binding()), ("values", values.binding())];
+    gpu.record(QueueRole::Main)
+        .dispatch(&kernel, &bound, &[], [1, 1, 1]);
 }
 
 /// Dispatches `scale` with names and sizes that may be wrong.

@@ -66,6 +66,7 @@ fn spirv(name: &str) -> Vec<u32> {
         "layout" => include_bytes!("../kernels/layout.spv"),
         "scale" => include_bytes!("../kernels/scale.spv"),
         "spin" => include_bytes!("../kernels/spin.spv"),
+        "table" => include_bytes!("../kernels/table.spv"),
         "texture" => include_bytes!("../kernels/texture.spv"),
         _ => panic!("no test kernel {name}"),
     })

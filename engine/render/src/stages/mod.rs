@@ -77,7 +77,7 @@ impl FrameCounters {
 /// Cameras of a frame, on the device.
 #[derive(Clone, Copy)]
 pub struct Views<'a> {
-    /// The cameras.
+    /// The cameras, as long as a uniform buffer of kernels ([`crate::layout::CAMERAS_MAX`]).
     pub cameras: &'a Buffer<CameraRecord>,
     /// One per camera, where some camera is no pinhole.
     pub lenses: &'a Buffer<LensRecord>,
