@@ -1,6 +1,6 @@
 //! Selection of the device and its options.
 
-use std::{convert::Infallible, fmt, str::FromStr};
+use std::{convert::Infallible, fmt, str::FromStr, time::Duration};
 
 use crate::{DeviceInfo, DeviceKind, GpuError, KernelCache};
 
@@ -16,11 +16,15 @@ pub struct DeviceOptions {
     pub queues: QueueUse,
     /// Folder for built kernels, which the next start reads.
     pub kernels: KernelCache,
+    /// Time for which a wait asks the device again and again before the thread sleeps. Waking up
+    /// takes longer than a small frame's copy to the host. CPU devices are not asked: they need
+    /// the processor for the work itself.
+    pub poll: Duration,
 }
 
 impl Default for DeviceOptions {
-    /// The best device, all queues, built kernels in the user's folder for caches, and validation
-    /// where the environment says `DECOUPLEGS_VALIDATION=1`.
+    /// The best device, all queues, built kernels in the user's folder for caches, 2 ms of polling,
+    /// and validation where the environment says `DECOUPLEGS_VALIDATION=1`.
     fn default() -> Self {
         let validation = std::env::var("DECOUPLEGS_VALIDATION").is_ok_and(|value| value == "1");
         Self {
@@ -28,6 +32,7 @@ impl Default for DeviceOptions {
             validation,
             queues: QueueUse::All,
             kernels: KernelCache::User,
+            poll: Duration::from_millis(2),
         }
     }
 }

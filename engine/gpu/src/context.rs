@@ -4,6 +4,7 @@ use std::{
     ffi::CStr,
     mem::ManuallyDrop,
     sync::{Mutex, PoisonError},
+    time::Duration,
 };
 
 use ash::{ext, khr, vk};
@@ -13,7 +14,7 @@ use gpu_allocator::{
 };
 
 use crate::{
-    DeviceInfo, DeviceOptions, GpuError, KernelCache, Limits, MemoryReport, QueueUse, choice,
+    DeviceInfo, DeviceKind, DeviceOptions, GpuError, Limits, MemoryReport, QueueUse, choice,
     device::{self, Abilities, Families, Opened, Physical},
     export::Exports,
     instance::Instance,
@@ -38,6 +39,8 @@ pub(crate) struct Context {
     pub(crate) limits: Limits,
     pub(crate) abilities: Abilities,
     pub(crate) families: Families,
+    /// Time for which a wait polls before it sleeps.
+    pub(crate) poll: Duration,
     /// Dropped by hand, before the device.
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
     pub(crate) accounting: Mutex<Accounting>,
@@ -57,13 +60,7 @@ impl Context {
         for index in choice::candidates(&options.choice, &infos)? {
             match open_physical(&instance, &devices[index], options.queues) {
                 Ok((opened, families)) => {
-                    return Self::finish(
-                        instance,
-                        &devices[index],
-                        opened,
-                        families,
-                        &options.kernels,
-                    );
+                    return Self::finish(instance, &devices[index], opened, families, options);
                 }
                 // The best device's reason is the one worth reading.
                 Err(error) if matches!(refusal, GpuError::NoDevice) => refusal = error,
@@ -78,7 +75,7 @@ impl Context {
         physical: &Physical,
         opened: Opened,
         families: Families,
-        kernels: &KernelCache,
+        options: &DeviceOptions,
     ) -> Result<Self, GpuError> {
         let Opened {
             device,
@@ -118,9 +115,13 @@ impl Context {
             limits,
             abilities,
             families,
+            poll: match physical.info.kind {
+                DeviceKind::Cpu => Duration::ZERO,
+                _ => options.poll,
+            },
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
             accounting: Mutex::default(),
-            pipelines: PipelineStore::open(&device, &properties, kernels),
+            pipelines: PipelineStore::open(&device, &properties, &options.kernels),
             physical: physical.raw,
             device,
             instance,

@@ -194,6 +194,9 @@ impl Queue {
         let wait = vk::SemaphoreWaitInfo::default()
             .semaphores(&semaphores)
             .values(&values);
+        if self.polled(value, self.context.poll)? {
+            return self.reap();
+        }
         let since = Instant::now();
         loop {
             // SAFETY: the semaphore lives as long as this queue, and was told to count to `value`.
@@ -213,6 +216,18 @@ impl Queue {
                 });
             }
         }
+    }
+
+    /// Asks the device for at most `limit` whether the timeline has `value`.
+    fn polled(&self, value: u64, limit: Duration) -> Result<bool, GpuError> {
+        let since = Instant::now();
+        while since.elapsed() < limit {
+            if self.is_done(value)? {
+                return Ok(true);
+            }
+            std::thread::yield_now();
+        }
+        Ok(false)
     }
 
     pub(crate) fn is_done(&self, value: u64) -> Result<bool, GpuError> {
@@ -322,6 +337,8 @@ fn semaphore_at(semaphore: vk::Semaphore, value: u64) -> vk::SemaphoreSubmitInfo
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use crate::{DeviceKind, DeviceOptions, Gpu, QueueRole};
 
     /// A lost device is reported with the last poll while work ran, as there may be none
@@ -349,17 +366,24 @@ mod tests {
         ticket.queue.look(&ticket.queue.state());
         // Seconds of work: a look that waits for it would be no use when the device hangs.
         assert!(!ticket.is_done().unwrap());
+        let poll = |limit_s| {
+            ticket
+                .queue
+                .polled(ticket.value, Duration::from_secs_f64(limit_s))
+        };
+        assert!(!poll(0.0).unwrap() && !poll(1e-3).unwrap());
         let mut seen = vec![ticket.submission.progress()];
         while !ticket.is_done().unwrap() {
             ticket.queue.look(&ticket.queue.state());
             seen.push(ticket.submission.progress());
-            std::thread::sleep(std::time::Duration::from_millis(1));
+            std::thread::sleep(Duration::from_millis(1));
         }
         let between = "the last stage known to have finished is 'short', the next is 'long'";
         assert!(
             gpu.info().kind == DeviceKind::Cpu || seen.iter().any(|progress| progress == between),
             "{seen:#?}"
         );
+        assert!(poll(60.0).unwrap());
         ticket.wait().unwrap();
         assert_eq!(
             ticket.submission.progress(),
