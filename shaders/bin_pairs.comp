@@ -32,8 +32,7 @@ layout(set = 0, binding = 2, scalar) readonly buffer lists_block { ViewLists lis
 layout(set = 0, binding = 3, scalar) readonly buffer keys_block { uint keys[]; };
 layout(set = 0, binding = 4, std430) readonly buffer footprints_block { uvec4 footprints[]; };
 layout(set = 0, binding = 5, scalar) buffer slab_counts_block { uint slab_counts[]; }; // [coarse tile][slab]; for FILL, the next place
-layout(set = 0, binding = 6, scalar) writeonly buffer pair_keys_block { uint pair_keys[]; };
-layout(set = 0, binding = 7, scalar) writeonly buffer pair_records_block { uint pair_records[]; };
+layout(set = 0, binding = 6, std430) writeonly buffer pairs_block { uvec2 pairs[]; }; // depth key, record
 
 layout(push_constant, scalar) uniform push_block {
     uint camera_count;
@@ -77,8 +76,7 @@ void bin_row(Camera camera, Footprint splat, uint record, uint key, uint row) {
         uint bin = camera.first_bin + row * camera.coarse_tiles.x + uint(tile);
         uint place = atomicAdd(slab_counts[bin * SLABS + slab], 1u);
         if (FILL && place < pairs_max) {
-            pair_keys[place] = key;
-            pair_records[place] = record;
+            pairs[place] = uvec2(key, record); // one write: places of neighbors lie anywhere
         }
     }
 }

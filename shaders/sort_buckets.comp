@@ -28,13 +28,12 @@ layout(local_size_x = 256) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 1, scalar) readonly buffer buckets_block { Bucket buckets[]; };
-layout(set = 0, binding = 2, scalar) coherent buffer pair_keys_block { uint pair_keys[]; };
-layout(set = 0, binding = 3, scalar) coherent buffer pair_records_block { uint pair_records[]; };
-layout(set = 0, binding = 4, scalar) coherent buffer other_keys_block { uint other_keys[]; };       // scratch of long buckets
-layout(set = 0, binding = 5, scalar) coherent buffer sorted_records_block { uint sorted_records[]; }; // the result
+layout(set = 0, binding = 2, std430) coherent buffer pairs_block { uvec2 pairs[]; }; // depth key, record
+layout(set = 0, binding = 3, scalar) coherent buffer other_keys_block { uint other_keys[]; };       // scratch of long buckets
+layout(set = 0, binding = 4, scalar) coherent buffer sorted_records_block { uint sorted_records[]; }; // the result
 
-layout(set = 0, binding = 6, scalar) readonly buffer cameras_block { Camera cameras[]; };
-layout(set = 0, binding = 7, scalar) readonly buffer slab_counts_block { uint slab_ends[]; }; // [coarse tile][slab]
+layout(set = 0, binding = 5, scalar) readonly buffer cameras_block { Camera cameras[]; };
+layout(set = 0, binding = 6, scalar) readonly buffer slab_counts_block { uint slab_ends[]; }; // [coarse tile][slab]
 
 #include "camera_of_bin.glsl"
 
@@ -132,13 +131,13 @@ const uint FEW_PAIRS = 64u;
 // Sorts up to as many pairs as there are threads, without shared memory.
 void sort_few(uint first, uint count, uint thread) {
     if (thread < count) {
-        uint key = pair_keys[first + thread];
-        uint record = pair_records[first + thread];
+        uvec2 own = pairs[first + thread];
         uint rank = 0u;
-        for (uint other = 0u; other < count; ++other) {
-            rank += stands_before(pair_keys[first + other], pair_records[first + other], key, record) ? 1u : 0u;
+        for (uint place = 0u; place < count; ++place) {
+            uvec2 other = pairs[first + place];
+            rank += stands_before(other.x, other.y, own.x, own.y) ? 1u : 0u;
         }
-        sorted_records[first + rank] = record;
+        sorted_records[first + rank] = own.y;
     }
 }
 
@@ -181,15 +180,15 @@ void sort_in_shared_memory(Bucket bucket, float camera_depth, float key_scale, u
     uint count = bucket.pairs;
     empty_bins(count, thread);
     for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        atomicAdd(bins[bin_of(pair_keys[first + place], bucket, camera_depth, key_scale)], 1u);
+        atomicAdd(bins[bin_of(pairs[first + place].x, bucket, camera_depth, key_scale)], 1u);
     }
     barrier();
     sum_bins(count, thread);
     for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        uint key = pair_keys[first + place];
-        uint target = atomicAdd(bins[bin_of(key, bucket, camera_depth, key_scale)], 1u);
-        shared_words[target] = key;
-        shared_words[SHARED_PAIRS + target] = pair_records[first + place];
+        uvec2 pair = pairs[first + place];
+        uint target = atomicAdd(bins[bin_of(pair.x, bucket, camera_depth, key_scale)], 1u);
+        shared_words[target] = pair.x;
+        shared_words[SHARED_PAIRS + target] = pair.y;
     }
     barrier();
     finish_in_shared_memory(bucket, first, count, 0u, false, camera_depth, key_scale, thread);
@@ -203,11 +202,11 @@ const uint DIGITS = 1u << DIGIT_BITS;
 const uint MOVED = 8u;
 
 uint key_at(bool there, uint place) {
-    return there ? other_keys[place] : pair_keys[place];
+    return there ? other_keys[place] : pairs[place].x;
 }
 
 uint record_at(bool there, uint place) {
-    return there ? sorted_records[place] : pair_records[place];
+    return there ? sorted_records[place] : pairs[place].y;
 }
 
 uint digit_of(uint key, uint record, uint shift, bool by_key) {
@@ -256,8 +255,7 @@ void pass_over_memory(uint first, uint count, uint thread, bool there, uint shif
                 uint at = digit_of(key, record, shift, by_key) * WORKGROUP_THREADS + thread;
                 uint target = first + shared_words[at]++;
                 if (there) {
-                    pair_keys[target] = key;
-                    pair_records[target] = record;
+                    pairs[target] = uvec2(key, record);
                 } else {
                     other_keys[target] = key;
                     sorted_records[target] = record;
@@ -301,7 +299,7 @@ void sort_in_memory(uint first, uint count, uint thread, bool there) {
             [[unroll]] for (uint next = 0u; next < MOVED; ++next) {
                 uint at = place + next * WORKGROUP_THREADS;
                 if (at < count) {
-                    sorted_records[first + at] = pair_records[first + at];
+                    sorted_records[first + at] = pairs[first + at].y;
                 }
             }
         }
@@ -326,15 +324,15 @@ void sort_slab(Bucket bucket, float camera_depth, float key_scale, uint thread) 
     uint count = bucket.pairs;
     empty_bins(SHARED_PAIRS, thread);
     for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        atomicAdd(bins[bin_in_slab(pair_keys[first + place], camera_depth, key_scale)], 1u);
+        atomicAdd(bins[bin_in_slab(pairs[first + place].x, camera_depth, key_scale)], 1u);
     }
     barrier();
     sum_bins(SHARED_PAIRS, thread);
     for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        uint key = pair_keys[first + place];
-        uint target = first + atomicAdd(bins[bin_in_slab(key, camera_depth, key_scale)], 1u);
-        other_keys[target] = key;
-        sorted_records[target] = pair_records[first + place];
+        uvec2 pair = pairs[first + place];
+        uint target = first + atomicAdd(bins[bin_in_slab(pair.x, camera_depth, key_scale)], 1u);
+        other_keys[target] = pair.x;
+        sorted_records[target] = pair.y;
     }
     memoryBarrierBuffer();
     barrier();

@@ -65,8 +65,7 @@ impl BinPairs {
             ("keys", records.projected.keys.binding()),
             ("footprints", records.projected.footprints.binding()),
             ("slab_counts", buffers.slab_counts.binding()),
-            ("pair_keys", buffers.pair_keys.binding()),
-            ("pair_records", buffers.pair_records.binding()),
+            ("pairs", buffers.pairs.binding()),
         ];
         let offset = IndirectArguments::PairBlocks.byte_offset();
         recorder.dispatch_indirect(

@@ -34,10 +34,8 @@ pub struct TileSortBuffers {
     pub tile_lists: Buffer<[u32; 2]>,
     /// Runs of pairs that are sorted one by one.
     pub buckets: Buffer<Bucket>,
-    /// Depth key of each pair.
-    pub pair_keys: Buffer<u32>,
-    /// Record of each pair.
-    pub pair_records: Buffer<u32>,
+    /// Depth key and record of each pair.
+    pub pairs: Buffer<[u32; 2]>,
     /// The result: records, front to back in each coarse tile's list.
     pub sorted_records: Buffer<u32>,
 }
@@ -59,8 +57,7 @@ impl TileSortBuffers {
                 2 * capacity.pairs / BUCKET_PAIRS + bin_count,
                 device,
             )?,
-            pair_keys: gpu.buffer("pair_keys", PURPOSE, capacity.pairs, device)?,
-            pair_records: gpu.buffer("pair_records", PURPOSE, capacity.pairs, device)?,
+            pairs: gpu.buffer("pairs", PURPOSE, capacity.pairs, device)?,
             sorted_records: gpu.buffer("sorted_records", PURPOSE, capacity.pairs, device)?,
         })
     }

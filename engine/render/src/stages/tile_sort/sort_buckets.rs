@@ -49,8 +49,7 @@ impl SortBuckets {
         let bound = [
             ("required", counters.required.binding()),
             ("buckets", buffers.buckets.binding()),
-            ("pair_keys", buffers.pair_keys.binding()),
-            ("pair_records", buffers.pair_records.binding()),
+            ("pairs", buffers.pairs.binding()),
             ("other_keys", records.projected.keys.binding()),
             ("sorted_records", buffers.sorted_records.binding()),
             ("cameras", records.cameras.binding()),
