@@ -61,7 +61,8 @@ impl Listed {
         let cut = Sectors::new(lidar, &beams, &lidar.model.cells(), 8);
         let view = View::new(&cut.cameras, world.origin, 1e3).unwrap();
         let scene = GpuScene::upload(gpu, world, storage).unwrap();
-        let sectors = SectorBuffers::upload(gpu, &view, &cut.tables).unwrap();
+        let mut sectors = SectorBuffers::new(gpu).unwrap();
+        sectors.set(gpu, &view, &cut.tables).unwrap();
         let capacity = Capacity {
             records: 32 * world.splats.len(),
             pairs: 160 * world.splats.len(),
@@ -82,6 +83,7 @@ impl Listed {
         let (scan, tile_sort) = (Scan::new(gpu).unwrap(), TileSort::for_lidar(gpu).unwrap());
         let trace = TraceLidar::new(gpu, &world.rules, variant).unwrap();
         let mut recorder = gpu.record(QueueRole::Main);
+        sectors.copy(&mut recorder);
         let (counters, lists) = (&buffers.counters, &buffers.lists);
         for (buffer, bytes) in [
             (counters.required.binding(), counters.required.byte_len()),
@@ -96,7 +98,7 @@ impl Listed {
         scan.record(&mut recorder, counts, &buffers.offsets, count);
         project.record(&mut recorder, LidarPass::Write, &scene, &sectors, &buffers);
         let records = Records {
-            cameras: &sectors.cameras,
+            cameras: sectors.cameras.device(),
             camera_count: sectors.count,
             projected: &buffers.projected,
             static_offsets: &buffers.offsets,

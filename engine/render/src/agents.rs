@@ -278,7 +278,7 @@ impl AgentList {
             };
             list.push(&unlit, pool.asset(agent.asset)?, 0, all, seen_by);
         }
-        Ok((list.counts.clusters > 0).then_some(list))
+        Ok((list.counts.clusters > 0).then(|| list.padded()))
     }
 
     /// No agents yet, for a frame of `cameras`.

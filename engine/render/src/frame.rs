@@ -52,14 +52,14 @@ pub(crate) fn record_agents(
     }
     recorder.stage("agents", |r| {
         slot.copy_agents(r, counts);
-        agents.cull.record(r, pool, &slot.agents, counts);
+        agents.cull.record(r, pool, slot.agents(), counts);
         let AgentCounts {
             cameras, clusters, ..
         } = counts;
         stages.common.scan.record(
             r,
-            &slot.agents.visible.counts,
-            &slot.agents.offsets,
+            &slot.agents().visible.counts,
+            &slot.agents().offsets,
             cameras * clusters,
         );
     });
@@ -94,7 +94,7 @@ pub(crate) fn record_frame(
         projected: &frame.projected,
         static_offsets: &frame.offsets,
         static_clusters: frame.shape.clusters,
-        moving_offsets: &slot.agents.offsets,
+        moving_offsets: &slot.agents().offsets,
         moving_clusters: input.agents.map_or(0, |counts| counts.clusters),
     };
     stages.common.tile_sort.record(
@@ -132,7 +132,7 @@ fn begin_buffers<'a>(
         slab_counts: &frame.tile_sort.slab_counts,
         bins: frame.shape.bins,
         contributions: &slot.images.contributions,
-        agent_offsets: &slot.agents.offsets,
+        agent_offsets: &slot.agents().offsets,
         agents: input.agents.is_some(),
         partials: &frame.partials,
     };
@@ -218,7 +218,7 @@ fn project_agents(
     };
     let agents = SeenAgents {
         pool,
-        buffers: &slot.agents,
+        buffers: slot.agents(),
         relit: &slot.relit.colors,
         counts,
         fog: input.world.fog.as_ref(),

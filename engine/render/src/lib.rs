@@ -34,6 +34,7 @@ mod plane;
 pub mod reference;
 pub mod rendered_image;
 pub mod sh_codec;
+mod staged_agents;
 pub mod stages;
 pub mod storage;
 pub mod twins;

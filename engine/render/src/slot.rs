@@ -11,13 +11,12 @@ use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::kernels::FrameVariant;
 use crate::keys::KeyDecision;
-use crate::layout::{
-    AgentRecord, CAMERAS_MAX, CameraRecord, LensRecord, RequiredCounts, ShadowRecord, View,
-};
+use crate::layout::{CAMERAS_MAX, CameraRecord, LensRecord, RequiredCounts, ShadowRecord, View};
 use crate::output::{OutputBuffers, Outputs};
 use crate::post_processing::{PhotometryRecord, ProcessedView};
 use crate::relit::RelitCodebooks;
 use crate::resident::GpuScene;
+use crate::staged_agents::StagedAgents;
 use crate::stages::{AgentBuffers, AgentCounts, FrameData, PURPOSE, ShadowBuffers};
 use crate::taken::SharedShelf;
 
@@ -44,10 +43,7 @@ pub(crate) struct FrameInFlight {
     staged_lenses: Buffer<LensRecord>,
     pub staged_key_sets: Buffer<u32>,
     pub staged_photometry: Buffer<PhotometryRecord>,
-    staged_agents: Buffer<AgentRecord>,
-    staged_agent_cameras: Buffer<CameraRecord>,
-    pub agents: AgentBuffers,
-    agent_room: AgentCounts,
+    agents: StagedAgents,
     pub relit: RelitCodebooks,
     staged_shadows: Buffer<ShadowRecord>,
     pub shadows: ShadowBuffers,
@@ -93,15 +89,7 @@ impl FrameInFlight {
                 CAMERAS_MAX,
                 MemoryKind::Upload,
             )?,
-            staged_agents: gpu.buffer("staged_agents", PURPOSE, 0, MemoryKind::Upload)?,
-            staged_agent_cameras: gpu.buffer(
-                "staged_agent_cameras",
-                PURPOSE,
-                0,
-                MemoryKind::Upload,
-            )?,
-            agents: AgentBuffers::new(gpu, 0, 0, 0)?,
-            agent_room: AgentCounts::default(),
+            agents: StagedAgents::new(gpu)?,
             relit: RelitCodebooks::new(gpu)?,
             staged_shadows: gpu.buffer("staged_shadows", PURPOSE, 0, MemoryKind::Upload)?,
             shadows: ShadowBuffers::new(gpu, 0, 0)?,
@@ -165,7 +153,7 @@ impl FrameInFlight {
         self.set_shadows(gpu, scene)?;
         let mut list = list;
         if let Some(list) = &mut list {
-            self.fit_agents(gpu, list.counts)?;
+            self.agents.fit(gpu, list.counts)?;
             let wanted: Vec<_> = list
                 .relights
                 .iter()
@@ -174,8 +162,7 @@ impl FrameInFlight {
             for (&(agent, ..), first) in list.relights.iter().zip(self.relit.set(gpu, &wanted)?) {
                 list.records[agent].first_color = first;
             }
-            self.staged_agents.write_host(0, &list.records);
-            self.staged_agent_cameras.write_host(0, &list.cameras);
+            self.agents.write(list);
         }
         self.list = list;
         self.view = Some(view);
@@ -206,37 +193,6 @@ impl FrameInFlight {
         Ok(())
     }
 
-    /// Room for `counts`, with some to spare: agents come into view and leave it all the time.
-    fn fit_agents(&mut self, gpu: &Gpu, counts: AgentCounts) -> Result<(), RenderError> {
-        let room = self.agent_room;
-        if counts.agents <= room.agents
-            && counts.clusters <= room.clusters
-            && counts.cameras == room.cameras
-        {
-            return Ok(());
-        }
-        let spare = |wanted: usize, had: usize| {
-            if wanted <= had {
-                had
-            } else {
-                wanted + wanted / 4
-            }
-        };
-        let room = AgentCounts {
-            agents: spare(counts.agents, room.agents),
-            clusters: spare(counts.clusters, room.clusters),
-            cameras: counts.cameras,
-        };
-        let cameras = room.agents * room.cameras;
-        self.staged_agents =
-            gpu.buffer("staged_agents", PURPOSE, room.agents, MemoryKind::Upload)?;
-        self.staged_agent_cameras =
-            gpu.buffer("staged_agent_cameras", PURPOSE, cameras, MemoryKind::Upload)?;
-        self.agents = AgentBuffers::new(gpu, room.agents, room.clusters, room.cameras)?;
-        self.agent_room = room;
-        Ok(())
-    }
-
     /// Records the copy of what the host wrote of shadows.
     pub fn copy_shadows(&self, recorder: &mut Recorder) {
         recorder.copy(
@@ -246,6 +202,11 @@ impl FrameInFlight {
             0,
             self.shadow_count,
         );
+    }
+
+    /// Buffers of its agents.
+    pub fn agents(&self) -> &AgentBuffers {
+        &self.agents.buffers
     }
 
     /// Buffers that the host wrote of the view.
@@ -264,21 +225,8 @@ impl FrameInFlight {
 
     /// Records the copy of what the host wrote of agents.
     pub fn copy_agents(&self, recorder: &mut Recorder, counts: AgentCounts) {
-        recorder.copy(
-            &self.staged_agents,
-            0,
-            &self.agents.agents,
-            0,
-            counts.agents,
-        );
-        recorder.copy(
-            &self.staged_agent_cameras,
-            0,
-            &self.agents.cameras,
-            0,
-            counts.agents * counts.cameras,
-        );
-        let lenses = &self.agents.lenses;
+        self.agents.copy(recorder, counts);
+        let lenses = &self.agents.buffers.lenses;
         recorder.copy(&self.staged_lenses, 0, lenses, 0, self.lens_count());
     }
 }

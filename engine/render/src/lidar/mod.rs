@@ -6,23 +6,29 @@
 //! each beam, at its own time: only the order of splats is that of the middle of the sector.
 
 mod sectors;
+mod traced;
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
-use decouplegs_gpu::{DeviceKind, Gpu, GpuError, QueueRole, Recorder, Ticket};
-use decouplegs_scene::lidar::{Beam, Echo, LidarCells, LidarReturn, ReturnMode, ReturnOptions};
-use decouplegs_scene::{Lidar, LidarModel, LidarSweep, Rules, random};
+use bytemuck::Pod;
+use decouplegs_gpu::{Buffer, DeviceKind, Gpu, GpuError, QueueRole, Recorder, Ticket};
+use decouplegs_scene::lidar::{Beam, LidarCells, ReturnMode};
+use decouplegs_scene::{Lidar, LidarModel, Rules};
+use rayon::prelude::*;
 
 use crate::RenderError;
 use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::layout::{BeamEchoes, BeamState, CAMERAS_MAX, CLUSTER_SPLATS, RequiredCounts, View};
+use crate::staged_agents::StagedAgents;
 use crate::stages::{
     AgentBuffers, LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ProjectLidar,
-    ProjectLidarAgents, Records, Scan, SectorBuffers, TileSort, TileSortBuffers, TraceLidar,
+    ProjectLidarAgents, Records, Scan, SectorBuffers, SectorTables, TileSort, TileSortBuffers,
+    TraceLidar,
 };
 
 pub use sectors::Sectors;
+pub use traced::TracedSweep;
 
 /// Sweeps that may outgrow their buffers in a row.
 const ATTEMPTS_MAX: u32 = 6;
@@ -62,6 +68,8 @@ struct Grid {
     model: Arc<LidarModel>,
     beams: Arc<[Beam]>,
     cells: LidarCells,
+    /// Cell of each beam in the order of the sectors, known from the first sweep on.
+    cell_of_beam: OnceLock<Vec<u32>>,
 }
 
 /// Models whose grids a renderer keeps.
@@ -81,116 +89,47 @@ pub struct LidarRenderer {
     capacity: Option<Capacity>,
     /// Buffers of earlier sweeps, the last ones last.
     buffers: Vec<(LidarRoom, LidarBuffers)>,
+    /// Buffers that the host writes; `None` before the first sweep.
+    written: Option<Written>,
 }
 
-/// States of the beams of a sweep.
-#[derive(Clone, Debug)]
-pub struct TracedSweep {
-    /// Sensor, and its poses during the sweep.
-    pub lidar: Lidar,
-    /// Beams, in the order of [`LidarModel::beams`].
-    pub beams: Arc<[Beam]>,
-    /// State of each beam.
-    pub states: Vec<BeamState>,
-    /// Echoes of each beam; empty unless they were asked for.
-    pub echoes: Vec<BeamEchoes>,
-    /// Counts of the lists.
-    pub required: RequiredCounts,
-    /// Time on the device, nanoseconds.
-    pub gpu_time_ns: u64,
+/// Buffers that the host writes for a sweep.
+struct Written {
+    sectors: SectorBuffers,
+    agents: StagedAgents,
 }
 
-impl TracedSweep {
-    /// Returns of the sweep: a beam has one if splats took enough of it and the range is one that
-    /// the sensor reports. Noise, where the model has some, is added last, and depends on the seed
-    /// and the beam alone.
-    ///
-    /// # Panics
-    /// Panics if the mode is [`ReturnMode::Dual`], and the sweep was traced for another one.
-    #[must_use]
-    pub fn returns(&self, options: &ReturnOptions) -> LidarSweep {
-        let model = &self.lidar.model;
-        let noise_m = |beam: usize| match model.range_noise_m {
-            0.0 => 0.0,
-            deviation_m => (deviation_m * normal(options.seed, beam as u64)) as f32,
-        };
-        let [least_m, greatest_m] = model.range_m.map(|range| range as f32);
-        let is_dual = options.mode == ReturnMode::Dual;
-        assert!(
-            !is_dual || self.echoes.len() == self.states.len(),
-            "dual returns of a sweep that was traced without echoes"
-        );
-        let found = |(beam, state): (usize, &BeamState)| {
-            let of_state = || {
-                let (range_m, instance) = state.range(options.mode)?;
-                let weight = 1.0 - state.transmittance;
-                let intensity = state.intensity();
-                let echo = Echo {
-                    weight,
-                    range_m,
-                    intensity,
-                    instance,
-                };
-                (weight >= options.opacity_min).then_some(echo)
-            };
-            let echoes = match is_dual {
-                true => self.echoes[beam].found(),
-                false => [of_state(), None],
-            };
-            let reports = |echo: &Echo| (least_m..=greatest_m).contains(&echo.range_m);
-            let echoes = echoes.map(|echo| echo.filter(reports));
-            let count = echoes.iter().flatten().count() as u8;
-            echoes
-                .into_iter()
-                .flatten()
-                .zip(1..)
-                .map(move |(echo, number)| LidarReturn {
-                    beam: beam as u32,
-                    range_m: echo.range_m + noise_m(beam),
-                    intensity: echo.intensity,
-                    instance: echo.instance,
-                    number,
-                    count,
-                })
-        };
-        LidarSweep {
-            lidar: self.lidar.clone(),
-            beams: self.beams.clone(),
-            returns: self.states.iter().enumerate().flat_map(found).collect(),
-        }
-    }
-}
-
-/// A normally distributed number of mean 0 and variance 1 (Box and Muller, 1958).
-fn normal(seed: u64, index: u64) -> f64 {
-    let mut state = random::mix(seed ^ random::mix(index));
-    let [first, second] = std::array::from_fn(|_| random::unit(random::next(&mut state)));
-    (-2.0 * (1.0 - first).ln()).sqrt() * (std::f64::consts::TAU * second).cos()
-}
-
-/// Results of a walk, by cell.
+/// Results of a walk, by beam.
 struct Walked {
     states: Vec<BeamState>,
     echoes: Vec<BeamEchoes>,
 }
 
-/// `values` of cells, sorted by the beams of the cells.
-fn by_beam<T: Copy + Default>(values: &[T], beam_of_cell: &[u32], beams: usize) -> Vec<T> {
-    let mut sorted = vec![T::default(); beams];
-    for (value, &beam) in values.iter().zip(beam_of_cell) {
-        if let Some(of_beam) = sorted.get_mut(beam as usize) {
-            *of_beam = *value;
+/// Cell of each beam, where `beam_of_cell` says which beam a cell has. A beam without a cell has
+/// one that is not there.
+fn cells_of_beams(beam_of_cell: &[u32], beams: usize) -> Vec<u32> {
+    let mut cells = vec![u32::MAX; beams];
+    for (cell, &beam) in (0_u32..).zip(beam_of_cell) {
+        if let Some(of_beam) = cells.get_mut(beam as usize) {
+            *of_beam = cell;
         }
     }
-    sorted
+    cells
+}
+
+/// Values by beam of a buffer that has them by cell.
+fn by_beam<T: Pod + Default + Send + Sync>(values: &Buffer<T>, cell_of_beam: &[u32]) -> Vec<T> {
+    values.with_host(values.len(), |values| {
+        let of_beam = |&cell: &u32| values.get(cell as usize).copied().unwrap_or_default();
+        cell_of_beam.par_iter().map(of_beam).collect()
+    })
 }
 
 /// A sweep that is being traced.
 struct SweepInput<'a> {
     scene: Scene<'a>,
     view: View,
-    sectors: SectorBuffers,
-    agents: Option<(AgentList, AgentBuffers)>,
+    agents: Option<AgentList>,
     variant: LidarVariant,
     range_min_m: f32,
 }
@@ -207,6 +146,7 @@ impl LidarRenderer {
             grids: Vec::new(),
             capacity: None,
             buffers: Vec::new(),
+            written: None,
         }
     }
 
@@ -262,26 +202,23 @@ impl LidarRenderer {
             echoes: mode == ReturnMode::Dual,
             storage: scene.world.storage,
         };
+        self.write(&view, &cut.tables, list.as_ref())?;
         let input = SweepInput {
-            sectors: SectorBuffers::upload(&self.gpu, &view, &cut.tables)?,
-            agents: list.map(|list| self.agents_on_device(list)).transpose()?,
+            agents: list,
             variant,
             range_min_m: lidar.model.range_m[0] as f32,
             scene,
             view,
         };
-        let (walked, required, gpu_time_ns) = self.run(&input)?;
-        let beams = grid.beams.len();
-        let states = by_beam(&walked.states, &cut.beam_of_cell, beams);
-        let echoes = match input.variant.echoes {
-            true => by_beam(&walked.echoes, &cut.beam_of_cell, beams),
-            false => Vec::new(),
-        };
+        let cell_of_beam = grid
+            .cell_of_beam
+            .get_or_init(|| cells_of_beams(&cut.beam_of_cell, grid.beams.len()));
+        let (walked, required, gpu_time_ns) = self.run(&input, cell_of_beam)?;
         Ok(TracedSweep {
             lidar: lidar.clone(),
             beams: grid.beams.clone(),
-            states,
-            echoes,
+            states: walked.states,
+            echoes: walked.echoes,
             required,
             gpu_time_ns,
         })
@@ -297,6 +234,7 @@ impl LidarRenderer {
             model: model.clone(),
             beams: model.beams().into(),
             cells: model.cells(),
+            cell_of_beam: OnceLock::new(),
         });
         if self.grids.len() >= GRIDS_MAX {
             self.grids.remove(0);
@@ -305,13 +243,28 @@ impl LidarRenderer {
         grid
     }
 
-    /// Copies the agents to the device.
-    fn agents_on_device(&self, list: AgentList) -> Result<(AgentList, AgentBuffers), RenderError> {
-        let counts = list.counts;
-        let buffers = AgentBuffers::new(&self.gpu, counts.agents, counts.clusters, counts.cameras)?;
-        self.gpu.write(&buffers.agents, 0, &list.records)?;
-        self.gpu.write(&buffers.cameras, 0, &list.cameras)?;
-        Ok((list, buffers))
+    /// Writes what the kernels are given of a sweep. The sweep before is done.
+    fn write(
+        &mut self,
+        view: &View,
+        tables: &SectorTables,
+        list: Option<&AgentList>,
+    ) -> Result<(), RenderError> {
+        if self.written.is_none() {
+            self.written = Some(Written {
+                sectors: SectorBuffers::new(&self.gpu)?,
+                agents: StagedAgents::new(&self.gpu)?,
+            });
+        }
+        let Some(Written { sectors, agents }) = &mut self.written else {
+            unreachable!("made above")
+        };
+        sectors.set(&self.gpu, view, tables)?;
+        if let Some(list) = list {
+            agents.fit(&self.gpu, list.counts)?;
+            agents.write(list);
+        }
+        Ok(())
     }
 
     /// Builds the kernels that are not there yet.
@@ -335,10 +288,11 @@ impl LidarRenderer {
     fn run(
         &mut self,
         input: &SweepInput<'_>,
+        cell_of_beam: &[u32],
     ) -> Result<(Walked, RequiredCounts, u64), RenderError> {
         self.build(input.variant)?;
         let splats = input.scene.world.finest_clusters * CLUSTER_SPLATS
-            + input.agents.as_ref().map_or(0, |(list, _)| list.splats);
+            + input.agents.as_ref().map_or(0, |list| list.splats);
         let clusters = input.scene.world.finest_clusters;
         let mut capacity = match self.capacity {
             Some(capacity) => capacity,
@@ -350,7 +304,7 @@ impl LidarRenderer {
             let (listed, required) = self.list(input, &buffers)?;
             if capacity.holds(&required) {
                 self.capacity = Some(capacity);
-                let (walked, walk) = self.walk(input, &buffers, &required)?;
+                let (walked, walk) = self.walk(input, &buffers, &required, cell_of_beam)?;
                 self.buffers.push((room, buffers));
                 return Ok((
                     walked,
@@ -386,20 +340,27 @@ impl LidarRenderer {
         input: &SweepInput<'_>,
         buffers: &LidarBuffers,
     ) -> Result<(Ticket, RequiredCounts), RenderError> {
-        let (Some((scan, tile_sort)), Some(stages)) = (&self.common, self.stages_of(input.variant))
+        let (Some((scan, tile_sort)), Some(stages), Some(written)) =
+            (&self.common, self.stages_of(input.variant), &self.written)
         else {
-            unreachable!("build was called")
+            unreachable!("build and write were called")
         };
-        let (world, sectors) = (input.scene.world, &input.sectors);
+        let (world, sectors) = (input.scene.world, &written.sectors);
         let lists = sectors.count * world.finest_clusters;
-        let agents = input.agents.as_ref().map(|(list, agents)| LidarAgents {
+        let agents = input.agents.as_ref().map(|list| LidarAgents {
             pool: &list.pool,
-            agents,
+            agents: &written.agents.buffers,
             counts: list.counts,
             static_lists: lists,
         });
         let mut recorder = self.gpu.record(QueueRole::Main);
-        recorder.stage("begin", |r| empty_counts(r, buffers, sectors.bins));
+        recorder.stage("begin", |r| {
+            sectors.copy(r);
+            if let Some(list) = &input.agents {
+                written.agents.copy(r, list.counts);
+            }
+            empty_counts(r, buffers, sectors.bins);
+        });
         recorder.stage("project lidar", |r| {
             let background = &stages.background;
             background.record(r, LidarPass::Mark, world, sectors, buffers);
@@ -422,7 +383,7 @@ impl LidarRenderer {
             });
         }
         let records = Records {
-            cameras: &sectors.cameras,
+            cameras: sectors.cameras.device(),
             camera_count: sectors.count,
             projected: &buffers.projected,
             static_offsets: &buffers.offsets,
@@ -444,15 +405,16 @@ impl LidarRenderer {
         Ok((ticket, buffers.found_required.read_host()[0]))
     }
 
-    /// Walks the lists; returns what the beam of each cell found.
+    /// Walks the lists; returns what each beam found.
     fn walk(
         &self,
         input: &SweepInput<'_>,
         buffers: &LidarBuffers,
         required: &RequiredCounts,
+        cell_of_beam: &[u32],
     ) -> Result<(Walked, Ticket), RenderError> {
-        let Some(stages) = self.stages_of(input.variant) else {
-            unreachable!("build was called")
+        let (Some(stages), Some(written)) = (self.stages_of(input.variant), &self.written) else {
+            unreachable!("build and write were called")
         };
         let entries_max = match self.gpu.info().kind {
             DeviceKind::Cpu => ENTRIES_MAX_IN_SOFTWARE,
@@ -463,7 +425,7 @@ impl LidarRenderer {
             for window in 0..required.longest.div_ceil(entries_max).max(1) {
                 let first = window * entries_max;
                 let entries = first..first.saturating_add(entries_max);
-                let (sectors, trace) = (&input.sectors, &stages.trace);
+                let (sectors, trace) = (&written.sectors, &stages.trace);
                 trace.record(r, sectors, buffers, entries, input.range_min_m);
             }
         });
@@ -475,9 +437,9 @@ impl LidarRenderer {
         let ticket = self.gpu.submit(recorder, &[])?;
         ticket.wait()?;
         let walked = Walked {
-            states: buffers.found_states.read_host(),
+            states: by_beam(&buffers.found_states, cell_of_beam),
             echoes: match input.variant.echoes {
-                true => buffers.found_echoes.read_host(),
+                true => by_beam(&buffers.found_echoes, cell_of_beam),
                 false => Vec::new(),
             },
         };

@@ -7,8 +7,8 @@ use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Record
 use decouplegs_scene::Rules;
 
 use super::{
-    AgentBuffers, AgentCounts, FrameCounters, PURPOSE, Projected, RecordContents, TileSortBuffers,
-    Visible, kernel, push_constants,
+    AgentBuffers, AgentCounts, FrameCounters, PURPOSE, Projected, RecordContents, Staged,
+    TileSortBuffers, Visible, kernel, push_constants,
 };
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::{Capacity, groups_for};
@@ -52,36 +52,60 @@ pub struct SectorBuffers {
     /// Coarse tiles of all sectors.
     pub bins: u32,
     /// Axes, grids and positions of the sectors.
-    pub cameras: Buffer<CameraRecord>,
+    pub cameras: Staged<CameraRecord>,
     /// Their motion, and the places of their bounds.
-    pub sectors: Buffer<SectorRecord>,
+    pub sectors: Staged<SectorRecord>,
     /// Lowest and highest azimuth of the beams of each column, as `around` in `lidar.glsl` orders
     /// them.
-    pub column_bounds: Buffer<[f32; 2]>,
+    pub column_bounds: Staged<[f32; 2]>,
     /// Lowest and highest slope of the beams of each row.
-    pub row_bounds: Buffer<[f32; 2]>,
+    pub row_bounds: Staged<[f32; 2]>,
     /// Beams by cell.
-    pub beams: Buffer<BeamRecord>,
+    pub beams: Staged<BeamRecord>,
     /// Places of the sensor by time of firing.
-    pub firings: Buffer<FiringRecord>,
+    pub firings: Staged<FiringRecord>,
 }
 
 impl SectorBuffers {
-    /// Copies the tables of a sweep to the device.
+    /// No sectors yet.
     ///
     /// # Errors
     /// Returns an error if the device is out of memory.
-    pub fn upload(gpu: &Gpu, view: &View, tables: &SectorTables) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            count: view.cameras.len(),
-            bins: view.bins,
-            cameras: gpu.upload("lidar_cameras", PURPOSE, &view.cameras)?,
-            sectors: gpu.upload("sectors", PURPOSE, &tables.sectors)?,
-            column_bounds: gpu.upload("column_bounds", PURPOSE, &tables.column_bounds)?,
-            row_bounds: gpu.upload("row_bounds", PURPOSE, &tables.row_bounds)?,
-            beams: gpu.upload("beams", PURPOSE, &tables.beams)?,
-            firings: gpu.upload("firings", PURPOSE, &tables.firings)?,
+            count: 0,
+            bins: 0,
+            cameras: Staged::new(gpu, "lidar_cameras")?,
+            sectors: Staged::new(gpu, "sectors")?,
+            column_bounds: Staged::new(gpu, "column_bounds")?,
+            row_bounds: Staged::new(gpu, "row_bounds")?,
+            beams: Staged::new(gpu, "beams")?,
+            firings: Staged::new(gpu, "firings")?,
         })
+    }
+
+    /// Writes the tables of a sweep. Submitted work that reads those before must be done.
+    ///
+    /// # Errors
+    /// Returns an error if the device is out of memory.
+    pub fn set(&mut self, gpu: &Gpu, view: &View, tables: &SectorTables) -> Result<(), GpuError> {
+        (self.count, self.bins) = (view.cameras.len(), view.bins);
+        self.cameras.set(gpu, &view.cameras)?;
+        self.sectors.set(gpu, &tables.sectors)?;
+        self.column_bounds.set(gpu, &tables.column_bounds)?;
+        self.row_bounds.set(gpu, &tables.row_bounds)?;
+        self.beams.set(gpu, &tables.beams)?;
+        self.firings.set(gpu, &tables.firings)
+    }
+
+    /// Records the copies of the tables to the device.
+    pub fn copy(&self, recorder: &mut Recorder) {
+        self.cameras.copy(recorder);
+        self.sectors.copy(recorder);
+        self.column_bounds.copy(recorder);
+        self.row_bounds.copy(recorder);
+        self.beams.copy(recorder);
+        self.firings.copy(recorder);
     }
 }
 

@@ -19,6 +19,7 @@ mod project;
 mod relight;
 mod resolve_plane;
 mod scan;
+mod staged;
 mod tile_sort;
 
 pub use agents::{AgentBuffers, AgentCounts, AgentVariant, CullAgents, ProjectAgents, SeenAgents};
@@ -41,6 +42,7 @@ pub use project::{Project, ProjectInputs, ProjectVariant, Projected, RecordConte
 pub use relight::{RELIGHT_BLOCK, Relight, RelightWork, RelitColors};
 pub use resolve_plane::ResolvePlane;
 pub use scan::Scan;
+pub use staged::Staged;
 pub use tile_sort::{
     BinPairs, BinPass, PlanBuckets, PlanLists, Records, SortBuckets, TileSort, TileSortBuffers,
 };

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::{Beam, Lidar};
 use crate::Pose;
@@ -116,17 +117,16 @@ impl LidarSweep {
             PointFrame::EgoAt(time_s) => self.lidar.rig_at(time_s).inverse(),
         };
         // Beams that fire together follow each other: one pose serves them all.
-        let mut fired: Option<(f64, Pose)> = None;
-        let point = |measured: &LidarReturn| {
+        let point = |fired: &mut Option<(f64, Pose)>, measured: &LidarReturn| {
             let beam = self.beams[measured.beam as usize];
-            let frame_from_sensor = match fired {
+            let frame_from_sensor = match *fired {
                 Some((time_s, pose)) if time_s == beam.time_s => pose,
                 _ => {
                     let pose = match frame {
                         PointFrame::Raw => Pose::IDENTITY,
                         _ => frame_from_world.then(&self.lidar.pose_at(beam.time_s)),
                     };
-                    fired = Some((beam.time_s, pose));
+                    *fired = Some((beam.time_s, pose));
                     pose
                 }
             };
@@ -137,6 +137,6 @@ impl LidarSweep {
                 measured: *measured,
             }
         };
-        self.returns.iter().map(point).collect()
+        self.returns.par_iter().map_init(|| None, point).collect()
     }
 }
