@@ -94,22 +94,22 @@ pub enum GpuError {
     Forked,
     /// The device stopped answering for good.
     #[error(
-        "device lost during {during}; {progress}: the kernel after it most likely read or wrote out of bounds or ran too long"
+        "device lost during {during}; {progress}. Most likely a kernel read or wrote out of bounds, or ran too long"
     )]
     DeviceLost {
         /// The Vulkan call that said so.
         during: &'static str,
-        /// The last stage known to have finished, as a clause.
+        /// The last stage known to have finished, where stages are timed, as a clause.
         progress: String,
     },
     /// Submitted work did not finish in a time that no frame takes.
     #[error(
-        "device work did not finish within {seconds} s; {progress}: the kernel after it hangs or the device is overloaded"
+        "device work did not finish within {seconds} s; {progress}. A kernel hangs, or the device is overloaded"
     )]
     Hang {
         /// Time waited.
         seconds: u64,
-        /// The last stage known to have finished, as a clause.
+        /// The last stage known to have finished, where stages are timed, as a clause.
         progress: String,
     },
     /// Any other refusal of the driver.

@@ -209,7 +209,7 @@ impl Recorder {
         });
     }
 
-    /// Leaves the derived barriers out from here on. Only to prove that synchronization validation
+    /// Leaves all derived barriers out. Only to prove that synchronization validation
     /// sees a missing barrier: what the device computes then is undefined.
     pub fn without_barriers(mut self) -> Self {
         self.list.commands.without_barriers = true;

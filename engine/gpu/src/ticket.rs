@@ -100,6 +100,9 @@ impl Ticket {
     }
 }
 
+/// Progress of work whose stages are not timed.
+const NOT_TIMED: &str = "which stage ran is not known, as stages were not timed (`decouplegs bench` times them, and RenderOptions::stage_times)";
+
 /// Submission record that outlives its command buffer.
 pub(crate) struct Submission {
     stages: Arc<[&'static str]>,
@@ -152,7 +155,7 @@ impl Submission {
     /// Known progress of the work, as a clause.
     pub(crate) fn progress(&self) -> String {
         if !self.timed {
-            return "how far it came is not known, as its stages are not timed".into();
+            return NOT_TIMED.into();
         }
         let finished = self.finished.load(Ordering::Relaxed);
         let next = self
@@ -252,10 +255,7 @@ mod tests {
     #[test]
     fn progress_of_stages_that_are_not_timed_is_not_claimed() {
         let submission = Submission::new(Arc::new(["project"]), false, false);
-        assert_eq!(
-            submission.progress(),
-            "how far it came is not known, as its stages are not timed"
-        );
+        assert_eq!(submission.progress(), NOT_TIMED);
     }
 
     #[test]
