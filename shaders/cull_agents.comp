@@ -36,9 +36,12 @@ void main() {
     Agent agent = agents[agent_index];
     uint own_cluster = cluster_index - agent.first_cluster;
     uint own_splat = own_cluster * CLUSTER_SPLATS + thread;
-    // Clusters behind the last agent's end only fill up their number: they have no box.
-    bool in_asset = own_cluster * CLUSTER_SPLATS < agent.splat_count;
-    Cluster cluster = asset_clusters[agent.first_bounds + (in_asset ? own_cluster : 0u)];
+    // Clusters behind the last agent's end only fill up their number: no box, no splats.
+    if (own_cluster * CLUSTER_SPLATS >= agent.splat_count) {
+        store_words(cluster_index, thread);
+        return;
+    }
+    Cluster cluster = asset_clusters[agent.first_bounds + own_cluster];
     bool loaded = false;
     CodedSplat coded;
     mat3 axes;

@@ -79,9 +79,12 @@ void main() {
         return;
     }
     clear_words(thread);
-    // Clusters behind the last agent's end only fill up their number: they have no box.
-    bool in_asset = own_cluster * CLUSTER_SPLATS < agent.splat_count;
-    Cluster cluster = asset_clusters[agent.first_bounds + (in_asset ? own_cluster : 0u)];
+    // Clusters behind the last agent's end only fill up their number: no box, no splats.
+    if (own_cluster * CLUSTER_SPLATS >= agent.splat_count) {
+        store_words(cluster_index, thread);
+        return;
+    }
+    Cluster cluster = asset_clusters[agent.first_bounds + own_cluster];
     for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
         if (own_splat >= agent.splat_count || (agent.cameras >> camera_index & 1u) == 0u) {
             continue;
