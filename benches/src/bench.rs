@@ -211,8 +211,9 @@ fn time_frames(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Timed>
         let (mut frames, mut steps_ms) = (Vec::new(), Vec::new());
         let mut last = Instant::now();
         let ahead = usize::from(arguments.in_flight) - 1;
+        let mut moments = range.clone();
         for place in 0..range.len() + ahead {
-            if let Some(frame) = range.clone().nth(place) {
+            if let Some(frame) = moments.next() {
                 let later_s = f64::from(frame) * arguments.step;
                 let moment = live.at(scene.time_s + later_s);
                 renderer.submit(live.with(&moment), &scene.cameras_after(later_s))?;

@@ -52,8 +52,6 @@ pub struct WarmUp {
 pub struct Driven {
     /// The timed frames.
     pub frames: Vec<FrameStatistics>,
-    /// The last of them, drawn once more with every stage timed.
-    pub by_stage: Vec<FrameStatistics>,
     /// Wall clock from the end of the frame before to that of each, milliseconds.
     pub steps_ms: Vec<f64>,
     /// Frames before the timed ones.
@@ -107,8 +105,8 @@ impl DriveSchedule {
         }
     }
 
-    /// The warm-up and then the schedule, as far ahead as frames may be in flight, and its last
-    /// frames with every stage timed; `submit` draws the moment it is given, seconds.
+    /// The warm-up and then the schedule, as far ahead as frames may be in flight; `submit` draws
+    /// the moment it is given, seconds.
     pub fn drive(
         &self,
         renderer: &mut Renderer,
@@ -116,7 +114,6 @@ impl DriveSchedule {
     ) -> Result<Driven> {
         let mut driven = Driven {
             frames: Vec::new(),
-            by_stage: Vec::new(),
             steps_ms: Vec::new(),
             warm_up_frames: 0,
         };
@@ -139,7 +136,7 @@ impl DriveSchedule {
                 continue;
             }
             let Some(is_timed) = in_flight.pop_front() else {
-                break;
+                return Ok(driven);
             };
             let statistics = renderer.finish()?;
             let now = Instant::now();
@@ -151,13 +148,21 @@ impl DriveSchedule {
                 driven.warm_up_frames += 1;
             }
         }
+    }
+
+    /// The last frames of the schedule, drawn once more with every stage timed.
+    pub fn drive_by_stage(
+        &self,
+        renderer: &mut Renderer,
+        mut submit: impl FnMut(&mut Renderer, f64) -> Result<()>,
+    ) -> Result<Vec<FrameStatistics>> {
         renderer.time_stages(true);
-        for frame in self.frames.saturating_sub(FRAMES_BY_STAGE_MAX)..self.frames {
+        let last = self.frames.saturating_sub(FRAMES_BY_STAGE_MAX)..self.frames;
+        let draw = |frame: u32| {
             submit(renderer, self.time_s(frame))?;
-            driven.by_stage.push(renderer.finish()?);
-        }
-        renderer.time_stages(false);
-        Ok(driven)
+            Ok(renderer.finish()?)
+        };
+        last.map(draw).collect()
     }
 
     /// The middle of the timed frames, seconds: where agents stand that cannot drive.

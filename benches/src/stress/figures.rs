@@ -124,8 +124,8 @@ impl Point {
 }
 
 impl Measured {
-    /// The figures of `driven`, which has at least one frame. Fidelity and what the frames do not
-    /// tell are left open.
+    /// The figures of `driven`, which has at least one frame. Times of stages, fidelity and what
+    /// the frames do not tell are left open.
     pub fn of(driven: &Driven, memory: MemoryReport) -> Self {
         let frames = &driven.frames;
         let spread = |of: &dyn Fn(&FrameStatistics) -> f64| Spread::of(frames.iter().map(of));
@@ -146,13 +146,7 @@ impl Measured {
             gpu_ms: spread(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
             update_ms: (!updates.is_empty()).then(|| Spread::of(updates)),
             record_ms: spread(&|frame| frame.record_time.as_secs_f64() * 1e3),
-            stages: stage_names(&driven.by_stage)
-                .into_iter()
-                .map(|name| {
-                    let times = driven.by_stage.iter().map(|frame| stage_ms(frame, name));
-                    (name, Spread::of(times))
-                })
-                .collect(),
+            stages: Vec::new(),
             memory,
             predicted_scene_bytes: 0,
             world_splats: 0,
@@ -215,6 +209,13 @@ impl Measured {
             "fidelity": self.fidelity.map(Fidelity::to_json),
         })
     }
+}
+
+/// Times of each stage of `frames`, whose stages were timed.
+pub fn stage_times(frames: &[FrameStatistics]) -> Vec<(&'static str, Spread)> {
+    let times = |name| Spread::of(frames.iter().map(|frame| stage_ms(frame, name)));
+    let names = stage_names(frames).into_iter();
+    names.map(|name| (name, times(name))).collect()
 }
 
 /// Names of all stages that some frame had, in the order they run, those of the update queue first.

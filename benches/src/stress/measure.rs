@@ -6,13 +6,13 @@ use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, GpuError};
 use decouplegs::render::layout::{CLUSTER_SPLATS, ClusterRecord, NodeRecord};
 use decouplegs::render::{
-    ColorFormat, GpuScene, Image, Outputs, Plane, RenderError, RenderOptions, Renderer,
+    ColorFormat, GpuScene, Image, Outputs, Plane, RenderError, RenderOptions, Renderer, SHAPE_WORDS,
 };
 use decouplegs::scene::{Camera, CodedCloud, DetailLevels, World};
 
 use super::drive_schedule::DriveSchedule;
 use super::fidelity::Fidelity;
-use super::figures::{Measured, Outcome};
+use super::figures::{Measured, Outcome, stage_times};
 use super::mode::{Agents, Mode};
 use super::prune;
 use super::workload::Workload;
@@ -147,14 +147,20 @@ impl<'a> TestRig<'a> {
                     Resident::Live(Box::new(LiveScene::new(&renderer, scene)?))
                 }
             };
-            let driven = self.schedule.drive(&mut renderer, |renderer, time_s| {
+            let submit = |renderer: &mut Renderer, time_s: f64| {
                 Ok(resident.submit(
                     renderer,
                     time_s,
                     &self.schedule.cameras(self.workload.background(), time_s),
                 )?)
-            })?;
-            Measured::of(&driven, self.gpu.memory())
+            };
+            let driven = self.schedule.drive(&mut renderer, submit)?;
+            let memory = self.gpu.memory();
+            let by_stage = self.schedule.drive_by_stage(&mut renderer, submit)?;
+            Measured {
+                stages: stage_times(&by_stage),
+                ..Measured::of(&driven, memory)
+            }
         };
         if measured.memory.total_bytes > limit_bytes {
             return Ok((
@@ -339,6 +345,7 @@ fn asset_bytes(asset: &CodedCloud) -> u64 {
         .iter()
         .map(|level| level.div_ceil(CLUSTER_SPLATS))
         .sum();
-    let books = size_of_val(asset.shapes.as_slice()) + asset.color_count() * COLOR_BYTES;
+    let books =
+        asset.shapes.len() * size_of::<[f32; SHAPE_WORDS]>() + asset.color_count() * COLOR_BYTES;
     (size_of_val(asset.splats.as_slice()) + books + clusters * size_of::<ClusterRecord>()) as u64
 }

@@ -118,13 +118,13 @@ impl CommandList {
     }
 
     /// Records the list into `commands`, which is being recorded and is the caller's alone, with
-    /// barriers where one command needs another's results. `stage_ends` is told the index of each
-    /// stage, false at its start and true at its end.
+    /// barriers where one command needs another's results. Calls `edge` with 2 i at the start of
+    /// stage i, and with 2 i + 1 at its end.
     pub(crate) fn encode(
         &self,
         context: &Context,
         commands: vk::CommandBuffer,
-        mut stage_ends: impl FnMut(usize, bool),
+        mut edge: impl FnMut(u32),
     ) {
         let mut encoder = Encoder {
             context,
@@ -135,16 +135,17 @@ impl CommandList {
         let mut buffers = &self.held.buffers[..];
         let mut push = &self.commands.push[..];
         let mut kernels = self.held.kernels.iter();
-        let mut stages = 0;
+        let mut edges = 0;
         for command in &self.commands.list {
             match *command {
                 Command::BeginStage(name) => {
                     encoder.begin_label(name);
-                    stage_ends(stages, false);
+                    edge(edges);
+                    edges += 1;
                 }
                 Command::EndStage => {
-                    stage_ends(stages, true);
-                    stages += 1;
+                    edge(edges);
+                    edges += 1;
                     encoder.end_label();
                 }
                 Command::Dispatch(groups) => {

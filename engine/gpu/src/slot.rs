@@ -117,9 +117,9 @@ impl CommandSlot {
         hazards::barrier_at_start(&self.context, self.commands);
         self.timestamp(QUERY_START);
         let timed = list.commands.stage_times;
-        list.encode(&self.context, self.commands, |stage, ends| {
+        list.encode(&self.context, self.commands, |edge| {
             if timed {
-                self.timestamp(2 + 2 * stage as u32 + u32::from(ends));
+                self.timestamp(2 + edge);
             }
         });
         hazards::barrier_to_host(&self.context, self.commands);

@@ -40,7 +40,7 @@ pub mod storage;
 pub mod twins;
 
 pub use agents::{Agent, Scene};
-pub use asset_pool::{AssetId, AssetPool, PoolBuffers, stored_shape};
+pub use asset_pool::{AssetId, AssetPool, PoolBuffers, SHAPE_WORDS, stored_shape};
 pub use capacity::Capacity;
 pub use error::RenderError;
 pub use image_bytes::ImageBytes;
