@@ -9,7 +9,7 @@ use bytemuck::Pod;
 use crate::{
     Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, KernelCounts, Limits,
     MemoryKind, MemoryReport, QueueRole, Recorder, Ticket, context::Context, device,
-    instance::Instance, memory::BufferMemory, queue::Queue, transfer,
+    instance::Instance, kernel::Kernels, memory::BufferMemory, queue::Queue, transfer,
 };
 
 /// One moment on the clocks of host and device.
@@ -31,6 +31,7 @@ struct Shared {
     main: Arc<Queue>,
     /// The same as `main` where the device has no queue beside it.
     update: Arc<Queue>,
+    kernels: Kernels,
     context: Arc<Context>,
 }
 
@@ -78,6 +79,7 @@ impl Gpu {
         Ok(Self(Arc::new(Shared {
             main,
             update,
+            kernels: Kernels::default(),
             context,
         })))
     }
@@ -211,7 +213,8 @@ impl Gpu {
 
     /// Builds a kernel from a SPIR-V module with names (debug information), its specialization
     /// constants given by name. A constant that sizes the workgroup and has no other use goes by
-    /// `local_size_x`, `local_size_y` or `local_size_z`, as compilers drop its name.
+    /// `local_size_x`, `local_size_y` or `local_size_z`, as compilers drop its name. A kernel of
+    /// equal name, module and constants is the same one: it is not built again.
     ///
     /// # Errors
     /// Returns an error if the device lacks a feature that the module uses, its workgroup is too
@@ -226,7 +229,9 @@ impl Gpu {
         spirv: &[u32],
         constants: &[(&str, Constant)],
     ) -> Result<Kernel, GpuError> {
-        Kernel::new(&self.0.context, name, spirv, constants)
+        self.0
+            .kernels
+            .find_or_build(&self.0.context, name, spirv, constants)
     }
 
     /// Starts a list of commands.

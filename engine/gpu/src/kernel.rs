@@ -2,6 +2,7 @@
 
 mod module;
 mod reflection;
+mod shared;
 
 use std::sync::{
     Arc, OnceLock,
@@ -18,6 +19,7 @@ use crate::{
 };
 use module::Kind;
 use reflection::{Block, Interface};
+pub(crate) use shared::Kernels;
 
 /// Access of a kernel to a buffer, from `readonly` and `writeonly` in the shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -123,7 +125,7 @@ pub(crate) struct KernelCore {
 }
 
 impl Kernel {
-    pub(crate) fn new(
+    fn new(
         context: &Arc<Context>,
         name: &'static str,
         spirv: &[u32],

@@ -246,7 +246,24 @@ fn an_unknown_constant_asserts() {
 )]
 fn a_constant_of_another_type_asserts() {
     let gpu = Watched::open();
-    let _ = gpu.kernel("scale", &spirv("scale"), &[("FACTOR", Constant::F32(1.0))]);
+    let of_factor = |factor| gpu.kernel("scale", &spirv("scale"), &[("FACTOR", factor)]);
+    // A kernel whose constant has the same bits is not the one asked for.
+    of_factor(Constant::U32(1.0_f32.to_bits())).unwrap();
+    let _ = of_factor(Constant::F32(1.0));
+}
+
+#[test]
+fn equal_kernels_are_built_once() {
+    let gpu = Watched::open();
+    let built = |factor| {
+        scale(&gpu, factor);
+        gpu.kernel_counts().built
+    };
+    assert_eq!([2, 2, 3, 2].map(built), [1, 1, 2, 2]);
+    let layout = spirv("layout");
+    gpu.kernel("layout", &layout, &[]).unwrap();
+    gpu.kernel("layout of others", &layout, &[]).unwrap();
+    assert_eq!(gpu.kernel_counts().built, 4, "errors tell kernels by name");
 }
 
 /// Kernels are kept in a file that the next start reads; a damaged one is ignored and replaced.

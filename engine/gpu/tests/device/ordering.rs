@@ -231,7 +231,7 @@ fn equal_commands_are_recorded_once() {
 fn a_command_buffer_serves_equal_commands_alone() {
     let gpu = Watched::open();
     let (a, b) = two_buffers(&gpu);
-    let (kernel, other_kernel) = (scale(&gpu, 1), scale(&gpu, 1));
+    let (kernel, other_kernel) = (scale(&gpu, 1), scale(&gpu, 2));
     let arguments = gpu.upload("arguments", "test", &[1_u32; 6]).unwrap();
     let push = scale_push(COUNT, 1);
     let buffers = |from: &Buffer<i32>, to: &Buffer<i32>| {
