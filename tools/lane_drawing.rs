@@ -5,7 +5,8 @@ use std::fmt::Write;
 use decouplegs::scene::{Lane, LaneKind};
 use glam::DVec2;
 
-use crate::plot::{escaped, number};
+use crate::page::escaped;
+use crate::plot::number;
 
 const WIDTH_PX: f64 = 640.0;
 const HEIGHT_PX: f64 = 340.0;

@@ -35,7 +35,7 @@ use clap::{Parser, Subcommand};
 use decouplegs::explain::explain;
 use decouplegs_benches::{ablate, bench, stress};
 use decouplegs_cli::{
-    arguments, background, data_uri, device, image_quality, plot, progress, scene_source, views,
+    arguments, background, device, image_quality, page, plot, progress, scene_source, thumbnail, views,
     visibility,
 };
 use decouplegs_view as view;

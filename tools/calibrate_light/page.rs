@@ -1,64 +1,69 @@
-//! The report as one HTML page that needs nothing beside it.
-
-use std::fmt::Write;
+//! The report as one HTML page.
 
 use anyhow::Result;
-use decouplegs::render::rendered_image::Image;
 use decouplegs::train::calibrate::{Calibration, ColorError, Comparison, HUE_FLOOR, LIGHTS_MIN};
 
 use super::{Subject, views};
-use crate::data_uri;
-use crate::plot::{self, Axis, Plot, Series, Shape, escaped};
+use crate::page::{Figure, Page, Table};
+use crate::plot::{Axis, Plot, Series};
 
 /// The page.
 pub fn page(subject: &Subject, calibration: &Calibration) -> Result<String> {
-    let mut html = plot::page_start("Light transfer: colors in light that the fit was not shown");
-    html.push_str(&summary(subject, calibration));
-    html.push_str("<h2>Probes left out</h2>");
-    html.push_str(&table(subject, calibration));
+    let mut page = Page::new("Light transfer: colors in light that the fit was not shown");
+    page.text(&summary(subject, calibration));
+    page.heading("Probes left out");
+    probes_left_out(&mut page, subject, calibration);
     for held_out in &calibration.held_out {
-        let name = escaped(&subject.probes[held_out.probe].name);
-        let _ = write!(html, "<h3>{name}</h3><div class=\"row\">");
+        page.subheading(&subject.probes[held_out.probe].name);
         if let Some(row) = views::row(subject, held_out) {
-            for (caption, image) in row.captions.iter().zip(&row.images) {
-                figure(&mut html, caption, image)?;
-            }
+            let images = row.captions.iter().zip(&row.images);
+            let figures = images.map(|(caption, image)| Figure::image(caption, image));
+            page.row(figures.collect::<Result<Vec<_>>>()?);
         }
-        html.push_str("</div>");
     }
-    html.push_str(&assets_left_out(subject, calibration));
-    html.push_str("<h2>The neutral light</h2><div class=\"row\">");
-    for (caption, image) in ["as it is", "relit"]
-        .iter()
-        .zip(&views::neutral(subject, calibration))
-    {
-        figure(&mut html, caption, image)?;
+    if !calibration.held_out_assets.is_empty() {
+        page.heading("Assets left out");
+        let mut table = empty_table();
+        for held_out in &calibration.held_out_assets {
+            let name = &subject.assets[held_out.asset].0;
+            table.row(cells(name, &held_out.comparison));
+        }
+        page.table(&table);
     }
-    html.push_str("</div>");
-    html.push_str(&ridges(calibration));
-    html.push_str(HOW_TO_READ);
-    html.push_str("</html>\n");
-    Ok(html)
+    page.heading("The neutral light");
+    let [plain, relit] = &views::neutral(subject, calibration);
+    page.row([
+        Figure::image("as it is", plain)?,
+        Figure::image("relit", relit)?,
+    ]);
+    if !calibration.tried.is_empty() {
+        page.heading("Ridge");
+        page.row([ridges(calibration)]);
+    }
+    page.heading("How to read this");
+    page.list(HOW_TO_READ);
+    Ok(page.finish())
 }
 
-const HOW_TO_READ: &str = "<h2>How to read this</h2><ul>\
-    <li>Truth is what the calibration takes for it: matt surfaces, each splat facing along its shortest axis, lit by the probe \
-    above the horizon and by the reference ground below it, without shadows of the asset on itself. The errors are those of one affine transfer for the whole asset against \
-    this truth, not against photographs.</li>\
-    <li>Each row is a fit without that probe, in all its turns, reflections and exposures; the ridge was chosen without it, too. \
-    The assets are those of the fit. A row of an asset is a fit to the other assets, in all lights.</li>\
-    <li><i>Best affine</i> is fitted to each light of the probe that was left out: what one factor and one summand for each \
-    coefficient can do at best.</li></ul>";
+const HOW_TO_READ: [&str; 3] = [
+    "Truth is what the calibration takes for it: matt surfaces, each splat facing along its shortest axis, lit by the probe above the \
+     horizon and by the reference ground below it, without shadows of the asset on itself. The errors are those of one affine \
+     transfer for the whole asset against this truth, not against photographs.",
+    "Each row is a fit without that probe, in all its turns, reflections and exposures. The ridge was chosen without it, too. The \
+     assets are those of the fit. A row of an asset is a fit to the other assets, in all lights.",
+    "<i>Best affine</i> is fitted to each light of the probe that was left out: what one factor and one summand for each coefficient \
+     can do at best.",
+];
 
 fn summary(subject: &Subject, calibration: &Calibration) -> String {
-    let assets: Vec<String> = subject
+    let assets: Vec<&str> = subject
         .assets
         .iter()
-        .map(|(name, _)| escaped(name))
+        .map(|(name, _)| name.as_str())
         .collect();
     format!(
-        "<p>Degree {}, {} splats of {}, {} lights from {} probes, objective {}, ridge {:.1e}. Rank {} of \
-         {LIGHTS_MIN}, condition number {:.0}. The neutral light changes colors by {:.4} (RMSE).</p>",
+        "Degree {}, {} splats of {}, {} lights from {} probes, objective {}, ridge {:.1e}. Rank {} of \
+         {LIGHTS_MIN}, condition number {:.0}. The neutral light changes colors by {:.4} (RMSE).",
         calibration.transfer.sh_degree,
         calibration.samples,
         assets.join(", "),
@@ -72,98 +77,59 @@ fn summary(subject: &Subject, calibration: &Calibration) -> String {
     )
 }
 
-fn table(subject: &Subject, calibration: &Calibration) -> String {
+fn probes_left_out(page: &mut Page, subject: &Subject, calibration: &Calibration) {
     if calibration.held_out.is_empty() {
-        return "<p>No probe could be left out: the others do not determine a fit without it.</p>"
-            .into();
+        page.text("No probe could be left out: the others do not determine a fit without it.");
+        return;
     }
-    let mut html = table_head();
+    let mut table = empty_table();
     for held_out in &calibration.held_out {
-        table_row(
-            &mut html,
-            &escaped(&subject.probes[held_out.probe].name),
-            &held_out.comparison,
-        );
+        let name = &subject.probes[held_out.probe].name;
+        table.row(cells(name, &held_out.comparison));
     }
-    table_row(&mut html, "all", &calibration.total());
-    let _ = write!(
-        html,
-        "</table><p class=\"dim\">Display-referred colors as seen, 0 to 1. Angles between RGB vectors in degrees, where the truth's \
-         largest channel is at least {HUE_FLOOR}.</p>"
-    );
-    html
+    table.row(cells("all", &calibration.total()));
+    page.table(&table);
+    page.note(&format!(
+        "Display-referred colors as seen, 0 to 1. Angles between RGB vectors in degrees, where the largest channel of the truth is at \
+         least {HUE_FLOOR}."
+    ));
 }
 
-fn table_head() -> String {
-    let mut html = String::from("<table><tr><th>left out");
-    for method in ["not relit", "relit", "best affine"] {
-        let _ = write!(html, "<th>RMSE, {method}<th>PSNR, dB<th>angle, mean<th>p95");
-    }
-    html
+fn empty_table() -> Table {
+    let methods = ["not relit", "relit", "best affine"].map(|method| {
+        let rmse = format!("RMSE, {method}");
+        [rmse, "PSNR, dB".into(), "angle, mean".into(), "p95".into()]
+    });
+    Table::new(
+        std::iter::once("left out".to_owned()).chain(methods.into_iter().flatten()),
+    )
 }
 
-/// Table of assets, each relit by a fit to the others; empty for one asset.
-fn assets_left_out(subject: &Subject, calibration: &Calibration) -> String {
-    if calibration.held_out_assets.is_empty() {
-        return String::new();
-    }
-    let mut html = format!("<h2>Assets left out</h2>{}", table_head());
-    for held_out in &calibration.held_out_assets {
-        let name = escaped(&subject.assets[held_out.asset].0);
-        table_row(&mut html, &name, &held_out.comparison);
-    }
-    html.push_str("</table>");
-    html
-}
-
-fn table_row(html: &mut String, name: &str, comparison: &Comparison) {
-    let _ = write!(html, "<tr><td>{name}");
-    let mut cells = |error: &ColorError| {
-        let _ = write!(
-            html,
-            "<td>{:.4}<td>{:.2}<td>{:.2}<td>{:.2}",
-            error.rmse(),
-            error.psnr_db(),
-            error.angle_mean_deg(),
-            error.angle_p95_deg()
-        );
+fn cells(name: &str, comparison: &Comparison) -> Vec<String> {
+    let figures = |error: &ColorError| {
+        [
+            format!("{:.4}", error.rmse()),
+            format!("{:.2}", error.psnr_db()),
+            format!("{:.2}", error.angle_mean_deg()),
+            format!("{:.2}", error.angle_p95_deg()),
+        ]
     };
-    [&comparison.none, &comparison.relit, &comparison.affine]
-        .into_iter()
-        .for_each(&mut cells);
+    let methods = [&comparison.none, &comparison.relit, &comparison.affine];
+    std::iter::once(name.to_owned())
+        .chain(methods.into_iter().flat_map(figures))
+        .collect()
 }
 
-fn figure(html: &mut String, caption: &str, image: &Image) -> Result<()> {
-    let _ = write!(
-        html,
-        "<figure><img class=\"pixels\" src=\"{}\" alt=\"{caption}\"><figcaption>{caption}</figcaption></figure>",
-        data_uri::png(image)?
-    );
-    Ok(())
-}
-
-fn ridges(calibration: &Calibration) -> String {
-    if calibration.tried.is_empty() {
-        return String::new();
-    }
+fn ridges(calibration: &Calibration) -> Figure {
     let plot = Plot {
         title: "Ridge",
-        x: Axis {
-            label: "ridge",
-            log: true,
-            ..Axis::default()
-        },
-        y: Axis {
-            label: "RMSE by the objective, probes left out",
-            ..Axis::default()
-        },
-        series: vec![Series {
-            name: "probes left out".into(),
-            color: 0,
-            points: calibration.tried.clone(),
-            shape: Shape::Curve,
-            end: None,
-        }],
+        x: Axis::logarithmic("ridge"),
+        y: Axis::linear("RMSE by the objective, probes left out"),
+        series: vec![Series::curve(
+            "probes left out",
+            0,
+            calibration.tried.clone(),
+        )],
     };
-    format!("<h2>Ridge</h2><figure>{}</figure>", plot.to_svg())
+    Figure::svg(&plot.to_svg())
 }

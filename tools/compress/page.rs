@@ -1,15 +1,13 @@
-//! The report as one HTML page that needs nothing beside it.
-
-use std::fmt::Write;
+//! The report as one HTML page.
 
 use anyhow::Result;
 use decouplegs::render::metrics::difference_image;
 use decouplegs::train::compress::{BookReport, Compressed};
 
 use super::report::{Measured, Subject, Trial};
-use crate::data_uri;
 use crate::image_quality::{QualityMeter, Score};
-use crate::plot::{self, Axis, Plot, Series, Shape, escaped};
+use crate::page::{Figure, Page, Table, escaped};
+use crate::plot::{Axis, Plot, Series};
 
 /// Factor on differences in images of them.
 const DIFFERENCE_GAIN: f32 = 8.0;
@@ -21,44 +19,40 @@ pub fn page(
     quality_meter: &mut QualityMeter,
     measured: &Measured,
 ) -> Result<String> {
-    let file = escaped(&subject.arguments.file.display().to_string());
-    let mut html = plot::page_start(&format!("{file} compressed"));
-    html.push_str(&summary(subject, compressed));
+    let mut page = Page::new(&format!("{} compressed", subject.arguments.file.display()));
+    summary(&mut page, subject, compressed);
     let names: Vec<&str> = quality_meter.views.iter().map(|views| views.name).collect();
-    html.push_str("<h2>Against the original</h2><ul>");
-    for views in &quality_meter.views {
-        let _ = write!(
-            html,
-            "<li><b>{}</b>: {}, {} views</li>",
-            views.name,
-            escaped(&views.what),
-            views.cameras.len()
-        );
-    }
-    html.push_str("</ul>");
-    html.push_str(&trial_table(&names, std::slice::from_ref(&measured.asset)));
-    html.push_str(&images(quality_meter, compressed)?);
-    html.push_str(&curves(&names, compressed, measured));
-    html.push_str("<h2>Shares kept, not compressed otherwise</h2>");
-    html.push_str(&trial_table(&names, &measured.pruned_only));
-    html.push_str("<h2>Shares kept</h2>");
-    html.push_str(&trial_table(&names, &measured.kept));
-    html.push_str("<h2>Sizes of the codebooks</h2>");
-    html.push_str(&trial_table(&names, &measured.books));
-    html.push_str(
-        "<h2>Spaces of the shape codebook</h2><p>What a covariance is turned into before shapes are gathered around entries.</p>",
+    page.heading("Against the original");
+    page.list(quality_meter.views.iter().map(|views| {
+        let (what, count) = (escaped(&views.what), views.cameras.len());
+        format!("<b>{}</b>: {what}, {count} views", views.name)
+    }));
+    page.table(&trial_table(&names, std::slice::from_ref(&measured.asset)));
+    images(&mut page, quality_meter, compressed)?;
+    page.heading("Curves");
+    page.row(curves(&names, compressed, measured));
+    page.heading("Shares kept, not compressed otherwise");
+    page.table(&trial_table(&names, &measured.pruned_only));
+    page.heading("Shares kept");
+    page.table(&trial_table(&names, &measured.kept));
+    page.heading("Sizes of the codebooks");
+    page.table(&trial_table(&names, &measured.books));
+    page.heading("Spaces of the shape codebook");
+    page.text("What a covariance is turned into before shapes are gathered around entries.");
+    page.table(&trial_table(&names, &measured.spaces));
+    page.heading("Levels of detail");
+    page.text(
+        "Each level against the finest, where so many pixels lie between its splats. The window is as large as the asset.",
     );
-    html.push_str(&trial_table(&names, &measured.spaces));
-    html.push_str(&level_table(measured));
-    html.push_str("</html>\n");
-    Ok(html)
+    page.table(&level_table(measured));
+    Ok(page.finish())
 }
 
-fn summary(subject: &Subject<'_>, compressed: &Compressed) -> String {
+fn summary(page: &mut Page, subject: &Subject<'_>, compressed: &Compressed) {
     let report = &compressed.report;
-    let mut html = format!(
+    page.html(&format!(
         "<p>{} of {} splats kept ({} cannot be drawn, {} are below 1/255). <b>{} bytes</b>: {:.2} for each splat that came in, {:.2} for \
-         each kept. Measured on {}.</p><table><tr><th>part<th>bytes<th>bytes a kept splat</tr>",
+         each kept. Measured on {}.</p>",
         report.kept,
         report.splats,
         report.defects,
@@ -67,142 +61,112 @@ fn summary(subject: &Subject<'_>, compressed: &Compressed) -> String {
         subject.stored_bytes as f64 / report.splats as f64,
         subject.stored_bytes as f64 / report.kept as f64,
         escaped(&subject.gpu.info().name)
+    ));
+    let levels = report.bytes.levels.iter().zip(&compressed.cloud.levels);
+    let mut parts: Vec<(String, u64)> = levels
+        .enumerate()
+        .map(|(level, (&bytes, splats))| (format!("level {level}: {splats} splats"), bytes as u64))
+        .collect();
+    let colors = format!(
+        "{} colors of degree {}",
+        report.colors.entries, compressed.cloud.sh_degree
     );
-    let mut row = |name: String, bytes: u64| {
-        let _ = write!(
-            html,
-            "<tr><td>{name}<td>{bytes}<td>{:.3}</tr>",
-            bytes as f64 / report.kept as f64
-        );
-    };
-    for (level, &bytes) in report.bytes.levels.iter().enumerate() {
-        row(
-            format!("level {level}: {} splats", compressed.cloud.levels[level]),
-            bytes as u64,
-        );
-    }
-    row(
-        format!("{} shapes", report.shapes.entries),
-        report.bytes.shapes as u64,
-    );
-    row(
-        format!(
-            "{} colors of degree {}",
-            report.colors.entries, compressed.cloud.sh_degree
+    let stored = report.bytes.total() as u64;
+    parts.extend([
+        (
+            format!("{} shapes", report.shapes.entries),
+            report.bytes.shapes as u64,
         ),
-        report.bytes.colors as u64,
-    );
-    row(
-        "header".into(),
-        subject
-            .stored_bytes
-            .saturating_sub(report.bytes.total() as u64),
-    );
-    html.push_str("</table>");
-    html
+        (colors, report.bytes.colors as u64),
+        (
+            "header".into(),
+            subject.stored_bytes.saturating_sub(stored),
+        ),
+    ]);
+    let mut table = Table::new(["part", "bytes", "bytes per kept splat"]);
+    for (name, bytes) in parts {
+        let per_splat = format!("{:.3}", bytes as f64 / report.kept as f64);
+        table.row([name, bytes.to_string(), per_splat]);
+    }
+    page.table(&table);
 }
 
-fn score_cells(score: &Score) -> String {
+fn score_cells(score: &Score) -> [String; 2] {
     let psnr = if score.psnr_db.is_finite() {
         format!("{:.2} dB", score.psnr_db)
     } else {
         "equal".into()
     };
-    format!(
-        "<td>{psnr}<td>{}",
-        score.ssim.map_or("-".into(), |ssim| format!("{ssim:.4}"))
-    )
+    [
+        psnr,
+        score.ssim.map_or("-".into(), |ssim| format!("{ssim:.4}")),
+    ]
 }
 
-fn trial_table(names: &[&str], trials: &[Trial]) -> String {
-    let mut html = String::from("<table><tr><th><th>bytes a splat");
-    names.iter().for_each(|name| {
-        let _ = write!(html, "<th>PSNR {name}<th>SSIM");
-    });
+fn trial_table(names: &[&str], trials: &[Trial]) -> Table {
+    let mut columns = vec![String::new(), "bytes per splat".to_owned()];
+    columns.extend(
+        names
+            .iter()
+            .flat_map(|name| [format!("PSNR {name}"), "SSIM".into()]),
+    );
+    let mut table = Table::new(columns);
     for trial in trials {
         let bytes = if trial.bytes_per_splat.is_finite() {
             format!("{:.2}", trial.bytes_per_splat)
         } else {
             "-".into()
         };
-        let _ = write!(html, "<tr><td>{}<td>{bytes}", escaped(&trial.name));
-        trial
-            .scores
-            .iter()
-            .for_each(|score| html.push_str(&score_cells(score)));
+        let scores = trial.scores.iter().flat_map(score_cells);
+        table.row([trial.name.clone(), bytes].into_iter().chain(scores));
     }
-    html.push_str("</table>");
-    html
+    table
 }
 
-fn level_table(measured: &Measured) -> String {
-    let mut html = String::from(
-        "<h2>Levels of detail</h2><p>Each level against the finest, where so many pixels lie between its splats; the window is as \
-         large as the asset.</p><table><tr><th>level<th>splats<th>pitch, px<th>distance, m<th>PSNR<th>SSIM",
-    );
+fn level_table(measured: &Measured) -> Table {
+    let mut table = Table::new(["level", "splats", "pitch, px", "distance, m", "PSNR", "SSIM"]);
     for trial in &measured.levels {
-        let _ = write!(
-            html,
-            "<tr><td>{}<td>{}<td>{}<td>{:.1}{}",
-            trial.level,
-            trial.splats,
-            trial.pitch_px,
-            trial.distance_m,
-            score_cells(&trial.score)
-        );
+        let cells = [
+            trial.level.to_string(),
+            trial.splats.to_string(),
+            trial.pitch_px.to_string(),
+            format!("{:.1}", trial.distance_m),
+        ];
+        table.row(cells.into_iter().chain(score_cells(&trial.score)));
     }
-    html.push_str("</table>");
-    html
+    table
 }
 
-fn curves(names: &[&str], compressed: &Compressed, measured: &Measured) -> String {
+fn curves(names: &[&str], compressed: &Compressed, measured: &Measured) -> [Figure; 4] {
     let by_view = |trials: &[Trial], suffix: &str, first_color: usize| -> Vec<Series> {
         let of = |(at, name): (usize, &&str)| {
             let points = trials
                 .iter()
                 .map(|trial| (trial.at, trial.scores[at].psnr_db))
                 .collect();
-            curve(format!("{name}{suffix}"), first_color + at, points)
+            Series::curve(format!("{name}{suffix}"), first_color + at, points)
         };
         names.iter().enumerate().map(of).collect()
     };
     let mut kept = by_view(&measured.kept, "", 0);
     kept.extend(by_view(&measured.pruned_only, ", only pruned", names.len()));
-    let linear = |label| Axis {
-        label,
-        ..Axis::default()
-    };
-    let plots = [
+    [
         Plot {
             title: "Share of the splats kept",
-            x: linear("share"),
-            y: linear("PSNR, dB"),
+            x: Axis::linear("share"),
+            y: Axis::linear("PSNR, dB"),
             series: kept,
         },
         Plot {
             title: "Sizes of the codebooks (half as many shapes)",
-            x: linear("colors"),
-            y: linear("PSNR, dB"),
+            x: Axis::linear("colors"),
+            y: Axis::linear("PSNR, dB"),
             series: by_view(&measured.books, "", 0),
         },
         distortion("Distortion of shapes", &compressed.report.shapes),
         distortion("Distortion of colors", &compressed.report.colors),
-    ];
-    let svgs: String = plots
-        .iter()
-        .map(|plot| format!("<figure>{}</figure>", plot.to_svg()))
-        .collect();
-    format!("<h2>Curves</h2><div class=\"row\">{svgs}</div>")
-}
-
-fn curve(name: String, color: usize, points: Vec<(f64, f64)>) -> Series {
-    Series {
-        name,
-        color,
-        points,
-        shape: Shape::Curve,
-        end: None,
-    }
+    ]
+    .map(|plot| Figure::svg(&plot.to_svg()))
 }
 
 fn distortion<'a>(title: &'a str, book: &BookReport) -> Plot<'a> {
@@ -215,46 +179,29 @@ fn distortion<'a>(title: &'a str, book: &BookReport) -> Plot<'a> {
     let (batches, all) = numbered.split_at(book.batches);
     Plot {
         title,
-        x: Axis {
-            label: "iteration",
-            from_zero: true,
-            log: false,
-        },
-        y: Axis {
-            label: "mean squared distance",
-            log: true,
-            from_zero: false,
-        },
+        x: Axis::from_zero("iteration"),
+        y: Axis::logarithmic("mean squared distance"),
         series: vec![
-            curve("mini-batches".into(), 0, batches.to_vec()),
-            curve("all splats".into(), 1, all.to_vec()),
+            Series::curve("mini-batches", 0, batches.to_vec()),
+            Series::curve("all splats", 1, all.to_vec()),
         ],
     }
 }
 
 /// The first image of each kind of view: before, after, and the difference.
-fn images(quality_meter: &mut QualityMeter, compressed: &Compressed) -> Result<String> {
+fn images(page: &mut Page, quality_meter: &mut QualityMeter, compressed: &Compressed) -> Result<()> {
     let decoded = compressed.cloud.decoded(0);
-    let mut html = String::new();
     for at in 0..quality_meter.views.len() {
         let camera = quality_meter.views[at].cameras[..1].to_vec();
         let after = quality_meter.draw(&decoded, &camera)?;
         let before = &quality_meter.views[at].original[0];
         let difference = difference_image(before, &after[0], DIFFERENCE_GAIN)?;
-        html.push_str("<div class=\"row\">");
-        for (what, image) in [
-            ("before", before),
-            ("after", &after[0]),
-            ("difference, times 8", &difference),
-        ] {
-            let name = quality_meter.views[at].name;
-            let _ = write!(
-                html,
-                "<figure><img class=\"pixels\" src=\"{}\" alt=\"{name} {what}\"><figcaption>{name}, {what}</figcaption></figure>",
-                data_uri::png(image)?
-            );
-        }
-        html.push_str("</div>");
+        let name = quality_meter.views[at].name;
+        page.row([
+            Figure::image(&format!("{name}, before"), before)?,
+            Figure::image(&format!("{name}, after"), &after[0])?,
+            Figure::image(&format!("{name}, difference, times 8"), &difference)?,
+        ]);
     }
-    Ok(html)
+    Ok(())
 }

@@ -1,14 +1,13 @@
 //! Plots of an episode over time. Infractions are marked in all of them.
 
-use std::fmt::Write;
-
 use decouplegs::drive::score::{
     TTC_HORIZON_S, lateral_accelerations, plan_errors, times_to_collision,
 };
 use decouplegs::scene::VehicleState;
 
 use super::Scored;
-use crate::plot::{Axis, Plot, Series, Shape};
+use crate::page::Figure;
+use crate::plot::{Axis, Plot, Series};
 
 /// Distances are cut here, meters: beyond, nothing happens.
 const APART_MAX_M: f64 = 30.0;
@@ -17,20 +16,17 @@ const INFRACTION: usize = 3;
 /// Points over time under a name.
 type Named = (&'static str, usize, Vec<(f64, f64)>);
 
-/// Figures of all plots.
-pub fn figures(scored: &Scored) -> String {
-    let mut html = String::new();
-    for (what, unit, series) in [
+/// All plots.
+pub fn figures(scored: &Scored) -> impl Iterator<Item = Figure> {
+    [
         ("speed", "m/s, m", speeds(scored)),
         ("acceleration", "m/s²", accelerations(scored)),
         ("time to collision", "seconds", collision_times(scored)),
         ("steering, to the left", "degrees", steering(scored)),
         ("plan error", "meters", errors(scored)),
-    ] {
-        let svg = over_time(scored, what, unit, series);
-        let _ = write!(html, "<figure style=\"flex:1 1 24em\">{svg}</figure>");
-    }
-    html
+    ]
+    .into_iter()
+    .map(|(what, unit, series)| Figure::flexible_svg(&over_time(scored, what, unit, series)))
 }
 
 fn over_time(scored: &Scored, what: &str, unit: &str, named: Vec<Named>) -> String {
@@ -41,30 +37,18 @@ fn over_time(scored: &Scored, what: &str, unit: &str, named: Vec<Named>) -> Stri
             .map(|point| point.1)
     };
     let (low, high) = (values().fold(0.0, f64::min), values().fold(1.0, f64::max));
-    let series = |name: &str, color, points, shape| Series {
-        name: name.into(),
-        color,
-        points,
-        shape,
-        end: None,
-    };
     let marks = scored.score.infractions.iter().map(|mark| {
-        let points = vec![(mark.time_s, low), (mark.time_s, high)];
-        series("infraction", INFRACTION, points, Shape::Guide)
+        Series::guide(INFRACTION, vec![(mark.time_s, low), (mark.time_s, high)])
     });
     let curves = named
         .iter()
-        .map(|(name, color, points)| series(name, *color, points.clone(), Shape::Curve));
+        .map(|(name, color, points)| Series::curve(*name, *color, points.clone()));
     let plot = Plot {
         title: &format!("{}: {what}", scored.name()),
-        x: Axis {
-            label: "seconds",
-            ..Axis::default()
-        },
+        x: Axis::linear("seconds"),
         y: Axis {
-            label: unit,
             from_zero: low == 0.0,
-            ..Axis::default()
+            ..Axis::linear(unit)
         },
         series: curves.chain(marks).collect(),
     };

@@ -12,7 +12,8 @@ use decouplegs::scene::episode::Episode;
 use serde_json::{Value, json};
 
 use super::{Scored, score, share};
-use crate::plot::{self, Axis, Plot, Series, Shape, escaped};
+use crate::page::{Figure, Page, Table};
+use crate::plot::{Axis, Plot, Series};
 
 /// Egos part where they are farther from each other than this at the same time, meters.
 const PART_M: f64 = 0.5;
@@ -212,49 +213,58 @@ fn to_json(rows: &[Row], pairs: &[Pair], unpaired: usize) -> Value {
 }
 
 fn page(rows: &[Row], pairs: &[Pair], [first, second]: [&str; 2]) -> String {
-    let mut html = plot::page_start(&format!("{} and {}", escaped(first), escaped(second)));
-    let _ = write!(
-        html,
-        "<p>First run: {}. Second run: {}. Each pair is the same scenario, so the difference is of the planners.</p>\
-         <h2>Scores</h2><div class=\"wide\"><table><tr><th>level<th>pairs<th>DS first<th>DS second<th>difference<th>SR first<th>SR second",
-        escaped(first),
-        escaped(second)
-    );
+    let mut page = Page::new(&format!("{first} and {second}"));
+    page.text(&format!(
+        "First run: {first}. Second run: {second}. Each pair is the same scenario, so the difference is of the planners."
+    ));
+    page.heading("Scores");
+    let mut table = Table::new([
+        "level",
+        "pairs",
+        "DS first",
+        "DS second",
+        "difference",
+        "SR first",
+        "SR second",
+    ]);
     for row in rows {
-        let _ = write!(
-            html,
-            "<tr><td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}",
-            row.name,
-            row.difference.count,
+        table.row([
+            row.name.to_owned(),
+            row.difference.count.to_string(),
             score(&row.scores[0]),
             score(&row.scores[1]),
             difference(&row.difference),
             share(&row.successes[0]),
             share(&row.successes[1]),
-        );
+        ]);
     }
-    let _ = write!(
-        html,
-        "</table></div><p class=\"dim\">DS, driving score, and SR, success rate, with their 95 % confidence intervals; the difference is the \
-         mean over pairs of the first minus the second. An interval without zero is a difference that chance hardly explains.</p>\
-         <figure>{}</figure><h2>Pairs, largest differences first</h2><div class=\"wide\"><table><tr><th>scenario<th>DS first<th>DS second\
-         <th>first ends<th>second ends<th>the egos",
-        differences(pairs)
+    page.table(&table);
+    page.note(
+        "DS, driving score, and SR, success rate, with their 95 % confidence intervals; the difference is the mean over pairs of the first \
+         minus the second. An interval without zero is a difference that chance hardly explains.",
     );
+    page.row([Figure::svg(&differences(pairs))]);
+    page.heading("Pairs, largest differences first");
+    let mut table = Table::new([
+        "scenario",
+        "DS first",
+        "DS second",
+        "first ends",
+        "second ends",
+        "the egos",
+    ]);
     for pair in pairs {
-        let _ = write!(
-            html,
-            "<tr><td>{}<td>{:.3}<td>{:.3}<td>{}<td>{}<td>{}",
-            escaped(pair.first.name()),
-            pair.first.score.driving_score,
-            pair.second.score.driving_score,
-            escaped(&pair.first.ending()),
-            escaped(&pair.second.ending()),
-            parting(pair)
-        );
+        table.row([
+            pair.first.name().to_owned(),
+            format!("{:.3}", pair.first.score.driving_score),
+            format!("{:.3}", pair.second.score.driving_score),
+            pair.first.ending(),
+            pair.second.ending(),
+            parting(pair),
+        ]);
     }
-    html.push_str("</table></div></html>\n");
-    html
+    page.table(&table);
+    page.finish()
 }
 
 /// Differences of all pairs in descending order.
@@ -264,26 +274,15 @@ fn differences(pairs: &[Pair]) -> String {
     let points = (1..=values.len())
         .map(|rank| rank as f64)
         .zip(values.iter().copied());
-    let series = |points, shape| Series {
-        name: "DS first - DS second".into(),
-        color: 0,
-        points,
-        shape,
-        end: None,
-    };
+    let name = "DS first - DS second";
+    let zero = vec![(1.0, 0.0), (values.len() as f64, 0.0)];
     let plot = Plot {
         title: "Differences of driving scores",
-        x: Axis {
-            label: "pairs, by difference",
-            ..Axis::default()
-        },
-        y: Axis {
-            label: "DS first - DS second",
-            ..Axis::default()
-        },
+        x: Axis::linear("pairs, by difference"),
+        y: Axis::linear(name),
         series: vec![
-            series(points.collect(), Shape::Curve),
-            series(vec![(1.0, 0.0), (values.len() as f64, 0.0)], Shape::Guide),
+            Series::curve(name, 0, points.collect()),
+            Series::guide(0, zero),
         ],
     };
     plot.to_svg()

@@ -1,8 +1,7 @@
-//! The report as one HTML page that needs nothing beside it.
+//! The report as one HTML page.
 
 use std::cmp::Ordering;
-use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use decouplegs::render::Image;
@@ -11,9 +10,9 @@ use decouplegs::scene::scenario::Place;
 
 use super::{Scored, birds_eye, charts, rows, score, share, spread, summary, timing};
 use crate::lidar::previews::{ABOVE, RANGES};
-use crate::plot::escaped;
+use crate::page::{Figure, Page, Table, escaped};
 use crate::sites::Sites;
-use crate::{data_uri, plot};
+use crate::thumbnail::thumbnail;
 
 /// Episodes that are shown; a page of hundreds would not be read.
 const SHOWN_MAX: usize = 24;
@@ -24,18 +23,17 @@ pub fn page(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
     let planner = scored
         .first()
         .map_or("", |scored| scored.episode.head.planner.name.as_str());
-    let mut html = plot::page_start(&format!("{} in closed loop", escaped(planner)));
-    html.push_str(&facts(scored));
-    html.push_str(&table(scored)?);
-    html.push_str(&timing::table(scored));
-    html.push_str(&episodes(scored, sites, out)?);
-    html.push_str("</html>\n");
-    Ok(html)
+    let mut page = Page::new(&format!("{planner} in closed loop"));
+    page.text(&facts(scored));
+    table(&mut page, scored)?;
+    timing::part(&mut page, scored);
+    episodes(&mut page, scored, sites, out)?;
+    Ok(page.finish())
 }
 
 fn facts(scored: &[Scored]) -> String {
     let Some(first) = scored.first() else {
-        return "<p>No episodes.</p>".into();
+        return "No episodes.".into();
     };
     let planner = &first.episode.head.planner;
     let sees = match (planner.cameras.is_empty(), planner.privileged) {
@@ -72,41 +70,57 @@ fn facts(scored: &[Scored]) -> String {
                     by.every, by.device
                 )
             });
-    format!("<p>{} {}</p>", escaped(&sees), escaped(&drawn))
+    format!("{sees} {drawn}")
 }
 
-fn table(scored: &[Scored]) -> Result<String> {
-    let mut html = String::from(
-        "<h2>Scores</h2><div class=\"wide\"><table><tr><th>level<th>episodes<th>DS<th>SR<th>RC<th>minTTC, s<th>on course<th>TTC &lt; 1.5 s<th>collisions\
-         <th>at fault<th>pedestrians<th>static<th>off-road<th>red light<th>stop sign",
-    );
+fn table(page: &mut Page, scored: &[Scored]) -> Result<()> {
+    page.heading("Scores");
+    let mut table = Table::new([
+        "level",
+        "episodes",
+        "DS",
+        "SR",
+        "RC",
+        "minTTC, s",
+        "on course",
+        "TTC < 1.5 s",
+        "collisions",
+        "at fault",
+        "pedestrians",
+        "static",
+        "off-road",
+        "red light",
+        "stop sign",
+    ]);
     for (level, set) in rows(&summary(scored)?) {
-        let _ = write!(
-            html,
-            "<tr><td>{level}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{:.1} %<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}",
-            set.count(),
+        table.row([
+            level.to_string(),
+            set.count().to_string(),
             score(&set.driving_score),
             share(&set.success),
             score(&set.route_completion),
             spread(set.min_ttc_s.as_ref(), 2),
-            set.min_ttc_s.map_or(0, |moments| moments.count),
-            100.0 * set.ttc_short_share.mean,
-            set.collisions,
-            set.collisions_at_fault,
-            set.pedestrian_collisions,
-            set.obstacle_collisions,
-            set.layout_infractions,
-            set.red_lights,
-            set.stop_signs,
-        );
+            set.min_ttc_s.map_or(0, |moments| moments.count).to_string(),
+            format!("{:.1} %", 100.0 * set.ttc_short_share.mean),
+            set.collisions.to_string(),
+            set.collisions_at_fault.to_string(),
+            set.pedestrian_collisions.to_string(),
+            set.obstacle_collisions.to_string(),
+            set.layout_infractions.to_string(),
+            set.red_lights.to_string(),
+            set.stop_signs.to_string(),
+        ]);
     }
-    html.push_str(
-        "</table></div><p class=\"dim\">Mean over episodes and its 95 % confidence interval. RC, route completion: share of the route that was \
-         driven. DS, driving score: RC times 0.60 for a collision at fault, 0.65 for one with something static, 0.65 for each time the ego \
-         left the road, 0.70 for each red light that it ran, 0.80 for each stop sign that it passed without standing, and 0.50 instead of 0.60 for a pedestrian. SR, success rate: share of episodes that came to the end of the route without any of them, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
-         velocities, within 10 s, over the episodes that were on course for a collision at all, whose number is beside it.</p>",
+    page.table(&table);
+    page.note(
+        "Mean over episodes and its 95 % confidence interval. RC, route completion: share of the route that was driven. DS, driving score: \
+         RC times 0.60 for a collision at fault, 0.65 for one with something static, 0.65 for each time the ego left the road, 0.70 for \
+         each red light that it ran, 0.80 for each stop sign that it passed without standing, and 0.50 instead of 0.60 for a pedestrian. \
+         SR, success rate: share of episodes that came to the end of the route without any of them, so SR <= RC and DS <= RC. minTTC: \
+         least time until the boxes of the ego and an agent would touch if both kept their velocities, within 10 s, over the episodes that \
+         were on course for a collision at all, whose number is beside it.",
     );
-    Ok(html)
+    Ok(())
 }
 
 /// Failures first, the worst of them at the top.
@@ -118,21 +132,20 @@ fn by_failure(a: &Scored, b: &Scored) -> Ordering {
         .then(a.name().cmp(b.name()))
 }
 
-fn episodes(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
+fn episodes(page: &mut Page, scored: &[Scored], sites: &Sites, out: &Path) -> Result<()> {
     let mut order: Vec<&Scored> = scored.iter().collect();
     order.sort_by(|a, b| by_failure(a, b));
-    let mut html = String::from("<h2>Episodes, failures first</h2>");
+    page.heading("Episodes, failures first");
     if order.len() > SHOWN_MAX {
-        let _ = write!(
-            html,
-            "<p>{SHOWN_MAX} of {}; report.json has all.</p>",
+        page.text(&format!(
+            "{SHOWN_MAX} of {}; report.json has all.",
             order.len()
-        );
+        ));
     }
     for scored in order.into_iter().take(SHOWN_MAX) {
-        html.push_str(&card(scored, &lanes(scored, sites, out))?);
+        card(page, scored, &lanes(scored, sites, out))?;
     }
-    Ok(html)
+    Ok(())
 }
 
 /// The lanes of an episode's place; none where its map is not at hand.
@@ -150,133 +163,120 @@ fn lanes(scored: &Scored, sites: &Sites, out: &Path) -> Vec<Lane> {
     sites.lanes(&place, out).unwrap_or_default()
 }
 
-fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
+fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {
+    page.subheading(&format!("{}: {}", scored.name(), scored.ending()));
+    page.text(&scored.explained());
     let score = &scored.score;
-    let mut html = format!(
-        "<h3>{}: {}</h3><p>{}</p><p>{}, {:.1} s, at most {:.1} m/s² of braking and {:.1} m/s² sideways; <a href=\"{}\">log</a>, \
-         <a href=\"{}\">scenario</a></p>{}<div class=\"row\"><figure style=\"flex:1 1 24em\">{}</figure>{}",
-        escaped(scored.name()),
-        escaped(&scored.ending()),
-        escaped(&scored.explained()),
+    let time_s = scored.episode.instants().last();
+    page.html(&format!(
+        "<p>{}, {:.1} s, at most {:.1} m/s² of braking and {:.1} m/s² sideways; {}, {}</p>",
         score
             .min_ttc_s()
             .map_or("never on a collision course".into(), |ttc_s| format!(
                 "minTTC {ttc_s:.2} s"
             )),
-        scored
-            .episode
-            .instants()
-            .last()
-            .map_or(0.0, |instant| instant.time_s),
+        time_s.map_or(0.0, |instant| instant.time_s),
         score.comfort.braking_max_mps2,
         score.comfort.lateral_acceleration_max_mps2,
-        escaped(&format!("logs/{}.log", scored.name())),
-        escaped(&format!("scenarios/{}.toml", scored.name())),
-        infractions(scored),
-        birds_eye::svg(scored, lanes),
-        charts::figures(scored)
-    );
-    html.push_str("</div>");
-    html.push_str(&strip(scored)?);
-    Ok(html)
-}
-
-/// Images of the first camera over the episode, each with its time, and links to its films.
-fn strip(scored: &Scored) -> Result<String> {
-    let mut html = String::new();
-    for path in files(&scored.images, "key_", ".png") {
-        let image = data_uri::shrunk(&Image::read(&path)?, STRIP_WIDTH_PX);
-        let step = step_of(&path.file_name().unwrap_or_default().to_string_lossy());
-        let time_s = f64::from(step.unwrap_or(0)) * scored.episode.head.scenario.step_s;
-        let _ = write!(
-            html,
-            "<figure style=\"flex:none;margin:0\"><img src=\"{}\" alt=\"after {time_s:.1} s\"><figcaption>{time_s:.1} s</figcaption></figure>",
-            data_uri::png(&image)?,
-        );
-    }
-    if !html.is_empty() {
-        html = format!("<div class=\"wide\" style=\"display:flex;gap:4px\">{html}</div>");
-    }
+        link(&format!("logs/{}.log", scored.name()), "log"),
+        link(&format!("scenarios/{}.toml", scored.name()), "scenario"),
+    ));
+    infractions(page, scored);
+    let above = Figure::flexible_svg(&birds_eye::svg(scored, lanes));
+    page.row(std::iter::once(above).chain(charts::figures(scored)));
+    key_images(page, scored)?;
     if let Some(lidar) = scored.episode.head.planner.lidars.first() {
-        html.push_str(&sweeps(scored, lidar)?);
+        sweeps(page, scored, lidar)?;
     }
     for camera in &scored.episode.head.planner.cameras {
         let file = format!("{camera}.mp4");
         if scored.images.join(&file).exists() {
-            let link = escaped(&format!("images/{}/{file}", scored.name()));
-            let _ = write!(
-                html,
-                "<p><a href=\"{link}\">film of camera {}</a></p>",
-                escaped(camera)
-            );
+            let path = format!("images/{}/{file}", scored.name());
+            let link = link(&path, &format!("film of camera {camera}"));
+            page.html(&format!("<p>{link}</p>"));
         }
     }
-    Ok(html)
+    Ok(())
+}
+
+/// Images of the first camera over the episode, each with its time.
+fn key_images(page: &mut Page, scored: &Scored) -> Result<()> {
+    page.strip(timed_images(scored, "key_", ".png")?);
+    Ok(())
 }
 
 /// Sweeps of a LiDAR over the episode: from above, and ranges by column and row.
-fn sweeps(scored: &Scored, lidar: &str) -> Result<String> {
-    let caption = |of: &str| format!("LiDAR {}, {of}", escaped(lidar));
-    let rows = [
-        (
-            ABOVE,
-            caption("from above, the ego in the middle, ahead at the top"),
-        ),
-        (RANGES, caption("ranges by column and row")),
-    ];
-    let mut html = String::new();
-    for (kind, caption) in rows {
-        let mut figures = String::new();
-        for path in files(&scored.images, "sweep_", &format!(".{kind}.png")) {
-            let image = data_uri::shrunk(&Image::read(&path)?, STRIP_WIDTH_PX);
-            let _ = write!(
-                figures,
-                "<img src=\"{}\" alt=\"{caption}\">",
-                data_uri::png(&image)?
-            );
-        }
+fn sweeps(page: &mut Page, scored: &Scored, lidar: &str) -> Result<()> {
+    for (kind, of) in [
+        (ABOVE, "from above, the ego in the middle, ahead at the top"),
+        (RANGES, "ranges by column and row"),
+    ] {
+        let figures = timed_images(scored, "sweep_", &format!(".{kind}.png"))?;
         if !figures.is_empty() {
-            let _ = write!(
-                html,
-                "<figure style=\"margin:0\"><div class=\"wide\" style=\"display:flex;gap:4px\">{figures}</div><figcaption>{caption}</figcaption></figure>"
-            );
+            page.note(&format!("LiDAR {lidar}, {of}"));
+            page.strip(figures);
         }
     }
-    Ok(html)
+    Ok(())
 }
 
-/// Step in the name of an image.
-fn step_of(name: &str) -> Option<u32> {
-    let number = name.strip_suffix(".png")?.rsplit('_').next()?;
+/// Images of an episode whose names have this start and this end, each with its time.
+fn timed_images(scored: &Scored, start: &str, end: &str) -> Result<Vec<Figure>> {
+    let figure = |path: PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let step = step_of(&name, end).unwrap_or(0);
+        let time_s = f64::from(step) * scored.episode.head.scenario.step_s;
+        let image = thumbnail(&Image::read(&path)?, STRIP_WIDTH_PX);
+        Figure::image(&format!("{time_s:.1} s"), &image)
+    };
+    let paths = files(&scored.images, start, end);
+    paths.into_iter().map(figure).collect()
+}
+
+/// HTML of a link to a file beside the page.
+fn link(path: &str, text: &str) -> String {
+    format!("<a href=\"{}\">{}</a>", escaped(path), escaped(text))
+}
+
+/// Step in the name of an image, before its end.
+fn step_of(name: &str, end: &str) -> Option<u32> {
+    let number = name.strip_suffix(end)?.rsplit('_').next()?;
     number.parse().ok()
 }
 
 /// Table of the infractions: time, kind, place of the ego, and the last image before it.
-fn infractions(scored: &Scored) -> String {
+fn infractions(page: &mut Page, scored: &Scored) {
     if scored.score.infractions.is_empty() {
-        return String::new();
+        return;
     }
-    let mut html = String::from(
-        "<div class=\"wide\"><table><tr><th>time, s<th>infraction<th>factor<th>ego at x, m<th>y, m<th>image",
-    );
+    let mut table = Table::new([
+        "time, s",
+        "infraction",
+        "factor",
+        "ego at x, m",
+        "y, m",
+        "image",
+    ]);
     for infraction in &scored.score.infractions {
         let at_m = scored.place_m(infraction.time_s);
         let image = image_before(scored, infraction.time_s).map_or("-".into(), |file| {
-            let file = format!("images/{}/{file}", scored.name());
-            format!("<a href=\"{0}\">{0}</a>", escaped(&file))
+            let path = format!("images/{}/{file}", scored.name());
+            link(&path, &path)
         });
-        let _ = write!(
-            html,
-            "<tr><td>{:.1}<td>{}<td>{:.2}<td>{:.1}<td>{:.1}<td>{image}",
-            infraction.time_s,
-            escaped(&infraction.describe(&scored.episode.head)),
-            infraction.factor(),
-            at_m.x,
-            at_m.y
+        let what = escaped(&infraction.describe(&scored.episode.head));
+        table.row_of_html(
+            false,
+            [
+                format!("{:.1}", infraction.time_s),
+                what,
+                format!("{:.2}", infraction.factor()),
+                format!("{:.1}", at_m.x),
+                format!("{:.1}", at_m.y),
+                image,
+            ],
         );
     }
-    html.push_str("</table></div>");
-    html
+    page.table(&table);
 }
 
 /// Name of the last image in the folder of an episode that was taken before a time.
@@ -285,20 +285,20 @@ fn image_before(scored: &Scored, time_s: f64) -> Option<String> {
     let files = std::fs::read_dir(&scored.images).ok()?.flatten();
     let images = files.filter_map(|file| {
         let name = file.file_name().into_string().ok()?;
-        let number = step_of(&name)?;
+        let number = step_of(&name, ".png")?;
         (number <= step).then_some((number, name))
     });
     images.max().map(|(_, name)| name)
 }
 
 /// Files in `folder` whose names have this start and this end, by name.
-fn files(folder: &Path, start: &str, end: &str) -> Vec<std::path::PathBuf> {
+fn files(folder: &Path, start: &str, end: &str) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder)
         .into_iter()
         .flatten()
         .flatten()
         .map(|entry| entry.path());
-    let is_wanted = |path: &std::path::PathBuf| {
+    let is_wanted = |path: &PathBuf| {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         name.starts_with(start) && name.ends_with(end)
     };

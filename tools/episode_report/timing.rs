@@ -4,6 +4,7 @@ use decouplegs::episode::StepTime;
 use serde_json::{Value, json};
 
 use super::Scored;
+use crate::page::{Page, Table};
 use crate::progress::to_ms;
 
 /// A part of a step, as reports call it, and its milliseconds.
@@ -75,20 +76,21 @@ pub fn text(scored: &[Scored]) -> String {
     format!("ms a step, median/p99 over {steps}: {}\n", parts.join(", "))
 }
 
-/// The same as a table of a page.
-pub fn table(scored: &[Scored]) -> String {
+/// The same as a part of a page.
+pub fn part(page: &mut Page, scored: &[Scored]) {
     let Some((steps, parts)) = parts(scored) else {
-        return String::new();
+        return;
     };
-    let row = |Spread {
-                   name,
-                   p50_ms,
-                   p99_ms,
-               }: &Spread| format!("<tr><td>{name}<td>{p50_ms:.2}<td>{p99_ms:.2}");
-    let rows: String = parts.iter().map(row).collect();
-    format!(
-        "<h2>Time</h2><p>Over {steps} steps, the first {WARM_UP} of each episode left out. The simulator is all but the planner: poses, light, \
-         the frame and its images on the host, sweeps of LiDARs (draw); what is left of hashing them when the planner is done (hash); ego and traffic \
-         (advance); logs and images that are kept (keep).</p><table><tr><th>part<th>median, ms<th>p99, ms{rows}</table>"
-    )
+    page.heading("Time");
+    page.text(&format!(
+        "Over {steps} steps, the first {WARM_UP} of each episode left out. The simulator is all but the planner: poses, light, the frame \
+         and its images on the host, sweeps of LiDARs (draw); what is left of hashing them when the planner is done (hash); ego and \
+         traffic (advance); logs and images that are kept (keep)."
+    ));
+    let mut table = Table::new(["part", "median, ms", "p99, ms"]);
+    for part in parts {
+        let times = [part.p50_ms, part.p99_ms].map(|time_ms| format!("{time_ms:.2}"));
+        table.row(std::iter::once(part.name.to_owned()).chain(times));
+    }
+    page.table(&table);
 }

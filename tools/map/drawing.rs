@@ -16,7 +16,7 @@ use self::frame::Frame;
 use self::lines::{arrows, path, shown};
 use super::style::{STYLE, lane_class, track_class};
 use super::summary::{KINDS, MapSummary};
-use crate::plot::escaped;
+use crate::page::escaped;
 
 /// Contents of the drawing.
 pub struct Drawing<'a> {

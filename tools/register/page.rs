@@ -1,4 +1,4 @@
-//! The report as one HTML page that needs nothing beside it.
+//! The report as one HTML page.
 
 use std::fmt::Write;
 
@@ -10,7 +10,8 @@ use super::Arguments;
 use super::measure::{Measured, MeasuredTrack};
 use super::table::{cells, columns, totals};
 use crate::lane_drawing::{Way, drawing};
-use crate::plot::{self, Axis, Plot, Series, Shape, escaped, number};
+use crate::page::{Figure, Page, Table, escaped};
+use crate::plot::{Axis, Plot, Series, number};
 
 /// Tracks that are drawn; a page of hundreds would not be read.
 const DRAWN_MAX: usize = 24;
@@ -33,84 +34,64 @@ pub struct Subject<'a> {
 /// The page.
 pub fn page(subject: &Subject<'_>, measured: &Measured) -> String {
     let arguments = subject.arguments;
-    let name = arguments
-        .tracks
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy();
-    let mut html = plot::page_start(&format!("{} registered", escaped(&name)));
-    let _ = write!(
-        html,
-        "<p>To the lanes of {}",
-        escaped(&arguments.map.display().to_string())
-    );
-    match &arguments.scene {
-        Some(scene) => {
-            let _ = write!(
-                html,
-                ", on the ground of {}.</p>",
-                escaped(&scene.display().to_string())
-            );
-        }
-        None => html.push_str(", at the heights of the map: no scene was given.</p>"),
-    }
-    html.push_str("<ul>");
-    totals(measured).iter().for_each(|line| {
-        let _ = write!(html, "<li>{}</li>", escaped(line));
-    });
-    html.push_str("</ul>");
-    html.push_str(&clearance_part(arguments, measured));
-    html.push_str(&table(measured));
-    html.push_str(&drawings(subject, measured));
-    html.push_str("</html>\n");
-    html
+    let name = arguments.tracks.file_name().unwrap_or_default();
+    let mut page = Page::new(&format!("{} registered", name.to_string_lossy()));
+    let ground = match &arguments.scene {
+        Some(scene) => format!("on the ground of {}", scene.display()),
+        None => "at the heights of the map: no scene was given".to_owned(),
+    };
+    page.text(&format!(
+        "To the lanes of {}, {ground}.",
+        arguments.map.display()
+    ));
+    page.list(totals(measured).iter().map(|line| escaped(line)));
+    clearance_part(&mut page, arguments, measured);
+    table(&mut page, measured);
+    drawings(&mut page, subject, measured);
+    page.finish()
 }
 
-fn table(measured: &Measured) -> String {
-    let mut html = String::from("<h2>Tracks</h2><div class=\"wide\"><table><tr>");
-    for column in columns(measured) {
-        let _ = write!(html, "<th>{column}");
-    }
+fn table(page: &mut Page, measured: &Measured) {
+    page.heading("Tracks");
+    let columns = columns(measured);
+    let last = columns.len() - 1;
+    let mut table = Table::new(columns).with_text_in(last);
     for track in &measured.tracks {
-        html.push_str("<tr>");
-        for (at, cell) in cells(measured, track).iter().enumerate() {
-            let class = if at + 1 == columns(measured).len() {
-                " class=\"text\""
-            } else {
-                ""
-            };
-            let _ = write!(html, "<td{class}>{}", escaped(cell));
-        }
+        table.row(cells(measured, track));
     }
-    html.push_str(
-        "</table></div><p class=\"dim\">Shift (x y) and yaw (from x to y) are the one motion of the track, about its middle. 'known to' is one \
-         standard deviation of that, across the lane and along it: near 1 m, which is what is assumed of drift before, the lanes do \
-         not show it and the place along the lane is as logged. ADE is the mean distance, as logged -&gt; registered: to the nearest \
-         centerline (lane changes left out) and to the truth, whose parts across and along the lane follow. GPR and p95, the distance from \
-         the ground that 95 % of corners keep within, are as in Clearance. Notes count poses: no-support had no ground below and stands at \
-         the height of the map; no-height had neither ground nor map nor log to tell its height, and stands at 0; uneven stands on \
-         something; parked travels too little to follow lanes; lane-unsure fits several lanes about as well.</p>",
+    page.table(&table);
+    page.note(
+        "Shift (x y) and yaw (from x to y) are the one motion of the track, about its middle. 'known to' is one standard deviation of \
+         that, across the lane and along it: near 1 m, which is what is assumed of drift before, the lanes do not show it and the \
+         place along the lane is as logged. ADE is the mean distance, as logged -> registered: to the nearest centerline (lane changes \
+         left out) and to the truth, whose parts across and along the lane follow. GPR and p95, the distance from the ground that \
+         95 % of corners keep within, are as in Clearance. Notes count poses: no-support had no ground below and stands at the height \
+         of the map; no-height had neither ground nor map nor log to tell its height, and stands at 0; uneven stands on something; \
+         parked travels too little to follow lanes; lane-unsure fits several lanes about as well.",
     );
-    html
 }
 
-fn clearance_part(arguments: &Arguments, measured: &Measured) -> String {
+fn clearance_part(page: &mut Page, arguments: &Arguments, measured: &Measured) {
     let clearances_m = measured.clearances_m();
     if clearances_m.is_empty() {
-        return String::new();
+        return;
     }
-    let against = match (&arguments.ground_truth, &arguments.scene) {
-        (Some(truth), _) => format!("Judged against the independent ground of {}.", escaped(&truth.display().to_string())),
-        _ => "Judged against the same ground that the boxes were set on, the background's own splats: it shows how well four wheels fit it, not \
-              whether it is right. --ground-truth names an independent one."
+    let against = match &arguments.ground_truth {
+        Some(truth) => format!("Judged against the independent ground of {}.", truth.display()),
+        None => "Judged against the same ground that the boxes were set on, the background's own splats: it shows how well four wheels \
+                 fit it, not whether it is right. --ground-truth names an independent one."
             .into(),
     };
-    format!(
-        "<h2>Clearance</h2><p>{against} Each bottom corner of each pose; negative is below the ground, positive floats. Corners farther \
-         than {} cm are in the outer bars.</p><figure>{}</figure>",
-        number(100.0 * REACH_M),
-        clearance_svg(&clearances_m, measured.tolerance_m)
-    )
+    page.heading("Clearance");
+    page.text(&format!(
+        "{against} Each bottom corner of each pose; negative is below the ground, positive floats. Corners farther than {} cm are in \
+         the outer bars.",
+        number(100.0 * REACH_M)
+    ));
+    page.row([Figure::svg(&clearance_svg(
+        &clearances_m,
+        measured.tolerance_m,
+    ))]);
 }
 
 /// Bars by clearance, those below the tolerance in another color.
@@ -172,40 +153,20 @@ fn clearance_svg(clearances_m: &[f64], tolerance_m: f64) -> String {
     svg
 }
 
-fn drawings(subject: &Subject<'_>, measured: &Measured) -> String {
-    let drawn = measured.tracks.len().min(DRAWN_MAX);
-    let mut html = String::from("<h2>Before and after</h2>");
-    if drawn < measured.tracks.len() {
-        let _ = write!(
-            html,
-            "<p>The first {drawn} of {} tracks.</p>",
-            measured.tracks.len()
-        );
+fn drawings(page: &mut Page, subject: &Subject<'_>, measured: &Measured) {
+    let (drawn, all) = (measured.tracks.len().min(DRAWN_MAX), measured.tracks.len());
+    page.heading("Before and after");
+    if drawn < all {
+        page.text(&format!("The first {drawn} of {all} tracks."));
     }
     for (at, track) in measured.tracks.iter().enumerate().take(drawn) {
-        let _ = write!(
-            html,
-            "<div class=\"row\"><figure style=\"flex:1 1 24em\">{}</figure>",
-            above(subject, at)
-        );
-        if !track.offsets_m.before.is_empty() {
-            let _ = write!(
-                html,
-                "<figure style=\"flex:1 1 24em\">{}</figure>",
-                offsets(track)
-            );
-        }
-        html.push_str("</div>");
+        let offsets = (!track.offsets_m.before.is_empty()).then(|| offsets(track));
+        let svgs = std::iter::once(above(subject, at)).chain(offsets);
+        page.row(svgs.map(|svg| Figure::flexible_svg(&svg)));
         if let Some(reason) = &track.refused {
-            let _ = write!(
-                html,
-                "<p class=\"dim\">{} was refused: it {}.</p>",
-                escaped(&track.id),
-                escaped(reason)
-            );
+            page.note(&format!("{} was refused: it {reason}.", track.id));
         }
     }
-    html
 }
 
 fn above(subject: &Subject<'_>, at: usize) -> String {
@@ -251,29 +212,20 @@ fn above(subject: &Subject<'_>, at: usize) -> String {
 }
 
 fn offsets(track: &MeasuredTrack) -> String {
-    let curve = |name: &str, color: usize, points: &[(f64, f64)]| {
-        let points = points.to_vec();
-        Series {
-            name: name.into(),
-            color,
-            points,
-            shape: Shape::Curve,
-            end: None,
-        }
-    };
-    let mut series = vec![curve("as logged", BEFORE, &track.offsets_m.before)];
+    let mut series = vec![Series::curve(
+        "as logged",
+        BEFORE,
+        track.offsets_m.before.clone(),
+    )];
     if !track.offsets_m.after.is_empty() {
-        series.push(curve("registered", AFTER, &track.offsets_m.after));
+        let after = track.offsets_m.after.clone();
+        series.push(Series::curve("registered", AFTER, after));
     }
-    let linear = |label| Axis {
-        label,
-        ..Axis::default()
-    };
     let title = format!("{}: offset from the centerline of its lane", track.id);
     Plot {
         title: &title,
-        x: linear("time, s"),
-        y: linear("to the left, m"),
+        x: Axis::linear("time, s"),
+        y: Axis::linear("to the left, m"),
         series,
     }
     .to_svg()

@@ -2,10 +2,11 @@
 
 use super::figures::Report;
 use super::reinsert::Arm;
+use crate::page::Figure;
 use crate::plot::Bars;
 
 /// The angle that 95 of 100 pixels of vehicles are not farther off, a bar for each weather and arm.
-pub fn angles(report: &Report) -> String {
+pub fn angles(report: &Report) -> Figure {
     let shown = [
         Arm::NoRelighting,
         Arm::Ours,
@@ -40,5 +41,5 @@ pub fn angles(report: &Report) -> String {
         .map(str::to_owned)
         .into(),
     };
-    format!("<figure>{}</figure>", bars.to_svg())
+    Figure::svg(&bars.to_svg())
 }

@@ -2,17 +2,8 @@
 
 use super::figures::Outcome;
 use super::report::{Report, mebibytes};
-use crate::plot::{Axis, Bars, Plot, Series, Shape};
-
-fn figure(svg: &str) -> String {
-    format!("<figure>{svg}</figure>")
-}
-
-const AGENTS: Axis<'static> = Axis {
-    label: "agents",
-    log: false,
-    from_zero: true,
-};
+use crate::page::Figure;
+use crate::plot::{Axis, Bars, Plot, Series};
 
 /// A curve for each mode over the number of agents; one that ends says why.
 fn over_agents(report: &Report, of: &dyn Fn(&super::figures::Measured) -> f64) -> Vec<Series> {
@@ -24,58 +15,39 @@ fn over_agents(report: &Report, of: &dyn Fn(&super::figures::Measured) -> f64) -
             Outcome::OutOfMemory { .. } => format!("{} out of memory", mode.name),
             _ => format!("{} not drawn", mode.name),
         };
+        let points = report
+            .measured_of(mode)
+            .map(|(point, measured)| (point.agents as f64, of(measured)));
         Series {
-            name: mode.name.clone(),
-            color: at,
-            points: report
-                .measured_of(mode)
-                .map(|(point, measured)| (point.agents as f64, of(measured)))
-                .collect(),
-            shape: Shape::Curve,
             end: lost.map(|point| (point.agents as f64, reason(&point.outcome))),
+            ..Series::curve(mode.name.clone(), at, points.collect())
         }
     };
     report.modes.iter().enumerate().map(series).collect()
 }
 
-pub fn images_against_agents(report: &Report) -> String {
-    let y = Axis {
-        label: "images/s",
-        log: false,
-        from_zero: true,
+pub fn images_against_agents(report: &Report) -> Figure {
+    let plot = Plot {
+        title: "Images per second against agents",
+        x: Axis::from_zero("agents"),
+        y: Axis::from_zero("images/s"),
+        series: over_agents(report, &|measured| measured.images_per_s()),
     };
-    let series = over_agents(report, &|measured| measured.images_per_s());
-    figure(
-        &Plot {
-            title: "Images a second against agents",
-            x: AGENTS,
-            y,
-            series,
-        }
-        .to_svg(),
-    )
+    Figure::svg(&plot.to_svg())
 }
 
-pub fn memory_against_agents(report: &Report) -> String {
-    let y = Axis {
-        label: "MiB",
-        log: false,
-        from_zero: true,
+pub fn memory_against_agents(report: &Report) -> Figure {
+    let plot = Plot {
+        title: "Device memory against agents",
+        x: Axis::from_zero("agents"),
+        y: Axis::from_zero("MiB"),
+        series: over_agents(report, &|measured| mebibytes(measured.memory.total_bytes)),
     };
-    let series = over_agents(report, &|measured| mebibytes(measured.memory.total_bytes));
-    figure(
-        &Plot {
-            title: "Device memory against agents",
-            x: AGENTS,
-            y,
-            series,
-        }
-        .to_svg(),
-    )
+    Figure::svg(&plot.to_svg())
 }
 
 /// Median GPU time by stage, a bar for each mode, with the most agents.
-pub fn stages(report: &Report) -> String {
+pub fn stages(report: &Report) -> Figure {
     let largest = report.largest_count();
     let points: Vec<_> = report
         .points
@@ -108,18 +80,18 @@ pub fn stages(report: &Report) -> String {
     });
     let bars = Bars {
         title: "GPU time by stage, both queues",
-        x_label: "ms a frame, medians",
+        x_label: "ms per frame, medians",
         rows: rows.collect(),
         parts: parts.iter().map(|part| (*part).to_owned()).collect(),
     };
-    figure(&bars.to_svg())
+    Figure::svg(&bars.to_svg())
 }
 
 /// Distance above the largest finite PSNR at which images without error are plotted, decibels.
 const EQUAL_ABOVE_DB: f64 = 10.0;
 
 /// Speed against error of every mode with the most agents.
-pub fn speed_against_error(report: &Report) -> String {
+pub fn speed_against_error(report: &Report) -> Figure {
     let largest = report.largest_count();
     let measured: Vec<_> = (report.modes.iter().enumerate())
         .filter_map(|(at, mode)| {
@@ -148,13 +120,6 @@ pub fn speed_against_error(report: &Report) -> String {
         .iter()
         .map(|(_, _, images_per_s, psnr_db)| (*images_per_s, psnr_db.min(equal)))
         .collect();
-    let guide = Series {
-        name: String::new(),
-        color: 0,
-        points: front(&places),
-        shape: Shape::Guide,
-        end: None,
-    };
     let named = measured
         .iter()
         .zip(&places)
@@ -164,29 +129,17 @@ pub fn speed_against_error(report: &Report) -> String {
             } else {
                 format!("{} (no error)", mode.name)
             };
-            Series {
-                name,
-                color: *at,
-                points: vec![*place],
-                shape: Shape::Named,
-                end: None,
-            }
+            Series::named(name, *at, *place)
         });
     let plot = Plot {
         title: "Speed against error: up and right is better",
-        x: Axis {
-            label: "images/s, logarithmic",
-            log: true,
-            from_zero: false,
-        },
-        y: Axis {
-            label: "PSNR-All against vanilla, dB",
-            log: false,
-            from_zero: false,
-        },
-        series: std::iter::once(guide).chain(named).collect(),
+        x: Axis::logarithmic("images/s, logarithmic"),
+        y: Axis::linear("PSNR-All against vanilla, dB"),
+        series: std::iter::once(Series::guide(0, front(&places)))
+            .chain(named)
+            .collect(),
     };
-    figure(&plot.to_svg())
+    Figure::svg(&plot.to_svg())
 }
 
 /// Pareto front of `places`: points without another one above and to the right, by rising x.

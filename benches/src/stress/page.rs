@@ -1,6 +1,4 @@
-//! The report as one HTML page that needs nothing beside it.
-
-use std::fmt::Write;
+//! The report as one HTML page.
 
 use anyhow::Result;
 use decouplegs::render::metrics::difference_image;
@@ -8,8 +6,8 @@ use decouplegs::render::metrics::difference_image;
 use super::fit::Line;
 use super::report::{MemoryLines, Report, decibels, mebibytes};
 use super::{charts, tables};
-use crate::data_uri;
-use crate::plot::{self, escaped};
+use crate::page::{Figure, Page, escaped};
+use crate::thumbnail::thumbnail;
 
 /// Factor on differences in images of them.
 const DIFFERENCE_GAIN: f32 = 8.0;
@@ -19,36 +17,39 @@ const HOW_TO_READ: &str = include_str!("how_to_read.html");
 
 /// The page.
 pub fn page(report: &Report) -> Result<String> {
-    let title = "Stress: frames, memory and error against agents";
-    let mut html = plot::page_start(title);
-    html.push_str(&summary(report));
-    html.push_str(&conditions(report));
-    html.push_str(&thumbnails(report)?);
-    html.push_str("<h2>Scalability</h2><div class=\"row\">");
-    html.push_str(&charts::images_against_agents(report));
-    html.push_str(&charts::memory_against_agents(report));
-    html.push_str("</div>");
-    html.push_str(&memory_lines(&report.memory_lines()));
-    html.push_str("<h2>Compression, by traffic density</h2>");
-    html.push_str(&tables::compression(report));
-    let largest = report.largest_count();
-    let _ = write!(html, "<h2>With {largest} agents</h2><div class=\"row\">");
-    html.push_str(&charts::stages(report));
-    html.push_str(&charts::speed_against_error(report));
-    html.push_str("</div><h2>Modes</h2>");
-    html.push_str(&tables::modes(report));
-    html.push_str("<h2>All figures</h2>");
-    html.push_str(&tables::all_times(report));
-    html.push_str(&tables::all_memory(report));
-    html.push_str(&how_to_read(report));
-    html.push_str("</html>\n");
-    Ok(html)
+    let mut page = Page::new("Stress: frames, memory and error against agents");
+    summary(&mut page, report);
+    page.note(&conditions(report));
+    thumbnails(&mut page, report)?;
+    page.heading("Scalability");
+    page.row([
+        charts::images_against_agents(report),
+        charts::memory_against_agents(report),
+    ]);
+    memory_lines(&mut page, &report.memory_lines());
+    page.heading("Compression, by traffic density");
+    tables::compression(&mut page, report);
+    page.heading(&format!("With {} agents", report.largest_count()));
+    page.row([charts::stages(report), charts::speed_against_error(report)]);
+    page.heading("Modes");
+    page.table(&tables::modes(report));
+    page.heading("All figures");
+    page.table(&tables::all_times(report));
+    page.table(&tables::all_memory(report));
+    page.heading("How to read this, and what is not measured");
+    let originals = if report.conditions["originals_known"] == true {
+        "Vanilla's copies are the splats as they were before compression."
+    } else {
+        "Vanilla's copies of assets that came compressed are what these decode to: what compression itself costs is then <b>not</b> in the \
+         errors."
+    };
+    page.html(&format!("<ul>{HOW_TO_READ}<li>{originals}</li></ul>"));
+    Ok(page.finish())
 }
 
 /// Results of vanilla and decoupled with the most agents, one sentence each.
-fn summary(report: &Report) -> String {
+fn summary(page: &mut Page, report: &Report) {
     let largest = report.largest_count();
-    let mut html = String::new();
     for mode in [report.vanilla(), report.decoupled()].into_iter().flatten() {
         let Some(point) = report.points_of(mode).find(|point| point.agents == largest) else {
             continue;
@@ -70,18 +71,17 @@ fn summary(report: &Report) -> String {
                 )
             }
         };
-        let _ = write!(
-            html,
-            "<p><b>{}</b> with {largest} agents: {found}.</p>",
-            escaped(&mode.name)
-        );
+        page.html(&format!(
+            "<p><b>{}</b> with {largest} agents: {}.</p>",
+            escaped(&mode.name),
+            escaped(&found)
+        ));
     }
-    html
 }
 
 fn conditions(report: &Report) -> String {
     let c = &report.conditions;
-    let text = |value: &serde_json::Value| escaped(value.as_str().unwrap_or_default());
+    let text = |value: &serde_json::Value| value.as_str().unwrap_or_default().to_owned();
     let limit = c["memory_limit_bytes"]
         .as_u64()
         .map_or(String::new(), |bytes| {
@@ -91,8 +91,8 @@ fn conditions(report: &Report) -> String {
             )
         });
     format!(
-        "<p class=\"dim\">{} ({}), DecoupleGS {}. {} splats of background, degree {}; {} assets; {} camera(s) of {}x{} px, \
-         8 bits a channel; {} frames timed, {} s of the drive apart, after {} to warm up. {}{limit}</p>",
+        "{} ({}), DecoupleGS {}. {} splats of background, degree {}; {} assets; {} camera(s) of {}x{} px, \
+         8 bits per channel; {} frames timed, {} s of the drive apart, after {} to warm up. {}{limit}",
         text(&c["device"]),
         text(&c["driver"]),
         text(&c["version"]),
@@ -105,7 +105,7 @@ fn conditions(report: &Report) -> String {
         c["frames"],
         c["step_s"],
         warm_up_text(c),
-        escaped(&source_text(&c["source"])),
+        source_text(&c["source"]),
     )
 }
 
@@ -132,35 +132,27 @@ fn source_text(source: &serde_json::Value) -> String {
     }
 }
 
-fn thumbnails(report: &Report) -> Result<String> {
+fn thumbnails(page: &mut Page, report: &Report) -> Result<()> {
     let Some(shown) = &report.thumbnails else {
-        return Ok(String::new());
+        return Ok(());
     };
-    let small = |image| data_uri::shrunk(image, THUMBNAIL_WIDTH_PX);
     let difference = difference_image(&shown.vanilla, &shown.decoupled, DIFFERENCE_GAIN)?;
-    let mut html = format!(
-        "<h2>What was drawn</h2><p class=\"dim\">The first camera at {:.2} s, with {} agents.</p><div class=\"row\">",
+    page.heading("What was drawn");
+    page.note(&format!(
+        "The first camera at {:.2} s, with {} agents.",
         shown.time_s, shown.agents
-    );
-    let images = [
-        ("vanilla", &shown.vanilla),
-        ("decoupled", &shown.decoupled),
-        ("difference, times 8, false colors", &difference),
-    ];
-    for (what, image) in images {
-        let address = data_uri::png(&small(image))?;
-        let _ = write!(
-            html,
-            "<figure><img src=\"{address}\" alt=\"{what}\"><figcaption>{what}</figcaption></figure>"
-        );
-    }
-    html.push_str("</div>");
-    Ok(html)
+    ));
+    let small = |caption, image| Figure::image(caption, &thumbnail(image, THUMBNAIL_WIDTH_PX));
+    page.row([
+        small("vanilla", &shown.vanilla)?,
+        small("decoupled", &shown.decoupled)?,
+        small("difference, times 8, false colors", &difference)?,
+    ]);
+    Ok(())
 }
 
-fn memory_lines(lines: &MemoryLines) -> String {
-    let mut html = String::from("<ul>");
-    let mut item = |what: &str, line: Option<Line>, each: &str| {
+fn memory_lines(page: &mut Page, lines: &MemoryLines) {
+    let item = |what: &str, line: Option<Line>, each: &str| {
         let text = line.map_or(
             "no line: fewer than two different counts were measured".to_owned(),
             |line| {
@@ -172,35 +164,21 @@ fn memory_lines(lines: &MemoryLines) -> String {
                 )
             },
         );
-        let _ = write!(html, "<li>{what}: {text}</li>");
+        format!("{what}: {text}")
     };
-    item(
-        "Decoupled, memory of purpose <i>assets</i>",
-        lines.assets,
-        "for each unique asset",
+    let (asset, agent) = ("for each unique asset", "for each agent");
+    page.list([
+        item(
+            "Decoupled, memory of purpose <i>assets</i>",
+            lines.assets,
+            asset,
+        ),
+        item("Decoupled, memory of every other purpose", lines.rest, agent),
+        item("Decoupled, all memory", lines.total, agent),
+        item("Vanilla, all memory", lines.vanilla_total, agent),
+    ]);
+    page.note(
+        "Straight lines by least squares through our own count of bytes. Memory of purpose 'frame' grows with what is in sight, in steps \
+         of a sixteenth; a low R² says that it is not a line.",
     );
-    item(
-        "Decoupled, memory of every other purpose",
-        lines.rest,
-        "for each agent",
-    );
-    item("Decoupled, all memory", lines.total, "for each agent");
-    item("Vanilla, all memory", lines.vanilla_total, "for each agent");
-    html.push_str(
-        "</ul><p class=\"dim\">Straight lines by least squares through our own count of bytes. Memory of purpose <i>frame</i> \
-         grows with what is in sight, in steps of a sixteenth; a low R² says that it is not a line.</p>",
-    );
-    html
-}
-
-fn how_to_read(report: &Report) -> String {
-    let originals = if report.conditions["originals_known"] == true {
-        "Vanilla's copies are the splats as they were before compression."
-    } else {
-        "Vanilla's copies of assets that came compressed are what these decode to: what compression itself costs is then \
-         <b>not</b> in the errors."
-    };
-    format!(
-        "<h2>How to read this, and what is not measured</h2><ul>{HOW_TO_READ}<li>{originals}</li></ul>"
-    )
 }

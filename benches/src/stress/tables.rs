@@ -1,12 +1,11 @@
 //! The page's tables.
 
-use std::fmt::Write;
 use std::ops::RangeInclusive;
 
 use super::figures::{Measured, Outcome, Point};
 use super::mode::Mode;
 use super::report::{Report, decibels, mebibytes};
-use crate::plot::escaped;
+use crate::page::{Page, Table};
 
 /// Traffic densities of the paper's table.
 const DENSITIES: [(&str, RangeInclusive<usize>); 3] = [
@@ -17,11 +16,18 @@ const DENSITIES: [(&str, RangeInclusive<usize>); 3] = [
 
 /// The paper's table: vanilla, the pruned scene and decoupled by traffic density, each the mean
 /// over the counts measured.
-pub fn compression(report: &Report) -> String {
-    let mut html = String::from(
-        "<div class=\"wide\"><table><tr><th>agents<th class=\"text\">mode\
-         <th>PSNR-Veh, dB<th>PSNR-All, dB<th>SSIM<th>images/s<th>MiB<th>counts</tr>",
-    );
+pub fn compression(page: &mut Page, report: &Report) {
+    let mut table = Table::new([
+        "agents",
+        "mode",
+        "PSNR-Veh, dB",
+        "PSNR-All, dB",
+        "SSIM",
+        "images/s",
+        "MiB",
+        "counts",
+    ])
+    .with_text_in(1);
     let modes = [report.vanilla(), report.pruned(), report.decoupled()];
     for (density, counts) in &DENSITIES {
         for mode in modes.iter().flatten() {
@@ -29,40 +35,28 @@ pub fn compression(report: &Report) -> String {
                 .points_of(mode)
                 .filter(|point| counts.contains(&point.agents))
                 .collect();
-            let ours = if report.decoupled() == Some(*mode) {
-                " class=\"ours\""
-            } else {
-                ""
-            };
-            let name = escaped(&mode.name);
-            let _ = write!(
-                html,
-                "<tr{ours}><td>{density}<td class=\"text\">{name}{}</tr>",
-                density_cells(mode, &points)
+            let head = [(*density).to_owned(), mode.name.clone()];
+            table.row_that_stands_out(
+                report.decoupled() == Some(*mode),
+                head.into_iter().chain(density_cells(mode, &points)),
             );
         }
     }
-    html.push_str(
-        "</table></div><p class=\"dim\">Each figure is the mean over the agent counts of its row, PSNR that of the mean squared \
-         error. Vanilla is what the others are compared with.</p>",
+    page.table(&table);
+    page.note(
+        "Each figure is the mean over the agent counts of its row, PSNR that of the mean squared error. Vanilla is what the others are \
+         compared with.",
     );
-    html
 }
 
-fn density_cells(mode: &Mode, points: &[&Point]) -> String {
+/// Figures of a row, or why there are none.
+fn density_cells(mode: &Mode, points: &[&Point]) -> Vec<String> {
     if points.is_empty() {
-        return "<td colspan=\"6\" class=\"text\">no such count was measured".into();
+        return vec!["no such count was measured".into()];
     }
     let measured: Vec<&Measured> = points.iter().filter_map(|point| point.measured()).collect();
     if measured.is_empty() {
-        return format!(
-            "<td colspan=\"6\" class=\"text\">{}",
-            points
-                .iter()
-                .map(|point| reason(&point.outcome))
-                .next()
-                .unwrap_or_default()
-        );
+        return vec![reason(&points[0].outcome)];
     }
     let mean = |values: Vec<f64>| {
         (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
@@ -87,8 +81,11 @@ fn density_cells(mode: &Mode, points: &[&Point]) -> String {
         .filter(|point| point.measured().is_some())
         .map(|point| point.agents.to_string())
         .collect();
-    format!(
-        "<td>{}<td>{}<td>{}<td>{:.1}<td>{:.1}<td>{}",
+    let mean_of = |of: &dyn Fn(&Measured) -> f64| {
+        let values = measured.iter().map(|measured| of(measured)).collect();
+        format!("{:.1}", mean(values).unwrap_or(f64::NAN))
+    };
+    vec![
         psnr(&|fidelity| fidelity.psnr_vehicles_db),
         psnr(&|fidelity| Some(fidelity.psnr_all_db)),
         if mode.is_vanilla() {
@@ -96,22 +93,10 @@ fn density_cells(mode: &Mode, points: &[&Point]) -> String {
         } else {
             ssim(fidelity(&|fidelity| fidelity.ssim))
         },
-        mean(
-            measured
-                .iter()
-                .map(|measured| measured.images_per_s())
-                .collect()
-        )
-        .unwrap_or(f64::NAN),
-        mean(
-            measured
-                .iter()
-                .map(|measured| mebibytes(measured.memory.total_bytes))
-                .collect()
-        )
-        .unwrap_or(f64::NAN),
-        counts.join(", ")
-    )
+        mean_of(&|measured| measured.images_per_s()),
+        mean_of(&|measured| mebibytes(measured.memory.total_bytes)),
+        counts.join(", "),
+    ]
 }
 
 fn ssim(value: Option<f64>) -> String {
@@ -128,53 +113,39 @@ pub fn reason(outcome: &Outcome) -> String {
             "out of memory: {:.1} MiB, {known}",
             mebibytes(*needed_bytes)
         ),
-        Outcome::Refused(reason) => format!("not drawn: {}", escaped(reason)),
+        Outcome::Refused(reason) => format!("not drawn: {reason}"),
     }
 }
 
-pub fn modes(report: &Report) -> String {
-    let mut html = String::from("<table><tr><th>mode<th class=\"text\">what it is</tr>");
+pub fn modes(report: &Report) -> Table {
+    let mut table = Table::new(["mode", "what it is"]).with_text_in(1);
     for mode in &report.modes {
-        let _ = write!(
-            html,
-            "<tr><td>{}<td class=\"text\">{}</tr>",
-            escaped(&mode.name),
-            escaped(&mode.what)
-        );
+        table.row([&mode.name, &mode.what]);
     }
-    html.push_str("</table>");
-    html
+    table
 }
 
 /// A row for each point: `head` and `cells` of what was measured, or why there is nothing.
-fn rows(
+fn table_of_points(
     report: &Report,
     head: &[&str],
     cells: &dyn Fn(&Point, &Measured) -> Vec<String>,
-) -> String {
-    let mut html = format!(
-        "<div class=\"wide\"><table><tr><th>mode<th>agents<th>{}</tr>",
-        head.join("<th>")
-    );
+) -> Table {
+    let mut table = Table::new(["mode", "agents"].iter().chain(head));
     for mode in &report.modes {
         for point in report.points_of(mode) {
-            let _ = write!(html, "<tr><td>{}<td>{}", escaped(&mode.name), point.agents);
-            let _ = match point.measured() {
-                Some(measured) => write!(html, "<td>{}</tr>", cells(point, measured).join("<td>")),
-                None => write!(
-                    html,
-                    "<td colspan=\"{}\" class=\"text\">{}</tr>",
-                    head.len(),
-                    reason(&point.outcome)
-                ),
+            let cells = match point.measured() {
+                Some(measured) => cells(point, measured),
+                None => vec![reason(&point.outcome)],
             };
+            let head = [mode.name.clone(), point.agents.to_string()];
+            table.row(head.into_iter().chain(cells));
         }
     }
-    html.push_str("</table></div>");
-    html
+    table
 }
 
-pub fn all_times(report: &Report) -> String {
+pub fn all_times(report: &Report) -> Table {
     let head = [
         "images/s",
         "rig steps/s",
@@ -190,7 +161,7 @@ pub fn all_times(report: &Report) -> String {
         "max",
         "views with kept keys",
     ];
-    rows(report, &head, &|point, measured| {
+    table_of_points(report, &head, &|point, measured| {
         let mut cells = vec![
             format!("{:.2}", measured.images_per_s()),
             format!("{:.2}", measured.rig_steps_per_s()),
@@ -223,7 +194,7 @@ pub fn all_times(report: &Report) -> String {
     })
 }
 
-pub fn all_memory(report: &Report) -> String {
+pub fn all_memory(report: &Report) -> Table {
     let head = [
         "MiB in all",
         "by purpose, MiB",
@@ -236,7 +207,7 @@ pub fn all_memory(report: &Report) -> String {
         "tile entries",
         "redrawn",
     ];
-    rows(report, &head, &|point, measured| {
+    table_of_points(report, &head, &|point, measured| {
         let purposes: Vec<String> = measured
             .memory
             .bytes_by_purpose

@@ -7,7 +7,7 @@
 //! | `footing` | the ground below agents |
 //! | `progress` | progress lines and durations |
 //! | `jpeg`, `png_bytes`, `video` | images as bytes of a file, and as a video |
-//! | `plot`, `data_uri` | plots as SVG, and images inside of HTML reports |
+//! | `page`, `plot`, `thumbnail` | pages of reports: their text, tables and images, and plots as SVG |
 //! | `views`, `visibility`, `image_quality` | views around an asset, how much each splat shows in them, and differences between images |
 #![forbid(unsafe_code)]
 
@@ -15,8 +15,6 @@
 pub mod arguments;
 #[doc(hidden)]
 pub mod background;
-#[doc(hidden)]
-pub mod data_uri;
 #[doc(hidden)]
 pub mod device;
 #[doc(hidden)]
@@ -28,6 +26,8 @@ pub mod jpeg;
 #[doc(hidden)]
 pub mod orbit;
 #[doc(hidden)]
+pub mod page;
+#[doc(hidden)]
 pub mod plot;
 #[doc(hidden)]
 pub mod png_bytes;
@@ -35,6 +35,8 @@ pub mod png_bytes;
 pub mod progress;
 #[doc(hidden)]
 pub mod scene_source;
+#[doc(hidden)]
+pub mod thumbnail;
 #[doc(hidden)]
 pub mod video;
 #[doc(hidden)]

@@ -1,17 +1,12 @@
-//! Plots as inline SVG: curves, scatters and stacked bars; and the start of the page that holds
-//! them.
+//! Plots as inline SVG: curves, scatters and stacked bars.
 
 mod scale;
 
 use std::fmt::Write;
 
+use crate::page::escaped;
 use scale::Scale;
 pub use scale::{Axis, number};
-
-/// Style sheet of the charts: readable on a light and on a dark background.
-const STYLE: &str = include_str!("plot/style.css");
-/// The rest of the page, in the same colors.
-const PAGE_STYLE: &str = include_str!("plot/page.css");
 
 /// Colors there are; series beyond take them again.
 const COLORS: usize = 10;
@@ -51,6 +46,35 @@ pub enum Shape {
     Named,
     /// A thin line, without points or name.
     Guide,
+}
+
+impl Series {
+    /// A curve.
+    pub fn curve(name: impl Into<String>, color: usize, points: Vec<(f64, f64)>) -> Self {
+        Self {
+            name: name.into(),
+            color,
+            points,
+            shape: Shape::Curve,
+            end: None,
+        }
+    }
+
+    /// A point with its name.
+    pub fn named(name: impl Into<String>, color: usize, point: (f64, f64)) -> Self {
+        Self {
+            shape: Shape::Named,
+            ..Self::curve(name, color, vec![point])
+        }
+    }
+
+    /// A thin line.
+    pub fn guide(color: usize, points: Vec<(f64, f64)>) -> Self {
+        Self {
+            shape: Shape::Guide,
+            ..Self::curve("", color, points)
+        }
+    }
 }
 
 /// Series over two axes.
@@ -356,35 +380,12 @@ fn opacity(color: usize) -> f64 {
     if color < COLORS { 1.0 } else { 0.55 }
 }
 
-/// A page up to its heading. It needs nothing beside it, follows the reader's choice of light or
-/// dark, and ends with `</html>`. `title` is HTML already.
-pub fn page_start(title: &str) -> String {
-    format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>{title}</title><style>{STYLE}{PAGE_STYLE}</style><h1>{title}</h1>"
-    )
-}
-
-/// `text` as HTML shows it.
-pub fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn series(points: &[(f64, f64)]) -> Series {
-        Series {
-            name: "a < b".into(),
-            color: 0,
-            points: points.to_vec(),
-            shape: Shape::Curve,
-            end: None,
-        }
+        Series::curve("a < b", 0, points.to_vec())
     }
 
     #[test]
@@ -441,11 +442,7 @@ mod tests {
 
     #[test]
     fn names_of_points_in_one_place_do_not_cover_each_other() {
-        let named = |name: &str| Series {
-            name: name.into(),
-            shape: Shape::Named,
-            ..series(&[(1.0, 1.0)])
-        };
+        let named = |name: &str| Series::named(name, 0, (1.0, 1.0));
         let all = Plot {
             title: "",
             x: Axis::default(),

@@ -6,7 +6,7 @@ use decouplegs::scene::{Lane, LaneKind};
 use glam::DVec2;
 
 use super::frame::Frame;
-use crate::plot::escaped;
+use crate::page::escaped;
 
 /// Size of the letters, and about the width of one, pixels.
 const SIZE_PX: f64 = 8.0;

@@ -13,6 +13,32 @@ pub struct Axis<'a> {
     pub from_zero: bool,
 }
 
+impl<'a> Axis<'a> {
+    /// A linear axis.
+    pub fn linear(label: &'a str) -> Self {
+        Self {
+            label,
+            ..Self::default()
+        }
+    }
+
+    /// A linear axis that begins at zero.
+    pub fn from_zero(label: &'a str) -> Self {
+        Self {
+            from_zero: true,
+            ..Self::linear(label)
+        }
+    }
+
+    /// A logarithmic axis.
+    pub fn logarithmic(label: &'a str) -> Self {
+        Self {
+            log: true,
+            ..Self::linear(label)
+        }
+    }
+}
+
 /// An axis with its range: where values lie and which of them are written.
 pub struct Scale {
     log: bool,
