@@ -35,8 +35,8 @@ use clap::{Parser, Subcommand};
 use decouplegs::explain::explain;
 use decouplegs_benches::{ablate, bench, stress};
 use decouplegs_cli::{
-    arguments, background, device, image_quality, page, plot, progress, scene_source, thumbnail, views,
-    visibility,
+    arguments, background, device, image_quality, page, plot, progress, scene_source, thumbnail,
+    views, visibility,
 };
 use decouplegs_view as view;
 

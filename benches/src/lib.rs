@@ -16,6 +16,6 @@ pub mod bench;
 pub mod stress;
 
 use decouplegs_cli::{
-    arguments, background, device, image_quality, page, plot, progress, scene_source, thumbnail, views,
-    visibility,
+    arguments, background, device, image_quality, page, plot, progress, scene_source, thumbnail,
+    views, visibility,
 };

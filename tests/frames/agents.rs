@@ -90,7 +90,7 @@ pub fn background(count: usize, seed: u64) -> World {
         })
         .collect();
     let mut world = world_of(&splats);
-    world.splats = world.splats.select(&world.splats.spatial_order());
+    world.splats = world.splats.in_spatial_order();
     world
 }
 

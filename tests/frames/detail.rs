@@ -24,7 +24,7 @@ fn street(splats: usize) -> (World, Vec<Camera>) {
         sh_degree: 1,
         ..StreetOptions::default()
     });
-    let cloud = street.background.select(&street.background.spatial_order());
+    let cloud = street.background.in_spatial_order();
     let world = World {
         sky: street.sky,
         ..World::of(cloud)

@@ -167,7 +167,7 @@ pub fn surroundings(count: usize, seed: u64) -> World {
     splats.push(special([0.0, 0.0, 3.0], 1.0, 0.9));
     splats.push(special([-9.0, 0.0, -1.0], 0.8, 0.97));
     let mut world = world_of(&splats);
-    world.splats = world.splats.select(&world.splats.spatial_order());
+    world.splats = world.splats.in_spatial_order();
     world
 }
 

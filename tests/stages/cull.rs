@@ -142,7 +142,7 @@ fn drop_clusters_of(rig: &[Camera]) {
     let gpu = open();
     let small: Vec<u32> = (0..16_000).filter(|i| i % 16 >= 6).collect();
     let small = hard_world(16_000, 7).splats.select(&small);
-    let ordered = World::of(small.select(&small.spatial_order()));
+    let ordered = World::of(small.in_spatial_order());
     let scene = Scene::new(&gpu, &ordered, rig);
     let near_m = decouplegs::render::layout::near_m(&Rules::DEFAULT);
     let reach = |camera: usize, cluster: usize| {

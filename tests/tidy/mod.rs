@@ -1,6 +1,7 @@
 //! Taste as a test: rules about the sources themselves, each with a case that must fail.
 
 mod checks;
+mod claims;
 mod code;
 mod modules;
 mod parameters;

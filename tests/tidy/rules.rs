@@ -7,6 +7,7 @@ use super::checks::{
     kernel_has_its_stem, named_for_a_subject, no_machine_paths, nothing_undone,
     shader_says_what_it_is, unsafe_is_explained, unsafe_only_in_gpu, vulkan_only_in_gpu,
 };
+use super::claims::{claims_name_their_tests, named_tests_exist};
 use super::modules::modules_do_not_use_each_other;
 use super::parameters::{stages_take_few_values, tuples_hide_no_parameters};
 use super::words::{
@@ -300,6 +301,31 @@ pub const RULES: &[Rule] = &[
             ("engine/a.rs", "/// Who.\nfn a() {}\n"),
             ("engine/a.rs", "struct A {\n    /// Lanes.\n    b: u8,\n}\n"),
         ],
+    },
+    Rule {
+        name: "a claim of checked, never or once names its test",
+        check: claims_name_their_tests,
+        kept_by: &[
+            ("tests/a.rs", "#[test]\nfn a_b_c() {}\n"),
+            (
+                "README.md",
+                "Never\nwrong (`a::a_b_c`).\n\n- Drawn once, `tests/a.rs`.\n- Fast.\n",
+            ),
+            ("engine/README.md", "```sh\nonce\n```\n"),
+        ],
+        broken_by: &[
+            ("README.md", "- Never wrong.\n- `a_b_c`\n"),
+            ("engine/README.md", "Checked by\n`tests/b.rs`.\n"),
+        ],
+    },
+    Rule {
+        name: "tests that documents name exist",
+        check: named_tests_exist,
+        kept_by: &[
+            ("tests/a.rs", "#[test]\nfn a_b_c() {}\n"),
+            ("benches/README.md", "`a::a_b_c`, `Options::a_b`, `a_b_c_d`"),
+        ],
+        broken_by: &[("benches/README.md", "By `a::a_b_d`.")],
     },
     Rule {
         name: "a file has at most 550 lines, in a test 600, and usually 300",

@@ -100,9 +100,7 @@ fn empty_table() -> Table {
         let rmse = format!("RMSE, {method}");
         [rmse, "PSNR, dB".into(), "angle, mean".into(), "p95".into()]
     });
-    Table::new(
-        std::iter::once("left out".to_owned()).chain(methods.into_iter().flatten()),
-    )
+    Table::new(std::iter::once("left out".to_owned()).chain(methods.into_iter().flatten()))
 }
 
 fn cells(name: &str, comparison: &Comparison) -> Vec<String> {

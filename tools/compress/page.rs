@@ -78,10 +78,7 @@ fn summary(page: &mut Page, subject: &Subject<'_>, compressed: &Compressed) {
             report.bytes.shapes as u64,
         ),
         (colors, report.bytes.colors as u64),
-        (
-            "header".into(),
-            subject.stored_bytes.saturating_sub(stored),
-        ),
+        ("header".into(), subject.stored_bytes.saturating_sub(stored)),
     ]);
     let mut table = Table::new(["part", "bytes", "bytes per kept splat"]);
     for (name, bytes) in parts {
@@ -124,7 +121,14 @@ fn trial_table(names: &[&str], trials: &[Trial]) -> Table {
 }
 
 fn level_table(measured: &Measured) -> Table {
-    let mut table = Table::new(["level", "splats", "pitch, px", "distance, m", "PSNR", "SSIM"]);
+    let mut table = Table::new([
+        "level",
+        "splats",
+        "pitch, px",
+        "distance, m",
+        "PSNR",
+        "SSIM",
+    ]);
     for trial in &measured.levels {
         let cells = [
             trial.level.to_string(),
@@ -189,7 +193,11 @@ fn distortion<'a>(title: &'a str, book: &BookReport) -> Plot<'a> {
 }
 
 /// The first image of each kind of view: before, after, and the difference.
-fn images(page: &mut Page, quality_meter: &mut QualityMeter, compressed: &Compressed) -> Result<()> {
+fn images(
+    page: &mut Page,
+    quality_meter: &mut QualityMeter,
+    compressed: &Compressed,
+) -> Result<()> {
     let decoded = compressed.cloud.decoded(0);
     for at in 0..quality_meter.views.len() {
         let camera = quality_meter.views[at].cameras[..1].to_vec();

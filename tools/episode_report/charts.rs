@@ -37,9 +37,11 @@ fn over_time(scored: &Scored, what: &str, unit: &str, named: Vec<Named>) -> Stri
             .map(|point| point.1)
     };
     let (low, high) = (values().fold(0.0, f64::min), values().fold(1.0, f64::max));
-    let marks = scored.score.infractions.iter().map(|mark| {
-        Series::guide(INFRACTION, vec![(mark.time_s, low), (mark.time_s, high)])
-    });
+    let marks = scored
+        .score
+        .infractions
+        .iter()
+        .map(|mark| Series::guide(INFRACTION, vec![(mark.time_s, low), (mark.time_s, high)]));
     let curves = named
         .iter()
         .map(|(name, color, points)| Series::curve(*name, *color, points.clone()));

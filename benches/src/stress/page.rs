@@ -173,7 +173,11 @@ fn memory_lines(page: &mut Page, lines: &MemoryLines) {
             lines.assets,
             asset,
         ),
-        item("Decoupled, memory of every other purpose", lines.rest, agent),
+        item(
+            "Decoupled, memory of every other purpose",
+            lines.rest,
+            agent,
+        ),
         item("Decoupled, all memory", lines.total, agent),
         item("Vanilla, all memory", lines.vanilla_total, agent),
     ]);

@@ -143,10 +143,9 @@ impl Workload {
                 })
             });
         let agents = agents.collect::<Result<Vec<_>>>()?;
-        let spatial = |cloud: &SplatCloud| cloud.select(&cloud.spatial_order());
         let world = World {
             sky: street.sky,
-            ..World::of(spatial(&street.background))
+            ..World::of(street.background.in_spatial_order())
         };
         let staged = LoadedScene {
             plain_agents: Vec::new(),
@@ -160,7 +159,7 @@ impl Workload {
         };
         let named = |(at, cloud): (usize, &SplatCloud)| Asset {
             name: format!("car {at}"),
-            original: spatial(cloud),
+            original: cloud.in_spatial_order(),
             stored: None,
         };
         let assets = clouds.iter().enumerate().map(named).collect();
@@ -316,7 +315,7 @@ impl Asset {
         let cloud = read_splats(&path)?;
         Ok(Self {
             name,
-            original: cloud.select(&cloud.spatial_order()),
+            original: cloud.in_spatial_order(),
             stored: None,
         })
     }

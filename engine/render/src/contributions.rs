@@ -13,11 +13,11 @@ impl Renderer {
     /// # Errors
     /// Returns an error if the device was lost.
     pub fn read_contributions(&self) -> Result<Vec<f32>, RenderError> {
-        let Some(slot) = self.shown_slot() else {
+        let Some((_, images)) = self.shown_images() else {
             return Ok(Vec::new());
         };
-        let scale = slot.images.contribution_scale();
-        let steps = self.gpu().read(&slot.images.contributions)?;
+        let scale = images.contribution_scale();
+        let steps = self.gpu().read(&images.contributions)?;
         Ok(steps.iter().map(|&steps| steps as f32 / scale).collect())
     }
 

@@ -1,6 +1,6 @@
 //! The frame: one function that lists the stages in the order they run.
 
-use decouplegs_gpu::{Buffer, Recorder};
+use decouplegs_gpu::Recorder;
 
 use crate::frame_buffers::{FrameBuffers, FrameShape};
 use crate::kernels::{FrameStages, ImageStages};
@@ -8,50 +8,48 @@ use crate::keys::KeyDecision;
 use crate::options::RenderOptions;
 use crate::output::OutputBuffers;
 use crate::plane::Plane;
-use crate::resident::GpuScene;
 use crate::slot::FrameInFlight;
 use crate::stages::{
     AgentCounts, Blend, Counted, FrameData, HostWritten, KeptKeys, ListedSplats, PostProcessInputs,
     Project, ProjectAgents, ProjectInputs, Records, SeenAgents, Segments, Target,
 };
+use crate::submitted::FrameContents;
 
-/// Inputs of a frame beside the agents, which are in its slot.
+/// Inputs of a frame beside the buffers that the host wrote, which are in its slot.
 #[derive(Clone, Copy)]
 pub(crate) struct FrameInput<'a> {
-    pub world: &'a GpuScene,
+    pub contents: &'a FrameContents,
     pub keys: &'a KeyDecision,
-    /// The persistent key buffer.
-    pub kept_keys: &'a Buffer<u32>,
-    pub agents: Option<AgentCounts>,
     pub options: &'a RenderOptions,
 }
 
 /// Records the agents' part of a frame, which needs nothing of the frame before it: their shadows
-/// on `world`, their colors in their light, and what of them is visible.
+/// on the background, their colors in their light, and what of them is visible.
 pub(crate) fn record_agents(
     recorder: &mut Recorder,
-    stages: &FrameStages<'_>,
+    stages: &FrameStages,
     slot: &FrameInFlight,
-    world: &GpuScene,
-    counts: Option<AgentCounts>,
+    contents: &FrameContents,
 ) {
-    if let Some(shadows) = stages.shadows.filter(|_| slot.shadow_count > 0) {
+    let shadow_count = contents.shadow_count;
+    if let Some(shadows) = stages.shadows.as_ref().filter(|_| shadow_count > 0) {
         recorder.stage("shadows", |r| {
-            slot.copy_shadows(r);
-            shadows.record(r, world, &slot.shadows, slot.shadow_count);
+            slot.copy_shadows(r, shadow_count);
+            shadows.record(r, &contents.world, &slot.shadows, shadow_count);
         });
     }
-    let (Some(agents), Some(pool), Some(counts)) = (stages.agents, slot.pool(), counts) else {
+    let (Some(agents), Some(list)) = (&stages.agents, &contents.agents) else {
         return;
     };
-    if let Some(relight) = agents.relight.as_ref().filter(|_| slot.relit.to_make.0 > 0) {
+    let (pool, counts, relights) = (&list.pool, list.counts, &contents.relights);
+    if let Some(relight) = agents.relight.as_ref().filter(|_| relights.count > 0) {
         recorder.stage("relight", |r| {
-            slot.relit.copy(r);
-            relight.record(r, pool, slot.relit.work(), &slot.relit.colors);
+            slot.relit.copy(r, relights);
+            relight.record(r, pool, slot.relit.work(relights), &slot.relit.colors);
         });
     }
     recorder.stage("agents", |r| {
-        slot.copy_agents(r, counts);
+        slot.copy_agents(r, counts, contents.view.lenses.len());
         agents.cull.record(r, pool, slot.agents(), counts);
         let AgentCounts {
             cameras, clusters, ..
@@ -68,7 +66,7 @@ pub(crate) fn record_agents(
 /// Records the frame that draws `input` for the cameras in `slot`.
 pub(crate) fn record_frame(
     recorder: &mut Recorder,
-    stages: &FrameStages<'_>,
+    stages: &FrameStages,
     frame: &FrameBuffers,
     slot: &FrameInFlight,
     input: FrameInput<'_>,
@@ -83,7 +81,8 @@ pub(crate) fn record_frame(
     {
         recorder.stage("key splats", |r| {
             for &wanted in &input.keys.find {
-                key_splats.record(r, input.world, &frame.cameras, wanted, input.kept_keys);
+                let world = &input.contents.world;
+                key_splats.record(r, world, &frame.cameras, wanted, &input.keys.kept);
             }
         });
     }
@@ -95,7 +94,7 @@ pub(crate) fn record_frame(
         static_offsets: &frame.offsets,
         static_clusters: frame.shape.clusters,
         moving_offsets: &slot.agents().offsets,
-        moving_clusters: input.agents.map_or(0, |counts| counts.clusters),
+        moving_clusters: input.contents.agent_counts().clusters,
     };
     stages.common.tile_sort.record(
         recorder,
@@ -125,7 +124,7 @@ fn begin_buffers<'a>(
             key_sets: &frame.key_sets,
         },
         cameras: frame.shape.cameras,
-        lenses: slot.lens_count(),
+        lenses: input.contents.view.lenses.len(),
     };
     let counted = Counted {
         counters: &frame.counters,
@@ -133,7 +132,7 @@ fn begin_buffers<'a>(
         bins: frame.shape.bins,
         contributions: &slot.images.contributions,
         agent_offsets: &slot.agents().offsets,
-        agents: input.agents.is_some(),
+        agents: input.contents.agents.is_some(),
         partials: &frame.partials,
     };
     (written, counted)
@@ -142,7 +141,7 @@ fn begin_buffers<'a>(
 /// From splats to records: those of the background, then those of agents.
 fn record_projection(
     recorder: &mut Recorder,
-    stages: &FrameStages<'_>,
+    stages: &FrameStages,
     frame: &FrameBuffers,
     slot: &FrameInFlight,
     input: FrameInput<'_>,
@@ -152,10 +151,10 @@ fn record_projection(
         clusters,
         ..
     } = frame.shape;
-    let background = stages.background;
+    let background = &stages.background;
     recorder.stage("cull", |r| {
         let cull = &background.cull;
-        cull.record(r, input.world, frame.views(), &frame.visible);
+        cull.record(r, &input.contents.world, frame.views(), &frame.visible);
     });
     recorder.stage("scan", |r| {
         stages.common.scan.record(
@@ -168,7 +167,7 @@ fn record_projection(
     recorder.stage("project", |r| {
         project_background(r, &background.project, frame, slot, input, 0.0);
     });
-    if let Some(agents) = stages.agents {
+    if let Some(agents) = &stages.agents {
         recorder.stage("project agents", |r| {
             project_agents(r, &agents.project, frame, slot, input, 0.0);
         });
@@ -189,15 +188,15 @@ fn project_background(
         offsets: &frame.offsets,
         kept: KeptKeys {
             sets: &frame.key_sets,
-            keys: input.kept_keys,
+            keys: &input.keys.kept,
         },
         shadows: &slot.shadows,
-        shadow_count: slot.shadow_count,
+        shadow_count: input.contents.shadow_count,
         flow_interval_s: flow_interval_s as f32,
     };
     project.record(
         recorder,
-        input.world,
+        &input.contents.world,
         frame.views(),
         inputs,
         &frame.projected,
@@ -213,15 +212,15 @@ fn project_agents(
     input: FrameInput<'_>,
     flow_interval_s: f64,
 ) {
-    let (Some(counts), Some(pool)) = (input.agents, slot.pool()) else {
+    let Some(list) = &input.contents.agents else {
         return;
     };
     let agents = SeenAgents {
-        pool,
+        pool: &list.pool,
         buffers: slot.agents(),
         relit: &slot.relit.colors,
-        counts,
-        fog: input.world.fog.as_ref(),
+        counts: list.counts,
+        fog: input.contents.world.fog.as_ref(),
         flow_interval_s: flow_interval_s as f32,
     };
     let static_lists = frame.shape.cameras * frame.shape.clusters;
@@ -238,35 +237,34 @@ fn project_agents(
 /// place of color, blended over black, and resolved. The order of splats and their lists stay.
 fn record_geometry(
     recorder: &mut Recorder,
-    stages: &FrameStages<'_>,
+    stages: &FrameStages,
     frame: &FrameBuffers,
     slot: &FrameInFlight,
     input: FrameInput<'_>,
 ) {
-    let Some(geometry) = stages.geometry else {
+    let Some(geometry) = &stages.geometry else {
         return;
     };
     let sums = slot.images.with_color_in(&frame.blended);
     for plane in input.options.outputs.planes.geometry() {
-        let variant = stages.variant.of(plane.attribute());
+        let (Some(projections), Some(images)) =
+            (geometry.projections(plane), geometry.images(plane))
+        else {
+            continue;
+        };
         let interval_s = match plane {
             Plane::FlowBackward => -input.options.flow_interval_s,
             _ => input.options.flow_interval_s,
         };
         recorder.stage(plane.name(), |r| {
-            if let Some(project) = geometry.background(variant.background) {
-                project_background(r, project, frame, slot, input, interval_s);
-            }
-            let agents = variant.agents.and_then(|variant| geometry.agents(variant));
-            if let Some(project) = agents {
+            project_background(r, &projections.background, frame, slot, input, interval_s);
+            if let Some(project) = &projections.agents {
                 project_agents(r, project, frame, slot, input, interval_s);
             }
             let (written, counted) = begin_buffers(frame, slot, input);
             stages.common.begin.record_partials(r, written, counted);
         });
-        if let Some(images) = geometry.images(plane) {
-            blend_images(recorder, images, frame, &sums, [0.0; 3]);
-        }
+        blend_images(recorder, images, frame, &sums, [0.0; 3]);
         recorder.stage("resolve", |r| {
             geometry
                 .resolve
@@ -278,7 +276,7 @@ fn record_geometry(
 /// From sorted lists to images.
 fn record_images(
     recorder: &mut Recorder,
-    stages: &FrameStages<'_>,
+    stages: &FrameStages,
     frame: &FrameBuffers,
     slot: &FrameInFlight,
     input: FrameInput<'_>,
@@ -293,6 +291,7 @@ fn record_images(
     // Post-processing writes the images of what is blended.
     let blended = stages
         .post_process
+        .as_ref()
         .map(|_| slot.images.with_color_in(&frame.blended));
     let images = blended.as_ref().unwrap_or(&slot.images);
     recorder.stage("plan", |r| {
@@ -304,9 +303,9 @@ fn record_images(
             &frame.plan,
         );
     });
-    blend_images(recorder, stages.images, frame, images, input.world.sky);
-    if let Some(post_process) = stages.post_process {
-        let sky = input.world.sky_map.as_ref();
+    let world = &input.contents.world;
+    blend_images(recorder, &stages.images, frame, images, world.sky);
+    if let Some(post_process) = &stages.post_process {
         recorder.stage("post-process", |r| {
             r.copy(
                 &slot.staged_photometry,
@@ -318,8 +317,8 @@ fn record_images(
             let inputs = PostProcessInputs {
                 cameras: &frame.cameras,
                 photometry: &frame.photometry,
-                views: &slot.processed,
-                sky,
+                views: &input.contents.processed,
+                sky: world.sky_map.as_ref(),
             };
             post_process.record(r, inputs, &frame.blended, &slot.images);
         });

@@ -67,13 +67,9 @@ impl Renderer {
             "the images are stored as floats"
         );
         bytes.places.clear();
-        let Some(slot) = self.shown_slot() else {
+        let Some((view, buffers)) = self.shown_images() else {
             return Ok(());
         };
-        let Some(view) = &slot.view else {
-            return Ok(());
-        };
-        let images = &slot.images.images_u8;
         if bytes
             .staging
             .as_ref()
@@ -88,7 +84,7 @@ impl Renderer {
         }
         if let Some(staging) = &bytes.staging {
             let mut recorder = self.gpu().record(QueueRole::Main);
-            recorder.copy(images, 0, staging, 0, view.pixels);
+            recorder.copy(&buffers.images_u8, 0, staging, 0, view.pixels);
             self.gpu().submit(recorder, &[])?.wait()?;
             bytes.words.resize(view.pixels, 0);
             // One thread alone copies tens of megabytes in milliseconds.
@@ -99,11 +95,7 @@ impl Renderer {
                     .for_each(|(to, from)| to.copy_from_slice(from));
             });
         }
-        bytes.places.extend(
-            view.cameras
-                .iter()
-                .map(|camera| (camera.first_pixel as usize, camera.size_px)),
-        );
+        bytes.places = view.places();
         Ok(())
     }
 }

@@ -85,8 +85,15 @@ pub(crate) struct GeometryStages {
     /// `None` where no plane is a median.
     medians: Option<ImageStages>,
     pub resolve: ResolvePlane,
-    background: Vec<(ProjectVariant, Project)>,
-    agents: Vec<(AgentVariant, ProjectAgents)>,
+    attributes: Vec<AttributeStages>,
+}
+
+/// Projections that write an attribute.
+pub(crate) struct AttributeStages {
+    attribute: Attribute,
+    pub background: Project,
+    /// `None` without agents.
+    pub agents: Option<ProjectAgents>,
 }
 
 impl GeometryStages {
@@ -98,49 +105,43 @@ impl GeometryStages {
         }
     }
 
-    /// The projection of the background that writes an attribute.
-    pub fn background(&self, variant: ProjectVariant) -> Option<&Project> {
-        let mut built = self.background.iter();
-        built.find_map(|(built, stage)| (*built == variant).then_some(stage))
-    }
-
-    /// The projection of agents that writes an attribute.
-    pub fn agents(&self, variant: AgentVariant) -> Option<&ProjectAgents> {
-        let mut built = self.agents.iter();
-        built.find_map(|(built, stage)| (*built == variant).then_some(stage))
+    /// Projections for `plane`.
+    pub fn projections(&self, plane: Plane) -> Option<&AttributeStages> {
+        let mut built = self.attributes.iter();
+        built.find(|stages| stages.attribute == plane.attribute())
     }
 }
 
-/// All kernels of a renderer.
+/// All kernels of a renderer, by the kind of frame.
 pub(crate) struct Kernels {
+    options: KernelOptions,
+    built: Vec<FrameStages>,
+}
+
+/// Options of a renderer that kernels depend on.
+struct KernelOptions {
     rules: Rules,
     outputs: Outputs,
     segment_pairs: u32,
     keep_keys: bool,
     /// Limit of the background's levels of detail; 0: the finest.
     pitch_px: f32,
-    common: Option<CommonStages>,
-    images: Vec<(ColorFormat, ImageStages)>,
-    post_process: Option<PostProcess>,
-    background: Vec<(ProjectVariant, BackgroundStages)>,
-    agents: Vec<(AgentVariant, AgentStages)>,
-    shadows: Option<CullShadows>,
-    geometry: Option<GeometryStages>,
 }
 
-/// The kernels of one frame.
-#[derive(Clone, Copy)]
-pub(crate) struct FrameStages<'a> {
-    pub variant: FrameVariant,
-    pub common: &'a CommonStages,
-    pub images: &'a ImageStages,
+/// The kernels of one kind of frame.
+pub(crate) struct FrameStages {
+    variant: FrameVariant,
+    pub common: CommonStages,
+    pub images: ImageStages,
     /// `None` where images are not post-processed.
-    pub post_process: Option<&'a PostProcess>,
-    pub background: &'a BackgroundStages,
-    pub agents: Option<&'a AgentStages>,
-    pub shadows: Option<&'a CullShadows>,
+    pub post_process: Option<PostProcess>,
+    pub background: BackgroundStages,
+    /// `None` without agents.
+    pub agents: Option<AgentStages>,
+    /// `None` without shadows.
+    pub shadows: Option<CullShadows>,
     /// `None` where no plane of geometry is asked for.
-    pub geometry: Option<&'a GeometryStages>,
+    pub geometry: Option<GeometryStages>,
 }
 
 /// Specialization of a frame.
@@ -156,7 +157,7 @@ pub(crate) struct FrameVariant {
 impl FrameVariant {
     /// The variant whose projections write an attribute in the place of color. It does not depend
     /// on what colors and instances need.
-    pub fn of(self, attribute: Attribute) -> Self {
+    fn of(self, attribute: Attribute) -> Self {
         Self {
             background: ProjectVariant {
                 sh_degree: 0,
@@ -186,169 +187,139 @@ impl FrameVariant {
 impl Kernels {
     /// For images as `options` say; nothing is built yet.
     pub fn new(options: &RenderOptions, device: DeviceKind) -> Self {
-        let RenderOptions {
-            rules,
-            outputs,
-            segment_pairs,
-            keep_keys,
-            background_pitch_px,
-            ..
-        } = *options;
-        Self {
-            rules,
-            outputs,
-            keep_keys,
-            pitch_px: background_pitch_px.unwrap_or(0.0) as f32,
+        let segment_pairs = options.segment_pairs;
+        let options = KernelOptions {
+            rules: options.rules,
+            outputs: options.outputs,
+            keep_keys: options.keep_keys,
+            pitch_px: options.background_pitch_px.unwrap_or(0.0) as f32,
             segment_pairs: match device {
                 DeviceKind::Cpu => segment_pairs.clamp(1, SEGMENT_PAIRS_MAX_IN_SOFTWARE),
                 _ if segment_pairs > SEGMENT_PAIRS_MAX => u32::MAX,
                 _ => segment_pairs.max(1),
             },
-            common: None,
-            images: Vec::new(),
-            post_process: None,
-            background: Vec::new(),
-            agents: Vec::new(),
-            shadows: None,
-            geometry: None,
+        };
+        Self {
+            options,
+            built: Vec::new(),
         }
     }
 
-    /// Builds the kernels that the planes of geometry of `variant` need.
-    fn build_geometry(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<(), GpuError> {
-        if self.outputs.planes.geometry().next().is_none() {
-            return Ok(());
-        }
-        if self.geometry.is_none() {
-            let outputs = Outputs {
-                color: ColorFormat::F32,
-                ..Outputs::default()
-            };
-            let images = |end, medians: bool| {
-                let mut planes = self.outputs.planes.geometry();
-                let is_needed = planes.any(|plane| plane.is_median() == medians);
-                let stages = || {
-                    let ends = (&self.rules, end);
-                    ImageStages::new(gpu, ends, &outputs, true, self.segment_pairs)
-                };
-                is_needed.then(stages).transpose()
-            };
-            self.geometry = Some(GeometryStages {
-                means: images(PixelEnd::of(&self.rules), false)?,
-                medians: images(PixelEnd::Median, true)?,
-                resolve: ResolvePlane::new(gpu)?,
-                background: Vec::new(),
-                agents: Vec::new(),
-            });
-        }
-        let Some(geometry) = &mut self.geometry else {
-            return Ok(());
+    /// The kernels for `variant`. The device shares those that other variants have, too.
+    pub fn of(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<&FrameStages, GpuError> {
+        let is_wanted = |stages: &FrameStages| stages.variant == variant;
+        let index = match self.built.iter().position(is_wanted) {
+            Some(index) => index,
+            None => {
+                self.built.push(self.options.build(gpu, variant)?);
+                self.built.len() - 1
+            }
         };
-        for plane in self.outputs.planes.geometry() {
-            let variant = variant.of(plane.attribute());
-            let kind = variant.background;
-            if geometry.background(kind).is_none() {
-                let stage = Project::new(gpu, &self.rules, kind)?;
-                geometry.background.push((kind, stage));
-            }
-            if let Some(kind) = variant
-                .agents
-                .filter(|kind| geometry.agents(*kind).is_none())
-            {
-                let stage = ProjectAgents::new(gpu, &self.rules, kind)?;
-                geometry.agents.push((kind, stage));
-            }
-        }
-        Ok(())
+        Ok(&self.built[index])
     }
+}
 
-    /// The kernels for `variant`, those that are new built now.
-    pub fn of(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages<'_>, GpuError> {
-        self.build_geometry(gpu, variant)?;
-        let Self {
-            rules,
-            outputs,
-            segment_pairs,
-            keep_keys,
-            pitch_px,
-            ..
-        } = self;
-        if self.common.is_none() {
-            self.common = Some(CommonStages {
-                begin: Begin::new(gpu)?,
-                scan: Scan::new(gpu)?,
-                key_splats: keep_keys.then(|| KeySplats::new(gpu)).transpose()?,
-                tile_sort: TileSort::new(gpu, rules)?,
-                plan_segments: PlanSegments::new(gpu, *segment_pairs)?,
-            });
-        }
-        // What is post-processed is not rounded before.
-        let color = match variant.post_processed {
-            true => ColorFormat::F32,
-            false => outputs.color,
-        };
-        if !self.images.iter().any(|(built, _)| *built == color) {
-            let outputs = Outputs { color, ..*outputs };
-            let end = PixelEnd::of(rules);
-            let stages = ImageStages::new(gpu, (rules, end), &outputs, false, *segment_pairs)?;
-            self.images.push((color, stages));
-        }
-        if variant.post_processed && self.post_process.is_none() {
-            self.post_process = Some(PostProcess::new(gpu, outputs)?);
-        }
-        let kind = variant.background;
-        if !self.background.iter().any(|(built, _)| *built == kind) {
-            let (cull, project) = (
-                Cull::new(gpu, rules, kind.cameras, kind.storage, *pitch_px)?,
-                Project::new(gpu, rules, kind)?,
-            );
-            self.background
-                .push((kind, BackgroundStages { cull, project }));
-        }
-        if let Some(kind) = variant.agents
-            && !self.agents.iter().any(|(built, _)| *built == kind)
-        {
-            let stages = AgentStages {
-                cull: CullAgents::new(gpu, rules, kind.cameras)?,
-                project: ProjectAgents::new(gpu, rules, kind)?,
-                relight: if kind.relit {
-                    Some(Relight::new(gpu, kind.sh_degree)?)
-                } else {
-                    None
-                },
-            };
-            self.agents.push((kind, stages));
-        }
-        if variant.background.shadows && self.shadows.is_none() {
-            self.shadows = Some(CullShadows::new(gpu)?);
-        }
-        let built = |what| GpuError::Driver {
-            call: "building kernels",
-            code: format!("{what} was not built"),
-        };
+impl KernelOptions {
+    fn build(&self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages, GpuError> {
+        let (rules, background) = (&self.rules, variant.background);
+        let has_planes = self.outputs.planes.geometry().next().is_some();
         Ok(FrameStages {
             variant,
-            geometry: self.geometry.as_ref(),
-            common: self.common.as_ref().ok_or_else(|| built("a stage"))?,
-            images: self
-                .images
-                .iter()
-                .find_map(|(built, stages)| (*built == color).then_some(stages))
-                .ok_or_else(|| built("blending"))?,
-            post_process: self
-                .post_process
-                .as_ref()
-                .filter(|_| variant.post_processed),
-            background: self
-                .background
-                .iter()
-                .find_map(|(built, stages)| (*built == variant.background).then_some(stages))
-                .ok_or_else(|| built("the background's projection"))?,
-            agents: self
-                .agents
-                .iter()
-                .find_map(|(built, stages)| (Some(*built) == variant.agents).then_some(stages)),
-            shadows: self.shadows.as_ref().filter(|_| variant.background.shadows),
+            common: CommonStages {
+                begin: Begin::new(gpu)?,
+                scan: Scan::new(gpu)?,
+                key_splats: self.keep_keys.then(|| KeySplats::new(gpu)).transpose()?,
+                tile_sort: TileSort::new(gpu, rules)?,
+                plan_segments: PlanSegments::new(gpu, self.segment_pairs)?,
+            },
+            images: {
+                // What is post-processed is not rounded before.
+                let color = match variant.post_processed {
+                    true => ColorFormat::F32,
+                    false => self.outputs.color,
+                };
+                let outputs = Outputs {
+                    color,
+                    ..self.outputs
+                };
+                self.images(gpu, PixelEnd::of(rules), &outputs, false)?
+            },
+            post_process: (variant.post_processed)
+                .then(|| PostProcess::new(gpu, &self.outputs))
+                .transpose()?,
+            background: BackgroundStages {
+                cull: Cull::new(
+                    gpu,
+                    rules,
+                    background.cameras,
+                    background.storage,
+                    self.pitch_px,
+                )?,
+                project: Project::new(gpu, rules, background)?,
+            },
+            agents: (variant.agents)
+                .map(|kind| self.agents(gpu, kind))
+                .transpose()?,
+            shadows: (background.shadows)
+                .then(|| CullShadows::new(gpu))
+                .transpose()?,
+            geometry: has_planes
+                .then(|| self.geometry(gpu, variant))
+                .transpose()?,
         })
+    }
+
+    fn images(
+        &self,
+        gpu: &Gpu,
+        end: PixelEnd,
+        outputs: &Outputs,
+        attributes: bool,
+    ) -> Result<ImageStages, GpuError> {
+        let ends = (&self.rules, end);
+        ImageStages::new(gpu, ends, outputs, attributes, self.segment_pairs)
+    }
+
+    fn agents(&self, gpu: &Gpu, kind: AgentVariant) -> Result<AgentStages, GpuError> {
+        Ok(AgentStages {
+            cull: CullAgents::new(gpu, &self.rules, kind.cameras)?,
+            project: ProjectAgents::new(gpu, &self.rules, kind)?,
+            relight: (kind.relit)
+                .then(|| Relight::new(gpu, kind.sh_degree))
+                .transpose()?,
+        })
+    }
+
+    /// The kernels that the planes of geometry need.
+    fn geometry(&self, gpu: &Gpu, variant: FrameVariant) -> Result<GeometryStages, GpuError> {
+        let outputs = Outputs {
+            color: ColorFormat::F32,
+            ..Outputs::default()
+        };
+        let planes = || self.outputs.planes.geometry();
+        let images = |end, medians: bool| {
+            let is_needed = planes().any(|plane| plane.is_median() == medians);
+            is_needed
+                .then(|| self.images(gpu, end, &outputs, true))
+                .transpose()
+        };
+        let mut stages = GeometryStages {
+            means: images(PixelEnd::of(&self.rules), false)?,
+            medians: images(PixelEnd::Median, true)?,
+            resolve: ResolvePlane::new(gpu)?,
+            attributes: Vec::new(),
+        };
+        for plane in planes() {
+            if stages.projections(plane).is_none() {
+                let variant = variant.of(plane.attribute());
+                let agents = |kind| ProjectAgents::new(gpu, &self.rules, kind);
+                stages.attributes.push(AttributeStages {
+                    attribute: plane.attribute(),
+                    background: Project::new(gpu, &self.rules, variant.background)?,
+                    agents: variant.agents.map(agents).transpose()?,
+                });
+            }
+        }
+        Ok(stages)
     }
 }

@@ -42,6 +42,7 @@ impl Direction {
 }
 
 /// Keys along one direction.
+#[derive(Clone)]
 struct KeySet {
     direction: Direction,
     last_used: u64,
@@ -55,20 +56,30 @@ pub(crate) struct KeyDecision {
     pub sources: Vec<KeySource>,
     /// Cameras whose keys are to be found, and the sets that they go to.
     pub find: Vec<WantedKeys>,
+    /// Depth keys, `[set][splat]`.
+    pub kept: Buffer<u32>,
 }
 
 impl KeyDecision {
-    /// All keys computed.
-    pub fn computed(views: usize) -> Self {
+    /// All keys computed; `kept` is bound and not read.
+    fn computed(views: usize, kept: Buffer<u32>) -> Self {
         Self {
             sets: vec![NO_KEY_SET; views],
             sources: vec![KeySource::Computed; views],
             find: Vec::new(),
+            kept,
         }
+    }
+
+    /// The same views with all keys computed.
+    pub fn without_kept_keys(&self) -> Self {
+        Self::computed(self.sources.len(), self.kept.clone())
     }
 }
 
-/// The persistent key buffer of one world.
+/// The persistent key buffer of one world. A frame changes a clone, which takes the place of the
+/// original once the frame was submitted: what was to be found may never be.
+#[derive(Clone)]
 pub(crate) struct PersistentKeys {
     world: u64,
     keys: Buffer<u32>,
@@ -92,9 +103,9 @@ impl PersistentKeys {
         })
     }
 
-    /// Depth keys, `[set][splat]`.
-    pub fn keys(&self) -> &Buffer<u32> {
-        &self.keys
+    /// Decides that all keys of `views` views are computed.
+    pub fn all_computed(&self, views: usize) -> KeyDecision {
+        KeyDecision::computed(views, self.keys.clone())
     }
 
     /// Decides for the views of the next frame. Keys that it decides to find are taken as found.
@@ -109,12 +120,12 @@ impl PersistentKeys {
         let bytes = (world.splats * views * 4) as u64;
         let possible = bytes > 0 && bytes <= gpu.limits().storage_buffer_bytes_max;
         if rules.order == DepthOrder::Radial || !possible {
-            return Ok(KeyDecision::computed(views));
+            return Ok(self.all_computed(views));
         }
         self.frame += 1;
         self.fit(gpu, world, views)?;
         let directions: Vec<Direction> = view.cameras.iter().map(Direction::of).collect();
-        let mut decision = KeyDecision::computed(views);
+        let mut decision = self.all_computed(views);
         for (camera, direction) in directions.iter().enumerate() {
             let (set, source) =
                 if let Some(known) = self.sets.iter().position(|set| set.direction == *direction) {
@@ -143,6 +154,7 @@ impl PersistentKeys {
             )?;
         }
         self.previous = directions;
+        decision.kept = self.keys.clone();
         Ok(decision)
     }
 

@@ -337,6 +337,13 @@ pub struct View {
 }
 
 impl View {
+    /// First pixel, and width and height, of the image of each camera.
+    #[must_use]
+    pub fn places(&self) -> Vec<(usize, [u32; 2])> {
+        let place = |camera: &CameraRecord| (camera.first_pixel as usize, camera.size_px);
+        self.cameras.iter().map(place).collect()
+    }
+
     /// Lays out the images of `cameras` one after the other; depths up to `reach_m` from the
     /// world's `origin` are told apart.
     ///

@@ -24,6 +24,7 @@ mod renderer;
 mod resident;
 mod slot;
 mod statistics;
+mod submitted;
 mod taken;
 
 pub mod capacity;

@@ -15,13 +15,9 @@ impl Renderer {
     /// # Errors
     /// Returns an error if the device was lost.
     pub fn read_images(&self) -> Result<Vec<Image>, RenderError> {
-        let Some(slot) = self.shown_slot() else {
+        let Some((view, buffers)) = self.shown_images() else {
             return Ok(Vec::new());
         };
-        let Some(view) = &slot.view else {
-            return Ok(Vec::new());
-        };
-        let buffers = &slot.images;
         let pixels: Vec<[f32; 4]> = match self.options().outputs.color {
             crate::ColorFormat::F32 => self.gpu().read(&buffers.images_f32)?,
             crate::ColorFormat::U8 => {

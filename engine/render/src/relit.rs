@@ -22,8 +22,19 @@ pub(crate) struct RelitCodebooks {
     places: RelitPlaces,
     staged: Buffer<RelightRecord>,
     pub records: Buffer<RelightRecord>,
-    /// Codebooks to relight in this frame: their number, and their workgroups.
-    pub to_make: (usize, usize),
+}
+
+/// Codebooks that one frame relights.
+#[derive(Default)]
+pub(crate) struct Relights {
+    /// First color of each wanted codebook.
+    pub offsets: Vec<u32>,
+    /// Placement of all codebooks once the frame was submitted.
+    places: RelitPlaces,
+    /// Number of codebooks to make.
+    pub count: usize,
+    /// Workgroups that make them.
+    groups: usize,
 }
 
 impl RelitCodebooks {
@@ -34,24 +45,24 @@ impl RelitCodebooks {
             places: RelitPlaces::default(),
             staged: gpu.buffer("staged_relights", PURPOSE, 0, MemoryKind::Upload)?,
             records: gpu.buffer("relights", PURPOSE, 0, MemoryKind::Device)?,
-            to_make: (0, 0),
         })
     }
 
-    /// Finds a place for each of `wanted`, and lists those that have to be made. Returns the first
-    /// color of each.
-    pub fn set(
+    /// Finds a place for each of `wanted`, and lists those that have to be made. Until the result
+    /// is committed all others are forgotten: what was to be made may never be.
+    pub fn plan(
         &mut self,
         gpu: &Gpu,
         wanted: &[(AssetId, RelightRecord)],
-    ) -> Result<Vec<u32>, RenderError> {
-        let (mut offsets, mut to_make) = self.places.find(wanted);
-        let room = self.places.allocator.end();
+    ) -> Result<Relights, RenderError> {
+        let mut places = std::mem::take(&mut self.places);
+        let (mut offsets, mut to_make) = places.find(wanted);
+        let room = places.allocator.end();
         if room > self.colors.dc.len() {
             self.colors = RelitColors::new(gpu, room + room / 4)?;
             // The old ones are gone: all are made again.
-            self.forget();
-            (offsets, to_make) = self.places.find(wanted);
+            places = RelitPlaces::default();
+            (offsets, to_make) = places.find(wanted);
         }
         if to_make.len() > self.staged.len() {
             let room = to_make.len() + to_make.len() / 4;
@@ -59,33 +70,33 @@ impl RelitCodebooks {
             self.records = gpu.buffer("relights", PURPOSE, room, MemoryKind::Device)?;
         }
         self.staged.write_host(0, &to_make);
-        self.to_make = (
-            to_make.len(),
-            to_make
+        Ok(Relights {
+            offsets,
+            places,
+            count: to_make.len(),
+            groups: to_make
                 .last()
                 .map_or(0, |last| last.first_group as usize + groups_of(last)),
-        );
-        Ok(offsets)
+        })
     }
 
-    /// Makes all again next time: what was to be made may never have been.
-    pub fn forget(&mut self) {
-        self.places = RelitPlaces::default();
+    /// Keeps the codebooks of a frame that was submitted.
+    pub fn commit(&mut self, relights: &mut Relights) {
+        self.places = std::mem::take(&mut relights.places);
     }
 
     /// The codebooks that are to be made.
-    pub fn work(&self) -> RelightWork<'_> {
-        let (count, groups) = self.to_make;
+    pub fn work(&self, relights: &Relights) -> RelightWork<'_> {
         RelightWork {
             records: &self.records,
-            count,
-            groups,
+            count: relights.count,
+            groups: relights.groups,
         }
     }
 
     /// Records the copy of what is to be made.
-    pub fn copy(&self, recorder: &mut Recorder) {
-        recorder.copy(&self.staged, 0, &self.records, 0, self.to_make.0);
+    pub fn copy(&self, recorder: &mut Recorder, relights: &Relights) {
+        recorder.copy(&self.staged, 0, &self.records, 0, relights.count);
     }
 }
 

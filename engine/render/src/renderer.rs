@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use decouplegs_gpu::{Buffer, Gpu, QueueRole, Recorder, Ticket};
+use decouplegs_gpu::{Gpu, QueueRole, Recorder, Ticket};
 use decouplegs_scene::{Camera, DepthOrder, DetailLevels, World};
 
 use crate::agents::{AgentList, Scene};
@@ -14,11 +14,14 @@ use crate::kernels::{FrameVariant, Kernels};
 use crate::keys::{KeyDecision, PersistentKeys};
 use crate::layout::{View, near_m};
 use crate::options::{FrameStatistics, RenderOptions};
+use crate::output::OutputBuffers;
 use crate::post_processing::{PhotometryRecord, RayTables};
+use crate::relit::Relights;
 use crate::resident::GpuScene;
-use crate::slot::{FrameInFlight, Pending};
-use crate::stages::{AgentCounts, AgentVariant, CameraVariant, ProjectVariant, RecordContents};
-use crate::taken::SharedShelf;
+use crate::slot::FrameInFlight;
+use crate::stages::{AgentVariant, CameraVariant, ProjectVariant, RecordContents};
+use crate::submitted::{FrameContents, ShownFrame, SubmittedFrame};
+use crate::taken::SharedImagePool;
 use crate::{Attribute, Plane, RenderError};
 
 /// Splats an index can name with room for a camera beside it.
@@ -37,12 +40,12 @@ pub struct Renderer {
     capacity: Option<Capacity>,
     frame: Option<FrameBuffers>,
     slots: Vec<FrameInFlight>,
-    /// Slots of the frames in flight, the oldest first.
-    in_flight: VecDeque<usize>,
-    /// The slot of the frame that was finished last.
-    shown: Option<usize>,
+    /// The oldest first.
+    in_flight: VecDeque<SubmittedFrame>,
+    shown: Option<ShownFrame>,
+    /// `None` before the first frame.
     keys: Option<PersistentKeys>,
-    shelf: SharedShelf,
+    image_pool: SharedImagePool,
     ray_tables: RayTables,
 }
 
@@ -60,7 +63,7 @@ impl Renderer {
             in_flight: VecDeque::new(),
             shown: None,
             keys: None,
-            shelf: SharedShelf::default(),
+            image_pool: SharedImagePool::default(),
             ray_tables: RayTables::default(),
         }
     }
@@ -143,39 +146,65 @@ impl Renderer {
         scene: impl Into<Scene<'a>>,
         cameras: &[Camera],
     ) -> Result<(), RenderError> {
-        let submitted = self.try_submit(scene.into(), cameras);
-        if submitted.is_err() {
-            // Keys that this frame was to find may never be found.
-            self.keys = None;
-            self.slots.iter_mut().for_each(|slot| slot.relit.forget());
+        let (scene, since) = (scene.into(), Instant::now());
+        let mut contents = self.prepare(&scene, cameras)?;
+        let mut keys = match &self.keys {
+            Some(keys) => keys.clone(),
+            None => PersistentKeys::new(&self.gpu)?,
+        };
+        let decision = if self.options.keep_keys {
+            keys.decide(&self.gpu, scene.world, &contents.view, &self.options.rules)?
+        } else {
+            keys.all_computed(cameras.len())
+        };
+        let index = self.free_slot(contents.view.pixels)?;
+        let slot = &mut self.slots[index];
+        let images = (&self.options.outputs, &self.image_pool);
+        slot.load(&self.gpu, images, &scene, &mut contents)?;
+        slot.staged_key_sets.write_host(0, &decision.sets);
+        let added = scene.agents.and_then(|(pool, _)| pool.last_upload());
+        let update = self.submit_agents(index, &contents, added)?;
+        let record_start = Instant::now();
+        let (frame, capacity) =
+            match self.submit_frame(index, &contents, &decision, update.as_ref()) {
+                Ok(submitted) => submitted,
+                Err(error) => {
+                    // The next frame writes what the agents' part reads.
+                    update.map_or(Ok(()), |update| update.wait())?;
+                    return Err(error);
+                }
+            };
+        let submitted = Instant::now();
+        if contents.agents.is_some() {
+            self.slots[index].relit.commit(&mut contents.relights);
         }
-        submitted
+        self.keys = Some(keys);
+        self.in_flight.push_back(SubmittedFrame {
+            slot: index,
+            contents,
+            keys: decision,
+            frame,
+            update,
+            capacity,
+            since,
+            submitted,
+            record_time: submitted - record_start,
+        });
+        Ok(())
     }
 
-    fn try_submit(&mut self, scene: Scene<'_>, cameras: &[Camera]) -> Result<(), RenderError> {
-        let since = Instant::now();
+    /// Contents of the frame that draws `scene` for `cameras`, without colors of relit agents.
+    fn prepare(
+        &mut self,
+        scene: &Scene<'_>,
+        cameras: &[Camera],
+    ) -> Result<FrameContents, RenderError> {
         let options = self.options;
         scene.check_motions(cameras, self.flow_interval_s())?;
-        let view = View::new(cameras, scene.world.origin, self.reach_m(&scene, cameras)?)
+        let view = View::new(cameras, scene.world.origin, self.reach_m(scene, cameras)?)
             .map_err(RenderError::View)?;
-        let slot = self.free_slot(view.pixels)?;
-        let list = AgentList::new(
-            &scene,
-            cameras,
-            &view,
-            near_m(&options.rules),
-            options.level_pitch_px,
-        )?;
-        let keys = match &mut self.keys {
-            Some(keys) => keys,
-            None => self.keys.insert(PersistentKeys::new(&self.gpu)?),
-        };
-        let decision = if options.keep_keys {
-            keys.decide(&self.gpu, scene.world, &view, &options.rules)?
-        } else {
-            KeyDecision::computed(view.cameras.len())
-        };
-        let kept_keys = keys.keys().clone();
+        let near_m = near_m(&options.rules);
+        let agents = AgentList::new(scene, cameras, &view, near_m, options.level_pitch_px)?;
         let (mut processed, mut photometry) = (Vec::new(), Vec::new());
         if scene.world.is_post_processed(cameras) {
             let sky = scene.world.sky_map.as_ref();
@@ -185,50 +214,16 @@ impl Renderer {
                 .map(|camera| scene.world.photometry_of(camera));
             photometry.extend(calibrations.map(|own| PhotometryRecord::new(&own)));
         }
-        let variant = self.variant(&scene, &view, list.as_ref(), !processed.is_empty());
-        let added = scene
-            .agents
-            .and_then(|(pool, _)| pool.last_upload().cloned());
-        self.slots[slot].set(
-            &self.gpu,
-            (&options.outputs, &self.shelf),
+        Ok(FrameContents {
+            world: scene.world.clone(),
+            variant: self.variant(scene, &view, agents.as_ref(), !processed.is_empty()),
             view,
-            &scene,
-            list,
-        )?;
-        self.slots[slot].processed = processed;
-        self.slots[slot]
-            .staged_photometry
-            .write_host(0, &photometry);
-        self.slots[slot]
-            .staged_key_sets
-            .write_host(0, &decision.sets);
-        let update = self.submit_agents(slot, scene.world, variant, added.as_ref())?;
-        let record_start = Instant::now();
-        let (frame, capacity) = self.submit_frame(
-            slot,
-            scene.world,
-            variant,
-            (&decision, &kept_keys),
-            update.as_ref(),
-        )?;
-        let (world, record_time) = (scene.world.clone(), record_start.elapsed());
-        let submitted = Instant::now();
-        let pending = Pending {
-            world,
-            variant,
-            keys: decision,
-            kept_keys,
-            frame,
-            update,
-            capacity,
-            since,
-            submitted,
-            record_time,
-        };
-        self.slots[slot].pending = Some(pending);
-        self.in_flight.push_back(slot);
-        Ok(())
+            agents,
+            relights: Relights::default(),
+            shadow_count: scene.shadows.len(),
+            processed,
+            photometry,
+        })
     }
 
     /// Specialization of the frame that shows `scene` to the cameras of `view`.
@@ -290,57 +285,64 @@ impl Renderer {
     /// Returns an error if there is none, the device has not the memory for what the frame needed,
     /// or was lost.
     pub fn finish(&mut self) -> Result<FrameStatistics, RenderError> {
-        let slot = self
+        let mut submitted = self
             .in_flight
             .pop_front()
             .ok_or(RenderError::NothingInFlight)?;
-        let Some(mut pending) = self.slots[slot].pending.take() else {
-            return Err(RenderError::NothingInFlight);
-        };
         let awaited = Instant::now();
         for redrawn in 0..ATTEMPTS_MAX {
-            pending.frame.wait()?;
-            let required = self.slots[slot].found_required.read_host()[0];
+            submitted.frame.wait()?;
+            let slot = &self.slots[submitted.slot];
+            let required = slot.found_required.read_host()[0];
             // Another frame may have grown the buffers since.
-            let capacity = self.capacity.unwrap_or(pending.capacity);
-            if pending.capacity.holds(&required) {
+            let capacity = self.capacity.unwrap_or(submitted.capacity);
+            if submitted.capacity.holds(&required) {
                 self.capacity = Some(capacity.grown_ahead_of(&required, self.options.spare));
-                self.shown = Some(slot);
-                self.slots[slot].done = Some(pending.frame.clone());
-                let statistics =
-                    self.slots[slot].statistics(&pending, required, redrawn, awaited)?;
+                let statistics = submitted.statistics(required, redrawn, awaited)?;
+                self.shown = Some(ShownFrame {
+                    slot: submitted.slot,
+                    view: submitted.contents.view,
+                    frame: submitted.frame,
+                });
                 return Ok(statistics);
             }
             self.capacity = Some(capacity.grown_to(&required, self.options.spare));
             let record_start = Instant::now();
             // Frames submitted since may have taken the place of the keys that this one was to use.
-            pending.keys = KeyDecision::computed(pending.keys.sources.len());
-            self.slots[slot]
-                .staged_key_sets
-                .write_host(0, &pending.keys.sets);
-            let Pending {
-                world,
-                variant,
-                keys,
-                kept_keys,
-                update,
-                ..
-            } = &pending;
-            let (frame, capacity) =
-                self.submit_frame(slot, world, *variant, (keys, kept_keys), update.as_ref())?;
-            (pending.frame, pending.capacity, pending.record_time) =
-                (frame, capacity, record_start.elapsed());
+            submitted.keys = submitted.keys.without_kept_keys();
+            slot.staged_key_sets.write_host(0, &submitted.keys.sets);
+            (submitted.frame, submitted.capacity) = self.submit_frame(
+                submitted.slot,
+                &submitted.contents,
+                &submitted.keys,
+                submitted.update.as_ref(),
+            )?;
+            submitted.record_time = record_start.elapsed();
         }
-        let required = format!("{:?}", self.slots[slot].found_required.read_host());
+        let required = self.slots[submitted.slot].found_required.read_host();
         Err(RenderError::Unsettled {
             attempts: ATTEMPTS_MAX,
-            required,
+            required: format!("{required:?}"),
         })
     }
 
-    /// The place of the frame that was finished last.
-    pub(crate) fn shown_slot(&self) -> Option<&FrameInFlight> {
-        self.shown.and_then(|shown| self.slots.get(shown))
+    /// The frame that was finished last, until its place is taken.
+    pub(crate) fn shown(&self) -> Option<&ShownFrame> {
+        self.shown.as_ref()
+    }
+
+    /// View and images of the frame that was finished last.
+    pub(crate) fn shown_images(&self) -> Option<(&View, &OutputBuffers)> {
+        let shown = self.shown.as_ref()?;
+        Some((&shown.view, &self.slots[shown.slot].images))
+    }
+
+    /// Removes the frame that was finished last, with its images and the size that they were made
+    /// for.
+    pub(crate) fn take_shown(&mut self) -> Option<(ShownFrame, (usize, usize), OutputBuffers)> {
+        let shown = self.shown.take()?;
+        let (room, images) = self.slots[shown.slot].give_images();
+        Some((shown, room, images))
     }
 
     /// True if some frame is in flight.
@@ -349,18 +351,9 @@ impl Renderer {
         !self.in_flight.is_empty()
     }
 
-    pub(crate) fn shown_slot_mut(&mut self) -> Option<&mut FrameInFlight> {
-        self.shown.and_then(|shown| self.slots.get_mut(shown))
-    }
-
-    /// The frame that was finished last has no images any more.
-    pub(crate) fn show_nothing(&mut self) {
-        self.shown = None;
-    }
-
     /// Images that wait for a frame.
-    pub(crate) fn shelf(&self) -> &SharedShelf {
-        &self.shelf
+    pub(crate) fn image_pool(&self) -> &SharedImagePool {
+        &self.image_pool
     }
 
     /// A slot that no frame in flight has, one with room for just `pixels` if there is one: frames
@@ -371,21 +364,17 @@ impl Renderer {
             return Err(RenderError::TooManyInFlight { max });
         }
         // Not the one whose images may be read, as long as there is another.
-        let free = |slot: &usize| !self.in_flight.contains(slot);
-        let slot = (0..self.slots.len()).filter(free).min_by_key(|slot| {
-            (
-                self.slots[*slot].pixels() != pixels,
-                self.shown == Some(*slot),
-            )
-        });
+        let shown = self.shown.as_ref().map(|shown| shown.slot);
+        let free = |slot: &usize| self.in_flight.iter().all(|frame| frame.slot != *slot);
+        let slot = (0..self.slots.len())
+            .filter(free)
+            .min_by_key(|slot| (self.slots[*slot].pixels() != pixels, shown == Some(*slot)));
         match slot {
             // One place is enough for those who wait for every frame.
             Some(slot)
-                if self.shown != Some(slot)
-                    || self.in_flight.is_empty()
-                    || self.slots.len() >= max =>
+                if shown != Some(slot) || self.in_flight.is_empty() || self.slots.len() >= max =>
             {
-                self.shown = self.shown.filter(|shown| *shown != slot);
+                self.shown = self.shown.take().filter(|shown| shown.slot != slot);
                 Ok(slot)
             }
             _ => {
@@ -415,17 +404,16 @@ impl Renderer {
     fn submit_agents(
         &mut self,
         slot: usize,
-        world: &GpuScene,
-        variant: FrameVariant,
+        contents: &FrameContents,
         added: Option<&Ticket>,
     ) -> Result<Option<Ticket>, RenderError> {
-        let counts = self.agent_counts(slot);
-        if !self.options.overlap || (counts.is_none() && self.slots[slot].shadow_count == 0) {
+        let has_work = contents.agents.is_some() || contents.shadow_count > 0;
+        if !self.options.overlap || !has_work {
             return Ok(None);
         }
         let mut recorder = self.recorder(QueueRole::Update);
-        let stages = self.kernels.of(&self.gpu, variant)?;
-        record_agents(&mut recorder, &stages, &self.slots[slot], world, counts);
+        let stages = self.kernels.of(&self.gpu, contents.variant)?;
+        record_agents(&mut recorder, stages, &self.slots[slot], contents);
         let behind: Vec<&Ticket> = added.into_iter().collect();
         Ok(Some(self.gpu.submit(recorder, &behind)?))
     }
@@ -434,31 +422,36 @@ impl Renderer {
     fn submit_frame(
         &mut self,
         slot: usize,
-        world: &GpuScene,
-        variant: FrameVariant,
-        (keys, kept_keys): (&KeyDecision, &Buffer<u32>),
+        contents: &FrameContents,
+        keys: &KeyDecision,
         update: Option<&Ticket>,
     ) -> Result<(Ticket, Capacity), RenderError> {
-        let agents = self.agent_counts(slot);
-        let frame_capacity = self.fit_buffers(slot, world)?;
-        let Some(frame) = &self.frame else {
-            unreachable!("fit_buffers made them")
-        };
         let mut recorder = self.recorder(QueueRole::Main);
-        let stages = self.kernels.of(&self.gpu, variant)?;
+        let shape = self.shape(contents);
+        let frame = match self.frame.take() {
+            Some(frame) if frame.room().covers(&shape) => frame,
+            old => {
+                // The old ones go first: both would not always fit.
+                let room = old.map_or(shape, |old| old.room().with(&shape));
+                let made = FrameBuffers::new(&self.gpu, room, &self.options)?;
+                self.capacity = Some(shape.capacity);
+                made
+            }
+        };
+        let frame = self.frame.insert(frame);
+        frame.shape = shape;
+        let stages = self.kernels.of(&self.gpu, contents.variant)?;
         if update.is_none() {
-            record_agents(&mut recorder, &stages, &self.slots[slot], world, agents);
+            record_agents(&mut recorder, stages, &self.slots[slot], contents);
         }
         let input = FrameInput {
-            world,
+            contents,
             keys,
-            kept_keys,
-            agents,
             options: &self.options,
         };
-        record_frame(&mut recorder, &stages, frame, &self.slots[slot], input);
+        record_frame(&mut recorder, stages, frame, &self.slots[slot], input);
         let behind: Vec<&Ticket> = update.into_iter().collect();
-        Ok((self.gpu.submit(recorder, &behind)?, frame_capacity))
+        Ok((self.gpu.submit(recorder, &behind)?, shape.capacity))
     }
 
     fn recorder(&self, role: QueueRole) -> Recorder {
@@ -469,42 +462,22 @@ impl Renderer {
         }
     }
 
-    fn agent_counts(&self, slot: usize) -> Option<AgentCounts> {
-        self.slots[slot].list.as_ref().map(|list| list.counts)
-    }
-
-    /// Makes the buffers what the frame in `slot` needs, as far as that is known.
-    fn fit_buffers(&mut self, slot: usize, world: &GpuScene) -> Result<Capacity, RenderError> {
-        let slot = &self.slots[slot];
-        let Some(view) = &slot.view else {
-            unreachable!("a slot is set before it is submitted")
-        };
+    /// Sizes of the buffers for a frame, as far as they are known.
+    fn shape(&self, contents: &FrameContents) -> FrameShape {
+        let view = &contents.view;
         let with_geometry = self.options.outputs.planes.geometry().next().is_some();
-        let splats = world.splats + slot.list.as_ref().map_or(0, |list| list.splats);
-        let shape = FrameShape {
+        FrameShape {
             capacity: self
                 .capacity
-                .unwrap_or_else(|| Capacity::guess(splats, view.cameras.len())),
+                .unwrap_or_else(|| Capacity::guess(contents.splats(), view.cameras.len())),
             cameras: view.cameras.len(),
-            clusters: world.cluster_count(),
+            clusters: contents.world.cluster_count(),
             bins: view.bins,
-            blended_pixels: if slot.processed.is_empty() && !with_geometry {
+            blended_pixels: if contents.processed.is_empty() && !with_geometry {
                 0
             } else {
                 view.pixels
             },
-        };
-        match &mut self.frame {
-            Some(frame) if frame.room().covers(&shape) => frame.shape = shape,
-            frame => {
-                // The old ones go first: both would not always fit.
-                let room = frame.take().map_or(shape, |old| old.room().with(&shape));
-                let mut made = FrameBuffers::new(&self.gpu, room, &self.options)?;
-                made.shape = shape;
-                *frame = Some(made);
-                self.capacity = Some(shape.capacity);
-            }
         }
-        Ok(shape.capacity)
     }
 }

@@ -15,11 +15,11 @@ pub(crate) struct ImagePool {
     out: usize,
 }
 
-/// The shelf of one renderer.
+/// The pool of one renderer.
 #[derive(Clone, Default)]
-pub(crate) struct SharedShelf(Arc<Mutex<ImagePool>>);
+pub(crate) struct SharedImagePool(Arc<Mutex<ImagePool>>);
 
-impl SharedShelf {
+impl SharedImagePool {
     fn lock(&self) -> MutexGuard<'_, ImagePool> {
         lock(&self.0)
     }
@@ -27,14 +27,14 @@ impl SharedShelf {
     /// Buffers made for `room`, if some wait. Those of other sizes are let go: cameras that changed
     /// rarely change back.
     pub fn find(&self, room: (usize, usize)) -> Option<OutputBuffers> {
-        let mut shelf = self.lock();
-        shelf.waiting.retain(|(made_for, _)| *made_for == room);
-        shelf.waiting.pop().map(|(_, buffers)| buffers)
+        let mut pool = self.lock();
+        pool.waiting.retain(|(made_for, _)| *made_for == room);
+        pool.waiting.pop().map(|(_, buffers)| buffers)
     }
 }
 
-fn lock(shelf: &Mutex<ImagePool>) -> MutexGuard<'_, ImagePool> {
-    shelf.lock().unwrap_or_else(PoisonError::into_inner)
+fn lock(pool: &Mutex<ImagePool>) -> MutexGuard<'_, ImagePool> {
+    pool.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The images of one frame, finished. They stay as they are until this is dropped; then their
@@ -79,9 +79,9 @@ impl TakenImages {
 impl Drop for TakenImages {
     fn drop(&mut self) {
         if let (Some(home), Some(buffers)) = (self.home.upgrade(), self.buffers.take()) {
-            let mut shelf = lock(&home);
-            shelf.out -= 1;
-            shelf.waiting.push((self.room, buffers));
+            let mut pool = lock(&home);
+            pool.out -= 1;
+            pool.waiting.push((self.room, buffers));
         }
     }
 }
@@ -97,32 +97,20 @@ impl Renderer {
     /// Returns an error if as many are out as [`crate::RenderOptions::taken_max`] allows: memory
     /// stays bounded where a caller forgets to drop.
     pub fn take_images(&mut self) -> Result<Option<TakenImages>, RenderError> {
-        let (shelf, max) = (self.shelf().clone(), self.options().taken_max);
-        let Some(slot) = self.shown_slot_mut() else {
-            return Ok(None);
-        };
-        let (Some(view), Some(frame)) = (&slot.view, &slot.done) else {
-            return Ok(None);
-        };
-        let out = shelf.lock().out;
-        if out >= max {
+        let (pool, max) = (self.image_pool().clone(), self.options().taken_max);
+        if self.shown().is_some() && pool.lock().out >= max {
             return Err(RenderError::TooManyTaken { max });
         }
-        let places = view
-            .cameras
-            .iter()
-            .map(|camera| (camera.first_pixel as usize, camera.size_px))
-            .collect();
-        let frame = frame.clone();
-        let (room, buffers) = slot.give_images();
-        shelf.lock().out += 1;
-        self.show_nothing();
+        let Some((shown, room, buffers)) = self.take_shown() else {
+            return Ok(None);
+        };
+        pool.lock().out += 1;
         Ok(Some(TakenImages {
             buffers: Some(buffers),
             room,
-            places,
-            frame,
-            home: Arc::downgrade(&shelf.0),
+            places: shown.view.places(),
+            frame: shown.frame,
+            home: Arc::downgrade(&pool.0),
         }))
     }
 }

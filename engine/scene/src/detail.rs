@@ -333,7 +333,7 @@ mod tests {
             cloud.opacities[splat] = 0.2 + 0.8 * number();
             cloud.sh_dc[splat] = [number(), number(), number()];
         }
-        cloud.select(&cloud.spatial_order())
+        cloud.in_spatial_order()
     }
 
     /// For each finest node, how many of it and those above it are drawn.

@@ -256,6 +256,12 @@ impl SplatCloud {
         order.par_sort_unstable_by_key(|&splat| (codes[splat as usize], splat));
         order
     }
+
+    /// The same splats in their [spatial order](Self::spatial_order).
+    #[must_use]
+    pub fn in_spatial_order(&self) -> Self {
+        self.select(&self.spatial_order())
+    }
 }
 
 fn gather<T: Copy + Send + Sync>(values: &[T], order: &[u32]) -> Vec<T> {

@@ -72,7 +72,7 @@ fn ranges_of_known_surfaces_are_within_2_cm() {
     // Small on the ball: flat splats stand off a curved surface by the square of their size.
     let splats = [surface(0.07, sides), surface(0.02, ball)].concat();
     let mut world = world_of(&splats);
-    world.splats = world.splats.select(&world.splats.spatial_order());
+    world.splats = world.splats.in_spatial_order();
     let model = spinning(&uniform(40, 40.0, -40.0), 180, 360.0, Spin::Clockwise);
     let lidar = Lidar {
         name: "middle".into(),
@@ -133,7 +133,7 @@ fn a_camera_and_a_lidar_agree_on_opaque_surfaces() {
     let walls = wall(0.9, DVec3::new(4.0, 0.8, 0.0), DVec3::NEG_X);
     let walls = walls.chain(wall(0.7, DVec3::new(3.5, -1.2, 0.0), slanted));
     let mut world = world_of(&surface(0.008, walls));
-    world.splats = world.splats.select(&world.splats.spatial_order());
+    world.splats = world.splats.in_spatial_order();
     let place = DVec3::new(0.3, -0.2, 0.1);
     let lidar = Lidar {
         name: "roof".into(),
@@ -222,7 +222,7 @@ fn ranges_from_a_moving_sensor_are_those_of_each_beams_own_place() {
     let axes = [DVec3::X, DVec3::Y, DVec3::Z];
     let sides = axes.into_iter().flat_map(|axis| [axis, -axis]);
     let mut world = world_of(&surface(0.07, sides.flat_map(side)));
-    world.splats = world.splats.select(&world.splats.spatial_order());
+    world.splats = world.splats.in_spatial_order();
     let model = spinning(&uniform(40, 40.0, -40.0), 180, 360.0, Spin::Clockwise);
     // 1.8 m and 0.3 rad in one sweep, inside of the cube.
     let motion = Motion {
@@ -285,7 +285,7 @@ fn the_road_of_the_street_is_where_it_is() {
         ..StreetOptions::default()
     });
     let mut world = World::of(street.background);
-    world.splats = world.splats.select(&world.splats.spatial_order());
+    world.splats = world.splats.in_spatial_order();
     let model = spinning(&uniform(64, 5.0, -25.0), 720, 360.0, Spin::Clockwise);
     let height_m = 1.9;
     let lidar = Lidar {

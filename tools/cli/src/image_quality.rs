@@ -104,7 +104,7 @@ impl QualityMeter {
     pub fn draw(&mut self, cloud: &SplatCloud, cameras: &[Camera]) -> Result<Vec<Image>> {
         let world = World {
             sky: SKY_RGB,
-            ..World::of(cloud.select(&cloud.spatial_order()))
+            ..World::of(cloud.in_spatial_order())
         };
         let resident = self.renderer.upload(&world)?;
         self.renderer.render(&resident, cameras)?;

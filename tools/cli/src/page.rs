@@ -140,7 +140,7 @@ pub fn png_address(image: &Image) -> Result<String> {
 /// A table: numbers to the right, names in the first column.
 pub struct Table {
     columns: Vec<(String, Alignment)>,
-    /// HTML.
+    /// All rows as HTML.
     rows: String,
 }
 
@@ -148,7 +148,7 @@ pub struct Table {
 enum Alignment {
     /// Numbers, on one line.
     Right,
-    /// Sentences.
+    /// Sentences, which are broken into lines.
     Text,
 }
 
@@ -173,7 +173,10 @@ impl Table {
     /// Appends a row of text. A last cell before the last column spans the columns that remain, as
     /// a sentence.
     pub fn row(&mut self, cells: impl IntoIterator<Item = impl Display>) {
-        self.row_of_html(false, cells.into_iter().map(|cell| escaped(&cell.to_string())));
+        self.row_of_html(
+            false,
+            cells.into_iter().map(|cell| escaped(&cell.to_string())),
+        );
     }
 
     /// Appends a row of text that stands out where `is_main` says so.
@@ -182,15 +185,21 @@ impl Table {
         is_main: bool,
         cells: impl IntoIterator<Item = impl Display>,
     ) {
-        self.row_of_html(is_main, cells.into_iter().map(|cell| escaped(&cell.to_string())));
+        self.row_of_html(
+            is_main,
+            cells.into_iter().map(|cell| escaped(&cell.to_string())),
+        );
     }
 
     /// Appends a row whose cells are HTML.
     pub fn row_of_html(&mut self, is_main: bool, cells: impl IntoIterator<Item = String>) {
         let cells: Vec<String> = cells.into_iter().collect();
         let missing = self.columns.len().saturating_sub(cells.len());
-        self.rows
-            .push_str(if is_main { "<tr class=\"main\">" } else { "<tr>" });
+        self.rows.push_str(if is_main {
+            "<tr class=\"main\">"
+        } else {
+            "<tr>"
+        });
         for (at, cell) in cells.iter().enumerate() {
             let is_text = self.columns[at].1 == Alignment::Text;
             let _ = match missing {
@@ -207,10 +216,13 @@ impl Table {
     }
 
     fn to_html(&self) -> String {
-        let head = self.columns.iter().map(|(name, alignment)| match alignment {
-            Alignment::Right => format!("<th>{name}"),
-            Alignment::Text => format!("<th class=\"text\">{name}"),
-        });
+        let head = self
+            .columns
+            .iter()
+            .map(|(name, alignment)| match alignment {
+                Alignment::Right => format!("<th>{name}"),
+                Alignment::Text => format!("<th class=\"text\">{name}"),
+            });
         format!(
             "<div class=\"wide\"><table><tr>{}</tr>{}</table></div>",
             head.collect::<String>(),
@@ -239,13 +251,18 @@ mod tests {
         table.row(["a<b", "1", "2.0", "whole"]);
         table.row_that_stands_out(true, ["c", "not drawn"]);
         let html = table.to_html();
-        assert!(html.contains("<th>ms<th class=\"text\">what</tr>"), "{html}");
+        assert!(
+            html.contains("<th>ms<th class=\"text\">what</tr>"),
+            "{html}"
+        );
         assert!(
             html.contains("<tr><td>a&lt;b<td>1<td>2.0<td class=\"text\">whole</tr>"),
             "{html}"
         );
         assert!(
-            html.contains("<tr class=\"main\"><td>c<td colspan=\"3\" class=\"text\">not drawn</tr>"),
+            html.contains(
+                "<tr class=\"main\"><td>c<td colspan=\"3\" class=\"text\">not drawn</tr>"
+            ),
             "{html}"
         );
     }
@@ -259,6 +276,9 @@ mod tests {
             .unwrap();
         assert_eq!(bytes, image.encode(ImageFileFormat::Png).unwrap());
         let figure = Figure::image("3 < 4", &image).unwrap().0;
-        assert!(figure.contains("<figcaption>3 &lt; 4</figcaption>"), "{figure}");
+        assert!(
+            figure.contains("<figcaption>3 &lt; 4</figcaption>"),
+            "{figure}"
+        );
     }
 }

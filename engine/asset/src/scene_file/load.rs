@@ -289,7 +289,7 @@ impl SceneFile {
         files: &dyn SceneFiles,
         time_s: f64,
     ) -> Result<LoadedScene, AssetError> {
-        let background = in_spatial_order(&files.splats(&self.background)?);
+        let background = files.splats(&self.background)?.in_spatial_order();
         let mut scene = LoadedScene::of_world(World {
             origin: self.origin,
             sky: self.sky,
@@ -433,8 +433,8 @@ impl AgentLoader<'_> {
         let file = &agent.asset;
         if !coded_asset::has_extension(file) {
             if !self.plain.contains_key(file) {
-                self.plain
-                    .insert(file.clone(), in_spatial_order(&self.files.splats(file)?));
+                let splats = self.files.splats(file)?.in_spatial_order();
+                self.plain.insert(file.clone(), splats);
             }
             let (there, added) = (&scene.world.splats, &self.plain[file]);
             let splats = (there.len() + added.len()) as u64;
@@ -489,12 +489,6 @@ pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     if is_package(path) {
         return open_packed_scene(path, time_s);
     }
-    Ok(LoadedScene::of_world(World::of(in_spatial_order(
-        &read_splats(path)?,
-    ))))
-}
-
-/// Neighbors in memory are neighbors in space, so that runs of splats can be culled together.
-fn in_spatial_order(cloud: &SplatCloud) -> SplatCloud {
-    cloud.select(&cloud.spatial_order())
+    let splats = read_splats(path)?.in_spatial_order();
+    Ok(LoadedScene::of_world(World::of(splats)))
 }

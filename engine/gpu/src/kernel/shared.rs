@@ -14,7 +14,7 @@ const KEPT_MAX: usize = 256;
 #[derive(Default)]
 pub(crate) struct Kernels(Mutex<Vec<(Key, Kernel)>>);
 
-/// What a kernel is built from.
+/// Everything that a kernel is built from.
 #[derive(PartialEq, Eq)]
 struct Key {
     name: &'static str,

@@ -11,15 +11,6 @@ use super::record::{load_color, load_footprint};
 use crate::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL};
 use crate::stages::PixelEnd;
 
-/// log2 of the alpha that record `record` has at pixel `(column, row)` of its image.
-#[must_use]
-pub fn log2_alpha_at(footprints: &[[u32; 4]], record: u32, column: u32, row: u32) -> f32 {
-    log2_alpha(
-        &load_footprint(footprints, record as usize),
-        center_of(column, row),
-    )
-}
-
 /// Adds one splat to a pixel. `full`: the pixel takes no more; the splat at which it ends makes it
 /// so.
 fn blend_pixel(
@@ -84,15 +75,21 @@ pub fn blend(
         false => PixelEnd::Full,
     };
     let first = item.first_pair as usize;
+    let records = &records[first..first + item.pairs as usize];
+    let splats: Vec<_> = records
+        .iter()
+        .map(|&record| record as usize)
+        .map(|record| {
+            let footprint = load_footprint(footprints, record);
+            (footprint, load_color(footprints, record), labels[record])
+        })
+        .collect();
     for (place, (pixel, full)) in pixels.iter_mut().zip(&mut full).enumerate() {
         let [x, y] = pixel_offset(place);
-        for &record in &records[first..first + item.pairs as usize] {
-            let log2_alpha = log2_alpha_at(footprints, record, origin[0] + x, origin[1] + y);
-            let (color, label) = (
-                load_color(footprints, record as usize),
-                labels[record as usize],
-            );
-            blend_pixel(pixel, full, log2_alpha, color, label, alpha_max, end);
+        let center = center_of(origin[0] + x, origin[1] + y);
+        for (footprint, color, label) in &splats {
+            let log2_alpha = log2_alpha(footprint, center);
+            blend_pixel(pixel, full, log2_alpha, *color, *label, alpha_max, end);
         }
     }
     for (place, pixel) in pixels.iter_mut().enumerate() {

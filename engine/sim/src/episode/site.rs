@@ -246,7 +246,7 @@ impl Site {
         cars: Cars,
         appearance: &Appearance,
     ) -> Result<Self, SiteError> {
-        world.splats = world.splats.select(&world.splats.spatial_order());
+        world.splats = world.splats.in_spatial_order();
         let assets = cars
             .clouds
             .par_iter()

@@ -132,11 +132,7 @@ impl Levels {
             .collect();
         let mut clouds = vec![cloud.select(&order)];
         let coarser = levels::coarser_levels(&clouds[0], &visibility);
-        clouds.extend(
-            coarser
-                .iter()
-                .map(|level| level.select(&level.spatial_order())),
-        );
+        clouds.extend(coarser.iter().map(SplatCloud::in_spatial_order));
         Self {
             clouds,
             visibility,

@@ -90,7 +90,7 @@ fn what_comes_out_is_near_what_went_in() {
         (2000, [2000, 250].as_slice())
     );
     let decoded = coded.decoded(0);
-    let sorted = cloud.select(&cloud.spatial_order());
+    let sorted = cloud.in_spatial_order();
     for splat in 0..2000 {
         for axis in 0..3 {
             assert!((decoded.means[splat][axis] - sorted.means[splat][axis]).abs() < 1e-4);

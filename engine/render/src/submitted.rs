@@ -1,0 +1,67 @@
+//! A frame from its submission to the reading of its images.
+
+use std::time::{Duration, Instant};
+
+use decouplegs_gpu::Ticket;
+
+use crate::agents::AgentList;
+use crate::capacity::Capacity;
+use crate::kernels::FrameVariant;
+use crate::keys::KeyDecision;
+use crate::layout::View;
+use crate::post_processing::{PhotometryRecord, ProcessedView};
+use crate::relit::Relights;
+use crate::resident::GpuScene;
+use crate::stages::AgentCounts;
+
+/// Contents of a frame, as the host prepared them.
+pub(crate) struct FrameContents {
+    pub world: GpuScene,
+    pub view: View,
+    pub variant: FrameVariant,
+    pub agents: Option<AgentList>,
+    pub relights: Relights,
+    pub shadow_count: usize,
+    /// Cameras of the view as post-processing sees them; none without it.
+    pub processed: Vec<ProcessedView>,
+    /// One per camera, where images are post-processed.
+    pub photometry: Vec<PhotometryRecord>,
+}
+
+impl FrameContents {
+    /// Counts of the agents; zeros without agents.
+    pub fn agent_counts(&self) -> AgentCounts {
+        self.agents
+            .as_ref()
+            .map_or_else(AgentCounts::default, |list| list.counts)
+    }
+
+    /// Splats of background and agents.
+    pub fn splats(&self) -> usize {
+        self.world.splats + self.agents.as_ref().map_or(0, |list| list.splats)
+    }
+}
+
+/// A frame that was submitted and is not yet finished.
+pub(crate) struct SubmittedFrame {
+    /// Index of its slot.
+    pub slot: usize,
+    pub contents: FrameContents,
+    pub keys: KeyDecision,
+    pub frame: Ticket,
+    /// The agents' part, where it was submitted by itself.
+    pub update: Option<Ticket>,
+    pub capacity: Capacity,
+    pub since: Instant,
+    /// Time at which all of it was submitted.
+    pub submitted: Instant,
+    pub record_time: Duration,
+}
+
+/// The frame that was finished last.
+pub(crate) struct ShownFrame {
+    /// Index of its slot, which has its images.
+    pub slot: usize,
+    pub view: View,
+    pub frame: Ticket,
+}
