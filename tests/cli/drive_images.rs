@@ -178,7 +178,7 @@ fn rolling_shutters_are_driven_and_replayed() {
             "--size",
             "96x54",
         ];
-        let out_of = ["--images", "all", "--out", text(&out)];
+        let out_of = ["--images", "all", "--render", "2", "--out", text(&out)];
         succeed(&[&place[..], &what, &how, &out_of].concat());
         out
     };

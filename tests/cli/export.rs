@@ -291,7 +291,8 @@ fn images_that_are_not_those_of_the_log_are_refused() {
         &[
             &place[..],
             &what,
-            &["--planner", "constant-velocity", "--out", text(&out)],
+            &["--planner", "constant-velocity", "--render", "3"],
+            &["--out", text(&out)],
         ]
         .concat(),
     );

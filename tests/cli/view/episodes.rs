@@ -14,7 +14,8 @@ fn an_episode_shows_the_bits_of_its_log() {
     let place = ["drive", "--scene", text(&scene), "--map", text(&lanes)];
     let what = ["--level", "extreme", "--episodes", "1", "--size", "96x54"];
     let how = ["--planner", "constant-velocity", "--all-cameras"];
-    succeed(&[&place[..], &what, &how, &["--out", text(&out)]].concat());
+    let kept = ["--render", "2", "--out", text(&out)];
+    succeed(&[&place[..], &what, &how, &kept].concat());
     let log = out.join("logs/extreme_0000.log");
     let badge = |panes: &[Value], time_s: f64| {
         let viewer = Viewer::start(&[text(&log)]);
