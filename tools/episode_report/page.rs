@@ -256,7 +256,8 @@ fn infractions(page: &mut Page, scored: &Scored) {
         "ego at x, m",
         "y, m",
         "image",
-    ]);
+    ])
+    .with_text_in(1);
     for infraction in &scored.score.infractions {
         let at_m = scored.place_m(infraction.time_s);
         let image = image_before(scored, infraction.time_s).map_or("-".into(), |file| {
