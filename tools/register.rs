@@ -13,7 +13,7 @@ use anyhow::{Result, bail, ensure};
 use decouplegs::asset::tracks::{PoseRow, write_poses};
 use decouplegs::asset::{open_scene, read_map, read_tracks, write_atomically};
 use decouplegs::drive::{Ground, GroundOptions, Outcome, RegisterOptions, Registration, register};
-use decouplegs::scene::World;
+use decouplegs::scene::SplatScene;
 
 use crate::arguments::{print, warn};
 use crate::progress;
@@ -178,7 +178,7 @@ fn ground_of(path: &Path) -> Result<Ground> {
     let (cloud, origin) = if path.extension().is_some_and(|extension| extension == "csv") {
         points::read(path)?
     } else {
-        let World {
+        let SplatScene {
             splats,
             instance_from_splat,
             origin,

@@ -15,7 +15,9 @@ use decouplegs::asset::{
     write_coded,
 };
 use decouplegs::scene::light::ShadowOptions;
-use decouplegs::scene::{Camera, Pose, Presence, Rules, SplatCloud, TimedPose, Trajectory, World};
+use decouplegs::scene::{
+    Camera, Pose, Presence, Rules, SplatCloud, SplatScene, TimedPose, Trajectory,
+};
 use decouplegs::synth::street::{AssetLight, Capture, Street, StreetOptions, Weather};
 use decouplegs::train::compress::compress_quickly;
 use glam::DVec3;
@@ -381,7 +383,7 @@ fn trajectory(knots: &[(f64, Pose)]) -> Result<Trajectory> {
 
 /// Street and cars as they stand at time zero, one cloud.
 fn baked_world(street: &Street) -> Result<SplatCloud> {
-    let mut world = World::of(street.background.clone());
+    let mut world = SplatScene::of(street.background.clone());
     for agent in &street.agents {
         world.bake_agent(&street.assets[agent.asset], agent)?;
     }

@@ -5,7 +5,7 @@ use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Agent, AssetPool, Image, RenderOptions, Renderer, Scene, reference};
 use decouplegs::scene::{
     AgentPlacement, Bounds, Camera, CodedCloud, Fog, Intrinsics, Motion, Pose, Rules, ShFrame,
-    SplatCodes, World,
+    SplatCodes, SplatScene,
 };
 use glam::{DQuat, DVec3};
 
@@ -74,7 +74,7 @@ pub fn coded_car(count: usize, seed: u64) -> CodedCloud {
 }
 
 /// A wall of splats 12 m ahead and scattered ones before it; world axes: x forward, y left, z up.
-pub fn background(count: usize, seed: u64) -> World {
+pub fn background(count: usize, seed: u64) -> SplatScene {
     let mut random = Random(seed);
     let splats: Vec<Splat> = (0..count)
         .map(|_| Splat {
@@ -126,7 +126,7 @@ fn poses() -> Vec<(Pose, ShFrame)> {
 }
 
 /// `world` with the decoded cars baked into it.
-fn baked(world: &World, cars: &[CodedCloud], poses: &[(Pose, ShFrame)]) -> World {
+fn baked(world: &SplatScene, cars: &[CodedCloud], poses: &[(Pose, ShFrame)]) -> SplatScene {
     let mut baked = world.clone();
     for (i, &(pose, sh_frame)) in poses.iter().enumerate() {
         let placement = AgentPlacement {
@@ -237,7 +237,7 @@ fn agents_are_the_decoded_splats_placed_in_the_world() {
 /// Draws `agents` before `world` by a renderer of its own.
 fn draw_agents(
     gpu: &Validated,
-    world: &World,
+    world: &SplatScene,
     pool: &AssetPool,
     agents: &[Agent],
     cameras: &[Camera],
@@ -382,7 +382,7 @@ fn turning_world_agents_and_camera_together_changes_nothing() {
         DQuat::from_rotation_x(2.0) * DQuat::from_rotation_y(0.4),
     ] {
         let turned = Pose::new(turn, DVec3::new(100.0, -40.0, 7.0));
-        let moved = World {
+        let moved = SplatScene {
             splats: world.splats.placed(&turned, true),
             ..world.clone()
         };

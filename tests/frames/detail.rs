@@ -6,7 +6,7 @@ use decouplegs::render::{
     GpuScene, Image, LidarOptions, LidarRenderer, RenderOptions, Renderer, Scene, Storage,
 };
 use decouplegs::scene::lidar::ReturnMode;
-use decouplegs::scene::{Camera, DetailLevels, Motion, Pose, Rules, World};
+use decouplegs::scene::{Camera, DetailLevels, Motion, Pose, Rules, SplatScene};
 use decouplegs::synth::street::{Street, StreetOptions};
 use glam::{DQuat, DVec3};
 
@@ -16,7 +16,7 @@ use crate::device::Validated;
 use crate::stages::scenes::lens_rig;
 
 /// A street in spatial order, without traffic.
-fn street(splats: usize) -> (World, Vec<Camera>) {
+fn street(splats: usize) -> (SplatScene, Vec<Camera>) {
     let street = Street::generate(&StreetOptions {
         seed: 4,
         background: splats,
@@ -25,9 +25,9 @@ fn street(splats: usize) -> (World, Vec<Camera>) {
         ..StreetOptions::default()
     });
     let cloud = street.background.in_spatial_order();
-    let world = World {
+    let world = SplatScene {
         sky: street.sky,
-        ..World::of(cloud)
+        ..SplatScene::of(cloud)
     };
     (world, street.rig.at(&street.ego[0].1))
 }
@@ -42,7 +42,7 @@ fn sized(camera: &Camera, width_px: u32, height_px: u32) -> Camera {
 /// Images of the renderer, and the number of visible splats.
 fn draw_at(
     gpu: &Validated,
-    world: &World,
+    world: &SplatScene,
     cameras: &[Camera],
     (pitch_px, storage): (Option<f64>, Storage),
 ) -> (Vec<Image>, u32) {
@@ -59,11 +59,11 @@ fn draw_at(
 }
 
 /// The world that a camera is shown, cut by the host.
-fn cut(world: &World, levels: &DetailLevels, camera: &Camera, pitch_px: f32) -> World {
+fn cut(world: &SplatScene, levels: &DetailLevels, camera: &Camera, pitch_px: f32) -> SplatScene {
     let k = &camera.intrinsics;
     let center = camera.world_from_camera.translation.as_vec3();
     let splats = levels.cut(center, k.fx_px.max(k.fy_px) as f32, pitch_px);
-    World {
+    SplatScene {
         splats: levels.splats.select(&splats),
         ..world.clone()
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use decouplegs::render::reference;
-use decouplegs::scene::{Fog, Rules, World};
+use decouplegs::scene::{Fog, Rules, SplatScene};
 use glam::{DMat3, DVec3};
 
 use super::hard_cases::crowd;
@@ -18,8 +18,8 @@ const FOG: Fog = Fog {
     sky_range_m: 60.0,
 };
 
-fn crowded() -> World {
-    World {
+fn crowded() -> SplatScene {
+    SplatScene {
         sky: [0.3, 0.5, 0.9],
         ..world_of(&crowd(80))
     }
@@ -28,14 +28,14 @@ fn crowded() -> World {
 /// Even sky, sky map and calibrated cameras, through pinholes and lenses.
 #[test]
 fn images_in_fog_are_those_of_the_definition() {
-    let plain = World {
+    let plain = SplatScene {
         fog: Some(FOG),
         ..crowded()
     };
     assert_exact(&plain, &lens_rig(), Rules::DEFAULT);
     let mut sky = noise(8, DMat3::IDENTITY);
     (sky.clamps, sky.clamps_splats) = (true, true);
-    let under = World {
+    let under = SplatScene {
         sky_map: Some(Arc::new(sky)),
         ..plain
     };
@@ -49,14 +49,14 @@ fn images_in_fog_are_those_of_the_definition() {
 fn a_splat_fades_by_its_distance() {
     let far_m = 20.0;
     let splat = Splat::at(0.0, 0.0, far_m as f32);
-    let world = World {
+    let world = SplatScene {
         sky: [0.1, 0.2, 0.3],
         ..world_of(&[splat])
     };
     let camera = camera_at(DVec3::ZERO, 64, 48);
     let image = |fog: Option<Fog>| {
         reference::render(
-            &World {
+            &SplatScene {
                 fog,
                 ..world.clone()
             },
@@ -93,7 +93,7 @@ fn fog_without_extinction_changes_no_bit() {
     let of = |fog: Option<Fog>| {
         draw(
             &gpu,
-            &World {
+            &SplatScene {
                 fog,
                 ..world.clone()
             },

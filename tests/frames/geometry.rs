@@ -6,7 +6,9 @@ use decouplegs::render::reference::geometry::{Geometry64, render_geometry};
 use decouplegs::render::{
     Agent, AssetPool, Image, Outputs, Plane, Planes, RenderOptions, Renderer, Scene, reference,
 };
-use decouplegs::scene::{AgentPlacement, Camera, Intrinsics, Motion, Pose, Rules, ShFrame, World};
+use decouplegs::scene::{
+    AgentPlacement, Camera, Intrinsics, Motion, Pose, Rules, ShFrame, SplatScene,
+};
 use glam::{DQuat, DVec2, DVec3};
 
 use super::agents::{background, camera_towards, coded_car};
@@ -29,13 +31,13 @@ const GEOMETRY: [Plane; 7] = [
 
 /// A world with agents, cars that all look the same.
 struct Moving {
-    world: World,
+    world: SplatScene,
     cars: Vec<(Pose, Motion)>,
 }
 
 impl Moving {
     /// The world `time_s` later, of splats alone.
-    fn at(&self, time_s: f64) -> World {
+    fn at(&self, time_s: f64) -> SplatScene {
         let mut world = self.world.clone();
         let car = coded_car(500, 2).decoded(0);
         for (index, (pose, motion)) in self.cars.iter().enumerate() {

@@ -2,7 +2,7 @@
 
 use decouplegs::render::{Image, RenderOptions, Renderer, reference};
 use decouplegs::scene::rules::ALPHA_MIN;
-use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World, sh};
+use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, SplatScene, sh};
 use glam::{DQuat, DVec3};
 
 use super::{Splat, assert_exact, camera_at, draw, world_of};
@@ -355,7 +355,7 @@ fn zero_and_denormal_scales() {
 #[test]
 fn everything_culled_leaves_the_sky() {
     let sky = [0.1, 0.2, 0.3];
-    let world = World {
+    let world = SplatScene {
         sky,
         ..world_of(&[
             Splat::at(0.0, 0.0, -5.0),
@@ -375,9 +375,9 @@ fn everything_culled_leaves_the_sky() {
 
 #[test]
 fn a_world_of_no_splats() {
-    let world = World {
+    let world = SplatScene {
         sky: [0.5; 3],
-        ..World::default()
+        ..SplatScene::default()
     };
     let gpu = Validated::open();
     assert!(
@@ -430,7 +430,7 @@ fn utm_coordinates_with_millimeter_motion() {
     let splats = crowd(400);
     let near = world_of(&splats);
     let origin = DVec3::new(4.5e6, 5.4e6, 320.0);
-    let far = World {
+    let far = SplatScene {
         origin,
         ..near.clone()
     };
@@ -515,7 +515,7 @@ fn interpenetrating_clouds_of_the_same_kind() {
 
 #[test]
 fn every_rule_set_is_drawn_as_defined() {
-    let world = World {
+    let world = SplatScene {
         sky: [0.2, 0.4, 0.9],
         ..world_of(&crowd(3000))
     };

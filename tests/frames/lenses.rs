@@ -5,7 +5,9 @@ use std::sync::Arc;
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Agent, AssetPool, RenderOptions, Renderer, Scene, reference};
 use decouplegs::scene::lens::{Fisheye, OpenCv, Windshield, WindshieldDirection};
-use decouplegs::scene::{AgentPlacement, Camera, Intrinsics, Lens, Pose, Rules, ShFrame, World};
+use decouplegs::scene::{
+    AgentPlacement, Camera, Intrinsics, Lens, Pose, Rules, ShFrame, SplatScene,
+};
 use decouplegs::synth::street::{Street, StreetOptions};
 use glam::{DMat3, DVec2, DVec3};
 
@@ -98,7 +100,7 @@ fn a_crowd_through_a_windshield() {
 
 #[test]
 fn a_sky_through_a_windshield() {
-    let world = World {
+    let world = SplatScene {
         sky_map: Some(Arc::new(noise(8, DMat3::IDENTITY))),
         ..world_of(&crowd(40))
     };
@@ -129,9 +131,9 @@ fn a_street_with_agents_through_a_fisheye_and_an_f_theta_lens() {
         sh_degree: 1,
         ..StreetOptions::default()
     });
-    let mut world = World {
+    let mut world = SplatScene {
         sky: street.sky,
-        ..World::of(street.background.clone())
+        ..SplatScene::of(street.background.clone())
     };
     for agent in &street.agents {
         world

@@ -13,7 +13,7 @@ use decouplegs::render::{
 use decouplegs::scene::lidar::{
     Beam, FiringTime, LidarPattern, LidarRow, ReturnMode, ReturnOptions, Spin,
 };
-use decouplegs::scene::{Lidar, LidarModel, Motion, Pose, Rules, SplatCloud, World};
+use decouplegs::scene::{Lidar, LidarModel, Motion, Pose, Rules, SplatCloud, SplatScene};
 use glam::{DQuat, DVec3};
 
 use super::agents::coded_car;
@@ -111,7 +111,7 @@ pub fn models() -> Vec<(&'static str, LidarModel)> {
 
 /// Splats all around a sensor at the origin: ground, walls, scattered ones, needles, discs, one
 /// that contains the sensor, one straight above, one behind the seam.
-pub fn surroundings(count: usize, seed: u64) -> World {
+pub fn surroundings(count: usize, seed: u64) -> SplatScene {
     let mut random = Random(seed);
     let mut splats: Vec<Splat> = (0..count)
         .map(|index| {
@@ -253,7 +253,7 @@ fn group(splats: &SplatCloud, origin: DVec3) -> SplatGroup<'_> {
     }
 }
 
-fn trace(gpu: &Validated, world: &World, lidar: &Lidar, sectors: usize) -> TracedSweep {
+fn trace(gpu: &Validated, world: &SplatScene, lidar: &Lidar, sectors: usize) -> TracedSweep {
     let options = LidarOptions {
         rules: world.rules,
         sectors,
@@ -265,7 +265,7 @@ fn trace(gpu: &Validated, world: &World, lidar: &Lidar, sectors: usize) -> Trace
         .unwrap()
 }
 
-fn truth_of(world: &World, lidar: &Lidar, beams: &[Beam]) -> Vec<BeamHit64> {
+fn truth_of(world: &SplatScene, lidar: &Lidar, beams: &[Beam]) -> Vec<BeamHit64> {
     let scene = LidarScene64 {
         groups: vec![group(&world.splats, world.origin)],
         rules: world.rules,

@@ -8,7 +8,7 @@ use decouplegs::render::{
 use decouplegs::scene::light::bake_shadows;
 use decouplegs::scene::{
     AmbientDescriptor, Camera, CodedCloud, ColorTransfer, GroundShadow, LightTransfer, Pose, Rules,
-    ShFrame, World, sh,
+    ShFrame, SplatScene, sh,
 };
 use glam::{DQuat, DVec3};
 
@@ -45,7 +45,7 @@ pub fn shadow(at: DVec3, yaw_rad: f64, strength: f64) -> GroundShadow {
 
 /// Contents of a frame.
 struct Case {
-    world: World,
+    world: SplatScene,
     cars: Vec<CodedCloud>,
     /// Car, pose, frame of its colors, and light.
     placed: Vec<(usize, Pose, ShFrame, Option<ColorTransfer>)>,

@@ -26,7 +26,7 @@ pub use agents::background;
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Image, Outputs, Planes, RenderOptions, Renderer, reference};
-use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, Rules, SplatCloud, World};
+use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, Rules, SplatCloud, SplatScene};
 use glam::{DQuat, DVec3};
 
 use crate::device::Validated;
@@ -60,8 +60,8 @@ impl Splat {
 }
 
 /// A world of degree 0. Its camera frame is the world's: x right, y down, z forward.
-pub fn world_of(splats: &[Splat]) -> World {
-    World::of(SplatCloud {
+pub fn world_of(splats: &[Splat]) -> SplatScene {
+    SplatScene::of(SplatCloud {
         means: splats.iter().map(|s| s.mean_m).collect(),
         scales: splats.iter().map(|s| s.scale_m).collect(),
         rotations: splats.iter().map(|s| s.rotation).collect(),
@@ -95,7 +95,7 @@ pub fn all_outputs() -> Outputs {
 }
 
 /// Images from the GPU.
-pub fn draw(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) -> Vec<Image> {
+pub fn draw(gpu: &Validated, world: &SplatScene, cameras: &[Camera], rules: Rules) -> Vec<Image> {
     let mut renderer = Renderer::new(
         gpu,
         RenderOptions {
@@ -112,7 +112,7 @@ pub fn draw(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) ->
 /// The difference of the GPU's image from the definition, per camera.
 pub fn differences(
     gpu: &Validated,
-    world: &World,
+    world: &SplatScene,
     cameras: &[Camera],
     rules: Rules,
 ) -> Vec<Difference> {
@@ -127,7 +127,7 @@ pub fn differences(
 }
 
 /// Draws on the GPU and by definition, and holds them to what exact mode promises.
-pub fn assert_exact(world: &World, cameras: &[Camera], rules: Rules) {
+pub fn assert_exact(world: &SplatScene, cameras: &[Camera], rules: Rules) {
     let gpu = Validated::open();
     for (difference, camera) in differences(&gpu, world, cameras, rules).iter().zip(cameras) {
         println!(

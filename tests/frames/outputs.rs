@@ -1,13 +1,13 @@
 //! Depth, instances and 8-bit color.
 
 use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Renderer, reference};
-use decouplegs::scene::{Rules, World};
+use decouplegs::scene::{Rules, SplatScene};
 use glam::DVec3;
 
 use super::{Splat, all_outputs, camera_at, draw, world_of};
 use crate::device::Validated;
 
-fn scene() -> World {
+fn scene() -> SplatScene {
     let splats: Vec<Splat> = (0..600)
         .map(|i| {
             let (a, b) = ((i as f32 * 0.618).fract(), (i as f32 * 0.324).fract());

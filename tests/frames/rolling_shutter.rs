@@ -8,7 +8,7 @@ use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Agent, AssetPool, Image, RenderOptions, Renderer, Scene, reference};
 use decouplegs::scene::{
     AgentPlacement, Camera, Intrinsics, Motion, Pose, Rules, ShFrame, Shutter, ShutterDirection,
-    World,
+    SplatScene,
 };
 use decouplegs::synth::street::{Street, StreetOptions};
 use glam::{DMat3, DVec3};
@@ -105,9 +105,9 @@ fn a_street_at_30_meters_per_second() {
         sh_degree: 1,
         ..StreetOptions::default()
     });
-    let mut world = World {
+    let mut world = SplatScene {
         sky: street.sky,
-        ..World::of(street.background.clone())
+        ..SplatScene::of(street.background.clone())
     };
     for agent in &street.agents {
         let asset = &street.assets[agent.asset];
@@ -159,7 +159,7 @@ fn moving_cars() -> [(Pose, Motion); 3] {
 
 fn draw_cars(
     gpu: &Validated,
-    world: &World,
+    world: &SplatScene,
     cars: &[(Pose, Motion)],
     cameras: &[Camera],
 ) -> Vec<Image> {
@@ -184,7 +184,7 @@ fn draw_cars(
     renderer.read_images().unwrap()
 }
 
-fn with_cars(world: &World, cars: &[(Pose, Motion)], time_s: f64) -> World {
+fn with_cars(world: &SplatScene, cars: &[(Pose, Motion)], time_s: f64) -> SplatScene {
     let mut world = world.clone();
     let car = coded_car(600, 2).decoded(0);
     for (index, (pose, motion)) in cars.iter().enumerate() {
@@ -354,7 +354,7 @@ fn center(image: &Image) -> glam::DVec2 {
 #[test]
 fn a_sky_is_seen_along_the_rays_of_each_row() {
     let gpu = Validated::open();
-    let world = World {
+    let world = SplatScene {
         sky_map: Some(Arc::new(noise(16, DMat3::IDENTITY))),
         ..world_of(&[Splat::at(0.0, 0.0, 3.0)])
     };

@@ -4,7 +4,7 @@
 //! quotes.
 
 use decouplegs::asset::{open_scene, read_splats};
-use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, Rules, SplatCloud, World};
+use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, Rules, SplatCloud, SplatScene};
 use decouplegs::synth::street::{Street, StreetOptions};
 use glam::DVec3;
 
@@ -59,7 +59,7 @@ fn real_file(test: &str, name: &str) {
         cloud.sh_degree
     );
     let cameras = around(&cloud, -DVec3::Y);
-    let mut world = World::of(cloud);
+    let mut world = SplatScene::of(cloud);
     world.sky = [0.7, 0.8, 0.9];
     assert_exact(&world, &cameras, Rules::DEFAULT);
 }
@@ -82,9 +82,9 @@ fn captured_guitar() {
 /// A street with its agents, seen by three cameras of its rig, made small.
 fn street(options: &StreetOptions) {
     let street = Street::generate(options);
-    let mut world = World {
+    let mut world = SplatScene {
         sky: street.sky,
-        ..World::of(street.background.clone())
+        ..SplatScene::of(street.background.clone())
     };
     for agent in &street.agents {
         world

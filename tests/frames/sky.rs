@@ -6,7 +6,7 @@ use decouplegs::asset::SkyKind;
 use decouplegs::asset::sky_file;
 use decouplegs::render::{ColorFormat, Image, Outputs, RenderOptions, Renderer, reference};
 use decouplegs::scene::photometry::{ColorCurve, Vignetting};
-use decouplegs::scene::{Camera, Photometry, Pose, Rules, SkyMap, World};
+use decouplegs::scene::{Camera, Photometry, Pose, Rules, SkyMap, SplatScene};
 use glam::{DMat3, DQuat, DVec3};
 
 use super::hard_cases::crowd;
@@ -65,14 +65,14 @@ fn around() -> Vec<Camera> {
     towards.into_iter().enumerate().map(camera).collect()
 }
 
-fn world_under(sky: SkyMap) -> World {
+fn world_under(sky: SkyMap) -> SplatScene {
     // Some half transparent, some opaque, some brighter than white.
     let mut splats = crowd(60);
     splats.iter_mut().step_by(3).for_each(|splat| {
         splat.rgb = [1.6, 0.4, 1.1];
         splat.opacity = 0.5;
     });
-    World {
+    SplatScene {
         sky: [9.0; 3],
         sky_map: Some(Arc::new(sky)),
         ..world_of(&splats)
@@ -101,7 +101,7 @@ fn splats_are_clamped_before_the_sky_is_added() {
     for (clamps_splats, expected) in [(false, [1.9, 0.9, 0.4]), (true, [1.4, 0.9, 0.4])] {
         let mut sky = SkyMap::new(1, &[[0.8; 3]; 6], DMat3::IDENTITY).unwrap();
         sky.clamps_splats = clamps_splats;
-        let world = World {
+        let world = SplatScene {
             sky_map: Some(Arc::new(sky)),
             ..world_of(&[splat])
         };
@@ -125,7 +125,7 @@ fn splats_are_clamped_before_the_sky_is_added() {
 fn only_color_changes_and_worlds_without_a_sky_are_what_they_were() {
     let gpu = Validated::open();
     let under = world_under(noise(8, DMat3::IDENTITY));
-    let bare = World {
+    let bare = SplatScene {
         sky_map: None,
         ..under.clone()
     };
@@ -194,9 +194,9 @@ fn a_lat_long_sky_shows_the_ray_of_each_pixel() {
         .write_to(&mut bytes, image::ImageFormat::OpenExr)
         .unwrap();
     let sky = sky_file::decode(bytes.get_ref(), SkyKind::Equirect, DMat3::IDENTITY).unwrap();
-    let world = World {
+    let world = SplatScene {
         sky_map: Some(Arc::new(sky)),
-        ..World::default()
+        ..SplatScene::default()
     };
     let gpu = Validated::open();
     let cameras = around();
@@ -229,7 +229,7 @@ fn calibrated_cameras_give_the_colors_of_the_definition() {
     let turned = DMat3::from_rotation_x(0.5);
     let under = world_under(noise(6, turned));
     assert_exact(&under, &calibrated(around()), Rules::DEFAULT);
-    let bare = World {
+    let bare = SplatScene {
         sky_map: None,
         sky: [0.3, 0.5, 0.9],
         ..under
@@ -241,7 +241,7 @@ fn calibrated_cameras_give_the_colors_of_the_definition() {
 #[test]
 fn an_identity_beside_a_calibration_changes_no_bit() {
     let gpu = Validated::open();
-    let world = World {
+    let world = SplatScene {
         sky: [0.3, 0.5, 0.9],
         ..world_of(&crowd(80))
     };
@@ -261,7 +261,7 @@ fn an_identity_beside_a_calibration_changes_no_bit() {
 fn a_calibration_of_the_scene_serves_cameras_without_one() {
     let gpu = Validated::open();
     let bare = world_under(noise(6, DMat3::IDENTITY));
-    let world = World {
+    let world = SplatScene {
         photometry: Photometry {
             vignetting: None,
             ..some_photometry(0.8)

@@ -5,7 +5,7 @@ use decouplegs::asset::read_splats;
 use decouplegs::gpu::MemoryReport;
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Image, RenderOptions, Renderer, Storage, reference};
-use decouplegs::scene::{Camera, Rules, SplatCloud, World, sh};
+use decouplegs::scene::{Camera, Rules, SplatCloud, SplatScene, sh};
 use glam::DVec3;
 
 use super::hard_cases::crowd;
@@ -41,7 +41,7 @@ const ROUNDINGS: [Rounding; 4] = [
 ];
 
 /// Many splats of all kinds with colors of degree 3.
-fn colored_crowd() -> World {
+fn colored_crowd() -> SplatScene {
     let mut world = world_of(&crowd(4000));
     let donor = hard_world(4000, 5);
     world.splats.sh_degree = 3;
@@ -50,7 +50,7 @@ fn colored_crowd() -> World {
 }
 
 /// Worlds to draw, with a camera each: hard splats, and captured objects where their files are.
-fn subjects() -> Vec<(&'static str, World, Camera)> {
+fn subjects() -> Vec<(&'static str, SplatScene, Camera)> {
     let front = camera_at(DVec3::ZERO, 200, 120);
     let mut subjects = vec![
         ("crowd", colored_crowd(), front.clone()),
@@ -60,18 +60,18 @@ fn subjects() -> Vec<(&'static str, World, Camera)> {
         if let Some(path) = data::file("compact storage of captured objects", file) {
             let cloud = read_splats(&path).unwrap();
             let camera = around(&cloud, -DVec3::Y).remove(0);
-            subjects.push((file, World::of(cloud), camera));
+            subjects.push((file, SplatScene::of(cloud), camera));
         }
     }
     subjects
 }
 
-fn truth(world: &World, camera: &Camera) -> Image {
+fn truth(world: &SplatScene, camera: &Camera) -> Image {
     reference::render(world, camera, &Rules::DEFAULT).to_image()
 }
 
-fn stored(world: &World, storage: Storage) -> World {
-    World {
+fn stored(world: &SplatScene, storage: Storage) -> SplatScene {
+    SplatScene {
         splats: storage.stored_cloud(&world.splats),
         ..world.clone()
     }
@@ -79,7 +79,7 @@ fn stored(world: &World, storage: Storage) -> World {
 
 fn draw(
     gpu: &Validated,
-    world: &World,
+    world: &SplatScene,
     camera: &Camera,
     storage: Storage,
 ) -> (Image, MemoryReport) {
@@ -104,7 +104,7 @@ fn compact_storage_rounds_by_less_than_a_step_of_a_byte() {
         let expected = truth(&world, &camera);
         let rounded = Storage::Compact.stored_cloud(&world.splats);
         for (part, with) in ROUNDINGS {
-            let world = World {
+            let world = SplatScene {
                 splats: with(&world.splats, rounded.clone()),
                 ..world.clone()
             };

@@ -4,7 +4,7 @@ use decouplegs::render::Storage;
 use decouplegs::render::layout::CLUSTER_SPLATS;
 use decouplegs::render::stages::{CameraVariant, Cull, Visible};
 use decouplegs::render::twins::lens::lens_of;
-use decouplegs::scene::{Camera, Rules, World};
+use decouplegs::scene::{Camera, Rules, SplatScene};
 
 use super::scenes::{Scene, hard_world, lens_rig, rig};
 use super::{UNTOUCHED, identical, open, run};
@@ -60,13 +60,13 @@ fn check(scene: &Scene, rules: &Rules, words: &[u32], twin_words: &[u32]) -> Res
     Ok(unsettled)
 }
 
-fn compare(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) {
+fn compare(gpu: &Validated, world: &SplatScene, cameras: &[Camera], rules: Rules) {
     compare_stored(gpu, world, cameras, rules, Storage::Exact);
 }
 
 fn compare_stored(
     gpu: &Validated,
-    world: &World,
+    world: &SplatScene,
     cameras: &[Camera],
     rules: Rules,
     storage: Storage,
@@ -119,7 +119,7 @@ fn clusters_of_every_fill() {
             Rules::DEFAULT,
         );
     }
-    let one = World::of(hard_world(16, 3).splats.select(&[12]));
+    let one = SplatScene::of(hard_world(16, 3).splats.select(&[12]));
     compare(&gpu, &one, &rig()[..1], Rules::DEFAULT);
 }
 
@@ -142,7 +142,7 @@ fn drop_clusters_of(rig: &[Camera]) {
     let gpu = open();
     let small: Vec<u32> = (0..16_000).filter(|i| i % 16 >= 6).collect();
     let small = hard_world(16_000, 7).splats.select(&small);
-    let ordered = World::of(small.in_spatial_order());
+    let ordered = SplatScene::of(small.in_spatial_order());
     let scene = Scene::new(&gpu, &ordered, rig);
     let near_m = decouplegs::render::layout::near_m(&Rules::DEFAULT);
     let reach = |camera: usize, cluster: usize| {

@@ -22,7 +22,7 @@ use decouplegs::render::twins::stored_splat::load_shape;
 use decouplegs::render::{GpuScene, Storage};
 use decouplegs::scene::lidar::Beam;
 use decouplegs::scene::rules::LIDAR_DILATION_RAD;
-use decouplegs::scene::{Lidar, Motion, Pose, Rules, World};
+use decouplegs::scene::{Lidar, Motion, Pose, Rules, SplatScene};
 use glam::{DQuat, DVec3, Mat3, Vec3};
 
 use super::{open, run};
@@ -52,11 +52,11 @@ struct Listed {
 }
 
 impl Listed {
-    fn new(gpu: &Validated, world: &World, lidar: &Lidar) -> Self {
+    fn new(gpu: &Validated, world: &SplatScene, lidar: &Lidar) -> Self {
         Self::stored(gpu, world, lidar, Storage::Exact)
     }
 
-    fn stored(gpu: &Validated, world: &World, lidar: &Lidar, storage: Storage) -> Self {
+    fn stored(gpu: &Validated, world: &SplatScene, lidar: &Lidar, storage: Storage) -> Self {
         let beams = lidar.model.beams();
         let cut = Sectors::new(lidar, &beams, &lidar.model.cells(), 8);
         let view = View::new(&cut.cameras, world.origin, 1e3).unwrap();
@@ -400,7 +400,7 @@ fn beams_meet_their_lists_as_the_twin_does() {
 
 /// Asserts that every splat of `world` that adds to a beam by definition is in the list of the
 /// beam's coarse tile, with cells around the beam's; returns pairs tested and pairs that add.
-fn check_lists(what: &str, listed: &Listed, world: &World, lidar: &Lidar) -> [usize; 2] {
+fn check_lists(what: &str, listed: &Listed, world: &SplatScene, lidar: &Lidar) -> [usize; 2] {
     let truth = LidarScene64 {
         groups: vec![SplatGroup {
             splats: &world.splats,

@@ -10,7 +10,7 @@ use decouplegs::render::twins::projection::{
     Variant, axes_of, from_camera_m, project_splat, to_camera_axes,
 };
 use decouplegs::scene::rules::ALPHA_MIN;
-use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, Rules, World};
+use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, Rules, SplatScene};
 use glam::{DQuat, DVec2, DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
@@ -174,12 +174,12 @@ fn culled_splats_change_nothing() {
             kept.len() < 400,
             "few splats are culled: the property says little"
         );
-        let without = |kept: &[u32]| World {
+        let without = |kept: &[u32]| SplatScene {
             instance_from_splat: kept
                 .iter()
                 .map(|&splat| world.instance_from_splat[splat as usize])
                 .collect(),
-            ..World::of(world.splats.select(kept))
+            ..SplatScene::of(world.splats.select(kept))
         };
         let images = draw(&gpu, &world, cameras, Rules::DEFAULT);
         prop_assert!(
@@ -202,7 +202,7 @@ fn culled_splats_change_nothing() {
 
 /// Depth keys of all splats as the kernel finds them, by splat; all splats are in front of the
 /// camera.
-fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
+fn depth_keys(gpu: &Validated, world: &SplatScene, camera: &Camera) -> Vec<u32> {
     let scene = Scene::new(gpu, world, std::slice::from_ref(camera));
     let splats = world.splats.len();
     let visible = Visible::new(gpu, 1, scene.clusters.len()).unwrap();

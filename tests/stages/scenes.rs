@@ -18,7 +18,7 @@ use decouplegs::render::twins::stored_splat::load_shape;
 use decouplegs::render::twins::{self, sh::Stored};
 use decouplegs::render::{GpuScene, Storage};
 use decouplegs::scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
-use decouplegs::scene::{Camera, Intrinsics, Lens, Motion, Pose, Rules, World};
+use decouplegs::scene::{Camera, Intrinsics, Lens, Motion, Pose, Rules, SplatScene};
 use glam::{DQuat, DVec3, Mat3, Vec3};
 
 use super::{ROUNDOFF, Random, UNTOUCHED, upload};
@@ -96,7 +96,7 @@ pub fn hard_splats(count: usize, seed: u64) -> Vec<Splat> {
 }
 
 /// A world of hard splats of degree 3 in three instances.
-pub fn hard_world(count: usize, seed: u64) -> World {
+pub fn hard_world(count: usize, seed: u64) -> SplatScene {
     let mut world = world_of(&hard_splats(count, seed));
     let mut random = Random(seed + 1);
     world.splats.sh_degree = 3;
@@ -195,11 +195,16 @@ pub struct Scene {
 }
 
 impl Scene {
-    pub fn new(gpu: &Validated, world: &World, cameras: &[Camera]) -> Self {
+    pub fn new(gpu: &Validated, world: &SplatScene, cameras: &[Camera]) -> Self {
         Self::stored(gpu, world, cameras, Storage::Exact)
     }
 
-    pub fn stored(gpu: &Validated, world: &World, cameras: &[Camera], storage: Storage) -> Self {
+    pub fn stored(
+        gpu: &Validated,
+        world: &SplatScene,
+        cameras: &[Camera],
+        storage: Storage,
+    ) -> Self {
         let resident = GpuScene::upload(gpu, world, storage).unwrap();
         let shapes = gpu.read(&resident.shapes).unwrap();
         let rotations = gpu.read(&resident.rotations).unwrap();

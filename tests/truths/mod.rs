@@ -12,7 +12,7 @@ mod rules;
 
 use decouplegs::render::{Image, RenderOptions, Renderer};
 use decouplegs::scene::{
-    Camera, Intrinsics, Lens, Motion, Photometry, Pose, Rules, Shutter, World,
+    Camera, Intrinsics, Lens, Motion, Photometry, Pose, Rules, Shutter, SplatScene,
 };
 
 use crate::device::Validated;
@@ -80,7 +80,7 @@ impl Easel {
         Self { renderer, gpu }
     }
 
-    fn draw(&mut self, world: &World, camera: &Camera) -> Image {
+    fn draw(&mut self, world: &SplatScene, camera: &Camera) -> Image {
         let resident = self
             .renderer
             .upload(world)

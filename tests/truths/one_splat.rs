@@ -1,6 +1,6 @@
 //! A single splat has a closed form.
 
-use decouplegs::scene::{Rules, World};
+use decouplegs::scene::{Rules, SplatScene};
 
 use super::{BLUE, Easel, ROUNDING, Splat, WHITE, square_camera, world_of, worst_difference};
 
@@ -37,7 +37,7 @@ fn a_ball_on_the_axis_is_a_gaussian_as_wide_as_it_projects() {
         ..Splat::at(0.0, 0.0, 4.0)
     };
     let image = Easel::new(Rules::DEFAULT).draw(
-        &World {
+        &SplatScene {
             sky,
             ..world_of(&[ball])
         },

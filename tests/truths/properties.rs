@@ -1,6 +1,6 @@
 //! Truths of random worlds.
 
-use decouplegs::scene::{Camera, Pose, Rules, World};
+use decouplegs::scene::{Camera, Pose, Rules, SplatScene};
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestCaseError, TestRunner};
@@ -62,7 +62,7 @@ fn a_world_of_one_color_under_a_sky_of_that_color_is_that_color() {
         let rgb = splats[0].rgb;
         let splats: Vec<Splat> = splats.iter().map(|splat| Splat { rgb, ..*splat }).collect();
         let image = easel.draw(
-            &World {
+            &SplatScene {
                 sky: rgb,
                 ..world_of(&splats)
             },
@@ -84,7 +84,7 @@ fn the_sky_shows_with_what_is_left() {
         let sky = [0.25, 1.5, 0.75];
         let dark = easel.draw(&world_of(splats), &square_camera(48));
         let bright = easel.draw(
-            &World {
+            &SplatScene {
                 sky,
                 ..world_of(splats)
             },

@@ -3,7 +3,7 @@
 use decouplegs::render::reference;
 use decouplegs::render::rendered_image::Image;
 use decouplegs::scene::light::{Probe, Surroundings, to_display};
-use decouplegs::scene::{AmbientDescriptor, Rules, SplatCloud, World};
+use decouplegs::scene::{AmbientDescriptor, Rules, SplatCloud, SplatScene};
 use decouplegs::train::calibrate::{Calibration, HeldOut, Lighting, PreparedProbe, lit_cloud};
 
 use super::Subject;
@@ -101,9 +101,9 @@ fn image(cloud: SplatCloud, background: [f32; 3]) -> Image {
         focal_px,
         [WIDTH_PX, HEIGHT_PX],
     );
-    let world = World {
+    let world = SplatScene {
         sky: background,
-        ..World::of(cloud)
+        ..SplatScene::of(cloud)
     };
     reference::render(&world, &cameras[1], &Rules::DEFAULT).to_image()
 }

@@ -73,7 +73,10 @@ pub fn text(scored: &[Scored]) -> String {
              }| format!("{name} {p50_ms:.2}/{p99_ms:.2}"),
         )
         .collect();
-    format!("ms per step, median/p99 over {steps}: {}\n", parts.join(", "))
+    format!(
+        "ms per step, median/p99 over {steps}: {}\n",
+        parts.join(", ")
+    )
 }
 
 /// The same as a part of a page.

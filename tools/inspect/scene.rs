@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use decouplegs::asset::{LoadedScene, SceneFile};
 use decouplegs::scene::light::{CastingLights, Sun, Trust, ambient_by_definition};
-use decouplegs::scene::{Presence, RigCamera, RigLidar, ShFrame, Trajectory, World};
+use decouplegs::scene::{Presence, RigCamera, RigLidar, ShFrame, SplatScene, Trajectory};
 use glam::DVec3;
 use serde_json::{Value, json};
 
@@ -58,7 +58,7 @@ struct Agent {
 
 impl Listing {
     /// Lists `scene`, of which `loaded` was read and `world` baked.
-    pub fn of(scene: &SceneFile, loaded: &LoadedScene, world: &World) -> Self {
+    pub fn of(scene: &SceneFile, loaded: &LoadedScene, world: &SplatScene) -> Self {
         let mut splats = vec![0; scene.agents.len() + 1];
         world
             .instance_from_splat

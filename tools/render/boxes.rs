@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use decouplegs::asset::write_atomically;
 use decouplegs::render::{Image, Plane};
 use decouplegs::scene::bounding_box::{ImageBox, agent_box, visible_boxes};
-use decouplegs::scene::{Camera, Pose, World};
+use decouplegs::scene::{Camera, Pose, SplatScene};
 use serde_json::{Value, json};
 
 use super::coverage::Counter;
@@ -118,12 +118,12 @@ impl<'a> BoxList<'a> {
 }
 
 /// The world of one agent alone; `None` where it is absent.
-fn alone(scene: &Scene, instance: u16) -> Option<World> {
+fn alone(scene: &Scene, instance: u16) -> Option<SplatScene> {
     let loaded = &scene.loaded;
-    let mut world = World {
+    let mut world = SplatScene {
         origin: loaded.world.origin,
         rules: loaded.world.rules,
-        ..World::default()
+        ..SplatScene::default()
     };
     let coded = loaded
         .agents

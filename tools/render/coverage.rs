@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use decouplegs::gpu::Gpu;
 use decouplegs::render::reference::geometry;
 use decouplegs::render::{Image, Outputs, Plane, RenderOptions, Renderer};
-use decouplegs::scene::{Camera, World};
+use decouplegs::scene::{Camera, SplatScene};
 
 use crate::scene_source::Scene;
 
@@ -66,7 +66,7 @@ impl Counter {
     }
 
     /// Median depth of each pixel, meters; 0 where more than half of the light is left.
-    fn depths_m(&mut self, world: &World, camera: &Camera) -> Result<Vec<f32>> {
+    fn depths_m(&mut self, world: &SplatScene, camera: &Camera) -> Result<Vec<f32>> {
         match self {
             Self::Device(renderer) => {
                 let scene = renderer.upload(world)?;
@@ -84,7 +84,7 @@ impl Counter {
     /// it.
     pub fn coverage(
         &mut self,
-        (agent, instance): (&World, u16),
+        (agent, instance): (&SplatScene, u16),
         camera: &Camera,
         (instances, scene_m): (&[u16], &[f32]),
     ) -> Result<Coverage> {
@@ -180,12 +180,12 @@ mod tests {
 
     #[test]
     fn half_of_a_half_hidden_plate_is_visible() {
-        let agent = World::of(plate(-1.0, 1.0, 4.0));
+        let agent = SplatScene::of(plate(-1.0, 1.0, 4.0));
         // A wall 1 m nearer covers what is left of the middle.
-        let mut scene = World::of(plate(-2.0, 0.0, 3.0));
+        let mut scene = SplatScene::of(plate(-2.0, 0.0, 3.0));
         let at = Pose::IDENTITY;
         scene.bake_instance(&agent.splats, &at, decouplegs::scene::ShFrame::World, 1);
-        let of = |scene: &World| {
+        let of = |scene: &SplatScene| {
             let depths_m = geometry::depth_median(scene, &camera(), &scene.rules);
             let coverage =
                 Counter::Reference.coverage((&agent, 1), &camera(), (&HIDDEN, &depths_m));
@@ -205,9 +205,9 @@ mod tests {
     #[test]
     fn half_of_a_plate_across_the_edge_is_truncated() {
         // The right edge of the image is 2 m to the right at 4 m.
-        let agent = World::of(plate(1.0, 3.0, 4.0));
+        let agent = SplatScene::of(plate(1.0, 3.0, 4.0));
         let wall_m = [1.0; 400 * 300];
-        let of = |world: &World| {
+        let of = |world: &SplatScene| {
             let coverage = Counter::Reference.coverage((world, 1), &camera(), (&HIDDEN, &wall_m));
             coverage.unwrap()
         };
@@ -215,7 +215,7 @@ mod tests {
         assert_eq!(coverage.visible_fraction(), Some(0.0));
         let truncated = coverage.truncated_fraction().unwrap();
         assert!((truncated - 0.5).abs() < 0.02, "{truncated}");
-        let behind = World::of(plate(-1.0, 1.0, -4.0));
+        let behind = SplatScene::of(plate(-1.0, 1.0, -4.0));
         let none = of(&behind);
         assert_eq!(
             (none.visible_fraction(), none.truncated_fraction()),

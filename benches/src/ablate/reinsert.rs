@@ -6,7 +6,7 @@ use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
 use decouplegs::render::{Agent, AssetPool, Image, Outputs, Plane, RenderOptions, Renderer, Scene};
 use decouplegs::scene::light::{Lighting, ShadowOptions, bake_shadows};
-use decouplegs::scene::{AmbientDescriptor, Camera, GroundShadow, ShFrame, World};
+use decouplegs::scene::{AmbientDescriptor, Camera, GroundShadow, ShFrame, SplatScene};
 use decouplegs::synth::street::Weather;
 use decouplegs::{LiveScene, SceneSnapshot};
 
@@ -336,7 +336,7 @@ impl Reinsertion<'_> {
 
     /// The background under the shadows of `moment`, and world-space copies of the whole cars in
     /// its light.
-    pub fn copies(&self, moment: &SceneSnapshot) -> World {
+    pub fn copies(&self, moment: &SceneSnapshot) -> SplatScene {
         let mut world = self.stage.loaded.world.clone();
         bake_shadows(&mut world, &moment.shadows);
         for (agent, placed) in moment.agents.iter().zip(&self.stage.loaded.agents) {

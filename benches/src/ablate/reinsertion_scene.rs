@@ -5,7 +5,7 @@ use decouplegs::asset::{LoadedAgent, LoadedLight, LoadedScene};
 use decouplegs::scene::light::{AmbientOptions, RelightOptions, ShadowOptions};
 use decouplegs::scene::{
     AgentPlacement, Camera, Intrinsics, LightTransfer, Pose, Presence, ShFrame, SplatCloud,
-    TimedPose, Trajectory, World,
+    SplatScene, TimedPose, Trajectory,
 };
 use decouplegs::synth::street::{Street, StreetOptions, Weather};
 
@@ -32,7 +32,7 @@ pub struct ReinsertionScene {
 
 /// A street with its true cars at one moment, uncompressed.
 pub struct Truth {
-    pub world: World,
+    pub world: SplatScene,
     /// The cars as the street lights them, in the order of the originals.
     pub cars: Vec<SplatCloud>,
 }
@@ -72,9 +72,9 @@ impl ReinsertionScene {
             });
         let loaded = LoadedScene {
             plain_agents: Vec::new(),
-            world: World {
+            world: SplatScene {
                 sky: street.sky,
-                ..World::of(background.select(&order))
+                ..SplatScene::of(background.select(&order))
             },
             assets: cars.coded.clone(),
             agents: agents.collect::<Result<_>>()?,
@@ -169,7 +169,7 @@ impl ReinsertionScene {
             .zip(&placements)
             .map(|(cloud, placed)| cloud.select(&cars.orders[placed.asset]))
             .collect();
-        let mut world = World {
+        let mut world = SplatScene {
             splats: lit.background.select(&self.order),
             ..self.loaded.world.clone()
         };

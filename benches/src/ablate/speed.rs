@@ -3,7 +3,7 @@
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::{ColorFormat, GpuScene, Outputs, RenderOptions, Renderer};
-use decouplegs::scene::World;
+use decouplegs::scene::SplatScene;
 use decouplegs::{LiveScene, asset::LoadedScene};
 
 use crate::stress::drive_schedule::DriveSchedule;
@@ -59,9 +59,9 @@ impl<'a> Speed<'a> {
 
     /// Copies that stand, depth keys computed in every frame, two frames in flight: as `stress`
     /// measures vanilla.
-    pub fn of_copies(&self, copies: World) -> Result<Measured> {
+    pub fn of_copies(&self, copies: SplatScene) -> Result<Measured> {
         let mut renderer = self.renderer(false, 2);
-        let resident = renderer.upload(&World {
+        let resident = renderer.upload(&SplatScene {
             instance_from_splat: Vec::new(),
             ..copies
         })?;
@@ -72,12 +72,12 @@ impl<'a> Speed<'a> {
 
     /// Copies that are made and uploaded anew in each frame, as they must be where agents drive or
     /// light changes.
-    pub fn of_fresh_copies(&self, copies_at: impl Fn(f64) -> World) -> Result<Measured> {
+    pub fn of_fresh_copies(&self, copies_at: impl Fn(f64) -> SplatScene) -> Result<Measured> {
         let mut renderer = self.renderer(false, 1);
         // Kept until the next frame: this one is drawn from it.
         let mut shown: Option<GpuScene> = None;
         self.drive(&mut renderer, |renderer, time_s| {
-            let world = World {
+            let world = SplatScene {
                 instance_from_splat: Vec::new(),
                 ..copies_at(time_s)
             };

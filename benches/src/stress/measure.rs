@@ -8,7 +8,7 @@ use decouplegs::render::layout::{CLUSTER_SPLATS, ClusterRecord, NodeRecord};
 use decouplegs::render::{
     ColorFormat, GpuScene, Image, Outputs, Plane, RenderError, RenderOptions, Renderer, SHAPE_WORDS,
 };
-use decouplegs::scene::{Camera, CodedCloud, DetailLevels, World};
+use decouplegs::scene::{Camera, CodedCloud, DetailLevels, SplatScene};
 
 use super::drive_schedule::DriveSchedule;
 use super::fidelity::Fidelity;
@@ -125,7 +125,7 @@ impl<'a> TestRig<'a> {
             let mut renderer = Renderer::new(self.gpu, mode.options(rules, ColorFormat::U8));
             let resident = match mode.agents {
                 Agents::Copies { .. } => {
-                    let world = World {
+                    let world = SplatScene {
                         instance_from_splat: Vec::new(),
                         ..self.copies(count, schedule.middle_s(), kept.as_deref())
                     };
@@ -231,7 +231,7 @@ impl<'a> TestRig<'a> {
 
     /// Background and copies of the agents where they are at `time_s`; of all their splats those at
     /// `kept`, if given.
-    fn copies(&self, count: usize, time_s: f64, kept: Option<&[u32]>) -> World {
+    fn copies(&self, count: usize, time_s: f64, kept: Option<&[u32]>) -> SplatScene {
         let world = self.workload.copies(count, time_s);
         let Some(kept) = kept else { return world };
         let of = |&splat: &u32| world.instance_from_splat[splat as usize];
@@ -240,7 +240,7 @@ impl<'a> TestRig<'a> {
         } else {
             kept.iter().map(of).collect()
         };
-        World {
+        SplatScene {
             splats: world.splats.select(kept),
             instance_from_splat,
             ..world
@@ -323,7 +323,7 @@ fn refusal(error: &anyhow::Error) -> Option<Outcome> {
 }
 
 /// Size of `world` on the device, without the allocator's rounding.
-fn world_bytes(world: &World, mode: &Mode) -> u64 {
+fn world_bytes(world: &SplatScene, mode: &Mode) -> u64 {
     let (splats, cluster_bytes) = match mode.background_pitch_px {
         None => (world.splats.len(), size_of::<ClusterRecord>()),
         Some(_) => (

@@ -8,7 +8,9 @@ use decouplegs::asset::{
     LoadedAgent, LoadedScene, SceneFile, coded_asset, is_scene_file, read_coded, read_splats,
 };
 use decouplegs::gpu::Gpu;
-use decouplegs::scene::{CodedCloud, Presence, ShFrame, SplatCloud, TimedPose, Trajectory, World};
+use decouplegs::scene::{
+    CodedCloud, Presence, ShFrame, SplatCloud, SplatScene, TimedPose, Trajectory,
+};
 use decouplegs::synth::street::{Street, StreetOptions};
 use decouplegs::train::compress::{CompressOptions, Progress, Prune, compress};
 use serde_json::{Value, json};
@@ -143,9 +145,9 @@ impl Workload {
                 })
             });
         let agents = agents.collect::<Result<Vec<_>>>()?;
-        let world = World {
+        let world = SplatScene {
             sky: street.sky,
-            ..World::of(street.background.in_spatial_order())
+            ..SplatScene::of(street.background.in_spatial_order())
         };
         let staged = LoadedScene {
             plain_agents: Vec::new(),
@@ -286,7 +288,7 @@ impl Workload {
     }
 
     /// Background and originals of the first `count` agents where they are at `time_s`, one cloud.
-    pub fn copies(&self, count: usize, time_s: f64) -> World {
+    pub fn copies(&self, count: usize, time_s: f64) -> SplatScene {
         let mut world = self.staged.world.clone();
         for agent in &self.agents[..count] {
             let pose = agent.trajectory.at(time_s);

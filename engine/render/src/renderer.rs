@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::Instant;
 
 use decouplegs_gpu::{Gpu, QueueRole, Recorder, Ticket};
-use decouplegs_scene::{Camera, DepthOrder, DetailLevels, World};
+use decouplegs_scene::{Camera, DepthOrder, DetailLevels, SplatScene};
 
 use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
@@ -98,7 +98,7 @@ impl Renderer {
     ///
     /// # Errors
     /// Returns an error if it has too many splats, or the device not the memory.
-    pub fn upload(&self, world: &World) -> Result<GpuScene, RenderError> {
+    pub fn upload(&self, world: &SplatScene) -> Result<GpuScene, RenderError> {
         let splats = match self.options.background_pitch_px {
             None => world.splats.len(),
             Some(_) => DetailLevels::splats_at_most(world.splats.len()),

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytemuck::Zeroable;
 use decouplegs_gpu::{Buffer, Gpu};
 use decouplegs_scene::{
-    Bounds, Camera, DetailLevels, Fog, Photometry, SplatCloud, World, rules, sh,
+    Bounds, Camera, DetailLevels, Fog, Photometry, SplatCloud, SplatScene, rules, sh,
 };
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -79,7 +79,7 @@ impl GpuScene {
         self.sky_map.is_some() || cameras.into_iter().any(calibrated)
     }
 
-    /// Photometric calibration of the images of `camera`, as `World::photometry_of` gives it.
+    /// Photometric calibration of the images of `camera`, as `SplatScene::photometry_of` gives it.
     #[must_use]
     pub fn photometry_of(&self, camera: &Camera) -> Photometry {
         camera.intrinsics.photometry.or(self.photometry)
@@ -93,7 +93,7 @@ impl GpuScene {
     ///
     /// # Errors
     /// Returns an error if the device has not the memory, with the bytes wanted.
-    pub fn upload(gpu: &Gpu, world: &World, storage: Storage) -> Result<Self, RenderError> {
+    pub fn upload(gpu: &Gpu, world: &SplatScene, storage: Storage) -> Result<Self, RenderError> {
         let cloud = &world.splats;
         Self::of(
             gpu,
@@ -110,7 +110,7 @@ impl GpuScene {
     /// Returns an error if the device has not the memory, with the bytes wanted.
     pub fn upload_with_levels(
         gpu: &Gpu,
-        world: &World,
+        world: &SplatScene,
         storage: Storage,
     ) -> Result<Self, RenderError> {
         let levels = DetailLevels::build(&world.splats, &world.instance_from_splat);
@@ -124,7 +124,7 @@ impl GpuScene {
     /// `world` with other splats, and the instances that they belong to.
     fn of(
         gpu: &Gpu,
-        world: &World,
+        world: &SplatScene,
         (cloud, instance_from_splat): (&SplatCloud, &[u16]),
         nodes: &[NodeRecord],
         storage: Storage,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use decouplegs::render::layout::BeamState;
 use decouplegs::render::{Outputs, Plane, PlaneValues, RenderOptions, Renderer};
 use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions, Spin};
-use decouplegs::scene::{Lidar, Motion, Pose, World};
+use decouplegs::scene::{Lidar, Motion, Pose, SplatScene};
 use decouplegs::synth::street::{Street, StreetOptions};
 use glam::{DQuat, DVec3};
 
@@ -284,7 +284,7 @@ fn the_road_of_the_street_is_where_it_is() {
         agents: 0,
         ..StreetOptions::default()
     });
-    let mut world = World::of(street.background);
+    let mut world = SplatScene::of(street.background);
     world.splats = world.splats.in_spatial_order();
     let model = spinning(&uniform(64, 5.0, -25.0), 720, 360.0, Spin::Clockwise);
     let height_m = 1.9;

@@ -6,7 +6,7 @@ use anyhow::Result;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Image, RenderOptions, Renderer};
-use decouplegs::scene::{Camera, SplatCloud, World};
+use decouplegs::scene::{Camera, SplatCloud, SplatScene};
 use serde_json::{Value, json};
 
 /// Behind the asset: neither black nor white, so that what is missing shows on both dark and light
@@ -102,9 +102,9 @@ impl QualityMeter {
     }
 
     pub fn draw(&mut self, cloud: &SplatCloud, cameras: &[Camera]) -> Result<Vec<Image>> {
-        let world = World {
+        let world = SplatScene {
             sky: SKY_RGB,
-            ..World::of(cloud.in_spatial_order())
+            ..SplatScene::of(cloud.in_spatial_order())
         };
         let resident = self.renderer.upload(&world)?;
         self.renderer.render(&resident, cameras)?;

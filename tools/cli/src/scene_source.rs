@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use decouplegs::asset::{CameraOptions, LoadedScene, SplatFormat, open_scene, read_cameras};
-use decouplegs::scene::{Camera, Intrinsics, Rules, World};
+use decouplegs::scene::{Camera, Intrinsics, Rules, SplatScene};
 
 use crate::arguments::{RulesName, Size, finite, warn};
 use crate::orbit::OrbitArguments;
@@ -207,7 +207,7 @@ impl Scene {
 
     /// Background and agents as one cloud, at the moment of the scene: what the f64 definition
     /// draws.
-    pub fn world(&self) -> World {
+    pub fn world(&self) -> SplatScene {
         if self.loaded.agents.is_empty() {
             self.loaded.world.clone()
         } else {

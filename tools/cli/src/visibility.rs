@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use decouplegs::gpu::Gpu;
 use decouplegs::render::{GpuScene, Outputs, RenderError, RenderOptions, Renderer};
-use decouplegs::scene::{Camera, SplatCloud, World};
+use decouplegs::scene::{Camera, SplatCloud, SplatScene};
 
 use crate::progress;
 
@@ -31,7 +31,7 @@ pub fn visibility(gpu: &Gpu, cloud: &SplatCloud, cameras: &[Camera]) -> Result<V
     };
     let mut renderer = Renderer::new(gpu, options);
     let order = cloud.spatial_order();
-    let resident = renderer.upload(&World::of(cloud.select(&order)))?;
+    let resident = renderer.upload(&SplatScene::of(cloud.select(&order)))?;
     let ordered = mean_contributions(&mut renderer, &resident, cameras)
         .context("the visibility of the splats cannot be measured")?;
     let mut weights = vec![0.0; cloud.len()];

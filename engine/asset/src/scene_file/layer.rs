@@ -3,7 +3,7 @@
 
 use std::borrow::Cow;
 
-use decouplegs_scene::{Fog, Photometry, World};
+use decouplegs_scene::{Fog, Photometry, SplatScene};
 
 use super::LoadedScene;
 
@@ -24,7 +24,7 @@ impl LoadedScene {
     /// Part of [`LoadedScene::world`] that belongs to `layer`: its background, its agents of plain
     /// splats, or both.
     #[must_use]
-    pub fn standing(&self, layer: Layer) -> Cow<'_, World> {
+    pub fn standing(&self, layer: Layer) -> Cow<'_, SplatScene> {
         match layer {
             Layer::All => Cow::Borrowed(&self.world),
             Layer::Background | Layer::Agents => Cow::Owned(only(&self.world, layer)),
@@ -34,7 +34,7 @@ impl LoadedScene {
     /// [`LoadedScene::baked`], and of that what belongs to `layer`: the definition of the layer's
     /// image.
     #[must_use]
-    pub fn baked_layer(&self, time_s: f64, layer: Layer) -> World {
+    pub fn baked_layer(&self, time_s: f64, layer: Layer) -> SplatScene {
         match layer {
             Layer::All => self.baked(time_s),
             // Not of the baked world: shadows lie there.
@@ -45,7 +45,7 @@ impl LoadedScene {
 }
 
 /// The part of `world` that belongs to `layer`, in the order it had.
-fn only(world: &World, layer: Layer) -> World {
+fn only(world: &SplatScene, layer: Layer) -> SplatScene {
     let of_agents = |splat: &u32| {
         world
             .instance_from_splat
@@ -55,7 +55,7 @@ fn only(world: &World, layer: Layer) -> World {
     let splats = 0..world.splats.len() as u32;
     if layer == Layer::Background {
         let kept: Vec<u32> = splats.filter(|splat| !of_agents(splat)).collect();
-        return World {
+        return SplatScene {
             splats: world.splats.select(&kept),
             instance_from_splat: Vec::new(),
             sky_map: world.sky_map.clone(),
@@ -63,7 +63,7 @@ fn only(world: &World, layer: Layer) -> World {
         };
     }
     let kept: Vec<u32> = splats.filter(of_agents).collect();
-    World {
+    SplatScene {
         splats: world.splats.select(&kept),
         instance_from_splat: kept
             .iter()
@@ -102,12 +102,12 @@ mod tests {
 
     #[test]
     fn layers_part_the_splats_of_a_world_and_keep_their_order() {
-        let of = |xs: &[f32]| World {
+        let of = |xs: &[f32]| SplatScene {
             origin: DVec3::new(4.5e6, 0.0, 0.0),
             sky: [0.2, 0.3, 0.4],
             rules: Rules::INRIA,
             fog: Some(Fog::new(0.01, [0.5; 3])),
-            ..World::of(splats(xs))
+            ..SplatScene::of(splats(xs))
         };
         let background = of(&[3.0, 1.0, 2.0]);
         let mut world = background.clone();

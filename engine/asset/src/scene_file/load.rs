@@ -11,7 +11,7 @@ use decouplegs_scene::light::{
 };
 use decouplegs_scene::{
     CodedCloud, GroundShadow, LightTransfer, Motion, Pose, Presence, Rig, Sensor, ShFrame, SkyMap,
-    SplatCloud, Trajectory, World,
+    SplatCloud, SplatScene, Trajectory,
 };
 use glam::DVec3;
 
@@ -27,7 +27,7 @@ use crate::{AssetError, coded_asset, light_transfer_file, read_bytes, read_splat
 pub struct LoadedScene {
     /// Background, and the agents whose assets are plain splat files as they stand at the moment
     /// asked for. Each plain file's splats are in spatial order.
-    pub world: World,
+    pub world: SplatScene,
     /// Compressed assets (`.safetensors`), each file once.
     pub assets: Vec<CodedCloud>,
     /// The agents that show them, in the order of the scene file.
@@ -120,7 +120,7 @@ impl LoadedAgent {
 
 impl LoadedScene {
     /// A scene of background only, without cameras.
-    fn of_world(world: World) -> Self {
+    fn of_world(world: SplatScene) -> Self {
         Self {
             world,
             assets: Vec::new(),
@@ -171,7 +171,7 @@ impl LoadedScene {
     /// that is present at `time_s`, where it is then, in order, in the scene's light. What was in
     /// the world already stays as it stands.
     #[must_use]
-    pub fn baked(&self, time_s: f64) -> World {
+    pub fn baked(&self, time_s: f64) -> SplatScene {
         let mut world = self.world.clone();
         let lighting = self.lighting();
         let agents = self.agents.iter();
@@ -290,7 +290,7 @@ impl SceneFile {
         time_s: f64,
     ) -> Result<LoadedScene, AssetError> {
         let background = files.splats(&self.background)?.in_spatial_order();
-        let mut scene = LoadedScene::of_world(World {
+        let mut scene = LoadedScene::of_world(SplatScene {
             origin: self.origin,
             sky: self.sky,
             sky_map: self
@@ -301,7 +301,7 @@ impl SceneFile {
             photometry: self.photometry,
             fog: self.fog,
             rules: self.rules,
-            ..World::of(background)
+            ..SplatScene::of(background)
         });
         let mut loader = AgentLoader {
             files,
@@ -490,5 +490,5 @@ pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
         return open_packed_scene(path, time_s);
     }
     let splats = read_splats(path)?.in_spatial_order();
-    Ok(LoadedScene::of_world(World::of(splats)))
+    Ok(LoadedScene::of_world(SplatScene::of(splats)))
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use decouplegs_asset::{AssetError, SceneFile, inria_ply, open_scene, write_coded};
-use decouplegs_scene::{Lens, Pose, Rules, ShFrame, World};
+use decouplegs_scene::{Lens, Pose, Rules, ShFrame, SplatScene};
 use glam::{DQuat, DVec3};
 
 use crate::sample::{cloud, coded_cone};
@@ -369,7 +369,7 @@ fn agents_of_coded_assets_are_kept_apart_with_the_ids_of_their_place() {
     for (agent, instance, plain_instance) in [("parked", 1, 2), ("oncoming", 2, 1)] {
         std::fs::write(&path, example_with_asset(agent, "cone.safetensors")).unwrap();
         let scene = open_scene(&path, 0.0).unwrap();
-        let of_instance = |world: &World, id: u16| {
+        let of_instance = |world: &SplatScene, id: u16| {
             world
                 .instance_from_splat
                 .iter()

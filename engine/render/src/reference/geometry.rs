@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use decouplegs_scene::{Camera, Rules, SplatCloud, World};
+use decouplegs_scene::{Camera, Rules, SplatCloud, SplatScene};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -41,7 +41,7 @@ pub struct Geometry64 {
 /// Panics if the camera's intrinsics fail [`decouplegs_scene::Intrinsics::check`].
 #[must_use]
 pub fn render_geometry<'a>(
-    world_at: &(dyn Fn(f64) -> Cow<'a, World> + Sync),
+    world_at: &(dyn Fn(f64) -> Cow<'a, SplatScene> + Sync),
     camera: &Camera,
     rules: &Rules,
     interval_s: f64,
@@ -82,7 +82,7 @@ pub fn render_geometry<'a>(
 
 /// Mean of `shade` over the blended splats of each pixel.
 fn mean_of(
-    world: &World,
+    world: &SplatScene,
     camera: &Camera,
     rules: &Rules,
     shade: &(dyn Fn(usize) -> DVec3 + Sync),
@@ -104,14 +104,14 @@ fn mean_of(
 /// # Panics
 /// Panics if the camera's intrinsics fail [`decouplegs_scene::Intrinsics::check`].
 #[must_use]
-pub fn depth_median(world: &World, camera: &Camera, rules: &Rules) -> Vec<f32> {
+pub fn depth_median(world: &SplatScene, camera: &Camera, rules: &Rules) -> Vec<f32> {
     let (depths_m, _) = medians(world, camera, rules, &|_| DVec3::ZERO);
     depths_m.into_iter().map(|depth_m| depth_m as f32).collect()
 }
 
 /// Depth of the splat in which half of the light of each pixel is gone, and its `range` along x.
 fn medians(
-    world: &World,
+    world: &SplatScene,
     camera: &Camera,
     rules: &Rules,
     range: &(dyn Fn(usize) -> DVec3 + Sync),
@@ -136,7 +136,7 @@ fn medians(
 }
 
 /// Place of a splat's mean in the image, pixels; `None` behind the near plane.
-fn place(world: &World, camera: &Camera, rules: &Rules, splat: usize) -> Option<DVec2> {
+fn place(world: &SplatScene, camera: &Camera, rules: &Rules, splat: usize) -> Option<DVec2> {
     let pose = &camera.world_from_camera;
     let from_camera = world.splats.mean_m(splat) - (pose.translation - world.origin);
     let ray = pose.rotation.conjugate() * from_camera;

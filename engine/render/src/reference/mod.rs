@@ -21,7 +21,7 @@ pub use moving::{render_moving, render_moving_window};
 
 use std::borrow::Cow;
 
-use decouplegs_scene::{Camera, Intrinsics, Photometry, RayMap, Rules, World};
+use decouplegs_scene::{Camera, Intrinsics, Photometry, RayMap, Rules, SplatScene};
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -129,7 +129,7 @@ impl Window {
 /// # Panics
 /// Panics if the camera's intrinsics fail [`Intrinsics::check`]: readers refuse such cameras.
 #[must_use]
-pub fn render(world: &World, camera: &Camera, rules: &Rules) -> Image64 {
+pub fn render(world: &SplatScene, camera: &Camera, rules: &Rules) -> Image64 {
     if camera.motion.is_rest() || camera.intrinsics.shutter.is_global() {
         return render_window(world, camera, rules, Window::whole(&camera.intrinsics));
     }
@@ -146,7 +146,12 @@ pub fn render(world: &World, camera: &Camera, rules: &Rules) -> Image64 {
 /// Panics if the camera's intrinsics fail [`Intrinsics::check`] or the window does not lie in its
 /// image.
 #[must_use]
-pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Window) -> Image64 {
+pub fn render_window(
+    world: &SplatScene,
+    camera: &Camera,
+    rules: &Rules,
+    window: Window,
+) -> Image64 {
     let intrinsics = &camera.intrinsics;
     if let Err(fault) = intrinsics.check() {
         panic!("camera {}: {fault}", camera.name);
@@ -224,7 +229,7 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
 /// The splats that reach a pixel of `window`, nearest first, equal depths by index. `shade` gives
 /// the color of a splat, seen from the camera's center relative to the world's origin.
 fn front_to_back(
-    world: &World,
+    world: &SplatScene,
     camera: &Camera,
     rules: &Rules,
     window: &Window,

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use decouplegs_scene::{Camera, Rules, World};
+use decouplegs_scene::{Camera, Rules, SplatScene};
 use rayon::prelude::*;
 
 use super::{Image64, Window, render_window};
@@ -15,7 +15,7 @@ use super::{Image64, Window, render_window};
 /// Panics if the camera's intrinsics fail [`decouplegs_scene::Intrinsics::check`].
 #[must_use]
 pub fn render_moving<'a>(
-    world_at: &(dyn Fn(f64) -> Cow<'a, World> + Sync),
+    world_at: &(dyn Fn(f64) -> Cow<'a, SplatScene> + Sync),
     camera: &Camera,
     rules: &Rules,
 ) -> Image64 {
@@ -29,7 +29,7 @@ pub fn render_moving<'a>(
 /// does not lie in its image.
 #[must_use]
 pub fn render_moving_window<'a>(
-    world_at: &(dyn Fn(f64) -> Cow<'a, World> + Sync),
+    world_at: &(dyn Fn(f64) -> Cow<'a, SplatScene> + Sync),
     camera: &Camera,
     rules: &Rules,
     window: Window,

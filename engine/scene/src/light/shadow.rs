@@ -1,7 +1,7 @@
 //! Shadows on the ground that an agent stands on: soft super-ellipses, about its footprint or where
 //! its box keeps a light away.
 
-use crate::{Invalid, Pose, SplatCloud, World, sh};
+use crate::{Invalid, Pose, SplatCloud, SplatScene, sh};
 use glam::{DVec2, DVec3};
 
 /// Exponent of the super-ellipse: a rounded rectangle.
@@ -107,7 +107,7 @@ impl GroundShadow {
 /// which shadows do not lie on.
 ///
 /// `max(0, 0.5 + SH) f = max(0, f (0.5 + SH))`, so a darkened splat is a splat again.
-pub fn bake_shadows(world: &mut World, shadows: &[GroundShadow]) {
+pub fn bake_shadows(world: &mut SplatScene, shadows: &[GroundShadow]) {
     if shadows.is_empty() {
         return;
     }
@@ -195,14 +195,15 @@ mod tests {
             sh_dc: vec![[0.3; 3]; 2],
             sh_rest: vec![[0.2; 3]; 6],
         };
-        let mut world = World {
+        let mut world = SplatScene {
             origin: DVec3::new(4.5e6, 0.0, 0.0),
-            ..World::of(splat)
+            ..SplatScene::of(splat)
         };
         let before = world.clone();
         bake_shadows(&mut world, &[shadow(), shadow()]);
-        let shown =
-            |world: &World, splat: usize| 0.5 + sh::Y0 * f64::from(world.splats.sh_dc[splat][0]);
+        let shown = |world: &SplatScene, splat: usize| {
+            0.5 + sh::Y0 * f64::from(world.splats.sh_dc[splat][0])
+        };
         assert!((shown(&world, 0) - 0.04 * shown(&before, 0)).abs() < 1e-6);
         assert!((world.splats.sh_rest[0][0] - 0.04 * 0.2).abs() < 1e-6);
         assert_eq!(world.splats.sh_dc[1], before.splats.sh_dc[1]);

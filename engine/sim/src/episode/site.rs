@@ -18,8 +18,8 @@ use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
-    LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind, Trajectory,
-    VehicleSize, VehicleState, Weather, World,
+    LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind, SplatScene,
+    Trajectory, VehicleSize, VehicleState, Weather,
 };
 use decouplegs_session::{Session, SessionError, SessionScene};
 use decouplegs_synth::roads::{self, RoadsOptions};
@@ -156,10 +156,10 @@ impl Site {
                 let probe = probe.as_ref().map(read).transpose()?;
                 let options = RoadsOptions::new(*background, probe, *exposure_ev);
                 let drawn = roads::generate(&lanes, &options);
-                let world = World {
+                let world = SplatScene {
                     origin: drawn.origin,
                     sky: drawn.sky,
-                    ..World::of(drawn.background)
+                    ..SplatScene::of(drawn.background)
                 };
                 let cars = Cars {
                     signals: post_assets().into_iter().chain(sign_assets()).collect(),
@@ -213,9 +213,9 @@ impl Site {
         let Some(appearance) = appearance else {
             return Self::bare(street.lanes, street.obstacles, cars.sizes);
         };
-        let world = World {
+        let world = SplatScene {
             sky: street.sky,
-            ..World::of(street.background)
+            ..SplatScene::of(street.background)
         };
         let cars = Cars {
             signals: head_assets().into_iter().chain(sign_assets()).collect(),
@@ -236,13 +236,13 @@ impl Site {
         obstacles: Vec<Obstacle>,
         asset_sizes: Vec<VehicleSize>,
     ) -> Result<Self, SiteError> {
-        let loaded = empty_scene(World::default());
+        let loaded = empty_scene(SplatScene::default());
         Self::of(loaded, (lanes, obstacles), asset_sizes, None)
     }
 
     fn made_up(
         map: (LaneMap, Vec<Obstacle>),
-        mut world: World,
+        mut world: SplatScene,
         cars: Cars,
         appearance: &Appearance,
     ) -> Result<Self, SiteError> {
@@ -473,7 +473,7 @@ pub fn rig_of(place: &Place, directory: &Path) -> Result<Rig, SiteError> {
     }
 }
 
-fn empty_scene(world: World) -> LoadedScene {
+fn empty_scene(world: SplatScene) -> LoadedScene {
     LoadedScene {
         plain_agents: Vec::new(),
         world,

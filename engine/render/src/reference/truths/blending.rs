@@ -1,6 +1,6 @@
 //! Alpha compositing of the splats of a pixel.
 
-use decouplegs_scene::{DepthOrder, Rules, World};
+use decouplegs_scene::{DepthOrder, Rules, SplatScene};
 
 use super::{BLUE, Plain, RED, WHITE, camera, middle, world_of};
 use crate::reference::render;
@@ -20,9 +20,9 @@ fn the_nearer_of_two_covers_the_farther_whatever_their_order_in_the_file() {
 
 #[test]
 fn a_world_with_nothing_in_it_is_sky() {
-    let world = World {
+    let world = SplatScene {
         sky: [0.1, 0.2, 1.5],
-        ..World::default()
+        ..SplatScene::default()
     };
     let image = render(&world, &camera(3), &Rules::DEFAULT);
     assert!(
@@ -152,7 +152,7 @@ fn a_stack_of_a_hundred_thousand_layers_has_its_closed_form() {
     let layers: Vec<Plain> = (0..LAYERS)
         .map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32 * 1e-4], 1e-7, opacity, [0.75; 3]))
         .collect();
-    let world = World {
+    let world = SplatScene {
         sky: [1.0; 3],
         ..world_of(&layers)
     };
@@ -179,7 +179,7 @@ fn the_instance_is_the_one_of_the_largest_weight_and_the_nearer_of_equals() {
         let plain: Vec<Plain> = (0..3)
             .map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32], 0.5, opacities[i], WHITE))
             .collect();
-        let world = World {
+        let world = SplatScene {
             instance_from_splat: vec![3, 0, 7],
             ..world_of(&plain)
         };
@@ -200,7 +200,7 @@ fn equal_weights_belong_to_the_nearer() {
         Plain::ball([0.0, 0.0, 2.0], 0.5, 0.5, WHITE),
         Plain::ball([0.0, 0.0, 3.0], 0.5, 1.0, WHITE),
     ];
-    let world = World {
+    let world = SplatScene {
         instance_from_splat: vec![1, 2],
         ..world_of(&plain)
     };

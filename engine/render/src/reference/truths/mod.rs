@@ -6,7 +6,7 @@ mod limits;
 mod projection;
 
 use decouplegs_scene::{
-    Camera, Intrinsics, Lens, Motion, Photometry, Pose, Rules, Shutter, SplatCloud, World, sh,
+    Camera, Intrinsics, Lens, Motion, Photometry, Pose, Rules, Shutter, SplatCloud, SplatScene, sh,
 };
 
 use super::Image64;
@@ -31,8 +31,8 @@ impl Plain {
     }
 }
 
-fn world_of(plain: &[Plain]) -> World {
-    World::of(SplatCloud {
+fn world_of(plain: &[Plain]) -> SplatScene {
+    SplatScene::of(SplatCloud {
         means: plain.iter().map(|splat| splat.mean).collect(),
         scales: plain.iter().map(|splat| splat.scales).collect(),
         rotations: vec![[1.0, 0.0, 0.0, 0.0]; plain.len()],
@@ -78,7 +78,7 @@ fn middle(image: &Image64) -> usize {
     (image.width * image.height / 2) as usize
 }
 
-fn projected(world: &World, camera: &Camera, rules: &Rules) -> Option<Projected64> {
+fn projected(world: &SplatScene, camera: &Camera, rules: &Rules) -> Option<Projected64> {
     View::new(world.origin, camera, rules).project(&world.splats, 0)
 }
 

@@ -1,6 +1,6 @@
 //! Position, width and color of a splat.
 
-use decouplegs_scene::{Camera, Pose, Rules, World};
+use decouplegs_scene::{Camera, Pose, Rules, SplatScene};
 use glam::{DQuat, DVec2, DVec3};
 
 use super::{Plain, WHITE, camera, largest_difference, middle, projected, world_of};
@@ -8,7 +8,7 @@ use crate::reference::render;
 
 #[test]
 fn one_ball_on_the_axis_is_a_gaussian_of_the_projected_width() {
-    let world = World {
+    let world = SplatScene {
         sky: [0.0, 0.0, 0.25],
         ..world_of(&[Plain::ball([0.0, 0.0, 4.0], 0.08, 0.8, WHITE)])
     };
@@ -229,7 +229,7 @@ fn a_world_at_utm_coordinates_gives_the_same_image() {
         .collect();
     let here = world_of(&plain);
     let offset = DVec3::new(4.5e6, -6.1e5, 120.0);
-    let there = World {
+    let there = SplatScene {
         origin: offset,
         ..here.clone()
     };

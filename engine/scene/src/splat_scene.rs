@@ -1,4 +1,4 @@
-//! A world to be drawn: a background, the agents placed in it, its sky and its rules.
+//! A scene of splats to be drawn: a background, the agents placed in it, its sky and its rules.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ pub enum ShFrame {
     World,
 }
 
-/// An agent standing in a world.
+/// An agent in a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AgentPlacement {
     /// Names the agent in reports.
@@ -29,10 +29,10 @@ pub struct AgentPlacement {
     pub sh_frame: ShFrame,
 }
 
-/// World at one moment: everything that an image depends on besides the camera.
+/// Splats and surroundings at one moment: everything that an image depends on besides the camera.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct World {
-    /// All splats, background first, then agents in order; means are relative to [`World::origin`].
+pub struct SplatScene {
+    /// All splats, background first, then agents in order; means are relative to [`SplatScene::origin`].
     pub splats: SplatCloud,
     /// The instance each splat belongs to: 0 the background, `k` the `k`-th agent. Empty where
     /// there is only background.
@@ -41,9 +41,9 @@ pub struct World {
     /// their millimeters.
     pub origin: DVec3,
     /// Color where transmittance is left, display-referred RGB. Not used where there is a
-    /// [`World::sky_map`].
+    /// [`SplatScene::sky_map`].
     pub sky: [f32; 3],
-    /// Colors where transmittance is left, by direction. `None`: [`World::sky`] in all directions.
+    /// Colors where transmittance is left, by direction. `None`: [`SplatScene::sky`] in all directions.
     pub sky_map: Option<Arc<SkyMap>>,
     /// Photometric calibration of cameras that have none of their own.
     pub photometry: Photometry,
@@ -53,8 +53,8 @@ pub struct World {
     pub rules: Rules,
 }
 
-impl World {
-    /// A world of background only, its origin at zero, a black sky and the default rules.
+impl SplatScene {
+    /// A scene of background only, its origin at zero, a black sky and the default rules.
     #[must_use]
     pub fn of(splats: SplatCloud) -> Self {
         Self {
@@ -63,7 +63,7 @@ impl World {
         }
     }
 
-    /// Photometric calibration of images of this world: that of `intrinsics`, or that of the world
+    /// Photometric calibration of images of this scene: that of `intrinsics`, or that of the scene
     /// where it is the identity.
     #[must_use]
     pub fn photometry_of(&self, intrinsics: &Intrinsics) -> Photometry {
@@ -83,7 +83,7 @@ impl World {
         let last = self.instance_from_splat.last().copied().unwrap_or(0);
         let instance = last.checked_add(1).ok_or_else(|| {
             Invalid::new(format!(
-                "agent {}: more than 65535 agents in one world",
+                "agent {}: more than 65535 agents in one scene",
                 agent.name
             ))
         })?;
@@ -128,9 +128,9 @@ mod tests {
             sh_dc: vec![[0.0; 3]],
             sh_rest: vec![],
         };
-        let mut world = World {
+        let mut world = SplatScene {
             origin: DVec3::new(4.5e6, 0.0, 0.0),
-            ..World::of(one.clone())
+            ..SplatScene::of(one.clone())
         };
         for x in [0.0, 10.0] {
             let agent = AgentPlacement {
