@@ -32,7 +32,8 @@ pub struct AgentPlacement {
 /// Splats and surroundings at one moment: everything that an image depends on besides the camera.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplatScene {
-    /// All splats, background first, then agents in order; means are relative to [`SplatScene::origin`].
+    /// All splats, background first, then agents in order; means are relative to
+    /// [`SplatScene::origin`].
     pub splats: SplatCloud,
     /// The instance each splat belongs to: 0 the background, `k` the `k`-th agent. Empty where
     /// there is only background.
@@ -43,7 +44,8 @@ pub struct SplatScene {
     /// Color where transmittance is left, display-referred RGB. Not used where there is a
     /// [`SplatScene::sky_map`].
     pub sky: [f32; 3],
-    /// Colors where transmittance is left, by direction. `None`: [`SplatScene::sky`] in all directions.
+    /// Colors where transmittance is left, by direction. `None`: [`SplatScene::sky`] in all
+    /// directions.
     pub sky_map: Option<Arc<SkyMap>>,
     /// Photometric calibration of cameras that have none of their own.
     pub photometry: Photometry,

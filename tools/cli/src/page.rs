@@ -202,14 +202,15 @@ impl Table {
         });
         for (at, cell) in cells.iter().enumerate() {
             let is_text = self.columns[at].1 == Alignment::Text;
-            let _ = match missing {
-                0 if is_text => write!(self.rows, "<td class=\"text\">{cell}"),
-                1.. if at + 1 == cells.len() => write!(
+            let spans = missing > 0 && at + 1 == cells.len();
+            let _ = match (spans, is_text) {
+                (true, _) => write!(
                     self.rows,
                     "<td colspan=\"{}\" class=\"text\">{cell}",
                     missing + 1
                 ),
-                _ => write!(self.rows, "<td>{cell}"),
+                (false, true) => write!(self.rows, "<td class=\"text\">{cell}"),
+                (false, false) => write!(self.rows, "<td>{cell}"),
             };
         }
         self.rows.push_str("</tr>");
@@ -247,7 +248,9 @@ mod tests {
 
     #[test]
     fn a_short_row_ends_in_a_sentence() {
-        let mut table = Table::new(["mode", "agents", "ms", "what"]).with_text_in(3);
+        let mut table = Table::new(["mode", "agents", "ms", "what"])
+            .with_text_in(0)
+            .with_text_in(3);
         table.row(["a<b", "1", "2.0", "whole"]);
         table.row_that_stands_out(true, ["c", "not drawn"]);
         let html = table.to_html();
@@ -256,12 +259,12 @@ mod tests {
             "{html}"
         );
         assert!(
-            html.contains("<tr><td>a&lt;b<td>1<td>2.0<td class=\"text\">whole</tr>"),
+            html.contains("<tr><td class=\"text\">a&lt;b<td>1<td>2.0<td class=\"text\">whole</tr>"),
             "{html}"
         );
         assert!(
             html.contains(
-                "<tr class=\"main\"><td>c<td colspan=\"3\" class=\"text\">not drawn</tr>"
+                "<tr class=\"main\"><td class=\"text\">c<td colspan=\"3\" class=\"text\">not drawn</tr>"
             ),
             "{html}"
         );
