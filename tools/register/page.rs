@@ -65,9 +65,9 @@ fn table(page: &mut Page, measured: &Measured) {
          that, across the lane and along it: near 1 m, which is what is assumed of drift before, the lanes do not show it and the \
          place along the lane is as logged. ADE is the mean distance, as logged -> registered: to the nearest centerline (lane changes \
          left out) and to the truth, whose parts across and along the lane follow. GPR and p95, the distance from the ground that \
-         95 % of corners keep within, are as in Clearance. Notes count poses: no-support had no ground below and stands at the height \
-         of the map; no-height had neither ground nor map nor log to tell its height, and stands at 0; uneven stands on something; \
-         parked travels too little to follow lanes; lane-unsure fits several lanes about as well.",
+         95 % of corners keep within, are explained under Clearance. Notes count poses. no-support: there was no ground below, and the pose has \
+         the height of the map. no-height: there was no ground, map or log with a height, and the pose has height 0. uneven: the ground below \
+         the box is no plane. parked: the vehicle moves too little to follow lanes. lane-unsure: several lanes fit about equally well.",
     );
 }
 

@@ -129,10 +129,7 @@ impl Figure {
 }
 
 /// `image` as a PNG in a `data:` address.
-///
-/// # Errors
-/// Returns an error if the image cannot be encoded.
-pub fn png_address(image: &Image) -> Result<String> {
+fn png_address(image: &Image) -> Result<String> {
     let bytes = image.encode(ImageFileFormat::Png)?;
     Ok(format!("data:image/png;base64,{}", STANDARD.encode(bytes)))
 }
@@ -173,10 +170,7 @@ impl Table {
     /// Appends a row of text. A last cell before the last column spans the columns that remain, as
     /// a sentence.
     pub fn row(&mut self, cells: impl IntoIterator<Item = impl Display>) {
-        self.row_of_html(
-            false,
-            cells.into_iter().map(|cell| escaped(&cell.to_string())),
-        );
+        self.row_that_stands_out(false, cells);
     }
 
     /// Appends a row of text that stands out where `is_main` says so.

@@ -77,8 +77,9 @@ fn widest_component(entries: Vectors<'_>) -> usize {
         values.map(|value| (value - mean).powi(2)).sum::<f64>()
     };
     (0..entries.dimension)
-        .max_by(|&a, &b| variance(a).total_cmp(&variance(b)))
-        .unwrap_or(0)
+        .map(|component| (variance(component), component))
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map_or(0, |(_, component)| component)
 }
 
 impl SearchBook {
