@@ -31,7 +31,7 @@ layout(set = 0, binding = 1, scalar) readonly buffer required_block { RequiredCo
 layout(set = 0, binding = 2, scalar) readonly buffer lists_block { ViewLists lists[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer keys_block { uint keys[]; };
 layout(set = 0, binding = 4, std430) readonly buffer footprints_block { uvec4 footprints[]; };
-layout(set = 0, binding = 5, scalar) buffer slab_counts_block { uint slab_counts[]; }; // [coarse tile][slab]; for FILL, the next place
+layout(set = 0, binding = 5, scalar) buffer slab_counts_block { uint slab_counts[]; }; // [coarse tile][slab]; for FILL, the next index
 layout(set = 0, binding = 6, std430) writeonly buffer pairs_block { uvec2 pairs[]; }; // depth key, record
 
 layout(push_constant, scalar) uniform push_block {
@@ -70,13 +70,13 @@ ivec2 rows_of(Footprint splat, Camera camera) {
 }
 
 void bin_row(Camera camera, Footprint splat, uint record, uint key, uint row) {
-    uint slab = slab_and_place(key, RADIAL ? 0.0 : camera.key_depth, camera.key_scale).x;
+    uint slab = slab_and_offset(key, RADIAL ? 0.0 : camera.key_depth, camera.key_scale).x;
     ivec2 tiles = LIDAR ? ivec2(splat.mean_px) / int(COARSE_WIDTH_PX) : reached_coarse_tiles(splat, row, camera.size_px);
     for (int tile = tiles.x; tile <= tiles.y; ++tile) {
         uint bin = camera.first_bin + row * camera.coarse_tiles.x + uint(tile);
-        uint place = atomicAdd(slab_counts[bin * SLABS + slab], 1u);
-        if (FILL && place < pairs_max) {
-            pairs[place] = uvec2(key, record); // one write: places of neighbors lie anywhere
+        uint index = atomicAdd(slab_counts[bin * SLABS + slab], 1u);
+        if (FILL && index < pairs_max) {
+            pairs[index] = uvec2(key, record); // one write: neighbors are written far apart
         }
     }
 }

@@ -48,7 +48,7 @@ layout(constant_id = 7) const bool FINISH = false; // blend again what composite
 layout(constant_id = 8) const uint BATCH = 512u; // records that are staged at a time, a multiple of 32
 layout(constant_id = 9) const bool ONE_BATCH = false; // no segment is longer than a batch
 layout(constant_id = 10) const bool MEDIAN = false; // with EXCLUSIVE_STOP: the color of the splat in which half of the light is gone
-layout(constant_id = 11) const bool ATTRIBUTES = false; // blend attributes in the place of colors
+layout(constant_id = 11) const bool ATTRIBUTES = false; // blend attributes instead of colors
 
 layout(set = 0, binding = 5, scalar) buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { BlendItem items[]; };
@@ -119,8 +119,8 @@ uint uncovered_tiles(BlendItem item, uint thread) {
 // all.
 void blend_one_list(inout LanePixels pixels, vec2 at, uint list, uint count) {
     for (uint first = 0u; first < count; first += LANES) {
-        uint place = first + gl_SubgroupInvocationID;
-        Staged own = staged_record(place < count ? list_entries[list + place] : NO_RECORD);
+        uint index = first + gl_SubgroupInvocationID;
+        Staged own = staged_record(index < count ? list_entries[list + index] : NO_RECORD);
         [[unroll]] for (uint next = 0u; next < LANES; ++next) {
             blend_record(pixels, at, record_of_lane(own, next));
         }
@@ -133,31 +133,31 @@ void blend_lists(inout LanePixels pixels, vec2 at, uint list, uint count) {
     // All run as long as the longest, four records at a time: shorter lists are filled up.
     uint end = (subgroupMax(count) + 3u) / 4u * 4u;
     for (uint first = 0u; first < end; first += BLOCK_LANES) {
-        uint place = first + gl_SubgroupInvocationID % BLOCK_LANES;
-        if (place >= count && place < end) {
-            list_entries[list + place] = NO_RECORD;
+        uint index = first + gl_SubgroupInvocationID % BLOCK_LANES;
+        if (index >= count && index < end) {
+            list_entries[list + index] = NO_RECORD;
         }
     }
     subgroupBarrier(); // the lists are written
-    for (uint place = list; place < list + end; place += 4u) {
+    for (uint index = list; index < list + end; index += 4u) {
         [[unroll]] for (uint next = 0u; next < 4u; ++next) {
-            blend_record(pixels, at, staged_record(list_entries[place + next]));
+            blend_record(pixels, at, staged_record(list_entries[index + next]));
         }
     }
 }
 
-// Blends the batch into the subgroup's share that begins at `first_place`; false once all its
+// Blends the batch into the subgroup's share that begins at `first_index`; false once all its
 // pixels are full. Every lane calls it.
-bool blend_share(inout LanePixels pixels, uint first_place, uint batch_records) {
+bool blend_share(inout LanePixels pixels, uint first_index, uint batch_records) {
     uint lane = gl_SubgroupInvocationID;
     uint own_block = lane / BLOCK_LANES;
     uint lists = gl_LocalInvocationIndex / LANES * BLOCKS * LIST_ROOM;
-    vec2 at = vec2(pixel_offset(first_place + lane)) + 0.5;
+    vec2 at = vec2(pixel_offset(first_index + lane)) + 0.5;
     uint words = (batch_records + 31u) / 32u;
     uint listed = 0u; // records in the list of the lane's own block
     bool open = true;
     for (uint first_word = 0u; first_word < words && open; first_word += LANES) {
-        uint bits = tile_word(fine_tile(first_place), first_word + lane, words);
+        uint bits = tile_word(fine_tile(first_index), first_word + lane, words);
         uint count = uint(bitCount(bits));
         uint before = subgroupExclusiveAdd(count);
         uint candidates = subgroupAdd(count);
@@ -166,7 +166,7 @@ bool blend_share(inout LanePixels pixels, uint first_place, uint batch_records) 
             uint rank = done + lane;
             uint entry = 32u * first_word + record_of_rank(rank, bits, before);
             entry = rank < candidates && lane < ROUND ? entry : NO_RECORD;
-            uint blocks = reached_blocks(entry, first_place);
+            uint blocks = reached_blocks(entry, first_index);
             [[unroll]] for (uint block = 0u; block < BLOCKS; ++block) {
                 uint list_end = subgroupShuffle(listed, block * BLOCK_LANES);
                 bool reached = (blocks >> block & 1u) != 0u;
@@ -237,36 +237,36 @@ void hold_drawn_tiles(BlendItem item, uint tiles, bool has_any) {
     barrier();
 }
 
-void write_partial(uint place, Pixel pixel, bool full) {
-    if (has_partial(held_tiles, place)) {
+void write_partial(uint index, Pixel pixel, bool full) {
+    if (has_partial(held_tiles, index)) {
         // Negative: the pixel ends here.
         pixel.transmittance = EXCLUSIVE_STOP && full ? -pixel.transmittance : pixel.transmittance;
-        store_partial(held_tiles, place, pixel);
+        store_partial(held_tiles, index, pixel);
     }
 }
 
 // Pixel before its segment, or a full pixel if there is nothing to finish in it.
-Pixel unfinished_pixel(PartialTiles held, uint place, out bool full) {
-    Pixel pixel = load_partial(held, place);
+Pixel unfinished_pixel(PartialTiles held, uint index, out bool full) {
+    Pixel pixel = load_partial(held, index);
     full = !(pixel.transmittance < 0.0);
     pixel.transmittance = full ? 0.0 : -pixel.transmittance;
     return pixel;
 }
 
-// The pixels of a lane before the segment is blended, the left one at `place` of the coarse tile at
+// The pixels of a lane before the segment is blended, the left one at `index` of the coarse tile at
 // `origin`.
-LanePixels first_pixels(BlendItem item, Camera camera, uvec2 origin, uint place) {
-    LanePixels pixels = empty_pixels(origin + pixel_offset(place), camera.size_px);
+LanePixels first_pixels(BlendItem item, Camera camera, uvec2 origin, uint index) {
+    LanePixels pixels = empty_pixels(origin + pixel_offset(index), camera.size_px);
     if (FINISH) {
         PartialTiles held = partial_tiles[item.partial];
-        pixels.left = unfinished_pixel(held, place, pixels.left_full);
-        pixels.right = unfinished_pixel(held, place + LEFT_PIXELS, pixels.right_full);
+        pixels.left = unfinished_pixel(held, index, pixels.left_full);
+        pixels.right = unfinished_pixel(held, index + LEFT_PIXELS, pixels.right_full);
     }
     return pixels;
 }
 
-void write_result(BlendItem item, Camera camera, uvec2 origin, uint place, LanePixels pixels) {
-    uvec2 at = origin + pixel_offset(place);
+void write_result(BlendItem item, Camera camera, uvec2 origin, uint index, LanePixels pixels) {
+    uvec2 at = origin + pixel_offset(index);
     if (FINISH) {
         // Composite has written the pixel as it is without an end in this segment, and pixels that
         // were full before keep that.
@@ -280,18 +280,18 @@ void write_result(BlendItem item, Camera camera, uvec2 origin, uint place, LaneP
         write_pixel(camera, at, pixels.left, sky, image_pixels);
         write_pixel(camera, at + uvec2(2u, 0u), pixels.right, sky, image_pixels);
     } else {
-        write_partial(place, pixels.left, pixels.left_full);
-        write_partial(place + LEFT_PIXELS, pixels.right, pixels.right_full);
+        write_partial(index, pixels.left, pixels.left_full);
+        write_partial(index + LEFT_PIXELS, pixels.right, pixels.right_full);
         // Positive floats order as their bits.
         float through = max(left_through(pixels.left, pixels.left_full), left_through(pixels.right, pixels.right_full));
-        atomicMax(tile_largest[fine_tile(place)], floatBitsToUint(through));
+        atomicMax(tile_largest[fine_tile(index)], floatBitsToUint(through));
     }
 }
 
-// True if the share that begins at `first_place` has one of the segment's fine tiles that are to
+// True if the share that begins at `first_index` has one of the segment's fine tiles that are to
 // be rendered.
-bool is_drawn(uint tiles, uint first_place) {
-    return (tiles >> fine_tile(first_place) & (LANES > 32u ? 3u : 1u)) != 0u;
+bool is_drawn(uint tiles, uint first_index) {
+    return (tiles >> fine_tile(first_index) & (LANES > 32u ? 3u : 1u)) != 0u;
 }
 
 // Blends a segment of one batch: subgroups take shares from a counter.
@@ -312,12 +312,12 @@ void blend_one_batch(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
         if (share >= SHARES) {
             break;
         }
-        uint first_place = share * LANES;
-        if (is_drawn(tiles, first_place)) {
-            uint place = first_place + gl_SubgroupInvocationID;
-            LanePixels pixels = first_pixels(item, camera, origin, place);
-            blend_share(pixels, first_place, item.pairs);
-            write_result(item, camera, origin, place, pixels);
+        uint first_index = share * LANES;
+        if (is_drawn(tiles, first_index)) {
+            uint index = first_index + gl_SubgroupInvocationID;
+            LanePixels pixels = first_pixels(item, camera, origin, index);
+            blend_share(pixels, first_index, item.pairs);
+            write_result(item, camera, origin, index, pixels);
         }
     }
 }
@@ -421,8 +421,8 @@ void main() {
         // Tells later segments of the tile how much this one lets through.
         barrier();
         if (thread < 32u) {
-            uint place = 32u * item.partial + thread;
-            atomicStore(partial_transmittances[place], tile_largest[thread], gl_ScopeDevice, gl_StorageSemanticsBuffer, gl_SemanticsRelaxed);
+            uint index = 32u * item.partial + thread;
+            atomicStore(partial_transmittances[index], tile_largest[thread], gl_ScopeDevice, gl_StorageSemanticsBuffer, gl_SemanticsRelaxed);
         }
     }
 }

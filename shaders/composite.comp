@@ -35,13 +35,13 @@ const uint AHEAD = 4u;
 
 #include "partial.glsl"
 
-// Leaves `before`, what lies before segment `slot`, in the place of what the segment adds, to be
+// Leaves `before`, what lies before segment `slot`, in place of what the segment adds, to be
 // blended again from there; nothing where the segment draws nothing.
-void leave_unfinished(uint slot, PartialTiles held, uint place, Pixel before) {
-    if (has_partial(held, place)) {
+void leave_unfinished(uint slot, PartialTiles held, uint index, Pixel before) {
+    if (has_partial(held, index)) {
         before.transmittance = -before.transmittance;
-        store_partial(held, place, before);
-        atomicOr(partial_unfinished[slot], 1u << fine_tile(place));
+        store_partial(held, index, before);
+        atomicOr(partial_unfinished[slot], 1u << fine_tile(index));
     }
 }
 
@@ -50,10 +50,10 @@ void main() {
     if (composite_index >= required.composites) {
         return;
     }
-    uint place = group_index() % COMPOSITE_GROUPS * WORKGROUP_THREADS + gl_LocalInvocationIndex; // in a partial result
+    uint index = group_index() % COMPOSITE_GROUPS * WORKGROUP_THREADS + gl_LocalInvocationIndex; // in a partial result
     Composite composite = composites[composite_index];
     Camera camera = cameras[camera_of_bin(composite.bin, camera_count)];
-    uvec2 at = coarse_tile_origin(composite.bin, camera) + pixel_offset(place);
+    uvec2 at = coarse_tile_origin(composite.bin, camera) + pixel_offset(index);
     if (any(greaterThanEqual(at, camera.size_px))) {
         return;
     }
@@ -67,7 +67,7 @@ void main() {
             held[next] = partial_tiles[composite.first_partial + min(base + next, composite.partials - 1u)];
         }
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
-            ahead[next] = load_partial(held[next], place);
+            ahead[next] = load_partial(held[next], index);
         }
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
             uint segment = base + next;
@@ -79,7 +79,7 @@ void main() {
                 pixel = over(before, ahead[next]);
                 bool ends = EXCLUSIVE_STOP && segment > 0u && pixel.transmittance <= stop_limit();
                 if (ends || (CONTRIBUTIONS && segment > 0u)) {
-                    leave_unfinished(composite.first_partial + segment, held[next], place, before);
+                    leave_unfinished(composite.first_partial + segment, held[next], index, before);
                 }
                 open = EXCLUSIVE_STOP ? open && !ends : pixel.transmittance > TRANSMITTANCE_FULL;
             }

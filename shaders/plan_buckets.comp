@@ -21,22 +21,22 @@ layout(local_size_x = 256) in;
 #include "block.glsl"
 
 layout(set = 0, binding = 0, scalar) buffer required_block { RequiredCounts required; };
-layout(set = 0, binding = 1, scalar) buffer slab_counts_block { uint slab_counts[]; }; // pairs, then the first place
-layout(set = 0, binding = 2, scalar) writeonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first place and length
+layout(set = 0, binding = 1, scalar) buffer slab_counts_block { uint slab_counts[]; }; // pairs, then the first pair
+layout(set = 0, binding = 2, scalar) writeonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first pair and length
 layout(set = 0, binding = 3, scalar) writeonly buffer buckets_block { Bucket buckets[]; };
 
 layout(push_constant, scalar) uniform push_block { uint bin_count; uint buckets_max; };
 
 const uint SLABS_PER_THREAD = SLABS / WORKGROUP_THREADS;
 
-shared uint ends[2u * SLABS]; // of the buckets, relative to the tile's first place
-shared uint first_place;
+shared uint ends[2u * SLABS]; // of the buckets, relative to the tile's first pair
+shared uint first_pair;
 shared uint first_bucket;
 
 // Buckets that end where a slab begins or ends.
-uint ends_at(uint place, uint count) {
+uint ends_at(uint index, uint count) {
     uint by_itself = count >= BUCKET_PAIRS ? 1u : 0u;
-    return by_itself + (place / BUCKET_PAIRS != (place + count) / BUCKET_PAIRS ? 1u : 0u);
+    return by_itself + (index / BUCKET_PAIRS != (index + count) / BUCKET_PAIRS ? 1u : 0u);
 }
 
 void main() {
@@ -55,45 +55,45 @@ void main() {
     uint total;
     uint before = block_exclusive_sum(own, total);
     uint own_ends = 0u;
-    uint place = before;
+    uint index = before;
     for (uint slab = 0u; slab < SLABS_PER_THREAD; ++slab) {
-        own_ends += ends_at(place, counts[slab]);
-        place += counts[slab];
+        own_ends += ends_at(index, counts[slab]);
+        index += counts[slab];
     }
     uint end_total;
     uint end_index = block_exclusive_sum(own_ends, end_total);
-    place = before;
+    index = before;
     for (uint slab = 0u; slab < SLABS_PER_THREAD; ++slab) {
-        uint end_count = ends_at(place, counts[slab]);
+        uint end_count = ends_at(index, counts[slab]);
         if (end_count == 2u) {
-            ends[end_index++] = place;
+            ends[end_index++] = index;
         }
-        place += counts[slab];
+        index += counts[slab];
         if (end_count > 0u) {
-            ends[end_index++] = place;
+            ends[end_index++] = index;
         }
     }
     barrier();
     bool rest = total > (end_total == 0u ? 0u : ends[end_total - 1u]);
     uint bucket_count = end_total + (rest ? 1u : 0u);
     if (thread == 0u) {
-        first_place = atomicAdd(required.pairs, total);
+        first_pair = atomicAdd(required.pairs, total);
         atomicAdd(required.pairs_low, total & 0xffffu);
         atomicAdd(required.pairs_high, total >> 16u);
         first_bucket = atomicAdd(required.buckets, bucket_count);
-        tile_lists[bin] = uvec2(first_place, total);
+        tile_lists[bin] = uvec2(first_pair, total);
     }
     barrier();
     for (uint bucket = thread; bucket < bucket_count; bucket += WORKGROUP_THREADS) {
         uint begin = bucket == 0u ? 0u : ends[bucket - 1u];
         uint end = bucket < end_total ? ends[bucket] : total;
         if (first_bucket + bucket < buckets_max) {
-            buckets[first_bucket + bucket] = Bucket(first_place + begin, end - begin, bin);
+            buckets[first_bucket + bucket] = Bucket(first_pair + begin, end - begin, bin);
         }
     }
-    place = first_place + before;
+    index = first_pair + before;
     for (uint slab = 0u; slab < SLABS_PER_THREAD; ++slab) {
-        slab_counts[first_count + slab] = place;
-        place += counts[slab];
+        slab_counts[first_count + slab] = index;
+        index += counts[slab];
     }
 }

@@ -26,7 +26,7 @@ layout(local_size_x = 256) in;
 layout(constant_id = 0) const uint SEGMENT_PAIRS = 1024u; // 0xffffffff: never cut, blend each list in one run
 
 layout(set = 0, binding = 0, scalar) buffer required_block { RequiredCounts required; };
-layout(set = 0, binding = 1, scalar) readonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first place and length
+layout(set = 0, binding = 1, scalar) readonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first pair and length
 layout(set = 0, binding = 2, scalar) writeonly buffer items_block { BlendItem items[]; };
 layout(set = 0, binding = 3, scalar) writeonly buffer composites_block { Composite composites[]; };
 layout(set = 0, binding = 4, scalar) writeonly buffer arguments_block { uvec3 arguments[]; };

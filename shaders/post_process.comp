@@ -53,9 +53,9 @@ vec3 sky_color(vec3 direction) {
         at = vec2(direction.z > 0.0 ? direction.x : -direction.x, -direction.y);
     }
     // The center of texel 0 is 1 in the face with its border.
-    vec2 place = 0.5 * (at / longest + 1.0) * float(face_texels) + 0.5;
-    vec2 first = min(floor(place), vec2(float(face_texels)));
-    vec2 share = place - first;
+    vec2 texel = 0.5 * (at / longest + 1.0) * float(face_texels) + 0.5;
+    vec2 first = min(floor(texel), vec2(float(face_texels)));
+    vec2 share = texel - first;
     uint side = face_texels + 2u;
     uint corner = (face * side + uint(first.y)) * side + uint(first.x);
     vec3 upper = mix(sky_texels[corner], sky_texels[corner + 1u], share.x);
@@ -84,8 +84,8 @@ void main() {
         return;
     }
     vec2 center_px = vec2(pixel % size_px.x, pixel / size_px.x) + 0.5;
-    uint place = cameras[camera].first_pixel + pixel;
-    vec4 value = blended[place];
+    uint index = cameras[camera].first_pixel + pixel;
+    vec4 value = blended[index];
     if (SKY) {
         vec3 ray = LENS ? rays[pixel] : vec3((center_px - cameras[camera].principal_px) / cameras[camera].focal_px, 1.0);
         // A rolling shutter exposes each pixel with the camera's pose at the pixel's own time.
@@ -100,8 +100,8 @@ void main() {
     }
     value.rgb = calibrated(value.rgb, center_px);
     if (COLOR_U8) {
-        images_u8[place] = packUnorm4x8(value);
+        images_u8[index] = packUnorm4x8(value);
     } else {
-        images_f32[place] = value;
+        images_f32[index] = value;
     }
 }

@@ -1,6 +1,6 @@
 #version 460
 // Resolves a plane: means of an attribute over the blended splats of each pixel, from the sums that
-// blending left in the place of color, or medians, where blending left the median itself.
+// blending left instead of color, or medians, where blending left the median itself.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"

@@ -55,10 +55,10 @@ bool stands_before(uint key, uint record, uint other_key, uint other_record) {
 // Pairs of a bin above which comparing all with all takes longer than the bitonic sort.
 const uint BIN_PAIRS_MAX = 128u;
 
-// The bin of a key in its bucket: a slab's pairs are spread over as many bins, by their place in
+// The bin of a key in its bucket: a slab's pairs are spread over as many bins, by their offset in
 // the slab.
 uint bin_of(uint key, Bucket bucket, float camera_depth, float key_scale) {
-    uvec2 slab = slab_and_place(key, camera_depth, key_scale);
+    uvec2 slab = slab_and_offset(key, camera_depth, key_scale);
     uint at = bucket.bin * SLABS + slab.x;
     uint begin = slab.x == 0u ? bucket.first_pair : slab_ends[at - 1u];
     uint count = slab_ends[at] - begin; // at most SHARED_PAIRS: the product fits 32 bits
@@ -67,7 +67,7 @@ uint bin_of(uint key, Bucket bucket, float camera_depth, float key_scale) {
 
 // The bin of a key where the bucket is one slab, which has as many bins as there is room for.
 uint bin_in_slab(uint key, float camera_depth, float key_scale) {
-    return slab_and_place(key, camera_depth, key_scale).y / ((1u << SLAB_SHIFT) / SHARED_PAIRS);
+    return slab_and_offset(key, camera_depth, key_scale).y / ((1u << SLAB_SHIFT) / SHARED_PAIRS);
 }
 
 void empty_bins(uint count, uint thread) {
@@ -133,8 +133,8 @@ void sort_few(uint first, uint count, uint thread) {
     if (thread < count) {
         uvec2 own = pairs[first + thread];
         uint rank = 0u;
-        for (uint place = 0u; place < count; ++place) {
-            uvec2 other = pairs[first + place];
+        for (uint index = 0u; index < count; ++index) {
+            uvec2 other = pairs[first + index];
             rank += stands_before(other.x, other.y, own.x, own.y) ? 1u : 0u;
         }
         sorted_records[first + rank] = own.y;
@@ -143,26 +143,26 @@ void sort_few(uint first, uint count, uint thread) {
 
 // Sorts the `count` pairs in shared memory, and writes their records from `first` on. They lie
 // there by bin: bins of the slab where `slab_bins`, else bins of the bucket. The ends of bins count
-// from `binned_first` places before the first pair.
+// from `binned_first` elements before the first pair.
 void finish_in_shared_memory(Bucket bucket, uint first, uint count, uint binned_first, bool slab_bins, float camera_depth, float key_scale, uint thread) {
     if (longest_bin > BIN_PAIRS_MAX) {
         uint size = 1u;
         while (size < count) {
             size *= 2u;
         }
-        for (uint place = count + thread; place < size; place += WORKGROUP_THREADS) {
-            shared_words[place] = 0xffffffffu;
-            shared_words[SHARED_PAIRS + place] = 0xffffffffu;
+        for (uint index = count + thread; index < size; index += WORKGROUP_THREADS) {
+            shared_words[index] = 0xffffffffu;
+            shared_words[SHARED_PAIRS + index] = 0xffffffffu;
         }
         sort_bitonic(size, thread);
-        for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-            sorted_records[first + place] = shared_words[SHARED_PAIRS + place];
+        for (uint index = thread; index < count; index += WORKGROUP_THREADS) {
+            sorted_records[first + index] = shared_words[SHARED_PAIRS + index];
         }
         return;
     }
-    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        uint key = shared_words[place];
-        uint record = shared_words[SHARED_PAIRS + place];
+    for (uint index = thread; index < count; index += WORKGROUP_THREADS) {
+        uint key = shared_words[index];
+        uint record = shared_words[SHARED_PAIRS + index];
         uint bin = slab_bins ? bin_in_slab(key, camera_depth, key_scale) : bin_of(key, bucket, camera_depth, key_scale);
         uint begin = (bin == 0u ? 0u : bins[bin - 1u]) - binned_first;
         uint end = bins[bin] - binned_first;
@@ -179,13 +179,13 @@ void sort_in_shared_memory(Bucket bucket, float camera_depth, float key_scale, u
     uint first = bucket.first_pair;
     uint count = bucket.pairs;
     empty_bins(count, thread);
-    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        atomicAdd(bins[bin_of(pairs[first + place].x, bucket, camera_depth, key_scale)], 1u);
+    for (uint index = thread; index < count; index += WORKGROUP_THREADS) {
+        atomicAdd(bins[bin_of(pairs[first + index].x, bucket, camera_depth, key_scale)], 1u);
     }
     barrier();
     sum_bins(count, thread);
-    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        uvec2 pair = pairs[first + place];
+    for (uint index = thread; index < count; index += WORKGROUP_THREADS) {
+        uvec2 pair = pairs[first + index];
         uint target = atomicAdd(bins[bin_of(pair.x, bucket, camera_depth, key_scale)], 1u);
         shared_words[target] = pair.x;
         shared_words[SHARED_PAIRS + target] = pair.y;
@@ -201,12 +201,12 @@ const uint DIGITS = 1u << DIGIT_BITS;
 // after 65,535 rounds in total.
 const uint MOVED = 8u;
 
-uint key_at(bool there, uint place) {
-    return there ? other_keys[place] : pairs[place].x;
+uint key_at(bool there, uint index) {
+    return there ? other_keys[index] : pairs[index].x;
 }
 
-uint record_at(bool there, uint place) {
-    return there ? sorted_records[place] : pairs[place].y;
+uint record_at(bool there, uint index) {
+    return there ? sorted_records[index] : pairs[index].y;
 }
 
 uint digit_of(uint key, uint record, uint shift, bool by_key) {
@@ -223,8 +223,8 @@ void pass_over_memory(uint first, uint count, uint thread, bool there, uint shif
     for (uint digit = 0u; digit < DIGITS; ++digit) {
         shared_words[digit * WORKGROUP_THREADS + thread] = 0u;
     }
-    for (uint place = begin; place < end; place += MOVED) {
-        [[unroll]] for (uint next = place; next < place + MOVED; ++next) {
+    for (uint index = begin; index < end; index += MOVED) {
+        [[unroll]] for (uint next = index; next < index + MOVED; ++next) {
             if (next < end) {
                 uint at = digit_of(key_at(there, first + next), record_at(there, first + next), shift, by_key) * WORKGROUP_THREADS + thread;
                 ++shared_words[at];
@@ -247,8 +247,8 @@ void pass_over_memory(uint first, uint count, uint thread, bool there, uint shif
         sum += counted;
     }
     barrier();
-    for (uint place = begin; place < end; place += MOVED) {
-        [[unroll]] for (uint next = place; next < place + MOVED; ++next) {
+    for (uint index = begin; index < end; index += MOVED) {
+        [[unroll]] for (uint next = index; next < index + MOVED; ++next) {
             if (next < end) {
                 uint key = key_at(there, first + next);
                 uint record = record_at(there, first + next);
@@ -276,9 +276,9 @@ void sort_in_memory(uint first, uint count, uint thread, bool there) {
     barrier();
     uint keys_differ = 0u;
     uint records_differ = 0u;
-    for (uint place = thread; place < count; place += MOVED * WORKGROUP_THREADS) {
+    for (uint index = thread; index < count; index += MOVED * WORKGROUP_THREADS) {
         [[unroll]] for (uint next = 0u; next < MOVED; ++next) {
-            uint at = first + min(place + next * WORKGROUP_THREADS, count - 1u);
+            uint at = first + min(index + next * WORKGROUP_THREADS, count - 1u);
             keys_differ |= key_at(there, at) ^ key_at(there, first);
             records_differ |= record_at(there, at) ^ record_at(there, first);
         }
@@ -295,9 +295,9 @@ void sort_in_memory(uint first, uint count, uint thread, bool there) {
         }
     }
     if (!there) {
-        for (uint place = thread; place < count; place += MOVED * WORKGROUP_THREADS) {
+        for (uint index = thread; index < count; index += MOVED * WORKGROUP_THREADS) {
             [[unroll]] for (uint next = 0u; next < MOVED; ++next) {
-                uint at = place + next * WORKGROUP_THREADS;
+                uint at = index + next * WORKGROUP_THREADS;
                 if (at < count) {
                     sorted_records[first + at] = pairs[first + at].y;
                 }
@@ -323,13 +323,13 @@ void sort_slab(Bucket bucket, float camera_depth, float key_scale, uint thread) 
     uint first = bucket.first_pair;
     uint count = bucket.pairs;
     empty_bins(SHARED_PAIRS, thread);
-    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        atomicAdd(bins[bin_in_slab(pairs[first + place].x, camera_depth, key_scale)], 1u);
+    for (uint index = thread; index < count; index += WORKGROUP_THREADS) {
+        atomicAdd(bins[bin_in_slab(pairs[first + index].x, camera_depth, key_scale)], 1u);
     }
     barrier();
     sum_bins(SHARED_PAIRS, thread);
-    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        uvec2 pair = pairs[first + place];
+    for (uint index = thread; index < count; index += WORKGROUP_THREADS) {
+        uvec2 pair = pairs[first + index];
         uint target = first + atomicAdd(bins[bin_in_slab(pair.x, camera_depth, key_scale)], 1u);
         other_keys[target] = pair.x;
         sorted_records[target] = pair.y;
@@ -343,9 +343,9 @@ void sort_slab(Bucket bucket, float camera_depth, float key_scale, uint thread) 
             sort_in_memory(first + begin, end - begin, thread, true);
             continue;
         }
-        for (uint place = begin + thread; place < end; place += WORKGROUP_THREADS) {
-            shared_words[place - begin] = other_keys[first + place];
-            shared_words[SHARED_PAIRS + place - begin] = sorted_records[first + place];
+        for (uint index = begin + thread; index < end; index += WORKGROUP_THREADS) {
+            shared_words[index - begin] = other_keys[first + index];
+            shared_words[SHARED_PAIRS + index - begin] = sorted_records[first + index];
         }
         barrier();
         finish_in_shared_memory(bucket, first + begin, end - begin, begin, true, camera_depth, key_scale, thread);

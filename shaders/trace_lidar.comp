@@ -61,7 +61,7 @@ struct BeamEchoes {
 };
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first place and length
+layout(set = 0, binding = 1, scalar) readonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first pair and length
 layout(set = 0, binding = 2, scalar) readonly buffer sorted_records_block { uint sorted_records[]; };
 layout(set = 0, binding = 3, std430) readonly buffer footprints_block { uvec4 footprints[]; };
 layout(set = 0, binding = 4, scalar) readonly buffer looks_block { vec3 looks[]; };
@@ -174,17 +174,17 @@ void main() {
     uint thread = block_thread();
     uvec2 cell = corner + uvec2(thread % FINE_TILE_PX, thread / FINE_TILE_PX);
     bool inside = all(lessThan(cell, camera.size_px));
-    uint place = camera.first_pixel + cell.y * camera.size_px.x + cell.x;
+    uint index = camera.first_pixel + cell.y * camera.size_px.x + cell.x;
     LidarBeam beam = LidarBeam(vec3(0.0), 0u);
     BeamState state = BeamState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0u);
     const Echo NONE = Echo(0.0, 0.0, 0.0, 0u);
     BeamEchoes found = BeamEchoes(NONE, 0.0, NONE, NONE);
     if (inside) {
-        beam = beams[place];
+        beam = beams[index];
         if (first_entry > 0u) {
-            state = states[place];
+            state = states[index];
             if (ECHOES) {
-                found = echoes[place];
+                found = echoes[index];
             }
         } else {
             state.transmittance = 1.0;
@@ -226,9 +226,9 @@ void main() {
         barrier(); // the list is read to its end
     }
     if (inside) {
-        states[place] = state;
+        states[index] = state;
         if (ECHOES) {
-            echoes[place] = found;
+            echoes[index] = found;
         }
     }
 }

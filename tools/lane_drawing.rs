@@ -14,13 +14,13 @@ const MARGIN_PX: f64 = 30.0;
 /// Around the track, meters.
 const MARGIN_M: f64 = 8.0;
 
-/// A line through places, under a name.
+/// A line through positions, under a name.
 pub struct Way<'a> {
     pub name: &'a str,
     /// Index of the page's color.
     pub color: usize,
     pub dashed: bool,
-    pub places: Vec<DVec2>,
+    pub positions: Vec<DVec2>,
 }
 
 /// A vehicle from above.
@@ -38,10 +38,11 @@ struct View {
 }
 
 impl View {
-    fn around<'a>(places: impl Iterator<Item = &'a DVec2>) -> Option<Self> {
-        let (low, high) = places.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), at| {
-            (low.min(*at), high.max(*at))
-        });
+    fn around<'a>(positions: impl Iterator<Item = &'a DVec2>) -> Option<Self> {
+        let (low, high) = positions
+            .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), at| {
+                (low.min(*at), high.max(*at))
+            });
         let (low, high) = (low - MARGIN_M, high + MARGIN_M);
         let room = DVec2::new(WIDTH_PX, HEIGHT_PX) - 2.0 * MARGIN_PX;
         let px_per_m = (room / (high - low)).min_element();
@@ -57,15 +58,15 @@ impl View {
         })
     }
 
-    fn line(&self, places: impl Iterator<Item = DVec2>) -> String {
-        let place = |at: DVec2| {
+    fn line(&self, positions: impl Iterator<Item = DVec2>) -> String {
+        let position = |at: DVec2| {
             format!(
                 "{:.1},{:.1}",
                 (at.x - self.low.x) * self.px_per_m,
                 (self.high.y - at.y) * self.px_per_m
             )
         };
-        places.map(place).collect::<Vec<_>>().join(" ")
+        positions.map(position).collect::<Vec<_>>().join(" ")
     }
 
     fn shows(&self, line: &[glam::DVec3]) -> bool {
@@ -81,7 +82,7 @@ impl View {
 /// Lanes around `ways`, and these and `bodies` over them. A way without a name is not in the
 /// legend.
 pub fn drawing(title: &str, lanes: &[Lane], ways: &[Way<'_>], bodies: &[Body]) -> String {
-    let Some(view) = View::around(ways.iter().flat_map(|way| &way.places)) else {
+    let Some(view) = View::around(ways.iter().flat_map(|way| &way.positions)) else {
         return String::new();
     };
     let name = escaped(title);
@@ -121,7 +122,7 @@ pub fn drawing(title: &str, lanes: &[Lane], ways: &[Way<'_>], bodies: &[Body]) -
         }
     }
     for way in ways {
-        let (color, line) = (way.color, view.line(way.places.iter().copied()));
+        let (color, line) = (way.color, view.line(way.positions.iter().copied()));
         let dashes = dashes(way);
         let _ = write!(
             svg,

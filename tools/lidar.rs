@@ -151,7 +151,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.background.apply_to(&mut stored);
     let renderer = Renderer::new(&gpu, stored);
     let live = LiveScene::new(&renderer, &loaded)?;
-    let rules = loaded.world.rules;
+    let rules = loaded.splat_scene.rules;
     let options = LidarOptions {
         rules: Rules {
             lidar_dilation_rad: arguments.dilation.unwrap_or(rules.lidar_dilation_rad),

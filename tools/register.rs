@@ -183,7 +183,7 @@ fn ground_of(path: &Path) -> Result<Ground> {
             instance_from_splat,
             origin,
             ..
-        } = open_scene(path, 0.0)?.world;
+        } = open_scene(path, 0.0)?.splat_scene;
         let still: Vec<u32> = (0..splats.len() as u32)
             .filter(|&at| {
                 instance_from_splat

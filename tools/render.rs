@@ -387,21 +387,21 @@ fn render_by_definition(
         "a reference image of this size",
         REFERENCE_PIXEL_BYTES * most,
     )?;
-    let world = scene.loaded.baked_layer(scene.time_s, layer);
+    let splat_scene = scene.loaded.baked_layer(scene.time_s, layer);
     let world_at = |later_s: f64| match later_s {
-        0.0 => Cow::Borrowed(&world),
+        0.0 => Cow::Borrowed(&splat_scene),
         _ => Cow::Owned(scene.loaded.baked_layer(scene.time_s + later_s, layer)),
     };
     for camera in scene.cameras.chunks(1) {
         let images = exposed(scene, arguments, camera, |later_s, cameras| {
             let world_at = |row_s: f64| world_at(later_s + row_s);
             let render =
-                |camera| reference::render_moving(&world_at, camera, &world.rules).to_image();
+                |camera| reference::render_moving(&world_at, camera, &splat_scene.rules).to_image();
             Ok(cameras.iter().map(render).collect())
         })?;
         for (camera, mut image) in camera.iter().zip(images) {
             if writer.boxes.is_some() {
-                let depths_m = depth_median(&world, &camera.at_rest(0.0), &world.rules);
+                let depths_m = depth_median(&splat_scene, &camera.at_rest(0.0), &splat_scene.rules);
                 (image.planes).insert(Plane::DepthMedian, PlaneValues::F32(depths_m));
             }
             writer.add(camera, image)?;
@@ -425,7 +425,7 @@ fn exposed(
         return Ok(sharp);
     };
     let sum = |camera: &Camera| {
-        let photometry = scene.loaded.world.photometry_of(&camera.intrinsics);
+        let photometry = scene.loaded.splat_scene.photometry_of(&camera.intrinsics);
         ExposureSum::new(camera.intrinsics.pixels() as usize, photometry.curve)
     };
     let mut sums: Vec<ExposureSum> = cameras.iter().map(sum).collect();

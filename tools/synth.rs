@@ -383,11 +383,11 @@ fn trajectory(knots: &[(f64, Pose)]) -> Result<Trajectory> {
 
 /// Street and cars as they stand at time zero, one cloud.
 fn baked_world(street: &Street) -> Result<SplatCloud> {
-    let mut world = SplatScene::of(street.background.clone());
+    let mut splat_scene = SplatScene::of(street.background.clone());
     for agent in &street.agents {
-        world.bake_agent(&street.assets[agent.asset], agent)?;
+        splat_scene.bake_agent(&street.assets[agent.asset], agent)?;
     }
-    Ok(world.splats)
+    Ok(splat_scene.splats)
 }
 
 /// nerfstudio's transforms.json: world from camera in OpenGL axes (x right, y up, z back),

@@ -281,12 +281,12 @@ fn error_in_window(
         std::slice::from_ref(camera),
     )?;
     let found = cut(&renderer.read_images()?[0], window);
-    let world = scene.world();
+    let splat_scene = scene.splat_scene();
     let world_at = |later_s: f64| match later_s {
-        0.0 => Cow::Borrowed(&world),
+        0.0 => Cow::Borrowed(&splat_scene),
         _ => Cow::Owned(scene.loaded.baked(scene.time_s + later_s)),
     };
-    let expected = reference::render_moving_window(&world_at, camera, &world.rules, window);
+    let expected = reference::render_moving_window(&world_at, camera, &splat_scene.rules, window);
     let expected = expected.to_image();
     working.finish_and_clear();
     Ok(Difference::between(&found, &expected)?)

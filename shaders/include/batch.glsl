@@ -135,16 +135,16 @@ uint tile_word(uint tile, uint word, uint words) {
     return bits;
 }
 
-// Place of the set bit of `bits` that has `rank` others below it.
+// Index of the set bit of `bits` that has `rank` others below it.
 uint place_of_bit(uint bits, uint rank) {
-    uint place = 0u;
+    uint index = 0u;
     [[unroll]] for (uint step = 16u; step > 0u; step /= 2u) {
-        uint below = uint(bitCount(bits >> place & ((1u << step) - 1u)));
+        uint below = uint(bitCount(bits >> index & ((1u << step) - 1u)));
         bool above = rank >= below;
         rank -= above ? below : 0u;
-        place += above ? step : 0u;
+        index += above ? step : 0u;
     }
-    return place;
+    return index;
 }
 
 // Record `rank` of those whose bits the lanes hold: `bits` of each, and how many bits lie in the
@@ -158,21 +158,21 @@ uint record_of_rank(uint rank, uint bits, uint before) {
     return 32u * holder + place_of_bit(held, rank - subgroupShuffle(before, holder));
 }
 
-// Blocks of the subgroup whose first pixel is `first_place` that a record may reach, as bits. The
+// Blocks of the subgroup whose first pixel is `first_index` that a record may reach, as bits. The
 // exponent is a sum of squares of two linear functions: a block whose bounds of the two lie too far
 // from zero is not reached.
-uint reached_blocks(uint entry, uint first_place) {
+uint reached_blocks(uint entry, uint first_index) {
     vec4 slants = batch_slants[entry];
     vec4 tones = batch_tones[entry];
-    vec2 reach = vec2(1.5, 0.25 * float(BLOCK_LANES) - 0.5); // from the middle of a block to its outermost pixels
-    float u_reach = reach.x * abs(slants.x) + reach.y * abs(slants.y);
-    float v_reach = reach.y * abs(tones.x);
-    float limit = tones.y + LOG2_255 + REACH_SLACK;
+    vec2 half_size = vec2(1.5, 0.25 * float(BLOCK_LANES) - 0.5); // from the middle of a block to its outermost pixels
+    float u_extent = half_size.x * abs(slants.x) + half_size.y * abs(slants.y);
+    float v_extent = half_size.y * abs(tones.x);
+    float limit = tones.y + LOG2_255 + SQUARED_RADIUS_SLACK;
     uint blocks = 0u;
     [[unroll]] for (uint block = 0u; block < BLOCKS; ++block) {
-        vec2 middle = vec2(pixel_offset(first_place + block * BLOCK_LANES)) + 0.5 + reach;
-        float u = max(abs(middle.x * slants.x + (middle.y * slants.y + slants.z)) - u_reach, 0.0);
-        float v = max(abs(middle.y * tones.x + slants.w) - v_reach, 0.0);
+        vec2 middle = vec2(pixel_offset(first_index + block * BLOCK_LANES)) + 0.5 + half_size;
+        float u = max(abs(middle.x * slants.x + (middle.y * slants.y + slants.z)) - u_extent, 0.0);
+        float v = max(abs(middle.y * tones.x + slants.w) - v_extent, 0.0);
         blocks |= u * u + v * v <= limit ? 1u << block : 0u;
     }
     return blocks;

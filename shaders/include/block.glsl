@@ -4,7 +4,7 @@
 // At most this many subgroups in a workgroup: 256 threads in subgroups of 4.
 shared uint block_subgroup_sums[WORKGROUP_THREADS / 4];
 
-// The thread's place in the workgroup such that neighbors in it are neighbors in a subgroup.
+// The thread's index in the workgroup such that neighbors in it are neighbors in a subgroup.
 uint block_thread() {
     return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID;
 }

@@ -28,14 +28,14 @@ uint depth_key(vec2 depth) {
         precise float rest = (scaled - whole) + size.y * KEY_LINEAR_STEPS;
         code = uint(max(int(whole) + int(floor(rest + 0.5)), 0));
     } else {
-        uint places = floatBitsToUint(size.x) - floatBitsToUint(KEY_FLOATS_FROM);
+        uint ulps = floatBitsToUint(size.x) - floatBitsToUint(KEY_FLOATS_FROM);
         // The distance to the next float: 2^-23 of the power of two below.
-        float place = uintBitsToFloat(floatBitsToUint(size.x) & 0x7f800000u) * 1.1920929e-7;
-        // At most half a place up or down. The nearest step, not the one below: a depth that an f32
+        float ulp = uintBitsToFloat(floatBitsToUint(size.x) & 0x7f800000u) * 1.1920929e-7;
+        // At most half an ulp up or down. The nearest step, not the one below: a depth that an f32
         // holds stands in the middle of its step, and what a rotation's last digit adds to one of
         // two equal depths leaves them tied.
-        int part = int(floor(clamp(size.y / place, -0.5, 0.5) * KEY_STEPS + 0.5));
-        code = min(KEY_LINEAR_CODES + uint(int(min(places, 0x07ffffffu) << 4u) + part), 0x7fffffffu);
+        int part = int(floor(clamp(size.y / ulp, -0.5, 0.5) * KEY_STEPS + 0.5));
+        code = min(KEY_LINEAR_CODES + uint(int(min(ulps, 0x07ffffffu) << 4u) + part), 0x7fffffffu);
     }
     return negative ? 0x80000000u - code : 0x80000000u + code;
 }
@@ -52,7 +52,7 @@ vec2 scaled_depth(vec3 mean_m, Camera camera) {
 }
 
 // The same of a distance from the camera: it does not lose its sign, and only the camera's own
-// place counts.
+// position counts.
 vec2 scaled_distance(vec3 mean_m, Camera camera) {
     vec2 squared = vec2(0.0);
     for (int axis = 0; axis < 3; ++axis) {

@@ -19,9 +19,10 @@ float depth_of_key(uint key) {
     return negative ? -size : size;
 }
 
-// The slab of a depth key, and its place in it from 0 to 2^SLAB_SHIFT - 1, where the camera has the
-// depth `camera_depth`, scaled as keys are by `key_scale`. Both together never fall with the key.
-uvec2 slab_and_place(uint key, float camera_depth, float key_scale) {
+// The slab of a depth key, and its offset in it from 0 to 2^SLAB_SHIFT - 1, where the camera has
+// the depth `camera_depth`, scaled as keys are by `key_scale`. Both together never fall with the
+// key.
+uvec2 slab_and_offset(uint key, float camera_depth, float key_scale) {
     precise float distance = depth_of_key(key) - camera_depth;
     float first = SLAB_FIRST_M * key_scale;
     uint bits = floatBitsToUint(max(distance, first));

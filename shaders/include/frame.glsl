@@ -45,7 +45,7 @@ const uint CAMERAS_MAX = 32u;
 struct Cluster {
     vec3 center_m; // of the box around the means
     vec3 half_extent_m;
-    float reach_m; // longest standard deviation times cut-off radius (at least sqrt(3)) of any splat in it
+    float splat_radius_m; // longest standard deviation times cut-off radius (at least sqrt(3)) of any splat in it
 };
 
 // Required counts, whatever the capacity: the host grows the buffers that were too small and
@@ -121,11 +121,11 @@ struct BlendItem {
     uint first_pair;
     uint pairs;
     uint partial; // slot of its partial result, or NO_PARTIAL when it is its tile's only segment
-    uint segment; // its place in its tile's list; the slots of those before it are the ones before its own
+    uint segment; // its index in its tile's list; the slots of those before it are the ones before its own
 };
 const uint NO_PARTIAL = 0xffffffffu;
 
-// Fine tiles of a segment that have a partial result, as bits: the first of them has place `first`
+// Fine tiles of a segment that have a partial result, as bits: the first of them has index `first`
 // among the results of all segments, and the others follow. A fine tile without one adds nothing,
 // or lies behind others that are full.
 struct PartialTiles {

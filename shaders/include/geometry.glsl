@@ -1,5 +1,5 @@
 // Attributes of a splat that planes show: normal, range and motion. Where one is asked for, the
-// projections write it in the place of color.
+// projections write it instead of color.
 
 layout(constant_id = 18) const uint ATTRIBUTE = 0u;
 
@@ -37,7 +37,7 @@ vec2 flow_px(Camera camera, uint lens, vec3 mean_m, SeenSplat seen, float interv
         return vec2(0.0);
     }
     MovingPoint now = MovingPoint(seen.t, vec3(0.0));
-    return moving_place(camera, lens, other).at_px - moving_place(camera, lens, now).at_px;
+    return moving_pixel(camera, lens, other).at_px - moving_pixel(camera, lens, now).at_px;
 }
 
 // Normal of a splat towards the camera, in the axes of the splats' frame.

@@ -24,8 +24,8 @@ struct Lens {
     vec2 tangential;
     vec4 thin_prism;
     vec2 table[LENS_INTERVALS + 1u]; // radius, and what it grows by an interval
-    vec2 bend_reach; // tangents of half the angles along x and y up to which a windshield is followed; 0 without one
-    vec2 bending[BEND_TERMS * BEND_TERMS]; // change of the sines: coefficients of u^i v^j at BEND_TERMS j + i, u and v the tangents by reach
+    vec2 bend_limit; // tangents of half the angles along x and y up to which a windshield is followed; 0 without one
+    vec2 bending[BEND_TERMS * BEND_TERMS]; // change of the sines: coefficients of u^i v^j at BEND_TERMS j + i, u and v the tangents over bend_limit
 };
 
 layout(constant_id = 16) const bool LENSES = false; // some camera is no pinhole
@@ -34,7 +34,7 @@ layout(set = 0, binding = 32, scalar) readonly buffer lenses_block { Lens lenses
 
 // The square root of three dimensions: how far the points stand from the mean, in standard
 // deviations.
-const float SIGMA_REACH = 1.7320508075688772;
+const float SIGMA_SPREAD = 1.7320508075688772;
 const float SQRT_2 = 1.4142135623730951;
 const float SQRT_SIXTH = 0.4082482904638631;
 
@@ -43,13 +43,13 @@ const float BENDING_FADE_Z = 0.05;
 
 // The ray behind the windshield of a point in camera axes; the point itself without a windshield.
 vec3 bent(uint lens, vec3 t) {
-    vec2 reach = lenses[lens].bend_reach;
-    if (reach.x == 0.0) {
+    vec2 limit = lenses[lens].bend_limit;
+    if (limit.x == 0.0) {
         return t;
     }
     vec3 ray = normalize(t);
     // Tangents of half the angles, whose sines these are: the angles are smooth functions of them.
-    vec2 at = clamp(ray.xy / (1.0 + sqrt(max(1.0 - ray.xy * ray.xy, 0.0))) / reach, -1.0, 1.0);
+    vec2 at = clamp(ray.xy / (1.0 + sqrt(max(1.0 - ray.xy * ray.xy, 0.0))) / limit, -1.0, 1.0);
     vec2 change = vec2(0.0);
     for (uint j = BEND_TERMS; j-- > 0u;) {
         vec2 row = vec2(0.0);
@@ -84,9 +84,9 @@ vec2 distorted(uint lens, vec2 p) {
 
 // The radius at a chord up to the limit: a cubic between two entries of the table.
 float radius_at(uint lens, float chord) {
-    float place = chord * lenses[lens].chord_intervals;
-    uint interval = min(uint(place), LENS_INTERVALS - 1u);
-    float s = place - float(interval);
+    float position = chord * lenses[lens].chord_intervals;
+    uint interval = min(uint(position), LENS_INTERVALS - 1u);
+    float s = position - float(interval);
     vec2 low = lenses[lens].table[interval];
     vec2 high = lenses[lens].table[interval + 1u];
     float rise = high.x - low.x;
@@ -143,7 +143,7 @@ bool project_splat_unscented(Camera camera, uint lens, vec3 t, mat3 axes, float 
     vec2 points[7];
     vec2 shift = vec2(0.0);
     for (int axis = 0; axis < 3; ++axis) {
-        vec3 offset = SIGMA_REACH * columns[axis];
+        vec3 offset = SIGMA_SPREAD * columns[axis];
         for (int side = 0; side < 2; ++side) {
             vec3 point = side == 0 ? t + offset : t - offset;
             shown = shown || lens_shows(lens, point);
@@ -206,7 +206,7 @@ float arc_sine_bound(float s) {
 // point. Points at sqrt(3) standard deviations move the mean of all by at most that displacement.
 // Their variance is at most twice its square, and the cut-off multiplies it by sqrt(3): 1 +
 // sqrt(6).
-const float UNSCENTED_REACH = 3.45;
+const float UNSCENTED_RADIUS = 3.45;
 
 // True if a splat of the cluster may overlap the image of a camera: cluster_overlaps for a lens
 // other than a pinhole.
@@ -216,21 +216,21 @@ const float UNSCENTED_REACH = 3.45;
 // few.
 bool cluster_overlaps_lens(Cluster cluster, Camera camera, uint lens) {
     vec3 center = from_camera_m(cluster.center_m, camera);
-    float slack = 1e-5 * (dot(abs(center), vec3(1.0)) + dot(cluster.half_extent_m, vec3(1.0)) + cluster.reach_m);
-    if (cluster.reach_m < 0.0 || !(farthest(cluster, center, camera.row_z) + slack >= NEAR_M)) {
+    float slack = 1e-5 * (dot(abs(center), vec3(1.0)) + dot(cluster.half_extent_m, vec3(1.0)) + cluster.splat_radius_m);
+    if (cluster.splat_radius_m < 0.0 || !(farthest(cluster, center, camera.row_z) + slack >= NEAR_M)) {
         return false;
     }
     float distance_m = length(center);
     float spread_m = length(cluster.half_extent_m) + slack;
     float spread = spread_m / distance_m;
-    float reach = cluster.reach_m / (distance_m - spread_m);
+    float radius = cluster.splat_radius_m / (distance_m - spread_m);
     vec3 t = to_camera_axes(camera, center);
-    if (!(spread < 0.25 && reach < 0.25 && t.z > 0.0)) {
+    if (!(spread < 0.25 && radius < 0.25 && t.z > 0.0)) {
         return true;
     }
-    float angle_rad = 1.001 * (arc_sine_bound(spread) + UNSCENTED_REACH * arc_sine_bound(reach));
+    float angle_rad = 1.001 * (arc_sine_bound(spread) + UNSCENTED_RADIUS * arc_sine_bound(radius));
     // A pixel more than dilation needs, for rounding.
-    vec2 margin = vec2(lenses[lens].pixels_per_rad * angle_rad + DILATION_REACH_PX + 1.0);
+    vec2 margin = vec2(lenses[lens].pixels_per_rad * angle_rad + DILATION_RADIUS_PX + 1.0);
     vec2 pixel = camera.principal_px + through_lens(lens, t);
     return all(greaterThanEqual(pixel, -margin)) && all(lessThanEqual(pixel, vec2(camera.size_px) + margin));
 }

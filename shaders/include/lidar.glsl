@@ -1,7 +1,7 @@
 // A Gaussian as a LiDAR meets it, and the beams that may meet it.
 //
 // A sector is a run of columns of the grid of beams. Its `Camera` has the axes of the sector (x
-// toward its middle, y left, z up) and its grid in the place of an image. A beam meets a Gaussian
+// toward its middle, y left, z up) and its grid in place of an image. A beam meets a Gaussian
 // where the Gaussian is largest along the beam (Yu et al., Gaussian Opacity Fields, 2024).
 //
 // Included after visibility.glsl, with column_bounds and row_bounds bound.
@@ -123,27 +123,27 @@ ivec4 all_cells(Camera camera) {
 // Cells of beams that may meet a splat in the box of `cluster`. Splats move with at most
 // `speed_mps` in the axes of the cluster, and with the frame of the camera record.
 ivec4 cluster_cells(Cluster cluster, Camera camera, Sector sector, float speed_mps) {
-    if (cluster.reach_m < 0.0) {
+    if (cluster.splat_radius_m < 0.0) {
         return NO_CELLS;
     }
     vec3 offset = to_camera_axes(camera, from_camera_m(cluster.center_m, camera));
     float around_m = length(cluster.half_extent_m);
     // Dilation is in proportion to the distance; 3.34 standard deviations reach 1/255.
-    float reach_m = around_m + cluster.reach_m + 3.34 * DILATION_RAD * (length(offset) + around_m);
+    float radius_m = around_m + cluster.splat_radius_m + 3.34 * DILATION_RAD * (length(offset) + around_m);
     if (MOVING) {
-        reach_m += (length(sector.velocity_mps) + speed_mps) * sector.half_time_s + sector.residual_m;
+        radius_m += (length(sector.velocity_mps) + speed_mps) * sector.half_time_s + sector.residual_m;
     }
-    reach_m *= 1.0001;
+    radius_m *= 1.0001;
     float level_m = length(offset.xy);
-    if (level_m <= 1.001 * reach_m) {
+    if (level_m <= 1.001 * radius_m) {
         return all_cells(camera);
     }
     vec2 ahead = offset.xy / level_m;
-    float slope = reach_m * inversesqrt((level_m - reach_m) * (level_m + reach_m)) + SLOPE_SLACK;
-    float low_m = offset.z - reach_m;
-    float high_m = offset.z + reach_m;
-    float slope_low = low_m / (low_m < 0.0 ? level_m - reach_m : level_m + reach_m);
-    float slope_high = high_m / (high_m > 0.0 ? level_m - reach_m : level_m + reach_m);
+    float slope = radius_m * inversesqrt((level_m - radius_m) * (level_m + radius_m)) + SLOPE_SLACK;
+    float low_m = offset.z - radius_m;
+    float high_m = offset.z + radius_m;
+    float slope_low = low_m / (low_m < 0.0 ? level_m - radius_m : level_m + radius_m);
+    float slope_high = high_m / (high_m > 0.0 ? level_m - radius_m : level_m + radius_m);
     vec2 side = vec2(-ahead.y, ahead.x);
     return cells_between(camera, sector, ahead - slope * side, ahead + slope * side,
                          slope_low - SLOPE_SLACK * (1.0 + abs(slope_low)), slope_high + SLOPE_SLACK * (1.0 + abs(slope_high)));
@@ -261,8 +261,8 @@ ivec4 see_from_lidar(Camera camera, Sector sector, vec3 mean_m, mat3 axes, float
     seen.inverse_x_yx_zx = vec3(xx, yx, -(a.z * xx + b.z * yx) * zz);
     seen.inverse_y_zy_z = vec3(yy, zy, zz);
     seen.log2_opacity = max(log2(opacity), -LOG2_255);
-    // The squared reach is that of alpha 1/255, in standard deviations, with room for rounding.
-    float reach = sqrt((seen.log2_opacity + LOG2_255 + REACH_SLACK) / HALF_LOG2_E);
+    // The squared radius is that of alpha 1/255, in standard deviations, with room for rounding.
+    float radius = sqrt((seen.log2_opacity + LOG2_255 + SQUARED_RADIUS_SLACK) / HALF_LOG2_E);
     vec3 drift = vec3(0.0);
     float residual_m = 0.0;
     if (MOVING) {
@@ -273,5 +273,5 @@ ivec4 see_from_lidar(Camera camera, Sector sector, vec3 mean_m, mat3 axes, float
     if (!(abs(seen.inverse_x_yx_zx.x) < 1e30 && abs(yy) < 1e30 && abs(zz) < 1e30)) {
         return NO_CELLS;
     }
-    return ellipsoid_cells(camera, sector, mean, mat3(reach * a, reach * vec3(0.0, b.yz), reach * vec3(0.0, 0.0, c.z)), drift, residual_m);
+    return ellipsoid_cells(camera, sector, mean, mat3(radius * a, radius * vec3(0.0, b.yz), radius * vec3(0.0, 0.0, c.z)), drift, residual_m);
 }

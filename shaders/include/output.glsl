@@ -9,22 +9,22 @@ layout(set = 0, binding = 1, std430) writeonly buffer images_f32_block { vec4 im
 layout(set = 0, binding = 3, std430) writeonly buffer images_u8_block { uint images_u8[]; };
 
 // Assignment of a coarse tile's pixels to lanes in blend: eight lanes have a block of 4 x 4, two
-// pixels each, and four blocks are a fine tile. A pixel's place counts the left pixels of all
+// pixels each, and four blocks are a fine tile. A pixel's index counts the left pixels of all
 // lanes first, then the right ones, two columns beside them.
 const uint LEFT_PIXELS = COARSE_PIXELS / 2u;
 const uint TILE_LEFT_PIXELS = FINE_TILE_PX * FINE_TILE_PX / 2u;
 
-// The fine tile, row-major in its coarse tile, of the pixel at `place`.
-uint fine_tile(uint place) {
-    return place % LEFT_PIXELS / TILE_LEFT_PIXELS;
+// The fine tile, row-major in its coarse tile, of the pixel at `index`.
+uint fine_tile(uint index) {
+    return index % LEFT_PIXELS / TILE_LEFT_PIXELS;
 }
 
-// Position in the coarse tile of the pixel at `place`.
-uvec2 pixel_offset(uint place) {
-    uint tile = fine_tile(place);
-    uint block = place / 8u % 4u;
-    uint lane = place % 8u;
-    uvec2 in_block = uvec2(lane % 2u + 2u * (place / LEFT_PIXELS), lane / 2u);
+// Position in the coarse tile of the pixel at `index`.
+uvec2 pixel_offset(uint index) {
+    uint tile = fine_tile(index);
+    uint block = index / 8u % 4u;
+    uint lane = index % 8u;
+    uvec2 in_block = uvec2(lane % 2u + 2u * (index / LEFT_PIXELS), lane / 2u);
     return uvec2(tile % COARSE_COLUMNS, tile / COARSE_COLUMNS) * FINE_TILE_PX + uvec2(block % 2u, block / 2u) * 4u + in_block;
 }
 
@@ -62,15 +62,15 @@ void write_pixel(Camera camera, uvec2 at, Pixel pixel, vec3 sky, uint image_pixe
     if (any(greaterThanEqual(at, camera.size_px))) {
         return;
     }
-    uint place = camera.first_pixel + at.y * camera.size_px.x + at.x;
+    uint index = camera.first_pixel + at.y * camera.size_px.x + at.x;
     float alpha = 1.0 - pixel.transmittance;
     vec4 value = vec4(pixel.color + pixel.transmittance * sky, alpha);
     if (COLOR_U8) {
-        images_u8[place] = packUnorm4x8(value);
+        images_u8[index] = packUnorm4x8(value);
     } else {
-        images_f32[place] = value;
+        images_f32[index] = value;
     }
-    write_planes(place, image_pixels, alpha, pixel.planes);
+    write_planes(index, image_pixels, alpha, pixel.planes);
 }
 
 // The pixel after `nearer`, then `farther` behind it.

@@ -29,14 +29,14 @@ uint partial_index(PartialTiles held, uint at) {
 // No branch around the reads, so that those of several segments overlap.
 Pixel load_partial(PartialTiles held, uint at) {
     bool there = has_partial(held, at);
-    uint place = there ? partial_index(held, at) : 0u;
-    uint first = place * PARTIAL_COLOR_WORDS;
+    uint index = there ? partial_index(held, at) : 0u;
+    uint first = index * PARTIAL_COLOR_WORDS;
     uvec3 low = uvec3(partial_colors[first], partial_colors[first + 1u], partial_colors[first + 2u]);
     vec3 color = ATTRIBUTES ? uintBitsToFloat(low) : unpack_color(low.xy);
     float transmittance = uintBitsToFloat(ATTRIBUTES ? partial_colors[first + 3u] : low.z);
     uint words[3];
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
-        words[word] = partial_planes[place * PLANE_PARTIAL_WORDS + word];
+        words[word] = partial_planes[index * PLANE_PARTIAL_WORDS + word];
     }
     Pixel pixel = Pixel(color, transmittance, plane_sums(words));
     if (!there) {
@@ -47,8 +47,8 @@ Pixel load_partial(PartialTiles held, uint at) {
 
 // The pixel must have a result.
 void store_partial(PartialTiles held, uint at, Pixel pixel) {
-    uint place = partial_index(held, at);
-    uint first = place * PARTIAL_COLOR_WORDS;
+    uint index = partial_index(held, at);
+    uint first = index * PARTIAL_COLOR_WORDS;
     uint transmittance = floatBitsToUint(pixel.transmittance);
     uvec3 low = ATTRIBUTES ? floatBitsToUint(pixel.color) : uvec3(pack_color(pixel.color), transmittance);
     partial_colors[first] = low.x;
@@ -59,6 +59,6 @@ void store_partial(PartialTiles held, uint at, Pixel pixel) {
     }
     uint words[3] = plane_words(pixel.planes);
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
-        partial_planes[place * PLANE_PARTIAL_WORDS + word] = words[word];
+        partial_planes[index * PLANE_PARTIAL_WORDS + word] = words[word];
     }
 }

@@ -41,14 +41,14 @@ PlaneSums planes_over(PlaneSums nearer, float share, PlaneSums farther) {
     return nearer;
 }
 
-// Writes the pixel at `place` of `image_pixels`.
-void write_planes(uint place, uint image_pixels, float alpha, PlaneSums sums) {
+// Writes the pixel at `index` of `image_pixels`.
+void write_planes(uint index, uint image_pixels, float alpha, PlaneSums sums) {
     if (DEPTH) {
-        planes[place] = floatBitsToUint(alpha > 0.0 ? sums.weighted_depth / alpha : 0.0);
-        place += image_pixels;
+        planes[index] = floatBitsToUint(alpha > 0.0 ? sums.weighted_depth / alpha : 0.0);
+        index += image_pixels;
     }
     if (INSTANCE) {
-        planes[place] = sums.best_instance;
+        planes[index] = sums.best_instance;
     }
 }
 

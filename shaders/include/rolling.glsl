@@ -22,7 +22,7 @@ bool rolls(Camera camera) {
     return camera.shutter_s_per_px != vec2(0.0);
 }
 
-// Time at which a place in the image is exposed, seconds after that of the poses.
+// Time at which an image position is exposed, seconds after that of the poses.
 float exposed_s(Camera camera, vec2 place_px) {
     return camera.shutter_first_s + dot(camera.shutter_s_per_px, place_px);
 }
@@ -59,24 +59,24 @@ Camera turned_camera(Camera camera, float time_s) {
     return camera;
 }
 
-// Place of a point in the image, and its velocity there, pixels and pixels per second.
-struct MovingPlace {
+// Position of a point in the image, and its velocity there, pixels and pixels per second.
+struct MovingPixel {
     vec2 at_px;
     vec2 px_per_s;
 };
 
-MovingPlace moving_place(Camera camera, uint lens, MovingPoint point) {
+MovingPixel moving_pixel(Camera camera, uint lens, MovingPoint point) {
     if (LENSES && lenses[lens].kind != LENS_PINHOLE) {
         float step_s = LENS_STEP_RAD * length(point.at) / max(length(point.velocity), 1e-6);
         vec2 after = through_lens(lens, point.at + step_s * point.velocity);
         vec2 before = through_lens(lens, point.at - step_s * point.velocity);
-        return MovingPlace(camera.principal_px + through_lens(lens, point.at), (after - before) / (2.0 * step_s));
+        return MovingPixel(camera.principal_px + through_lens(lens, point.at), (after - before) / (2.0 * step_s));
     }
     // A point behind the near plane lies far beside the image, on the side where it comes in.
     float z = max(point.at.z, NEAR_M);
     vec2 slope = point.at.xy / z;
     vec2 velocity = point.at.z < NEAR_M ? vec2(0.0) : (point.velocity.xy - slope * point.velocity.z) / z;
-    return MovingPlace(camera.focal_px * slope + camera.principal_px, camera.focal_px * velocity);
+    return MovingPixel(camera.focal_px * slope + camera.principal_px, camera.focal_px * velocity);
 }
 
 // True if a shear shows the motion of a splat at `t`: it lies where the projection is linear, and
@@ -137,14 +137,14 @@ bool see_splat(Camera camera, uint lens, vec3 mean_m, mat3 axes, float opacity, 
     float high_s = max(first_s, last_s);
     float time_s = clamp(0.0, low_s, high_s);
     MovingPoint point = moving_point(camera, mean_m, time_s);
-    MovingPlace place = moving_place(camera, lens, point);
-    // Newton's method for the time at which the place of the mean is exposed.
+    MovingPixel position = moving_pixel(camera, lens, point);
+    // Newton's method for the time at which the position of the mean is exposed.
     for (uint i = 0u; i < TIME_STEPS; ++i) {
-        float late_s = exposed_s(camera, place.at_px) - time_s;
-        float stand = max(1.0 - dot(s_per_px, place.px_per_s), 1.0 - FOLLOW_MAX);
+        float late_s = exposed_s(camera, position.at_px) - time_s;
+        float stand = max(1.0 - dot(s_per_px, position.px_per_s), 1.0 - FOLLOW_MAX);
         time_s = clamp(time_s + late_s / stand, low_s, high_s);
         point = moving_point(camera, mean_m, time_s);
-        place = moving_place(camera, lens, point);
+        position = moving_pixel(camera, lens, point);
     }
     seen.camera = turned_camera(camera, time_s);
     seen.t = point.at;
@@ -153,15 +153,15 @@ bool see_splat(Camera camera, uint lens, vec3 mean_m, mat3 axes, float opacity, 
     if (!project_splat_seen(seen.camera, lens, seen.t, axes, opacity, seen.splat)) {
         return false;
     }
-    if (is_sheared(camera, lens, seen.t, place.px_per_s)) {
+    if (is_sheared(camera, lens, seen.t, position.px_per_s)) {
         float late_s = exposed_s(camera, seen.splat.mean_px) - time_s;
-        seen.splat = sheared(seen.splat, place.px_per_s, s_per_px, late_s);
+        seen.splat = sheared(seen.splat, position.px_per_s, s_per_px, late_s);
     }
     return seen.splat.rate_x > 0.0 && seen.splat.rate_y > 0.0 && abs(seen.splat.slope) < 1e30
         && all(lessThan(abs(seen.splat.mean_px), vec2(1e30)));
 }
 
-// The cluster with a box around all places where its means are while the image is exposed.
+// The cluster with a box around all positions where its means are while the image is exposed.
 Cluster swept(Cluster cluster, Camera camera) {
     if (!ROLLING || !rolls(camera)) {
         return cluster;

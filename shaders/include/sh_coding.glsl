@@ -2,13 +2,13 @@
 // on: a scale, its largest coefficient rounded up, then signed fractions of it, [coefficient][rgb]
 // (engine/render/src/sh_codec.rs).
 
-// The signed number of `bits` bits whose lowest bit is bit `place` of `low`; `high` is the word
+// The signed number of `bits` bits whose lowest bit is bit `index` of `low`; `high` is the word
 // with its highest bit.
-float sh_fraction(uint low, uint high, int place, int bits) {
-    if (place + bits <= 32) {
-        return float(bitfieldExtract(int(low), place, bits));
+float sh_fraction(uint low, uint high, int index, int bits) {
+    if (index + bits <= 32) {
+        return float(bitfieldExtract(int(low), index, bits));
     }
-    return float(bitfieldExtract(int(low >> place | high << (32 - place)), 0, bits));
+    return float(bitfieldExtract(int(low >> index | high << (32 - index)), 0, bits));
 }
 
 // The scale in the lowest `scale_bits` bits of `word`, the upper bits of a positive f16, per step
@@ -18,8 +18,8 @@ float sh_step(uint word, int scale_bits, int bits) {
     return unpackHalf2x16(pattern).x / float((1 << (bits - 1)) - 1);
 }
 
-#define SH_FRACTION(words, place, bits)                                                              \
-    sh_fraction(words[(place) / 32], words[((place) + (bits) - 1) / 32], (place) % 32, bits)
+#define SH_FRACTION(words, index, bits)                                                              \
+    sh_fraction(words[(index) / 32], words[((index) + (bits) - 1) / 32], (index) % 32, bits)
 
 // Coefficient k, in steps.
 #define SH_COEFFICIENT(words, k, scale_bits, bits)                                                   \

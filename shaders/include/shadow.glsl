@@ -10,7 +10,7 @@ struct Shadow {
     float strength;   // share of the light that is gone in the middle
     float log2_decay; // binary logarithm of what a half size farther out leaves of the mask, negated
     uint sharpness;   // squarings of the radius before it decays: 0 fades from the middle on, more are evener within
-    float reach;      // half sizes beyond which the mask counts as zero
+    float cutoff;     // half sizes beyond which the mask counts as zero
     float slab_m;     // splats whose mean is farther from the plane are not ground
     uint cameras;     // those that see it, a bit each
 };
@@ -28,7 +28,7 @@ float shadow_factor(Shadow shadow, vec3 mean_m) {
     vec2 u = vec2(dot(shadow.along, offset), dot(shadow.across, offset));
     u *= u;
     float radius = sqrt(sqrt(dot(u, u))); // (|x|^4 + |y|^4)^(1/4)
-    if (radius > shadow.reach) {
+    if (radius > shadow.cutoff) {
         return 1.0;
     }
     for (uint squaring = 0u; squaring < shadow.sharpness; ++squaring) {

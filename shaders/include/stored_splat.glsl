@@ -18,10 +18,10 @@ vec4 unpack_rotation(uvec4 words) {
     uint second = words.z >> SCALE_BITS | (words.w >> SCALE_BITS & 0x3ffu) << 11u;
     vec3 others = COMPONENT_STEP * vec3(ivec3(first, second, words.w) << 11 >> 11);
     float left_out = sqrt(max(1.0 - dot(others, others), 0.0));
-    uint place = words.y >> 31u | words.w >> 31u << 1u;
-    return place == 0u   ? vec4(left_out, others)
-           : place == 1u ? vec4(others.x, left_out, others.yz)
-           : place == 2u ? vec4(others.xy, left_out, others.z)
+    uint left_out_axis = words.y >> 31u | words.w >> 31u << 1u;
+    return left_out_axis == 0u   ? vec4(left_out, others)
+           : left_out_axis == 1u ? vec4(others.x, left_out, others.yz)
+           : left_out_axis == 2u ? vec4(others.xy, left_out, others.z)
                          : vec4(others, left_out);
 }
 

@@ -345,8 +345,8 @@ fn assert_deviations_hold(along: &[(f64, f64)]) {
     if shown.is_empty() {
         return;
     }
-    let share = |reach: f64| {
-        shown.iter().filter(|error| **error <= reach).count() as f64 / shown.len() as f64
+    let share = |limit: f64| {
+        shown.iter().filter(|error| **error <= limit).count() as f64 / shown.len() as f64
     };
     println!(
         "{} logs that show the place along: {:.2} within a deviation, {:.2} within two",

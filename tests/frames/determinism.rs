@@ -11,12 +11,12 @@ use crate::device::Validated;
 fn ties(count: usize) -> Vec<Splat> {
     (0..count)
         .map(|i| {
-            let place = (i as f32 * 0.618).fract();
+            let share = (i as f32 * 0.618).fract();
             Splat {
-                opacity: 0.2 + 0.6 * place,
-                rgb: [place, 1.0 - place, 0.5],
+                opacity: 0.2 + 0.6 * share,
+                rgb: [share, 1.0 - share, 0.5],
                 ..Splat::at(
-                    place * 3.0 - 1.5,
+                    share * 3.0 - 1.5,
                     (i % 37) as f32 * 0.05 - 0.9,
                     3.0 + (i % 5) as f32,
                 )

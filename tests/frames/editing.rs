@@ -357,7 +357,7 @@ fn agents_laid_over_the_background_are_the_whole() {
     // changes nothing.
     let rules = Rules {
         near_m: AGENTS_DEPTH_MAX_M,
-        ..loaded.world.rules
+        ..loaded.splat_scene.rules
     };
     let beyond = draw_by(
         &gpu,

@@ -230,8 +230,8 @@ fn a_wall_has_the_normal_range_and_flow_of_a_plane() {
     let splats: Vec<Splat> = (-60..=60)
         .flat_map(|column| (-40..=40).map(move |row| (column, row)))
         .map(|(column, row)| {
-            let place = DVec3::new(0.1 * f64::from(column), 0.1 * f64::from(row), 0.0);
-            let at = (DVec3::Z * 6.0 + turn * place).as_vec3();
+            let position = DVec3::new(0.1 * f64::from(column), 0.1 * f64::from(row), 0.0);
+            let at = (DVec3::Z * 6.0 + turn * position).as_vec3();
             Splat {
                 mean_m: at.to_array(),
                 scale_m: [0.08, 0.08, 0.002],

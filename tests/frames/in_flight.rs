@@ -131,8 +131,8 @@ fn a_drive_is_recorded_once() {
     let asset = pool.add(&coded_car(500, 74)).unwrap();
     // Four to seven of them are in view.
     let agents = |frame: usize| {
-        let place = |agent: usize| DVec3::new(8.0 + agent as f64, 0.1 * frame as f64, 0.0);
-        let agent = |agent: usize| Agent::new(asset, Pose::from_yaw(0.1, place(agent)), 1);
+        let position = |agent: usize| DVec3::new(8.0 + agent as f64, 0.1 * frame as f64, 0.0);
+        let agent = |agent: usize| Agent::new(asset, Pose::from_yaw(0.1, position(agent)), 1);
         (0..4 + frame % 4).map(agent).collect::<Vec<_>>()
     };
     let mut renderer = Renderer::new(&gpu, RenderOptions::default());

@@ -158,13 +158,13 @@ fn agents_through_lenses_are_the_decoded_splats_placed_in_the_world() {
     let gpu = Validated::open();
     let world = background(2000, 1);
     let car = coded_car(700, 2);
-    let place = |x: f64, y: f64| Pose::from_yaw(0.3 * x, DVec3::new(x, y, 0.0));
+    let position = |x: f64, y: f64| Pose::from_yaw(0.3 * x, DVec3::new(x, y, 0.0));
     // The third one is beside the cameras, more than 45 degrees off, and the last behind.
     let poses = [
-        place(8.0, 1.0),
-        place(11.0, -3.0),
-        place(4.0, 5.5),
-        place(-20.0, 0.0),
+        position(8.0, 1.0),
+        position(11.0, -3.0),
+        position(4.0, 5.5),
+        position(-20.0, 0.0),
     ];
     let ahead =
         camera_towards("ahead", DVec3::ZERO, DVec3::new(10.0, 0.0, 0.2), (4, 4)).world_from_camera;
@@ -312,18 +312,18 @@ fn a_marker_lands_on_its_pixel() {
                 ..Splat::at(0.0, 0.0, 0.0)
             }]);
             let image = draw(&gpu, &world, std::slice::from_ref(&camera), Rules::DEFAULT).remove(0);
-            let (mut weight, mut place) = (0.0, DVec2::ZERO);
+            let (mut weight, mut position) = (0.0, DVec2::ZERO);
             for (index, &alpha) in image.alpha.iter().enumerate() {
                 let (column, row) = (index as u32 % image.width, index as u32 / image.width);
                 weight += f64::from(alpha);
-                place +=
+                position +=
                     f64::from(alpha) * DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
             }
             assert!(
-                (place / weight - pixel).length() < 0.1,
+                (position / weight - pixel).length() < 0.1,
                 "{}: {} instead of {pixel}",
                 camera.name,
-                place / weight
+                position / weight
             );
         }
     }

@@ -63,9 +63,9 @@ pub fn models() -> Vec<(&'static str, LidarModel)> {
     let uneven: Vec<(f64, f64)> = uniform(24, 1.0, -1.0)
         .iter()
         .enumerate()
-        .map(|(row, &(place, _))| {
+        .map(|(row, &(position, _))| {
             let offset_deg = [-4.2, -1.4, 1.4, 4.2][row % 4];
-            (25.0 * place.powi(3) - 2.0 + 4.0 * place, offset_deg)
+            (25.0 * position.powi(3) - 2.0 + 4.0 * position, offset_deg)
         })
         .collect();
     let mut random = Random(5);

@@ -17,8 +17,8 @@ fn without_light_on_demand_no_image_depends_on_those_before() {
     let views = cameras(&loaded);
     let ahead = loaded.ego.at(0.0).translation;
     let pose = |x_m: f64| Pose::from_yaw(0.3, ahead + DVec3::new(x_m, 1.5, 0.8));
-    // Images at the last of `places`, after those before.
-    let drawn = |bakes_light_on_demand: bool, places: &[f64]| {
+    // Images at the last of `positions`, after those before.
+    let drawn = |bakes_light_on_demand: bool, positions: &[f64]| {
         let options = SessionOptions {
             render: options(),
             bakes_light_on_demand,
@@ -28,7 +28,7 @@ fn without_light_on_demand_no_image_depends_on_those_before() {
         let scene = session.add_scene(&loaded).unwrap();
         let (mut renderer, mut world) = (session.batch_renderer(), World::new(&scene));
         let mut images = Vec::new();
-        for x_m in places {
+        for x_m in positions {
             world.move_to("ahead", pose(*x_m)).unwrap();
             let view = WorldView {
                 world: &world,

@@ -312,10 +312,10 @@ fn small_splats_stand_where_their_rows_see_them() {
         for direction in ROLLING {
             let rolled = rolling(&camera, direction, motion);
             // One splat per image: its center of gravity is where it stands.
-            for place in [[0.2, 0.3], [0.7, 0.4], [0.5, 0.8]] {
+            for position in [[0.2, 0.3], [0.7, 0.4], [0.5, 0.8]] {
                 let k = &camera.intrinsics;
                 let size = [f64::from(k.width_px), f64::from(k.height_px)];
-                let at_px = glam::DVec2::new(place[0] * size[0], place[1] * size[1]);
+                let at_px = glam::DVec2::new(position[0] * size[0], position[1] * size[1]);
                 let ray = k.unproject(at_px).unwrap();
                 let mean = camera.world_from_camera.transform(ray * 8.0).as_vec3();
                 let splat = Splat {
@@ -333,7 +333,7 @@ fn small_splats_stand_where_their_rows_see_them() {
     far_px.sort_by(f64::total_cmp);
     let most = far_px[far_px.len() - 1];
     println!(
-        "{} splats, at most {most:.4} px from their places",
+        "{} splats, at most {most:.4} px from their positions",
         far_px.len()
     );
     assert!(most < 0.1, "{most} px");

@@ -136,7 +136,7 @@ fn a_scene_opened_in_spatial_order_is_the_same_scene() {
         return;
     };
     let plain = read_splats(&path).unwrap();
-    let opened = open_scene(&path, 0.0).unwrap().world;
+    let opened = open_scene(&path, 0.0).unwrap().splat_scene;
     assert_eq!(opened.splats.len(), plain.len());
     let mut a: Vec<_> = plain.means.iter().map(|m| m.map(f32::to_bits)).collect();
     let mut b: Vec<_> = opened

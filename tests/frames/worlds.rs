@@ -160,7 +160,7 @@ fn loaded(seed: u64) -> LoadedScene {
     };
     LoadedScene {
         plain_agents: Vec::new(),
-        world: background(2000, seed),
+        splat_scene: background(2000, seed),
         assets: vec![coded_car(400, seed + 1), coded_car(250, seed + 2)],
         agents: vec![agent("a", 0, 1, 8.0), agent("b", 1, 2, 12.0)],
         rig: Rig::default(),
@@ -459,7 +459,7 @@ fn images_that_are_held_stay_and_their_memory_comes_back() {
             .unwrap();
         let words = session.gpu().read(&taken.buffers().images_u8).unwrap();
         let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
-        assert_eq!(taken.places(), [(0, [150, 90]), (150 * 90, [97, 64])]);
+        assert_eq!(taken.ranges(), [(0, [150, 90]), (150 * 90, [97, 64])]);
         assert!(
             bytes[..4 * 150 * 90] == *expected.rgba(0, 0)
                 && bytes[4 * 150 * 90..] == *expected.rgba(0, 1),
@@ -506,7 +506,7 @@ fn a_session_draws_each_scene_by_its_own_rules() {
     ];
     let loaded = own.map(|rules| {
         let mut loaded = loaded(3);
-        loaded.world.rules = rules;
+        loaded.splat_scene.rules = rules;
         loaded
     });
     let scenes = loaded
@@ -524,7 +524,7 @@ fn a_session_draws_each_scene_by_its_own_rules() {
         let mut renderer = Renderer::new(
             session.gpu(),
             RenderOptions {
-                rules: loaded.world.rules,
+                rules: loaded.splat_scene.rules,
                 outputs,
                 ..RenderOptions::default()
             },

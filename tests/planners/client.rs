@@ -262,7 +262,7 @@ fn the_example_slows_down_in_the_dark() {
         }
     );
     let rig = cameras();
-    let mut reach_m = |gray: u8| {
+    let mut travel_m = |gray: u8| {
         planner.begin(&briefing()).unwrap();
         let rgba = vec![gray; 4 * rig[0].intrinsics.pixels() as usize];
         let plan = planner
@@ -270,7 +270,7 @@ fn the_example_slows_down_in_the_dark() {
             .unwrap();
         plan.at(4.0).x
     };
-    let (bright_m, dark_m) = (reach_m(150), reach_m(20));
+    let (bright_m, dark_m) = (travel_m(150), travel_m(20));
     assert!(
         (bright_m - 4.0 * 7.3).abs() < 1e-9 && dark_m < 0.75 * bright_m && dark_m > 0.0,
         "{bright_m} {dark_m}"

@@ -66,7 +66,7 @@ fn planners_that_must_know_say_so_when_they_are_not_told() {
         .unwrap_err()
         .to_string();
     assert!(
-        refused.contains("a route of at least two places"),
+        refused.contains("a route of at least two positions"),
         "{refused}"
     );
 }

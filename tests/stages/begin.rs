@@ -205,8 +205,8 @@ const CASES: [Case; 4] = [
 #[test]
 fn a_frame_begins_with_what_the_host_wrote_and_counts_of_nothing() {
     let gpu = open();
-    for (place, case) in CASES.iter().enumerate() {
-        compare(&gpu, case, false).unwrap_or_else(|error| panic!("case {place}: {error}"));
+    for (index, case) in CASES.iter().enumerate() {
+        compare(&gpu, case, false).unwrap_or_else(|error| panic!("case {index}: {error}"));
     }
 }
 

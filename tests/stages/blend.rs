@@ -149,9 +149,9 @@ impl Case {
         let origin = coarse_tile_origin(item.bin, camera);
         let list = &self.records[item.first_pair as usize..(item.first_pair + item.pairs) as usize];
         (0..COARSE_PIXELS)
-            .map(|place| {
-                let [x, y] = pixel_offset(place);
-                let before = before.map(|before| &before[place]);
+            .map(|index| {
+                let [x, y] = pixel_offset(index);
+                let before = before.map(|before| &before[index]);
                 PixelBounds::of(
                     &self.projected,
                     list,
@@ -164,11 +164,11 @@ impl Case {
     }
 
     /// The camera and position of a pixel of an item, if it lies in the image.
-    fn place_in_images(&self, item: &BlendItem, place: usize) -> Option<(&CameraRecord, [u32; 2])> {
+    fn pixel_in_images(&self, item: &BlendItem, index: usize) -> Option<(&CameraRecord, [u32; 2])> {
         let cameras = &self.scene.view.cameras;
         let camera = &cameras[twins::output::camera_of_bin(cameras, item.bin)];
         let [left, top] = coarse_tile_origin(item.bin, camera);
-        let [x, y] = pixel_offset(place);
+        let [x, y] = pixel_offset(index);
         let at = [left + x, top + y];
         (at[0] < camera.size_px[0] && at[1] < camera.size_px[1]).then_some((camera, at))
     }
@@ -253,7 +253,7 @@ impl Case {
             .zip(twin)
             .filter(|(item, _)| item.partial != NO_PARTIAL)
         {
-            for (place, ((bounds, kernel), twin)) in self
+            for (index, ((bounds, kernel), twin)) in self
                 .bounds(item, None)
                 .iter()
                 .zip(&kernel[item.partial as usize])
@@ -261,10 +261,10 @@ impl Case {
                 .enumerate()
             {
                 // Beside the image nobody reads them.
-                if self.place_in_images(item, place).is_none() {
+                if self.pixel_in_images(item, index).is_none() {
                     continue;
                 }
-                let what = format!("pixel {place} of {item:?}");
+                let what = format!("pixel {index} of {item:?}");
                 report.add(bounds, |bounds| {
                     let values = |pixel: &Pixel| {
                         [
@@ -336,8 +336,8 @@ impl Case {
         before: Option<&[Pixel]>,
         kernel: &Images,
     ) -> Result<(), String> {
-        for (place, (bounds, pixel)) in self.bounds(item, before).iter().zip(twin).enumerate() {
-            let Some((camera, at)) = self.place_in_images(item, place) else {
+        for (index, (bounds, pixel)) in self.bounds(item, before).iter().zip(twin).enumerate() {
+            let Some((camera, at)) = self.pixel_in_images(item, index) else {
                 continue;
             };
             let target = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
@@ -496,7 +496,7 @@ fn every_pixel_is_written_once_and_no_other() {
     let (images, _) = case.kernel(&gpu, None);
     let mut expected = vec![true; case.scene.view.pixels];
     for item in case.items.iter().filter(|item| item.partial != NO_PARTIAL) {
-        for (camera, at) in (0..COARSE_PIXELS).filter_map(|place| case.place_in_images(item, place))
+        for (camera, at) in (0..COARSE_PIXELS).filter_map(|index| case.pixel_in_images(item, index))
         {
             expected[(camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize] = false;
         }
@@ -516,7 +516,7 @@ fn one_changed_pixel_is_seen() {
     let (images, partials) = case.kernel(&gpu, None);
     case.check_images(&images, &case.twin(None)).unwrap();
     case.check_partials(&partials, &case.twin(None)).unwrap();
-    let place = |item: &BlendItem| {
+    let index = |item: &BlendItem| {
         case.bounds(item, None)
             .iter()
             .position(|bounds| !bounds.unsettled)
@@ -524,15 +524,15 @@ fn one_changed_pixel_is_seen() {
     };
     for (i, item) in case.items.iter().enumerate().take(2) {
         let mut twin = case.twin(None);
-        twin[i][place(item)].color.y += 0.001;
+        twin[i][index(item)].color.y += 0.001;
         let seen = if item.partial == NO_PARTIAL {
             case.check_images(&images, &twin)
         } else {
             case.check_partials(&partials, &twin)
         };
         assert!(seen.unwrap_err().contains("value 1"));
-        twin[i][place(item)].color.y -= 0.001;
-        twin[i][place(item)].planes.best_instance = 7;
+        twin[i][index(item)].color.y -= 0.001;
+        twin[i][index(item)].planes.best_instance = 7;
         let seen = if item.partial == NO_PARTIAL {
             case.check_images(&images, &twin)
         } else {

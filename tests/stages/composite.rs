@@ -7,7 +7,7 @@ use decouplegs::render::stages::{
 use decouplegs::render::twins::color_code::COLOR_CODE_ERROR;
 use decouplegs::render::twins::output::{
     Images, PIXEL_EMPTY, Pixel, camera_of_bin, coarse_tile_origin, pack_unorm_4x8, pixel_offset,
-    places_of_tile, write_pixel,
+    pixels_of_tile, write_pixel,
 };
 use decouplegs::render::{ColorFormat, OutputBuffers, Outputs, Plane, Planes, twins};
 use decouplegs::scene::Rules;
@@ -59,7 +59,7 @@ impl Case {
         for pixels in partials.chunks_exact_mut(COARSE_PIXELS) {
             // Of the fine tiles, some have nothing drawn in them.
             for tile in (0..FINE_TILES).filter(|_| random.below(3) == 0) {
-                places_of_tile(tile).for_each(|place| pixels[place] = PIXEL_EMPTY);
+                pixels_of_tile(tile).for_each(|index| pixels[index] = PIXEL_EMPTY);
             }
         }
         Self {
@@ -167,12 +167,12 @@ impl Case {
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
             let origin = coarse_tile_origin(composite.bin, camera);
-            for (place, pixel) in twins::composite(composite, &self.partials, end, counts)
+            for (index, pixel) in twins::composite(composite, &self.partials, end, counts)
                 .0
                 .iter()
                 .enumerate()
             {
-                let [x, y] = pixel_offset(place);
+                let [x, y] = pixel_offset(index);
                 let at = [origin[0] + x, origin[1] + y];
                 write_pixel(&mut images, camera, at, pixel, Vec3::from_array(SKY));
                 if at[0] < camera.size_px[0] && at[1] < camera.size_px[1] {
@@ -202,15 +202,15 @@ impl Case {
             for unfinished in twins::composite(composite, &self.partials, end, counts).1 {
                 let twins::Unfinished {
                     slot,
-                    place,
+                    index,
                     before,
                 } = unfinished;
-                let [x, y] = pixel_offset(place);
+                let [x, y] = pixel_offset(index);
                 if origin[0] + x >= camera.size_px[0] || origin[1] + y >= camera.size_px[1] {
                     continue;
                 }
                 tiles[slot] |= 1 << (y / 8 * 8 + x / 8);
-                let at = slot * COARSE_PIXELS + place;
+                let at = slot * COARSE_PIXELS + index;
                 let relative =
                     8.0 * ROUNDOFF * f64::from(slot as u32 - composite.first_partial + 2);
                 let values = |pixel: &Pixel| {
@@ -228,7 +228,7 @@ impl Case {
                 let rounding = f64::from(COLOR_CODE_ERROR * before.color.max_element());
                 bounds[..3].iter_mut().for_each(|bound| *bound += rounding);
                 within(
-                    &format!("pixel {place} of slot {slot}"),
+                    &format!("pixel {index} of slot {slot}"),
                     &values(&left_pixels[at]),
                     &expected,
                     &bounds,
@@ -255,19 +255,19 @@ impl Case {
         let mut worst = 0.0f64;
         let instances = [kernel, twin].map(|images| images.plane(Plane::Instance));
         identical("instances", instances[0], instances[1])?;
-        for (place, &count) in segments.iter().enumerate().filter(|(_, count)| **count > 0) {
+        for (index, &count) in segments.iter().enumerate().filter(|(_, count)| **count > 0) {
             let relative = 8.0 * ROUNDOFF * f64::from(count + 2);
-            let (k, t) = (kernel.images_f32[place], twin.images_f32[place]);
+            let (k, t) = (kernel.images_f32[index], twin.images_f32[index]);
             let colors = [0, 1, 2].map(|channel| relative * f64::from(t[channel]));
             let depth = if t[3] > 0.0 {
-                2.0 * relative * f64::from(twin.depth_m(place)) / f64::from(t[3])
+                2.0 * relative * f64::from(twin.depth_m(index)) / f64::from(t[3])
             } else {
                 0.0
             };
             let bounds = [colors[0], colors[1], colors[2], relative, depth];
-            let what = format!("pixel {place}");
+            let what = format!("pixel {index}");
             let [k, t] = [(k, kernel), (t, twin)]
-                .map(|(value, side)| [value[0], value[1], value[2], value[3], side.depth_m(place)]);
+                .map(|(value, side)| [value[0], value[1], value[2], value[3], side.depth_m(index)]);
             worst = worst.max(within(&what, &k, &t, &bounds)?);
         }
         println!("{worst:.3} of the bound");
@@ -313,20 +313,20 @@ fn bytes_are_rounded() {
     let case = Case::new(2);
     let (twin, segments) = case.twin();
     let bytes = case.kernel(&gpu, ColorFormat::U8).1;
-    for (place, value) in twin
+    for (index, value) in twin
         .images_f32
         .iter()
         .enumerate()
-        .filter(|(place, _)| segments[*place] > 0)
+        .filter(|(index, _)| segments[*index] > 0)
     {
         let packed = pack_unorm_4x8(*value).to_le_bytes();
-        for (channel, (&a, &b)) in bytes[place].to_le_bytes().iter().zip(&packed).enumerate() {
+        for (channel, (&a, &b)) in bytes[index].to_le_bytes().iter().zip(&packed).enumerate() {
             // Half-way values may be rounded either way.
             let half_way =
                 ((f64::from(value[channel].clamp(0.0, 1.0)) * 255.0).fract() - 0.5).abs() < 0.01;
             assert!(
                 a == b || (half_way && a.abs_diff(b) == 1),
-                "pixel {place}, channel {channel}: {a}, the twin has {b}"
+                "pixel {index}, channel {channel}: {a}, the twin has {b}"
             );
         }
     }
@@ -340,9 +340,9 @@ fn segments_in_another_order_are_seen() {
     let (twin, segments) = case.twin();
     Case::check(&kernel, &twin, &segments).unwrap();
     let first = case.composites[0].first_partial as usize * COARSE_PIXELS;
-    for place in 0..COARSE_PIXELS {
+    for index in 0..COARSE_PIXELS {
         case.partials
-            .swap(first + place, first + COARSE_PIXELS + place);
+            .swap(first + index, first + COARSE_PIXELS + index);
     }
     let (twin, segments) = case.twin();
     assert!(Case::check(&kernel, &twin, &segments).is_err());

@@ -145,7 +145,7 @@ fn drop_clusters_of(rig: &[Camera]) {
     let ordered = SplatScene::of(small.in_spatial_order());
     let scene = Scene::new(&gpu, &ordered, rig);
     let near_m = decouplegs::render::layout::near_m(&Rules::DEFAULT);
-    let reach = |camera: usize, cluster: usize| {
+    let overlaps = |camera: usize, cluster: usize| {
         let lens = lens_of(&scene.view.lenses, camera);
         decouplegs::render::twins::cluster_overlaps_any_lens(
             &scene.clusters[cluster],
@@ -155,14 +155,14 @@ fn drop_clusters_of(rig: &[Camera]) {
         )
     };
     let dropped = (0..scene.clusters.len())
-        .filter(|&cluster| !reach(0, cluster))
+        .filter(|&cluster| !overlaps(0, cluster))
         .count();
     assert!(dropped > 0, "no cluster is dropped: the test shows nothing");
     for camera in 0..scene.view.cameras.len() {
         for splat in 0..scene.means_m.len() {
             if scene.settled_visibility(camera, splat, &Rules::DEFAULT) == Some(true) {
                 assert!(
-                    reach(camera, splat / CLUSTER_SPLATS),
+                    overlaps(camera, splat / CLUSTER_SPLATS),
                     "camera {camera}: the cluster of splat {splat} was dropped"
                 );
             }

@@ -2,7 +2,7 @@
 
 use decouplegs::render::layout::{ClusterRecord, ShadowRecord};
 use decouplegs::render::stages::{CullShadows, ProjectVariant, ShadowBuffers, words_for};
-use decouplegs::render::twins::{self, shadow::shadow_factor, shadow::shadow_reaches};
+use decouplegs::render::twins::{self, shadow::shadow_factor, shadow::shadow_overlaps};
 use decouplegs::scene::{GroundShadow, Pose, Rules};
 use glam::{DQuat, DVec3};
 
@@ -63,9 +63,9 @@ fn with_shadows(gpu: &Validated, splats: usize, shadows: usize) -> Scene {
 fn settled(shadow: &ShadowRecord, cluster: &ClusterRecord) -> Option<bool> {
     let reaches = |share: f32| {
         let half_extent_m = cluster.half_extent_m.map(|half| half * (1.0 + share));
-        shadow_reaches(
+        shadow_overlaps(
             &ShadowRecord {
-                reach: shadow.reach * (1.0 + share),
+                cutoff: shadow.cutoff * (1.0 + share),
                 ..*shadow
             },
             &ClusterRecord {

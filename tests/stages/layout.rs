@@ -1,5 +1,5 @@
 //! Structures and constants that host and shaders both spell out: the same names at the same
-//! places, and the same numbers.
+//! positions, and the same numbers.
 
 use std::fs;
 use std::mem::{offset_of, size_of};
@@ -83,7 +83,7 @@ fn records_of_frames() -> Vec<Record> {
         record!(ClusterRecord {
             center_m,
             half_extent_m,
-            reach_m
+            splat_radius_m
         }),
         record!(RequiredCounts {
             records,
@@ -195,7 +195,7 @@ fn records_of_light_and_lenses() -> Vec<Record> {
             tangential,
             thin_prism,
             table,
-            bend_reach,
+            bend_limit,
             bending
         }),
         record!(ShadowRecord {
@@ -207,7 +207,7 @@ fn records_of_light_and_lenses() -> Vec<Record> {
             strength,
             log2_decay,
             sharpness,
-            reach,
+            cutoff,
             slab_m,
             cameras
         }),

@@ -121,8 +121,8 @@ impl Listed {
         let (mut splat_of_record, mut sector_of_record) = (vec![], vec![]);
         for sector in 0..sectors.count {
             for bit in 0..clusters * 256 {
-                let place = sector * clusters * 256 + bit;
-                if words[place / 32] >> (place % 32) & 1 == 1 {
+                let index = sector * clusters * 256 + bit;
+                if words[index / 32] >> (index % 32) & 1 == 1 {
                     splat_of_record.push(bit);
                     sector_of_record.push(sector);
                 }
@@ -196,21 +196,21 @@ impl Listed {
         }
     }
 
-    /// Sector, column, row and place of each beam's cell.
-    fn places(&self) -> Vec<[usize; 4]> {
-        let mut places = vec![[usize::MAX; 4]; self.beams.len()];
+    /// Sector, column, row and index of each beam's cell.
+    fn beam_cells(&self) -> Vec<[usize; 4]> {
+        let mut cells = vec![[usize::MAX; 4]; self.beams.len()];
         for (sector, camera) in self.view.cameras.iter().enumerate() {
             let [columns, rows] = camera.size_px.map(|size| size as usize);
             for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |c| (row, c))) {
-                let place = camera.first_pixel as usize + row * columns + column;
-                let beam = self.cut.beam_of_cell[place];
-                if let Some(found) = places.get_mut(beam as usize) {
-                    *found = [sector, column, row, place];
+                let index = camera.first_pixel as usize + row * columns + column;
+                let beam = self.cut.beam_of_cell[index];
+                if let Some(found) = cells.get_mut(beam as usize) {
+                    *found = [sector, column, row, index];
                 }
             }
         }
-        assert!(places.iter().all(|place| place[0] != usize::MAX));
-        places
+        assert!(cells.iter().all(|cell| cell[0] != usize::MAX));
+        cells
     }
 
     /// Records of the list of the coarse tile of a cell.
@@ -337,8 +337,8 @@ fn beams_meet_their_lists_as_the_twin_does() {
             let lidar = lidar_at(model, DVec3::ZERO, motion);
             let listed = Listed::new(&gpu, &world, &lidar);
             let (mut medians, mut seconds) = (0, 0);
-            for place in listed.places().into_iter().step_by(7) {
-                let beam = listed.cut.tables.beams[place[3]];
+            for cell in listed.beam_cells().into_iter().step_by(7) {
+                let beam = listed.cut.tables.beams[cell[3]];
                 let firing = &listed.cut.tables.firings[beam.firing as usize];
                 let traced = TwinBeam {
                     direction: Vec3::from_array(beam.direction),
@@ -351,12 +351,12 @@ fn beams_meet_their_lists_as_the_twin_does() {
                     ..BeamState::default()
                 };
                 let mut echoes = BeamEchoes::default();
-                for &record in listed.list(place) {
+                for &record in listed.list(cell) {
                     let record = record as usize;
                     let [_, intensity, instance] = listed.looks[record];
                     let splat = listed.splat(record);
                     let [left, right, top, bottom] = listed.cells(record).map(|cell| cell / 8);
-                    let [column, row] = [place[1], place[2]].map(|cell| cell as i32 / 8);
+                    let [column, row] = [cell[1], cell[2]].map(|cell| cell as i32 / 8);
                     if twin.transmittance <= 1e-4
                         || !(left..=right).contains(&column)
                         || !(top..=bottom).contains(&row)
@@ -366,7 +366,7 @@ fn beams_meet_their_lists_as_the_twin_does() {
                     let look = (intensity, instance.to_bits());
                     meet(&splat, look, &traced, (&mut twin, &mut echoes));
                 }
-                let kernel = listed.states[place[3]];
+                let kernel = listed.states[cell[3]];
                 let near = |a: f32, b: f32| (a - b).abs() <= 1e-3 + 1e-4 * b.abs();
                 assert!(
                     near(kernel.transmittance, twin.transmittance)
@@ -374,10 +374,10 @@ fn beams_meet_their_lists_as_the_twin_does() {
                         && near(kernel.intensity_sum, twin.intensity_sum)
                         && near(kernel.median_m, twin.median_m)
                         && kernel.instances == twin.instances,
-                    "{what}, cell {place:?}: {kernel:?}, the twin {twin:?}"
+                    "{what}, cell {cell:?}: {kernel:?}, the twin {twin:?}"
                 );
                 medians += usize::from(twin.median_m > 0.0);
-                let of_kernel = listed.echoes[place[3]];
+                let of_kernel = listed.echoes[cell[3]];
                 let records = |found: &BeamEchoes| [found.open, found.strongest, found.last];
                 for (a, b) in records(&of_kernel).into_iter().zip(records(&echoes)) {
                     assert!(
@@ -385,7 +385,7 @@ fn beams_meet_their_lists_as_the_twin_does() {
                             && near(a.range_sum_m, b.range_sum_m)
                             && near(a.intensity_sum, b.intensity_sum)
                             && a.instance == b.instance,
-                        "{what}, cell {place:?}: {of_kernel:?}, the twin {echoes:?}"
+                        "{what}, cell {cell:?}: {of_kernel:?}, the twin {echoes:?}"
                     );
                 }
                 seconds += usize::from(echoes.found()[1].is_some());
@@ -413,13 +413,13 @@ fn check_lists(what: &str, listed: &Listed, world: &SplatScene, lidar: &Lidar) -
     };
     let contributions = truth.contributions(lidar, &listed.beams);
     let (mut adding, mut tested) = (0, 0);
-    for (place, found) in listed.places().into_iter().zip(&contributions) {
-        let (column, row) = (place[1] as i32, place[2] as i32);
+    for (cell, found) in listed.beam_cells().into_iter().zip(&contributions) {
+        let (column, row) = (cell[1] as i32, cell[2] as i32);
         let reaches = |&record: &u32| {
             let [left, right, top, bottom] = listed.cells(record as usize);
             (left..=right).contains(&column) && (top..=bottom).contains(&row)
         };
-        let reached: Vec<usize> = (listed.list(place).iter().filter(|record| reaches(record)))
+        let reached: Vec<usize> = (listed.list(cell).iter().filter(|record| reaches(record)))
             .map(|&record| listed.splat_of_record[record as usize])
             .collect();
         tested += reached.len();
@@ -431,7 +431,7 @@ fn check_lists(what: &str, listed: &Listed, world: &SplatScene, lidar: &Lidar) -
             adding += 1;
             assert!(
                 reached.contains(&(met.splat as usize)),
-                "{what}: the beam of cell {place:?} meets splat {} with alpha {}, and its list lacks it",
+                "{what}: the beam of cell {cell:?} meets splat {} with alpha {}, and its list lacks it",
                 met.splat,
                 met.alpha
             );

@@ -35,7 +35,7 @@ use decouplegs::render::layout::{
 };
 use decouplegs::render::stages::{FrameCounters, IndirectArguments, PartialResults};
 use decouplegs::render::twins::color_code::{pack_color, unpack_color};
-use decouplegs::render::twins::output::{PIXEL_EMPTY, Pixel, places_of_tile};
+use decouplegs::render::twins::output::{PIXEL_EMPTY, Pixel, pixels_of_tile};
 
 use crate::device::Validated;
 use decouplegs::render::twins::planes::{plane_sums, plane_words};
@@ -119,12 +119,12 @@ fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel]) 
     for slot in 0..pixels.len() / COARSE_PIXELS {
         let pixels = &pixels[slot * COARSE_PIXELS..][..COARSE_PIXELS];
         let is_drawn =
-            |tile: &usize| places_of_tile(*tile).any(|place| pixels[place] != PIXEL_EMPTY);
+            |tile: &usize| pixels_of_tile(*tile).any(|index| pixels[index] != PIXEL_EMPTY);
         let first = (drawn.len() / TILE_PIXELS) as u32;
         let mut bits = 0u32;
         for tile in (0..FINE_TILES).filter(is_drawn) {
             bits |= 1 << tile;
-            drawn.extend(places_of_tile(tile).map(|place| pixels[place]));
+            drawn.extend(pixels_of_tile(tile).map(|index| pixels[index]));
         }
         tiles.push(PartialTiles { first, tiles: bits });
     }
@@ -155,10 +155,10 @@ fn read_partials(gpu: &Validated, partials: &PartialResults) -> Vec<Pixel> {
         let held = (0..FINE_TILES).filter(|tile| held.tiles >> tile & 1 == 1);
         for (next, tile) in held.enumerate() {
             let indices = (first as usize + next) * TILE_PIXELS..;
-            for (index, place) in indices.zip(places_of_tile(tile)) {
+            for (index, pixel) in indices.zip(pixels_of_tile(tile)) {
                 let words = words[3 * index..][..3].try_into();
                 let color = &colors[3 * index..][..3];
-                pixels[slot * COARSE_PIXELS + place] = Pixel {
+                pixels[slot * COARSE_PIXELS + pixel] = Pixel {
                     color: unpack_color([color[0], color[1]]),
                     transmittance: f32::from_bits(color[2]),
                     planes: plane_sums(words.expect("all planes were asked for")),

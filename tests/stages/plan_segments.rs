@@ -18,7 +18,7 @@ struct Case<'a> {
 }
 
 impl Case<'_> {
-    /// First place and length of each list, the last list first.
+    /// First index and length of each list, the last list first.
     fn tile_lists(&self) -> Vec<[u32; 2]> {
         let mut first = 0;
         let mut lists: Vec<_> = self

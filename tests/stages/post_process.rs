@@ -15,12 +15,12 @@ use crate::device::Validated;
 use crate::frames::sky::{noise, some_photometry};
 
 /// Rounded operations between a ray and its color: 2 for the ray, 5 for its turn to the cube, 4 for
-/// the place on a face, where a texel is up to 2^3 of the coordinate's unit, and 6 to interpolate;
-/// then 20 for the calibration, whose exponents need a logarithm of up to 16 units.
+/// the position on a face, where a texel is up to 2^3 of the coordinate's unit, and 6 to
+/// interpolate; then 20 for the calibration, whose exponents need a logarithm of up to 16 units.
 const OPERATIONS: f64 = 2.0 + 5.0 + 4.0 * 8.0 + 6.0 + 20.0 + 16.0;
 
-/// Factor by which colors follow the place and what comes before: differences of neighboring texels
-/// times texels of a face, and the gain of the calibration.
+/// Factor by which colors follow the position and what comes before: differences of neighboring
+/// texels times texels of a face, and the gain of the calibration.
 const STEEPNESS: f64 = 32.0;
 
 /// Two cameras, the second of which reads its rays from a table, every 7th of which is none.

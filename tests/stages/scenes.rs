@@ -211,7 +211,7 @@ impl Scene {
         let (shapes, rotations) = (0..resident.splats)
             .map(|splat| load_shape(storage, &shapes, &rotations, splat))
             .unzip();
-        let view = View::new(cameras, world.origin, resident.reach_m).unwrap();
+        let view = View::new(cameras, world.origin, resident.distance_max_m).unwrap();
         Self {
             camera_buffer: uniform_cameras(gpu, &view.cameras),
             lens_buffer: upload(gpu, &view.lenses),
@@ -336,7 +336,7 @@ pub fn settled_visibility(
     same.then_some(decision)
 }
 
-/// Coarse tiles of `camera` that the splat can reach.
+/// Coarse tiles of `camera` that the splat can radius.
 fn count_coarse_tiles(splat: &Footprint, camera: &CameraRecord) -> u32 {
     let [first, last] = reached_coarse_rows(splat, camera.size_px[1]);
     let tiles = (first..=last).map(|row| reached_coarse_tiles(splat, row as u32, camera.size_px));
@@ -352,9 +352,9 @@ pub fn settled_tile_count(splat: &Footprint, camera: &CameraRecord) -> Option<u3
         moved.mean_px.y += dy;
         count_coarse_tiles(&moved, camera)
     };
-    let reach = (splat.log2_opacity + 8.01).max(0.0).sqrt();
-    let half_height = reach / splat.rate_y;
-    let half_width = (splat.slope.abs() * half_height) + reach / splat.rate_x;
+    let radius = (splat.log2_opacity + 8.01).max(0.0).sqrt();
+    let half_height = radius / splat.rate_y;
+    let half_width = (splat.slope.abs() * half_height) + radius / splat.rate_x;
     let roundings = (16.0 * ROUNDOFF) as f32;
     let dx = roundings * (splat.mean_px.x.abs() + half_width + camera.size_px[0] as f32);
     let dy = roundings * (splat.mean_px.y.abs() + half_height + camera.size_px[1] as f32);
@@ -492,12 +492,12 @@ impl Scene {
         for camera in 0..self.view.cameras.len() {
             for cluster in 0..self.clusters.len() {
                 listed.offsets.push(listed.records.len() as u32);
-                for place in 0..CLUSTER_SPLATS {
-                    let bit = (camera * self.clusters.len() + cluster) * CLUSTER_SPLATS + place;
+                for index in 0..CLUSTER_SPLATS {
+                    let bit = (camera * self.clusters.len() + cluster) * CLUSTER_SPLATS + index;
                     if words[bit / 32] >> (bit % 32) & 1 == 0 {
                         continue;
                     }
-                    let splat = cluster * CLUSTER_SPLATS + place;
+                    let splat = cluster * CLUSTER_SPLATS + index;
                     if self.settled_visibility(camera, splat, rules) == Some(true) {
                         listed.records.push((camera, splat));
                     } else {

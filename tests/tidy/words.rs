@@ -129,6 +129,9 @@ const RETIRED_WORDS: &[(&str, &str)] = &[
     (concat!("Frame", "Slot"), "FrameInFlight"),
     (concat!("Yard", "stick"), "QualityMeter"),
     (concat!("Show", "case"), "ExampleCrops"),
+    (concat!("reach", "_m"), "radius_m, distance_max_m"),
+    (concat!("squared_", "reach"), "squared_radius"),
+    (concat!("SIGMA_", "REACH"), "SIGMA_SPREAD"),
 ];
 
 /// Exceptions for retired words: keys of files on disk, and compiled test kernels.

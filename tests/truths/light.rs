@@ -28,7 +28,7 @@ fn shadows(weather: Weather) -> (f64, f64) {
         &AmbientOptions::default(),
     );
     let options = ShadowOptions::default();
-    let places: Vec<DVec3> = (0..16)
+    let positions: Vec<DVec3> = (0..16)
         .map(|i| {
             DVec3::new(
                 -75.0 + 6.0 * f64::from(i),
@@ -37,9 +37,9 @@ fn shadows(weather: Weather) -> (f64, f64) {
             )
         })
         .collect();
-    let lights: Vec<_> = places
+    let lights: Vec<_> = positions
         .iter()
-        .map(|&place| field.at(place).expect("a street stands about it"))
+        .map(|&position| field.at(position).expect("a street stands about it"))
         .collect();
     let mean =
         |of: &dyn Fn(usize) -> f64| (0..lights.len()).map(of).sum::<f64>() / lights.len() as f64;
@@ -75,16 +75,16 @@ fn the_field_of_a_street_is_the_sum_over_its_splats() {
         DVec3::ZERO,
         &options,
     );
-    let places: Vec<DVec3> = (0..12)
+    let positions: Vec<DVec3> = (0..12)
         .map(|i| DVec3::new(-70.0 + 9.3 * f64::from(i), 1.65 * f64::from(i % 5 - 2), 0.8))
         .collect();
     // Of the mean light: the coefficient that is off most, and how much it matters for the side
     // that light comes from.
     let errors = |field: &AmbientField| {
-        let of = |place: &DVec3| {
+        let of = |position: &DVec3| {
             let (found, truth) = (
-                field.at(*place).unwrap(),
-                ambient_by_definition(&street.background, *place, &options).unwrap(),
+                field.at(*position).unwrap(),
+                ambient_by_definition(&street.background, *position, &options).unwrap(),
             );
             let off = found
                 .to_vector()
@@ -97,7 +97,7 @@ fn the_field_of_a_street_is_the_sum_over_its_splats() {
                 (found.directionality() - truth.directionality()).abs(),
             )
         };
-        places
+        positions
             .iter()
             .map(of)
             .fold((0.0f64, 0.0f64), |worst, (a, b)| {
@@ -105,7 +105,7 @@ fn the_field_of_a_street_is_the_sum_over_its_splats() {
             })
     };
     let summed = errors(&field);
-    field.bake(places.iter().copied());
+    field.bake(positions.iter().copied());
     let baked = errors(&field);
     println!(
         "of the mean light, and of directionality: {summed:?} from cubes, {baked:?} from probes"

@@ -101,11 +101,11 @@ fn image(cloud: SplatCloud, background: [f32; 3]) -> Image {
         focal_px,
         [WIDTH_PX, HEIGHT_PX],
     );
-    let world = SplatScene {
+    let splat_scene = SplatScene {
         sky: background,
         ..SplatScene::of(cloud)
     };
-    reference::render(&world, &cameras[1], &Rules::DEFAULT).to_image()
+    reference::render(&splat_scene, &cameras[1], &Rules::DEFAULT).to_image()
 }
 
 fn thumbnail(probe: &Probe, exposure: f64) -> Image {

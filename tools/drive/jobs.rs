@@ -303,13 +303,13 @@ impl PlaceArguments {
             .map(|timed| timed.pose.translation.truncate())
             .collect();
         let center_m = way.iter().sum::<glam::DVec2>() / way.len() as f64;
-        let reach_m = way
+        let farthest_m = way
             .iter()
             .map(|at| at.distance(center_m))
             .fold(0.0, f64::max);
         Some(Area {
             center_m,
-            radius_m: reach_m.max(SEEN_M),
+            radius_m: farthest_m.max(SEEN_M),
         })
     }
 

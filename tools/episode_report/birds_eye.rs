@@ -42,11 +42,11 @@ pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
         name: "route",
         color: ROUTE,
         dashed: true,
-        places: episode.head.route_m.clone(),
+        positions: episode.head.route_m.clone(),
     }];
     let is_near = |agent: &usize| last.agents[*agent].as_ref().is_some_and(near);
     for agent in (0..last.agents.len()).filter(is_near) {
-        let places = instants
+        let positions = instants
             .iter()
             .filter_map(|instant| Some(instant.agents[agent].as_ref()?.position_m))
             .filter(|at| ego_way.iter().any(|ego| ego.distance(*at) < NEAR_M));
@@ -54,14 +54,14 @@ pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
             name: "",
             color: if hit == Some(agent) { HIT } else { AGENT },
             dashed: false,
-            places: places.collect(),
+            positions: positions.collect(),
         });
     }
     ways.push(Way {
         name: "ego",
         color: EGO,
         dashed: false,
-        places: ego_way.clone(),
+        positions: ego_way.clone(),
     });
     let body = |color: usize, state: &VehicleState, size: &VehicleSize| Body {
         color,

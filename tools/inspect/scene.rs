@@ -57,10 +57,10 @@ struct Agent {
 }
 
 impl Listing {
-    /// Lists `scene`, of which `loaded` was read and `world` baked.
-    pub fn of(scene: &SceneFile, loaded: &LoadedScene, world: &SplatScene) -> Self {
+    /// Lists `scene`, of which `loaded` was read and `splat_scene` baked.
+    pub fn of(scene: &SceneFile, loaded: &LoadedScene, splat_scene: &SplatScene) -> Self {
         let mut splats = vec![0; scene.agents.len() + 1];
-        world
+        splat_scene
             .instance_from_splat
             .iter()
             .for_each(|&instance| splats[usize::from(instance)] += 1);
@@ -210,15 +210,15 @@ impl Light {
         let (file, lighting) = (scene.light.as_ref()?, loaded.lighting()?);
         let shadows = lighting.shadows.unwrap_or_default();
         // Agents of plain files stand behind the background.
-        let instances = &loaded.world.instance_from_splat;
+        let instances = &loaded.splat_scene.instance_from_splat;
         let background = match instances.iter().position(|&instance| instance != 0) {
             Some(end) => Cow::Owned(
                 loaded
-                    .world
+                    .splat_scene
                     .splats
                     .select(&(0..end as u32).collect::<Vec<_>>()),
             ),
-            None => Cow::Borrowed(&loaded.world.splats),
+            None => Cow::Borrowed(&loaded.splat_scene.splats),
         };
         let (mut starts, mut error) = (Vec::new(), 0.0f64);
         for agent in &loaded.agents {
@@ -234,8 +234,11 @@ impl Light {
                     .then(|| lighting.trust(&calibrated, pose, agent.sh_frame))
                     .flatten(),
             });
-            let truth =
-                ambient_by_definition(&background, place - loaded.world.origin, &file.ambient);
+            let truth = ambient_by_definition(
+                &background,
+                place - loaded.splat_scene.origin,
+                &file.ambient,
+            );
             if let (Some(found), Some(truth)) = (found, truth) {
                 let off = found
                     .to_vector()
@@ -280,8 +283,8 @@ impl Light {
                 ", shadows of a sun {elevation_deg:.0} degrees high that gives {share:.0} % of the light"
             );
         }
-        if !self.casting.lamps.places.is_empty() {
-            let count = self.casting.lamps.places.len();
+        if !self.casting.lamps.positions.is_empty() {
+            let count = self.casting.lamps.positions.len();
             let _ = write!(shadows, ", shadows of {count} lamps");
         }
         let error = 100.0 * self.error;
@@ -341,7 +344,7 @@ impl Light {
             "ground_albedo": self.ground_albedo,
             "shadows": self.shadows,
             "sun": self.casting.sun.map(|sun| json!({"towards": sun.towards.to_array(), "share": sun.share})),
-            "lamps": self.casting.lamps.places.len(),
+            "lamps": self.casting.lamps.positions.len(),
             "probes": self.probes,
             "field_error_of_mean": self.error,
             "starts": self.starts.iter().map(start).collect::<Vec<_>>(),

@@ -14,7 +14,7 @@ use crate::progress;
 const MARGIN_M: f64 = 40.0;
 /// From one vertex to the next, meters, where that gives not too many.
 const STEP_M: f64 = 0.5;
-/// Most places that are asked for their height.
+/// Most positions that are asked for their height.
 const PLACES_MAX: f64 = 1e6;
 /// A triangle that rises by more than this for each meter is a wall, and no ground.
 const SLOPE_MAX: f64 = 1.0;
@@ -48,13 +48,13 @@ pub fn mesh_of(scene: &SceneFile, directory: &Path, height_m: f64) -> Result<Mes
     Ok(mesh)
 }
 
-/// Places on a grid, and where ground is expected there.
+/// Positions on a grid, and where ground is expected there.
 struct Grid {
     low: DVec2,
     columns: usize,
     rows: usize,
     step_m: f64,
-    /// Points below the way: the ground at a place is expected at the height of the nearest.
+    /// Points below the way: the ground at a position is expected at the height of the nearest.
     below: Vec<DVec3>,
 }
 
@@ -79,16 +79,16 @@ impl Grid {
         }
     }
 
-    /// The place of a node, if it is near the way, and the height expected there.
+    /// The position of a node, if it is near the way, and the height expected there.
     fn query(&self, node: usize) -> Option<(DVec2, Option<f64>)> {
-        let place = self.low
+        let position = self.low
             + DVec2::new((node % self.columns) as f64, (node / self.columns) as f64) * self.step_m;
-        let distance = |point: &&DVec3| point.truncate().distance_squared(place);
+        let distance = |point: &&DVec3| point.truncate().distance_squared(position);
         let nearest = self
             .below
             .iter()
             .min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
-        (distance(&nearest) <= MARGIN_M * MARGIN_M).then_some((place, Some(nearest.z)))
+        (distance(&nearest) <= MARGIN_M * MARGIN_M).then_some((position, Some(nearest.z)))
     }
 
     fn mesh(&self, ground: &Ground, origin: DVec3) -> Mesh {
@@ -98,10 +98,10 @@ impl Grid {
         let queries: Vec<(DVec2, Option<f64>)> = nodes.iter().map(|(_, query)| *query).collect();
         let mut vertices = Vec::new();
         let mut vertex_of: Vec<Option<u32>> = vec![None; self.columns * self.rows];
-        for ((node, (place, _)), height) in nodes.iter().zip(ground.heights_at(&queries)) {
+        for ((node, (position, _)), height) in nodes.iter().zip(ground.heights_at(&queries)) {
             if let Some(height) = height {
                 vertex_of[*node] = Some(vertices.len() as u32);
-                vertices.push((place.extend(height.z_m) - origin).as_vec3().to_array());
+                vertices.push((position.extend(height.z_m) - origin).as_vec3().to_array());
             }
         }
         let mut triangles = Vec::new();
@@ -146,12 +146,12 @@ mod tests {
 
     #[test]
     fn flat_ground_is_a_flat_mesh_that_looks_up() {
-        let places: Vec<(f32, f32)> = (-40..40)
+        let positions: Vec<(f32, f32)> = (-40..40)
             .flat_map(|x| (-16..16).map(move |y| (0.25 * x as f32, 0.25 * y as f32)))
             .collect();
-        let count = places.len();
+        let count = positions.len();
         let cloud = SplatCloud {
-            means: places.iter().map(|(x, y)| [*x, *y, 1.0]).collect(),
+            means: positions.iter().map(|(x, y)| [*x, *y, 1.0]).collect(),
             scales: vec![[0.2, 0.2, 0.005]; count],
             rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],
             opacities: vec![0.9; count],

@@ -128,15 +128,16 @@ fn flags_of(registered: &Registered) -> Vec<(&'static str, usize)> {
         .collect()
 }
 
-/// Time and distance to the left of the lane, meters, of each of `places` whose pose follows one.
-fn lane_offsets(registered: &Registered, places: &[(f64, DVec2)]) -> Vec<(f64, f64)> {
+/// Time and distance to the left of the lane, meters, of each of `positions` whose pose follows
+/// one.
+fn lane_offsets(registered: &Registered, positions: &[(f64, DVec2)]) -> Vec<(f64, f64)> {
     let lanes = registered.poses.iter().map(|pose| pose.lane);
     let offset = |(&(time_s, at), lane): (&(f64, DVec2), Option<Foot>)| {
         let lane = lane?;
         let left = DVec2::from_angle(lane.heading_rad).perp_dot(at - lane.point.truncate());
         Some((time_s, left))
     };
-    places.iter().zip(lanes).filter_map(offset).collect()
+    positions.iter().zip(lanes).filter_map(offset).collect()
 }
 
 /// References for the measurement of a track.
@@ -187,8 +188,8 @@ impl Scene<'_> {
             .iter()
             .map(|pose| (pose.time_s, pose.pose.translation.truncate()))
             .collect();
-        let on_lane = |places: &[(f64, DVec2)]| {
-            let counted = places
+        let on_lane = |positions: &[(f64, DVec2)]| {
+            let counted = positions
                 .iter()
                 .zip(&registered.poses)
                 .filter(|(_, pose)| !pose.flags.lane_change);
@@ -203,13 +204,13 @@ impl Scene<'_> {
         }
         // Before and after, across and along mean those of the lane that the track was found to
         // follow.
-        let truth_of = |places: &[(f64, DVec2)]| {
+        let truth_of = |positions: &[(f64, DVec2)]| {
             let lanes = registered
                 .poses
                 .iter()
                 .map(|pose| pose.lane.map(|lane| lane.heading_rad));
             against_truth_along(
-                places
+                positions
                     .iter()
                     .zip(lanes)
                     .map(|(&(time_s, at), heading_rad)| (time_s, at, heading_rad)),

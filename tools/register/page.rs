@@ -15,8 +15,8 @@ use crate::plot::{Axis, Plot, Series, number};
 
 /// Tracks that are drawn; a page of hundreds would not be read.
 const DRAWN_MAX: usize = 24;
-/// The histogram's reach to either side, meters, and its bars.
-const REACH_M: f64 = 0.1;
+/// Largest clearance of the histogram to either side, meters; number of bars.
+const LIMIT_M: f64 = 0.1;
 const BINS: usize = 41;
 const BEFORE: usize = 1;
 const AFTER: usize = 0;
@@ -63,7 +63,7 @@ fn table(page: &mut Page, measured: &Measured) {
     page.note(
         "Shift (x y) and yaw (from x to y) are the one motion of the track, about its middle. 'known to' is one standard deviation of \
          that, across the lane and along it: near 1 m, which is what is assumed of drift before, the lanes do not show it and the \
-         place along the lane is as logged. ADE is the mean distance, as logged -> registered: to the nearest centerline (lane changes \
+         position along the lane is as logged. ADE is the mean distance, as logged -> registered: to the nearest centerline (lane changes \
          left out) and to the truth, whose parts across and along the lane follow. GPR and p95, the distance from the ground that \
          95 % of corners keep within, are explained under Clearance. Notes count poses. no-support: there was no ground below, and the pose has \
          the height of the map. no-height: there was no ground, map or log with a height, and the pose has height 0. uneven: the ground below \
@@ -86,7 +86,7 @@ fn clearance_part(page: &mut Page, arguments: &Arguments, measured: &Measured) {
     page.text(&format!(
         "{against} Each bottom corner of each pose; negative is below the ground, positive floats. Corners farther than {} cm are in \
          the outer bars.",
-        number(100.0 * REACH_M)
+        number(100.0 * LIMIT_M)
     ));
     page.row([Figure::svg(&clearance_svg(
         &clearances_m,
@@ -102,16 +102,16 @@ fn clearance_svg(clearances_m: &[f64], tolerance_m: f64) -> String {
     const RIGHT: f64 = 610.0;
     const TOP: f64 = 34.0;
     const BOTTOM: f64 = 206.0;
-    let counts = histogram(clearances_m, REACH_M, BINS);
+    let counts = histogram(clearances_m, LIMIT_M, BINS);
     let largest = counts.iter().copied().max().unwrap_or(1).max(1) as f64;
-    let x = |value_m: f64| LEFT + (value_m / REACH_M + 1.0) * 0.5 * (RIGHT - LEFT);
+    let x = |value_m: f64| LEFT + (value_m / LIMIT_M + 1.0) * 0.5 * (RIGHT - LEFT);
     let mut svg = format!(
         "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" role=\"img\" aria-label=\"clearances\">\
          <text x=\"{LEFT}\" y=\"20\" class=\"title\">Corners by clearance</text>"
     );
     for (at, &count) in counts.iter().enumerate() {
-        let low_m = REACH_M * (2.0 * at as f64 / BINS as f64 - 1.0);
-        let high_m = REACH_M * (2.0 * (at + 1) as f64 / BINS as f64 - 1.0);
+        let low_m = LIMIT_M * (2.0 * at as f64 / BINS as f64 - 1.0);
+        let high_m = LIMIT_M * (2.0 * (at + 1) as f64 / BINS as f64 - 1.0);
         let height = (BOTTOM - TOP) * count as f64 / largest;
         let color = if high_m <= -tolerance_m {
             BEFORE
@@ -130,7 +130,7 @@ fn clearance_svg(clearances_m: &[f64], tolerance_m: f64) -> String {
         );
     }
     for step in -5..=5 {
-        let value_m = REACH_M * f64::from(step) / 5.0;
+        let value_m = LIMIT_M * f64::from(step) / 5.0;
         let _ = write!(
             svg,
             "<text x=\"{:.1}\" y=\"{}\" class=\"middle\">{}</text>",
@@ -172,7 +172,7 @@ fn drawings(page: &mut Page, subject: &Subject<'_>, measured: &Measured) {
 fn above(subject: &Subject<'_>, at: usize) -> String {
     let track = &subject.tracks[at];
     let mut ways = Vec::new();
-    let places = |track: &Track| track.points.iter().map(|point| point.position_m).collect();
+    let positions = |track: &Track| track.points.iter().map(|point| point.position_m).collect();
     if let Some(truth) = subject
         .truth
         .and_then(|truth| truth.iter().find(|truth| truth.id == track.id))
@@ -181,17 +181,17 @@ fn above(subject: &Subject<'_>, at: usize) -> String {
             name: "truth",
             color: TRUTH,
             dashed: false,
-            places: places(truth),
+            positions: positions(truth),
         });
     }
     ways.push(Way {
         name: "as logged",
         color: BEFORE,
         dashed: false,
-        places: places(track),
+        positions: positions(track),
     });
     if let Outcome::Registered(registered) = &subject.registration.tracks[at].outcome {
-        let places = registered
+        let positions = registered
             .poses
             .iter()
             .map(|pose| pose.pose.translation.truncate())
@@ -200,7 +200,7 @@ fn above(subject: &Subject<'_>, at: usize) -> String {
             name: "registered",
             color: AFTER,
             dashed: true,
-            places,
+            positions,
         });
     }
     drawing(

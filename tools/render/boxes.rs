@@ -120,9 +120,9 @@ impl<'a> BoxList<'a> {
 /// The world of one agent alone; `None` where it is absent.
 fn alone(scene: &Scene, instance: u16) -> Option<SplatScene> {
     let loaded = &scene.loaded;
-    let mut world = SplatScene {
-        origin: loaded.world.origin,
-        rules: loaded.world.rules,
+    let mut splat_scene = SplatScene {
+        origin: loaded.splat_scene.origin,
+        rules: loaded.splat_scene.rules,
         ..SplatScene::default()
     };
     let coded = loaded
@@ -132,15 +132,15 @@ fn alone(scene: &Scene, instance: u16) -> Option<SplatScene> {
     if let Some(agent) = coded {
         let pose = agent.pose_at(scene.time_s)?;
         let splats = loaded.assets[agent.asset].decoded(0);
-        world.bake_instance(&splats, &pose, agent.sh_frame, instance);
+        splat_scene.bake_instance(&splats, &pose, agent.sh_frame, instance);
     } else {
-        let ids = loaded.world.instance_from_splat.iter().zip(0..);
+        let ids = loaded.splat_scene.instance_from_splat.iter().zip(0..);
         let own: Vec<u32> = ids
             .filter_map(|(id, splat)| (*id == instance).then_some(splat))
             .collect();
-        world.splats = loaded.world.splats.select(&own);
+        splat_scene.splats = loaded.splat_scene.splats.select(&own);
     }
-    Some(world)
+    Some(splat_scene)
 }
 
 /// Left, top, right and bottom edge, pixels.

@@ -66,16 +66,20 @@ impl Counter {
     }
 
     /// Median depth of each pixel, meters; 0 where more than half of the light is left.
-    fn depths_m(&mut self, world: &SplatScene, camera: &Camera) -> Result<Vec<f32>> {
+    fn depths_m(&mut self, splat_scene: &SplatScene, camera: &Camera) -> Result<Vec<f32>> {
         match self {
             Self::Device(renderer) => {
-                let scene = renderer.upload(world)?;
+                let scene = renderer.upload(splat_scene)?;
                 renderer.render(&scene, std::slice::from_ref(camera))?;
                 let image = renderer.read_images()?.pop();
                 let depths_m = image.as_ref().and_then(Image::depth_median);
                 Ok(depths_m.context("a camera has no median depth")?.to_vec())
             }
-            Self::Reference => Ok(geometry::depth_median(world, camera, &world.rules)),
+            Self::Reference => Ok(geometry::depth_median(
+                splat_scene,
+                camera,
+                &splat_scene.rules,
+            )),
         }
     }
 
@@ -207,8 +211,9 @@ mod tests {
         // The right edge of the image is 2 m to the right at 4 m.
         let agent = SplatScene::of(plate(1.0, 3.0, 4.0));
         let wall_m = [1.0; 400 * 300];
-        let of = |world: &SplatScene| {
-            let coverage = Counter::Reference.coverage((world, 1), &camera(), (&HIDDEN, &wall_m));
+        let of = |splat_scene: &SplatScene| {
+            let coverage =
+                Counter::Reference.coverage((splat_scene, 1), &camera(), (&HIDDEN, &wall_m));
             coverage.unwrap()
         };
         let coverage = of(&agent);

@@ -106,11 +106,11 @@ fn background_of(path: &std::path::Path) -> Result<(SplatCloud, DVec3), AssetErr
         return Ok((read_splats(&directory.join(&file.background))?, file.origin));
     }
     let loaded = open_scene(path, 0.0)?;
-    Ok((loaded.world.splats, loaded.world.origin))
+    Ok((loaded.splat_scene.splats, loaded.splat_scene.origin))
 }
 
 impl LocalGround {
-    /// `pose`, that of the center of a box of `dims_m`, set on the ground: place from above and
+    /// `pose`, that of the center of a box of `dims_m`, set on the ground: position from above and
     /// heading stay.
     fn set(&self, pose: &Pose, dims_m: [f64; 3]) -> (Pose, Outcome) {
         let world = Pose {
@@ -148,7 +148,7 @@ impl LocalGround {
     /// The plane below the four bottom corners of a box: of the surface that it is near, or of the
     /// lowest.
     fn plane_below(&self, pose: &Pose, dims_m: [f64; 3], is_near: bool) -> Option<RoadPlane> {
-        let (place, ahead) = (
+        let (position, ahead) = (
             pose.translation.truncate(),
             DVec2::from_angle(heading_rad(pose)),
         );
@@ -156,7 +156,7 @@ impl LocalGround {
         let heights_m = corners.map(|corner| {
             let expected_z_m = pose.transform(corner.extend(-0.5 * dims_m[2])).z;
             let found = self.ground.height_at(
-                place + ahead.rotate(corner),
+                position + ahead.rotate(corner),
                 is_near.then_some(expected_z_m),
             );
             found.map(|height| height.z_m)
@@ -292,12 +292,12 @@ mod tests {
 
     /// A slope that rises by 5 % towards x, of discs at every quarter of a meter.
     fn slope() -> LocalGround {
-        let places: Vec<(f32, f32)> = (-60..60)
+        let positions: Vec<(f32, f32)> = (-60..60)
             .flat_map(|x| (-16..16).map(move |y| (0.25 * x as f32, 0.25 * y as f32)))
             .collect();
-        let count = places.len();
+        let count = positions.len();
         let cloud = SplatCloud {
-            means: places.iter().map(|(x, y)| [*x, *y, 0.05 * x]).collect(),
+            means: positions.iter().map(|(x, y)| [*x, *y, 0.05 * x]).collect(),
             scales: vec![[0.2, 0.2, 0.005]; count],
             rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],
             opacities: vec![0.9; count],

@@ -8,7 +8,7 @@ use crate::wire::common;
 use crate::wire::sensorsim::PosePair;
 
 /// Farther from the local origin f32 has no decimeters left, meters.
-const REACH_MAX_M: f64 = 1e6;
+const DISTANCE_MAX_M: f64 = 1e6;
 /// A quaternion shorter than this is no rotation.
 const QUATERNION_MIN: f64 = 1e-6;
 
@@ -18,11 +18,11 @@ const QUATERNION_MIN: f64 = 1e-6;
 /// INVALID_ARGUMENT with the name of the field that is missing or makes no sense.
 pub fn pose_of(pose: Option<&common::Pose>, field: &str) -> Result<Pose, Status> {
     let pose = pose.ok_or_else(|| Status::invalid_argument(format!("{field} is missing")))?;
-    let place = pose.vec.unwrap_or_default();
-    let place = DVec3::new(place.x.into(), place.y.into(), place.z.into());
-    if !(place.is_finite() && place.length() <= REACH_MAX_M) {
+    let position = pose.vec.unwrap_or_default();
+    let position = DVec3::new(position.x.into(), position.y.into(), position.z.into());
+    if !(position.is_finite() && position.length() <= DISTANCE_MAX_M) {
         let reason = format!(
-            "{field}.vec: {place} must be finite and within {REACH_MAX_M:e} m of the local origin"
+            "{field}.vec: {position} must be finite and within {DISTANCE_MAX_M:e} m of the local origin"
         );
         return Err(Status::invalid_argument(reason));
     }
@@ -34,7 +34,7 @@ pub fn pose_of(pose: Option<&common::Pose>, field: &str) -> Result<Pose, Status>
             "{field}.quat: w {w}, x {x}, y {y}, z {z} is no rotation"
         )));
     }
-    Ok(Pose::new(turn, place))
+    Ok(Pose::new(turn, position))
 }
 
 /// The pose halfway between the two in `field` of a message, where something is at mid-shutter, and

@@ -365,8 +365,8 @@ impl RenderWorker {
     /// Puts `scene` on the device, in the place of others if need be.
     fn scene_renderer(&mut self, id: &str, scene: &LoadedScene) -> Result<(), Status> {
         let most = self.scenes.bytes_max();
-        let estimate =
-            scene.world.splats.len() as u64 * bytes_a_splat(scene.world.splats.sh_degree);
+        let estimate = scene.splat_scene.splats.len() as u64
+            * bytes_a_splat(scene.splat_scene.splats.sh_degree);
         while let Some((other, _)) = self.scenes.make_room(estimate.min(most)) {
             tracing::info!(scene = other, "a scene leaves the cache");
         }
@@ -386,7 +386,7 @@ impl RenderWorker {
             return Err(Status::resource_exhausted(reason));
         }
         let (splats, agents, seconds) = (
-            scene.world.splats.len(),
+            scene.splat_scene.splats.len(),
             scene.agents.len(),
             since.elapsed().as_secs_f64(),
         );

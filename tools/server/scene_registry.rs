@@ -116,7 +116,7 @@ impl SceneRegistry {
             self.seen_by_clients(file.loaded_rig(directory)?, &ego, file.origin)
         } else {
             let loaded = open_scene(path, 0.0)?;
-            self.seen_by_clients(loaded.rig, &loaded.ego, loaded.world.origin)
+            self.seen_by_clients(loaded.rig, &loaded.ego, loaded.splat_scene.origin)
         };
         let metadata = Arc::new(metadata);
         known().insert(id.to_owned(), Arc::clone(&metadata));

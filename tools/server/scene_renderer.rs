@@ -48,7 +48,7 @@ impl SceneRenderer {
             renderer: session.batch_renderer(),
             agents: placed.collect(),
             worlds: vec![World::empty(&scene)],
-            origin: loaded.world.origin,
+            origin: loaded.splat_scene.origin,
         })
     }
 

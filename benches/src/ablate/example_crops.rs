@@ -91,7 +91,7 @@ fn largest(truth: &[Image]) -> Option<(usize, usize, u16)> {
 fn window_about(image: &Image, car: u16) -> Option<Window> {
     let (width, height) = (image.width as usize, image.height as usize);
     let instances = image.instance()?;
-    let places = || {
+    let positions = || {
         instances
             .iter()
             .enumerate()
@@ -99,12 +99,12 @@ fn window_about(image: &Image, car: u16) -> Option<Window> {
             .map(|(at, _)| (at % width, at / width))
     };
     let columns = (
-        places().map(|place| place.0).min()?,
-        places().map(|place| place.0).max()? + 1,
+        positions().map(|position| position.0).min()?,
+        positions().map(|position| position.0).max()? + 1,
     );
     let rows = (
-        places().map(|place| place.1).min()?,
-        places().map(|place| place.1).max()? + 1,
+        positions().map(|position| position.1).min()?,
+        positions().map(|position| position.1).max()? + 1,
     );
     let wider = |(from, to): (usize, usize), margin: usize, end: usize| {
         (from.saturating_sub(margin), (to + margin).min(end))

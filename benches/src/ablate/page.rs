@@ -67,7 +67,7 @@ fn summary(report: &Report) -> Vec<String> {
     let row = |without| report.system.rows.iter().find(|row| row.without == without);
     if let (Some(full), Some(logged)) = (row(Without::Nothing), row(Without::Registration)) {
         sentences.push(format!(
-            "Registration takes the mean distance to the nearest centerline from {:.3} m to {:.3} m, and to the true place from \
+            "Registration takes the mean distance to the nearest centerline from {:.3} m to {:.3} m, and to the true position from \
              {:.3} m to {:.3} m.",
             logged.placing.ade_lane_m,
             full.placing.ade_lane_m,

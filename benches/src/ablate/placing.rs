@@ -26,7 +26,7 @@ pub struct Drift {
     pub shift_m: f64,
     /// And turned by this about its middle, to either side.
     pub turn_rad: f64,
-    /// Deviation of each of its places along each axis.
+    /// Deviation of each of its positions along each axis.
     pub noise_m: f64,
     /// Seed of all randomness.
     pub seed: u64,
@@ -35,7 +35,7 @@ pub struct Drift {
 /// Placement errors of cars, means over tracks.
 #[derive(Clone, Copy, Debug)]
 pub struct Placing {
-    /// Mean distance to the true place at the same moment.
+    /// Mean distance to the true position at the same moment.
     pub ade_truth_m: f64,
     /// The part of it across the true way.
     pub across_m: f64,
@@ -94,8 +94,8 @@ impl Tracks {
             .map(|track| drifted(track, drift, &mut random))
             .collect();
         let ground = Ground::new(
-            &stage.loaded.world.splats,
-            stage.loaded.world.origin,
+            &stage.loaded.splat_scene.splats,
+            stage.loaded.splat_scene.origin,
             &GroundOptions::default(),
         );
         // Each track drifts on its own, from the middle of its lane.
@@ -200,15 +200,16 @@ fn placing(lanes: &LaneMap, truth: &[Track], ways: &[Trajectory], refused: usize
     let index = LaneIndex::new(lanes);
     let (mut sums, mut lane_sum, mut heights_m) = (glam::DVec3::ZERO, 0.0, Vec::new());
     for (track, way) in truth.iter().zip(ways) {
-        let places = || {
+        let positions = || {
             way.poses()
                 .iter()
                 .map(|timed| (timed.time_s, timed.pose.translation.truncate()))
         };
-        if let Some(error) = against_truth(places(), track) {
+        if let Some(error) = against_truth(positions(), track) {
             sums += glam::DVec3::new(error.ade_m, error.lateral_m, error.longitudinal_m);
         }
-        lane_sum += ade_to_lanes(&index, places().map(|(_, place)| place), |_| true).unwrap_or(0.0);
+        lane_sum += ade_to_lanes(&index, positions().map(|(_, position)| position), |_| true)
+            .unwrap_or(0.0);
         let dims_m = track.dims_m.unwrap_or_default();
         heights_m.extend(clearances(
             way.poses().iter().map(|timed| timed.pose),

@@ -111,7 +111,7 @@ pub struct Reinserted {
     pub starkness: f64,
     /// Directionality of the light, the mean over agents and moments.
     pub directionality: f64,
-    /// Agents, counted at each moment, about whose place the street tells nothing.
+    /// Agents, counted at each moment, about whose position the street tells nothing.
     pub unlit: usize,
     pub example_crops: ExampleCrops,
 }
@@ -148,7 +148,7 @@ impl Reinsertion<'_> {
         for &time_s in moments_s {
             let truth = self.stage.truth(self.cars, time_s);
             let sample = self.sample(&mut renderer, &truth, time_s)?;
-            renderer.render(&live.world, &sample.cameras)?;
+            renderer.render(&live.gpu_scene, &sample.cameras)?;
             let empty = renderer.read_images()?;
             let mut drawn = Vec::new();
             for (&arm, errors) in Arm::ALL.iter().zip(&mut errors) {
@@ -205,8 +205,8 @@ impl Reinsertion<'_> {
 
     fn sample(&self, renderer: &mut Renderer, truth: &Truth, time_s: f64) -> Result<Sample> {
         let cameras = self.stage.cameras(time_s);
-        let world = renderer.upload(&truth.world)?;
-        renderer.render(&world, &cameras)?;
+        let splat_scene = renderer.upload(&truth.splat_scene)?;
+        renderer.render(&splat_scene, &cameras)?;
         let truth = renderer.read_images()?;
         let vehicles: Vec<Vec<bool>> = truth
             .iter()
@@ -274,8 +274,8 @@ impl Reinsertion<'_> {
             }
         }
         if matches!(arm, Arm::OursUncompressed | Arm::BestAffine) {
-            let world = renderer.upload(&self.copies(&moment))?;
-            renderer.render(&world, &sample.cameras)?;
+            let splat_scene = renderer.upload(&self.copies(&moment))?;
+            renderer.render(&splat_scene, &sample.cameras)?;
         } else {
             renderer.render(live.with(&moment), &sample.cameras)?;
         }
@@ -328,7 +328,7 @@ impl Reinsertion<'_> {
             });
         }
         renderer.render(
-            Scene::with_agents(&live.world, &pool, &agents),
+            Scene::with_agents(&live.gpu_scene, &pool, &agents),
             &sample.cameras,
         )?;
         Ok(renderer.read_images()?)
@@ -337,20 +337,20 @@ impl Reinsertion<'_> {
     /// The background under the shadows of `moment`, and world-space copies of the whole cars in
     /// its light.
     pub fn copies(&self, moment: &SceneSnapshot) -> SplatScene {
-        let mut world = self.stage.loaded.world.clone();
-        bake_shadows(&mut world, &moment.shadows);
+        let mut splat_scene = self.stage.loaded.splat_scene.clone();
+        bake_shadows(&mut splat_scene, &moment.shadows);
         for (agent, placed) in moment.agents.iter().zip(&self.stage.loaded.agents) {
             let original = &self.cars.originals[placed.asset];
             let relit = agent.relight.map(|relight| relight.relit(original));
             let shown = relit.as_ref().unwrap_or(original);
-            world.bake_instance(
+            splat_scene.bake_instance(
                 shown,
                 &agent.world_from_agent,
                 ShFrame::Canonical,
                 agent.instance,
             );
         }
-        world
+        splat_scene
     }
 
     /// Means of I_dom and of directionality, and how many agents stand where nothing tells of the

@@ -32,7 +32,7 @@ pub struct ReinsertionScene {
 
 /// A street with its true cars at one moment, uncompressed.
 pub struct Truth {
-    pub world: SplatScene,
+    pub splat_scene: SplatScene,
     /// The cars as the street lights them, in the order of the originals.
     pub cars: Vec<SplatCloud>,
 }
@@ -72,7 +72,7 @@ impl ReinsertionScene {
             });
         let loaded = LoadedScene {
             plain_agents: Vec::new(),
-            world: SplatScene {
+            splat_scene: SplatScene {
                 sky: street.sky,
                 ..SplatScene::of(background.select(&order))
             },
@@ -121,14 +121,14 @@ impl ReinsertionScene {
     /// factor.
     fn in_sight(&self, time_s: f64) -> f64 {
         let cameras = self.cameras(time_s);
-        let places = self
+        let positions = self
             .loaded
             .agents
             .iter()
             .map(|agent| agent.trajectory.at(time_s).translation);
-        let seen = |place: DVec3| {
+        let seen = |position: DVec3| {
             let of = |camera: &Camera| {
-                let at = camera.world_from_camera.inverse().transform(place);
+                let at = camera.world_from_camera.inverse().transform(position);
                 let Intrinsics {
                     width_px,
                     height_px,
@@ -146,7 +146,7 @@ impl ReinsertionScene {
             };
             cameras.iter().map(of).sum::<f64>()
         };
-        places.map(seen).sum()
+        positions.map(seen).sum()
     }
 
     pub fn cameras(&self, time_s: f64) -> Vec<Camera> {
@@ -169,12 +169,12 @@ impl ReinsertionScene {
             .zip(&placements)
             .map(|(cloud, placed)| cloud.select(&cars.orders[placed.asset]))
             .collect();
-        let mut world = SplatScene {
+        let mut splat_scene = SplatScene {
             splats: lit.background.select(&self.order),
-            ..self.loaded.world.clone()
+            ..self.loaded.splat_scene.clone()
         };
         for ((cloud, placed), agent) in clouds.iter().zip(&placements).zip(agents) {
-            world.bake_instance(
+            splat_scene.bake_instance(
                 cloud,
                 &placed.world_from_agent,
                 ShFrame::Canonical,
@@ -182,7 +182,7 @@ impl ReinsertionScene {
             );
         }
         Truth {
-            world,
+            splat_scene,
             cars: clouds,
         }
     }

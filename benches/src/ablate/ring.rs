@@ -5,36 +5,36 @@ use decouplegs::scene::light::LUMA;
 
 /// Distance around a vehicle within which the ground is examined, as a share of the image's width:
 /// 25 px of 800.
-const REACH: f64 = 25.0 / 800.0;
+const RING_WIDTH: f64 = 25.0 / 800.0;
 
 /// For each pixel of an image `width_px` wide whether it lies near `vehicles`, and is not of them.
 pub fn around(vehicles: &[bool], width_px: usize) -> Vec<bool> {
-    let reach_px = ((REACH * width_px as f64).round() as usize).max(1);
+    let ring_px = ((RING_WIDTH * width_px as f64).round() as usize).max(1);
     let height_px = vehicles.len() / width_px.max(1);
-    let rows = spread(vehicles, (height_px, width_px), (width_px, 1), reach_px);
-    let near = spread(&rows, (width_px, height_px), (1, width_px), reach_px);
+    let rows = spread(vehicles, (height_px, width_px), (width_px, 1), ring_px);
+    let near = spread(&rows, (width_px, height_px), (1, width_px), ring_px);
     near.iter()
         .zip(vehicles)
         .map(|(near, vehicle)| *near && !vehicle)
         .collect()
 }
 
-/// `mask` with all within `reach` along lines set: `lines` lines of `length` pixels, one `steps.0`
+/// `mask` with all within `width` along lines set: `lines` lines of `length` pixels, one `steps.0`
 /// from the next, its pixels `steps.1`.
 fn spread(
     mask: &[bool],
     (lines, length): (usize, usize),
     steps: (usize, usize),
-    reach: usize,
+    width: usize,
 ) -> Vec<bool> {
     let mut found = vec![false; mask.len()];
     for line in 0..lines {
-        let place = |at: usize| line * steps.0 + at * steps.1;
+        let position = |at: usize| line * steps.0 + at * steps.1;
         // The first pixel that nothing has reached yet.
         let mut next = 0;
-        for at in (0..length).filter(|&at| mask[place(at)]) {
-            let end = (at + reach + 1).min(length);
-            (next.max(at.saturating_sub(reach))..end).for_each(|at| found[place(at)] = true);
+        for at in (0..length).filter(|&at| mask[position(at)]) {
+            let end = (at + width + 1).min(length);
+            (next.max(at.saturating_sub(width))..end).for_each(|at| found[position(at)] = true);
             next = end;
         }
     }

@@ -77,11 +77,11 @@ impl<'a> Speed<'a> {
         // Kept until the next frame: this one is drawn from it.
         let mut shown: Option<GpuScene> = None;
         self.drive(&mut renderer, |renderer, time_s| {
-            let world = SplatScene {
+            let splat_scene = SplatScene {
                 instance_from_splat: Vec::new(),
                 ..copies_at(time_s)
             };
-            let resident = shown.insert(renderer.upload(&world)?);
+            let resident = shown.insert(renderer.upload(&splat_scene)?);
             Ok(renderer.submit(&*resident, &self.schedule.cameras(self.scene, time_s))?)
         })
     }

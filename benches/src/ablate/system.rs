@@ -149,7 +149,7 @@ impl Reinsertion<'_> {
                 as_placed: self.as_placed(without, &placed.ways, samples)?,
             });
         }
-        let background = self.stage.loaded.world.splats.len();
+        let background = self.stage.loaded.splat_scene.splats.len();
         let whole = self
             .stage
             .loaded
@@ -186,8 +186,8 @@ impl Reinsertion<'_> {
                     .for_each(|agent| agent.relight = None);
             }
             if without.arm() == Arm::OursUncompressed {
-                let world = renderer.upload(&self.copies(&moment))?;
-                renderer.render(&world, &sample.cameras)?;
+                let splat_scene = renderer.upload(&self.copies(&moment))?;
+                renderer.render(&splat_scene, &sample.cameras)?;
             } else {
                 renderer.render(live.with(&moment), &sample.cameras)?;
             }

@@ -49,13 +49,13 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
     let size = |camera: &Camera| json!([camera.intrinsics.width_px, camera.intrinsics.height_px]);
     let splat_bytes = options
         .storage
-        .splat_bytes(scene.loaded.world.splats.sh_degree);
+        .splat_bytes(scene.loaded.splat_scene.splats.sh_degree);
     json!({
         "version": env!("CARGO_PKG_VERSION"),
         "device": device.name,
         "driver": device.driver,
-        "splats": scene.loaded.world.splats.len(),
-        "sh_degree": scene.loaded.world.splats.sh_degree,
+        "splats": scene.loaded.splat_scene.splats.len(),
+        "sh_degree": scene.loaded.splat_scene.splats.sh_degree,
         "agents": { "in_scene": scene.loaded.agents.len(), "drawn": last.agents, "splats": last.agent_splats },
         "storage": { "name": options.storage.name(), "splat_bytes": splat_bytes },
         "keep_keys": options.keep_keys,

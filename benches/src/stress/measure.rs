@@ -44,7 +44,7 @@ impl Resident {
         cameras: &[Camera],
     ) -> Result<(), RenderError> {
         match self {
-            Self::Copies(world) => renderer.submit(&**world, cameras),
+            Self::Copies(splat_scene) => renderer.submit(&**splat_scene, cameras),
             Self::Live(live) => renderer.submit(live.with(&live.at(time_s)), cameras),
         }
     }
@@ -105,7 +105,7 @@ impl<'a> TestRig<'a> {
 
     fn defaults(&self) -> RenderOptions {
         RenderOptions {
-            rules: self.workload.background().world.rules,
+            rules: self.workload.background().splat_scene.rules,
             ..RenderOptions::default()
         }
     }
@@ -117,7 +117,7 @@ impl<'a> TestRig<'a> {
         vanilla: Option<&[Image]>,
     ) -> Result<(Outcome, Vec<Image>)> {
         let kept = self.kept(mode, count)?;
-        let rules = self.workload.background().world.rules;
+        let rules = self.workload.background().splat_scene.rules;
         let (schedule, limit_bytes) = (self.schedule, self.memory_limit_bytes.unwrap_or(u64::MAX));
         let predicted_scene_bytes;
         let world_splats;
@@ -125,22 +125,22 @@ impl<'a> TestRig<'a> {
             let mut renderer = Renderer::new(self.gpu, mode.options(rules, ColorFormat::U8));
             let resident = match mode.agents {
                 Agents::Copies { .. } => {
-                    let world = SplatScene {
+                    let splat_scene = SplatScene {
                         instance_from_splat: Vec::new(),
                         ..self.copies(count, schedule.middle_s(), kept.as_deref())
                     };
-                    predicted_scene_bytes = world_bytes(&world, mode);
-                    world_splats = world.splats.len();
+                    predicted_scene_bytes = world_bytes(&splat_scene, mode);
+                    world_splats = splat_scene.splats.len();
                     if predicted_scene_bytes > limit_bytes {
                         return Ok((out_of_memory(predicted_scene_bytes, PREDICTED), Vec::new()));
                     }
-                    Resident::Copies(Box::new(renderer.upload(&world)?))
+                    Resident::Copies(Box::new(renderer.upload(&splat_scene)?))
                 }
                 Agents::Coded(coding) => {
                     let scene = self.workload.staged(count, coding);
-                    predicted_scene_bytes = world_bytes(&scene.world, mode)
+                    predicted_scene_bytes = world_bytes(&scene.splat_scene, mode)
                         + scene.assets.iter().map(asset_bytes).sum::<u64>();
-                    world_splats = scene.world.splats.len();
+                    world_splats = scene.splat_scene.splats.len();
                     if predicted_scene_bytes > limit_bytes {
                         return Ok((out_of_memory(predicted_scene_bytes, PREDICTED), Vec::new()));
                     }
@@ -219,9 +219,9 @@ impl<'a> TestRig<'a> {
         let mut images = Vec::new();
         for frame in self.schedule.sample_frames() {
             let time_s = self.schedule.time_s(frame);
-            let world = renderer.upload(&self.copies(count, time_s, kept))?;
+            let splat_scene = renderer.upload(&self.copies(count, time_s, kept))?;
             renderer.render(
-                &world,
+                &splat_scene,
                 &self.schedule.cameras(self.workload.background(), time_s),
             )?;
             images.extend(renderer.read_images()?);
@@ -232,18 +232,18 @@ impl<'a> TestRig<'a> {
     /// Background and copies of the agents where they are at `time_s`; of all their splats those at
     /// `kept`, if given.
     fn copies(&self, count: usize, time_s: f64, kept: Option<&[u32]>) -> SplatScene {
-        let world = self.workload.copies(count, time_s);
-        let Some(kept) = kept else { return world };
-        let of = |&splat: &u32| world.instance_from_splat[splat as usize];
-        let instance_from_splat = if world.instance_from_splat.is_empty() {
+        let splat_scene = self.workload.copies(count, time_s);
+        let Some(kept) = kept else { return splat_scene };
+        let of = |&splat: &u32| splat_scene.instance_from_splat[splat as usize];
+        let instance_from_splat = if splat_scene.instance_from_splat.is_empty() {
             Vec::new()
         } else {
             kept.iter().map(of).collect()
         };
         SplatScene {
-            splats: world.splats.select(kept),
+            splats: splat_scene.splats.select(kept),
             instance_from_splat,
-            ..world
+            ..splat_scene
         }
     }
 
@@ -275,9 +275,9 @@ impl<'a> TestRig<'a> {
             .schedule
             .way_moments_s(self.workload.background(), PRUNE_MOMENTS)
         {
-            let world = renderer.upload(&self.copies(count, time_s, None))?;
+            let splat_scene = renderer.upload(&self.copies(count, time_s, None))?;
             let found = renderer.contribution_weights(
-                &world,
+                &splat_scene,
                 &self
                     .schedule
                     .all_cameras(self.workload.background(), time_s),
@@ -322,17 +322,17 @@ fn refusal(error: &anyhow::Error) -> Option<Outcome> {
     }
 }
 
-/// Size of `world` on the device, without the allocator's rounding.
-fn world_bytes(world: &SplatScene, mode: &Mode) -> u64 {
+/// Size of `splat_scene` on the device, without the allocator's rounding.
+fn world_bytes(splat_scene: &SplatScene, mode: &Mode) -> u64 {
     let (splats, cluster_bytes) = match mode.background_pitch_px {
-        None => (world.splats.len(), size_of::<ClusterRecord>()),
+        None => (splat_scene.splats.len(), size_of::<ClusterRecord>()),
         Some(_) => (
-            DetailLevels::splats_at_most(world.splats.len()),
+            DetailLevels::splats_at_most(splat_scene.splats.len()),
             size_of::<ClusterRecord>() + size_of::<NodeRecord>(),
         ),
     };
-    let ids = 2 * usize::from(!world.instance_from_splat.is_empty());
-    let splat_bytes = mode.storage.splat_bytes(world.splats.sh_degree) + ids;
+    let ids = 2 * usize::from(!splat_scene.instance_from_splat.is_empty());
+    let splat_bytes = mode.storage.splat_bytes(splat_scene.splats.sh_degree) + ids;
     (splats * splat_bytes + splats.div_ceil(CLUSTER_SPLATS) * cluster_bytes) as u64
 }
 

@@ -145,13 +145,13 @@ impl Workload {
                 })
             });
         let agents = agents.collect::<Result<Vec<_>>>()?;
-        let world = SplatScene {
+        let splat_scene = SplatScene {
             sky: street.sky,
             ..SplatScene::of(street.background.in_spatial_order())
         };
         let staged = LoadedScene {
             plain_agents: Vec::new(),
-            world,
+            splat_scene,
             assets: Vec::new(),
             agents: Vec::new(),
             rig: street.rig.clone(),
@@ -289,17 +289,17 @@ impl Workload {
 
     /// Background and originals of the first `count` agents where they are at `time_s`, one cloud.
     pub fn copies(&self, count: usize, time_s: f64) -> SplatScene {
-        let mut world = self.staged.world.clone();
+        let mut splat_scene = self.staged.splat_scene.clone();
         for agent in &self.agents[..count] {
             let pose = agent.trajectory.at(time_s);
-            world.bake_instance(
+            splat_scene.bake_instance(
                 &self.assets[agent.asset].original,
                 &pose,
                 agent.sh_frame,
                 agent.instance,
             );
         }
-        world
+        splat_scene
     }
 }
 

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use decouplegs_drive::{Ground, GroundOptions};
 use glam::{DVec2, DVec3};
-use roads::{ROAD, RoadOptions, cluttered, places};
+use roads::{ROAD, RoadOptions, cluttered, positions};
 
 fn main() {
     let options = RoadOptions {
@@ -28,7 +28,7 @@ fn main() {
         options.width_m,
         started.elapsed()
     );
-    let queries: Vec<_> = places(&options, 1_000_000, 2)
+    let queries: Vec<_> = positions(&options, 1_000_000, 2)
         .into_iter()
         .map(|at| (at, Some(height(at))))
         .collect();

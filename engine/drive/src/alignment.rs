@@ -8,7 +8,8 @@ use crate::lane_index::{LaneIndex, LanePoint};
 use crate::register::grounding::corners;
 
 /// Average displacement error to centerlines, meters: the mean distance of `positions` from the
-/// nearest place on any lane that `accept` takes. `None` where there are no positions or no lanes.
+/// nearest position on any lane that `accept` takes. `None` where there are no positions or no
+/// lanes.
 ///
 /// It measures errors across lanes only: a vehicle a car's length too far ahead on its lane has
 /// none.
@@ -76,7 +77,7 @@ pub fn against_truth_along(
         } else {
             (time_s - a.time_s) / (b.time_s - a.time_s)
         };
-        let place = a.position_m.lerp(b.position_m, share);
+        let true_position = a.position_m.lerp(b.position_m, share);
         // The way over a neighbor to each side.
         let (first, last) = (
             &points[before.saturating_sub(1)],
@@ -85,7 +86,7 @@ pub fn against_truth_along(
         let way = (last.position_m - first.position_m).try_normalize();
         let way = way.or(a.yaw_rad.map(DVec2::from_angle)).unwrap_or(DVec2::X);
         let way = heading_rad.map_or(way, DVec2::from_angle);
-        let off = position - place;
+        let off = position - true_position;
         sums += DVec3::new(off.length(), way.perp_dot(off).abs(), way.dot(off).abs());
         moments += 1;
     }
@@ -99,7 +100,7 @@ pub fn against_truth_along(
 }
 
 /// Height of each bottom corner of boxes of `dims_m` at `poses` above a ground, meters; negative
-/// below it. `ground` tells the height at a place, near the height given; corners without ground
+/// below it. `ground` tells the height at a position, near the height given; corners without ground
 /// are passed over.
 #[must_use]
 pub fn clearances(
@@ -141,13 +142,13 @@ pub fn size_quantile(values: &[f64], share: f64) -> Option<f64> {
         .copied()
 }
 
-/// Histogram of `values` in `bins` equal parts of -`reach` to `reach`; values beyond are in the
+/// Histogram of `values` in `bins` equal parts of -`limit` to `limit`; values beyond are in the
 /// first and the last bin.
 #[must_use]
-pub fn histogram(values: &[f64], reach: f64, bins: usize) -> Vec<usize> {
+pub fn histogram(values: &[f64], limit: f64, bins: usize) -> Vec<usize> {
     let mut counts = vec![0; bins];
     for value in values {
-        let bin = ((value / reach + 1.0) * 0.5 * bins as f64).floor().max(0.0) as usize;
+        let bin = ((value / limit + 1.0) * 0.5 * bins as f64).floor().max(0.0) as usize;
         if let Some(count) = counts.get_mut(bin.min(bins.saturating_sub(1))) {
             *count += 1;
         }

@@ -1,7 +1,7 @@
 //! The ego vehicle: a kinematic bicycle that tracks a plan.
 //!
 //! Both wheels of an axle are one wheel, and none slips: the rear axle moves where the vehicle
-//! points, and turns about the place that the front wheels' angle tells (Rajamani, "Vehicle
+//! points, and turns about the position that the front wheels' angle tells (Rajamani, "Vehicle
 //! Dynamics and Control", 2012, section 2.2). The axles lie symmetrically about the middle of the
 //! box, which is what positions are of. Steering is pure pursuit (Coulter, "Implementation of the
 //! Pure Pursuit Path Tracking Algorithm", 1992), solved for the middle of the box and not for the
@@ -34,7 +34,7 @@ const IDLE_BRAKING_MPS2: f64 = 2.0;
 /// The last of the speed is taken off at least so hard: an exponential approach would creep
 /// forever.
 const HALTING_MPS2: f64 = 1.0;
-/// The nearest place on the path is searched so far behind and ahead of the last one, meters.
+/// The nearest position on the path is searched so far behind and ahead of the last one, meters.
 const SEARCH_M: f64 = 5.0;
 
 /// Limits of the ego vehicle.
@@ -191,7 +191,7 @@ impl Ego {
         };
         let wanted = profile.at(self.plan_age_s);
         if wanted.rests {
-            // What is missing to the plan's last place is not caught up with: that would be
+            // What is missing to the plan's last position is not caught up with: that would be
             // creeping.
             let overshoot_m = (self.driven_m - wanted.arc_m).max(0.0);
             return halt(
@@ -206,11 +206,11 @@ impl Ego {
         wanted.acceleration_mps2 + speed_error_mps / SPEED_TIME_S
     }
 
-    /// The angle of the wheels with which the middle of the box comes to the place that pure
+    /// The angle of the wheels with which the middle of the box comes to the position that pure
     /// pursuit aims at.
     ///
     /// With the axles half a wheelbase L before and behind it, the middle moves aslant by b, where
-    /// tan b = tan(steer) / 2, on a circle of curvature 2 sin b / L. A place at distance d and
+    /// tan b = tan(steer) / 2, on a circle of curvature 2 sin b / L. A position at distance d and
     /// bearing a lies on that circle where 2 sin(a - b) / d is the same curvature, which gives tan
     /// b = L sin a / (d + L cos a).
     fn wanted_steer(&self) -> f64 {

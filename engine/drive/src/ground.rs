@@ -4,10 +4,10 @@
 //! robust in four ways.
 //!
 //! - A splat is not its mean. Its share of a column is its Gaussian integrated over the column, and
-//!   its height there is that of the part inside: the mean of z given the place ([`surfel`](self)).
-//!   A large flat splat counts where its center is not.
+//!   its height there is that of the part inside: the mean of z given the position
+//!   ([`surfel`](self)). A large flat splat counts where its center is not.
 //! - A surface is thin, leaves and walls are thick: the share falls with the height that a splat
-//!   spans at one place.
+//!   spans at one position.
 //! - Heights in a column gather around surfaces (a deck, the road below it, a canopy). Each is
 //!   found as a mode of its own, so that nothing above or below is ever mixed into a mean.
 //! - The mean is the middle of a plane fitted to the heights around it: a plain mean leans to the
@@ -152,7 +152,7 @@ impl Ground {
         found.z_m.is_finite().then_some(found)
     }
 
-    /// [`Ground::height_at`] for many places, on all threads.
+    /// [`Ground::height_at`] for many positions, on all threads.
     #[must_use]
     pub fn heights_at(&self, queries: &[(DVec2, Option<f64>)]) -> Vec<Option<GroundHeight>> {
         queries

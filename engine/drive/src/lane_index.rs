@@ -5,7 +5,7 @@ use glam::DVec2;
 
 use crate::polyline::{Foot, Polyline};
 
-/// The place on a lane's centerline nearest to a point.
+/// The position on a lane's centerline nearest to a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LanePoint {
     /// Place in [`LaneMap::lanes`].
@@ -72,7 +72,7 @@ impl LaneIndex {
         self.lines.get(lane)?.as_ref()
     }
 
-    /// The nearest place of each lane within `radius_m` of `at`, the nearest first.
+    /// The nearest position of each lane within `radius_m` of `at`, the nearest first.
     #[must_use]
     pub fn lanes_near(&self, at: DVec2, radius_m: f64) -> Vec<LanePoint> {
         let mut found: Vec<LanePoint> = Vec::new();
@@ -99,7 +99,7 @@ impl LaneIndex {
         found
     }
 
-    /// The nearest place on any lane that `accept` takes.
+    /// The nearest position on any lane that `accept` takes.
     #[must_use]
     pub fn nearest(&self, at: DVec2, accept: impl Fn(&LanePoint) -> bool) -> Option<LanePoint> {
         let mut best: Option<LanePoint> = None;

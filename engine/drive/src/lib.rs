@@ -39,4 +39,4 @@ pub use road_graph::{Conflict, RoadGraph, RoadLane};
 pub use road_surface::RoadSurface;
 pub use route::{Route, RouteTurn};
 pub use score::{EpisodeScore, Summary};
-pub use traffic::{LanePlace, Traffic, TrafficError, driver, idm, mobil};
+pub use traffic::{LanePosition, Traffic, TrafficError, driver, idm, mobil};

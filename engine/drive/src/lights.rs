@@ -61,7 +61,7 @@ impl LaneStopLine {
     }
 }
 
-/// Traffic lights with the places of their stop lines.
+/// Traffic lights with the positions of their stop lines.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TrafficLights {
     lights: Vec<TrafficLight>,

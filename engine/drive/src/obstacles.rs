@@ -1,11 +1,11 @@
-//! Static obstacles by place.
+//! Static obstacles by position.
 
 use decouplegs_scene::Obstacle;
 
 use crate::grid::Grid;
 use crate::oriented_box::OrientedBox;
 
-/// Obstacles of a site, indexed by place: a box is compared with those near it alone.
+/// Obstacles of a site, indexed by position: a box is compared with those near it alone.
 #[derive(Clone, Debug, Default)]
 pub struct Obstacles {
     obstacles: Vec<Obstacle>,

@@ -100,13 +100,13 @@ fn key(at_m: DVec2) -> (i64, i64) {
 /// Empty cells near driving lanes, with the height of the nearest.
 fn cells_beside(map: &LaneMap) -> HashMap<(i64, i64), Cell> {
     let mut cells: HashMap<(i64, i64), Cell> = HashMap::new();
-    let reach = (BESIDE_M / CELL_M).ceil() as i64;
+    let beside = (BESIDE_M / CELL_M).ceil() as i64;
     let driving = map
         .lanes
         .iter()
         .filter(|lane| lane.kind == LaneKind::Driving);
     for pair in driving.flat_map(|lane| lane.centerline.windows(2)) {
-        // Cells overlap from step to step: half of what they reach is close enough.
+        // Cells overlap from step to step: half of what they cover is close enough.
         let steps = (pair[0].distance(pair[1]) / (4.0 * CELL_M)).ceil();
         let steps = if steps.is_finite() {
             steps.clamp(1.0, 1e5) as u32
@@ -116,7 +116,8 @@ fn cells_beside(map: &LaneMap) -> HashMap<(i64, i64), Cell> {
         for step in 0..=steps {
             let on_lane = pair[0].lerp(pair[1], f64::from(step) / f64::from(steps));
             let (x, y) = key(on_lane.truncate());
-            for (dx, dy) in (-reach..=reach).flat_map(|dx| (-reach..=reach).map(move |dy| (dx, dy)))
+            for (dx, dy) in
+                (-beside..=beside).flat_map(|dx| (-beside..=beside).map(move |dy| (dx, dy)))
             {
                 let distance_m = CELL_M * DVec2::new(dx as f64, dy as f64).length();
                 if distance_m > BESIDE_M {

@@ -22,7 +22,7 @@ struct Shadow {
     /// From the middle of the first to that of the second, along the direction, meters.
     offset_m: f64,
     /// Largest distance of the centers at which the projections touch.
-    reach_m: f64,
+    half_sum_m: f64,
     /// The direction.
     axis: DVec2,
 }
@@ -68,7 +68,7 @@ impl OrientedBox {
         ]
     }
 
-    /// A place in the world, seen from the box: x towards its front, y to its left, meters.
+    /// A position in the world, seen from the box: x towards its front, y to its left, meters.
     #[must_use]
     pub fn to_local(&self, world_m: DVec2) -> DVec2 {
         DVec2::from_angle(-self.yaw_rad).rotate(world_m - self.center_m)
@@ -79,7 +79,7 @@ impl OrientedBox {
     pub fn overlaps(&self, other: &Self) -> bool {
         self.shadows(other)
             .iter()
-            .all(|shadow| shadow.offset_m.abs() <= shadow.reach_m)
+            .all(|shadow| shadow.offset_m.abs() <= shadow.half_sum_m)
     }
 
     /// The gap between the two, meters: 0 where they overlap.
@@ -128,7 +128,7 @@ impl OrientedBox {
         };
         [a, a.perp(), b, b.perp()].map(|axis| Shadow {
             offset_m: between.dot(axis),
-            reach_m: radius(a, self, axis) + radius(b, other, axis),
+            half_sum_m: radius(a, self, axis) + radius(b, other, axis),
             axis,
         })
     }
@@ -150,20 +150,20 @@ pub fn time_to_collision(
     let (mut first_s, mut last_s) = (0.0_f64, horizon_s);
     for Shadow {
         offset_m,
-        reach_m,
+        half_sum_m,
         axis,
     } in a.shadows(b)
     {
         let along_mps = relative_mps.dot(axis);
         if along_mps == 0.0 {
-            if offset_m.abs() > reach_m {
+            if offset_m.abs() > half_sum_m {
                 return None;
             }
             continue;
         }
         let ends = [
-            (-reach_m - offset_m) / along_mps,
-            (reach_m - offset_m) / along_mps,
+            (-half_sum_m - offset_m) / along_mps,
+            (half_sum_m - offset_m) / along_mps,
         ];
         first_s = first_s.max(ends[0].min(ends[1]));
         last_s = last_s.min(ends[0].max(ends[1]));

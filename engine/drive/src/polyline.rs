@@ -12,12 +12,12 @@ pub struct Polyline {
     headings: Vec<f64>,
 }
 
-/// The place on a line nearest to a point.
+/// The position on a line nearest to a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Foot {
     /// Length along the line up to it, meters.
     pub arc_m: f64,
-    /// The place itself.
+    /// The position itself.
     pub point: DVec3,
     /// Heading of the line there, radians, as [`Polyline::heading_at`].
     pub heading_rad: f64,
@@ -29,9 +29,9 @@ pub struct Foot {
 
 /// Points nearer to each other than this are one, meters.
 const SAME_POINT_M: f64 = 1e-6;
-/// A heading is that of the chord from so far before a place to so far behind it, meters: about the
-/// length of a car, so that a corner of the line turns as a car does, while the middle of a long
-/// segment points where the segment does.
+/// A heading is that of the chord from so far before a position to so far behind it, meters: about
+/// the length of a car, so that a corner of the line turns as a car does, while the middle of a
+/// long segment points where the segment does.
 const HALF_CHORD_M: f64 = 2.0;
 
 impl Polyline {
@@ -83,7 +83,7 @@ impl Polyline {
         &self.arcs
     }
 
-    /// The place `arc_m` along it, its ends beyond them.
+    /// The position `arc_m` along it, its ends beyond them.
     #[must_use]
     pub fn at(&self, arc_m: f64) -> DVec3 {
         let (segment, share) = self.locate(arc_m);
@@ -103,7 +103,7 @@ impl Polyline {
     }
 
     /// Direction across the line, to the left, in which its distance from `at` grows: `foot` is the
-    /// place nearest to `at`. Beside a corner, that is the way from the corner; beyond an end of
+    /// position nearest to `at`. Beside a corner, that is the way from the corner; beyond an end of
     /// the line, across its last segment, as nothing is known along it.
     pub(crate) fn across(&self, foot: &Foot, at: DVec2) -> DVec2 {
         let segment = self.segment_at(foot.arc_m);
@@ -144,13 +144,13 @@ impl Polyline {
             .min(self.points.len() - 2)
     }
 
-    /// The place nearest to `at`.
+    /// The position nearest to `at`.
     #[must_use]
     pub fn project(&self, at: DVec2) -> Foot {
         self.project_within(at, f64::NEG_INFINITY, f64::INFINITY)
     }
 
-    /// The place nearest to `at` between two lengths along the line.
+    /// The position nearest to `at` between two lengths along the line.
     #[must_use]
     pub fn project_within(&self, at: DVec2, from_m: f64, to_m: f64) -> Foot {
         // What is no number is taken for the line's start.

@@ -14,7 +14,7 @@ use decouplegs_scene::{Invalid, LaneKind, LaneMap, VehicleSize};
 use crate::polyline::{Polyline, wrapped};
 
 pub(crate) use cells::{Cells, speed_before};
-pub(crate) use path::{length_of, place_on};
+pub(crate) use path::{length_of, position_on};
 
 /// Default speed limit: 50 km/h, as in a town.
 const SPEED_LIMIT_MPS: f64 = 50.0 / 3.6;
@@ -31,7 +31,7 @@ const ONWARD_M_MAX: f64 = 2000.0;
 /// Conflict between two lanes: vehicles on these stretches may touch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conflict {
-    /// The other lane, its place in [`LaneMap::lanes`].
+    /// The other lane, its index in [`LaneMap::lanes`].
     pub other: usize,
     /// Start of the stretch on this lane, meters along it.
     pub from_m: f64,
@@ -64,7 +64,7 @@ pub struct RoadLane {
     pub id: String,
     /// Centerline, from start to end.
     pub line: Polyline,
-    /// Driving lanes that it continues in, places in [`LaneMap::lanes`].
+    /// Driving lanes that it continues in, indices in [`LaneMap::lanes`].
     pub successors: Vec<usize>,
     /// Driving lanes that continue in it.
     pub predecessors: Vec<usize>,
@@ -87,7 +87,7 @@ pub struct RoadLane {
     has_height: bool,
 }
 
-/// Driving lanes by their place in the map, and where they are in each other's way.
+/// Driving lanes by their index in the map, and where they are in each other's way.
 ///
 /// Conflicts are found for vehicles up to [`RoadGraph::vehicle`]; the corridor of a lane is what
 /// such a vehicle sweeps when the middle of its box follows the lane's line.
@@ -219,7 +219,7 @@ impl RoadGraph {
         self.lanes.len()
     }
 
-    /// A lane by its place in [`LaneMap::lanes`]; none where vehicles do not drive on it.
+    /// A lane by its index in [`LaneMap::lanes`]; none where vehicles do not drive on it.
     #[must_use]
     pub fn lane(&self, lane: usize) -> Option<&RoadLane> {
         self.lanes.get(lane)?.as_ref()
@@ -240,7 +240,7 @@ impl RoadGraph {
         Some(self.by_id[at])
     }
 
-    /// Lanes that begin at the border of the map, places in [`LaneMap::lanes`].
+    /// Lanes that begin at the border of the map, indices in [`LaneMap::lanes`].
     #[must_use]
     pub fn entrances(&self) -> &[usize] {
         &self.entrances

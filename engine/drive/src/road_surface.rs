@@ -12,14 +12,14 @@ use tree::TriangleTree;
 
 /// Half the width of a lane whose borders the map does not know, meters.
 pub const HALF_WIDTH_M: f64 = 1.75;
-/// Places so near to the road are on it, meters: no seam between two triangles has a width.
+/// Positions so near to the road are on it, meters: no seam between two triangles has a width.
 const SEAM_M: f64 = 1e-3;
-/// Between two places on a box's outline that are examined, meters at most.
+/// Between two positions on a box's outline that are examined, meters at most.
 const OUTLINE_STRIDE_M: f64 = 1.0;
-/// Places on one side of a box at most; a vehicle of any real length has fewer.
+/// Positions on one side of a box at most; a vehicle of any real length has fewer.
 const OUTLINE_PLACES_MAX: f64 = 64.0;
-/// A place so far from all lanes, meters, has no height.
-const HEIGHT_REACH_M: f64 = 3.0;
+/// A position so far from all lanes, meters, has no height.
+const HEIGHT_MAX_M: f64 = 3.0;
 
 /// The union of a map's driving lanes, from border to border, as triangles in a tree. It is seen
 /// from above: what is under a bridge counts as on the road where the bridge does.
@@ -45,13 +45,13 @@ impl RoadSurface {
         }
     }
 
-    /// True if a place is on a driving lane.
+    /// True if a position is on a driving lane.
     #[must_use]
     pub fn contains(&self, at: DVec2) -> bool {
         self.reaches(at, 0.0)
     }
 
-    /// True if a place is on a driving lane or no more than `slack_m` from one.
+    /// True if a position is on a driving lane or no more than `slack_m` from one.
     #[must_use]
     pub fn reaches(&self, at: DVec2, slack_m: f64) -> bool {
         let mut found = false;
@@ -70,26 +70,26 @@ impl RoadSurface {
         let corners = outline.corners();
         (0..4).all(|side| {
             let (from, to) = (corners[side], corners[(side + 1) % 4]);
-            let places = (from.distance(to) / OUTLINE_STRIDE_M).ceil();
-            // What is no number has one place, which is not on the road.
-            let places = if places > 1.0 {
-                places.min(OUTLINE_PLACES_MAX)
+            let positions = (from.distance(to) / OUTLINE_STRIDE_M).ceil();
+            // A box that is not finite has one position, which is not on the road.
+            let positions = if positions > 1.0 {
+                positions.min(OUTLINE_PLACES_MAX)
             } else {
                 1.0
             };
-            (0..places as usize)
-                .all(|place| self.reaches(from.lerp(to, place as f64 / places), slack_m))
+            (0..positions as usize)
+                .all(|position| self.reaches(from.lerp(to, position as f64 / positions), slack_m))
         })
     }
 
-    /// Height of the road at a place, meters: of the lanes over and under each other, the one
+    /// Height of the road at a position, meters: of the lanes over and under each other, the one
     /// nearest to `expected_z_m`. `None` where no lane that knows its height is within 3 m.
     #[must_use]
     pub fn height_at(&self, at: DVec2, expected_z_m: f64) -> Option<f64> {
-        // Lanes at the place go before lanes beside it; of those at the same distance, the nearest
-        // in height is taken.
+        // Lanes at the position go before lanes beside it; of those at the same distance, the
+        // nearest in height is taken.
         let mut best: Option<(f64, f64, f64)> = None;
-        self.tree.visit(at, HEIGHT_REACH_M, |triangle, distance_m| {
+        self.tree.visit(at, HEIGHT_MAX_M, |triangle, distance_m| {
             if triangle.has_height {
                 let z_m = triangle.height_near(at);
                 let key = (
@@ -101,7 +101,7 @@ impl RoadSurface {
                     best = Some(key);
                 }
             }
-            best.map_or(HEIGHT_REACH_M, |best| best.0 + SEAM_M)
+            best.map_or(HEIGHT_MAX_M, |best| best.0 + SEAM_M)
         });
         best.map(|best| best.2)
     }
@@ -115,8 +115,8 @@ struct Triangle {
 }
 
 impl Triangle {
-    /// The place of the triangle nearest to `at`, seen from above, from `at` on: zero where `at` is
-    /// within it.
+    /// The position of the triangle nearest to `at`, seen from above, from `at` on: zero where `at`
+    /// is within it.
     fn nearest_offset(&self, at: DVec2) -> DVec2 {
         let corners = self.corners.map(|corner| corner.truncate() - at);
         let sides = [0, 1, 2].map(|side| corners[side].perp_dot(corners[(side + 1) % 3]));
@@ -139,16 +139,16 @@ impl Triangle {
         nearer(nearer(edge(0), edge(1)), edge(2))
     }
 
-    /// From a place to the triangle, seen from above, meters: 0 within it.
+    /// From a position to the triangle, seen from above, meters: 0 within it.
     fn distance_m(&self, at: DVec2) -> f64 {
         self.nearest_offset(at).length()
     }
 
-    /// Height of the triangle at the place of it nearest to `at`, meters.
+    /// Height of the triangle at the position of it nearest to `at`, meters.
     fn height_near(&self, at: DVec2) -> f64 {
-        let place = at + self.nearest_offset(at);
-        let [a, b, c] = self.corners.map(|corner| corner.truncate() - place);
-        // What the place has of each corner is the share of the area on its other side.
+        let position = at + self.nearest_offset(at);
+        let [a, b, c] = self.corners.map(|corner| corner.truncate() - position);
+        // The weight of each corner at the position is the share of the area on its other side.
         let areas = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];
         let area = areas[0] + areas[1] + areas[2];
         let [z_a, z_b, z_c] = self.corners.map(|corner| corner.z);

@@ -74,9 +74,9 @@ impl Route {
         (self.line.at(progress_m), self.line.heading_at(progress_m))
     }
 
-    /// The place on the route nearest to `position_m`, from 5 m behind `last_progress_m` to 40 m
-    /// ahead of it: where the route passes the same place twice, the search does not jump. `arc_m`
-    /// of the answer is the progress.
+    /// The position on the route nearest to `position_m`, from 5 m behind `last_progress_m` to 40 m
+    /// ahead of it: where the route passes the same position twice, the search does not jump.
+    /// `arc_m` of the answer is the progress.
     #[must_use]
     pub fn project(&self, position_m: DVec2, last_progress_m: f64) -> Foot {
         self.line.project_within(
@@ -86,7 +86,7 @@ impl Route {
         )
     }
 
-    /// The lane, a place in the map, that the route is on `progress_m` along; in the middle of a
+    /// The lane, an index in the map, that the route is on `progress_m` along; in the middle of a
     /// lane change the new one begins.
     #[must_use]
     pub fn lane_at(&self, progress_m: f64) -> usize {

@@ -3,10 +3,10 @@
 //!
 //! What keeps agents apart is built in, not repaired. Each knows where its front would be if it
 //! braked as hard as tires allow ([`idm::BRAKING_MPS2`]). Behind another on its path it never lets
-//! that place pass where the other's rear could come to a stand; before a place that conflicts with
-//! another lane it never lets it pass unless the place is its own (`claims`, `junction`). A vehicle
-//! that brakes as hard as that keeps all of it true, so there is always a way to go on. The models
-//! (IDM, MOBIL) drive within these bounds.
+//! that position pass where the other's rear could come to a stand; before a position that
+//! conflicts with another lane it never lets it pass unless the position is its own (`claims`,
+//! `junction`). A vehicle that brakes as hard as that keeps all of it true, so there is always a
+//! way to go on. The models (IDM, MOBIL) drive within these bounds.
 //!
 //! All agents see the ego, but none is kept from it: an agent that cannot stop for it hits it.
 //!
@@ -50,7 +50,7 @@ pub use start::TrafficError;
 
 /// Position of an agent on the lanes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LanePlace {
+pub struct LanePosition {
     /// Place in the map's list of lanes. Who changes lanes is on the new one from the beginning.
     pub lane: usize,
     /// Along it, meters.
@@ -211,9 +211,9 @@ impl Traffic {
 
     /// Lane positions of all vehicles, in the order of the scenario; `None` while one is off the
     /// map.
-    pub fn places(&self) -> impl Iterator<Item = Option<LanePlace>> {
+    pub fn lane_positions(&self) -> impl Iterator<Item = Option<LanePosition>> {
         self.agents.iter().map(|agent| {
-            agent.is_here().then(|| LanePlace {
+            agent.is_here().then(|| LanePosition {
                 lane: agent.lane(),
                 arc_m: agent.arc_m,
                 lateral_m: agent.lateral_m(&self.graph),

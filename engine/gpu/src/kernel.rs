@@ -112,8 +112,8 @@ pub(crate) struct KernelCore {
     pub(crate) id: u64,
     pub(crate) name: &'static str,
     pub(crate) bindings: Vec<KernelBinding>,
-    /// Places at which callers give each binding ([`crate::Recorder`]).
-    pub(crate) places: OnceLock<Vec<u8>>,
+    /// Indices at which callers give each binding ([`crate::Recorder`]).
+    pub(crate) indices: OnceLock<Vec<u8>>,
     push_bytes: u32,
     pub(crate) pipeline: vk::Pipeline,
     pub(crate) layout: vk::PipelineLayout,
@@ -159,7 +159,7 @@ impl Kernel {
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             name,
             bindings,
-            places: OnceLock::new(),
+            indices: OnceLock::new(),
             push_bytes: push.bytes,
             pipeline: vk::Pipeline::null(),
             layout: vk::PipelineLayout::null(),

@@ -122,7 +122,7 @@ impl Queue {
             .recorded
             .iter()
             .position(|slot| slot.does(&list.commands));
-        if let Some(mut slot) = equal.and_then(|place| state.recorded.remove(place)) {
+        if let Some(mut slot) = equal.and_then(|index| state.recorded.remove(index)) {
             let mut spare = slot.repeat(list);
             if state.spare.len() < SPARE_LISTS_MAX {
                 spare.clear();

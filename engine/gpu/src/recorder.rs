@@ -231,8 +231,8 @@ impl Recorder {
             push.len(),
             core.push_len()
         );
-        for (&place, binding) in resolve(core, buffers).iter().zip(&core.bindings) {
-            let memory = buffers[usize::from(place)].1.memory;
+        for (&index, binding) in resolve(core, buffers).iter().zip(&core.bindings) {
+            let memory = buffers[usize::from(index)].1.memory;
             let wanted_bytes = binding.uniform_bytes().unwrap_or(0);
             assert!(
                 memory.bound_bytes >= wanted_bytes,
@@ -257,16 +257,16 @@ impl Recorder {
     }
 }
 
-/// Place in `buffers` of each of the kernel's bindings. Callers give a kernel's buffers in one
-/// order, so the places that were found first are compared and not searched again.
+/// Index in `buffers` of each of the kernel's bindings. Callers give a kernel's buffers in one
+/// order, so the indices that were found first are compared and not searched again.
 ///
 /// # Panics
 /// Panics if a name is not the kernel's, comes twice, or a binding is not given.
 fn resolve<'a>(core: &'a KernelCore, buffers: &[(&str, Bound<'_>)]) -> Cow<'a, [u8]> {
     let names = || core.bindings.iter().map(|binding| binding.name.as_str());
-    let known = core.places.get().filter(|places| {
-        let given = |&place: &u8| buffers.get(usize::from(place)).map(|(name, _)| *name);
-        places.len() == buffers.len() && places.iter().map(given).eq(names().map(Some))
+    let known = core.indices.get().filter(|indices| {
+        let given = |&index: &u8| buffers.get(usize::from(index)).map(|(name, _)| *name);
+        indices.len() == buffers.len() && indices.iter().map(given).eq(names().map(Some))
     });
     if let Some(known) = known {
         return Cow::Borrowed(known);
@@ -281,20 +281,20 @@ fn resolve<'a>(core: &'a KernelCore, buffers: &[(&str, Bound<'_>)]) -> Cow<'a, [
             core.binding_names()
         );
     }
-    let place = |wanted: &str| {
+    let index = |wanted: &str| {
         let mut given = (0_u8..)
             .zip(buffers)
             .filter(|(_, (name, _))| *name == wanted);
-        let (Some((place, _)), None) = (given.next(), given.next()) else {
+        let (Some((index, _)), None) = (given.next(), given.next()) else {
             panic!(
                 "kernel {}: binding '{wanted}' is not given exactly once",
                 core.name
             );
         };
-        place
+        index
     };
-    let found: Vec<u8> = names().map(place).collect();
+    let found: Vec<u8> = names().map(index).collect();
     // Another thread may have been first, with an order of its own.
-    let _ = core.places.set(found.clone());
+    let _ = core.indices.set(found.clone());
     Cow::Owned(found)
 }

@@ -58,7 +58,7 @@ impl Agent {
 #[derive(Clone, Copy)]
 pub struct Scene<'a> {
     /// The background.
-    pub world: &'a GpuScene,
+    pub gpu_scene: &'a GpuScene,
     /// The assets that agents show, and the agents, in the order in which equal depths are drawn.
     pub agents: Option<(&'a AssetPool, &'a [Agent])>,
     /// Shadows on the ground of the background. They multiply, and need not be those of agents that
@@ -69,9 +69,9 @@ pub struct Scene<'a> {
 }
 
 impl<'a> From<&'a GpuScene> for Scene<'a> {
-    fn from(world: &'a GpuScene) -> Self {
+    fn from(gpu_scene: &'a GpuScene) -> Self {
         Self {
-            world,
+            gpu_scene,
             agents: None,
             shadows: &[],
             shadow_cameras: None,
@@ -82,9 +82,9 @@ impl<'a> From<&'a GpuScene> for Scene<'a> {
 impl<'a> Scene<'a> {
     /// A background with agents, without shadows.
     #[must_use]
-    pub fn with_agents(world: &'a GpuScene, pool: &'a AssetPool, agents: &'a [Agent]) -> Self {
+    pub fn with_agents(gpu_scene: &'a GpuScene, pool: &'a AssetPool, agents: &'a [Agent]) -> Self {
         Self {
-            world,
+            gpu_scene,
             agents: Some((pool, agents)),
             shadows: &[],
             shadow_cameras: None,
@@ -123,8 +123,8 @@ impl Scene<'_> {
     }
 
     /// No mean that is drawn is farther from the world's origin, meters.
-    pub(crate) fn reach_m(&self) -> Result<f64, RenderError> {
-        let mut reach_m = self.world.reach_m;
+    pub(crate) fn distance_max_m(&self) -> Result<f64, RenderError> {
+        let mut distance_max_m = self.gpu_scene.distance_max_m;
         if let Some(cameras) = self.shadow_cameras {
             assert!(
                 cameras.len() == self.shadows.len(),
@@ -140,7 +140,7 @@ impl Scene<'_> {
         }
         let (pool, agents) = match self.agents {
             Some((pool, agents)) => (pool, agents),
-            None => return Ok(reach_m),
+            None => return Ok(distance_max_m),
         };
         for agent in agents {
             let pose = &agent.world_from_agent;
@@ -165,12 +165,12 @@ impl Scene<'_> {
                     instance: agent.instance,
                 });
             }
-            reach_m = reach_m.max(
-                (pose.translation - self.world.origin).length()
-                    + pool.asset(agent.asset)?.reach_m(),
+            distance_max_m = distance_max_m.max(
+                (pose.translation - self.gpu_scene.origin).length()
+                    + pool.asset(agent.asset)?.distance_max_m(),
             );
         }
-        Ok(reach_m)
+        Ok(distance_max_m)
     }
 }
 
@@ -188,7 +188,8 @@ pub(crate) struct AgentList {
     pub agents: usize,
     /// Splats of the levels of detail that were chosen.
     pub splats: usize,
-    /// The agents that are to be relit, as places in [`AgentList::records`]: their asset and light.
+    /// The agents that are to be relit, as indices in [`AgentList::records`]: their asset and
+    /// light.
     pub relights: Vec<(usize, AssetId, RelightRecord)>,
 }
 
@@ -211,7 +212,7 @@ impl AgentList {
         for agent in agents {
             let asset = pool.asset(agent.asset)?;
             let records = view.cameras.iter().zip(cameras);
-            let origin = scene.world.origin;
+            let origin = scene.gpu_scene.origin;
             let may_see = |index: usize| agent.cameras >> index & 1 == 1;
             // Records of cameras that may not see it are never read.
             let moved = |(index, (record, camera)): (usize, (&CameraRecord, &Camera))| {
@@ -268,7 +269,7 @@ impl AgentList {
                 let pose = agent.world_from_agent.moved(&agent.motion, times_s[index]);
                 let (record, sector) = (&view.cameras[index], &sectors[index]);
                 record
-                    .moved_into(sector, scene.world.origin, &pose)
+                    .moved_into(sector, scene.gpu_scene.origin, &pose)
                     .moving(sector, &agent.motion)
             };
             let seen_by = (0..sectors.len()).map(seen_by).collect();

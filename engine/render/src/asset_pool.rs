@@ -75,7 +75,7 @@ pub(crate) struct Asset {
 }
 
 impl Asset {
-    /// The record of an agent that shows it at level of detail `level`, its splats' place and
+    /// The record of an agent that shows it at level of detail `level`, its splats' range and
     /// codebooks filled in.
     pub fn record(&self, level: usize) -> AgentRecord {
         let Level {
@@ -97,8 +97,8 @@ impl Asset {
         self.ranges.colors
     }
 
-    /// The farthest that a drawn mean is from its origin, meters.
-    pub fn reach_m(&self) -> f64 {
+    /// Largest distance of a drawn mean from its origin, meters.
+    pub fn distance_max_m(&self) -> f64 {
         let farthest = |axis: usize| {
             f64::from(self.whole.center_m[axis].abs() + self.whole.half_extent_m[axis])
         };
@@ -491,18 +491,21 @@ fn encode_bands(coefficients: &[[f32; 3]], sh_degree: u8) -> [u32; COLOR_WORDS] 
 /// The box around the clusters' boxes; one that no camera reaches when nothing is drawn.
 fn whole_of(clusters: &[ClusterRecord]) -> ClusterRecord {
     let mut bounds = Bounds::EMPTY;
-    let mut reach_m = -1e30f32;
-    for cluster in clusters.iter().filter(|cluster| cluster.reach_m >= 0.0) {
+    let mut splat_radius_m = -1e30f32;
+    for cluster in clusters
+        .iter()
+        .filter(|cluster| cluster.splat_radius_m >= 0.0)
+    {
         for side in [-1.0f32, 1.0] {
             bounds.include(&std::array::from_fn(|axis| {
                 cluster.center_m[axis] + side * cluster.half_extent_m[axis]
             }));
         }
-        reach_m = reach_m.max(cluster.reach_m);
+        splat_radius_m = splat_radius_m.max(cluster.splat_radius_m);
     }
-    if reach_m < 0.0 {
+    if splat_radius_m < 0.0 {
         return ClusterRecord {
-            reach_m,
+            splat_radius_m,
             ..ClusterRecord::zeroed()
         };
     }
@@ -510,6 +513,6 @@ fn whole_of(clusters: &[ClusterRecord]) -> ClusterRecord {
     ClusterRecord {
         center_m: bounds.center(),
         half_extent_m,
-        reach_m,
+        splat_radius_m,
     }
 }

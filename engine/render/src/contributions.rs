@@ -21,8 +21,8 @@ impl Renderer {
         Ok(steps.iter().map(|&steps| steps as f32 / scale).collect())
     }
 
-    /// Sums the blending weights T alpha of each splat of `world` over all pixels of all `cameras`,
-    /// by this renderer's rules.
+    /// Sums the blending weights T alpha of each splat of `gpu_scene` over all pixels of all
+    /// `cameras`, by this renderer's rules.
     ///
     /// Cameras are drawn one after the other, with buffers of their own.
     ///
@@ -30,7 +30,7 @@ impl Renderer {
     /// Those of [`Renderer::render`].
     pub fn contribution_weights(
         &self,
-        world: &GpuScene,
+        gpu_scene: &GpuScene,
         cameras: &[Camera],
     ) -> Result<Vec<f32>, RenderError> {
         let outputs = Outputs {
@@ -44,9 +44,9 @@ impl Renderer {
             ..*self.options()
         };
         let mut renderer = Self::new(self.gpu(), options);
-        let mut sums = vec![0.0f64; world.splats];
+        let mut sums = vec![0.0f64; gpu_scene.splats];
         for camera in cameras {
-            renderer.render(world, std::slice::from_ref(camera))?;
+            renderer.render(gpu_scene, std::slice::from_ref(camera))?;
             for (sum, weight) in sums.iter_mut().zip(renderer.read_contributions()?) {
                 *sum += f64::from(weight);
             }

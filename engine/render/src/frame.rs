@@ -35,7 +35,7 @@ pub(crate) fn record_agents(
     if let Some(shadows) = stages.shadows.as_ref().filter(|_| shadow_count > 0) {
         recorder.stage("shadows", |r| {
             slot.copy_shadows(r, shadow_count);
-            shadows.record(r, &contents.world, &slot.shadows, shadow_count);
+            shadows.record(r, &contents.gpu_scene, &slot.shadows, shadow_count);
         });
     }
     let (Some(agents), Some(list)) = (&stages.agents, &contents.agents) else {
@@ -81,8 +81,8 @@ pub(crate) fn record_frame(
     {
         recorder.stage("key splats", |r| {
             for &wanted in &input.keys.find {
-                let world = &input.contents.world;
-                key_splats.record(r, world, &frame.cameras, wanted, &input.keys.kept);
+                let gpu_scene = &input.contents.gpu_scene;
+                key_splats.record(r, gpu_scene, &frame.cameras, wanted, &input.keys.kept);
             }
         });
     }
@@ -154,7 +154,7 @@ fn record_projection(
     let background = &stages.background;
     recorder.stage("cull", |r| {
         let cull = &background.cull;
-        cull.record(r, &input.contents.world, frame.views(), &frame.visible);
+        cull.record(r, &input.contents.gpu_scene, frame.views(), &frame.visible);
     });
     recorder.stage("scan", |r| {
         stages.common.scan.record(
@@ -196,7 +196,7 @@ fn project_background(
     };
     project.record(
         recorder,
-        &input.contents.world,
+        &input.contents.gpu_scene,
         frame.views(),
         inputs,
         &frame.projected,
@@ -220,7 +220,7 @@ fn project_agents(
         buffers: slot.agents(),
         relit: &slot.relit.colors,
         counts: list.counts,
-        fog: input.contents.world.fog.as_ref(),
+        fog: input.contents.gpu_scene.fog.as_ref(),
         flow_interval_s: flow_interval_s as f32,
     };
     let static_lists = frame.shape.cameras * frame.shape.clusters;
@@ -234,7 +234,7 @@ fn project_agents(
 }
 
 /// Records the planes of geometry: an attribute after the other is written into the records in the
-/// place of color, blended over black, and resolved. The order of splats and their lists stay.
+/// instead of color, blended over black, and resolved. The order of splats and their lists stay.
 fn record_geometry(
     recorder: &mut Recorder,
     stages: &FrameStages,
@@ -303,8 +303,8 @@ fn record_images(
             &frame.plan,
         );
     });
-    let world = &input.contents.world;
-    blend_images(recorder, &stages.images, frame, images, world.sky);
+    let gpu_scene = &input.contents.gpu_scene;
+    blend_images(recorder, &stages.images, frame, images, gpu_scene.sky);
     if let Some(post_process) = &stages.post_process {
         recorder.stage("post-process", |r| {
             r.copy(
@@ -318,7 +318,7 @@ fn record_images(
                 cameras: &frame.cameras,
                 photometry: &frame.photometry,
                 views: &input.contents.processed,
-                sky: world.sky_map.as_ref(),
+                sky: gpu_scene.sky_map.as_ref(),
             };
             post_process.record(r, inputs, &frame.blended, &slot.images);
         });

@@ -14,7 +14,7 @@ const COPY_PIXELS: usize = 1 << 18;
 pub struct ImageBytes {
     words: Vec<u32>,
     /// First pixel, width and height of each.
-    places: Vec<(usize, [u32; 2])>,
+    ranges: Vec<(usize, [u32; 2])>,
     /// Memory that the device writes and the host reads, kept from frame to frame: to make it takes
     /// longer than a copy.
     staging: Option<Buffer<u32>>,
@@ -24,30 +24,30 @@ impl ImageBytes {
     /// Number of images.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.places.len()
+        self.ranges.len()
     }
 
     /// True if there is none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.places.is_empty()
+        self.ranges.is_empty()
     }
 
     /// Forgets the images and keeps their memory.
     pub fn clear(&mut self) {
-        self.places.clear();
+        self.ranges.clear();
     }
 
     /// Width and height of image `index`, pixels.
     #[must_use]
     pub fn size_px(&self, index: usize) -> [u32; 2] {
-        self.places[index].1
+        self.ranges[index].1
     }
 
     /// Image `index`, row by row from the top.
     #[must_use]
     pub fn rgba(&self, index: usize) -> &[u8] {
-        let (first, [width, height]) = self.places[index];
+        let (first, [width, height]) = self.ranges[index];
         bytemuck::cast_slice(&self.words[first..first + width as usize * height as usize])
     }
 }
@@ -66,7 +66,7 @@ impl Renderer {
             self.options().outputs.color == ColorFormat::U8,
             "the images are stored as floats"
         );
-        bytes.places.clear();
+        bytes.ranges.clear();
         let Some((view, buffers)) = self.shown_images() else {
             return Ok(());
         };
@@ -95,7 +95,7 @@ impl Renderer {
                     .for_each(|(to, from)| to.copy_from_slice(from));
             });
         }
-        bytes.places = view.places();
+        bytes.ranges = view.ranges();
         Ok(())
     }
 }

@@ -77,7 +77,7 @@ pub(crate) struct AgentStages {
     pub relight: Option<Relight>,
 }
 
-/// Kernels of the planes of geometry: attributes in the place of color, and their means and
+/// Kernels of the planes of geometry: attributes instead of color, and their means and
 /// medians.
 pub(crate) struct GeometryStages {
     /// `None` where no plane is a mean.
@@ -155,7 +155,7 @@ pub(crate) struct FrameVariant {
 }
 
 impl FrameVariant {
-    /// The variant whose projections write an attribute in the place of color. It does not depend
+    /// The variant whose projections write an attribute instead of color. It does not depend
     /// on what colors and instances need.
     fn of(self, attribute: Attribute) -> Self {
         Self {

@@ -81,7 +81,7 @@ impl KeyDecision {
 /// original once the frame was submitted: what was to be found may never be.
 #[derive(Clone)]
 pub(crate) struct PersistentKeys {
-    world: u64,
+    scene_id: u64,
     keys: Buffer<u32>,
     sets: Vec<KeySet>,
     sets_max: usize,
@@ -94,7 +94,7 @@ impl PersistentKeys {
     pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
         let keys = gpu.buffer("kept_keys", PURPOSE, 0, MemoryKind::Device)?;
         Ok(Self {
-            world: 0,
+            scene_id: 0,
             keys,
             sets: Vec::new(),
             sets_max: 0,
@@ -112,18 +112,18 @@ impl PersistentKeys {
     pub fn decide(
         &mut self,
         gpu: &Gpu,
-        world: &GpuScene,
+        gpu_scene: &GpuScene,
         view: &View,
         rules: &Rules,
     ) -> Result<KeyDecision, RenderError> {
         let views = view.cameras.len();
-        let bytes = (world.splats * views * 4) as u64;
+        let bytes = (gpu_scene.splats * views * 4) as u64;
         let possible = bytes > 0 && bytes <= gpu.limits().storage_buffer_bytes_max;
         if rules.order == DepthOrder::Radial || !possible {
             return Ok(self.all_computed(views));
         }
         self.frame += 1;
-        self.fit(gpu, world, views)?;
+        self.fit(gpu, gpu_scene, views)?;
         let directions: Vec<Direction> = view.cameras.iter().map(Direction::of).collect();
         let mut decision = self.all_computed(views);
         for (camera, direction) in directions.iter().enumerate() {
@@ -149,7 +149,7 @@ impl PersistentKeys {
             self.keys = gpu.buffer(
                 "kept_keys",
                 PURPOSE,
-                world.splats * self.sets_max,
+                gpu_scene.splats * self.sets_max,
                 MemoryKind::Device,
             )?;
         }
@@ -159,12 +159,12 @@ impl PersistentKeys {
     }
 
     /// Sets for as many views. What was kept of another world is forgotten.
-    fn fit(&mut self, gpu: &Gpu, world: &GpuScene, views: usize) -> Result<(), RenderError> {
-        if self.world != world.id || self.sets_max < views {
+    fn fit(&mut self, gpu: &Gpu, gpu_scene: &GpuScene, views: usize) -> Result<(), RenderError> {
+        if self.scene_id != gpu_scene.id || self.sets_max < views {
             self.sets.clear();
             self.previous.clear();
             self.keys = gpu.buffer("kept_keys", PURPOSE, 0, MemoryKind::Device)?;
-            (self.world, self.sets_max) = (world.id, views);
+            (self.scene_id, self.sets_max) = (gpu_scene.id, views);
         }
         Ok(())
     }

@@ -229,12 +229,12 @@ fn steady(direction: DVec3) -> DVec3 {
     (direction * STEPS).round() / STEPS
 }
 
-/// The largest power of two that takes depths of up to `reach_m` between -1 and 1, and no f32 out
-/// of its range.
+/// The largest power of two that takes depths of up to `distance_max_m` between -1 and 1, and no
+/// f32 out of its range.
 #[must_use]
-pub fn key_scale(reach_m: f64) -> f32 {
+pub fn key_scale(distance_max_m: f64) -> f32 {
     // A sixteenth more: what rounding adds stays below 1 as well.
-    let exponent = (reach_m.max(1e-30) * 1.0625)
+    let exponent = (distance_max_m.max(1e-30) * 1.0625)
         .log2()
         .ceil()
         .clamp(-100.0, 100.0);
@@ -272,7 +272,7 @@ pub struct ClusterRecord {
     /// Half its size.
     pub half_extent_m: [f32; 3],
     /// Longest standard deviation times cut-off radius (at least sqrt(3)) of any splat in it.
-    pub reach_m: f32,
+    pub splat_radius_m: f32,
 }
 
 /// `Agent` of `agent.glsl`.
@@ -287,7 +287,7 @@ pub struct AgentRecord {
     pub row_z: [f32; 3],
     /// Lower corner of the position grid.
     pub box_min_m: [f32; 3],
-    /// From one place of it to the next.
+    /// Stride from one element to the next.
     pub box_step_m: [f32; 3],
     /// Quantization steps of luma, orange and green.
     pub dc_residual_step: [f32; 3],
@@ -339,24 +339,24 @@ pub struct View {
 impl View {
     /// First pixel, and width and height, of the image of each camera.
     #[must_use]
-    pub fn places(&self) -> Vec<(usize, [u32; 2])> {
-        let place = |camera: &CameraRecord| (camera.first_pixel as usize, camera.size_px);
-        self.cameras.iter().map(place).collect()
+    pub fn ranges(&self) -> Vec<(usize, [u32; 2])> {
+        let range = |camera: &CameraRecord| (camera.first_pixel as usize, camera.size_px);
+        self.cameras.iter().map(range).collect()
     }
 
-    /// Lays out the images of `cameras` one after the other; depths up to `reach_m` from the
+    /// Lays out the images of `cameras` one after the other; depths up to `distance_max_m` from the
     /// world's `origin` are told apart.
     ///
     /// # Errors
     /// A sentence when there is no camera, too many, or one that cannot make an image.
-    pub fn new(cameras: &[Camera], origin: DVec3, reach_m: f64) -> Result<Self, Invalid> {
+    pub fn new(cameras: &[Camera], origin: DVec3, distance_max_m: f64) -> Result<Self, Invalid> {
         if cameras.is_empty() || cameras.len() > CAMERAS_MAX {
             return Err(Invalid::new(format!(
                 "{} cameras were given; a frame draws 1 to {CAMERAS_MAX}",
                 cameras.len()
             )));
         }
-        let key_scale = key_scale(reach_m);
+        let key_scale = key_scale(distance_max_m);
         let mut view = Self {
             cameras: Vec::with_capacity(cameras.len()),
             lenses: Vec::new(),
@@ -418,7 +418,7 @@ pub(crate) fn check_motion(motion: &Motion, within_s: f64) -> Result<(), Invalid
 pub(crate) fn exposed_within_s(camera: &Camera) -> f64 {
     let k = &camera.intrinsics;
     let last_px = [f64::from(k.width_px), f64::from(k.height_px)];
-    let [first_s, last_s] = [[0.0; 2], last_px].map(|place| k.shutter.time_s(place).abs());
+    let [first_s, last_s] = [[0.0; 2], last_px].map(|pixel| k.shutter.time_s(pixel).abs());
     first_s.max(last_s)
 }
 

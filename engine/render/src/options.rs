@@ -124,7 +124,7 @@ pub struct FrameStatistics {
     /// Splats of those agents.
     pub agent_splats: usize,
     /// Codebooks that were relit for this frame: those of agents whose light changed since their
-    /// place was last drawn.
+    /// slot was last drawn.
     pub relit: usize,
     /// GPU time from the first command to the last, without the agents' part where that ran on its
     /// own queue.

@@ -112,7 +112,7 @@ impl OutputBuffers {
         (2147483648.0 / self.pixels.max(1) as f64).min(65_536.0) as f32
     }
 
-    /// Place of `plane` in [`Self::planes`], words; `None` where it was not asked for.
+    /// Offset of `plane` in [`Self::planes`], words; `None` where it was not asked for.
     #[must_use]
     pub fn plane_words(&self, plane: Plane) -> Option<Range<usize>> {
         let mut first = 0;

@@ -3,7 +3,7 @@
 //!
 //! Depth and instances are blended together with color: `shaders/include/planes.glsl`, its CPU
 //! mirror `twins/planes.rs`, their definition in f64 `reference/blend.rs`. Planes of geometry are
-//! attributes of splats that are blended in the place of color, one after the other:
+//! attributes of splats that are blended instead of color, one after the other:
 //! `shaders/include/geometry.glsl`, with their definition in `reference/geometry.rs`.
 
 use std::collections::BTreeMap;
@@ -39,7 +39,7 @@ pub enum Plane {
     RangeMedian,
 }
 
-/// Attribute of splats that is blended in the place of color; `ATTRIBUTE_*` in `geometry.glsl`.
+/// Attribute of splats that is blended instead of color; `ATTRIBUTE_*` in `geometry.glsl`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Attribute {
     /// Color itself.

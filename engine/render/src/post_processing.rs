@@ -108,7 +108,7 @@ impl PhotometryRecord {
         if let Some(vignetting) = &photometry.vignetting {
             let power = |power: usize| vignetting.rgb.map(|channel| channel[power] as f32);
             record.vignetting = [power(0), power(1), power(2)];
-            record.vignetting_center_px = vignetting.center_px.map(|place| place as f32);
+            record.vignetting_center_px = vignetting.center_px.map(|axis| axis as f32);
             record.vignetting_scale = vignetting
                 .radius_px
                 .map(|radius_px| (1.0 / radius_px) as f32);

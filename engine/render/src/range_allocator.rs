@@ -9,7 +9,7 @@ pub(crate) struct RangeAllocator {
 }
 
 impl RangeAllocator {
-    /// The first of `count` free places; the list grows when there is no such gap.
+    /// The first of `count` free elements; the list grows when there is no such gap.
     pub fn take(&mut self, count: usize) -> usize {
         if let Some(gap) = self.free.iter().position(|&(_, free)| free >= count) {
             let (first, free) = self.free[gap];
@@ -25,18 +25,18 @@ impl RangeAllocator {
         first
     }
 
-    /// Frees the `count` places from `first` on, which were taken together.
+    /// Frees the `count` elements from `first` on, which were taken together.
     pub fn give_back(&mut self, first: usize, count: usize) {
         if count == 0 {
             return;
         }
-        let place = self.free.partition_point(|&(start, _)| start < first);
-        self.free.insert(place, (first, count));
-        if place + 1 < self.free.len() && first + count == self.free[place + 1].0 {
-            self.free[place].1 += self.free.remove(place + 1).1;
+        let index = self.free.partition_point(|&(start, _)| start < first);
+        self.free.insert(index, (first, count));
+        if index + 1 < self.free.len() && first + count == self.free[index + 1].0 {
+            self.free[index].1 += self.free.remove(index + 1).1;
         }
-        if place > 0 && self.free[place - 1].0 + self.free[place - 1].1 == first {
-            self.free[place - 1].1 += self.free.remove(place).1;
+        if index > 0 && self.free[index - 1].0 + self.free[index - 1].1 == first {
+            self.free[index - 1].1 += self.free.remove(index).1;
         }
         if let Some(&(start, free)) = self.free.last()
             && start + free == self.end

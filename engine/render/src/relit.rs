@@ -14,12 +14,12 @@ use crate::stages::{PURPOSE, RELIGHT_BLOCK, RelightWork, RelitColors};
 /// An asset in a light: the bits of T and b.
 type InLight = (AssetId, [u32; 96]);
 
-/// The relit codebooks of one frame in flight. What the frame before in its place made is used
+/// The relit codebooks of one frame in flight. What the frame before in its slot made is used
 /// again where asset and light are the same: an agent that stands still costs nothing, and alike
 /// ones share.
 pub(crate) struct RelitCodebooks {
     pub colors: RelitColors,
-    places: RelitPlaces,
+    ranges: RelitRanges,
     staged: Buffer<RelightRecord>,
     pub records: Buffer<RelightRecord>,
 }
@@ -30,7 +30,7 @@ pub(crate) struct Relights {
     /// First color of each wanted codebook.
     pub offsets: Vec<u32>,
     /// Placement of all codebooks once the frame was submitted.
-    places: RelitPlaces,
+    ranges: RelitRanges,
     /// Number of codebooks to make.
     pub count: usize,
     /// Workgroups that make them.
@@ -42,27 +42,27 @@ impl RelitCodebooks {
     pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
         Ok(Self {
             colors: RelitColors::new(gpu, 0)?,
-            places: RelitPlaces::default(),
+            ranges: RelitRanges::default(),
             staged: gpu.buffer("staged_relights", PURPOSE, 0, MemoryKind::Upload)?,
             records: gpu.buffer("relights", PURPOSE, 0, MemoryKind::Device)?,
         })
     }
 
-    /// Finds a place for each of `wanted`, and lists those that have to be made. Until the result
+    /// Finds a range for each of `wanted`, and lists those that have to be made. Until the result
     /// is committed all others are forgotten: what was to be made may never be.
     pub fn plan(
         &mut self,
         gpu: &Gpu,
         wanted: &[(AssetId, RelightRecord)],
     ) -> Result<Relights, RenderError> {
-        let mut places = std::mem::take(&mut self.places);
-        let (mut offsets, mut to_make) = places.find(wanted);
-        let room = places.allocator.end();
+        let mut ranges = std::mem::take(&mut self.ranges);
+        let (mut offsets, mut to_make) = ranges.find(wanted);
+        let room = ranges.allocator.end();
         if room > self.colors.dc.len() {
             self.colors = RelitColors::new(gpu, room + room / 4)?;
             // The old ones are gone: all are made again.
-            places = RelitPlaces::default();
-            (offsets, to_make) = places.find(wanted);
+            ranges = RelitRanges::default();
+            (offsets, to_make) = ranges.find(wanted);
         }
         if to_make.len() > self.staged.len() {
             let room = to_make.len() + to_make.len() / 4;
@@ -72,7 +72,7 @@ impl RelitCodebooks {
         self.staged.write_host(0, &to_make);
         Ok(Relights {
             offsets,
-            places,
+            ranges,
             count: to_make.len(),
             groups: to_make
                 .last()
@@ -82,7 +82,7 @@ impl RelitCodebooks {
 
     /// Keeps the codebooks of a frame that was submitted.
     pub fn commit(&mut self, relights: &mut Relights) {
-        self.places = std::mem::take(&mut relights.places);
+        self.ranges = std::mem::take(&mut relights.ranges);
     }
 
     /// The codebooks that are to be made.
@@ -102,13 +102,13 @@ impl RelitCodebooks {
 
 /// Placement of relit codebooks.
 #[derive(Default)]
-struct RelitPlaces {
+struct RelitRanges {
     allocator: RangeAllocator,
     made: HashMap<InLight, (usize, usize)>,
 }
 
-impl RelitPlaces {
-    /// The first color of each of `wanted`, and those that are not there yet, with their place and
+impl RelitRanges {
+    /// The first color of each of `wanted`, and those that are not there yet, with their range and
     /// workgroups.
     fn find(&mut self, wanted: &[(AssetId, RelightRecord)]) -> (Vec<u32>, Vec<RelightRecord>) {
         let keys: Vec<InLight> = wanted
@@ -136,15 +136,15 @@ impl RelitPlaces {
         (offsets, to_make)
     }
 
-    /// Frees the places of codebooks that are no longer in use.
+    /// Frees the ranges of codebooks that are no longer in use.
     fn drop_others(&mut self, keys: &[InLight]) {
         let wanted: HashSet<&InLight> = keys.iter().collect();
-        // In order of place: a map's own order is another in every run, and so would places be.
+        // In order of range: the order of a map differs from run to run.
         let mut dropped: Vec<(usize, usize)> = self
             .made
             .iter()
             .filter(|(key, _)| !wanted.contains(key))
-            .map(|(_, place)| *place)
+            .map(|(_, range)| *range)
             .collect();
         dropped.sort_unstable();
         self.made.retain(|key, _| wanted.contains(key));
@@ -190,23 +190,23 @@ mod tests {
 
     #[test]
     fn what_stays_is_not_made_again_and_alike_ones_share() {
-        let mut places = RelitPlaces::default();
+        let mut ranges = RelitRanges::default();
         let (first, made) =
-            places.find(&[wanted(1, 1.0, 300), wanted(1, 1.0, 300), wanted(2, 1.0, 10)]);
+            ranges.find(&[wanted(1, 1.0, 300), wanted(1, 1.0, 300), wanted(2, 1.0, 10)]);
         assert_eq!(
             (first, made.len(), made[1].first_group),
             (vec![0, 0, 300], 2, 2)
         );
-        let (second, made) = places.find(&[wanted(2, 1.0, 10), wanted(1, 1.0, 300)]);
+        let (second, made) = ranges.find(&[wanted(2, 1.0, 10), wanted(1, 1.0, 300)]);
         assert_eq!((second, made.len()), (vec![300, 0], 0));
         // Another light of one of them; the other stays where it is.
-        let (third, made) = places.find(&[wanted(1, 1.0, 300), wanted(2, 0.5, 10)]);
+        let (third, made) = ranges.find(&[wanted(1, 1.0, 300), wanted(2, 0.5, 10)]);
         assert_eq!(
             (third[0], made.len(), made[0].gain[0], made[0].first_group),
             (0, 1, 0.5, 0)
         );
         assert_ne!(third[1], 0);
-        let (none, made) = places.find(&[]);
-        assert_eq!((none.len(), made.len(), places.allocator.end()), (0, 0, 0));
+        let (none, made) = ranges.find(&[]);
+        assert_eq!((none.len(), made.len(), ranges.allocator.end()), (0, 0, 0));
     }
 }

@@ -94,14 +94,14 @@ impl Renderer {
         self
     }
 
-    /// Copies `world` to the device, its splats in the order given.
+    /// Copies `splat_scene` to the device, its splats in the order given.
     ///
     /// # Errors
     /// Returns an error if it has too many splats, or the device not the memory.
-    pub fn upload(&self, world: &SplatScene) -> Result<GpuScene, RenderError> {
+    pub fn upload(&self, splat_scene: &SplatScene) -> Result<GpuScene, RenderError> {
         let splats = match self.options.background_pitch_px {
-            None => world.splats.len(),
-            Some(_) => DetailLevels::splats_at_most(world.splats.len()),
+            None => splat_scene.splats.len(),
+            Some(_) => DetailLevels::splats_at_most(splat_scene.splats.len()),
         };
         if splats > SPLATS_MAX {
             return Err(RenderError::TooManySplats {
@@ -110,8 +110,8 @@ impl Renderer {
             });
         }
         match self.options.background_pitch_px {
-            None => GpuScene::upload(&self.gpu, world, self.options.storage),
-            Some(_) => GpuScene::upload_with_levels(&self.gpu, world, self.options.storage),
+            None => GpuScene::upload(&self.gpu, splat_scene, self.options.storage),
+            Some(_) => GpuScene::upload_with_levels(&self.gpu, splat_scene, self.options.storage),
         }
     }
 
@@ -153,7 +153,12 @@ impl Renderer {
             None => PersistentKeys::new(&self.gpu)?,
         };
         let decision = if self.options.keep_keys {
-            keys.decide(&self.gpu, scene.world, &contents.view, &self.options.rules)?
+            keys.decide(
+                &self.gpu,
+                scene.gpu_scene,
+                &contents.view,
+                &self.options.rules,
+            )?
         } else {
             keys.all_computed(cameras.len())
         };
@@ -201,21 +206,25 @@ impl Renderer {
     ) -> Result<FrameContents, RenderError> {
         let options = self.options;
         scene.check_motions(cameras, self.flow_interval_s())?;
-        let view = View::new(cameras, scene.world.origin, self.reach_m(scene, cameras)?)
-            .map_err(RenderError::View)?;
+        let view = View::new(
+            cameras,
+            scene.gpu_scene.origin,
+            self.distance_max_m(scene, cameras)?,
+        )
+        .map_err(RenderError::View)?;
         let near_m = near_m(&options.rules);
         let agents = AgentList::new(scene, cameras, &view, near_m, options.level_pitch_px)?;
         let (mut processed, mut photometry) = (Vec::new(), Vec::new());
-        if scene.world.is_post_processed(cameras) {
-            let sky = scene.world.sky_map.as_ref();
+        if scene.gpu_scene.is_post_processed(cameras) {
+            let sky = scene.gpu_scene.sky_map.as_ref();
             processed = self.ray_tables.seen_by(&self.gpu, sky, cameras)?;
             let calibrations = cameras
                 .iter()
-                .map(|camera| scene.world.photometry_of(camera));
+                .map(|camera| scene.gpu_scene.photometry_of(camera));
             photometry.extend(calibrations.map(|own| PhotometryRecord::new(&own)));
         }
         Ok(FrameContents {
-            world: scene.world.clone(),
+            gpu_scene: scene.gpu_scene.clone(),
             variant: self.variant(scene, &view, agents.as_ref(), !processed.is_empty()),
             view,
             agents,
@@ -238,17 +247,17 @@ impl Renderer {
         let labels = RecordContents::of(&options.outputs).labels;
         FrameVariant {
             background: ProjectVariant {
-                sh_degree: scene.world.sh_degree.min(options.sh_degree_max),
+                sh_degree: scene.gpu_scene.sh_degree.min(options.sh_degree_max),
                 labels,
-                instances: scene.world.has_instances
+                instances: scene.gpu_scene.has_instances
                     && options.outputs.planes.contains(Plane::Instance),
                 splat_ids: options.outputs.contributions,
                 shadows: !scene.shadows.is_empty(),
                 shadows_by_camera: scene.shadow_cameras.is_some(),
                 cameras: CameraVariant::of(&view.cameras, &view.lenses),
                 attribute: Attribute::None,
-                fog: scene.world.fog.is_some(),
-                storage: scene.world.storage,
+                fog: scene.gpu_scene.fog.is_some(),
+                storage: scene.gpu_scene.storage,
             },
             post_processed,
             // That of all assets, in view or not: building kernels in the middle of a drive
@@ -265,7 +274,7 @@ impl Renderer {
                         &view.lenses,
                     ),
                     attribute: Attribute::None,
-                    fog: scene.world.fog.is_some(),
+                    fog: scene.gpu_scene.fog.is_some(),
                 }),
         }
     }
@@ -370,7 +379,7 @@ impl Renderer {
             .filter(free)
             .min_by_key(|slot| (self.slots[*slot].pixels() != pixels, shown == Some(*slot)));
         match slot {
-            // One place is enough for those who wait for every frame.
+            // One slot is enough for those who wait for every frame.
             Some(slot)
                 if shown != Some(slot) || self.in_flight.is_empty() || self.slots.len() >= max =>
             {
@@ -386,16 +395,16 @@ impl Renderer {
     }
 
     /// No depth of the scene is larger, meters.
-    fn reach_m(&self, scene: &Scene<'_>, cameras: &[Camera]) -> Result<f64, RenderError> {
-        let reach_m = scene.reach_m()?;
+    fn distance_max_m(&self, scene: &Scene<'_>, cameras: &[Camera]) -> Result<f64, RenderError> {
+        let distance_max_m = scene.distance_max_m()?;
         // Distances count from the camera, depths from the origin.
         Ok(if self.options.rules.order == DepthOrder::Radial {
             let from_origin = |camera: &Camera| {
-                (camera.world_from_camera.translation - scene.world.origin).length()
+                (camera.world_from_camera.translation - scene.gpu_scene.origin).length()
             };
-            cameras.iter().map(from_origin).fold(0.0, f64::max) + reach_m
+            cameras.iter().map(from_origin).fold(0.0, f64::max) + distance_max_m
         } else {
-            reach_m
+            distance_max_m
         })
     }
 
@@ -471,7 +480,7 @@ impl Renderer {
                 .capacity
                 .unwrap_or_else(|| Capacity::guess(contents.splats(), view.cameras.len())),
             cameras: view.cameras.len(),
-            clusters: contents.world.cluster_count(),
+            clusters: contents.gpu_scene.cluster_count(),
             bins: view.bins,
             blended_pixels: if contents.processed.is_empty() && !with_geometry {
                 0

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use crate::layout::{CLUSTER_SPLATS, ClusterRecord, NodeRecord};
 use crate::post_processing::SkyBuffers;
-use crate::reference::unscented::SIGMA_REACH;
+use crate::reference::unscented::SIGMA_SPREAD;
 use crate::storage::{CompactShape, Storage, unit};
 use crate::{RenderError, sh_codec};
 
@@ -37,7 +37,7 @@ pub struct GpuScene {
     /// True if splats belong to instances.
     pub has_instances: bool,
     /// No drawn mean is farther from the origin, meters.
-    pub reach_m: f64,
+    pub distance_max_m: f64,
     /// World coordinates of the point that means are relative to.
     pub origin: DVec3,
     /// Color where transmittance is left, behind fog; black where there is a sky map.
@@ -85,7 +85,7 @@ impl GpuScene {
         camera.intrinsics.photometry.or(self.photometry)
     }
 
-    /// Copies `world` to the device, its splats stored as `storage` says.
+    /// Copies `splat_scene` to the device, its splats stored as `storage` says.
     ///
     /// Splats are drawn in the order given; culling is quickest when neighbors in it are neighbors
     /// in space ([`SplatCloud::spatial_order`]). Splats with a defect are kept as ones of opacity
@@ -93,12 +93,16 @@ impl GpuScene {
     ///
     /// # Errors
     /// Returns an error if the device has not the memory, with the bytes wanted.
-    pub fn upload(gpu: &Gpu, world: &SplatScene, storage: Storage) -> Result<Self, RenderError> {
-        let cloud = &world.splats;
+    pub fn upload(
+        gpu: &Gpu,
+        splat_scene: &SplatScene,
+        storage: Storage,
+    ) -> Result<Self, RenderError> {
+        let cloud = &splat_scene.splats;
         Self::of(
             gpu,
-            world,
-            (cloud, &world.instance_from_splat),
+            splat_scene,
+            (cloud, &splat_scene.instance_from_splat),
             &[],
             storage,
         )
@@ -110,21 +114,21 @@ impl GpuScene {
     /// Returns an error if the device has not the memory, with the bytes wanted.
     pub fn upload_with_levels(
         gpu: &Gpu,
-        world: &SplatScene,
+        splat_scene: &SplatScene,
         storage: Storage,
     ) -> Result<Self, RenderError> {
-        let levels = DetailLevels::build(&world.splats, &world.instance_from_splat);
+        let levels = DetailLevels::build(&splat_scene.splats, &splat_scene.instance_from_splat);
         let nodes: Vec<NodeRecord> = levels.nodes.iter().map(NodeRecord::from).collect();
         let cloud = (&levels.splats, levels.instance_from_splat.as_slice());
-        let mut scene = Self::of(gpu, world, cloud, &nodes, storage)?;
+        let mut scene = Self::of(gpu, splat_scene, cloud, &nodes, storage)?;
         scene.finest_clusters = levels.finest_nodes;
         Ok(scene)
     }
 
-    /// `world` with other splats, and the instances that they belong to.
+    /// `splat_scene` with other splats, and the instances that they belong to.
     fn of(
         gpu: &Gpu,
-        world: &SplatScene,
+        splat_scene: &SplatScene,
         (cloud, instance_from_splat): (&SplatCloud, &[u16]),
         nodes: &[NodeRecord],
         storage: Storage,
@@ -150,7 +154,7 @@ impl GpuScene {
         let distance_m = |splat: &Prepared| Vec3::from_array(splat.mean_m).as_dvec3().length();
         Ok(Self {
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
-            reach_m: prepared
+            distance_max_m: prepared
                 .par_iter()
                 .filter(|splat| splat.drawn)
                 .map(distance_m)
@@ -159,26 +163,26 @@ impl GpuScene {
             defects: prepared.iter().filter(|splat| !splat.drawn).count(),
             sh_degree: cloud.sh_degree,
             has_instances: !instance_from_splat.is_empty(),
-            origin: world.origin,
-            sky: match (&world.sky_map, &world.fog) {
+            origin: splat_scene.origin,
+            sky: match (&splat_scene.sky_map, &splat_scene.fog) {
                 (Some(_), _) => [0.0; 3],
-                (None, None) => world.sky,
+                (None, None) => splat_scene.sky,
                 (None, Some(fog)) => {
-                    let seen = fog.seen_sky(world.sky.map(f64::from));
+                    let seen = fog.seen_sky(splat_scene.sky.map(f64::from));
                     seen.map(|value| value as f32)
                 }
             },
-            sky_map: world
+            sky_map: splat_scene
                 .sky_map
                 .as_ref()
                 .map(|sky| SkyBuffers::upload(gpu, sky))
                 .transpose()?
-                .map(|sky| match &world.fog {
+                .map(|sky| match &splat_scene.fog {
                     Some(fog) => sky.behind(fog),
                     None => sky,
                 }),
-            fog: world.fog,
-            photometry: world.photometry,
+            fog: splat_scene.fog,
+            photometry: splat_scene.photometry,
             finest_clusters: clusters.len(),
             nodes: gpu.upload("nodes", PURPOSE, nodes)?,
             clusters: gpu.upload("clusters", PURPOSE, &clusters)?,
@@ -265,10 +269,10 @@ pub(crate) struct Extent {
 impl Extent {
     /// Standard deviation times cut-off radius along the longest axis, meters, rounded up; no less
     /// than how far the points stand that the unscented transform takes.
-    fn reach_m(&self) -> f32 {
+    fn splat_radius_m(&self) -> f32 {
         let radius = (2.0 * (f64::from(self.opacity) / rules::ALPHA_MIN).ln().max(0.0))
             .sqrt()
-            .max(SIGMA_REACH);
+            .max(SIGMA_SPREAD);
         (f64::from(self.longest_m) * radius * 1.001) as f32
     }
 }
@@ -283,9 +287,9 @@ pub(crate) fn cluster_of(splats: &[Extent]) -> ClusterRecord {
     };
     if drawn().next().is_none() {
         // Infinitely small at infinity would be NaN in the test; far behind nothing is simplest
-        // said by a negative reach.
+        // said by a negative radius.
         return ClusterRecord {
-            reach_m: -1e30,
+            splat_radius_m: -1e30,
             ..ClusterRecord::zeroed()
         };
     }
@@ -293,7 +297,7 @@ pub(crate) fn cluster_of(splats: &[Extent]) -> ClusterRecord {
     ClusterRecord {
         center_m: bounds.center(),
         half_extent_m: bounds.half_extent().map(|half| half * 1.000_01),
-        reach_m: drawn().map(Extent::reach_m).fold(0.0, f32::max),
+        splat_radius_m: drawn().map(Extent::splat_radius_m).fold(0.0, f32::max),
     }
 }
 

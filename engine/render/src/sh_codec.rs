@@ -79,26 +79,26 @@ fn fractions_of(bits: usize) -> f32 {
     ((1u32 << (bits - 1)) - 1) as f32
 }
 
-/// Writes the lower `bits` bits of `value` from bit `place` on.
-fn put(words: &mut [u32], place: usize, bits: usize, value: u32) {
+/// Writes the lower `bits` bits of `value` from bit `index` on.
+fn put(words: &mut [u32], index: usize, bits: usize, value: u32) {
     let value = u64::from(value) & ((1 << bits) - 1);
-    let (word, shifted) = (place / 32, value << (place % 32));
+    let (word, shifted) = (index / 32, value << (index % 32));
     words[word] |= shifted as u32;
-    if place % 32 + bits > 32 {
+    if index % 32 + bits > 32 {
         words[word + 1] |= (shifted >> 32) as u32;
     }
 }
 
-/// The `bits` bits from bit `place` on.
-fn get(words: &[u32], place: usize, bits: usize) -> u32 {
-    let (word, next) = (place / 32, (place + bits - 1) / 32);
+/// The `bits` bits from bit `index` on.
+fn get(words: &[u32], index: usize, bits: usize) -> u32 {
+    let (word, next) = (index / 32, (index + bits - 1) / 32);
     let joined = u64::from(words[next]) << 32 | u64::from(words[word]);
     let joined = if next == word {
         joined & 0xffff_ffff
     } else {
         joined
     };
-    ((joined >> (place % 32)) & ((1 << bits) - 1)) as u32
+    ((joined >> (index % 32)) & ((1 << bits) - 1)) as u32
 }
 
 /// The smallest scale of `bits` bits that is at least `value`, as code and value: the upper bits of

@@ -16,7 +16,7 @@ use crate::stages::AgentCounts;
 
 /// Contents of a frame, as the host prepared them.
 pub(crate) struct FrameContents {
-    pub world: GpuScene,
+    pub gpu_scene: GpuScene,
     pub view: View,
     pub variant: FrameVariant,
     pub agents: Option<AgentList>,
@@ -38,7 +38,7 @@ impl FrameContents {
 
     /// Splats of background and agents.
     pub fn splats(&self) -> usize {
-        self.world.splats + self.agents.as_ref().map_or(0, |list| list.splats)
+        self.gpu_scene.splats + self.agents.as_ref().map_or(0, |list| list.splats)
     }
 }
 

@@ -45,7 +45,7 @@ pub struct TakenImages {
     /// `None` only while it is dropped.
     buffers: Option<OutputBuffers>,
     room: (usize, usize),
-    places: Vec<(usize, [u32; 2])>,
+    ranges: Vec<(usize, [u32; 2])>,
     frame: Ticket,
     home: Weak<Mutex<ImagePool>>,
 }
@@ -64,8 +64,8 @@ impl TakenImages {
 
     /// First pixel, and width and height, of each camera's image.
     #[must_use]
-    pub fn places(&self) -> &[(usize, [u32; 2])] {
-        &self.places
+    pub fn ranges(&self) -> &[(usize, [u32; 2])] {
+        &self.ranges
     }
 
     /// The frame that drew them, which is finished: what another queue or API may wait for, so that
@@ -108,7 +108,7 @@ impl Renderer {
         Ok(Some(TakenImages {
             buffers: Some(buffers),
             room,
-            places: shown.view.places(),
+            ranges: shown.view.ranges(),
             frame: shown.frame,
             home: Arc::downgrade(&pool.0),
         }))

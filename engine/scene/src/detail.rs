@@ -200,7 +200,7 @@ impl Level {
         level
     }
 
-    /// Splats and node in the place of `nodes`.
+    /// Splats and node instead of `nodes`.
     fn parent_of(&self, nodes: std::ops::Range<usize>) -> (SplatCloud, Vec<u16>, DetailNode) {
         let drawn = self.drawn(nodes.clone());
         let own = self.splats.select(&drawn);

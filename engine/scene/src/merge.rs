@@ -1,5 +1,5 @@
 //! Merging of splats: clusters that are small in place and color, and one splat of the same moments
-//! in the place of each.
+//! in place of each.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -145,7 +145,7 @@ pub fn clusters(
     clusters
 }
 
-/// A splat as clusters see it: place and color in one space.
+/// A splat as clusters see it: position and color in one space.
 struct Feature {
     at: [f64; 6],
     weight: f64,

@@ -92,13 +92,13 @@ impl Photometry {
         }
     }
 
-    /// Color of the image at `place_px`, pixels, of the color `rgb` of the scene.
+    /// Color of the image at `at_px`, pixels, of the color `rgb` of the scene.
     #[must_use]
-    pub fn color(&self, rgb: [f64; 3], place_px: [f64; 2]) -> [f64; 3] {
+    pub fn color(&self, rgb: [f64; 3], at_px: [f64; 2]) -> [f64; 3] {
         let gain = self.gain();
         let mut exposed = rgb.map(|value| value * gain);
         if let Some(vignetting) = &self.vignetting {
-            let factors = vignetting.factors(place_px);
+            let factors = vignetting.factors(at_px);
             exposed = std::array::from_fn(|channel| exposed[channel] * factors[channel]);
         }
         let [red, green, blue] = exposed;
@@ -195,10 +195,10 @@ impl Photometry {
 }
 
 impl Vignetting {
-    /// Factors of red, green and blue at `place_px`, pixels.
+    /// Factors of red, green and blue at `at_px`, pixels.
     #[must_use]
-    pub fn factors(&self, place_px: [f64; 2]) -> [f64; 3] {
-        let along = |axis: usize| (place_px[axis] - self.center_px[axis]) / self.radius_px[axis];
+    pub fn factors(&self, at_px: [f64; 2]) -> [f64; 3] {
+        let along = |axis: usize| (at_px[axis] - self.center_px[axis]) / self.radius_px[axis];
         let r2 = along(0).powi(2) + along(1).powi(2);
         self.rgb
             .map(|[a, b, c]| (1.0 + r2 * (a + r2 * (b + r2 * c))).clamp(0.0, 1.0))
@@ -234,7 +234,7 @@ mod tests {
         for (found, expected) in found.iter().zip(expected) {
             assert!((found - expected).abs() < 1e-12, "{found} {expected}");
         }
-        // The same place in an image twice as wide, and in a crop.
+        // The same position in an image twice as wide, and in a crop.
         assert_eq!(
             ALL.scaled(2.0, 1.0).color([0.25, 0.5, 0.75], [30.0, 20.0]),
             found

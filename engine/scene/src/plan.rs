@@ -24,13 +24,13 @@ impl Plan {
     /// Latest time of a plan, seconds.
     pub const HORIZON_S_MAX: f64 = 30.0;
     /// Farthest point of a plan, meters.
-    pub const REACH_M_MAX: f64 = 2000.0;
+    pub const DISTANCE_M_MAX: f64 = 2000.0;
 
     /// A plan through `points`.
     ///
     /// # Errors
     /// A sentence naming what is wrong: no points or too many, a number that is not finite, time
-    /// that does not rise, a place or a time out of reach.
+    /// that does not rise, a position or a time out of range.
     pub fn new(points: Vec<PlanPoint>) -> Result<Self, Invalid> {
         if points.is_empty() || points.len() > Self::POINTS_MAX {
             return Err(Invalid::new(format!(
@@ -43,7 +43,7 @@ impl Plan {
         for (index, PlanPoint { time_s, position_m }) in points.iter().enumerate() {
             if !(time_s.is_finite() && position_m.is_finite()) {
                 return Err(Invalid::new(format!(
-                    "point {index} of the plan has a time or a place that is not finite"
+                    "point {index} of the plan has a time or a position that is not finite"
                 )));
             }
             if *time_s <= before_s || *time_s > Self::HORIZON_S_MAX {
@@ -52,10 +52,10 @@ impl Plan {
                     "point {index} of the plan is at {time_s} s; expected more than {before_s}, at most {horizon_s}"
                 )));
             }
-            if position_m.length() > Self::REACH_M_MAX {
-                let reach_m = Self::REACH_M_MAX;
+            if position_m.length() > Self::DISTANCE_M_MAX {
+                let limit_m = Self::DISTANCE_M_MAX;
                 return Err(Invalid::new(format!(
-                    "point {index} of the plan is {:.0} m away; expected at most {reach_m}",
+                    "point {index} of the plan is {:.0} m away; expected at most {limit_m}",
                     position_m.length()
                 )));
             }
@@ -64,7 +64,7 @@ impl Plan {
         Ok(Self { points })
     }
 
-    /// Standing still: one point at the ego's own place.
+    /// Standing still: one point at the ego's own position.
     #[must_use]
     pub fn standing() -> Self {
         Self {
@@ -81,8 +81,8 @@ impl Plan {
         &self.points
     }
 
-    /// Position `time_s` after the observation: linear between points and from the ego's place at
-    /// zero, and the last point beyond it.
+    /// Position `time_s` after the observation: linear between points and from the ego's position
+    /// at zero, and the last point beyond it.
     #[must_use]
     pub fn at(&self, time_s: f64) -> DVec2 {
         let next = self.points.partition_point(|point| point.time_s <= time_s);

@@ -52,7 +52,7 @@ impl ShutterDirection {
     }
 }
 
-/// Time of exposure of each place in an image, relative to the time of the camera's pose: an affine
+/// Time of exposure of each pixel position, relative to the time of the camera's pose: an affine
 /// function of pixel coordinates, along one axis.
 ///
 /// The row with index r of H rows has its center at r + 1/2, so a readout of T seconds exposes it
@@ -114,7 +114,7 @@ impl Shutter {
         along(0) + along(1)
     }
 
-    /// Time at which the place `at_px` is exposed, seconds.
+    /// Time at which the position `at_px` is exposed, seconds.
     #[must_use]
     pub fn time_s(&self, at_px: [f64; 2]) -> f64 {
         self.first_s + self.s_per_px[0] * at_px[0] + self.s_per_px[1] * at_px[1]
@@ -168,8 +168,8 @@ mod tests {
 
     #[test]
     fn rows_and_columns_have_the_times_of_their_centers() {
-        let at = |direction, place| Shutter::new(direction, 0.04, SIZE_PX).time_s(place);
-        for (direction, place, time_s) in [
+        let at = |direction, position| Shutter::new(direction, 0.04, SIZE_PX).time_s(position);
+        for (direction, position, time_s) in [
             (ShutterDirection::Global, [7.5, 3.5], 0.0),
             (ShutterDirection::TopToBottom, [7.5, 0.5], -0.015),
             (ShutterDirection::TopToBottom, [0.5, 3.5], 0.015),
@@ -177,7 +177,7 @@ mod tests {
             (ShutterDirection::LeftToRight, [0.5, 3.5], -0.0175),
             (ShutterDirection::RightToLeft, [7.5, 0.5], -0.0175),
         ] {
-            let found = at(direction, place);
+            let found = at(direction, position);
             assert!((found - time_s).abs() < 1e-15, "{direction:?}: {found}");
         }
     }

@@ -139,7 +139,7 @@ impl SkyMap {
         color: impl Fn(DVec3) -> [f64; 3] + Sync,
     ) -> Result<Self, Invalid> {
         let samples = SAMPLES_PER_SIDE;
-        let place =
+        let position =
             |index: usize| 2.0 * (index as f64 + 0.5) / (face_texels * samples) as f64 - 1.0;
         let texel = |index: usize| {
             let (face, row, column) = (
@@ -149,8 +149,8 @@ impl SkyMap {
             );
             let mut sum = [0.0; 3];
             for sample in 0..samples * samples {
-                let s = place(column * samples + sample % samples);
-                let t = place(row * samples + sample / samples);
+                let s = position(column * samples + sample % samples);
+                let t = position(row * samples + sample / samples);
                 let rgb = color(direction_of(face, s, t).normalize());
                 sum = std::array::from_fn(|channel| sum[channel] + rgb[channel]);
             }
@@ -204,12 +204,12 @@ impl SkyMap {
         let (face, s, t) = face_of(self.sky_from_world * direction);
         let side = self.face_texels + 2;
         // The center of texel 0 is 1 in the bordered face.
-        let place = |at: f64| 0.5 * (at + 1.0) * self.face_texels as f64 + 0.5;
-        let split = |place: f64| {
-            let first = (place.floor() as usize).min(self.face_texels);
-            (first, place - first as f64)
+        let position = |at: f64| 0.5 * (at + 1.0) * self.face_texels as f64 + 0.5;
+        let split = |position: f64| {
+            let first = (position.floor() as usize).min(self.face_texels);
+            (first, position - first as f64)
         };
-        let ((column, right), (row, down)) = (split(place(s)), split(place(t)));
+        let ((column, right), (row, down)) = (split(position(s)), split(position(t)));
         let at = |row: usize, column: usize| {
             self.bordered[face * side * side + row * side + column].map(f64::from)
         };

@@ -130,7 +130,7 @@ mod tests {
             sh_dc: vec![[0.0; 3]],
             sh_rest: vec![],
         };
-        let mut world = SplatScene {
+        let mut splat_scene = SplatScene {
             origin: DVec3::new(4.5e6, 0.0, 0.0),
             ..SplatScene::of(one.clone())
         };
@@ -140,19 +140,19 @@ mod tests {
                 asset: 0,
                 world_from_agent: Pose::from_yaw(
                     std::f64::consts::FRAC_PI_2,
-                    world.origin + DVec3::X * x,
+                    splat_scene.origin + DVec3::X * x,
                 ),
                 sh_frame: ShFrame::Canonical,
             };
-            world.bake_agent(&one, &agent).unwrap();
+            splat_scene.bake_agent(&one, &agent).unwrap();
         }
-        assert_eq!(world.instance_from_splat, [0, 1, 2]);
-        let mut mixed = world.clone();
+        assert_eq!(splat_scene.instance_from_splat, [0, 1, 2]);
+        let mut mixed = splat_scene.clone();
         mixed.bake_instance(&one, &Pose::IDENTITY, ShFrame::World, 9);
         assert_eq!(mixed.instance_from_splat, [0, 1, 2, 9]);
         assert!(
-            (world.splats.means[2][0] - 10.0).abs() < 1e-6
-                && (world.splats.means[2][1] - 1.0).abs() < 1e-6
+            (splat_scene.splats.means[2][0] - 10.0).abs() < 1e-6
+                && (splat_scene.splats.means[2][1] - 1.0).abs() < 1e-6
         );
     }
 }

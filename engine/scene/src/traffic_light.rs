@@ -41,12 +41,12 @@ pub struct LightPhase {
     pub duration_s: f64,
 }
 
-/// Place on a lane before which vehicles stop.
+/// Position on a lane before which vehicles stop.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StopLine {
     /// Lane, by id.
     pub lane: String,
-    /// Place on the lane, meters along it.
+    /// Position on the lane, meters along it.
     pub at_m: f64,
 }
 

@@ -54,40 +54,40 @@ struct QueuedFrame {
 #[derive(Default)]
 pub struct HostImages {
     frames: Vec<ImageBytes>,
-    /// Frame and place in it of each camera, by view.
-    places: Vec<Vec<(usize, usize)>>,
+    /// Frame and index in it of each camera, by view.
+    image_indices: Vec<Vec<(usize, usize)>>,
 }
 
 impl HostImages {
     /// Images of view `view`.
     #[must_use]
     pub fn cameras(&self, view: usize) -> usize {
-        self.places[view].len()
+        self.image_indices[view].len()
     }
 
     /// Views that were drawn.
     #[must_use]
     pub fn views(&self) -> usize {
-        self.places.len()
+        self.image_indices.len()
     }
 
     /// Forgets the images and keeps their memory.
     pub fn clear(&mut self) {
-        self.places.clear();
+        self.image_indices.clear();
     }
 
     /// Width and height of a camera's image, pixels.
     #[must_use]
     pub fn size_px(&self, view: usize, camera: usize) -> [u32; 2] {
-        let (frame, place) = self.places[view][camera];
-        self.frames[frame].size_px(place)
+        let (frame, index) = self.image_indices[view][camera];
+        self.frames[frame].size_px(index)
     }
 
     /// The image of camera `camera` of view `view`, row by row from the top.
     #[must_use]
     pub fn rgba(&self, view: usize, camera: usize) -> &[u8] {
-        let (frame, place) = self.places[view][camera];
-        self.frames[frame].rgba(place)
+        let (frame, index) = self.image_indices[view][camera];
+        self.frames[frame].rgba(index)
     }
 }
 
@@ -161,18 +161,21 @@ impl BatchRenderer {
         &mut self,
         images: &mut HostImages,
     ) -> Result<Vec<FrameStatistics>, SessionError> {
-        images.places.clear();
+        images.image_indices.clear();
         if self.options.outputs.color != ColorFormat::U8 {
             return self.dropping_all_on_error(Err(SessionError::NotBytes));
         }
-        let HostImages { frames, places } = images;
+        let HostImages {
+            frames,
+            image_indices,
+        } = images;
         self.finish_frames(|renderer, number, batch| {
             if frames.len() <= number {
                 frames.push(ImageBytes::default());
             }
             renderer.read_bytes(&mut frames[number])?;
-            for (place, view) in batch.views().enumerate() {
-                of_view(places, view).push((number, place));
+            for (index, view) in batch.views().enumerate() {
+                of_view(image_indices, view).push((number, index));
             }
             Ok(())
         })
@@ -281,7 +284,7 @@ impl BatchRenderer {
         let placed: Vec<AgentInstance> = world.present_agents().map(at_start).collect();
         let live = world.scene().live();
         let agents: Vec<Agent> = live.unlit(&placed).collect();
-        let scene = Scene::with_agents(&live.world, &live.pool, &agents);
+        let scene = Scene::with_agents(&live.gpu_scene, &live.pool, &agents);
         let rules = self.rules.unwrap_or(world.scene().rules());
         let mut built = self.lidars.iter();
         let index = built.position(|renderer| renderer.options().rules == rules);

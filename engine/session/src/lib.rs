@@ -180,7 +180,7 @@ pub struct SessionScene {
     rig: Rig,
     ego: Trajectory,
     agents: Vec<LoadedAgent>,
-    /// Places in `agents`.
+    /// Indices in `agents`.
     agent_by_name: HashMap<String, usize>,
     /// Names of agents of plain splats, which are part of the background.
     plain_agents: Vec<String>,
@@ -276,7 +276,7 @@ impl Session {
             .collect();
         Ok(Arc::new(SessionScene {
             gpu: self.gpu.clone(),
-            rules: loaded.world.rules,
+            rules: loaded.splat_scene.rules,
             rig: loaded.rig.clone(),
             ego: loaded.ego.clone(),
             plain_agents: live.plain_agents().to_vec(),
@@ -294,10 +294,10 @@ impl Session {
 }
 
 impl SessionScene {
-    /// Bakes the light probes around `places`, world coordinates, so that frames with agents there
-    /// need not wait for them.
-    pub fn bake_light(&self, places: impl IntoIterator<Item = DVec3>) {
-        self.live_mut().bake_light(places);
+    /// Bakes the light probes around `positions`, world coordinates, so that frames with agents
+    /// there need not wait for them.
+    pub fn bake_light(&self, positions: impl IntoIterator<Item = DVec3>) {
+        self.live_mut().bake_light(positions);
     }
 
     /// The rules of image formation that the scene file names.
@@ -372,19 +372,19 @@ impl SessionScene {
 
     /// True if images of `cameras` are post-processed.
     pub(crate) fn is_post_processed(&self, cameras: &[Camera]) -> bool {
-        self.live().world.is_post_processed(cameras)
+        self.live().gpu_scene.is_post_processed(cameras)
     }
 
     /// Splats of the background.
     #[must_use]
     pub fn background_splats(&self) -> usize {
-        self.live().world.splats
+        self.live().gpu_scene.splats
     }
 
-    /// Sums up the light about `places`, so that frames find it ready.
-    pub(crate) fn ready_light(&self, places: &[DVec3]) {
-        if !self.live().has_light_at(places, PROBES_MAX) {
-            self.live_mut().bake_light(places.iter().copied());
+    /// Sums up the light about `positions`, so that frames find it ready.
+    pub(crate) fn ready_light(&self, positions: &[DVec3]) {
+        if !self.live().has_light_at(positions, PROBES_MAX) {
+            self.live_mut().bake_light(positions.iter().copied());
         }
     }
 

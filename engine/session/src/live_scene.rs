@@ -35,7 +35,7 @@ use glam::DVec3;
 /// ```
 pub struct LiveScene {
     /// The background.
-    pub world: GpuScene,
+    pub gpu_scene: GpuScene,
     /// The agents' assets.
     pub pool: AssetPool,
     assets: Vec<LiveAsset>,
@@ -92,8 +92,8 @@ pub struct SceneSnapshot {
     pub agents: Vec<Agent>,
     /// The shadows that they throw on the ground.
     pub shadows: Vec<GroundShadow>,
-    /// Agents about whose place the background tells nothing: they keep the light that their assets
-    /// were captured in.
+    /// Agents about whose surroundings the background tells nothing: they keep the light that their
+    /// assets were captured in.
     pub unlit: usize,
 }
 
@@ -121,7 +121,7 @@ impl LiveScene {
         layer: Layer,
     ) -> Result<Self, RenderError> {
         let mut live = Self {
-            world: renderer.upload(&loaded.standing(layer))?,
+            gpu_scene: renderer.upload(&loaded.standing(layer))?,
             pool: AssetPool::new(renderer.gpu())?,
             assets: Vec::new(),
             agents: Vec::new(),
@@ -167,23 +167,25 @@ impl LiveScene {
         Ok(self.assets.len() - 1)
     }
 
-    /// Sums up the light about `places`, where agents may come that no trajectory of the scene file
-    /// leads to.
-    pub fn bake_light(&mut self, places: impl IntoIterator<Item = DVec3>) {
+    /// Sums up the light about `positions`, where agents may come that no trajectory of the scene
+    /// file leads to.
+    pub fn bake_light(&mut self, positions: impl IntoIterator<Item = DVec3>) {
         if let Some(lighting) = &mut self.lighting {
-            lighting.field.bake(places);
+            lighting.field.bake(positions);
         }
     }
 
-    /// True if the light around `places` is computed, or cannot be: the scene has none, or
+    /// True if the light around `positions` is computed, or cannot be: the scene has none, or
     /// `probes_max` probes are kept already.
     #[must_use]
-    pub fn has_light_at(&self, places: &[DVec3], probes_max: usize) -> bool {
+    pub fn has_light_at(&self, positions: &[DVec3], probes_max: usize) -> bool {
         let Some(lighting) = &self.lighting else {
             return true;
         };
         lighting.field.size().0 >= probes_max
-            || places.iter().all(|place| lighting.field.is_baked(*place))
+            || positions
+                .iter()
+                .all(|position| lighting.field.is_baked(*position))
     }
 
     /// Assets that agents may show.
@@ -274,7 +276,7 @@ impl LiveScene {
     pub fn with<'a>(&'a self, moment: &'a SceneSnapshot) -> Scene<'a> {
         Scene {
             shadows: &moment.shadows,
-            ..Scene::with_agents(&self.world, &self.pool, &moment.agents)
+            ..Scene::with_agents(&self.gpu_scene, &self.pool, &moment.agents)
         }
     }
 }

@@ -68,17 +68,17 @@ fn code_plain(
     agents: Vec<SceneAgent>,
     directory: &Path,
 ) -> Result<usize, AssetError> {
-    let mut places: HashMap<PathBuf, usize> = HashMap::new();
+    let mut indices: HashMap<PathBuf, usize> = HashMap::new();
     for agent in agents {
         let path = directory.join(&agent.asset);
-        let asset = match places.get(&path) {
+        let asset = match indices.get(&path) {
             Some(&asset) => asset,
             None => {
                 let unfit = |error| AssetError::Placement(format!("{}: {error}", path.display()));
                 loaded
                     .assets
                     .push(compress_quickly(&read_splats(&path)?).map_err(unfit)?);
-                places.insert(path, loaded.assets.len() - 1);
+                indices.insert(path, loaded.assets.len() - 1);
                 loaded.assets.len() - 1
             }
         };
@@ -100,7 +100,7 @@ fn code_plain(
             present: agent.present,
         });
     }
-    Ok(places.len())
+    Ok(indices.len())
 }
 
 #[cfg(test)]
@@ -147,6 +147,9 @@ mod tests {
         assert!(
             dims_m[0] != dims_m[1] && dims_m.as_flattened().iter().all(|&side_m| side_m < 20.0)
         );
-        assert_eq!(measured.world.splats.len(), drawn.world.splats.len());
+        assert_eq!(
+            measured.splat_scene.splats.len(),
+            drawn.splat_scene.splats.len()
+        );
     }
 }

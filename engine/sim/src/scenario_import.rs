@@ -237,8 +237,8 @@ impl Import<'_> {
             end = spot;
         }
         if route.is_empty() {
-            let reach_m = cruise_mps * stop_s;
-            (lanes, end) = straight_on(self.map, start, reach_m);
+            let travel_m = cruise_mps * stop_s;
+            (lanes, end) = straight_on(self.map, start, travel_m);
         }
         Ok(EgoTask {
             route: lanes

@@ -1,4 +1,4 @@
-//! Sweeps of surfaces whose places are known.
+//! Sweeps of surfaces whose positions are known.
 
 use std::sync::Arc;
 
@@ -29,7 +29,7 @@ fn surface(size_m: f32, points: impl Iterator<Item = (DVec3, DVec3)>) -> Vec<Spl
     points.map(splat).collect()
 }
 
-/// Places of a square grid with `step_m` from -`half_m` to `half_m`.
+/// Positions of a square grid with `step_m` from -`half_m` to `half_m`.
 fn grid(half_m: f64, step_m: f64) -> impl Iterator<Item = (f64, f64)> {
     let count = (2.0 * half_m / step_m).round() as i32;
     let at = move |index: i32| -half_m + step_m * f64::from(index);
@@ -134,7 +134,7 @@ fn a_camera_and_a_lidar_agree_on_opaque_surfaces() {
     let walls = walls.chain(wall(0.7, DVec3::new(3.5, -1.2, 0.0), slanted));
     let mut world = world_of(&surface(0.008, walls));
     world.splats = world.splats.in_spatial_order();
-    let place = DVec3::new(0.3, -0.2, 0.1);
+    let position = DVec3::new(0.3, -0.2, 0.1);
     let lidar = Lidar {
         name: "roof".into(),
         model: Arc::new(spinning(
@@ -144,15 +144,15 @@ fn a_camera_and_a_lidar_agree_on_opaque_surfaces() {
             Spin::Clockwise,
         )),
         rig_from_lidar: Pose::IDENTITY,
-        world_from_rig: Pose::from_yaw(0.1, place),
+        world_from_rig: Pose::from_yaw(0.1, position),
         motion: Motion::REST,
     };
     let traced = trace(&gpu, &world, &lidar, 8);
     let sweep = traced.returns(&ReturnOptions::of(&lidar.model));
     let mut camera = camera_towards(
         "front",
-        place,
-        place + DVec3::new(1.0, 0.0, -0.1),
+        position,
+        position + DVec3::new(1.0, 0.0, -0.1),
         (1280, 720),
     );
     camera.name = "front".into();

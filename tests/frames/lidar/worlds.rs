@@ -18,7 +18,7 @@ use crate::frames::agents::coded_car;
 fn scene() -> LoadedScene {
     LoadedScene {
         plain_agents: Vec::new(),
-        world: surroundings(300, 8),
+        splat_scene: surroundings(300, 8),
         assets: vec![coded_car(3000, 9)],
         agents: Vec::new(),
         rig: Rig::default(),
@@ -64,7 +64,7 @@ fn agents_are_where_they_are_at_the_time_of_each_beam() {
     let traced = renderer.trace(&world, &lidar, sweep_s, mode).unwrap();
 
     // The same as a renderer finds, which is given the agent at the start.
-    let resident = GpuScene::upload(session.gpu(), &loaded.world, Storage::Exact).unwrap();
+    let resident = GpuScene::upload(session.gpu(), &loaded.splat_scene, Storage::Exact).unwrap();
     let mut pool = AssetPool::new(session.gpu()).unwrap();
     let asset = pool.add(&loaded.assets[0]).unwrap();
     let agents = [Agent {

@@ -147,7 +147,7 @@ impl AgentScene {
         self.clusters.push(ClusterRecord {
             center_m: [0.0; 3],
             half_extent_m: [0.0; 3],
-            reach_m: -1e30,
+            splat_radius_m: -1e30,
         });
         let record = AgentRecord {
             box_min_m: cloud.bounds.min,
@@ -257,12 +257,12 @@ impl AgentScene {
     /// Camera, agent and splat of a bit of the visibility words; the splat is `None` beyond the
     /// agent's last.
     pub fn splat_of_bit(&self, bit: usize) -> (usize, usize, Option<usize>) {
-        let (camera, place) = (
+        let (camera, index) = (
             bit / (self.counts.clusters * CLUSTER_SPLATS),
             bit % (self.counts.clusters * CLUSTER_SPLATS),
         );
-        let agent = twins::agent::agent_of_cluster((place / CLUSTER_SPLATS) as u32, &self.agents);
-        let splat = place - self.agents[agent].first_cluster as usize * CLUSTER_SPLATS;
+        let agent = twins::agent::agent_of_cluster((index / CLUSTER_SPLATS) as u32, &self.agents);
+        let splat = index - self.agents[agent].first_cluster as usize * CLUSTER_SPLATS;
         (
             camera,
             agent,
@@ -430,11 +430,11 @@ fn cluster_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ClusterRecord {
         return ClusterRecord {
             center_m: [0.0; 3],
             half_extent_m: [0.0; 3],
-            reach_m: -1e30,
+            splat_radius_m: -1e30,
         };
     }
     let bounds = Bounds::of(&means);
-    let reach_m = |codes: &SplatCodes| {
+    let splat_radius_m = |codes: &SplatCodes| {
         let longest =
             principal_axes(&cloud.shapes[usize::from(codes.shape)]).scales[0] * cloud.size(codes);
         longest * (2.0 * f32::from(codes.opacity).ln()).sqrt().max(1.7321) * 1.001
@@ -442,7 +442,7 @@ fn cluster_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ClusterRecord {
     ClusterRecord {
         center_m: bounds.center(),
         half_extent_m: bounds.half_extent().map(|half| half * 1.000_01),
-        reach_m: codes.iter().map(reach_m).fold(0.0, f32::max),
+        splat_radius_m: codes.iter().map(splat_radius_m).fold(0.0, f32::max),
     }
 }
 

@@ -23,8 +23,8 @@ fn written(case: &Case, images: &[[f32; 4]], twin: &Blended) -> [Vec<[f32; 4]>; 
         .zip(twin)
         .filter(|(item, _)| item.partial == u32::MAX);
     for (item, twin) in whole {
-        for (place, pixel) in twin.iter().enumerate() {
-            if let Some((camera, at)) = case.place_in_images(item, place) {
+        for (index, pixel) in twin.iter().enumerate() {
+            if let Some((camera, at)) = case.pixel_in_images(item, index) {
                 let target = camera.first_pixel + at[1] * camera.size_px[0] + at[0];
                 pixels[0].push(images[target as usize]);
                 pixels[1].push(written_alone(pixel).images_f32[0]);
@@ -70,10 +70,10 @@ fn medians_are_the_colors_of_single_splats() {
         };
         let (mut pixels, mut other) = (0, 0);
         for (item, twin) in cut {
-            for (place, (found, twin)) in
+            for (index, (found, twin)) in
                 partials[item.partial as usize].iter().zip(twin).enumerate()
             {
-                let is_inside = case.place_in_images(item, place).is_some();
+                let is_inside = case.pixel_in_images(item, index).is_some();
                 if is_inside && twin.transmittance == -MEDIAN_FOUND {
                     pixels += 1;
                     other += usize::from(value(found) != value(twin));

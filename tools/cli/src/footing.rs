@@ -57,7 +57,7 @@ impl Footing {
     }
 
     /// `trajectory` with the wheels of a box of `dims_m` on the ground at each pose: the heading
-    /// stays, and the place from above.
+    /// stays, and the position from above.
     pub fn under(&self, trajectory: &Trajectory, dims_m: [f64; 3]) -> Result<Grounded> {
         let (mut grounded, mut raised_max_m) = (0, 0f64);
         let mut set = |timed: &TimedPose| {
@@ -95,16 +95,17 @@ impl Footing {
     /// The plane below the four bottom corners of the box: of the surface that it is near, or of
     /// the lowest.
     fn plane_below(&self, pose: &Pose, dims_m: [f64; 3], near: bool) -> Option<RoadPlane> {
-        let (place, ahead) = (
+        let (position, ahead) = (
             pose.translation.truncate(),
             DVec2::from_angle(heading_rad(pose)),
         );
         let corners = corners(dims_m);
         let heights_m = corners.map(|corner| {
             let expected_z_m = pose.transform(corner.extend(-0.5 * dims_m[2])).z;
-            let found = self
-                .ground
-                .height_at(place + ahead.rotate(corner), near.then_some(expected_z_m));
+            let found = self.ground.height_at(
+                position + ahead.rotate(corner),
+                near.then_some(expected_z_m),
+            );
             found.map(|height| height.z_m)
         });
         plane(&corners, &heights_m).map(|(plane, _)| plane)
@@ -118,12 +119,12 @@ mod tests {
 
     /// A slope that rises by 5 % towards x, 30 m long, of discs at every quarter of a meter.
     fn slope() -> Footing {
-        let places: Vec<(f32, f32)> = (-60..60)
+        let positions: Vec<(f32, f32)> = (-60..60)
             .flat_map(|x| (-16..16).map(move |y| (0.25 * x as f32, 0.25 * y as f32)))
             .collect();
-        let count = places.len();
+        let count = positions.len();
         let cloud = SplatCloud {
-            means: places.iter().map(|(x, y)| [*x, *y, 0.05 * x]).collect(),
+            means: positions.iter().map(|(x, y)| [*x, *y, 0.05 * x]).collect(),
             scales: vec![[0.2, 0.2, 0.005]; count],
             rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],
             opacities: vec![0.9; count],

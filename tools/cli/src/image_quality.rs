@@ -102,11 +102,11 @@ impl QualityMeter {
     }
 
     pub fn draw(&mut self, cloud: &SplatCloud, cameras: &[Camera]) -> Result<Vec<Image>> {
-        let world = SplatScene {
+        let splat_scene = SplatScene {
             sky: SKY_RGB,
             ..SplatScene::of(cloud.in_spatial_order())
         };
-        let resident = self.renderer.upload(&world)?;
+        let resident = self.renderer.upload(&splat_scene)?;
         self.renderer.render(&resident, cameras)?;
         Ok(self.renderer.read_images()?)
     }

@@ -22,7 +22,7 @@ const ELEVATION_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
 const CORE: f64 = 0.9;
 /// Splats with a smaller opacity do not count.
 const OPACITY_MIN: f32 = 0.1;
-/// Largest coordinate of a place that cameras look at.
+/// Largest coordinate of a position that cameras look at.
 const PLACE_MAX: f64 = 1e9;
 /// The core fills this share of the image's shorter side.
 const FILLED: f64 = 0.8;
@@ -56,7 +56,8 @@ impl FromStr for Place {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let parsed = three_numbers(text, PLACE_MAX).map(|place| Self(DVec3::from_array(place)));
+        let parsed =
+            three_numbers(text, PLACE_MAX).map(|position| Self(DVec3::from_array(position)));
         parsed.ok_or_else(|| format!("expected three numbers like 1.5,0,-2, found {text:?}"))
     }
 }
@@ -104,7 +105,9 @@ impl OrbitArguments {
         size_px: Option<[u32; 2]>,
     ) -> Option<Vec<Camera>> {
         let (middle, radius) = core_of(splats)?;
-        let target = self.look_at.map_or(middle + origin, |Place(place)| place);
+        let target = self
+            .look_at
+            .map_or(middle + origin, |Place(position)| position);
         let up = self.up.map_or_else(|| usual_up(path), |Axis(axis)| axis);
         let [width_px, height_px] = size_px.unwrap_or(SIZE_PX);
         let longer_px = width_px.max(height_px);
@@ -153,12 +156,12 @@ fn core_of(splats: &SplatCloud) -> Option<(DVec3, f64)> {
     let seen: Vec<usize> = (0..splats.len()).filter(seen).collect();
     let last = seen.len().checked_sub(1)?;
     let [x, y, z] = [0, 1, 2].map(|axis| {
-        let mut places: Vec<f64> = seen
+        let mut positions: Vec<f64> = seen
             .iter()
             .map(|&splat| f64::from(splats.means[splat][axis]))
             .collect();
-        places.sort_by(f64::total_cmp);
-        let at = |share: f64| places[(share * last as f64).round() as usize];
+        positions.sort_by(f64::total_cmp);
+        let at = |share: f64| positions[(share * last as f64).round() as usize];
         (at(0.5 - 0.5 * CORE), at(0.5 + 0.5 * CORE))
     });
     let (min, max) = (DVec3::new(x.0, y.0, z.0), DVec3::new(x.1, y.1, z.1));
@@ -173,9 +176,9 @@ mod tests {
         let mut means: Vec<[f32; 3]> = Vec::new();
         for step in 0..200 {
             let angle = f64::from(step) * 0.7;
-            let place =
+            let position =
                 middle + DVec3::new(angle.cos(), angle.sin(), f64::from(step % 21) / 10.0 - 1.0);
-            means.push(place.as_vec3().to_array());
+            means.push(position.as_vec3().to_array());
         }
         if stray {
             means.push([1e6; 3]);

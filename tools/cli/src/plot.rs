@@ -221,7 +221,7 @@ impl Plot<'_> {
     }
 }
 
-/// A curve or named points; `labels` are the places of names that are written already.
+/// A curve or named points; `labels` are the positions of names that are written already.
 fn draw_series(
     svg: &mut String,
     series: &Series,
@@ -230,15 +230,15 @@ fn draw_series(
     labels: &mut Vec<(f64, f64, f64)>,
 ) {
     let color = series.color % COLORS;
-    let place = |&(px, py): &(f64, f64)| {
+    let position = |&(px, py): &(f64, f64)| {
         Some((
             x.place(px, FRAME.left, FRAME.right)?,
             y.place(py, FRAME.bottom, FRAME.top)?,
         ))
     };
-    let places: Vec<(f64, f64)> = series.points.iter().filter_map(place).collect();
+    let positions: Vec<(f64, f64)> = series.points.iter().filter_map(position).collect();
     let line = || {
-        places
+        positions
             .iter()
             .map(|(x, y)| format!("{x:.1},{y:.1}"))
             .collect::<Vec<_>>()
@@ -255,10 +255,10 @@ fn draw_series(
             line()
         );
     }
-    let marked = if series.shape == Shape::Curve && places.len() > MARKED_MAX {
+    let marked = if series.shape == Shape::Curve && positions.len() > MARKED_MAX {
         &[]
     } else {
-        places.as_slice()
+        positions.as_slice()
     };
     for &(x, y) in marked {
         let _ = write!(

@@ -49,12 +49,6 @@ pub struct SceneOptions {
 }
 
 impl SceneOptions {
-    /// True if one of them was given.
-    #[must_use]
-    pub fn is_given(&self) -> bool {
-        self.size.is_some() || self.is_given_beside_size()
-    }
-
     /// True if one of them was given, the size apart.
     #[must_use]
     pub fn is_given_beside_size(&self) -> bool {
@@ -152,13 +146,13 @@ impl Scene {
             }
             None if drives => loaded.rig.driving(&loaded.ego, time_s),
             None => {
-                let (splats, origin) = (&loaded.world.splats, loaded.world.origin);
+                let (splats, origin) = (&loaded.splat_scene.splats, loaded.splat_scene.origin);
                 let around = arguments.orbit.cameras(splats, origin, path, size_px);
                 around
                     .with_context(|| format!("{} has no splats that can be seen", path.display()))?
             }
         };
-        let rules = &mut loaded.world.rules;
+        let rules = &mut loaded.splat_scene.rules;
         if let Some(name) = arguments.rules {
             *rules = Rules {
                 antialias: rules.antialias,
@@ -183,13 +177,13 @@ impl Scene {
             drives: self.drives,
         };
         changed.loaded.rig = self.loaded.rig.clone();
-        changed.loaded.world.rules = self.loaded.world.rules;
+        changed.loaded.splat_scene.rules = self.loaded.splat_scene.rules;
         changed
     }
 
     /// By whose definition splats become an image.
     pub fn rules(&self) -> Rules {
-        self.loaded.world.rules
+        self.loaded.splat_scene.rules
     }
 
     /// The cameras `later_s` after the moment of the scene: those of a file stay where they are.
@@ -207,9 +201,9 @@ impl Scene {
 
     /// Background and agents as one cloud, at the moment of the scene: what the f64 definition
     /// draws.
-    pub fn world(&self) -> SplatScene {
+    pub fn splat_scene(&self) -> SplatScene {
         if self.loaded.agents.is_empty() {
-            self.loaded.world.clone()
+            self.loaded.splat_scene.clone()
         } else {
             self.loaded.baked(self.time_s)
         }

@@ -42,16 +42,16 @@ pub fn visibility(gpu: &Gpu, cloud: &SplatCloud, cameras: &[Camera]) -> Result<V
     Ok(weights)
 }
 
-/// For each splat of `world` the mean over `cameras` of its contributions.
+/// For each splat of `gpu_scene` the mean over `cameras` of its contributions.
 fn mean_contributions(
     renderer: &mut Renderer,
-    world: &GpuScene,
+    gpu_scene: &GpuScene,
     cameras: &[Camera],
 ) -> Result<Vec<f32>, RenderError> {
     let bar = progress::bar("visibility", cameras.len());
-    let mut sums = vec![0.0f64; world.splats];
+    let mut sums = vec![0.0f64; gpu_scene.splats];
     for run in cameras.chunks(CAMERAS_AT_ONCE) {
-        renderer.render(world, run)?;
+        renderer.render(gpu_scene, run)?;
         sums.iter_mut()
             .zip(renderer.read_contributions()?)
             .for_each(|(sum, weight)| *sum += f64::from(weight));

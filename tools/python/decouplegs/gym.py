@@ -54,7 +54,7 @@ ROUTE_SPACING_M = 5.0
 STEER_MAX_RAD = 0.6
 BRAKING_MAX_MPS2 = 8.0
 ACCELERATION_MAX_MPS2 = 3.0
-REACH_M = 200.0
+PLAN_DISTANCE_MAX_M = 200.0
 FAR_M = 10_000.0
 _TURNS = {"left": 1.0, "straight": 0.0, "right": -1.0}
 
@@ -123,7 +123,7 @@ class _Course:
             self.action_space = spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
         elif action == "plan":
             self.plan_times = plan_step_s * np.arange(1, plan_points + 1)
-            self.action_space = spaces.Box(-REACH_M, REACH_M, (plan_points, 2), np.float32)
+            self.action_space = spaces.Box(-PLAN_DISTANCE_MAX_M, PLAN_DISTANCE_MAX_M, (plan_points, 2), np.float32)
         else:
             raise ValueError(f'action: expected "controls" or "plan", found {action!r}')
         self.observation_space = self._observation_space()

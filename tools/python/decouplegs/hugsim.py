@@ -52,7 +52,7 @@ STEER_MAX_RAD = np.deg2rad(15.0)
 ACCELERATION_MAX_MPS2 = 2.0
 STEER_RATE_MAX_RADPS = 0.5
 PLAN_POINTS_MAX = 200
-PLAN_REACH_M = 1_000.0
+PLAN_DISTANCE_MAX_M = 1_000.0
 REQUEST_BYTES_MAX = 1 << 20
 _COMMANDS = {"right": 0, "left": 1, "straight": 2}
 _NUSCENES = {
@@ -141,8 +141,8 @@ class HUGSimEnv(gymnasium.Env):
         plan = np.asarray(plan, np.float64)
         if plan.ndim != 2 or plan.shape[1] != 2 or not 1 <= len(plan) <= PLAN_POINTS_MAX:
             raise ValueError(f"plan: expected the shape [N, 2] with N from 1 to {PLAN_POINTS_MAX}, found {list(plan.shape)}")
-        if not np.all(np.abs(plan) <= PLAN_REACH_M):
-            raise ValueError(f"plan: expected finite places within {PLAN_REACH_M:.0f} m")
+        if not np.all(np.abs(plan) <= PLAN_DISTANCE_MAX_M):
+            raise ValueError(f"plan: expected finite places within {PLAN_DISTANCE_MAX_M:.0f} m")
         times = PLAN_STEP_S * np.arange(1, len(plan) + 1)
         rollout = self._rollout()
         before = rollout.ego_state

@@ -141,7 +141,7 @@ impl BatchRenderer {
                 .draw_on_device(&views.borrowed())
                 .map_err(|error| of_session(&error))?;
             let frames = taken.into_iter().map(|taken| {
-                let (drawn, places) = (taken.frame().value(), taken.places().to_vec());
+                let (drawn, places) = (taken.frame().value(), taken.ranges().to_vec());
                 let loan = lender.lend(taken, drawn);
                 let addresses = addresses(lender, &loan).map_err(|error| of_interop(&error))?;
                 Ok(Frame::on_device(loan, *ordinal, addresses, places))

@@ -115,12 +115,12 @@ pub(super) async fn frame(target: &mut Target) -> Judged {
     let back = DQuat::from_rotation_z(-std::f64::consts::FRAC_PI_2);
     let (expected, found) = (back * center(&level), center(&turned));
     let off = (expected - found).length();
-    let reach = level.iter().map(|p| p.length()).sum::<f64>() / level.len() as f64;
+    let range_m = level.iter().map(|p| p.length()).sum::<f64>() / level.len() as f64;
     let figure = format!("the center of the points is {off:.2} m off after a quarter turn");
-    if off > 0.05 * reach {
+    if off > 0.05 * range_m {
         return failed(format!(
             "{figure}; at most {:.2} m is expected",
-            0.05 * reach
+            0.05 * range_m
         ));
     }
     Ok(figure)

@@ -42,8 +42,8 @@ impl Body {
             .map(|triangle| triangle.cross().length())
             .collect();
         let solid = Solid::new(triangles);
-        let surfel = |place: usize, nth: usize| {
-            let [a, b, c] = solid.triangles()[place].corners;
+        let surfel = |triangle: usize, nth: usize| {
+            let [a, b, c] = solid.triangles()[triangle].corners;
             let [u, v] = spread(nth);
             let (u, v) = if u + v > 1.0 {
                 (1.0 - u, 1.0 - v)
@@ -51,8 +51,8 @@ impl Body {
                 (u, v)
             };
             let position = a + u * (b - a) + v * (c - a);
-            let normal = solid.triangles()[place].cross().normalize();
-            outward(&solid, position, normal, albedos[place])
+            let normal = solid.triangles()[triangle].cross().normalize();
+            outward(&solid, position, normal, albedos[triangle])
         };
         Self {
             name: name.to_owned(),
@@ -65,14 +65,14 @@ impl Body {
     pub fn of_splats(name: &str, cloud: &SplatCloud) -> Self {
         let foot_m = cloud.means.iter().map(|mean| f64::from(mean[2]));
         let foot_m = foot_m.fold(f64::INFINITY, f64::min);
-        let place = |splat: usize| {
+        let position = |splat: usize| {
             let mean = DVec3::from_array(cloud.means[splat].map(f64::from));
             mean - foot_m * DVec3::Z
         };
         let mut triangles = Vec::new();
         for splat in (0..cloud.len()).filter(|&splat| cloud.opacities[splat] > 0.5) {
             let axes = axes_of(cloud, splat);
-            let at = |u: f64, v: f64| place(splat) + HALF_SIDE * (u * axes[0] + v * axes[1]);
+            let at = |u: f64, v: f64| position(splat) + HALF_SIDE * (u * axes[0] + v * axes[1]);
             let corners = [at(-1.0, -1.0), at(1.0, -1.0), at(1.0, 1.0), at(-1.0, 1.0)];
             triangles.push(Triangle::new([corners[0], corners[1], corners[2]]));
             triangles.push(Triangle::new([corners[0], corners[2], corners[3]]));
@@ -87,7 +87,7 @@ impl Body {
         let surfel = |splat: usize, _| {
             let albedo =
                 cloud.sh_dc[splat].map(|dc| to_linear(sh::Y0 * f64::from(dc) + 0.5).max(0.005));
-            outward(&solid, place(splat), cloud.thin_axis(splat), albedo)
+            outward(&solid, position(splat), cloud.thin_axis(splat), albedo)
         };
         Self {
             name: name.to_owned(),
@@ -152,10 +152,10 @@ fn drawn(areas: &[f64], surfel: impl Fn(usize, usize) -> Surfel) -> Vec<Surfel> 
     let step = areas.iter().sum::<f64>() / SURFELS as f64;
     let (mut next, mut passed) = (0.5 * step, 0.0);
     let mut surfels = Vec::with_capacity(SURFELS);
-    for (place, area) in areas.iter().enumerate() {
+    for (index, area) in areas.iter().enumerate() {
         passed += area;
         while next < passed && surfels.len() < SURFELS {
-            surfels.push(surfel(place, surfels.len()));
+            surfels.push(surfel(index, surfels.len()));
             next += step;
         }
     }

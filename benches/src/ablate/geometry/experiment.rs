@@ -45,9 +45,11 @@ fn gathered_from_ground(shown: &AmbientDescriptor) -> AmbientDescriptor {
     let [half_m, step_m] = GROUND_M;
     let side = (2.0 * half_m / step_m) as usize;
     let mut ground = SplatCloud::with_degree(2);
-    for place in 0..side * side {
+    for position in 0..side * side {
         let at = |index: usize| (step_m * (index as f64 + 0.5) - half_m) as f32;
-        ground.means.push([at(place % side), at(place / side), 0.0]);
+        ground
+            .means
+            .push([at(position % side), at(position / side), 0.0]);
         ground.scales.push([0.3, 0.3, 0.01]);
         ground.rotations.push([1.0, 0.0, 0.0, 0.0]);
         ground.opacities.push(0.9);
@@ -56,7 +58,7 @@ fn gathered_from_ground(shown: &AmbientDescriptor) -> AmbientDescriptor {
         ground.sh_rest.extend_from_slice(&shown.coefficients[1..]);
     }
     ambient_by_definition(&ground, DVec3::ZERO, &AmbientOptions::default())
-        .expect("ground is in reach")
+        .expect("ground is within range")
 }
 
 /// PSNR of seen colors in dB: as captured, relit, and by the best affine change of DC.

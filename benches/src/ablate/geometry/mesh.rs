@@ -97,10 +97,10 @@ impl Texture {
     /// Linear color at `uv`, of the nearest pixel; the image repeats.
     fn at(&self, uv: DVec2) -> [f64; 3] {
         let height = self.rgb.len() / self.width;
-        let place = |share: f64, count: usize| {
+        let position = |share: f64, count: usize| {
             ((share.rem_euclid(1.0) * count as f64) as usize).min(count - 1)
         };
-        let pixel = self.rgb[place(uv.y, height) * self.width + place(uv.x, self.width)];
+        let pixel = self.rgb[position(uv.y, height) * self.width + position(uv.x, self.width)];
         pixel.map(|value| to_linear(f64::from(value) / 255.0))
     }
 }

@@ -52,8 +52,8 @@ pub fn environment(probe: &Probe, quarters: usize) -> Environment {
     let probe = probe.downsampled(COLUMNS);
     assert_eq!(probe.width(), COLUMNS, "{} is too narrow", probe.name);
     // Columns count to the right, azimuths to the left.
-    let pixel = |place: usize| {
-        let (row, column) = (place / COLUMNS, place % COLUMNS);
+    let pixel = |position: usize| {
+        let (row, column) = (position / COLUMNS, position % COLUMNS);
         let from = (column + quarters * COLUMNS / 4) % COLUMNS;
         probe.pixels()[row * COLUMNS + from].map(f64::from)
     };
@@ -87,8 +87,8 @@ impl Scene {
                 if direction.z > 0.0 {
                     seen.sky.push((pixel as u32, share));
                 } else {
-                    let reach_m = position.z.max(0.0) / -direction.z;
-                    let hit = position + reach_m * direction;
+                    let hit_m = position.z.max(0.0) / -direction.z;
+                    let hit = position + hit_m * direction;
                     seen.ground.push((cell_at(hit.truncate()), share));
                 }
             }
@@ -147,7 +147,7 @@ pub fn on_open_ground(environment: &Environment) -> [f64; 3] {
 
 fn cell_at(at: DVec2) -> u32 {
     let cell = (at / CELL_M + 0.5 * f64::from(CELLS)).floor();
-    let inside = |place: f64| (0.0..f64::from(CELLS)).contains(&place);
+    let inside = |position: f64| (0.0..f64::from(CELLS)).contains(&position);
     if inside(cell.x) && inside(cell.y) {
         cell.y as u32 * CELLS as u32 + cell.x as u32
     } else {

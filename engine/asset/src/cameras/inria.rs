@@ -74,12 +74,12 @@ mod tests {
             ),
             ("seq_00001", 400.0, 300.0)
         );
-        let place = camera.world_from_camera;
-        assert!((place.translation - DVec3::new(1.0, 2.0, 3.0)).length() < 1e-12);
+        let position = camera.world_from_camera;
+        assert!((position.translation - DVec3::new(1.0, 2.0, 3.0)).length() < 1e-12);
         // z forward becomes +x of the world, x right becomes -y, y down becomes -z: a vehicle's
         // front camera.
-        assert!((place.rotation * DVec3::Z - DVec3::X).length() < 1e-12);
-        assert!((place.rotation * DVec3::X + DVec3::Y).length() < 1e-12);
+        assert!((position.rotation * DVec3::Z - DVec3::X).length() < 1e-12);
+        assert!((position.rotation * DVec3::X + DVec3::Y).length() < 1e-12);
         assert_eq!(cameras[1].name, "1");
     }
 

@@ -19,7 +19,7 @@ use crate::error::read_bytes;
 use crate::xml::excerpt;
 use crate::{AssetError, DecodeError};
 
-/// Places farther from the origin are no cameras', meters.
+/// Positions farther from the origin are no cameras', meters.
 const POSITION_MAX_M: f64 = 1e9;
 
 /// Facts about cameras that stand beside their file.
@@ -128,7 +128,7 @@ fn json_error(error: &serde_json::Error) -> DecodeError {
 /// Largest departure of a rotation matrix from orthonormality that is taken for rounding.
 const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
 
-/// A camera's place from its axes, the columns of world from camera, and its center.
+/// A camera's position from its axes, the columns of world from camera, and its center.
 fn pose_of(axes: DMat3, center: DVec3, name: &str) -> Result<Pose, DecodeError> {
     let gram = axes.transpose() * axes;
     if !center.is_finite()

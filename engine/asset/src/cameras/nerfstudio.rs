@@ -271,12 +271,12 @@ mod tests {
     #[test]
     fn opengl_axes_become_opencv_axes() {
         let cameras = decode(FILE.as_bytes(), None).unwrap();
-        let place = cameras[0].world_from_camera;
-        assert!((place.transform(DVec3::ZERO) - DVec3::new(4.0, 5.0, 6.0)).length() < 1e-12);
-        assert!((place.rotation * DVec3::X - DVec3::X).length() < 1e-12);
-        assert!((place.rotation * DVec3::Y + DVec3::Y).length() < 1e-12);
+        let position = cameras[0].world_from_camera;
+        assert!((position.transform(DVec3::ZERO) - DVec3::new(4.0, 5.0, 6.0)).length() < 1e-12);
+        assert!((position.rotation * DVec3::X - DVec3::X).length() < 1e-12);
+        assert!((position.rotation * DVec3::Y + DVec3::Y).length() < 1e-12);
         assert!(
-            (place.rotation * DVec3::Z + DVec3::Z).length() < 1e-12,
+            (position.rotation * DVec3::Z + DVec3::Z).length() < 1e-12,
             "an OpenGL camera looks along -z"
         );
     }

@@ -36,7 +36,7 @@ pub(crate) const NAME: &str = "PyTorch checkpoint";
 const PICKLE: &str = "data.pkl";
 /// Most bytes of a pickle. Real ones name tensors and settings in some ten kilobytes, with an
 /// optimizer's state in a megabyte. Each byte may build a node of [`value::Node`], 24 bytes, and a
-/// place in the memo.
+/// index in the memo.
 const PICKLE_BYTES_MAX: usize = 4 << 20;
 
 /// Reads the splats of a checkpoint of gsplat.

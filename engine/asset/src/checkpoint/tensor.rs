@@ -125,15 +125,16 @@ impl<'a> Tensor<'a> {
             .try_fold(1u64, |product, &size| product.checked_mul(size))
             .ok_or_else(too_large)?;
         let is_empty = form.shape.contains(&0);
-        let reach = form.shape.iter().zip(&form.strides).try_fold(
-            form.offset,
-            |reach, (&size, &stride)| {
-                reach.checked_add(size.saturating_sub(1).checked_mul(stride)?)
-            },
-        );
+        let last = form
+            .shape
+            .iter()
+            .zip(&form.strides)
+            .try_fold(form.offset, |last, (&size, &stride)| {
+                last.checked_add(size.saturating_sub(1).checked_mul(stride)?)
+            });
         let is_inside = match is_empty {
             true => product <= EMPTY_SIZES_MAX.max(file_bytes as u64),
-            false => product <= there && reach.is_some_and(|reach| reach < there),
+            false => product <= there && last.is_some_and(|last| last < there),
         };
         if !is_inside {
             return Err(too_large());
@@ -202,10 +203,10 @@ impl<'a> Tensor<'a> {
             .iter()
             .zip(&self.strides)
             .rev()
-            .fold(0, |place, (&size, &stride)| {
+            .fold(0, |index, (&size, &stride)| {
                 let here = rest % size;
                 rest /= size;
-                place + here * stride
+                index + here * stride
             })
     }
 }

@@ -3,7 +3,7 @@
 
 use super::tensor::{Form, Scalar};
 
-/// The place of a node.
+/// The index of a node.
 pub(crate) type Id = u32;
 
 /// Something that a pickle built. Small, because a byte of a pickle may build one: see
@@ -74,7 +74,7 @@ impl Tree {
         Self { nodes, root }
     }
 
-    /// The node at a place; ids come from the same tree.
+    /// The node at an index; ids come from the same tree.
     pub(crate) fn node(&self, id: Id) -> &Node {
         self.nodes.get(id as usize).unwrap_or(&Node::None)
     }

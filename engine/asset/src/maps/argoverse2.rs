@@ -11,7 +11,7 @@ use decouplegs_scene::{Lane, LaneKind, LaneMap};
 use glam::DVec3;
 use serde::Deserialize;
 
-use super::links::{Places, join};
+use super::links::{LaneIndices, join};
 use super::polyline::{at_heights_of, between, cleaned};
 use crate::DecodeError;
 
@@ -52,17 +52,17 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         serde_json::from_slice(bytes).map_err(|error| DecodeError::Malformed(error.to_string()))?;
     let segments: Vec<Segment> = file.lane_segments.into_values().collect();
     let mut lanes: Vec<Lane> = segments.iter().map(lane).collect();
-    let places = Places::of(&lanes)?;
-    let place = |id: i64| places.get(&id.to_string());
+    let indices = LaneIndices::of(&lanes)?;
+    let index = |id: i64| indices.get(&id.to_string());
     for (at, segment) in segments.iter().enumerate() {
-        for next in segment.successors.iter().filter_map(|&id| place(id)) {
+        for next in segment.successors.iter().filter_map(|&id| index(id)) {
             join(&mut lanes, at, next);
         }
-        for before in segment.predecessors.iter().filter_map(|&id| place(id)) {
+        for before in segment.predecessors.iter().filter_map(|&id| index(id)) {
             join(&mut lanes, before, at);
         }
         let beside = |id: Option<i64>| {
-            id.and_then(place)
+            id.and_then(index)
                 .filter(|&other| run_alike(&lanes[at], &lanes[other]))
         };
         let (left, right) = (

@@ -13,7 +13,7 @@ use std::collections::HashMap;
 use decouplegs_scene::{Lane, LaneKind, LaneMap};
 use glam::DVec3;
 
-use super::links::{Places, join};
+use super::links::{LaneIndices, join};
 use super::polyline::{between, cleaned};
 use crate::DecodeError;
 use crate::xml::{Element, excerpt, parse};
@@ -56,12 +56,12 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         .iter()
         .map(|element| lane(*element, &sign_limits))
         .collect::<Result<Vec<_>, _>>()?;
-    let places = Places::of(&lanes)?;
+    let indices = LaneIndices::of(&lanes)?;
     for (at, element) in elements.iter().enumerate() {
         let linked = |name: &str| {
             element
                 .all(name)
-                .filter_map(|link| places.get(link.attribute("ref")?))
+                .filter_map(|link| indices.get(link.attribute("ref")?))
                 .collect::<Vec<_>>()
         };
         linked("successor")
@@ -74,7 +74,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
             let neighbor = element
                 .first(name)
                 .filter(|link| link.attribute("drivingDir") == Some("same"));
-            neighbor.and_then(|link| places.get(link.attribute("ref")?))
+            neighbor.and_then(|link| indices.get(link.attribute("ref")?))
         };
         (lanes[at].left_neighbor, lanes[at].right_neighbor) =
             (beside("adjacentLeft"), beside("adjacentRight"));

@@ -12,7 +12,7 @@
 //! Beside `lanes` a file may have `lights`, the traffic lights: each has a `name`, `stop_lines` as
 //! pairs of lane and meters along it, and, where they are known, `phases` as pairs of color (green,
 //! yellow, red) and seconds, and `offset_s`, its position in the cycle at time 0. It may have
-//! `signs`, each with a `kind` (stop, yield), its `lane` and `at_m`, its place along the lane.
+//! `signs`, each with a `kind` (stop, yield), its `lane` and `at_m`, its position along the lane.
 //!
 //! A lane needs its id, a text or a whole number, and its centerline, world coordinates in meters
 //! in driving direction. Points of two numbers have no height: where a lane has one, or says
@@ -29,7 +29,7 @@ use decouplegs_scene::{Invalid, Lane, LaneKind, LaneMap, TrafficLight, TrafficSi
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::links::{Places, join};
+use super::links::{LaneIndices, join};
 use super::polyline::cleaned;
 use crate::traffic_light_form::{self, Fault, LIGHTS_MAX, LightForm};
 use crate::traffic_sign_form::{self, SIGNS_MAX, SignForm};
@@ -128,9 +128,9 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         ));
         lanes.push(form.into_lane()?);
     }
-    let places = Places::of(&lanes)?;
+    let indices = LaneIndices::of(&lanes)?;
     for (at, (successors, left, right)) in links.into_iter().enumerate() {
-        let place = |id: Id| {
+        let index = |id: Id| {
             let id = id.into_text();
             let from = excerpt(&lanes[at].id);
             let missing = || {
@@ -139,13 +139,13 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
                     excerpt(&id)
                 ))
             };
-            places.get(&id).ok_or_else(missing)
+            indices.get(&id).ok_or_else(missing)
         };
         let next = successors
             .into_iter()
-            .map(place)
+            .map(index)
             .collect::<Result<Vec<_>, _>>()?;
-        let (left, right) = (left.map(place).transpose()?, right.map(place).transpose()?);
+        let (left, right) = (left.map(index).transpose()?, right.map(index).transpose()?);
         (lanes[at].left_neighbor, lanes[at].right_neighbor) = (left, right);
         next.into_iter().for_each(|next| join(&mut lanes, at, next));
     }

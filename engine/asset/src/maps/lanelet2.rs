@@ -21,7 +21,7 @@ use decouplegs_scene::{Lane, LaneKind, LaneMap};
 use glam::{DVec2, DVec3};
 
 use super::budget::Budget;
-use super::links::{Places, join};
+use super::links::{LaneIndices, join};
 use super::polyline::{between, cleaned, halfway, is_left_of};
 use super::projection::UtmZone;
 use crate::DecodeError;
@@ -49,7 +49,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         .zip(&sides)
         .map(|(lanelet, sides)| lanelet.lane(&file, plane, sides, &mut budget));
     let mut lanes = lanes.collect::<Result<Vec<_>, _>>()?;
-    Places::of(&lanes)?;
+    LaneIndices::of(&lanes)?;
     connect(&sides, &mut lanes);
     let lights = lights::lights(&file, plane, &lanes, &mut budget)?;
     let signs = signs::signs(&file, plane, &lanes, &mut budget)?;
@@ -219,14 +219,14 @@ impl<'a> File<'a> {
             .collect::<Result<Vec<_>, _>>()?;
         let has_height = nodes.iter().all(|node| node.height_m.is_some());
         let point = |node: &Node| -> Result<DVec3, DecodeError> {
-            let place = match (plane, node.local_m, node.degrees) {
+            let position = match (plane, node.local_m, node.degrees) {
                 (Plane::Local, Some(local_m), _) => local_m,
                 (Plane::Utm(zone), _, Some(degrees)) => zone
                     .project(degrees.y, degrees.x)
                     .map_err(|error| lanelet.element.fault(error.reason()))?,
                 _ => return Err(lanelet.element.fault("one of its nodes has no lat and lon")),
             };
-            Ok(place.extend(node.height_m.filter(|_| has_height).unwrap_or(0.0)))
+            Ok(position.extend(node.height_m.filter(|_| has_height).unwrap_or(0.0)))
         };
         Ok((
             nodes.iter().map(point).collect::<Result<_, _>>()?,

@@ -8,28 +8,28 @@ use crate::DecodeError;
 use crate::xml::excerpt;
 
 /// Index of each lane by its id.
-pub(super) struct Places(HashMap<String, usize>);
+pub(super) struct LaneIndices(HashMap<String, usize>);
 
-impl Places {
-    /// The places of `lanes`.
+impl LaneIndices {
+    /// The indices of `lanes`.
     ///
     /// # Errors
     /// A [`DecodeError`] naming an id that two lanes have.
     pub(super) fn of(lanes: &[Lane]) -> Result<Self, DecodeError> {
-        let mut places = HashMap::with_capacity(lanes.len());
+        let mut indices = HashMap::with_capacity(lanes.len());
         for (at, lane) in lanes.iter().enumerate() {
-            if places.insert(lane.id.clone(), at).is_some() {
+            if indices.insert(lane.id.clone(), at).is_some() {
                 let id = excerpt(&lane.id);
                 return Err(DecodeError::Malformed(format!(
                     "two lanes have the id {id}; ids must be unique in a map"
                 )));
             }
         }
-        Ok(Self(places))
+        Ok(Self(indices))
     }
 
     /// The lane of an id. Files cut out of larger ones name lanes that they do not hold: those have
-    /// no place.
+    /// none.
     pub(super) fn get(&self, id: &str) -> Option<usize> {
         self.0.get(id).copied()
     }

@@ -128,7 +128,7 @@ pub(super) fn plan_length_m(line: &[DVec3]) -> f64 {
     line.windows(2).map(length_m).sum()
 }
 
-/// The place on a line that is nearest to `point` on the plane, meters along the line.
+/// The position on a line that is nearest to `point` on the plane, meters along the line.
 pub(super) fn foot_m(line: &[DVec3], point: DVec3) -> f64 {
     let (mut nearest_m, mut found_m, mut start_m) = (f64::INFINITY, 0.0, 0.0);
     for pair in line.windows(2) {

@@ -34,7 +34,7 @@ pub struct UtmZone {
 }
 
 impl UtmZone {
-    /// The zone of a place, its longitude of -180 to 180 degrees.
+    /// The zone of a position, its longitude of -180 to 180 degrees.
     #[must_use]
     pub fn of(latitude_deg: f64, longitude_deg: f64) -> Self {
         let number = ((longitude_deg + 180.0) / 6.0).floor().clamp(0.0, 59.0) as u8 + 1;
@@ -49,12 +49,12 @@ impl UtmZone {
         6.0 * f64::from(self.number) - 183.0
     }
 
-    /// Easting and northing of a place, meters.
+    /// Easting and northing of a position, meters.
     ///
     /// # Errors
-    /// A sentence where UTM is not defined there or the place is far from the zone.
+    /// A sentence where UTM is not defined there or the position is far from the zone.
     pub fn project(self, latitude_deg: f64, longitude_deg: f64) -> Result<DVec2, Invalid> {
-        let place = || {
+        let position = || {
             Invalid::new(format!(
                 "latitude {latitude_deg}, longitude {longitude_deg}"
             ))
@@ -62,7 +62,7 @@ impl UtmZone {
         if !(latitude_deg.abs() <= LATITUDE_MAX_DEG && longitude_deg.abs() <= 360.0) {
             return Err(Invalid::new(format!(
                 "{}: UTM reaches latitudes of {LATITUDE_MAX_DEG} degrees",
-                place()
+                position()
             )));
         }
         let east_deg =
@@ -71,7 +71,7 @@ impl UtmZone {
             let zone = self.number;
             return Err(Invalid::new(format!(
                 "{}: more than {FROM_MERIDIAN_MAX_DEG} degrees from the middle of UTM zone {zone}",
-                place()
+                position()
             )));
         }
         let north_m = if self.is_north { 0.0 } else { FALSE_NORTHING_M };

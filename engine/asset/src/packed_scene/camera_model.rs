@@ -86,10 +86,10 @@ fn fitted(intrinsics: &Intrinsics) -> FTheta {
         cy_px,
         ..
     } = *intrinsics;
-    let reach = |center: f64, size: u32| center.abs().max((f64::from(size) - center).abs());
+    let farthest = |center: f64, size: u32| center.abs().max((f64::from(size) - center).abs());
     let (x, y) = (
-        reach(cx_px, width_px) / fx_px,
-        reach(cy_px, height_px) / fy_px,
+        farthest(cx_px, width_px) / fx_px,
+        farthest(cy_px, height_px) / fy_px,
     );
     let max_angle_rad = x.hypot(y).atan();
     let angles: Vec<f64> = (0..SAMPLES)

@@ -134,15 +134,15 @@ pub(super) fn rig_trajectories(
     })
 }
 
-/// Earth-centered from local coordinates where the map says where on Earth it is; else the place of
-/// the origin in the world.
+/// Earth-centered from local coordinates where the map says where on Earth it is; else the position
+/// of the origin in the world.
 fn earth_from_local(scene: &SceneFile, options: &PackOptions) -> Pose {
     let in_world = Pose {
         translation: scene.origin,
         ..Pose::IDENTITY
     };
-    let place = options.map.as_deref().and_then(geographic_origin);
-    place.map_or(in_world, |(latitude_deg, longitude_deg)| {
+    let position = options.map.as_deref().and_then(geographic_origin);
+    position.map_or(in_world, |(latitude_deg, longitude_deg)| {
         earth_from_east_north_up(latitude_deg, longitude_deg).then(&in_world)
     })
 }
@@ -178,10 +178,10 @@ fn earth_from_east_north_up(latitude_deg: f64, longitude_deg: f64) -> Pose {
         latitude.sin(),
     );
     let east = DVec3::new(-longitude.sin(), longitude.cos(), 0.0);
-    let place = DVec3::new(up.x, up.y, up.z * (1.0 - eccentricity_squared)) * normal_m;
+    let position = DVec3::new(up.x, up.y, up.z * (1.0 - eccentricity_squared)) * normal_m;
     Pose::new(
         glam::DQuat::from_mat3(&glam::DMat3::from_cols(east, up.cross(east), up)),
-        place,
+        position,
     )
 }
 

@@ -75,7 +75,7 @@ impl Checker<'_> {
         if let Some(table) = &form.lamps {
             let LampsForm { places, range_m } = table.get_ref();
             let lamps = Lamps {
-                places: places.iter().copied().map(DVec3::from_array).collect(),
+                positions: places.iter().copied().map(DVec3::from_array).collect(),
                 range_m: range_m.unwrap_or(Lamps::default().range_m),
             };
             check("light.lamps", &table.span(), lamps.check())?;

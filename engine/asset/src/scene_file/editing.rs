@@ -35,7 +35,7 @@ pub enum EditError {
     NoName,
     /// The instance ids are used up.
     #[error(
-        "agent {name:?} has no place: instance ids name at most {max} agents in one scene; remove one first"
+        "agent {name:?} has no room: instance ids name at most {max} agents in one scene; remove one first"
     )]
     TooMany {
         /// The agent that was to be added.
@@ -162,7 +162,7 @@ impl SceneFile {
     /// # Errors
     /// [`EditError::NoAgent`], with the agents that there are.
     pub fn agent(&self, name: &str) -> Result<&SceneAgent, EditError> {
-        Ok(&self.agents[self.place_of(name)?])
+        Ok(&self.agents[self.index_of(name)?])
     }
 
     /// Takes the agent called `name` out. Those behind it move up, and their instance ids with
@@ -171,8 +171,8 @@ impl SceneFile {
     /// # Errors
     /// [`EditError::NoAgent`].
     pub fn remove_agent(&mut self, name: &str) -> Result<SceneAgent, EditError> {
-        let place = self.place_of(name)?;
-        Ok(self.agents.remove(place))
+        let index = self.index_of(name)?;
+        Ok(self.agents.remove(index))
     }
 
     /// Adds `agent` behind all others.
@@ -206,8 +206,8 @@ impl SceneFile {
     /// # Errors
     /// [`EditError::NoAgent`].
     pub fn swap_asset(&mut self, name: &str, asset: impl Into<PathBuf>) -> Result<(), EditError> {
-        let place = self.place_of(name)?;
-        let agent = &mut self.agents[place];
+        let index = self.index_of(name)?;
+        let agent = &mut self.agents[index];
         agent.asset = asset.into();
         agent.sh_frame = None;
         agent.class = None;
@@ -219,8 +219,8 @@ impl SceneFile {
     /// # Errors
     /// [`EditError::NoAgent`].
     pub fn set_trajectory(&mut self, name: &str, trajectory: Trajectory) -> Result<(), EditError> {
-        let place = self.place_of(name)?;
-        self.agents[place].trajectory = trajectory;
+        let index = self.index_of(name)?;
+        self.agents[index].trajectory = trajectory;
         Ok(())
     }
 
@@ -229,8 +229,8 @@ impl SceneFile {
     /// # Errors
     /// [`EditError::NoAgent`].
     pub fn set_presence(&mut self, name: &str, present: Presence) -> Result<(), EditError> {
-        let place = self.place_of(name)?;
-        self.agents[place].present = present;
+        let index = self.index_of(name)?;
+        self.agents[index].present = present;
         Ok(())
     }
 
@@ -261,8 +261,8 @@ impl SceneFile {
         name: &str,
         edited: impl Fn(&Trajectory) -> Result<Trajectory, Invalid>,
     ) -> Result<(), EditError> {
-        let place = self.place_of(name)?;
-        let agent = &mut self.agents[place];
+        let index = self.index_of(name)?;
+        let agent = &mut self.agents[index];
         agent.trajectory = edited(&agent.trajectory).map_err(|reason| EditError::Motion {
             name: name.to_owned(),
             reason: reason.into(),
@@ -270,9 +270,9 @@ impl SceneFile {
         Ok(())
     }
 
-    fn place_of(&self, name: &str) -> Result<usize, EditError> {
-        let place = self.agents.iter().position(|agent| agent.name == name);
-        place.ok_or_else(|| {
+    fn index_of(&self, name: &str) -> Result<usize, EditError> {
+        let index = self.agents.iter().position(|agent| agent.name == name);
+        index.ok_or_else(|| {
             EditError::no_agent(name, self.agents.iter().map(|agent| agent.name.as_str()))
         })
     }

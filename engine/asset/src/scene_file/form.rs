@@ -344,7 +344,11 @@ fn light_form(
         }),
         lamps: (*lamps != Lamps::default()).then(|| {
             spanless(LampsForm {
-                places: lamps.places.iter().map(|place| place.to_array()).collect(),
+                places: lamps
+                    .positions
+                    .iter()
+                    .map(|place| place.to_array())
+                    .collect(),
                 range_m: Some(lamps.range_m),
             })
         }),

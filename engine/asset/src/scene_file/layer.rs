@@ -26,8 +26,8 @@ impl LoadedScene {
     #[must_use]
     pub fn standing(&self, layer: Layer) -> Cow<'_, SplatScene> {
         match layer {
-            Layer::All => Cow::Borrowed(&self.world),
-            Layer::Background | Layer::Agents => Cow::Owned(only(&self.world, layer)),
+            Layer::All => Cow::Borrowed(&self.splat_scene),
+            Layer::Background | Layer::Agents => Cow::Owned(only(&self.splat_scene, layer)),
         }
     }
 
@@ -38,47 +38,47 @@ impl LoadedScene {
         match layer {
             Layer::All => self.baked(time_s),
             // Not of the baked world: shadows lie there.
-            Layer::Background => only(&self.world, layer),
+            Layer::Background => only(&self.splat_scene, layer),
             Layer::Agents => only(&self.baked(time_s), layer),
         }
     }
 }
 
-/// The part of `world` that belongs to `layer`, in the order it had.
-fn only(world: &SplatScene, layer: Layer) -> SplatScene {
+/// The part of `splat_scene` that belongs to `layer`, in the order it had.
+fn only(splat_scene: &SplatScene, layer: Layer) -> SplatScene {
     let of_agents = |splat: &u32| {
-        world
+        splat_scene
             .instance_from_splat
             .get(*splat as usize)
             .is_some_and(|id| *id != 0)
     };
-    let splats = 0..world.splats.len() as u32;
+    let splats = 0..splat_scene.splats.len() as u32;
     if layer == Layer::Background {
         let kept: Vec<u32> = splats.filter(|splat| !of_agents(splat)).collect();
         return SplatScene {
-            splats: world.splats.select(&kept),
+            splats: splat_scene.splats.select(&kept),
             instance_from_splat: Vec::new(),
-            sky_map: world.sky_map.clone(),
-            ..*world
+            sky_map: splat_scene.sky_map.clone(),
+            ..*splat_scene
         };
     }
     let kept: Vec<u32> = splats.filter(of_agents).collect();
     SplatScene {
-        splats: world.splats.select(&kept),
+        splats: splat_scene.splats.select(&kept),
         instance_from_splat: kept
             .iter()
-            .map(|splat| world.instance_from_splat[*splat as usize])
+            .map(|splat| splat_scene.instance_from_splat[*splat as usize])
             .collect(),
         sky: [0.0; 3],
         sky_map: None,
         // Images of the layer are laid over others before colors are calibrated.
         photometry: Photometry::IDENTITY,
         // Fog is in front of the agents; behind them it belongs to the background.
-        fog: world.fog.map(|fog| Fog {
+        fog: splat_scene.fog.map(|fog| Fog {
             sky_range_m: 0.0,
             ..fog
         }),
-        ..*world
+        ..*splat_scene
     }
 }
 
@@ -110,25 +110,25 @@ mod tests {
             ..SplatScene::of(splats(xs))
         };
         let background = of(&[3.0, 1.0, 2.0]);
-        let mut world = background.clone();
+        let mut splat_scene = background.clone();
         for (instance, x) in [(1, 10.0), (4, 20.0)] {
-            world.bake_instance(
+            splat_scene.bake_instance(
                 &splats(&[x, x + 1.0]),
                 &Pose {
-                    translation: world.origin,
+                    translation: splat_scene.origin,
                     ..Pose::IDENTITY
                 },
                 ShFrame::World,
                 instance,
             );
         }
-        assert_eq!(only(&world, Layer::Background), background);
-        let agents = only(&world, Layer::Agents);
+        assert_eq!(only(&splat_scene, Layer::Background), background);
+        let agents = only(&splat_scene, Layer::Agents);
         assert_eq!(agents.instance_from_splat, [1, 1, 4, 4]);
-        assert_eq!(agents.splats.means, world.splats.means[3..]);
+        assert_eq!(agents.splats.means, splat_scene.splats.means[3..]);
         assert_eq!(
             (agents.sky, agents.origin, agents.rules),
-            ([0.0; 3], world.origin, world.rules)
+            ([0.0; 3], splat_scene.origin, splat_scene.rules)
         );
         let fog = agents.fog.unwrap();
         assert_eq!(

@@ -55,8 +55,8 @@ fn filled<const N: usize>(what: &str, given: &[f64]) -> Result<[f64; N], String>
             given.len()
         ));
     }
-    Ok(std::array::from_fn(|place| {
-        given.get(place).copied().unwrap_or(0.0)
+    Ok(std::array::from_fn(|index| {
+        given.get(index).copied().unwrap_or(0.0)
     }))
 }
 

@@ -27,7 +27,7 @@ use crate::{AssetError, coded_asset, light_transfer_file, read_bytes, read_splat
 pub struct LoadedScene {
     /// Background, and the agents whose assets are plain splat files as they stand at the moment
     /// asked for. Each plain file's splats are in spatial order.
-    pub world: SplatScene,
+    pub splat_scene: SplatScene,
     /// Compressed assets (`.safetensors`), each file once.
     pub assets: Vec<CodedCloud>,
     /// The agents that show them, in the order of the scene file.
@@ -120,9 +120,9 @@ impl LoadedAgent {
 
 impl LoadedScene {
     /// A scene of background only, without cameras.
-    fn of_world(world: SplatScene) -> Self {
+    fn of_world(splat_scene: SplatScene) -> Self {
         Self {
-            world,
+            splat_scene,
             assets: Vec::new(),
             agents: Vec::new(),
             plain_agents: Vec::new(),
@@ -146,14 +146,15 @@ impl LoadedScene {
                 .copied()
                 .unwrap_or(0) as u64
         };
-        let splats = self.world.splats.len() as u64 + self.agents.iter().map(finest).sum::<u64>();
+        let splats =
+            self.splat_scene.splats.len() as u64 + self.agents.iter().map(finest).sum::<u64>();
         let sh_degree = self
             .assets
             .iter()
             .map(|asset| asset.sh_degree)
             .max()
             .unwrap_or(0)
-            .max(self.world.splats.sh_degree);
+            .max(self.splat_scene.splats.sh_degree);
         if splats > SPLATS_MAX {
             return Err(AssetError::Placement(format!(
                 "with all agents decoded there are {splats} splats; at most {SPLATS_MAX} are read"
@@ -172,7 +173,7 @@ impl LoadedScene {
     /// the world already stays as it stands.
     #[must_use]
     pub fn baked(&self, time_s: f64) -> SplatScene {
-        let mut world = self.world.clone();
+        let mut splat_scene = self.splat_scene.clone();
         let lighting = self.lighting();
         let agents = self.agents.iter();
         let lit: Vec<(&LoadedAgent, Pose, Option<LitAgent>)> = agents
@@ -190,21 +191,21 @@ impl LoadedScene {
             .filter_map(|(_, _, lit)| lit.as_ref())
             .flat_map(|lit| lit.shadows.iter().copied())
             .collect();
-        bake_shadows(&mut world, &shadows);
+        bake_shadows(&mut splat_scene, &shadows);
         let decoded: Vec<SplatCloud> = self.assets.iter().map(|asset| asset.decoded(0)).collect();
         for (agent, pose, lit) in lit {
             let asset = &decoded[agent.asset];
             let relit = lit
                 .and_then(|lit| lit.relight)
                 .map(|relight| relight.relit(asset));
-            world.bake_instance(
+            splat_scene.bake_instance(
                 relit.as_ref().unwrap_or(asset),
                 &pose,
                 agent.sh_frame,
                 agent.instance,
             );
         }
-        world
+        splat_scene
     }
 
     /// The light of the background, its field baked where agents drive; `None` where the scene has
@@ -212,15 +213,15 @@ impl LoadedScene {
     #[must_use]
     pub fn lighting(&self) -> Option<Lighting> {
         let light = self.light.as_ref()?;
-        let instances = &self.world.instance_from_splat;
+        let instances = &self.splat_scene.instance_from_splat;
         let background = instances
             .iter()
             .position(|&id| id != 0)
-            .unwrap_or(self.world.splats.len());
+            .unwrap_or(self.splat_scene.splats.len());
         let mut field = AmbientField::new(
-            &self.world.splats,
+            &self.splat_scene.splats,
             background,
-            self.world.origin,
+            self.splat_scene.origin,
             &light.ambient,
         );
         field.bake(
@@ -436,14 +437,16 @@ impl AgentLoader<'_> {
                 let splats = self.files.splats(file)?.in_spatial_order();
                 self.plain.insert(file.clone(), splats);
             }
-            let (there, added) = (&scene.world.splats, &self.plain[file]);
+            let (there, added) = (&scene.splat_scene.splats, &self.plain[file]);
             let splats = (there.len() + added.len()) as u64;
             self.check_size(splats, there.sh_degree.max(added.sh_degree))?;
             if agent.present.includes(self.time_s) {
                 let asset = &self.plain[file];
                 let pose = agent.trajectory.at(self.time_s);
                 let sh_frame = agent.sh_frame.unwrap_or_default();
-                scene.world.bake_instance(asset, &pose, sh_frame, instance);
+                scene
+                    .splat_scene
+                    .bake_instance(asset, &pose, sh_frame, instance);
                 scene.plain_agents.push(PlainAgent {
                     instance,
                     pose,

@@ -61,18 +61,18 @@ fn start(sorted: &[f32]) -> Vec<f32> {
     codebook
 }
 
-/// The place of the entry of a rising `codebook` that is nearest to `value`.
+/// The index of the entry of a rising `codebook` that is nearest to `value`.
 pub(super) fn nearest(codebook: &[f32], value: f32) -> u8 {
     let above = codebook
         .partition_point(|&entry| entry < value)
         .min(codebook.len() - 1);
     let below = above.saturating_sub(1);
-    let place = if (value - codebook[below]).abs() <= (codebook[above] - value).abs() {
+    let index = if (value - codebook[below]).abs() <= (codebook[above] - value).abs() {
         below
     } else {
         above
     };
-    place as u8
+    index as u8
 }
 
 #[cfg(test)]

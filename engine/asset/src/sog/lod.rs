@@ -58,14 +58,14 @@ pub(crate) fn read_set(folder: &Path) -> Result<SplatCloud, AssetError> {
     for range in finest(&meta.tree) {
         let file = match files.entry(range.file) {
             Entry::Occupied(known) => known.into_mut(),
-            Entry::Vacant(place) => {
+            Entry::Vacant(index) => {
                 let name = meta
                     .filenames
                     .get(range.file)
                     .ok_or_else(|| decode_error(format!("there is no file {}", range.file)))?;
                 let file = read_part(folder, name, &decode_error)?;
                 there += file.len();
-                place.insert(file)
+                index.insert(file)
             }
         };
         let end = range

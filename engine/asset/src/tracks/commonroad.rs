@@ -94,19 +94,19 @@ fn scalar(element: Element) -> Result<f64, DecodeError> {
     Ok(0.5 * start? + 0.5 * end?)
 }
 
-/// The place that a position is, or the center of the area.
+/// The point that a position element names, or the center of its area.
 fn position(element: Element) -> Result<DVec2, DecodeError> {
-    let Some(place) = element.elements().next() else {
+    let Some(position) = element.elements().next() else {
         return Err(element.fault("it is empty"));
     };
-    match place.name() {
-        "point" => xy(place),
-        "rectangle" | "circle" => xy(place.needed("center")?),
+    match position.name() {
+        "point" => xy(position),
+        "rectangle" | "circle" => xy(position.needed("center")?),
         "polygon" => {
-            let (min, max) = extent(place)?;
+            let (min, max) = extent(position)?;
             Ok(0.5 * min + 0.5 * max)
         }
-        _ => Err(place.fault("expected a point, rectangle, circle or polygon")),
+        _ => Err(position.fault("expected a point, rectangle, circle or polygon")),
     }
 }
 
@@ -121,9 +121,9 @@ fn xy(element: Element) -> Result<DVec2, DecodeError> {
 fn extent(polygon: Element) -> Result<(DVec2, DVec2), DecodeError> {
     let mut extent: Option<(DVec2, DVec2)> = None;
     for point in polygon.all("point") {
-        let place = xy(point)?;
-        extent = Some(extent.map_or((place, place), |(min, max)| {
-            (min.min(place), max.max(place))
+        let position = xy(point)?;
+        extent = Some(extent.map_or((position, position), |(min, max)| {
+            (min.min(position), max.max(position))
         }));
     }
     extent.ok_or_else(|| polygon.fault("it has no points"))

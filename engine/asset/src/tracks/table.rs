@@ -80,9 +80,9 @@ enum Cell<'a> {
     Number(f64),
 }
 
-/// The values of a row by column, and its place in the file for sentences.
+/// The values of a row by column, and its position in the file for sentences.
 struct Row<'a> {
-    place: &'a str,
+    position: &'a str,
     cells: [Cell<'a>; COLUMNS],
 }
 
@@ -117,13 +117,13 @@ pub fn decode_csv(bytes: &[u8]) -> Result<Vec<Track>, DecodeError> {
     let mut tracks = Tracks::default();
     let mut record = csv::StringRecord::new();
     while reader.read_record(&mut record).map_err(malformed)? {
-        let place = format!("line {}", record.position().map_or(0, csv::Position::line));
+        let position = format!("line {}", record.position().map_or(0, csv::Position::line));
         let cells = fields.map(|field| match field.and_then(|field| record.get(field)) {
             None | Some("") => Cell::Absent,
             Some(text) => Cell::Text(text),
         });
         tracks.add(&Row {
-            place: &place,
+            position: &position,
             cells,
         })?;
     }
@@ -140,7 +140,7 @@ pub fn decode_json(bytes: &[u8]) -> Result<Vec<Track>, DecodeError> {
         serde_json::from_slice(bytes).map_err(|error| DecodeError::Malformed(error.to_string()))?;
     let mut tracks = Tracks::default();
     for (at, object) in rows.iter().enumerate() {
-        let place = format!("row {}", at + 1);
+        let position = format!("row {}", at + 1);
         let mut cells = [Cell::Absent; COLUMNS];
         for (name, value) in object {
             let Some(at) = column(name) else { continue };
@@ -150,19 +150,19 @@ pub fn decode_json(bytes: &[u8]) -> Result<Vec<Track>, DecodeError> {
                 Value::Number(number) => Cell::Number(number.as_f64().unwrap_or(f64::NAN)),
                 _ => {
                     return Err(DecodeError::Malformed(format!(
-                        "{place}, '{name}': expected a number or a text"
+                        "{position}, '{name}': expected a number or a text"
                     )));
                 }
             };
             if !matches!(std::mem::replace(&mut cells[at], cell), Cell::Absent) {
                 let names = NAMES[at].join("' or '");
                 return Err(DecodeError::Malformed(format!(
-                    "{place}: two values for '{names}'; expected one"
+                    "{position}: two values for '{names}'; expected one"
                 )));
             }
         }
         tracks.add(&Row {
-            place: &place,
+            position: &position,
             cells,
         })?;
     }
@@ -173,7 +173,7 @@ impl Row<'_> {
     fn fault(&self, column: Column, reason: &str) -> DecodeError {
         DecodeError::Malformed(format!(
             "{}, '{}': {reason}",
-            self.place, NAMES[column as usize][0]
+            self.position, NAMES[column as usize][0]
         ))
     }
 

@@ -43,7 +43,7 @@ struct Entry<'a> {
 pub(crate) struct Archive<'a> {
     bytes: &'a [u8],
     entries: Vec<Entry<'a>>,
-    /// Places in `entries`; of equal names the first.
+    /// Positions in `entries`; of equal names the first.
     by_name: HashMap<&'a str, usize>,
 }
 
@@ -128,7 +128,7 @@ impl<'a> Archive<'a> {
     fn entry(&self, name: &str) -> Result<&Entry<'a>, DecodeError> {
         self.by_name
             .get(name)
-            .map(|&place| &self.entries[place])
+            .map(|&index| &self.entries[index])
             .ok_or_else(|| {
                 let there: Vec<String> = self.names().take(12).map(shown).collect();
                 malformed(format!(
@@ -278,7 +278,7 @@ fn central_entry(bytes: &[u8], at: usize) -> Option<(Result<Entry<'_>, DecodeErr
     ))
 }
 
-/// Compressed size, size and place of an entry; 32 bits that are all ones stand for the next 64 of
+/// Compressed size, size and offset of an entry; 32 bits that are all ones stand for the next 64 of
 /// the extra field.
 fn sizes(fixed: &[u8], extra: &[u8]) -> Option<[u64; 3]> {
     let mut wide = &[][..];

@@ -258,8 +258,8 @@ fn a_scene_is_loaded_with_its_agents_where_they_are() {
     let late = open_scene(&path, 2.0).unwrap();
     assert_eq!(
         (
-            early.world.splats.len(),
-            early.world.splats.sh_degree,
+            early.splat_scene.splats.len(),
+            early.splat_scene.splats.sh_degree,
             early.rig.cameras().count()
         ),
         (460, 2, 3)
@@ -274,7 +274,7 @@ fn a_scene_is_loaded_with_its_agents_where_they_are() {
     assert_eq!(names, ["parked", "oncoming"]);
     let of_instance = |id: u16| {
         early
-            .world
+            .splat_scene
             .instance_from_splat
             .iter()
             .filter(|&&instance| instance == id)
@@ -285,16 +285,16 @@ fn a_scene_is_loaded_with_its_agents_where_they_are() {
         [400, 30, 30]
     );
     assert_eq!(
-        early.world.splats.means[..430],
-        late.world.splats.means[..430],
+        early.splat_scene.splats.means[..430],
+        late.splat_scene.splats.means[..430],
         "background and parked car stand"
     );
-    let moved = late.world.splats.means[430][0] - early.world.splats.means[430][0];
+    let moved = late.splat_scene.splats.means[430][0] - early.splat_scene.splats.means[430][0];
     assert!((moved + 25.0).abs() < 1e-3, "{moved}");
     // Means are relative to the origin, so they are small whatever the world coordinates are.
     assert!(
         early
-            .world
+            .splat_scene
             .splats
             .means
             .iter()
@@ -303,7 +303,7 @@ fn a_scene_is_loaded_with_its_agents_where_they_are() {
     );
     let order = background.spatial_order();
     assert_eq!(
-        early.world.splats.means[0],
+        early.splat_scene.splats.means[0],
         background.means[order[0] as usize]
     );
     assert!(
@@ -319,8 +319,8 @@ fn a_splat_file_is_a_scene_without_cameras() {
     let scene = open_scene(&path, 0.0).unwrap();
     assert_eq!(
         (
-            scene.world.splats.len(),
-            scene.world.origin,
+            scene.splat_scene.splats.len(),
+            scene.splat_scene.origin,
             scene.rig.sensors.len()
         ),
         (50, DVec3::ZERO, 0)
@@ -328,7 +328,7 @@ fn a_splat_file_is_a_scene_without_cameras() {
     assert_eq!(scene.ego.at(3.0), Pose::IDENTITY);
     assert!(
         scene
-            .world
+            .splat_scene
             .splats
             .spatial_order()
             .iter()
@@ -369,8 +369,8 @@ fn agents_of_coded_assets_are_kept_apart_with_the_ids_of_their_place() {
     for (agent, instance, plain_instance) in [("parked", 1, 2), ("oncoming", 2, 1)] {
         std::fs::write(&path, example_with_asset(agent, "cone.safetensors")).unwrap();
         let scene = open_scene(&path, 0.0).unwrap();
-        let of_instance = |world: &SplatScene, id: u16| {
-            world
+        let of_instance = |splat_scene: &SplatScene, id: u16| {
+            splat_scene
                 .instance_from_splat
                 .iter()
                 .filter(|&&found| found == id)
@@ -394,8 +394,8 @@ fn agents_of_coded_assets_are_kept_apart_with_the_ids_of_their_place() {
         );
         assert_eq!(
             (
-                scene.world.splats.len(),
-                of_instance(&scene.world, plain_instance)
+                scene.splat_scene.splats.len(),
+                of_instance(&scene.splat_scene, plain_instance)
             ),
             (430, 30)
         );
@@ -414,7 +414,7 @@ fn agents_of_coded_assets_are_kept_apart_with_the_ids_of_their_place() {
         let decoded = coded_cone().cloud.decoded(0);
         for (splat, mean) in decoded.means.iter().enumerate() {
             let expected =
-                pose.transform(glam::Vec3::from_array(*mean).as_dvec3()) - scene.world.origin;
+                pose.transform(glam::Vec3::from_array(*mean).as_dvec3()) - scene.splat_scene.origin;
             let found = glam::Vec3::from_array(twin.splats.means[430 + splat]).as_dvec3();
             assert!(
                 (found - expected).length() < 1e-5,
@@ -436,7 +436,7 @@ fn an_asset_is_read_once_and_its_frame_of_colors_holds_unless_the_scene_says_oth
         (
             scene.assets.len(),
             scene.agents.len(),
-            scene.world.instance_from_splat.len()
+            scene.splat_scene.instance_from_splat.len()
         ),
         (1, 2, 0)
     );
@@ -470,7 +470,7 @@ fn a_coded_asset_alone_is_a_scene_and_a_broken_one_is_named() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("cone.safetensors");
     write_coded(&path, &coded_cone()).unwrap();
-    assert_eq!(open_scene(&path, 0.0).unwrap().world.splats.len(), 12);
+    assert_eq!(open_scene(&path, 0.0).unwrap().splat_scene.splats.len(), 12);
     inria_ply::write(&directory.path().join("street.ply"), &cloud(40, 1)).unwrap();
     std::fs::write(&path, b"{}").unwrap();
     let scene = directory.path().join("scene.toml");

@@ -101,12 +101,12 @@ fn an_imported_scene_is_written_and_opened() {
     );
     let loaded = open_scene(&path, 0.1).unwrap();
     assert_eq!(
-        (loaded.world.splats.len(), loaded.agent_labels.len()),
+        (loaded.splat_scene.splats.len(), loaded.agent_labels.len()),
         (24, 2)
     );
     assert_eq!(
         loaded
-            .world
+            .splat_scene
             .instance_from_splat
             .iter()
             .filter(|&&id| id == 2)
@@ -163,7 +163,7 @@ fn street_gaussians_places_actors_where_tracks_say() {
     assert_eq!(scene.write(folder.path()).unwrap().agents.len(), 1);
     // The sky of the checkpoint is that of the scene which is written: +z is face 4, clamped.
     let written = open_scene(&folder.path().join("scene.toml"), 0.0).unwrap();
-    let sky = written.world.sky_map.expect("it has a sky");
+    let sky = written.splat_scene.sky_map.expect("it has a sky");
     assert_eq!(Some(&*sky), scene.sky.as_ref());
     let [red, green, blue] = sky.color(DVec3::Z);
     assert!((red - 0.4).abs() < 1e-6 && (green - 0.6).abs() < 1e-6 && blue == 1.0);
@@ -206,7 +206,7 @@ fn color_corrections_of_drivestudio_are_the_photometry_of_the_scene() {
     let file = mean.write(folder.path()).unwrap();
     assert_eq!(file.photometry, mean.photometry);
     let loaded = open_scene(&folder.path().join("scene.toml"), 0.0).unwrap();
-    assert_eq!(loaded.world.photometry, mean.photometry);
+    assert_eq!(loaded.splat_scene.photometry, mean.photometry);
 }
 
 #[test]

@@ -113,7 +113,7 @@ fn models_are_loaded_from_folders_and_packages() {
     for path in [far.join("scene.toml"), package] {
         let loaded = open_scene(&path, 0.0).unwrap();
         assert!(loaded.rig == expected.rig, "{}", path.display());
-        assert_eq!(loaded.world.rules.lidar_dilation_rad, 0.001);
+        assert_eq!(loaded.splat_scene.rules.lidar_dilation_rad, 0.001);
     }
     std::fs::write(near.join("sensors/flash.toml"), "name = \"flash\"\n").unwrap();
     let error = open_scene(&near.join("scene.toml"), 0.0)

@@ -69,7 +69,7 @@ fn casting_lights_are_read_and_faults_named() {
         (DVec3::new(-0.50, -0.36, 0.79), 0.75)
     );
     let lamps = Lamps {
-        places: vec![DVec3::new(12.0, 5.0, 7.2)],
+        positions: vec![DVec3::new(12.0, 5.0, 7.2)],
         ..Lamps::default()
     };
     assert_eq!(
@@ -92,7 +92,7 @@ fn casting_lights_are_read_and_faults_named() {
             "light.lamps.places",
         ),
         ("range_m = 30.0", "range_m = -1", "light.lamps.range_m"),
-        ("range_m = 30.0", "reach_m = 30.0", "reach_m"),
+        ("range_m = 30.0", "radius_m = 30.0", "radius_m"),
     ] {
         let found = complaint(from, to);
         assert!(found.contains(expected), "{found}");

@@ -106,8 +106,11 @@ fn lights() -> impl Strategy<Value = SceneLight> {
 fn casting_lights() -> impl Strategy<Value = CastingLights> {
     let place = || (-1e3f64..1e3, -1e3f64..1e3, 0.1f64..20.0).prop_map(DVec3::from);
     let sun = (place(), 0.01f64..0.99).prop_map(|(towards, share)| Sun { towards, share });
-    let lamps = (prop::collection::vec(place(), 0..4), 1.0f64..90.0)
-        .prop_map(|(places, range_m)| Lamps { places, range_m });
+    let lamps =
+        (prop::collection::vec(place(), 0..4), 1.0f64..90.0).prop_map(|(places, range_m)| Lamps {
+            positions: places,
+            range_m,
+        });
     (prop::option::of(sun), lamps).prop_map(|(sun, lamps)| CastingLights { sun, lamps })
 }
 

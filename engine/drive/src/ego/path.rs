@@ -62,7 +62,7 @@ impl PlannedPath {
         (Some(Self { line, end, beyond }), arcs_m)
     }
 
-    /// The place `arc_m` along it.
+    /// The position `arc_m` along it.
     pub(super) fn at(&self, arc_m: f64) -> DVec2 {
         let past_m = arc_m - self.line.length_m();
         if past_m > 0.0 {
@@ -74,11 +74,11 @@ impl PlannedPath {
 
     /// Arc length of the nearest point to `at`, searched within the given distances behind and
     /// ahead of `near_m`, meters.
-    pub(super) fn project(&self, at: DVec2, near_m: f64, reach_m: f64) -> f64 {
+    pub(super) fn project(&self, at: DVec2, near_m: f64, window_m: f64) -> f64 {
         let length_m = self.line.length_m();
         let arc_m = self
             .line
-            .project_within(at, near_m - reach_m, near_m + reach_m)
+            .project_within(at, near_m - window_m, near_m + window_m)
             .arc_m;
         if arc_m < length_m {
             arc_m
@@ -88,7 +88,7 @@ impl PlannedPath {
     }
 }
 
-/// Points of the plan in the ego's frame that show where it goes, the ego's own place first; and
+/// Points of the plan in the ego's frame that show where it goes, the ego's own position first; and
 /// for each point of the plan the knot that it has reached and how far past it it is, meters. They
 /// end where the plan turns back.
 fn knots(plan: &Plan) -> (Vec<DVec2>, Vec<(usize, f64)>) {
@@ -140,11 +140,11 @@ fn tangents(knots: &[DVec2]) -> Vec<DVec2> {
     tangents
 }
 
-/// The cubic between two places with the derivatives at both.
-fn hermite(places: [DVec2; 2], derivatives: [DVec2; 2], share: f64) -> DVec2 {
+/// The cubic between two positions with the derivatives at both.
+fn hermite(positions: [DVec2; 2], derivatives: [DVec2; 2], share: f64) -> DVec2 {
     let (t, u) = (share, 1.0 - share);
-    places[0] * (u * u * (1.0 + 2.0 * t))
-        + places[1] * (t * t * (1.0 + 2.0 * u))
+    positions[0] * (u * u * (1.0 + 2.0 * t))
+        + positions[1] * (t * t * (1.0 + 2.0 * u))
         + derivatives[0] * (u * u * t)
         - derivatives[1] * (t * t * u)
 }

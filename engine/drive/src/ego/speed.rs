@@ -5,9 +5,9 @@ const REST_M: f64 = 0.02;
 /// A plan that ends slower than this ends at rest, meters per second.
 const REST_MPS: f64 = 0.1;
 
-/// The way driven over time, through the times and places of a plan: a piecewise cubic that never
-/// falls (Fritsch and Carlson, "Monotone Piecewise Cubic Interpolation", 1980) and is exact where
-/// the acceleration is constant.
+/// The way driven over time, through the times and positions of a plan: a piecewise cubic that
+/// never falls (Fritsch and Carlson, "Monotone Piecewise Cubic Interpolation", 1980) and is exact
+/// where the acceleration is constant.
 #[derive(Clone, Debug)]
 pub(super) struct SpeedProfile {
     /// Time in seconds, way in meters, speed in meters per second; at time 0 the ego's own.

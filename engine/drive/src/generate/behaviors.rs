@@ -88,8 +88,10 @@ pub(super) fn agents(
             _ => {}
         }
     }
-    for (at, reach_m) in swerving(start, vehicles, inject.whole(rules.swerves)) {
-        agents[at - 1].behaviors.push(swerve(reach_m, &mut inject));
+    for (at, amplitude_range_m) in swerving(start, vehicles, inject.whole(rules.swerves)) {
+        agents[at - 1]
+            .behaviors
+            .push(swerve(amplitude_range_m, &mut inject));
     }
     agents
 }
@@ -121,10 +123,10 @@ fn brake(deceleration_mps2: (f64, f64), distance_m: f64, random: &mut Stream) ->
     Behavior { trigger, maneuver }
 }
 
-fn swerve(reach_m: (f64, f64), random: &mut Stream) -> Behavior {
+fn swerve(amplitude_range_m: (f64, f64), random: &mut Stream) -> Behavior {
     let side = if random.chance(0.5) { 1.0 } else { -1.0 };
     let maneuver = Maneuver::Swerve {
-        amplitude_m: to_tenth(side * random.between(reach_m)),
+        amplitude_m: to_tenth(side * random.between(amplitude_range_m)),
         duration_s: to_tenth(random.between((2.0, 4.0))),
     };
     Behavior {

@@ -9,7 +9,7 @@ use super::random::Stream;
 use crate::lane_index::LaneIndex;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::Polyline;
-use crate::road_graph::{RoadGraph, place_on};
+use crate::road_graph::{RoadGraph, position_on};
 use crate::road_surface::RoadSurface;
 use crate::route::Route;
 
@@ -61,7 +61,7 @@ pub(super) struct Roads<'a> {
     /// True if lanes lie beside each other anywhere.
     pub has_lanes_beside: bool,
     /// Driving lanes, and how many meters of them there are up to the end of each.
-    reach: Vec<(usize, f64)>,
+    cumulative_m: Vec<(usize, f64)>,
 }
 
 impl<'a> Roads<'a> {
@@ -70,11 +70,11 @@ impl<'a> Roads<'a> {
         let graph = Arc::new(RoadGraph::new(map)?.for_vehicle(largest)?);
         let count = map.lanes.len();
         let (mut shared, mut yields) = (vec![Vec::new(); count], vec![Vec::new(); count]);
-        let (mut crossings, mut reach, mut total_m) = (Vec::new(), Vec::new(), 0.0);
+        let (mut crossings, mut cumulative_m, mut total_m) = (Vec::new(), Vec::new(), 0.0);
         for at in 0..count {
             let Some(lane) = graph.lane(at) else { continue };
             total_m += lane.line.length_m();
-            reach.push((at, total_m));
+            cumulative_m.push((at, total_m));
             for conflict in &lane.conflicts {
                 shared[at].push((conflict.from_m, conflict.to_m));
                 if !conflict.goes_first {
@@ -124,7 +124,7 @@ impl<'a> Roads<'a> {
             light_lines,
             crossings,
             has_lanes_beside,
-            reach,
+            cumulative_m,
         })
     }
 
@@ -152,15 +152,17 @@ impl<'a> Roads<'a> {
 
     /// A place on any driving lane, all meters alike.
     pub fn anywhere(&self, random: &mut Stream) -> Option<Spot> {
-        let total_m = self.reach.last()?.1;
+        let total_m = self.cumulative_m.last()?.1;
         let drawn_m = random.between((0.0, total_m));
         let at = self
-            .reach
+            .cumulative_m
             .partition_point(|&(_, end_m)| end_m <= drawn_m)
-            .min(self.reach.len() - 1);
-        let begin_m = at.checked_sub(1).map_or(0.0, |before| self.reach[before].1);
+            .min(self.cumulative_m.len() - 1);
+        let begin_m = at
+            .checked_sub(1)
+            .map_or(0.0, |before| self.cumulative_m[before].1);
         Some(Spot {
-            lane: self.reach[at].0,
+            lane: self.cumulative_m[at].0,
             at_m: drawn_m - begin_m,
         })
     }
@@ -178,12 +180,12 @@ impl<'a> Roads<'a> {
     }
 
     pub fn position_m(&self, spot: Spot) -> DVec2 {
-        place_on(self.graph.lanes(), &[spot.lane], 0, spot.at_m).position_m
+        position_on(self.graph.lanes(), &[spot.lane], 0, spot.at_m).position_m
     }
 
     /// The outline of a vehicle of `size` at `spot`.
     pub fn outline(&self, spot: Spot, size: &VehicleSize) -> OrientedBox {
-        let place = place_on(self.graph.lanes(), &[spot.lane], 0, spot.at_m);
+        let place = position_on(self.graph.lanes(), &[spot.lane], 0, spot.at_m);
         OrientedBox::of(
             &VehicleState {
                 position_m: place.position_m,
@@ -286,13 +288,13 @@ impl<'a> Roads<'a> {
     }
 
     /// From the middle of one vehicle to that of another ahead of it, meters along the lanes; none
-    /// within `reach_m`.
-    pub fn between_m(&self, behind: Spot, front: Spot, reach_m: f64) -> Option<f64> {
+    /// within `max_m`.
+    pub fn between_m(&self, behind: Spot, front: Spot, max_m: f64) -> Option<f64> {
         let apart =
             |ahead: LaneAhead| (ahead.lane == front.lane).then_some(ahead.begin_m + front.at_m);
-        let ahead = self.ahead(behind, reach_m).into_iter().filter_map(apart);
+        let ahead = self.ahead(behind, max_m).into_iter().filter_map(apart);
         ahead
-            .filter(|apart_m| (0.0..=reach_m).contains(apart_m))
+            .filter(|apart_m| (0.0..=max_m).contains(apart_m))
             .min_by(f64::total_cmp)
     }
 
@@ -316,9 +318,9 @@ impl<'a> Roads<'a> {
             .all(|border| places.iter().all(|&at_m| beyond(border, at_m)))
     }
 
-    /// Lanes that a vehicle at `spot` may come to within `reach_m`, its own first. A lane that
+    /// Lanes that a vehicle at `spot` may come to within `max_m`, its own first. A lane that
     /// several ways lead to is named once, by the shortest.
-    pub fn ahead(&self, spot: Spot, reach_m: f64) -> Vec<LaneAhead> {
+    pub fn ahead(&self, spot: Spot, max_m: f64) -> Vec<LaneAhead> {
         let mut found = vec![LaneAhead {
             lane: spot.lane,
             begin_m: -spot.at_m,
@@ -327,7 +329,7 @@ impl<'a> Roads<'a> {
         while let Some(&LaneAhead { lane, begin_m }) = found.get(next) {
             next += 1;
             let end_m = begin_m + self.length_m(lane);
-            let Some(road) = self.graph.lane(lane).filter(|_| end_m <= reach_m) else {
+            let Some(road) = self.graph.lane(lane).filter(|_| end_m <= max_m) else {
                 continue;
             };
             for &successor in &road.successors {
@@ -349,8 +351,8 @@ impl<'a> Roads<'a> {
     }
 
     /// From `spot` to where a vehicle may have to stop for others, or where its lane ends, meters;
-    /// infinite beyond `reach_m`.
-    pub fn until_stop_m(&self, spot: Spot, reach_m: f64) -> f64 {
+    /// infinite beyond `max_m`.
+    pub fn until_stop_m(&self, spot: Spot, max_m: f64) -> f64 {
         let stops = |ahead: LaneAhead| {
             let dead_end = self
                 .graph
@@ -364,7 +366,7 @@ impl<'a> Roads<'a> {
                 .chain(end_m)
                 .map(move |at_m| ahead.begin_m + at_m)
         };
-        self.ahead(spot, reach_m)
+        self.ahead(spot, max_m)
             .into_iter()
             .flat_map(stops)
             .filter(|&at_m| at_m >= 0.0)

@@ -1,4 +1,4 @@
-//! Surfaces over one place: modes of the heights in a column, each with a plane.
+//! Surfaces over one position: modes of the heights in a column, each with a plane.
 
 use std::cell::RefCell;
 

@@ -5,17 +5,17 @@ use decouplegs_scene::shape::{PrincipalAxes, triangular_factor};
 use glam::DVec2;
 use rayon::prelude::*;
 
-/// A splat spans so much height at one place and still counts half, meters. Road splats span
+/// A splat spans so much height at one position and still counts half, meters. Road splats span
 /// millimeters, leaves decimeters.
 const FLAT_SPAN_M: f64 = 0.1;
 /// Least weight in the middle of a column: smaller surfels cannot carry a surface.
 const SHARE_MIN: f64 = 2e-3;
 /// A splat reaches so many standard deviations.
-const REACH_SIGMAS: f64 = 3.0;
+const RADIUS_SIGMAS: f64 = 3.0;
 /// Cells of the finest grid, meters; each further one has twice the size.
 const CELL_M: f64 = 0.5;
-/// Grids; a splat lies in the finest whose cells are as large as its reach. Wider ones count within
-/// the largest cell only.
+/// Grids; a splat lies in the finest whose cells are as large as its radius. Wider ones count
+/// within the largest cell only.
 const LEVELS: usize = 5;
 /// Farther from the origin f32 means have no centimeters left, meters.
 const EXTENT_M: f32 = 1e5;
@@ -46,7 +46,7 @@ pub struct Sample {
 }
 
 impl Surfel {
-    /// `None` for a splat that shows no surface, and its reach in meters otherwise.
+    /// `None` for a splat that shows no surface, and its radius in meters otherwise.
     fn of(cloud: &SplatCloud, splat: usize, column_sigma_m: f64) -> Option<(Self, f64)> {
         let mean = cloud.means[splat];
         if cloud.defect_of(splat).is_some() || mean.iter().any(|x| x.abs() > EXTENT_M) {
@@ -71,15 +71,15 @@ impl Surfel {
             szx * inverse[1] + szy * inverse[2],
         ];
         let widest = 0.5 * (wxx + wyy) + (0.25 * (wxx - wyy).powi(2) + sxy * sxy).sqrt();
-        let reach = REACH_SIGMAS * widest.sqrt();
+        let radius_m = RADIUS_SIGMAS * widest.sqrt();
         let surfel = Self {
             mean,
             inverse: inverse.map(|x| x as f32),
             slope: slope.map(|x| x as f32),
             share: share as f32,
         };
-        let finite = reach.is_finite() && inverse.iter().chain(&slope).all(|x| x.is_finite());
-        (finite && share >= SHARE_MIN).then_some((surfel, reach))
+        let finite = radius_m.is_finite() && inverse.iter().chain(&slope).all(|x| x.is_finite());
+        (finite && share >= SHARE_MIN).then_some((surfel, radius_m))
     }
 
     fn sample(&self, axis: DVec2, column_sigma_m: f64) -> Option<Sample> {
@@ -89,7 +89,7 @@ impl Surfel {
             self.inverse[1] * dx + self.inverse[2] * dy,
         );
         let squared = ix * dx + iy * dy;
-        if squared > (REACH_SIGMAS * REACH_SIGMAS) as f32 {
+        if squared > (RADIUS_SIGMAS * RADIUS_SIGMAS) as f32 {
             return None;
         }
         let column = (column_sigma_m * column_sigma_m) as f32;
@@ -124,11 +124,11 @@ impl SurfelGrid {
             .filter_map(|splat| Surfel::of(cloud, splat, column_sigma_m));
         let surfels: Vec<(Surfel, f64)> = surfels.collect();
         let level_of =
-            |reach: f64| ((reach / CELL_M).log2().ceil().max(0.0) as usize).min(LEVELS - 1);
+            |radius_m: f64| ((radius_m / CELL_M).log2().ceil().max(0.0) as usize).min(LEVELS - 1);
         let levels = (0..LEVELS).map(|level| {
             let own: Vec<Surfel> = surfels
                 .iter()
-                .filter(|(_, reach)| level_of(*reach) == level)
+                .filter(|(_, radius_m)| level_of(*radius_m) == level)
                 .map(|(surfel, _)| *surfel)
                 .collect();
             Level::new(own, CELL_M * f64::from(1u32 << level))
@@ -163,7 +163,7 @@ impl SurfelGrid {
         }
     }
 
-    /// Squares that any surfel may reach: lower corner and size in meters.
+    /// Squares that any surfel may touch: lower corner and size in meters.
     pub fn reached(&self) -> impl Iterator<Item = (DVec2, f64)> + '_ {
         self.levels.iter().flat_map(|level| {
             let size = level.cell_m;

@@ -70,9 +70,9 @@ impl Tiles {
             [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]].map(|step| {
                 let step = DVec2::from_array(step);
                 let node = cell + step;
-                let place = (node.y as usize) * (TILE_NODES as usize + 1) + node.x as usize;
+                let index = (node.y as usize) * (TILE_NODES as usize + 1) + node.x as usize;
                 let layers =
-                    &tile.layers[tile.starts[place] as usize..tile.starts[place + 1] as usize];
+                    &tile.layers[tile.starts[index] as usize..tile.starts[index + 1] as usize];
                 let along = |step: f64, share: f64| if step > 0.0 { share } else { 1.0 - share };
                 Corner {
                     layers,

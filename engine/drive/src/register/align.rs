@@ -44,7 +44,7 @@ pub struct Aligned {
     pub fit: PlanarFit,
     pub legs: Vec<Leg>,
     pub lane_changes: Vec<LaneChange>,
-    /// For each waypoint its leg and the place on that leg's line.
+    /// For each waypoint its leg and the position on that leg's line.
     pub feet: Vec<Option<(usize, Foot)>>,
     /// For each leg whether all its lanes have heights.
     pub has_height: Vec<bool>,
@@ -154,8 +154,9 @@ impl Register<'_> {
                 Err(why) => reason = Some(why),
             }
         }
-        best.map(|(_, found)| found)
-            .ok_or_else(|| reason.unwrap_or_else(|| "no place of it was matched to a lane".into()))
+        best.map(|(_, found)| found).ok_or_else(|| {
+            reason.unwrap_or_else(|| "no position of it was matched to a lane".into())
+        })
     }
 
     pub(super) fn align_from(
@@ -199,7 +200,7 @@ impl Register<'_> {
             .filter_map(turn)
             .collect();
         if turns.is_empty() {
-            return Err("no place of it was matched to a lane".into());
+            return Err("no position of it was matched to a lane".into());
         }
         turns.sort_by(f64::total_cmp);
         let half = turns.len() / 2;
@@ -244,7 +245,7 @@ impl Register<'_> {
         let pairs = self.pairs(routed, &start);
         if pairs.len() < PAIRS_MIN {
             return Err(format!(
-                "{} places on lanes outside lane changes; a motion needs {PAIRS_MIN}",
+                "{} positions on lanes outside lane changes; a motion needs {PAIRS_MIN}",
                 pairs.len()
             ));
         }
@@ -322,7 +323,7 @@ impl Register<'_> {
         })
     }
 
-    /// Each waypoint's place on its leg's line, by warping.
+    /// Each waypoint's position on its leg's line, by warping.
     fn feet(&self, routed: &Routed, motion: &PlanarTransform) -> Vec<Option<(usize, Foot)>> {
         let moved = routed.prepared.moved(motion);
         let mut feet = vec![None; moved.len()];
@@ -340,9 +341,9 @@ impl Register<'_> {
             );
             let cost = |point: usize, step: usize| {
                 let waypoint = &moved[leg.waypoints[point]];
-                let (place, heading_rad) = samples[step];
+                let (position, heading_rad) = samples[step];
                 let turned = waypoint.heading_rad - heading_rad;
-                place.distance(waypoint.position)
+                position.distance(waypoint.position)
                     + self.options.heading_weight * (1.0 - turned.cos())
             };
             for (point, step) in align(&band, cost).into_iter().flatten().enumerate() {
@@ -359,8 +360,8 @@ impl Register<'_> {
         feet
     }
 
-    /// Points of the track as they were logged and the places that they belong to, those left out
-    /// that are between lanes.
+    /// Points of the track as they were logged and the positions that they belong to, those left
+    /// out that are between lanes.
     ///
     /// The motion is told by what was logged, not by the smoothed track: smoothing cuts corners,
     /// always to the same side.

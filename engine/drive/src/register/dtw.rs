@@ -1,4 +1,4 @@
-//! Dynamic time warping: which place of a lane each point of a track belongs to, in order.
+//! Dynamic time warping: which position of a lane each point of a track belongs to, in order.
 
 use std::ops::Range;
 
@@ -101,7 +101,7 @@ mod tests {
 
     #[test]
     fn the_band_holds_and_crossings_are_passed_in_order() {
-        // A figure of eight: the lane comes by the same place at steps 2 and 8.
+        // A figure of eight: the lane comes by the same position at steps 2 and 8.
         let lane = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 4.0, 3.0, 2.0, 1.0, 0.0];
         let track = [0.1, 2.1, 4.1, 4.1, 2.0, 0.1];
         let middles = [0.0, 2.0, 4.0, 6.0, 8.0, 10.0];

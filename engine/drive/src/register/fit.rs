@@ -4,7 +4,7 @@
 //! one with the least distance from points to lines (Chen and Medioni, Object Modelling by
 //! Registration of Multiple Range Images, 1992), not from points to points, robustly (Tukey's
 //! biweight) and with a prior: what lanes do not show stays as it was logged. On a straight lane
-//! that is the place along it; on an arc of a circle, sliding along the arc. The errors that are
+//! that is the position along it; on an arc of a circle, sliding along the arc. The errors that are
 //! left are told with the motion.
 
 use glam::{DMat3, DVec2, DVec3};
@@ -17,7 +17,7 @@ use crate::planar::PlanarTransform;
 pub struct LinePair {
     /// Logged position, world coordinates, meters.
     pub from: DVec2,
-    /// A place on the line.
+    /// A position on the line.
     pub on_line: DVec2,
     /// Across the line there, to its left; of length 1.
     pub across: DVec2,
@@ -63,7 +63,7 @@ const ROUNDS: usize = 12;
 ///
 /// Pairs far beyond the usual deviation count for nothing; what is usual is told by the pairs
 /// themselves, but is `scale_min_m` at least. From a start that is not near, that must be large, or
-/// the few pairs that show the place along the lane are taken for outliers.
+/// the few pairs that show the position along the lane are taken for outliers.
 #[must_use]
 pub fn fit(
     pairs: &[LinePair],

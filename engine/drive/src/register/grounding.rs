@@ -128,13 +128,13 @@ impl Grounding<'_> {
     ) -> RegisteredPose {
         let point = &prepared.track.points[at];
         let motion = &aligned.fit.motion;
-        let place = motion.apply(prepared.smoothed.positions[at]);
+        let position = motion.apply(prepared.smoothed.positions[at]);
         let logged_yaw = prepared.smoothed.yaws[at].map(|yaw_rad| yaw_rad + motion.yaw_rad);
-        let on_leg = foot_on_leg(prepared, aligned, at, place);
+        let on_leg = foot_on_leg(prepared, aligned, at, position);
         let lane = on_leg.or_else(|| {
             self.lane_near(
                 prepared,
-                place,
+                position,
                 logged_yaw,
                 point.z_m.map(|z_m| z_m - 0.5 * dims_m[2]),
             )
@@ -164,7 +164,7 @@ impl Grounding<'_> {
         let expected = lane_plane.or(logged);
         let measured = self
             .ground
-            .and_then(|ground| under(ground, place, yaw_rad, dims_m, expected.as_ref()));
+            .and_then(|ground| under(ground, position, yaw_rad, dims_m, expected.as_ref()));
         let plane = match measured {
             Some((plane, off_m)) => {
                 flags.uneven = off_m > UNEVEN_M;
@@ -183,7 +183,7 @@ impl Grounding<'_> {
         let lane = on_leg.map(|lane| lane.foot);
         RegisteredPose {
             time_s: point.time_s,
-            pose: pose_on(&plane, place, yaw_rad, dims_m[2]),
+            pose: pose_on(&plane, position, yaw_rad, dims_m[2]),
             lane,
             flags,
         }
@@ -193,12 +193,12 @@ impl Grounding<'_> {
     fn lane_near(
         &self,
         prepared: &Prepared,
-        place: DVec2,
+        position: DVec2,
         yaw_rad: Option<f64>,
         z_m: Option<f64>,
     ) -> Option<LaneBelow> {
         let map = self.register.map;
-        let mut near = self.register.index.lanes_near(place, NEAR_M);
+        let mut near = self.register.index.lanes_near(position, NEAR_M);
         near.retain(|point| may_use(&prepared.track.class, map.lanes[point.lane].kind));
         let turned =
             |heading_rad: f64| yaw_rad.map_or(0.0, |yaw_rad| 1.0 - (heading_rad - yaw_rad).cos());
@@ -246,14 +246,14 @@ impl LaneBelow {
 /// The plane of the ground under the corners of a box.
 fn under(
     ground: &Ground,
-    place: DVec2,
+    position: DVec2,
     yaw_rad: f64,
     dims_m: [f64; 3],
     expected: Option<&RoadPlane>,
 ) -> Option<(RoadPlane, f64)> {
     let corners = corners(dims_m);
     let heights = corners.map(|corner| {
-        let at = place + DVec2::from_angle(yaw_rad).rotate(corner);
+        let at = position + DVec2::from_angle(yaw_rad).rotate(corner);
         let expected_z_m =
             expected.map(|plane| plane.height_m + plane.forward * corner.x + plane.left * corner.y);
         ground.height_at(at, expected_z_m).map(|height| height.z_m)
@@ -261,12 +261,12 @@ fn under(
     plane(&corners, &heights)
 }
 
-/// Nearest point on the leg's lane to the track's point `at`, moved to `place`.
+/// Nearest point on the leg's lane to the track's point `at`, moved to `position`.
 fn foot_on_leg(
     prepared: &Prepared,
     aligned: &Aligned,
     at: usize,
-    place: DVec2,
+    position: DVec2,
 ) -> Option<LaneBelow> {
     let next = prepared
         .waypoints
@@ -274,11 +274,11 @@ fn foot_on_leg(
     let known = |waypoint: usize| aligned.feet.get(waypoint).copied().flatten();
     let (number, near) = known(next).or_else(|| known(next.checked_sub(1)?))?;
     // Between two waypoints it has not gone farther than from one to the other.
-    const REACH_M: f64 = 5.0;
+    const WINDOW_M: f64 = 5.0;
     let leg: &Leg = &aligned.legs[number];
     let foot = leg
         .line
-        .project_within(place, near.arc_m - REACH_M, near.arc_m + REACH_M);
+        .project_within(position, near.arc_m - WINDOW_M, near.arc_m + WINDOW_M);
     let has_height = aligned.has_height.get(number).copied().unwrap_or(false);
     Some(LaneBelow {
         foot,

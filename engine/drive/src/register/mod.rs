@@ -154,7 +154,7 @@ pub struct Registered {
     pub fit: PlanarFit,
     /// Treatment of the track.
     pub treatment: Treatment,
-    /// Places in [`LaneMap::lanes`], in driving order.
+    /// Positions in [`LaneMap::lanes`], in driving order.
     pub lanes: Vec<usize>,
     /// Lane changes.
     pub lane_changes: Vec<LaneChange>,

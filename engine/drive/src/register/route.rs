@@ -30,7 +30,7 @@ pub struct Waypoint {
 /// Lanes that continue in one another, and the part of the track on them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Leg {
-    /// Places in [`LaneMap::lanes`], in driving order.
+    /// Indices in [`LaneMap::lanes`], in driving order.
     pub lanes: Vec<usize>,
     /// Their centerlines as one line.
     pub line: Polyline,
@@ -122,13 +122,13 @@ pub fn find(
             .count();
         if 2 * against >= waypoints.len() {
             return Err(format!(
-                "drives against its lanes at {against} of {} places",
+                "drives against its lanes at {against} of {} positions",
                 waypoints.len()
             ));
         }
         let radius_m = options.radius_m;
         return Err(format!(
-            "no lane for class {class:?} within {radius_m} m at {} of {} places",
+            "no lane for class {class:?} within {radius_m} m at {} of {} positions",
             waypoints.len() - matched,
             waypoints.len()
         ));
@@ -198,7 +198,7 @@ impl Search<'_> {
         mut along: Vec<Vec<LanePoint>>,
     ) -> Vec<Vec<State>> {
         let mut columns: Vec<Vec<State>> = Vec::with_capacity(kept.len());
-        for (place, &at) in kept.iter().enumerate() {
+        for (position, &at) in kept.iter().enumerate() {
             let lanes = std::mem::take(&mut along[at]);
             let waypoint = &waypoints[at];
             let first = |lane: LanePoint| State {
@@ -213,12 +213,12 @@ impl Search<'_> {
             };
             let traveled_m = waypoint
                 .position
-                .distance(waypoints[kept[place - 1]].position);
+                .distance(waypoints[kept[position - 1]].position);
             let ahead: Vec<Ahead> = before
                 .iter()
                 .map(|state| self.ways_ahead(state.at.lane, traveled_m))
                 .collect();
-            let reach = |lane: LanePoint| {
+            let state_at = |lane: LanePoint| {
                 let steps = before
                     .iter()
                     .zip(&ahead)
@@ -238,7 +238,7 @@ impl Search<'_> {
                     step,
                 }
             };
-            let column = lanes.into_iter().map(reach).collect();
+            let column = lanes.into_iter().map(state_at).collect();
             columns.push(column);
         }
         columns
@@ -270,7 +270,7 @@ impl Search<'_> {
         ahead
     }
 
-    /// The cheapest step from a place on a lane to one at the next waypoint.
+    /// The cheapest step from a position on a lane to one at the next waypoint.
     fn step_between(
         &self,
         from: &LanePoint,
@@ -341,7 +341,7 @@ fn legs(index: &LaneIndex, kept: &[usize], columns: &[Vec<State>]) -> Result<Vec
     }
     states.reverse();
     let mut parts: Vec<Part> = Vec::new();
-    for (place, state) in states.iter().enumerate() {
+    for (position, state) in states.iter().enumerate() {
         let length_of = |lane: &usize| index.line(*lane).map_or(0.0, Polyline::length_m);
         match (&state.step, parts.last_mut()) {
             (Step::On(passed), Some(part)) => {
@@ -349,15 +349,15 @@ fn legs(index: &LaneIndex, kept: &[usize], columns: &[Vec<State>]) -> Result<Vec
                     part.before_m += part.lanes.last().map_or(0.0, length_of);
                     part.lanes.push(lane);
                 }
-                part.waypoints.push(kept[place]);
+                part.waypoints.push(kept[position]);
                 part.arcs_m.push(part.before_m + state.at.foot.arc_m);
             }
             (step, _) => parts.push(Part {
                 lanes: vec![state.at.lane],
                 before_m: 0.0,
-                waypoints: vec![kept[place]],
+                waypoints: vec![kept[position]],
                 arcs_m: vec![state.at.foot.arc_m],
-                by_lane_change: place > 0 && *step == Step::LaneChange,
+                by_lane_change: position > 0 && *step == Step::LaneChange,
             }),
         }
     }

@@ -133,11 +133,10 @@ fn widest_fit(
         else {
             continue;
         };
-        let reach = |fit: &Fit| AGREED * noise_m.max(NOISE_MIN_M) * fit.deviation;
-        if believed
-            .iter()
-            .any(|narrow| narrow.position.distance(fit.position) > reach(narrow) + reach(&fit))
-        {
+        let tolerance_m = |fit: &Fit| AGREED * noise_m.max(NOISE_MIN_M) * fit.deviation;
+        if believed.iter().any(|narrow| {
+            narrow.position.distance(fit.position) > tolerance_m(narrow) + tolerance_m(&fit)
+        }) {
             break;
         }
         believed.push(fit);
@@ -165,19 +164,19 @@ fn local_fit(track: &Track, at: usize, half_s: f64, outliers: Option<&[bool]>) -
         .filter(usable)
         .map(|point| &points[point])
         .collect();
-    let reach_s = near
+    let window_s = near
         .iter()
         .map(|point| (point.time_s - time_s).abs())
         .fold(0.0, f64::max)
         * 1.0001;
-    if near.len() < 4 || reach_s <= 0.0 {
+    if near.len() < 4 || window_s <= 0.0 {
         return None;
     }
     let scaled: Vec<(f64, DVec2)> = near
         .iter()
         .map(|point| {
             (
-                (point.time_s - time_s) / reach_s,
+                (point.time_s - time_s) / window_s,
                 point.position_m - points[at].position_m,
             )
         })
@@ -189,9 +188,9 @@ fn local_fit(track: &Track, at: usize, half_s: f64, outliers: Option<&[bool]>) -
     let mut weights = kernel.clone();
     let mut fit = None;
     for _ in 0..ROUNDS {
-        let ([place, slope, bend], deviation) = parabola(&scaled, &weights)?;
+        let ([position, slope, bend], deviation) = parabola(&scaled, &weights)?;
         let distance = |(t, place_then): &(f64, DVec2)| {
-            (place + slope * *t + bend * (t * t)).distance(*place_then)
+            (position + slope * *t + bend * (t * t)).distance(*place_then)
         };
         let distances: Vec<f64> = scaled.iter().map(distance).collect();
         // The median length of a deviation in the plane is 1.18 times its deviation along an axis.
@@ -203,8 +202,8 @@ fn local_fit(track: &Track, at: usize, half_s: f64, outliers: Option<&[bool]>) -
             *weight = kernel * (1.0 - left * left).powi(2) + 1e-12;
         }
         fit = Some(Fit {
-            position: points[at].position_m + place,
-            velocity: slope / reach_s,
+            position: points[at].position_m + position,
+            velocity: slope / window_s,
             spread_m,
             deviation,
         });
@@ -212,16 +211,19 @@ fn local_fit(track: &Track, at: usize, half_s: f64, outliers: Option<&[bool]>) -
     fit
 }
 
-/// Place, slope and bend at zero of the weighted parabola through `points`, times and places; and
-/// the deviation of the place along an axis for noise of deviation 1.
+/// Position, slope and bend at zero of the weighted parabola through `points`, times and positions;
+/// and the deviation of the position along an axis for noise of deviation 1.
 fn parabola(points: &[(f64, DVec2)], weights: &[f64]) -> Option<([DVec2; 3], f64)> {
     let (mut normal, mut noise, mut x, mut y) =
         (DMat3::ZERO, DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);
-    for ((t, place), &weight) in points.iter().zip(weights) {
+    for ((t, position), &weight) in points.iter().zip(weights) {
         let row = DVec3::new(1.0, *t, t * t);
         let outer = DMat3::from_cols(row * row.x, row * row.y, row * row.z);
         (normal, noise) = (normal + outer * weight, noise + outer * (weight * weight));
-        (x, y) = (x + row * (weight * place.x), y + row * (weight * place.y));
+        (x, y) = (
+            x + row * (weight * position.x),
+            y + row * (weight * position.y),
+        );
     }
     let inverse = (normal + DMat3::from_diagonal(DVec3::new(0.0, 1e-9, 1e-9))).inverse();
     let (x, y) = (inverse * x, inverse * y);
@@ -300,9 +302,9 @@ mod tests {
                 }
             })
             .collect();
-        let point = |(at, place): (usize, &DVec2)| TrackPoint {
+        let point = |(at, position): (usize, &DVec2)| TrackPoint {
             time_s: 0.1 * at as f64,
-            position_m: *place + noise_m * DVec2::new(normal(), normal()),
+            position_m: *position + noise_m * DVec2::new(normal(), normal()),
             z_m: None,
             yaw_rad: None,
         };

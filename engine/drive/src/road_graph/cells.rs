@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use super::RoadLane;
-use super::path::{HALF_AXLES_M, length_of, place_on};
+use super::path::{HALF_AXLES_M, length_of, position_on};
 use crate::grid::Grid;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
@@ -91,7 +91,7 @@ impl Cells {
     /// bends as long as a vehicle's wheelbase.
     fn slow_down(&mut self, lanes: &[Option<RoadLane>], path: &[usize], range_m: Range<f64>) {
         let first_m = length_of(lanes, path[0]);
-        let yaw = |at_m: f64| place_on(lanes, path, 0, at_m).yaw_rad;
+        let yaw = |at_m: f64| position_on(lanes, path, 0, at_m).yaw_rad;
         let steps = ((range_m.end - range_m.start) / BEND_STEP_M)
             .ceil()
             .max(1.0) as usize;
@@ -134,7 +134,7 @@ impl Cells {
         self.lane_of.len()
     }
 
-    /// Cells of `lane` between two places along it, clamped to the lane: at least one.
+    /// Cells of `lane` between two positions along it, clamped to the lane: at least one.
     pub(crate) fn range(&self, lane: usize, from_m: f64, to_m: f64) -> Range<usize> {
         let LaneCells {
             first,
@@ -145,7 +145,7 @@ impl Cells {
         first + cell(from_m)..first + (cell(to_m) + 1).min(count)
     }
 
-    /// The cell of `lane` at a place along it, clamped to the lane.
+    /// The cell of `lane` at a position along it, clamped to the lane.
     fn cell_at(&self, lane: usize, at_m: f64) -> usize {
         self.range(lane, at_m, at_m).start
     }
@@ -188,7 +188,8 @@ impl Cells {
     }
 }
 
-/// Speed limit `distance_m` before a place, so that the vehicle reaches the place at its limit.
+/// Speed limit `distance_m` before a position, so that the vehicle reaches the position at its
+/// limit.
 pub(crate) fn speed_before(there_mps: f64, distance_m: f64) -> f64 {
     (there_mps * there_mps + 2.0 * APPROACH_MPS2 * distance_m.max(0.0)).sqrt()
 }

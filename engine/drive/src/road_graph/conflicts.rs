@@ -51,7 +51,7 @@ fn touching_pairs(
     sequence_m: f64,
 ) -> Result<Vec<(u32, u32)>, String> {
     let onward: Vec<Vec<(usize, f64)>> = (0..lanes.len())
-        .map(|lane| within_reach(lanes, lane, sequence_m))
+        .map(|lane| lanes_within(lanes, lane, sequence_m))
         .collect();
     let follows = |a: u32, b: u32| {
         let ((from, a), (to, b)) = (cells.stretch_of(a as usize), cells.stretch_of(b as usize));
@@ -101,8 +101,8 @@ fn over_each_other(lanes: &[Option<RoadLane>], cells: &Cells, a: u32, b: u32) ->
         .is_some_and(|(a, b)| (a - b).abs() > BRIDGE_M)
 }
 
-/// Lanes that begin within `reach_m` after the end of `lane`, and how far after it.
-fn within_reach(lanes: &[Option<RoadLane>], lane: usize, reach_m: f64) -> Vec<(usize, f64)> {
+/// Lanes that begin within `max_m` after the end of `lane`, and how far after it.
+fn lanes_within(lanes: &[Option<RoadLane>], lane: usize, max_m: f64) -> Vec<(usize, f64)> {
     let (mut found, mut open): (Vec<(usize, f64)>, _) = (Vec::new(), vec![(lane, 0.0)]);
     while let Some((at, gap_m)) = open.pop() {
         for &next in lanes[at].iter().flat_map(|lane| &lane.successors) {
@@ -113,7 +113,7 @@ fn within_reach(lanes: &[Option<RoadLane>], lane: usize, reach_m: f64) -> Vec<(u
                 None => found.push((next, gap_m)),
             }
             let beyond_m = gap_m + length_of(lanes, next);
-            if beyond_m < reach_m {
+            if beyond_m < max_m {
                 open.push((next, beyond_m));
             }
         }

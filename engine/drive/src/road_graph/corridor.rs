@@ -6,14 +6,14 @@ use glam::DVec2;
 
 use super::RoadLane;
 use super::cells::Cells;
-use super::path::{length_of, place_on};
+use super::path::{length_of, position_on};
 use crate::oriented_box::OrientedBox;
 
-/// From one place of the box to the next, and the length of a slice, meters: on a circle of 6 m the
-/// box departs 5 mm between two places.
+/// Distance between positions along the box, and the length of a slice, meters: on a circle of 6 m
+/// the box departs 5 mm between two positions.
 const STEP_M: f64 = 0.5;
-/// Added to each side of the box: for what it departs between places, and for the nose of one that
-/// changes lanes.
+/// Added to each side of the box: for what it departs between positions, and for the nose of one
+/// that changes lanes.
 const MARGIN_M: f64 = 0.1;
 /// Ways on that are followed from an end of a lane. Junctions have fewer than ten.
 const WAYS_MAX: usize = 32;
@@ -29,22 +29,22 @@ pub(super) fn corridors(
         .collect();
     let half_m = DVec2::new(0.5 * vehicle.length_m, 0.5 * vehicle.width_m + MARGIN_M);
     // The axles of a short vehicle lie beyond its box.
-    let reach_m = half_m.x + 2.0;
+    let needed_m = half_m.x + 2.0;
     for (number, lane) in lanes.iter().enumerate() {
         let Some(lane) = lane else { continue };
         let length_m = lane.line.length_m();
-        let back = ways(lanes, number, reach_m, |lane| &lane.predecessors);
-        let onward = ways(lanes, number, reach_m, |lane| &lane.successors);
+        let back = ways(lanes, number, needed_m, |lane| &lane.predecessors);
+        let onward = ways(lanes, number, needed_m, |lane| &lane.successors);
         let steps = (length_m / STEP_M).ceil().max(1.0);
         for step in 0..=steps as u64 {
             let at_m = length_m * step as f64 / steps;
             // Only near an end of the lane does it matter where the path comes from or goes.
-            let back = if at_m < reach_m {
+            let back = if at_m < needed_m {
                 &back[..]
             } else {
                 &back[..1]
             };
-            let onward = if length_m - at_m < reach_m {
+            let onward = if length_m - at_m < needed_m {
                 &onward[..]
             } else {
                 &onward[..1]
@@ -63,18 +63,18 @@ pub(super) fn corridors(
     frames.iter().map(Frame::outline).collect()
 }
 
-/// Chains of lanes from an end of `lane` as far as `reach_m`; one empty chain where none goes on.
+/// Chains of lanes from an end of `lane` as far as `needed_m`; one empty chain where none goes on.
 fn ways(
     lanes: &[Option<RoadLane>],
     lane: usize,
-    reach_m: f64,
+    needed_m: f64,
     next: impl Fn(&RoadLane) -> &Vec<usize>,
 ) -> Vec<Vec<usize>> {
     let (mut found, mut open) = (Vec::new(), vec![(Vec::new(), 0.0)]);
     while let Some((way, length_m)) = open.pop() {
         let last = *way.last().unwrap_or(&lane);
         let further = lanes[last].as_ref().map_or(&[][..], |lane| next(lane));
-        if length_m >= reach_m
+        if length_m >= needed_m
             || further.is_empty()
             || way.len() > WAYS_MAX
             || open.len() > WAYS_MAX
@@ -100,15 +100,15 @@ fn sweep(
     at_m: f64,
     half_m: DVec2,
 ) {
-    let place = place_on(lanes, path, here, at_m);
-    let ahead = DVec2::from_angle(place.yaw_rad);
+    let position = position_on(lanes, path, here, at_m);
+    let ahead = DVec2::from_angle(position.yaw_rad);
     let starts: Vec<f64> = starts_of(lanes, path, here);
     let slices = (2.0 * half_m.x / STEP_M).ceil();
     for slice in 0..slices as u32 {
         let local = |share: f64| half_m.x * (2.0 * (f64::from(slice) + share) / slices - 1.0);
         let (low_m, high_m) = (local(0.0), local(1.0));
         let corner = |along_m: f64, across_m: f64| {
-            place.position_m + ahead * along_m + ahead.perp() * across_m
+            position.position_m + ahead * along_m + ahead.perp() * across_m
         };
         let corners = [
             corner(low_m, half_m.y),
@@ -158,7 +158,7 @@ struct Frame {
 impl Frame {
     fn of(lanes: &[Option<RoadLane>], cells: &Cells, cell: usize) -> Self {
         let (lane, stretch) = cells.stretch_of(cell);
-        let at = |at_m: f64| place_on(lanes, &[lane], 0, at_m);
+        let at = |at_m: f64| position_on(lanes, &[lane], 0, at_m);
         let (from, to) = (at(stretch.from_m).position_m, at(stretch.to_m).position_m);
         let along = (to - from)
             .try_normalize()

@@ -1,4 +1,4 @@
-//! Places along a chain of lanes, each the successor of the one before.
+//! Positions along a chain of lanes, each the successor of the one before.
 
 use glam::DVec2;
 
@@ -24,7 +24,7 @@ pub(crate) fn length_of(lanes: &[Option<RoadLane>], lane: usize) -> f64 {
         .map_or(0.0, |lane| lane.line.length_m())
 }
 
-/// The place `arc_m` from the start of `path[here]`, before or beyond it as the path leads;
+/// The position `arc_m` from the start of `path[here]`, before or beyond it as the path leads;
 /// straight on beyond the path's ends.
 fn point_on(lanes: &[Option<RoadLane>], path: &[usize], here: usize, arc_m: f64) -> DVec2 {
     let (mut here, mut arc_m) = (here, arc_m);
@@ -54,7 +54,7 @@ fn point_on(lanes: &[Option<RoadLane>], path: &[usize], here: usize, arc_m: f64)
 }
 
 /// Position and heading of a vehicle whose middle is `arc_m` from the start of `path[here]`.
-pub(crate) fn place_on(
+pub(crate) fn position_on(
     lanes: &[Option<RoadLane>],
     path: &[usize],
     here: usize,

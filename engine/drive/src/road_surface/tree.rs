@@ -38,8 +38,8 @@ impl TriangleTree {
         tree
     }
 
-    /// Shows every triangle within `radius_m` of a place, with its distance; `see` answers how far
-    /// it still wants to look.
+    /// Shows every triangle within `radius_m` of a position, with its distance; `see` answers how
+    /// far it still wants to look.
     pub(super) fn visit(
         &self,
         at: DVec2,

@@ -32,7 +32,7 @@ pub(super) struct Joined {
 
 /// One lane of the route.
 struct Entry {
-    place: usize,
+    index: usize,
     line: Polyline,
     /// True if the lane lies beside the entry before it, and not behind it.
     beside: bool,
@@ -48,7 +48,7 @@ struct Way {
 
 pub(super) fn join(map: &LaneMap, task: &EgoTask) -> Result<Joined, String> {
     let entries = entries(map, task)?;
-    let id = |entry: &Entry| map.lanes[entry.place].id.clone();
+    let id = |entry: &Entry| map.lanes[entry.index].id.clone();
     let (first, last) = (&entries[0], &entries[entries.len() - 1]);
     for (what, at_m, entry) in [("starts", task.start_m, first), ("ends", task.end_m, last)] {
         let length_m = entry.line.length_m();
@@ -81,7 +81,7 @@ pub(super) fn join(map: &LaneMap, task: &EgoTask) -> Result<Joined, String> {
     }
     let has_height = entries
         .iter()
-        .all(|entry| map.lanes[entry.place].has_height);
+        .all(|entry| map.lanes[entry.index].has_height);
     let too_short = || {
         format!(
             "the route has no length: it starts and ends on lane {} at {} m",
@@ -94,9 +94,9 @@ pub(super) fn join(map: &LaneMap, task: &EgoTask) -> Result<Joined, String> {
 
 /// The lanes that `task` names, each held to be next to the one before it.
 fn entries(map: &LaneMap, task: &EgoTask) -> Result<Vec<Entry>, String> {
-    let mut places: HashMap<&str, usize> = HashMap::with_capacity(map.lanes.len());
-    for (place, lane) in map.lanes.iter().enumerate() {
-        if places.insert(&lane.id, place).is_some() {
+    let mut indices: HashMap<&str, usize> = HashMap::with_capacity(map.lanes.len());
+    for (index, lane) in map.lanes.iter().enumerate() {
+        if indices.insert(&lane.id, index).is_some() {
             return Err(format!(
                 "lane {} is in the map twice; expected each id once",
                 lane.id
@@ -105,26 +105,26 @@ fn entries(map: &LaneMap, task: &EgoTask) -> Result<Vec<Entry>, String> {
     }
     let mut entries: Vec<Entry> = Vec::new();
     for id in &task.route {
-        let Some(&place) = places.get(id.as_str()) else {
+        let Some(&index) = indices.get(id.as_str()) else {
             return Err(format!(
                 "the route names lane {id}, which is not among the map's {} lanes",
                 map.lanes.len()
             ));
         };
-        let lane = &map.lanes[place];
+        let lane = &map.lanes[index];
         let Some(line) = Polyline::new(lane.centerline.iter().copied()) else {
             return Err(format!(
-                "lane {id} has no centerline that could be driven: fewer than two places, or one not finite"
+                "lane {id} has no centerline that could be driven: fewer than two points, or one not finite"
             ));
         };
         let mut beside = false;
-        if let Some(before) = entries.last().map(|entry| entry.place) {
+        if let Some(before) = entries.last().map(|entry| entry.index) {
             let from = &map.lanes[before];
-            beside = !from.successors.contains(&place);
+            beside = !from.successors.contains(&index);
             let named = |lane: &decouplegs_scene::Lane, other| {
                 [lane.left_neighbor, lane.right_neighbor].contains(&Some(other))
             };
-            if beside && !named(from, place) && !named(lane, before) {
+            if beside && !named(from, index) && !named(lane, before) {
                 return Err(format!(
                     "lane {id} neither follows lane {} of the route nor lies beside it",
                     from.id
@@ -132,7 +132,7 @@ fn entries(map: &LaneMap, task: &EgoTask) -> Result<Vec<Entry>, String> {
             }
         }
         entries.push(Entry {
-            place,
+            index,
             line,
             beside,
         });
@@ -155,7 +155,7 @@ impl Way {
     ) -> Result<(), String> {
         let (mut arc_m, last) = (from_m, section.len() - 1);
         let end = section[last].line.at(to_m).truncate();
-        self.marks.push((self.points.len(), section[0].place));
+        self.marks.push((self.points.len(), section[0].index));
         for (at, pair) in section.windows(2).enumerate() {
             let (here, there) = (&pair[0].line, &pair[1].line);
             let beside_m = |arc_m: f64| there.project(here.at(arc_m).truncate()).arc_m;
@@ -170,7 +170,7 @@ impl Way {
             if change_m < CHANGE_M_MIN {
                 let ids = pair
                     .iter()
-                    .map(|entry| map.lanes[entry.place].id.as_str())
+                    .map(|entry| map.lanes[entry.index].id.as_str())
                     .collect::<Vec<_>>();
                 return Err(format!(
                     "the route changes from lane {} to lane {} with {slot_m:.1} m of room; expected at least {CHANGE_M_MIN} m",
@@ -182,7 +182,7 @@ impl Way {
             let steps = (change_m / self.stride_m).ceil() as usize;
             for step in 1..=steps {
                 if step == steps.div_ceil(2) {
-                    self.marks.push((self.points.len(), pair[1].place));
+                    self.marks.push((self.points.len(), pair[1].index));
                 }
                 let share = step as f64 / steps as f64;
                 let from = begin_m + share * change_m;
@@ -231,7 +231,7 @@ impl Way {
         let lanes = self
             .marks
             .iter()
-            .map(|&(point, place)| (arcs_m[point.min(arcs_m.len() - 1)] * shrink, place))
+            .map(|&(point, index)| (arcs_m[point.min(arcs_m.len() - 1)] * shrink, index))
             .collect();
         Some(Joined {
             line,

@@ -1,4 +1,4 @@
-//! Routes from a place to another, and straight on.
+//! Routes from one position to another, and straight on.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashSet};
@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 
 use crate::polyline::Polyline;
 
-/// A place on a lane.
+/// A position on a lane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LaneSpot {
     /// Index of the lane in its map.
@@ -63,7 +63,7 @@ pub fn lanes_between(map: &LaneMap, from: LaneSpot, to: LaneSpot) -> Option<Vec<
     None
 }
 
-/// Lanes straight on from a place, and its end: `distance_m` further, or where the lanes end. At
+/// Lanes straight on from a position, and its end: `distance_m` further, or where the lanes end. At
 /// forks the way is the successor that turns least; no lane comes twice.
 #[must_use]
 pub fn straight_on(map: &LaneMap, from: LaneSpot, distance_m: f64) -> (Vec<usize>, LaneSpot) {

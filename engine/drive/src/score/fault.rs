@@ -145,19 +145,19 @@ struct Abreast {
 impl Abreast {
     fn of(road: &Polyline, states: [&VehicleState; 2], sizes: &[VehicleSize; 2]) -> Self {
         let feet: [Foot; 2] = states.map(|state| road.project(state.position_m));
-        let reach = |which: usize| {
+        let half_width_m = |which: usize| {
             let turned = DVec2::from_angle(states[which].yaw_rad - feet[which].heading_rad);
             0.5 * (sizes[which].length_m * turned.y.abs() + sizes[which].width_m * turned.x.abs())
         };
         let laterals_m = feet.map(|foot| foot.lateral_m);
         Self {
             laterals_m,
-            gap_m: (laterals_m[1] - laterals_m[0]).abs() - reach(0) - reach(1),
+            gap_m: (laterals_m[1] - laterals_m[0]).abs() - half_width_m(0) - half_width_m(1),
         }
     }
 }
 
-/// The route, straight on beyond its ends, each place the mean of those around it: of as many as
+/// The route, straight on beyond its ends, each position the mean of those around it: of as many as
 /// the route's bend at `near` lets.
 fn averaged_route(route_m: &[DVec2], near: DVec2) -> Option<Polyline> {
     let line = Polyline::new(route_m.iter().map(|point| point.extend(0.0)))?;
@@ -187,7 +187,7 @@ fn averaged_route(route_m: &[DVec2], near: DVec2) -> Option<Polyline> {
     let origin = at(0.0);
     let mean = |middle: i64| {
         let sum: DVec2 = (middle - half..=middle + half)
-            .map(|place| at(place as f64 * stride_m) - origin)
+            .map(|position| at(position as f64 * stride_m) - origin)
             .sum();
         (origin + sum / (2 * half + 1) as f64).extend(0.0)
     };

@@ -18,7 +18,7 @@ pub struct Closest {
     pub ttc_s: f64,
     /// Time of that moment, seconds since the start.
     pub time_s: f64,
-    /// With whom: the agent's place in the scenario.
+    /// With whom: the agent's index in the scenario.
     pub agent: usize,
 }
 

@@ -4,12 +4,12 @@ use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
 use super::driver::Driver;
-use super::following::PathPlace;
+use super::following::PathPosition;
 use super::idm::{IdmParameters, advance, stopping_m};
 use super::random;
 use super::signals::{NextLight, NextSign};
 use crate::polyline::wrapped;
-use crate::road_graph::{RoadGraph, length_of, place_on};
+use crate::road_graph::{RoadGraph, length_of, position_on};
 
 /// A path is known so far ahead, meters: beyond what anybody looks for.
 const PATH_AHEAD_M: f64 = 250.0;
@@ -18,7 +18,7 @@ const ONWARD_M: f64 = 500.0;
 /// Lanes that were left behind so many lanes ago are forgotten.
 const LANES_BEHIND: usize = 24;
 
-/// A run of conflicts on a path. Places are meters from the start of the agent's lane.
+/// A run of conflicts on a path. Positions are meters from the start of the agent's lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Crossing {
     pub from_m: f64,
@@ -42,7 +42,7 @@ pub(super) enum AsideKind {
         from: usize,
         /// Position on the other lane.
         from_arc_m: f64,
-        /// Offset at its start from the agent's place on the new lane: along and to the left,
+        /// Offset at its start from the agent's position on the new lane: along and to the left,
         /// meters.
         offset_m: DVec2,
     },
@@ -112,8 +112,8 @@ pub(super) struct Agent {
 
 impl Agent {
     /// Place on the path.
-    pub(super) fn place(&self) -> PathPlace<'_> {
-        PathPlace {
+    pub(super) fn place(&self) -> PathPosition<'_> {
+        PathPosition {
             agent: self.number,
             path: &self.path,
             here: self.here,
@@ -260,7 +260,7 @@ impl Agent {
         }
     }
 
-    /// One step on. Places are counted from the new lane where it comes to one.
+    /// One step on. Positions are counted from the new lane where it comes to one.
     pub(super) fn advance(
         &mut self,
         graph: &RoadGraph,
@@ -314,23 +314,23 @@ impl Agent {
         }
     }
 
-    /// Position and heading `ahead_m` farther on, at a place of a maneuver that it may be in.
+    /// Position and heading `ahead_m` farther on, at a position of a maneuver that it may be in.
     pub(super) fn pose_at(
         &self,
         graph: &RoadGraph,
         ahead_m: f64,
         aside: Option<&Aside>,
     ) -> (DVec2, f64) {
-        let mut place = place_on(graph.lanes(), &self.path, self.here, self.arc_m + ahead_m);
+        let mut position = position_on(graph.lanes(), &self.path, self.here, self.arc_m + ahead_m);
         if self.driver.keeps_right {
-            place.position_m -= DVec2::from_angle(place.yaw_rad).perp() * self.right_m(graph);
+            position.position_m -= DVec2::from_angle(position.yaw_rad).perp() * self.right_m(graph);
         }
         let Some(aside) = aside else {
-            return (place.position_m, place.yaw_rad);
+            return (position.position_m, position.yaw_rad);
         };
         let (offset_m, slope) = aside.offset_after(ahead_m);
-        let position_m = place.position_m + DVec2::from_angle(place.yaw_rad).rotate(offset_m);
-        (position_m, wrapped(place.yaw_rad + slope.atan()))
+        let position_m = position.position_m + DVec2::from_angle(position.yaw_rad).rotate(offset_m);
+        (position_m, wrapped(position.yaw_rad + slope.atan()))
     }
 
     /// To the left of the middle of its lane, meters.

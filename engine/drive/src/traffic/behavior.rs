@@ -14,7 +14,7 @@ use crate::oriented_box::OrientedBox;
 const SWERVE_M_PER_M: f64 = 12.0;
 /// Largest offset from the centerline of the own lane, meters.
 const SWERVE_M_MAX: f64 = 3.5;
-/// From one place to the next at which a swerve is examined, meters, and what its box is widened
+/// Distance between positions at which a swerve is examined, meters, and what its box is widened
 /// by.
 const SWERVE_STEP_M: f64 = 1.0;
 const SWERVE_MARGIN_M: f64 = 0.15;
@@ -195,10 +195,10 @@ impl Traffic {
             let (lane, stretch) = self.graph.cells().stretch_of(cell as usize);
             // Who would have to brake hard for it leaves no room either.
             let comes = |entry: &Entry| {
-                let reach_m = entry.front_m + SWERVE_REACTION_S * entry.speed_mps;
+                let ahead_m = entry.front_m + SWERVE_REACTION_S * entry.speed_mps;
                 entry.agent as usize != number
                     && entry.rear_m < stretch.to_m
-                    && reach_m > stretch.from_m
+                    && ahead_m > stretch.from_m
             };
             !self.claims.taken(cell as usize, number)
                 && !self

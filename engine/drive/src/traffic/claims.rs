@@ -118,11 +118,11 @@ impl Claims {
             Some(AsideKind::Change {
                 from, from_arc_m, ..
             }) => {
-                let reach_m = agent.stop_m() - agent.arc_m;
+                let until_stop_m = agent.stop_m() - agent.arc_m;
                 for cell in
                     graph
                         .cells()
-                        .range(*from, from_arc_m - agent.half_m, from_arc_m + reach_m)
+                        .range(*from, from_arc_m - agent.half_m, from_arc_m + until_stop_m)
                 {
                     self.take(cell, agent);
                 }
@@ -251,8 +251,8 @@ impl Claims {
     }
 }
 
-/// Shows the cells of an agent's path between two places, meters from the start of its lane, until
-/// `see` has seen enough; whether it saw all.
+/// Shows the cells of an agent's path between two positions, meters from the start of its lane,
+/// until `see` has seen enough; whether it saw all.
 pub(super) fn each_cell(
     graph: &RoadGraph,
     agent: &Agent,

@@ -7,8 +7,8 @@ use super::junction::LINE_GAP_M;
 use super::lane_order::{DEAD_END, LaneOrder, NO_LANE, PEDESTRIAN, behind_fork};
 use crate::road_graph::{RoadGraph, length_of, speed_before};
 
-/// Agents never come nearer to each other than this, meters: what the places of boxes along curves,
-/// and rounding, are off by at most.
+/// Agents never come nearer to each other than this, meters: what the positions of boxes along
+/// curves, and rounding, are off by at most.
 pub(super) const GAP_M: f64 = 0.5;
 /// Look-ahead distance beyond which leaders are ignored: meters, and seconds at the own speed.
 const HORIZON_M: f64 = 50.0;
@@ -29,7 +29,7 @@ pub(super) const ASIDE_MPS2: f64 = 2.0;
 /// Short of a line that one must not cross, meters.
 pub(super) const LINE_M: f64 = 0.02;
 
-/// Leader; places are meters from the start of one's own lane.
+/// Leader; positions are meters from the start of one's own lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
     pub agent: u32,
@@ -49,9 +49,9 @@ impl Seen {
     }
 }
 
-/// A place of an agent on a path.
+/// A position of an agent on a path.
 #[derive(Clone, Copy)]
-pub(super) struct PathPlace<'a> {
+pub(super) struct PathPosition<'a> {
     /// Index of the agent, which does not see itself.
     pub agent: usize,
     /// Lanes of the path.
@@ -62,21 +62,21 @@ pub(super) struct PathPlace<'a> {
     pub arc_m: f64,
 }
 
-/// Visits all vehicles ahead of a place on a path, the nearest first, until `see` has seen enough.
-/// Who is on several lanes is seen on each.
+/// Visits all vehicles ahead of a position on a path, the nearest first, until `see` has seen
+/// enough. Who is on several lanes is seen on each.
 pub(super) fn each_ahead(
     graph: &RoadGraph,
     order: &LaneOrder,
-    place: PathPlace<'_>,
+    position: PathPosition<'_>,
     horizon_m: f64,
     mut see: impl FnMut(&Seen) -> bool,
 ) {
-    let PathPlace {
+    let PathPosition {
         agent,
         path,
         here,
         arc_m,
-    } = place;
+    } = position;
     let (mut at, mut start_m) = (here, 0.0);
     while at < path.len() && start_m <= arc_m + horizon_m {
         let length_m = length_of(graph.lanes(), path[at]);
@@ -115,7 +115,7 @@ pub(super) fn each_ahead(
     }
 }
 
-/// Follower of a place on a lane; meters from the start of that lane.
+/// Follower of a position on a lane; meters from the start of that lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Behind {
     pub agent: u32,
@@ -189,7 +189,7 @@ fn comfortable(agent: &Agent, wished_mps2: f64, dt_s: f64) -> (f64, f64) {
 #[derive(Clone, Copy, Debug)]
 struct Bounds {
     acceleration_mps2: f64,
-    /// Distance by which the stopping place may advance.
+    /// Distance by which the stopping position may advance.
     room_m: f64,
 }
 
@@ -267,7 +267,7 @@ impl Traffic {
         each_ahead(
             &self.graph,
             &self.order,
-            PathPlace {
+            PathPosition {
                 agent: agent.number,
                 path,
                 here,
@@ -364,7 +364,7 @@ impl Traffic {
         each_ahead(
             &self.graph,
             &self.order,
-            PathPlace {
+            PathPosition {
                 agent: agent.number,
                 path: &[from],
                 here: 0,

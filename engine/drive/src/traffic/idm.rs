@@ -123,9 +123,9 @@ pub fn stopping_m(speed_mps: f64) -> f64 {
 /// The most acceleration over `dt_s` after which a vehicle can still stop within `room_m` of where
 /// it could before, m/s^2, at least `-`[`BRAKING_MPS2`].
 ///
-/// Braking at that limit, the place where one would stop stays the same; so a vehicle that keeps to
-/// this never needs more. It is the safe speed of S. Krauss (Microscopic modeling of traffic flow,
-/// 1998) without a reaction time.
+/// Braking at that limit, the position where one would stop stays the same; so a vehicle that keeps
+/// to this never needs more. It is the safe speed of S. Krauss (Microscopic modeling of traffic
+/// flow, 1998) without a reaction time.
 #[must_use]
 pub fn safe_acceleration(speed_mps: f64, room_m: f64, dt_s: f64) -> f64 {
     // Speed v' after the step: (v + v') dt / 2 + v'^2 / 2B = room + v^2 / 2B.

@@ -15,7 +15,7 @@
 use super::Traffic;
 use super::agent::{Agent, Crossing};
 use super::claims::each_cell;
-use super::following::{PathPlace, each_ahead};
+use super::following::{PathPosition, each_ahead};
 use super::idm::stopping_m;
 use super::lane_order::Entry;
 use crate::road_graph::{Conflict, length_of};
@@ -312,7 +312,7 @@ impl Traffic {
         let (Some(aside), Some((from, from_arc_m))) = (&agent.aside, agent.left_lane()) else {
             return true;
         };
-        let place = PathPlace {
+        let position = PathPosition {
             agent: agent.number,
             path: &[from],
             here: 0,
@@ -322,7 +322,7 @@ impl Traffic {
         let needed_m = from_arc_m + agent.half_m + aside.rest_m() + gap_m;
         let mut free = true;
         let horizon_m = needed_m - from_arc_m;
-        each_ahead(&self.graph, &self.order, place, horizon_m, |seen| {
+        each_ahead(&self.graph, &self.order, position, horizon_m, |seen| {
             free &= seen.stop_rear_m > needed_m;
             free
         });

@@ -6,7 +6,7 @@ use glam::DVec2;
 
 use super::Traffic;
 use super::agent::{Agent, Aside, AsideKind};
-use super::following::{GAP_M, PathPlace, behind, each_ahead};
+use super::following::{GAP_M, PathPosition, behind, each_ahead};
 use super::idm::{IdmParameters, Leader, stopping_m};
 use super::lane_order::EGO;
 use super::mobil::{Change, Concerned, Side};
@@ -123,7 +123,7 @@ impl Traffic {
         Some(target.is_some())
     }
 
-    /// The place beside an agent on another lane, where both lanes run side by side, and no lane
+    /// The position beside an agent on another lane, where both lanes run side by side, and no lane
     /// crosses them, for as long as a change takes.
     fn target(&self, agent: &Agent, lane: usize, duration_s: f64) -> Option<Target> {
         if agent.aside.is_some() {
@@ -141,9 +141,9 @@ impl Traffic {
         if allowed_mps * agent.driver.speed_share.max(1.0) + 0.5 < agent.speed_mps {
             return None;
         }
-        let reach_m = length_m + agent.half_m + 2.0;
+        let needed_m = length_m + agent.half_m + 2.0;
         let within = |arc_m: f64, lane: usize| {
-            arc_m > agent.half_m + 1.0 && arc_m + reach_m < length_of(self.graph.lanes(), lane)
+            arc_m > agent.half_m + 1.0 && arc_m + needed_m < length_of(self.graph.lanes(), lane)
         };
         if !within(agent.arc_m, agent.lane())
             || !within(foot.arc_m, lane)
@@ -152,7 +152,7 @@ impl Traffic {
             return None;
         }
         let turns = |line: &crate::Polyline, arc_m: f64| {
-            wrapped(line.heading_at(arc_m + reach_m) - line.heading_at(arc_m)).abs()
+            wrapped(line.heading_at(arc_m + needed_m) - line.heading_at(arc_m)).abs()
         };
         let apart = wrapped(foot.heading_rad - own.line.heading_at(agent.arc_m)).abs();
         if apart > PARALLEL_RAD
@@ -162,7 +162,7 @@ impl Traffic {
             return None;
         }
         let crossed = |lane: usize, arc_m: f64| {
-            let (from_m, to_m) = (arc_m - agent.half_m, arc_m + reach_m);
+            let (from_m, to_m) = (arc_m - agent.half_m, arc_m + needed_m);
             let stretches = self.graph.cells().stretches(lane).iter();
             let forks = &self.graph.road(lane).forks;
             let blocks = self.claims.blocks.iter().filter(|block| block.lane == lane);
@@ -226,7 +226,7 @@ impl Traffic {
         each_ahead(
             &self.graph,
             &self.order,
-            PathPlace {
+            PathPosition {
                 agent: agent.number,
                 path,
                 here: 0,
@@ -274,7 +274,7 @@ impl Traffic {
         each_ahead(
             &self.graph,
             &self.order,
-            PathPlace {
+            PathPosition {
                 agent: agent.number,
                 path: &[target.lane],
                 here: 0,

@@ -17,7 +17,7 @@ pub(super) const DEAD_END: u32 = u32::MAX - 1;
 /// little longer there.
 const LEAVING_SHARE: f64 = 0.9;
 
-/// A vehicle on a lane; one on several has an entry on each. Places are meters along the lane,
+/// A vehicle on a lane; one on several has an entry on each. Positions are meters along the lane,
 /// before and beyond it too.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Entry {

@@ -41,7 +41,7 @@ impl Outsiders {
 }
 
 impl Outsider {
-    /// The ego; `None` where its numbers are no place.
+    /// The ego; `None` where its numbers are not finite.
     pub(super) fn ego(graph: &RoadGraph, state: &VehicleState, size: &VehicleSize) -> Option<Self> {
         let numbers = [state.yaw_rad, state.speed_mps, size.length_m, size.width_m];
         if !state.position_m.is_finite() || !numbers.iter().all(|number| number.is_finite()) {
@@ -58,10 +58,10 @@ impl Outsider {
         graph.cells().touched(&outline, &mut cells);
         let entries = entries(graph, &outline, state.ahead() * speed_mps, &cells, EGO);
         // It may go straight on and then stop.
-        let reach_m = speed_mps * REACTION_S + speed_mps * speed_mps / (2.0 * BRAKING_MPS2);
+        let stopping_m = speed_mps * REACTION_S + speed_mps * speed_mps / (2.0 * BRAKING_MPS2);
         graph
             .cells()
-            .touched(&outline.extended(reach_m), &mut cells);
+            .touched(&outline.extended(stopping_m), &mut cells);
         Some(Self {
             position_m: state.position_m,
             entries,

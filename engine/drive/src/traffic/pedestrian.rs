@@ -30,7 +30,7 @@ const IN_THE_WAY_M: f64 = 0.6;
 const PATIENCE_S: f64 = 2.0;
 /// Vehicles expect a pedestrian to walk on for so long, seconds.
 const FORESIGHT_S: f64 = 2.0;
-/// Free time before and after a vehicle at each place of the road, seconds.
+/// Free time before and after a vehicle at each position of the road, seconds.
 const GAP_S: (f64, f64) = (1.0, 1.5);
 /// Free room around a vehicle: behind it, before it and beside it, meters.
 const GAP_M: (f64, f64, f64) = (0.5, 1.0, 0.8);
@@ -151,7 +151,7 @@ impl Walker {
         Outsider::pedestrian(graph, &self.outline_at(self.arc_m).extended(walks_m))
     }
 
-    /// Speed after a step among `vehicles`, m/s. `ego_m` is the place of the ego.
+    /// Speed after a step among `vehicles`, m/s. `ego_m` is the position of the ego.
     pub(super) fn decide(
         &mut self,
         (time_s, dt_s): (f64, f64),

@@ -17,8 +17,8 @@ const SEEN_S: f64 = 6.0;
 const STANDING_MPS: f64 = 0.1;
 const AT_LINE_M: f64 = 3.0;
 
-/// Next stop line with a traffic light on an agent's path. Places are meters from the start of the
-/// agent's lane.
+/// Next stop line with a traffic light on an agent's path. Positions are meters from the start of
+/// the agent's lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct NextLight {
     /// The nearest line, of whatever color.
@@ -123,8 +123,8 @@ impl Traffic {
         }
     }
 
-    /// The place to stop for a line: before the crossing, if the line is in it or so near behind it
-    /// that the vehicle would stand in it.
+    /// The position to stop for a line: before the crossing, if the line is in it or so near behind
+    /// it that the vehicle would stand in it.
     fn before_crossing(&self, agent: &Agent, line_m: f64) -> f64 {
         match agent.crossing {
             Some(crossing)

@@ -78,7 +78,7 @@ impl Traffic {
     /// starts slower than it asks.
     ///
     /// # Errors
-    /// An unknown lane, a place beyond it, a number that is no vehicle's, agents that overlap.
+    /// An unknown lane, a position beyond it, a number that is no vehicle's, agents that overlap.
     pub fn new(
         graph: Arc<RoadGraph>,
         agents: &[TrafficAgent],
@@ -227,10 +227,10 @@ impl Traffic {
         let outline = |number: usize| {
             OrientedBox::of(&self.state_at_start(number), &self.agents[number].size)
         };
-        let reach_m =
+        let near_m =
             |other: usize| self.agents[number].size.length_m + self.agents[other].size.length_m;
         let near = |&other: &usize| {
-            other != number && self.state_at_start(other).position_m.distance(at_m) < reach_m(other)
+            other != number && self.state_at_start(other).position_m.distance(at_m) < near_m(other)
         };
         (0..self.agents.len())
             .filter(near)

@@ -21,13 +21,13 @@ fn ego(speed_mps: f64) -> Ego {
     )
 }
 
-/// A plan through places of the ego's frame at even times.
-fn plan(step_s: f64, places: impl IntoIterator<Item = DVec2>) -> Plan {
+/// A plan through positions of the ego's frame at even times.
+fn plan(step_s: f64, positions: impl IntoIterator<Item = DVec2>) -> Plan {
     let point = |(at, position_m): (usize, DVec2)| PlanPoint {
         time_s: step_s * (at + 1) as f64,
         position_m,
     };
-    Plan::new(places.into_iter().enumerate().map(point).collect()).unwrap()
+    Plan::new(positions.into_iter().enumerate().map(point).collect()).unwrap()
 }
 
 /// Straight ahead, with the way driven after so many seconds.
@@ -39,7 +39,7 @@ fn ahead(way_m: impl Fn(f64) -> f64) -> Plan {
 }
 
 /// Drives along a line at a speed as a planner with a map would: a plan of 3 s from the nearest
-/// place on, made every half second. Answers the ego after each tenth of a second.
+/// position on, made every half second. Answers the ego after each tenth of a second.
 fn drive_along(line: &Polyline, speed_mps: f64, seconds: f64, ego: &mut Ego) -> Vec<VehicleState> {
     let mut driven = Vec::new();
     let mut arc_m = 0.0;
@@ -48,9 +48,9 @@ fn drive_along(line: &Polyline, speed_mps: f64, seconds: f64, ego: &mut Ego) -> 
         arc_m = line
             .project_within(state.position_m, arc_m, arc_m + 20.0)
             .arc_m;
-        let place =
+        let position =
             |at: i32| state.to_local(line.at(arc_m + speed_mps * 0.5 * f64::from(at)).truncate());
-        ego.follow(&plan(0.5, (1..=6).map(place)));
+        ego.follow(&plan(0.5, (1..=6).map(position)));
         for _ in 0..5 {
             ego.step(0.1);
             driven.push(ego.state());
@@ -386,14 +386,14 @@ proptest! {
         }
     }
 
-    /// The same plan from another place in the world is the same drive there.
+    /// The same plan from another position in the world is the same drive there.
     #[test]
     fn the_frame_does_not_matter(yaw_rad in -3.1f64..3.1, x in -6e5f64..6e5, y in -6e6f64..6e6, bend in -0.08f64..0.08) {
-        let places = |at: i32| { let s = 4.0 * f64::from(at); DVec2::new(s, 0.5 * bend * s * s) };
+        let positions = |at: i32| { let s = 4.0 * f64::from(at); DVec2::new(s, 0.5 * bend * s * s) };
         let away = VehicleState { position_m: DVec2::new(x, y), yaw_rad, speed_mps: 8.0, acceleration_mps2: 0.0 };
         let (mut here, mut there) = (ego(8.0), Ego::new(away, SIZE, EgoOptions::default()));
         for ego in [&mut here, &mut there] {
-            ego.follow(&plan(0.5, (1..=6).map(places)));
+            ego.follow(&plan(0.5, (1..=6).map(positions)));
             ego.step(2.5);
         }
         let back = away.to_local(there.state().position_m);

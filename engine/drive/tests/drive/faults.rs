@@ -175,9 +175,9 @@ fn bending<'a>(
     Box::new(move |time_s| {
         let angle_rad = (from_m + speed_mps * time_s) / radius_m;
         let out_m = radius_m - beside_m - aside_m(time_s);
-        let place = DVec2::new(0.0, radius_m) + DVec2::from_angle(angle_rad - FRAC_PI_2) * out_m;
+        let position = DVec2::new(0.0, radius_m) + DVec2::from_angle(angle_rad - FRAC_PI_2) * out_m;
         VehicleState {
-            position_m: place,
+            position_m: position,
             yaw_rad: angle_rad,
             speed_mps,
             acceleration_mps2: 0.0,

@@ -156,8 +156,8 @@ fn survives(gap_m: f64, follower_mps: f64, leader_mps: f64) -> bool {
     stops_m < gap_m + leader_mps * leader_mps / 16.0
 }
 
-/// Vehicles ahead of one, over all lanes that it may take, and their gaps up to `reach_m`.
-fn gaps_ahead(map: &LaneMap, all: &[Starter], from: usize, reach_m: f64) -> Vec<(usize, f64)> {
+/// Vehicles ahead of one, over all lanes that it may take, and their gaps up to `max_m`.
+fn gaps_ahead(map: &LaneMap, all: &[Starter], from: usize, max_m: f64) -> Vec<(usize, f64)> {
     let (mut open, mut gaps) = (vec![(all[from].lane, -all[from].at_m)], Vec::new());
     while let Some((lane, begin_m)) = open.pop() {
         for (at, other) in all
@@ -174,7 +174,7 @@ fn gaps_ahead(map: &LaneMap, all: &[Starter], from: usize, reach_m: f64) -> Vec<
             }
         }
         let end_m = begin_m + line_of(&map.lanes[lane]).length_m();
-        if end_m < reach_m {
+        if end_m < max_m {
             open.extend(map.lanes[lane].successors.iter().map(|&next| (next, end_m)));
         }
     }

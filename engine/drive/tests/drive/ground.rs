@@ -4,12 +4,12 @@ use decouplegs_drive::{Ground, GroundOptions};
 use decouplegs_scene::SplatCloud;
 use glam::{DVec2, DVec3};
 
-use crate::roads::{ROAD, Random, RoadOptions, add_clutter, add_surface, cluttered, places};
+use crate::roads::{ROAD, Random, RoadOptions, add_clutter, add_surface, cluttered, positions};
 
 const CLEARANCE_MAX_M: f64 = 0.02;
 
-/// Sorted sizes of the differences from `truth` at `places`, asked with `expected`; every place
-/// must have ground.
+/// Sorted sizes of the differences from `truth` at `positions`, asked with `expected`; every
+/// position must have ground.
 fn errors(
     ground: &Ground,
     truth: &dyn Fn(DVec2) -> f64,
@@ -19,7 +19,7 @@ fn errors(
     let queries: Vec<_> = at.iter().map(|&at| (at, expected(at))).collect();
     let heights = ground.heights_at(&queries);
     let missing = heights.iter().filter(|height| height.is_none()).count();
-    assert_eq!(missing, 0, "of {} places", at.len());
+    assert_eq!(missing, 0, "of {} positions", at.len());
     let mut errors: Vec<f64> = heights
         .iter()
         .zip(at)
@@ -61,7 +61,7 @@ fn tilted_crowned_and_wavy_roads_are_found_under_canopy_and_floaters() {
                 DVec3::ZERO,
                 &GroundOptions::default(),
             );
-            let at = places(&options, 4000, 1);
+            let at = positions(&options, 4000, 1);
             // The map is a third of a meter off.
             let expected = errors(&ground, truth, &at, &|at| Some(truth(at) + 0.35));
             let unasked = errors(&ground, truth, &at, &|_| None);
@@ -104,7 +104,7 @@ fn two_decks() -> (SplatCloud, impl Fn(DVec2) -> f64, impl Fn(DVec2) -> f64) {
 fn each_deck_is_found_by_the_lane_on_it_and_none_is_ever_mistaken() {
     let (cloud, lower, upper) = two_decks();
     let ground = Ground::new(&cloud, DVec3::ZERO, &GroundOptions::default());
-    let at = places(&ROAD, 4000, 2);
+    let at = positions(&ROAD, 4000, 2);
     for (deck, name) in [
         (&lower as &dyn Fn(DVec2) -> f64, "lower"),
         (&upper, "upper"),
@@ -238,7 +238,7 @@ fn answers_do_not_depend_on_the_order_of_queries() {
         &wavy,
         9,
     );
-    let at = places(
+    let at = positions(
         &RoadOptions {
             length_m: 12.0,
             ..ROAD

@@ -14,9 +14,10 @@ pub fn road(middle: &Polyline, lanes: usize, parts: usize, opposite: bool) -> La
         let against = opposite && lane + 1 == lanes;
         for part in 0..parts {
             let (from, to) = (part as f64 / parts as f64, (part + 1) as f64 / parts as f64);
-            let place = |share: f64| beside(middle, share * middle.length_m(), 3.0 * lane as f64);
+            let position =
+                |share: f64| beside(middle, share * middle.length_m(), 3.0 * lane as f64);
             let mut centerline: Vec<DVec3> = (0..=100)
-                .map(|i| place(from + (to - from) * f64::from(i) / 100.0))
+                .map(|i| position(from + (to - from) * f64::from(i) / 100.0))
                 .collect();
             let own = lane * parts + part;
             let neighbor =
@@ -69,14 +70,14 @@ pub fn curved(length_m: f64, curvature: impl Fn(f64) -> f64) -> Polyline {
     Polyline::new(points.collect::<Vec<_>>()).unwrap()
 }
 
-/// A car that drives `place(meters)` at `speed_mps`, seen ten times a second.
-pub fn drive(id: &str, length_m: f64, speed_mps: f64, place: impl Fn(f64) -> DVec3) -> Track {
+/// A car that drives `position(meters)` at `speed_mps`, seen ten times a second.
+pub fn drive(id: &str, length_m: f64, speed_mps: f64, position: impl Fn(f64) -> DVec3) -> Track {
     let count = (10.0 * length_m / speed_mps) as usize;
     let point = |i: usize| {
         let time_s = 0.1 * i as f64;
         TrackPoint {
             time_s,
-            position_m: place(speed_mps * time_s).truncate(),
+            position_m: position(speed_mps * time_s).truncate(),
             z_m: None,
             yaw_rad: None,
         }

@@ -159,7 +159,7 @@ pub fn cluttered(options: &RoadOptions, height: &dyn Fn(DVec2) -> f64, seed: u64
 }
 
 /// Places on the road, away from its edges.
-pub fn places(options: &RoadOptions, count: usize, seed: u64) -> Vec<DVec2> {
+pub fn positions(options: &RoadOptions, count: usize, seed: u64) -> Vec<DVec2> {
     let mut random = Random(seed);
     let half = 0.5 * options.width_m - 0.5;
     (0..count)

@@ -146,9 +146,9 @@ fn the_closest_call_has_its_moment_and_its_agent() {
 fn comfort_and_displacement_are_measured() {
     let turning: Motion = Box::new(|time_s: f64| {
         let angle_rad = 0.2 * time_s;
-        let place = DVec2::new(0.0, 40.0) + DVec2::from_angle(angle_rad - FRAC_PI_2) * 40.0;
+        let position = DVec2::new(0.0, 40.0) + DVec2::from_angle(angle_rad - FRAC_PI_2) * 40.0;
         VehicleState {
-            position_m: place,
+            position_m: position,
             yaw_rad: angle_rad,
             speed_mps: 8.0,
             acceleration_mps2: -3.0 * time_s / 5.0,
@@ -300,9 +300,9 @@ fn motion<'a>((x, y, yaw_rad, speed_mps, rate_radps): (f64, f64, f64, f64, f64))
         } else {
             speed_mps * time_s * (0.5 * turned).sin() / (0.5 * turned)
         };
-        let place = DVec2::new(x, y) + DVec2::from_angle(yaw_rad + 0.5 * turned) * chord_m;
+        let position = DVec2::new(x, y) + DVec2::from_angle(yaw_rad + 0.5 * turned) * chord_m;
         VehicleState {
-            position_m: place,
+            position_m: position,
             yaw_rad: yaw_rad + turned,
             speed_mps,
             acceleration_mps2: 0.0,

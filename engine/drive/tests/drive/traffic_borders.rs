@@ -89,7 +89,7 @@ fn vehicles_merge_where_a_lane_ends_beside_another() {
     let mut merged = [false; 6];
     for _ in 0..600 {
         drive(&mut traffic, &agents, 1, None);
-        for (merged, place) in merged.iter_mut().zip(traffic.places()) {
+        for (merged, place) in merged.iter_mut().zip(traffic.lane_positions()) {
             *merged |= place.is_some_and(|place| place.lane == 2);
         }
     }

@@ -63,7 +63,7 @@ pub fn crossing_map() -> LaneMap {
 
 /// True if an agent is on a lane whose name begins so.
 fn is_on(traffic: &Traffic, number: usize, name: &str) -> bool {
-    let place = traffic.places().nth(number).flatten();
+    let place = traffic.lane_positions().nth(number).flatten();
     place.is_some_and(|place| {
         let lane = traffic.graph().lane(place.lane).unwrap();
         lane.id.starts_with(name)
@@ -266,7 +266,7 @@ fn flow_per_hour(graph: &Arc<RoadGraph>, agents: &[TrafficAgent], out: &str) -> 
     let (mut before, mut passed) = (vec![false; agents.len()], 0);
     for step in 0..6600 {
         traffic.step(0.1, None);
-        for (before, place) in before.iter_mut().zip(traffic.places()) {
+        for (before, place) in before.iter_mut().zip(traffic.lane_positions()) {
             let is_out = place.is_some_and(|place| {
                 let lane = graph.lane(place.lane).unwrap();
                 lane.id.contains(out)

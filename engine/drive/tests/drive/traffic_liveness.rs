@@ -82,7 +82,7 @@ pub fn first_stuck(
             check(&traffic, agents, &|| format!("seed {seed}, step {step}"));
             let stuck = standing.update(&traffic, time_s);
             if !stuck.is_empty() {
-                let places: Vec<_> = traffic.places().collect();
+                let places: Vec<_> = traffic.lane_positions().collect();
                 let names = stuck.iter().map(|&agent| {
                     let place = places[agent].expect("it stands on the map");
                     let lane = traffic.graph().lane(place.lane);

@@ -257,7 +257,7 @@ fn cyclists_keep_right_and_trucks_start_slowly() {
         (0..50).for_each(|_| traffic.step(0.1, None));
         (
             traffic.states()[0].unwrap(),
-            traffic.places().next().unwrap().unwrap(),
+            traffic.lane_positions().next().unwrap().unwrap(),
         )
     };
     let (cyclist, place) = run(RoadUser::Cyclist, 3.0);

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use decouplegs_asset::read_map;
 use decouplegs_drive::idm::BRAKING_MPS2;
-use decouplegs_drive::{LanePlace, OrientedBox, RoadGraph, Traffic, TrafficError};
+use decouplegs_drive::{LanePosition, OrientedBox, RoadGraph, Traffic, TrafficError};
 use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
 use decouplegs_scene::{Lane, LaneMap, RoadUser, VehicleSize, VehicleState};
 use decouplegs_synth::street::{Street, StreetOptions};
@@ -210,14 +210,19 @@ pub fn state(traffic: &Traffic, number: usize) -> VehicleState {
 }
 
 /// Lane position of an agent that is on the map.
-pub fn place(traffic: &Traffic, number: usize) -> LanePlace {
-    let place = traffic.places().nth(number).flatten();
+pub fn place(traffic: &Traffic, number: usize) -> LanePosition {
+    let place = traffic.lane_positions().nth(number).flatten();
     place.expect("the agent is on the map")
 }
 
 /// Checks the invariants of agents at any moment.
 pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> String) {
-    for ((state, agent), place) in traffic.states().iter().zip(agents).zip(traffic.places()) {
+    for ((state, agent), place) in traffic
+        .states()
+        .iter()
+        .zip(agents)
+        .zip(traffic.lane_positions())
+    {
         let (Some(state), Some(place)) = (state, place) else {
             continue;
         };
@@ -259,8 +264,8 @@ pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> Stri
     let boxes: Vec<_> = vehicles.iter().enumerate().filter_map(outline).collect();
     for (at, &(number, a)) in boxes.iter().enumerate() {
         for &(other, b) in &boxes[at + 1..] {
-            let reach_m = a.half_length_m + b.half_length_m + 1.0;
-            let near = a.center_m.distance_squared(b.center_m) < reach_m * reach_m;
+            let near_m = a.half_length_m + b.half_length_m + 1.0;
+            let near = a.center_m.distance_squared(b.center_m) < near_m * near_m;
             let found = |number: usize| {
                 let place = place(traffic, number);
                 (

@@ -125,7 +125,7 @@ fn vehicles_on_the_road_with_priority_wait_less() {
             let mut counts = [[0_u32; 2]; 2];
             for _ in 0..900 {
                 traffic.step(0.1, None);
-                for (place, state) in traffic.places().zip(traffic.states()) {
+                for (place, state) in traffic.lane_positions().zip(traffic.states()) {
                     let (Some(place), Some(state)) = (place, state) else {
                         continue;
                     };

@@ -48,9 +48,9 @@ pub struct LensRecord {
     pub table: [[f32; 2]; LENS_INTERVALS + 1],
     /// Tangents of half the angles along x and y up to which a windshield is followed; 0 without
     /// one.
-    pub bend_reach: [f32; 2],
+    pub bend_limit: [f32; 2],
     /// Change of the sines by a windshield: coefficients of `u^i v^j` at `[j][i]`, with u and v the
-    /// tangents divided by their reach.
+    /// tangents divided by their limit.
     pub bending: [[[f32; 2]; BEND_TERMS]; BEND_TERMS],
 }
 
@@ -89,12 +89,12 @@ impl LensRecord {
             record.thin_prism = lens.thin_prism.map(|value| value as f32);
         }
         if let Some(bending) = map.bending() {
-            record.bend_reach = half_tangents(bending.reach()).as_vec2().to_array();
+            record.bend_limit = half_tangents(bending.limit()).as_vec2().to_array();
             record.bending = bending_terms(bending);
         }
         let interval = chord_limit / LENS_INTERVALS as f64;
-        for (place, entry) in record.table.iter_mut().enumerate() {
-            let angle_rad = (2.0 * (0.5 * interval * place as f64).asin()).min(map.limit_rad());
+        for (position, entry) in record.table.iter_mut().enumerate() {
+            let angle_rad = (2.0 * (0.5 * interval * position as f64).asin()).min(map.limit_rad());
             let Some((radius, by_rad)) = map.radius_at(angle_rad) else {
                 break;
             };
@@ -139,11 +139,11 @@ fn bending_terms(bending: &Bending) -> [[[f32; 2]; BEND_TERMS]; BEND_TERMS] {
         }
         product
     });
-    let reach = half_tangents(bending.reach());
+    let limit = half_tangents(bending.limit());
     let mut terms = [[DVec2::ZERO; BEND_TERMS]; BEND_TERMS];
     for (of_v, v) in basis.iter().zip(nodes) {
         for (of_u, u) in basis.iter().zip(nodes) {
-            let tangents = reach * DVec2::new(u, v);
+            let tangents = limit * DVec2::new(u, v);
             let change = bending.change(2.0 * tangents / (1.0 + tangents * tangents));
             for (j, by_v) in of_v.iter().enumerate() {
                 for (i, by_u) in of_u.iter().enumerate() {
@@ -207,8 +207,8 @@ mod tests {
         let (record, map) = (LensRecord::new(&intrinsics), RayMap::new(&intrinsics));
         for step in 0..1000 {
             let angle_rad = map.limit_rad() * f64::from(step) / 1000.0;
-            let place = 2.0 * (0.5 * angle_rad).sin() * f64::from(record.chord_intervals);
-            let (interval, s) = (place as usize, place.fract());
+            let position = 2.0 * (0.5 * angle_rad).sin() * f64::from(record.chord_intervals);
+            let (interval, s) = (position as usize, position.fract());
             let [[a, da], [b, db]] =
                 [interval, interval + 1].map(|at| record.table[at].map(f64::from));
             let rise = b - a;
@@ -238,8 +238,11 @@ mod tests {
             intrinsics.check().unwrap();
             let (record, map) = (LensRecord::new(&intrinsics), RayMap::new(&intrinsics));
             let mut most_px = 0.0f64;
-            for place in 0..400 {
-                let pixel = DVec2::new(f64::from(place % 20) * 84.0, f64::from(place / 20) * 47.0);
+            for position in 0..400 {
+                let pixel = DVec2::new(
+                    f64::from(position % 20) * 84.0,
+                    f64::from(position / 20) * 47.0,
+                );
                 let ray = map.unproject(pixel).unwrap();
                 let found = crate::twins::lens::through_lens(&record, ray.as_vec3()).as_dvec2();
                 let principal_px = DVec2::new(intrinsics.cx_px, intrinsics.cy_px);

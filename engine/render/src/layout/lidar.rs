@@ -33,7 +33,7 @@ pub struct BeamRecord {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct FiringRecord {
-    /// Place of the sensor relative to that in the middle of the sector, sector axes.
+    /// Position of the sensor relative to that in the middle of the sector, sector axes.
     pub offset_m: [f32; 3],
     /// Time relative to the middle of the sector.
     pub time_s: f32,

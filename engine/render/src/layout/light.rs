@@ -25,7 +25,7 @@ pub struct ShadowRecord {
     /// Squarings of the radius before it decays.
     pub sharpness: u32,
     /// Half sizes beyond which the mask counts as zero.
-    pub reach: f32,
+    pub cutoff: f32,
     /// Splats whose mean is farther from the plane are not ground.
     pub slab_m: f32,
     /// Cameras of the frame that see it, a bit each.
@@ -50,7 +50,7 @@ impl ShadowRecord {
             strength: shadow.strength as f32,
             log2_decay: (shadow.decay * std::f64::consts::LOG2_E) as f32,
             sharpness: shadow.sharpness,
-            reach: shadow.reach() as f32,
+            cutoff: shadow.cutoff() as f32,
             slab_m: shadow.slab_m as f32,
             cameras: u32::MAX,
         }

@@ -76,7 +76,7 @@ pub const NO_PARTIAL: u32 = constants::NO_PARTIAL;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct PartialTiles {
-    /// Place of the first among the results of all segments; the others follow.
+    /// Index of the first among the results of all segments; the others follow.
     pub first: u32,
     /// One bit per fine tile.
     pub tiles: u32,

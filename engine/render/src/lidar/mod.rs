@@ -184,23 +184,24 @@ impl LidarRenderer {
         let grid = self.grid_of(&lidar.model);
         let count = self.options.sectors.clamp(1, CAMERAS_MAX);
         let cut = Sectors::new(lidar, &grid.beams, &grid.cells, count);
-        let origin = scene.world.origin;
+        let origin = scene.gpu_scene.origin;
         let from_origin = |camera: &decouplegs_scene::Camera| {
             (camera.world_from_camera.translation - origin).length()
         };
-        let reach_m = scene.reach_m()? + cut.cameras.iter().map(from_origin).fold(0.0, f64::max);
-        let view = View::new(&cut.cameras, origin, reach_m).map_err(RenderError::View)?;
+        let distance_max_m =
+            scene.distance_max_m()? + cut.cameras.iter().map(from_origin).fold(0.0, f64::max);
+        let view = View::new(&cut.cameras, origin, distance_max_m).map_err(RenderError::View)?;
         let list = AgentList::of_sweep(&scene, &cut.cameras, &cut.times_s, &view)?;
         let agents_move = || {
             let mut agents = scene.agents.iter().flat_map(|(_, agents)| agents.iter());
             agents.any(|agent| !agent.motion.is_rest())
         };
         let variant = LidarVariant {
-            instances: scene.world.has_instances,
+            instances: scene.gpu_scene.has_instances,
             moving: !lidar.motion.is_rest() || agents_move(),
             dilation_rad: self.options.rules.lidar_dilation_rad as f32,
             echoes: mode == ReturnMode::Dual,
-            storage: scene.world.storage,
+            storage: scene.gpu_scene.storage,
         };
         self.write(&view, &cut.tables, list.as_ref())?;
         let input = SweepInput {
@@ -291,9 +292,9 @@ impl LidarRenderer {
         cell_of_beam: &[u32],
     ) -> Result<(Walked, RequiredCounts, u64), RenderError> {
         self.build(input.variant)?;
-        let splats = input.scene.world.finest_clusters * CLUSTER_SPLATS
+        let splats = input.scene.gpu_scene.finest_clusters * CLUSTER_SPLATS
             + input.agents.as_ref().map_or(0, |list| list.splats);
-        let clusters = input.scene.world.finest_clusters;
+        let clusters = input.scene.gpu_scene.finest_clusters;
         let mut capacity = match self.capacity {
             Some(capacity) => capacity,
             None => Capacity::guess(splats, input.view.cameras.len()),
@@ -320,7 +321,7 @@ impl LidarRenderer {
         })
     }
 
-    /// Buffers of `room`: those of an earlier sweep, or new ones in the place of the oldest.
+    /// Buffers of `room`: those of an earlier sweep, or new ones in place of the oldest.
     fn buffers_of(&mut self, room: &LidarRoom) -> Result<LidarBuffers, GpuError> {
         if let Some(index) = self.buffers.iter().position(|(kept, _)| kept == room) {
             return Ok(self.buffers.remove(index).1);
@@ -345,8 +346,8 @@ impl LidarRenderer {
         else {
             unreachable!("build and write were called")
         };
-        let (world, sectors) = (input.scene.world, &written.sectors);
-        let lists = sectors.count * world.finest_clusters;
+        let (gpu_scene, sectors) = (input.scene.gpu_scene, &written.sectors);
+        let lists = sectors.count * gpu_scene.finest_clusters;
         let agents = input.agents.as_ref().map(|list| LidarAgents {
             pool: &list.pool,
             agents: &written.agents.buffers,
@@ -363,9 +364,9 @@ impl LidarRenderer {
         });
         recorder.stage("project lidar", |r| {
             let background = &stages.background;
-            background.record(r, LidarPass::Mark, world, sectors, buffers);
+            background.record(r, LidarPass::Mark, gpu_scene, sectors, buffers);
             scan.record(r, &buffers.visible.counts, &buffers.offsets, lists);
-            background.record(r, LidarPass::Write, world, sectors, buffers);
+            background.record(r, LidarPass::Write, gpu_scene, sectors, buffers);
         });
         if let Some(agents) = &agents {
             recorder.stage("project lidar agents", |r| {
@@ -387,7 +388,7 @@ impl LidarRenderer {
             camera_count: sectors.count,
             projected: &buffers.projected,
             static_offsets: &buffers.offsets,
-            static_clusters: world.finest_clusters,
+            static_clusters: gpu_scene.finest_clusters,
             moving_offsets: agents.map_or(&buffers.no_agents, |agents| &agents.agents.offsets),
             moving_clusters: agents.map_or(0, |agents| agents.counts.clusters),
         };

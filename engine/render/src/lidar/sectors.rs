@@ -142,12 +142,12 @@ impl Sector {
             let firing = fired.at(beam.time_s);
             let turn = fired.turns[firing as usize];
             let direction = (turn * beam.direction).as_vec3();
-            let place = row * width + column;
-            records[place] = BeamRecord {
+            let index = row * width + column;
+            records[index] = BeamRecord {
                 direction: direction.to_array(),
                 firing,
             };
-            beam_of_cell[place] = cell;
+            beam_of_cell[index] = cell;
             widen(&mut column_bounds[column], around(direction.x, direction.y));
             let slope = direction.z / direction.truncate().length();
             widen(&mut row_bounds[row], slope);
@@ -211,10 +211,10 @@ struct Way<'a> {
 }
 
 impl Way<'_> {
-    /// Place of the sensor.
+    /// Position of the sensor.
     fn offset(&self, time_s: f64) -> DVec3 {
-        let place = self.lidar.pose_at(time_s).translation;
-        self.middle.rotation.conjugate() * (place - self.middle.translation)
+        let position = self.lidar.pose_at(time_s).translation;
+        self.middle.rotation.conjugate() * (position - self.middle.translation)
     }
 
     /// Rotation of the sensor.

@@ -39,9 +39,9 @@ pub fn difference_image(a: &Image, b: &Image, gain: f32) -> Result<Image, Differ
 }
 
 fn ramp(error: f32) -> [f32; 3] {
-    let place = error.clamp(0.0, 1.0) * (RAMP.len() - 1) as f32;
-    let below = (place as usize).min(RAMP.len() - 2);
-    let share = place - below as f32;
+    let position = error.clamp(0.0, 1.0) * (RAMP.len() - 1) as f32;
+    let below = (position as usize).min(RAMP.len() - 2);
+    let share = position - below as f32;
     std::array::from_fn(|channel| {
         RAMP[below][channel] * (1.0 - share) + RAMP[below + 1][channel] * share
     })

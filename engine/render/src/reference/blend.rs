@@ -13,7 +13,7 @@ pub struct Splat64 {
     pub projected: Projected64,
     /// Display-referred RGB, at least 0.
     pub color: [f64; 3],
-    /// Place in the world's cloud; orders equal depths.
+    /// Index in the world's cloud; orders equal depths.
     pub index: u32,
     /// 0 the background, `k` the `k`-th agent.
     pub instance: u16,

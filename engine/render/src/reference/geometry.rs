@@ -53,8 +53,8 @@ pub fn render_geometry<'a>(
     let flow = |time_s: f64| {
         let (then, there) = (world_at(time_s), camera.at_rest(time_s));
         let of_splat = |splat: usize| {
-            let from = place(&now, &here, rules, splat);
-            let to = place(&then, &there, rules, splat);
+            let from = position(&now, &here, rules, splat);
+            let to = position(&then, &there, rules, splat);
             match (from, to) {
                 (Some(from), Some(to)) => (to - from).extend(0.0),
                 _ => DVec3::ZERO,
@@ -82,14 +82,14 @@ pub fn render_geometry<'a>(
 
 /// Mean of `shade` over the blended splats of each pixel.
 fn mean_of(
-    world: &SplatScene,
+    splat_scene: &SplatScene,
     camera: &Camera,
     rules: &Rules,
     shade: &(dyn Fn(usize) -> DVec3 + Sync),
 ) -> Vec<DVec3> {
     let window = Window::whole(&camera.intrinsics);
     let color = |splat: usize, _: DVec3| shade(splat).to_array();
-    let splats = front_to_back(world, camera, rules, &window, &color);
+    let splats = front_to_back(splat_scene, camera, rules, &window, &color);
     let pixels = render_band(&splats, &window, rules, [0.0; 3]);
     let mean = |pixel: &Pixel64| match pixel.alpha {
         0.0 => DVec3::ZERO,
@@ -104,21 +104,21 @@ fn mean_of(
 /// # Panics
 /// Panics if the camera's intrinsics fail [`decouplegs_scene::Intrinsics::check`].
 #[must_use]
-pub fn depth_median(world: &SplatScene, camera: &Camera, rules: &Rules) -> Vec<f32> {
-    let (depths_m, _) = medians(world, camera, rules, &|_| DVec3::ZERO);
+pub fn depth_median(splat_scene: &SplatScene, camera: &Camera, rules: &Rules) -> Vec<f32> {
+    let (depths_m, _) = medians(splat_scene, camera, rules, &|_| DVec3::ZERO);
     depths_m.into_iter().map(|depth_m| depth_m as f32).collect()
 }
 
 /// Depth of the splat in which half of the light of each pixel is gone, and its `range` along x.
 fn medians(
-    world: &SplatScene,
+    splat_scene: &SplatScene,
     camera: &Camera,
     rules: &Rules,
     range: &(dyn Fn(usize) -> DVec3 + Sync),
 ) -> (Vec<f64>, Vec<f64>) {
     let window = Window::whole(&camera.intrinsics);
     let color = |splat: usize, _: DVec3| range(splat).to_array();
-    let splats = front_to_back(world, camera, rules, &window, &color);
+    let splats = front_to_back(splat_scene, camera, rules, &window, &color);
     let median = |pixel: usize| {
         let center_px = window.center_px(pixel);
         let mut transmittance = 1.0;
@@ -135,10 +135,15 @@ fn medians(
     (0..pixels).into_par_iter().map(median).unzip()
 }
 
-/// Place of a splat's mean in the image, pixels; `None` behind the near plane.
-fn place(world: &SplatScene, camera: &Camera, rules: &Rules, splat: usize) -> Option<DVec2> {
+/// Position of a splat's mean in the image, pixels; `None` behind the near plane.
+fn position(
+    splat_scene: &SplatScene,
+    camera: &Camera,
+    rules: &Rules,
+    splat: usize,
+) -> Option<DVec2> {
     let pose = &camera.world_from_camera;
-    let from_camera = world.splats.mean_m(splat) - (pose.translation - world.origin);
+    let from_camera = splat_scene.splats.mean_m(splat) - (pose.translation - splat_scene.origin);
     let ray = pose.rotation.conjugate() * from_camera;
     if ray.z < rules.near_m {
         return None;

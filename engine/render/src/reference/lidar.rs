@@ -82,9 +82,9 @@ impl BeamHit64 {
 pub struct Contribution64 {
     /// Distance of the splat's mean from the sensor, meters: the order.
     pub mean_range_m: f64,
-    /// Place of the splat among those of all groups.
+    /// Index of the splat among those of all groups.
     pub splat: u32,
-    /// Range of the place where the splat is largest along the beam, meters.
+    /// Range at which the splat is largest along the beam, meters.
     pub range_m: f64,
     /// Opacity there.
     pub alpha: f64,
@@ -221,8 +221,8 @@ impl LidarScene64<'_> {
 }
 
 impl Seen {
-    /// Range and alpha at the place where the splat is largest along a beam from the origin, where
-    /// alpha is at least that of [`rules::ALPHA_MIN`].
+    /// Range and alpha at the position where the splat is largest along a beam from the origin,
+    /// where alpha is at least that of [`rules::ALPHA_MIN`].
     fn met(&self, direction: DVec3, alpha_max: f64) -> Option<(f64, f64)> {
         // Farther from the ray than the outermost ellipsoid reaches: adds exactly nothing.
         let reach2 = 2.0 * (self.opacity / rules::ALPHA_MIN).ln() * self.longest_m.powi(2);

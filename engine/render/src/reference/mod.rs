@@ -123,17 +123,22 @@ impl Window {
     }
 }
 
-/// Renders `world` as seen by `camera` under `rules` (which replace the world's own). If the camera
-/// moves and has a rolling shutter, by [`render_moving`].
+/// Renders `splat_scene` as seen by `camera` under `rules` (which replace the world's own). If the
+/// camera moves and has a rolling shutter, by [`render_moving`].
 ///
 /// # Panics
 /// Panics if the camera's intrinsics fail [`Intrinsics::check`]: readers refuse such cameras.
 #[must_use]
-pub fn render(world: &SplatScene, camera: &Camera, rules: &Rules) -> Image64 {
+pub fn render(splat_scene: &SplatScene, camera: &Camera, rules: &Rules) -> Image64 {
     if camera.motion.is_rest() || camera.intrinsics.shutter.is_global() {
-        return render_window(world, camera, rules, Window::whole(&camera.intrinsics));
+        return render_window(
+            splat_scene,
+            camera,
+            rules,
+            Window::whole(&camera.intrinsics),
+        );
     }
-    render_moving(&|_| Cow::Borrowed(world), camera, rules)
+    render_moving(&|_| Cow::Borrowed(splat_scene), camera, rules)
 }
 
 /// The pixels of [`render`] that lie in `window`, bit for bit, in the time that the window takes,
@@ -147,7 +152,7 @@ pub fn render(world: &SplatScene, camera: &Camera, rules: &Rules) -> Image64 {
 /// image.
 #[must_use]
 pub fn render_window(
-    world: &SplatScene,
+    splat_scene: &SplatScene,
     camera: &Camera,
     rules: &Rules,
     window: Window,
@@ -168,20 +173,20 @@ pub fn render_window(
         intrinsics.height_px
     );
     let color = |splat: usize, center: DVec3| {
-        let rgb = color::color(&world.splats, splat, center);
-        match &world.fog {
-            Some(fog) => fog.seen(rgb, center.distance(world.splats.mean_m(splat))),
+        let rgb = color::color(&splat_scene.splats, splat, center);
+        match &splat_scene.fog {
+            Some(fog) => fog.seen(rgb, center.distance(splat_scene.splats.mean_m(splat))),
             None => rgb,
         }
     };
-    let splats = front_to_back(world, camera, rules, &window, &color);
-    let seen_sky = |rgb: [f64; 3]| match &world.fog {
+    let splats = front_to_back(splat_scene, camera, rules, &window, &color);
+    let seen_sky = |rgb: [f64; 3]| match &splat_scene.fog {
         Some(fog) => fog.seen_sky(rgb),
         None => rgb,
     };
-    let background = match world.sky_map {
+    let background = match splat_scene.sky_map {
         Some(_) => [0.0; 3],
-        None => seen_sky(world.sky.map(f64::from)),
+        None => seen_sky(splat_scene.sky.map(f64::from)),
     };
     let rotation = DMat3::from_quat(camera.world_from_camera.rotation);
     let lens = (!intrinsics.is_pinhole()).then(|| RayMap::new(intrinsics));
@@ -193,7 +198,7 @@ pub fn render_window(
         Some(rotation * ray)
     };
     let bottom_px = window.top_px + window.height_px;
-    let photometry = world.photometry_of(intrinsics);
+    let photometry = splat_scene.photometry_of(intrinsics);
     let bands: Vec<Vec<Pixel64>> = (window.top_px..bottom_px)
         .into_par_iter()
         .step_by(BLOCK_PX as usize)
@@ -204,7 +209,7 @@ pub fn render_window(
                 ..window
             };
             let mut pixels = render_band(&splats, &band, rules, background);
-            if let Some(sky) = &world.sky_map {
+            if let Some(sky) = &splat_scene.sky_map {
                 let behind =
                     |center_px| rays(center_px).map_or([0.0; 3], |ray| seen_sky(sky.color(ray)));
                 add_sky(&mut pixels, &band, sky.clamps_splats, &behind);
@@ -229,21 +234,25 @@ pub fn render_window(
 /// The splats that reach a pixel of `window`, nearest first, equal depths by index. `shade` gives
 /// the color of a splat, seen from the camera's center relative to the world's origin.
 fn front_to_back(
-    world: &SplatScene,
+    splat_scene: &SplatScene,
     camera: &Camera,
     rules: &Rules,
     window: &Window,
     shade: &(dyn Fn(usize, DVec3) -> [f64; 3] + Sync),
 ) -> Vec<Splat64> {
-    let view = View::new(world.origin, camera, rules);
-    let mut splats: Vec<Splat64> = (0..world.splats.len())
+    let view = View::new(splat_scene.origin, camera, rules);
+    let mut splats: Vec<Splat64> = (0..splat_scene.splats.len())
         .into_par_iter()
         .filter_map(|index| {
             let mut splat = Splat64 {
-                projected: view.project(&world.splats, index)?,
+                projected: view.project(&splat_scene.splats, index)?,
                 color: [0.0; 3],
                 index: index as u32,
-                instance: world.instance_from_splat.get(index).copied().unwrap_or(0),
+                instance: splat_scene
+                    .instance_from_splat
+                    .get(index)
+                    .copied()
+                    .unwrap_or(0),
             };
             if !window.is_reached_by(&splat) {
                 return None;
@@ -261,7 +270,7 @@ fn front_to_back(
     splats
 }
 
-/// Adds the sky behind the pixels of `band`. `behind` gives its color at a place in the image,
+/// Adds the sky behind the pixels of `band`. `behind` gives its color at a position in the image,
 /// pixels.
 fn add_sky(
     pixels: &mut [Pixel64],

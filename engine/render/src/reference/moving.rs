@@ -61,28 +61,28 @@ pub fn render_moving_window<'a>(
         .into_par_iter()
         .map(|index| exposed(strip(index)))
         .collect();
-    // Strip of each pixel, and its place there.
-    let places = (0..width * height).map(|pixel| match by_column {
+    // Strip of each pixel, and its index there.
+    let positions = (0..width * height).map(|pixel| match by_column {
         true => (pixel % width, pixel / width),
         false => (pixel / width, pixel % width),
     });
-    let places: Vec<(usize, usize)> = places.collect();
+    let positions: Vec<(usize, usize)> = positions.collect();
     Image64 {
         width: window.width_px,
         height: window.height_px,
-        rgb: gathered(&places, &strips, |strip| &strip.rgb),
-        alpha: gathered(&places, &strips, |strip| &strip.alpha),
-        depth: gathered(&places, &strips, |strip| &strip.depth),
-        instance: gathered(&places, &strips, |strip| &strip.instance),
+        rgb: gathered(&positions, &strips, |strip| &strip.rgb),
+        alpha: gathered(&positions, &strips, |strip| &strip.alpha),
+        depth: gathered(&positions, &strips, |strip| &strip.depth),
+        instance: gathered(&positions, &strips, |strip| &strip.instance),
     }
 }
 
-/// Values of a plane, each at a place of a strip.
+/// Values of a plane, each at a position of a strip.
 fn gathered<T: Copy>(
-    places: &[(usize, usize)],
+    positions: &[(usize, usize)],
     strips: &[Image64],
     plane: impl Fn(&Image64) -> &[T],
 ) -> Vec<T> {
     let value = |&(strip, at): &(usize, usize)| plane(&strips[strip])[at];
-    places.iter().map(value).collect()
+    positions.iter().map(value).collect()
 }

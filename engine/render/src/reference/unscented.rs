@@ -2,7 +2,7 @@
 //! 2025).
 //!
 //! Seven points stand for the Gaussian: its mean, and its mean plus and minus each column of a
-//! factor of its covariance times `SIGMA_REACH`. The factor is the triangular one in the camera's
+//! factor of its covariance times `SIGMA_SPREAD`. The factor is the triangular one in the camera's
 //! axes: it follows from the covariance alone, whichever factor a splat is stored by, and one
 //! column is depth. The lens takes each to the image, and the footprint is the Gaussian with their
 //! weighted mean and covariance (alpha 1, beta 2 and kappa 0: the middle one has no weight in the
@@ -13,7 +13,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 /// Distance of the sigma points from the mean, in standard deviations: the square root of three
 /// dimensions.
-pub const SIGMA_REACH: f64 = 1.732_050_807_568_877_2;
+pub const SIGMA_SPREAD: f64 = 1.732_050_807_568_877_2;
 
 /// A Gaussian in the image, before it is dilated.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,7 +53,7 @@ pub fn triangular(axes: &DMat3) -> DMat3 {
 #[must_use]
 pub fn unscented(lens: &RayMap, t: DVec3, axes: &DMat3) -> Option<Spread> {
     let axes = triangular(axes);
-    let offsets = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis * SIGMA_REACH);
+    let offsets = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis * SIGMA_SPREAD);
     let around = offsets
         .into_iter()
         .flat_map(|offset| [t + offset, t - offset]);

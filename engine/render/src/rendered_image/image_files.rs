@@ -216,7 +216,7 @@ mod tests {
         let bytes = Image::filled(5, 3, [0.3; 3])
             .encode(ImageFileFormat::Exr)
             .unwrap();
-        let place_of = |name: &[u8]| {
+        let offset_of = |name: &[u8]| {
             bytes
                 .windows(name.len())
                 .position(|window| window == name)
@@ -228,7 +228,7 @@ mod tests {
             (b"tiles\0tiledesc\0", 4),
         ] {
             let mut boastful = bytes.clone();
-            let at = place_of(attribute) + offset;
+            let at = offset_of(attribute) + offset;
             boastful[at..at + 4].copy_from_slice(&0x0fff_0000u32.to_le_bytes());
             let error = decode(ImageFileFormat::Exr, &boastful)
                 .unwrap_err()

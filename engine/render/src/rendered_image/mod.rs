@@ -371,14 +371,14 @@ mod tests {
 
         #[test]
         fn damage_anywhere_is_an_error_or_an_image(
-            places in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
+            changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
             cut in any::<prop::sample::Index>(),
             tail in prop::collection::vec(any::<u8>(), 0..40),
         ) {
             for format in [ImageFileFormat::Png, ImageFileFormat::Exr, ImageFileFormat::Npy] {
                 let mut bytes = sample(7, 4).encode(format).unwrap();
-                for (place, byte) in &places {
-                    let at = place.index(bytes.len());
+                for (index_of, byte) in &changes {
+                    let at = index_of.index(bytes.len());
                     bytes[at] = *byte;
                 }
                 bytes.truncate(cut.index(bytes.len() * 2));

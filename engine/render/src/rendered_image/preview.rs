@@ -51,9 +51,9 @@ pub fn preview(image: &Image, plane: Plane) -> Option<Image> {
 pub fn distance_color(distance_m: f32) -> [f32; 3] {
     let [near_m, far_m] = DISTANCE_RANGE_M;
     let share = (distance_m.max(near_m) / near_m).ln() / (far_m / near_m).ln();
-    let place = share.clamp(0.0, 1.0) * (DISTANCES.len() - 1) as f32;
-    let below = (place as usize).min(DISTANCES.len() - 2);
-    let share = place - below as f32;
+    let position = share.clamp(0.0, 1.0) * (DISTANCES.len() - 1) as f32;
+    let below = (position as usize).min(DISTANCES.len() - 2);
+    let share = position - below as f32;
     std::array::from_fn(|channel| {
         DISTANCES[below][channel] * (1.0 - share) + DISTANCES[below + 1][channel] * share
     })

@@ -97,7 +97,7 @@ pub struct AgentVariant {
     pub relit: bool,
     /// Kind of cameras.
     pub cameras: CameraVariant,
-    /// Attribute that is written in the place of color, into records that are there.
+    /// Attribute that is written instead of color, into records that are there.
     pub attribute: Attribute,
     /// True if there is fog.
     pub fog: bool,

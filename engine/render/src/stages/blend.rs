@@ -180,7 +180,7 @@ pub struct BlendVariant {
     pub end: PixelEnd,
     /// Purpose of the run.
     pub pass: BlendPass,
-    /// True if attributes are blended in the place of colors.
+    /// True if attributes are blended instead of colors.
     pub attributes: bool,
     /// Pairs of an item, at most.
     pub item_pairs_max: u32,

@@ -20,7 +20,7 @@ pub struct CompositeSegments {
 }
 
 impl CompositeSegments {
-    /// The stage for images whose pixels end at `end`, or for `attributes` in the place of colors.
+    /// The stage for images whose pixels end at `end`, or for `attributes` instead of colors.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.

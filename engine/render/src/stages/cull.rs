@@ -79,30 +79,30 @@ impl Cull {
         })
     }
 
-    /// Marks what `views` see of `world`.
+    /// Marks what `views` see of `gpu_scene`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        world: &GpuScene,
+        gpu_scene: &GpuScene,
         views: Views<'_>,
         visible: &Visible,
     ) {
         let push = Push {
-            splat_count: world.splats as u32,
+            splat_count: gpu_scene.splats as u32,
             camera_count: views.count as u32,
-            cluster_count: world.cluster_count() as u32,
-            pitch_px: match world.nodes.len() {
+            cluster_count: gpu_scene.cluster_count() as u32,
+            pitch_px: match gpu_scene.nodes.len() {
                 0 => -1.0,
                 _ => self.pitch_px,
             },
         };
         let buffers = [
             ("cameras", views.cameras.binding()),
-            ("clusters", world.clusters.binding()),
-            ("nodes", world.nodes.binding()),
-            ("means_m", world.means.binding()),
-            ("shapes", world.shapes.binding()),
-            ("rotations", world.rotations.binding()),
+            ("clusters", gpu_scene.clusters.binding()),
+            ("nodes", gpu_scene.nodes.binding()),
+            ("means_m", gpu_scene.means.binding()),
+            ("shapes", gpu_scene.shapes.binding()),
+            ("rotations", gpu_scene.rotations.binding()),
             ("visible_words", visible.words.binding()),
             ("visible_counts", visible.counts.binding()),
             ("lenses", views.lenses.binding()),
@@ -111,7 +111,7 @@ impl Cull {
             &self.kernel,
             &buffers,
             bytes_of(&push),
-            groups_for(world.cluster_count()),
+            groups_for(gpu_scene.cluster_count()),
         );
     }
 }

@@ -63,21 +63,21 @@ impl CullShadows {
         })
     }
 
-    /// Marks which of the first `shadow_count` shadows may lie on each cluster of `world`.
+    /// Marks which of the first `shadow_count` shadows may lie on each cluster of `gpu_scene`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        world: &GpuScene,
+        gpu_scene: &GpuScene,
         buffers: &ShadowBuffers,
         shadow_count: usize,
     ) {
-        let clusters = world.cluster_count();
+        let clusters = gpu_scene.cluster_count();
         let push = Push {
             cluster_count: clusters as u32,
             shadow_count: shadow_count as u32,
         };
         let bound = [
-            ("clusters", world.clusters.binding()),
+            ("clusters", gpu_scene.clusters.binding()),
             ("shadows", buffers.shadows.binding()),
             ("shadow_words", buffers.words.binding()),
         ];

@@ -50,31 +50,31 @@ impl KeySplats {
         })
     }
 
-    /// Writes the depth keys of all splats of `world` along the direction of a camera to a set of
-    /// `keys`.
+    /// Writes the depth keys of all splats of `gpu_scene` along the direction of a camera to a set
+    /// of `keys`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        world: &GpuScene,
+        gpu_scene: &GpuScene,
         cameras: &Buffer<CameraRecord>,
         wanted: WantedKeys,
         keys: &Buffer<u32>,
     ) {
         let push = Push {
-            splat_count: world.splats as u32,
+            splat_count: gpu_scene.splats as u32,
             camera: wanted.camera as u32,
             key_set: wanted.set as u32,
         };
         let bound = [
             ("cameras", cameras.binding()),
-            ("means_m", world.means.binding()),
+            ("means_m", gpu_scene.means.binding()),
             ("kept_keys", keys.binding()),
         ];
         recorder.dispatch(
             &self.kernel,
             &bound,
             bytes_of(&push),
-            groups_for(world.splats.div_ceil(256)),
+            groups_for(gpu_scene.splats.div_ceil(256)),
         );
     }
 }

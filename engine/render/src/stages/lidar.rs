@@ -53,7 +53,7 @@ pub struct SectorBuffers {
     pub bins: u32,
     /// Axes, grids and positions of the sectors.
     pub cameras: Staged<CameraRecord>,
-    /// Their motion, and the places of their bounds.
+    /// Their motion, and the offsets of their bounds.
     pub sectors: Staged<SectorRecord>,
     /// Lowest and highest azimuth of the beams of each column, as `around` in `lidar.glsl` orders
     /// them.
@@ -62,7 +62,7 @@ pub struct SectorBuffers {
     pub row_bounds: Staged<[f32; 2]>,
     /// Beams by cell.
     pub beams: Staged<BeamRecord>,
-    /// Places of the sensor by time of firing.
+    /// Positions of the sensor by time of firing.
     pub firings: Staged<FiringRecord>,
 }
 
@@ -112,7 +112,7 @@ impl SectorBuffers {
 /// Tables of a sweep that the kernels read.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SectorTables {
-    /// Motion of each sector, and places of its bounds.
+    /// Motion of each sector, and offsets of its bounds.
     pub sectors: Vec<SectorRecord>,
     /// Bounds of columns of all sectors.
     pub column_bounds: Vec<[f32; 2]>,
@@ -120,7 +120,7 @@ pub struct SectorTables {
     pub row_bounds: Vec<[f32; 2]>,
     /// Beams by cell, row by row in each sector.
     pub beams: Vec<BeamRecord>,
-    /// Places of the sensor.
+    /// Positions of the sensor.
     pub firings: Vec<FiringRecord>,
 }
 
@@ -268,32 +268,32 @@ impl ProjectLidar {
         })
     }
 
-    /// Records a run over `world`.
+    /// Records a run over `gpu_scene`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         pass: LidarPass,
-        world: &GpuScene,
+        gpu_scene: &GpuScene,
         sectors: &SectorBuffers,
         buffers: &LidarBuffers,
     ) {
         let push = ProjectPush {
-            splat_count: world.splats as u32,
+            splat_count: gpu_scene.splats as u32,
             camera_count: sectors.count as u32,
-            cluster_count: world.finest_clusters as u32,
+            cluster_count: gpu_scene.finest_clusters as u32,
             records_max: buffers.projected.room() as u32,
         };
         let bound = [
             ("cameras", sectors.cameras.binding()),
-            ("means_m", world.means.binding()),
-            ("shapes", world.shapes.binding()),
-            ("rotations", world.rotations.binding()),
+            ("means_m", gpu_scene.means.binding()),
+            ("shapes", gpu_scene.shapes.binding()),
+            ("rotations", gpu_scene.rotations.binding()),
             ("visible_words", buffers.visible.words.binding()),
             ("visible_counts", buffers.visible.counts.binding()),
             ("offsets", buffers.offsets.binding()),
-            ("clusters", world.clusters.binding()),
-            ("sh_dc", world.sh_dc.binding()),
-            ("instances", world.instances.binding()),
+            ("clusters", gpu_scene.clusters.binding()),
+            ("sh_dc", gpu_scene.sh_dc.binding()),
+            ("instances", gpu_scene.instances.binding()),
             ("footprints", buffers.projected.footprints.binding()),
             ("looks", buffers.looks.binding()),
             ("keys", buffers.projected.keys.binding()),
@@ -306,7 +306,7 @@ impl ProjectLidar {
             LidarPass::Mark => &self.mark,
             LidarPass::Write => &self.write,
         };
-        let groups = groups_for(world.finest_clusters);
+        let groups = groups_for(gpu_scene.finest_clusters);
         recorder.dispatch(kernel, &bound, bytes_of(&push), groups);
     }
 }

@@ -87,7 +87,7 @@ pub struct Views<'a> {
     pub count: usize,
 }
 
-/// Indirect dispatches, by their place in [`FrameCounters::arguments`]; the twins of `ARGUMENTS_*`
+/// Indirect dispatches, by their index in [`FrameCounters::arguments`]; the twins of `ARGUMENTS_*`
 /// in `frame.glsl`.
 #[derive(Clone, Copy, Debug)]
 pub enum IndirectArguments {

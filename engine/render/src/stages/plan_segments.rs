@@ -37,7 +37,7 @@ impl Plan {
 /// Lists of coarse tiles.
 #[derive(Clone, Copy)]
 pub struct TileLists<'a> {
-    /// First place and length of each.
+    /// First pair and length of each.
     pub lists: &'a Buffer<[u32; 2]>,
     /// Number of coarse tiles.
     pub count: u32,

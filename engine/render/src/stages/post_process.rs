@@ -41,7 +41,7 @@ pub struct PostProcess {
     pinhole: Kernel,
     /// Kernel for cameras that are no pinhole.
     lens: Kernel,
-    /// Buffer in the place of rays and texels that are not there.
+    /// Buffer for rays and texels that are absent.
     none: Buffer<[f32; 3]>,
 }
 

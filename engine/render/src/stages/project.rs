@@ -44,7 +44,7 @@ pub struct Projected {
     pub footprints: Buffer<[u32; 4]>,
     /// Bits of the depth (m), and instance. Of length 0 without [`RecordContents::labels`].
     pub labels: Buffer<[u32; 2]>,
-    /// Attribute in the place of color. Of length 0 without [`RecordContents::attributes`].
+    /// Attribute instead of color. Of length 0 without [`RecordContents::attributes`].
     pub attributes: Buffer<[f32; 3]>,
     /// Depth keys. The sort of tiles overwrites them.
     pub keys: Buffer<u32>,
@@ -96,7 +96,7 @@ pub struct ProjectVariant {
     pub shadows_by_camera: bool,
     /// Kind of cameras.
     pub cameras: CameraVariant,
-    /// Attribute that is written in the place of color, into records that are there.
+    /// Attribute that is written instead of color, into records that are there.
     pub attribute: Attribute,
     /// True if there is fog.
     pub fog: bool,
@@ -173,7 +173,7 @@ impl Project {
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        world: &GpuScene,
+        gpu_scene: &GpuScene,
         views: Views<'_>,
         inputs: ProjectInputs<'_>,
         projected: &Projected,
@@ -187,26 +187,26 @@ impl Project {
             flow_interval_s,
         } = inputs;
         let push = Push {
-            splat_count: world.splats as u32,
+            splat_count: gpu_scene.splats as u32,
             camera_count: views.count as u32,
-            cluster_count: world.cluster_count() as u32,
+            cluster_count: gpu_scene.cluster_count() as u32,
             records_max: projected.room() as u32,
             shadow_word_count: words_for(shadow_count) as u32,
             flow_interval_s,
-            fog: fog_vector(world.fog.as_ref()),
+            fog: fog_vector(gpu_scene.fog.as_ref()),
         };
         let buffers = [
             ("cameras", views.cameras.binding()),
-            ("means_m", world.means.binding()),
-            ("shapes", world.shapes.binding()),
-            ("rotations", world.rotations.binding()),
+            ("means_m", gpu_scene.means.binding()),
+            ("shapes", gpu_scene.shapes.binding()),
+            ("rotations", gpu_scene.rotations.binding()),
             ("visible_words", visible.words.binding()),
             ("offsets", offsets.binding()),
-            ("sh_dc", world.sh_dc.binding()),
-            ("sh_band1", world.sh_bands[0].binding()),
-            ("sh_band2", world.sh_bands[1].binding()),
-            ("sh_band3", world.sh_bands[2].binding()),
-            ("instances", world.instances.binding()),
+            ("sh_dc", gpu_scene.sh_dc.binding()),
+            ("sh_band1", gpu_scene.sh_bands[0].binding()),
+            ("sh_band2", gpu_scene.sh_bands[1].binding()),
+            ("sh_band3", gpu_scene.sh_bands[2].binding()),
+            ("instances", gpu_scene.instances.binding()),
             ("footprints", projected.footprints.binding()),
             ("labels", projected.labels.binding()),
             ("attributes", projected.attributes.binding()),
@@ -221,7 +221,7 @@ impl Project {
             &self.kernel,
             &buffers,
             bytes_of(&push),
-            groups_for(world.cluster_count()),
+            groups_for(gpu_scene.cluster_count()),
         );
     }
 }

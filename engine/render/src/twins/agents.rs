@@ -158,8 +158,8 @@ pub fn project_agents(
     let variant = Variant::of(rules);
     let radial = rules.order == DepthOrder::Radial;
     let records_max = records.labels.len();
-    let visible = |list: usize, place: usize| {
-        listed.visible_words[(list * CLUSTER_SPLATS + place) / 32] >> (place % 32) & 1 == 1
+    let visible = |list: usize, index: usize| {
+        listed.visible_words[(list * CLUSTER_SPLATS + index) / 32] >> (index % 32) & 1 == 1
     };
     for camera_index in 0..camera_count {
         for cluster_index in 0..cluster_count {
@@ -168,10 +168,10 @@ pub fn project_agents(
             let agent = &agents[agent_index];
             let camera = &agent_cameras[agent_index * camera_count + camera_index];
             let first_slot = (listed.first_record + listed.offsets[list]) as usize;
-            let seen = (0..CLUSTER_SPLATS).filter(|&place| visible(list, place));
-            for (slot, place) in (first_slot..records_max).zip(seen) {
+            let seen = (0..CLUSTER_SPLATS).filter(|&index| visible(list, index));
+            for (slot, index) in (first_slot..records_max).zip(seen) {
                 let own_splat =
-                    (cluster_index - agent.first_cluster as usize) * CLUSTER_SPLATS + place;
+                    (cluster_index - agent.first_cluster as usize) * CLUSTER_SPLATS + index;
                 let coded =
                     unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
                 let seen = see_splat(

@@ -1,6 +1,6 @@
 //! `begin.comp` on the CPU.
 
-/// Copies each of `staged` to its place in `copies`, and sets `counted` to zero. Slices are as long
+/// Copies each of `staged` to its index in `copies`, and sets `counted` to zero. Slices are as long
 /// as the words that are written.
 pub fn begin(staged: &[&[u32]], copies: &mut [&mut [u32]], counted: &mut [&mut [u32]]) {
     for (from, to) in staged.iter().zip(copies) {

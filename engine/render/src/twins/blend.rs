@@ -41,7 +41,7 @@ fn blend_pixel(
     add_to_planes(&mut pixel.planes, weight, f32::from_bits(depth_m), instance);
 }
 
-/// The pixels of the item's coarse tile, by their place in a partial result ([`pixel_offset`]).
+/// The pixels of the item's coarse tile, by their index in a partial result ([`pixel_offset`]).
 /// Every record meets every pixel: the kernel's lists may leave out nothing that counts.
 ///
 /// `before` is what composite left to be finished, for the pass that finishes it: only pixels whose
@@ -84,16 +84,16 @@ pub fn blend(
             (footprint, load_color(footprints, record), labels[record])
         })
         .collect();
-    for (place, (pixel, full)) in pixels.iter_mut().zip(&mut full).enumerate() {
-        let [x, y] = pixel_offset(place);
+    for (index, (pixel, full)) in pixels.iter_mut().zip(&mut full).enumerate() {
+        let [x, y] = pixel_offset(index);
         let center = center_of(origin[0] + x, origin[1] + y);
         for (footprint, color, label) in &splats {
             let log2_alpha = log2_alpha(footprint, center);
             blend_pixel(pixel, full, log2_alpha, *color, *label, alpha_max, end);
         }
     }
-    for (place, pixel) in pixels.iter_mut().enumerate() {
-        if item.partial != NO_PARTIAL && full[place] && !takes_no_part[place] {
+    for (index, pixel) in pixels.iter_mut().enumerate() {
+        if item.partial != NO_PARTIAL && full[index] && !takes_no_part[index] {
             pixel.transmittance = -pixel.transmittance;
         }
     }

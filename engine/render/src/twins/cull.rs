@@ -34,9 +34,9 @@ impl VisibleBits<'_> {
         self.counts.fill(0);
     }
 
-    /// Marks the splat at `place` of a cluster as visible; `list` counts `[camera][cluster]`.
-    pub(super) fn mark(&mut self, list: usize, place: usize) {
-        self.words[list * CLUSTER_WORDS + place / 32] |= 1 << (place % 32);
+    /// Marks the splat at `index` of a cluster as visible; `list` counts `[camera][cluster]`.
+    pub(super) fn mark(&mut self, list: usize, index: usize) {
+        self.words[list * CLUSTER_WORDS + index / 32] |= 1 << (index % 32);
         self.counts[list] += 1;
     }
 }

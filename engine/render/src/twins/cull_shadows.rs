@@ -1,6 +1,6 @@
 //! `cull_shadows.comp`.
 
-use super::shadow::shadow_reaches;
+use super::shadow::shadow_overlaps;
 use crate::layout::{ClusterRecord, ShadowRecord};
 
 /// A bit each shadow that may lie on a cluster, `[cluster][word]`.
@@ -17,7 +17,7 @@ pub fn cull_shadows(
     {
         let own = shadows.iter().skip(index % words * 32).take(32);
         *word = own.enumerate().fold(0, |bits, (bit, shadow)| {
-            bits | u32::from(shadow_reaches(shadow, &clusters[index / words])) << bit
+            bits | u32::from(shadow_overlaps(shadow, &clusters[index / words])) << bit
         });
     }
 }

@@ -37,11 +37,11 @@ pub fn depth_key(depth: f64) -> u32 {
     let code = if rounded < FLOATS_FROM {
         (size * LINEAR_STEPS + 0.5).floor() as u32
     } else {
-        let places = rounded.to_bits() - FLOATS_FROM.to_bits();
-        let place = f64::from(f32::from_bits(rounded.to_bits() & 0x7f80_0000)) * 2f64.powi(-23);
+        let ulps = rounded.to_bits() - FLOATS_FROM.to_bits();
+        let ulp = f64::from(f32::from_bits(rounded.to_bits() & 0x7f80_0000)) * 2f64.powi(-23);
         let part =
-            (((size - f64::from(rounded)) / place).clamp(-0.5, 0.5) * STEPS + 0.5).floor() as i64;
-        (i64::from(places.min(0x07ff_ffff)) * 16 + part + i64::from(KEY_LINEAR_CODES))
+            (((size - f64::from(rounded)) / ulp).clamp(-0.5, 0.5) * STEPS + 0.5).floor() as i64;
+        (i64::from(ulps.min(0x07ff_ffff)) * 16 + part + i64::from(KEY_LINEAR_CODES))
             .min(0x7fff_ffff) as u32
     };
     if depth < 0.0 {

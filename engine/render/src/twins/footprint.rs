@@ -1,6 +1,6 @@
 //! The pixels a projected splat can reach: `footprint.glsl`.
 
-pub use decouplegs_shaders::constants::{LOG2_255, REACH_SLACK};
+pub use decouplegs_shaders::constants::{LOG2_255, SQUARED_RADIUS_SLACK};
 use glam::{Vec2, vec2};
 
 use crate::layout::{COARSE_HEIGHT_PX, COARSE_WIDTH_PX};
@@ -23,7 +23,7 @@ pub struct Footprint {
 
 /// Squared radius, in units of the exponent, beyond which the splat adds nothing.
 #[must_use]
-pub fn squared_reach(splat: &Footprint) -> f32 {
+pub fn squared_radius(splat: &Footprint) -> f32 {
     splat.log2_opacity + LOG2_255
 }
 
@@ -41,7 +41,7 @@ pub fn pixels_between(low: f32, high: f32, size_px: u32) -> [i32; 2] {
 /// Rows of pixels `[first, last]` that the splat can reach.
 #[must_use]
 pub fn reached_rows(splat: &Footprint, height_px: u32) -> [i32; 2] {
-    let half_height = (squared_reach(splat) + REACH_SLACK).sqrt() / splat.rate_y;
+    let half_height = (squared_radius(splat) + SQUARED_RADIUS_SLACK).sqrt() / splat.rate_y;
     pixels_between(
         splat.mean_px.y - half_height,
         splat.mean_px.y + half_height,
@@ -53,7 +53,7 @@ pub fn reached_rows(splat: &Footprint, height_px: u32) -> [i32; 2] {
 /// `[low_y, high_y]`.
 #[must_use]
 pub fn reached_columns(splat: &Footprint, low_y: f32, high_y: f32, width_px: u32) -> [i32; 2] {
-    let r2 = squared_reach(splat) + REACH_SLACK;
+    let r2 = squared_radius(splat) + SQUARED_RADIUS_SLACK;
     let r = r2.sqrt();
     let low_v = ((low_y - splat.mean_px.y) * splat.rate_y).max(-r);
     let high_v = ((high_y - splat.mean_px.y) * splat.rate_y).min(r);

@@ -1,7 +1,7 @@
 //! Projection of a Gaussian through a lens other than a pinhole, in f32: `lens.glsl`.
 
 use decouplegs_shaders::constants::{
-    BEND_TERMS, BENDING_FADE_Z, SIGMA_REACH, SQRT_SIXTH, UNSCENTED_REACH,
+    BEND_TERMS, BENDING_FADE_Z, SIGMA_SPREAD, SQRT_SIXTH, UNSCENTED_RADIUS,
 };
 use glam::{Mat3, Vec2, Vec3, vec2};
 
@@ -9,19 +9,19 @@ use super::footprint::{Footprint, LOG2_255};
 use super::projection::{
     ALPHA_MIN, DILATION_PX2, HALF_LOG2_E, Variant, from_camera_m, project_splat, to_camera_axes,
 };
-use super::visibility::{DILATION_REACH_PX, cluster_overlaps, farthest};
+use super::visibility::{DILATION_RADIUS_PX, cluster_overlaps, farthest};
 use crate::layout::{CameraRecord, ClusterRecord, LENS_INTERVALS, LensKind, LensRecord};
 
 /// The ray behind the windshield of a point in camera axes; the point itself without a windshield.
 fn bent(lens: &LensRecord, t: Vec3) -> Vec3 {
-    let reach = Vec2::from_array(lens.bend_reach);
-    if reach.x == 0.0 {
+    let limit = Vec2::from_array(lens.bend_limit);
+    if limit.x == 0.0 {
         return t;
     }
     let ray = t.normalize();
     let cosines = (1.0 - ray.truncate() * ray.truncate()).max(Vec2::ZERO);
     let tangents = ray.truncate() / (1.0 + vec2(cosines.x.sqrt(), cosines.y.sqrt()));
-    let at = (tangents / reach).clamp(Vec2::splat(-1.0), Vec2::ONE);
+    let at = (tangents / limit).clamp(Vec2::splat(-1.0), Vec2::ONE);
     let row = |row: &[[f32; 2]; BEND_TERMS as usize]| {
         let terms = row.iter().rev();
         terms.fold(Vec2::ZERO, |sum, &term| sum * at.x + Vec2::from_array(term))
@@ -61,9 +61,9 @@ fn distorted(lens: &LensRecord, p: Vec2) -> Vec2 {
 }
 
 fn radius_at(lens: &LensRecord, chord: f32) -> f32 {
-    let place = chord * lens.chord_intervals;
-    let interval = (place as usize).min(LENS_INTERVALS - 1);
-    let s = place - interval as f32;
+    let position = chord * lens.chord_intervals;
+    let interval = (position as usize).min(LENS_INTERVALS - 1);
+    let s = position - interval as f32;
     let [low, by_low] = lens.table[interval];
     let [high, by_high] = lens.table[interval + 1];
     let rise = high - low;
@@ -140,7 +140,7 @@ fn project_splat_unscented(
             (columns[first], columns[second]) = (c * a + s * b, c * b - s * a);
         }
     }
-    let offsets = columns.map(|column| SIGMA_REACH * column);
+    let offsets = columns.map(|column| SIGMA_SPREAD * column);
     let around = offsets
         .into_iter()
         .flat_map(|offset| [t + offset, t - offset]);
@@ -233,23 +233,24 @@ pub fn cluster_overlaps_any_lens(
     };
     let center = from_camera_m(cluster.center_m, camera);
     let half_extent = Vec3::from_array(cluster.half_extent_m);
-    let slack = 1e-5 * (center.abs().element_sum() + half_extent.element_sum() + cluster.reach_m);
+    let slack =
+        1e-5 * (center.abs().element_sum() + half_extent.element_sum() + cluster.splat_radius_m);
     let nearest = farthest(cluster, center, Vec3::from_array(camera.row_z)) + slack;
-    if cluster.reach_m < 0.0 || nearest.is_nan() || nearest < near_m {
+    if cluster.splat_radius_m < 0.0 || nearest.is_nan() || nearest < near_m {
         return false;
     }
     let distance_m = center.length();
     let spread_m = half_extent.length() + slack;
-    let (spread, reach) = (
+    let (spread, radius) = (
         spread_m / distance_m,
-        cluster.reach_m / (distance_m - spread_m),
+        cluster.splat_radius_m / (distance_m - spread_m),
     );
     let t = to_camera_axes(camera, center);
-    if !(spread < 0.25 && reach < 0.25 && t.z > 0.0) {
+    if !(spread < 0.25 && radius < 0.25 && t.z > 0.0) {
         return true;
     }
-    let angle_rad = 1.001 * (arc_sine_bound(spread) + UNSCENTED_REACH * arc_sine_bound(reach));
-    let margin = Vec2::splat(lens.pixels_per_rad * angle_rad + DILATION_REACH_PX + 1.0);
+    let angle_rad = 1.001 * (arc_sine_bound(spread) + UNSCENTED_RADIUS * arc_sine_bound(radius));
+    let margin = Vec2::splat(lens.pixels_per_rad * angle_rad + DILATION_RADIUS_PX + 1.0);
     let pixel = Vec2::from_array(camera.principal_px) + through_lens(lens, t);
     let size = vec2(camera.size_px[0] as f32, camera.size_px[1] as f32);
     pixel.cmpge(-margin).all() && pixel.cmple(size + margin).all()

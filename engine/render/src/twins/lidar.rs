@@ -3,7 +3,7 @@
 use decouplegs_scene::lidar::{ECHO_SEPARATION_M, ECHO_WEIGHT_MIN};
 use glam::{Mat3, Vec2, Vec3, vec2, vec3};
 
-use super::footprint::{LOG2_255, REACH_SLACK};
+use super::footprint::{LOG2_255, SQUARED_RADIUS_SLACK};
 use super::projection::{ALPHA_MIN, HALF_LOG2_E, from_camera_m, to_camera_axes};
 use crate::layout::{BeamEchoes, BeamState, CameraRecord, EchoRecord, FiringRecord, SectorRecord};
 pub use decouplegs_shaders::constants::{SLOPE_SLACK, THICKNESS_MIN};
@@ -227,7 +227,7 @@ pub fn see_from_lidar(
     let (yx, zy) = (-a.y * xx * yy, -b.z * yy * zz);
     let zx = -(a.z * xx + b.z * yx) * zz;
     let log2_opacity = opacity.log2().max(-LOG2_255);
-    let reach = ((log2_opacity + LOG2_255 + REACH_SLACK) / HALF_LOG2_E).sqrt();
+    let radius = ((log2_opacity + LOG2_255 + SQUARED_RADIUS_SLACK) / HALF_LOG2_E).sqrt();
     let (mut drift_mps, mut drift, mut residual_m) = (Vec3::ZERO, Vec3::ZERO, 0.0);
     if constants.moving {
         drift_mps =
@@ -240,9 +240,9 @@ pub fn see_from_lidar(
         return None;
     }
     let factor = Mat3::from_cols(
-        reach * a,
-        reach * vec3(0.0, b.y, b.z),
-        reach * vec3(0.0, 0.0, c.z),
+        radius * a,
+        radius * vec3(0.0, b.y, b.z),
+        radius * vec3(0.0, 0.0, c.z),
     );
     let cells = ellipsoid_cells(view, constants.slack, mean, factor, (drift, residual_m));
     let seen = LidarSplat {
@@ -260,7 +260,7 @@ pub fn see_from_lidar(
 pub struct TwinBeam<'a> {
     /// Unit direction, sector axes.
     pub direction: Vec3,
-    /// Place and time of firing; `None` where nothing moves.
+    /// Position and time of firing; `None` where nothing moves.
     pub firing: Option<&'a FiringRecord>,
     /// Upper bound of a splat's alpha.
     pub alpha_max: f32,

@@ -9,12 +9,12 @@ use super::planes::{PLANES_EMPTY, PlaneSums, planes_over, write_planes};
 use crate::Plane;
 use crate::layout::{COARSE_HEIGHT_PX, COARSE_PIXELS, COARSE_WIDTH_PX, CameraRecord, FINE_TILES};
 
-/// Position `[column, row]` in the coarse tile of the pixel at `place` of a partial result.
+/// Position `[column, row]` in the coarse tile of the pixel at `index` of a partial result.
 #[must_use]
-pub fn pixel_offset(place: usize) -> [u32; 2] {
+pub fn pixel_offset(index: usize) -> [u32; 2] {
     let (right, left_place) = (
-        (place / (COARSE_PIXELS / 2)) as u32,
-        (place % (COARSE_PIXELS / 2)) as u32,
+        (index / (COARSE_PIXELS / 2)) as u32,
+        (index % (COARSE_PIXELS / 2)) as u32,
     );
     let (tile, block, lane) = (left_place / 32, left_place / 8 % 4, left_place % 8);
     let in_tile = [
@@ -27,13 +27,13 @@ pub fn pixel_offset(place: usize) -> [u32; 2] {
     ]
 }
 
-/// Places of the pixels of fine tile `tile`, in the order of a partial result: the left ones, then
+/// Indices of the pixels of fine tile `tile`, in the order of a partial result: the left ones, then
 /// the right ones.
-pub fn places_of_tile(tile: usize) -> impl Iterator<Item = usize> {
+pub fn pixels_of_tile(tile: usize) -> impl Iterator<Item = usize> {
     let half = COARSE_PIXELS / FINE_TILES / 2;
     let left = tile * half..(tile + 1) * half;
     left.clone()
-        .chain(left.map(|place| place + COARSE_PIXELS / 2))
+        .chain(left.map(|index| index + COARSE_PIXELS / 2))
 }
 
 /// Accumulated color and transmittance of a pixel, front to back.
@@ -95,10 +95,10 @@ impl Images {
         }
     }
 
-    /// Expected depth at `place`, meters.
+    /// Expected depth at `index`, meters.
     #[must_use]
-    pub fn depth_m(&self, place: usize) -> f32 {
-        f32::from_bits(self.plane(Plane::Depth)[place])
+    pub fn depth_m(&self, index: usize) -> f32 {
+        f32::from_bits(self.plane(Plane::Depth)[index])
     }
 
     /// Words of `plane`, one per pixel.
@@ -120,13 +120,13 @@ pub fn write_pixel(
     if at[0] >= camera.size_px[0] || at[1] >= camera.size_px[1] {
         return;
     }
-    let place = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
+    let index = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
     let alpha = 1.0 - pixel.transmittance;
-    images.images_f32[place] = (pixel.color + pixel.transmittance * sky)
+    images.images_f32[index] = (pixel.color + pixel.transmittance * sky)
         .extend(alpha)
         .to_array();
     let pixels = images.images_f32.len();
-    write_planes(&mut images.planes, place, pixels, alpha, &pixel.planes);
+    write_planes(&mut images.planes, index, pixels, alpha, &pixel.planes);
 }
 
 /// RGBA as four bytes, clamped and rounded, red lowest.

@@ -64,7 +64,7 @@ pub fn plan_segments(
                 // drawn again.
                 let slot =
                     (first_partials[bin as usize] + segment).min(partials_max.wrapping_sub(1));
-                if let Some(place) = items.get_mut(item as usize) {
+                if let Some(index) = items.get_mut(item as usize) {
                     let pairs = if segment + 1 < segments_of(list) {
                         segment_pairs
                     } else {
@@ -75,7 +75,7 @@ pub fn plan_segments(
                     } else {
                         NO_PARTIAL
                     };
-                    *place = BlendItem {
+                    *index = BlendItem {
                         bin,
                         first_pair: list[0] + taken,
                         pairs,

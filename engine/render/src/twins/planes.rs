@@ -38,10 +38,10 @@ pub fn planes_over(mut nearer: PlaneSums, share: f32, farther: &PlaneSums) -> Pl
     nearer
 }
 
-/// Writes the pixel at `place` of `image_pixels`.
+/// Writes the pixel at `index` of `image_pixels`.
 pub fn write_planes(
     planes: &mut [u32],
-    place: usize,
+    index: usize,
     image_pixels: usize,
     alpha: f32,
     sums: &PlaneSums,
@@ -51,8 +51,8 @@ pub fn write_planes(
     } else {
         0.0
     };
-    planes[place] = depth_m.to_bits();
-    planes[place + image_pixels] = sums.best_instance;
+    planes[index] = depth_m.to_bits();
+    planes[index + image_pixels] = sums.best_instance;
 }
 
 /// The words of a partial result.

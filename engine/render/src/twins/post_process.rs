@@ -22,9 +22,9 @@ pub fn sky_color(sky: &SkyMap, direction: Vec3) -> Vec3 {
     };
     let texels = sky.face_texels() as f32;
     let split = |at: f32| {
-        let place = 0.5 * (at / longest + 1.0) * texels + 0.5;
-        let first = place.floor().min(texels);
-        (first as usize, place - first)
+        let texel = 0.5 * (at / longest + 1.0) * texels + 0.5;
+        let first = texel.floor().min(texels);
+        (first as usize, texel - first)
     };
     let ((column, right), (row, down)) = (split(s), split(t));
     let side = sky.face_texels() + 2;

@@ -80,16 +80,16 @@ pub fn project(
     let splat_count = means_m.len();
     let cluster_count = splat_count.div_ceil(CLUSTER_SPLATS);
     let records_max = records.labels.len();
-    let visible = |list: usize, place: usize| {
-        input.visible_words[(list * CLUSTER_SPLATS + place) / 32] >> (place % 32) & 1 == 1
+    let visible = |list: usize, index: usize| {
+        input.visible_words[(list * CLUSTER_SPLATS + index) / 32] >> (index % 32) & 1 == 1
     };
     for (camera_index, camera) in input.cameras.iter().enumerate() {
         let lens = lens_of(input.lenses, camera_index);
         for cluster_index in 0..cluster_count {
             let list = camera_index * cluster_count + cluster_index;
-            let seen = (0..CLUSTER_SPLATS).filter(|&place| visible(list, place));
-            for (slot, place) in (input.offsets[list] as usize..records_max).zip(seen) {
-                let splat_index = cluster_index * CLUSTER_SPLATS + place;
+            let seen = (0..CLUSTER_SPLATS).filter(|&index| visible(list, index));
+            for (slot, index) in (input.offsets[list] as usize..records_max).zip(seen) {
+                let splat_index = cluster_index * CLUSTER_SPLATS + index;
                 let shape = shapes[splat_index];
                 let seen = see_splat(
                     camera,

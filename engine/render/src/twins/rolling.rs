@@ -64,26 +64,26 @@ fn turned_camera(camera: &CameraRecord, time_s: f32) -> CameraRecord {
     }
 }
 
-/// Place of a point in the image, pixels, and its velocity there, pixels per second.
+/// Position of a point in the image, pixels, and its velocity there, pixels per second.
 #[derive(Clone, Copy)]
-struct MovingPlace {
+struct MovingPixel {
     at_px: Vec2,
     px_per_s: Vec2,
 }
 
-fn moving_place(
+fn moving_pixel(
     camera: &CameraRecord,
     lens: Option<&LensRecord>,
     point: MovingPoint,
     near_m: f32,
-) -> MovingPlace {
+) -> MovingPixel {
     let principal_px = Vec2::from_array(camera.principal_px);
     let MovingPoint { at, velocity } = point;
     if let Some(lens) = lens {
         let step_s = LENS_STEP_RAD * at.length() / velocity.length().max(1e-6);
         let after = through_lens(lens, at + step_s * velocity);
         let before = through_lens(lens, at - step_s * velocity);
-        return MovingPlace {
+        return MovingPixel {
             at_px: principal_px + through_lens(lens, at),
             px_per_s: (after - before) / (2.0 * step_s),
         };
@@ -95,7 +95,7 @@ fn moving_place(
     } else {
         (velocity.truncate() - slope * velocity.z) / z
     };
-    MovingPlace {
+    MovingPixel {
         at_px: focal_px * slope + principal_px,
         px_per_s: focal_px * slope_per_s,
     }
@@ -182,22 +182,22 @@ pub fn see_splat(
     let mut time_s = 0.0f32.max(low_s).min(high_s);
     let at = |time_s: f32| {
         let point = moving_point(camera, mean_m, time_s);
-        (point, moving_place(camera, lens, point, variant.near_m))
+        (point, moving_pixel(camera, lens, point, variant.near_m))
     };
-    let (mut point, mut place) = at(time_s);
+    let (mut point, mut position) = at(time_s);
     for _ in 0..TIME_STEPS {
-        let late_s = first_s + s_per_px.dot(place.at_px) - time_s;
-        let stand = (1.0 - s_per_px.dot(place.px_per_s)).max(1.0 - FOLLOW_MAX);
+        let late_s = first_s + s_per_px.dot(position.at_px) - time_s;
+        let stand = (1.0 - s_per_px.dot(position.px_per_s)).max(1.0 - FOLLOW_MAX);
         time_s = (time_s + late_s / stand).max(low_s).min(high_s);
-        (point, place) = at(time_s);
+        (point, position) = at(time_s);
     }
     let turned = turned_camera(camera, time_s);
     let t = point.at;
     let [row_x, row_y, row_z] = [turned.row_x, turned.row_y, turned.row_z].map(Vec3::from_array);
     let (mut splat, mut drawn) = project_splat_seen(&turned, lens, t, axes, opacity, variant);
-    if drawn && is_sheared(camera, lens, t, place.px_per_s) {
+    if drawn && is_sheared(camera, lens, t, position.px_per_s) {
         let late_s = first_s + s_per_px.dot(splat.mean_px) - time_s;
-        splat = sheared(splat, place.px_per_s, s_per_px, late_s);
+        splat = sheared(splat, position.px_per_s, s_per_px, late_s);
         drawn = splat.rate_x > 0.0
             && splat.rate_y > 0.0
             && splat.slope.abs() < 1e30
@@ -211,7 +211,7 @@ pub fn see_splat(
     }
 }
 
-/// First and last time at which a place of the image is exposed, seconds.
+/// First and last time at which a position of the image is exposed, seconds.
 fn exposed_s(camera: &CameraRecord) -> (f32, f32) {
     let [width, height] = camera.size_px.map(|size| size as f32);
     let [x, y] = camera.shutter_s_per_px;
@@ -220,7 +220,7 @@ fn exposed_s(camera: &CameraRecord) -> (f32, f32) {
     (first_s.min(last_s), first_s.max(last_s))
 }
 
-/// The cluster with a box around all places of its means while the image is exposed.
+/// The cluster with a box around all positions of its means while the image is exposed.
 #[must_use]
 pub fn swept(cluster: &ClusterRecord, camera: &CameraRecord) -> ClusterRecord {
     if !camera.rolls() {

@@ -19,7 +19,7 @@ pub fn shadow_factor(shadow: &ShadowRecord, mean_m: [f32; 3]) -> f32 {
     let [x, y] =
         [shadow.along, shadow.across].map(|axis| Vec3::from_array(axis).dot(offset).powi(2));
     let radius = (x * x + y * y).sqrt().sqrt();
-    if radius > shadow.reach {
+    if radius > shadow.cutoff {
         return 1.0;
     }
     let radius = (0..shadow.sharpness).fold(radius, |radius, _| radius * radius);
@@ -28,7 +28,7 @@ pub fn shadow_factor(shadow: &ShadowRecord, mean_m: [f32; 3]) -> f32 {
 
 /// True if the box of a cluster's means reaches into the slab of ground that the shadow lies on.
 #[must_use]
-pub fn shadow_reaches(shadow: &ShadowRecord, cluster: &ClusterRecord) -> bool {
+pub fn shadow_overlaps(shadow: &ShadowRecord, cluster: &ClusterRecord) -> bool {
     let center = from_shadow_m(cluster.center_m, shadow);
     let half_extent = Vec3::from_array(cluster.half_extent_m);
     let wide = half_extent + 1e-5 * (center.abs().element_sum() + half_extent.element_sum());
@@ -36,8 +36,8 @@ pub fn shadow_reaches(shadow: &ShadowRecord, cluster: &ClusterRecord) -> bool {
         let axis = Vec3::from_array(axis);
         axis.dot(center).abs() <= axis.abs().dot(wide) + limit
     };
-    cluster.reach_m >= 0.0
+    cluster.splat_radius_m >= 0.0
         && within(shadow.normal, shadow.slab_m)
-        && within(shadow.along, shadow.reach)
-        && within(shadow.across, shadow.reach)
+        && within(shadow.along, shadow.cutoff)
+        && within(shadow.across, shadow.cutoff)
 }

@@ -68,21 +68,21 @@ pub fn bin_pairs(
 /// Lengths of the buckets of one coarse tile, some of them 0, whose slabs have `slab_counts` pairs.
 #[must_use]
 pub fn plan_buckets(slab_counts: &[u32]) -> Vec<u32> {
-    let (mut buckets, mut place, mut begin) = (Vec::new(), 0u32, 0u32);
+    let (mut buckets, mut index, mut begin) = (Vec::new(), 0u32, 0u32);
     for &count in slab_counts {
-        let end = place + count;
+        let end = index + count;
         if count >= BUCKET_PAIRS as u32 {
-            buckets.push(place - begin);
-            begin = place;
+            buckets.push(index - begin);
+            begin = index;
         }
-        if place / BUCKET_PAIRS as u32 != end / BUCKET_PAIRS as u32 {
+        if index / BUCKET_PAIRS as u32 != end / BUCKET_PAIRS as u32 {
             buckets.push(end - begin);
             begin = end;
         }
-        place = end;
+        index = end;
     }
-    if place > begin {
-        buckets.push(place - begin);
+    if index > begin {
+        buckets.push(index - begin);
     }
     buckets
 }

@@ -100,7 +100,7 @@ impl RayMap {
     fn edge_sines(&self, intrinsics: &Intrinsics) -> DVec2 {
         const STEPS: u32 = 8;
         let size = DVec2::new(intrinsics.width_px.into(), intrinsics.height_px.into());
-        let places = (0..=STEPS).flat_map(|step| {
+        let positions = (0..=STEPS).flat_map(|step| {
             let share = f64::from(step) / f64::from(STEPS);
             let across = [DVec2::new(share, 0.0), DVec2::new(share, 1.0)];
             across
@@ -108,11 +108,11 @@ impl RayMap {
                 .chain([DVec2::new(0.0, share), DVec2::new(1.0, share)])
         });
         let beyond = DVec2::splat(self.limit.angle_rad.sin());
-        let sines = |place: DVec2| {
-            let ray = self.unproject(place * size);
+        let sines = |position: DVec2| {
+            let ray = self.unproject(position * size);
             ray.map_or(beyond, |ray| ray.truncate().abs())
         };
-        places.map(sines).fold(DVec2::ZERO, DVec2::max)
+        positions.map(sines).fold(DVec2::ZERO, DVec2::max)
     }
 
     /// Bending of rays before the lens; `None` without a windshield.
@@ -252,8 +252,11 @@ impl RayMap {
             return Ok(());
         }
         let size = DVec2::new(intrinsics.width_px.into(), intrinsics.height_px.into());
-        for place in 0..(STEPS + 1) * (STEPS + 1) {
-            let steps = DVec2::new((place % (STEPS + 1)).into(), (place / (STEPS + 1)).into());
+        for position in 0..(STEPS + 1) * (STEPS + 1) {
+            let steps = DVec2::new(
+                (position % (STEPS + 1)).into(),
+                (position / (STEPS + 1)).into(),
+            );
             let pixel = steps / f64::from(STEPS) * size;
             if self.unproject_by_lens(pixel).is_none() {
                 continue;

@@ -145,33 +145,33 @@ pub(super) fn solved(target: DVec2, map: impl Fn(DVec2) -> DVec2) -> DVec2 {
 pub struct Bending {
     windshield: Windshield,
     /// Largest sines along x and y at which the polynomials are followed.
-    reach: DVec2,
+    limit: DVec2,
 }
 
 /// Rays whose z is below this, of a unit length, are bent less: none at 0.
 pub const BENDING_FADE_Z: f64 = 0.05;
 
 /// Factor on the sines of the image's edges up to which the polynomials are followed.
-const REACH_MARGIN: f64 = 1.1;
+const LIMIT_MARGIN: f64 = 1.1;
 
 impl Bending {
     /// The bending of a windshield before a lens whose image has rays with sines up to `edge`.
     #[must_use]
     pub fn new(windshield: Windshield, edge: DVec2) -> Self {
-        let reach = (REACH_MARGIN * edge).clamp(DVec2::splat(1e-3), DVec2::splat(0.98));
-        Self { windshield, reach }
+        let limit = (LIMIT_MARGIN * edge).clamp(DVec2::splat(1e-3), DVec2::splat(0.98));
+        Self { windshield, limit }
     }
 
     /// Largest sines along x and y at which the polynomials are followed.
     #[must_use]
-    pub fn reach(&self) -> DVec2 {
-        self.reach
+    pub fn limit(&self) -> DVec2 {
+        self.limit
     }
 
     /// Change of the sines of a ray.
     #[must_use]
     pub fn change(&self, sines: DVec2) -> DVec2 {
-        let held = sines.clamp(-self.reach, self.reach);
+        let held = sines.clamp(-self.limit, self.limit);
         self.windshield.bent_sines(held) - held
     }
 
@@ -280,9 +280,11 @@ mod tests {
                     ..intrinsics
                 });
                 let mut moved = 0;
-                for place in 0..300 {
-                    let pixel =
-                        DVec2::new(f64::from(place % 20) * 84.0, f64::from(place / 20) * 64.0);
+                for position in 0..300 {
+                    let pixel = DVec2::new(
+                        f64::from(position % 20) * 84.0,
+                        f64::from(position / 20) * 64.0,
+                    );
                     let Some(ray) = map.unproject(pixel) else {
                         continue;
                     };
@@ -297,12 +299,12 @@ mod tests {
                 for step in 0..2000 {
                     let angle = 3.1 * f64::from(step) / 2000.0;
                     let ray = DVec3::new(angle.sin(), 0.1 * angle.sin(), angle.cos());
-                    let place = map.project_extended(ray);
-                    assert!(place.is_finite());
+                    let position = map.project_extended(ray);
+                    assert!(position.is_finite());
                     if let Some(last) = last {
-                        assert!((place - last).length() < 40.0, "a jump at {angle}");
+                        assert!((position - last).length() < 40.0, "a jump at {angle}");
                     }
-                    last = Some(place);
+                    last = Some(position);
                 }
             }
         }

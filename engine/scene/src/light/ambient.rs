@@ -5,7 +5,7 @@ use glam::{DQuat, DVec3};
 use crate::light::luminance;
 use crate::sh::{self, ShRotation};
 
-/// The light about a place: bands 0 to 2 of spherical harmonics of display-referred color, as a
+/// The light about a position: bands 0 to 2 of spherical harmonics of display-referred color, as a
 /// plain expansion `color(d) = sum_k coefficients[k] Y_k(d)`, without the 0.5 that splats' colors
 /// add. L(x) of the paper, in R^27.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,8 +34,8 @@ impl AmbientDescriptor {
         std::array::from_fn(|index| f64::from(self.coefficients[index / 3][index % 3]))
     }
 
-    /// The light of a place that was turned by `rotation`. With the inverse of an agent's rotation:
-    /// the light in its frame.
+    /// The light of a position that was turned by `rotation`. With the inverse of an agent's
+    /// rotation: the light in its frame.
     #[must_use]
     pub fn turned(&self, rotation: DQuat) -> Self {
         let mut turned = *self;

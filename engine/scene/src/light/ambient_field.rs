@@ -1,4 +1,5 @@
-//! L(x) over a background: its definition, and a field that answers for any place in microseconds.
+//! L(x) over a background: its definition, and a field that gives it at any position in
+//! microseconds.
 
 use std::collections::{HashMap, HashSet};
 use std::f64::consts::PI;
@@ -21,10 +22,10 @@ const SUM: usize = GROUND + 4;
 /// Sum of weights up to which a mean counts as undefined.
 const WEIGHT_MIN: f64 = 1e-12;
 
-/// Place of the weight of all splats in a sum.
+/// Index of the weight of all splats in a sum.
 const WEIGHT: usize = AmbientDescriptor::LEN;
 
-/// Place of the ground's color in a sum; its weight comes after it.
+/// Index of the ground's color in a sum; its weight comes after it.
 const GROUND: usize = WEIGHT + 1;
 
 /// Exponent of the cosine between a splat's normal and the vertical, in its weight as ground: half
@@ -91,9 +92,9 @@ impl AmbientOptions {
     }
 }
 
-/// The ambient descriptor at `place`, relative to the cloud's origin: the mean of the splats'
+/// The ambient descriptor at `position`, relative to the cloud's origin: the mean of the splats'
 /// spherical harmonics of bands 0 to 2, weighted by `V exp(-|x - mu|^2 / (2 sigma^2))` (DecoupleGS,
-/// section 3.4). `None` without a splat in reach.
+/// section 3.4). `None` without a splat within range.
 ///
 /// V of bands 1 and 2 is the opacity. V of DC is the opacity times the area that the splat turns
 /// to the sky (`facing_up_m2`): roads are of one gray, so they tell how bright and of which hue the
@@ -104,14 +105,14 @@ impl AmbientOptions {
 #[must_use]
 pub fn ambient_by_definition(
     cloud: &SplatCloud,
-    place: DVec3,
+    position: DVec3,
     options: &AmbientOptions,
 ) -> Option<AmbientDescriptor> {
     let mut sum = [0.0; SUM];
     for splat in 0..cloud.len() {
         let mean = DVec3::from_array(cloud.means[splat].map(f64::from));
         let weight =
-            options.weight(mean.distance_squared(place)) * f64::from(cloud.opacities[splat]);
+            options.weight(mean.distance_squared(position)) * f64::from(cloud.opacities[splat]);
         if weight > 0.0 {
             add(&mut sum, weight, cloud, splat);
         }
@@ -179,7 +180,7 @@ struct Voxel {
 /// The ambient light over a background, ready to be asked anywhere.
 ///
 /// Splats are summed up in cubes of a fifth of sigma, and [`AmbientField::bake`] sums the cubes up
-/// at the points of a grid, between which sums are interpolated. Places that were not baked are
+/// at the points of a grid, between which sums are interpolated. Positions that were not baked are
 /// summed from the cubes. Measured against the definition: see the tests.
 pub struct AmbientField {
     options: AmbientOptions,
@@ -232,10 +233,13 @@ impl AmbientField {
         }
     }
 
-    /// Sums up the probes about `places`, world coordinates, between which light is interpolated
+    /// Sums up the probes about `positions`, world coordinates, between which light is interpolated
     /// from then on. Returns how many there are now.
-    pub fn bake(&mut self, places: impl IntoIterator<Item = DVec3>) -> usize {
-        let cells: HashSet<IVec3> = places.into_iter().map(|place| self.cell(place)).collect();
+    pub fn bake(&mut self, positions: impl IntoIterator<Item = DVec3>) -> usize {
+        let cells: HashSet<IVec3> = positions
+            .into_iter()
+            .map(|position| self.cell(position))
+            .collect();
         let corners = cells
             .iter()
             .flat_map(|cell| (0..8).map(move |corner| *cell + corner_offset(corner)));
@@ -257,21 +261,21 @@ impl AmbientField {
         self.probes.len()
     }
 
-    /// True if light at `place` is interpolated between baked probes.
+    /// True if light at `position` is interpolated between baked probes.
     #[must_use]
-    pub fn is_baked(&self, place: DVec3) -> bool {
-        let cell = self.cell(place);
+    pub fn is_baked(&self, position: DVec3) -> bool {
+        let cell = self.cell(position);
         (0..8).all(|corner| self.probes.contains_key(&(cell + corner_offset(corner))))
     }
 
-    /// L(x) at `place`, world coordinates: interpolated where it was baked, else summed from the
-    /// cubes. `None` where no splat is in reach.
+    /// L(x) at `position`, world coordinates: interpolated where it was baked, else summed from the
+    /// cubes. `None` where no splat is within range.
     #[must_use]
-    pub fn at(&self, place: DVec3) -> Option<AmbientDescriptor> {
+    pub fn at(&self, position: DVec3) -> Option<AmbientDescriptor> {
         descriptor(
             &self
-                .interpolated(place)
-                .unwrap_or_else(|| self.sum_at(place - self.origin)),
+                .interpolated(position)
+                .unwrap_or_else(|| self.sum_at(position - self.origin)),
         )
     }
 
@@ -281,17 +285,17 @@ impl AmbientField {
         (self.probes.len(), self.voxels.len())
     }
 
-    /// The grid point below `place`.
-    fn cell(&self, place: DVec3) -> IVec3 {
+    /// The grid point below `position`.
+    fn cell(&self, position: DVec3) -> IVec3 {
         // No farther than a neighbor can still be counted: an agent may claim to stand anywhere.
-        let cell = ((place - self.origin) / self.options.spacing_m).floor();
+        let cell = ((position - self.origin) / self.options.spacing_m).floor();
         cell.clamp(DVec3::splat(-CELLS_MAX), DVec3::splat(CELLS_MAX))
             .as_ivec3()
     }
 
-    fn interpolated(&self, place: DVec3) -> Option<[f64; SUM]> {
-        let cell = self.cell(place);
-        let share = (place - self.origin) / self.options.spacing_m - cell.as_dvec3();
+    fn interpolated(&self, position: DVec3) -> Option<[f64; SUM]> {
+        let cell = self.cell(position);
+        let share = (position - self.origin) / self.options.spacing_m - cell.as_dvec3();
         let mut sum = [0.0; SUM];
         for corner in 0..8 {
             let offset = corner_offset(corner);
@@ -311,11 +315,11 @@ impl AmbientField {
         Some(sum)
     }
 
-    /// The sum over all cubes in reach of `place`, relative to the origin.
-    fn sum_at(&self, place: DVec3) -> [f64; SUM] {
+    /// The sum over all cubes within range of `position`, relative to the origin.
+    fn sum_at(&self, position: DVec3) -> [f64; SUM] {
         let (low, high) = (
-            (place - self.options.radius_m) / self.voxel_m,
-            (place + self.options.radius_m) / self.voxel_m,
+            (position - self.options.radius_m) / self.voxel_m,
+            (position + self.options.radius_m) / self.voxel_m,
         );
         let (low, high) = (low.floor().as_ivec3(), high.floor().as_ivec3());
         let mut sum = [0.0; SUM];
@@ -325,7 +329,7 @@ impl AmbientField {
                     continue;
                 };
                 for voxel in &self.voxels[column.clone()] {
-                    let weight = self.options.weight(voxel.center.distance_squared(place));
+                    let weight = self.options.weight(voxel.center.distance_squared(position));
                     if weight > 0.0 {
                         sum.iter_mut()
                             .zip(&voxel.sum)
@@ -410,7 +414,7 @@ mod tests {
         let (cloud, origin) = (street(60_000), DVec3::new(4.5e6, 7e5, 20.0));
         let options = AmbientOptions::default();
         let mut field = AmbientField::new(&cloud, cloud.len(), origin, &options);
-        let places: Vec<DVec3> = (0..40)
+        let positions: Vec<DVec3> = (0..40)
             .map(|i| {
                 DVec3::new(
                     1.3 * f64::from(i) - 26.0,
@@ -420,10 +424,10 @@ mod tests {
             })
             .collect();
         let error = |field: &AmbientField| {
-            let of = |place: &DVec3| {
+            let of = |position: &DVec3| {
                 let (found, truth) = (
-                    field.at(origin + *place).unwrap(),
-                    ambient_by_definition(&cloud, *place, &options).unwrap(),
+                    field.at(origin + *position).unwrap(),
+                    ambient_by_definition(&cloud, *position, &options).unwrap(),
                 );
                 let off = found
                     .to_vector()
@@ -432,11 +436,11 @@ mod tests {
                     .fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs()));
                 off / f64::from(truth.coefficients[0][0])
             };
-            places.iter().map(of).fold(0.0, f64::max)
+            positions.iter().map(of).fold(0.0, f64::max)
         };
         let summed = error(&field);
         assert_eq!(field.size().0, 0);
-        let probes = field.bake(places.iter().map(|place| origin + *place));
+        let probes = field.bake(positions.iter().map(|position| origin + *position));
         let baked = error(&field);
         println!("of the mean light: {summed:.2e} from cubes, {baked:.2e} from {probes} probes");
         assert!(summed < 1e-3 && baked < 2e-3, "{summed} {baked}");
@@ -468,7 +472,7 @@ mod tests {
         assert!(red > green + 0.1, "red beside the wall: {red} {green}");
         assert!(
             field.at(DVec3::new(0.0, 0.0, 500.0)).is_none(),
-            "nothing in reach"
+            "nothing within range"
         );
         // All splats have the same band 1 term along x: the light has it as well, and nothing of y.
         let light = field.at(DVec3::ZERO).unwrap();
@@ -482,15 +486,15 @@ mod tests {
         let cloud = street(300);
         let mut field =
             AmbientField::new(&cloud, cloud.len(), DVec3::ZERO, &AmbientOptions::default());
-        for place in [
+        for position in [
             DVec3::splat(1e12),
             DVec3::splat(-f64::MAX),
             DVec3::splat(f64::NAN),
             DVec3::new(f64::INFINITY, 0.0, 0.0),
         ] {
-            assert!(field.at(place).is_none(), "{place}");
-            field.bake([place]);
-            assert!(field.at(place).is_none(), "{place}");
+            assert!(field.at(position).is_none(), "{position}");
+            field.bake([position]);
+            assert!(field.at(position).is_none(), "{position}");
         }
     }
 

@@ -73,8 +73,8 @@ impl Sun {
 /// Street lamps that are lit, all alike.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lamps {
-    /// Their places, world coordinates.
-    pub places: Vec<DVec3>,
+    /// Their positions, world coordinates.
+    pub positions: Vec<DVec3>,
     /// Distance at which a lamp straight above gives the ground as much light as the sky does,
     /// meters.
     pub range_m: f64,
@@ -83,7 +83,7 @@ pub struct Lamps {
 impl Default for Lamps {
     fn default() -> Self {
         Self {
-            places: Vec::new(),
+            positions: Vec::new(),
             range_m: 30.0,
         }
     }
@@ -95,9 +95,9 @@ impl Lamps {
     /// # Errors
     /// A sentence naming the value at fault.
     pub fn check(&self) -> Result<(), Invalid> {
-        if let Some(place) = self.places.iter().find(|place| !place.is_finite()) {
+        if let Some(position) = self.positions.iter().find(|position| !position.is_finite()) {
             return Err(Invalid::new(format!(
-                "places holds {place}; expected finite coordinates"
+                "places holds {position}; expected finite coordinates"
             )));
         }
         let range_m = self.range_m;
@@ -110,12 +110,12 @@ impl Lamps {
     }
 }
 
-/// A light as it arrives at one place.
+/// A light as it arrives at one position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Arriving {
     /// From afar: a unit vector towards the light.
     Sun(DVec3),
-    /// From a lamp at this place.
+    /// From a lamp at this position.
     Lamp(DVec3),
 }
 
@@ -123,7 +123,7 @@ impl CastingLights {
     /// True if nothing casts a shadow.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.sun.is_none() && self.lamps.places.is_empty()
+        self.sun.is_none() && self.lamps.positions.is_empty()
     }
 
     /// Shadows that an agent of size `dims_m` at `world_from_agent` casts on the ground under it,
@@ -136,7 +136,7 @@ impl CastingLights {
         sunlit: f64,
         slab_m: f64,
     ) -> (Vec<GroundShadow>, f64) {
-        let place = world_from_agent.translation;
+        let position = world_from_agent.translation;
         // In units of the light of the sky.
         let mut lights = Vec::new();
         if let Some(Sun { towards, share }) = self.sun {
@@ -147,8 +147,8 @@ impl CastingLights {
             }
         }
         let range_m = self.lamps.range_m;
-        let lamps = self.lamps.places.iter().filter_map(|&lamp| {
-            let to_lamp = lamp - place;
+        let lamps = self.lamps.positions.iter().filter_map(|&lamp| {
+            let to_lamp = lamp - position;
             let distance_m = to_lamp.length();
             let arriving = range_m * range_m * to_lamp.z / distance_m.powi(3);
             (to_lamp.z > 0.0).then_some((Arriving::Lamp(lamp), arriving))
@@ -196,8 +196,8 @@ fn shadow_of(
             }
             (-towards.truncate() / towards.z * height_m, 1.0)
         }
-        Arriving::Lamp(place) => {
-            let lamp = into_ground * (place - ground.translation);
+        Arriving::Lamp(position) => {
+            let lamp = into_ground * (position - ground.translation);
             let above_m = lamp.z - height_m;
             if above_m < SINE_MIN * lamp.length() {
                 return None;
@@ -298,11 +298,11 @@ mod tests {
         }
     }
 
-    fn lamp(place: DVec3) -> CastingLights {
+    fn lamp(position: DVec3) -> CastingLights {
         CastingLights {
             sun: None,
             lamps: Lamps {
-                places: vec![place],
+                positions: vec![position],
                 ..Lamps::default()
             },
         }
@@ -333,9 +333,9 @@ mod tests {
     #[test]
     fn a_lamp_casts_a_shadow_away_from_it() {
         for (x, y) in [(5.0, 2.0), (-3.0, 6.0), (9.0, 0.0)] {
-            let (pose, place) = (standing(0.4), DVec3::new(x, y, 7.0));
-            let hidden = |at: DVec3| is_hidden(&pose, at, place - at, 1.0);
-            let (off, area) = compare(&only(&lamp(place), &pose), hidden);
+            let (pose, position) = (standing(0.4), DVec3::new(x, y, 7.0));
+            let hidden = |at: DVec3| is_hidden(&pose, at, position - at, 1.0);
+            let (off, area) = compare(&only(&lamp(position), &pose), hidden);
             assert!(off < 0.4 && (area - 1.0).abs() < 0.2, "{off} {area}");
             let mirrored = lamp(DVec3::new(-x, -y, 7.0));
             assert!(compare(&only(&mirrored, &pose), hidden).0 > 0.6);
@@ -378,7 +378,7 @@ mod tests {
         // Of many lamps the brightest count.
         let many = CastingLights {
             lamps: Lamps {
-                places: (0..9)
+                positions: (0..9)
                     .map(|at| DVec3::new(f64::from(at), 4.0, 7.0))
                     .collect(),
                 ..lamps

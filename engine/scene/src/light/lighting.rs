@@ -188,11 +188,11 @@ impl Lighting {
         agents.par_iter().with_min_len(8).map(lit).collect()
     }
 
-    /// The light at `place`, as a ground of the calibrated albedo would show it, and whether the
+    /// The light at `position`, as a ground of the calibrated albedo would show it, and whether the
     /// background told it: else it is the one that assets are shown in as they are.
     #[must_use]
-    pub fn at(&self, place: DVec3) -> (AmbientDescriptor, bool) {
-        match self.field.at(place) {
+    pub fn at(&self, position: DVec3) -> (AmbientDescriptor, bool) {
+        match self.field.at(position) {
             Some(light) => (self.on_calibrated_ground(light), true),
             None => (
                 self.transfer

@@ -74,7 +74,7 @@ impl GroundShadow {
 
     /// Extent of the mask, in half sizes.
     #[must_use]
-    pub fn reach(&self) -> f64 {
+    pub fn cutoff(&self) -> f64 {
         (-MASK_MIN.ln() / self.decay).powf(0.5f64.powi(self.sharpness as i32))
     }
 
@@ -103,22 +103,22 @@ impl GroundShadow {
     }
 }
 
-/// `world` as it looks under `shadows`, whose factors multiply: before agents are added to it,
-/// which shadows do not lie on.
+/// `splat_scene` as it looks under `shadows`, whose factors multiply: before agents are added to
+/// it, which shadows do not lie on.
 ///
 /// `max(0, 0.5 + SH) f = max(0, f (0.5 + SH))`, so a darkened splat is a splat again.
-pub fn bake_shadows(world: &mut SplatScene, shadows: &[GroundShadow]) {
+pub fn bake_shadows(splat_scene: &mut SplatScene, shadows: &[GroundShadow]) {
     if shadows.is_empty() {
         return;
     }
-    let origin = world.origin;
+    let origin = splat_scene.origin;
     let SplatCloud {
         means,
         sh_degree,
         sh_dc,
         sh_rest,
         ..
-    } = &mut world.splats;
+    } = &mut splat_scene.splats;
     let stride = sh::coefficient_count(*sh_degree) - 1;
     let shift = sh::DC_SHIFT;
     for (splat, mean) in means.iter().enumerate() {
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sharp_shadow_is_even_within_and_ends_at_its_reach() {
+    fn a_sharp_shadow_is_even_within_and_ends_at_its_cutoff() {
         let sharp = GroundShadow {
             decay: 0.5,
             sharpness: 3,
@@ -180,8 +180,8 @@ mod tests {
         assert!(
             mask(0.6) > 0.99 && (mask(1.0) - (-0.5f64).exp()).abs() < 1e-12 && mask(1.3) < 0.02
         );
-        let reach = sharp.reach();
-        assert!(mask(0.999 * reach) > 0.0 && mask(1.001 * reach) == 0.0 && reach < 1.5);
+        let cutoff = sharp.cutoff();
+        assert!(mask(0.999 * cutoff) > 0.0 && mask(1.001 * cutoff) == 0.0 && cutoff < 1.5);
     }
 
     #[test]
@@ -195,18 +195,18 @@ mod tests {
             sh_dc: vec![[0.3; 3]; 2],
             sh_rest: vec![[0.2; 3]; 6],
         };
-        let mut world = SplatScene {
+        let mut splat_scene = SplatScene {
             origin: DVec3::new(4.5e6, 0.0, 0.0),
             ..SplatScene::of(splat)
         };
-        let before = world.clone();
-        bake_shadows(&mut world, &[shadow(), shadow()]);
-        let shown = |world: &SplatScene, splat: usize| {
-            0.5 + sh::Y0 * f64::from(world.splats.sh_dc[splat][0])
+        let before = splat_scene.clone();
+        bake_shadows(&mut splat_scene, &[shadow(), shadow()]);
+        let shown = |splat_scene: &SplatScene, splat: usize| {
+            0.5 + sh::Y0 * f64::from(splat_scene.splats.sh_dc[splat][0])
         };
-        assert!((shown(&world, 0) - 0.04 * shown(&before, 0)).abs() < 1e-6);
-        assert!((world.splats.sh_rest[0][0] - 0.04 * 0.2).abs() < 1e-6);
-        assert_eq!(world.splats.sh_dc[1], before.splats.sh_dc[1]);
+        assert!((shown(&splat_scene, 0) - 0.04 * shown(&before, 0)).abs() < 1e-6);
+        assert!((splat_scene.splats.sh_rest[0][0] - 0.04 * 0.2).abs() < 1e-6);
+        assert_eq!(splat_scene.splats.sh_dc[1], before.splats.sh_dc[1]);
     }
 
     #[test]

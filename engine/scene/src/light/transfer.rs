@@ -66,7 +66,7 @@ pub struct LightTransfer {
     pub gain: Vec<([f32; AmbientDescriptor::LEN], f32)>,
     /// W_B and b_0, likewise.
     pub offset: Vec<([f32; AmbientDescriptor::LEN], f32)>,
-    /// The light that assets are shown in as they are: for places whose light is not known.
+    /// The light that assets are shown in as they are: for positions whose light is not known.
     pub neutral: AmbientDescriptor,
     /// Errors that the calibration measured; `None`: nothing is known, and the effect is applied in
     /// full.

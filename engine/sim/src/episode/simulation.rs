@@ -452,7 +452,7 @@ impl Simulation {
             let line = self.route.line();
             return line.at(line.project(state.position_m).arc_m).z;
         }
-        let place = self.traffic.places().nth(agent).flatten();
+        let place = self.traffic.lane_positions().nth(agent).flatten();
         place
             .and_then(|place| self.site.lanes.lanes[place.lane].centerline.first())
             .map_or(0.0, |point| point.z)

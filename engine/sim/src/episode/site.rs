@@ -156,7 +156,7 @@ impl Site {
                 let probe = probe.as_ref().map(read).transpose()?;
                 let options = RoadsOptions::new(*background, probe, *exposure_ev);
                 let drawn = roads::generate(&lanes, &options);
-                let world = SplatScene {
+                let splat_scene = SplatScene {
                     origin: drawn.origin,
                     sky: drawn.sky,
                     ..SplatScene::of(drawn.background)
@@ -165,7 +165,7 @@ impl Site {
                     signals: post_assets().into_iter().chain(sign_assets()).collect(),
                     ..cars
                 };
-                let site = Self::made_up((lanes, drawn.obstacles), world, cars, appearance)?;
+                let site = Self::made_up((lanes, drawn.obstacles), splat_scene, cars, appearance)?;
                 Ok(Self {
                     signals: Some(Signals { heads: None }),
                     ..site
@@ -213,7 +213,7 @@ impl Site {
         let Some(appearance) = appearance else {
             return Self::bare(street.lanes, street.obstacles, cars.sizes);
         };
-        let world = SplatScene {
+        let splat_scene = SplatScene {
             sky: street.sky,
             ..SplatScene::of(street.background)
         };
@@ -221,7 +221,12 @@ impl Site {
             signals: head_assets().into_iter().chain(sign_assets()).collect(),
             ..cars
         };
-        let site = Self::made_up((street.lanes, street.obstacles), world, cars, appearance)?;
+        let site = Self::made_up(
+            (street.lanes, street.obstacles),
+            splat_scene,
+            cars,
+            appearance,
+        )?;
         Ok(Self {
             signals: Some(Signals {
                 heads: Some(street.signal_heads),
@@ -242,11 +247,11 @@ impl Site {
 
     fn made_up(
         map: (LaneMap, Vec<Obstacle>),
-        mut world: SplatScene,
+        mut splat_scene: SplatScene,
         cars: Cars,
         appearance: &Appearance,
     ) -> Result<Self, SiteError> {
-        world.splats = world.splats.in_spatial_order();
+        splat_scene.splats = splat_scene.splats.in_spatial_order();
         let assets = cars
             .clouds
             .par_iter()
@@ -270,7 +275,7 @@ impl Site {
             assets,
             rig: cars.rig,
             light: Some(light),
-            ..empty_scene(world)
+            ..empty_scene(splat_scene)
         };
         Self::of(loaded, map, cars.sizes, None)
     }
@@ -309,10 +314,15 @@ impl Site {
             band_m: GROUND_BAND_M,
             ..GroundOptions::default()
         };
-        let ground = Ground::new(&loaded.world.splats, loaded.world.origin, &options);
-        let world = &loaded.world;
-        let obstacles = obstacles
-            .unwrap_or_else(|| occupancy::obstacles(&world.splats, world.origin, &lanes, &ground));
+        let ground = Ground::new(
+            &loaded.splat_scene.splats,
+            loaded.splat_scene.origin,
+            &options,
+        );
+        let splat_scene = &loaded.splat_scene;
+        let obstacles = obstacles.unwrap_or_else(|| {
+            occupancy::obstacles(&splat_scene.splats, splat_scene.origin, &lanes, &ground)
+        });
         Self::of(loaded, (lanes, obstacles), sizes, Some(ground))
     }
 
@@ -444,12 +454,12 @@ impl Site {
     /// Those of [`Session::add_scene`].
     pub fn add_to(&self, session: &Session) -> Result<Arc<SessionScene>, SessionError> {
         let scene = session.add_scene(&self.loaded)?;
-        scene.bake_light(self.places(Self::LIGHT_STEP_M));
+        scene.bake_light(self.positions(Self::LIGHT_STEP_M));
         Ok(scene)
     }
 
     /// Points along its lanes, `step_m` apart, at which light is baked.
-    pub fn places(&self, step_m: f64) -> impl Iterator<Item = DVec3> + '_ {
+    pub fn positions(&self, step_m: f64) -> impl Iterator<Item = DVec3> + '_ {
         self.lanes.lanes.iter().flat_map(move |lane| {
             lane.centerline.windows(2).flat_map(move |pair| {
                 let steps = (pair[0].distance(pair[1]) / step_m)
@@ -473,10 +483,10 @@ pub fn rig_of(place: &Place, directory: &Path) -> Result<Rig, SiteError> {
     }
 }
 
-fn empty_scene(world: SplatScene) -> LoadedScene {
+fn empty_scene(splat_scene: SplatScene) -> LoadedScene {
     LoadedScene {
         plain_agents: Vec::new(),
-        world,
+        splat_scene,
         assets: Vec::new(),
         agents: Vec::new(),
         rig: Rig::default(),

@@ -14,7 +14,7 @@ pub(super) const HORIZON_S: f64 = 4.0;
 /// Samples a plan from `place_at`: a time in seconds to a position in the ego's frame, in meters.
 ///
 /// # Errors
-/// Returns an error if a position is not finite or out of reach.
+/// Returns an error if a position is not finite or too far away.
 pub(super) fn plan_through(mut place_at: impl FnMut(f64) -> DVec2) -> Result<Plan, PlannerError> {
     let count = (HORIZON_S / SPACING_S).round() as u32;
     let points = (1..=count).map(|at| {

@@ -65,7 +65,7 @@ struct Outlook {
     agents: Vec<Expected>,
 }
 
-/// Places along the route, one a tick, and the first time at which a vehicle is met on them.
+/// Positions along the route, one a tick, and the first time at which a vehicle is met on them.
 struct Candidate {
     arcs_m: Vec<f64>,
     met_s: Option<f64>,
@@ -98,7 +98,7 @@ impl Planner for LaneFollow {
             self.arc_m,
         )
         .ok_or_else(|| {
-            PlannerError("lane-follow needs a route of at least two places, all finite".into())
+            PlannerError("lane-follow needs a route of at least two positions, all finite".into())
         })?;
         self.arc_m = Some(corridor.ego_arc_m);
         let light_m = lights::hold_m(&corridor, known, self.hold_m);

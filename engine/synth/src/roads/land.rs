@@ -37,7 +37,7 @@ struct Cell {
 pub(super) fn land(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
     let mut open = vec![Cell {
         middle: Vec2::ZERO,
-        width_m: 2.0 * place.relief.reach_m(),
+        width_m: 2.0 * place.relief.radius_m(),
         halvings: 0,
     }];
     while let Some(cell) = open.pop() {
@@ -45,10 +45,10 @@ pub(super) fn land(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
             return;
         }
         // The nearest point of the cell decides how fine it has to be.
-        let reach_m = 0.71 * cell.width_m;
+        let half_diagonal_m = 0.71 * cell.width_m;
         let coarse_m = place.relief.distance_m(cell.middle);
-        let near_m = if coarse_m > reach_m + 8.0 {
-            coarse_m - reach_m
+        let near_m = if coarse_m > half_diagonal_m + 8.0 {
+            coarse_m - half_diagonal_m
         } else {
             0.0
         };
@@ -63,7 +63,7 @@ pub(super) fn land(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
                 * if near_m > 0.0 {
                     near_m
                 } else {
-                    (exact_m - reach_m).max(0.0)
+                    (exact_m - half_diagonal_m).max(0.0)
                 },
         );
         if cell.width_m > allowed_m && cell.halvings < HALVINGS_MAX {
@@ -76,7 +76,7 @@ pub(super) fn land(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
                 });
             }
         } else if exact_m > 0.3 * cell.width_m.min(1.0)
-            && cell.middle.length() < place.relief.reach_m()
+            && cell.middle.length() < place.relief.radius_m()
         {
             canvas.push(disc(place, &cell, exact_m));
         }

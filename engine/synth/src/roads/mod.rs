@@ -115,7 +115,7 @@ pub fn generate(map: &LaneMap, options: &RoadsOptions) -> RoadsScene {
     dome::dome(
         &mut canvas,
         dome_splats,
-        place.relief.reach_m() + dome::BEYOND_M,
+        place.relief.radius_m() + dome::BEYOND_M,
         &place.light,
         place.relief.mean_z_m(),
     );

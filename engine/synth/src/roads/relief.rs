@@ -148,7 +148,7 @@ impl Relief {
     }
 
     /// From the origin to the corners of the grid, meters.
-    pub(super) fn reach_m(&self) -> f32 {
+    pub(super) fn radius_m(&self) -> f32 {
         let far = self.corner + Vec2::new(self.columns as f32, self.rows as f32) * self.cell_m;
         self.corner.abs().max(far.abs()).length()
     }

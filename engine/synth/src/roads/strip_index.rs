@@ -19,7 +19,7 @@ struct Piece {
     section: u32,
 }
 
-/// A lane at a place.
+/// A lane at a position.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
     pub(super) strip: usize,
@@ -29,7 +29,7 @@ pub(super) struct Hit {
     pub(super) ahead: Vec2,
 }
 
-/// Strips, found by place.
+/// Strips, found by position.
 pub(super) struct StripIndex {
     pub(super) strips: Vec<Strip>,
     cells: BTreeMap<(i32, i32), Vec<Piece>>,
@@ -107,9 +107,9 @@ impl StripIndex {
         }
         let Section { left, right } = from.lerp(to, share);
         let across = (left - right).truncate();
-        let place = (point - right).truncate().dot(across) / across.length_squared().max(1e-9);
-        let on_deck = (point.z - right.z - (left.z - right.z) * place).abs() < STOREY_M;
-        let depth_m = place.min(1.0 - place) * across.length();
+        let index = (point - right).truncate().dot(across) / across.length_squared().max(1e-9);
+        let on_deck = (point.z - right.z - (left.z - right.z) * index).abs() < STOREY_M;
+        let depth_m = index.min(1.0 - index) * across.length();
         (depth_m >= 0.0 && on_deck).then(|| Hit {
             strip: piece.strip as usize,
             depth_m,
@@ -117,7 +117,7 @@ impl StripIndex {
         })
     }
 
-    /// True if lane `strip` paves a place that it lies on: of all lanes there one does.
+    /// True if lane `strip` paves a position that it lies on: of all lanes there one does.
     pub(super) fn owns(&self, strip: usize, point: Vec3) -> bool {
         /// Neighbors overlap by less, meters: both pave their seam.
         const SEAM_M: f32 = 0.25;
@@ -148,8 +148,8 @@ impl StripIndex {
         let share = ((point - start).dot(ahead) / ahead.length_squared().max(1e-9)).clamp(0.0, 1.0);
         let Section { left, right } = from.lerp(to, share);
         let across = (left - right).truncate();
-        let place = ((point - right.truncate()).dot(across) / across.length_squared().max(1e-9))
+        let index = ((point - right.truncate()).dot(across) / across.length_squared().max(1e-9))
             .clamp(0.0, 1.0);
-        point.distance(right.truncate() + across * place)
+        point.distance(right.truncate() + across * index)
     }
 }

@@ -11,7 +11,7 @@ const STEP_M: f64 = 1.0;
 const SECTIONS_MAX: f64 = 400_000.0;
 
 /// Lanes farther from the first are another place, meters.
-const REACH_M: f64 = 50_000.0;
+const DISTANCE_MAX_M: f64 = 50_000.0;
 
 /// Half the width of a lane whose file tells none, meters.
 const HALF_WIDTH_M: f64 = 1.75;
@@ -93,7 +93,11 @@ pub(super) fn strips(map: &LaneMap) -> (Vec<Strip>, DVec3) {
     let Some(first) = first else {
         return (Vec::new(), DVec3::ZERO);
     };
-    let near = |points: &[DVec3]| points.iter().all(|point| point.distance(first) < REACH_M);
+    let near = |points: &[DVec3]| {
+        points
+            .iter()
+            .all(|point| point.distance(first) < DISTANCE_MAX_M)
+    };
     let lines = map
         .lanes
         .iter()

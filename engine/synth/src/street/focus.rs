@@ -38,7 +38,7 @@ pub enum Capture {
     Lanes,
 }
 
-/// The places that the cameras pass.
+/// The positions that the cameras pass.
 pub(super) struct Focus {
     /// Straight pieces.
     legs: Vec<[Vec3; 2]>,
@@ -104,8 +104,8 @@ impl Focus {
     }
 }
 
-fn at_camera_height(place: DVec3) -> Vec3 {
-    place.as_vec3().with_z(CAMERA_HEIGHT_M)
+fn at_camera_height(position: DVec3) -> Vec3 {
+    position.as_vec3().with_z(CAMERA_HEIGHT_M)
 }
 
 #[cfg(test)]
@@ -129,16 +129,16 @@ mod tests {
     fn whoever_drives_in_any_lane_has_small_splats_about_him() {
         let focus = Focus::new(Capture::Lanes);
         let lane_m = f64::from(crate::street::layout::LANE_M) as f32;
-        for place in [
+        for position in [
             Vec3::new(-60.0, 1.5 * lane_m, 0.0),
             Vec3::new(40.0 + 0.5 * lane_m, 70.0, 0.0),
         ] {
             assert!(
-                focus.largest_m(place) < 0.41,
-                "{place}: {}",
-                focus.largest_m(place)
+                focus.largest_m(position) < 0.41,
+                "{position}: {}",
+                focus.largest_m(position)
             );
-            assert!(Focus::new(Capture::Ego).largest_m(place) > focus.largest_m(place));
+            assert!(Focus::new(Capture::Ego).largest_m(position) > focus.largest_m(position));
         }
     }
 }

@@ -19,7 +19,7 @@ const LN_SCALE_OWN: f32 = 0.43;
 /// as an edge.
 const EDGE_CONTRAST: f32 = 0.14;
 
-/// Positions at which the surroundings are sampled, as shares of the reach: dense enough not to
+/// Positions at which the surroundings are sampled, as shares of the distance: dense enough not to
 /// step over a lane line.
 const PROBES: [f32; 6] = [1.0, -1.0, 0.55, -0.55, 0.25, -0.25];
 
@@ -67,11 +67,11 @@ impl Footprint {
             .normalize_or(point.normal.any_orthonormal_vector());
         let tangent = bitangent.cross(point.normal);
 
-        let reach_m = 1.6 * along_m.max(across_m);
+        let distance_m = 1.6 * along_m.max(across_m);
         let near_edge = !leaf
             && [tangent, bitangent]
                 .iter()
-                .any(|axis| !clear(element, point, texel, *axis, reach_m));
+                .any(|axis| !clear(element, point, texel, *axis, distance_m));
         let turn_rad = if near_edge {
             0.0
         } else {
@@ -149,8 +149,14 @@ impl Footprint {
     }
 }
 
-/// True if the surface continues in the same color for `reach_m` both ways along `axis`.
-fn clear(element: &Element, point: &SurfacePoint, texel: &Texel, axis: Vec3, reach_m: f32) -> bool {
+/// True if the surface continues in the same color for `distance_m` both ways along `axis`.
+fn clear(
+    element: &Element,
+    point: &SurfacePoint,
+    texel: &Texel,
+    axis: Vec3,
+    distance_m: f32,
+) -> bool {
     let border_m = if axis.dot(point.tangent).abs() > 0.5 {
         point.border_m[0]
     } else {
@@ -158,9 +164,9 @@ fn clear(element: &Element, point: &SurfacePoint, texel: &Texel, axis: Vec3, rea
     };
     let root = |albedo: Vec3| albedo.max(Vec3::ZERO).map(f32::sqrt);
     let here = root(texel.albedo);
-    (element.seamless || border_m >= reach_m)
+    (element.seamless || border_m >= distance_m)
         && PROBES.into_iter().all(|share| {
-            let there = point.moved(axis * (share * reach_m));
+            let there = point.moved(axis * (share * distance_m));
             (root((element.texture)(&there).albedo) - here)
                 .abs()
                 .max_element()

@@ -92,7 +92,7 @@ impl Heading {
     }
 
     /// Start (negative) and end of its lanes relative to the crossing's center, meters.
-    fn reach_m(self) -> (f64, f64) {
+    fn ends_m(self) -> (f64, f64) {
         let crossing = f64::from(self.axis.crossing_s()) * if self.forward { 1.0 } else { -1.0 };
         (-END_M - crossing, END_M - crossing)
     }
@@ -156,7 +156,7 @@ pub(super) fn lanes() -> LaneMap {
     let half_m = crossing_half_m();
     let mut map = LaneMap::default();
     for heading in Heading::ALL {
-        let (begin_m, end_m) = heading.reach_m();
+        let (begin_m, end_m) = heading.ends_m();
         for (part, from_m, to_m) in [
             ("before", begin_m, -half_m),
             ("straight", -half_m, half_m),
@@ -200,7 +200,7 @@ fn lights() -> Vec<TrafficLight> {
             let approaches = headings.filter(|heading| heading.axis == axis);
             let line = |heading: Heading, number: usize| StopLine {
                 lane: format!("{}/{number}/before", heading.name()),
-                at_m: -heading.reach_m().0 - STOP_LINE_M,
+                at_m: -heading.ends_m().0 - STOP_LINE_M,
             };
             TrafficLight {
                 name: name.into(),

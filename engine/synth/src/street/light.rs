@@ -23,7 +23,7 @@ const PENUMBRA_RAD: f32 = 0.012;
 const LAMP_HALF_M: f32 = 0.25;
 
 /// Range of the light of a street lamp, meters.
-const LAMP_REACH_M: f32 = 32.0;
+const LAMP_RANGE_M: f32 = 32.0;
 
 /// Longest shadow of a car or a tree crown away from a lamp, meters.
 const LAMP_SHADOW_M: f32 = 7.0;
@@ -75,10 +75,10 @@ impl Light {
         for (index, occluder) in occluders.iter().enumerate() {
             let (min, max) = occluder.bounds();
             // Down to the ground, the shadow reaches this far the other way.
-            let reach = -towards_sun.truncate() / towards_sun.z.max(0.1) * max.z;
+            let shadow = -towards_sun.truncate() / towards_sun.z.max(0.1) * max.z;
             let margin = Vec2::splat(if lamplit { LAMP_SHADOW_M } else { 1.5 });
-            let low = min.truncate().min(min.truncate() + reach) - margin;
-            let high = max.truncate().max(max.truncate() + reach) + margin;
+            let low = min.truncate().min(min.truncate() + shadow) - margin;
+            let high = max.truncate().max(max.truncate() + shadow) + margin;
             let ((i0, j0), (i1, j1)) = (cell_of(low), cell_of(high));
             for j in j0.max(0)..=j1.min(CELLS - 1) {
                 for i in i0.max(0)..=i1.min(CELLS - 1) {
@@ -116,8 +116,8 @@ impl Light {
             lamps: match self.lamps[..] {
                 [] => Lamps::default(),
                 _ => Lamps {
-                    places: self.lamps.iter().copied().map(rounded).collect(),
-                    range_m: f64::from(LAMP_REACH_M).min((luminance(air.lamp) / sky).sqrt()),
+                    positions: self.lamps.iter().copied().map(rounded).collect(),
+                    range_m: f64::from(LAMP_RANGE_M).min((luminance(air.lamp) / sky).sqrt()),
                 },
             },
         }
@@ -155,11 +155,11 @@ impl Light {
         cell.iter().map(|&index| &self.occluders[index as usize])
     }
 
-    /// Share of the light from `reach` lengths of `direction` away that arrives.
-    fn passing(&self, position: Vec3, direction: Vec3, reach: f32) -> f32 {
+    /// Share of the light from `length` lengths of `direction` away that arrives.
+    fn passing(&self, position: Vec3, direction: Vec3, length: f32) -> f32 {
         let mut passing = 1.0;
         for occluder in self.near(position) {
-            passing *= occluder.transmittance(position, direction, reach);
+            passing *= occluder.transmittance(position, direction, length);
             if passing < 0.01 {
                 return 0.0;
             }
@@ -200,13 +200,13 @@ impl Light {
         for lamp in &self.lamps {
             let to_lamp = *lamp + LAMP_HALF_M * aside.signed3() - position;
             let distance_m = to_lamp.length();
-            if !(0.5..LAMP_REACH_M).contains(&distance_m) {
+            if !(0.5..LAMP_RANGE_M).contains(&distance_m) {
                 continue;
             }
             let direction = to_lamp / distance_m;
             // It hangs with its back to the sky, and its light ends softly.
             let shining = smoothstep(0.0, 0.75, direction.z)
-                * (1.0 - (distance_m / LAMP_REACH_M).powi(2)).powi(2);
+                * (1.0 - (distance_m / LAMP_RANGE_M).powi(2)).powi(2);
             let arriving = shining / (distance_m * distance_m + 3.0);
             around += arriving;
             // Leaves let less of a single beam through than of the whole bright side of the sky.

@@ -37,21 +37,21 @@ impl Occluder {
             } => {
                 let (sin, cos) = yaw_rad.sin_cos();
                 let (sin, cos) = (sin.abs(), cos.abs());
-                let reach = Vec3::new(
+                let half_size = Vec3::new(
                     cos * half.x + sin * half.y,
                     sin * half.x + cos * half.y,
                     half.z,
                 );
-                (center - reach, center + reach)
+                (center - half_size, center + half_size)
             }
         }
     }
 
-    /// Share of the light that passes it on the first `reach` lengths of `direction`.
-    pub(super) fn transmittance(&self, from: Vec3, direction: Vec3, reach: f32) -> f32 {
+    /// Share of the light that passes it on the first `length` lengths of `direction`.
+    pub(super) fn transmittance(&self, from: Vec3, direction: Vec3, length: f32) -> f32 {
         match *self {
             Self::Box { min, max } | Self::Car { min, max } => {
-                blocked(slab(min - from, max - from, direction), reach)
+                blocked(slab(min - from, max - from, direction), length)
             }
             Self::Turned {
                 center,
@@ -63,7 +63,7 @@ impl Occluder {
                 let offset = upright * (from - center);
                 blocked(
                     slab(-half - offset, half - offset, upright * direction),
-                    reach,
+                    length,
                 )
             }
             Self::Crown { center, radii } => {
@@ -79,7 +79,7 @@ impl Occluder {
                 }
                 let root = discriminant.sqrt();
                 let inside_m =
-                    ((-b + root) / a).max(0.0).min(reach) - ((-b - root) / a).max(0.0).min(reach);
+                    ((-b + root) / a).max(0.0).min(length) - ((-b - root) / a).max(0.0).min(length);
                 (-0.85 * inside_m).exp()
             }
         }
@@ -112,8 +112,8 @@ fn slab(min: Vec3, max: Vec3, direction: Vec3) -> (f32, f32) {
     (a.min(b).max_element(), a.max(b).min_element())
 }
 
-fn blocked((near, far): (f32, f32), reach: f32) -> f32 {
-    if far > near.max(0.0) && near < reach {
+fn blocked((near, far): (f32, f32), length: f32) -> f32 {
+    if far > near.max(0.0) && near < length {
         0.0
     } else {
         1.0

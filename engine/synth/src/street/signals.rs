@@ -90,18 +90,18 @@ pub(super) fn signal_feet() -> impl Iterator<Item = (Vec3, f32, Axis)> {
 }
 
 /// End of the arm of a post.
-fn reach() -> Vec3 {
+fn arm_end() -> Vec3 {
     Vec3::new(0.0, ROAD_HALF_M - LANES_HALF_M + 2.2, 6.0)
 }
 
 /// Heads of a post: beside the road and over it.
 fn head_centers() -> [Vec3; 2] {
-    [Vec3::Z * HEAD_Z_M, reach() - Vec3::Z * 0.55]
+    [Vec3::Z * HEAD_Z_M, arm_end() - Vec3::Z * 0.55]
 }
 
 fn signal(lit: LightColor) -> Vec<Element> {
     let top = Vec3::Z * 5.9;
-    let mut elements = vec![post(Vec3::ZERO, top, 0.1), post(top, reach(), 0.07)];
+    let mut elements = vec![post(Vec3::ZERO, top, 0.1), post(top, arm_end(), 0.07)];
     for center in head_centers() {
         elements.extend(head(center, HEAD_HALF_M, lit, 0.12));
     }

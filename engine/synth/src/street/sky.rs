@@ -157,10 +157,10 @@ fn ground(seed: u64) -> Vec<Element> {
         }
     };
     let mut elements = Vec::new();
-    let reach = HILLS_RADIUS_M;
+    let radius = HILLS_RADIUS_M;
     let cross = Axis::Main.crossing_s();
-    for (x0, x1) in [(-reach, cross - inner), (cross + inner, reach)] {
-        for (y0, y1) in [(-reach, -inner), (inner, reach)] {
+    for (x0, x1) in [(-radius, cross - inner), (cross + inner, radius)] {
+        for (y0, y1) in [(-radius, -inner), (inner, radius)] {
             let shape = Shape::Rectangle {
                 corner: Vec3::new(x0, y0, -0.05),
                 along: Vec3::X * (x1 - x0),

@@ -93,12 +93,12 @@ pub(super) struct Traffic {
 /// `count` agents over the lanes, sparse where there is room. Asset `k` is variant `k` of
 /// [`Build`].
 pub(super) fn traffic(count: usize, assets: usize, seed: u64) -> Traffic {
-    let places = places(count, seed);
+    let positions = positions(count, seed);
     let mut traffic = Traffic {
         agents: Vec::with_capacity(count),
         trajectories: Vec::with_capacity(count),
     };
-    for (number, (lane, s)) in places.into_iter().enumerate() {
+    for (number, (lane, s)) in positions.into_iter().enumerate() {
         let asset = number % assets;
         let (build, _) = Build::of(asset);
         let z = 0.5 * f64::from(build.size.z);
@@ -118,8 +118,9 @@ pub(super) fn traffic(count: usize, assets: usize, seed: u64) -> Traffic {
     traffic
 }
 
-/// A lane and a place in it for each agent: lanes in turn, so that a few agents are not one queue.
-fn places(count: usize, seed: u64) -> Vec<(Lane, f64)> {
+/// A lane and a position in it for each agent: lanes in turn, so that a few agents are not one
+/// queue.
+fn positions(count: usize, seed: u64) -> Vec<(Lane, f64)> {
     let mut lanes = lanes();
     let endless = lanes.remove(lanes.len() - 1);
     let mut slots: Vec<(u64, Lane, f64)> = Vec::new();
@@ -140,16 +141,16 @@ fn places(count: usize, seed: u64) -> Vec<(Lane, f64)> {
         }
     }
     slots.sort_by_key(|(rank, ..)| *rank);
-    let mut places: Vec<(Lane, f64)> = slots
+    let mut positions: Vec<(Lane, f64)> = slots
         .into_iter()
         .take(count)
         .map(|(_, lane, s)| (lane, s))
         .collect();
-    for extra in places.len()..count {
+    for extra in positions.len()..count {
         let first = endless.range_m.0;
-        places.push((endless, first + SLOT_M * (extra + 1) as f64));
+        positions.push((endless, first + SLOT_M * (extra + 1) as f64));
     }
-    places
+    positions
 }
 
 /// The ego's trajectory: straight along the right lane, then a right turn into the crossing street.
@@ -185,8 +186,8 @@ fn ego_pose(s: f64, straight_m: f64, turn_x: f64, lane_m: f64) -> Pose {
         -lane_m - radius * (1.0 - turned_rad.cos()),
     );
     let heading = DVec2::new(turned_rad.cos(), -turned_rad.sin());
-    let place = on_arc + heading * after_m - DVec2::X * (straight_m - s).max(0.0);
-    Pose::from_yaw(-turned_rad, place.extend(EGO_CENTRE_Z_M))
+    let position = on_arc + heading * after_m - DVec2::X * (straight_m - s).max(0.0);
+    Pose::from_yaw(-turned_rad, position.extend(EGO_CENTRE_Z_M))
 }
 
 /// Six cameras around the roof at 1.6 m, laid out as on the vehicles of nuScenes (Caesar et al.,

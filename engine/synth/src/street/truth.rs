@@ -162,11 +162,11 @@ mod tests {
             / 3.0
     }
 
-    /// Mean of what ground within `reach_m` beyond the car's sides shows in the truth over what it
+    /// Mean of what ground within `margin_m` beyond the car's sides shows in the truth over what it
     /// shows without cars.
-    fn kept(street: &Street, truth: &Truth, placement: &AgentPlacement, reach_m: f64) -> f64 {
+    fn kept(street: &Street, truth: &Truth, placement: &AgentPlacement, margin_m: f64) -> f64 {
         let half =
-            Build::of(placement.asset).0.size.as_dvec3().truncate() * 0.5 + DVec2::splat(reach_m);
+            Build::of(placement.asset).0.size.as_dvec3().truncate() * 0.5 + DVec2::splat(margin_m);
         let car_from_world = placement.world_from_agent.inverse();
         let (mut with, mut without) = (0.0, 0.0);
         for (splat, mean) in street

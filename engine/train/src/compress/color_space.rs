@@ -66,11 +66,11 @@ pub(super) fn residual_steps(residuals: &[[f32; 3]], weights: &[f32]) -> [f32; 3
             .collect();
         order.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut below = 0.0;
-        let reach = order.iter().find(|(_, weight)| {
+        let cutoff = order.iter().find(|(_, weight)| {
             below += f64::from(*weight);
             below >= RESIDUAL_SHARE * total
         });
-        (reach.map_or(0.0, |&(size, _)| size) / (RESIDUAL_HALF[axis] - 0.5)).max(RESIDUAL_STEP_MIN)
+        (cutoff.map_or(0.0, |&(size, _)| size) / (RESIDUAL_HALF[axis] - 0.5)).max(RESIDUAL_STEP_MIN)
     })
 }
 

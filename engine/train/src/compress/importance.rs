@@ -2,7 +2,7 @@
 //!
 //! V is what the splat adds to images, D how its color stands out from its neighborhood, H how
 //! varied that neighborhood is. Each is brought to 0 to 1 over the asset: V by its rank (the share
-//! of splats with a smaller value, ties by the middle of their places), because it spans many
+//! of splats with a smaller value, ties by their mean rank), because it spans many
 //! orders of magnitude; D and H by their largest value, because they do not. A splat that no view
 //! shows (V = 0) has importance 0: nobody sees how its color stands out.
 //!
@@ -66,7 +66,7 @@ pub fn importance(cloud: &SplatCloud, visibility: &[f32]) -> Vec<f32> {
     importance
 }
 
-/// The rank of each value as a share, in (0, 1); equal values share the middle of their places.
+/// The rank of each value as a share, in (0, 1); equal values share their mean rank.
 fn ranks(values: &[f32]) -> Vec<f32> {
     let mut order: Vec<u32> = (0..values.len() as u32).collect();
     order.par_sort_unstable_by(|&a, &b| {
@@ -80,7 +80,7 @@ fn ranks(values: &[f32]) -> Vec<f32> {
         let middle = (first as f64 + 0.5 * equal.len() as f64) / values.len() as f64;
         equal
             .iter()
-            .for_each(|&place| ranks[place as usize] = middle as f32);
+            .for_each(|&index| ranks[index as usize] = middle as f32);
         first += equal.len();
     }
     ranks
@@ -176,8 +176,8 @@ fn contrast_and_entropy(cloud: &SplatCloud, splats: &[u32]) -> (Vec<f32>, Vec<f3
 /// Mean color and entropy of a cell and those around it, in a fixed order of cells.
 fn neighborhood(cells: &HashMap<[i32; 3], Colors>, [x, y, z]: [i32; 3]) -> ([f64; 3], f64) {
     let mut all = Colors::NONE;
-    for place in 0..27 {
-        let key = [x + place % 3 - 1, y + place / 3 % 3 - 1, z + place / 9 - 1];
+    for index in 0..27 {
+        let key = [x + index % 3 - 1, y + index / 3 % 3 - 1, z + index / 9 - 1];
         if let Some(cell) = cells.get(&key) {
             all.add(cell);
         }

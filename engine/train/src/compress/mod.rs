@@ -124,7 +124,7 @@ impl Levels {
             .select(kept)
             .spatial_order()
             .iter()
-            .map(|&place| kept[place as usize])
+            .map(|&index| kept[index as usize])
             .collect();
         let visibility: Vec<f32> = order
             .iter()

@@ -74,12 +74,6 @@ impl PartBytes {
 }
 
 impl CompressionReport {
-    /// Stored bytes per splat of the finest level.
-    #[must_use]
-    pub fn bytes_per_kept_splat(&self) -> f64 {
-        self.bytes.total() as f64 / self.kept as f64
-    }
-
     /// Stored bytes per input splat.
     #[must_use]
     pub fn bytes_per_splat(&self) -> f64 {

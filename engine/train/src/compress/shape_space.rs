@@ -103,7 +103,7 @@ impl ShapeSpace {
 }
 
 /// The size of a splat: the root of the sum of its squared scales, meters. Not zero unless all
-/// scales are, and smooth where the longest axis changes places.
+/// scales are, and smooth where the longest axis changes.
 pub(super) fn size_of(scales: &[f32; 3]) -> f64 {
     held(scales).length().max(f64::from(-LOG2_SIZE_MAX).exp2())
 }

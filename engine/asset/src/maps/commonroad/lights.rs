@@ -22,10 +22,10 @@ pub(super) fn lights(
 ) -> Result<Vec<TrafficLight>, DecodeError> {
     let step_s = root.number_or("timeStepSize", STEP_S)?;
     let mut lights = Vec::new();
-    let mut places = HashMap::new();
+    let mut indices = HashMap::new();
     for element in root.all("trafficLight") {
         if let Some(light) = light(element, step_s)? {
-            places.insert(element.needed_attribute("id")?, lights.len());
+            indices.insert(element.needed_attribute("id")?, lights.len());
             lights.push(light);
         }
     }
@@ -38,7 +38,7 @@ pub(super) fn lights(
         let mut named: Vec<usize> = lanelet
             .all("trafficLightRef")
             .chain(of_line)
-            .filter_map(|light| places.get(light.attribute("ref")?).copied())
+            .filter_map(|light| indices.get(light.attribute("ref")?).copied())
             .collect();
         named.sort_unstable();
         named.dedup();

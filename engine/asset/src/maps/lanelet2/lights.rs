@@ -28,10 +28,10 @@ pub(super) fn lights(
     budget: &mut Budget,
 ) -> Result<Vec<TrafficLight>, DecodeError> {
     let mut lights = Vec::with_capacity(file.lights.len());
-    let mut places = HashMap::new();
+    let mut indices = HashMap::new();
     for light in &file.lights {
         let name = light.needed_attribute("id")?;
-        places.insert(name, lights.len());
+        indices.insert(name, lights.len());
         lights.push(TrafficLight {
             name: name.to_owned(),
             ..TrafficLight::default()
@@ -42,7 +42,7 @@ pub(super) fn lights(
             .element
             .all("member")
             .filter(|member| member.attribute("role") == Some("regulatory_element"))
-            .filter_map(|member| places.get(member.attribute("ref")?).copied());
+            .filter_map(|member| indices.get(member.attribute("ref")?).copied());
         if lane.kind != LaneKind::Driving {
             continue;
         }

@@ -1,4 +1,4 @@
-//! Cubic polynomials of the way along a road, each from a place on: widths, heights, offsets.
+//! Cubic polynomials of the way along a road, each from a position on: widths, heights, offsets.
 
 use crate::DecodeError;
 use crate::xml::Element;

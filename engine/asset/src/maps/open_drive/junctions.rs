@@ -12,8 +12,8 @@ use crate::xml::Element;
 
 /// Indices of a road's lanes in the list of all lanes.
 #[derive(Default)]
-pub(super) struct RoadPlaces {
-    /// For each section, places by lane id, each with whether traffic runs along the road.
+pub(super) struct RoadLanes {
+    /// For each section, indices by lane id, each with whether traffic runs along the road.
     pub(super) sections: Vec<HashMap<i64, (usize, bool)>>,
 }
 
@@ -29,8 +29,8 @@ struct LaneEnd {
 /// All roads, what touches what among their lanes, and the lanes themselves.
 pub(super) struct Network<'a> {
     pub(super) roads: &'a [Road],
-    pub(super) places: &'a [RoadPlaces],
-    /// Places of roads by id.
+    pub(super) indices: &'a [RoadLanes],
+    /// Positions of roads by id.
     pub(super) by_id: &'a HashMap<String, usize>,
     pub(super) lanes: &'a mut [Lane],
 }
@@ -91,7 +91,7 @@ impl Network<'_> {
     }
 
     fn end(&self, road: usize, section: usize, id: i64, contact: Contact) -> Option<LaneEnd> {
-        let (lane, is_forward) = *self.places[road].sections[section].get(&id)?;
+        let (lane, is_forward) = *self.indices[road].sections[section].get(&id)?;
         Some(LaneEnd {
             lane,
             contact,

@@ -30,7 +30,7 @@ use decouplegs_scene::{Lane, LaneMap};
 use glam::{DVec2, DVec3};
 
 use self::cubic::Profile;
-use self::junctions::{Network, RoadPlaces};
+use self::junctions::{Network, RoadLanes};
 use self::lanes::{Section, SectionLane};
 use self::plan_view::Geometry;
 pub use self::road_positions::RoadPositions;
@@ -75,7 +75,7 @@ struct Road {
     predecessor: Option<LinkTarget>,
     successor: Option<LinkTarget>,
     drives_on_the_left: bool,
-    /// Limits from a place along the road on, in order.
+    /// Limits from a position along the road on, in order.
     speed_limits: Vec<(f64, Option<f64>)>,
 }
 
@@ -87,7 +87,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     Ok(decode_with_positions(bytes)?.0)
 }
 
-/// Reads the lanes of an OpenDRIVE file, and what finds places on its roads.
+/// Reads the lanes of an OpenDRIVE file, and what finds positions on its roads.
 ///
 /// # Errors
 /// A [`DecodeError`] that names the line and element at fault.
@@ -109,14 +109,14 @@ pub fn decode_with_positions(bytes: &[u8]) -> Result<(LaneMap, RoadPositions), D
         signals.push(signals::read(element)?);
     }
     let mut lanes: Vec<Lane> = Vec::new();
-    let mut places = Vec::with_capacity(roads.len());
+    let mut indices = Vec::with_capacity(roads.len());
     let mut budget = Budget::whole();
     for road in &roads {
-        places.push(road.add_lanes(&mut lanes, &mut budget)?);
+        indices.push(road.add_lanes(&mut lanes, &mut budget)?);
     }
     let mut network = Network {
         roads: &roads,
-        places: &places,
+        indices: &indices,
         by_id: &by_id,
         lanes: &mut lanes,
     };
@@ -125,12 +125,12 @@ pub fn decode_with_positions(bytes: &[u8]) -> Result<(LaneMap, RoadPositions), D
         network.join_junction(junction)?;
     }
     tapers::join_smoothly(&mut lanes);
-    let lights = signals::lights(&signals, &roads, &places, &lanes)?;
+    let lights = signals::lights(&signals, &roads, &indices, &lanes)?;
     let map = LaneMap {
         lights,
         ..super::finished(lanes, DVec3::ZERO)?
     };
-    Ok((map, RoadPositions::new(roads, places, by_id)))
+    Ok((map, RoadPositions::new(roads, indices, by_id)))
 }
 
 impl Road {
@@ -221,8 +221,8 @@ impl Road {
         &self,
         all: &mut Vec<Lane>,
         budget: &mut Budget,
-    ) -> Result<RoadPlaces, DecodeError> {
-        let mut places = RoadPlaces::default();
+    ) -> Result<RoadLanes, DecodeError> {
+        let mut indices = RoadLanes::default();
         for (section_at, section) in self.sections.iter().enumerate() {
             let prefix = format!("{}/{section_at}", self.id);
             let sampled = sampling::lanes(self, section, &prefix, budget)?;
@@ -240,9 +240,9 @@ impl Road {
                     make_neighbors(&pair[0], &pair[1], &by_id, all);
                 }
             }
-            places.sections.push(by_id);
+            indices.sections.push(by_id);
         }
-        Ok(places)
+        Ok(indices)
     }
 }
 
@@ -250,10 +250,10 @@ impl Road {
 fn make_neighbors(
     inner: &SectionLane,
     outer: &SectionLane,
-    places: &HashMap<i64, (usize, bool)>,
+    indices: &HashMap<i64, (usize, bool)>,
     lanes: &mut [Lane],
 ) {
-    let (Some(inner_place), Some(outer_place)) = (places.get(&inner.id), places.get(&outer.id))
+    let (Some(inner_place), Some(outer_place)) = (indices.get(&inner.id), indices.get(&outer.id))
     else {
         return;
     };

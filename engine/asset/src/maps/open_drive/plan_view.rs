@@ -10,7 +10,7 @@ use crate::xml::Element;
 const LENGTH_MAX_M: f64 = 1e6;
 /// A curve that turns by more winds up, radians; it would also cost as much to follow.
 const TURN_MAX_RAD: f64 = 30.0;
-/// A longer spiral or cubic is no road's; the places on them are integrals, which would cost as
+/// A longer spiral or cubic is no road's; the positions on them are integrals, which would cost as
 /// much as they are long, meters.
 const INTEGRATED_MAX_M: f64 = 1e4;
 
@@ -40,7 +40,7 @@ enum Shape {
     ParamPoly3([f64; 4], [f64; 4], f64),
 }
 
-/// A place on a reference line.
+/// A position on a reference line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct OnLine {
     /// Position on the plane, meters.
@@ -139,7 +139,7 @@ fn read_shape(element: Element, length_m: f64) -> Result<Option<Shape>, DecodeEr
 }
 
 impl Geometry {
-    /// The place at `s_m` along the road.
+    /// The position at `s_m` along the road.
     pub(super) fn at(&self, s_m: f64) -> OnLine {
         let way_m = s_m - self.start_m;
         let (local, turn_rad) = match self.shape {
@@ -195,10 +195,10 @@ fn along_spiral(curvature: f64, change: f64, way_m: f64) -> (DVec2, f64) {
     let heading = |at_m: f64| at_m * (curvature + 0.5 * change * at_m);
     let turn_rad = way_m.abs() * curvature.abs().max((curvature + change * way_m).abs());
     let panels = turn_rad.min(2.0 * TURN_MAX_RAD).ceil().max(1.0);
-    let place = integral(way_m, panels as usize, |at_m| {
+    let position = integral(way_m, panels as usize, |at_m| {
         DVec2::from_angle(heading(at_m))
     });
-    (place, heading(way_m))
+    (position, heading(way_m))
 }
 
 /// Abscissa up to which a cubic is `way_m` long.
@@ -310,7 +310,7 @@ mod tests {
 
     #[test]
     fn a_cubic_is_walked_by_its_length() {
-        // v = u: after the way s the place is (s, s) / sqrt(2).
+        // v = u: after the way s the position is (s, s) / sqrt(2).
         let straight = of(Shape::Poly3([0.0, 1.0, 0.0, 0.0]), 10.0).at(10.0);
         assert!(
             (straight.position - DVec2::splat(50.0_f64.sqrt())).length() < 1e-8,

@@ -1,4 +1,5 @@
-//! Places on roads by road, lane and length along the reference line, as OpenSCENARIO gives them.
+//! Positions on roads by road, lane and length along the reference line, as OpenSCENARIO gives
+//! them.
 
 use std::collections::HashMap;
 
@@ -7,31 +8,31 @@ use glam::DVec2;
 
 use super::super::polyline::plan_length_m;
 use super::Road;
-use super::junctions::RoadPlaces;
+use super::junctions::RoadLanes;
 
-/// Roads of a map, to find places on them.
+/// Roads of a map, to find positions on them.
 pub struct RoadPositions {
     roads: Vec<Road>,
-    places: Vec<RoadPlaces>,
+    indices: Vec<RoadLanes>,
     by_id: HashMap<String, usize>,
 }
 
 impl RoadPositions {
     pub(super) fn new(
         roads: Vec<Road>,
-        places: Vec<RoadPlaces>,
+        indices: Vec<RoadLanes>,
         by_id: HashMap<String, usize>,
     ) -> Self {
         Self {
             roads,
-            places,
+            indices,
             by_id,
         }
     }
 
     /// Index of a lane in `map`, meters along it in driving direction, and true if it runs along
-    /// the reference line, of the place `s_m` along the reference line of `road`. `None` if there
-    /// is no such road or lane.
+    /// the reference line, of the position `s_m` along the reference line of `road`. `None` if
+    /// there is no such road or lane.
     #[must_use]
     pub fn on_lane(
         &self,
@@ -42,7 +43,7 @@ impl RoadPositions {
     ) -> Option<(usize, f64, bool)> {
         let index = *self.by_id.get(road)?;
         let (section, share) = self.roads[index].section_at(s_m);
-        let by_id = self.places[index].sections.get(section)?;
+        let by_id = self.indices[index].sections.get(section)?;
         let &(lane, is_forward) = by_id.get(&lane)?;
         let at_m = along_m(&map.lanes[lane], share, is_forward);
         Some((lane, at_m, is_forward))

@@ -92,8 +92,8 @@ pub(super) fn lanes(
     Ok(left.chain(right).map(lane_of).collect())
 }
 
-/// The borders along a section: for each place the inner one, those of the lanes on the left and of
-/// those on the right.
+/// The borders along a section: for each position the inner one, those of the lanes on the left and
+/// of those on the right.
 fn stations(
     road: &Road,
     section: &Section,
@@ -105,11 +105,11 @@ fn stations(
         let strip = Strip::at(road, section, 0.5 * (ends[0] + ends[1]));
         let steps = ((ends[1] - ends[0]) / STEP_MAX_M).ceil().max(1.0);
         budget.spend(points_each * (steps as usize + 1))?;
-        let place = |step: f64| ends[0] + (ends[1] - ends[0]) * step / steps;
+        let position = |step: f64| ends[0] + (ends[1] - ends[0]) * step / steps;
         let mut from = (ends[0], strip.borders(ends[0]));
         stations.push(from.1.clone());
         for step in 1..=steps as usize {
-            let to_m = place(step as f64);
+            let to_m = position(step as f64);
             let to = (to_m, strip.borders(to_m));
             refine(&strip, &from, &to, &mut stations, budget)?;
             stations.push(to.1.clone());
@@ -189,7 +189,7 @@ impl<'a> Strip<'a> {
         }
     }
 
-    /// The borders at a place: the one between the sides, those of the left, those of the right.
+    /// The borders at a position: the one between the sides, those of the left, those of the right.
     fn borders(&self, s_m: f64) -> Vec<DVec3> {
         let on_line = self.geometry.at(s_m);
         let to_left = DVec2::from_angle(on_line.heading_rad).perp();

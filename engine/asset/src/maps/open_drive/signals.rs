@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use decouplegs_scene::{Lane, LaneKind, StopLine, TrafficLight};
 
 use super::Road;
-use super::junctions::RoadPlaces;
+use super::junctions::RoadLanes;
 use super::road_positions::along_m;
 use crate::DecodeError;
 use crate::traffic_light_form;
@@ -67,7 +67,7 @@ pub(super) fn read(road: Element) -> Result<Vec<RoadSignal>, DecodeError> {
 pub(super) fn lights(
     signals: &[Vec<RoadSignal>],
     roads: &[Road],
-    places: &[RoadPlaces],
+    indices: &[RoadLanes],
     lanes: &[Lane],
 ) -> Result<Vec<TrafficLight>, DecodeError> {
     let mut by_id = HashMap::new();
@@ -85,12 +85,12 @@ pub(super) fn lights(
             lights.len() - 1
         });
     }
-    for ((signals, road), places) in signals.iter().zip(roads).zip(places) {
+    for ((signals, road), indices) in signals.iter().zip(roads).zip(indices) {
         for signal in signals {
             if let Some(&light) = by_id.get(signal.light.as_str()) {
                 lights[light]
                     .stop_lines
-                    .extend(signal.lines(road, places, lanes));
+                    .extend(signal.lines(road, indices, lanes));
             }
         }
     }
@@ -98,9 +98,9 @@ pub(super) fn lights(
 }
 
 impl RoadSignal {
-    fn lines(&self, road: &Road, places: &RoadPlaces, lanes: &[Lane]) -> Vec<StopLine> {
+    fn lines(&self, road: &Road, indices: &RoadLanes, lanes: &[Lane]) -> Vec<StopLine> {
         let (section, share) = road.section_at(self.s_m);
-        let Some(by_id) = places.sections.get(section) else {
+        let Some(by_id) = indices.sections.get(section) else {
             return Vec::new();
         };
         let is_for = |id: i64, is_forward: bool| {

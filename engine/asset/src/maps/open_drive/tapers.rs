@@ -44,12 +44,12 @@ pub(super) fn join_smoothly(lanes: &mut [Lane]) {
                 heights(&lanes[before]),
             ))
         });
-        if let Some((place, ahead, height)) =
+        if let Some((position, ahead, height)) =
             next.filter(|_| is_narrow(lanes[at].left.last(), lanes[at].right.last()))
         {
-            bend_end(&mut lanes[at], place, ahead.truncate(), height);
+            bend_end(&mut lanes[at], position, ahead.truncate(), height);
         }
-        if let Some((place, back, height)) =
+        if let Some((position, back, height)) =
             before.filter(|_| is_narrow(lanes[at].left.first(), lanes[at].right.first()))
         {
             let lane = &mut lanes[at];
@@ -59,7 +59,7 @@ pub(super) fn join_smoothly(lanes: &mut [Lane]) {
                     .for_each(|line| line.reverse());
             };
             turn(lane);
-            bend_end(lane, place, back.truncate(), height);
+            bend_end(lane, position, back.truncate(), height);
             turn(lane);
         }
     }
@@ -70,17 +70,17 @@ fn is_narrow(left: Option<&DVec3>, right: Option<&DVec3>) -> bool {
         .is_some_and(|(left, right)| left.distance(*right) < NARROW_M)
 }
 
-/// Bends the end of a centerline to `place`, heading along `ahead`. `height` is 1 if its heights
+/// Bends the end of a centerline to `position`, heading along `ahead`. `height` is 1 if its heights
 /// are bent too, otherwise 0.
 ///
 /// Points move by a cubic Hermite curve of their distance from the end: the whole gap and turn at
 /// the end, nothing where the bend begins.
-fn bend_end(lane: &mut Lane, place: DVec3, ahead: DVec2, height: f64) {
+fn bend_end(lane: &mut Lane, position: DVec3, ahead: DVec2, height: f64) {
     let points = &lane.centerline;
     let [.., before, end] = points.as_slice() else {
         return;
     };
-    let gap = (place - *end) * DVec3::new(1.0, 1.0, height);
+    let gap = (position - *end) * DVec3::new(1.0, 1.0, height);
     if !GAP_M.contains(&gap.truncate().length()) {
         return;
     }
@@ -108,8 +108,8 @@ fn distances_from_end(points: &[DVec3]) -> Vec<f64> {
 
 /// Length of the part before a lane's end in which it is not as wide as it was, meters.
 fn taper_m(lane: &Lane) -> f64 {
-    // Both borders were sampled at the same places, but for a few points without length that were
-    // left out of either.
+    // Both borders were sampled at the same positions, but for a few points without length that
+    // were left out of either.
     let (count, others) = (lane.left.len(), lane.right.len());
     let beside = |at: usize| lane.right[at * (others - 1) / (count - 1).max(1)];
     let widths_m: Vec<f64> = if others == 0 {

@@ -20,11 +20,11 @@ fn the_nearer_of_two_covers_the_farther_whatever_their_order_in_the_file() {
 
 #[test]
 fn a_world_with_nothing_in_it_is_sky() {
-    let world = SplatScene {
+    let splat_scene = SplatScene {
         sky: [0.1, 0.2, 1.5],
         ..SplatScene::default()
     };
-    let image = render(&world, &camera(3), &Rules::DEFAULT);
+    let image = render(&splat_scene, &camera(3), &Rules::DEFAULT);
     assert!(
         image
             .rgb
@@ -109,7 +109,7 @@ fn equal_depths_are_blended_in_the_order_of_their_indices() {
 #[test]
 fn radial_order_can_turn_two_splats_around() {
     // Red is nearer by z (3 against 3.2) and farther by distance (3.98 against 3.2).
-    let world = world_of(&[
+    let splat_scene = world_of(&[
         Plain {
             mean: [2.6, 0.0, 3.0],
             scales: [3.0, 3.0, 0.0],
@@ -123,9 +123,9 @@ fn radial_order_can_turn_two_splats_around() {
             rgb: BLUE,
         },
     ]);
-    let z = render(&world, &camera(9), &Rules::DEFAULT);
+    let z = render(&splat_scene, &camera(9), &Rules::DEFAULT);
     let radial = render(
-        &world,
+        &splat_scene,
         &camera(9),
         &Rules {
             order: DepthOrder::Radial,
@@ -152,11 +152,11 @@ fn a_stack_of_a_hundred_thousand_layers_has_its_closed_form() {
     let layers: Vec<Plain> = (0..LAYERS)
         .map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32 * 1e-4], 1e-7, opacity, [0.75; 3]))
         .collect();
-    let world = SplatScene {
+    let splat_scene = SplatScene {
         sky: [1.0; 3],
         ..world_of(&layers)
     };
-    let image = render(&world, &camera(1), &Rules::DEFAULT);
+    let image = render(&splat_scene, &camera(1), &Rules::DEFAULT);
     let left = (1.0 - f64::from(opacity)).powi(LAYERS);
     assert!(left < 1e-170 && left > 0.0);
     assert!((image.alpha[0] - (1.0 - left)).abs() < 1e-11);
@@ -179,11 +179,11 @@ fn the_instance_is_the_one_of_the_largest_weight_and_the_nearer_of_equals() {
         let plain: Vec<Plain> = (0..3)
             .map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32], 0.5, opacities[i], WHITE))
             .collect();
-        let world = SplatScene {
+        let splat_scene = SplatScene {
             instance_from_splat: vec![3, 0, 7],
             ..world_of(&plain)
         };
-        let image = render(&world, &camera(3), &Rules::DEFAULT);
+        let image = render(&splat_scene, &camera(3), &Rules::DEFAULT);
         image.instance[middle(&image)]
     };
     assert_eq!(instance([0.9, 0.9, 0.9]), 3);
@@ -200,7 +200,7 @@ fn equal_weights_belong_to_the_nearer() {
         Plain::ball([0.0, 0.0, 2.0], 0.5, 0.5, WHITE),
         Plain::ball([0.0, 0.0, 3.0], 0.5, 1.0, WHITE),
     ];
-    let world = SplatScene {
+    let splat_scene = SplatScene {
         instance_from_splat: vec![1, 2],
         ..world_of(&plain)
     };
@@ -208,7 +208,7 @@ fn equal_weights_belong_to_the_nearer() {
         alpha_max: 1.0,
         ..Rules::DEFAULT
     };
-    let image = render(&world, &camera(3), &rules);
+    let image = render(&splat_scene, &camera(3), &rules);
     assert_eq!(image.instance[middle(&image)], 1);
     assert_eq!(image.alpha[middle(&image)], 1.0);
 }

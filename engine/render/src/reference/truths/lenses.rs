@@ -51,12 +51,12 @@ fn camera(lens: Lens, focal_px: f64, size: (u32, u32)) -> Camera {
 /// its share of the peak is `exp` of it.
 fn along(ray: DVec3, mean: DVec3, inverse: &DMat3) -> f64 {
     let (a, b) = (*inverse * ray, *inverse * mean);
-    let place = ray.dot(b);
-    -0.5 * (mean.dot(b) - place * place / ray.dot(a))
+    let position = ray.dot(b);
+    -0.5 * (mean.dot(b) - position * position / ray.dot(a))
 }
 
-/// The mean place of what the pixels' rays see of the Gaussian, and its standard deviation, pixels:
-/// sampled on a grid about the footprint, six of its standard deviations each way.
+/// The mean position of what the pixels' rays see of the Gaussian, and its standard deviation,
+/// pixels: sampled on a grid about the footprint, six of its standard deviations each way.
 fn seen(map: &RayMap, mean: DVec3, axes: &DMat3, footprint: &Projected64) -> Option<(DVec2, f64)> {
     let inverse = (*axes * axes.transpose()).inverse();
     let spread = DVec2::new(footprint.half_extent_px.x, footprint.half_extent_px.y);
@@ -127,14 +127,18 @@ fn footprint(camera: &Camera, mean: DVec3, axes: &DMat3) -> Option<(Projected64,
         axes.z_axis / scales[2],
     ));
     let scales = scales.map(|scale| scale as f32);
-    let mut world = world_of(&[Plain {
+    let mut splat_scene = world_of(&[Plain {
         mean: mean.as_vec3().to_array(),
         scales,
         opacity: 0.9,
         rgb: WHITE,
     }]);
-    world.splats.rotations[0] = [turn.w, turn.x, turn.y, turn.z].map(|value| value as f32);
-    Some((projected(&world, camera, &Rules::DEFAULT)?, mean, *axes))
+    splat_scene.splats.rotations[0] = [turn.w, turn.x, turn.y, turn.z].map(|value| value as f32);
+    Some((
+        projected(&splat_scene, camera, &Rules::DEFAULT)?,
+        mean,
+        *axes,
+    ))
 }
 
 #[test]
@@ -227,19 +231,19 @@ fn a_marker_is_drawn_where_its_ray_falls() {
                 .unwrap_or_else(|| panic!("{name}: {pixel} has no ray"));
             let marker = Plain::ball((ray * 12.0).as_vec3().to_array(), 0.01, 0.9, WHITE);
             let image = render(&world_of(&[marker]), &camera, &Rules::DEFAULT);
-            let (mut weight, mut place) = (0.0, DVec2::ZERO);
+            let (mut weight, mut position) = (0.0, DVec2::ZERO);
             for (index, alpha) in image.alpha.iter().enumerate() {
                 let at = DVec2::new(
                     f64::from(index as u32 % size.0) + 0.5,
                     f64::from(index as u32 / size.0) + 0.5,
                 );
                 weight += alpha;
-                place += *alpha * at;
+                position += *alpha * at;
             }
             assert!(
-                (place / weight - pixel).length() < 0.06,
+                (position / weight - pixel).length() < 0.06,
                 "{name}: drawn at {} instead of {pixel}",
-                place / weight
+                position / weight
             );
         }
     }

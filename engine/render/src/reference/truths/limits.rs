@@ -29,12 +29,12 @@ fn what_the_boxes_pass_over_adds_nothing() {
             }
         })
         .collect();
-    let world = world_of(&plain);
+    let splat_scene = world_of(&plain);
     let view = camera(37);
-    let image = render(&world, &view, &Rules::DEFAULT);
-    let lens = View::new(world.origin, &view, &Rules::DEFAULT);
-    let mut splats: Vec<Projected64> = (0..world.splats.len())
-        .filter_map(|index| lens.project(&world.splats, index))
+    let image = render(&splat_scene, &view, &Rules::DEFAULT);
+    let lens = View::new(splat_scene.origin, &view, &Rules::DEFAULT);
+    let mut splats: Vec<Projected64> = (0..splat_scene.splats.len())
+        .filter_map(|index| lens.project(&splat_scene.splats, index))
         .collect();
     splats.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
     for (at, &alpha) in image.alpha.iter().enumerate() {
@@ -78,11 +78,11 @@ fn a_window_is_a_part_of_the_whole_bit_for_bit() {
             )
         })
         .collect();
-    let world = world_of(&plain);
+    let splat_scene = world_of(&plain);
     let view = camera(50);
-    let whole = render(&world, &view, &Rules::DEFAULT);
+    let whole = render(&splat_scene, &view, &Rules::DEFAULT);
     let part = render_window(
-        &world,
+        &splat_scene,
         &view,
         &Rules::DEFAULT,
         Window {
@@ -118,9 +118,9 @@ fn splats_that_cannot_be_drawn_change_nothing() {
         |c| c.sh_dc[1][2] = f32::NEG_INFINITY,
     ];
     for change in hostile {
-        let mut world = world_of(&[good(), good()]);
-        change(&mut world.splats);
-        assert_eq!(render(&world, &camera(9), &Rules::DEFAULT), expected);
+        let mut splat_scene = world_of(&[good(), good()]);
+        change(&mut splat_scene.splats);
+        assert_eq!(render(&splat_scene, &camera(9), &Rules::DEFAULT), expected);
     }
 }
 

@@ -78,8 +78,8 @@ fn middle(image: &Image64) -> usize {
     (image.width * image.height / 2) as usize
 }
 
-fn projected(world: &SplatScene, camera: &Camera, rules: &Rules) -> Option<Projected64> {
-    View::new(world.origin, camera, rules).project(&world.splats, 0)
+fn projected(splat_scene: &SplatScene, camera: &Camera, rules: &Rules) -> Option<Projected64> {
+    View::new(splat_scene.origin, camera, rules).project(&splat_scene.splats, 0)
 }
 
 fn largest_difference(a: &Image64, b: &Image64) -> f64 {

@@ -8,11 +8,11 @@ use crate::reference::render;
 
 #[test]
 fn one_ball_on_the_axis_is_a_gaussian_of_the_projected_width() {
-    let world = SplatScene {
+    let splat_scene = SplatScene {
         sky: [0.0, 0.0, 0.25],
         ..world_of(&[Plain::ball([0.0, 0.0, 4.0], 0.08, 0.8, WHITE)])
     };
-    let image = render(&world, &camera(33), &Rules::DEFAULT);
+    let image = render(&splat_scene, &camera(33), &Rules::DEFAULT);
     // On the axis J is (f / z) I, so the variance is (f s / z)^2 + 0.3.
     let variance_px2 = (100.0 * f64::from(0.08f32) / 4.0).powi(2) + 0.3;
     for y in 0..33u32 {
@@ -42,29 +42,29 @@ fn one_ball_on_the_axis_is_a_gaussian_of_the_projected_width() {
 fn the_projected_covariance_is_the_derivative_of_the_projection() {
     // A turned, stretched splat off the axis: S must equal the covariance found by moving the mean
     // along each axis.
-    let mut world = world_of(&[Plain {
+    let mut splat_scene = world_of(&[Plain {
         mean: [0.5, -0.3, 5.0],
         scales: [0.3, 0.02, 0.1],
         opacity: 1.0,
         rgb: WHITE,
     }]);
     let turn = DQuat::from_euler(glam::EulerRot::XYZ, 0.4, -0.8, 1.9);
-    world.splats.rotations[0] = [
+    splat_scene.splats.rotations[0] = [
         turn.w as f32 * 3.0,
         turn.x as f32 * 3.0,
         turn.y as f32 * 3.0,
         turn.z as f32 * 3.0,
     ];
     let view = camera(64);
-    let found = projected(&world, &view, &Rules::DEFAULT).unwrap();
+    let found = projected(&splat_scene, &view, &Rules::DEFAULT).unwrap();
     let project = |p: DVec3| DVec2::new(100.0 * p.x / p.z + 32.0, 100.0 * p.y / p.z + 32.0);
-    let mean = DVec3::from_array(world.splats.means[0].map(f64::from));
+    let mean = DVec3::from_array(splat_scene.splats.means[0].map(f64::from));
     assert!((found.mean_px - project(mean)).length() < 1e-12);
     let step = 1e-5;
     let (mut xx, mut xy, mut yy) = (0.3, 0.0, 0.3);
     for (axis, scale) in [DVec3::X, DVec3::Y, DVec3::Z]
         .into_iter()
-        .zip(world.splats.scales[0])
+        .zip(splat_scene.splats.scales[0])
     {
         let along = turn * axis * step;
         let column =
@@ -94,9 +94,9 @@ fn antialiasing_keeps_the_light_of_a_splat_far_below_a_pixel() {
     // The integral of alpha over the image is o 2 pi sqrt(det S'); with the factor sqrt(det S / det
     // S') it is o 2 pi sqrt(det S).
     let sum = |scale: f32, antialias: bool| {
-        let world = world_of(&[Plain::ball([0.003, -0.002, 4.0], scale, 0.9, WHITE)]);
+        let splat_scene = world_of(&[Plain::ball([0.003, -0.002, 4.0], scale, 0.9, WHITE)]);
         render(
-            &world,
+            &splat_scene,
             &camera(33),
             &Rules {
                 antialias,
@@ -156,7 +156,7 @@ fn the_jacobian_is_clamped_a_margin_beyond_the_true_image_edges() {
     let mut view = camera(80);
     view.intrinsics.cx_px = 20.0;
     let width_at = |tangent: f32| {
-        let world = world_of(&[Plain {
+        let splat_scene = world_of(&[Plain {
             mean: [tangent * 2.0, 0.0, 2.0],
             scales: [0.0, 0.0, 0.5],
             opacity: 1.0,
@@ -164,7 +164,7 @@ fn the_jacobian_is_clamped_a_margin_beyond_the_true_image_edges() {
         }]);
         // A splat with extent along z only: its variance along x is (f s tangent / z)^2 + 0.3 with
         // the clamped tangent.
-        let xx = projected(&world, &view, &Rules::DEFAULT)
+        let xx = projected(&splat_scene, &view, &Rules::DEFAULT)
             .unwrap()
             .conic
             .inverse_xx
@@ -191,16 +191,16 @@ fn the_jacobian_is_clamped_a_margin_beyond_the_true_image_edges() {
 
 #[test]
 fn color_depends_on_the_direction_from_the_eye_to_the_splat() {
-    let mut world = world_of(&[Plain::ball([0.0, 0.0, 0.0], 0.3, 0.9, [0.5; 3])]);
-    world.splats.set_degree(1);
+    let mut splat_scene = world_of(&[Plain::ball([0.0, 0.0, 0.0], 0.3, 0.9, [0.5; 3])]);
+    splat_scene.splats.set_degree(1);
     // Coefficient 3 goes with -x.
-    world.splats.sh_rest[2] = [0.5; 3];
+    splat_scene.splats.sh_rest[2] = [0.5; 3];
     let seen_from = |eye: DVec3| {
         let view = Camera {
             world_from_camera: Pose::look_at(eye, DVec3::ZERO, DVec3::Z).unwrap(),
             ..camera(9)
         };
-        let image = render(&world, &view, &Rules::DEFAULT);
+        let image = render(&splat_scene, &view, &Rules::DEFAULT);
         image.rgb[middle(&image)][0] / image.alpha[middle(&image)]
     };
     let band_1 = 0.488_602_511_902_919_9;
@@ -235,7 +235,7 @@ fn a_world_at_utm_coordinates_gives_the_same_image() {
     };
     for step in 0..5 {
         // A millimeter a step, chosen as a power of two so that f64 holds it exactly at both
-        // places.
+        // positions.
         let eye = DVec3::new(f64::from(step) / 1024.0, 0.0, 0.0);
         let at = |translation| Camera {
             world_from_camera: Pose {
@@ -261,15 +261,15 @@ fn a_world_at_utm_coordinates_gives_the_same_image() {
 fn a_needle_of_one_to_a_hundred_thousand_keeps_its_width() {
     // 100 m long and 1 mm thick at 10 m, turned by 30 degrees in the image: across it the variance
     // is the dilation alone.
-    let mut world = world_of(&[Plain {
+    let mut splat_scene = world_of(&[Plain {
         mean: [0.0, 0.0, 10.0],
         scales: [100.0, 1e-3, 1e-3],
         opacity: 1.0,
         rgb: WHITE,
     }]);
     let half_rad = std::f32::consts::PI / 12.0;
-    world.splats.rotations[0] = [half_rad.cos(), 0.0, 0.0, half_rad.sin()];
-    let found = projected(&world, &camera(65), &Rules::DEFAULT).unwrap();
+    splat_scene.splats.rotations[0] = [half_rad.cos(), 0.0, 0.0, half_rad.sin()];
+    let found = projected(&splat_scene, &camera(65), &Rules::DEFAULT).unwrap();
     let turn = DQuat::from_xyzw(
         0.0,
         0.0,

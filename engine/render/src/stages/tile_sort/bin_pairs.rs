@@ -11,7 +11,7 @@ use crate::stages::{FrameCounters, IndirectArguments, kernel, push_constants};
 pub enum BinPass {
     /// Counts the pairs of each coarse tile and depth slab.
     Count,
-    /// Writes them to the places that were planned.
+    /// Writes them to the indices that were planned.
     Fill,
 }
 

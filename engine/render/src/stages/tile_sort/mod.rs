@@ -28,9 +28,9 @@ pub struct TileSortBuffers {
     /// First records of each camera.
     pub lists: Buffer<ViewLists>,
     /// Pairs of each `[coarse tile][depth slab]`; zero before the frame. From the plan on, the next
-    /// place in the pair buffer.
+    /// index in the pair buffer.
     pub slab_counts: Buffer<u32>,
-    /// First place and length of each coarse tile's list.
+    /// First pair and length of each coarse tile's list.
     pub tile_lists: Buffer<[u32; 2]>,
     /// Runs of pairs that are sorted one by one.
     pub buckets: Buffer<Bucket>,

@@ -31,7 +31,7 @@ impl PlanBuckets {
         })
     }
 
-    /// Turns the counts of `bins` coarse tiles into places, and writes their lists and buckets.
+    /// Turns the counts of `bins` coarse tiles into offsets, and writes their lists and buckets.
     pub fn record(
         &self,
         recorder: &mut Recorder,

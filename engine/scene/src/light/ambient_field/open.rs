@@ -1,14 +1,15 @@
-//! Places that the sun reaches past the background.
+//! Positions that the sun reaches past the background.
 
 use glam::{DVec3, IVec3};
 
 use super::{AmbientField, WEIGHT};
 use crate::Pose;
 
-/// Height above a place up to which the background may hide the sun, meters: that of most houses.
+/// Height above a position up to which the background may hide the sun, meters: that of most
+/// houses.
 const OPEN_ABOVE_M: f64 = 40.0;
 
-/// Distance from a place up to which the background may hide the sun, meters.
+/// Distance from a position up to which the background may hide the sun, meters.
 const OPEN_ASIDE_M: f64 = 100.0;
 
 impl AmbientField {
@@ -34,16 +35,16 @@ impl AmbientField {
         open.count() as f64 / corners.len() as f64
     }
 
-    /// True if no cube blocks the way from `place`, relative to the origin. The cube of `place` and
-    /// the next one do not count: an agent may touch what it stands beside.
-    fn is_open(&self, place: DVec3, towards: DVec3) -> bool {
+    /// True if no cube blocks the way from `position`, relative to the origin. The cube of
+    /// `position` and the next one do not count: an agent may touch what it stands beside.
+    fn is_open(&self, position: DVec3, towards: DVec3) -> bool {
         let step = towards.normalize_or_zero() * self.voxel_m;
-        if !place.is_finite() || step.z <= 0.0 {
+        if !position.is_finite() || step.z <= 0.0 {
             return false;
         }
         let steps = (OPEN_ABOVE_M / step.z).min(OPEN_ASIDE_M / self.voxel_m) as u32;
         (2..steps).all(|at| {
-            let cell = (place + f64::from(at) * step) / self.voxel_m;
+            let cell = (position + f64::from(at) * step) / self.voxel_m;
             let IVec3 { x, y, z } = cell.floor().as_ivec3();
             let column = self.columns.get(&(x, y));
             let mut voxels = column.into_iter().flat_map(|at| &self.voxels[at.clone()]);

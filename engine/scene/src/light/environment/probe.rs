@@ -1,4 +1,4 @@
-//! Environment probes: the light that arrives at a place from all around, as lat-long images.
+//! Environment probes: the light that arrives at a position from all around, as lat-long images.
 
 use std::f64::consts::{PI, TAU};
 
@@ -130,8 +130,8 @@ impl Probe {
         let d = direction.normalize_or(DVec3::Z);
         let u = 0.5 * (1.0 - d.y.atan2(d.x) / PI);
         let v = d.z.clamp(-1.0, 1.0).acos() / PI;
-        let place = |share: f64, count: usize| ((share * count as f64) as usize).min(count - 1);
-        self.radiance[place(v, self.height) * self.width + place(u, self.width)]
+        let index = |share: f64, count: usize| ((share * count as f64) as usize).min(count - 1);
+        self.radiance[index(v, self.height) * self.width + index(u, self.width)]
     }
 
     /// Each pixel: unit vector to its middle, steradians, linear RGB.
@@ -159,9 +159,9 @@ impl Probe {
         for (pixel, rgb) in self.radiance.iter().enumerate() {
             let (column, row) = (pixel % self.width, pixel / self.width);
             // A width that the block does not divide: columns are spread evenly instead.
-            let place = row * rows / self.height * columns + column * columns / self.width;
+            let index = row * rows / self.height * columns + column * columns / self.width;
             let weight = self.solid_angle(pixel);
-            let (sum, weights) = &mut sums[place];
+            let (sum, weights) = &mut sums[index];
             (0..3).for_each(|channel| sum[channel] += weight * f64::from(rgb[channel]));
             *weights += weight;
         }

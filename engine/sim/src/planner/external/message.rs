@@ -276,7 +276,7 @@ pub(super) fn observe(observation: &Observation) -> Value {
 fn privileged(known: &Privileged) -> Value {
     json!({
         "ego": vehicle(&known.ego, &known.ego_size),
-        "route_m": known.route_m.iter().map(|place| place.to_array()).collect::<Vec<_>>(),
+        "route_m": known.route_m.iter().map(|position| position.to_array()).collect::<Vec<_>>(),
         "agents": known.agents.iter().map(agent).collect::<Vec<_>>(),
         "stop_lines": known.stop_lines.iter().map(stop_line).collect::<Vec<_>>(),
         "signs": known.signs.iter().map(sign).collect::<Vec<_>>(),

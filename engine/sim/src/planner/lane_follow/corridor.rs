@@ -88,7 +88,7 @@ impl Corridor {
         })
     }
 
-    /// The place `arc_m` along the line and `lateral_m` to its left.
+    /// The position `arc_m` along the line and `lateral_m` to its left.
     pub(super) fn place(&self, arc_m: f64, lateral_m: f64) -> DVec2 {
         let across = DVec2::from_angle(self.line.heading_at(arc_m)).perp();
         self.line.at(arc_m).truncate() + across * lateral_m
@@ -122,8 +122,8 @@ impl Corridor {
         };
         let spans = times_s.iter().map(|&time_s| {
             if way == PredictedPath::Across {
-                let place = agent.position_m + agent.velocity() * time_s;
-                let foot = self.project(place);
+                let position = agent.position_m + agent.velocity() * time_s;
+                let foot = self.project(position);
                 return self.span(
                     foot.arc_m,
                     foot.lateral_m,
@@ -146,9 +146,12 @@ impl Corridor {
     }
 
     /// Place on the line, near the ego.
-    pub(super) fn project(&self, place: DVec2) -> decouplegs_drive::polyline::Foot {
-        self.line
-            .project_within(place, self.ego_arc_m - BEHIND_M, self.ego_arc_m + AHEAD_M)
+    pub(super) fn project(&self, position: DVec2) -> decouplegs_drive::polyline::Foot {
+        self.line.project_within(
+            position,
+            self.ego_arc_m - BEHIND_M,
+            self.ego_arc_m + AHEAD_M,
+        )
     }
 
     /// The span of a box turned by `turned_rad` against the line.
@@ -161,11 +164,11 @@ impl Corridor {
         size: &VehicleSize,
     ) -> Span {
         let (sin, cos) = turned_rad.sin_cos();
-        let reach_m = 0.5 * (size.length_m * cos.abs() + size.width_m * sin.abs());
+        let half_extent_m = 0.5 * (size.length_m * cos.abs() + size.width_m * sin.abs());
         let half_width_m = 0.5 * (size.length_m * sin.abs() + size.width_m * cos.abs());
         Span {
-            rear_m: arc_m - reach_m,
-            front_m: arc_m + reach_m,
+            rear_m: arc_m - half_extent_m,
+            front_m: arc_m + half_extent_m,
             speed_mps: speed_mps * cos,
             inside: lateral_m.abs() < half_width_m + self.half_width_m,
         }

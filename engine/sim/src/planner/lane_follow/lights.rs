@@ -39,7 +39,7 @@ pub(super) fn hold_m(corridor: &Corridor, known: &Privileged, held_m: Option<f64
     lines.min_by(f64::total_cmp)
 }
 
-/// Place of a line on the route ahead of `front_m`, meters along the line of `corridor`.
+/// Position of a line on the route ahead of `front_m`, meters along the line of `corridor`.
 pub(super) fn on_route_m(corridor: &Corridor, line: &StopLineRecord, front_m: f64) -> Option<f64> {
     let foot = corridor.project(line.middle_m());
     let along = DVec2::from_angle(foot.heading_rad).dot(line.ahead());

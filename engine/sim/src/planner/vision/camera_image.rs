@@ -1,4 +1,4 @@
-//! The front image as brightness and color, and where a place on the road is in it.
+//! The front image as brightness and color, and where a position on the road is in it.
 
 use decouplegs_scene::Pose;
 use decouplegs_scene::camera::Intrinsics;
@@ -15,7 +15,7 @@ const BLACK: f32 = 0.02;
 /// Distance to the plane of the lens below which pixels are ignored, meters.
 const NEAR_M: f64 = 0.3;
 
-/// Brightness and color of one place in an image.
+/// Brightness and color of one position in an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Color {
     /// Mean of the three channels, display-referred, 0 to 1, and a little above zero.
@@ -76,7 +76,7 @@ impl Image {
             rotation,
             translation,
         } = camera.rig_from_camera.inverse();
-        // Cropped to whole blocks of pixels first, so that the principal point keeps its place.
+        // Cropped to whole blocks of pixels first, so that the principal point keeps its position.
         let intrinsics = scaled(&camera.intrinsics, 1.0 / f64::from(1_u32 << halvings));
         let kept = Self {
             width: kept_width,
@@ -114,7 +114,7 @@ impl Image {
         inside.then_some(pixel)
     }
 
-    /// Color of a place, between pixels.
+    /// Color of a position, between pixels.
     pub(super) fn color_of(&self, at_m: DVec2, height_m: f64) -> Option<Color> {
         self.pixel_of(at_m, height_m)
             .map(|pixel| self.color_at(pixel))

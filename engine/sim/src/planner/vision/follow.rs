@@ -4,7 +4,7 @@
 use decouplegs_drive::idm::{IdmParameters, Leader, advance};
 
 use super::lead::Lead;
-use super::way::{REACH_M, RoadPath};
+use super::way::{RoadPath, VIEW_M};
 use crate::planner::cadence::{HORIZON_S, SPACING_S};
 
 /// Sideways acceleration that is borne in bends, meters per second squared.
@@ -67,7 +67,7 @@ impl Pace<'_> {
     /// The highest speed at each meter of the way from which every bend is still reached slowly
     /// enough.
     fn limits_mps(&self) -> Vec<f64> {
-        let count = (REACH_M / LIMIT_STEP_M) as usize;
+        let count = (VIEW_M / LIMIT_STEP_M) as usize;
         let bend = |at: usize| {
             (LATERAL_MPS2
                 / self

@@ -61,7 +61,8 @@ impl LaneBelief {
     }
 
     /// The belief after the ego moved by `step` while the way was `way`. Where navigation tells the
-    /// progress on the way, it is that; a place in a bend can only so be told from another heading.
+    /// progress on the way, it is that; a position in a bend can only so be told from another
+    /// heading.
     pub(super) fn moved(&self, way: &RoadPath, step: &Step, length_m: f64) -> Self {
         let Step {
             driven_m,

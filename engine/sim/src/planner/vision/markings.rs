@@ -39,7 +39,7 @@ const NOISE_MIN: f32 = 0.002;
 /// A lane as its markings tell, relative to the expected way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LaneFix {
-    /// Offset of its center at the reference place, positive to the left, meters.
+    /// Offset of its center at the reference position, positive to the left, meters.
     pub offset_m: f64,
     /// Heading of the marking, radians.
     pub heading_rad: f64,
@@ -53,7 +53,7 @@ pub(super) struct LaneFix {
 
 /// A group of rows, their responses averaged.
 struct Group {
-    /// Meters beyond the reference place.
+    /// Meters beyond the reference position.
     ahead_m: f64,
     weight: f32,
     responses: Vec<f32>,
@@ -177,7 +177,8 @@ fn is_crosswalk(row: &Row) -> bool {
         > CROSSWALK * interior.len() as f32
 }
 
-/// Sums of responses along lines of one heading and bend, by their column at the reference place.
+/// Sums of responses along lines of one heading and bend, by their column at the reference
+/// position.
 fn profile(groups: &[Group], heading_rad: f64, curvature: f64) -> Vec<f32> {
     let mut sums = vec![0.0_f32; COLUMNS];
     for group in groups {

@@ -13,9 +13,9 @@ use super::weights::{BIAS, WEIGHTS};
 /// Heights of the bands' borders, meters.
 const BANDS_M: [f64; BANDS + 1] = [0.0, 0.2, 0.45, 0.75, 1.05, 1.4];
 const BANDS: usize = 5;
-/// Lines of places in each band.
+/// Lines of positions in each band.
 const LINES: usize = 3;
-/// Places across the block.
+/// Positions across the block.
 const ACROSS: usize = 7;
 /// Half its width, meters.
 const HALF_WIDTH_M: f64 = 0.6;
@@ -129,8 +129,8 @@ fn apron(image: &Image, way: &RoadPath, arc_m: f64, beside_m: f64) -> Option<Sum
     let mut sums = Sums::default();
     for before_m in APRON_M {
         let point = way.at(arc_m - before_m * (1.0 + 0.03 * arc_m));
-        for place in 0..ACROSS {
-            if let Some(color) = image.color_of(point.beside(beside_m + across_m(place)), 0.0) {
+        for position in 0..ACROSS {
+            if let Some(color) = image.color_of(point.beside(beside_m + across_m(position)), 0.0) {
                 sums.add(color);
             }
         }
@@ -138,8 +138,8 @@ fn apron(image: &Image, way: &RoadPath, arc_m: f64, beside_m: f64) -> Option<Sum
     (sums.count >= ACROSS as f32).then_some(sums)
 }
 
-fn across_m(place: usize) -> f64 {
-    HALF_WIDTH_M * (2.0 * place as f64 / (ACROSS - 1) as f64 - 1.0)
+fn across_m(position: usize) -> f64 {
+    HALF_WIDTH_M * (2.0 * position as f64 / (ACROSS - 1) as f64 - 1.0)
 }
 
 /// A band of the block, and the strips to its left and right.
@@ -148,8 +148,8 @@ fn band_of(image: &Image, foot: &WayPoint, beside_m: f64, band: usize) -> Option
     for line in 0..LINES {
         let height_m = BANDS_M[band]
             + (BANDS_M[band + 1] - BANDS_M[band]) * (line as f64 + 0.5) / LINES as f64;
-        for place in 0..ACROSS {
-            inside.add(image.color_of(foot.beside(beside_m + across_m(place)), height_m)?);
+        for position in 0..ACROSS {
+            inside.add(image.color_of(foot.beside(beside_m + across_m(position)), height_m)?);
         }
         for side_m in [-1.5, -1.25, 1.25, 1.5] {
             if let Some(color) = image.color_of(foot.beside(beside_m + side_m), height_m) {

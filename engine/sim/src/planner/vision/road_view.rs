@@ -13,7 +13,7 @@ pub(super) const ROW_M: f64 = 0.25;
 const FIRST_M: f64 = 3.0;
 /// The last row is nearer than this, meters: beyond, a marking is narrower than a pixel of an image
 /// 320 wide.
-const REACH_M: f64 = 34.0;
+const VIEW_M: f64 = 34.0;
 /// From one column to the next across the way, meters.
 pub(super) const COLUMN_M: f64 = 0.06;
 /// Columns reach so far to either side, meters.
@@ -43,10 +43,10 @@ pub(super) struct Row {
     pub responses: Vec<f32>,
 }
 
-/// The rows of the road along `way` between two places on it, meters.
+/// The rows of the road along `way` between two positions on it, meters.
 pub(super) fn rows(image: &Image, way: &RoadPath, from_m: f64, to_m: f64) -> Vec<Row> {
     let from_m = from_m.max(FIRST_M);
-    let count = ((to_m.min(REACH_M) - from_m) / ROW_M).max(0.0) as usize;
+    let count = ((to_m.min(VIEW_M) - from_m) / ROW_M).max(0.0) as usize;
     (0..count)
         .filter_map(|row| row_at(image, way, from_m + row as f64 * ROW_M))
         .collect()
@@ -102,8 +102,8 @@ impl Window {
             let (sum, known) = (sums[to].0 - sums[from].0, sums[to].1 - sums[from].1);
             (known as usize == to - from).then(|| sum / known as f32)
         };
-        let reach = self.core + self.edge + self.flank;
-        if column < reach || column + reach >= COLUMNS {
+        let half_width = self.core + self.edge + self.flank;
+        if column < half_width || column + half_width >= COLUMNS {
             return 0.0;
         }
         let (first, last) = (column - self.core, column + self.core + 1);

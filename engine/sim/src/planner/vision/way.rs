@@ -12,7 +12,7 @@ use crate::planner::{Navigation, Turn};
 /// From one point to the next, meters.
 pub(super) const STEP_M: f64 = 0.25;
 /// Length of the path, meters.
-pub(super) const REACH_M: f64 = 60.0;
+pub(super) const VIEW_M: f64 = 60.0;
 /// Navigation counts a turn from where the road begins to bend a little until it no longer does:
 /// its arc is shorter on each side, by 2 m where it is tight and by 1 m where its radius is 20 m
 /// (measured on arcs between straight lines). Meters, and meters per meter of radius.
@@ -67,7 +67,7 @@ impl Arc {
     }
 }
 
-/// A place on the way.
+/// A position on the way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct WayPoint {
     /// In the ego's frame, meters.
@@ -78,7 +78,7 @@ pub(super) struct WayPoint {
 }
 
 impl WayPoint {
-    /// The place so far to the left of this one, meters.
+    /// The position so far to the left of this one, meters.
     pub(super) fn beside(&self, left_m: f64) -> DVec2 {
         self.position_m + self.left() * left_m
     }
@@ -89,7 +89,7 @@ impl WayPoint {
     }
 }
 
-/// The way as a line in the ego's frame, from the place beside the ego onwards.
+/// The way as a line in the ego's frame, from the position beside the ego onwards.
 pub(super) struct RoadPath {
     points: Vec<WayPoint>,
 }
@@ -99,7 +99,7 @@ impl RoadPath {
     pub(super) fn expected(lane: &LaneBelief, arc: Option<&Arc>) -> Self {
         let mut heading_rad = lane.heading_rad;
         let mut position_m = DVec2::from_angle(heading_rad + FRAC_PI_2) * lane.offset_m;
-        let count = (REACH_M / STEP_M) as usize;
+        let count = (VIEW_M / STEP_M) as usize;
         let mut points = Vec::with_capacity(count + 1);
         for step in 0..=count {
             let middle_m = (step as f64 + 0.5) * STEP_M;
@@ -119,7 +119,7 @@ impl RoadPath {
         Self { points }
     }
 
-    /// The place `arc_m` along it, its ends beyond them.
+    /// The position `arc_m` along it, its ends beyond them.
     pub(super) fn at(&self, arc_m: f64) -> WayPoint {
         let at = (arc_m / STEP_M).clamp(0.0, (self.points.len() - 1) as f64);
         let before = (at as usize).min(self.points.len() - 2);
@@ -135,7 +135,7 @@ impl RoadPath {
         }
     }
 
-    /// The place on it nearest to `at_m`, of those at most `within_m` along it.
+    /// The position on it nearest to `at_m`, of those at most `within_m` along it.
     pub(super) fn nearest(&self, at_m: DVec2, within_m: f64) -> WayPoint {
         let count = ((within_m / STEP_M).ceil().max(0.0) as usize)
             .saturating_add(1)

@@ -59,24 +59,24 @@ pub(super) fn draw(
     drawn
 }
 
-/// A place drawn in proportion to weight times square, or `None` where all of these are zero.
+/// An index drawn in proportion to weight times square, or `None` where all of these are zero.
 fn pick(
     squares: &[f32],
     candidates: &[usize],
     weights: &[f32],
     random: &mut Random,
 ) -> Option<usize> {
-    let share = |place: usize| f64::from(squares[place]) * f64::from(weights[candidates[place]]);
+    let share = |index: usize| f64::from(squares[index]) * f64::from(weights[candidates[index]]);
     let total: f64 = (0..squares.len()).map(share).sum();
     if total <= 0.0 || !total.is_finite() {
         return None;
     }
     let mut left = random.unit() * total;
     let mut last = None;
-    for place in 0..squares.len() {
-        if share(place) > 0.0 {
-            last = Some(place);
-            left -= share(place);
+    for index in 0..squares.len() {
+        if share(index) > 0.0 {
+            last = Some(index);
+            left -= share(index);
             if left < 0.0 {
                 break;
             }
