@@ -97,8 +97,8 @@ fn probes_left_out(page: &mut Page, subject: &Subject, calibration: &Calibration
 
 fn empty_table() -> Table {
     let methods = ["not relit", "relit", "best affine"].map(|method| {
-        let rmse = format!("RMSE, {method}");
-        [rmse, "PSNR, dB".into(), "angle, mean".into(), "p95".into()]
+        let rmse = format!("{method}: RMSE");
+        [rmse, "angle, mean".into(), "angle, p95".into()]
     });
     Table::new(std::iter::once("left out".to_owned()).chain(methods.into_iter().flatten()))
 }
@@ -107,7 +107,6 @@ fn cells(name: &str, comparison: &Comparison) -> Vec<String> {
     let figures = |error: &ColorError| {
         [
             format!("{:.4}", error.rmse()),
-            format!("{:.2}", error.psnr_db()),
             format!("{:.2}", error.angle_mean_deg()),
             format!("{:.2}", error.angle_p95_deg()),
         ]

@@ -2,8 +2,7 @@
 
 use decouplegs_scene::light::TransferConfidence;
 use decouplegs_scene::{AmbientDescriptor, LightTransfer};
-use faer::linalg::solvers::DenseSolveCore;
-use faer::{Mat, Side};
+use nalgebra::DMatrix;
 
 use super::held_out::best_affine;
 use super::moments::{LightMoments, Moments};
@@ -61,7 +60,7 @@ fn distribution(
 ) {
     const LEN: usize = AmbientDescriptor::LEN;
     let standard = standard_of(lights);
-    let mut covariance = Mat::<f64>::identity(LEN, LEN) * faer::Scale(VARIANCE_MIN);
+    let mut covariance = DMatrix::from_diagonal_element(LEN, LEN, VARIANCE_MIN);
     for light in lights {
         let row = standard.row(&light.descriptor);
         for i in 0..LEN {
@@ -71,7 +70,7 @@ fn distribution(
         }
     }
     let inverse = covariance
-        .llt(Side::Lower)
+        .cholesky()
         .expect("a positive definite matrix has a Cholesky factor")
         .inverse();
     let (means, deviations) = standard.parts();

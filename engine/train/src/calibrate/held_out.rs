@@ -78,12 +78,6 @@ impl ColorError {
         (self.squares / self.channels.max(1) as f64).sqrt()
     }
 
-    /// Decibels below a full scale of 1.
-    #[must_use]
-    pub fn psnr_db(&self) -> f64 {
-        -20.0 * self.rmse().log10()
-    }
-
     /// Mean angle between RGB vectors, degrees, over truths of at least [`HUE_FLOOR`].
     #[must_use]
     pub fn angle_mean_deg(&self) -> f64 {

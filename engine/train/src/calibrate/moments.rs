@@ -7,7 +7,7 @@
 //! mean(D_i G_i q_i)` and `p = mean(q_i' G_i q_i)`.
 
 use decouplegs_scene::AmbientDescriptor;
-use faer::Mat;
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use super::Objective;
@@ -33,7 +33,7 @@ pub(super) struct Moments {
     /// Number of coefficients.
     pub coefficients: usize,
     /// B of each channel, 2K x 2K.
-    pub gram: [Mat<f64>; 3],
+    pub gram: [DMatrix<f64>; 3],
     pub lights: Vec<LightMoments>,
 }
 
@@ -52,12 +52,12 @@ impl Moments {
             Objective::Coefficients => sphere,
         };
         let gram = std::array::from_fn(|channel| {
-            let mut sum = Mat::zeros(2 * coefficients, 2 * coefficients);
+            let mut sum = DMatrix::zeros(2 * coefficients, 2 * coefficients);
             samples
                 .iter()
                 .for_each(|sample| add_outer(&mut sum, &gram_of(sample), sample, channel));
             let share = 1.0 / samples.len() as f64;
-            Mat::from_fn(2 * coefficients, 2 * coefficients, |i, j| {
+            DMatrix::from_fn(2 * coefficients, 2 * coefficients, |i, j| {
                 sum[(i, j)] * share
             })
         });
@@ -107,7 +107,7 @@ impl Moments {
         let size = 2 * self.coefficients;
         let gram = |channel: usize| {
             let (all, part) = (&self.gram[channel], &part.gram[channel]);
-            Mat::from_fn(size, size, |i, j| rest(all[(i, j)], part[(i, j)]))
+            DMatrix::from_fn(size, size, |i, j| rest(all[(i, j)], part[(i, j)]))
         };
         Self {
             coefficients: self.coefficients,
@@ -152,7 +152,7 @@ impl LightMoments {
 }
 
 /// Adds D G D' of one sample.
-fn add_outer(sum: &mut Mat<f64>, gram: &Gram, sample: &Sample, channel: usize) {
+fn add_outer(sum: &mut DMatrix<f64>, gram: &Gram, sample: &Sample, channel: usize) {
     let coefficients = sum.nrows() / 2;
     let color = |k: usize| sample.surface.color[k][channel];
     for i in 0..coefficients {

@@ -6,8 +6,7 @@
 //! far the fit of all 27 may leave it.
 
 use decouplegs_scene::AmbientDescriptor;
-use faer::linalg::solvers::Solve;
-use faer::{Mat, Side};
+use nalgebra::{DMatrix, DVector};
 
 use super::moments::{LightMoments, Moments};
 use super::ridge::{COLUMNS, Theta, weights_of};
@@ -43,7 +42,7 @@ pub(super) fn prior(moments: &Moments, lights: &[&LightMoments], ridge: f64) -> 
         .collect();
     let own = fit(moments, lights, &drawn_to, ridge);
     Theta(std::array::from_fn(|channel| {
-        Mat::from_fn(2 * count, COLUMNS, |row, column| match column {
+        DMatrix::from_fn(2 * count, COLUMNS, |row, column| match column {
             AmbientDescriptor::LEN => own[row][OWN_COLUMNS - 1],
             column if column % 3 == channel => own[row][column / 3],
             _ => 0.0,
@@ -60,8 +59,9 @@ fn direct(moments: &Moments, lights: &[&LightMoments]) -> Moments {
         }),
         ..(*light).clone()
     };
-    let corner =
-        |channel: usize| Mat::from_fn(2, 2, |i, j| moments.gram[channel][(i * count, j * count)]);
+    let corner = |channel: usize| {
+        DMatrix::from_fn(2, 2, |i, j| moments.gram[channel][(i * count, j * count)])
+    };
     Moments {
         coefficients: 1,
         gram: std::array::from_fn(corner),
@@ -102,8 +102,8 @@ fn fit(
         .map(|scale| if scale > 0.0 { scale } else { 1.0 })
         .collect();
 
-    let mut normal = Mat::<f64>::zeros(rows * OWN_COLUMNS, rows * OWN_COLUMNS);
-    let mut right = Mat::<f64>::zeros(rows * OWN_COLUMNS, 1);
+    let mut normal = DMatrix::<f64>::zeros(rows * OWN_COLUMNS, rows * OWN_COLUMNS);
+    let mut right = DVector::<f64>::zeros(rows * OWN_COLUMNS);
     let weights = weights_of(lights);
     for channel in 0..3 {
         let mut design = [[0.0; OWN_COLUMNS]; OWN_COLUMNS];
@@ -120,8 +120,7 @@ fn fit(
                     .zip(&columns)
                     .for_each(|(sum, other)| *sum += value * other);
                 for row in 0..rows {
-                    right[(row * OWN_COLUMNS + i, 0)] +=
-                        value * light.cross[channel][row] / scales[row];
+                    right[row * OWN_COLUMNS + i] += value * light.cross[channel][row] / scales[row];
                 }
             }
         }
@@ -135,17 +134,17 @@ fn fit(
     for row in 0..rows {
         for (i, value) in standard.to_standardized(&drawn_to[row]).iter().enumerate() {
             normal[(row * OWN_COLUMNS + i, row * OWN_COLUMNS + i)] += ridge;
-            right[(row * OWN_COLUMNS + i, 0)] += ridge * value * scales[row];
+            right[row * OWN_COLUMNS + i] += ridge * value * scales[row];
         }
     }
     // A Gram matrix plus a multiple of the identity.
     let solved = normal
-        .llt(Side::Lower)
+        .cholesky()
         .expect("a positive definite matrix has a Cholesky factor")
         .solve(&right);
     let plain = |row: usize| {
         let weights: Vec<f64> = (0..OWN_COLUMNS)
-            .map(|i| solved[(row * OWN_COLUMNS + i, 0)] / scales[row])
+            .map(|i| solved[row * OWN_COLUMNS + i] / scales[row])
             .collect();
         standard.to_plain(&weights)
     };

@@ -5,7 +5,7 @@
 //! diagonalized once, and each ridge costs two products.
 
 use decouplegs_scene::{AmbientDescriptor, LightTransfer};
-use faer::{Mat, Side};
+use nalgebra::DMatrix;
 
 use super::moments::{LightMoments, Moments};
 use super::standard::Standard;
@@ -22,12 +22,12 @@ const RANK_TOLERANCE: f64 = 1e-5;
 
 /// W_T and w_0 over W_B and b_0, 2K x 28 for each channel.
 #[derive(Clone, Debug)]
-pub(super) struct Theta(pub [Mat<f64>; 3]);
+pub(super) struct Theta(pub [DMatrix<f64>; 3]);
 
 impl Theta {
     /// T(L) and b(L) of each channel.
     pub(super) fn at(&self, descriptor: &[f64; AmbientDescriptor::LEN]) -> [Vec<f64>; 3] {
-        let value = |rows: &Mat<f64>, row: usize| {
+        let value = |rows: &DMatrix<f64>, row: usize| {
             let linear: f64 = descriptor
                 .iter()
                 .enumerate()
@@ -76,28 +76,23 @@ pub(super) struct Ridge {
     standard: Standard,
     channels: [Channel; 3],
     /// Eigenvalues and eigenvectors of A.
-    lights: (Vec<f64>, Mat<f64>),
+    lights: (Vec<f64>, DMatrix<f64>),
 }
 
 struct Channel {
     /// Square roots of B's diagonal.
     scales: Vec<f64>,
     /// Eigenvalues and eigenvectors of B, scaled to a diagonal of 1.
-    eigen: (Vec<f64>, Mat<f64>),
+    eigen: (Vec<f64>, DMatrix<f64>),
     /// R, scaled.
-    cross: Mat<f64>,
+    cross: DMatrix<f64>,
 }
 
-fn eigen(matrix: &Mat<f64>) -> (Vec<f64>, Mat<f64>) {
-    // Fails only on numbers that are not finite, and moments are sums of finite ones.
-    let eigen = matrix
-        .self_adjoint_eigen(Side::Lower)
-        .expect("a finite symmetric matrix has eigenvalues");
+fn eigen(matrix: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
+    let eigen = matrix.symmetric_eigen();
     // Rounding leaves eigenvalues of a positive matrix slightly below 0.
-    let values = (0..matrix.nrows())
-        .map(|index| eigen.S()[index].max(0.0))
-        .collect();
-    (values, eigen.U().to_owned())
+    let values = eigen.eigenvalues.iter().map(|value| value.max(0.0));
+    (values.collect(), eigen.eigenvectors)
 }
 
 pub(super) fn standard_of(lights: &[&LightMoments]) -> Standard {
@@ -120,9 +115,9 @@ impl Ridge {
     /// The equations of `lights`, of which there must be some, in `moments`.
     pub(super) fn new(moments: &Moments, lights: &[&LightMoments]) -> Self {
         let standard = standard_of(lights);
-        let mut design = Mat::zeros(COLUMNS, COLUMNS);
+        let mut design = DMatrix::zeros(COLUMNS, COLUMNS);
         let size = 2 * moments.coefficients;
-        let mut cross: [Mat<f64>; 3] = std::array::from_fn(|_| Mat::zeros(size, COLUMNS));
+        let mut cross: [DMatrix<f64>; 3] = std::array::from_fn(|_| DMatrix::zeros(size, COLUMNS));
         for (light, weight) in lights.iter().zip(weights_of(lights)) {
             let row = standard.row(&light.descriptor);
             for (column, value) in row.iter().enumerate() {
@@ -140,10 +135,11 @@ impl Ridge {
                 .map(|index| gram[(index, index)].sqrt())
                 .map(|scale| if scale > 0.0 { scale } else { 1.0 })
                 .collect();
-            let scaled = Mat::from_fn(size, size, |i, j| gram[(i, j)] / (scales[i] * scales[j]));
-            let cross = Mat::from_fn(size, COLUMNS, |i, j| cross[channel][(i, j)] / scales[i]);
+            let scaled =
+                DMatrix::from_fn(size, size, |i, j| gram[(i, j)] / (scales[i] * scales[j]));
+            let cross = DMatrix::from_fn(size, COLUMNS, |i, j| cross[channel][(i, j)] / scales[i]);
             Channel {
-                eigen: eigen(&scaled),
+                eigen: eigen(scaled),
                 scales,
                 cross,
             }
@@ -151,7 +147,7 @@ impl Ridge {
         Self {
             standard,
             channels,
-            lights: eigen(&design),
+            lights: eigen(design),
         }
     }
 
@@ -163,21 +159,21 @@ impl Ridge {
         }))
     }
 
-    fn solve_channel(&self, channel: &Channel, ridge: f64, prior: &Mat<f64>) -> Mat<f64> {
+    fn solve_channel(&self, channel: &Channel, ridge: f64, prior: &DMatrix<f64>) -> DMatrix<f64> {
         let size = channel.scales.len();
-        let rows = |matrix: &Mat<f64>, row: usize| -> Vec<f64> {
+        let rows = |matrix: &DMatrix<f64>, row: usize| -> Vec<f64> {
             (0..COLUMNS).map(|column| matrix[(row, column)]).collect()
         };
         let prior: Vec<Vec<f64>> = (0..size)
             .map(|row| self.standard.to_standardized(&rows(prior, row)))
             .collect();
-        let right = Mat::from_fn(size, COLUMNS, |row, column| {
+        let right = DMatrix::from_fn(size, COLUMNS, |row, column| {
             channel.cross[(row, column)] + ridge * prior[row][column] * channel.scales[row]
         });
         let ((gram_values, gram_vectors), (light_values, light_vectors)) =
             (&channel.eigen, &self.lights);
         let turned = gram_vectors.transpose() * &right * light_vectors;
-        let solved = Mat::from_fn(size, COLUMNS, |row, column| {
+        let solved = DMatrix::from_fn(size, COLUMNS, |row, column| {
             let denominator = gram_values[row] * light_values[column] + ridge;
             if denominator > 0.0 {
                 turned[(row, column)] / denominator
@@ -189,7 +185,7 @@ impl Ridge {
         let plain: Vec<Vec<f64>> = (0..size)
             .map(|row| self.standard.to_plain(&rows(&scaled, row)))
             .collect();
-        Mat::from_fn(size, COLUMNS, |row, column| {
+        DMatrix::from_fn(size, COLUMNS, |row, column| {
             plain[row][column] / channel.scales[row]
         })
     }
@@ -198,7 +194,7 @@ impl Ridge {
 /// Rank of the space of descriptors that `lights` span.
 pub(super) fn rank_of(lights: &[&LightMoments]) -> Rank {
     let standard = standard_of(lights);
-    let mut design = Mat::zeros(lights.len().max(COLUMNS), COLUMNS);
+    let mut design = DMatrix::zeros(lights.len().max(COLUMNS), COLUMNS);
     for (row, light) in lights.iter().enumerate() {
         let values = standard.row(&light.descriptor);
         // Here the constant is a column like any other.
@@ -208,10 +204,8 @@ pub(super) fn rank_of(lights: &[&LightMoments]) -> Rank {
             .for_each(|(column, &value)| design[(row, column)] = value);
         design[(row, COLUMNS - 1)] = 1.0;
     }
-    let values = design
-        .singular_values()
-        .expect("a finite matrix has singular values");
-    let (largest, smallest) = (values[0], values[COLUMNS - 1]);
+    let values = design.singular_values();
+    let (largest, smallest) = (values.max(), values.min());
     let rank = values
         .iter()
         .filter(|&&value| value > RANK_TOLERANCE * largest)
@@ -229,6 +223,6 @@ pub(super) fn rank_of(lights: &[&LightMoments]) -> Rank {
 /// Theta with nothing but zeros.
 pub(super) fn zero(coefficients: usize) -> Theta {
     Theta(std::array::from_fn(|_| {
-        Mat::zeros(2 * coefficients, COLUMNS)
+        DMatrix::zeros(2 * coefficients, COLUMNS)
     }))
 }
