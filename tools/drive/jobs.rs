@@ -55,7 +55,7 @@ pub struct Job {
 
 pub fn of(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     let jobs = if arguments.scenarios.is_empty() {
-        made_up(arguments, folder)?
+        generated(arguments, folder)?
     } else {
         from_files(arguments, folder)?
     };
@@ -126,7 +126,7 @@ fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Jo
 
 /// Scenarios of each level, written to the folder of the run, where people can read, edit and drive
 /// them.
-fn made_up(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
+fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     let site = Site::open(&arguments.place.bare(), Path::new(""), None)
         .context("no scenarios can be generated here")?;
     let options = arguments

@@ -8,9 +8,10 @@ use serde_json::{Value, json};
 
 use super::{Measured, Timed};
 use crate::scene_source::Scene;
+use crate::stage_times::stage_times_ms;
 
 /// Results, with the conditions of the measurement.
-pub fn figures(scene: &Scene, measured: &Measured) -> Value {
+pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
     let Measured {
         device,
         options,
@@ -33,12 +34,13 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
     let step_wall_ms = spread(steps_ms.clone());
     // Not from the median: with frames in flight, their ends may come in bursts.
     let rig_steps_per_s = 1e3 * steps_ms.len() as f64 / steps_ms.iter().sum::<f64>();
-    let stages: Vec<Value> = stage_names(by_stage)
+    let stages_of = |frame: &'a FrameStatistics| {
+        let stages = frame.stages.iter();
+        stages.map(|stage| (stage.name, stage.duration_ns))
+    };
+    let stages: Vec<Value> = stage_times_ms(by_stage, stages_of)
         .into_iter()
-        .map(|name| {
-            let times = by_stage.iter().map(|frame| stage_ms(frame, name));
-            json!({ "name": name, "gpu_ms": spread(times.collect()) })
-        })
+        .map(|(name, times)| json!({ "name": name, "gpu_ms": spread(times) }))
         .collect();
     let mut keys = BTreeMap::<String, usize>::new();
     for source in frames.iter().flat_map(|frame| &frame.keys) {
@@ -96,26 +98,6 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
             "difference": difference,
         },
     })
-}
-
-/// Names of all stages that some frame had, in the order they run.
-fn stage_names(frames: &[FrameStatistics]) -> Vec<&'static str> {
-    let mut names: Vec<&'static str> = Vec::new();
-    for stage in frames.iter().flat_map(|frame| &frame.stages) {
-        if !names.contains(&stage.name) {
-            names.push(stage.name);
-        }
-    }
-    names
-}
-
-fn stage_ms(frame: &FrameStatistics, name: &str) -> f64 {
-    frame
-        .stages
-        .iter()
-        .filter(|stage| stage.name == name)
-        .map(|stage| stage.duration_ns as f64 / 1e6)
-        .sum()
 }
 
 /// Median, 99th percentile (the value that 99 of 100 do not exceed) and the extremes of at least

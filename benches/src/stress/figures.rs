@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use super::drive_schedule::Driven;
 use super::fidelity::Fidelity;
 use super::mode::Mode;
+use crate::stage_times::stage_times_ms;
 
 /// One mode with so many agents.
 pub struct Point {
@@ -211,34 +212,16 @@ impl Measured {
     }
 }
 
-/// Times of each stage of `frames`, whose stages were timed.
-pub fn stage_times(frames: &[FrameStatistics]) -> Vec<(&'static str, Spread)> {
-    let times = |name| Spread::of(frames.iter().map(|frame| stage_ms(frame, name)));
-    let names = stage_names(frames).into_iter();
-    names.map(|name| (name, times(name))).collect()
-}
-
-/// Names of all stages that some frame had, in the order they run, those of the update queue first.
-fn stage_names(frames: &[FrameStatistics]) -> Vec<&'static str> {
-    let mut names: Vec<&'static str> = Vec::new();
-    for stage in frames
-        .iter()
-        .flat_map(|frame| frame.queues.iter().rev())
-        .flat_map(|queue| &queue.stages)
-    {
-        if !names.contains(&stage.name) {
-            names.push(stage.name);
-        }
-    }
-    names
-}
-
-fn stage_ms(frame: &FrameStatistics, name: &str) -> f64 {
-    let stages = frame.queues.iter().flat_map(|queue| &queue.stages);
-    stages
-        .filter(|stage| stage.name == name)
-        .map(|stage| stage.duration_ns as f64 / 1e6)
-        .sum()
+/// Times of each stage of `frames`, whose stages were timed; those of the update queue first.
+pub fn stage_times<'a>(frames: &'a [FrameStatistics]) -> Vec<(&'static str, Spread)> {
+    let stages = |frame: &'a FrameStatistics| {
+        let stages = frame.queues.iter().rev().flat_map(|queue| &queue.stages);
+        stages.map(|stage| (stage.name, stage.duration_ns))
+    };
+    let times = stage_times_ms(frames, stages).into_iter();
+    times
+        .map(|(name, times)| (name, Spread::of(times)))
+        .collect()
 }
 
 #[cfg(test)]

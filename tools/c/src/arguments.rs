@@ -12,17 +12,17 @@ use crate::status::{DgsStatus, Failure};
 /// Bytes of a struct that no version will need.
 const STRUCT_BYTES_MAX: usize = 4096;
 
-/// A place that the caller wants something written to.
+/// A pointer through which the caller wants a value written.
 pub struct Out<'a, T> {
-    place: *mut T,
+    pointer: *mut T,
     caller: PhantomData<&'a mut T>,
 }
 
 impl<T> Out<'_, T> {
     pub fn write(self, value: T) {
-        // SAFETY: the creator of this promised that the place is the caller's to be written, and it
+        // SAFETY: the creator of this promised that the pointer is valid for writes, and it
         // was seen to be aligned.
-        unsafe { self.place.write(value) };
+        unsafe { self.pointer.write(value) };
     }
 }
 
@@ -44,11 +44,11 @@ fn check<T>(what: &str, pointer: *const T) -> Result<(), Failure> {
 /// Output location for the argument `what`.
 ///
 /// # Safety
-/// `place` is as the header asks.
-pub unsafe fn out<'a, T>(what: &str, place: *mut T) -> Result<Out<'a, T>, Failure> {
-    check(what, place)?;
+/// `pointer` is as the header asks.
+pub unsafe fn out<'a, T>(what: &str, pointer: *mut T) -> Result<Out<'a, T>, Failure> {
+    check(what, pointer)?;
     Ok(Out {
-        place,
+        pointer,
         caller: PhantomData,
     })
 }
@@ -56,16 +56,16 @@ pub unsafe fn out<'a, T>(what: &str, place: *mut T) -> Result<Out<'a, T>, Failur
 /// Output location for a handle; it is set to NULL first.
 ///
 /// # Safety
-/// `place` is as the header asks.
+/// `pointer` is as the header asks.
 pub unsafe fn out_handle<'a, T>(
     what: &str,
-    place: *mut *mut T,
+    pointer: *mut *mut T,
 ) -> Result<Out<'a, *mut T>, Failure> {
-    check(what, place)?;
+    check(what, pointer)?;
     // SAFETY: promised to be the caller's to be written, and seen to be aligned.
-    unsafe { place.write(std::ptr::null_mut()) };
+    unsafe { pointer.write(std::ptr::null_mut()) };
     Ok(Out {
-        place,
+        pointer,
         caller: PhantomData,
     })
 }
@@ -91,11 +91,11 @@ pub unsafe fn array<'a, T>(what: &str, first: *const T, count: usize) -> Result<
 /// One struct.
 ///
 /// # Safety
-/// `place` is as the header asks, and every pattern of bits is a `T`.
-pub unsafe fn one<T: Copy>(what: &str, place: *const T) -> Result<T, Failure> {
-    check(what, place)?;
+/// `pointer` is as the header asks, and every pattern of bits is a `T`.
+pub unsafe fn one<T: Copy>(what: &str, pointer: *const T) -> Result<T, Failure> {
+    check(what, pointer)?;
     // SAFETY: not NULL, aligned, and promised to be there.
-    Ok(unsafe { place.read() })
+    Ok(unsafe { pointer.read() })
 }
 
 /// A text.
@@ -153,22 +153,22 @@ pub unsafe fn give_text(
 /// could not heed them.
 ///
 /// # Safety
-/// `place` points to as many bytes as the first four of them say, and every pattern of bits is a
+/// `pointer` points to as many bytes as the first four of them say, and every pattern of bits is a
 /// `T`.
 pub unsafe fn growing<T: Copy>(
     what: &str,
-    place: *const T,
+    pointer: *const T,
     first_bytes: usize,
     default: T,
 ) -> Result<T, Failure> {
-    check(what, place)?;
+    check(what, pointer)?;
     // SAFETY: not NULL, aligned, and promised to begin with its size.
-    let theirs = unsafe { struct_bytes::<T>(what, place, first_bytes) }?;
+    let theirs = unsafe { struct_bytes::<T>(what, pointer, first_bytes) }?;
     let ours = size_of::<T>();
     // SAFETY: as many bytes are there as the size says.
     let beyond = unsafe {
         std::slice::from_raw_parts(
-            place.cast::<u8>().add(theirs.min(ours)),
+            pointer.cast::<u8>().add(theirs.min(ours)),
             theirs.saturating_sub(ours),
         )
     };
@@ -182,7 +182,7 @@ pub unsafe fn growing<T: Copy>(
     // SAFETY: neither is written beyond its end, and the value is ours alone.
     unsafe {
         std::ptr::copy_nonoverlapping(
-            place.cast::<u8>(),
+            pointer.cast::<u8>(),
             (&raw mut value).cast(),
             theirs.min(ours),
         );
@@ -194,21 +194,21 @@ pub unsafe fn growing<T: Copy>(
 /// becomes zero.
 ///
 /// # Safety
-/// `place` points to as many bytes as the first four of them say.
+/// `pointer` points to as many bytes as the first four of them say.
 pub unsafe fn give_growing<T: Copy>(
     what: &str,
-    place: *mut T,
+    pointer: *mut T,
     first_bytes: usize,
     value: &T,
 ) -> Result<(), Failure> {
     const SIZE_BYTES: usize = size_of::<u32>();
-    check(what, place)?;
+    check(what, pointer)?;
     // SAFETY: not NULL, aligned, and promised to begin with its size.
-    let theirs = unsafe { struct_bytes::<T>(what, place, first_bytes) }?;
+    let theirs = unsafe { struct_bytes::<T>(what, pointer, first_bytes) }?;
     let written = theirs.min(size_of::<T>());
     // SAFETY: neither is touched beyond its end. The size itself stays as it is.
     unsafe {
-        let (to, from) = (place.cast::<u8>(), std::ptr::from_ref(value).cast::<u8>());
+        let (to, from) = (pointer.cast::<u8>(), std::ptr::from_ref(value).cast::<u8>());
         std::ptr::copy_nonoverlapping(
             from.add(SIZE_BYTES),
             to.add(SIZE_BYTES),
@@ -219,17 +219,17 @@ pub unsafe fn give_growing<T: Copy>(
     Ok(())
 }
 
-/// The size with which the struct at `place` begins.
+/// The size with which the struct at `pointer` begins.
 ///
 /// # Safety
-/// `place` points to a `u32` at least, and is aligned for it.
+/// `pointer` points to a `u32` at least, and is aligned for it.
 unsafe fn struct_bytes<T>(
     what: &str,
-    place: *const T,
+    pointer: *const T,
     first_bytes: usize,
 ) -> Result<usize, Failure> {
     // SAFETY: promised by our caller.
-    let bytes = unsafe { place.cast::<u32>().read() } as usize;
+    let bytes = unsafe { pointer.cast::<u32>().read() } as usize;
     if !(first_bytes..=STRUCT_BYTES_MAX).contains(&bytes) {
         let text = format!(
             "struct_bytes of {what} is {bytes}: set it to sizeof the struct, {} in this version",

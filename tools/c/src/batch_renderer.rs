@@ -200,8 +200,8 @@ impl Seen {
                 "view {index} has no cameras: give it at least one"
             )));
         }
-        let named = |(place, camera): (usize, &DgsCamera)| {
-            camera.to_camera(format!("view {index}, camera {place}"))
+        let named = |(number, camera): (usize, &DgsCamera)| {
+            camera.to_camera(format!("view {index}, camera {number}"))
         };
         let cameras = cameras
             .iter()
@@ -342,8 +342,8 @@ pub unsafe extern "C" fn dgs_batch_renderer_image(
 ) -> DgsStatus {
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
-        let place = unsafe { out("image", image) }?;
-        place.write(
+        let target = unsafe { out("image", image) }?;
+        target.write(
             BATCH_RENDERERS
                 .find(call, renderer)?
                 .lock()?

@@ -268,10 +268,10 @@ pub unsafe extern "C" fn dgs_batch_renderer_points(
 ) -> DgsStatus {
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
-        let (place, length) = unsafe { (out("points", points)?, out("count", count)?) };
+        let (target, length) = unsafe { (out("points", points)?, out("count", count)?) };
         let held = BATCH_RENDERERS.find(call, renderer)?;
         let drawing = held.lock()?;
-        place.write(drawing.points.as_ptr());
+        target.write(drawing.points.as_ptr());
         length.write(drawing.points.len());
         Ok(())
     })

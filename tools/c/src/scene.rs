@@ -52,21 +52,21 @@ pub unsafe extern "C" fn dgs_scene_close(scene: *mut DgsScene) -> DgsStatus {
     guarded(|_| SCENES.close(scene))
 }
 
-/// Writes what `read` finds in a scene to `place`.
+/// Writes what `read` finds in a scene to `pointer`.
 ///
 /// # Safety
-/// `place` is NULL or as the header asks.
+/// `pointer` is NULL or as the header asks.
 unsafe fn read<T>(
     scene: *const DgsScene,
     what: &str,
-    place: *mut T,
+    pointer: *mut T,
     read: impl FnOnce(&SessionScene) -> Result<T, Failure>,
 ) -> DgsStatus {
     guarded(|call| {
         let held = SCENES.find(call, scene)?;
         // SAFETY: promised by our caller.
-        let place = unsafe { out(what, place) }?;
-        place.write(read(&held.scene)?);
+        let pointer = unsafe { out(what, pointer) }?;
+        pointer.write(read(&held.scene)?);
         Ok(())
     })
 }

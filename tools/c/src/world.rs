@@ -212,11 +212,11 @@ pub unsafe extern "C" fn dgs_world_agent(
 ) -> DgsStatus {
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
-        let place = unsafe { out("agent", agent) }?;
+        let target = unsafe { out("agent", agent) }?;
         let held = WORLDS.find(call, world)?;
         let world = held.read()?;
         let placed = self::agent(&world, index)?.placed;
-        place.write(DgsAgent {
+        target.write(DgsAgent {
             pose: DgsPose::of(&placed.pose),
             asset: placed.asset as u32,
             instance: placed.instance.into(),
@@ -234,10 +234,10 @@ pub unsafe extern "C" fn dgs_world_agent_present(
 ) -> DgsStatus {
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
-        let place = unsafe { out("present", present) }?;
+        let target = unsafe { out("present", present) }?;
         let held = WORLDS.find(call, world)?;
         let world = held.read()?;
-        place.write(agent(&world, index)?.present.into());
+        target.write(agent(&world, index)?.present.into());
         Ok(())
     })
 }

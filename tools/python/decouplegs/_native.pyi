@@ -29,7 +29,7 @@ class Device:
 
     @property
     def index(self) -> int:
-        """Its place in devices(), which Session takes."""
+        """Its index in devices(), which Session takes."""
     @property
     def name(self) -> str:
         """Its own name."""

@@ -97,9 +97,9 @@ impl BatchRenderer {
     fn by_view(&self, py: Python<'_>, views: &Views) -> PyResult<Vec<([usize; 3], Layers)>> {
         let mut groups = vec![Vec::new(); views.0.len()];
         views
-            .places()
+            .indices()
             .into_iter()
-            .for_each(|place| groups[place.0].push(place));
+            .for_each(|index| groups[index.0].push(index));
         let mut shapes = Vec::with_capacity(groups.len());
         for (view, group) in groups.iter().enumerate() {
             let Some(&first) = group.first() else {
@@ -110,7 +110,7 @@ impl BatchRenderer {
             let [width, height] = views.size_px(first);
             if let Some(&other) = group
                 .iter()
-                .find(|place| views.size_px(**place) != [width, height])
+                .find(|index| views.size_px(**index) != [width, height])
             {
                 let [other_width, other_height] = views.size_px(other);
                 return Err(value_error(format!(
@@ -141,10 +141,10 @@ impl BatchRenderer {
                 .draw_on_device(&views.borrowed())
                 .map_err(|error| of_session(&error))?;
             let frames = taken.into_iter().map(|taken| {
-                let (drawn, places) = (taken.frame().value(), taken.ranges().to_vec());
+                let (drawn, ranges) = (taken.frame().value(), taken.ranges().to_vec());
                 let loan = lender.lend(taken, drawn);
                 let addresses = addresses(lender, &loan).map_err(|error| of_interop(&error))?;
-                Ok(Frame::on_device(loan, *ordinal, addresses, places))
+                Ok(Frame::on_device(loan, *ordinal, addresses, ranges))
             });
             Ok::<_, PyErr>((frames.collect::<PyResult<Vec<_>>>()?, statistics))
         });
@@ -209,9 +209,9 @@ impl BatchRenderer {
         let frames = match &self.lender {
             Some(lender) => self.drawn_on_device(py, &views, lender)?,
             None => {
-                let places = views.places();
-                let sizes: Vec<_> = places.iter().map(|place| views.size_px(*place)).collect();
-                let layers = self.drawn(py, &views, &[places])?;
+                let indices = views.indices();
+                let sizes: Vec<_> = indices.iter().map(|index| views.size_px(*index)).collect();
+                let layers = self.drawn(py, &views, &[indices])?;
                 layers
                     .into_iter()
                     .map(|layers| Frame::on_host(layers, &sizes))

@@ -20,7 +20,7 @@ impl Views {
     }
 
     /// View and camera of every image, in order.
-    pub fn places(&self) -> Vec<(usize, usize)> {
+    pub fn indices(&self) -> Vec<(usize, usize)> {
         let of_view = |(view, (_, cameras)): (usize, &(World, Vec<Camera>))| {
             (0..cameras.len()).map(move |camera| (view, camera))
         };

@@ -27,7 +27,7 @@ pub struct Frame {
     addresses: Addresses,
     color: DataType,
     /// First pixel, width and height of each.
-    places: Arc<[(usize, [u32; 2])]>,
+    ranges: Arc<[(usize, [u32; 2])]>,
 }
 
 impl Frame {
@@ -35,7 +35,7 @@ impl Frame {
         loan: Arc<CudaLoan>,
         ordinal: i32,
         addresses: Addresses,
-        places: Vec<(usize, [u32; 2])>,
+        ranges: Vec<(usize, [u32; 2])>,
     ) -> Self {
         let color = if loan.images().buffers().images_u8.is_empty() {
             DataType::F32
@@ -46,19 +46,19 @@ impl Frame {
             holder: Holder::Device(loan, ordinal),
             addresses,
             color,
-            places: places.into(),
+            ranges: ranges.into(),
         }
     }
 
     /// Images of `sizes_px`, one after the other.
     pub fn on_host(layers: Layers, sizes_px: &[[u32; 2]]) -> Self {
         let mut first = 0;
-        let place = |&[width, height]: &[u32; 2]| {
-            let place = (first, [width, height]);
+        let range = |&[width, height]: &[u32; 2]| {
+            let range = (first, [width, height]);
             first += width as usize * height as usize;
-            place
+            range
         };
-        let places = sizes_px.iter().map(place).collect();
+        let ranges = sizes_px.iter().map(range).collect();
         let (color, address) = layers.color.tensor();
         let mut addresses = Addresses {
             color: address,
@@ -71,19 +71,19 @@ impl Frame {
             holder: Holder::Host(Arc::new(layers)),
             addresses,
             color,
-            places,
+            ranges,
         }
     }
 
     /// Cameras `first` to `first + count`, as one tensor.
     fn tensor(&self, (first, count): (usize, usize), layer: &str) -> PyResult<Tensor> {
-        let places = &self.places[first..first + count];
-        let (start, [width, height]) = places[0];
+        let ranges = &self.ranges[first..first + count];
+        let (start, [width, height]) = ranges[0];
         let pixels = width as usize * height as usize;
-        let regular = |(index, place): (usize, &(usize, [u32; 2]))| {
-            *place == (start + index * pixels, [width, height])
+        let regular = |(index, range): (usize, &(usize, [u32; 2]))| {
+            *range == (start + index * pixels, [width, height])
         };
-        if !places.iter().enumerate().all(regular) {
+        if !ranges.iter().enumerate().all(regular) {
             return Err(value_error(
                 "cameras of several sizes make no one tensor: take camera(view, camera) of each, or draw them as views of their own"
                     .to_owned(),
@@ -130,25 +130,25 @@ impl Frame {
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Images {
     frames: Vec<Frame>,
-    /// Frame and place in it of each camera, by view.
+    /// Frame and index in it of each camera, by view.
     views: Vec<Vec<(usize, usize)>>,
 }
 
 impl Images {
     /// `frames` hold the cameras of all views in order; `of_views` says how many each view has.
     pub fn new(frames: Vec<Frame>, of_views: Vec<usize>) -> Self {
-        let places = |(number, frame): (usize, &Frame)| {
-            (0..frame.places.len()).map(move |place| (number, place))
+        let indices = |(number, frame): (usize, &Frame)| {
+            (0..frame.ranges.len()).map(move |index| (number, index))
         };
-        let mut places = frames
+        let mut indices = frames
             .iter()
             .enumerate()
-            .flat_map(places)
+            .flat_map(indices)
             .collect::<Vec<_>>()
             .into_iter();
         let views = of_views
             .into_iter()
-            .map(|count| places.by_ref().take(count).collect())
+            .map(|count| indices.by_ref().take(count).collect())
             .collect();
         Self { frames, views }
     }
@@ -184,31 +184,31 @@ impl Images {
         let frame = self.frames.get(index).ok_or_else(|| {
             PyIndexError::new_err(format!("there are {there} frames, not {index}"))
         })?;
-        frame.tensor((0, frame.places.len()), layer)
+        frame.tensor((0, frame.ranges.len()), layer)
     }
 
     /// All cameras of a view, likewise.
     #[pyo3(signature = (index, layer = "color"))]
     fn view(&self, index: usize, layer: &str) -> PyResult<Tensor> {
-        let places = self.of_view(index)?;
-        let (frame, first) = places[0];
-        if places.iter().any(|place| place.0 != frame) {
+        let indices = self.of_view(index)?;
+        let (frame, first) = indices[0];
+        if indices.iter().any(|camera| camera.0 != frame) {
             return Err(value_error(format!(
                 "view {index} has more cameras or pixels than a frame can have: take camera({index}, camera) of each"
             )));
         }
-        self.frames[frame].tensor((first, places.len()), layer)
+        self.frames[frame].tensor((first, indices.len()), layer)
     }
 
     /// One camera: [H, W, 4] of color, [H, W] of the others.
     #[pyo3(signature = (view, camera, layer = "color"))]
     fn camera(&self, view: usize, camera: usize, layer: &str) -> PyResult<Tensor> {
-        let places = self.of_view(view)?;
-        let there = places.len();
-        let &(frame, place) = places.get(camera).ok_or_else(|| {
+        let indices = self.of_view(view)?;
+        let there = indices.len();
+        let &(frame, at) = indices.get(camera).ok_or_else(|| {
             PyIndexError::new_err(format!("view {view} has {there} cameras, not {camera}"))
         })?;
-        let mut tensor = self.frames[frame].tensor((place, 1), layer)?;
+        let mut tensor = self.frames[frame].tensor((at, 1), layer)?;
         tensor.shape.remove(0);
         Ok(tensor)
     }
@@ -346,13 +346,13 @@ impl Tensor {
     }
 
     fn __repr__(&self) -> String {
-        let place = if self.device().kind == Device::CUDA {
+        let memory = if self.device().kind == Device::CUDA {
             "CUDA"
         } else {
             "the host"
         };
         format!(
-            "Tensor({:?}, {}, on {place})",
+            "Tensor({:?}, {}, on {memory})",
             self.shape,
             self.dtype.name()
         )

@@ -93,11 +93,11 @@ pub fn to_dict<'py>(py: Python<'py>, points: &[LidarPoint]) -> PyResult<Bound<'p
         dict.set_item(name, shaped(dict.py(), values, &[count])?)
     }
     let dict = PyDict::new(py);
-    let places = points
+    let positions = points
         .iter()
         .flat_map(|point| point.position_m.as_vec3().to_array());
-    let places = shaped(py, places.collect::<Vec<f32>>(), &[points.len(), 3])?;
-    dict.set_item("points", places)?;
+    let positions = shaped(py, positions.collect::<Vec<f32>>(), &[points.len(), 3])?;
+    dict.set_item("points", positions)?;
     let measured = || points.iter().map(|point| point.measured);
     column(&dict, "range", measured().map(|found| found.range_m))?;
     column(&dict, "intensity", measured().map(|found| found.intensity))?;

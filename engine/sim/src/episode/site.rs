@@ -165,7 +165,8 @@ impl Site {
                     signals: post_assets().into_iter().chain(sign_assets()).collect(),
                     ..cars
                 };
-                let site = Self::made_up((lanes, drawn.obstacles), splat_scene, cars, appearance)?;
+                let site =
+                    Self::synthetic((lanes, drawn.obstacles), splat_scene, cars, appearance)?;
                 Ok(Self {
                     signals: Some(Signals { heads: None }),
                     ..site
@@ -221,7 +222,7 @@ impl Site {
             signals: head_assets().into_iter().chain(sign_assets()).collect(),
             ..cars
         };
-        let site = Self::made_up(
+        let site = Self::synthetic(
             (street.lanes, street.obstacles),
             splat_scene,
             cars,
@@ -245,7 +246,7 @@ impl Site {
         Self::of(loaded, (lanes, obstacles), asset_sizes, None)
     }
 
-    fn made_up(
+    fn synthetic(
         map: (LaneMap, Vec<Obstacle>),
         mut splat_scene: SplatScene,
         cars: Cars,

@@ -319,12 +319,12 @@ fn relit_colors_are_nearer_to_the_truth_in_light_that_the_fit_was_not_shown() {
 }
 
 #[test]
-fn environments_that_are_made_up_calibrate_as_probes_from_files_do() {
+fn procedural_environments_calibrate_as_probes_from_files_do() {
     let cloud = ball(600, 1);
-    let made_up = procedural_probes();
-    let calibration = calibrated(&[("ball".to_owned(), &cloud)], &made_up, &options());
+    let procedural = procedural_probes();
+    let calibration = calibrated(&[("ball".to_owned(), &cloud)], &procedural, &options());
     assert_eq!(
-        (calibration.held_out.len(), made_up.len()),
+        (calibration.held_out.len(), procedural.len()),
         (12, 12),
         "each can be told from the others"
     );
