@@ -17,7 +17,7 @@ const SEAM_M: f64 = 1e-3;
 /// Between two positions on a box's outline that are examined, meters at most.
 const OUTLINE_STRIDE_M: f64 = 1.0;
 /// Positions on one side of a box at most; a vehicle of any real length has fewer.
-const OUTLINE_PLACES_MAX: f64 = 64.0;
+const OUTLINE_POSITIONS_MAX: f64 = 64.0;
 /// A position so far from all lanes, meters, has no height.
 const HEIGHT_MAX_M: f64 = 3.0;
 
@@ -70,15 +70,15 @@ impl RoadSurface {
         let corners = outline.corners();
         (0..4).all(|side| {
             let (from, to) = (corners[side], corners[(side + 1) % 4]);
-            let positions = (from.distance(to) / OUTLINE_STRIDE_M).ceil();
+            let count = (from.distance(to) / OUTLINE_STRIDE_M).ceil();
             // A box that is not finite has one position, which is not on the road.
-            let positions = if positions > 1.0 {
-                positions.min(OUTLINE_PLACES_MAX)
+            let count = if count > 1.0 {
+                count.min(OUTLINE_POSITIONS_MAX)
             } else {
                 1.0
             };
-            (0..positions as usize)
-                .all(|position| self.reaches(from.lerp(to, position as f64 / positions), slack_m))
+            (0..count as usize)
+                .all(|index| self.reaches(from.lerp(to, index as f64 / count), slack_m))
         })
     }
 

@@ -2,11 +2,11 @@
 //! lanes of a map.
 //!
 //! What keeps agents apart is built in, not repaired. Each knows where its front would be if it
-//! braked as hard as tires allow ([`idm::BRAKING_MPS2`]). Behind another on its path it never lets
-//! that position pass where the other's rear could come to a stand; before a position that
-//! conflicts with another lane it never lets it pass unless the position is its own (`claims`,
-//! `junction`). A vehicle that brakes as hard as that keeps all of it true, so there is always a
-//! way to go on. The models (IDM, MOBIL) drive within these bounds.
+//! braked as hard as tires allow ([`idm::BRAKING_MPS2`]). Behind another on its path, that
+//! position never passes the one where the other's rear could come to a stand. It never passes a
+//! conflict with another lane unless the conflict is its own (`claims`, `junction`). A vehicle that
+//! brakes as hard as that keeps all of it true, so there is always a way to go on. The models (IDM,
+//! MOBIL) drive within these bounds.
 //!
 //! All agents see the ego, but none is kept from it: an agent that cannot stop for it hits it.
 //!

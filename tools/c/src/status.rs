@@ -41,7 +41,7 @@ pub enum DgsStatus {
 }
 
 impl DgsStatus {
-    /// All of them, each at the index of its number.
+    /// All of them, each at the index that is its number.
     pub(crate) const ALL: [Self; 14] = [
         Self::Ok,
         Self::InvalidArgument,

@@ -185,11 +185,11 @@ impl<'a> Roads<'a> {
 
     /// The outline of a vehicle of `size` at `spot`.
     pub fn outline(&self, spot: Spot, size: &VehicleSize) -> OrientedBox {
-        let place = position_on(self.graph.lanes(), &[spot.lane], 0, spot.at_m);
+        let position = position_on(self.graph.lanes(), &[spot.lane], 0, spot.at_m);
         OrientedBox::of(
             &VehicleState {
-                position_m: place.position_m,
-                yaw_rad: place.yaw_rad,
+                position_m: position.position_m,
+                yaw_rad: position.yaw_rad,
                 ..VehicleState::default()
             },
             size,

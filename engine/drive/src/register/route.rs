@@ -198,7 +198,7 @@ impl Search<'_> {
         mut along: Vec<Vec<LanePoint>>,
     ) -> Vec<Vec<State>> {
         let mut columns: Vec<Vec<State>> = Vec::with_capacity(kept.len());
-        for (position, &at) in kept.iter().enumerate() {
+        for (order, &at) in kept.iter().enumerate() {
             let lanes = std::mem::take(&mut along[at]);
             let waypoint = &waypoints[at];
             let first = |lane: LanePoint| State {
@@ -213,7 +213,7 @@ impl Search<'_> {
             };
             let traveled_m = waypoint
                 .position
-                .distance(waypoints[kept[position - 1]].position);
+                .distance(waypoints[kept[order - 1]].position);
             let ahead: Vec<Ahead> = before
                 .iter()
                 .map(|state| self.ways_ahead(state.at.lane, traveled_m))
@@ -341,7 +341,7 @@ fn legs(index: &LaneIndex, kept: &[usize], columns: &[Vec<State>]) -> Result<Vec
     }
     states.reverse();
     let mut parts: Vec<Part> = Vec::new();
-    for (position, state) in states.iter().enumerate() {
+    for (order, state) in states.iter().enumerate() {
         let length_of = |lane: &usize| index.line(*lane).map_or(0.0, Polyline::length_m);
         match (&state.step, parts.last_mut()) {
             (Step::On(passed), Some(part)) => {
@@ -349,15 +349,15 @@ fn legs(index: &LaneIndex, kept: &[usize], columns: &[Vec<State>]) -> Result<Vec
                     part.before_m += part.lanes.last().map_or(0.0, length_of);
                     part.lanes.push(lane);
                 }
-                part.waypoints.push(kept[position]);
+                part.waypoints.push(kept[order]);
                 part.arcs_m.push(part.before_m + state.at.foot.arc_m);
             }
             (step, _) => parts.push(Part {
                 lanes: vec![state.at.lane],
                 before_m: 0.0,
-                waypoints: vec![kept[position]],
+                waypoints: vec![kept[order]],
                 arcs_m: vec![state.at.foot.arc_m],
-                by_lane_change: position > 0 && *step == Step::LaneChange,
+                by_lane_change: order > 0 && *step == Step::LaneChange,
             }),
         }
     }

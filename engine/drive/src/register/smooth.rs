@@ -189,8 +189,8 @@ fn local_fit(track: &Track, at: usize, half_s: f64, outliers: Option<&[bool]>) -
     let mut fit = None;
     for _ in 0..ROUNDS {
         let ([position, slope, bend], deviation) = parabola(&scaled, &weights)?;
-        let distance = |(t, place_then): &(f64, DVec2)| {
-            (position + slope * *t + bend * (t * t)).distance(*place_then)
+        let distance = |(t, position_then): &(f64, DVec2)| {
+            (position + slope * *t + bend * (t * t)).distance(*position_then)
         };
         let distances: Vec<f64> = scaled.iter().map(distance).collect();
         // The median length of a deviation in the plane is 1.18 times its deviation along an axis.

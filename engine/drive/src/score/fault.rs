@@ -187,7 +187,7 @@ fn averaged_route(route_m: &[DVec2], near: DVec2) -> Option<Polyline> {
     let origin = at(0.0);
     let mean = |middle: i64| {
         let sum: DVec2 = (middle - half..=middle + half)
-            .map(|position| at(position as f64 * stride_m) - origin)
+            .map(|index| at(index as f64 * stride_m) - origin)
             .sum();
         (origin + sum / (2 * half + 1) as f64).extend(0.0)
     };

@@ -112,7 +112,7 @@ pub(super) struct Agent {
 
 impl Agent {
     /// Place on the path.
-    pub(super) fn place(&self) -> PathPosition<'_> {
+    pub(super) fn path_position(&self) -> PathPosition<'_> {
         PathPosition {
             agent: self.number,
             path: &self.path,

@@ -142,10 +142,16 @@ impl Traffic {
         for at_m in self.blocks_ahead(agent) {
             limit_m = limit_m.min(at_m - 0.1);
         }
-        each_ahead(&self.graph, &self.order, agent.place(), 400.0, |seen| {
-            limit_m = limit_m.min(seen.stop_rear_m - 2.0 * GAP_M);
-            !seen.same_way
-        });
+        each_ahead(
+            &self.graph,
+            &self.order,
+            agent.path_position(),
+            400.0,
+            |seen| {
+                limit_m = limit_m.min(seen.stop_rear_m - 2.0 * GAP_M);
+                !seen.same_way
+            },
+        );
         (2.0 * BRAKING_MPS2 * (limit_m - agent.front_m()).max(0.0)).sqrt()
     }
 }

@@ -279,7 +279,7 @@ impl Traffic {
         each_ahead(
             &self.graph,
             &self.order,
-            agent.place(),
+            agent.path_position(),
             GIVE_WAY_M + room_m - agent.arc_m,
             |seen| {
                 if seen.stop_rear_m >= room_m {

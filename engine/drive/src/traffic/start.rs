@@ -139,12 +139,18 @@ impl Traffic {
     fn first_overlap(&self) -> Option<(usize, usize)> {
         for agent in &self.agents {
             let mut other = None;
-            each_ahead(&self.graph, &self.order, agent.place(), 60.0, |seen| {
-                if seen.rear_m - agent.front_m() < GAP_M {
-                    other = Some(seen.agent as usize);
-                }
-                other.is_none()
-            });
+            each_ahead(
+                &self.graph,
+                &self.order,
+                agent.path_position(),
+                60.0,
+                |seen| {
+                    if seen.rear_m - agent.front_m() < GAP_M {
+                        other = Some(seen.agent as usize);
+                    }
+                    other.is_none()
+                },
+            );
             each_cell(
                 &self.graph,
                 agent,

@@ -1,7 +1,7 @@
 //! Levels of detail: the same object by ever fewer splats, for agents that are far away.
 //!
 //! A level is made by cutting the finest splats into clusters that are small in place and color,
-//! and putting one splat of the same moments instead of each cluster. Splats count by their
+//! and putting one splat of the same moments in place of each cluster. Splats count by their
 //! visibility, so that what is hidden inside has no say, and a cluster that covers more than one
 //! opaque splat of its size would makes a wider one.
 //!

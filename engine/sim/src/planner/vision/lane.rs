@@ -60,9 +60,9 @@ impl LaneBelief {
         }
     }
 
-    /// The belief after the ego moved by `step` while the way was `way`. Where navigation tells the
-    /// progress on the way, it is that; a position in a bend can only so be told from another
-    /// heading.
+    /// The belief after the ego moved by `step` while the way was `way`. Where navigation gives the
+    /// progress on the way, that is taken: from the image alone, another position in a bend looks
+    /// like another heading.
     pub(super) fn moved(&self, way: &RoadPath, step: &Step, length_m: f64) -> Self {
         let Step {
             driven_m,
