@@ -12,10 +12,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::{AssetError, read_episode_log, read_light_transfer};
-use decouplegs::episode::{
-    self, Appearance, Driven, ObservationRenderer, chosen, chosen_lidars, drive,
-};
+use decouplegs::asset::{AssetError, read_episode_log};
+use decouplegs::episode::{self, Driven, ObservationRenderer, chosen, chosen_lidars, drive};
 use decouplegs::planner::{Cameras, Planner, PlannerChoice, Timeouts};
 use decouplegs::scene::episode::Episode;
 use decouplegs::scene::{Level, Sensor};
@@ -27,7 +25,7 @@ use self::folder::RunFolder;
 use self::image_writer::EpisodeImages;
 pub use self::image_writer::{ImageWriter, Images};
 use self::jobs::Job;
-use crate::arguments::{Size, print, warn};
+use crate::arguments::{Size, print, transfer_in, warn};
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
@@ -241,15 +239,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gpu = (arguments.render.0 > 0)
         .then(|| arguments.device.open())
         .transpose()?;
-    let appearance = Appearance {
-        transfer: arguments
-            .light
-            .as_deref()
-            .map(read_light_transfer)
-            .transpose()?
-            .map(|file| file.transfer),
-    };
-    let sites = Sites::new(gpu.as_ref(), arguments.background, appearance);
+    let transfer = transfer_in(arguments.light.as_deref())?;
+    let sites = Sites::new(gpu.as_ref(), arguments.background, transfer);
     let run = Run {
         arguments,
         folder: &folder,
@@ -366,7 +357,7 @@ impl Worker<'_> {
 
     fn drive(&mut self, job: &Job) -> Result<Driven> {
         let run = self.run;
-        let ready = run.sites.get(&job.scenario.place, &job.directory)?;
+        let ready = run.sites.get(&job.scenario, &job.directory)?;
         let planner = match &mut self.planner {
             Some(planner) => planner,
             none => none.insert(run.arguments.planner()?),

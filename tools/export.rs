@@ -13,16 +13,14 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::{
-    TEMPORARY_PREFIX, read_episode_log, read_light_transfer, write_atomically,
-};
+use decouplegs::asset::{TEMPORARY_PREFIX, read_episode_log, write_atomically};
 use decouplegs::episode::{Appearance, Moments, Site, chosen_lidars};
 use decouplegs::scene::episode::Episode;
 use decouplegs::scene::{Camera, Rig, RigCamera, RigLidar, RoadUser, Sensor};
 use decouplegs_cli::png_bytes;
 
 use self::sensed::{LabeledImage, Renderers, Sensed};
-use crate::arguments::{Size, print};
+use crate::arguments::{Size, print, transfer_in};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 
@@ -92,9 +90,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     );
     let episode = read_episode_log(&arguments.log)?;
     let base = arguments.base.as_deref().or(arguments.log.parent());
-    let light = arguments.light.as_deref().map(read_light_transfer);
     let appearance = Appearance {
-        transfer: light.transpose()?.map(|file| file.transfer),
+        transfer: transfer_in(arguments.light.as_deref())?,
+        only_cars: episode.head.scenario.has_only_cars(),
     };
     let gpu = arguments.device.open()?;
     let opening = progress::spinner(format!("opening the place of {}", arguments.log.display()));

@@ -5,19 +5,19 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::{read_episode_log, read_light_transfer, write_atomically};
+use decouplegs::asset::{read_episode_log, write_atomically};
 use decouplegs::drive::OrientedBox;
 use decouplegs::drive::oriented_box::time_to_collision;
 use decouplegs::drive::score::{Moments, TTC_HORIZON_S, plan_ade_m};
 use decouplegs::episode::open_loop::{Images, plans};
-use decouplegs::episode::{Appearance, EpisodeError, ObservationRenderer, Simulation, chosen};
+use decouplegs::episode::{EpisodeError, ObservationRenderer, Simulation, chosen};
 use decouplegs::planner::{PlannerChoice, Timeouts, images};
 use decouplegs::render::Image;
 use decouplegs::scene::episode::{Episode, EpisodeTick};
 use decouplegs::scene::{Plan, Pose, Rig, TimedPose, Trajectory};
 use serde_json::{Value, json};
 
-use crate::arguments::print;
+use crate::arguments::{print, transfer_in};
 use crate::background::BackgroundArguments;
 use crate::device::DeviceArguments;
 use crate::episode_report::spread;
@@ -106,16 +106,9 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
         .unwrap_or(Path::new(""));
     let is_rendered = source == Path::new("rendered");
     let gpu = is_rendered.then(|| arguments.device.open()).transpose()?;
-    let appearance = Appearance {
-        transfer: arguments
-            .light
-            .as_deref()
-            .map(read_light_transfer)
-            .transpose()?
-            .map(|file| file.transfer),
-    };
-    let sites = Sites::new(gpu.as_ref(), arguments.background, appearance);
-    let ready = sites.get(&episode.head.scenario.place, base)?;
+    let transfer = transfer_in(arguments.light.as_deref())?;
+    let sites = Sites::new(gpu.as_ref(), arguments.background, transfer);
+    let ready = sites.get(&episode.head.scenario, base)?;
     let size_px = episode
         .head
         .drawn_by

@@ -4,15 +4,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
-use decouplegs::asset::{read_episode_log, read_light_transfer};
+use decouplegs::asset::read_episode_log;
 use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{
-    Appearance, EpisodeObserver, ObservationRenderer, Replayed, Site, chosen_lidars, replay,
+    EpisodeObserver, ObservationRenderer, Replayed, Site, chosen_lidars, replay,
 };
 use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
 use decouplegs::scene::{Rig, Sensor};
 
-use crate::arguments::print;
+use crate::arguments::{print, transfer_in};
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::drive::{ImageWriter, Images};
@@ -70,16 +70,9 @@ fn drawn(
     base: &Path,
 ) -> Result<(Replayed, Option<String>)> {
     let gpu = arguments.device.open()?;
-    let appearance = Appearance {
-        transfer: arguments
-            .light
-            .as_deref()
-            .map(read_light_transfer)
-            .transpose()?
-            .map(|file| file.transfer),
-    };
-    let sites = Sites::new(Some(&gpu), arguments.background, appearance);
-    let ready = sites.get(&episode.head.scenario.place, base)?;
+    let transfer = transfer_in(arguments.light.as_deref())?;
+    let sites = Sites::new(Some(&gpu), arguments.background, transfer);
+    let ready = sites.get(&episode.head.scenario, base)?;
     let (
         Some(session),
         Ready {

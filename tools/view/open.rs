@@ -4,14 +4,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
-use decouplegs::asset::{
-    SplatFormat, is_scene_file, read_episode_log, read_light_transfer, read_scenario,
-};
+use decouplegs::asset::{SplatFormat, is_scene_file, read_episode_log, read_scenario};
 use decouplegs::episode::{Appearance, Site};
 use decouplegs::planner::PlannerChoice;
 use decouplegs::scene::Scenario;
 use decouplegs::scene::episode::Episode;
 use decouplegs::session::Session;
+use decouplegs_cli::arguments::transfer_in;
 use decouplegs_cli::progress;
 use decouplegs_cli::scene_source::{Scene, SceneOptions};
 
@@ -132,9 +131,18 @@ impl SourceArguments {
             "{}: a log has its own size and planner: leave out --size, and give a planner to compare with by --against",
             path.display()
         );
-        let light = self.light.as_deref().map(read_light_transfer);
+        let scenario = start.scenario();
+        let against = self.against.as_deref();
+        let against_log = against.filter(|against| against.ends_with(".log"));
+        let against_log = against_log
+            .map(|file| read_episode_log(Path::new(file)).map(|log| (Path::new(file), log)))
+            .transpose()?;
+        let others = against_log.iter().map(|(_, other)| &other.head.scenario);
         let appearance = Appearance {
-            transfer: light.transpose()?.map(|file| file.transfer),
+            transfer: transfer_in(self.light.as_deref())?,
+            only_cars: others
+                .chain([scenario])
+                .all(|scenario| scenario.has_only_cars()),
         };
         let place_of = |path: &Path, scenario: &Scenario| -> Result<Place> {
             let base = self.base.as_deref().or(path.parent());
@@ -149,7 +157,6 @@ impl SourceArguments {
             opening.finish_and_clear();
             Ok(Place { site, scene })
         };
-        let scenario = start.scenario();
         let place = place_of(path, scenario)?;
         let seen_px = self.options.size_px();
         let mut sources = vec![match start {
@@ -160,18 +167,16 @@ impl SourceArguments {
                 Source::of_live(edited, session)?
             }
         }];
-        let Some(against) = &self.against else {
+        let Some(against) = against else {
             return Ok(sources);
         };
-        if against.ends_with(".log") {
-            let other = Path::new(against);
-            let episode = read_episode_log(other)?;
+        if let Some((other, episode)) = &against_log {
             // One place is on the device once.
             let place = match episode.head.scenario.place == scenario.place {
                 true => place,
                 false => place_of(other, &episode.head.scenario)?,
             };
-            sources.push(logged(&place, other, &episode)?);
+            sources.push(logged(&place, other, episode)?);
         } else {
             let planner: PlannerChoice = against.parse().map_err(|error: String| {
                 anyhow::anyhow!(

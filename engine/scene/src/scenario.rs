@@ -345,6 +345,12 @@ impl Scenario {
         vehicles.chain(pedestrians).collect()
     }
 
+    /// True if no agent is a truck, bus, cyclist or pedestrian.
+    #[must_use]
+    pub fn has_only_cars(&self) -> bool {
+        (0..self.agent_count()).all(|index| self.agent(index).1 == RoadUser::Car)
+    }
+
     /// Name, kind and asset of a vehicle or pedestrian.
     ///
     /// # Panics

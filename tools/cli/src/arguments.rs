@@ -7,11 +7,11 @@ use std::str::FromStr;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use decouplegs::asset::write_atomically;
+use decouplegs::asset::{read_light_transfer, write_atomically};
 use decouplegs::explain::one_line;
 use decouplegs::render::Plane;
 use decouplegs::render::rendered_image::{Image, ImageFileFormat};
-use decouplegs::scene::Rules;
+use decouplegs::scene::{LightTransfer, Rules};
 
 /// The size of an image, written `1600x900`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -185,4 +185,13 @@ mod tests {
             assert_eq!(Rules::by_name(value.get_name()), Some(name.rules()));
         }
     }
+}
+
+/// The light transfer in the file `--light`, if that is given.
+///
+/// # Errors
+/// Returns an error if it is no such file.
+pub fn transfer_in(light: Option<&Path>) -> Result<Option<LightTransfer>> {
+    let file = light.map(read_light_transfer).transpose()?;
+    Ok(file.map(|file| file.transfer))
 }

@@ -53,6 +53,9 @@ pub struct Appearance {
     /// Effect of light on the colors of agents on a synthetic site; `None`: they keep their
     /// captured colors. Scene files have their own.
     pub transfer: Option<LightTransfer>,
+    /// Leave out the assets of trucks, buses, cyclists and pedestrians, whose compression takes
+    /// seconds: no scenario that has some can then be driven.
+    pub only_cars: bool,
 }
 
 /// A place made ready.
@@ -69,7 +72,7 @@ pub struct Site {
     pub obstacles: Arc<Obstacles>,
     /// Boxes of the assets that agents may show: the first ones of the scene.
     pub asset_sizes: Vec<VehicleSize>,
-    /// Assets of trucks, buses, cyclists and pedestrians, which follow those.
+    /// Assets of trucks, buses, cyclists and pedestrians, the last ones of the scene.
     pub road_users: Vec<RoadUserAsset>,
     /// Assets that show the color of traffic lights, where the place has such.
     pub signals: Option<Signals>,
@@ -77,8 +80,7 @@ pub struct Site {
     ground: Option<Ground>,
 }
 
-/// Assets of traffic lights and signs: green, yellow and red, stop and yield, after those of all
-/// road users.
+/// Assets of traffic lights and signs: green, yellow and red, stop and yield, after those of cars.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signals {
     /// Heads of the place, by light. None: a post stands beside each stop line.
@@ -193,7 +195,9 @@ impl Site {
     ) -> Result<Self, SiteError> {
         // Cars that no light is put on are shown in the sun of their capture.
         let asset_light = match appearance {
-            Some(Appearance { transfer: Some(_) }) => AssetLight::Neutral,
+            Some(Appearance {
+                transfer: Some(_), ..
+            }) => AssetLight::Neutral,
             _ => AssetLight::Sun,
         };
         let cars = cars(
@@ -259,11 +263,13 @@ impl Site {
             .zip(&cars.sizes)
             .map(|(cloud, size)| coded(cloud, size));
         let mut assets = assets.collect::<Result<Vec<_>, _>>()?;
-        assets.extend(road_users_coded(cars.splats, cars.light)?);
         for cloud in &cars.signals {
             let bounds = cloud.bounds();
             let dims_m = std::array::from_fn(|axis| bounds.max[axis] - bounds.min[axis]);
             assets.push(coded(cloud, &size_of(dims_m))?);
+        }
+        if !appearance.only_cars {
+            assets.extend(road_users_coded(cars.splats, cars.light)?);
         }
         let light = LoadedLight {
             transfer: appearance.transfer.clone(),
@@ -307,7 +313,7 @@ impl Site {
             )));
         }
         let sizes = dims_m.into_iter().map(size_of).collect();
-        if appearance.is_some() {
+        if appearance.is_some_and(|appearance| !appearance.only_cars) {
             let coded = road_users_coded(ROAD_USER_SPLATS, AssetLight::Neutral)?;
             loaded.assets.extend(coded);
         }
@@ -359,19 +365,24 @@ impl Site {
         let indices = 0..self.road_users.len();
         let mut same = indices.filter(|&index| self.road_users[index].kind == kind);
         let count = same.clone().count();
-        cars + same
-            .nth(asset % count)
-            .expect("the place has assets of every kind")
+        let signals = match self.signals {
+            Some(_) => LightColor::ALL.len() + SignKind::ALL.len(),
+            None => 0,
+        };
+        cars + signals
+            + same
+                .nth(asset % count)
+                .expect("the place has assets of every kind")
     }
 
     /// Index in the scene of the asset that shows a traffic light in a color.
     pub(super) fn signal_asset(&self, color: LightColor) -> usize {
-        self.asset_sizes.len() + self.road_users.len() + color as usize
+        self.asset_sizes.len() + color as usize
     }
 
     /// Index in the scene of the asset of a sign.
     pub(super) fn sign_asset(&self, kind: SignKind) -> usize {
-        self.asset_sizes.len() + self.road_users.len() + LightColor::ALL.len() + kind as usize
+        self.asset_sizes.len() + LightColor::ALL.len() + kind as usize
     }
 
     /// Pose of a vehicle on the ground: wheels at the height of the captured ground, otherwise of
