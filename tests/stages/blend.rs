@@ -26,7 +26,7 @@ use super::{
     write_partials,
 };
 use crate::device::Validated;
-use rounding::PixelBounds;
+use rounding::{ListedSplat, PixelBounds};
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
 const OUTPUTS: Outputs = Outputs {
@@ -148,17 +148,16 @@ impl Case {
             [twins::output::camera_of_bin(&self.scene.view.cameras, item.bin)];
         let origin = coarse_tile_origin(item.bin, camera);
         let list = &self.records[item.first_pair as usize..(item.first_pair + item.pairs) as usize];
+        let list: Vec<_> = list
+            .iter()
+            .map(|&record| ListedSplat::of(&self.projected, record))
+            .collect();
         (0..COARSE_PIXELS)
             .map(|index| {
                 let [x, y] = pixel_offset(index);
                 let before = before.map(|before| &before[index]);
-                PixelBounds::of(
-                    &self.projected,
-                    list,
-                    [origin[0] + x, origin[1] + y],
-                    &self.rules,
-                    before,
-                )
+                let at = [origin[0] + x, origin[1] + y];
+                PixelBounds::of(&list, at, &self.rules, before)
             })
             .collect()
     }

@@ -37,6 +37,7 @@ use std::sync::atomic::AtomicU64;
 use std::sync::mpsc;
 
 use anyhow::{Context, Result, ensure};
+use axum::serve::ListenerExt;
 use decouplegs_cli::arguments::print;
 use decouplegs_cli::background::BackgroundArguments;
 use decouplegs_cli::device::{DeviceArguments, check_validation};
@@ -136,6 +137,11 @@ pub fn run(arguments: &Arguments, demo: impl FnOnce() -> Result<PathBuf>) -> Res
         loopback: address.ip().is_loopback(),
     };
     runtime.block_on(async {
+        // Small messages are sent at once: by default one waits for the answer to the one before,
+        // up to 40 ms.
+        let listener = listener.tap_io(|stream| {
+            let _ = stream.set_nodelay(true);
+        });
         let served = axum::serve(listener, router(service));
         tokio::select! {
             ended = served => ended.context("the server failed"),

@@ -1,5 +1,7 @@
 //! Images of the viewer are those of `render`, and commands that make no sense are refused.
 
+use std::time::Instant;
+
 use super::*;
 
 #[test]
@@ -83,4 +85,24 @@ fn names_of_no_camera_or_agent_are_refused_and_nothing_else_changes() {
         page.send("shown", json!({"update": update.state["update"]}));
         assert_eq!(update.state["panes"][0]["size_px"], json!([16, 4096]));
     }
+}
+
+/// A connection that waits until its last message has arrived before it sends the next is 40 ms
+/// late with each image.
+#[test]
+fn images_are_sent_as_soon_as_they_are_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    let viewer = Viewer::start(&[text(&folder.path().join("scene.toml"))]);
+    let mut page = viewer.connect();
+    let names = ["front", "back"];
+    let look_s = |at: usize| {
+        let since = Instant::now();
+        page.look(&[named(0, names[at % 2], [32, 18])]);
+        since.elapsed().as_secs_f64()
+    };
+    // The system confirms the first messages of a connection early.
+    let best_s = (0..40).map(look_s).skip(20).fold(f64::INFINITY, f64::min);
+    println!("{best_s:.4} s");
+    assert!(best_s < 0.04, "{best_s} s");
 }

@@ -2,7 +2,7 @@
 //! Numerical Algorithms, 2002, section 3.3) of the same sums in f64.
 
 use decouplegs::render::layout::{COARSE_HEIGHT_PX, COARSE_WIDTH_PX};
-use decouplegs::render::twins::footprint::center_of;
+use decouplegs::render::twins::footprint::{Footprint, center_of};
 use decouplegs::render::twins::output::Pixel;
 use decouplegs::render::twins::record::load_footprint;
 use decouplegs::scene::rules::TRANSMITTANCE_MIN;
@@ -25,6 +25,27 @@ pub struct PixelBounds {
     weight_error: f64,
 }
 
+/// A splat of a list, decoded once for all pixels.
+pub struct ListedSplat {
+    footprint: Footprint,
+    /// Largest channel.
+    color: f64,
+    depth_m: f64,
+    instance: usize,
+}
+
+impl ListedSplat {
+    pub fn of(projected: &ProjectedTwin, record: u32) -> Self {
+        let record = record as usize;
+        Self {
+            footprint: load_footprint(&projected.footprints, record),
+            color: f64::from(projected.color(record).max_element()),
+            depth_m: f64::from(projected.depth_m(record)),
+            instance: projected.labels[record][1] as usize,
+        }
+    }
+}
+
 /// State of blending a pixel in f64.
 struct Run {
     transmittance: f64,
@@ -36,13 +57,7 @@ struct Run {
 impl PixelBounds {
     /// Bounds of the pixel at column and row `at`, where `list` is blended front to back, behind
     /// `before` if given.
-    pub fn of(
-        projected: &ProjectedTwin,
-        list: &[u32],
-        at: [u32; 2],
-        rules: &Rules,
-        before: Option<&Pixel>,
-    ) -> Self {
+    pub fn of(list: &[ListedSplat], at: [u32; 2], rules: &Rules, before: Option<&Pixel>) -> Self {
         let bounds = Self {
             color: 0.0,
             transmittance: 0.0,
@@ -66,22 +81,19 @@ impl PixelBounds {
         // Where a pixel is full, an implementation that stops inclusively may leave out all that
         // follows.
         let mut behind = [0.0f64; 2];
-        for &record in list {
-            let record = record as usize;
-            let (log2_alpha, error) = log2_alpha(projected, record, at);
+        for splat in list {
+            let (log2_alpha, error) = log2_alpha(&splat.footprint, at);
             if log2_alpha < -LOG2_255 - error {
                 continue;
             }
-            let color = f64::from(projected.color(record).max_element());
-            let depth_m = f64::from(projected.depth_m(record));
+            let (color, depth_m) = (splat.color, splat.depth_m);
             let full = run.transmittance <= TRANSMITTANCE_MIN * (1.0 + 1e-3);
             if rules.stop == EarlyStop::None && full {
                 behind = [behind[0].max(color), behind[1].max(depth_m)];
                 continue;
             }
             run.bounds.unsettled |= (log2_alpha + LOG2_255).abs() <= error;
-            let instance = projected.labels[record][1] as usize;
-            if run.add(log2_alpha, error, [color, depth_m], instance, rules) {
+            if run.add(log2_alpha, error, [color, depth_m], splat.instance, rules) {
                 break;
             }
         }
@@ -127,9 +139,8 @@ impl PixelBounds {
 
 const LOG2_255: f64 = 7.994_353_436_858_858;
 
-/// log2 of a record's alpha at a pixel, and how far it may be off.
-fn log2_alpha(projected: &ProjectedTwin, record: usize, at: [u32; 2]) -> (f64, f64) {
-    let splat = load_footprint(&projected.footprints, record);
+/// log2 of a splat's alpha at a pixel, and how far it may be off.
+fn log2_alpha(splat: &Footprint, at: [u32; 2]) -> (f64, f64) {
     let d = (center_of(at[0], at[1]) - splat.mean_px).as_dvec2();
     let [slope, rate_x, rate_y] = [splat.slope, splat.rate_x, splat.rate_y].map(f64::from);
     let (shear, peak) = (slope * d.y, f64::from(splat.log2_opacity));

@@ -21,6 +21,7 @@ use decouplegs_server::wire::sensorsim::{
     ShutterType,
 };
 use tokio::net::TcpListener;
+use tokio_stream::StreamExt;
 use tokio_stream::wrappers::TcpListenerStream;
 use tonic::transport::{Channel, Server};
 use tonic::{Request, Response, Status};
@@ -84,19 +85,20 @@ impl Fault {
     ];
 }
 
-/// Answers of the good server to what it was asked before: each request is drawn once for all
-/// faults.
+/// Answers of the good server to what it was asked before.
 #[derive(Clone, Default)]
 struct Known<T>(Arc<Mutex<HashMap<Vec<u8>, T>>>);
 
 impl<T: Clone> Known<T> {
+    /// Each request is drawn once for all faults, and as often as it is asked without one.
     async fn or_asked<Q: prost::Message>(
         &self,
+        fault: Option<Fault>,
         request: Q,
         ask: impl AsyncFnOnce(Q) -> Result<Response<T>, Status>,
     ) -> Result<T, Status> {
         let key = request.encode_to_vec();
-        if let Some(known) = self.0.lock().unwrap().get(&key) {
+        if let (Some(_), Some(known)) = (fault, self.0.lock().unwrap().get(&key)) {
             return Ok(known.clone());
         }
         let answer = ask(request).await?.into_inner();
@@ -109,28 +111,29 @@ impl<T: Clone> Known<T> {
 #[derive(Clone, Default)]
 struct Answers {
     images: Known<RgbRenderReturn>,
+    batches: Known<BatchRgbRenderReturn>,
     sweeps: Known<LidarRenderReturn>,
-    both: Known<AggregatedRenderReturn>,
 }
 
-/// A server that hands all requests to a good one, and spoils them or the answers.
+/// A server that hands all requests to a good one, and spoils them or the answers where it has a
+/// fault.
 struct Faulty {
     good: SensorsimServiceClient<Channel>,
     answers: Answers,
     scene: String,
-    fault: Fault,
+    fault: Option<Fault>,
 }
 
 impl Faulty {
     fn spoiled(&self, mut request: RgbRenderRequest) -> RgbRenderRequest {
         if let Some(spec) = &mut request.camera_intrinsics {
             match (self.fault, &mut spec.camera_param) {
-                (Fault::HalfPixel, Some(CameraParam::FthetaParam(lens))) => {
+                (Some(Fault::HalfPixel), Some(CameraParam::FthetaParam(lens))) => {
                     lens.principal_point_x -= 0.5;
                     lens.principal_point_y -= 0.5;
                 }
-                (Fault::IgnoresShutters, _) => spec.shutter_type = ShutterType::Global.into(),
-                (Fault::IgnoresSize, _) => {
+                (Some(Fault::IgnoresShutters), _) => spec.shutter_type = ShutterType::Global.into(),
+                (Some(Fault::IgnoresSize), _) => {
                     request.resolution_w = spec.resolution_w;
                     request.resolution_h = spec.resolution_h;
                 }
@@ -138,18 +141,18 @@ impl Faulty {
             }
         }
         match (self.fault, &mut request.sensor_pose) {
-            (Fault::SwapsPoses, Some(pair)) => {
+            (Some(Fault::SwapsPoses), Some(pair)) => {
                 std::mem::swap(&mut pair.start_pose, &mut pair.end_pose);
             }
-            (Fault::IgnoresObjects, _) => request.dynamic_objects.clear(),
-            (Fault::InventsScenes, _) => request.scene_id = self.scene.clone(),
+            (Some(Fault::IgnoresObjects), _) => request.dynamic_objects.clear(),
+            (Some(Fault::InventsScenes), _) => request.scene_id = self.scene.clone(),
             _ => {}
         }
         request
     }
 
     fn spoiled_image(&self, format: ImageFormat, mut image: RgbRenderReturn) -> RgbRenderReturn {
-        if self.fault == Fault::SwapsPlanes && format == ImageFormat::RgbUint8Planar {
+        if self.fault == Some(Fault::SwapsPlanes) && format == ImageFormat::RgbUint8Planar {
             let plane = image.image_bytes.len() / 3;
             let bytes = &image.image_bytes;
             let planes = [
@@ -163,7 +166,7 @@ impl Faulty {
     }
 
     fn spoiled_sweep(&self, mut sweep: LidarRenderReturn) -> LidarRenderReturn {
-        if self.fault == Fault::MiscountsPoints {
+        if self.fault == Some(Fault::MiscountsPoints) {
             sweep.num_points += 1;
         }
         sweep
@@ -175,7 +178,7 @@ impl Faulty {
             .as_mut()
             .map(|pair| [&mut pair.start_pose, &mut pair.end_pose]);
         for pose in poses.into_iter().flatten().flatten() {
-            if self.fault == Fault::IgnoresSensorTurn {
+            if self.fault == Some(Fault::IgnoresSensorTurn) {
                 pose.quat = Some(decouplegs_server::wire::common::Quat {
                     w: 1.0,
                     ..Default::default()
@@ -199,7 +202,7 @@ impl SensorsimService for Faulty {
         let image = self
             .answers
             .images
-            .or_asked(self.spoiled(request), ask)
+            .or_asked(self.fault, self.spoiled(request), ask)
             .await?;
         Ok(Response::new(self.spoiled_image(format, image)))
     }
@@ -212,12 +215,19 @@ impl SensorsimService for Faulty {
         let last = request.items.last().and_then(|item| item.request.clone());
         for item in &mut request.items {
             let mut asked = self.spoiled(item.request.take().unwrap_or_default());
-            if let (Fault::SharesObjects, Some(last)) = (self.fault, &last) {
+            if let (Some(Fault::SharesObjects), Some(last)) = (self.fault, &last) {
                 asked.dynamic_objects = last.dynamic_objects.clone();
             }
             item.request = Some(asked);
         }
-        self.good.clone().batch_render_rgb(request).await
+        let mut good = self.good.clone();
+        let ask = async |request| good.batch_render_rgb(request).await;
+        let batch = self
+            .answers
+            .batches
+            .or_asked(self.fault, request, ask)
+            .await?;
+        Ok(Response::new(batch))
     }
 
     async fn render_lidar(
@@ -227,7 +237,11 @@ impl SensorsimService for Faulty {
         let request = self.spoiled_lidar(request.into_inner());
         let mut good = self.good.clone();
         let ask = async |request| good.render_lidar(request).await;
-        let sweep = self.answers.sweeps.or_asked(request, ask).await?;
+        let sweep = self
+            .answers
+            .sweeps
+            .or_asked(self.fault, request, ask)
+            .await?;
         Ok(Response::new(self.spoiled_sweep(sweep)))
     }
 
@@ -236,23 +250,18 @@ impl SensorsimService for Faulty {
         request: Request<AggregatedRenderRequest>,
     ) -> Result<Response<AggregatedRenderReturn>, Status> {
         let asked = request.into_inner();
-        let request = AggregatedRenderRequest {
-            rgb_requests: asked
-                .rgb_requests
-                .into_iter()
-                .map(|r| self.spoiled(r))
-                .collect(),
-            lidar_requests: asked
-                .lidar_requests
-                .into_iter()
-                .map(|r| self.spoiled_lidar(r))
-                .collect(),
-        };
-        let mut good = self.good.clone();
-        let ask = async |request| good.render_aggregated(request).await;
-        let mut answer = self.answers.both.or_asked(request, ask).await?;
-        let sweeps = std::mem::take(&mut answer.lidar_returns);
-        answer.lidar_returns = sweeps.into_iter().map(|s| self.spoiled_sweep(s)).collect();
+        if self.fault.is_none() {
+            return self.good.clone().render_aggregated(asked).await;
+        }
+        let mut answer = AggregatedRenderReturn::default();
+        for image in asked.rgb_requests {
+            let image = self.render_rgb(Request::new(image)).await?;
+            answer.rgb_returns.push(image.into_inner());
+        }
+        for sweep in asked.lidar_requests {
+            let sweep = self.render_lidar(Request::new(sweep)).await?;
+            answer.lidar_returns.push(sweep.into_inner());
+        }
         Ok(Response::new(answer))
     }
 
@@ -291,7 +300,7 @@ impl SensorsimService for Faulty {
         let mut good = self.good.clone();
         let answer = good.get_available_trajectories(request.into_inner());
         let mut answer = answer.await?.into_inner();
-        if self.fault == Fault::ReversesTime {
+        if self.fault == Some(Fault::ReversesTime) {
             for trajectory in &mut answer.available_trajectories {
                 trajectory
                     .trajectory
@@ -310,7 +319,7 @@ impl SensorsimService for Faulty {
     }
 }
 
-async fn serve_faulty(good: Channel, answers: &Answers, fault: Fault) -> SocketAddr {
+async fn serve_faulty(good: Channel, answers: &Answers, fault: Option<Fault>) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let faulty = Faulty {
@@ -321,16 +330,22 @@ async fn serve_faulty(good: Channel, answers: &Answers, fault: Fault) -> SocketA
     };
     let service = SensorsimServiceServer::new(faulty);
     let server = Server::builder().add_service(service);
-    tokio::spawn(server.serve_with_incoming(TcpListenerStream::new(listener)));
+    // Without waiting for more to send: answers would be 40 ms late.
+    let connections = TcpListenerStream::new(listener).map(|stream| {
+        let stream = stream?;
+        stream.set_nodelay(true)?;
+        Ok::<_, std::io::Error>(stream)
+    });
+    tokio::spawn(server.serve_with_incoming(connections));
     address
 }
 
-async fn judged(address: SocketAddr) -> Report {
+async fn judged(address: SocketAddr, checks: &[Check]) -> Report {
     let options = ConformOptions {
         object: Some("car_000".into()),
         ..ConformOptions::of_target(address.to_string())
     };
-    judge(&options, &mut |_, _| {}).await.unwrap()
+    judge(&options, checks, &mut |_, _| {}).await.unwrap()
 }
 
 fn scene(folder: &tempfile::TempDir) -> Vec<PathBuf> {
@@ -342,18 +357,26 @@ fn scene(folder: &tempfile::TempDir) -> Vec<PathBuf> {
 async fn this_server_conforms_and_faults_are_found_where_they_are() {
     let folder = tempfile::tempdir().unwrap();
     let running = serve(&options(scene(&folder))).await;
-    let report = judged(running.address).await;
-    for (check, outcome) in &report.results {
+    let good = channel(&running).await;
+    let answers = Answers::default();
+    let between = serve_faulty(good.clone(), &answers, None).await;
+    let report = judged(between, &Check::ALL).await;
+    // What stands between drops fields that it does not know.
+    let direct = judged(running.address, &[Check::UnknownFields]).await;
+    for (check, outcome) in report.results.iter().chain(&direct.results) {
         assert!(
             matches!(outcome, Outcome::Passed(_)),
             "{check:?}: {outcome:?}"
         );
     }
     assert_eq!(report.results.len(), Check::ALL.len());
-    let good = channel(&running).await;
-    let answers = Answers::default();
+    assert_eq!(direct.results.len(), 1);
     for (fault, expected) in Fault::ALL {
-        let report = judged(serve_faulty(good.clone(), &answers, fault).await).await;
+        let report = judged(
+            serve_faulty(good.clone(), &answers, Some(fault)).await,
+            &Check::ALL,
+        )
+        .await;
         let details: Vec<_> = report
             .results
             .iter()
@@ -371,7 +394,12 @@ async fn this_server_conforms_and_faults_are_found_where_they_are() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_server_that_is_not_there_and_a_camera_that_is_not_are_named() {
     let absent = ConformOptions::of_target("127.0.0.1:1".into());
-    let message = format!("{:#}", judge(&absent, &mut |_, _| {}).await.unwrap_err());
+    let message = format!(
+        "{:#}",
+        judge(&absent, &Check::ALL, &mut |_, _| {})
+            .await
+            .unwrap_err()
+    );
     assert!(
         message.contains("no server answers at 127.0.0.1:1"),
         "{message}"
@@ -382,12 +410,22 @@ async fn a_server_that_is_not_there_and_a_camera_that_is_not_are_named() {
         camera: Some("roof".into()),
         ..ConformOptions::of_target(running.address.to_string())
     };
-    let message = format!("{:#}", judge(&of_camera, &mut |_, _| {}).await.unwrap_err());
+    let message = format!(
+        "{:#}",
+        judge(&of_camera, &Check::ALL, &mut |_, _| {})
+            .await
+            .unwrap_err()
+    );
     assert!(message.contains("no camera \"roof\"; it has "), "{message}");
     let unknown = ConformOptions {
         scene: Some("nowhere".into()),
         ..ConformOptions::of_target(running.address.to_string())
     };
-    let message = format!("{:#}", judge(&unknown, &mut |_, _| {}).await.unwrap_err());
+    let message = format!(
+        "{:#}",
+        judge(&unknown, &Check::ALL, &mut |_, _| {})
+            .await
+            .unwrap_err()
+    );
     assert!(message.contains("nowhere"), "{message}");
 }
