@@ -92,7 +92,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .into_iter()
         .flatten()
     {
-        check_output(out)?;
         check_writable(out)?;
     }
     let mut sources = BTreeMap::new();
@@ -137,26 +136,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         })?;
         print(&format!("{}\n", path.display()))?;
     }
-    Ok(())
-}
-
-/// Refuses, before minutes of work, what could not be written after them.
-fn check_output(out: &Path) -> Result<()> {
-    let folder = out
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
-    ensure!(
-        folder.is_dir(),
-        "cannot write {}: there is no folder {}; make it first",
-        out.display(),
-        folder.display()
-    );
-    ensure!(
-        !out.is_dir(),
-        "cannot write {}: it is a folder; name the file to write",
-        out.display()
-    );
     Ok(())
 }
 

@@ -4,7 +4,7 @@ mod page;
 mod report;
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
@@ -175,23 +175,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Refuses, before minutes of work, what could not be written after them.
 fn check_outputs(arguments: &Arguments) -> Result<()> {
-    let out = &arguments.out;
-    let folder = out
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
-    ensure!(
-        folder.is_dir(),
-        "cannot write {}: there is no folder {}; make it first",
-        out.display(),
-        folder.display()
-    );
-    ensure!(
-        !out.is_dir(),
-        "cannot write {}: it is a folder; --out is the file to write",
-        out.display()
-    );
-    check_writable(out)?;
+    check_writable(&arguments.out)?;
     if let Some(report) = &arguments.report {
         ensure!(
             report.is_dir() || !report.exists(),

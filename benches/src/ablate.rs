@@ -15,12 +15,11 @@ mod ring;
 mod speed;
 mod system;
 
-use std::fs;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, Result, ensure};
-use decouplegs::asset::{read_light_transfer, write_atomically};
+use anyhow::{Context, Result};
+use decouplegs::asset::{check_writable, read_light_transfer, write_atomically};
 use decouplegs::gpu::Gpu;
 use decouplegs::scene::light::RelightOptions;
 use decouplegs::synth::street::{AssetLight, Capture, StreetOptions, Weather};
@@ -138,7 +137,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .into_iter()
         .flatten()
     {
-        check_output(out)?;
+        check_writable(out)?;
     }
     let light = read_light_transfer(&arguments.light)?.transfer;
     let relighting = RelightOptions {
@@ -218,27 +217,6 @@ fn street_options(arguments: &Arguments, weather: Weather) -> StreetOptions {
         capture: Capture::Ego,
         ..StreetOptions::default()
     }
-}
-
-/// Refuses, before minutes of work, what could not be written after them.
-fn check_output(out: &Path) -> Result<()> {
-    let folder = out
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
-    let is_folder = fs::metadata(folder).is_ok_and(|found| found.is_dir());
-    ensure!(
-        is_folder,
-        "cannot write {}: there is no folder {}; make it first",
-        out.display(),
-        folder.display()
-    );
-    ensure!(
-        !out.is_dir(),
-        "cannot write {}: it is a folder; name the file to write",
-        out.display()
-    );
-    Ok(())
 }
 
 /// Conditions of the measurement, for later readers.

@@ -57,18 +57,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     let camera = |name: &str, eye: DVec3, look: DVec3| RigCamera {
         name: name.into(),
-        intrinsics: Intrinsics {
-            width_px: 960,
-            height_px: 540,
-            fx_px: 760.0,
-            fy_px: 760.0,
-            cx_px: 480.0,
-            cy_px: 270.0,
-            lens: Lens::Pinhole,
-            photometry: Photometry::IDENTITY,
-            windshield: None,
-            shutter: Shutter::GLOBAL,
-        },
+        intrinsics: Intrinsics::centered([960, 540], 760.0),
         rig_from_camera: Pose {
             translation: eye,
             ..Pose::look_at(DVec3::ZERO, look, DVec3::Z).expect("no vertical look")

@@ -5,7 +5,7 @@ use decouplegs::scene::lens::{
     ANGLE_LIMIT_RAD, FTheta, FThetaReference, Fisheye, Lens, OpenCv, Windshield,
     WindshieldDirection,
 };
-use decouplegs::scene::{Intrinsics, Photometry, Shutter, ShutterDirection};
+use decouplegs::scene::{Intrinsics, Shutter, ShutterDirection};
 use tonic::Status;
 
 use crate::wire::sensorsim::bivariate_windshield_model_parameters::ReferencePolynomial;
@@ -19,19 +19,19 @@ use crate::wire::sensorsim::{
 /// F-theta calibrations count pixels from the center of the first one, images from its corner.
 const FTHETA_ORIGIN_PX: f64 = 0.5;
 
-/// Intrinsics of `spec` at `width_px` x `height_px`; at its own size if both are zero.
+/// Intrinsics of `spec` for images of `size_px` (width, height); at its own size if both are zero.
 ///
 /// # Errors
 /// INVALID_ARGUMENT with the name of the field that makes no sense.
 pub fn intrinsics_of(
     spec: &CameraSpec,
-    [width_px, height_px]: [u32; 2],
+    size_px: [u32; 2],
     field: &str,
 ) -> Result<Intrinsics, Status> {
-    let asked = if [width_px, height_px] == [0, 0] {
+    let asked = if size_px == [0, 0] {
         [spec.resolution_w, spec.resolution_h]
     } else {
-        [width_px, height_px]
+        size_px
     };
     let own = if [spec.resolution_w, spec.resolution_h] == [0, 0] {
         asked
@@ -164,7 +164,7 @@ fn padded<const N: usize>(values: &[f64], field: &str) -> Result<[f64; N], Statu
 
 fn of_pinhole(
     pinhole: &OpenCvPinholeCameraParam,
-    [width_px, height_px]: [u32; 2],
+    size_px: [u32; 2],
     field: &str,
 ) -> Result<Intrinsics, Status> {
     let lens = OpenCv {
@@ -178,27 +178,21 @@ fn of_pinhole(
             &format!("{field}.thin_prism_coeffs"),
         )?,
     };
+    let focal_px = [pinhole.focal_length_x, pinhole.focal_length_y];
+    let center_px = [pinhole.principal_point_x, pinhole.principal_point_y];
     Ok(Intrinsics {
-        width_px,
-        height_px,
-        fx_px: pinhole.focal_length_x,
-        fy_px: pinhole.focal_length_y,
-        cx_px: pinhole.principal_point_x,
-        cy_px: pinhole.principal_point_y,
         lens: if lens == OpenCv::default() {
             Lens::Pinhole
         } else {
             Lens::OpenCv(lens)
         },
-        photometry: Photometry::IDENTITY,
-        windshield: None,
-        shutter: Shutter::GLOBAL,
+        ..Intrinsics::pinhole(size_px, focal_px, center_px)
     })
 }
 
 fn of_fisheye(
     fisheye: &OpenCvFisheyeCameraParam,
-    [width_px, height_px]: [u32; 2],
+    size_px: [u32; 2],
     field: &str,
 ) -> Result<Intrinsics, Status> {
     let radial = padded(&fisheye.radial_coeffs, &format!("{field}.radial_coeffs"))?;
@@ -207,26 +201,20 @@ fn of_fisheye(
     } else {
         fisheye.max_angle
     };
+    let focal_px = [fisheye.focal_length_x, fisheye.focal_length_y];
+    let center_px = [fisheye.principal_point_x, fisheye.principal_point_y];
     Ok(Intrinsics {
-        width_px,
-        height_px,
-        fx_px: fisheye.focal_length_x,
-        fy_px: fisheye.focal_length_y,
-        cx_px: fisheye.principal_point_x,
-        cy_px: fisheye.principal_point_y,
         lens: Lens::Fisheye(Fisheye {
             radial,
             max_angle_rad,
         }),
-        photometry: Photometry::IDENTITY,
-        windshield: None,
-        shutter: Shutter::GLOBAL,
+        ..Intrinsics::pinhole(size_px, focal_px, center_px)
     })
 }
 
 fn of_ftheta(
     ftheta: &FthetaCameraParam,
-    [width_px, height_px]: [u32; 2],
+    size_px: [u32; 2],
     field: &str,
 ) -> Result<Intrinsics, Status> {
     let reference = match (
@@ -264,18 +252,11 @@ fn of_ftheta(
     lens_checked
         .check()
         .map_err(|reason| Status::invalid_argument(format!("{field}: {reason}")))?;
-    let [fx_px, fy_px] = lens.center_focal_px();
+    let center_px = [ftheta.principal_point_x, ftheta.principal_point_y]
+        .map(|point_px| point_px + FTHETA_ORIGIN_PX);
     Ok(Intrinsics {
-        width_px,
-        height_px,
-        fx_px,
-        fy_px,
-        cx_px: ftheta.principal_point_x + FTHETA_ORIGIN_PX,
-        cy_px: ftheta.principal_point_y + FTHETA_ORIGIN_PX,
         lens: lens_checked,
-        photometry: Photometry::IDENTITY,
-        windshield: None,
-        shutter: Shutter::GLOBAL,
+        ..Intrinsics::pinhole(size_px, lens.center_focal_px(), center_px)
     })
 }
 

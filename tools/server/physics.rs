@@ -2,12 +2,11 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use decouplegs::asset::scene_file::editing::heading_rad;
 use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene, read_splats};
-use decouplegs::drive::register::grounding::{RoadPlane, corners, plane, pose_on};
+use decouplegs::drive::register::grounding::set_on_ground;
 use decouplegs::drive::{Ground, GroundOptions};
 use decouplegs::scene::{Pose, SplatCloud};
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use tonic::{Request, Response, Status};
 
 use crate::cache::Cache;
@@ -117,22 +116,13 @@ impl LocalGround {
             translation: pose.translation + self.origin,
             ..*pose
         };
-        let found = self
-            .plane_below(&world, dims_m, true)
-            .or_else(|| self.plane_below(&world, dims_m, false));
-        let Some(plane) = found else {
+        let Some((plane, set)) = set_on_ground(&self.ground, &world, dims_m) else {
             return (*pose, Outcome::InsufficientPointsFitplane);
         };
         let bottom = world.transform(DVec3::new(0.0, 0.0, -0.5 * dims_m[2]));
         if (plane.height_m - bottom.z).abs() > TRANSLATION_MAX_M {
             return (*pose, Outcome::HighTranslation);
         }
-        let set = pose_on(
-            &plane,
-            world.translation.truncate(),
-            heading_rad(pose),
-            dims_m[2],
-        );
         if (set.rotation * DVec3::Z).angle_between(pose.rotation * DVec3::Z) > ROTATION_MAX_RAD {
             return (*pose, Outcome::HighRotation);
         }
@@ -143,25 +133,6 @@ impl LocalGround {
             },
             Outcome::SuccessfulUpdate,
         )
-    }
-
-    /// The plane below the four bottom corners of a box: of the surface that it is near, or of the
-    /// lowest.
-    fn plane_below(&self, pose: &Pose, dims_m: [f64; 3], is_near: bool) -> Option<RoadPlane> {
-        let (position, ahead) = (
-            pose.translation.truncate(),
-            DVec2::from_angle(heading_rad(pose)),
-        );
-        let corners = corners(dims_m);
-        let heights_m = corners.map(|corner| {
-            let expected_z_m = pose.transform(corner.extend(-0.5 * dims_m[2])).z;
-            let found = self.ground.height_at(
-                position + ahead.rotate(corner),
-                is_near.then_some(expected_z_m),
-            );
-            found.map(|height| height.z_m)
-        });
-        plane(&corners, &heights_m).map(|(plane, _)| plane)
     }
 }
 
@@ -287,6 +258,9 @@ impl PhysicsService for Physics {
 
 #[cfg(test)]
 mod tests {
+    use decouplegs::drive::register::grounding::corners;
+    use glam::DVec2;
+
     use super::*;
     use glam::DQuat;
 

@@ -3,7 +3,7 @@
 use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
 
-use decouplegs::asset::scene_file::editing::{delayed, heading_rad, passing, shifted};
+use decouplegs::asset::scene_file::editing::{delayed, passing, shifted};
 use decouplegs::asset::{SceneAgent, SceneFile};
 use decouplegs::explain::explain;
 use decouplegs::scene::{Pose, Presence};
@@ -94,7 +94,7 @@ impl Editor {
             Edit::Turn { agent, by_rad } => {
                 finite("by_rad", *by_rad)?;
                 let pose = self.agent(agent)?.trajectory.at(time_s);
-                let yaw_rad = heading_rad(&pose) + by_rad;
+                let yaw_rad = pose.heading_rad() + by_rad;
                 self.place(&mut file, agent, time_s, pose.translation, yaw_rad)?;
                 format!("turn {agent}")
             }

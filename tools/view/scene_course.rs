@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use decouplegs::asset::scene_file::editing::heading_rad;
 use decouplegs::asset::{
     LoadedAgent, LoadedScene, SceneAgent, SceneFile, coded_asset, is_scene_file, read_map,
 };
@@ -206,7 +205,7 @@ impl SceneCourse {
             .map_err(|error| error.to_string())?;
         let pose = agent.trajectory.at(time_s);
         let mut position_m = pose.translation + by_m;
-        let mut yaw_rad = heading_rad(&pose);
+        let mut yaw_rad = pose.heading_rad();
         let lanes = self.lanes.as_ref().filter(|_| !free);
         if let Some((at, heading_rad)) =
             lanes.and_then(|lanes| lanes.snapped(position_m.truncate()))

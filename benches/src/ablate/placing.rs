@@ -140,12 +140,11 @@ fn true_track(stage: &ReinsertionScene, agent: usize) -> Track {
     let point = |step: u32| {
         let time_s = start_s + f64::from(step) / RATE_HZ;
         let pose = placed.trajectory.at(time_s);
-        let ahead = pose.rotation * glam::DVec3::X;
         TrackPoint {
             time_s,
             position_m: pose.translation.truncate(),
             z_m: Some(pose.translation.z),
-            yaw_rad: Some(ahead.y.atan2(ahead.x)),
+            yaw_rad: Some(pose.heading_rad()),
         }
     };
     Track {

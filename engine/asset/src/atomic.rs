@@ -41,7 +41,7 @@ pub fn write_atomically(
 /// it.
 ///
 /// # Errors
-/// [`AssetError::Write`]: no such directory, no permission, a read-only file system.
+/// [`AssetError::Write`]: no such folder, no permission, a read-only file system.
 pub fn check_writable(path: &Path) -> Result<(), AssetError> {
     let check = || {
         let there = std::fs::metadata(path).ok();
@@ -53,10 +53,16 @@ pub fn check_writable(path: &Path) -> Result<(), AssetError> {
         if there.is_some_and(|there| !there.is_file()) {
             return OpenOptions::new().write(true).open(path).map(drop);
         }
+        let file = followed(path)?;
+        let folder = directory_of(&file);
+        if !folder.is_dir() {
+            let folder = folder.display();
+            return Err(io::Error::other(format!(
+                "there is no folder {folder}; make it first"
+            )));
+        }
         // Gone as soon as it is made.
-        temporary_name()
-            .tempfile_in(directory_of(&followed(path)?))
-            .map(drop)
+        temporary_name().tempfile_in(folder).map(drop)
     };
     check().map_err(|source| AssetError::Write {
         path: path.to_owned(),

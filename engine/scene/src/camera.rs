@@ -37,13 +37,31 @@ impl Intrinsics {
     #[must_use]
     pub fn from_horizontal_fov(width_px: u32, height_px: u32, fov_rad: f64) -> Self {
         let focal_px = 0.5 * f64::from(width_px) / (0.5 * fov_rad).tan();
+        Self::centered([width_px, height_px], focal_px)
+    }
+
+    /// A pinhole with square pixels and a centered principal point. `size_px` is width and height.
+    #[must_use]
+    pub fn centered(size_px: [u32; 2], focal_px: f64) -> Self {
+        let center_px = size_px.map(|side_px| 0.5 * f64::from(side_px));
+        Self::pinhole(size_px, [focal_px; 2], center_px)
+    }
+
+    /// A pinhole with focal lengths and principal point along x and y. Colors are not calibrated,
+    /// there is no windshield, and the shutter is global.
+    #[must_use]
+    pub const fn pinhole(
+        [width_px, height_px]: [u32; 2],
+        [fx_px, fy_px]: [f64; 2],
+        [cx_px, cy_px]: [f64; 2],
+    ) -> Self {
         Self {
             width_px,
             height_px,
-            fx_px: focal_px,
-            fy_px: focal_px,
-            cx_px: 0.5 * f64::from(width_px),
-            cy_px: 0.5 * f64::from(height_px),
+            fx_px,
+            fy_px,
+            cx_px,
+            cy_px,
             lens: Lens::Pinhole,
             photometry: Photometry::IDENTITY,
             windshield: None,

@@ -33,6 +33,13 @@ impl Pose {
         Self::new(DQuat::from_rotation_z(yaw_rad), translation)
     }
 
+    /// Heading of a vehicle with this pose, from x towards y, radians.
+    #[must_use]
+    pub fn heading_rad(&self) -> f64 {
+        let ahead = self.rotation * DVec3::X;
+        ahead.y.atan2(ahead.x)
+    }
+
     /// The camera at `eye` that looks at `target` with its image's up towards `up` (OpenCV axes),
     /// as parent from camera.
     ///

@@ -5,7 +5,7 @@ use std::ffi::{c_char, c_void};
 use decouplegs::gpu::{DeviceInfo, DeviceKind};
 use decouplegs::render::{Plane, Planes};
 use decouplegs::scene::lidar::LidarPoint;
-use decouplegs::scene::{Camera, Intrinsics, Lens, Motion, Photometry, Pose, Shutter};
+use decouplegs::scene::{Camera, Intrinsics, Lens, Motion, Pose};
 use glam::{DQuat, DVec3};
 
 use crate::status::{DgsStatus, Failure};
@@ -127,27 +127,9 @@ impl DgsCamera {
 
     /// The camera, called `name` in what goes wrong with it.
     pub fn to_camera(self, name: String) -> Result<Camera, Failure> {
-        let Self {
-            width_px,
-            height_px,
-            fx_px,
-            fy_px,
-            cx_px,
-            cy_px,
-            ..
-        } = self;
-        let intrinsics = Intrinsics {
-            width_px,
-            height_px,
-            fx_px,
-            fy_px,
-            cx_px,
-            cy_px,
-            lens: Lens::Pinhole,
-            photometry: Photometry::IDENTITY,
-            windshield: None,
-            shutter: Shutter::GLOBAL,
-        };
+        let size_px = [self.width_px, self.height_px];
+        let center_px = [self.cx_px, self.cy_px];
+        let intrinsics = Intrinsics::pinhole(size_px, [self.fx_px, self.fy_px], center_px);
         intrinsics
             .check()
             .map_err(|fault| Failure::argument(format!("{name}: {fault}")))?;

@@ -3,12 +3,11 @@
 use std::path::Path;
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::scene_file::editing::heading_rad;
 use decouplegs::asset::{coded_asset, read_coded, read_splats};
-use decouplegs::drive::register::grounding::{RoadPlane, corners, plane, pose_on};
+use decouplegs::drive::register::grounding::set_on_ground;
 use decouplegs::drive::{Ground, GroundOptions};
-use decouplegs::scene::{Pose, TimedPose, Trajectory};
-use glam::{DVec2, DVec3};
+use decouplegs::scene::{TimedPose, Trajectory};
+use glam::DVec3;
 
 use crate::progress;
 
@@ -61,7 +60,7 @@ impl Footing {
     pub fn under(&self, trajectory: &Trajectory, dims_m: [f64; 3]) -> Result<Grounded> {
         let (mut grounded, mut raised_max_m) = (0, 0f64);
         let mut set = |timed: &TimedPose| {
-            let Some(pose) = self.set(&timed.pose, dims_m) else {
+            let Some((_, pose)) = set_on_ground(&self.ground, &timed.pose, dims_m) else {
                 return *timed;
             };
             grounded += 1;
@@ -79,43 +78,15 @@ impl Footing {
             raised_max_m,
         })
     }
-
-    fn set(&self, pose: &Pose, dims_m: [f64; 3]) -> Option<Pose> {
-        let plane = self
-            .plane_below(pose, dims_m, true)
-            .or_else(|| self.plane_below(pose, dims_m, false))?;
-        Some(pose_on(
-            &plane,
-            pose.translation.truncate(),
-            heading_rad(pose),
-            dims_m[2],
-        ))
-    }
-
-    /// The plane below the four bottom corners of the box: of the surface that it is near, or of
-    /// the lowest.
-    fn plane_below(&self, pose: &Pose, dims_m: [f64; 3], near: bool) -> Option<RoadPlane> {
-        let (position, ahead) = (
-            pose.translation.truncate(),
-            DVec2::from_angle(heading_rad(pose)),
-        );
-        let corners = corners(dims_m);
-        let heights_m = corners.map(|corner| {
-            let expected_z_m = pose.transform(corner.extend(-0.5 * dims_m[2])).z;
-            let found = self.ground.height_at(
-                position + ahead.rotate(corner),
-                near.then_some(expected_z_m),
-            );
-            found.map(|height| height.z_m)
-        });
-        plane(&corners, &heights_m).map(|(plane, _)| plane)
-    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use decouplegs::drive::register::grounding::corners;
     use decouplegs::scene::SplatCloud;
+    use glam::DVec2;
+
+    use super::*;
 
     /// A slope that rises by 5 % towards x, 30 m long, of discs at every quarter of a meter.
     fn slope() -> Footing {
@@ -153,7 +124,7 @@ mod tests {
                 (set.grounded, pose.translation.truncate()),
                 (1, DVec2::new(503.0, 801.0))
             );
-            assert!((heading_rad(&pose) - 2.0).abs() < 1e-9);
+            assert!((pose.heading_rad() - 2.0).abs() < 1e-9);
             for corner in corners(dims_m) {
                 let wheel = pose.transform(corner.extend(-0.5 * dims_m[2]))
                     - DVec3::new(500.0, 800.0, 90.0);

@@ -1,6 +1,6 @@
 //! Cameras around an asset.
 
-use decouplegs::scene::{Bounds, Camera, Intrinsics, Lens, Motion, Photometry, Pose, Shutter};
+use decouplegs::scene::{Bounds, Camera, Intrinsics, Motion, Pose};
 use glam::DVec3;
 
 /// Field of view of the cameras on a sphere, radians: close to a car's, far from an orthographic
@@ -48,20 +48,9 @@ pub fn street(
     views: usize,
     distance_m: f64,
     focal_px: f64,
-    [width_px, height_px]: [u32; 2],
+    size_px: [u32; 2],
 ) -> Vec<Camera> {
-    let intrinsics = Intrinsics {
-        width_px,
-        height_px,
-        fx_px: focal_px,
-        fy_px: focal_px,
-        cx_px: 0.5 * f64::from(width_px),
-        cy_px: 0.5 * f64::from(height_px),
-        lens: Lens::Pinhole,
-        photometry: Photometry::IDENTITY,
-        windshield: None,
-        shutter: Shutter::GLOBAL,
-    };
+    let intrinsics = Intrinsics::centered(size_px, focal_px);
     let camera = |view: usize| {
         let azimuth = 0.3 + std::f64::consts::TAU * view as f64 / views as f64;
         let eye = DVec3::new(azimuth.cos(), azimuth.sin(), STREET_SLOPE) * distance_m;

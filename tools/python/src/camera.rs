@@ -2,8 +2,8 @@
 
 use decouplegs::scene::photometry::{ColorCurve, Vignetting};
 use decouplegs::scene::{
-    Camera as EngineCamera, Intrinsics, Lens, Motion, Photometry, Pose,
-    RigCamera as EngineRigCamera, Shutter, ShutterDirection,
+    Camera as EngineCamera, Intrinsics, Motion, Photometry, Pose, RigCamera as EngineRigCamera,
+    Shutter, ShutterDirection,
 };
 use pyo3::prelude::*;
 
@@ -37,18 +37,7 @@ fn intrinsics_of(width_px: u32, height_px: u32, k: &Bound<'_, PyAny>) -> PyResul
             "K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], found a skew of {skew}, {zero} below it and the last row {last:?}"
         )));
     }
-    let intrinsics = Intrinsics {
-        width_px,
-        height_px,
-        fx_px,
-        fy_px,
-        cx_px,
-        cy_px,
-        lens: Lens::Pinhole,
-        photometry: Photometry::IDENTITY,
-        windshield: None,
-        shutter: Shutter::GLOBAL,
-    };
+    let intrinsics = Intrinsics::pinhole([width_px, height_px], [fx_px, fy_px], [cx_px, cy_px]);
     intrinsics.check().map_err(value_error)?;
     Ok(intrinsics)
 }

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use decouplegs_scene::lens::{Fisheye, OpenCv};
-use decouplegs_scene::{Camera, Intrinsics, Lens, Motion, Photometry, Pose, Shutter};
+use decouplegs_scene::{Camera, Intrinsics, Lens, Motion, Pose};
 use glam::{DQuat, DVec3};
 
 use crate::error::read_bytes;
@@ -181,19 +181,10 @@ fn intrinsics(
             } else {
                 lens
             };
-            let [fx_px, fy_px] = focal_px;
-            let [cx_px, cy_px] = center_px;
+            let size_px = [size(width)?, size(height)?];
             Ok(Intrinsics {
-                width_px: size(width)?,
-                height_px: size(height)?,
-                fx_px,
-                fy_px,
-                cx_px,
-                cy_px,
                 lens,
-                photometry: Photometry::IDENTITY,
-                windshield: None,
-                shutter: Shutter::GLOBAL,
+                ..Intrinsics::pinhole(size_px, focal_px, center_px)
             })
         };
     let open_cv = |radial: [f64; 6], tangential: [f64; 2]| {

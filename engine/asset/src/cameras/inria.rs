@@ -1,6 +1,6 @@
 //! INRIA `cameras.json`: what the original 3DGS writes beside a trained model.
 
-use decouplegs_scene::{Camera, Intrinsics, Lens, Motion, Photometry, Shutter};
+use decouplegs_scene::{Camera, Intrinsics, Motion};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
@@ -36,16 +36,8 @@ fn camera(entry: Entry) -> Result<Camera, DecodeError> {
     let axes = DMat3::from_cols_array_2d(&entry.rotation).transpose();
     Ok(Camera {
         intrinsics: Intrinsics {
-            width_px: entry.width,
-            height_px: entry.height,
-            fx_px: entry.fx,
             fy_px: entry.fy,
-            cx_px: 0.5 * f64::from(entry.width),
-            cy_px: 0.5 * f64::from(entry.height),
-            lens: Lens::Pinhole,
-            photometry: Photometry::IDENTITY,
-            windshield: None,
-            shutter: Shutter::GLOBAL,
+            ..Intrinsics::centered([entry.width, entry.height], entry.fx)
         },
         world_from_camera: pose_of(axes, DVec3::from_array(entry.position), &name)?,
         name,

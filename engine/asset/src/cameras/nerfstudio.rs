@@ -9,7 +9,7 @@
 use std::path::Path;
 
 use decouplegs_scene::lens::{Fisheye, OpenCv};
-use decouplegs_scene::{Camera, Intrinsics, Lens as Distortion, Motion, Photometry, Shutter};
+use decouplegs_scene::{Camera, Intrinsics, Lens as Distortion, Motion};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
@@ -151,18 +151,16 @@ impl Lens {
         };
         let fx_px = focal_px(self.fl_x, self.camera_angle_x, width_px)
             .ok_or("neither 'fl_x' nor 'camera_angle_x' is given")?;
-        Ok(Intrinsics {
-            width_px,
-            height_px,
-            fx_px,
-            fy_px: focal_px(self.fl_y, self.camera_angle_y, height_px).unwrap_or(fx_px),
-            cx_px: self.cx.unwrap_or(0.5 * f64::from(width_px)),
-            cy_px: self.cy.unwrap_or(0.5 * f64::from(height_px)),
-            lens: Distortion::Pinhole,
-            photometry: Photometry::IDENTITY,
-            windshield: None,
-            shutter: Shutter::GLOBAL,
-        })
+        let fy_px = focal_px(self.fl_y, self.camera_angle_y, height_px).unwrap_or(fx_px);
+        let center_px = [
+            self.cx.unwrap_or(0.5 * f64::from(width_px)),
+            self.cy.unwrap_or(0.5 * f64::from(height_px)),
+        ];
+        Ok(Intrinsics::pinhole(
+            [width_px, height_px],
+            [fx_px, fy_px],
+            center_px,
+        ))
     }
 }
 

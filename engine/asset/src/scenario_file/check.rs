@@ -1,7 +1,7 @@
 //! Checks of a scenario: names, and numbers in ranges that have a meaning.
 
 use std::collections::HashSet;
-use std::fmt;
+use std::fmt::{self, Display};
 use std::ops::RangeInclusive;
 use std::path::Path;
 
@@ -67,7 +67,7 @@ pub(super) enum Table {
     Sign(usize),
 }
 
-impl fmt::Display for Table {
+impl Display for Table {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Top => Ok(()),
@@ -190,44 +190,18 @@ fn check_lights(lights: &[TrafficLight]) -> Result<(), Fault> {
     Ok(())
 }
 
-fn within(
+fn within<T: PartialOrd + Display>(
     table: Table,
     field: &'static str,
-    value: f64,
-    range: &RangeInclusive<f64>,
+    value: T,
+    range: &RangeInclusive<T>,
 ) -> Result<(), Fault> {
     if range.contains(&value) {
         return Ok(());
     }
-    Err(Fault::new(
-        table,
-        field,
-        format!(
-            "{value} is out of range; expected {} to {}",
-            range.start(),
-            range.end()
-        ),
-    ))
-}
-
-fn count(
-    table: Table,
-    field: &'static str,
-    value: usize,
-    range: &RangeInclusive<usize>,
-) -> Result<(), Fault> {
-    if range.contains(&value) {
-        return Ok(());
-    }
-    Err(Fault::new(
-        table,
-        field,
-        format!(
-            "{value} is out of range; expected {} to {}",
-            range.start(),
-            range.end()
-        ),
-    ))
+    let (first, last) = (range.start(), range.end());
+    let reason = format!("{value} is out of range; expected {first} to {last}");
+    Err(Fault::new(table, field, reason))
 }
 
 fn check_name(table: Table, name: &str) -> Result<(), Fault> {
@@ -255,13 +229,13 @@ fn check_path(field: &'static str, path: &Path) -> Result<(), Fault> {
 
 fn check_place(place: &Place) -> Result<(), Fault> {
     let splats = |background: usize, agent_splats: usize| {
-        count(
+        within(
             Table::Place,
             "background",
             background,
             &(1..=BACKGROUND_SPLATS_MAX),
         )?;
-        count(
+        within(
             Table::Place,
             "agent_splats",
             agent_splats,
@@ -348,7 +322,7 @@ fn check_agent(table: Table, agent: &TrafficAgent) -> Result<(), Fault> {
         let reason = "a pedestrian has a path instead of a lane; expected [[pedestrian]]";
         return Err(Fault::new(table, "kind", reason.into()));
     }
-    count(table, "asset", agent.asset, &(0..=ASSETS_MAX - 1))?;
+    within(table, "asset", agent.asset, &(0..=ASSETS_MAX - 1))?;
     check_size(table, agent.size)?;
     check_lane(table, "lane", &agent.lane)?;
     within(table, "at_m", agent.at_m, &ALONG_M)?;
@@ -360,9 +334,9 @@ fn check_agent(table: Table, agent: &TrafficAgent) -> Result<(), Fault> {
 
 fn check_pedestrian(table: Table, walker: &Pedestrian) -> Result<(), Fault> {
     check_name(table, &walker.name)?;
-    count(table, "asset", walker.asset, &(0..=ASSETS_MAX - 1))?;
+    within(table, "asset", walker.asset, &(0..=ASSETS_MAX - 1))?;
     check_size(table, walker.size)?;
-    count(table, "path_m", walker.path_m.len(), &(2..=PATH_POINTS_MAX))?;
+    within(table, "path_m", walker.path_m.len(), &(2..=PATH_POINTS_MAX))?;
     for pair in walker.path_m.windows(2) {
         let step_m = pair[0].distance(pair[1]);
         if !PATH_STEP_M.contains(&step_m) {

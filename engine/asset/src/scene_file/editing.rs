@@ -109,7 +109,7 @@ pub fn passing(
     yaw_rad: f64,
 ) -> Result<Trajectory, Invalid> {
     let there = trajectory.at(time_s);
-    let turn = DQuat::from_rotation_z(yaw_rad - heading_rad(&there));
+    let turn = DQuat::from_rotation_z(yaw_rad - there.heading_rad());
     // Relative to that pose: in UTM coordinates a turn about the origin would cost a nanometer and
     // look odd in the file.
     each_pose(trajectory, |pose| Pose {
@@ -136,13 +136,6 @@ pub fn delayed(trajectory: &Trajectory, later_s: f64) -> Result<Trajectory, Inva
 /// A sentence, when a pose is not finite.
 pub fn shifted(trajectory: &Trajectory, shift: &Pose) -> Result<Trajectory, Invalid> {
     each_pose(trajectory, |pose| pose.then(shift))
-}
-
-/// Heading of a vehicle at `pose`, from x towards y.
-#[must_use]
-pub fn heading_rad(pose: &Pose) -> f64 {
-    let ahead = pose.rotation * DVec3::X;
-    ahead.y.atan2(ahead.x)
 }
 
 fn each_pose(
@@ -390,7 +383,7 @@ mod tests {
         let begin = DVec3::new(-3.0, 7.0, 1.0);
         let moved = begun_at(&way, begin, 2.0).unwrap();
         assert_eq!(moved.poses()[0].pose.translation, begin);
-        assert!((heading_rad(&moved.poses()[0].pose) - 2.0).abs() < 1e-12);
+        assert!((moved.poses()[0].pose.heading_rad() - 2.0).abs() < 1e-12);
         // A rigid motion about the vertical: how each pose is seen from the first stays, and so
         // does the slope.
         for (old, new) in way.poses().iter().zip(moved.poses()) {
@@ -408,7 +401,7 @@ mod tests {
         // Between two knots: there it is where it was asked to be, and moved as rigidly.
         let (time_s, later) = (2.0, passing(&way, 2.0, begin, -1.0).unwrap());
         assert!((later.at(time_s).translation - begin).length() < 1e-9);
-        assert!((heading_rad(&later.at(time_s)) + 1.0).abs() < 1e-9);
+        assert!((later.at(time_s).heading_rad() + 1.0).abs() < 1e-9);
         let apart = |way: &Trajectory| {
             let knots = way.poses();
             (knots[0].pose.translation - knots[2].pose.translation).length()

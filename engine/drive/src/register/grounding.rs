@@ -243,6 +243,22 @@ impl LaneBelow {
     }
 }
 
+/// The plane of `ground` under a box of `dims_m` whose center is at `pose`, and the box's pose with
+/// its bottom on that plane. Position from above and heading stay. The surface is that near the
+/// bottom of the box, or else the lowest. None where there is no ground.
+#[must_use]
+pub fn set_on_ground(ground: &Ground, pose: &Pose, dims_m: [f64; 3]) -> Option<(RoadPlane, Pose)> {
+    let (position, yaw_rad) = (pose.translation.truncate(), pose.heading_rad());
+    let bottom = RoadPlane {
+        height_m: pose.transform(DVec3::new(0.0, 0.0, -0.5 * dims_m[2])).z,
+        forward: (pose.rotation * DVec3::X).z,
+        left: (pose.rotation * DVec3::Y).z,
+    };
+    let (plane, _) = under(ground, position, yaw_rad, dims_m, Some(&bottom))
+        .or_else(|| under(ground, position, yaw_rad, dims_m, None))?;
+    Some((plane, pose_on(&plane, position, yaw_rad, dims_m[2])))
+}
+
 /// The plane of the ground under the corners of a box.
 fn under(
     ground: &Ground,

@@ -2,9 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use decouplegs_scene::{
-    AgentPlacement, Intrinsics, Lens, Photometry, Pose, Rig, RigCamera, ShFrame, Shutter,
-};
+use decouplegs_scene::{AgentPlacement, Intrinsics, Pose, Rig, RigCamera, ShFrame};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::car::{Build, VARIANTS};
@@ -207,18 +205,7 @@ pub(super) fn rig() -> Rig {
         DQuat::from_mat3(&DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X));
     let cameras = layout.map(|(name, yaw_deg, [x, y], focal_px)| RigCamera {
         name: name.to_string(),
-        intrinsics: Intrinsics {
-            width_px: 1600,
-            height_px: 900,
-            fx_px: focal_px,
-            fy_px: focal_px,
-            cx_px: 800.0,
-            cy_px: 450.0,
-            lens: Lens::Pinhole,
-            photometry: Photometry::IDENTITY,
-            windshield: None,
-            shutter: Shutter::GLOBAL,
-        },
+        intrinsics: Intrinsics::centered([1600, 900], focal_px),
         rig_from_camera: Pose::new(
             DQuat::from_rotation_z(yaw_deg.to_radians()) * vehicle_from_camera,
             DVec3::new(x, y, 1.6 - EGO_CENTRE_Z_M),

@@ -53,22 +53,9 @@ fn world_of(plain: &[Plain]) -> SplatScene {
 /// At the world's zero, looking along +z with x right and y down; an odd size puts a pixel's center
 /// on the axis.
 fn camera(size_px: u32) -> Camera {
-    let focal_px = 100.0;
-    let center_px = 0.5 * f64::from(size_px);
     Camera {
         name: "front".into(),
-        intrinsics: Intrinsics {
-            width_px: size_px,
-            height_px: size_px,
-            fx_px: focal_px,
-            fy_px: focal_px,
-            cx_px: center_px,
-            cy_px: center_px,
-            lens: Lens::Pinhole,
-            photometry: Photometry::IDENTITY,
-            windshield: None,
-            shutter: Shutter::GLOBAL,
-        },
+        intrinsics: Intrinsics::centered([size_px; 2], 100.0),
         world_from_camera: Pose::IDENTITY,
         motion: Motion::REST,
     }
