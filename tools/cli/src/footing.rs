@@ -83,7 +83,7 @@ impl Footing {
 #[cfg(test)]
 mod tests {
     use decouplegs::drive::register::grounding::corners;
-    use decouplegs::scene::SplatCloud;
+    use decouplegs::scene::{Pose, SplatCloud};
     use glam::DVec2;
 
     use super::*;
