@@ -137,6 +137,15 @@ pub fn write_image_with_alpha(path: &Path, image: &Image, format: ImageFileForma
     Ok(write_atomically(path, |file| file.write_all(&bytes))?)
 }
 
+/// The light transfer in the file `--light`, if that is given.
+///
+/// # Errors
+/// Returns an error if it is no such file.
+pub fn transfer_in(light: Option<&Path>) -> Result<Option<LightTransfer>> {
+    let file = light.map(read_light_transfer).transpose()?;
+    Ok(file.map(|file| file.transfer))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -185,13 +194,4 @@ mod tests {
             assert_eq!(Rules::by_name(value.get_name()), Some(name.rules()));
         }
     }
-}
-
-/// The light transfer in the file `--light`, if that is given.
-///
-/// # Errors
-/// Returns an error if it is no such file.
-pub fn transfer_in(light: Option<&Path>) -> Result<Option<LightTransfer>> {
-    let file = light.map(read_light_transfer).transpose()?;
-    Ok(file.map(|file| file.transfer))
 }
