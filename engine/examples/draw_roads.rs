@@ -7,9 +7,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use decouplegs::asset::{SceneFile, inria_ply, read_map, read_probe};
-use decouplegs::scene::{
-    Intrinsics, LaneKind, Lens, Photometry, Pose, Rig, RigCamera, Shutter, Trajectory,
-};
+use decouplegs::scene::{Intrinsics, LaneKind, Pose, Rig, RigCamera, Trajectory};
 use decouplegs::synth::roads::{self, RoadsOptions};
 use glam::DVec3;
 

@@ -5,9 +5,7 @@ mod lenses;
 mod limits;
 mod projection;
 
-use decouplegs_scene::{
-    Camera, Intrinsics, Lens, Motion, Photometry, Pose, Rules, Shutter, SplatCloud, SplatScene, sh,
-};
+use decouplegs_scene::{Camera, Intrinsics, Motion, Pose, Rules, SplatCloud, SplatScene, sh};
 
 use super::Image64;
 use super::project::{Projected64, View};
