@@ -64,8 +64,8 @@ impl Sites {
         self.session.as_ref()
     }
 
-    /// The place of `scenario`, its files relative to `directory`, with the assets that the scenario
-    /// shows. Others wait while it is made: it may be theirs too.
+    /// The place of `scenario`, its files relative to `directory`, with the assets that it shows.
+    /// Others wait while it is made: it may be theirs too.
     pub fn get(&self, scenario: &Scenario, directory: &Path) -> Result<Arc<Ready>> {
         let (place, only_cars) = (&scenario.place, scenario.has_only_cars());
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);

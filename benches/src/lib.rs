@@ -12,6 +12,7 @@
 pub mod ablate;
 #[doc(hidden)]
 pub mod bench;
+mod spread;
 mod stage_times;
 #[doc(hidden)]
 pub mod stress;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use decouplegs::asset::{episode_log, scenario_file};
 use decouplegs::drive::generate::{Generator, PlaceOptions};
 use decouplegs::drive::score::EpisodeScore;
-use decouplegs::episode::{Site, drive, replay};
+use decouplegs::episode::{Appearance, Site, drive, replay};
 use decouplegs::planner::{ConstantVelocity, LaneFollow, Planner};
 use decouplegs::scene::episode::Episode;
 use decouplegs::scene::scenario::Place;
@@ -132,6 +132,30 @@ fn generated_scenarios_have_other_road_users_where_they_are_asked_for() {
     println!("{kinds:?}");
     assert!(kinds.iter().all(|&count| count >= 10), "{kinds:?}");
     assert!(kinds[0] > kinds[1..].iter().sum(), "{kinds:?}");
+}
+
+#[test]
+fn a_place_of_cars_alone_has_the_same_cars_and_signals() {
+    let place = Place::Street {
+        weather: Weather::Clear,
+        background: 100,
+        agent_splats: 64,
+        seed: 1,
+    };
+    let site = |only_cars| {
+        let appearance = Appearance {
+            only_cars,
+            ..Appearance::default()
+        };
+        Site::open(&place, Path::new(""), Some(&appearance)).unwrap()
+    };
+    let (cars, all) = (site(true), site(false));
+    let left_out = all.loaded.assets.len() - cars.loaded.assets.len();
+    assert_eq!(left_out, all.road_users.len());
+    assert!(all.loaded.assets.starts_with(&cars.loaded.assets));
+    let cars_only = scenario_file::parse(SCENARIO).unwrap();
+    let with_walker = scenario_file::parse(&format!("{SCENARIO}{PEDESTRIAN}")).unwrap();
+    assert!(cars_only.has_only_cars() && !with_walker.has_only_cars());
 }
 
 /// Vehicles have the sizes of their assets; pedestrians stand beside the road and hit nothing.

@@ -19,7 +19,7 @@ const TESTS: [&str; 4] = [
     "stages::plan_segments::",
     "stages::blend::",
 ];
-/// How many of them there are at least.
+/// Least number of them.
 const TESTS_MIN: usize = 20;
 
 /// Output of a child process with `lanes` lanes, and true if it succeeded.

@@ -57,7 +57,7 @@ impl Report {
         }
         let _ = writeln!(
             text,
-            "{}: system                             images/s  rig/s  p50/p99 ms  ADE m (lane)  PAE deg at truth, as placed",
+            "{}: system                             images/s  p50/p99 ms  ADE m (lane)  PAE deg at truth, as placed",
             self.system.weather.name()
         );
         for row in &self.system.rows {
@@ -94,7 +94,7 @@ pub fn arm_cells(arm: &ArmFigures) -> Vec<String> {
     ]
 }
 
-/// Images/s, rig steps/s, frame times, ADE, PAE at true poses and as placed.
+/// Images/s, times of steps, ADE, PAE at true poses and as placed.
 pub fn row_cells(row: &SystemRow) -> Vec<String> {
     let angle = |found: &decouplegs::render::metrics::MaskedDifference| {
         found.angle_deg.map_or("-".into(), |angle| {
@@ -103,7 +103,6 @@ pub fn row_cells(row: &SystemRow) -> Vec<String> {
     };
     vec![
         number(round(row.speed.images_per_s(), 2)),
-        number(round(row.speed.rig_steps_per_s(), 2)),
         format!(
             "{:.1} / {:.1}",
             row.speed.step_ms.median, row.speed.step_ms.p99

@@ -158,12 +158,11 @@ fn system(page: &mut Page, system: &System) {
     let mut table = Table::new([
         "row",
         "images/s",
-        "rig steps/s",
         "step, ms, p50 / p99",
         "ADE, m, to truth (to lane)",
-        "PAE, degrees, at true poses: max / p99 / p95",
-        "PAE, degrees, as placed: max / p99 / p95",
-        "paper: FPS / ADE, m / PAE, deg",
+        "PAE at true poses, degrees, max / p99 / p95",
+        "PAE as placed, degrees, max / p99 / p95",
+        "paper: FPS / ADE, m / PAE, degrees",
     ]);
     for row in &system.rows {
         let paper = row.without.paper().map_or("-".into(), |[fps, ade_m, pae]| {

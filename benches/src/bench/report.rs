@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 
 use super::{Measured, Timed};
 use crate::scene_source::Scene;
+use crate::spread::Spread;
 use crate::stage_times::stage_times_ms;
 
 /// Results, with the conditions of the measurement.
@@ -29,9 +30,9 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
     } = timed;
     let last = frames.last().expect("at least one frame was timed");
     let milliseconds =
-        |of: &dyn Fn(&FrameStatistics) -> f64| spread(frames.iter().map(of).collect());
+        |of: &dyn Fn(&FrameStatistics) -> f64| Spread::of(frames.iter().map(of)).to_json();
     let wall_ms = milliseconds(&|frame| frame.wall_time.as_secs_f64() * 1e3);
-    let step_wall_ms = spread(steps_ms.clone());
+    let step_wall_ms = Spread::of(steps_ms.iter().copied()).to_json();
     // Not from the median: with frames in flight, their ends may come in bursts.
     let rig_steps_per_s = 1e3 * steps_ms.len() as f64 / steps_ms.iter().sum::<f64>();
     let stages_of = |frame: &'a FrameStatistics| {
@@ -40,7 +41,7 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
     };
     let stages: Vec<Value> = stage_times_ms(by_stage, stages_of)
         .into_iter()
-        .map(|(name, times)| json!({ "name": name, "gpu_ms": spread(times) }))
+        .map(|(name, times)| json!({ "name": name, "gpu_ms": Spread::of(times).to_json() }))
         .collect();
     let mut keys = BTreeMap::<String, usize>::new();
     for source in frames.iter().flat_map(|frame| &frame.keys) {
@@ -98,16 +99,6 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
             "difference": difference,
         },
     })
-}
-
-/// Median, 99th percentile (the value that 99 of 100 do not exceed) and the extremes of at least
-/// one value.
-fn spread(mut values: Vec<f64>) -> Value {
-    values.sort_by(f64::total_cmp);
-    let count = values.len();
-    let median = 0.5 * (values[(count - 1) / 2] + values[count / 2]);
-    let p99 = values[(count * 99).div_ceil(100) - 1];
-    json!({ "median": median, "p99": p99, "min": values[0], "max": values[count - 1] })
 }
 
 /// Name of `rules`, or all of their values if they have no name.
@@ -272,19 +263,6 @@ fn error(figures: &Value) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_spread_is_of_the_sorted_values() {
-        assert_eq!(
-            spread(vec![5.0]),
-            json!({ "median": 5.0, "p99": 5.0, "min": 5.0, "max": 5.0 })
-        );
-        let hundred: Vec<f64> = (0..100).rev().map(f64::from).collect();
-        assert_eq!(
-            spread(hundred),
-            json!({ "median": 49.5, "p99": 98.0, "min": 0.0, "max": 99.0 })
-        );
-    }
 
     #[test]
     fn rules_are_called_by_their_names() {
