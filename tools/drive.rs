@@ -13,7 +13,9 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{AssetError, read_episode_log};
-use decouplegs::episode::{self, Driven, ObservationRenderer, chosen, chosen_lidars, drive};
+use decouplegs::episode::{
+    self, Appearance, Driven, ObservationRenderer, chosen, chosen_lidars, drive,
+};
 use decouplegs::planner::{Cameras, Planner, PlannerChoice, Timeouts};
 use decouplegs::scene::episode::Episode;
 use decouplegs::scene::{Level, Sensor};
@@ -239,8 +241,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gpu = (arguments.render.0 > 0)
         .then(|| arguments.device.open())
         .transpose()?;
-    let transfer = transfer_in(arguments.light.as_deref())?;
-    let sites = Sites::new(gpu.as_ref(), arguments.background, transfer);
+    let appearance = Appearance {
+        transfer: transfer_in(arguments.light.as_deref())?,
+        only_cars: jobs.iter().all(|job| job.scenario.has_only_cars()),
+    };
+    let sites = Sites::new(gpu.as_ref(), arguments.background, appearance);
     let run = Run {
         arguments,
         folder: &folder,
@@ -357,7 +362,7 @@ impl Worker<'_> {
 
     fn drive(&mut self, job: &Job) -> Result<Driven> {
         let run = self.run;
-        let ready = run.sites.get(&job.scenario, &job.directory)?;
+        let ready = run.sites.get(&job.scenario.place, &job.directory)?;
         let planner = match &mut self.planner {
             Some(planner) => planner,
             none => none.insert(run.arguments.planner()?),

@@ -10,7 +10,7 @@ use decouplegs::drive::OrientedBox;
 use decouplegs::drive::oriented_box::time_to_collision;
 use decouplegs::drive::score::{Moments, TTC_HORIZON_S, plan_ade_m};
 use decouplegs::episode::open_loop::{Images, plans};
-use decouplegs::episode::{EpisodeError, ObservationRenderer, Simulation, chosen};
+use decouplegs::episode::{Appearance, EpisodeError, ObservationRenderer, Simulation, chosen};
 use decouplegs::planner::{PlannerChoice, Timeouts, images};
 use decouplegs::render::Image;
 use decouplegs::scene::episode::{Episode, EpisodeTick};
@@ -106,9 +106,13 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
         .unwrap_or(Path::new(""));
     let is_rendered = source == Path::new("rendered");
     let gpu = is_rendered.then(|| arguments.device.open()).transpose()?;
-    let transfer = transfer_in(arguments.light.as_deref())?;
-    let sites = Sites::new(gpu.as_ref(), arguments.background, transfer);
-    let ready = sites.get(&episode.head.scenario, base)?;
+    let scenario = &episode.head.scenario;
+    let appearance = Appearance {
+        transfer: transfer_in(arguments.light.as_deref())?,
+        only_cars: scenario.has_only_cars(),
+    };
+    let sites = Sites::new(gpu.as_ref(), arguments.background, appearance);
+    let ready = sites.get(&scenario.place, base)?;
     let size_px = episode
         .head
         .drawn_by

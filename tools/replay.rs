@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::read_episode_log;
 use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{
-    EpisodeObserver, ObservationRenderer, Replayed, Site, chosen_lidars, replay,
+    Appearance, EpisodeObserver, ObservationRenderer, Replayed, Site, chosen_lidars, replay,
 };
 use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
 use decouplegs::scene::{Rig, Sensor};
@@ -70,9 +70,13 @@ fn drawn(
     base: &Path,
 ) -> Result<(Replayed, Option<String>)> {
     let gpu = arguments.device.open()?;
-    let transfer = transfer_in(arguments.light.as_deref())?;
-    let sites = Sites::new(Some(&gpu), arguments.background, transfer);
-    let ready = sites.get(&episode.head.scenario, base)?;
+    let scenario = &episode.head.scenario;
+    let appearance = Appearance {
+        transfer: transfer_in(arguments.light.as_deref())?,
+        only_cars: scenario.has_only_cars(),
+    };
+    let sites = Sites::new(Some(&gpu), arguments.background, appearance);
+    let ready = sites.get(&scenario.place, base)?;
     let (
         Some(session),
         Ready {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use decouplegs::asset::read_episode_log;
+use decouplegs::episode::Appearance;
 
 use crate::arguments::print;
 use crate::background::BackgroundArguments;
@@ -36,7 +37,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
         Some(out) => episode_report::write(
             &scored,
-            &Sites::new(None, BackgroundArguments::default(), None),
+            &Sites::new(None, BackgroundArguments::default(), Appearance::default()),
             out,
         )?,
         None => episode_report::text(&scored)?,

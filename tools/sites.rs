@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::{Context, Result};
 use decouplegs::episode::{Appearance, Site};
 use decouplegs::gpu::Gpu;
-use decouplegs::scene::scenario::{Place, Scenario};
-use decouplegs::scene::{Lane, LightTransfer};
+use decouplegs::scene::Lane;
+use decouplegs::scene::scenario::Place;
 use decouplegs::session::{Session, SessionOptions, SessionScene};
 
 use crate::background::BackgroundArguments;
@@ -22,29 +22,17 @@ pub struct Ready {
     pub scene: Option<Arc<SessionScene>>,
 }
 
-struct Kept {
-    place: Place,
-    directory: PathBuf,
-    only_cars: bool,
-    ready: Arc<Ready>,
-}
-
 /// Places by what describes them.
 pub struct Sites {
     session: Option<Session>,
-    transfer: Option<LightTransfer>,
-    kept: Mutex<Vec<Kept>>,
+    appearance: Appearance,
+    kept: Mutex<Vec<(Place, PathBuf, Arc<Ready>)>>,
     lanes: Mutex<Vec<(Place, PathBuf, Vec<Lane>)>>,
 }
 
 impl Sites {
     /// Places whose scenes are kept on `gpu`; without a device nothing is rendered.
-    /// `transfer` lights the agents of synthetic places.
-    pub fn new(
-        gpu: Option<&Gpu>,
-        background: BackgroundArguments,
-        transfer: Option<LightTransfer>,
-    ) -> Self {
+    pub fn new(gpu: Option<&Gpu>, background: BackgroundArguments, appearance: Appearance) -> Self {
         // Episodes share scenes, and each must be drawn as if it were alone.
         let mut options = SessionOptions {
             bakes_light_on_demand: false,
@@ -53,7 +41,7 @@ impl Sites {
         background.apply_to(&mut options.render);
         Self {
             session: gpu.map(|gpu| Session::on(gpu, &options)),
-            transfer,
+            appearance,
             kept: Mutex::default(),
             lanes: Mutex::default(),
         }
@@ -64,39 +52,31 @@ impl Sites {
         self.session.as_ref()
     }
 
-    /// The place of `scenario`, its files relative to `directory`, with the assets that it shows.
-    /// Others wait while it is made: it may be theirs too.
-    pub fn get(&self, scenario: &Scenario, directory: &Path) -> Result<Arc<Ready>> {
-        let (place, only_cars) = (&scenario.place, scenario.has_only_cars());
+    /// `place`, its files relative to `directory`. Others wait while it is made: it may be theirs
+    /// too.
+    pub fn get(&self, place: &Place, directory: &Path) -> Result<Arc<Ready>> {
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        let same = |other: &Kept| other.place == *place && other.directory == directory;
-        if let Some(at) = kept.iter().position(same) {
-            if only_cars || !kept[at].only_cars {
-                return Ok(kept[at].ready.clone());
-            }
-            kept.remove(at);
+        if let Some((.., ready)) = kept
+            .iter()
+            .find(|(other, base, _)| other == place && base == directory)
+        {
+            return Ok(ready.clone());
         }
         if kept.len() >= KEPT_MAX {
             kept.remove(0);
         }
-        let ready = Arc::new(self.make(place, directory, only_cars)?);
-        kept.push(Kept {
-            place: place.clone(),
-            directory: directory.to_owned(),
-            only_cars,
-            ready: ready.clone(),
-        });
+        let ready = Arc::new(self.make(place, directory)?);
+        kept.push((place.clone(), directory.to_owned(), ready.clone()));
         Ok(ready)
     }
 
-    fn make(&self, place: &Place, directory: &Path, only_cars: bool) -> Result<Ready> {
-        let appearance = Appearance {
-            transfer: self.transfer.clone(),
-            only_cars,
-        };
-        let appearance = self.session.as_ref().map(|_| &appearance);
-        let site = Site::open(place, directory, appearance)
-            .context("the place of the scenario is not usable")?;
+    fn make(&self, place: &Place, directory: &Path) -> Result<Ready> {
+        let site = Site::open(
+            place,
+            directory,
+            self.session.as_ref().map(|_| &self.appearance),
+        )
+        .context("the place of the scenario is not usable")?;
         let site = Arc::new(site);
         let Some(session) = &self.session else {
             return Ok(Ready { site, scene: None });
