@@ -153,9 +153,12 @@ fn a_place_of_cars_alone_has_the_same_cars_and_signals() {
     let left_out = all.loaded.assets.len() - cars.loaded.assets.len();
     assert_eq!(left_out, all.road_users.len());
     assert!(all.loaded.assets.starts_with(&cars.loaded.assets));
-    let cars_only = scenario_file::parse(SCENARIO).unwrap();
-    let with_walker = scenario_file::parse(&format!("{SCENARIO}{PEDESTRIAN}")).unwrap();
-    assert!(cars_only.has_only_cars() && !with_walker.has_only_cars());
+    let mut scenario = scenario_file::parse(&format!("{SCENARIO}{PEDESTRIAN}")).unwrap();
+    assert!(!scenario.has_only_cars());
+    scenario.agents[0].kind = RoadUser::Car;
+    assert!(!scenario.has_only_cars());
+    scenario.pedestrians.clear();
+    assert!(scenario.has_only_cars());
 }
 
 /// Vehicles have the sizes of their assets; pedestrians stand beside the road and hit nothing.

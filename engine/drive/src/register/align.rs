@@ -1,7 +1,6 @@
 //! One track and its lanes: from the log to a planar motion.
 
 use decouplegs_scene::LaneMap;
-use glam::DVec2;
 
 use super::RegisterOptions;
 use super::dtw::{Band, align};
@@ -9,13 +8,11 @@ use super::fit::{LinePair, PlanarFit, RESIDUAL_MIN_M, fit};
 use super::lane_change::{LaneChange, changes, measured};
 use super::prepared::Prepared;
 use super::procrustes::{WeightedPair, procrustes};
-use super::route::{self, Leg, Waypoint};
+use super::route::{self, Leg, STEP_M, Waypoint};
 use crate::lane_index::LaneIndex;
 use crate::planar::PlanarTransform;
 use crate::polyline::{Foot, wrapped};
 
-/// Steps of the warping along a lane, meters.
-const STEP_M: f64 = 0.5;
 /// Largest number of points that count between two waypoints.
 const POINTS_A_WAYPOINT: f64 = 4.0;
 /// Times that lanes are chosen, each after the first by the track as it was moved.
@@ -328,20 +325,15 @@ impl Register<'_> {
         let moved = routed.prepared.moved(motion);
         let mut feet = vec![None; moved.len()];
         for (number, leg) in routed.legs.iter().enumerate() {
-            let steps = (leg.line.length_m() / STEP_M).floor() as usize + 1;
-            let samples: Vec<(DVec2, f64)> = (0..steps)
-                .map(|step| STEP_M * step as f64)
-                .map(|arc| (leg.line.at(arc).truncate(), leg.line.heading_at(arc)))
-                .collect();
             let middles: Vec<f64> = leg.arcs_m.iter().map(|arc| arc / STEP_M).collect();
             let band = Band::around(
                 &middles,
                 (self.options.band_m / STEP_M).ceil() as usize,
-                steps,
+                leg.samples.len(),
             );
             let cost = |point: usize, step: usize| {
                 let waypoint = &moved[leg.waypoints[point]];
-                let (position, heading_rad) = samples[step];
+                let (position, heading_rad) = leg.samples[step];
                 let turned = waypoint.heading_rad - heading_rad;
                 position.distance(waypoint.position)
                     + self.options.heading_weight * (1.0 - turned.cos())

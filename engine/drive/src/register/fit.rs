@@ -80,18 +80,26 @@ pub fn fit(
     let mut covariance = DMat3::IDENTITY;
     let mut residual_m = RESIDUAL_MIN_M;
     for _ in 0..ROUNDS {
-        let off: Vec<f64> = pairs.iter().map(|pair| distance(pair, &motion)).collect();
+        let arms_m = arms_m(pairs, &motion);
+        let off: Vec<f64> = pairs
+            .iter()
+            .zip(&arms_m)
+            .map(|(pair, arm_m)| {
+                let moved = arm_m + motion.pivot_m + motion.shift_m;
+                pair.across.dot(moved - pair.on_line)
+            })
+            .collect();
         residual_m = 1.4826 * median(&mut off.iter().map(|off| off.abs()).collect::<Vec<_>>());
         let scale_m = residual_m.max(RESIDUAL_MIN_M).max(scale_min_m);
         let correlated = correlation_length(&off, BIWEIGHT * scale_m);
         let mut information = DMat3::from_diagonal(prior_information);
         let mut pull =
             -prior_information * DVec3::new(motion.yaw_rad, motion.shift_m.x, motion.shift_m.y);
-        for (pair, off) in pairs.iter().zip(&off) {
+        for ((pair, arm_m), off) in pairs.iter().zip(&arms_m).zip(&off) {
             let left = (off / (BIWEIGHT * scale_m)).min(1.0);
             let weight = pair.weight * (1.0 - left * left).max(0.0).powi(2)
                 / (correlated * scale_m * scale_m);
-            let row = row(pair, &motion);
+            let row = row(pair, *arm_m);
             information += DMat3::from_cols(
                 row * (row.x * weight),
                 row * (row.y * weight),
@@ -110,7 +118,8 @@ pub fn fit(
     let mean = pairs.iter().map(|pair| pair.across).sum::<DVec2>();
     let along = -mean.perp().normalize_or(DVec2::NEG_X);
     let variance = |row: DVec3| row.dot(covariance * row).max(0.0);
-    let across: f64 = pairs.iter().map(|pair| variance(row(pair, &motion))).sum();
+    let rows = pairs.iter().zip(arms_m(pairs, &motion));
+    let across: f64 = rows.map(|(pair, arm_m)| variance(row(pair, arm_m))).sum();
     PlanarFit {
         motion,
         residual_m,
@@ -124,12 +133,16 @@ pub fn fit(
 const SAMPLES_MAX: usize = 4096;
 const LAGS_MAX: usize = 4096;
 
+/// Points of `pairs` from the pivot, turned by `motion`, meters.
+fn arms_m(pairs: &[LinePair], motion: &PlanarTransform) -> Vec<DVec2> {
+    let turn = DVec2::from_angle(motion.yaw_rad);
+    let arm_m = |pair: &LinePair| turn.rotate(pair.from - motion.pivot_m);
+    pairs.iter().map(arm_m).collect()
+}
+
 /// Gradient of a pair's distance by turn and shift.
-fn row(pair: &LinePair, motion: &PlanarTransform) -> DVec3 {
-    let arm = DVec2::from_angle(motion.yaw_rad)
-        .rotate(pair.from - motion.pivot_m)
-        .perp();
-    DVec3::new(pair.across.dot(arm), pair.across.x, pair.across.y)
+fn row(pair: &LinePair, arm_m: DVec2) -> DVec3 {
+    DVec3::new(pair.across.dot(arm_m.perp()), pair.across.x, pair.across.y)
 }
 
 /// Number of neighbors in `off` with correlated deviations. Sensor noise is new at each point, but
@@ -157,11 +170,6 @@ fn correlation_length(off: &[f64], cut_m: f64) -> f64 {
         * correlations
             .take_while(|correlation| *correlation > 0.0)
             .sum::<f64>()
-}
-
-/// From the line to the moved point, meters, to the left positive.
-fn distance(pair: &LinePair, motion: &PlanarTransform) -> f64 {
-    pair.across.dot(motion.apply(pair.from) - pair.on_line)
 }
 
 #[cfg(test)]

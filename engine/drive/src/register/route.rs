@@ -34,6 +34,8 @@ pub struct Leg {
     pub lanes: Vec<usize>,
     /// Their centerlines as one line.
     pub line: Polyline,
+    /// Positions and headings along the line, [`STEP_M`] apart.
+    pub samples: Vec<(DVec2, f64)>,
     /// Waypoints on it, rising.
     pub waypoints: Vec<usize>,
     /// Arc length of each point along the line, meters; approximate, as lanes do not meet exactly.
@@ -42,6 +44,8 @@ pub struct Leg {
     pub by_lane_change: bool,
 }
 
+/// Distance of the samples of a leg's line, meters.
+pub const STEP_M: f64 = 0.5;
 /// Costs are squares of deviations: a meter off costs 1.
 const OFF_COST_MAX: f64 = 9.0;
 /// A heading across the lane.
@@ -369,8 +373,14 @@ fn legs(index: &LaneIndex, kept: &[usize], columns: &[Vec<State>]) -> Result<Vec
                    ..
                }: Part| {
         let line = joined(index, &lanes).ok_or("the lanes' centerlines make no line")?;
+        let steps = (line.length_m() / STEP_M).floor() as usize + 1;
+        let sample = |step: usize| {
+            let arc_m = STEP_M * step as f64;
+            (line.at(arc_m).truncate(), line.heading_at(arc_m))
+        };
         Ok(Leg {
             lanes,
+            samples: (0..steps).map(sample).collect(),
             line,
             waypoints,
             arcs_m,
