@@ -160,8 +160,8 @@ fn system(page: &mut Page, system: &System) {
         "images/s",
         "step, ms, p50 / p99",
         "ADE, m, to truth (to lane)",
-        "PAE at true poses, degrees, max / p99 / p95",
-        "PAE as placed, degrees, max / p99 / p95",
+        "PAE at true poses, degrees, max / p95",
+        "PAE as placed, degrees, max / p95",
         "paper: FPS / ADE, m / PAE, degrees",
     ]);
     for row in &system.rows {
