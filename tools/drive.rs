@@ -12,11 +12,11 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::{AssetError, read_episode_log};
+use decouplegs::asset::{AssetError, read_episode_log, scenario_file};
 use decouplegs::episode::{
     self, Appearance, Driven, ObservationRenderer, chosen, chosen_lidars, drive,
 };
-use decouplegs::planner::{Cameras, Planner, PlannerChoice, Timeouts};
+use decouplegs::planner::{Cameras, Planner, Timeouts};
 use decouplegs::scene::episode::Episode;
 use decouplegs::scene::{Level, Sensor};
 use decouplegs::session::BatchRenderer;
@@ -31,9 +31,14 @@ use crate::arguments::{Size, print, transfer_in, warn};
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
+use crate::planner_name::PlannerName;
 use crate::progress;
 use crate::sites::Sites;
 use decouplegs_cli::video;
+use decouplegs_server::egodriver::DriverOptions;
+
+/// Time between decisions of AlpaSim's runtime, seconds.
+const DRIVER_STEP_S: f64 = 0.1;
 
 /// Traffic lights of generated scenarios.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -59,9 +64,10 @@ pub struct Arguments {
     /// Generate scenarios of these levels: easy, medium, hard, extreme or all
     #[arg(long, value_name = "LEVEL", value_delimiter = ',', value_parser = levels, conflicts_with = "scenarios")]
     level: Vec<LevelName>,
-    /// Planner: constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND or unix:SOCKET
+    /// Planner: constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND, unix:SOCKET, or
+    /// egodriver://HOST:PORT, a driver of AlpaSim
     #[arg(long, value_name = "PLANNER")]
-    planner: PlannerChoice,
+    planner: PlannerName,
     /// Number of episodes per level
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     episodes: u32,
@@ -88,6 +94,9 @@ pub struct Arguments {
     road_users: RoadUsers,
     #[command(flatten)]
     place: jobs::PlaceArguments,
+    /// Time from one plan to the next [default: that of the scenario, 0.1 for a driver of AlpaSim]
+    #[arg(long, value_name = "SECONDS", value_parser = step)]
+    step: Option<f64>,
     /// Render every N-th step, or `off` for none
     #[arg(long, value_name = "N|off", default_value = "1")]
     render: Every,
@@ -118,6 +127,8 @@ pub struct Arguments {
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     planner_timeout: f64,
     #[command(flatten)]
+    driver: DriverOptions,
+    #[command(flatten)]
     background: BackgroundArguments,
     #[command(flatten)]
     device: DeviceArguments,
@@ -129,6 +140,12 @@ fn seconds(text: &str) -> Result<f64, String> {
         .ok()
         .filter(|seconds| (0.001..=86_400.0).contains(seconds));
     parsed.ok_or_else(|| format!("expected seconds from 0.001 to 86400, found {text:?}"))
+}
+
+fn step(text: &str) -> Result<f64, String> {
+    let (min, max) = (scenario_file::STEP_S_MIN, scenario_file::STEP_S_MAX);
+    let parsed = text.parse().ok().filter(|step| (min..=max).contains(step));
+    parsed.ok_or_else(|| format!("expected seconds from {min} to {max}, found {text:?}"))
 }
 
 fn level(text: &str) -> Result<Level, String> {
@@ -181,7 +198,7 @@ impl Arguments {
 
     /// Settings that must be the same when a run is resumed.
     fn settings(&self) -> serde_json::Value {
-        json!({
+        let mut settings = json!({
             "planner": self.planner.to_string(),
             "seed": self.seed,
             "place": self.place.to_json(),
@@ -195,7 +212,20 @@ impl Arguments {
             "time_budget": self.time_budget.map(Level::name),
             "road_users": if self.road_users == RoadUsers::Mixed { "mixed" } else { "cars" },
             "light": self.light.as_ref().map(|light| light.display().to_string()),
-        })
+        });
+        if let Some(step_s) = self.step_s() {
+            settings["step"] = step_s.into();
+        }
+        if self.planner.is_driver() {
+            settings["driver"] = self.driver.to_json();
+        }
+        settings
+    }
+
+    /// Time from one plan to the next, seconds; `None` for that of the scenario.
+    fn step_s(&self) -> Option<f64> {
+        self.step
+            .or(self.planner.is_driver().then_some(DRIVER_STEP_S))
     }
 
     fn planner(&self) -> Result<Box<dyn Planner>> {
@@ -203,9 +233,7 @@ impl Arguments {
             answer: Duration::from_secs_f64(self.planner_timeout),
             ..Timeouts::default()
         };
-        self.planner
-            .open(patience)
-            .with_context(|| format!("the planner {} is not to be had", self.planner))
+        self.planner.open(patience, &self.driver)
     }
 
     fn keeps(&self) -> Images {
@@ -383,9 +411,12 @@ impl Worker<'_> {
                 let all = &ready.site.loaded.rig;
                 let mut rig = chosen(
                     all,
-                    episode::cameras_of(planner.as_ref(), at_least),
+                    &episode::cameras_of(planner.as_ref(), at_least),
                     Some([size.width_px, size.height_px]),
                 )?;
+                if run.arguments.planner.is_driver() {
+                    run.arguments.driver.fit(&mut rig)?;
+                }
                 let lidars = chosen_lidars(all, planner.sees().lidars, &run.arguments.lidar)?;
                 ensure!(
                     !(planner.sees().lidars && lidars.is_empty()),

@@ -67,6 +67,15 @@ impl Scored {
 
     /// Reason of its end, for people.
     pub fn ending(&self) -> String {
+        let warm_up_s = self.score.warm_up_s;
+        let how = self.how_it_ended();
+        if warm_up_s > 0.0 {
+            return format!("{how} (the planner had no plan yet for {warm_up_s:.1} s)");
+        }
+        how
+    }
+
+    fn how_it_ended(&self) -> String {
         match &self.episode.end {
             EpisodeEnd::RouteDone => "route done".into(),
             EpisodeEnd::Collision { agent } => {
@@ -287,7 +296,8 @@ fn to_json(scored: &[Scored]) -> Result<Value> {
         .and_then(|scored| scored.episode.head.drawn_by.as_ref());
     Ok(json!({
         "planner": planner.map(|planner| json!({
-            "name": planner.name, "cameras": planner.cameras, "privileged": planner.privileged,
+            "name": planner.name, "cameras": planner.cameras,
+            "localization": planner.localization, "privileged": planner.privileged,
         })),
         "drawn_by": drawn_by.map(|by| json!({
             "device": by.device, "width_px": by.width_px, "height_px": by.height_px, "every": by.every,
@@ -358,6 +368,7 @@ fn episode_to_json(scored: &Scored) -> Value {
         "min_ttc_s": score.min_ttc_s(),
         "ttc_short_share": score.ttc_short_share,
         "plan_ade_m": score.plan_ade_m,
+        "warm_up_s": score.warm_up_s,
         "braking_max_mps2": score.comfort.braking_max_mps2,
         "lateral_acceleration_max_mps2": score.comfort.lateral_acceleration_max_mps2,
         "infractions": score.infractions.iter().map(infraction).collect::<Vec<_>>(),

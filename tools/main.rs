@@ -21,6 +21,7 @@ mod lidar;
 mod map;
 mod open_loop;
 mod pack;
+mod planner_name;
 mod register;
 mod render;
 mod replay;

@@ -121,7 +121,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
     let wanted = planner.sees().cameras;
     let plans = match (sites.session(), &ready.scene) {
         (Some(session), Some(scene)) => {
-            let rig = chosen(&ready.site.loaded.rig, wanted, size_px)?;
+            let rig = chosen(&ready.site.loaded.rig, &wanted, size_px)?;
             let mut renderer =
                 ObservationRenderer::new(session.batch_renderer(), scene, rig.clone(), 1);
             let mut shadow = Simulation::new(&episode.head.scenario, &ready.site)?;
@@ -159,7 +159,7 @@ fn rig_of_folder(
         .or(arguments.log.parent())
         .unwrap_or(Path::new(""));
     let rig = decouplegs::episode::rig_of(&episode.head.scenario.place, base)?;
-    let mut rig = chosen(&rig, wanted, None)?;
+    let mut rig = chosen(&rig, &wanted, None)?;
     for camera in rig.cameras_mut() {
         let image = Image::read(&path_of(source, &camera.name, 0))?;
         camera.intrinsics = camera.intrinsics.resized(image.width, image.height);

@@ -150,6 +150,7 @@ fn recorded() -> Episode {
         step: 0,
         readings: vec![],
         plan: Plan::standing(),
+        warm_up: false,
         instants: vec![instant(1), instant(2)],
     };
     Episode {

@@ -82,8 +82,10 @@ impl Course {
         let mut ego = Ego::new(begin, VehicleSize::CAR, EgoOptions::default());
         let briefing = EpisodeInfo {
             scenario: "course".into(),
+            seed: 1,
             step_s: STEP_S,
             ego_size: VehicleSize::CAR,
+            rear_axle_to_middle_m: 1.35,
             sensors: vec![],
         };
         planner.begin(&briefing).unwrap();
@@ -137,6 +139,7 @@ impl Course {
             readings: &[],
             ego: motion,
             guidance,
+            localization: None,
             privileged: Some(known),
         }
     }

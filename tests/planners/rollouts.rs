@@ -46,7 +46,7 @@ fn stepping_through_a_drive_gives_the_same_episode() {
         let mut rollout = Rollout::new(&scenario, &site, crew).unwrap();
         for step in &driven.steps {
             assert_eq!(rollout.end(), None);
-            assert_eq!(rollout.step(step.plan.clone(), Vec::new()), step);
+            assert_eq!(rollout.step(step.plan.clone(), Vec::new(), false), step);
         }
         assert_eq!(rollout.end(), Some(&driven.end));
         assert_eq!(rollout.episode(), &driven);
@@ -71,7 +71,7 @@ fn an_episode_steered_by_hand_is_one_of_plans() {
             .ego()
             .plan_under(0.0, -3.0, 2.0)
             .unwrap();
-        let step = rollout.step(plan, Vec::new());
+        let step = rollout.step(plan, Vec::new(), false);
         standing += usize::from(step.instants.last().unwrap().ego.speed_mps == 0.0);
     }
     assert_eq!(rollout.next_step(), scenario.steps());

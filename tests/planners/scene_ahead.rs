@@ -48,8 +48,10 @@ pub fn cameras() -> Vec<RigCamera> {
 pub fn briefing() -> EpisodeInfo {
     EpisodeInfo {
         scenario: "test".into(),
+        seed: 1,
         step_s: 0.5,
         ego_size: VehicleSize::CAR,
+        rear_axle_to_middle_m: 1.35,
         sensors: cameras().into_iter().map(Sensor::Camera).collect(),
     }
 }
@@ -95,6 +97,7 @@ pub fn observation<'a>(
             cruise_mps: 10.0,
             ..Navigation::default()
         },
+        localization: None,
         privileged,
     }
 }

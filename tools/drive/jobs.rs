@@ -79,11 +79,17 @@ fn from_files(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
             return imported(path, arguments, folder);
         }
         Ok(Job {
-            scenario: read_scenario(path)?,
+            scenario: stepped(read_scenario(path)?, arguments),
             directory: path.parent().unwrap_or(Path::new("")).to_owned(),
         })
     };
     arguments.scenarios.iter().map(job).collect()
+}
+
+/// `scenario` with the time between plans that was asked for, if any.
+fn stepped(scenario: Scenario, arguments: &Arguments) -> Scenario {
+    let step_s = arguments.step_s().unwrap_or(scenario.step_s);
+    Scenario { step_s, ..scenario }
 }
 
 /// Sentences about skipped elements that are printed; all of them are in a file.
@@ -93,7 +99,7 @@ const SKIPPED_SHOWN: usize = 8;
 /// skipped.
 fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Job> {
     let imported = import_open_scenario(path)?;
-    let mut scenario = imported.scenario;
+    let mut scenario = stepped(imported.scenario, arguments);
     if let Place::Roads {
         background,
         agent_splats,
@@ -155,6 +161,7 @@ fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
         .flat_map(|level| (0..arguments.episodes).map(move |index| (level, index)))
     {
         let scenario = generator.scenario(level, arguments.seed, index)?;
+        let scenario = stepped(scenario, arguments);
         let path = folder.scenario(&scenario.name);
         if !path.exists() {
             write_scenario(&path, &scenario)?;

@@ -43,6 +43,9 @@ fn facts(scored: &[Scored]) -> String {
         }
         (_, true) => "It received the states of all vehicles, which no camera shows.".to_owned(),
         (true, false) => "It saw nothing.".to_owned(),
+        (false, false) if planner.localization => {
+            "It was told nothing but its own motion, its pose and its route.".to_owned()
+        }
         (false, false) => "It was told nothing but its own motion and its navigation.".to_owned(),
     };
     let drawn =

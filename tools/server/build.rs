@@ -6,7 +6,12 @@ use std::process::Command;
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo:rerun-if-changed=proto");
     let files = protox::compile(
-        ["sensorsim.proto", "physics.proto", "lidar.proto"],
+        [
+            "sensorsim.proto",
+            "physics.proto",
+            "lidar.proto",
+            "egodriver.proto",
+        ],
         ["proto"],
     )?;
     let mut messages = tonic_prost_build::Config::new();

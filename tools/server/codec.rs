@@ -19,6 +19,7 @@ const REPEATED: &[(&str, &[&[u32]])] = &[
     ("AggregatedRenderRequest", &[&[1], &[1, 8], &[2], &[2, 6]]),
     ("LidarRenderRequest", &[&[6]]),
     ("SweepRequest", &[&[6]]),
+    ("DriveResponse", &[&[2, 1], &[3, 2], &[3, 2, 1]]),
     ("PhysicsGroundIntersectionRequest", &[&[5], &[4, 3, 1]]),
 ];
 

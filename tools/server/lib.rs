@@ -12,6 +12,7 @@
 //! | `render_queue`, `scene_renderer` | the thread that draws, and a scene on the device |
 //! | [`encoding`] | images as PNG, JPEG or planes, on threads of their own |
 //! | [`conform`] | the client that judges any server of the contract |
+//! | [`egodriver`] | the client of driving policies: a planner of the closed loop |
 //! | [`running`] | the server as a whole, until it is stopped |
 //!
 //! A client's `local` frame is the scene's world seen from the scene's origin: messages hold f32,
@@ -25,6 +26,7 @@ mod camera_spec;
 mod codec;
 pub mod conform;
 mod connections;
+pub mod egodriver;
 pub mod encoding;
 mod image_memory;
 mod lidar;

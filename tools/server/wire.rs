@@ -18,6 +18,12 @@ pub mod lidar {
     tonic::include_proto!("decouplegs");
 }
 
+/// The service of a driving policy.
+pub mod egodriver {
+    #![allow(missing_docs, unused_qualifications, clippy::all)]
+    tonic::include_proto!("egodriver");
+}
+
 /// The package of the camera service, whose folders the generated code expects.
 pub mod nre {
     /// `nre.grpc`.

@@ -88,7 +88,7 @@ impl ScenarioEditor {
         let planner = opened.with_context(|| format!("the planner {planner} is not to be had"))?;
         let all = &site.loaded.rig;
         let cameras = cameras_of(planner.as_ref(), Cameras::Front);
-        let mut rig = chosen(all, cameras, Some(self.size_px.unwrap_or(SEEN_PX)))?;
+        let mut rig = chosen(all, &cameras, Some(self.size_px.unwrap_or(SEEN_PX)))?;
         let lidars = chosen_lidars(all, planner.sees().lidars, &[])?;
         rig.sensors.extend(lidars.into_iter().map(Sensor::Lidar));
         let scene = &self.place.scene;

@@ -128,7 +128,19 @@ impl Ego {
     /// Rate of its heading.
     #[must_use]
     pub fn yaw_rate_radps(&self) -> f64 {
-        self.state.speed_mps * self.steer_rad.tan() / self.wheelbase_m
+        self.yaw_rate_at(self.state.speed_mps, self.steer_rad)
+    }
+
+    /// Rate of its heading at another speed, with other steering.
+    #[must_use]
+    pub fn yaw_rate_at(&self, speed_mps: f64, steer_rad: f64) -> f64 {
+        speed_mps * steer_rad.tan() / self.wheelbase_m
+    }
+
+    /// From the rear axle to the middle of its box, meters.
+    #[must_use]
+    pub fn rear_axle_to_middle_m(&self) -> f64 {
+        0.5 * self.wheelbase_m
     }
 
     /// Towards the middle of its bend, to the left where above zero. It is reported and limited by
@@ -248,7 +260,7 @@ impl Ego {
         } else {
             half_rad.sin() / half_rad
         };
-        let to_rear = 0.5 * self.wheelbase_m;
+        let to_rear = self.rear_axle_to_middle_m();
         let rear_m = self.state.position_m - self.state.ahead() * to_rear
             + DVec2::from_angle(self.state.yaw_rad + half_rad) * (chord * distance_m);
         self.state.yaw_rad = wrapped(self.state.yaw_rad + turn_rad);

@@ -67,6 +67,8 @@ pub struct EpisodeScore {
     /// Mean displacement between what was planned and what was driven at the same time, meters;
     /// `None` where no plan reached into what was driven.
     pub plan_ade_m: Option<f64>,
+    /// Time in which the planner had no plan yet and the ego was kept on its route, seconds.
+    pub warm_up_s: f64,
 }
 
 impl EpisodeScore {
@@ -89,6 +91,7 @@ impl EpisodeScore {
             ttc_short_share,
             comfort: Comfort::of(episode),
             plan_ade_m: plan_error::episode_ade_m(episode),
+            warm_up_s: warm_up_s(episode),
         }
     }
 
@@ -139,4 +142,9 @@ impl EpisodeScore {
         let counted = |infraction: &&Infraction| counts(&infraction.kind);
         self.infractions.iter().filter(counted).count()
     }
+}
+
+fn warm_up_s(episode: &Episode) -> f64 {
+    let steps = episode.steps.iter().filter(|step| step.warm_up).count();
+    steps as f64 * episode.head.scenario.step_s
 }

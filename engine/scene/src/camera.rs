@@ -3,7 +3,7 @@
 use crate::{Invalid, Motion, Photometry, Pose, Shutter, Trajectory};
 use glam::{DVec2, DVec3};
 
-use crate::lens::{Lens, RayMap, Windshield};
+use crate::lens::{ANGLE_LIMIT_RAD, FTheta, FThetaReference, Lens, RayMap, Windshield};
 use crate::lidar::{Lidar, RigLidar};
 
 /// Intrinsics of a camera. Pixel `(i, j)` has its center at `(i + 0.5, j + 0.5)`.
@@ -119,6 +119,44 @@ impl Intrinsics {
             shutter: self.shutter.cropped(left_px, top_px),
             ..*self
         }
+    }
+
+    /// The view through an f-theta lens whose distance from the principal point grows in proportion
+    /// to the angle: the left or right edge, the one farther from the principal point, shows the
+    /// same angle as before. Intrinsics with an f-theta lens stay as they are; `None` where no ray
+    /// falls on that edge.
+    #[must_use]
+    pub fn through_f_theta(&self) -> Option<Self> {
+        if matches!(self.lens, Lens::FTheta(_)) {
+            return Some(*self);
+        }
+        let [width_px, height_px] = [self.width_px, self.height_px].map(f64::from);
+        let edge_px = if self.cx_px < 0.5 * width_px {
+            width_px
+        } else {
+            0.0
+        };
+        let ray = self.unproject(DVec2::new(edge_px, self.cy_px))?;
+        // Pixels need not be square.
+        let aspect = self.fx_px / self.fy_px;
+        let focal_px = (edge_px - self.cx_px).abs() / (aspect * ray.angle_between(DVec3::Z));
+        let reach_px = DVec2::new(
+            self.cx_px.max(width_px - self.cx_px) / aspect,
+            self.cy_px.max(height_px - self.cy_px),
+        );
+        let lens = FTheta {
+            reference: FThetaReference::AngleToPixelDistance,
+            pixel_distance_to_angle: [0.0, focal_px.recip(), 0.0, 0.0, 0.0, 0.0],
+            angle_to_pixel_distance: [0.0, focal_px, 0.0, 0.0, 0.0, 0.0],
+            max_angle_rad: (1.01 * reach_px.length() / focal_px).min(ANGLE_LIMIT_RAD),
+            linear_cde: [aspect, 0.0, 0.0],
+        };
+        Some(Self {
+            fx_px: aspect * focal_px,
+            fy_px: focal_px,
+            lens: Lens::FTheta(lens),
+            ..*self
+        })
     }
 
     /// True if the camera is equal to a pinhole: by its lens, and without a windshield.
@@ -373,6 +411,29 @@ mod tests {
         let crop = full.cropped(300, 200, 64, 64);
         let x_of = |k: &Intrinsics, i: f64| (i + 0.5 - k.cx_px) / k.fx_px;
         assert!((x_of(&full, 310.0) - x_of(&crop, 10.0)).abs() < 1e-15);
+    }
+
+    #[test]
+    fn an_f_theta_lens_shows_the_same_angle_at_the_edge() {
+        let pinhole = Intrinsics {
+            cx_px: 300.0,
+            ..Intrinsics::from_horizontal_fov(640, 400, 2.0).resized(640, 360)
+        };
+        let fitted = pinhole.through_f_theta().unwrap();
+        fitted.check().unwrap();
+        let edge = DVec2::new(640.0, pinhole.cy_px);
+        let [before, after] = [pinhole, fitted].map(|k| k.unproject(edge).unwrap());
+        assert!(before.angle_between(after) < 1e-9, "{before} {after}");
+        // Angles are in proportion to distances, along both axes.
+        let half = fitted.unproject(DVec2::new(470.0, pinhole.cy_px)).unwrap();
+        let angle = |ray: DVec3| ray.angle_between(DVec3::Z);
+        assert!((2.0 * angle(half) - angle(after)).abs() < 1e-9);
+        let down = fitted.unproject(DVec2::new(300.0, 280.0)).unwrap();
+        assert!((down.y.atan2(down.z) - 100.0 / fitted.fy_px).abs() < 1e-9);
+        assert!((fitted.fx_px / fitted.fy_px - pinhole.fx_px / pinhole.fy_px).abs() < 1e-12);
+        // Every corner is shown, and an f-theta lens stays.
+        assert!(fitted.unproject(DVec2::ZERO).is_some());
+        assert_eq!(fitted.through_f_theta(), Some(fitted));
     }
 
     #[test]

@@ -16,6 +16,8 @@ pub struct PlannerRecord {
     pub cameras: Vec<String>,
     /// LiDARs whose sweeps it got, by name.
     pub lidars: Vec<String>,
+    /// True if it received its pose and the points of its route.
+    pub localization: bool,
     /// True if it received states of others and the map, which no camera shows.
     pub privileged: bool,
 }
@@ -128,6 +130,8 @@ pub struct EpisodeStep {
     pub readings: Vec<ReadingRecord>,
     /// Plan that it returned.
     pub plan: Plan,
+    /// True if the planner had no plan yet, and the ego was kept on its route.
+    pub warm_up: bool,
     /// The moments after it, one for each sub-step.
     pub instants: Vec<EpisodeTick>,
 }

@@ -49,7 +49,7 @@ impl Rollout {
             return Err(Error::new_err("the episode is over: begin another"));
         }
         let before_m = rollout.progress_m().0;
-        let instants = rollout.step(plan, Vec::new()).instants.clone();
+        let instants = rollout.step(plan, Vec::new(), false).instants.clone();
         let off_road = instants.iter().filter(|instant| !instant.on_road).count();
         let dict = PyDict::new(py);
         dict.set_item("progress_m", rollout.progress_m().0 - before_m)?;
@@ -115,6 +115,7 @@ impl Rollout {
             name: name.to_owned(),
             cameras,
             lidars: Vec::new(),
+            localization: false,
             privileged: false,
         };
         let rollout = EngineRollout::new(

@@ -3,6 +3,8 @@
 mod asking;
 mod conforming;
 mod contract;
+mod egodriver;
+mod fake_driver;
 mod hostile;
 mod lasting;
 mod lidar;

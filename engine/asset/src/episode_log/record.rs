@@ -58,7 +58,15 @@ struct PlannerForm {
     cameras: Vec<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     lidars: Vec<String>,
+    #[serde(default, skip_serializing_if = "is_false")]
+    localization: bool,
     privileged: bool,
+}
+
+/// True for `false`, which is left out.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes references")]
+fn is_false(flag: &bool) -> bool {
+    !flag
 }
 
 #[derive(Deserialize, Serialize)]
@@ -79,6 +87,8 @@ pub(super) struct StepForm {
     images: Vec<(String, String)>,
     /// Time, x and y.
     plan: Vec<[f64; 3]>,
+    #[serde(default, skip_serializing_if = "is_false")]
+    warm_up: bool,
     instants: Vec<InstantForm>,
 }
 
@@ -216,6 +226,7 @@ impl HeadForm {
             name,
             cameras,
             lidars,
+            localization,
             privileged,
         } = planner.clone();
         let drawn_by = drawn_by.clone().map(
@@ -241,6 +252,7 @@ impl HeadForm {
                 name,
                 cameras,
                 lidars,
+                localization,
                 privileged,
             },
             drawn_by,
@@ -261,6 +273,7 @@ impl HeadForm {
             name,
             cameras,
             lidars,
+            localization,
             privileged,
         } = self.planner;
         let drawn_by = self.drawn_by.map(
@@ -284,6 +297,7 @@ impl HeadForm {
                 name,
                 cameras,
                 lidars,
+                localization,
                 privileged,
             },
             drawn_by,
@@ -306,6 +320,7 @@ impl StepForm {
             step,
             readings,
             plan,
+            warm_up,
             instants,
         } = step;
         Self {
@@ -319,6 +334,7 @@ impl StepForm {
                 .iter()
                 .map(|point| [point.time_s, point.position_m.x, point.position_m.y])
                 .collect(),
+            warm_up: *warm_up,
             instants: instants.iter().map(instant_form).collect(),
         }
     }
@@ -344,6 +360,7 @@ impl StepForm {
                 .map(reading)
                 .collect::<Result<_, _>>()?,
             plan: Plan::new(self.plan.into_iter().map(point).collect())?,
+            warm_up: self.warm_up,
             instants: self.instants.into_iter().map(instant).collect(),
         })
     }

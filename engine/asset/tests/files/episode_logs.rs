@@ -74,6 +74,7 @@ fn heads() -> impl Strategy<Value = EpisodeHead> {
     let planner = (text(), names(), names(), any::<bool>()).prop_map(
         |(name, cameras, lidars, privileged)| PlannerRecord {
             name,
+            localization: cameras.is_empty(),
             cameras,
             lidars,
             privileged,
@@ -173,6 +174,7 @@ fn episodes() -> impl Strategy<Value = Episode> {
                         step: step as u32,
                         readings,
                         plan,
+                        warm_up: step % 2 == 1,
                         instants,
                     }
                 };
@@ -217,6 +219,7 @@ fn small() -> Episode {
             position_m: DVec2::new(4.0, -0.0),
         }])
         .unwrap(),
+        warm_up: false,
         instants: vec![
             instant(0.5 * f64::from(step) + 0.25),
             instant(0.5 * f64::from(step) + 0.5),
@@ -226,6 +229,7 @@ fn small() -> Episode {
         name: "lane-follow".into(),
         cameras: vec!["front".into()],
         lidars: Vec::new(),
+        localization: false,
         privileged: true,
     };
     let drawn_by = DrawnBy {

@@ -133,6 +133,7 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
             step: step as u32,
             readings: vec![],
             plan: Plan::new((1..=6).map(|point| at(0.5 * f64::from(point))).collect()).unwrap(),
+            warm_up: false,
             instants: (1..=SUBSTEPS)
                 .map(|sub| instant(begin_s + sub as f64 * STEP_S / SUBSTEPS as f64))
                 .collect(),

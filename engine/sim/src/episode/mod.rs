@@ -162,8 +162,7 @@ fn introduce(
     planner: &mut dyn Planner,
     renderer: Option<&ObservationRenderer>,
 ) {
-    let scenario = &rollout.episode().head.scenario;
-    if let Err(error) = planner.begin(&episode_info(scenario, renderer)) {
+    if let Err(error) = planner.begin(&episode_info(rollout.simulation(), renderer)) {
         rollout.fail(error.to_string());
     }
 }
@@ -193,13 +192,20 @@ fn one_step(
         .map(ObservationRenderer::readings)
         .unwrap_or_default();
     let simulation = rollout.simulation();
-    let privileged = planner.sees().privileged.then(|| simulation.privileged());
+    let sees = planner.sees();
+    let privileged = sees.privileged.then(|| simulation.privileged());
+    let localization = sees.localization.then(|| {
+        let episode = rollout.episode();
+        let driven = episode.steps.last().map(|step| step.instants.as_slice());
+        simulation.localization(driven.unwrap_or(std::slice::from_ref(&episode.start)))
+    });
     let observation = Observation {
         step: number,
         time_s: simulation.time_s(),
         readings: &readings,
         ego: simulation.motion(),
         guidance: simulation.guidance(),
+        localization: localization.as_ref(),
         privileged: privileged.as_ref(),
     };
     let (answer, readings_hashed) = std::thread::scope(|scope| {
@@ -220,7 +226,7 @@ fn one_step(
             return Ok(time);
         }
     };
-    let step = rollout.step(plan, readings_hashed);
+    let step = rollout.step(plan, readings_hashed, planner.is_warming_up());
     time.advance = lap();
     observer.step(step, &readings)?;
     time.observer = lap();
@@ -236,6 +242,7 @@ fn metadata_of(renderer: Option<&ObservationRenderer>, planner: &dyn Planner) ->
         name: planner.name(),
         cameras,
         lidars,
+        localization: planner.sees().localization,
         privileged: planner.sees().privileged,
     };
     EpisodeMetadata {
@@ -244,11 +251,14 @@ fn metadata_of(renderer: Option<&ObservationRenderer>, planner: &dyn Planner) ->
     }
 }
 
-fn episode_info(scenario: &Scenario, renderer: Option<&ObservationRenderer>) -> EpisodeInfo {
+fn episode_info(simulation: &Simulation, renderer: Option<&ObservationRenderer>) -> EpisodeInfo {
+    let scenario = simulation.scenario();
     EpisodeInfo {
         scenario: scenario.name.clone(),
+        seed: scenario.seed,
         step_s: scenario.step_s,
         ego_size: scenario.ego.size,
+        rear_axle_to_middle_m: simulation.ego().rear_axle_to_middle_m(),
         sensors: renderer
             .map(|renderer| renderer.rig().sensors.clone())
             .unwrap_or_default(),

@@ -27,8 +27,8 @@ pub struct ObservationRenderer {
 /// Cameras of `rig` that `cameras` selects, at `size_px` if given.
 ///
 /// # Errors
-/// Returns an error if there is none to choose from.
-pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<Rig, Invalid> {
+/// Returns an error if there is none to choose from, or none with a requested name.
+pub fn chosen(rig: &Rig, cameras: &Cameras, size_px: Option<[u32; 2]>) -> Result<Rig, Invalid> {
     let first = || {
         rig.cameras()
             .find(|camera| camera.name == "front")
@@ -37,9 +37,13 @@ pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<
     let mut chosen: Vec<RigCamera> = match cameras {
         Cameras::None => Vec::new(),
         Cameras::Front => first().cloned().into_iter().collect(),
+        Cameras::Named(names) => {
+            let named = |name: &String| named(rig, name).cloned();
+            names.iter().map(named).collect::<Result<_, _>>()?
+        }
         Cameras::All => rig.cameras().cloned().collect(),
     };
-    if cameras != Cameras::None && chosen.is_empty() {
+    if *cameras != Cameras::None && chosen.is_empty() {
         return Err("the planner wants images, and the scene has no cameras: add a [[rig]] to the scene file".into());
     }
     if let Some([width_px, height_px]) = size_px {
@@ -48,6 +52,19 @@ pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<
         }
     }
     Ok(Rig::from_iter(chosen))
+}
+
+/// The camera of `rig` called `name`.
+fn named<'a>(rig: &'a Rig, name: &str) -> Result<&'a RigCamera, Invalid> {
+    let mut cameras = rig.cameras();
+    cameras.find(|camera| camera.name == name).ok_or_else(|| {
+        let names: Vec<&str> = rig.cameras().map(|camera| camera.name.as_str()).collect();
+        let found = match names.as_slice() {
+            [] => "no camera".to_owned(),
+            names => names.join(", "),
+        };
+        Invalid::new(format!("the scene has no camera {name:?}; it has {found}"))
+    })
 }
 
 /// The LiDARs called `names`: those of `rig`, otherwise models by name or file, on the roof of the

@@ -29,11 +29,14 @@ pub fn plans<E: From<EpisodeError>>(
     let mut simulation = Simulation::new(scenario, site)?;
     let info = EpisodeInfo {
         scenario: scenario.name.clone(),
+        seed: scenario.seed,
         step_s: scenario.step_s,
         ego_size: scenario.ego.size,
+        rear_axle_to_middle_m: simulation.ego().rear_axle_to_middle_m(),
         sensors: rig.sensors.clone(),
     };
     let begun = planner.begin(&info).is_ok();
+    let mut driven = vec![simulation.instant()];
     let mut answers = Vec::with_capacity(episode.steps.len());
     for step in &episode.steps {
         let images = images_of(step.step)?;
@@ -42,13 +45,16 @@ pub fn plans<E: From<EpisodeError>>(
             .zip(&images)
             .map(|(camera, rgba)| Reading::image(camera, rgba))
             .collect();
-        let privileged = planner.sees().privileged.then(|| simulation.privileged());
+        let sees = planner.sees();
+        let privileged = sees.privileged.then(|| simulation.privileged());
+        let localization = sees.localization.then(|| simulation.localization(&driven));
         let observation = Observation {
             step: step.step,
             time_s: simulation.time_s(),
             readings: &readings,
             ego: simulation.motion(),
             guidance: simulation.guidance(),
+            localization: localization.as_ref(),
             privileged: privileged.as_ref(),
         };
         answers.push(if begun {
@@ -56,7 +62,7 @@ pub fn plans<E: From<EpisodeError>>(
         } else {
             None
         });
-        simulation.advance(&step.plan);
+        driven = simulation.advance(&step.plan);
     }
     Ok(answers)
 }

@@ -24,6 +24,7 @@ pub struct Replayed {
 /// Answers what the log says.
 struct Logged<'a> {
     episode: &'a Episode,
+    warm_up: bool,
 }
 
 impl Planner for Logged<'_> {
@@ -33,6 +34,7 @@ impl Planner for Logged<'_> {
 
     fn sees(&self) -> ObservationRequest {
         ObservationRequest {
+            localization: self.episode.head.planner.localization,
             privileged: self.episode.head.planner.privileged,
             ..ObservationRequest::default()
         }
@@ -47,11 +49,16 @@ impl Planner for Logged<'_> {
 
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
         let step = self.episode.steps.get(observation.step as usize);
+        self.warm_up = step.is_some_and(|step| step.warm_up);
         step.map(|step| step.plan.clone())
             .ok_or_else(|| match &self.episode.end {
                 EpisodeEnd::Planner { reason } => PlannerError(reason.clone()),
                 _ => PlannerError(format!("the log ends before step {}", observation.step)),
             })
+    }
+
+    fn is_warming_up(&self) -> bool {
+        self.warm_up
     }
 }
 
@@ -67,7 +74,11 @@ pub fn replay(
 ) -> Result<Replayed, EpisodeError> {
     let scenario: &Scenario = &episode.head.scenario;
     check_version(episode)?;
-    let again = drive(scenario, site, renderer, &mut Logged { episode }, observer)?.episode;
+    let mut logged = Logged {
+        episode,
+        warm_up: false,
+    };
+    let again = drive(scenario, site, renderer, &mut logged, observer)?.episode;
     let readings = |episode: &Episode| {
         episode
             .steps

@@ -109,15 +109,21 @@ impl Rollout {
         self.simulation.end()
     }
 
-    /// Drives `plan` for a step, made from readings whose hashes are `readings`. Nothing moves any
-    /// more when it is over.
-    pub fn step(&mut self, plan: Plan, readings: Vec<ReadingRecord>) -> &EpisodeStep {
+    /// Drives `plan` for a step, made from readings whose hashes are `readings`, and with `warm_up`
+    /// not by the planner. Nothing moves any more when it is over.
+    pub fn step(
+        &mut self,
+        plan: Plan,
+        readings: Vec<ReadingRecord>,
+        warm_up: bool,
+    ) -> &EpisodeStep {
         let step = self.next_step();
         let instants = self.simulation.advance(&plan);
         self.episode.steps.push(EpisodeStep {
             step,
             readings,
             plan,
+            warm_up,
             instants,
         });
         self.note_end();

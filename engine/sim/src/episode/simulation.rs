@@ -13,7 +13,9 @@ use glam::{DVec2, DVec3};
 
 use super::EpisodeError;
 use super::site::Site;
-use crate::planner::{EgoMotion, KnownAgent, Navigation, Privileged, Turn};
+use crate::planner::{
+    EgoMotion, KnownAgent, Localization, LocatedEgo, Navigation, Privileged, Turn,
+};
 use decouplegs_session::{AgentInstance, SessionError, World};
 
 /// The ego has left the road for good when it was off it for longer than this, seconds, ...
@@ -242,6 +244,40 @@ impl Simulation {
                 cruise_mps,
                 ..Navigation::default()
             },
+        }
+    }
+
+    /// Pose of the ego after each sub-step of `driven`, the last of which is now, and the route
+    /// ahead.
+    #[must_use]
+    pub fn localization(&self, driven: &[EpisodeTick]) -> Localization {
+        let route = &self.route;
+        let at_m = |tick: &EpisodeTick| {
+            let foot = route.project(tick.ego.position_m, self.progress.progress_m());
+            foot.arc_m
+        };
+        let located = |tick: &EpisodeTick| LocatedEgo {
+            time_s: tick.time_s,
+            pose: self.site.pose_of(
+                &tick.ego,
+                &self.scenario.ego.size,
+                route.pose_at(at_m(tick)).0.z,
+            ),
+            state: tick.ego,
+            motion: EgoMotion {
+                speed_mps: tick.ego.speed_mps,
+                acceleration_mps2: tick.ego.acceleration_mps2,
+                steer_rad: tick.steer_rad,
+                yaw_rate_radps: self.ego.yaw_rate_at(tick.ego.speed_mps, tick.steer_rad),
+            },
+        };
+        let from_m = driven.last().map_or(0.0, at_m);
+        let along_m = (0..Localization::WAYPOINTS)
+            .map(|index| from_m + index as f64 * Localization::SPACING_M)
+            .take_while(|&along_m| along_m <= route.length_m());
+        Localization {
+            path: driven.iter().map(located).collect(),
+            route_m: along_m.map(|along_m| route.pose_at(along_m).0).collect(),
         }
     }
 

@@ -23,9 +23,9 @@ use decouplegs_scene::LightColor;
 use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::plan::Plan;
 use decouplegs_scene::{
-    LidarSweep, RigCamera, RoadUser, Sensor, SignKind, VehicleSize, VehicleState,
+    LidarSweep, Pose, RigCamera, RoadUser, Sensor, SignKind, VehicleSize, VehicleState,
 };
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 
 /// Inputs that a planner requests.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -34,6 +34,8 @@ pub struct ObservationRequest {
     pub cameras: Cameras,
     /// True if it requests the sweeps of all LiDARs.
     pub lidars: bool,
+    /// True if it requests [`Localization`].
+    pub localization: bool,
     /// True if it requests [`Privileged`] state.
     pub privileged: bool,
 }
@@ -46,6 +48,8 @@ pub enum Cameras {
     None,
     /// The one that looks ahead: named `front`, otherwise the first.
     Front,
+    /// Those with these names, in this order.
+    Named(Vec<String>),
     /// The whole rig.
     All,
 }
@@ -146,6 +150,46 @@ pub struct EgoMotion {
     pub yaw_rate_radps: f64,
 }
 
+/// Pose and motion of the ego at a moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LocatedEgo {
+    /// Since the episode's start, seconds.
+    pub time_s: f64,
+    /// Middle of the ego's box, world coordinates, meters.
+    pub pose: Pose,
+    /// The same pose on the plane. Positions of a plan are in its frame.
+    pub state: VehicleState,
+    /// Motion of the ego.
+    pub motion: EgoMotion,
+}
+
+/// Pose of the ego and the route ahead, as the localization and the navigation of a vehicle know
+/// them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Localization {
+    /// The ego after each sub-step since the observation before, at least one; the last is now.
+    pub path: Vec<LocatedEgo>,
+    /// Points of the route from beside the ego on, [`Localization::SPACING_M`] apart, world
+    /// coordinates, meters: [`Localization::WAYPOINTS`], and fewer near the end of the route.
+    pub route_m: Vec<DVec3>,
+}
+
+impl Localization {
+    /// Most points of the route.
+    pub const WAYPOINTS: usize = 20;
+    /// Distance from point to point along the route, meters.
+    pub const SPACING_M: f64 = 4.0;
+
+    /// The ego now.
+    ///
+    /// # Panics
+    /// Panics if the path is empty.
+    #[must_use]
+    pub fn now(&self) -> &LocatedEgo {
+        self.path.last().expect("a path ends now")
+    }
+}
+
 /// Agent on the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KnownAgent {
@@ -187,6 +231,8 @@ pub struct Observation<'a> {
     pub ego: EgoMotion,
     /// Navigation instructions.
     pub guidance: Navigation,
+    /// Localization, if requested.
+    pub localization: Option<&'a Localization>,
     /// Privileged state, if requested.
     pub privileged: Option<&'a Privileged>,
 }
@@ -196,10 +242,14 @@ pub struct Observation<'a> {
 pub struct EpisodeInfo {
     /// The scenario's name.
     pub scenario: String,
+    /// The scenario's seed.
+    pub seed: u64,
     /// From one plan to the next, seconds.
     pub step_s: f64,
     /// The ego's box.
     pub ego_size: VehicleSize,
+    /// From the rear axle to the middle of the ego's box, meters.
+    pub rear_axle_to_middle_m: f64,
     /// The sensors it asked for.
     pub sensors: Vec<Sensor>,
 }
@@ -228,6 +278,12 @@ pub trait Planner: Send {
     /// # Errors
     /// Returns an error if the planner has no answer, or none in time.
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError>;
+
+    /// True if the last plan was not the planner's own: it has not seen enough to plan yet, and the
+    /// ego was kept on its route. The log and the score say so.
+    fn is_warming_up(&self) -> bool {
+        false
+    }
 }
 
 /// Privileged state for the planner `who`, or an error if it is absent.

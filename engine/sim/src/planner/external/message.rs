@@ -119,6 +119,7 @@ fn introduction(message: &Value) -> Result<Introduction, String> {
         sees: ObservationRequest {
             cameras,
             lidars,
+            localization: false,
             privileged,
         },
     })

@@ -1,0 +1,52 @@
+//! Planners by the names that the command line gives them.
+
+use std::fmt;
+use std::str::FromStr;
+
+use anyhow::{Context, Result};
+use decouplegs::planner::{Planner, PlannerChoice, PlannerError, Timeouts};
+use decouplegs_server::egodriver::{DriverAddress, DriverOptions, Egodriver};
+
+/// Planner of the engine, or a driver of AlpaSim's contract.
+#[derive(Clone, Debug)]
+pub enum PlannerName {
+    Engine(PlannerChoice),
+    Driver(DriverAddress),
+}
+
+impl PlannerName {
+    /// Opens the planner. Answers are waited for as `timeouts` say.
+    pub fn open(&self, timeouts: Timeouts, options: &DriverOptions) -> Result<Box<dyn Planner>> {
+        let opened: Result<Box<dyn Planner>, PlannerError> = match self {
+            Self::Engine(choice) => choice.open(timeouts),
+            Self::Driver(address) => Egodriver::open(address, options, timeouts)
+                .map(|driver| Box::new(driver) as Box<dyn Planner>),
+        };
+        opened.with_context(|| format!("the planner {self} is not to be had"))
+    }
+
+    pub fn is_driver(&self) -> bool {
+        matches!(self, Self::Driver(_))
+    }
+}
+
+impl FromStr for PlannerName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text.starts_with(DriverAddress::SCHEME) {
+            return text.parse().map(Self::Driver);
+        }
+        let choice = text.parse().map(Self::Engine);
+        choice.map_err(|reason: String| format!("{reason}, or egodriver://HOST:PORT"))
+    }
+}
+
+impl fmt::Display for PlannerName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Engine(choice) => choice.fmt(f),
+            Self::Driver(address) => address.fmt(f),
+        }
+    }
+}
