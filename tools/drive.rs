@@ -127,11 +127,11 @@ pub struct Arguments {
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     planner_timeout: f64,
     #[command(flatten)]
-    driver: DriverOptions,
-    #[command(flatten)]
     background: BackgroundArguments,
     #[command(flatten)]
     device: DeviceArguments,
+    #[command(flatten)]
+    driver: DriverOptions,
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -414,9 +414,6 @@ impl Worker<'_> {
                     &episode::cameras_of(planner.as_ref(), at_least),
                     Some([size.width_px, size.height_px]),
                 )?;
-                if run.arguments.planner.is_driver() {
-                    run.arguments.driver.fit(&mut rig)?;
-                }
                 let lidars = chosen_lidars(all, planner.sees().lidars, &run.arguments.lidar)?;
                 ensure!(
                     !(planner.sees().lidars && lidars.is_empty()),
@@ -425,6 +422,9 @@ impl Worker<'_> {
                 rig.sensors.extend(lidars.into_iter().map(Sensor::Lidar));
                 let mut renderer =
                     ObservationRenderer::new(renderer, scene, rig, run.arguments.render.0);
+                if run.arguments.planner.is_driver() {
+                    renderer = run.arguments.driver.fit(renderer)?;
+                }
                 let driven = drive(
                     &job.scenario,
                     &ready.site,

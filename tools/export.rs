@@ -15,7 +15,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{TEMPORARY_PREFIX, read_episode_log, write_atomically};
 use decouplegs::episode::{Appearance, Moments, Site, chosen_lidars};
-use decouplegs::scene::episode::Episode;
+use decouplegs::scene::episode::{DrawnBy, Episode};
 use decouplegs::scene::{Camera, Rig, RigCamera, RigLidar, RoadUser, Sensor};
 use decouplegs_cli::png_bytes;
 
@@ -189,13 +189,19 @@ fn rig_of(arguments: &Arguments, episode: &Episode, all: &Rig) -> Result<Rig> {
     if names.is_empty() {
         cameras = all.cameras().cloned().collect();
     }
-    let logged = head.drawn_by.as_ref().filter(|by| by.width_px > 0);
-    let logged_px = logged.map(|by| [by.width_px, by.height_px]);
-    let size_px = arguments.size.map(|size| [size.width_px, size.height_px]);
-    if let Some([width_px, height_px]) = size_px.or(logged_px) {
-        for camera in &mut cameras {
-            camera.intrinsics = camera.intrinsics.resized(width_px, height_px);
-        }
+    let logged = head.drawn_by.clone().filter(|by| by.width_px > 0);
+    let drawn_by = logged.map(|by| DrawnBy {
+        width_px: arguments.size.map_or(by.width_px, |size| size.width_px),
+        height_px: arguments.size.map_or(by.height_px, |size| size.height_px),
+        ..by
+    });
+    for camera in &mut cameras {
+        let k = &mut camera.intrinsics;
+        *k = match (&drawn_by, arguments.size) {
+            (Some(by), _) => by.intrinsics(k),
+            (None, Some(size)) => k.resized(size.width_px, size.height_px),
+            (None, None) => *k,
+        };
     }
     let names: Vec<String> = arguments.lidar.iter().cloned().collect();
     let lidars: Vec<RigLidar> = chosen_lidars(all, false, &names)?;

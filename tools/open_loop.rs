@@ -11,16 +11,18 @@ use decouplegs::drive::oriented_box::time_to_collision;
 use decouplegs::drive::score::{Moments, TTC_HORIZON_S, plan_ade_m};
 use decouplegs::episode::open_loop::{Images, plans};
 use decouplegs::episode::{Appearance, EpisodeError, ObservationRenderer, Simulation, chosen};
-use decouplegs::planner::{PlannerChoice, Timeouts, images};
+use decouplegs::planner::{Timeouts, images};
 use decouplegs::render::Image;
 use decouplegs::scene::episode::{Episode, EpisodeTick};
 use decouplegs::scene::{Plan, Pose, Rig, TimedPose, Trajectory};
+use decouplegs_server::egodriver::{DriverOptions, SensorLens};
 use serde_json::{Value, json};
 
 use crate::arguments::{print, transfer_in};
 use crate::background::BackgroundArguments;
 use crate::device::DeviceArguments;
 use crate::episode_report::spread;
+use crate::planner_name::PlannerName;
 use crate::sites::Sites;
 
 /// Show a planner two sources of images along the same log, such as real images and rendered ones,
@@ -31,7 +33,7 @@ pub struct Arguments {
     log: PathBuf,
     /// Planner, by its name in `drive`; not one that replays a log
     #[arg(long, value_name = "PLANNER")]
-    planner: PlannerChoice,
+    planner: PlannerName,
     /// Reference images: a folder of CAMERA_STEP.png, as `drive --images all` writes them
     /// (front_0000.png), or `rendered`
     #[arg(long, value_name = "DIR|rendered", default_value = "rendered")]
@@ -52,6 +54,8 @@ pub struct Arguments {
     background: BackgroundArguments,
     #[command(flatten)]
     device: DeviceArguments,
+    #[command(flatten)]
+    driver: DriverOptions,
 }
 
 /// A planner's answers to one source.
@@ -90,10 +94,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Plans of the planner for the images of `source`.
 fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<Answers> {
-    let mut planner = arguments.planner.open(Timeouts {
+    let timeouts = Timeouts {
         answer: Duration::from_secs(60),
         ..Timeouts::default()
-    })?;
+    };
+    let mut planner = arguments.planner.open(timeouts, &arguments.driver)?;
     ensure!(
         !planner.sees().lidars,
         "{} asks for sweeps of LiDARs, and an open loop shows images alone",
@@ -122,8 +127,11 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
     let plans = match (sites.session(), &ready.scene) {
         (Some(session), Some(scene)) => {
             let rig = chosen(&ready.site.loaded.rig, &wanted, size_px)?;
-            let mut renderer =
-                ObservationRenderer::new(session.batch_renderer(), scene, rig.clone(), 1);
+            let mut renderer = ObservationRenderer::new(session.batch_renderer(), scene, rig, 1);
+            if arguments.planner.is_driver() {
+                renderer = arguments.driver.fit(renderer)?;
+            }
+            let rig = renderer.rig().clone();
             let mut shadow = Simulation::new(&episode.head.scenario, &ready.site)?;
             let drawn = |step: u32| -> Result<Images> {
                 renderer
@@ -137,6 +145,11 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
             plans(episode, &ready.site, &rig, planner.as_mut(), drawn)?
         }
         _ => {
+            ensure!(
+                arguments.driver.driver_lens == SensorLens::Own,
+                "--driver-lens f-theta draws cameras anew, and {} has images already",
+                source.display()
+            );
             let rig = rig_of_folder(arguments, episode, source, wanted)?;
             plans(episode, &ready.site, &rig, planner.as_mut(), |step| {
                 read_images(source, &rig, step)

@@ -97,9 +97,7 @@ fn drawn(
         let mut camera = camera
             .with_context(|| format!("the place has no camera called {name}, which the log has"))?
             .clone();
-        camera.intrinsics = camera
-            .intrinsics
-            .resized(drawn_by.width_px, drawn_by.height_px);
+        camera.intrinsics = drawn_by.intrinsics(&camera.intrinsics);
         cameras.push(camera);
     }
     let lidars = chosen_lidars(&site.loaded.rig, false, &episode.head.planner.lidars)?;

@@ -145,6 +145,9 @@ fn varint(rest: &mut &[u8]) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::common::{PoseAtTime, Trajectory};
+    use crate::wire::egodriver::DriveResponse;
+    use crate::wire::egodriver::drive_response::DebugInfo;
     use crate::wire::physics::PhysicsGroundIntersectionRequest;
     use crate::wire::sensorsim::{
         AggregatedRenderRequest, BatchRgbRenderRequest, BatchRgbRenderRequestItem, DynamicObject,
@@ -204,6 +207,18 @@ mod tests {
             }),
             6
         );
+        let trajectory = |poses: usize| Trajectory {
+            poses: vec![PoseAtTime::default(); poses],
+        };
+        let answer = DriveResponse {
+            trajectory: Some(trajectory(3)),
+            debug_info: Some(DebugInfo {
+                sampled_trajectories: vec![trajectory(4); 2],
+                ..DebugInfo::default()
+            }),
+            ..DriveResponse::default()
+        };
+        assert_eq!(entries(&answer), 3 + 2 + 8);
     }
 
     #[test]

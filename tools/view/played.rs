@@ -79,8 +79,7 @@ impl Played {
             let logged = head.planner.cameras.clone();
             let cameras = played.rig.cameras_mut();
             for camera in cameras.filter(|camera| logged.contains(&camera.name)) {
-                let k = &mut camera.intrinsics;
-                *k = k.resized(drawn_by.width_px, drawn_by.height_px);
+                camera.intrinsics = drawn_by.intrinsics(&camera.intrinsics);
             }
         }
         played

@@ -2,6 +2,7 @@
 
 use glam::DVec2;
 
+use crate::camera::Intrinsics;
 use crate::obstacle::Obstacle;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
@@ -33,6 +34,18 @@ pub struct DrawnBy {
     pub height_px: u32,
     /// Every so manyth step is drawn, from the first on.
     pub every: u32,
+    /// True if cameras were drawn with [`Intrinsics::through_f_theta`].
+    pub f_theta: bool,
+}
+
+impl DrawnBy {
+    /// Intrinsics of the images, from the `own` ones of their camera.
+    #[must_use]
+    pub fn intrinsics(&self, own: &Intrinsics) -> Intrinsics {
+        let resized = own.resized(self.width_px, self.height_px);
+        let fitted = self.f_theta.then(|| resized.through_f_theta());
+        fitted.flatten().unwrap_or(resized)
+    }
 }
 
 /// Version of logs that this program writes. Vehicles of other versions moved by other rules.

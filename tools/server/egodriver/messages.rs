@@ -211,9 +211,11 @@ pub(super) fn along_route(localization: &Localization) -> Result<Plan, PlannerEr
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::common::{Pose as PoseMessage, Quat};
     use decouplegs::planner::EgoMotion;
     use decouplegs::scene::{VehicleSize, VehicleState};
     use glam::DQuat;
+    use proptest::prelude::*;
 
     const SIZE: VehicleSize = VehicleSize {
         length_m: 4.5,
@@ -348,6 +350,26 @@ mod tests {
         };
         let plan = along_route(&alone).unwrap();
         assert_eq!(plan.at(1.0), DVec2::new(8.0, 0.0));
+    }
+
+    proptest! {
+        #[test]
+        fn no_trajectory_breaks_the_loop(poses in prop::collection::vec(
+            (any::<[f32; 7]>(), any::<bool>(), 0..2 * START_US), 0..300,
+        )) {
+            let (frames, localization) = (frames(), localization(0.0));
+            let message = |([x, y, z, qw, qx, qy, qz], is_there, timestamp_us): ([f32; 7], bool, u64)| {
+                let pose = PoseMessage {
+                    vec: Some(Vec3 { x, y, z }),
+                    quat: Some(Quat { w: qw, x: qx, y: qy, z: qz }),
+                };
+                PoseAtTime { pose: is_there.then_some(pose), timestamp_us }
+            };
+            let trajectory = Trajectory { poses: poses.into_iter().map(message).collect() };
+            if let Ok(Some(plan)) = frames.plan(&trajectory, &localization) {
+                prop_assert!(plan.points().len() <= Plan::POINTS_MAX);
+            }
+        }
     }
 
     #[test]

@@ -4,8 +4,9 @@ use std::fmt;
 use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
+use decouplegs::episode::ObservationRenderer;
 use decouplegs::planner::Frame;
-use decouplegs::scene::{Invalid, Rig};
+use decouplegs::scene::Invalid;
 
 use crate::encoding::{Encoding, encode};
 
@@ -222,24 +223,15 @@ impl DriverOptions {
         })
     }
 
-    /// Gives the cameras of `rig` the lens that was asked for.
+    /// Gives the cameras of `renderer` the lens that was asked for.
     ///
     /// # Errors
     /// A sentence naming a camera that can have none.
-    pub fn fit(&self, rig: &mut Rig) -> Result<(), Invalid> {
-        if self.driver_lens == SensorLens::Own {
-            return Ok(());
+    pub fn fit(&self, renderer: ObservationRenderer) -> Result<ObservationRenderer, Invalid> {
+        match self.driver_lens {
+            SensorLens::Own => Ok(renderer),
+            SensorLens::FTheta => renderer.through_f_theta(),
         }
-        for camera in rig.cameras_mut() {
-            let fitted = camera.intrinsics.through_f_theta();
-            camera.intrinsics = fitted.ok_or_else(|| {
-                Invalid::new(format!(
-                    "camera {:?} sees no ray at the edges of its image: no f-theta lens shows the same",
-                    camera.name
-                ))
-            })?;
-        }
-        Ok(())
     }
 }
 

@@ -265,9 +265,9 @@ fn a_driver_gets_the_cameras_and_images_that_it_asked_for() {
     let driven = |options: &DriverOptions, manner: Manner| {
         let (address, driver) = FakeDriver::start(manner);
         let mut planner = open(&address, options);
-        let mut seen = chosen(rig, &planner.sees().cameras, Some([64, 36])).unwrap();
-        options.fit(&mut seen).unwrap();
-        let mut renderer = ObservationRenderer::new(session.batch_renderer(), &scene, seen, 1);
+        let seen = chosen(rig, &planner.sees().cameras, Some([64, 36])).unwrap();
+        let renderer = ObservationRenderer::new(session.batch_renderer(), &scene, seen, 1);
+        let mut renderer = options.fit(renderer).unwrap();
         let short = scenario(&site, 0.2);
         let episode = drive(&short, &site, Some(&mut renderer), &mut planner, &mut ());
         (episode.unwrap().episode, driver.asked())

@@ -76,6 +76,8 @@ struct DrawnByForm {
     width_px: u32,
     height_px: u32,
     every: u32,
+    #[serde(default, skip_serializing_if = "is_false")]
+    f_theta: bool,
 }
 
 /// A line of a step.
@@ -235,11 +237,13 @@ impl HeadForm {
                  width_px,
                  height_px,
                  every,
+                 f_theta,
              }| DrawnByForm {
                 device,
                 width_px,
                 height_px,
                 every,
+                f_theta,
             },
         );
         Ok(Self {
@@ -282,11 +286,13 @@ impl HeadForm {
                  width_px,
                  height_px,
                  every,
+                 f_theta,
              }| DrawnBy {
                 device,
                 width_px,
                 height_px,
                 every,
+                f_theta,
             },
         );
         let head = EpisodeHead {

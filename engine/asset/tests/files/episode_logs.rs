@@ -86,6 +86,7 @@ fn heads() -> impl Strategy<Value = EpisodeHead> {
             width_px,
             height_px,
             every,
+            f_theta: every % 2 == 1,
         });
     let route = prop::collection::vec(
         (numbers(), numbers()).prop_map(|(x, y)| DVec2::new(x, y)),
@@ -237,6 +238,7 @@ fn small() -> Episode {
         width_px: 64,
         height_px: 36,
         every: 1,
+        f_theta: false,
     };
     Episode {
         head: EpisodeHead {

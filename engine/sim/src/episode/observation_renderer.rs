@@ -18,6 +18,7 @@ pub struct ObservationRenderer {
     renderer: BatchRenderer,
     world: World,
     rig: Rig,
+    f_theta: bool,
     every: u32,
     images: HostImages,
     /// The last sweep of each LiDAR; none at a step that is not drawn.
@@ -105,10 +106,29 @@ impl ObservationRenderer {
             renderer,
             world: World::empty(scene),
             rig,
+            f_theta: false,
             every: every.max(1),
             images: HostImages::default(),
             sweeps: Vec::new(),
         }
+    }
+
+    /// The same sensors, the cameras [`decouplegs_scene::Intrinsics::through_f_theta`].
+    ///
+    /// # Errors
+    /// A sentence naming a camera that no such lens can replace.
+    pub fn through_f_theta(mut self) -> Result<Self, Invalid> {
+        for camera in self.rig.cameras_mut() {
+            let fitted = camera.intrinsics.through_f_theta();
+            camera.intrinsics = fitted.ok_or_else(|| {
+                Invalid::new(format!(
+                    "camera {:?} sees no ray at the edge of its image: no f-theta lens shows the same",
+                    camera.name
+                ))
+            })?;
+        }
+        self.f_theta = true;
+        Ok(self)
     }
 
     /// The sensors.
@@ -133,6 +153,7 @@ impl ObservationRenderer {
             width_px: size_px.map_or(0, |k| k.width_px),
             height_px: size_px.map_or(0, |k| k.height_px),
             every: self.every,
+            f_theta: self.f_theta,
         })
     }
 
