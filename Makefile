@@ -11,7 +11,7 @@
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore
+.PHONY: demo test shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore nuscenes
 
 # What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
 # A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
@@ -26,11 +26,14 @@ NEEDS = $(NEEDS_TEST)
 # drive episodes on a cluster of this machine. A test whose package cannot be installed says that it is skipped.
 PYTHON_PACKAGES := safetensors numpy maturin pytest pytest-xdist gymnasium matplotlib grpcio protobuf
 PYTHON_PACKAGES_OPTIONAL := ray playwright axe-core-python grpcio-tools hugsim-client requests tenacity mcap mcap-ros2-support \
-	carla-driver-interface
+	carla-driver-interface pycocotools
 # Without their own dependencies: torch and NumPy are the system's.
 NCORE_PACKAGES := nvidia-ncore==19.8.3 dataclasses_json marshmallow typing_inspect mypy_extensions 'zarr<3' numcodecs asciitree fasteners cbor2 'scipy<1.13' \
 	pillow universal_pathlib fsspec pathlib_abc packaging typing_extensions
 NCORE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/ncore
+# Without its own dependencies: they pin old versions of NumPy and Matplotlib, and it needs neither these versions nor most of the packages.
+NUSCENES_PACKAGES := nuscenes-devkit==1.2.0 pyquaternion cachetools tqdm opencv-python-headless scikit-learn joblib threadpoolctl narwhals fire descartes shapely
+NUSCENES := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/nuscenes
 PYTHON := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/python
 
 DEMO := out/demo
@@ -69,12 +72,12 @@ shaders-check: packages
 
 # The Python package over the library that the tests' own build makes: a wheel would compile everything once more.
 python-test: export DECOUPLEGS_VALIDATION := 1
-python-test: packages python browser torch ncore
+python-test: packages python browser torch ncore nuscenes
 	@if ! [[ -x $(PYTHON)/bin/pytest ]]; then echo "The Python package is not tested: pytest could not be installed."; exit 0; fi; \
 	cargo build --workspace --all-targets; \
 	target=$$(cargo metadata --format-version 1 --no-deps | $(PYTHON)/bin/python -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])'); \
 	ln -sf "$$target/debug/libdecouplegs_native.so" tools/python/decouplegs/_native.abi3.so; \
-	DECOUPLEGS_PROGRAM="$$target/debug/decouplegs" DECOUPLEGS_NCORE=$(NCORE) PYTHONPATH=tools/python \
+	DECOUPLEGS_PROGRAM="$$target/debug/decouplegs" DECOUPLEGS_NCORE=$(NCORE) DECOUPLEGS_NUSCENES=$(NUSCENES) PYTHONPATH=tools/python \
 		$(PYTHON)/bin/python -m pytest -q --numprocesses auto --dist worksteal tools/python/tests tools/view/tests
 
 # As a user installs it: the wheel, in an environment that has nothing else, and its tests there.
@@ -86,7 +89,7 @@ wheel-test: packages
 
 # Without a network the test that needs it says that it is skipped.
 python: packages
-	@if $(PYTHON)/bin/python -c 'import safetensors, numpy, maturin, pytest, xdist, gymnasium, matplotlib, grpc, playwright, hugsim_client, mcap_ros2, grpc_tools, carla_driver_interface' 2>/dev/null; then exit 0; fi; \
+	@if $(PYTHON)/bin/python -c 'import safetensors, numpy, maturin, pytest, xdist, gymnasium, matplotlib, grpc, playwright, hugsim_client, mcap_ros2, grpc_tools, carla_driver_interface, pycocotools' 2>/dev/null; then exit 0; fi; \
 	python3 -m venv $(PYTHON) && $(PYTHON)/bin/pip install --quiet --disable-pip-version-check $(PYTHON_PACKAGES) \
 		|| { rm -rf $(PYTHON); echo "$(PYTHON_PACKAGES) cannot be installed for Python: the tests that need them are skipped."; exit 0; }; \
 	for package in $(PYTHON_PACKAGES_OPTIONAL); do \
@@ -121,6 +124,16 @@ ncore: python torch
 		mv $(NCORE).part $(NCORE); \
 	else \
 		echo "nvidia-ncore cannot be installed: lenses are not compared with it."; \
+	fi
+
+# The reader of nuScenes, which exported episodes are opened with.
+nuscenes: python
+	@if [[ -d $(NUSCENES)/nuscenes ]] || ! [[ -x $(PYTHON)/bin/pip ]]; then exit 0; fi; \
+	rm -rf $(NUSCENES).part; \
+	if $(PYTHON)/bin/pip install --quiet --disable-pip-version-check --no-deps --target $(NUSCENES).part $(NUSCENES_PACKAGES); then \
+		mv $(NUSCENES).part $(NUSCENES); \
+	else \
+		echo "nuscenes-devkit cannot be installed: exported data sets are not opened with it."; \
 	fi
 
 # Everything that `.ci/run` compiles and runs, shaderc included.

@@ -1,19 +1,18 @@
 """A rollout over a server with AlpaSim's own message classes, as the package `carla-driver-interface` ships them.
 
-Arguments: a file descriptor set of this project's messages, which is compared with AlpaSim's, and the address of a server. A process of its own, because the classes
-of two projects for the same messages cannot be loaded into one.
+Arguments: a file descriptor set of this project's messages, which is compared with AlpaSim's, and the address of a server.
 """
 
 import io
 import sys
 
 import grpc
-from carla_driver_interface._proto import common_pb2 as common
 from carla_driver_interface._proto import egodriver_pb2 as egodriver
-from carla_driver_interface._proto import sensorsim_pb2 as messages
 from carla_driver_interface.geometry import Pose
 from google.protobuf import descriptor_pb2
 from PIL import Image
+
+from alpasim import calls, common, messages
 
 STEPS = 100
 
@@ -59,21 +58,6 @@ def compare(path):
     packages = tuple(f"{module.DESCRIPTOR.package}." for module in (common, egodriver, messages))
     extra = sorted(name for name in ours if name.startswith(packages) and name not in theirs)
     print(f"{len(theirs)} names, {len(different)} different: {different}; more here: {', '.join(extra)}")
-
-
-def calls(channel):
-    """The calls of the service, by name."""
-    service = messages.DESCRIPTOR.services_by_name["SensorsimService"]
-    known = {"common.Empty": common.Empty, "common.VersionId": common.VersionId, "common.AvailableScenesReturn": common.AvailableScenesReturn}
-    of = lambda message: known.get(message.full_name) or getattr(messages, message.name)
-    return {
-        method.name: channel.unary_unary(
-            f"/{service.full_name}/{method.name}",
-            request_serializer=of(method.input_type).SerializeToString,
-            response_deserializer=of(method.output_type).FromString,
-        )
-        for method in service.methods
-    }
 
 
 def rollout(address):
