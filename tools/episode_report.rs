@@ -3,6 +3,7 @@
 mod birds_eye;
 mod charts;
 mod comparison;
+mod hd_score;
 mod page;
 mod timing;
 
@@ -24,6 +25,7 @@ use serde_json::{Value, json};
 use crate::sites::Sites;
 
 pub use comparison::compare;
+pub use hd_score::HdScores;
 
 /// An episode and what it is worth.
 pub struct Scored {

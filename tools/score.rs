@@ -1,16 +1,28 @@
 //! `decouplegs score`: scores from logs.
 
+use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use decouplegs::asset::read_episode_log;
+use clap::ValueEnum;
+use decouplegs::asset::{read_episode_log, write_atomically};
+use decouplegs::drive::score::HdVariant;
 use decouplegs::episode::Appearance;
 
 use crate::arguments::print;
 use crate::background::BackgroundArguments;
-use crate::episode_report::{self, Scored};
+use crate::episode_report::{self, HdScores, Scored};
 use crate::progress;
 use crate::sites::Sites;
+
+/// Versions of the HD-Score.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Hugsim {
+    /// The acceleration across counts as 0, as in HUGSIM's code
+    AsPublished,
+    /// The acceleration across counts
+    Corrected,
+}
 
 /// Score episodes again from their logs, without rendering
 #[derive(clap::Args)]
@@ -22,6 +34,9 @@ pub struct Arguments {
     /// scenarios
     #[arg(long, value_name = "LOG", num_args = 1..)]
     against: Vec<PathBuf>,
+    /// Print the HD-Score of HUGSIM too, taken from what was driven; with --out, write hugsim.json
+    #[arg(long, value_name = "VERSION", value_enum, conflicts_with = "against")]
+    hugsim: Option<Hugsim>,
     /// Write report.json and report.html, with --against comparison.json and comparison.html, to
     /// this folder too
     #[arg(long, value_name = "DIR")]
@@ -42,7 +57,22 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         )?,
         None => episode_report::text(&scored)?,
     };
-    print(&text)
+    print(&text)?;
+    if let Some(version) = arguments.hugsim {
+        let variant = match version {
+            Hugsim::AsPublished => HdVariant::AsPublished,
+            Hugsim::Corrected => HdVariant::Corrected,
+        };
+        let scores = HdScores::of(&scored, variant);
+        if let Some(out) = out {
+            let report = scores.to_json(&scored);
+            write_atomically(&out.join("hugsim.json"), |file| {
+                writeln!(file, "{report:#}")
+            })?;
+        }
+        print(&scores.text(&scored))?;
+    }
+    Ok(())
 }
 
 fn read(paths: &[PathBuf]) -> Result<Vec<Scored>> {

@@ -101,6 +101,19 @@ fn episodes_are_driven_scored_and_reported() {
         .collect();
     let scored = succeed(&[vec!["score"], paths.iter().map(String::as_str).collect()].concat());
     assert_eq!(table(&scored), table(&said));
+    let out = folder.path().join("scored");
+    let hugsim = ["--hugsim", "corrected", "--out", text(&out)];
+    let paths = paths.iter().map(String::as_str);
+    let scored = succeed(&[vec!["score"], paths.collect(), hugsim.to_vec()].concat());
+    assert!(scored.contains("HD-Score of HUGSIM, corrected"), "{scored}");
+    let report = fs::read(out.join("hugsim.json")).unwrap();
+    let report: Value = serde_json::from_slice(&report).unwrap();
+    let episodes = report["episodes"].as_array().unwrap();
+    assert_eq!(episodes.len(), before.len());
+    for episode in episodes {
+        let term = |name: &str| episode[name].as_f64().unwrap();
+        assert!(term("hd_score") <= term("route_completion") && term("hd_score") >= 0.0);
+    }
 }
 
 #[test]

@@ -11,6 +11,7 @@ use decouplegs_scene::{Episode, EpisodeEnd, Level, RoadUser};
 
 mod comfort;
 mod fault;
+mod hd_score;
 mod infractions;
 mod plan_error;
 mod progress;
@@ -19,6 +20,7 @@ mod time_to_collision;
 
 pub use comfort::{Comfort, lateral_accelerations};
 pub use fault::Fault;
+pub use hd_score::{HdScore, HdVariant};
 pub use infractions::{Infraction, InfractionKind};
 pub use plan_error::{plan_ade_m, plan_errors};
 pub use progress::RouteProgress;
