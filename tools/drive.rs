@@ -31,11 +31,11 @@ use crate::arguments::{Size, print, transfer_in, warn};
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
-use crate::planner_name::PlannerName;
 use crate::progress;
 use crate::sites::Sites;
+use decouplegs_alpasim::egodriver::DriverOptions;
+use decouplegs_alpasim::planner_name::PlannerName;
 use decouplegs_cli::video;
-use decouplegs_server::egodriver::DriverOptions;
 
 /// Time between decisions of AlpaSim's runtime, seconds.
 const DRIVER_STEP_S: f64 = 0.1;

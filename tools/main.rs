@@ -21,7 +21,6 @@ mod lidar;
 mod map;
 mod open_loop;
 mod pack;
-mod planner_name;
 mod register;
 mod render;
 mod replay;

@@ -15,14 +15,14 @@ use decouplegs::planner::{Timeouts, images};
 use decouplegs::render::Image;
 use decouplegs::scene::episode::{Episode, EpisodeTick};
 use decouplegs::scene::{Plan, Pose, Rig, TimedPose, Trajectory};
-use decouplegs_server::egodriver::{DriverOptions, SensorLens};
+use decouplegs_alpasim::egodriver::{DriverOptions, SensorLens};
+use decouplegs_alpasim::planner_name::PlannerName;
 use serde_json::{Value, json};
 
 use crate::arguments::{print, transfer_in};
 use crate::background::BackgroundArguments;
 use crate::device::DeviceArguments;
 use crate::episode_report::spread;
-use crate::planner_name::PlannerName;
 use crate::sites::Sites;
 
 /// Show a planner two sources of images along the same log, such as real images and rendered ones,

@@ -60,12 +60,20 @@ const MAY_USE: &[(&str, &[&str])] = &[
         &[
             "decouplegs",
             "decouplegs-cli",
+            "decouplegs-alpasim",
             "decouplegs-server",
             "decouplegs-benches",
             "decouplegs-view",
         ],
     ),
-    ("tools/server/Cargo.toml", &["decouplegs", "decouplegs-cli"]),
+    (
+        "tools/alpasim/Cargo.toml",
+        &["decouplegs", "decouplegs-cli"],
+    ),
+    (
+        "tools/server/Cargo.toml",
+        &["decouplegs", "decouplegs-cli", "decouplegs-alpasim"],
+    ),
     ("tools/view/Cargo.toml", &["decouplegs", "decouplegs-cli"]),
     (
         "tools/python/Cargo.toml",

@@ -15,12 +15,12 @@ use std::io::Write;
 use tonic::transport::{Channel, Endpoint};
 
 use crate::options::ServerOptions;
-use crate::poses::{message_of, pose_of};
 use crate::running;
-use crate::wire::common::Empty;
-use crate::wire::sensorsim::available_cameras_return::AvailableCamera;
-use crate::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
-use crate::wire::sensorsim::{
+use decouplegs_alpasim::poses::{message_of, pose_of};
+use decouplegs_alpasim::wire::common::Empty;
+use decouplegs_alpasim::wire::sensorsim::available_cameras_return::AvailableCamera;
+use decouplegs_alpasim::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
+use decouplegs_alpasim::wire::sensorsim::{
     AvailableCamerasRequest, AvailableTrajectoriesRequest, BatchRgbRenderRequest,
     BatchRgbRenderRequestItem, DynamicObject, ImageFormat, PosePair, RgbRenderRequest,
 };

@@ -1,25 +1,8 @@
-//! Code from the messages in `proto/`, without a compiler from outside.
+//! The commit that the server was built from.
 
-use std::error::Error;
 use std::process::Command;
 
-fn main() -> Result<(), Box<dyn Error>> {
-    println!("cargo:rerun-if-changed=proto");
-    let files = protox::compile(
-        [
-            "sensorsim.proto",
-            "physics.proto",
-            "lidar.proto",
-            "egodriver.proto",
-        ],
-        ["proto"],
-    )?;
-    let mut messages = tonic_prost_build::Config::new();
-    messages.enable_type_names();
-    tonic_prost_build::configure()
-        .bytes(".")
-        .codec_path("crate::codec::BoundedCodec")
-        .compile_fds_with_config(files, messages)?;
+fn main() {
     println!(
         "cargo:rustc-env=DECOUPLEGS_GIT_HASH={}",
         git(&["rev-parse", "HEAD"]).unwrap_or_default()
@@ -27,7 +10,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     if let Some(log) = git(&["rev-parse", "--git-path", "logs/HEAD"]) {
         println!("cargo:rerun-if-changed={log}");
     }
-    Ok(())
 }
 
 /// Output of git in the folder of this package; none without git or without a repository.

@@ -8,15 +8,15 @@ use decouplegs::scene::{LidarModel, RigLidar};
 use tonic::{Request, Response, Status};
 
 use crate::names::check_name;
-use crate::poses::message_of;
 use crate::sensorsim::{Sensorsim, metadata_of};
 use crate::sweep_request::{SweepRequest, models};
-use crate::wire::lidar::lidar_server::Lidar;
-use crate::wire::lidar::{
+use decouplegs_alpasim::poses::message_of;
+use decouplegs_alpasim::wire::lidar::lidar_server::Lidar;
+use decouplegs_alpasim::wire::lidar::{
     AvailableLidar, AvailableLidarsRequest, AvailableLidarsReturn, SweepRequest as NamedRequest,
     SweepReturn,
 };
-use crate::wire::sensorsim::LidarRenderReturn;
+use decouplegs_alpasim::wire::sensorsim::LidarRenderReturn;
 
 impl Sensorsim {
     /// Points of the sweep that `request` asks for.

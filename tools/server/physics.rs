@@ -12,14 +12,22 @@ use tonic::{Request, Response, Status};
 use crate::cache::Cache;
 use crate::names::{check_name, no_scene};
 use crate::options::Limits;
-use crate::poses::{message_of, pose_of};
 use crate::scene_registry::SceneRegistry;
 use crate::sensorsim::version;
-use crate::wire::common::{Aabb, AvailableScenesReturn, Empty, PoseAtTime, Trajectory, VersionId};
-use crate::wire::physics::physics_ground_intersection_request::{EgoData, OtherObject};
-use crate::wire::physics::physics_ground_intersection_return::{ReturnPose, Status as Outcome};
-use crate::wire::physics::physics_service_server::PhysicsService;
-use crate::wire::physics::{PhysicsGroundIntersectionRequest, PhysicsGroundIntersectionReturn};
+use decouplegs_alpasim::poses::{message_of, pose_of};
+use decouplegs_alpasim::wire::common::{
+    Aabb, AvailableScenesReturn, Empty, PoseAtTime, Trajectory, VersionId,
+};
+use decouplegs_alpasim::wire::physics::physics_ground_intersection_request::{
+    EgoData, OtherObject,
+};
+use decouplegs_alpasim::wire::physics::physics_ground_intersection_return::{
+    ReturnPose, Status as Outcome,
+};
+use decouplegs_alpasim::wire::physics::physics_service_server::PhysicsService;
+use decouplegs_alpasim::wire::physics::{
+    PhysicsGroundIntersectionRequest, PhysicsGroundIntersectionReturn,
+};
 
 /// A box that would be raised or lowered by more is left where it is, meters: as simulators' own
 /// ground service does.

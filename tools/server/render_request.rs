@@ -5,12 +5,12 @@ use std::collections::HashSet;
 use decouplegs::scene::{Intrinsics, Motion, Pose};
 use tonic::Status;
 
-use crate::camera_spec::{intrinsics_of, shutter_of};
-use crate::encoding::Encoding;
 use crate::names::check_name;
 use crate::options::Limits;
-use crate::poses::middle_of;
-use crate::wire::sensorsim::{DynamicObject, RgbRenderRequest};
+use decouplegs_alpasim::camera_spec::{intrinsics_of, shutter_of};
+use decouplegs_alpasim::encoding::Encoding;
+use decouplegs_alpasim::poses::middle_of;
+use decouplegs_alpasim::wire::sensorsim::{DynamicObject, RgbRenderRequest};
 
 /// An agent where a request puts it, in the local frame.
 #[derive(Clone, Debug, PartialEq)]

@@ -16,7 +16,6 @@ use tonic::transport::{Identity, Server, ServerTlsConfig};
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, health_reporter};
 
-use crate::encoding::Encoders;
 use crate::metrics::Metrics;
 use crate::names::{LIDAR, PHYSICS, PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
 use crate::options::ServerOptions;
@@ -25,10 +24,11 @@ use crate::render_queue::RenderQueue;
 use crate::request_guard::GateLayer;
 use crate::scene_registry::SceneRegistry;
 use crate::sensorsim::Sensorsim;
-use crate::wire::lidar::lidar_server::LidarServer;
-use crate::wire::physics::physics_service_server::PhysicsServiceServer;
-use crate::wire::sensorsim::sensorsim_service_server::SensorsimServiceServer;
 use crate::{connections, metrics_page};
+use decouplegs_alpasim::encoding::Encoders;
+use decouplegs_alpasim::wire::lidar::lidar_server::LidarServer;
+use decouplegs_alpasim::wire::physics::physics_service_server::PhysicsServiceServer;
+use decouplegs_alpasim::wire::sensorsim::sensorsim_service_server::SensorsimServiceServer;
 
 /// Streams that one connection may have open at a time.
 const STREAMS_MAX: u32 = 128;

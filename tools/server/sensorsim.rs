@@ -10,23 +10,25 @@ use futures_util::future::join_all;
 use tokio::sync::oneshot;
 use tonic::{Code, Request, Response, Status};
 
-use crate::camera_spec::spec_of;
-use crate::encoding::{Encoders, encode};
 use crate::image_memory::Images;
 use crate::metrics::Metrics;
 use crate::names::{CONTRACT_VERSION, check_name, no_scene};
 use crate::options::Limits;
-use crate::poses::message_of;
 use crate::render_queue::RenderQueue;
 use crate::render_request::RenderRequest;
 use crate::scene_registry::{SceneMetadata, SceneRegistry};
 use crate::sweep_request::SweepRequest;
-use crate::wire::common::version_id::ApiVersion;
-use crate::wire::common::{AvailableScenesReturn, Empty, PoseAtTime, Trajectory, VersionId};
-use crate::wire::sensorsim::available_cameras_return::AvailableCamera;
-use crate::wire::sensorsim::available_trajectories_return::AvailableTrajectory;
-use crate::wire::sensorsim::sensorsim_service_server::SensorsimService;
-use crate::wire::sensorsim::{
+use decouplegs_alpasim::camera_spec::spec_of;
+use decouplegs_alpasim::encoding::{Encoders, encode};
+use decouplegs_alpasim::poses::message_of;
+use decouplegs_alpasim::wire::common::version_id::ApiVersion;
+use decouplegs_alpasim::wire::common::{
+    AvailableScenesReturn, Empty, PoseAtTime, Trajectory, VersionId,
+};
+use decouplegs_alpasim::wire::sensorsim::available_cameras_return::AvailableCamera;
+use decouplegs_alpasim::wire::sensorsim::available_trajectories_return::AvailableTrajectory;
+use decouplegs_alpasim::wire::sensorsim::sensorsim_service_server::SensorsimService;
+use decouplegs_alpasim::wire::sensorsim::{
     AggregatedRenderRequest, AggregatedRenderReturn, AvailableCamerasRequest,
     AvailableCamerasReturn, AvailableEgoMasksReturn, AvailableTrajectoriesRequest,
     AvailableTrajectoriesReturn, BatchRgbRenderRequest, BatchRgbRenderReturn,

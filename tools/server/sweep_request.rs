@@ -11,10 +11,12 @@ use tonic::Status;
 
 use crate::names::check_name;
 use crate::options::Limits;
-use crate::poses::pair_of;
 use crate::render_request::{PlacedObject, objects_of};
-use crate::wire::lidar::SweepRequest as NamedRequest;
-use crate::wire::sensorsim::{DynamicObject, LidarDeviceType, LidarRenderRequest, PosePair};
+use decouplegs_alpasim::poses::pair_of;
+use decouplegs_alpasim::wire::lidar::SweepRequest as NamedRequest;
+use decouplegs_alpasim::wire::sensorsim::{
+    DynamicObject, LidarDeviceType, LidarRenderRequest, PosePair,
+};
 
 /// Request for one sweep.
 #[derive(Clone, Debug, PartialEq)]

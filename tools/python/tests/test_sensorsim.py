@@ -8,7 +8,7 @@ import pytest
 
 from program import PROGRAM, needs_program
 
-PROTO = Path(__file__).parents[2] / "server/proto"
+PROTO = Path(__file__).parents[2] / "alpasim/proto"
 
 pytestmark = needs_program
 

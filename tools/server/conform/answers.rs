@@ -7,8 +7,8 @@ use tonic::Code;
 use super::check::{Judged, Stop, failed};
 use super::rgb_image::RgbImage;
 use super::target::Target;
-use crate::wire::common::{Empty, Pose};
-use crate::wire::sensorsim::{
+use decouplegs_alpasim::wire::common::{Empty, Pose};
+use decouplegs_alpasim::wire::sensorsim::{
     AvailableCamerasRequest, AvailableTrajectoriesRequest, BatchRgbRenderRequest,
     BatchRgbRenderRequestItem, ImageFormat, RgbRenderRequest,
 };

@@ -11,9 +11,9 @@ use super::MESSAGE_BYTES_MAX;
 use super::check::{Judged, Stop, failed};
 use super::rgb_image::RgbImage;
 use super::target::{FOCAL_PX, SIZE_PX, Target, spec_of};
-use crate::wire::sensorsim::camera_spec::CameraParam;
-use crate::wire::sensorsim::ftheta_camera_param::PolynomialType;
-use crate::wire::sensorsim::{
+use decouplegs_alpasim::wire::sensorsim::camera_spec::CameraParam;
+use decouplegs_alpasim::wire::sensorsim::ftheta_camera_param::PolynomialType;
+use decouplegs_alpasim::wire::sensorsim::{
     FthetaCameraParam, ImageFormat, LinearCde, OpenCvFisheyeCameraParam, RgbRenderRequest,
     RgbRenderReturn,
 };

@@ -6,7 +6,7 @@ use glam::DVec3;
 use super::check::{Judged, Stop, failed};
 use super::rgb_image::RgbImage;
 use super::target::{SIZE_PX, Target, pair, pinhole, spec_of};
-use crate::wire::sensorsim::{CameraSpec, RgbRenderRequest, ShutterType};
+use decouplegs_alpasim::wire::sensorsim::{CameraSpec, RgbRenderRequest, ShutterType};
 
 /// Largest mean difference of a rolling shutter at rest from a global one, of 255.
 const REST_DIFFERENCE_MAX: f64 = 0.05;
@@ -198,7 +198,7 @@ pub(super) async fn unknown_object(target: &mut Target) -> Judged {
     let without = target.image(request.clone()).await?;
     let sensor = target.sensor();
     let request = RgbRenderRequest {
-        dynamic_objects: vec![crate::wire::sensorsim::DynamicObject {
+        dynamic_objects: vec![decouplegs_alpasim::wire::sensorsim::DynamicObject {
             track_id: "no-object-has-this-name".into(),
             pose_pair: Some(pair(&sensor, &sensor)),
         }],

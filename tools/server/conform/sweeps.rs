@@ -6,7 +6,7 @@ use glam::{DQuat, DVec3};
 use super::check::{Judged, Stop, failed};
 use super::rgb_image::RgbImage;
 use super::target::{Target, pair};
-use crate::wire::sensorsim::{
+use decouplegs_alpasim::wire::sensorsim::{
     AggregatedRenderRequest, LidarDeviceType, LidarRenderRequest, LidarRenderReturn, LidarSpec,
 };
 

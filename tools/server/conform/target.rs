@@ -13,12 +13,12 @@ use decouplegs::scene::Pose;
 use super::check::Stop;
 use super::rgb_image::RgbImage;
 use super::{ConformOptions, MESSAGE_BYTES_MAX};
-use crate::poses::{message_of, pose_of};
-use crate::wire::common::Empty;
-use crate::wire::sensorsim::available_cameras_return::AvailableCamera;
-use crate::wire::sensorsim::camera_spec::CameraParam;
-use crate::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
-use crate::wire::sensorsim::{
+use decouplegs_alpasim::poses::{message_of, pose_of};
+use decouplegs_alpasim::wire::common::Empty;
+use decouplegs_alpasim::wire::sensorsim::available_cameras_return::AvailableCamera;
+use decouplegs_alpasim::wire::sensorsim::camera_spec::CameraParam;
+use decouplegs_alpasim::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
+use decouplegs_alpasim::wire::sensorsim::{
     AvailableCamerasRequest, AvailableTrajectoriesRequest, CameraSpec, DynamicObject, ImageFormat,
     OpenCvPinholeCameraParam, PosePair, RgbRenderRequest,
 };
@@ -203,7 +203,7 @@ pub(super) fn spec_of(lens: CameraParam) -> CameraSpec {
         camera_param: Some(lens),
         resolution_w: SIZE_PX[0],
         resolution_h: SIZE_PX[1],
-        shutter_type: crate::wire::sensorsim::ShutterType::Global.into(),
+        shutter_type: decouplegs_alpasim::wire::sensorsim::ShutterType::Global.into(),
         ..CameraSpec::default()
     }
 }

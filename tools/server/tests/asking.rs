@@ -3,15 +3,15 @@
 use std::path::PathBuf;
 
 use decouplegs::scene::Pose;
-use decouplegs_server::options::ServerOptions;
-use decouplegs_server::running::{self, Running};
-use decouplegs_server::wire::common;
-use decouplegs_server::wire::sensorsim::available_cameras_return::AvailableCamera;
-use decouplegs_server::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
-use decouplegs_server::wire::sensorsim::{
+use decouplegs_alpasim::wire::common;
+use decouplegs_alpasim::wire::sensorsim::available_cameras_return::AvailableCamera;
+use decouplegs_alpasim::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
+use decouplegs_alpasim::wire::sensorsim::{
     AvailableCamerasRequest, BatchRgbRenderRequest, BatchRgbRenderRequestItem, DynamicObject,
     ImageFormat, PosePair, RgbRenderRequest,
 };
+use decouplegs_server::options::ServerOptions;
+use decouplegs_server::running::{self, Running};
 use glam::{DQuat, DVec3};
 use tonic::transport::{Channel, Endpoint};
 

@@ -6,20 +6,20 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 
-use decouplegs_server::conform::{Check, ConformOptions, Outcome, Report, judge};
-use decouplegs_server::wire::common::{AvailableScenesReturn, Empty, VersionId};
-use decouplegs_server::wire::sensorsim::camera_spec::CameraParam;
-use decouplegs_server::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
-use decouplegs_server::wire::sensorsim::sensorsim_service_server::{
+use decouplegs_alpasim::wire::common::{AvailableScenesReturn, Empty, VersionId};
+use decouplegs_alpasim::wire::sensorsim::camera_spec::CameraParam;
+use decouplegs_alpasim::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
+use decouplegs_alpasim::wire::sensorsim::sensorsim_service_server::{
     SensorsimService, SensorsimServiceServer,
 };
-use decouplegs_server::wire::sensorsim::{
+use decouplegs_alpasim::wire::sensorsim::{
     AggregatedRenderRequest, AggregatedRenderReturn, AvailableCamerasRequest,
     AvailableCamerasReturn, AvailableEgoMasksReturn, AvailableTrajectoriesRequest,
     AvailableTrajectoriesReturn, BatchRgbRenderRequest, BatchRgbRenderReturn, ImageFormat,
     LidarRenderRequest, LidarRenderReturn, LoadedScenesReturn, RgbRenderRequest, RgbRenderReturn,
     ShutterType,
 };
+use decouplegs_server::conform::{Check, ConformOptions, Outcome, Report, judge};
 use tokio::net::TcpListener;
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::TcpListenerStream;
@@ -179,7 +179,7 @@ impl Faulty {
             .map(|pair| [&mut pair.start_pose, &mut pair.end_pose]);
         for pose in poses.into_iter().flatten().flatten() {
             if self.fault == Some(Fault::IgnoresSensorTurn) {
-                pose.quat = Some(decouplegs_server::wire::common::Quat {
+                pose.quat = Some(decouplegs_alpasim::wire::common::Quat {
                     w: 1.0,
                     ..Default::default()
                 });

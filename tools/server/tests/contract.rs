@@ -3,21 +3,21 @@
 use std::collections::HashSet;
 
 use decouplegs::scene::Pose;
-use decouplegs_server::names::{PHYSICS, PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
-use decouplegs_server::running::Running;
-use decouplegs_server::wire::common::{Aabb, AvailableScenesReturn, Empty, VersionId};
-use decouplegs_server::wire::physics::physics_ground_intersection_request::{
+use decouplegs_alpasim::wire::common::{Aabb, AvailableScenesReturn, Empty, VersionId};
+use decouplegs_alpasim::wire::physics::physics_ground_intersection_request::{
     OtherObject, PosePair,
 };
-use decouplegs_server::wire::physics::{
+use decouplegs_alpasim::wire::physics::{
     PhysicsGroundIntersectionRequest, PhysicsGroundIntersectionReturn,
 };
-use decouplegs_server::wire::sensorsim::{
+use decouplegs_alpasim::wire::sensorsim::{
     AggregatedRenderRequest, AggregatedRenderReturn, AvailableCamerasRequest,
     AvailableCamerasReturn, AvailableEgoMasksReturn, AvailableTrajectoriesRequest,
     AvailableTrajectoriesReturn, BatchRgbRenderReturn, ImageFormat, LidarRenderRequest,
     LidarRenderReturn, LoadedScenesReturn, RgbRenderRequest, RgbRenderReturn,
 };
+use decouplegs_server::names::{PHYSICS, PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
+use decouplegs_server::running::Running;
 use glam::DVec3;
 use tonic::client::Grpc;
 use tonic::transport::Channel;

@@ -4,12 +4,12 @@ use std::time::{Duration, Instant};
 
 use bytes::{Buf, BufMut, Bytes};
 use decouplegs::scene::Pose;
-use decouplegs_server::running::Running;
-use decouplegs_server::wire::common::{Quat, Vec3};
-use decouplegs_server::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
-use decouplegs_server::wire::sensorsim::{
+use decouplegs_alpasim::wire::common::{Quat, Vec3};
+use decouplegs_alpasim::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
+use decouplegs_alpasim::wire::sensorsim::{
     CameraSpec, DynamicObject, ImageFormat, RgbRenderRequest,
 };
+use decouplegs_server::running::Running;
 use prost::Message;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;

@@ -7,10 +7,10 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use decouplegs::scene::Pose;
+use decouplegs_alpasim::wire::common::Empty;
+use decouplegs_alpasim::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
+use decouplegs_alpasim::wire::sensorsim::{AvailableCamerasRequest, ImageFormat, RgbRenderRequest};
 use decouplegs_server::running::Running;
-use decouplegs_server::wire::common::Empty;
-use decouplegs_server::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
-use decouplegs_server::wire::sensorsim::{AvailableCamerasRequest, ImageFormat, RgbRenderRequest};
 use glam::DVec3;
 use tonic::Code;
 use tonic::transport::{Channel, Endpoint};

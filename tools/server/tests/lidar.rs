@@ -4,12 +4,12 @@ use decouplegs::open_movable_scene;
 use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions};
 use decouplegs::scene::{Motion, Pose, RigLidar};
 use decouplegs::session::{Session, SessionOptions, World};
-use decouplegs_server::running::Running;
-use decouplegs_server::wire::lidar::lidar_client::LidarClient;
-use decouplegs_server::wire::lidar::{AvailableLidarsRequest, SweepRequest};
-use decouplegs_server::wire::sensorsim::{
+use decouplegs_alpasim::wire::lidar::lidar_client::LidarClient;
+use decouplegs_alpasim::wire::lidar::{AvailableLidarsRequest, SweepRequest};
+use decouplegs_alpasim::wire::sensorsim::{
     AggregatedRenderRequest, LidarDeviceType, LidarRenderRequest, LidarSpec, PosePair,
 };
+use decouplegs_server::running::Running;
 use glam::DVec3;
 use tonic::Code;
 use tonic::transport::Channel;

@@ -3,8 +3,6 @@
 mod asking;
 mod conforming;
 mod contract;
-mod egodriver;
-mod fake_driver;
 mod hostile;
 mod lasting;
 mod lidar;

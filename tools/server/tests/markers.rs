@@ -2,10 +2,10 @@
 //! is written here.
 
 use decouplegs::scene::Pose;
-use decouplegs_server::wire::common;
-use decouplegs_server::wire::sensorsim::available_cameras_return::AvailableCamera;
-use decouplegs_server::wire::sensorsim::camera_spec::CameraParam;
-use decouplegs_server::wire::sensorsim::{ImageFormat, RgbRenderRequest, ShutterType};
+use decouplegs_alpasim::wire::common;
+use decouplegs_alpasim::wire::sensorsim::available_cameras_return::AvailableCamera;
+use decouplegs_alpasim::wire::sensorsim::camera_spec::CameraParam;
+use decouplegs_alpasim::wire::sensorsim::{ImageFormat, RgbRenderRequest, ShutterType};
 use glam::{DQuat, DVec3};
 
 use crate::asking::{cameras, client, message, object, options, pair, pose, request, serve};

@@ -5,13 +5,13 @@ use std::collections::HashSet;
 
 use decouplegs::asset::SceneFile;
 use decouplegs::scene::{Pose, Trajectory};
-use decouplegs_server::wire::common::{Aabb, Empty, PoseAtTime};
-use decouplegs_server::wire::physics::PhysicsGroundIntersectionRequest;
-use decouplegs_server::wire::physics::physics_ground_intersection_request::{
+use decouplegs_alpasim::wire::common::{Aabb, Empty, PoseAtTime};
+use decouplegs_alpasim::wire::physics::PhysicsGroundIntersectionRequest;
+use decouplegs_alpasim::wire::physics::physics_ground_intersection_request::{
     EgoData, OtherObject, PosePair,
 };
-use decouplegs_server::wire::physics::physics_service_client::PhysicsServiceClient;
-use decouplegs_server::wire::sensorsim::{ImageFormat, RgbRenderRequest};
+use decouplegs_alpasim::wire::physics::physics_service_client::PhysicsServiceClient;
+use decouplegs_alpasim::wire::sensorsim::{ImageFormat, RgbRenderRequest};
 
 use crate::asking::{
     batch, cameras, channel, client, message, object, options, pair, pose, request, serve,
@@ -127,7 +127,7 @@ async fn grounded(
         pose: Some(message(&at(ego_way, time_us))),
         timestamp_us: time_us,
     };
-    let trajectory = decouplegs_server::wire::common::Trajectory {
+    let trajectory = decouplegs_alpasim::wire::common::Trajectory {
         poses: vec![timed(now_us), timed(then_us)],
     };
     let other = |way: &Trajectory| {

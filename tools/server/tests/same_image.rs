@@ -3,7 +3,7 @@
 use decouplegs::open_movable_scene;
 use decouplegs::scene::{Camera, Motion, Pose};
 use decouplegs::session::{HostImages, Session, SessionOptions, World, WorldView};
-use decouplegs_server::wire::sensorsim::ImageFormat;
+use decouplegs_alpasim::wire::sensorsim::ImageFormat;
 use glam::DVec3;
 
 use crate::asking::{cameras, client, object, options, png, pose, request, serve};

@@ -6,10 +6,10 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use decouplegs::scene::Pose;
+use decouplegs_alpasim::wire::common::Empty;
+use decouplegs_alpasim::wire::sensorsim::ImageFormat;
+use decouplegs_alpasim::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
 use decouplegs_server::names::{PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
-use decouplegs_server::wire::common::Empty;
-use decouplegs_server::wire::sensorsim::ImageFormat;
-use decouplegs_server::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tonic::transport::{Certificate, ClientTlsConfig, Endpoint};
@@ -137,7 +137,7 @@ async fn metrics_tell_what_was_asked() {
         .await
         .unwrap();
     client
-        .render_rgb(decouplegs_server::wire::sensorsim::RgbRenderRequest::default())
+        .render_rgb(decouplegs_alpasim::wire::sensorsim::RgbRenderRequest::default())
         .await
         .unwrap_err();
     let address = running.metrics_address.unwrap();

@@ -13,10 +13,11 @@ use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
 use decouplegs::planner::{
-    Cameras, EpisodeInfo, Localization, Observation, ObservationRequest, Planner, PlannerError,
-    Timeouts, images,
+    Cameras, EpisodeInfo, Frame, Localization, Observation, ObservationRequest, Planner,
+    PlannerError, Timeouts, images,
 };
 use decouplegs::scene::{Plan, RigCamera, Sensor};
+use rayon::prelude::*;
 use tokio::runtime::Runtime;
 use tonic::metadata::MetadataValue;
 use tonic::transport::{Channel, Endpoint};
@@ -136,6 +137,30 @@ impl Egodriver {
         }
     }
 
+    /// Message with the image `frame`, drawn at `now_us`.
+    fn image(
+        &self,
+        frame: &Frame,
+        uuid: &str,
+        now_us: u64,
+    ) -> Result<RolloutCameraImage, PlannerError> {
+        let file = self.options.driver_images.encode(frame);
+        let name = &frame.camera.name;
+        let image_bytes =
+            file.map_err(|error| self.failed(&format!("gets no image of {name}: {error}")))?;
+        let [frame_start_us, frame_end_us] =
+            messages::exposure_us(&frame.camera.intrinsics, now_us);
+        Ok(RolloutCameraImage {
+            session_uuid: uuid.to_owned(),
+            camera_image: Some(CameraImage {
+                frame_start_us,
+                frame_end_us,
+                image_bytes: image_bytes.into(),
+                logical_id: self.options.logical_id(name).to_owned(),
+            }),
+        })
+    }
+
     fn close(&mut self) {
         let Some(DriverSession { uuid, .. }) = self.session.take() else {
             return;
@@ -157,23 +182,12 @@ impl Egodriver {
     ) -> Result<DriveResponse, PlannerError> {
         let uuid = &session.uuid;
         let now_us = messages::time_us(observation.time_s);
-        let mut sent_images = Vec::new();
-        for frame in images(observation.readings) {
-            let image_bytes = self.options.driver_images.encode(&frame).map_err(|error| {
-                self.failed(&format!("gets no image of {}: {error}", frame.camera.name))
-            })?;
-            let [frame_start_us, frame_end_us] =
-                messages::exposure_us(&frame.camera.intrinsics, now_us);
-            sent_images.push(RolloutCameraImage {
-                session_uuid: uuid.clone(),
-                camera_image: Some(CameraImage {
-                    frame_start_us,
-                    frame_end_us,
-                    image_bytes: image_bytes.into(),
-                    logical_id: self.options.logical_id(&frame.camera.name).to_owned(),
-                }),
-            });
-        }
+        let frames: Vec<Frame> = images(observation.readings).collect();
+        // Files of large images take longer to make than the images.
+        let files = frames
+            .par_iter()
+            .map(|frame| self.image(frame, uuid, now_us));
+        let sent_images: Vec<RolloutCameraImage> = files.collect::<Result<_, _>>()?;
         let (trajectory, dynamic_states) = session.frames.path(localization);
         let egomotion = RolloutEgoTrajectory {
             session_uuid: uuid.clone(),

@@ -7,22 +7,21 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use decouplegs::scene::Pose;
-use decouplegs_server::egodriver::DriverAddress;
-use decouplegs_server::wire::common::{
+use decouplegs_alpasim::egodriver::DriverAddress;
+use decouplegs_alpasim::poses::{message_of, pose_of};
+use decouplegs_alpasim::wire::common::{
     Empty, PoseAtTime, SessionRequestStatus, Trajectory, VersionId,
 };
-use decouplegs_server::wire::egodriver::egodriver_service_server::{
+use decouplegs_alpasim::wire::egodriver::egodriver_service_server::{
     EgodriverService, EgodriverServiceServer,
 };
-use decouplegs_server::wire::egodriver::{
+use decouplegs_alpasim::wire::egodriver::{
     DriveRequest, DriveResponse, DriveSessionCloseRequest, DriveSessionRequest, GroundTruthRequest,
     RolloutCameraImage, RolloutEgoTrajectory, RouteRequest,
 };
 use glam::{DQuat, DVec3};
 use tokio_stream::wrappers::TcpListenerStream;
 use tonic::{Request, Response, Status};
-
-use crate::asking::{message, pose};
 
 /// From pose to pose of an answer, and the number of poses.
 const SPACING_US: u64 = 100_000;
@@ -190,7 +189,7 @@ impl EgodriverService for FakeDriver {
         self.note(|asked| asked.drives.push(request.clone()))?;
         let count = self.asked().drives.len();
         let at = |pose: &Pose, timestamp_us: u64| PoseAtTime {
-            pose: Some(message(pose)),
+            pose: Some(message_of(pose)),
             timestamp_us,
         };
         let mut response = DriveResponse::default();
@@ -200,7 +199,7 @@ impl EgodriverService for FakeDriver {
                 speed_mps,
                 from,
             } if count > from => {
-                let begin = pose(&anchor.pose.unwrap());
+                let begin = pose_of(anchor.pose.as_ref(), "anchor").unwrap();
                 let poses = (0..=POSES).map(|index| {
                     let after_us = index * SPACING_US;
                     let way_m = speed_mps * after_us as f64 * 1e-6;

@@ -3,19 +3,24 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::egodriver::{DriverAddress, DriverOptions, Egodriver};
 use anyhow::{Context, Result};
 use decouplegs::planner::{Planner, PlannerChoice, PlannerError, Timeouts};
-use decouplegs_server::egodriver::{DriverAddress, DriverOptions, Egodriver};
 
-/// Planner of the engine, or a driver of AlpaSim's contract.
-#[derive(Clone, Debug)]
+/// Planner of the engine, or a driver of AlpaSim.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PlannerName {
+    /// Planner of the engine.
     Engine(PlannerChoice),
+    /// Driver at this address.
     Driver(DriverAddress),
 }
 
 impl PlannerName {
     /// Opens the planner. Answers are waited for as `timeouts` say.
+    ///
+    /// # Errors
+    /// Returns an error if it cannot be started or reached.
     pub fn open(&self, timeouts: Timeouts, options: &DriverOptions) -> Result<Box<dyn Planner>> {
         let opened: Result<Box<dyn Planner>, PlannerError> = match self {
             Self::Engine(choice) => choice.open(timeouts),
@@ -25,6 +30,8 @@ impl PlannerName {
         opened.with_context(|| format!("the planner {self} is not to be had"))
     }
 
+    /// True for a driver of AlpaSim.
+    #[must_use]
     pub fn is_driver(&self) -> bool {
         matches!(self, Self::Driver(_))
     }

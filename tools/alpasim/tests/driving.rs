@@ -12,13 +12,13 @@ use decouplegs::planner::{
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{EpisodeEnd, Level, Plan, PlanPoint, Scenario, Weather};
 use decouplegs::session::{Session, SessionOptions};
-use decouplegs_server::egodriver::{
+use decouplegs_alpasim::egodriver::{
     DriverAddress, DriverOptions, Egodriver, ImageFile, Padding, SensorLens,
 };
-use decouplegs_server::wire::sensorsim::camera_spec::CameraParam;
+use decouplegs_alpasim::poses::pose_of;
+use decouplegs_alpasim::wire::sensorsim::camera_spec::CameraParam;
 use glam::DVec3;
 
-use crate::asking::{png, pose};
 use crate::fake_driver::{FakeDriver, Manner, on_circle};
 
 /// A bend that the street has room for, at 8 m/s.
@@ -53,6 +53,16 @@ fn scenario(site: &Site, duration_s: f64) -> Scenario {
         duration_s,
         ..scenario
     }
+}
+
+/// Size and pixels of a PNG file, three bytes per pixel.
+fn png(bytes: &[u8]) -> ([u32; 2], Vec<u8>) {
+    let mut reader = png::Decoder::new(std::io::Cursor::new(bytes))
+        .read_info()
+        .unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    let frame = reader.next_frame(&mut pixels).unwrap();
+    ([frame.width, frame.height], pixels)
 }
 
 fn patience(answer: Duration) -> Timeouts {
@@ -303,7 +313,9 @@ fn a_driver_gets_the_cameras_and_images_that_it_asked_for() {
     let own = rig.cameras().find(|camera| camera.name == "front").unwrap();
     let size = episode.head.scenario.ego.size;
     let up = DVec3::new(0.3 * size.length_m, 0.0, 0.5 * size.height_m);
-    let told = pose(&camera.rig_to_camera.unwrap()).translation;
+    let told = pose_of(camera.rig_to_camera.as_ref(), "camera")
+        .unwrap()
+        .translation;
     assert!(
         (told - own.rig_from_camera.translation - up).length() < 1e-5,
         "{told}"
