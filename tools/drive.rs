@@ -37,9 +37,6 @@ use decouplegs_alpasim::egodriver::DriverOptions;
 use decouplegs_alpasim::planner_name::PlannerName;
 use decouplegs_cli::video;
 
-/// Time between decisions of AlpaSim's runtime, seconds.
-const DRIVER_STEP_S: f64 = 0.1;
-
 /// Traffic lights of generated scenarios.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum TrafficLights {
@@ -224,8 +221,7 @@ impl Arguments {
 
     /// Time from one plan to the next, seconds; `None` for that of the scenario.
     fn step_s(&self) -> Option<f64> {
-        self.step
-            .or(self.planner.is_driver().then_some(DRIVER_STEP_S))
+        self.step.or(self.planner.step_s())
     }
 
     fn planner(&self) -> Result<Box<dyn Planner>> {
@@ -422,9 +418,8 @@ impl Worker<'_> {
                 rig.sensors.extend(lidars.into_iter().map(Sensor::Lidar));
                 let mut renderer =
                     ObservationRenderer::new(renderer, scene, rig, run.arguments.render.0);
-                if run.arguments.planner.is_driver() {
-                    renderer = run.arguments.driver.fit(renderer)?;
-                }
+                let (name, options) = (&run.arguments.planner, &run.arguments.driver);
+                renderer = name.fit(renderer, options)?;
                 let driven = drive(
                     &job.scenario,
                     &ready.site,

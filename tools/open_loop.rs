@@ -127,10 +127,8 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
     let plans = match (sites.session(), &ready.scene) {
         (Some(session), Some(scene)) => {
             let rig = chosen(&ready.site.loaded.rig, &wanted, size_px)?;
-            let mut renderer = ObservationRenderer::new(session.batch_renderer(), scene, rig, 1);
-            if arguments.planner.is_driver() {
-                renderer = arguments.driver.fit(renderer)?;
-            }
+            let renderer = ObservationRenderer::new(session.batch_renderer(), scene, rig, 1);
+            let mut renderer = arguments.planner.fit(renderer, &arguments.driver)?;
             let rig = renderer.rig().clone();
             let mut shadow = Simulation::new(&episode.head.scenario, &ready.site)?;
             let drawn = |step: u32| -> Result<Images> {

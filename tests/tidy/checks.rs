@@ -74,7 +74,10 @@ const MAY_USE: &[(&str, &[&str])] = &[
         "tools/server/Cargo.toml",
         &["decouplegs", "decouplegs-cli", "decouplegs-alpasim"],
     ),
-    ("tools/view/Cargo.toml", &["decouplegs", "decouplegs-cli"]),
+    (
+        "tools/view/Cargo.toml",
+        &["decouplegs", "decouplegs-cli", "decouplegs-alpasim"],
+    ),
     (
         "tools/python/Cargo.toml",
         &["decouplegs", "decouplegs-sharing"],

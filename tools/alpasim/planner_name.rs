@@ -3,9 +3,14 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::egodriver::{DriverAddress, DriverOptions, Egodriver};
+use crate::egodriver::{DriverAddress, DriverOptions, Egodriver, SensorLens};
 use anyhow::{Context, Result};
+use decouplegs::episode::ObservationRenderer;
 use decouplegs::planner::{Planner, PlannerChoice, PlannerError, Timeouts};
+use decouplegs::scene::Invalid;
+
+/// Time between decisions of AlpaSim's runtime, seconds.
+const DRIVER_STEP_S: f64 = 0.1;
 
 /// Planner of the engine, or a driver of AlpaSim.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -34,6 +39,28 @@ impl PlannerName {
     #[must_use]
     pub fn is_driver(&self) -> bool {
         matches!(self, Self::Driver(_))
+    }
+
+    /// Time from one plan to the next, seconds, unless something else is asked for; `None` for that
+    /// of the scenario.
+    #[must_use]
+    pub fn step_s(&self) -> Option<f64> {
+        self.is_driver().then_some(DRIVER_STEP_S)
+    }
+
+    /// Gives the cameras of `renderer` the lens that `options` ask for, for a driver.
+    ///
+    /// # Errors
+    /// A sentence naming a camera that can have none.
+    pub fn fit(
+        &self,
+        renderer: ObservationRenderer,
+        options: &DriverOptions,
+    ) -> Result<ObservationRenderer, Invalid> {
+        match (self, options.driver_lens) {
+            (Self::Driver(_), SensorLens::FTheta) => renderer.through_f_theta(),
+            _ => Ok(renderer),
+        }
     }
 }
 

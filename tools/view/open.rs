@@ -10,12 +10,14 @@ use decouplegs::planner::PlannerChoice;
 use decouplegs::scene::Scenario;
 use decouplegs::scene::episode::Episode;
 use decouplegs::session::Session;
+use decouplegs_alpasim::egodriver::DriverOptions;
+use decouplegs_alpasim::planner_name::PlannerName;
 use decouplegs_cli::arguments::transfer_in;
 use decouplegs_cli::progress;
 use decouplegs_cli::scene_source::{Scene, SceneOptions};
 
 use crate::played::Played;
-use crate::scenario_edits::{Place, ScenarioEditor};
+use crate::scenario_edits::{LivePlanner, Place, ScenarioEditor};
 use crate::scene_course::SceneCourse;
 use crate::source::Source;
 
@@ -29,7 +31,7 @@ pub struct SourceArguments {
     /// With a scenario: the planner that drives while you look [default: lane-follow]. As in
     /// 'decouplegs drive'
     #[arg(long, value_name = "PLANNER")]
-    planner: Option<PlannerChoice>,
+    planner: Option<PlannerName>,
     /// Compare with this: another scene, another log, or a planner that drives the same scenario
     #[arg(long, value_name = "FILE|PLANNER")]
     against: Option<String>,
@@ -43,6 +45,8 @@ pub struct SourceArguments {
     /// With a log or a scenario: light transfer for the cars, as given to 'drive'
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
+    #[command(flatten)]
+    driver: DriverOptions,
 }
 
 /// Kind of a file that can be shown.
@@ -88,9 +92,17 @@ impl SourceArguments {
             Input::Log(episode) => self.episodes(&path, &Start::Log(episode), session),
             Input::Scenario(scenario) => {
                 let planner = self.planner.clone();
-                let planner = planner.unwrap_or(PlannerChoice::LaneFollow);
+                let planner = planner.unwrap_or(PlannerName::Engine(PlannerChoice::LaneFollow));
                 self.episodes(&path, &Start::Live(scenario, planner), session)
             }
+        }
+    }
+
+    /// `planner`, with the options for drivers.
+    fn live(&self, planner: PlannerName) -> LivePlanner {
+        LivePlanner {
+            name: planner,
+            driver: self.driver.clone(),
         }
     }
 
@@ -162,7 +174,7 @@ impl SourceArguments {
         let mut sources = vec![match start {
             Start::Log(episode) => logged(&place, path, episode)?,
             Start::Live(scenario, planner) => {
-                let (scenario, planner) = ((**scenario).clone(), planner.clone());
+                let (scenario, planner) = ((**scenario).clone(), self.live(planner.clone()));
                 let edited = ScenarioEditor::new(path, place.clone(), scenario, planner, seen_px);
                 Source::of_live(edited, session)?
             }
@@ -178,7 +190,7 @@ impl SourceArguments {
             };
             sources.push(logged(&place, other, episode)?);
         } else {
-            let planner: PlannerChoice = against.parse().map_err(|error: String| {
+            let planner: PlannerName = against.parse().map_err(|error: String| {
                 anyhow::anyhow!(
                     "--against {against}: neither the name of a log (.log) nor a planner: {error}"
                 )
@@ -190,6 +202,7 @@ impl SourceArguments {
             let logged_px = logged_px.map(|by| [by.width_px, by.height_px]);
             let seen_px = seen_px.or(logged_px);
             let scenario = scenario.clone();
+            let planner = self.live(planner);
             let edited = ScenarioEditor::new(path, place, scenario, planner, seen_px);
             sources.push(Source::of_live(edited, session)?);
             if is_log {
@@ -203,7 +216,7 @@ impl SourceArguments {
 /// Scenario, and how it is driven.
 enum Start {
     Log(Box<Episode>),
-    Live(Box<Scenario>, PlannerChoice),
+    Live(Box<Scenario>, PlannerName),
 }
 
 impl Start {

@@ -9,7 +9,7 @@ use decouplegs::drive::score::{EpisodeScore, times_to_collision};
 use decouplegs::episode::{EpisodeError, LiveEpisode, Moment, Moments, Site, reading_hash};
 use decouplegs::explain::explain;
 use decouplegs::scene::episode::{Episode, EpisodeTick};
-use decouplegs::scene::{Camera, Rig};
+use decouplegs::scene::{Camera, Plan, Rig};
 use decouplegs::session::SessionScene;
 use glam::DVec2;
 use serde_json::{Value, json};
@@ -36,6 +36,8 @@ pub struct Played {
     /// Cameras, those of the log in its size.
     rig: Rig,
     moments: Moments,
+    /// Plans beside the chosen one, of each step of a live episode.
+    alternatives: Vec<Vec<Plan>>,
 }
 
 impl Played {
@@ -73,6 +75,7 @@ impl Played {
             lanes: Lanes::new(site.lanes.clone()),
             site,
             moments,
+            alternatives: Vec::new(),
         };
         let head = &played.episode().head;
         if let Some(drawn_by) = head.drawn_by.clone() {
@@ -107,6 +110,7 @@ impl Played {
             && let Some(step) = live.step()?
         {
             self.moments.add(step)?;
+            self.alternatives.push(live.alternatives().to_vec());
         }
         Ok(())
     }
@@ -179,23 +183,27 @@ impl Played {
             .then(|| reading_hash(rgba) == reading.hash)
     }
 
-    /// Points of the plan that the ego follows at `time_s`, world coordinates on the ground.
-    pub fn plan(&self, time_s: f64) -> Vec<[f64; 3]> {
+    /// Points of the plan that the ego follows at `time_s`, and of each other plan that its planner
+    /// considered in a live episode; world coordinates on the ground.
+    pub fn plans(&self, time_s: f64) -> (Vec<[f64; 3]>, Vec<Vec<[f64; 3]>>) {
         let episode = self.episode();
         let until = &self.moments.as_slice()[..=self.index_at(time_s)];
         let begin = until.iter().rev().find_map(|m| Some((m.step? as usize, m)));
         let Some((step, from)) = begin else {
-            return Vec::new();
+            return Default::default();
         };
         let down_m = 0.5 * episode.head.scenario.ego.size.height_m;
-        let points = episode.steps[step].plan.points().iter();
-        let points = [DVec2::ZERO]
-            .into_iter()
-            .chain(points.map(|p| p.position_m));
-        points
-            .map(|at_m| from.ego.rotation * at_m.extend(-down_m) + from.ego.translation)
-            .map(|at_m| at_m.to_array())
-            .collect()
+        let on_ground = |plan: &Plan| {
+            let points = plan.points().iter().map(|point| point.position_m);
+            let points = [DVec2::ZERO].into_iter().chain(points);
+            points
+                .map(|at_m| from.ego.rotation * at_m.extend(-down_m) + from.ego.translation)
+                .map(|at_m| at_m.to_array())
+                .collect()
+        };
+        let others = self.alternatives.get(step).into_iter().flatten();
+        let others = others.map(on_ground).collect();
+        (on_ground(&episode.steps[step].plan), others)
     }
 
     /// Kind of the agent called `name`.

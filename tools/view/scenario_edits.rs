@@ -3,15 +3,17 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use decouplegs::asset::write_scenario;
 use decouplegs::episode::{
     LiveEpisode, ObservationRenderer, Site, cameras_of, chosen, chosen_lidars,
 };
 use decouplegs::explain::explain;
-use decouplegs::planner::{Cameras, PlannerChoice, Timeouts};
+use decouplegs::planner::{Cameras, Timeouts};
 use decouplegs::scene::{Scenario, Sensor};
 use decouplegs::session::{Session, SessionScene};
+use decouplegs_alpasim::egodriver::DriverOptions;
+use decouplegs_alpasim::planner_name::PlannerName;
 use glam::DVec2;
 use serde_json::{Value, json};
 
@@ -37,11 +39,20 @@ pub struct Place {
     pub scene: Arc<SessionScene>,
 }
 
+/// Planner of a live episode, and what it is shown if it is a driver of AlpaSim.
+#[derive(Clone)]
+pub struct LivePlanner {
+    /// The planner.
+    pub name: PlannerName,
+    /// Options for drivers.
+    pub driver: DriverOptions,
+}
+
 /// Scenario, planner and place of a live episode.
 pub struct ScenarioEditor {
     path: PathBuf,
     place: Place,
-    planner: PlannerChoice,
+    planner: LivePlanner,
     size_px: Option<[u32; 2]>,
     history: History<Scenario>,
     /// Files that were written: they may be written again.
@@ -55,9 +66,13 @@ impl ScenarioEditor {
         path: &Path,
         place: Place,
         scenario: Scenario,
-        planner: PlannerChoice,
+        planner: LivePlanner,
         size_px: Option<[u32; 2]>,
     ) -> Self {
+        let scenario = Scenario {
+            step_s: planner.name.step_s().unwrap_or(scenario.step_s),
+            ..scenario
+        };
         Self {
             path: path.to_owned(),
             place,
@@ -75,7 +90,7 @@ impl ScenarioEditor {
 
     /// Title for people.
     pub fn title(&self) -> String {
-        format!("{} by {}", self.history.state().name, self.planner)
+        format!("{} by {}", self.history.state().name, self.planner.name)
     }
 
     /// The episode at its start.
@@ -83,9 +98,9 @@ impl ScenarioEditor {
     /// # Errors
     /// Returns an error if the planner is not to be had, or the scenario does not fit the place.
     pub fn begin(&self, session: &Session) -> Result<Played> {
-        let (site, planner) = (&self.place.site, &self.planner);
-        let opened = planner.open(Timeouts::default());
-        let planner = opened.with_context(|| format!("the planner {planner} is not to be had"))?;
+        let site = &self.place.site;
+        let LivePlanner { name, driver } = &self.planner;
+        let planner = name.open(Timeouts::default(), driver)?;
         let all = &site.loaded.rig;
         let cameras = cameras_of(planner.as_ref(), Cameras::Front);
         let mut rig = chosen(all, &cameras, Some(self.size_px.unwrap_or(SEEN_PX)))?;
@@ -93,6 +108,7 @@ impl ScenarioEditor {
         rig.sensors.extend(lidars.into_iter().map(Sensor::Lidar));
         let scene = &self.place.scene;
         let renderer = ObservationRenderer::new(session.batch_renderer(), scene, rig, 1);
+        let renderer = name.fit(renderer, driver)?;
         let live = LiveEpisode::begin(self.history.state(), site, planner, renderer)?;
         Ok(Played::live(live, site.clone(), scene)?)
     }

@@ -450,11 +450,13 @@ impl Source {
                 })
             })
             .collect();
-        let plan = self.episode().map(|played| played.plan(self.now.time_s));
+        let plans = self.episode().map(|played| played.plans(self.now.time_s));
+        let (plan, alternatives) = plans.unwrap_or_default();
         json!({
             "agents": agents,
             "ego": pose_json(&self.now.ego),
-            "plan": plan.unwrap_or_default(),
+            "plan": plan,
+            "alternatives": alternatives,
         })
     }
 

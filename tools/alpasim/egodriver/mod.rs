@@ -38,6 +38,8 @@ pub use options::{CameraChoice, DriverAddress, DriverOptions, ImageFile, Padding
 
 /// Bytes of the largest message.
 const MESSAGE_BYTES_MAX: usize = 64 << 20;
+/// Plans beside the chosen one that are kept.
+const ALTERNATIVES_MAX: usize = 64;
 /// Time for a driver to close a session.
 const FAREWELL: Duration = Duration::from_secs(2);
 /// Longest part of a driver's own words in an error, characters.
@@ -58,6 +60,7 @@ pub struct Egodriver {
     version: String,
     session: Option<DriverSession>,
     is_warming_up: bool,
+    alternatives: Vec<Plan>,
 }
 
 /// State of an episode.
@@ -110,6 +113,7 @@ impl Egodriver {
             version: printable(&version.into_inner().version_id),
             session: None,
             is_warming_up: false,
+            alternatives: Vec::new(),
         })
     }
 
@@ -242,6 +246,7 @@ impl Planner for Egodriver {
     fn begin(&mut self, info: &EpisodeInfo) -> Result<(), PlannerError> {
         self.close();
         self.is_warming_up = false;
+        self.alternatives.clear();
         let frames = Frames::new(info);
         let cameras = info.sensors.iter().filter_map(|sensor| match sensor {
             Sensor::Camera(camera) => Some(camera),
@@ -287,7 +292,15 @@ impl Planner for Egodriver {
             .ok_or_else(|| self.failed("has no session: its episode was not begun"))?;
         session.frames.begin_at(localization);
         let answer = self.decide(&session, observation, localization);
+        self.alternatives.clear();
         let plan = answer.and_then(|answer| {
+            let sampled = answer.debug_info.iter();
+            let sampled = sampled.flat_map(|info| &info.sampled_trajectories);
+            // They are for people: one that is no plan is left out.
+            let plans = sampled.take(ALTERNATIVES_MAX).filter_map(|trajectory| {
+                session.frames.plan(trajectory, localization).ok().flatten()
+            });
+            self.alternatives.extend(plans);
             if answer.terminate_session {
                 return Err(self.failed("ended the session"));
             }
@@ -307,6 +320,10 @@ impl Planner for Egodriver {
 
     fn is_warming_up(&self) -> bool {
         self.is_warming_up
+    }
+
+    fn alternatives(&self) -> &[Plan] {
+        &self.alternatives
     }
 }
 

@@ -4,9 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
-use decouplegs::episode::ObservationRenderer;
 use decouplegs::planner::Frame;
-use decouplegs::scene::Invalid;
 
 use crate::encoding::{Encoding, encode};
 
@@ -221,17 +219,6 @@ impl DriverOptions {
             "warm_up": self.driver_warm_up,
             "tell_scene": self.tell_scene,
         })
-    }
-
-    /// Gives the cameras of `renderer` the lens that was asked for.
-    ///
-    /// # Errors
-    /// A sentence naming a camera that can have none.
-    pub fn fit(&self, renderer: ObservationRenderer) -> Result<ObservationRenderer, Invalid> {
-        match self.driver_lens {
-            SensorLens::Own => Ok(renderer),
-            SensorLens::FTheta => renderer.through_f_theta(),
-        }
     }
 }
 

@@ -15,6 +15,7 @@ use decouplegs::session::{Session, SessionOptions};
 use decouplegs_alpasim::egodriver::{
     DriverAddress, DriverOptions, Egodriver, ImageFile, Padding, SensorLens,
 };
+use decouplegs_alpasim::planner_name::PlannerName;
 use decouplegs_alpasim::poses::pose_of;
 use decouplegs_alpasim::wire::sensorsim::camera_spec::CameraParam;
 use glam::DVec3;
@@ -277,7 +278,8 @@ fn a_driver_gets_the_cameras_and_images_that_it_asked_for() {
         let mut planner = open(&address, options);
         let seen = chosen(rig, &planner.sees().cameras, Some([64, 36])).unwrap();
         let renderer = ObservationRenderer::new(session.batch_renderer(), &scene, seen, 1);
-        let mut renderer = options.fit(renderer).unwrap();
+        let name = PlannerName::Driver(address);
+        let mut renderer = name.fit(renderer, options).unwrap();
         let short = scenario(&site, 0.2);
         let episode = drive(&short, &site, Some(&mut renderer), &mut planner, &mut ());
         (episode.unwrap().episode, driver.asked())

@@ -6,6 +6,8 @@ const TRAIL_S = 5;
 const LANES_WITHIN_M = 120;
 const LANE_COLOR = "#ffffffb0";
 const PLAN_COLOR = "#00e5a0";
+// Plans that the planner considered beside its own.
+const ALTERNATIVE_COLOR = "#00e5a070";
 const SELECTED_COLOR = "#ffffff";
 // Okabe and Ito, "Color Universal Design", 2008: told apart by color-blind people.
 const COLORS = ["#e69f00", "#56b4e9", "#009e73", "#f0e442", "#cc79a7", "#d55e00", "#8fa3ff"];
@@ -25,7 +27,7 @@ export function noteTrails({ time_s: now, sources }) {
 export function drawOverlay(view, camera, source) {
   const { layers } = state;
   const { overlay } = view;
-  const { agents, plan } = source;
+  const { agents, plan, alternatives } = source;
   const ratio = window.devicePixelRatio || 1;
   const box = view.element.getBoundingClientRect();
   Object.assign(overlay, { width: box.width * ratio, height: box.height * ratio });
@@ -49,6 +51,10 @@ export function drawOverlay(view, camera, source) {
     context.lineWidth /= 2;
     nearLanes(camera).forEach((line) => stroke(context, geometry.polyline(camera, line, 2)));
     context.lineWidth *= 2;
+  }
+  if (layers.plan) {
+    context.strokeStyle = ALTERNATIVE_COLOR;
+    alternatives.forEach((line) => stroke(context, geometry.polyline(camera, line, 6)));
   }
   if (layers.plan && plan.length > 1) {
     context.strokeStyle = PLAN_COLOR;

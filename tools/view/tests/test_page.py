@@ -221,6 +221,46 @@ def test_the_image_of_a_step_has_the_bits_of_the_log(episode, open_page):
         assert "Driving score" in page.page.inner_text("#score")
 
 
+def test_a_driver_of_alpasim_drives_and_its_plans_are_shown(episode, open_page):
+    pytest.importorskip("carla_driver_interface", reason="the package carla-driver-interface is not installed")
+    from carla_driver_interface.driver import BaseDriver, DriveResult
+    from carla_driver_interface.geometry import Pose, Trajectory
+    from carla_driver_interface.server import serving
+
+    class Undecided(BaseDriver):
+        """Goes straight on, and thinks about both sides."""
+
+        name = "undecided"
+
+        def drive(self, ctx):
+            def to(side_m):
+                plan = Trajectory.empty()
+                for step in range(1, 31):
+                    plan.append(ctx.time_now_us + 100_000 * step, Pose.from_xyz_yaw(0.6 * step, side_m * step / 30, 0.0, 0.0))
+                return plan
+
+            return DriveResult(trajectory_in_rig=to(0.0), sampled_trajectories_in_rig=[to(4.0), to(-4.0)])
+
+    with serving(Undecided(), port=0, host="127.0.0.1", mode="alpasim") as port:
+        planner = ["--planner", f"egodriver://127.0.0.1:{port}", "--driver-camera", "front=camera_front", "--size", "320x180"]
+        with Viewer(episode, "run/scenarios/hard_0000.toml", *planner) as viewer:
+            page = open_page(viewer)
+            page.choose("Camera of view 1", "named:front")
+            page.after(lambda: page.page.keyboard.press("."))
+            page.after(lambda: page.page.keyboard.press("."))
+            frame = page.shown()
+            # Ten decisions a second.
+            assert frame["time_s"] == pytest.approx(0.2)
+            page.after(lambda: page.page.keyboard.press(","))
+            source = page.shown()["sources"][0]
+            left, right = source["alternatives"]
+            assert len(left) == len(right) == len(source["plan"]) == 31
+            across = [(a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 for a, b in zip(left, right)]
+            assert across[-1] ** 0.5 == pytest.approx(8.0, abs=0.05)
+            if folder := os.environ.get("VIEW_SCREENSHOTS"):
+                page.page.screenshot(path=f"{folder}/driver.png")
+
+
 def test_a_dragged_agent_is_saved_where_it_was_dropped(street, tmp_path, open_page):
     with Viewer(street, "scene.toml") as viewer:
         page = open_page(viewer)

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use decouplegs_scene::Scenario;
 use decouplegs_scene::episode::{Episode, EpisodeStep};
+use decouplegs_scene::{Plan, Scenario};
 
 use super::{EpisodeError, ObservationRenderer, Rollout, Site, begun, one_step};
 use crate::planner::Planner;
@@ -48,6 +48,12 @@ impl LiveEpisode {
         let renderer = Some(&mut self.renderer);
         one_step(&mut self.rollout, renderer, &mut *self.planner, &mut ())?;
         Ok(self.episode().steps.get(before))
+    }
+
+    /// Other plans that the planner considered at the last step.
+    #[must_use]
+    pub fn alternatives(&self) -> &[Plan] {
+        self.planner.alternatives()
     }
 
     /// True if it has ended.

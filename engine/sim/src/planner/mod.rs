@@ -284,6 +284,11 @@ pub trait Planner: Send {
     fn is_warming_up(&self) -> bool {
         false
     }
+
+    /// Other plans that the planner considered beside the last one, for people to look at.
+    fn alternatives(&self) -> &[Plan] {
+        &[]
+    }
 }
 
 /// Privileged state for the planner `who`, or an error if it is absent.
