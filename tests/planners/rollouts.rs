@@ -5,9 +5,13 @@ use std::sync::Arc;
 
 use decouplegs::drive::generate::{Generator, PlaceOptions};
 use decouplegs::episode::{EpisodeMetadata, Rollout, Site, drive};
-use decouplegs::planner::ConstantVelocity;
+use decouplegs::planner::{
+    ConstantVelocity, EpisodeInfo, Localization, Observation, ObservationRequest, Planner,
+    PlannerError,
+};
+use decouplegs::scene::plan::PlanPoint;
 use decouplegs::scene::scenario::Place;
-use decouplegs::scene::{EpisodeEnd, Level, Scenario, Weather};
+use decouplegs::scene::{EpisodeEnd, Level, Plan, Scenario, Weather};
 
 fn street() -> Arc<Site> {
     let place = Place::Street {
@@ -81,4 +85,88 @@ fn an_episode_steered_by_hand_is_one_of_plans() {
     assert_eq!(episode.end, EpisodeEnd::Time);
     let again = decouplegs::episode::replay(&episode, &site, None, &mut ()).unwrap();
     assert_eq!(again.moved_differently, None);
+}
+
+/// Follows its route by its localization alone, and keeps what it is told.
+#[derive(Default)]
+struct ByRoute {
+    told: Vec<Localization>,
+}
+
+impl Planner for ByRoute {
+    fn name(&self) -> String {
+        "by route".into()
+    }
+
+    fn sees(&self) -> ObservationRequest {
+        ObservationRequest {
+            localization: true,
+            ..ObservationRequest::default()
+        }
+    }
+
+    fn begin(&mut self, _info: &EpisodeInfo) -> Result<(), PlannerError> {
+        Ok(())
+    }
+
+    fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
+        let localization = observation.localization.expect("it was asked for").clone();
+        let now = *localization.now();
+        // A point of the route per half a second: 8 m/s.
+        let ahead = localization.route_m.iter().skip(1);
+        let points = ahead.zip(1..).map(|(point, number)| PlanPoint {
+            time_s: 0.5 * f64::from(number),
+            position_m: now.state.to_local(point.truncate()),
+        });
+        let plan = Plan::new(points.collect()).unwrap_or_else(|_| Plan::standing());
+        self.told.push(localization);
+        Ok(plan)
+    }
+}
+
+#[test]
+fn localization_leads_along_the_route_and_tells_every_moment_once() {
+    let site = street();
+    let scenario = Scenario {
+        agents: vec![],
+        lights: vec![],
+        ..scenario(&site, Level::Easy, 3)
+    };
+    let mut planner = ByRoute::default();
+    let driven = drive(&scenario, &site, None, &mut planner, &mut ()).unwrap();
+    let episode = driven.episode;
+    assert!(episode.head.planner.localization && !episode.head.planner.privileged);
+    // The last points of the route are nearer than a plan reaches.
+    assert!(episode.steps.len() > 10, "{:?}", episode.end);
+    let told: Vec<_> = planner.told.iter().flat_map(|told| &told.path).collect();
+    for (located, tick) in told.iter().zip(episode.instants()) {
+        assert_eq!((located.time_s, located.state), (tick.time_s, tick.ego));
+        let turned = located.pose.heading_rad() - tick.ego.yaw_rad;
+        assert!(turned.sin().abs() < 1e-9);
+        let above_m = located.pose.translation.z - 0.5 * scenario.ego.size.height_m;
+        assert!(above_m.abs() < 0.3, "{above_m} m above the street");
+        assert_eq!(located.motion.speed_mps, tick.ego.speed_mps);
+    }
+    let steps = episode.steps.len();
+    let before_last: usize = episode.steps[..steps - 1]
+        .iter()
+        .map(|step| step.instants.len())
+        .sum();
+    assert_eq!(told.len(), 1 + before_last);
+    for told in &planner.told {
+        let route_m = &told.route_m;
+        assert!(route_m.len() <= Localization::WAYPOINTS);
+        let beside_m = route_m[0].truncate().distance(told.now().state.position_m);
+        assert!(beside_m < 2.0, "{beside_m} m from the ego");
+        for pair in route_m.windows(2) {
+            let apart_m = pair[0].distance(pair[1]);
+            assert!(
+                apart_m > 3.5 && apart_m < Localization::SPACING_M + 1e-6,
+                "{apart_m}"
+            );
+        }
+    }
+    let counts: Vec<usize> = planner.told.iter().map(|told| told.route_m.len()).collect();
+    assert_eq!(counts[0], Localization::WAYPOINTS);
+    assert!(counts.is_sorted_by(|a, b| a >= b) && counts[steps - 1] < Localization::WAYPOINTS);
 }

@@ -248,36 +248,44 @@ impl Simulation {
     }
 
     /// Pose of the ego after each sub-step of `driven`, the last of which is now, and the route
-    /// ahead.
+    /// ahead. On a map without heights, the route is as high as the ground below the ego.
     #[must_use]
     pub fn localization(&self, driven: &[EpisodeTick]) -> Localization {
-        let route = &self.route;
+        let (route, size) = (&self.route, &self.scenario.ego.size);
         let at_m = |tick: &EpisodeTick| {
             let foot = route.project(tick.ego.position_m, self.progress.progress_m());
             foot.arc_m
         };
-        let located = |tick: &EpisodeTick| LocatedEgo {
-            time_s: tick.time_s,
-            pose: self.site.pose_of(
-                &tick.ego,
-                &self.scenario.ego.size,
-                route.pose_at(at_m(tick)).0.z,
-            ),
-            state: tick.ego,
-            motion: EgoMotion {
-                speed_mps: tick.ego.speed_mps,
-                acceleration_mps2: tick.ego.acceleration_mps2,
-                steer_rad: tick.steer_rad,
-                yaw_rate_radps: self.ego.yaw_rate_at(tick.ego.speed_mps, tick.steer_rad),
-            },
+        let route_z_m = |along_m: f64| route.has_height().then(|| route.pose_at(along_m).0.z);
+        let located = |tick: &EpisodeTick| {
+            let shown_z_m = self.ground_z_m[0].unwrap_or_default();
+            let near_z_m = route_z_m(at_m(tick)).unwrap_or(shown_z_m);
+            LocatedEgo {
+                time_s: tick.time_s,
+                pose: self.site.pose_of(&tick.ego, size, near_z_m),
+                state: tick.ego,
+                motion: EgoMotion {
+                    speed_mps: tick.ego.speed_mps,
+                    acceleration_mps2: tick.ego.acceleration_mps2,
+                    steer_rad: tick.steer_rad,
+                    yaw_rate_radps: self.ego.yaw_rate_at(tick.ego.speed_mps, tick.steer_rad),
+                },
+            }
         };
+        let path: Vec<LocatedEgo> = driven.iter().map(located).collect();
+        let below_m = |located: &LocatedEgo| located.pose.translation.z - 0.5 * size.height_m;
+        let ground_z_m = path.last().map_or(0.0, below_m);
         let from_m = driven.last().map_or(0.0, at_m);
         let along_m = (0..Localization::WAYPOINTS)
             .map(|index| from_m + index as f64 * Localization::SPACING_M)
             .take_while(|&along_m| along_m <= route.length_m());
+        let waypoint = |along_m: f64| {
+            let place_m = route.pose_at(along_m).0.truncate();
+            place_m.extend(route_z_m(along_m).unwrap_or(ground_z_m))
+        };
         Localization {
-            path: driven.iter().map(located).collect(),
-            route_m: along_m.map(|along_m| route.pose_at(along_m).0).collect(),
+            path,
+            route_m: along_m.map(waypoint).collect(),
         }
     }
 
