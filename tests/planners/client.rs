@@ -7,9 +7,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use decouplegs::asset::read_lidar;
-use decouplegs::planner::{Cameras, External, ObservationRequest, Planner, Reading, Transport};
+use decouplegs::planner::{
+    Cameras, EgoMotion, External, Localization, LocatedEgo, Observation, ObservationRequest,
+    Planner, Reading, Transport,
+};
 use decouplegs::scene::lidar::{LidarReturn, PointFrame};
-use decouplegs::scene::{LidarSweep, Motion, Pose, RigLidar, Sensor};
+use decouplegs::scene::{LidarSweep, Motion, Pose, RigLidar, Sensor, VehicleState};
 use glam::{DQuat, DVec2, DVec3};
 
 use super::scene_ahead::{PATIENT, briefing, cameras, observation, opened, privileged};
@@ -85,6 +88,60 @@ fn drive(planner: &mut dyn Planner) {
 #[test]
 fn what_is_sent_arrives_to_the_byte() {
     drive(&mut opened("checksum_planner.py", &[], PATIENT));
+}
+
+#[test]
+fn the_pose_and_the_route_arrive_to_the_bit() {
+    let mut planner = opened("route_planner.py", &[], PATIENT);
+    assert_eq!(
+        planner.sees(),
+        ObservationRequest {
+            localization: true,
+            ..ObservationRequest::default()
+        }
+    );
+    planner.begin(&briefing()).unwrap();
+    let pose = Pose::new(
+        DQuat::from_xyzw(0.1, 0.2, 0.3, 0.927_361_849_549_570_4),
+        DVec3::new(430.125, 0.1 + 0.2, 1.0 / 3.0),
+    );
+    let state = VehicleState {
+        position_m: pose.translation.truncate(),
+        yaw_rad: 0.7,
+        speed_mps: 8.1,
+        acceleration_mps2: -0.3,
+    };
+    let motion = EgoMotion {
+        speed_mps: 8.1,
+        acceleration_mps2: -0.3,
+        steer_rad: 0.01,
+        yaw_rate_radps: 0.02,
+    };
+    let at = |time_s| LocatedEgo {
+        time_s,
+        pose,
+        state,
+        motion,
+    };
+    let known = Localization {
+        path: vec![at(0.1), at(0.2)],
+        route_m: vec![DVec3::ZERO, DVec3::new(0.1, 4.0, 1e-9)],
+    };
+    let asked = Observation {
+        localization: Some(&known),
+        ..observation(1, &[], None)
+    };
+    let plan = planner.plan(&asked).unwrap();
+    let told: Vec<f64> = plan
+        .points()
+        .iter()
+        .map(|point| point.position_m.y)
+        .collect();
+    let (p, q) = (pose.translation, pose.rotation);
+    let expected = [
+        2.0, 0.2, p.x, p.y, p.z, q.w, q.x, q.y, q.z, 0.7, 8.1, -0.3, 0.02, 2.0, 0.1, 4.0, 1e-9,
+    ];
+    assert_eq!(told, expected);
 }
 
 /// A sweep with two returns.

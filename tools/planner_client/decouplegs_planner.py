@@ -72,7 +72,8 @@ class Observation:
 
     `step` counts from 0, `time_s` is since the episode's start. `ego` has speed_mps, acceleration_mps2, steer_rad and
     yaw_rate_radps; `guidance` has turn (straight, left, right), distance_m, angle_rad, length_m and cruise_mps. `frames` are the
-    images by camera, `sweeps` the sweeps by LiDAR. `privileged` is None or has ego, route_m, agents, stop_lines and signs.
+    images by camera, `sweeps` the sweeps by LiDAR. `localization` is None or has path, each with time_s, position_m,
+    rotation_wxyz, yaw_rad, speed_mps, acceleration_mps2 and yaw_rate_radps, and route_m. `privileged` is None or has ego, route_m, agents, stop_lines and signs.
     """
 
     def __init__(self, header: dict, frames: Dict[str, Frame], sweeps: Dict[str, Sweep]):
@@ -81,6 +82,9 @@ class Observation:
         self.ego = SimpleNamespace(**header["ego"])
         self.guidance = SimpleNamespace(**header["guidance"])
         self.frames, self.sweeps = frames, sweeps
+        located = header.get("localization")
+        self.localization = None if located is None else SimpleNamespace(
+            path=[SimpleNamespace(**pose) for pose in located["path"]], route_m=located["route_m"])
         known = header.get("privileged")
         self.privileged = None if known is None else SimpleNamespace(
             ego=SimpleNamespace(**known["ego"]),
@@ -99,6 +103,8 @@ class Planner:
     cameras = "none"
     #: Sweeps it wants: "none" or "all" LiDARs of the ego.
     lidars = "none"
+    #: Whether it wants to be told its pose and the points of its route, as its own localization and navigation know them.
+    localization = False
     #: Whether it wants to be told the states of others and its route, which no camera shows.
     privileged = False
 
@@ -150,6 +156,8 @@ def answer_to(planner: Planner, header: dict, frames: Dict[str, Frame], sweeps: 
         wishes = {"name": planner.name, "cameras": planner.cameras, "privileged": planner.privileged}
         if planner.lidars != "none":
             wishes["lidars"] = planner.lidars
+        if planner.localization:
+            wishes["localization"] = True
         return {"type": "hello", "protocol": PROTOCOL, **wishes}
     if asked not in ("begin", "observe"):
         raise ProtocolError(f"a message of type {asked!r}; expected hello, begin, observe or end")

@@ -9,8 +9,8 @@ use glam::DVec2;
 use serde_json::{Value, json};
 
 use crate::planner::{
-    Cameras, EpisodeInfo, Frame, KnownAgent, Observation, ObservationRequest, Privileged, images,
-    sweeps,
+    Cameras, EpisodeInfo, Frame, KnownAgent, Localization, LocatedEgo, Observation,
+    ObservationRequest, Privileged, images, sweeps,
 };
 
 /// The version of the protocol. Another one is refused.
@@ -111,6 +111,11 @@ fn introduction(message: &Value) -> Result<Introduction, String> {
         Some(Some("all")) => true,
         Some(_) => return Err("said hello with other `lidars` than none or all".into()),
     };
+    let localization = match message.get("localization").map(Value::as_bool) {
+        None => false,
+        Some(Some(wanted)) => wanted,
+        Some(None) => return Err("said hello with other `localization` than true or false".into()),
+    };
     let privileged = message["privileged"]
         .as_bool()
         .ok_or("said hello without `privileged`; expected true or false")?;
@@ -119,7 +124,7 @@ fn introduction(message: &Value) -> Result<Introduction, String> {
         sees: ObservationRequest {
             cameras,
             lidars,
-            localization: false,
+            localization,
             privileged,
         },
     })
@@ -178,12 +183,13 @@ pub(super) fn hello() -> Value {
     json!({ "type": "hello", "protocol": PROTOCOL, "engine": concat!("decouplegs ", env!("CARGO_PKG_VERSION")), "bytes": 0 })
 }
 
+fn wxyz(pose: &Pose) -> [f64; 4] {
+    let turned = pose.rotation;
+    [turned.w, turned.x, turned.y, turned.z]
+}
+
 /// Before an episode.
 pub(super) fn begin(info: &EpisodeInfo) -> Value {
-    let wxyz = |pose: &Pose| {
-        let turned = pose.rotation;
-        [turned.w, turned.x, turned.y, turned.z]
-    };
     let (mut cameras, mut lidars) = (Vec::new(), Vec::new());
     for sensor in &info.sensors {
         match sensor {
@@ -271,7 +277,24 @@ pub(super) fn observe(observation: &Observation) -> Value {
     if !sweeps_sent.is_empty() {
         message["sweeps"] = sweeps_sent.into();
     }
+    if let Some(known) = observation.localization {
+        message["localization"] = localization(known);
+    }
     message
+}
+
+fn localization(known: &Localization) -> Value {
+    let located = |located: &LocatedEgo| {
+        json!({
+            "time_s": located.time_s, "position_m": located.pose.translation.to_array(), "rotation_wxyz": wxyz(&located.pose),
+            "yaw_rad": located.state.yaw_rad, "speed_mps": located.motion.speed_mps,
+            "acceleration_mps2": located.motion.acceleration_mps2, "yaw_rate_radps": located.motion.yaw_rate_radps,
+        })
+    };
+    json!({
+        "path": known.path.iter().map(located).collect::<Vec<_>>(),
+        "route_m": known.route_m.iter().map(|point| point.to_array()).collect::<Vec<_>>(),
+    })
 }
 
 fn privileged(known: &Privileged) -> Value {
