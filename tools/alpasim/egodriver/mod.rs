@@ -75,12 +75,15 @@ impl Egodriver {
     /// Connects to the driver at `address` and asks for its version.
     ///
     /// # Errors
-    /// Returns an error if no driver answers there in time.
+    /// Returns an error if no driver answers there in time, or the options contradict each other.
     pub fn open(
         address: &DriverAddress,
         options: &DriverOptions,
         patience: Timeouts,
     ) -> Result<Self, PlannerError> {
+        options
+            .check()
+            .map_err(|fault| PlannerError(fault.into()))?;
         let failed = |reason: String| PlannerError(format!("the driver at {address}: {reason}"));
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()

@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
 use decouplegs::planner::Frame;
+use decouplegs::scene::Invalid;
 
 use crate::encoding::{Encoding, encode};
 
@@ -192,6 +193,29 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 impl DriverOptions {
+    /// Checks that each camera has one name, and each name is that of one camera.
+    ///
+    /// # Errors
+    /// A sentence naming what is there twice.
+    pub fn check(&self) -> Result<(), Invalid> {
+        for (index, choice) in self.driver_camera.iter().enumerate() {
+            let before = &self.driver_camera[..index];
+            if before.iter().any(|other| other.name == choice.name) {
+                let reason = format!("--driver-camera names camera {:?} twice", choice.name);
+                return Err(Invalid::new(reason));
+            }
+            if before
+                .iter()
+                .any(|other| other.logical_id == choice.logical_id)
+            {
+                let id = &choice.logical_id;
+                let reason = format!("--driver-camera gives the name {id:?} to two cameras");
+                return Err(Invalid::new(reason));
+            }
+        }
+        Ok(())
+    }
+
     /// Names of the chosen cameras in the rig; none for all.
     #[must_use]
     pub fn camera_names(&self) -> Vec<String> {
@@ -261,6 +285,16 @@ mod tests {
         assert_eq!(options.camera_names(), ["front", "rear"]);
         assert_eq!(options.logical_id("front"), "camera_front_wide_120fov");
         assert_eq!(options.logical_id("rear"), "rear");
+        assert!(options.check().is_ok());
+        for (twice, said) in [
+            ("front=a", "camera \"front\" twice"),
+            ("left=rear", "name \"rear\""),
+        ] {
+            let mut twice_named = options.clone();
+            twice_named.driver_camera.push(twice.parse().unwrap());
+            let refused = twice_named.check().unwrap_err();
+            assert!(refused.reason().contains(said), "{refused}");
+        }
         for text in ["", "=x", "x="] {
             assert!(text.parse::<CameraChoice>().is_err(), "{text}");
         }
