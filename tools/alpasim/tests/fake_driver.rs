@@ -20,7 +20,7 @@ use decouplegs_alpasim::wire::egodriver::{
     RolloutCameraImage, RolloutEgoTrajectory, RouteRequest,
 };
 use glam::{DQuat, DVec3};
-use tokio_stream::wrappers::TcpListenerStream;
+use tonic::transport::server::TcpIncoming;
 use tonic::{Request, Response, Status};
 
 /// From pose to pose of an answer, and the number of poses.
@@ -87,9 +87,10 @@ impl FakeDriver {
                 told.send(listener.local_addr().unwrap()).unwrap();
                 let service = EgodriverServiceServer::new(served);
                 let service = service.max_decoding_message_size(64 << 20);
+                let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
                 tonic::transport::Server::builder()
                     .add_service(service)
-                    .serve_with_incoming(TcpListenerStream::new(listener))
+                    .serve_with_incoming(incoming)
                     .await
                     .unwrap();
             });
