@@ -62,7 +62,7 @@ pub struct Arguments {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
-    /// nuScenes v1.0: tables, samples
+    /// nuScenes v1.0: tables, samples every 0.5 s, sweeps between
     Nuscenes,
     /// KITTI object detection of one camera: images, labels, calibration and points
     Kitti,

@@ -48,6 +48,69 @@ fn episodes_become_data_sets_with_the_images_of_the_log() {
     check_refusals(&log, base);
 }
 
+/// An episode with five steps a second: each third is a sample, the steps between are sweeps.
+#[test]
+fn steps_between_keyframes_are_sweeps_of_nuscenes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, out) = (folder.path().join("run"), folder.path().join("nuscenes"));
+    let place = ["drive", "--level", "hard", "--episodes", "1", "--seed", "3"];
+    let how = ["--background", "3000", "--agent-splats", "300"];
+    let driven = ["--planner", "constant-velocity", "--step", "0.2"];
+    let kept = ["--render", "off", "--out", text(&run)];
+    succeed(&[&place[..], &how, &driven, &kept].concat());
+    let log = run.join("logs/hard_0000.log");
+    let what = [
+        "export",
+        text(&log),
+        "--as",
+        "nuscenes",
+        "--out",
+        text(&out),
+    ];
+    let view = ["--cameras", "front", "--size", "48x27"];
+    succeed(&[&what[..], &view].concat());
+    let table = |name: &str| {
+        let rows = read(&out.join(format!("v1.0-decouplegs/{name}.json")));
+        rows.as_array().unwrap().clone()
+    };
+    let (samples, readings) = (table("sample"), table("sample_data"));
+    assert!(samples.len() > 3);
+    // The first and every third step; nothing follows the last sample.
+    assert_eq!(readings.len(), 3 * samples.len() - 2);
+    assert_eq!(table("ego_pose").len(), readings.len());
+    for (index, reading) in readings.iter().enumerate() {
+        let is_key = index % 3 == 0;
+        assert_eq!(reading["is_key_frame"], is_key, "{index}");
+        let name = reading["filename"].as_str().unwrap();
+        let begins = if is_key {
+            "samples/CAM_FRONT/"
+        } else {
+            "sweeps/CAM_FRONT/"
+        };
+        assert!(
+            name.starts_with(begins) && out.join(name).is_file(),
+            "{name}"
+        );
+        // A reading belongs to the sample that follows it.
+        let sample = &samples[index.div_ceil(3)];
+        assert_eq!(reading["sample_token"], sample["token"]);
+        let next = readings
+            .get(index + 1)
+            .map_or("", |next| next["token"].as_str().unwrap());
+        assert_eq!(reading["next"], next);
+        assert!(reading["timestamp"].as_i64() <= sample["timestamp"].as_i64());
+    }
+    let files = fs::read_dir(out.join("sweeps/CAM_FRONT")).unwrap().count();
+    assert_eq!(files, readings.len() - samples.len());
+    for annotation in table("sample_annotation") {
+        assert!(
+            samples
+                .iter()
+                .any(|sample| sample["token"] == annotation["sample_token"])
+        );
+    }
+}
+
 /// Checks that each token that a row names is that of a row, and that lists are linked both ways.
 fn check_tables(tables: &BTreeMap<String, Vec<Value>>) {
     assert_eq!(tables.len(), 13);

@@ -248,6 +248,11 @@ fn who_cannot_be_started_or_introduces_himself_badly_is_refused_at_once() {
     assert!(
         shell("read line; echo '{\"type\":\"hello\",\"protocol\":1}'").contains("without a `name`")
     );
+    let unsure = r#"{"type":"hello","protocol":1,"name":"x","cameras":"none","privileged":false,"localization":"yes"}"#;
+    assert!(
+        shell(&format!("read line; echo '{unsure}'"))
+            .contains("other `localization` than true or false")
+    );
     assert!(
         shell("read line; echo '{\"type\":\"ready\"}'")
             .contains("answered hello with ready; expected hello")

@@ -26,6 +26,8 @@ const VERSION: &str = "v1.0-decouplegs";
 const START_US: i64 = 1_767_225_600_000_000;
 /// A road user that moves slower stands, meters per second.
 const STANDS_MPS: f64 = 0.2;
+/// From keyframe to keyframe, seconds. Readings between them are sweeps, without annotations.
+const KEYFRAME_S: f64 = 0.5;
 /// File that stands for a map: devkits want one to exist.
 const MAP: &str = "maps/none.png";
 
@@ -41,6 +43,12 @@ pub struct Tables {
     /// Annotations of each agent.
     tracks: BTreeMap<String, Vec<String>>,
     samples: Vec<String>,
+    /// Time of the last keyframe, seconds.
+    keyframe_s: Option<f64>,
+    /// Rows of readings since then: their sample comes later.
+    pending: Vec<usize>,
+    /// Counts of readings and of poses until then.
+    settled: [usize; 2],
 }
 
 impl Tables {
@@ -54,6 +62,9 @@ impl Tables {
             last: BTreeMap::new(),
             tracks: BTreeMap::new(),
             samples: Vec::new(),
+            keyframe_s: None,
+            pending: Vec::new(),
+            settled: [0, 0],
         };
         for name in [VERSION, "maps"] {
             tables.make(name)?;
@@ -167,16 +178,23 @@ impl Tables {
         token
     }
 
+    /// Adds the row of a reading, of a keyframe if there is a `sample`. Returns the name of its
+    /// file.
     fn reading(
         &mut self,
         sensed: &Sensed,
-        sample: &str,
+        sample: Option<&str>,
         channel: &str,
         size_px: [u32; 2],
         format: &str,
-    ) -> String {
+    ) -> Result<String> {
+        let folder = match sample {
+            Some(_) => "samples",
+            None => "sweeps",
+        };
+        self.make(&format!("{folder}/{channel}"))?;
         let file = format!(
-            "samples/{channel}/{}_{:04}.{format}",
+            "{folder}/{channel}/{}_{:04}.{format}",
             self.episode, sensed.step
         );
         let token = self.token("sample_data", &format!("{channel}/{}", sensed.step));
@@ -186,11 +204,52 @@ impl Tables {
             "token": token, "sample_token": sample,
             "ego_pose_token": self.token("ego_pose", &sensed.step.to_string()),
             "calibrated_sensor_token": self.token("calibrated_sensor", channel),
-            "timestamp": timestamp(sensed), "fileformat": kind, "is_key_frame": true,
+            "timestamp": timestamp(sensed), "fileformat": kind, "is_key_frame": sample.is_some(),
             "height": height_px, "width": width_px, "filename": file,
         });
         self.linked("sample_data", channel, row);
-        file
+        if sample.is_none() {
+            self.pending.push(self.tables["sample_data"].len() - 1);
+        }
+        Ok(file)
+    }
+
+    /// Adds the sample of `sensed` if it is a keyframe. It is also that of the readings since the
+    /// keyframe before: they point to the sample that follows them.
+    fn keyframe(&mut self, sensed: &Sensed) -> Option<String> {
+        let since_s = self.keyframe_s.map(|before_s| sensed.time_s - before_s);
+        if since_s.is_some_and(|since_s| since_s < KEYFRAME_S - 1e-6) {
+            return None;
+        }
+        let row = json!({
+            "token": self.token("sample", &sensed.step.to_string()), "timestamp": timestamp(sensed),
+            "scene_token": self.token("scene", ""),
+        });
+        let sample = self.linked("sample", "", row);
+        let readings = self.tables.entry("sample_data").or_default();
+        for row in self.pending.drain(..) {
+            readings[row]["sample_token"] = sample.clone().into();
+        }
+        self.keyframe_s = Some(sensed.time_s);
+        self.samples.push(sample.clone());
+        Some(sample)
+    }
+
+    /// Takes back the readings after the last keyframe, which no sample follows.
+    fn take_back_pending(&mut self) -> Result<()> {
+        let [readings, poses] = self.settled;
+        self.tables.entry("ego_pose").or_default().truncate(poses);
+        let rows = self.tables.entry("sample_data").or_default();
+        for taken in rows.split_off(readings) {
+            for row in rows.iter_mut().filter(|row| row["next"] == taken["token"]) {
+                row["next"] = "".into();
+            }
+            let file = self
+                .folder
+                .join(taken["filename"].as_str().unwrap_or_default());
+            fs::remove_file(&file).with_context(|| format!("{} is in the way", file.display()))?;
+        }
+        Ok(())
     }
 
     fn annotate(&mut self, sensed: &Sensed, sample: &str, index: usize) {
@@ -261,20 +320,16 @@ impl DataSet for Tables {
                 "translation": ego.translation.to_array(), "rotation": wxyz(ego.rotation),
             }),
         );
-        let row = json!({
-            "token": self.token("sample", &step), "timestamp": timestamp(sensed),
-            "scene_token": self.token("scene", ""),
-        });
-        let sample = self.linked("sample", "", row);
+        let sample = self.keyframe(sensed);
         for image in &sensed.images {
             let k = &image.camera.intrinsics;
             let channel = channel_of_camera(&image.camera.name);
             let size_px = [k.width_px, k.height_px];
-            let file = self.reading(sensed, &sample, &channel, size_px, "png");
+            let file = self.reading(sensed, sample.as_deref(), &channel, size_px, "png")?;
             write_png(&self.folder.join(file), image)?;
         }
         if let Some(sweep) = &sensed.sweep {
-            let file = self.reading(sensed, &sample, LIDAR, [0, 0], "pcd.bin");
+            let file = self.reading(sensed, sample.as_deref(), LIDAR, [0, 0], "pcd.bin")?;
             let points = sweep.points(PointFrame::End);
             let rings = sweep.lidar.model.rings();
             write_points(
@@ -285,14 +340,19 @@ impl DataSet for Tables {
                 &[],
             )?;
         }
+        let Some(sample) = sample else {
+            return Ok(());
+        };
         for index in 0..sensed.agents.len() {
             self.annotate(sensed, &sample, index);
         }
-        self.samples.push(sample);
+        self.settled =
+            ["sample_data", "ego_pose"].map(|table| self.tables.get(table).map_or(0, Vec::len));
         Ok(())
     }
 
     fn finish(mut self: Box<Self>) -> Result<String> {
+        self.take_back_pending()?;
         let (token, log) = (self.token("scene", ""), self.token("log", ""));
         let ends =
             [self.samples.first(), self.samples.last()].map(|end| end.cloned().unwrap_or_default());
