@@ -27,7 +27,7 @@ use self::folder::RunFolder;
 use self::image_writer::EpisodeImages;
 pub use self::image_writer::{ImageWriter, Images};
 use self::jobs::Job;
-use crate::arguments::{Size, print, transfer_in, warn};
+use crate::arguments::{Size, print, seconds_within, transfer_in, warn};
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
@@ -132,17 +132,14 @@ pub struct Arguments {
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    let parsed = text
-        .parse::<f64>()
-        .ok()
-        .filter(|seconds| (0.001..=86_400.0).contains(seconds));
-    parsed.ok_or_else(|| format!("expected seconds from 0.001 to 86400, found {text:?}"))
+    seconds_within(text, &(0.001..=86_400.0))
 }
 
 fn step(text: &str) -> Result<f64, String> {
-    let (min, max) = (scenario_file::STEP_S_MIN, scenario_file::STEP_S_MAX);
-    let parsed = text.parse().ok().filter(|step| (min..=max).contains(step));
-    parsed.ok_or_else(|| format!("expected seconds from {min} to {max}, found {text:?}"))
+    seconds_within(
+        text,
+        &(scenario_file::STEP_S_MIN..=scenario_file::STEP_S_MAX),
+    )
 }
 
 fn level(text: &str) -> Result<Level, String> {

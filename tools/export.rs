@@ -14,7 +14,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{TEMPORARY_PREFIX, read_episode_log, write_atomically};
-use decouplegs::episode::{Appearance, Moments, Site, chosen_lidars};
+use decouplegs::episode::{Appearance, Moments, Site, camera_named, chosen_lidars};
 use decouplegs::scene::episode::{DrawnBy, Episode};
 use decouplegs::scene::{Camera, Rig, RigCamera, RigLidar, RoadUser, Sensor};
 use decouplegs_cli::png_bytes;
@@ -177,14 +177,7 @@ fn rig_of(arguments: &Arguments, episode: &Episode, all: &Rig) -> Result<Rig> {
     };
     let mut cameras: Vec<RigCamera> = Vec::new();
     for name in names {
-        let camera = all.cameras().find(|camera| camera.name == *name);
-        let there: Vec<&str> = all.cameras().map(|camera| camera.name.as_str()).collect();
-        cameras.push(camera.cloned().with_context(|| {
-            format!(
-                "the scene has no camera {name:?}: it has {}",
-                there.join(", ")
-            )
-        })?);
+        cameras.push(camera_named(all, name)?.clone());
     }
     if names.is_empty() {
         cameras = all.cameras().cloned().collect();

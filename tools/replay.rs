@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use decouplegs::asset::read_episode_log;
 use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{
-    Appearance, EpisodeObserver, ObservationRenderer, Replayed, Site, chosen_lidars, replay,
+    Appearance, EpisodeObserver, ObservationRenderer, Replayed, Site, camera_named, chosen_lidars,
+    replay,
 };
 use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
 use decouplegs::scene::{Rig, Sensor};
@@ -89,14 +90,7 @@ fn drawn(
     };
     let mut cameras = Vec::new();
     for name in &episode.head.planner.cameras {
-        let camera = site
-            .loaded
-            .rig
-            .cameras()
-            .find(|camera| camera.name == *name);
-        let mut camera = camera
-            .with_context(|| format!("the place has no camera called {name}, which the log has"))?
-            .clone();
+        let mut camera = camera_named(&site.loaded.rig, name)?.clone();
         camera.intrinsics = drawn_by.intrinsics(&camera.intrinsics);
         cameras.push(camera);
     }

@@ -132,7 +132,7 @@ fn the_pose_and_the_route_arrive_to_the_bit() {
         ..observation(1, &[], None)
     };
     let plan = planner.plan(&asked).unwrap();
-    let told: Vec<f64> = plan
+    let received: Vec<f64> = plan
         .points()
         .iter()
         .map(|point| point.position_m.y)
@@ -141,7 +141,7 @@ fn the_pose_and_the_route_arrive_to_the_bit() {
     let expected = [
         2.0, 0.2, p.x, p.y, p.z, q.w, q.x, q.y, q.z, 0.7, 8.1, -0.3, 0.02, 2.0, 0.1, 4.0, 1e-9,
     ];
-    assert_eq!(told, expected);
+    assert_eq!(received, expected);
 }
 
 /// A sweep with two returns.

@@ -87,7 +87,7 @@ fn an_episode_steered_by_hand_is_one_of_plans() {
     assert_eq!(again.moved_differently, None);
 }
 
-/// Follows its route by its localization alone, and keeps what it is told.
+/// Planner that follows its route by its localization alone, and records each localization.
 #[derive(Default)]
 struct ByRoute {
     told: Vec<Localization>,

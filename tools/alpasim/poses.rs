@@ -75,17 +75,23 @@ pub fn message_of(pose: &Pose) -> common::Pose {
         translation,
     } = pose;
     common::Pose {
-        vec: Some(common::Vec3 {
-            x: translation.x as f32,
-            y: translation.y as f32,
-            z: translation.z as f32,
-        }),
+        vec: Some(vec3_of(*translation)),
         quat: Some(common::Quat {
             w: rotation.w as f32,
             x: rotation.x as f32,
             y: rotation.y as f32,
             z: rotation.z as f32,
         }),
+    }
+}
+
+/// `place` as a message.
+#[must_use]
+pub fn vec3_of(place: DVec3) -> common::Vec3 {
+    common::Vec3 {
+        x: place.x as f32,
+        y: place.y as f32,
+        z: place.z as f32,
     }
 }
 

@@ -4,13 +4,13 @@
 //! hold f32; and the rig, x forward, y left, z up, from the ground below the middle of the rear
 //! axle. The engine's own frame of the ego has the same axes, from the middle of its box.
 
-use decouplegs::planner::{EpisodeInfo, Localization, LocatedEgo, PlannerError};
+use decouplegs::planner::{EpisodeInfo, Localization, LocatedEgo, PlannerError, plan_through};
 use decouplegs::scene::{Intrinsics, Plan, PlanPoint, Pose, RigCamera};
 use glam::{DVec2, DVec3};
 
 use super::Padding;
 use crate::camera_spec::spec_of;
-use crate::poses::{message_of, pose_of};
+use crate::poses::{message_of, pose_of, vec3_of};
 use crate::wire::common::{DynamicState, PoseAtTime, Trajectory, Vec3};
 use crate::wire::egodriver::Route;
 use crate::wire::sensorsim::available_cameras_return::AvailableCamera;
@@ -18,10 +18,6 @@ use crate::wire::sensorsim::available_cameras_return::AvailableCamera;
 /// Time of the start of an episode, microseconds: drivers look back from it, and times are
 /// unsigned.
 const START_US: u64 = 10_000_000;
-/// From point to point of a plan along the route, seconds.
-const SPACING_S: f64 = 0.25;
-/// End of a plan along the route, seconds.
-const HORIZON_S: f64 = 4.0;
 
 /// Time `time_s` after the start of the episode, microseconds.
 pub(super) fn time_us(time_s: f64) -> u64 {
@@ -104,10 +100,10 @@ impl Frames {
         let rig_from_world = now.pose.then(&self.box_from_rig).inverse();
         let points = localization.route_m.iter();
         let mut waypoints: Vec<Vec3> = points
-            .map(|point| vec3(rig_from_world.transform(*point)))
+            .map(|point| vec3_of(rig_from_world.transform(*point)))
             .collect();
         if padding == Padding::Nan {
-            waypoints.resize(Localization::WAYPOINTS, vec3(DVec3::NAN));
+            waypoints.resize(Localization::WAYPOINTS, vec3_of(DVec3::NAN));
         }
         Route {
             waypoints,
@@ -158,23 +154,15 @@ fn motion(located: &LocatedEgo) -> DynamicState {
     let motion = &located.motion;
     let (speed_mps, yaw_rate) = (motion.speed_mps, motion.yaw_rate_radps);
     DynamicState {
-        angular_velocity: Some(vec3(DVec3::Z * yaw_rate)),
-        linear_velocity: Some(vec3(DVec3::X * speed_mps)),
+        angular_velocity: Some(vec3_of(DVec3::Z * yaw_rate)),
+        linear_velocity: Some(vec3_of(DVec3::X * speed_mps)),
         // The rear axle does not slip, and turns about a place to its side.
-        linear_acceleration: Some(vec3(DVec3::new(
+        linear_acceleration: Some(vec3_of(DVec3::new(
             motion.acceleration_mps2,
             speed_mps * yaw_rate,
             0.0,
         ))),
-        angular_acceleration: Some(vec3(DVec3::ZERO)),
-    }
-}
-
-fn vec3(place: DVec3) -> Vec3 {
-    Vec3 {
-        x: place.x as f32,
-        y: place.y as f32,
-        z: place.z as f32,
+        angular_acceleration: Some(vec3_of(DVec3::ZERO)),
     }
 }
 
@@ -197,15 +185,7 @@ pub(super) fn along_route(localization: &Localization) -> Result<Plan, PlannerEr
             _ => DVec2::X * along_m,
         }
     };
-    let count = (HORIZON_S / SPACING_S) as u32;
-    let points = (1..=count).map(|number| {
-        let time_s = f64::from(number) * SPACING_S;
-        PlanPoint {
-            time_s,
-            position_m: at(speed_mps * time_s),
-        }
-    });
-    Plan::new(points.collect()).map_err(|fault| PlannerError(fault.into()))
+    plan_through(|time_s| at(speed_mps * time_s))
 }
 
 #[cfg(test)]

@@ -6,11 +6,14 @@ use std::str::FromStr;
 use clap::{Args, ValueEnum};
 use decouplegs::planner::Frame;
 use decouplegs::scene::Invalid;
+use decouplegs_cli::arguments::seconds_within;
 
 use crate::encoding::{Encoding, encode};
 
 /// Quality of JPEG images, as AlpaSim asks for it.
 const QUALITY: u8 = 95;
+/// Default of [`DriverOptions::driver_warm_up`], seconds: AlpaSim's Transfuser needs as long.
+const WARM_UP_S: f64 = 3.0;
 
 /// Address of a driver: `egodriver://HOST:PORT`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -164,7 +167,7 @@ pub struct DriverOptions {
     pub driver_padding: Padding,
     /// Time since the start in which the driver may answer without a plan: the ego then follows its
     /// route at its speed, and the log and the score say so. Later, it stands
-    #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = WARM_UP_S, value_parser = seconds)]
     pub driver_warm_up: f64,
     /// Tell the driver the name of the scenario
     #[arg(long)]
@@ -178,18 +181,14 @@ impl Default for DriverOptions {
             driver_lens: SensorLens::default(),
             driver_images: ImageFile::default(),
             driver_padding: Padding::default(),
-            driver_warm_up: 3.0,
+            driver_warm_up: WARM_UP_S,
             tell_scene: false,
         }
     }
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    let parsed = text
-        .parse()
-        .ok()
-        .filter(|seconds| (0.0..=60.0).contains(seconds));
-    parsed.ok_or_else(|| format!("expected seconds from 0 to 60, found {text:?}"))
+    seconds_within(text, &(0.0..=60.0))
 }
 
 impl DriverOptions {

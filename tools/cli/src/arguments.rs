@@ -1,6 +1,7 @@
 //! Values that several subcommands take, and what they all print with.
 
 use std::io::{ErrorKind, Write};
+use std::ops::RangeInclusive;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -63,7 +64,6 @@ pub fn three_numbers(text: &str, most: f64) -> Option<[f64; 3]> {
         .ok()
 }
 
-/// A number of pixels, 0 or more.
 /// Parser of the names of planes.
 pub fn plane_names() -> impl TypedValueParser<Value = Plane> {
     let names = PossibleValuesParser::new(Plane::ALL.map(Plane::name));
@@ -77,6 +77,16 @@ pub fn seconds_above_zero(text: &str) -> Result<f64, String> {
         .ok_or_else(|| format!("expected seconds above 0, found {text:?}"))
 }
 
+/// Seconds within `range`.
+pub fn seconds_within(text: &str, range: &RangeInclusive<f64>) -> Result<f64, String> {
+    let parsed = text.parse().ok().filter(|seconds| range.contains(seconds));
+    parsed.ok_or_else(|| {
+        let (least, most) = (range.start(), range.end());
+        format!("expected seconds from {least} to {most}, found {text:?}")
+    })
+}
+
+/// A number of pixels, 0 or more.
 pub fn pixels(text: &str) -> Result<f64, String> {
     finite(text)
         .ok()

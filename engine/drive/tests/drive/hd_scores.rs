@@ -32,8 +32,8 @@ fn a_calm_drive_has_its_route_completion() {
 fn each_term_costs_what_it_weighs() {
     let calm = straight(0.0, 0.0, 0.0, 5.0);
     let rc = of(&calm, &[], EpisodeEnd::Time).route_completion;
-    // A car stands at 56.1 m. The ego is on course for it, one second before the boxes would touch,
-    // when its middle is beyond 46.6 m: at the last 7 of 101 moments.
+    // A parked car is at 56.1 m. At 5 m/s the boxes touch within one second once the middle of the
+    // ego is past 46.6 m: the last 7 of 101 moments.
     let standing = |x: f64| -> Motion { straight(x, 0.0, 0.0, 0.0) };
     let near = of(&calm, &[standing(56.1)], EpisodeEnd::Time);
     let share = near.time_to_collision;

@@ -29,7 +29,9 @@ use crate::planner::{Cameras, EpisodeInfo, Observation, Planner, Reading};
 
 pub use live::LiveEpisode;
 pub use moments::{Moment, Moments};
-pub use observation_renderer::{ObservationRenderer, chosen, chosen_lidars, reading_hash};
+pub use observation_renderer::{
+    ObservationRenderer, camera_named, chosen, chosen_lidars, reading_hash,
+};
 pub use replay::{Replayed, replay};
 pub use rollout::{EpisodeMetadata, Rollout};
 pub use simulation::Simulation;

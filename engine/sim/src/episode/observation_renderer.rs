@@ -39,7 +39,7 @@ pub fn chosen(rig: &Rig, cameras: &Cameras, size_px: Option<[u32; 2]>) -> Result
         Cameras::None => Vec::new(),
         Cameras::Front => first().cloned().into_iter().collect(),
         Cameras::Named(names) => {
-            let named = |name: &String| named(rig, name).cloned();
+            let named = |name: &String| camera_named(rig, name).cloned();
             names.iter().map(named).collect::<Result<_, _>>()?
         }
         Cameras::All => rig.cameras().cloned().collect(),
@@ -56,7 +56,10 @@ pub fn chosen(rig: &Rig, cameras: &Cameras, size_px: Option<[u32; 2]>) -> Result
 }
 
 /// The camera of `rig` called `name`.
-fn named<'a>(rig: &'a Rig, name: &str) -> Result<&'a RigCamera, Invalid> {
+///
+/// # Errors
+/// A sentence with the names of the cameras that there are.
+pub fn camera_named<'a>(rig: &'a Rig, name: &str) -> Result<&'a RigCamera, Invalid> {
     let mut cameras = rig.cameras();
     cameras.find(|camera| camera.name == name).ok_or_else(|| {
         let names: Vec<&str> = rig.cameras().map(|camera| camera.name.as_str()).collect();

@@ -15,7 +15,7 @@ pub(super) const HORIZON_S: f64 = 4.0;
 ///
 /// # Errors
 /// Returns an error if a position is not finite or too far away.
-pub(super) fn plan_through(mut place_at: impl FnMut(f64) -> DVec2) -> Result<Plan, PlannerError> {
+pub fn plan_through(mut place_at: impl FnMut(f64) -> DVec2) -> Result<Plan, PlannerError> {
     let count = (HORIZON_S / SPACING_S).round() as u32;
     let points = (1..=count).map(|at| {
         let time_s = f64::from(at) * SPACING_S;

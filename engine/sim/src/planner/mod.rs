@@ -12,6 +12,7 @@ mod lane_follow;
 mod replay;
 mod vision;
 
+pub use cadence::plan_through;
 pub use choice::PlannerChoice;
 pub use constant_velocity::ConstantVelocity;
 pub use external::{External, Timeouts, Transport};
