@@ -19,6 +19,7 @@
 #include "record.glsl"
 #include "agent.glsl"
 #include "geometry.glsl"
+#include "shading.glsl"
 #include "fog.glsl"
 
 layout(local_size_x = 256) in;
@@ -26,6 +27,7 @@ layout(local_size_x = 256) in;
 
 layout(constant_id = 3) const bool RADIAL = false;
 layout(constant_id = 4) const bool RELIT = false; // some agents have colors of their own
+layout(constant_id = 5) const bool SHADED = false; // some agents are shaded by normals
 
 layout(set = 0, binding = 4, scalar) readonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 5, scalar) readonly buffer offsets_block { uint offsets[]; }; // of agents, [camera][cluster]
@@ -34,6 +36,7 @@ layout(set = 0, binding = 7, std430) readonly buffer coded_bands_block { uvec4 c
 layout(set = 0, binding = 8, scalar) readonly buffer static_offsets_block { uint static_offsets[]; }; // of the background
 layout(set = 0, binding = 9, scalar) readonly buffer relit_dc_block { vec3 relit_dc[]; };
 layout(set = 0, binding = 10, std430) readonly buffer relit_bands_block { uvec4 relit_bands[]; };
+layout(set = 0, binding = 20, scalar) readonly buffer shadings_block { Shading shadings[]; };
 
 layout(push_constant, scalar) uniform push_block {
     uint agent_count;
@@ -113,6 +116,7 @@ void main() {
     bool loaded = false;
     CodedSplat coded;
     mat3 axes;
+    vec3 gain = vec3(1.0);
     for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
         uint list = camera_index * cluster_count + cluster_index;
         int rank = visible_rank(list * CLUSTER_WORDS, thread);
@@ -126,6 +130,10 @@ void main() {
         if (!loaded) {
             coded = unpack_splat(coded_splats[agent.first_splat + own_splat], agent);
             axes = axes_of(agent, coded);
+            if (SHADED && agent.shading != 0u) {
+                Shading shading = shadings[agent.shading - 1u];
+                gain = shading_gain(shading, shading_normal(shading, axes, coded.mean_m));
+            }
             loaded = true;
         }
         Camera camera = agent_cameras[agent_index * camera_count + camera_index];
@@ -144,6 +152,9 @@ void main() {
         vec3 dc = (RELIT && from_relit ? relit_dc[color] : coded_dc[color]) + agent.dc_residual_gain * coded.dc_residual;
         load_color(color, from_relit);
         vec3 rgb = sh_color(dc, color, COLOR_WORDS, agent.colors_in_world != 0u ? turned(agent, d) : d);
+        if (SHADED) {
+            rgb *= gain;
+        }
         record.color = in_fog(rgb, length(seen.offset_m), fog);
         write_record(slot, record);
         keys[slot] = depth_key(RADIAL ? scaled_distance(coded.mean_m, camera) : scaled_depth(coded.mean_m, camera));

@@ -14,7 +14,7 @@ use decouplegs::asset::{
     CodedAsset, Provenance, SceneAgent, SceneFile, SceneLight, inria_ply, write_atomically,
     write_coded,
 };
-use decouplegs::scene::light::ShadowOptions;
+use decouplegs::scene::light::{RelightOptions, ShadowOptions};
 use decouplegs::scene::{
     Camera, Pose, Presence, Rules, SplatCloud, SplatScene, TimedPose, Trajectory,
 };
@@ -106,6 +106,10 @@ struct StreetArguments {
     /// a [light] table. Best with --neutral-assets, since other cars show the dark below them
     #[arg(long)]
     shadows: bool,
+    /// Light the cars by the normals of their splats, as the road shows the light of the weather,
+    /// and let them throw shadows. Best with --neutral-assets and --movable
+    #[arg(long)]
+    by_normals: bool,
     /// Write world.ply too: street and cars as one cloud of splats, for programs without agents
     #[arg(long)]
     baked: bool,
@@ -150,6 +154,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         cars,
         baked: arguments.baked,
         shadows: arguments.shadows,
+        by_normals: arguments.by_normals,
     };
     write_street(&street, &arguments.out, content)?;
     working.finish_and_clear();
@@ -204,6 +209,7 @@ pub fn demo() -> Result<PathBuf> {
             cars: Cars::Compressed,
             baked: false,
             shadows: false,
+            by_normals: false,
         };
         write_street(&street, out, content)?;
         working.finish_and_clear();
@@ -277,6 +283,8 @@ struct Content {
     baked: bool,
     /// True: the scene file has shadows.
     shadows: bool,
+    /// True: the scene file lights cars by the normals of their splats.
+    by_normals: bool,
 }
 
 fn write_street(street: &Street, out: &Path, content: Content) -> Result<()> {
@@ -325,7 +333,11 @@ fn scene_file(street: &Street, ego: Trajectory, content: Content) -> Result<Scen
         rig: street.rig.clone(),
         ego: Some(ego),
         agents: agents.collect::<Result<_>>()?,
-        light: content.shadows.then(|| SceneLight {
+        light: (content.shadows || content.by_normals).then(|| SceneLight {
+            relighting: RelightOptions {
+                by_normals: content.by_normals,
+                ..RelightOptions::default()
+            },
             shadows: Some(ShadowOptions::default()),
             casting: street.casting.clone(),
             ..SceneLight::default()

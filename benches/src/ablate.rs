@@ -21,7 +21,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use decouplegs::asset::{check_writable, read_light_transfer, write_atomically};
 use decouplegs::gpu::Gpu;
-use decouplegs::scene::light::RelightOptions;
+use decouplegs::scene::light::{Lighting, RelightOptions};
 use decouplegs::synth::street::{AssetLight, Capture, StreetOptions, Weather};
 use serde_json::{Value, json};
 
@@ -39,7 +39,7 @@ use reinsertion_scene::ReinsertionScene;
 ///
 /// Streets are synthetic, so that the truth is known: what their cars look like in the light of the
 /// place, and the dark about them. Cars captured in neutral light are put where the true ones
-/// stand, relit by the street about them, and compared with the truth over the pixels of vehicles.
+/// stand, lit by the street about them, and compared with the truth over the pixels of vehicles.
 /// Then the system runs in full and without compression, registration and relighting.
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -142,6 +142,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let light = read_light_transfer(&arguments.light)?.transfer;
     let relighting = RelightOptions {
         ground_albedo: arguments.ground_albedo,
+        by_normals: true,
         ..RelightOptions::default()
     };
     let mut weathers: Vec<Weather> = Vec::new();
@@ -170,6 +171,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         )?;
         let moments_s = stage.moments_s(arguments.moments);
         let lighting = stage.loaded.lighting().context("the street has no light")?;
+        let lighting = Lighting {
+            relighting: RelightOptions {
+                by_normals: false,
+                ..relighting
+            },
+            ..lighting
+        };
         let reinsertion = Reinsertion {
             gpu: &gpu,
             stage: &stage,

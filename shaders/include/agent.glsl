@@ -21,6 +21,7 @@ struct Agent {
     uint instance;
     uint colors_in_world; // 1: not turned with the agent
     uint colors_relit; // 1: its colors are those that were made for it, not the pool's
+    uint shading; // by normals: 0 none, else 1 more than its place among those of the frame
     vec3 dc_residual_gain; // of what is added to the DC term of its colors
     vec3 velocity_mps;     // world axes
     vec3 turn_rad_per_s;   // rotation vector per second, its own axes

@@ -10,20 +10,27 @@ const uint ATTRIBUTE_FLOW = 3u;       // displacement in the image after a time,
 const uint ATTRIBUTE_SCENE_FLOW = 4u; // velocity, meters per second, world axes
 const uint ATTRIBUTE_DEPTH = 5u;      // depth, meters, as in records
 
-// The axis of a Gaussian along which it is thinnest, of unit length: the eigenvector of the
-// smallest eigenvalue of the covariance `axes` * transpose(`axes`). Powers of the inverse turn
-// towards it.
-vec3 thinnest_axis(mat3 axes) {
+// The inverse of the covariance `axes` * transpose(`axes`), squared `squarings` times, but for a
+// factor.
+mat3 inverse_power(mat3 axes, uint squarings) {
     // The adjugate is the inverse but for a factor, and exists for flat splats too.
     float unit = max(length(axes[0]), max(length(axes[1]), length(axes[2])));
     mat3 scaled = axes / max(unit, 1e-30);
     mat3 adjugate = mat3(cross(scaled[1], scaled[2]), cross(scaled[2], scaled[0]), cross(scaled[0], scaled[1]));
     mat3 power = adjugate * transpose(adjugate);
-    for (uint i = 0u; i < 5u; ++i) {
+    for (uint i = 0u; i < squarings; ++i) {
         float trace = power[0].x + power[1].y + power[2].z;
         power /= max(trace, 1e-30);
         power = power * power;
     }
+    return power;
+}
+
+// The axis of a Gaussian along which it is thinnest, of unit length: the eigenvector of the
+// smallest eigenvalue of the covariance `axes` * transpose(`axes`). Powers of the inverse turn
+// towards it.
+vec3 thinnest_axis(mat3 axes) {
+    mat3 power = inverse_power(axes, 5u);
     vec3 squares = vec3(dot(power[0], power[0]), dot(power[1], power[1]), dot(power[2], power[2]));
     float most = max(squares.x, max(squares.y, squares.z));
     return normalize(squares.x == most ? power[0] : squares.y == most ? power[1] : power[2]);

@@ -5,10 +5,10 @@ use decouplegs::render::metrics::Difference;
 use decouplegs::render::{
     Agent, AssetPool, GpuScene, Image, RenderError, RenderOptions, Renderer, Scene, reference,
 };
-use decouplegs::scene::light::bake_shadows;
+use decouplegs::scene::light::{LightFrom, SHADING_LIGHTS, Shading, bake_shadows};
 use decouplegs::scene::{
     AmbientDescriptor, Camera, CodedCloud, ColorTransfer, GroundShadow, LightTransfer, Pose, Rules,
-    ShFrame, SplatScene, sh,
+    ShFrame, SplatCloud, SplatScene, sh,
 };
 use glam::{DQuat, DVec3};
 
@@ -130,12 +130,17 @@ impl Case {
 
     /// By definition.
     fn truth(&self) -> Vec<Image> {
+        self.truth_with(|_, cloud| cloud)
+    }
+
+    /// By definition, with agents as `lit` makes them, by number, of what transfers leave.
+    fn truth_with(&self, lit: impl Fn(usize, SplatCloud) -> SplatCloud) -> Vec<Image> {
         let mut world = self.world.clone();
         bake_shadows(&mut world, &self.shadows);
         for (i, (car, pose, sh_frame, relight)) in self.placed.iter().enumerate() {
             let decoded = self.cars[*car].decoded(0);
-            let lit = relight.map_or(decoded.clone(), |relight| relight.relit(&decoded));
-            world.bake_instance(&lit, pose, *sh_frame, i as u16 + 1);
+            let relit = relight.map_or(decoded.clone(), |relight| relight.relit(&decoded));
+            world.bake_instance(&lit(i, relit), pose, *sh_frame, i as u16 + 1);
         }
         self.cameras
             .iter()
@@ -218,6 +223,61 @@ fn lit_agents_and_their_shadows_are_the_definition() {
         change(&mut plain);
         for (image, truth) in plain.drawn(&gpu).iter().zip(&truth) {
             assert!(Difference::between(image, truth).unwrap().psnr_db < 60.0);
+        }
+    }
+}
+
+/// Splats lit by their normals, one agent of them relit too, against each splat's color multiplied
+/// in f64. Light from the other side is the case that must fail.
+#[test]
+fn agents_lit_by_normals_are_the_definition() {
+    let gpu = Validated::open();
+    let case = Case::new();
+    let shading = |red: f64, towards: DVec3| {
+        let mut lights = [LightFrom::default(); SHADING_LIGHTS];
+        let (towards, rgb) = (towards.normalize(), [red, 0.9, 0.3]);
+        lights[1] = LightFrom { towards, rgb };
+        Shading {
+            up: DVec3::new(0.1, 0.2, 0.9).normalize(),
+            sky: [0.3, 0.35, 0.5],
+            ground: [0.1, 0.09, 0.08],
+            lights,
+            half_size_m: [2.2, 0.9, 0.75],
+        }
+    };
+    let towards = DVec3::new(0.8, -0.5, 0.3);
+    let shadings = [
+        Some(shading(1.5, towards)),
+        Some(shading(0.5, -towards)),
+        None,
+        None,
+    ];
+    let mut stage = Stage::of(&gpu, &case);
+    let mut draw = |shadings: [Option<Shading>; 4]| {
+        let mut agents = case.agents(&stage.assets);
+        for (agent, shading) in agents.iter_mut().zip(shadings) {
+            agent.shading = shading;
+        }
+        stage.draw(&agents, &case.shadows, &case.cameras)
+    };
+    let unshaded = draw([None; 4]);
+    let (images, mirrored) = (draw(shadings), draw([shadings[1], shadings[0], None, None]));
+    assert!(draw(shadings) == images && draw([None; 4]) == unshaded);
+    let truth = case.truth_with(|agent, cloud| {
+        shadings[agent].map_or(cloud.clone(), |shading| shading.relit(&cloud))
+    });
+    for (index, truth) in truth.iter().enumerate() {
+        let difference = Difference::between(&images[index], truth).unwrap();
+        println!(
+            "{:.1} dB, max {:.5}",
+            difference.psnr_db, difference.max_abs
+        );
+        assert!(
+            difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX,
+            "{difference:?}"
+        );
+        for other in [&unshaded[index], &mirrored[index]] {
+            assert!(Difference::between(other, truth).unwrap().psnr_db < 60.0);
         }
     }
 }

@@ -10,6 +10,7 @@ use decouplegs::render::stages::{
     AgentCounts, AgentVariant, CullAgents, ProjectAgents, Projected, SeenAgents,
 };
 use decouplegs::render::twins::{self, agent::UnpackedSplat, lens::lens_of};
+use decouplegs::scene::light::{LightFrom, Shading};
 use decouplegs::scene::{Camera, ColorTransfer, DepthOrder, Fog, Pose, Rules};
 use glam::{DQuat, DVec3, Vec3};
 
@@ -221,6 +222,7 @@ impl Case {
                 sh_degree: *sh_degree,
                 labels: true,
                 relit: is_relit,
+                shaded: !scene.shadings.is_empty(),
                 cameras: scene.camera_variant(),
                 attribute: Attribute::None,
                 fog: scene.fog.is_some(),
@@ -257,6 +259,8 @@ impl Case {
             .chain(coded.dc_residual.as_ref())
             .map(|value| f64::from(value.abs()))
             .sum::<f64>();
+        let (shading, gain) = self.scene.shading_error(agent, coded.mean_m, axes);
+        let color = 1.0 + dc + 15.0 * 0.3;
         Projection {
             camera: self.scene.camera(agent, camera),
             lens: lens_of(&self.scene.lenses, camera).map(|lens| (self.scene.maps[camera], lens)),
@@ -267,7 +271,7 @@ impl Case {
             opacity: coded.opacity.into(),
             // A unit vector is off by some 12 roundings, turned by some 20, and no basis function
             // is steeper than 10.
-            color: 300.0 * ROUNDOFF * (1.0 + dc + 15.0 * 0.3),
+            color: gain * color * (300.0 * ROUNDOFF + shading),
         }
     }
 
@@ -378,6 +382,62 @@ fn records_of_relit_agents() {
     assert!(kernel.color(of(0)) != lit.color(of(0)));
 }
 
+/// The kernel shades as the twin does: sun and lamps on some agents, none on others.
+#[test]
+fn records_of_agents_shaded_by_normals() {
+    let gpu = open();
+    let plain = Case::new(hard_agents(&rig()), Rules::DEFAULT, 3);
+    let mut scene = hard_agents(&rig());
+    let mut light = some_shading(1.0);
+    scene.shade(0, &light);
+    let dusk = Case::new(scene, Rules::DEFAULT, 3);
+    dusk.check(&dusk.kernel(&gpu), &dusk.twin()).unwrap();
+    let mut scene = hard_agents(&rig());
+    light.lights[0].towards = -light.lights[0].towards;
+    scene.shade(5, &light);
+    scene.shade(0, &some_shading(0.0));
+    let case = Case::new(scene, Rules::DEFAULT, 3);
+    let kernel = case.kernel(&gpu);
+    case.check(&kernel, &case.twin()).unwrap();
+    for (other, what) in [(&plain, "none"), (&dusk, "other lights")] {
+        let changed = case.check(&kernel, &other.twin()).unwrap_err();
+        assert!(changed.contains("value"), "{what}: {changed}");
+    }
+    let unshaded = plain.kernel(&gpu);
+    for record in 0..case.room - STATIC_RECORDS {
+        let (_, agent, _) = case.listed.records[record];
+        let at = STATIC_RECORDS + record;
+        assert!(
+            [0, 5].contains(&agent) || kernel.color(at) == unshaded.color(at),
+            "an agent that is not shaded has the bits it has without: record {record}"
+        );
+    }
+}
+
+/// A sky, a ground, `sun` times a sun and a lamp, on agents of unlike sides.
+fn some_shading(sun: f64) -> Shading {
+    let from = |towards: DVec3, rgb: [f64; 3]| LightFrom {
+        towards: towards.normalize(),
+        rgb,
+    };
+    let lights = [
+        from(
+            DVec3::new(0.9, -0.3, 0.3),
+            [2.0, 1.1, 0.4].map(|rgb| sun * rgb),
+        ),
+        LightFrom::default(),
+        from(DVec3::new(-0.2, 0.6, 0.7), [0.3, 0.2, 0.1]),
+        LightFrom::default(),
+    ];
+    Shading {
+        up: DVec3::new(0.1, -0.05, 0.99).normalize(),
+        sky: [0.2, 0.25, 0.4],
+        ground: [0.1, 0.08, 0.07],
+        lights,
+        half_size_m: [2.3, 0.9, 0.75],
+    }
+}
+
 #[test]
 fn records_of_agents_in_fog() {
     let gpu = open();
@@ -436,6 +496,7 @@ fn no_agents_are_nothing() {
                 sh_degree: 3,
                 labels: true,
                 relit: false,
+                shaded: false,
                 cameras: scene.camera_variant(),
                 attribute: Attribute::None,
                 fog: scene.fog.is_some(),

@@ -9,10 +9,10 @@ use decouplegs::gpu::{DeviceOptions, Gpu};
 use decouplegs::render::layout::{
     AgentRecord, BeamEchoes, BeamRecord, BeamState, BlendItem, Bucket, CameraRecord, ClusterRecord,
     Composite, EchoRecord, FiringRecord, LensRecord, NodeRecord, PartialTiles, RelightRecord,
-    RequiredCounts, SectorRecord, ShadowRecord, ViewLists,
+    RequiredCounts, SectorRecord, ShadingRecord, ShadowRecord, ViewLists,
 };
 use decouplegs::render::post_processing::PhotometryRecord;
-use decouplegs::scene::{lidar, rules};
+use decouplegs::scene::{lidar, light, rules};
 
 /// A structure of the host.
 struct Record {
@@ -127,6 +127,7 @@ fn records_of_frames() -> Vec<Record> {
             instance,
             colors_in_world,
             colors_relit,
+            shading,
             dc_residual_gain,
             velocity_mps,
             turn_rad_per_s
@@ -197,6 +198,14 @@ fn records_of_light_and_lenses() -> Vec<Record> {
             table,
             bend_limit,
             bending
+        }),
+        record!(ShadingRecord {
+            up,
+            upright,
+            upward,
+            outward,
+            towards,
+            rgb
         }),
         record!(ShadowRecord {
             center_high_m,
@@ -334,6 +343,8 @@ fn constants_of_the_rules_are_the_same_on_host_and_device() {
         ("DILATION_PX2", rules::DILATION_PX2),
         ("ECHO_SEPARATION_M", lidar::ECHO_SEPARATION_M),
         ("ECHO_WEIGHT_MIN", lidar::ECHO_WEIGHT_MIN),
+        ("SHADING_LIGHT_MIN", light::LIGHT_MIN),
+        ("SHADING_LIGHTS", light::SHADING_LIGHTS as f64),
     ] {
         assert_eq!(of(name), [expected], "{name}");
     }

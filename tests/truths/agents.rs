@@ -171,6 +171,7 @@ fn seen_by_kernel(
             sh_degree: 3,
             labels: false,
             relit: false,
+            shaded: false,
             cameras: CameraVariant::default(),
             attribute: Attribute::None,
             fog: false,

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use decouplegs::asset::{LoadedScene, SceneFile};
-use decouplegs::scene::light::{CastingLights, Sun, Trust, ambient_by_definition};
+use decouplegs::scene::light::{CastingLights, GroundLight, Sun, Trust, ambient_by_definition};
 use decouplegs::scene::{Presence, RigCamera, RigLidar, ShFrame, SplatScene, Trajectory};
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -26,6 +26,10 @@ struct Light {
     transfer: Option<PathBuf>,
     /// Albedo that the ground is taken to have; `None` without a transfer.
     ground_albedo: Option<f64>,
+    /// True: colors follow the normals of splats.
+    by_normals: bool,
+    /// Light that the ground tells of.
+    told: Option<GroundLight>,
     shadows: bool,
     casting: CastingLights,
     probes: usize,
@@ -252,6 +256,8 @@ impl Light {
         Some(Self {
             transfer: file.transfer.clone(),
             ground_albedo: lighting.ground_albedo(),
+            by_normals: lighting.relighting.by_normals,
+            told: lighting.ground_light.clone(),
             shadows: file.shadows.is_some(),
             casting: lighting.casting.clone(),
             probes,
@@ -261,15 +267,14 @@ impl Light {
     }
 
     fn add_to(&self, lines: &mut Lines) {
-        let transfer = self
-            .transfer
-            .as_ref()
-            .map_or("colors stay as captured".into(), |path| {
-                let albedo = self.ground_albedo.map_or(String::new(), |albedo| {
-                    format!(" over a ground of albedo {albedo:.3}")
-                });
-                format!("relit by {}{albedo}", path.display())
-            });
+        let albedo = self.ground_albedo.map_or(String::new(), |albedo| {
+            format!(" over a ground of albedo {albedo:.3}")
+        });
+        let transfer = match &self.transfer {
+            Some(path) => format!("relit by {}{albedo}", path.display()),
+            None if self.by_normals => format!("lit by normals{albedo}"),
+            None => "colors stay as captured".to_owned(),
+        };
         let mut shadows = match self.shadows {
             true => "contact shadows",
             false => "no shadows",
@@ -295,6 +300,20 @@ impl Light {
                 self.probes
             ),
         );
+        if let (Some(told), Some(albedo)) = (&self.told, self.ground_albedo) {
+            let [sky, direct] = [told.sky, told.direct].map(|color| {
+                let [red, green, blue] = color.map(|value| value / albedo);
+                format!("({red:.2}, {green:.2}, {blue:.2})")
+            });
+            let source = match self.casting.sun {
+                Some(_) => "the sun",
+                None => "a lamp above",
+            };
+            lines.line(
+                "",
+                &format!("the road shows linear light of the sky {sky}, and {direct} of {source}"),
+            );
+        }
         for Start {
             instance,
             light,
@@ -342,6 +361,11 @@ impl Light {
         json!({
             "transfer": self.transfer.as_ref().map(|path| path.to_string_lossy().into_owned()),
             "ground_albedo": self.ground_albedo,
+            "by_normals": self.by_normals,
+            "ground_light": self.told.as_ref().map(|told| json!({
+                "sky": told.sky,
+                "direct": told.direct,
+            })),
             "shadows": self.shadows,
             "sun": self.casting.sun.map(|sun| json!({"towards": sun.towards.to_array(), "share": sun.share})),
             "lamps": self.casting.lamps.positions.len(),

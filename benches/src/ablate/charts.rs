@@ -9,6 +9,7 @@ use crate::plot::Bars;
 pub fn angles(report: &Report) -> Figure {
     let shown = [
         Arm::NoRelighting,
+        Arm::Transfer,
         Arm::Ours,
         Arm::BestAffine,
         Arm::TruthCompressed,
@@ -34,6 +35,7 @@ pub fn angles(report: &Report) -> Figure {
         rows: rows.collect(),
         parts: [
             "no relighting",
+            "light transfer",
             "ours",
             "best affine on DC",
             "truth, compressed",

@@ -5,7 +5,7 @@ use decouplegs::asset::LoadedAgent;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
 use decouplegs::render::{Agent, AssetPool, Image, Outputs, Plane, RenderOptions, Renderer, Scene};
-use decouplegs::scene::light::{Lighting, ShadowOptions, bake_shadows};
+use decouplegs::scene::light::{Lighting, LitAgent, ShadowOptions, bake_shadows};
 use decouplegs::scene::{AmbientDescriptor, Camera, GroundShadow, ShFrame, SplatScene};
 use decouplegs::synth::street::Weather;
 use decouplegs::{LiveScene, SceneSnapshot};
@@ -20,6 +20,7 @@ use super::ring::{self, Darkness};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arm {
     NoRelighting,
+    Transfer,
     Ours,
     ContactShadows,
     OursUnshadowed,
@@ -29,8 +30,9 @@ pub enum Arm {
 }
 
 impl Arm {
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::NoRelighting,
+        Self::Transfer,
         Self::Ours,
         Self::ContactShadows,
         Self::OursUnshadowed,
@@ -42,6 +44,7 @@ impl Arm {
     pub fn name(self) -> &'static str {
         match self {
             Self::NoRelighting => "no relighting",
+            Self::Transfer => "light transfer",
             Self::Ours => "ours",
             Self::ContactShadows => "ours, contact shadows",
             Self::OursUnshadowed => "ours, no shadows",
@@ -57,12 +60,16 @@ impl Arm {
             Self::NoRelighting => {
                 "compressed cars as they were captured in neutral light, no shadows"
             }
+            Self::Transfer => {
+                "the paper's method: one factor and summand per coefficient for a whole car, from the mean colors of the street \
+                 about it; shadows as in the next row"
+            }
             Self::Ours => {
-                "compressed cars, relit from the colors of the street about them, with contact shadows and the cast shadows of \
-                 the sun and the street lamps, whose positions the scene gives"
+                "compressed cars, each splat lit by its normal: sky, ground, and the sun or the street lamps, whose positions the \
+                 scene gives and whose colors the road tells; with contact shadows and cast ones"
             }
             Self::ContactShadows => {
-                "ours with contact shadows only: the scene gives neither sun nor lamps"
+                "ours with contact shadows only, as if the scene gave them neither sun nor lamps"
             }
             Self::OursUnshadowed => "ours without any shadows",
             Self::OursUncompressed => {
@@ -121,7 +128,7 @@ pub struct Reinsertion<'a> {
     pub gpu: &'a Gpu,
     pub stage: &'a ReinsertionScene,
     pub cars: &'a Cars,
-    /// The light of the street.
+    /// The light of the street, without shading by normals.
     pub lighting: &'a Lighting,
     /// Colors shorter than this have no hue.
     pub floor: f64,
@@ -167,7 +174,7 @@ impl Reinsertion<'_> {
             for (at, image) in sample.truth.iter().enumerate() {
                 truth_darkness.add(image, &empty[at], &sample.ground[at]);
             }
-            let [plain, ours] = [&drawn[0], &drawn[1]];
+            let [plain, ours] = [&drawn[0], &drawn[2]];
             shown = example_crops::better(shown, &sample, ours, plain, self.floor);
             samples.push(sample);
             done();
@@ -251,7 +258,7 @@ impl Reinsertion<'_> {
                 moment
                     .agents
                     .iter_mut()
-                    .for_each(|agent| agent.relight = None);
+                    .for_each(|agent| *agent = agent.unlit());
             }
             Arm::BestAffine => {
                 for ((agent, car), placed) in moment
@@ -261,11 +268,20 @@ impl Reinsertion<'_> {
                     .zip(&self.stage.loaded.agents)
                 {
                     let weights = &self.cars.visibility[placed.asset];
+                    agent.shading = None;
                     agent.relight = Some(affine::best_on_dc(
                         &self.cars.originals[placed.asset],
                         car,
                         weights,
                     ));
+                }
+            }
+            Arm::Transfer => {
+                for agent in &mut moment.agents {
+                    let pose = &agent.world_from_agent;
+                    let light = self.lighting.at(pose.translation).0;
+                    agent.shading = None;
+                    agent.relight = self.lighting.relight(&light, pose, ShFrame::Canonical);
                 }
             }
             Arm::OursUncompressed => {}
@@ -323,8 +339,7 @@ impl Reinsertion<'_> {
         for (coded, at) in self.cars.compressed(&clouds)?.iter().zip(seen) {
             agents.push(Agent {
                 asset: pool.add(coded)?,
-                relight: None,
-                ..moment.agents[at]
+                ..moment.agents[at].unlit()
             });
         }
         renderer.render(
@@ -341,7 +356,12 @@ impl Reinsertion<'_> {
         bake_shadows(&mut splat_scene, &moment.shadows);
         for (agent, placed) in moment.agents.iter().zip(&self.stage.loaded.agents) {
             let original = &self.cars.originals[placed.asset];
-            let relit = agent.relight.map(|relight| relight.relit(original));
+            let lit = LitAgent {
+                relight: agent.relight,
+                shading: agent.shading,
+                ..LitAgent::default()
+            };
+            let relit = lit.relit(original);
             let shown = relit.as_ref().unwrap_or(original);
             splat_scene.bake_instance(
                 shown,

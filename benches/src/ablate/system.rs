@@ -183,7 +183,7 @@ impl Reinsertion<'_> {
                 moment
                     .agents
                     .iter_mut()
-                    .for_each(|agent| agent.relight = None);
+                    .for_each(|agent| *agent = agent.unlit());
             }
             if without.arm() == Arm::OursUncompressed {
                 let splat_scene = renderer.upload(&self.copies(&moment))?;

@@ -6,13 +6,14 @@
 //! colors and depth keys come out the same.
 
 use bytemuck::Zeroable;
+use decouplegs_scene::light::Shading;
 use decouplegs_scene::{Camera, ColorTransfer, GroundShadow, Invalid, Motion, Pose, ShFrame};
 use glam::{DMat3, DVec3, Vec3};
 
 use crate::RenderError;
 use crate::asset_pool::{Asset, AssetId, AssetPool, PoolBuffers};
 use crate::layout::{
-    AgentRecord, CameraRecord, RelightRecord, View, check_motion, exposed_within_s,
+    AgentRecord, CameraRecord, RelightRecord, ShadingRecord, View, check_motion, exposed_within_s,
 };
 use crate::resident::GpuScene;
 use crate::stages::AgentCounts;
@@ -33,6 +34,8 @@ pub struct Agent {
     pub instance: u16,
     /// Effect of the surrounding light on its colors, in the frame of these; `None`: none.
     pub relight: Option<ColorTransfer>,
+    /// Light on its splats by their normals, after [`Agent::relight`]; `None`: none.
+    pub shading: Option<Shading>,
     /// Cameras of the frame that may see it, a bit each, the first lowest: worlds that share a
     /// background are cameras that see different agents.
     pub cameras: u32,
@@ -49,7 +52,18 @@ impl Agent {
             sh_frame: None,
             instance,
             relight: None,
+            shading: None,
             cameras: u32::MAX,
+        }
+    }
+
+    /// The same in the light that its asset was captured in.
+    #[must_use]
+    pub fn unlit(&self) -> Self {
+        Self {
+            relight: None,
+            shading: None,
+            ..*self
         }
     }
 }
@@ -95,6 +109,12 @@ impl<'a> Scene<'a> {
     pub(crate) fn relights(&self) -> bool {
         self.agents
             .is_some_and(|(_, agents)| agents.iter().any(|agent| agent.relight.is_some()))
+    }
+
+    /// True if some agent, in view or not, is shaded by normals.
+    pub(crate) fn shades(&self) -> bool {
+        self.agents
+            .is_some_and(|(_, agents)| agents.iter().any(|agent| agent.shading.is_some()))
     }
 }
 
@@ -153,14 +173,16 @@ impl Scene<'_> {
                     pose: format!("{pose:?}"),
                 });
             }
-            if agent.relight.is_some_and(|light| {
+            let is_endless = agent.relight.is_some_and(|light| {
                 light
                     .gain
                     .iter()
                     .chain(&light.offset)
                     .flatten()
                     .any(|number| !number.is_finite())
-            }) {
+            });
+            let shading = agent.shading.as_ref().map(ShadingRecord::new);
+            if is_endless || shading.is_some_and(|record| !record.is_finite()) {
                 return Err(RenderError::AgentLight {
                     instance: agent.instance,
                 });
@@ -191,6 +213,8 @@ pub(crate) struct AgentList {
     /// The agents that are to be relit, as indices in [`AgentList::records`]: their asset and
     /// light.
     pub relights: Vec<(usize, AssetId, RelightRecord)>,
+    /// Light on those that are shaded by normals.
+    pub shadings: Vec<ShadingRecord>,
 }
 
 impl AgentList {
@@ -273,11 +297,7 @@ impl AgentList {
                     .moving(sector, &agent.motion)
             };
             let seen_by = (0..sectors.len()).map(seen_by).collect();
-            let unlit = Agent {
-                relight: None,
-                ..*agent
-            };
-            list.push(&unlit, pool.asset(agent.asset)?, 0, all, seen_by);
+            list.push(&agent.unlit(), pool.asset(agent.asset)?, 0, all, seen_by);
         }
         Ok((list.counts.clusters > 0).then(|| list.padded()))
     }
@@ -295,6 +315,7 @@ impl AgentList {
             agents: 0,
             splats: 0,
             relights: Vec::new(),
+            shadings: Vec::new(),
         }
     }
 
@@ -307,8 +328,14 @@ impl AgentList {
             agents,
             cameras,
             clusters,
+            shadings,
         } = &mut self.counts;
         (*agents, *clusters) = (up(*agents), up(*clusters));
+        *shadings = match self.shadings.len() {
+            0 => 0,
+            count => up(count),
+        };
+        self.shadings.resize(*shadings, ShadingRecord::default());
         let none = AgentRecord {
             first_cluster: u32::MAX,
             ..AgentRecord::default()
@@ -338,6 +365,10 @@ impl AgentList {
             instance: agent.instance.into(),
             colors_in_world: u32::from(agent.sh_frame.unwrap_or(asset.sh_frame) == ShFrame::World),
             colors_relit: u32::from(agent.relight.is_some()),
+            shading: match agent.shading {
+                Some(_) => self.shadings.len() as u32 + 1,
+                None => 0,
+            },
             dc_residual_gain: agent.relight.map_or([1.0; 3], |light| light.gain[0]),
             velocity_mps: agent.motion.velocity_mps.as_vec3().to_array(),
             turn_rad_per_s: agent.motion.turn_rad_per_s.as_vec3().to_array(),
@@ -349,6 +380,8 @@ impl AgentList {
             self.relights
                 .push((self.records.len() - 1, agent.asset, relight));
         }
+        self.shadings
+            .extend(agent.shading.as_ref().map(ShadingRecord::new));
         self.cameras.extend(seen_by);
         self.agents += 1;
         self.counts.agents += 1;

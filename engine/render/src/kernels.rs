@@ -175,6 +175,7 @@ impl FrameVariant {
                 sh_degree: 0,
                 labels: false,
                 relit: false,
+                shaded: false,
                 cameras: agents.cameras,
                 attribute,
                 fog: false,

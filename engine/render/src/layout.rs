@@ -13,7 +13,7 @@ mod lists;
 pub use detail::NodeRecord;
 pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
 pub use lidar::{BeamEchoes, BeamRecord, BeamState, EchoRecord, FiringRecord, SectorRecord};
-pub use light::{RelightRecord, ShadowRecord};
+pub use light::{RelightRecord, ShadingRecord, ShadowRecord};
 pub use lists::{
     BlendItem, Bucket, Composite, NO_PARTIAL, PartialTiles, RequiredCounts, ViewLists,
 };
@@ -315,6 +315,8 @@ pub struct AgentRecord {
     pub colors_in_world: u32,
     /// 1 where its colors are those that were made for it, and `first_color` counts among these.
     pub colors_relit: u32,
+    /// Shading by normals: 0 none, else one more than its index among those of the frame.
+    pub shading: u32,
     /// Factors on the part that is added to the DC term of its colors.
     pub dc_residual_gain: [f32; 3],
     /// Velocity, world axes.

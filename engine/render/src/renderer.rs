@@ -269,6 +269,7 @@ impl Renderer {
                     sh_degree: degree.min(options.sh_degree_max),
                     labels,
                     relit: scene.relights(),
+                    shaded: scene.shades(),
                     cameras: CameraVariant::of(
                         list.map_or(&[], |list| &list.cameras),
                         &view.lenses,

@@ -3,13 +3,14 @@
 use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind, Recorder};
 
 use crate::agents::AgentList;
-use crate::layout::{AgentRecord, CameraRecord};
+use crate::layout::{AgentRecord, CameraRecord, ShadingRecord};
 use crate::stages::{AgentBuffers, AgentCounts, PURPOSE};
 
 /// Agents that the host writes, and the buffers that kernels make of them.
 pub(crate) struct StagedAgents {
     records: Buffer<AgentRecord>,
     cameras: Buffer<CameraRecord>,
+    shadings: Buffer<ShadingRecord>,
     pub buffers: AgentBuffers,
     room: AgentCounts,
 }
@@ -25,7 +26,13 @@ impl StagedAgents {
         Ok(Self {
             records: gpu.buffer("staged_agents", PURPOSE, room.agents, MemoryKind::Upload)?,
             cameras: gpu.buffer("staged_agent_cameras", PURPOSE, cameras, MemoryKind::Upload)?,
-            buffers: AgentBuffers::new(gpu, room.agents, room.clusters, room.cameras)?,
+            shadings: gpu.buffer(
+                "staged_shadings",
+                PURPOSE,
+                room.shadings,
+                MemoryKind::Upload,
+            )?,
+            buffers: AgentBuffers::new(gpu, room)?,
             room,
         })
     }
@@ -36,6 +43,7 @@ impl StagedAgents {
         let room = self.room;
         if counts.agents <= room.agents
             && counts.clusters <= room.clusters
+            && counts.shadings <= room.shadings
             && counts.cameras == room.cameras
         {
             return Ok(());
@@ -50,6 +58,7 @@ impl StagedAgents {
                 agents: spare(counts.agents, room.agents),
                 clusters: spare(counts.clusters, room.clusters),
                 cameras: counts.cameras,
+                shadings: spare(counts.shadings, room.shadings),
             },
         )?;
         Ok(())
@@ -59,6 +68,7 @@ impl StagedAgents {
     pub fn write(&self, list: &AgentList) {
         self.records.write_host(0, &list.records);
         self.cameras.write_host(0, &list.cameras);
+        self.shadings.write_host(0, &list.shadings);
     }
 
     /// Records the copy of `counts` agents to the device.
@@ -66,5 +76,7 @@ impl StagedAgents {
         let cameras = counts.agents * counts.cameras;
         recorder.copy(&self.records, 0, &self.buffers.agents, 0, counts.agents);
         recorder.copy(&self.cameras, 0, &self.buffers.cameras, 0, cameras);
+        let shadings = &self.buffers.shadings;
+        recorder.copy(&self.shadings, 0, shadings, 0, counts.shadings);
     }
 }

@@ -229,13 +229,14 @@ impl LiveScene {
             .lighting
             .as_ref()
             .map(|lighting| lighting.of_agents(&matt().map(to_light).collect::<Vec<_>>()));
-        let mut relights = lit.iter().flatten().map(|lit| lit.relight);
-        let agent = |(placed, agent): (&AgentInstance, Agent)| Agent {
-            relight: match placed.shines {
-                true => None,
-                false => relights.next().flatten(),
-            },
-            ..agent
+        let mut lights = lit.iter().flatten();
+        let agent = |(placed, agent): (&AgentInstance, Agent)| match placed.shines {
+            true => agent,
+            false => lights.next().map_or(agent, |lit| Agent {
+                relight: lit.relight,
+                shading: lit.shading,
+                ..agent
+            }),
         };
         SceneSnapshot {
             agents: placed.iter().zip(self.unlit(placed)).map(agent).collect(),

@@ -3,19 +3,21 @@
 use bytemuck::Zeroable;
 use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::{
-    AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, RelightRecord, View,
-    fog_vector,
+    AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, RelightRecord,
+    ShadingRecord, View, fog_vector,
 };
 use decouplegs::render::stages::{AgentBuffers, AgentCounts, CameraVariant, RelitColors};
 use decouplegs::render::twins::agent::{UnpackedSplat, axes_of, unpack_splat};
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::Variant;
+use decouplegs::render::twins::shading::{inverse_power, shading_gain, shading_normal};
 use decouplegs::render::{PoolBuffers, sh_codec, stored_shape, twins};
+use decouplegs::scene::light::Shading;
 use decouplegs::scene::shape::principal_axes;
 use decouplegs::scene::{
     Bounds, Camera, CodedCloud, CodedSplat, ColorTransfer, Fog, Pose, RayMap, Rules, SplatCodes, sh,
 };
-use glam::{DMat3, DQuat, DVec3, Mat3};
+use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 
 use super::super::scenes::{ProjectedTwin, settled_visibility};
 use super::super::{ROUNDOFF, UNTOUCHED, upload};
@@ -63,6 +65,8 @@ pub struct AgentScene {
     /// Fog between the agents and the cameras.
     pub fog: Option<Fog>,
     pub relit_bands: Vec<[u32; 24]>,
+    /// Light on the agents that are shaded by normals.
+    pub shadings: Vec<ShadingRecord>,
     pub counts: AgentCounts,
 }
 
@@ -201,6 +205,48 @@ impl AgentScene {
         record.dc_residual_gain = light.gain[0];
     }
 
+    /// Shades `agent` by normals.
+    pub fn shade(&mut self, agent: usize, shading: &Shading) {
+        self.shadings.push(ShadingRecord::new(shading));
+        self.agents[agent].shading = self.shadings.len() as u32;
+        self.counts.shadings = self.shadings.len();
+    }
+
+    /// Bounds on the rounding errors of the factor by which the color of a splat of `agent` is
+    /// shaded, relative, and the factor itself.
+    pub fn shading_error(&self, agent: usize, mean_m: [f32; 3], axes: Mat3) -> (f64, f64) {
+        let Some(place) = self.agents[agent].shading.checked_sub(1) else {
+            return (0.0, 1.0);
+        };
+        let shading = &self.shadings[place as usize];
+        let mean_m = Vec3::from_array(mean_m);
+        let columns = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis.as_dvec3());
+        let unit = columns
+            .iter()
+            .map(|axis| axis.length())
+            .fold(1e-30, f64::max);
+        let [x, y, z] = columns.map(|axis| axis / unit);
+        // Products of columns of length 1 at most are rounded, and the power is four times as far
+        // off as they are, relative to its largest part.
+        let largest = [y.cross(z), z.cross(x), x.cross(y)]
+            .iter()
+            .map(|product| product.length())
+            .fold(0.0, f64::max);
+        let power = inverse_power(axes, 2);
+        let outward = (mean_m * Vec3::from_array(shading.outward)).normalize_or(Vec3::Z);
+        let of_power = power.x_axis.x + power.y_axis.y + power.z_axis.z;
+        let across = f64::from((power * outward).length() / of_power.max(1e-30));
+        let normal = (64.0 * ROUNDOFF / (largest * across).max(1e-30)).min(2.0);
+        let steepest = |rgb: [f32; 3]| f64::from(rgb.into_iter().fold(0.0, f32::max));
+        let slope = steepest(shading.upward.map(f32::abs))
+            + shading.rgb.into_iter().map(steepest).sum::<f64>();
+        let gain = shading_gain(shading, shading_normal(shading, axes, mean_m)).as_dvec3();
+        let darkest = gain.min_element().powf(2.2);
+        // A power is three rounded functions.
+        let relative = (normal * slope / darkest + 64.0 * ROUNDOFF) / 2.2 + 64.0 * ROUNDOFF;
+        (relative, gain.max_element())
+    }
+
     pub fn relit(&self, gpu: &Validated) -> RelitColors {
         let relit = RelitColors::new(gpu, self.relit_dc.len()).unwrap();
         gpu.write(&relit.dc, 0, &self.relit_dc).unwrap();
@@ -280,6 +326,7 @@ impl AgentScene {
             camera_count: self.counts.cameras,
             cluster_count: self.counts.clusters,
             fog: self.fog.as_ref().map(|fog| fog_vector(Some(fog))),
+            shadings: &self.shadings,
         }
     }
 
@@ -381,12 +428,8 @@ impl AgentScene {
 
     /// The agents on the device; what the kernels write holds [`UNTOUCHED`].
     pub fn buffers(&self, gpu: &Validated) -> AgentBuffers {
-        let AgentCounts {
-            agents,
-            cameras,
-            clusters,
-        } = self.counts;
-        let buffers = AgentBuffers::new(gpu, agents, clusters, cameras).unwrap();
+        let buffers = AgentBuffers::new(gpu, self.counts).unwrap();
+        gpu.write(&buffers.shadings, 0, &self.shadings).unwrap();
         gpu.write(&buffers.agents, 0, &self.agents).unwrap();
         gpu.write(&buffers.cameras, 0, &self.cameras).unwrap();
         gpu.write(&buffers.lenses, 0, &self.lenses).unwrap();

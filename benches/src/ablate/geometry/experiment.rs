@@ -1,13 +1,16 @@
 //! Bodies under environments: colors of the asset, of the truth and of the relit asset.
 
+use std::f64::consts::PI;
+
 use decouplegs::scene::light::{
-    AmbientOptions, Probe, Surroundings, ambient_by_definition, to_display,
+    AmbientOptions, LightFrom, Probe, SHADING_LIGHTS, Shading, Surroundings, ambient_by_definition,
+    luminance, to_display, to_linear,
 };
 use decouplegs::scene::{AmbientDescriptor, ColorTransfer, SplatCloud, sh};
 use glam::{DQuat, DVec3};
 
 use super::body::Body;
-use super::skylight::{Environment, Scene, environment, on_open_ground};
+use super::skylight::{Environment, Scene, directions, environment, on_open_ground};
 use crate::ablate::affine::best_on_dc;
 
 /// Half the side of the ground around a body, and the spacing of its splats, meters.
@@ -38,6 +41,62 @@ impl Light {
             environment,
         }
     }
+}
+
+impl Light {
+    /// Light by normals as a scene has it that is told the direction of the sun, and whose ground
+    /// shows the colors of sun and sky; of `albedo`, the ground is taken to be. True with a sun.
+    pub fn shading(&self, albedo: f64) -> (Shading, bool) {
+        let shown = self.descriptor.mean();
+        let ground = shown.map(|value| to_linear(f64::from(value)));
+        let up = on_open_ground(&self.environment);
+        let sun = sun_of(&self.environment);
+        // Shares of the sun in what the ground shows.
+        let share = |channel: usize| sun.map_or(0.0, |(_, sun)| sun[channel] / up[channel]);
+        let mut lights = [LightFrom::default(); SHADING_LIGHTS];
+        if let Some((towards, _)) = sun {
+            let facing = |channel: usize| ground[channel] / albedo * share(channel) / towards.z;
+            let rgb = std::array::from_fn(facing);
+            lights[0] = LightFrom { towards, rgb };
+        }
+        let sky = |channel: usize| ground[channel] / albedo * (1.0 - share(channel));
+        let shading = Shading {
+            up: DVec3::Z,
+            sky: std::array::from_fn(sky),
+            ground,
+            lights,
+            half_size_m: [1.0; 3],
+        };
+        (shading, sun.is_some())
+    }
+}
+
+/// Direction of the sun of an environment, and its E / pi on level ground: pixels within 14 degrees
+/// of the brightest and four times as bright as half of the sky. `None` where it gives less than a
+/// quarter of the light.
+fn sun_of(environment: &Environment) -> Option<(DVec3, [f64; 3])> {
+    let directions = directions();
+    let sky: Vec<_> = directions
+        .iter()
+        .zip(environment)
+        .filter(|((direction, _), _)| direction.z > 0.0)
+        .map(|(&(direction, steradians), &rgb)| (direction, steradians, rgb, luminance(rgb)))
+        .collect();
+    let mut levels: Vec<f64> = sky.iter().map(|(.., level)| *level).collect();
+    levels.sort_by(f64::total_cmp);
+    let median = levels[levels.len() / 2];
+    let brightest = sky.iter().max_by(|a, b| a.3.total_cmp(&b.3))?.0;
+    let (mut towards, mut up) = (DVec3::ZERO, [0.0; 3]);
+    for (direction, steradians, rgb, level) in sky {
+        if direction.dot(brightest) > 0.97 && level > 4.0 * median {
+            towards += level * steradians * direction;
+            let facing = direction.z * steradians / PI;
+            (0..3).for_each(|channel| up[channel] += facing * rgb[channel]);
+        }
+    }
+    let towards = towards.normalize_or_zero();
+    let share = luminance(up) / luminance(on_open_ground(environment));
+    (share > 0.25 && towards.z > 0.1).then_some((towards, up))
 }
 
 /// The descriptor at run time amid splats of ground that all look like `shown`.
@@ -117,6 +176,30 @@ impl Subject {
             relit_db,
             relit_p95_deg,
             affine_db: found(&affine).0,
+        }
+    }
+
+    /// The same for colors that follow the surfels' normals in `shading`, a body's of unit size.
+    pub fn compare_by_normals(
+        &self,
+        shading: &Shading,
+        environment: &Environment,
+        albedo: f64,
+    ) -> Row {
+        let none = self.compare(&ColorTransfer::IDENTITY, environment, albedo);
+        let truth = shown(&self.body, &self.scene.lit(environment, albedo));
+        let mut lit = self.captured.clone();
+        for (dc, surfel) in lit.sh_dc.iter_mut().zip(&self.body.surfels) {
+            let gain = shading.gain(surfel.normal);
+            for (dc, gain) in dc.iter_mut().zip(gain) {
+                *dc = (gain * (f64::from(*dc) + sh::DC_SHIFT) - sh::DC_SHIFT) as f32;
+            }
+        }
+        let (relit_db, relit_p95_deg) = self.difference(&lit, &truth);
+        Row {
+            relit_db,
+            relit_p95_deg,
+            ..none
         }
     }
 

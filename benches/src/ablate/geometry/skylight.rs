@@ -40,7 +40,7 @@ pub struct Scene {
 }
 
 /// Directions of the pixels of an environment, and their steradians.
-fn directions() -> Vec<(DVec3, f64)> {
+pub fn directions() -> Vec<(DVec3, f64)> {
     let grid = Probe::from_fn("grid", COLUMNS, |_| [1.0; 3]);
     grid.rays()
         .map(|(direction, steradians, _)| (direction, steradians))

@@ -32,7 +32,12 @@ impl Checker<'_> {
         let relighting = RelightOptions {
             full_effect: form.full_effect.unwrap_or(false),
             ground_albedo: form.ground_albedo,
+            by_normals: form.by_normals.unwrap_or(false),
         };
+        if relighting.by_normals && form.transfer.is_some() {
+            let reason = "it replaces the transfer, which the table names too: remove one of them";
+            return Err(self.error(&span, "light", "by_normals", reason));
+        }
         relighting.check().map_err(|reason| {
             self.error(&span, "light", field_of(reason.reason()), reason.reason())
         })?;

@@ -119,6 +119,8 @@ pub(super) struct LightForm {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) full_effect: Option<bool>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) by_normals: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) ground_albedo: Option<f64>,
     pub(super) sigma_m: Option<f64>,
     pub(super) radius_m: Option<f64>,
@@ -332,6 +334,7 @@ fn light_form(
         transfer: light.transfer.as_deref().map(path).transpose()?,
         full_effect: light.relighting.full_effect.then_some(true),
         ground_albedo: light.relighting.ground_albedo,
+        by_normals: light.relighting.by_normals.then_some(true),
         sigma_m: Some(sigma_m),
         radius_m: Some(radius_m),
         spacing_m: Some(spacing_m),

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use decouplegs_scene::light::{
-    AmbientField, AmbientOptions, CastingLights, Lighting, LitAgent, RelightOptions, ShadowOptions,
-    bake_shadows,
+    AmbientField, AmbientOptions, CastingLights, GroundLight, Lighting, LitAgent, RelightOptions,
+    ShadowOptions, bake_shadows,
 };
 use decouplegs_scene::{
     CodedCloud, GroundShadow, LightTransfer, Motion, Pose, Presence, Rig, Sensor, ShFrame, SkyMap,
@@ -195,9 +195,7 @@ impl LoadedScene {
         let decoded: Vec<SplatCloud> = self.assets.iter().map(|asset| asset.decoded(0)).collect();
         for (agent, pose, lit) in lit {
             let asset = &decoded[agent.asset];
-            let relit = lit
-                .and_then(|lit| lit.relight)
-                .map(|relight| relight.relit(asset));
+            let relit = lit.and_then(|lit| lit.relit(asset));
             splat_scene.bake_instance(
                 relit.as_ref().unwrap_or(asset),
                 &pose,
@@ -229,7 +227,16 @@ impl LoadedScene {
                 .iter()
                 .flat_map(|agent| places_along(&agent.trajectory, light.ambient.spacing_m)),
         );
+        let ways = self.agents.iter().map(|agent| &agent.trajectory);
+        let places = ways
+            .chain([&self.ego])
+            .flat_map(|way| places_along(way, light.ambient.spacing_m));
+        let ground_light = light.relighting.by_normals.then(|| {
+            let patches = field.ground_along(places, GroundLight::LANE_M);
+            GroundLight::of(&patches, &light.casting)
+        });
         Some(Lighting {
+            ground_light: ground_light.flatten(),
             field,
             transfer: light.transfer.clone(),
             relighting: light.relighting,

@@ -7,7 +7,7 @@ use decouplegs_asset::{
     write_light_transfer,
 };
 use decouplegs_scene::light::{AmbientOptions, Lamps, ShadowOptions};
-use decouplegs_scene::{AmbientDescriptor, LightTransfer};
+use decouplegs_scene::{AmbientDescriptor, LightTransfer, SplatScene};
 use glam::DVec3;
 
 use crate::sample::{cloud, coded_cone};
@@ -50,6 +50,11 @@ fn the_documented_light_is_the_default_one() {
     assert!(complaint("sigma_m = 4.0", "sigma_m = -1.0").contains("light.sigma_m"));
     assert!(complaint("decay = 1.5", "decay = inf").contains("light.shadows.decay"));
     assert!(complaint("floor = 0.8", "flor = 0.8").contains("flor"));
+    let both = complaint("by_normals = false", "by_normals = true");
+    assert!(
+        both.contains("light.by_normals") && both.contains("transfer"),
+        "{both}"
+    );
     assert!(
         complaint("# ground_albedo = 0.13", "ground_albedo = 1.3").contains("light.ground_albedo")
     );
@@ -162,6 +167,28 @@ fn a_lit_scene_is_baked_in_its_light() {
         .filter(|&splat| lit.splats.sh_dc[splat][0] < plain.splats.sh_dc[splat][0])
         .count();
     assert!((20..400).contains(&darker), "{darker} splats are in shadow");
+    let by_normals = lit_example()
+        .replacen("transfer =", "# transfer =", 1)
+        .replacen("by_normals = false", "by_normals = true", 1);
+    let shaded = open(by_normals).unwrap().baked(0.0);
+    assert_eq!(shaded.splats.means, plain.splats.means);
+    let factor = |splat: usize, channel: usize| {
+        let shown = |scene: &SplatScene| {
+            f64::from(scene.splats.sh_dc[splat][channel]) + decouplegs_scene::sh::DC_SHIFT
+        };
+        shown(&shaded) / shown(&plain)
+    };
+    let factors: Vec<f64> = (400..shaded.splats.len())
+        .map(|splat| factor(splat, 0))
+        .collect();
+    let (least, most) = (
+        factors.iter().copied().fold(f64::INFINITY, f64::min),
+        factors.iter().copied().fold(0.0, f64::max),
+    );
+    assert!(
+        least > 0.1 && most / least > 1.2,
+        "sides are lit alike: {least} to {most}"
+    );
     std::fs::remove_file(directory.path().join("light.safetensors")).unwrap();
     assert!(
         open(lit_example())

@@ -77,19 +77,25 @@ fn lights() -> impl Strategy<Value = SceneLight> {
         );
     (
         prop::option::of("[a-z]{1,8}"),
-        (any::<bool>(), prop::option::of(0.01f64..=1.0)),
+        (
+            any::<bool>(),
+            prop::option::of(0.01f64..=1.0),
+            any::<bool>(),
+        ),
         1.0f64..9.0,
         1.0f64..30.0,
         0.7f64..4.0,
         prop::option::of((shadows, casting_lights())),
     )
         .prop_map(
-            |(transfer, (full_effect, ground_albedo), sigma_m, radius_m, spacing_m, shadows)| {
+            |(transfer, relighting, sigma_m, radius_m, spacing_m, shadows)| {
+                let (full_effect, ground_albedo, by_normals) = relighting;
                 SceneLight {
-                    transfer: transfer.map(Into::into),
+                    transfer: transfer.filter(|_| !by_normals).map(Into::into),
                     relighting: RelightOptions {
                         full_effect,
                         ground_albedo,
+                        by_normals,
                     },
                     ambient: AmbientOptions {
                         sigma_m,

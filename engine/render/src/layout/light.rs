@@ -1,6 +1,7 @@
-//! Records of light: shadows on the ground, and colors to be relit.
+//! Records of light: shadows on the ground, colors to be relit, and shading by normals.
 
 use bytemuck::{Pod, Zeroable};
+use decouplegs_scene::light::{SHADING_LIGHTS, Shading};
 use decouplegs_scene::{ColorTransfer, GroundShadow, sh};
 use glam::{DMat3, DVec3};
 
@@ -97,5 +98,54 @@ impl RelightRecord {
             first_relit: 0,
             first_group: 0,
         }
+    }
+}
+
+/// `Shading` of `shading.glsl`: light on an agent by normals, in its frame, `E / pi`, linear.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct ShadingRecord {
+    /// Unit vector away from the ground.
+    pub up: [f32; 3],
+    /// Light of sky and ground on upright surfaces.
+    pub upright: [f32; 3],
+    /// Surplus of light on surfaces that face up over these.
+    pub upward: [f32; 3],
+    /// One over half the size of the agent's box, squared.
+    pub outward: [f32; 3],
+    /// Unit vectors towards the lights.
+    pub towards: [[f32; 3]; SHADING_LIGHTS],
+    /// Their light on surfaces that face them.
+    pub rgb: [[f32; 3]; SHADING_LIGHTS],
+}
+
+impl ShadingRecord {
+    /// `shading`, rounded.
+    #[must_use]
+    pub fn new(shading: &Shading) -> Self {
+        let Shading { sky, ground, .. } = *shading;
+        let half = |sign: f64| -> [f32; 3] {
+            std::array::from_fn(|channel| (0.5 * (sky[channel] + sign * ground[channel])) as f32)
+        };
+        Self {
+            up: shading.up.as_vec3().to_array(),
+            upright: half(1.0),
+            upward: half(-1.0),
+            outward: shading.half_size_m.map(|half_m| half_m.powi(-2) as f32),
+            towards: shading
+                .lights
+                .map(|light| light.towards.as_vec3().to_array()),
+            rgb: shading
+                .lights
+                .map(|light| light.rgb.map(|value| value as f32)),
+        }
+    }
+
+    /// True if all numbers are finite.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        bytemuck::cast_slice::<_, f32>(std::slice::from_ref(self))
+            .iter()
+            .all(|number| number.is_finite())
     }
 }

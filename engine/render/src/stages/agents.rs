@@ -7,7 +7,7 @@ use decouplegs_scene::{DepthOrder, Fog, Rules};
 use super::{CameraVariant, PURPOSE, Projected, RelitColors, Visible, kernel, push_constants};
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::groups_for;
-use crate::layout::{AgentRecord, CameraRecord, LensRecord, fog_vector, near_m};
+use crate::layout::{AgentRecord, CameraRecord, LensRecord, ShadingRecord, fog_vector, near_m};
 use crate::plane::Attribute;
 
 /// The agents of a frame on the device.
@@ -18,6 +18,8 @@ pub struct AgentBuffers {
     pub cameras: Buffer<CameraRecord>,
     /// The rig's lenses, read where some camera is no pinhole.
     pub lenses: Buffer<LensRecord>,
+    /// Light on those that are shaded by normals.
+    pub shadings: Buffer<ShadingRecord>,
     /// Visible agents' splats.
     pub visible: Visible,
     /// Visible splats before each `[camera][cluster]` of the agents, and their total.
@@ -25,16 +27,17 @@ pub struct AgentBuffers {
 }
 
 impl AgentBuffers {
-    /// Buffers for `agents` agents of `clusters` clusters in all, seen by `cameras`.
+    /// Buffers for `counts` of each.
     ///
     /// # Errors
     /// Returns an error if the device is out of memory.
-    pub fn new(
-        gpu: &Gpu,
-        agents: usize,
-        clusters: usize,
-        cameras: usize,
-    ) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, counts: AgentCounts) -> Result<Self, GpuError> {
+        let AgentCounts {
+            agents,
+            cameras,
+            clusters,
+            shadings,
+        } = counts;
         Ok(Self {
             agents: gpu.buffer("agents", PURPOSE, agents, MemoryKind::Device)?,
             cameras: gpu.buffer(
@@ -44,6 +47,7 @@ impl AgentBuffers {
                 MemoryKind::Device,
             )?,
             lenses: gpu.buffer("agent_lenses", PURPOSE, cameras, MemoryKind::Device)?,
+            shadings: gpu.buffer("shadings", PURPOSE, shadings, MemoryKind::Device)?,
             visible: Visible::new(gpu, cameras, clusters)?,
             offsets: gpu.buffer(
                 "agent_offsets",
@@ -64,6 +68,8 @@ pub struct AgentCounts {
     pub cameras: usize,
     /// Clusters of all those agents.
     pub clusters: usize,
+    /// Those that are shaded by normals.
+    pub shadings: usize,
 }
 
 push_constants! {
@@ -95,6 +101,8 @@ pub struct AgentVariant {
     pub labels: bool,
     /// True if some agents are relit.
     pub relit: bool,
+    /// True if some agents are shaded by normals.
+    pub shaded: bool,
     /// Kind of cameras.
     pub cameras: CameraVariant,
     /// Attribute that is written instead of color, into records that are there.
@@ -194,6 +202,7 @@ impl ProjectAgents {
             ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
             ("LABELS", Constant::Bool(variant.labels)),
             ("RELIT", Constant::Bool(variant.relit)),
+            ("SHADED", Constant::Bool(variant.shaded)),
             lenses,
             rolling,
             ("ATTRIBUTE", Constant::U32(variant.attribute as u32)),
@@ -243,6 +252,7 @@ impl ProjectAgents {
             ("static_offsets", static_offsets.binding()),
             ("relit_dc", relit.dc.binding()),
             ("relit_bands", relit.bands.binding()),
+            ("shadings", buffers.shadings.binding()),
             ("footprints", projected.footprints.binding()),
             ("labels", projected.labels.binding()),
             ("attributes", projected.attributes.binding()),

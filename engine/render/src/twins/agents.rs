@@ -12,9 +12,12 @@ use super::projection::Variant;
 use super::record::Record;
 use super::rolling::{see_splat, swept};
 use super::sh::{Stored, sh_color};
+use super::shading::{shading_gain, shading_normal};
 use super::visibility::splat_overlaps;
 use super::write_record::Records;
-use crate::layout::{AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord};
+use crate::layout::{
+    AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, ShadingRecord,
+};
 use crate::sh_codec::words_of;
 use crate::storage::Storage;
 
@@ -39,6 +42,8 @@ pub struct AgentInputs<'a> {
     pub cluster_count: usize,
     /// Color of the air and extinction per meter; `None` for clear air.
     pub fog: Option<[f32; 4]>,
+    /// Light on those that are shaded by normals.
+    pub shadings: &'a [ShadingRecord],
 }
 
 /// Codebooks of colors: DC terms and bands of the assets, and of those in their light.
@@ -78,7 +83,7 @@ pub fn cull_agents(
         shapes: coded_shapes,
         camera_count,
         cluster_count,
-        fog: _,
+        ..
     } = input;
     visible.clear();
     for (agent_index, agent) in agents.iter().enumerate() {
@@ -154,6 +159,7 @@ pub fn project_agents(
         camera_count,
         cluster_count,
         fog,
+        shadings,
     } = input;
     let variant = Variant::of(rules);
     let radial = rules.order == DepthOrder::Radial;
@@ -174,11 +180,12 @@ pub fn project_agents(
                     (cluster_index - agent.first_cluster as usize) * CLUSTER_SPLATS + index;
                 let coded =
                     unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
+                let axes = axes_of(agent, &coded, coded_shapes);
                 let seen = see_splat(
                     camera,
                     lens_of(lenses, camera_index),
                     coded.mean_m,
-                    axes_of(agent, &coded, coded_shapes),
+                    axes,
                     coded.opacity,
                     variant,
                 );
@@ -198,6 +205,14 @@ pub fn project_agents(
                 let dc = (Vec3::from_array(dc_of[entry]) + residual).to_array();
                 let dc = dc.map(f32::to_bits);
                 let color = sh_color(&stored(&dc, &bands_of[entry]), 0, 1, d, sh_degree);
+                let color = match agent.shading {
+                    0 => color,
+                    place => {
+                        let shading = &shadings[place as usize - 1];
+                        let mean_m = Vec3::from_array(coded.mean_m);
+                        color * shading_gain(shading, shading_normal(shading, axes, mean_m))
+                    }
+                };
                 let color = match fog {
                     Some(fog) => in_fog(color, seen.offset_m.length(), fog),
                     None => color,

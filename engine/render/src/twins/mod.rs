@@ -29,6 +29,7 @@ pub mod record;
 pub mod resolve_plane;
 pub mod rolling;
 pub mod sh;
+pub mod shading;
 pub mod shadow;
 pub mod stored_splat;
 pub mod visibility;

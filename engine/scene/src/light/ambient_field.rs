@@ -11,7 +11,10 @@ use rayon::prelude::*;
 
 use crate::light::AmbientDescriptor;
 
+mod ground;
 mod open;
+
+pub use ground::GroundPatch;
 
 /// Grid points on either side of the origin, along an axis.
 const CELLS_MAX: f64 = 1e9;

@@ -14,7 +14,7 @@ const SHARPNESS: u32 = 3;
 const DECAY: f64 = 0.498;
 
 /// Sine of the elevation below which a light casts no shadow: it would be longer than the road.
-const SINE_MIN: f64 = 0.05;
+pub(super) const SINE_MIN: f64 = 0.05;
 
 /// Longest shadow away from its box, meters.
 const LENGTH_MAX_M: f64 = 12.0;

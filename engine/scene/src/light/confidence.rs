@@ -22,6 +22,9 @@ pub struct RelightOptions {
     /// light is only if its albedo is known. `None`: that of the calibration,
     /// [`crate::LightTransfer::ground_albedo`], with the uncertainty [`ALBEDO_SPREAD`].
     pub ground_albedo: Option<f64>,
+    /// Shades each splat by its normal instead ([`crate::light::Shading`]): needs no transfer. The
+    /// ground's albedo is then that of [`crate::light::Surroundings`] where none is given.
+    pub by_normals: bool,
 }
 
 impl RelightOptions {

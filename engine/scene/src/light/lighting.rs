@@ -1,14 +1,14 @@
 //! The light of a scene: from where an agent stands to its colors and its shadow.
 
-use crate::{Invalid, Pose, ShFrame};
+use crate::{Invalid, Pose, ShFrame, SplatCloud};
 use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::light::confidence::on_brighter_ground;
 use crate::light::environment::{linear_loss, shown_loss};
 use crate::light::{
-    AmbientDescriptor, AmbientField, CastingLights, ColorTransfer, GroundShadow, LightTransfer,
-    RelightOptions, Trust,
+    AmbientDescriptor, AmbientField, CastingLights, ColorTransfer, GroundLight, GroundShadow,
+    LightTransfer, RelightOptions, Shading, Surroundings, Trust,
 };
 
 /// Options of contact shadows.
@@ -115,17 +115,34 @@ pub struct Lighting {
     pub shadows: Option<ShadowOptions>,
     /// Lights that cast shadows; without options of contact shadows they cast none.
     pub casting: CastingLights,
+    /// Light of the sky, and of the sun or the lamps, by the ground where agents drive; `None`: not
+    /// asked for, or not told.
+    pub ground_light: Option<GroundLight>,
 }
 
 /// Effect of light on one agent.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct LitAgent {
     /// To its colors, in the frame that these are meant in.
     pub relight: Option<ColorTransfer>,
+    /// Light on each side of it; `None`: colors do not follow normals.
+    pub shading: Option<Shading>,
     /// Shadows that it throws on the ground: its contact shadow first, then those that it casts.
     pub shadows: Vec<GroundShadow>,
     /// True if the light is from the background; false if it is the neutral light of the assets.
     pub known: bool,
+}
+
+impl LitAgent {
+    /// The splats of `cloud`, the agent's, in this light; `None`: as they are.
+    #[must_use]
+    pub fn relit(&self, cloud: &SplatCloud) -> Option<SplatCloud> {
+        match (&self.shading, &self.relight) {
+            (Some(shading), _) => Some(shading.relit(cloud)),
+            (None, Some(transfer)) => Some(transfer.relit(cloud)),
+            (None, None) => None,
+        }
+    }
 }
 
 impl Lighting {
@@ -141,6 +158,7 @@ impl Lighting {
         let (light, known) = self.at(world_from_agent.translation);
         LitAgent {
             relight: self.relight(&light, world_from_agent, sh_frame),
+            shading: self.shading(world_from_agent, dims_m),
             shadows: self.shadows_of(world_from_agent, dims_m, &light),
             known,
         }
@@ -205,13 +223,15 @@ impl Lighting {
         }
     }
 
-    /// Albedo that the ground is taken to have: that of the options, else that of the calibration.
-    /// `None` without a transfer.
+    /// Albedo that the ground is taken to have: that of the options, else that of the calibration
+    /// or, for shading by normals, of [`Surroundings`]. `None` where colors stay as they are.
     #[must_use]
     pub fn ground_albedo(&self) -> Option<f64> {
-        let transfer = self.transfer.as_ref()?;
-        let given = self.relighting.ground_albedo;
-        Some(given.unwrap_or_else(|| transfer.ground_albedo()))
+        let assumed = match self.relighting.by_normals {
+            true => Some(Surroundings::default().albedo),
+            false => self.transfer.as_ref().map(LightTransfer::ground_albedo),
+        };
+        assumed.map(|assumed| self.relighting.ground_albedo.unwrap_or(assumed))
     }
 
     fn on_calibrated_ground(&self, light: AmbientDescriptor) -> AmbientDescriptor {
@@ -224,7 +244,7 @@ impl Lighting {
     }
 
     /// Effect of `light` on the colors of an agent at `world_from_agent`, which are in the frame
-    /// `sh_frame`.
+    /// `sh_frame`; `None` without a transfer, or where colors follow normals.
     #[must_use]
     pub fn relight(
         &self,
@@ -233,6 +253,9 @@ impl Lighting {
         sh_frame: ShFrame,
     ) -> Option<ColorTransfer> {
         let transfer = self.transfer.as_ref()?;
+        if self.relighting.by_normals {
+            return None;
+        }
         let light = in_frame(light, world_from_agent, sh_frame);
         Some(if self.relighting.full_effect {
             transfer.at(&light)
@@ -340,6 +363,7 @@ mod tests {
             relighting,
             shadows: None,
             casting: CastingLights::default(),
+            ground_light: None,
         }
     }
 
@@ -382,6 +406,7 @@ mod tests {
             RelightOptions {
                 ground_albedo: Some(0.5),
                 full_effect: true,
+                ..RelightOptions::default()
             },
         );
         let (light, known) = far.at(DVec3::new(500.0, 0.0, 0.0));
@@ -390,6 +415,7 @@ mod tests {
             let options = RelightOptions {
                 ground_albedo: Some(albedo),
                 full_effect: false,
+                ..RelightOptions::default()
             };
             let error = options.check().unwrap_err();
             assert!(error.reason().contains("ground_albedo is"), "{error:?}");
