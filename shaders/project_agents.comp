@@ -132,7 +132,7 @@ void main() {
             axes = axes_of(agent, coded);
             if (SHADED && agent.shading != 0u) {
                 Shading shading = shadings[agent.shading - 1u];
-                gain = shading_gain(shading, shading_normal(shading, axes, coded.mean_m));
+                gain = shading_gain(shading, shading_normal(shading, axes, coded.mean_m), coded.mean_m);
             }
             loaded = true;
         }

@@ -12,6 +12,8 @@ struct Shading {
     vec3 outward;                 // 1 / half size^2 of the agent's box
     vec3 towards[SHADING_LIGHTS]; // unit vectors
     vec3 rgb[SHADING_LIGHTS];     // on surfaces that face them
+    vec3 first_slope_per_m;       // of the share of the first light that reaches a position
+    float first_middle;           // the share in the middle of the agent
 };
 
 // Normal by which a splat with the mean `mean_m` is shaded: the direction out of the agent, times
@@ -26,10 +28,12 @@ vec3 shading_normal(Shading shading, mat3 axes, vec3 mean_m) {
     return size > 0.0 ? normal / size : outward;
 }
 
-// Factor on the displayed color of a surface of the given normal.
-vec3 shading_gain(Shading shading, vec3 normal) {
+// Factor on the displayed color of a surface of the given normal at `mean_m`.
+vec3 shading_gain(Shading shading, vec3 normal, vec3 mean_m) {
     vec3 light = shading.upright + dot(normal, shading.up) * shading.upward;
-    for (uint i = 0u; i < SHADING_LIGHTS; ++i) {
+    float share = clamp(shading.first_middle + dot(shading.first_slope_per_m, mean_m), 0.0, 1.0);
+    light += share * max(dot(normal, shading.towards[0]), 0.0) * shading.rgb[0];
+    for (uint i = 1u; i < SHADING_LIGHTS; ++i) {
         light += max(dot(normal, shading.towards[i]), 0.0) * shading.rgb[i];
     }
     return pow(max(light, SHADING_LIGHT_MIN), vec3(1.0 / 2.2));

@@ -5,7 +5,7 @@ use decouplegs::render::metrics::Difference;
 use decouplegs::render::{
     Agent, AssetPool, GpuScene, Image, RenderError, RenderOptions, Renderer, Scene, reference,
 };
-use decouplegs::scene::light::{LightFrom, SHADING_LIGHTS, Shading, bake_shadows};
+use decouplegs::scene::light::{LightFrom, LitShare, SHADING_LIGHTS, Shading, bake_shadows};
 use decouplegs::scene::{
     AmbientDescriptor, Camera, CodedCloud, ColorTransfer, GroundShadow, LightTransfer, Pose, Rules,
     ShFrame, SplatCloud, SplatScene, sh,
@@ -236,12 +236,16 @@ fn agents_lit_by_normals_are_the_definition() {
     let shading = |red: f64, towards: DVec3| {
         let mut lights = [LightFrom::default(); SHADING_LIGHTS];
         let (towards, rgb) = (towards.normalize(), [red, 0.9, 0.3]);
-        lights[1] = LightFrom { towards, rgb };
+        lights[0] = LightFrom { towards, rgb };
         Shading {
             up: DVec3::new(0.1, 0.2, 0.9).normalize(),
             sky: [0.3, 0.35, 0.5],
             ground: [0.1, 0.09, 0.08],
             lights,
+            first: LitShare {
+                middle: 0.5,
+                slope_per_m: DVec3::new(0.3, -0.2, 0.1),
+            },
             half_size_m: [2.2, 0.9, 0.75],
         }
     };

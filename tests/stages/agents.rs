@@ -10,7 +10,7 @@ use decouplegs::render::stages::{
     AgentCounts, AgentVariant, CullAgents, ProjectAgents, Projected, SeenAgents,
 };
 use decouplegs::render::twins::{self, agent::UnpackedSplat, lens::lens_of};
-use decouplegs::scene::light::{LightFrom, Shading};
+use decouplegs::scene::light::{LightFrom, LitShare, Shading};
 use decouplegs::scene::{Camera, ColorTransfer, DepthOrder, Fog, Pose, Rules};
 use glam::{DQuat, DVec3, Vec3};
 
@@ -434,6 +434,10 @@ fn some_shading(sun: f64) -> Shading {
         sky: [0.2, 0.25, 0.4],
         ground: [0.1, 0.08, 0.07],
         lights,
+        first: LitShare {
+            middle: 0.6,
+            slope_per_m: DVec3::new(0.4, -0.2, 0.3),
+        },
         half_size_m: [2.3, 0.9, 0.75],
     }
 }

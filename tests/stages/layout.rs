@@ -205,7 +205,9 @@ fn records_of_light_and_lenses() -> Vec<Record> {
             upward,
             outward,
             towards,
-            rgb
+            rgb,
+            first_slope_per_m,
+            first_middle
         }),
         record!(ShadowRecord {
             center_high_m,

@@ -240,7 +240,7 @@ impl AgentScene {
         let steepest = |rgb: [f32; 3]| f64::from(rgb.into_iter().fold(0.0, f32::max));
         let slope = steepest(shading.upward.map(f32::abs))
             + shading.rgb.into_iter().map(steepest).sum::<f64>();
-        let gain = shading_gain(shading, shading_normal(shading, axes, mean_m)).as_dvec3();
+        let gain = shading_gain(shading, shading_normal(shading, axes, mean_m), mean_m).as_dvec3();
         let darkest = gain.min_element().powf(2.2);
         // A power is three rounded functions.
         let relative = (normal * slope / darkest + 64.0 * ROUNDOFF) / 2.2 + 64.0 * ROUNDOFF;

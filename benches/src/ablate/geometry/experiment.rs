@@ -3,8 +3,8 @@
 use std::f64::consts::PI;
 
 use decouplegs::scene::light::{
-    AmbientOptions, LightFrom, Probe, SHADING_LIGHTS, Shading, Surroundings, ambient_by_definition,
-    luminance, to_display, to_linear,
+    AmbientOptions, LightFrom, LitShare, Probe, SHADING_LIGHTS, Shading, Surroundings,
+    ambient_by_definition, luminance, to_display, to_linear,
 };
 use decouplegs::scene::{AmbientDescriptor, ColorTransfer, SplatCloud, sh};
 use glam::{DQuat, DVec3};
@@ -65,6 +65,7 @@ impl Light {
             sky: std::array::from_fn(sky),
             ground,
             lights,
+            first: LitShare::ALL,
             half_size_m: [1.0; 3],
         };
         (shading, sun.is_some())
@@ -190,7 +191,7 @@ impl Subject {
         let truth = shown(&self.body, &self.scene.lit(environment, albedo));
         let mut lit = self.captured.clone();
         for (dc, surfel) in lit.sh_dc.iter_mut().zip(&self.body.surfels) {
-            let gain = shading.gain(surfel.normal);
+            let gain = shading.gain(surfel.normal, surfel.position);
             for (dc, gain) in dc.iter_mut().zip(gain) {
                 *dc = (gain * (f64::from(*dc) + sh::DC_SHIFT) - sh::DC_SHIFT) as f32;
             }

@@ -117,6 +117,10 @@ pub struct ShadingRecord {
     pub towards: [[f32; 3]; SHADING_LIGHTS],
     /// Their light on surfaces that face them.
     pub rgb: [[f32; 3]; SHADING_LIGHTS],
+    /// Slope of the share of the first light that reaches a position.
+    pub first_slope_per_m: [f32; 3],
+    /// Share in the middle of the agent.
+    pub first_middle: f32,
 }
 
 impl ShadingRecord {
@@ -138,6 +142,8 @@ impl ShadingRecord {
             rgb: shading
                 .lights
                 .map(|light| light.rgb.map(|value| value as f32)),
+            first_slope_per_m: shading.first.slope_per_m.as_vec3().to_array(),
+            first_middle: shading.first.middle as f32,
         }
     }
 

@@ -210,7 +210,8 @@ pub fn project_agents(
                     place => {
                         let shading = &shadings[place as usize - 1];
                         let mean_m = Vec3::from_array(coded.mean_m);
-                        color * shading_gain(shading, shading_normal(shading, axes, mean_m))
+                        let normal = shading_normal(shading, axes, mean_m);
+                        color * shading_gain(shading, normal, mean_m)
                     }
                 };
                 let color = match fog {

@@ -32,13 +32,16 @@ pub fn shading_normal(shading: &ShadingRecord, axes: Mat3, mean_m: Vec3) -> Vec3
     (inverse_power(axes, 2) * outward).normalize_or(outward)
 }
 
-/// Factor on the displayed color of a surface of the given normal.
+/// Factor on the displayed color of a surface of the given normal at `mean_m`.
 #[must_use]
-pub fn shading_gain(shading: &ShadingRecord, normal: Vec3) -> Vec3 {
+pub fn shading_gain(shading: &ShadingRecord, normal: Vec3, mean_m: Vec3) -> Vec3 {
     let [up, upright, upward] = [shading.up, shading.upright, shading.upward].map(Vec3::from_array);
     let mut light = upright + normal.dot(up) * upward;
+    let slope_per_m = Vec3::from_array(shading.first_slope_per_m);
+    let mut share = (shading.first_middle + slope_per_m.dot(mean_m)).clamp(0.0, 1.0);
     for (towards, rgb) in shading.towards.into_iter().zip(shading.rgb) {
-        light += normal.dot(Vec3::from_array(towards)).max(0.0) * Vec3::from_array(rgb);
+        light += share * normal.dot(Vec3::from_array(towards)).max(0.0) * Vec3::from_array(rgb);
+        share = 1.0;
     }
     light.map(|value| value.max(SHADING_LIGHT_MIN).powf(1.0 / 2.2))
 }

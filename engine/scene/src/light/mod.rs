@@ -39,6 +39,6 @@ pub use environment::{
 };
 pub use ground_light::GroundLight;
 pub use lighting::{Lighting, LitAgent, ShadowOptions};
-pub use shading::{LIGHT_MIN, LightFrom, SHADING_LIGHTS, Shading, shading_normal};
+pub use shading::{LIGHT_MIN, LightFrom, LitShare, SHADING_LIGHTS, Shading, shading_normal};
 pub use shadow::{GroundShadow, bake_shadows};
 pub use transfer::{ColorTransfer, LightTransfer};

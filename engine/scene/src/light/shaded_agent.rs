@@ -1,10 +1,12 @@
 //! Light on one agent of a scene, for each side of it.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use crate::Pose;
 use crate::light::cast::SINE_MIN;
-use crate::light::{LightFrom, Lighting, SHADING_LIGHTS, Shading, to_linear};
+use crate::light::{
+    GroundLight, LightFrom, Lighting, LitShare, SHADING_LIGHTS, Shading, to_linear,
+};
 
 /// Points of an agent's box whose light is asked for, in sizes of the box from its middle.
 const POINTS: [[f64; 3]; 12] = {
@@ -37,6 +39,7 @@ impl Lighting {
         let over_albedo = |color: [f64; 3], factor: f64| color.map(|value| factor * value / albedo);
         let into_agent = world_from_agent.rotation.normalize().inverse();
         let mut sources: Vec<(DVec3, [f64; 3])> = Vec::new();
+        let mut first = LitShare::ALL;
         let mut sky = ground;
         if let Some(told) = &self.ground_light {
             sky = told.sky;
@@ -46,8 +49,8 @@ impl Lighting {
                 of_lamps = told.sky;
                 let towards = sun.towards.normalize();
                 if towards.z >= SINE_MIN {
-                    let share = self.sunlit_share(world_from_agent, dims_m, towards);
-                    sources.push((towards, over_albedo(told.direct, share / towards.z)));
+                    first = self.sunlit_share(told, (world_from_agent, dims_m), towards);
+                    sources.push((towards, over_albedo(told.direct, 1.0 / towards.z)));
                 }
             }
             let lamps = &self.casting.lamps;
@@ -73,35 +76,66 @@ impl Lighting {
             sky: over_albedo(sky, 1.0),
             ground,
             lights,
+            first,
             half_size_m: dims_m.map(|size_m| 0.5 * f64::from(size_m).max(1e-3)),
         })
     }
 
-    /// Share of an agent that the sun in direction `towards` reaches past the background.
+    /// Share of the sun in direction `towards` that reaches an agent of the given pose and size
+    /// past the background.
     ///
     /// A ray from the sun that passes through the agent ends on the ground, which the background
-    /// shows without agents: that ground is in the sun if the agent is. Where the rays end on no
-    /// ground, the background itself must leave them open.
-    fn sunlit_share(&self, world_from_agent: &Pose, dims_m: [f32; 3], towards: DVec3) -> f64 {
-        let Some(told) = &self.ground_light else {
-            return 0.0;
-        };
+    /// shows without agents: that ground is in the sun if this part of the agent is. Where no ray
+    /// ends on ground, the background must leave the way to the sun open.
+    fn sunlit_share(
+        &self,
+        told: &GroundLight,
+        (world_from_agent, dims_m): (&Pose, [f32; 3]),
+        towards: DVec3,
+    ) -> LitShare {
         let size_m = DVec3::from_array(dims_m.map(f64::from));
         let ground_z = world_from_agent.translation.z - 0.5 * size_m.z;
-        let (mut sunlit, mut all) = (0.0, 0.0);
+        let mut shares: Vec<(DVec3, f64)> = Vec::new();
         for point in POINTS {
-            let from = world_from_agent.transform(DVec3::from_array(point) * size_m);
+            let at = DVec3::from_array(point) * size_m;
+            let from = world_from_agent.transform(at);
             let end = from - towards * ((from.z - ground_z) / towards.z);
+            let (mut sunlit, mut all) = (0.0, 0.0);
             for patch in self.field.ground_at(end) {
                 sunlit += patch.area_m2 * told.share(patch.color);
                 all += patch.area_m2;
             }
+            if all > 0.0 {
+                shares.push((at, sunlit / all));
+            }
         }
-        if all > 0.0 {
-            sunlit / all
-        } else {
-            self.field.open_share(world_from_agent, dims_m, towards)
+        match shares[..] {
+            [] => LitShare {
+                middle: self.field.open_share(world_from_agent, dims_m, towards),
+                slope_per_m: DVec3::ZERO,
+            },
+            _ => plane_through(&shares),
         }
+    }
+}
+
+/// The least squares of `share = middle + slope . position` over all positions. Where these do not
+/// tell a slope, it is small.
+fn plane_through(shares: &[(DVec3, f64)]) -> LitShare {
+    let count = shares.len() as f64;
+    let center = shares.iter().map(|(at, _)| *at).sum::<DVec3>() / count;
+    let mean = shares.iter().map(|(_, share)| share).sum::<f64>() / count;
+    let mut squares = DMat3::from_diagonal(DVec3::splat(0.01 * count));
+    let mut products = DVec3::ZERO;
+    for (at, share) in shares {
+        let off = *at - center;
+        squares += DMat3::from_cols(off * off.x, off * off.y, off * off.z);
+        products += off * (share - mean);
+    }
+    let slope_per_m = squares.inverse() * products;
+    LitShare {
+        middle: mean - slope_per_m.dot(center),
+        slope_per_m,
     }
 }
 
@@ -109,8 +143,8 @@ impl Lighting {
 mod tests {
     use super::*;
     use crate::light::{
-        AmbientField, AmbientOptions, CastingLights, GroundLight, Lamps, RelightOptions, Sun,
-        luminance, to_display,
+        AmbientField, AmbientOptions, CastingLights, Lamps, RelightOptions, Sun, luminance,
+        to_display,
     };
     use crate::{ShFrame, SplatCloud, sh};
 
@@ -185,13 +219,18 @@ mod tests {
             let light = shading.lights[0];
             let towards_world = pose.rotation * light.towards;
             assert!(towards_world.distance(towards) < 1e-9);
-            let off = light.rgb[0] - sunlit * SUN[0] / 0.8;
-            assert!(off.abs() < 0.1, "{x}: {off}");
+            close(light.rgb, SUN.map(|value| value / 0.8), 0.03);
+            let off = shading.first.at(DVec3::ZERO) - sunlit;
+            assert!(off.abs() < 0.15, "{x}: {off}");
+            if sunlit == 0.5 {
+                let ends = [-2.0, 2.0].map(|along| shading.first.at(DVec3::X * along));
+                assert!(ends[0] < 0.15 && ends[1] > 0.85, "{ends:?}");
+            }
             // What lies open shows what the road shows, over its albedo.
             let up = pose.rotation.inverse() * DVec3::Z;
             if sunlit == 1.0 {
                 let sunny = std::array::from_fn(|channel| SKY[channel] + SUN[channel]);
-                close(shading.light(up), sunny, 0.03);
+                close(shading.light(up, DVec3::ZERO), sunny, 0.03);
                 close(shading.ground, sunny.map(|value| 0.15 * value), 0.03);
             }
             let lit = lighting.of_agent(&pose, DIMS_M, ShFrame::Canonical);
@@ -205,7 +244,7 @@ mod tests {
     fn a_low_sun_reaches_an_agent_where_its_rays_would_end_in_the_sun() {
         let sunlit = |towards: DVec3, x: f64| {
             let shading = half_sunny(towards).shading(&standing(x), DIMS_M);
-            shading.unwrap().lights[0].rgb[0] * towards.normalize().z / SUN[0]
+            shading.unwrap().first.at(DVec3::ZERO)
         };
         let low = DVec3::new(1.0, 0.0, 0.1);
         let (over_sun, over_shade) = (

@@ -36,32 +36,62 @@ pub struct Shading {
     pub sky: [f64; 3],
     /// The same on surfaces that face down.
     pub ground: [f64; 3],
-    /// Sun and lamps; those that are not there give no light.
+    /// Sun and lamps, the sun first; those that are not there give no light.
     pub lights: [LightFrom; SHADING_LIGHTS],
+    /// Share of the first of these that reaches each position.
+    pub first: LitShare,
     /// Half the length, width and height of the agent's box, meters: normals point out of it.
     pub half_size_m: [f64; 3],
 }
 
-impl Shading {
-    /// `E / pi` on a surface of unit normal `normal`, agent's frame, linear RGB, at least
-    /// [`LIGHT_MIN`].
+/// Share of a light that reaches the positions of an agent past the background: a shadow's edge
+/// may lie across it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LitShare {
+    /// In the middle of the agent's box, 0 to 1.
+    pub middle: f64,
+    /// Change along each axis of the agent's frame, per meter.
+    pub slope_per_m: DVec3,
+}
+
+impl LitShare {
+    /// All of the light, everywhere.
+    pub const ALL: Self = Self {
+        middle: 1.0,
+        slope_per_m: DVec3::ZERO,
+    };
+
+    /// The share at `mean_m`, 0 to 1.
     #[must_use]
-    pub fn light(&self, normal: DVec3) -> [f64; 3] {
+    pub fn at(&self, mean_m: DVec3) -> f64 {
+        (self.middle + self.slope_per_m.dot(mean_m)).clamp(0.0, 1.0)
+    }
+}
+
+impl Shading {
+    /// `E / pi` on a surface of unit normal `normal` at `mean_m`, agent's frame, linear RGB, at
+    /// least [`LIGHT_MIN`].
+    #[must_use]
+    pub fn light(&self, normal: DVec3, mean_m: DVec3) -> [f64; 3] {
         let facing_up = 0.5 + 0.5 * normal.dot(self.up);
+        let mut facing = self.lights.map(|light| normal.dot(light.towards).max(0.0));
+        facing[0] *= self.first.at(mean_m);
         std::array::from_fn(|channel| {
             let around = facing_up * self.sky[channel] + (1.0 - facing_up) * self.ground[channel];
-            let of_light =
-                |light: &LightFrom| light.rgb[channel] * normal.dot(light.towards).max(0.0);
-            let direct: f64 = self.lights.iter().map(of_light).sum();
+            let lights = self.lights.iter().zip(facing);
+            let direct: f64 = lights
+                .map(|(light, facing)| facing * light.rgb[channel])
+                .sum();
             (around + direct).max(LIGHT_MIN)
         })
     }
 
-    /// Factor on the displayed colors of a surface of unit normal `normal`: the root of the light
-    /// that displays show. The shoulder of the display near white is left out.
+    /// Factor on the displayed colors of a surface of unit normal `normal` at `mean_m`: the root of
+    /// the light that displays show. The shoulder of the display near white is left out.
     #[must_use]
-    pub fn gain(&self, normal: DVec3) -> [f64; 3] {
-        self.light(normal).map(|light| light.powf(1.0 / GAMMA))
+    pub fn gain(&self, normal: DVec3, mean_m: DVec3) -> [f64; 3] {
+        self.light(normal, mean_m)
+            .map(|light| light.powf(1.0 / GAMMA))
     }
 
     /// The splats of `cloud`, in the agent's frame, in this light.
@@ -76,7 +106,7 @@ impl Shading {
                 cloud.rotations[splat].map(f64::from),
                 self.outward(mean_m),
             );
-            let gain = self.gain(normal);
+            let gain = self.gain(normal, mean_m);
             for (channel, gain) in gain.into_iter().enumerate() {
                 let dc = &mut relit.sh_dc[splat][channel];
                 *dc = (gain * (f64::from(*dc) + sh::DC_SHIFT) - sh::DC_SHIFT) as f32;
@@ -130,6 +160,7 @@ mod tests {
             sky: rgb,
             ground: rgb,
             lights: NO_LIGHTS,
+            first: LitShare::ALL,
             half_size_m: [2.2, 0.9, 0.75],
         }
     }
@@ -148,13 +179,28 @@ mod tests {
             let off = (0..3).map(|channel| (found[channel] - expected[channel]).abs());
             assert!(off.fold(0.0, f64::max) < 1e-12, "{found:?} {expected:?}");
         };
-        close(shading.light(DVec3::Z), [1.0, 0.7, 0.6]);
-        close(shading.light(DVec3::NEG_Z), [0.04; 3]);
-        close(shading.light(DVec3::X), [0.72, 0.47, 0.37]);
-        close(shading.light(DVec3::NEG_X), [0.12, 0.17, 0.22]);
-        close(shading.gain(DVec3::NEG_Z), [0.04f64.powf(1.0 / 2.2); 3]);
+        let light = |shading: &Shading, normal: DVec3| shading.light(normal, DVec3::X);
+        close(light(&shading, DVec3::Z), [1.0, 0.7, 0.6]);
+        close(light(&shading, DVec3::NEG_Z), [0.04; 3]);
+        close(light(&shading, DVec3::X), [0.72, 0.47, 0.37]);
+        close(light(&shading, DVec3::NEG_X), [0.12, 0.17, 0.22]);
+        let factor = shading.gain(DVec3::NEG_Z, DVec3::X);
+        close(factor, [0.04f64.powf(1.0 / 2.2); 3]);
         let dark = even([0.0; 3]);
-        close(dark.light(DVec3::Y), [LIGHT_MIN; 3]);
+        close(light(&dark, DVec3::Y), [LIGHT_MIN; 3]);
+        // A shadow's edge lies across it: the front is in the sun.
+        shading.lights.swap(0, 2);
+        shading.first = LitShare {
+            middle: 0.25,
+            slope_per_m: DVec3::new(0.5, 0.0, 0.0),
+        };
+        for (x, share) in [(-2.0, 0.0), (0.0, 0.25), (1.0, 0.75), (2.0, 1.0)] {
+            let found = shading.light(DVec3::Z, DVec3::new(x, 3.0, 1.0));
+            close(
+                found,
+                [0.2 + 0.8 * share, 0.3 + 0.4 * share, 0.4 + 0.2 * share],
+            );
+        }
     }
 
     #[test]
