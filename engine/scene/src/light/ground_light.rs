@@ -141,8 +141,8 @@ impl GroundLight {
                 xy += weight * arriving * color;
             }
             let determinant = sum * xx - x * x;
-            // Written so that a NaN fails.
-            if !(determinant > 1e-9 * sum * xx) {
+            let is_determined = determinant > 1e-9 * sum * xx;
+            if !is_determined {
                 return None;
             }
             direct[channel] = ((sum * xy - x * y) / determinant).max(0.0);
@@ -202,7 +202,7 @@ mod tests {
         let mut state = 5;
         let mut patch = |index: usize| {
             let x = 0.05 * index as f64;
-            let marking = index % 12 == 0;
+            let marking = index.is_multiple_of(12);
             let albedo = if marking { 0.6 } else { 0.15 };
             let worn = (0.15 * (2.0 * random::unit(random::next(&mut state)) - 1.0)).exp();
             GroundPatch {
