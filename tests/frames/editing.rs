@@ -11,7 +11,7 @@ use decouplegs::asset::{
 };
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Image, RenderOptions, Renderer, reference};
-use decouplegs::scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions};
+use decouplegs::scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions, Sun};
 use decouplegs::scene::{
     AmbientDescriptor, Camera, LightTransfer, Pose, Presence, Rules, ShFrame, TimedPose, Trajectory,
 };
@@ -127,6 +127,17 @@ impl Site {
 
     fn without_shadows(mut self) -> Self {
         self.file.light.as_mut().unwrap().shadows = None;
+        self
+    }
+
+    fn by_normals(mut self) -> Self {
+        let light = self.file.light.as_mut().unwrap();
+        light.transfer = None;
+        light.relighting.by_normals = true;
+        light.casting.sun = Some(Sun {
+            towards: DVec3::new(-0.6, 0.5, 0.7),
+            share: 0.7,
+        });
         self
     }
 
@@ -406,15 +417,13 @@ fn agents_laid_over_the_background_are_the_whole() {
     assert!(opaque_db < 60.0, "alpha matters: without it {opaque_db} dB");
 }
 
-#[test]
-fn every_layer_is_its_definition() {
-    let gpu = Validated::open();
-    let loaded = Site::new().loaded();
-    let truths = [Layer::All, Layer::Background, Layer::Agents].map(|layer| {
+/// The layers of `loaded` by definition; those drawn are the same.
+fn layers_as_defined(gpu: &Validated, loaded: &LoadedScene) -> [Vec<Image>; 3] {
+    [Layer::All, Layer::Background, Layer::Agents].map(|layer| {
         let world = loaded.baked_layer(0.0, layer);
         let truth = |camera: &Camera| reference::render(&world, camera, &world.rules).to_image();
-        let truths: Vec<Image> = cameras(&loaded).iter().map(truth).collect();
-        for (image, truth) in draw(&gpu, &loaded, layer).iter().zip(&truths) {
+        let truths: Vec<Image> = cameras(loaded).iter().map(truth).collect();
+        for (image, truth) in draw(gpu, loaded, layer).iter().zip(&truths) {
             let difference = Difference::between(image, truth).unwrap();
             let alpha_error = image
                 .alpha
@@ -435,10 +444,19 @@ fn every_layer_is_its_definition() {
             );
         }
         truths
-    });
-    // The comparison can fail: layers are different images.
-    for (all, background) in truths[0].iter().zip(&truths[1]) {
-        assert!(Difference::between(all, background).unwrap().psnr_db < 60.0);
+    })
+}
+
+#[test]
+fn every_layer_is_its_definition() {
+    let gpu = Validated::open();
+    let relit = layers_as_defined(&gpu, &Site::new().loaded());
+    let by_normals = layers_as_defined(&gpu, &Site::new().by_normals().loaded());
+    // The comparison can fail: layers are different images, and so is other light.
+    for (all, other) in [(&relit[0], &relit[1]), (&by_normals[0], &relit[0])] {
+        for (all, other) in all.iter().zip(other) {
+            assert!(Difference::between(all, other).unwrap().psnr_db < 60.0);
+        }
     }
 }
 

@@ -37,12 +37,15 @@ pub fn better(
     plain: &[Image],
     floor: f64,
 ) -> Option<(usize, ExampleCrops)> {
-    let (pixels, view, car) = largest(&sample.truth)?;
-    if known.as_ref().is_some_and(|(known, _)| *known >= pixels) {
+    let found = largest(&sample.truth).and_then(|(pixels, view, car)| {
+        let window = window_about(&sample.truth[view], car)?;
+        Some((pixels, view, car, window))
+    });
+    let most = known.as_ref().map_or(0, |(pixels, _)| *pixels);
+    let Some((pixels, view, car, window)) = found.filter(|(pixels, ..)| *pixels > most) else {
         return known;
-    }
+    };
     let truth = &sample.truth[view];
-    let window = window_about(truth, car)?;
     let angles = angle_image(&ours[view], truth, &sample.vehicles[view], floor);
     let all = [
         ("truth", truth),
@@ -177,6 +180,7 @@ fn angle_deg(found: [f32; 3], truth: [f32; 3], floor: f64) -> f64 {
 mod tests {
     use super::*;
     use decouplegs::render::{Plane, PlaneMap, PlaneValues};
+    use decouplegs::scene::{Camera, Intrinsics, Motion, Pose};
 
     fn image(instance: Vec<u16>) -> Image {
         Image {
@@ -208,6 +212,33 @@ mod tests {
             (largest(&[image(vec![0; 32])]), window_about(&images[1], 3)),
             (None, None)
         );
+    }
+
+    #[test]
+    fn a_moment_without_cars_keeps_what_an_earlier_one_showed() {
+        let sample = |instance: Vec<u16>| Sample {
+            time_s: 1.5,
+            cameras: vec![Camera {
+                name: "front".into(),
+                intrinsics: Intrinsics::centered([8, 4], 4.0),
+                world_from_camera: Pose::IDENTITY,
+                motion: Motion::REST,
+            }],
+            vehicles: vec![instance.iter().map(|&id| id != 0).collect()],
+            ground: vec![vec![false; 32]],
+            truth: vec![image(instance)],
+        };
+        let plain = [Image::filled(8, 4, [0.5; 3])];
+        let mut shows_car = vec![0; 32];
+        shows_car[11] = 7;
+        let seen = better(None, &sample(shows_car), &plain, &plain, 0.05);
+        assert_eq!(
+            seen.as_ref().map(|(pixels, crops)| (*pixels, crops.car)),
+            Some((1, 7))
+        );
+        let kept = better(seen, &sample(vec![0; 32]), &plain, &plain, 0.05).unwrap();
+        assert!(kept.1.car == 7 && kept.1.images.len() == 4);
+        assert!(better(None, &sample(vec![0; 32]), &plain, &plain, 0.05).is_none());
     }
 
     #[test]

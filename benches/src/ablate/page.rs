@@ -133,6 +133,9 @@ fn weather(page: &mut Page, found: &Reinserted) -> Result<()> {
 }
 
 fn images(page: &mut Page, example_crops: &ExampleCrops) -> Result<()> {
+    if example_crops.images.is_empty() {
+        return Ok(());
+    }
     // All of a large image would make the page megabytes.
     let figures = example_crops
         .images

@@ -90,6 +90,16 @@ impl Default for Lamps {
 }
 
 impl Lamps {
+    /// Light on level ground from a lamp that is `to_lamp` away, meters, over that of one straight
+    /// above at its range. None from a lamp below.
+    pub(super) fn arriving(&self, to_lamp: DVec3) -> f64 {
+        let range_m = self.range_m;
+        match to_lamp.z > 0.0 {
+            true => range_m * range_m * to_lamp.z / to_lamp.length().powi(3),
+            false => 0.0,
+        }
+    }
+
     /// Checks the lamps and describes the first fault.
     ///
     /// # Errors
@@ -146,12 +156,9 @@ impl CastingLights {
                 lights.push((Arriving::Sun(towards), sunlit * share / (1.0 - share)));
             }
         }
-        let range_m = self.lamps.range_m;
         let lamps = self.lamps.positions.iter().filter_map(|&lamp| {
-            let to_lamp = lamp - position;
-            let distance_m = to_lamp.length();
-            let arriving = range_m * range_m * to_lamp.z / distance_m.powi(3);
-            (to_lamp.z > 0.0).then_some((Arriving::Lamp(lamp), arriving))
+            let arriving = self.lamps.arriving(lamp - position);
+            (arriving > 0.0).then_some((Arriving::Lamp(lamp), arriving))
         });
         lights.extend(lamps);
         let sum: f64 = 1.0 + lights.iter().map(|(_, arriving)| arriving).sum::<f64>();

@@ -124,10 +124,11 @@ impl GroundLight {
     /// The least squares of `color = sky + arriving direct` over all patches, errors being in
     /// proportion to the light.
     fn of_lamps(patches: &[GroundPatch], lamps: &Lamps) -> Option<Self> {
-        let arriving: Vec<f64> = patches
-            .iter()
-            .map(|patch| lamps.arriving(patch.center))
-            .collect();
+        let at = |position: DVec3| -> f64 {
+            let of_lamp = |lamp: &DVec3| lamps.arriving(*lamp - position);
+            lamps.positions.iter().map(of_lamp).sum()
+        };
+        let arriving: Vec<f64> = patches.iter().map(|patch| at(patch.center)).collect();
         let (mut sky, mut direct) = ([0.0; 3], [0.0; 3]);
         for channel in 0..3 {
             let (mut sum, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
@@ -162,19 +163,6 @@ impl GroundLight {
             .enumerate()
             .min_by(|a, b| off(a.1).total_cmp(&off(b.1)));
         nearest.map_or(0.0, |(share, _)| share as f64 / SHARES as f64)
-    }
-}
-
-impl Lamps {
-    /// Light on level ground at `position` from all lamps above it, over that of one straight above
-    /// at its range.
-    fn arriving(&self, position: DVec3) -> f64 {
-        let of_lamp = |lamp: &DVec3| {
-            let to_lamp = *lamp - position;
-            let distance_m = to_lamp.length();
-            self.range_m.powi(2) * to_lamp.z.max(0.0) / distance_m.powi(3).max(1e-6)
-        };
-        self.positions.iter().map(of_lamp).sum()
     }
 }
 
@@ -261,13 +249,14 @@ mod tests {
             range_m: 20.0,
         };
         let (night, lamp) = ([0.017, 0.021, 0.036], [0.06, 0.04, 0.02]);
-        let arriving = lamps.clone();
         let light = |x: f64| {
-            let arriving = arriving.arriving(DVec3::new(x, 0.0, 0.0));
+            let of_lamp = |at: &DVec3| lamps.arriving(*at - DVec3::new(x, 0.0, 0.0));
+            let arriving: f64 = lamps.positions.iter().map(of_lamp).sum();
             std::array::from_fn(|channel| night[channel] + arriving * lamp[channel])
         };
+        let patches = ground(light);
         let lights = CastingLights { sun: None, lamps };
-        let found = GroundLight::of(&ground(light), &lights).unwrap();
+        let found = GroundLight::of(&patches, &lights).unwrap();
         // Markings are as bright as their share in the area says.
         let albedo = 1.0 + 0.6 / 0.15 / 12.0 - 1.0 / 12.0;
         for (found, expected) in [(found.sky, night), (found.direct, lamp)] {

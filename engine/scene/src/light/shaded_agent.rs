@@ -289,10 +289,7 @@ mod tests {
             range_m: 20.0,
         };
         let arriving = |x: f64, y: f64| -> f64 {
-            let of_lamp = |at: &DVec3| {
-                let to_lamp = *at - DVec3::new(x, y, 0.0);
-                400.0 * to_lamp.z / to_lamp.length().powi(3)
-            };
+            let of_lamp = |at: &DVec3| lamps.arriving(*at - DVec3::new(x, y, 0.0));
             lamps.positions.iter().map(of_lamp).sum()
         };
         let light = |x: f64, y: f64| {
