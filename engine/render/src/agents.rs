@@ -173,7 +173,7 @@ impl Scene<'_> {
                     pose: format!("{pose:?}"),
                 });
             }
-            let is_endless = agent.relight.is_some_and(|light| {
+            let transfer_at_fault = agent.relight.is_some_and(|light| {
                 light
                     .gain
                     .iter()
@@ -182,7 +182,7 @@ impl Scene<'_> {
                     .any(|number| !number.is_finite())
             });
             let shading = agent.shading.as_ref().map(ShadingRecord::new);
-            if is_endless || shading.is_some_and(|record| !record.is_finite()) {
+            if transfer_at_fault || shading.is_some_and(|record| !record.is_finite()) {
                 return Err(RenderError::AgentLight {
                     instance: agent.instance,
                 });

@@ -44,8 +44,8 @@ impl Light {
 }
 
 impl Light {
-    /// Light by normals as a scene has it that is told the direction of the sun, and whose ground
-    /// shows the colors of sun and sky; of `albedo`, the ground is taken to be. True with a sun.
+    /// Light by normals, and true if there is a sun. The scene file gives the direction of the sun;
+    /// the ground shows the colors of sun and sky, and is taken to have `albedo`.
     pub fn shading(&self, albedo: f64) -> (Shading, bool) {
         let shown = self.descriptor.mean();
         let ground = shown.map(|value| to_linear(f64::from(value)));

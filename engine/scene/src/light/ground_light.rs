@@ -1,4 +1,4 @@
-//! Light of the sky and direct light, told apart by the ground that they fall on.
+//! Colors of the light of the sky and of direct light, estimated from the colors of the ground.
 
 use glam::DVec3;
 
@@ -222,8 +222,8 @@ mod tests {
             assert!(worst < 0.1, "{shaded_m}: {found:?}");
             for share in [0.0, 0.4, 1.0] {
                 let color = sunlit(share).map(|value| 0.17 * value);
-                let told = found.share(color);
-                assert!((told - share).abs() < 0.12, "{told} for {share}");
+                let estimate = found.share(color);
+                assert!((estimate - share).abs() < 0.12, "{estimate} for {share}");
             }
         }
     }

@@ -115,8 +115,8 @@ pub struct Lighting {
     pub shadows: Option<ShadowOptions>,
     /// Lights that cast shadows; without options of contact shadows they cast none.
     pub casting: CastingLights,
-    /// Light of the sky, and of the sun or the lamps, by the ground where agents drive; `None`: not
-    /// asked for, or not told.
+    /// Light of the sky, and of the sun or the lamps, estimated from the ground where agents drive.
+    /// `None` without shading by normals, without sun and lamps, or if the ground does not show it.
     pub ground_light: Option<GroundLight>,
 }
 
