@@ -1,8 +1,10 @@
 //! `decouplegs bench`: how long a frame takes, stage by stage, what memory it holds, and how wrong
 //! it is.
 
+mod kernels;
 mod report;
 mod trace;
+mod trial;
 
 use std::borrow::Cow;
 use std::io::Write;
@@ -14,7 +16,7 @@ use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use decouplegs::LiveScene;
 use decouplegs::asset::{check_writable, write_atomically};
-use decouplegs::gpu::{DeviceInfo, Gpu, MemoryReport};
+use decouplegs::gpu::{DeviceInfo, DeviceOptions, Gpu, KernelReport, KernelTrial, MemoryReport};
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::reference::{self, Window};
 use decouplegs::render::rendered_image::Image;
@@ -81,6 +83,17 @@ pub struct Arguments {
     /// for any --color
     #[arg(long, value_name = "WxH", default_value = "160x90")]
     error_window: Size,
+    /// Print what the driver says of each kernel: registers, shared memory, and the workgroups that
+    /// fit a multiprocessor of 48 KB of shared memory
+    #[arg(long)]
+    kernels: bool,
+    /// Folder of SPIR-V files that replace kernels, and of `constants.txt`: frames with them are
+    /// timed in turn with the program's own
+    #[arg(long, value_name = "FOLDER", hide = true)]
+    trial: Vec<trial::Trial>,
+    /// Number of times that all trials are timed
+    #[arg(long, value_name = "N", default_value_t = 2, hide = true)]
+    trial_rounds: u32,
     /// Write all figures to this JSON file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -107,6 +120,15 @@ impl Arguments {
         };
         self.background.apply_to(&mut options);
         options
+    }
+
+    /// The device, with the kernels of `trial` in the place of the program's.
+    fn open(&self, trial: KernelTrial) -> Result<Gpu> {
+        self.device.open_with(DeviceOptions {
+            trial,
+            reports_kernels: self.kernels || !self.trial.is_empty(),
+            ..DeviceOptions::default()
+        })
     }
 
     fn outputs(&self) -> Outputs {
@@ -146,6 +168,8 @@ struct Measured {
     timed: Timed,
     window: Window,
     difference: Difference,
+    /// Empty where they were not asked for.
+    kernels: Vec<KernelReport>,
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -164,7 +188,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     );
     scene.cameras.truncate(used);
 
-    let gpu = arguments.device.open()?;
+    if !arguments.trial.is_empty() {
+        let figures = trial::run(&scene, arguments)?;
+        return match &arguments.json {
+            Some(path) => Ok(write_atomically(path, |file| {
+                writeln!(file, "{figures:#}")
+            })?),
+            None => Ok(()),
+        };
+    }
+    let gpu = arguments.open(KernelTrial::default())?;
     let timed = time_frames(&gpu, &scene, arguments)?;
     if arguments.trace.is_some() || arguments.trace_image.is_some() {
         let trace = trace::chrome_trace(&timed.by_stage, gpu.clock()?);
@@ -189,12 +222,20 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         timed,
         window,
         difference,
+        kernels: gpu.kernel_reports(),
     };
-    let figures = report::figures(&scene, &measured);
+    let mut figures = report::figures(&scene, &measured);
+    if arguments.kernels {
+        figures["kernels"] = kernels::figures(&measured.kernels);
+    }
     if let Some(path) = &arguments.json {
         write_atomically(path, |file| writeln!(file, "{figures:#}"))?;
     }
-    print(&report::to_text(&figures))
+    print(&report::to_text(&figures))?;
+    match arguments.kernels {
+        true => print(&kernels::to_text(&figures["kernels"])),
+        false => Ok(()),
+    }
 }
 
 /// The frames after the warm-up, the wall clock from one to the next, and the memory that they

@@ -21,6 +21,7 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
         timed,
         window,
         difference,
+        kernels: _,
     } = measured;
     let Timed {
         frames,

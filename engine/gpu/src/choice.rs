@@ -2,7 +2,7 @@
 
 use std::{convert::Infallible, fmt, str::FromStr, time::Duration};
 
-use crate::{DeviceInfo, DeviceKind, GpuError, KernelCache};
+use crate::{DeviceInfo, DeviceKind, GpuError, KernelCache, KernelTrial};
 
 /// Options for opening a device.
 #[derive(Clone, Debug)]
@@ -20,6 +20,11 @@ pub struct DeviceOptions {
     /// takes longer than a small frame's copy to the host. CPU devices are not asked: they need
     /// the processor for the work itself.
     pub poll: Duration,
+    /// Kernels that replace those of the program, for measurements during development. Empty by
+    /// default.
+    pub trial: KernelTrial,
+    /// Asks the driver about each kernel that is built ([`crate::Gpu::kernel_reports`]).
+    pub reports_kernels: bool,
 }
 
 impl Default for DeviceOptions {
@@ -33,6 +38,8 @@ impl Default for DeviceOptions {
             queues: QueueUse::All,
             kernels: KernelCache::User,
             poll: Duration::from_millis(2),
+            trial: KernelTrial::default(),
+            reports_kernels: false,
         }
     }
 }

@@ -20,6 +20,7 @@ use crate::{
     instance::Instance,
     kernel_cache::PipelineStore,
     memory::Accounting,
+    trial::{ExecutableProperties, KernelTrial},
 };
 
 /// Memory blocks that small buffers share. Larger ones have an allocation of their own (see
@@ -33,6 +34,10 @@ pub(crate) struct Context {
     pub(crate) push_descriptor: khr::push_descriptor::Device,
     /// Export functions, if the device can export.
     pub(crate) exports: Option<Exports>,
+    /// Functions that ask the driver about kernels, if that was asked for and the driver can answer.
+    pub(crate) executables: Option<ExecutableProperties>,
+    /// Kernels that replace those of the program.
+    pub(crate) trial: KernelTrial,
     /// Names and labels, where the instance has them.
     pub(crate) debug: Option<ext::debug_utils::Device>,
     pub(crate) info: DeviceInfo,
@@ -58,7 +63,7 @@ impl Context {
         let infos: Vec<DeviceInfo> = devices.iter().map(|device| device.info.clone()).collect();
         let mut refusal = GpuError::NoDevice;
         for index in choice::candidates(&options.choice, &infos)? {
-            match open_physical(&instance, &devices[index], options.queues) {
+            match open_physical(&instance, &devices[index], options) {
                 Ok((opened, families)) => {
                     return Self::finish(instance, &devices[index], opened, families, options);
                 }
@@ -108,6 +113,9 @@ impl Context {
         Ok(Self {
             push_descriptor: khr::push_descriptor::Device::new(&instance.raw, &device),
             exports: abilities.exports.then(|| Exports::new(&instance, &device)),
+            executables: (abilities.kernel_reports)
+                .then(|| ExecutableProperties::new(&instance, &device)),
+            trial: options.trial.clone(),
             debug: instance
                 .labels
                 .then(|| ext::debug_utils::Device::new(&instance.raw, &device)),
@@ -198,16 +206,19 @@ impl Context {
 fn open_physical(
     instance: &Instance,
     physical: &Physical,
-    queues: QueueUse,
+    options: &DeviceOptions,
 ) -> Result<(Opened, Families), GpuError> {
     let mut families = device::families(instance, physical)?;
-    if queues == QueueUse::One {
+    if options.queues == QueueUse::One {
         families.update = None;
     }
     let indices: Vec<u32> = std::iter::once(families.main)
         .chain(families.update)
         .collect();
-    Ok((device::open(instance, physical, &indices)?, families))
+    Ok((
+        device::open(instance, physical, &indices, options.reports_kernels)?,
+        families,
+    ))
 }
 
 impl Drop for Context {

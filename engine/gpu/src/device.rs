@@ -146,6 +146,8 @@ pub(crate) struct Abilities {
     pub(crate) memory_budget: bool,
     /// Buffers and timelines can be exported to other APIs.
     pub(crate) exports: bool,
+    /// The driver tells registers and shared memory of kernels, and was asked to.
+    pub(crate) kernel_reports: bool,
     /// SPIR-V capabilities that this device does not have, with the feature that would give them.
     pub(crate) missing_capabilities: Vec<(u32, &'static str)>,
 }
@@ -157,11 +159,13 @@ pub(crate) struct Opened {
     pub(crate) limits: Limits,
 }
 
-/// Opens `physical` with one queue of each of `families`.
+/// Opens `physical` with one queue of each of `families`; with `reports_kernels`, so that the driver
+/// can be asked about kernels, where it has the extension.
 pub(crate) fn open(
     instance: &Instance,
     physical: &Physical,
     families: &[u32],
+    reports_kernels: bool,
 ) -> Result<Opened, GpuError> {
     let [major, minor, patch] = physical.info.api_version;
     if (major, minor) < (1, 3) {
@@ -206,14 +210,19 @@ pub(crate) fn open(
             khr::external_semaphore_fd::NAME.as_ptr(),
         ]);
     }
+    let kernel_reports = reports_kernels && has(khr::pipeline_executable_properties::NAME);
+    if kernel_reports {
+        names.push(khr::pipeline_executable_properties::NAME.as_ptr());
+    }
     let found = features(instance, physical)?;
     let abilities = Abilities {
         pinned_subgroups: found.has_full_subgroups() && subgroup_size_can_be_asked_for,
         memory_budget,
         exports,
+        kernel_reports,
         missing_capabilities: found.missing_capabilities(),
     };
-    let device = create_device(instance, physical, families, &names, &found)?;
+    let device = create_device(instance, physical, families, &names, &found, kernel_reports)?;
     Ok(Opened {
         device,
         abilities,
@@ -390,13 +399,19 @@ fn create_device(
     families: &[u32],
     extensions: &[*const c_char],
     found: &Features,
+    kernel_reports: bool,
 ) -> Result<ash::Device, GpuError> {
+    let mut executable = vk::PhysicalDevicePipelineExecutablePropertiesFeaturesKHR::default()
+        .pipeline_executable_info(true);
     let mut wanted = found.wanted();
     let mut features = vk::PhysicalDeviceFeatures2::default().features(wanted.v10);
     features = features
         .push_next(&mut wanted.v11)
         .push_next(&mut wanted.v12)
         .push_next(&mut wanted.v13);
+    if kernel_reports {
+        features = features.push_next(&mut executable);
+    }
     let queues: Vec<vk::DeviceQueueCreateInfo<'_>> = families
         .iter()
         .map(|&family| {

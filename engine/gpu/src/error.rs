@@ -61,6 +61,14 @@ pub enum GpuError {
         /// The device's `maxStorageBufferRange`.
         limit_bytes: u64,
     },
+    /// A file of kernels that replace the program's cannot be used.
+    #[error("{}: {reason}", path.display())]
+    Trial {
+        /// The file or folder.
+        path: std::path::PathBuf,
+        /// Expected and found.
+        reason: String,
+    },
     /// Memory is used up.
     #[error(
         "out of device memory: buffer {name} ({purpose}) wants {wanted_bytes} bytes, in use are {used_bytes} bytes ({used_by_purpose}) of a heap of {heap_bytes} bytes: render less or choose a device with more memory"

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use bytemuck::Pod;
 
 use crate::{
-    Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, KernelCounts, Limits,
-    MemoryKind, MemoryReport, QueueRole, Recorder, Ticket, context::Context, device,
+    Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, KernelCounts, KernelReport,
+    Limits, MemoryKind, MemoryReport, QueueRole, Recorder, Ticket, context::Context, device,
     instance::Instance, kernel::Kernels, memory::BufferMemory, queue::Queue, transfer,
 };
 
@@ -101,6 +101,14 @@ impl Gpu {
     #[must_use]
     pub fn kernel_counts(&self) -> KernelCounts {
         self.0.context.pipelines.counts()
+    }
+
+    /// What the driver says of the kernels that were built. Empty unless
+    /// [`DeviceOptions::reports_kernels`] asked for it and the driver has
+    /// `VK_KHR_pipeline_executable_properties`.
+    #[must_use]
+    pub fn kernel_reports(&self) -> Vec<KernelReport> {
+        self.0.kernels.reports()
     }
 
     /// True if kernels that were kept from an earlier start were there, whole and this driver's.

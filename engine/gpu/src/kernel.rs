@@ -12,7 +12,7 @@ use std::sync::{
 use ash::vk;
 
 use crate::{
-    GpuError, Limits,
+    GpuError, KernelReport, Limits,
     context::{Context, ShortName},
     device::BINDINGS_MAX,
     error::failed,
@@ -46,6 +46,16 @@ pub enum Constant {
 }
 
 impl Constant {
+    /// A value of the same type from text; `None` if it is none.
+    pub(crate) fn parsed_alike(self, text: &str) -> Option<Self> {
+        match self {
+            Self::U32(_) => text.parse().ok().map(Self::U32),
+            Self::I32(_) => text.parse().ok().map(Self::I32),
+            Self::F32(_) => text.parse().ok().map(Self::F32),
+            Self::Bool(_) => text.parse().ok().map(Self::Bool),
+        }
+    }
+
     fn bits(self) -> u32 {
         match self {
             Self::U32(value) => value,
@@ -121,6 +131,8 @@ pub(crate) struct KernelCore {
     push: Block,
     workgroup_size: [u32; 3],
     subgroups_pinned: bool,
+    /// What the driver says of it, where it was asked.
+    report: Option<KernelReport>,
     context: Arc<Context>,
 }
 
@@ -131,11 +143,20 @@ impl Kernel {
         spirv: &[u32],
         constants: &[(&str, Constant)],
     ) -> Result<Self, GpuError> {
+        let constants = context.trial.constants(name, constants)?;
+        let replaced = context.trial.spirv(name);
+        let spirv = replaced.unwrap_or(spirv);
         let refuse = |reason| GpuError::Kernel {
             kernel: name,
             reason,
         };
         let interface = reflection::reflect(spirv).map_err(refuse)?;
+        let constants = match replaced.is_some() {
+            // A kernel on trial may do without a constant of the program's.
+            true => constants_in(&interface, &constants),
+            false => constants,
+        };
+        let constants = constants.as_slice();
         let specialized = specialize(name, &interface, constants);
         let workgroup_size = interface.workgroup_size(&specialized);
         check_capabilities(context, name, &interface)?;
@@ -167,10 +188,22 @@ impl Kernel {
             push,
             workgroup_size,
             subgroups_pinned: pins_subgroups(context, workgroup_size),
+            report: None,
             context: context.clone(),
         };
         core.make_layout()?;
         core.make_pipeline(spirv, &interface.entry_point, &specialized)?;
+        core.report = context
+            .executables
+            .as_ref()
+            .map(|executables| KernelReport {
+                name,
+                workgroup_threads: workgroup_size.iter().product(),
+                constants: (constants.iter())
+                    .map(|&(name, constant)| (name.to_owned(), constant))
+                    .collect(),
+                figures: executables.figures(core.pipeline),
+            });
         Ok(Self {
             core: Arc::new(core),
         })
@@ -193,6 +226,11 @@ impl Kernel {
     #[must_use]
     pub fn subgroups_pinned(&self) -> bool {
         self.core.subgroups_pinned
+    }
+
+    /// What the driver says of it; `None` where it was not asked or has no answer.
+    pub(crate) fn report(&self) -> Option<&KernelReport> {
+        self.core.report.as_ref()
     }
 
     /// The buffers it wants, by binding number.
@@ -326,7 +364,12 @@ impl KernelCore {
         let mut built = vk::PipelineCreationFeedback::default();
         let mut feedback = vk::PipelineCreationFeedbackCreateInfo::default()
             .pipeline_creation_feedback(&mut built);
+        let flags = match context.executables {
+            Some(_) => vk::PipelineCreateFlags::CAPTURE_STATISTICS_KHR,
+            None => vk::PipelineCreateFlags::empty(),
+        };
         let create = vk::ComputePipelineCreateInfo::default()
+            .flags(flags)
             .stage(stage)
             .layout(self.layout)
             .push_next(&mut feedback);
@@ -372,6 +415,16 @@ impl Drop for KernelCore {
         // SAFETY: as above.
         unsafe { device.destroy_descriptor_set_layout(self.set_layout, None) };
     }
+}
+
+/// Those of `constants` that the shader has.
+fn constants_in<'a>(
+    interface: &Interface,
+    constants: &[(&'a str, Constant)],
+) -> Vec<(&'a str, Constant)> {
+    let has = |name: &str| interface.constants.iter().any(|found| found.name == name);
+    let all = constants.iter().copied();
+    all.filter(|(name, _)| has(name)).collect()
 }
 
 /// The given constants by their ids.

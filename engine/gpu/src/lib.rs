@@ -39,6 +39,7 @@ mod recorder;
 mod slot;
 mod ticket;
 mod transfer;
+mod trial;
 
 pub use buffer::{Bound, Buffer, MemoryKind};
 pub use choice::{DeviceChoice, DeviceOptions, QueueUse};
@@ -51,3 +52,4 @@ pub use kernel_cache::{KernelCache, KernelCounts};
 pub use queue::QueueRole;
 pub use recorder::Recorder;
 pub use ticket::{StageTime, Ticket};
+pub use trial::{KernelReport, KernelTrial};

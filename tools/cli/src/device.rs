@@ -17,9 +17,14 @@ impl DeviceArguments {
     /// The device, said on standard error: which one made an image matters to its readers
     /// later.
     pub fn open(&self) -> Result<Gpu> {
+        self.open_with(DeviceOptions::default())
+    }
+
+    /// The device, opened by `options` but for the choice; said on standard error.
+    pub fn open_with(&self, options: DeviceOptions) -> Result<Gpu> {
         let gpu = Gpu::open(&DeviceOptions {
             choice: self.device.clone(),
-            ..DeviceOptions::default()
+            ..options
         })?;
         // Only for information.
         let _ = writeln!(std::io::stderr(), "on {}", gpu.info());

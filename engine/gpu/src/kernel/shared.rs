@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::{Constant, Kernel, module::Kind};
-use crate::{GpuError, context::Context};
+use crate::{GpuError, KernelReport, context::Context};
 
 /// Kernels kept at most. A renderer uses about 30, and settings of a scene change some of them.
 const KEPT_MAX: usize = 256;
@@ -25,6 +25,13 @@ struct Key {
 }
 
 impl Kernels {
+    /// What the driver says of all of them, in the order of their last use.
+    pub(crate) fn reports(&self) -> Vec<KernelReport> {
+        let kernels = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let reports = kernels.iter().filter_map(|(_, kernel)| kernel.report());
+        reports.cloned().collect()
+    }
+
     /// The kernel of equal name, module and constants; a new one if there is none.
     ///
     /// # Errors
