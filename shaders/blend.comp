@@ -2,12 +2,12 @@
 // Alpha compositing: blends one segment of one coarse tile's list, front to back, into its 64 x 32
 // pixels. Early termination: a saturated fine tile takes no more splats.
 //
-// The list is taken in batches. Each thread stages some records and finds which of the 32 fine
-// tiles (8 x 8 pixels) they can reach; the masks are turned into one bit list per fine tile. Then
-// every subgroup works by itself: it finds which records of its tile can reach which 4 x 4 block of
-// it, and eight lanes blend the list of their block, two pixels per lane. So a splat costs only
-// where it is, and threads wait for each other only while a batch is staged. Sums are f32; the
-// pixel decides alpha >= 1/255 by itself, lists only leave out what that test would refuse.
+// The list is taken in batches. Each thread finds which of the 32 fine tiles (8 x 8 pixels) some
+// records can reach; the masks are turned into one bit list per fine tile. Then every subgroup works
+// by itself: its lanes read a round of the records of its fine tile, a record each, place them in
+// shared memory, and all lanes blend one after the other, two pixels per lane. Threads wait for each
+// other only while a batch is listed. Sums are f32; the pixel decides alpha >= 1/255 by itself,
+// lists only leave out what that test would refuse.
 //
 // Where a segment is one batch, subgroups take their shares of the coarse tile from a counter, and
 // one that meets few records takes more of them. Where it is several, each keeps four shares in
@@ -45,10 +45,9 @@ layout(constant_id = 4) const bool EXCLUSIVE_STOP = false; // stop before the sp
 layout(constant_id = 5) const uint LANES = 32u; // of a subgroup: 4 to 64
 layout(constant_id = 6) const bool CONTRIBUTIONS = false; // add up the weights of each splat; records hold its index
 layout(constant_id = 7) const bool FINISH = false; // blend again what composite has left to be finished
-layout(constant_id = 8) const uint BATCH = 512u; // records that are staged at a time, a multiple of 32
-layout(constant_id = 9) const bool ONE_BATCH = false; // no segment is longer than a batch
-layout(constant_id = 10) const bool MEDIAN = false; // with EXCLUSIVE_STOP: the color of the splat in which half of the light is gone
-layout(constant_id = 11) const bool ATTRIBUTES = false; // blend attributes instead of colors
+layout(constant_id = 8) const bool ONE_BATCH = false; // no segment is longer than a batch
+layout(constant_id = 9) const bool MEDIAN = false; // with EXCLUSIVE_STOP: the color of the splat in which half of the light is gone
+layout(constant_id = 10) const bool ATTRIBUTES = false; // blend attributes instead of colors
 
 layout(set = 0, binding = 5, scalar) buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { BlendItem items[]; };
@@ -86,7 +85,11 @@ shared uint open_subgroups; // whether one of them has a pixel that is not full
 shared uint next_share;
 shared uint drawn_tiles; // fine tiles with records in the segment
 shared PartialTiles held_tiles;
-shared uint tile_largest[32];
+
+// Largest transmittance by fine tile, bits. A subgroup of 32 lanes has a fine tile for itself, and
+// needs none.
+const bool WHOLE_TILES = LANES == 32u;
+shared uint tile_largest[WHOLE_TILES ? 1u : 32u];
 
 // Fine tiles that the segments before this one are not known to have covered. Every thread of the
 // workgroup calls it.
@@ -100,14 +103,14 @@ uint uncovered_tiles(BlendItem item, uint thread) {
         uint bits = atomicLoad(partial_transmittances[32u * slot + tile], gl_ScopeDevice, gl_StorageSemanticsBuffer, gl_SemanticsRelaxed);
         transmittance *= bits == 0u ? 1.0 : uintBitsToFloat(bits);
     }
-    list_entries[thread] = floatBitsToUint(transmittance);
+    place_slants[thread].x = transmittance;
     if (thread == 0u) {
         open_tiles = 0u;
     }
     barrier();
     if (thread < 32u) {
         for (uint other = 1u; other < rows; ++other) {
-            transmittance *= uintBitsToFloat(list_entries[32u * other + tile]);
+            transmittance *= place_slants[32u * other + tile].x;
         }
         atomicOr(open_tiles, transmittance > covered() ? 1u << tile : 0u);
     }
@@ -115,82 +118,65 @@ uint uncovered_tiles(BlendItem item, uint thread) {
     return open_tiles;
 }
 
-// Blends the list of the subgroup's only block: each lane reads one record of it and shows it to
-// all.
-void blend_one_list(inout LanePixels pixels, vec2 at, uint list, uint count) {
-    for (uint first = 0u; first < count; first += LANES) {
-        uint index = first + gl_SubgroupInvocationID;
-        Staged own = staged_record(index < count ? list_entries[list + index] : NO_RECORD);
-        [[unroll]] for (uint next = 0u; next < LANES; ++next) {
-            blend_record(pixels, at, record_of_lane(own, next));
+// Blends the placed records of the lanes in `lanes`, one bit each and all below ROUND. Every lane
+// calls it; `own` is the record that it has read.
+void blend_placed(inout LanePixels pixels, vec2 at, uint first_place, uint lanes, Staged own) {
+    for (; lanes != 0u; lanes &= lanes - 1u) {
+        blend_record(pixels, at, placed_record(first_place, uint(findLSB(lanes)), own));
+    }
+}
+
+// Records that are blended per turn of the loop.
+const uint UNROLLED = 4u;
+
+// Blends the placed records of the first `count` lanes, likewise. The lanes behind them up to a
+// multiple of UNROLLED have placed records that add nothing.
+void blend_first_placed(inout LanePixels pixels, vec2 at, uint first_place, uint count, Staged own) {
+    for (uint first = 0u; first < count; first += UNROLLED) {
+        [[unroll]] for (uint next = 0u; next < UNROLLED; ++next) {
+            blend_record(pixels, at, placed_record(first_place, first + next, own));
         }
     }
 }
 
-// Blends the lists of the subgroup's blocks: each lane that of its own, `count` records from `list`
-// on. Every lane calls it.
-void blend_lists(inout LanePixels pixels, vec2 at, uint list, uint count) {
-    // All run as long as the longest, four records at a time: shorter lists are filled up.
-    uint end = (subgroupMax(count) + 3u) / 4u * 4u;
-    for (uint first = 0u; first < end; first += BLOCK_LANES) {
-        uint index = first + gl_SubgroupInvocationID % BLOCK_LANES;
-        if (index >= count && index < end) {
-            list_entries[list + index] = NO_RECORD;
-        }
-    }
-    subgroupBarrier(); // the lists are written
-    for (uint index = list; index < list + end; index += 4u) {
-        [[unroll]] for (uint next = 0u; next < 4u; ++next) {
-            blend_record(pixels, at, staged_record(list_entries[index + next]));
-        }
-    }
-}
-
-// Blends the batch into the subgroup's share that begins at `first_index`; false once all its
-// pixels are full. Every lane calls it.
-bool blend_share(inout LanePixels pixels, uint first_index, uint batch_records) {
+// Blends the batch of `batch_records` from entry `first` of the lists on into the subgroup's share
+// that begins at `first_index` of the coarse tile at `coarse_origin`; false once all its pixels are
+// full. Every lane calls it.
+bool blend_share(inout LanePixels pixels, uint first_index, uint first, uint batch_records, uvec2 coarse_origin) {
     uint lane = gl_SubgroupInvocationID;
-    uint own_block = lane / BLOCK_LANES;
-    uint lists = gl_LocalInvocationIndex / LANES * BLOCKS * LIST_ROOM;
-    vec2 at = vec2(pixel_offset(first_index + lane)) + 0.5;
+    uint first_place = gl_LocalInvocationIndex / LANES * LANES;
+    uint tile = fine_tile(first_index);
+    uvec2 tile_offset = uvec2(tile % COARSE_COLUMNS, tile / COARSE_COLUMNS) * FINE_TILE_PX;
+    vec2 corner = vec2(pixel_offset(first_index) - tile_offset);
+    vec2 at = vec2(pixel_offset(first_index + lane) - tile_offset) + 0.5;
     uint words = (batch_records + 31u) / 32u;
-    uint listed = 0u; // records in the list of the lane's own block
     bool open = true;
     for (uint first_word = 0u; first_word < words && open; first_word += LANES) {
-        uint bits = tile_word(fine_tile(first_index), first_word + lane, words);
+        uint bits = tile_word(tile, first_word + lane, words);
         uint count = uint(bitCount(bits));
-        uint before = subgroupExclusiveAdd(count);
-        uint candidates = subgroupAdd(count);
-        uint done = 0u;
-        do {
-            uint rank = done + lane;
-            uint entry = 32u * first_word + record_of_rank(rank, bits, before);
-            entry = rank < candidates && lane < ROUND ? entry : NO_RECORD;
-            uint blocks = reached_blocks(entry, first_index);
-            [[unroll]] for (uint block = 0u; block < BLOCKS; ++block) {
-                uint list_end = subgroupShuffle(listed, block * BLOCK_LANES);
-                bool reached = (blocks >> block & 1u) != 0u;
-                uint reaching = subgroupBallot(reached).x; // a round has at most 32 records
-                if (reached) {
-                    list_entries[lists + block * LIST_ROOM + list_end + uint(bitCount(reaching & ((1u << lane) - 1u)))] = entry;
-                }
-                listed += own_block == block ? uint(bitCount(reaching)) : 0u;
+        uint before = subgroupInclusiveAdd(count);
+        uint candidates = subgroupBroadcast(before, LANES - 1u);
+        before -= count;
+        for (uint done = 0u; done < candidates && open; done += ROUND) {
+            uint entry = 32u * first_word + record_of_rank(done + lane, bits, before);
+            bool some = lane < ROUND && done + lane < candidates;
+            Staged own = read_record(records[first + (some ? entry : 0u)], coarse_origin + tile_offset);
+            own.tones.y = some ? own.tones.y : -1e3; // log2 of an alpha far below 1/255
+            if (lane < ROUND) {
+                place_record(first_place + lane, own);
             }
-            done += ROUND;
-            bool last = done >= candidates && first_word + LANES >= words;
-            if (last || subgroupMax(listed) + ROUND > LIST_ROOM) {
-                subgroupBarrier(); // the lists are written
-                if (BLOCKS == 1u) {
-                    blend_one_list(pixels, at, lists, listed);
-                } else {
-                    blend_lists(pixels, at, lists + own_block * LIST_ROOM, listed);
-                }
-                subgroupBarrier(); // the lists are read, and may be written again
-                listed = 0u;
-                float through = max(left_through(pixels.left, pixels.left_full), left_through(pixels.right, pixels.right_full));
-                open = subgroupAny(through > nothing_left());
+            subgroupBarrier(); // the records are placed
+            if (LANES < 32u) {
+                // Shares are smaller than the tile that records are listed for.
+                uint reaching = subgroupBallot(some && reaches_share(own, corner)).x;
+                blend_placed(pixels, at, first_place, reaching, own);
+            } else {
+                blend_first_placed(pixels, at, first_place, min(candidates - done, ROUND), own);
             }
-        } while (done < candidates && open);
+            subgroupBarrier(); // they are read, and places may be written again
+            float through = max(left_through(pixels.left, pixels.left_full), left_through(pixels.right, pixels.right_full));
+            open = subgroupAny(through > nothing_left());
+        }
     }
     return open;
 }
@@ -214,7 +200,7 @@ PartialTiles hold_tiles(BlendItem item, uint tiles) {
     return held;
 }
 
-// True if staged records reach the fine tile `tile`.
+// True if listed records reach the fine tile `tile`.
 bool has_records(uint tile, uint batch_records) {
     uint any = 0u;
     for (uint word = 0u; word < (batch_records + 31u) / 32u; ++word) {
@@ -265,6 +251,12 @@ LanePixels first_pixels(BlendItem item, Camera camera, uvec2 origin, uint index)
     return pixels;
 }
 
+// Tells later segments of the coarse tile how much this one lets through in a fine tile, as bits.
+void tell_largest(BlendItem item, uint tile, uint largest) {
+    // 0 would mean that it is not known.
+    atomicStore(partial_transmittances[32u * item.partial + tile], max(largest, 1u), gl_ScopeDevice, gl_StorageSemanticsBuffer, gl_SemanticsRelaxed);
+}
+
 void write_result(BlendItem item, Camera camera, uvec2 origin, uint index, LanePixels pixels) {
     uvec2 at = origin + pixel_offset(index);
     if (FINISH) {
@@ -282,9 +274,15 @@ void write_result(BlendItem item, Camera camera, uvec2 origin, uint index, LaneP
     } else {
         write_partial(index, pixels.left, pixels.left_full);
         write_partial(index + LEFT_PIXELS, pixels.right, pixels.right_full);
-        // Positive floats order as their bits.
         float through = max(left_through(pixels.left, pixels.left_full), left_through(pixels.right, pixels.right_full));
-        atomicMax(tile_largest[fine_tile(index)], floatBitsToUint(through));
+        if (WHOLE_TILES) {
+            through = subgroupMax(through);
+            if (gl_SubgroupInvocationID == 0u) {
+                tell_largest(item, fine_tile(index), floatBitsToUint(through));
+            }
+        } else {
+            atomicMax(tile_largest[fine_tile(index)], floatBitsToUint(through)); // positive floats order as their bits
+        }
     }
 }
 
@@ -294,9 +292,11 @@ bool is_drawn(uint tiles, uint first_index) {
     return (tiles >> fine_tile(first_index) & (LANES > 32u ? 3u : 1u)) != 0u;
 }
 
-// Blends a segment of one batch: subgroups take shares from a counter.
+// Blends a segment of one batch: subgroups take shares from a counter. Small subgroups are those of
+// software drivers, which run one after the other: the first would take all shares, and come to the
+// end of the rounds that such a driver allows.
 void blend_one_batch(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
-    stage_records(item.first_pair, item.pairs, origin, camera.size_px);
+    list_records(item.first_pair, item.pairs, origin, camera.size_px);
     barrier();
     if (writes_partial(item)) {
         uint thread = gl_LocalInvocationIndex;
@@ -304,11 +304,13 @@ void blend_one_batch(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
     }
     // As many rounds as shares, so that the loop ends even if a counter is wrong.
     for (uint taken = 0u; taken < SHARES; ++taken) {
-        uint share = 0u;
-        if (gl_SubgroupInvocationID == 0u) {
-            share = atomicAdd(next_share, 1u);
+        uint share = taken * SUBGROUPS + gl_LocalInvocationIndex / LANES;
+        if (LANES >= 32u) {
+            if (gl_SubgroupInvocationID == 0u) {
+                share = atomicAdd(next_share, 1u);
+            }
+            share = subgroupBroadcastFirst(share);
         }
-        share = subgroupBroadcastFirst(share);
         if (share >= SHARES) {
             break;
         }
@@ -316,7 +318,7 @@ void blend_one_batch(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
         if (is_drawn(tiles, first_index)) {
             uint index = first_index + gl_SubgroupInvocationID;
             LanePixels pixels = first_pixels(item, camera, origin, index);
-            blend_share(pixels, first_index, item.pairs);
+            blend_share(pixels, first_index, item.first_pair, item.pairs, origin);
             write_result(item, camera, origin, index, pixels);
         }
     }
@@ -340,7 +342,7 @@ void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
     bool has_any = false; // records in a fine tile, by the first 32 threads
     for (uint done = 0u; done < item.pairs; done += BATCH) {
         uint count = min(BATCH, item.pairs - done);
-        stage_records(item.first_pair + done, count, origin, camera.size_px);
+        list_records(item.first_pair + done, count, origin, camera.size_px);
         if (gl_LocalInvocationIndex == 0u) {
             open_subgroups = 0u;
         }
@@ -348,10 +350,10 @@ void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
         if (writes_partial(item) && gl_LocalInvocationIndex < 32u) {
             has_any = has_any || has_records(gl_LocalInvocationIndex, count);
         }
-        open0 = open0 && blend_share(pixels0, first0, count);
-        open1 = open1 && blend_share(pixels1, first1, count);
-        open2 = open2 && blend_share(pixels2, first2, count);
-        open3 = open3 && blend_share(pixels3, first3, count);
+        open0 = open0 && blend_share(pixels0, first0, item.first_pair + done, count, origin);
+        open1 = open1 && blend_share(pixels1, first1, item.first_pair + done, count, origin);
+        open2 = open2 && blend_share(pixels2, first2, item.first_pair + done, count, origin);
+        open3 = open3 && blend_share(pixels3, first3, item.first_pair + done, count, origin);
         if (lane == 0u && (open0 || open1 || open2 || open3)) {
             atomicOr(open_subgroups, 1u);
         }
@@ -387,13 +389,12 @@ void main() {
     Camera camera = cameras[camera_of_bin(item.bin, camera_count)];
     uvec2 origin = coarse_tile_origin(item.bin, camera);
     uint thread = gl_LocalInvocationIndex;
-    if (thread < 32u) {
-        tile_largest[thread] = 1u; // 0 would mean that it is not known
+    if (!WHOLE_TILES && thread < 32u) {
+        tile_largest[thread] = 0u;
     }
     if (thread == 0u) {
         next_share = 0u;
         drawn_tiles = 0u;
-        stage_no_record();
     }
     if (EXCLUSIVE_STOP || CONTRIBUTIONS) {
         bool starts = FINISH || item.segment == 0u;
@@ -417,12 +418,10 @@ void main() {
     } else {
         blend_batches(item, camera, origin, tiles);
     }
-    if (item.partial != NO_PARTIAL && !FINISH) {
-        // Tells later segments of the tile how much this one lets through.
+    if (!WHOLE_TILES && writes_partial(item)) {
         barrier();
         if (thread < 32u) {
-            uint index = 32u * item.partial + thread;
-            atomicStore(partial_transmittances[index], tile_largest[thread], gl_ScopeDevice, gl_StorageSemanticsBuffer, gl_SemanticsRelaxed);
+            tell_largest(item, thread, tile_largest[thread]);
         }
     }
 }

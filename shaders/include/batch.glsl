@@ -1,45 +1,33 @@
-// Records staged in shared memory, and for each 4x4 block of pixels the list of those that can
-// reach it.
+// Records of a batch by fine tile, and the few that a subgroup blends next.
 //
 // Included by blend.comp, whose buffers it reads.
+//
+// All of it together is less than a fourth of 48 KB: what NVIDIA gives a multiprocessor in Vulkan.
 
 const uint SUBGROUPS = THREADS / LANES;
 const uint SHARES = LEFT_PIXELS / LANES; // of a coarse tile, for a subgroup each: two pixels per lane
 
+// Records that are listed by fine tile at a time. An odd number of words keeps tiles out of each
+// other's memory bank.
+const uint BATCH = 992u;
 const uint BATCH_WORDS = BATCH / 32u;
 
-// Index of a record that adds nothing to any pixel. No constant of its own: reflection would call
-// BATCH by its name.
-#define NO_RECORD BATCH
-
-// Lanes that share a block: two pixels each. Subgroups of four lanes have blocks of half the
-// height.
-const uint BLOCK_LANES = LANES < 8u ? LANES : 8u;
-const uint BLOCKS = LANES / BLOCK_LANES; // of a subgroup
-const uint ROUND = LANES < 32u ? LANES : 32u; // records that are examined together
+const uint ROUND = LANES < 32u ? LANES : 32u; // records that a subgroup reads together
 const uint PARTS = LANES < 32u ? 32u / LANES : 1u; // of a word, a subgroup's lanes each
-const uint WORDS_STAGED = LANES > 32u ? LANES / 32u : 1u; // by a subgroup at a time
+const uint WORDS_LISTED = LANES > 32u ? LANES / 32u : 1u; // by a subgroup at a time
 
-// Entries of a block's list: as many as shared memory allows, a multiple of four and more than a
-// round.
-const uint LIST_ROOM = 6u * BLOCK_LANES;
-const uint LISTS = THREADS / BLOCK_LANES;
+// Pixels of a share.
+const uvec2 SHARE_PX = uvec2(LANES > 32u ? 16u : LANES > 8u ? 8u : 4u, LANES > 16u ? 8u : LANES > 4u ? 4u : 2u);
 
-// The exponent of a record at (x, y), relative to the coarse tile: log2_opacity - (x * slants.x + y
-// * slants.y + slants.z)^2
-// - (y * rate_y + slants.w)^2. `tones` is rate_y, log2_opacity, red and green.
-shared vec4 batch_slants[BATCH + 1u];
-shared vec4 batch_tones[BATCH + 1u];
-shared float batch_blues[BATCH + 1u];
-shared float batch_depths[DEPTH ? BATCH + 1u : 1u];
-shared uint batch_instances[INSTANCE || CONTRIBUTIONS ? BATCH + 1u : 1u];
+// Records that a subgroup blends next, a place per lane. The exponent of a record at (x, y),
+// relative to the fine tile: log2_opacity - (x * slants.x + y * slants.y + slants.z)^2
+// - (y * rate_y + slants.w)^2. `tones` is rate_y, log2_opacity, red and green. All else of a record
+// stays in the registers of the lane that read it.
+shared vec4 place_slants[THREADS];
+shared vec4 place_tones[THREADS];
 
-// Records of each fine tile, one bit each. A word more than needed keeps tiles out of each other's
-// memory bank.
-shared uint tile_records[32][BATCH_WORDS + 1u];
-
-// The lists of blocks.
-shared uint list_entries[LISTS * LIST_ROOM];
+// Records of each fine tile, one bit each.
+shared uint tile_records[32][BATCH_WORDS];
 
 // Fine tiles of the coarse tile at `origin` that the splat can reach, as bits row * 8 + column.
 uint reached_fine_tiles(Footprint splat, uvec2 origin, uvec2 size_px) {
@@ -59,42 +47,28 @@ uint reached_fine_tiles(Footprint splat, uvec2 origin, uvec2 size_px) {
     return mask;
 }
 
-// Stages record `entry` of `count`, which begin at entry `first` of the lists; returns the fine
-// tiles that it can reach.
-uint stage_record(uint first, uint count, uint entry, uvec2 origin, uvec2 size_px) {
+// Fine tiles that entry `entry` of the batch can reach; none behind its end. The batch has `count`
+// records, from entry `first` of the lists on.
+uint listed_tiles(uint first, uint count, uint entry, uvec2 origin, uvec2 size_px) {
     if (entry >= count) {
         return 0u;
     }
     uint record = records[first + entry];
-    uvec4 high = footprints[2u * record + 1u];
-    Footprint splat = unpack_footprint(footprints[2u * record], high);
-    vec3 color = ATTRIBUTES ? attributes[record] : unpack_record_color(high);
-    vec2 mean = splat.mean_px - vec2(origin);
-    float sheared_x = mean.x - splat.slope * mean.y;
-    batch_slants[entry] = vec4(splat.rate_x, -splat.slope * splat.rate_x, -sheared_x * splat.rate_x, -mean.y * splat.rate_y);
-    batch_tones[entry] = vec4(splat.rate_y, splat.log2_opacity, color.rg);
-    batch_blues[entry] = color.b;
-    if (DEPTH) {
-        batch_depths[entry] = uintBitsToFloat(labels[record].x);
-    }
-    if (INSTANCE || CONTRIBUTIONS) {
-        batch_instances[entry] = labels[record].y;
-    }
-    return reached_fine_tiles(splat, origin, size_px);
+    return reached_fine_tiles(unpack_footprint(footprints[2u * record], footprints[2u * record + 1u]), origin, size_px);
 }
 
-// Stages `count` records, which begin at entry `first` of the lists, and lists them by fine tile. A
-// barrier must follow.
+// Lists `count` records, which begin at entry `first` of the lists, by fine tile. A barrier must
+// follow.
 //
 // A subgroup takes 32 records at a time, or as many as it has lanes: their masks are turned into
 // one word per tile by ballots.
-void stage_records(uint first, uint count, uvec2 origin, uvec2 size_px) {
+void list_records(uint first, uint count, uvec2 origin, uvec2 size_px) {
     uint lane = gl_SubgroupInvocationID;
     uint words = (count + 31u) / 32u;
-    for (uint word = gl_LocalInvocationIndex / LANES * WORDS_STAGED; word < words; word += SUBGROUPS * WORDS_STAGED) {
+    for (uint word = gl_LocalInvocationIndex / LANES * WORDS_LISTED; word < words; word += SUBGROUPS * WORDS_LISTED) {
         uint masks[PARTS];
         [[unroll]] for (uint part = 0u; part < PARTS; ++part) {
-            masks[part] = stage_record(first, count, 32u * word + part * LANES + lane, origin, size_px);
+            masks[part] = listed_tiles(first, count, 32u * word + part * LANES + lane, origin, size_px);
         }
         [[unroll]] for (uint first_tile = 0u; first_tile < 32u; first_tile += ROUND) {
             uint kept = 0u;
@@ -110,19 +84,6 @@ void stage_records(uint first, uint count, uvec2 origin, uvec2 size_px) {
                 tile_records[first_tile + lane % 32u][word + lane / 32u] = kept;
             }
         }
-    }
-}
-
-// Writes the record that adds nothing.
-void stage_no_record() {
-    batch_slants[NO_RECORD] = vec4(0.0);
-    batch_tones[NO_RECORD] = vec4(0.0, -1e3, 0.0, 0.0); // log2 of an alpha far below 1/255
-    batch_blues[NO_RECORD] = 0.0;
-    if (DEPTH) {
-        batch_depths[NO_RECORD] = 0.0;
-    }
-    if (INSTANCE || CONTRIBUTIONS) {
-        batch_instances[NO_RECORD] = 0u;
     }
 }
 
@@ -158,27 +119,7 @@ uint record_of_rank(uint rank, uint bits, uint before) {
     return 32u * holder + place_of_bit(held, rank - subgroupShuffle(before, holder));
 }
 
-// Blocks of the subgroup whose first pixel is `first_index` that a record may reach, as bits. The
-// exponent is a sum of squares of two linear functions: a block whose bounds of the two lie too far
-// from zero is not reached.
-uint reached_blocks(uint entry, uint first_index) {
-    vec4 slants = batch_slants[entry];
-    vec4 tones = batch_tones[entry];
-    vec2 half_size = vec2(1.5, 0.25 * float(BLOCK_LANES) - 0.5); // from the middle of a block to its outermost pixels
-    float u_extent = half_size.x * abs(slants.x) + half_size.y * abs(slants.y);
-    float v_extent = half_size.y * abs(tones.x);
-    float limit = tones.y + LOG2_255 + SQUARED_RADIUS_SLACK;
-    uint blocks = 0u;
-    [[unroll]] for (uint block = 0u; block < BLOCKS; ++block) {
-        vec2 middle = vec2(pixel_offset(first_index + block * BLOCK_LANES)) + 0.5 + half_size;
-        float u = max(abs(middle.x * slants.x + (middle.y * slants.y + slants.z)) - u_extent, 0.0);
-        float v = max(abs(middle.y * tones.x + slants.w) - v_extent, 0.0);
-        blocks |= u * u + v * v <= limit ? 1u << block : 0u;
-    }
-    return blocks;
-}
-
-// A staged record, as blending reads it.
+// A record as its pixels need it, relative to a fine tile.
 struct Staged {
     vec4 slants;
     vec4 tones;
@@ -187,21 +128,34 @@ struct Staged {
     uint instance; // likewise
 };
 
-Staged staged_record(uint entry) {
-    Staged staged = Staged(batch_slants[entry], batch_tones[entry], batch_blues[entry], 0.0, 0u);
-    if (DEPTH) {
-        staged.depth_m = batch_depths[entry];
-    }
-    if (INSTANCE || CONTRIBUTIONS) {
-        staged.instance = batch_instances[entry];
+// Record `record` relative to `origin`.
+Staged read_record(uint record, uvec2 origin) {
+    vec4 low = uintBitsToFloat(footprints[2u * record]);
+    uvec4 high = footprints[2u * record + 1u];
+    vec2 rest = uintBitsToFloat(high.xy);
+    vec3 color = ATTRIBUTES ? attributes[record] : unpack_record_color(high);
+    vec2 mean = low.xy - vec2(origin);
+    float sheared_x = mean.x - low.z * mean.y;
+    Staged staged = Staged(vec4(low.w, -low.z * low.w, -sheared_x * low.w, -mean.y * rest.x), vec4(rest, color.rg), color.b, 0.0, 0u);
+    if (DEPTH || INSTANCE || CONTRIBUTIONS) {
+        uvec2 label = labels[record];
+        staged.depth_m = uintBitsToFloat(label.x);
+        staged.instance = label.y;
     }
     return staged;
 }
 
-// The record that `lane` has.
-Staged record_of_lane(Staged own, uint lane) {
-    own.slants = subgroupShuffle(own.slants, lane);
-    own.tones = subgroupShuffle(own.tones, lane);
+// Puts what the subgroup's lanes have read where all of them can see it. A subgroup barrier must
+// follow.
+void place_record(uint place, Staged own) {
+    place_slants[place] = own.slants;
+    place_tones[place] = own.tones;
+}
+
+// The record that lane `lane` has read and placed: `own` is what each lane has read.
+Staged placed_record(uint first_place, uint lane, Staged own) {
+    own.slants = place_slants[first_place + lane];
+    own.tones = place_tones[first_place + lane];
     own.blue = subgroupShuffle(own.blue, lane);
     if (DEPTH) {
         own.depth_m = subgroupShuffle(own.depth_m, lane);
@@ -210,6 +164,19 @@ Staged record_of_lane(Staged own, uint lane) {
         own.instance = subgroupShuffle(own.instance, lane);
     }
     return own;
+}
+
+// True if the record may reach the share whose first pixel lies at `corner` of its fine tile. The
+// exponent is a sum of squares of two linear functions: a share whose bounds of the two lie too far
+// from zero is not reached.
+bool reaches_share(Staged staged, vec2 corner) {
+    vec2 half_size = 0.5 * vec2(SHARE_PX) - 0.5; // from the middle to the outermost pixels
+    vec2 middle = corner + 0.5 * vec2(SHARE_PX);
+    float u_extent = half_size.x * abs(staged.slants.x) + half_size.y * abs(staged.slants.y);
+    float v_extent = half_size.y * abs(staged.tones.x);
+    float u = max(abs(middle.x * staged.slants.x + (middle.y * staged.slants.y + staged.slants.z)) - u_extent, 0.0);
+    float v = max(abs(middle.y * staged.tones.x + staged.slants.w) - v_extent, 0.0);
+    return u * u + v * v <= staged.tones.y + LOG2_255 + SQUARED_RADIUS_SLACK;
 }
 
 // log2(alpha) of a record at two pixels, the second two columns to the right of the first, whose

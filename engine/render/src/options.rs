@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use decouplegs_gpu::{GpuError, StageTime, Ticket};
 use decouplegs_scene::Rules;
+use decouplegs_shaders::constants;
 
 use crate::capacity::Capacity;
 use crate::keys::KeySource;
@@ -26,7 +27,8 @@ pub struct RenderOptions {
     /// Storage of the splats of worlds that this renderer uploads. A world that another renderer
     /// uploaded is drawn as it is stored.
     pub storage: Storage,
-    /// Length of the segments in which lists of coarse tiles are blended, side by side, pairs.
+    /// Length of the segments in which lists of coarse tiles are blended, side by side, pairs. By
+    /// default the longest that a workgroup of the blend lists at once, 992.
     /// Shorter segments balance better and take more memory: 768 bytes of partial result per
     /// segment and fine tile that it draws in. Above 2^24 lists are not cut; a software device cuts
     /// them at 10,000.
@@ -65,7 +67,7 @@ impl Default for RenderOptions {
             flow_interval_s: 0.1,
             sh_degree_max: 3,
             storage: Storage::Exact,
-            segment_pairs: 1024,
+            segment_pairs: constants::BATCH,
             keep_keys: true,
             level_pitch_px: None,
             background_pitch_px: None,

@@ -150,29 +150,6 @@ push_constants! {
     }
 }
 
-/// Records that blend may stage at a time, most first.
-const BATCHES: [u32; 5] = [1024, 768, 512, 256, 128];
-
-/// Shared memory of blend when it stages `batch` records with `extra_words` more of each than color
-/// and footprint, bytes. See `batch.glsl`.
-fn shared_bytes(batch: u32, extra_words: u32) -> u32 {
-    let (records, tiles, scratch, counters) = (
-        (9 + extra_words) * (batch + 1),
-        batch + 32,
-        batch.max(1536),
-        40,
-    );
-    4 * (records + tiles + scratch + counters)
-}
-
-/// Most records that blend can stage at a time with `shared_memory_bytes`.
-fn batch_records(shared_memory_bytes: u32, outputs: &Outputs) -> u32 {
-    let depths = u32::from(outputs.planes.contains(Plane::Depth));
-    let instances = u32::from(outputs.planes.contains(Plane::Instance) || outputs.contributions);
-    let fits = |batch: &u32| shared_bytes(*batch, depths + instances) <= shared_memory_bytes;
-    BATCHES.into_iter().find(fits).unwrap_or(BATCHES[4])
-}
-
 /// Specialization of [`Blend`], beside rules and outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BlendVariant {
@@ -237,12 +214,13 @@ impl Blend {
             attributes,
             item_pairs_max,
         } = variant;
-        let batch = batch_records(gpu.limits().shared_memory_bytes, outputs);
         let own = [
             ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
             ("LANES", Constant::U32(gpu.limits().subgroup_size)),
-            ("BATCH", Constant::U32(batch)),
-            ("ONE_BATCH", Constant::Bool(item_pairs_max <= batch)),
+            (
+                "ONE_BATCH",
+                Constant::Bool(item_pairs_max <= constants::BATCH),
+            ),
             ("CONTRIBUTIONS", Constant::Bool(outputs.contributions)),
             ("FINISH", Constant::Bool(pass == BlendPass::Finish)),
             ("ATTRIBUTES", Constant::Bool(attributes)),
@@ -305,30 +283,6 @@ impl Blend {
             bytes_of(&push),
             counters.arguments.binding(),
             IndirectArguments::Blend.byte_offset(),
-        );
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::plane::Planes;
-
-    #[test]
-    fn a_batch_fits_shared_memory() {
-        let plain = Outputs {
-            contributions: false,
-            ..Outputs::default()
-        };
-        let all = Outputs {
-            planes: Planes::BESIDE_COLOR,
-            ..plain
-        };
-        let batches =
-            |kilobytes: u32| [plain, all].map(|outputs| batch_records(kilobytes << 10, &outputs));
-        assert_eq!(
-            [16, 32, 48, 64].map(batches),
-            [[128, 128], [512, 512], [1024, 768], [1024, 1024]]
         );
     }
 }
