@@ -133,7 +133,7 @@ struct Timed {
     by_stage: Vec<FrameStatistics>,
     /// Wall clock from the end of the frame before to the end of each.
     steps_ms: Vec<f64>,
-    /// While the frames were drawn.
+    /// Device memory in use while the frames were drawn.
     memory: MemoryReport,
 }
 

@@ -187,7 +187,7 @@ impl ReinsertionScene {
         }
     }
 
-    /// The same with agents that drive as `ways` say.
+    /// Scene in which agents drive as `ways` say.
     pub fn driven(&self, ways: &[Trajectory]) -> LoadedScene {
         let mut loaded = self.loaded.clone();
         loaded

@@ -11,7 +11,7 @@ use crate::stress::figures::Measured;
 
 /// Least number of frames before the timed ones.
 const WARM_UP_FRAMES: u32 = 2;
-/// From one frame to the next, seconds.
+/// Interval between frames, seconds.
 const STEP_S: f64 = 0.1;
 
 /// Scene of the drive that is timed.

@@ -25,7 +25,7 @@ const FRAMES_BY_STAGE_MAX: u32 = 10;
 pub struct DriveSchedule {
     /// The moment of the first timed frame, seconds.
     pub start_s: f64,
-    /// From one frame to the next, seconds.
+    /// Interval between frames, seconds.
     pub step_s: f64,
     /// Least number of frames before those that are timed.
     pub warm_up: u32,

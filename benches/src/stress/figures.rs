@@ -22,7 +22,7 @@ pub struct Point {
 
 pub enum Outcome {
     Measured(Box<Measured>),
-    /// It needs more memory than it may have, or than there is.
+    /// The mode needs more memory than it may have, or than there is.
     OutOfMemory {
         needed_bytes: u64,
         /// Source of the value.
@@ -44,10 +44,10 @@ pub struct Measured {
     pub update_ms: Option<Spread>,
     /// Host time to record and submit.
     pub record_ms: Spread,
-    /// In the order they run; of both queues. Of frames drawn once more, as stages that are timed
-    /// do not overlap.
+    /// Durations of the stages of both queues, milliseconds, in the order they run. Measured on
+    /// frames drawn once more, as stages that are timed do not overlap.
     pub stages: Vec<(&'static str, Spread)>,
-    /// While the last of the frames was shown.
+    /// Device memory in use while the last of the frames was shown.
     pub memory: MemoryReport,
     /// Predicted memory of the scene alone.
     pub predicted_scene_bytes: u64,
@@ -63,7 +63,7 @@ pub struct Measured {
     pub redrawn: usize,
     /// Views by the source of their background's depth keys.
     pub keys: BTreeMap<String, usize>,
-    /// Against vanilla; `None` for vanilla itself, or where nothing was compared.
+    /// Difference from vanilla; `None` for vanilla itself, or where nothing was compared.
     pub fidelity: Option<Fidelity>,
 }
 
@@ -132,8 +132,8 @@ impl Measured {
         }
     }
 
-    /// By the time that all of them took: frames in flight may end in pairs, so that a median says
-    /// nothing of a rate.
+    /// Frames of the whole rig per second, from the mean interval: frames in flight may end in
+    /// pairs, so that a median says nothing of a rate.
     pub fn rig_steps_per_s(&self) -> f64 {
         1e3 / self.step_ms.mean
     }

@@ -25,7 +25,7 @@ const VIEW_SIZE_PX: u32 = 256;
 /// An asset in its own frame.
 struct Asset {
     name: String,
-    /// In spatial order.
+    /// Original splats in spatial order.
     original: SplatCloud,
     /// Compressed asset, if it came compressed: then the original is its decoded form.
     stored: Option<CodedCloud>,
@@ -38,7 +38,7 @@ pub struct Workload {
     assets: Vec<Asset>,
     /// All of them; the first so many are drawn.
     agents: Vec<LoadedAgent>,
-    /// Compressed assets, by how.
+    /// Compressed assets of each coding.
     codings: Vec<(Coding, Vec<CodedCloud>)>,
     /// Source of the scene, for the report.
     source: Value,
@@ -223,7 +223,8 @@ impl Workload {
         self.places(count).iter().flatten().count()
     }
 
-    /// For each asset its place among those that the first `count` agents show.
+    /// Place of each asset among those that the first `count` agents show; `None` for an asset that
+    /// none shows.
     fn places(&self, count: usize) -> Vec<Option<usize>> {
         let (mut places, mut next) = (vec![None; self.assets.len()], 0);
         for agent in &self.agents[..count] {

@@ -74,7 +74,7 @@ pub enum GenerateError {
         "no scenarios can be made without assets for agents to show; expected the size of at least one"
     )]
     NoAssets,
-    /// No way for the ego.
+    /// The ego finds no way.
     #[error(
         "scenario {name}: in {tries} tries no place was found where an ego can start and drive on for 60 m; expected longer driving lanes"
     )]
@@ -92,9 +92,9 @@ pub enum GenerateError {
     NoRoom {
         /// Name of the scenario.
         name: String,
-        /// Agents that the level has at least.
+        /// Least number of agents of the level.
         least: usize,
-        /// And at most.
+        /// Largest number of agents of the level.
         most: usize,
         /// The most that were put near an ego with room for all to stop.
         found: usize,
@@ -146,7 +146,8 @@ impl<'a> Generator<'a> {
         })
     }
 
-    /// The same with routes that start and end within `area`: where a captured scene has been seen.
+    /// Limits routes to those that start and end within `area`: where a captured scene has been
+    /// seen.
     #[must_use]
     pub fn within(self, area: Area) -> Self {
         Self {
@@ -155,8 +156,8 @@ impl<'a> Generator<'a> {
         }
     }
 
-    /// The same with trucks, buses, cyclists and pedestrians that show `assets`, among `obstacles`,
-    /// into which no pedestrian walks.
+    /// Adds trucks, buses, cyclists and pedestrians that show `assets`, among `obstacles`, into
+    /// which no pedestrian walks.
     ///
     /// # Errors
     /// [`GenerateError::Roads`].
@@ -178,13 +179,13 @@ impl<'a> Generator<'a> {
         Ok(self)
     }
 
-    /// The same with parts of the difficulty from other levels than a scenario's own.
+    /// Takes parts of the difficulty from other levels than a scenario's own.
     #[must_use]
     pub fn with_difficulty(self, difficulty: Difficulty) -> Self {
         Self { difficulty, ..self }
     }
 
-    /// The same without the traffic lights of the map.
+    /// Leaves out the traffic lights of the map.
     #[must_use]
     pub fn without_lights(mut self) -> Self {
         self.has_lights = false;

@@ -40,8 +40,8 @@ pub struct GroundOptions {
     pub band_m: f64,
     /// A surface that covers less of its column, as a mean of alpha, is not one.
     pub support_min: f64,
-    /// Without an expected height the lowest surface counts that covers so much: less is debris
-    /// below the road.
+    /// Support that the lowest surface needs where no height is expected: less is debris below the
+    /// road.
     pub support_unasked: f64,
 }
 

@@ -14,7 +14,7 @@ use tree::TriangleTree;
 pub const HALF_WIDTH_M: f64 = 1.75;
 /// Positions so near to the road are on it, meters: no seam between two triangles has a width.
 const SEAM_M: f64 = 1e-3;
-/// Between two positions on a box's outline that are examined, meters at most.
+/// Largest distance between positions on a box's outline that are examined, meters.
 const OUTLINE_STRIDE_M: f64 = 1.0;
 /// Positions on one side of a box at most; a vehicle of any real length has fewer.
 const OUTLINE_POSITIONS_MAX: f64 = 64.0;
@@ -139,7 +139,7 @@ impl Triangle {
         nearer(nearer(edge(0), edge(1)), edge(2))
     }
 
-    /// From a position to the triangle, seen from above, meters: 0 within it.
+    /// Distance from a position to the triangle, seen from above, meters: 0 within it.
     fn distance_m(&self, at: DVec2) -> f64 {
         self.nearest_offset(at).length()
     }

@@ -29,7 +29,7 @@ pub use time_to_collision::{Closest, TTC_HORIZON_S, TTC_SHORT_S, times_to_collis
 
 /// Factor on the driving score for each collision with a vehicle that is the ego's fault.
 pub const COLLISION_FACTOR: f64 = 0.60;
-/// The same for a collision with a pedestrian, as in CARLA's leaderboard.
+/// Factor on the driving score for each collision with a pedestrian, as in CARLA's leaderboard.
 pub const PEDESTRIAN_FACTOR: f64 = 0.50;
 /// Factor on the driving score for a collision with something static, as in CARLA's leaderboard.
 pub const OBSTACLE_FACTOR: f64 = 0.65;

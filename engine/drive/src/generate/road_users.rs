@@ -23,7 +23,7 @@ const SHARES: [(RoadUser, f64); 4] = [
 ];
 /// Pedestrians cross the route from so far ahead of the ego's start on, meters: the ego can stop.
 const AHEAD_M: f64 = 30.0;
-/// They stand this far beside the road, meters.
+/// Distance of a waiting pedestrian from the road, meters.
 const BESIDE_M: f64 = 1.2;
 /// Wider roads are not crossed, meters from the route to the edge.
 const EDGE_M_MAX: f64 = 18.0;
@@ -61,7 +61,7 @@ pub(super) struct Assets {
 }
 
 impl Assets {
-    /// Cars alone.
+    /// Assets of cars alone.
     pub fn cars(sizes: &[VehicleSize]) -> Self {
         let kind = RoadUser::Car;
         let cars = sizes.iter().enumerate();
@@ -73,7 +73,7 @@ impl Assets {
         }
     }
 
-    /// The same and others, among `obstacles`.
+    /// Adds `others`, among `obstacles`.
     pub fn mixed(&mut self, others: &[RoadUserAsset], obstacles: Arc<Obstacles>) {
         self.all.extend_from_slice(others);
         self.obstacles = obstacles;
@@ -96,7 +96,7 @@ impl Assets {
         same.copied().collect()
     }
 
-    /// A car.
+    /// Draws a car at random.
     pub fn draw_car(&self, random: &mut Stream) -> RoadUserAsset {
         self.draw_of(RoadUser::Car, random)
     }

@@ -63,7 +63,7 @@ pub(super) struct LevelRequirements {
     pub flow_speed_share: (f64, f64),
     /// Initial distance of the ego's front from a crossing, meters.
     pub before_crossing_m: (f64, f64),
-    /// In how many scenarios the ego starts before a crossing.
+    /// Fraction of scenarios whose ego starts before an intersection.
     pub crossing_share: f64,
     /// True if the ways to the crossing are full.
     pub congested: bool,

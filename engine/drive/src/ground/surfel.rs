@@ -10,14 +10,14 @@ use rayon::prelude::*;
 const FLAT_SPAN_M: f64 = 0.1;
 /// Least weight in the middle of a column: smaller surfels cannot carry a surface.
 const SHARE_MIN: f64 = 2e-3;
-/// A splat reaches so many standard deviations.
+/// Radius of a splat, standard deviations.
 const RADIUS_SIGMAS: f64 = 3.0;
 /// Cells of the finest grid, meters; each further one has twice the size.
 const CELL_M: f64 = 0.5;
 /// Grids; a splat lies in the finest whose cells are as large as its radius. Wider ones count
 /// within the largest cell only.
 const LEVELS: usize = 5;
-/// Farther from the origin f32 means have no centimeters left, meters.
+/// Largest distance from the origin, meters: farther away, f32 means have no centimeters left.
 const EXTENT_M: f32 = 1e5;
 
 /// Part of a splat within a column. With S the horizontal covariance of the splat, c the column's

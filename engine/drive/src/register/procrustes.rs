@@ -13,7 +13,7 @@ pub struct WeightedPair {
     pub from: DVec2,
     /// Position of its partner.
     pub to: DVec2,
-    /// At least zero.
+    /// Weight of the pair, at least zero.
     pub weight: f64,
 }
 

@@ -32,7 +32,7 @@ pub struct Waypoint {
 pub struct Leg {
     /// Indices in [`LaneMap::lanes`], in driving order.
     pub lanes: Vec<usize>,
-    /// Their centerlines as one line.
+    /// Centerlines of the lanes as one line.
     pub line: Polyline,
     /// Positions and headings along the line, [`STEP_M`] apart.
     pub samples: Vec<(DVec2, f64)>,
@@ -88,7 +88,7 @@ struct State {
 
 #[derive(Clone, Debug, PartialEq)]
 enum Step {
-    /// Along the same lane, or over these and into another.
+    /// Lanes of the way on: the same lane alone, or these and then another.
     On(Vec<usize>),
     LaneChange,
     Jump,

@@ -9,7 +9,7 @@ pub struct RouteTurn {
     pub begin_m: f64,
     /// End, meters along the route.
     pub end_m: f64,
-    /// By how much the heading changes, radians, to the left where above zero.
+    /// Change of heading, radians, positive to the left.
     pub angle_rad: f64,
 }
 
@@ -24,7 +24,7 @@ const TURN_GAP_M: f64 = 6.0;
 /// Least change of heading that counts as a turn; smaller ones are curves of the road, radians: 30
 /// degrees.
 const TURN_ANGLE_RAD: f64 = std::f64::consts::FRAC_PI_6;
-/// From one look at the curvature to the next, meters.
+/// Distance between samples of the curvature, meters.
 const STRIDE_M: f64 = 1.0;
 /// Curvature is measured over this far before and behind, meters.
 const HALF_SPAN_M: f64 = 2.0;

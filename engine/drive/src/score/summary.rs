@@ -12,11 +12,11 @@ const ROUNDING: f64 = 1e-9;
 /// Mean and spread of a figure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moments {
-    /// Over so many episodes, at least one.
+    /// Number of episodes, at least one.
     pub count: usize,
-    /// Their mean.
+    /// Mean of the figure.
     pub mean: f64,
-    /// Their sample standard deviation (over count - 1); `None` of a single one.
+    /// Sample standard deviation of the figure (over count - 1); `None` of a single one.
     pub std: Option<f64>,
 }
 
@@ -207,9 +207,9 @@ impl SetSummary {
 /// Figures of many episodes, for each level and over all.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
-    /// From easy to extreme, after those of no level.
+    /// Figures of each level, from easy to extreme, after those of no level.
     pub levels: BTreeMap<Option<Level>, SetSummary>,
-    /// Over all episodes; `None` where there is none.
+    /// Figures of all episodes; `None` where there are none.
     pub all: Option<SetSummary>,
 }
 

@@ -14,11 +14,12 @@ pub const TTC_SHORT_S: f64 = 1.5;
 /// Moment with the shortest time to collision.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Closest {
-    /// Until the boxes would have touched at the velocities of that moment: 0 where they do.
+    /// Time until the boxes would have touched at the velocities of that moment, seconds: 0 where
+    /// they touch.
     pub ttc_s: f64,
     /// Time of that moment, seconds since the start.
     pub time_s: f64,
-    /// With whom: the agent's index in the scenario.
+    /// Index of the other agent in the scenario.
     pub agent: usize,
 }
 

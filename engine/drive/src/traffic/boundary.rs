@@ -13,7 +13,8 @@ use super::random;
 const AWAY_S_MAX: f64 = 4.0;
 /// A vehicle that found no room tries another entrance after this, seconds.
 const RETRY_S: f64 = 0.5;
-/// No vehicle enters nearer to the ego than this, meters: it would come out of nothing.
+/// Least distance from the ego at which vehicles enter, meters: nearer ones would come out of
+/// nothing.
 const EGO_M: f64 = 50.0;
 /// Room between a vehicle that enters and the one ahead, meters.
 const ROOM_M: f64 = 4.0;

@@ -24,10 +24,10 @@ const PERIOD_S: f64 = 1.0;
 const COOL_DOWN_S: f64 = 2.0;
 /// Least speed of a voluntary lane change, m/s.
 const SPEED_MPS_MIN: f64 = 1.5;
-/// Between the middles of two lanes, meters.
+/// Range of the distance between the middles of two lanes, meters.
 const ASIDE_M: std::ops::Range<f64> = 1.5..6.0;
-/// By how much two lanes may differ in heading, and each of them turn meanwhile, radians: else
-/// their lengths differ.
+/// Largest difference of two lanes in heading, and largest turn of each of them meanwhile, radians:
+/// else their lengths differ.
 const PARALLEL_RAD: f64 = 0.1;
 const TURN_RAD: f64 = 0.3;
 /// Distance within which followers are considered, meters: the fastest can stop within it.

@@ -34,7 +34,7 @@ impl Default for MobilParameters {
 pub struct Change {
     /// Acceleration without a change of lanes.
     pub before_mps2: f64,
-    /// Right after the change.
+    /// Acceleration right after the change.
     pub after_mps2: f64,
 }
 
@@ -55,12 +55,12 @@ pub struct Concerned {
     pub old_follower: Change,
 }
 
-/// To which side a change goes.
+/// Direction of a change of lanes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// To the left.
+    /// Change to the left.
     Left,
-    /// To the right.
+    /// Change to the right.
     Right,
 }
 

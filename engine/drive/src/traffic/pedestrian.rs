@@ -216,7 +216,7 @@ impl Walker {
         })
     }
 
-    /// A step at the decided speed.
+    /// Advances by `dt_s` at the decided speed.
     pub(super) fn advance(&mut self, speed_mps: f64, dt_s: f64) {
         self.acceleration_mps2 = (speed_mps - self.speed_mps) / dt_s;
         self.speed_mps = speed_mps;

@@ -31,7 +31,7 @@ pub enum TrafficError {
         /// The lane's id.
         lane: String,
     },
-    /// The lane is shorter.
+    /// A position lies beyond the end of its lane.
     #[error("agent {agent}: {at_m} m along lane {lane}; expected 0 to {length_m:.2}")]
     BeyondLane {
         /// Name of the agent.
@@ -62,7 +62,7 @@ pub enum TrafficError {
     Overlap {
         /// Name of one agent.
         first: String,
-        /// The other.
+        /// Name of the other agent.
         second: String,
     },
     /// The lanes are not for vehicles so large.

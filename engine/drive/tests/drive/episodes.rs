@@ -24,7 +24,7 @@ pub(crate) fn state(x: f64, y: f64, yaw_rad: f64, speed_mps: f64) -> VehicleStat
     }
 }
 
-/// At `x`, `y` at the start, straight on.
+/// Motion straight on from `x`, `y` at the start.
 pub(crate) fn straight<'a>(x: f64, y: f64, yaw_rad: f64, speed_mps: f64) -> Motion<'a> {
     Box::new(move |time_s| {
         let start = state(x, y, yaw_rad, speed_mps);
@@ -35,7 +35,7 @@ pub(crate) fn straight<'a>(x: f64, y: f64, yaw_rad: f64, speed_mps: f64) -> Moti
     })
 }
 
-/// Along x from `x`, and from `y` to `to_y` between two moments.
+/// Motion along x from `x`, and from `y` to `to_y` between two moments.
 pub(crate) fn aside<'a>(
     x: f64,
     speed_mps: f64,

@@ -9,7 +9,7 @@ use glam::DVec2;
 
 use crate::episodes::{Motion, aside, episode, straight};
 
-/// The same, up to the first contact with agent 0, which must come.
+/// Episode up to the first contact with agent 0, which must come.
 fn until_contact(ego: &Motion, agents: &[Motion]) -> Episode {
     let mut whole = episode(40, ego, agents, EpisodeEnd::Collision { agent: 0 });
     let score = EpisodeScore::of(&whole);
@@ -163,8 +163,8 @@ fn a_route_that_changes_lanes_does_not_make_others_cut_in() {
     );
 }
 
-/// On a circle that begins at the world's origin and bends to the left, `beside_m` to the left of
-/// it; never out of it but by what `aside_m` says.
+/// Motion on a circle that begins at the world's origin and bends to the left, `beside_m` to the
+/// left of it; never out of it but by what `aside_m` says.
 fn bending<'a>(
     radius_m: f64,
     beside_m: f64,
@@ -185,7 +185,7 @@ fn bending<'a>(
     })
 }
 
-/// With the route along `route` for 9 s.
+/// Fault where the route follows `route` for 9 s.
 fn fault_along(route: &Motion, ego: &Motion, other: Motion) -> Fault {
     let mut collided = until_contact(ego, &[other]);
     collided.head.route_m = (0..=90)

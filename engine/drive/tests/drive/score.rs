@@ -291,7 +291,7 @@ fn any_motion() -> impl Strategy<Value = (f64, f64, f64, f64, f64)> {
     )
 }
 
-/// On a circle, or nearly straight.
+/// Motion on a circle, or nearly straight.
 fn motion<'a>((x, y, yaw_rad, speed_mps, rate_radps): (f64, f64, f64, f64, f64)) -> Motion<'a> {
     Box::new(move |time_s| {
         let turned = rate_radps * time_s;

@@ -131,7 +131,7 @@ pub fn random_traffic(
     traffic_of(graph, random_cars(graph, count, seed), seed)
 }
 
-/// The same of which half are trucks, buses and cyclists.
+/// Traffic of which half are trucks, buses and cyclists.
 pub fn mixed_traffic(
     graph: &Arc<RoadGraph>,
     count: usize,
