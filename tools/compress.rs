@@ -71,7 +71,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     /// Distance of the report's street cameras, meters: ten is for cars
-    #[arg(long, value_name = "METRES", default_value_t = 10.0, value_parser = distance)]
+    #[arg(long, value_name = "METERS", default_value_t = 10.0, value_parser = distance)]
     report_distance: f64,
     /// Cameras of each kind in the report (default: 4 on the street, 2 close by, 7 all around)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]

@@ -159,7 +159,7 @@ fn levels(text: &str) -> Result<LevelName, String> {
     }
 }
 
-/// Every so manyth step; 0 is none.
+/// Rendering interval in steps; 0: never.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Every(u32);
 

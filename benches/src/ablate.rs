@@ -79,13 +79,13 @@ pub struct Arguments {
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
     /// Shift of each track, each in a random direction, meters
-    #[arg(long, value_name = "METRES", default_value_t = 0.5, value_parser = not_negative)]
+    #[arg(long, value_name = "METERS", default_value_t = 0.5, value_parser = not_negative)]
     drift_m: f64,
     /// Turn of each track about its middle, left or right, degrees
     #[arg(long, value_name = "DEGREES", default_value_t = 0.4, value_parser = not_negative)]
     drift_deg: f64,
     /// Standard deviation of each position along each axis, meters
-    #[arg(long, value_name = "METRES", default_value_t = 0.05, value_parser = not_negative)]
+    #[arg(long, value_name = "METERS", default_value_t = 0.05, value_parser = not_negative)]
     noise_m: f64,
     /// Length of a color, as a vector of at most 1.73, below which hue is ignored
     #[arg(long, value_name = "LENGTH", default_value_t = 0.05, value_parser = not_negative)]

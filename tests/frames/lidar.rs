@@ -190,9 +190,9 @@ struct Agreement {
     masks: usize,
     /// Beams with a median in both.
     both: usize,
-    /// Those of them with ranges farther apart than the limit.
+    /// Beams with a median in both whose ranges are farther apart than the limit.
     far: usize,
-    /// Those of them with another instance.
+    /// Beams with a median in both whose instances differ.
     instances: usize,
     /// Root mean square of the differences of mean ranges where half of the beam is taken, meters.
     expected_rms_m: f64,

@@ -128,12 +128,12 @@ impl Case {
         stage.draw(&agents, &self.shadows, &self.cameras)
     }
 
-    /// By definition.
+    /// Images by definition.
     fn truth(&self) -> Vec<Image> {
         self.truth_with(|_, cloud| cloud)
     }
 
-    /// By definition, with agents as `lit` makes them, by number, of what transfers leave.
+    /// Images by definition, with agents as `lit` makes them, by number, of what transfers leave.
     fn truth_with(&self, lit: impl Fn(usize, SplatCloud) -> SplatCloud) -> Vec<Image> {
         let mut world = self.world.clone();
         bake_shadows(&mut world, &self.shadows);

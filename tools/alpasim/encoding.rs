@@ -17,9 +17,9 @@ const QUALITY_DEFAULT: u8 = 95;
 pub enum Encoding {
     /// Lossless, compressed lightly.
     Png,
-    /// With losses.
+    /// JPEG, with losses.
     Jpeg {
-        /// 1 to 100.
+        /// Quality, 1 to 100.
         quality: u8,
     },
     /// All red bytes, then all green ones, then all blue ones; rows from the top.
@@ -100,7 +100,7 @@ pub struct Encoders {
 }
 
 impl Encoders {
-    /// `threads` of them; 0: as many as there are processors.
+    /// Encoder with `threads` worker threads; 0: one per processor.
     ///
     /// # Errors
     /// Returns an error if the operating system gives no threads.

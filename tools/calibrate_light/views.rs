@@ -21,7 +21,7 @@ const DISTANCE: f64 = 2.0;
 /// Luminance of the reference ground in images.
 const GROUND_DISPLAY: f64 = 0.4;
 
-/// By how much the probe is turned in images, radians: not one of the turns that were fitted.
+/// Angle by which the probe is turned in images, radians: not one of the turns that were fitted.
 const YAW_RAD: f64 = 0.4;
 
 /// One probe left out, drawn.

@@ -408,7 +408,7 @@ fn way_to_json(way: &Trajectory) -> Value {
     json!({ "start_s": way.start_s(), "end_s": way.end_s(), "poses": way.poses().len(), "length_m": length_m(way) })
 }
 
-/// Along the straight pieces between its poses.
+/// Length of the straight pieces between poses, meters.
 fn length_m(way: &Trajectory) -> f64 {
     way.poses()
         .windows(2)

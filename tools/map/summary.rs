@@ -27,7 +27,7 @@ pub struct KindSummary {
 
 /// A map in numbers.
 pub struct MapSummary {
-    /// In the order of [`KINDS`].
+    /// Figures of each kind, in the order of [`KINDS`].
     pub kinds: [KindSummary; 5],
     pub min: DVec3,
     pub max: DVec3,

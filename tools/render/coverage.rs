@@ -22,11 +22,11 @@ const NEARER_SHARE: f32 = 0.03;
 /// Pixels of which an agent would take half of the light or more if nothing else were there.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Coverage {
-    /// Those inside the image.
+    /// Pixels inside the image.
     inside: u32,
-    /// Those inside the image before which nothing is.
+    /// Pixels inside the image that nothing hides.
     visible: u32,
-    /// Those in an image twice as wide and high around it; `None` if the lens ends before.
+    /// Pixels in an image twice as wide and high around it; `None` if the lens ends before.
     around: Option<u32>,
 }
 

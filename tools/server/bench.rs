@@ -174,7 +174,7 @@ struct Rollout {
     client: SensorsimServiceClient<Channel>,
     scene: String,
     cameras: Vec<AvailableCamera>,
-    /// The ego's way, and the agents', in the local frame.
+    /// Trajectory of the ego: (time in us, pose), local frame.
     ego: Vec<(u64, Pose)>,
     agents: Vec<(String, Trajectory)>,
     origin: DVec3,

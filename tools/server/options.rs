@@ -154,7 +154,7 @@ pub struct Limits {
     /// Time limit for the first bytes of a connection, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     pub handshake: f64,
-    /// On SIGTERM and SIGINT, requests that have begun may take so long to finish, seconds. Then
+    /// Longest time that requests may take to finish after SIGTERM or SIGINT, seconds. Then
     /// connections are closed and the server exits, as soon as the frame that is being drawn is
     /// done
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]

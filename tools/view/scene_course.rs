@@ -289,7 +289,7 @@ fn plain(file: &SceneFile) -> Vec<(usize, &SceneAgent)> {
 struct AssetPlaces(HashMap<PathBuf, usize>);
 
 impl AssetPlaces {
-    /// Those of `file` once it is loaded.
+    /// Places of the assets of `file` once it is loaded.
     fn of(file: &SceneFile) -> Self {
         let mut places = HashMap::new();
         for SceneAgent { asset, .. } in &file.agents {

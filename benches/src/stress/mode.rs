@@ -81,7 +81,7 @@ impl Mode {
     fn vanilla(name: &str) -> Self {
         Self {
             what:
-                "the baseline: every agent is an uncompressed copy in splat_scene space, all depth keys are computed in every frame; \
+                "the baseline: every agent is an uncompressed copy in world space, all depth keys are computed in every frame; \
                    2 frames in flight"
                     .into(),
             agents: Agents::Copies { keep: 1.0 },

@@ -19,7 +19,7 @@ pub struct Report {
     pub thumbnails: Option<Thumbnails>,
 }
 
-/// Images of one view by vanilla and by the last mode.
+/// Images of one view by both renderers.
 pub struct Thumbnails {
     pub agents: usize,
     pub time_s: f64,

@@ -50,9 +50,9 @@ pub struct LossReport {
     pub sh_dc: AttributeLoss,
     /// Error of the coefficients after DC; absent ones count as zero. None where there were none.
     pub sh_rest: Option<AttributeLoss>,
-    /// Degree of the spherical harmonics before.
+    /// Degree of the spherical harmonics before compression.
     pub sh_degree_before: u8,
-    /// And after.
+    /// Degree of the spherical harmonics after compression.
     pub sh_degree_after: u8,
 }
 

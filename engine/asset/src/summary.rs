@@ -59,10 +59,10 @@ pub struct SummaryBounds {
 /// Splats that cannot be drawn, by the first thing wrong with each.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct DefectCounts {
-    /// All of them.
+    /// Splats with any defect.
     pub total: u64,
-    /// By kind: `mean`, `scale`, `rotation`, `opacity`, `color`. Kinds that do not occur are left
-    /// out.
+    /// Splats of each defect: `mean`, `scale`, `rotation`, `opacity`, `color`. Defects that do not
+    /// occur are left out.
     pub by_kind: BTreeMap<&'static str, u64>,
 }
 

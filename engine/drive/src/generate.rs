@@ -66,7 +66,7 @@ const FOR_PEDESTRIANS: u64 = 4;
 /// Reason why no scenario can be generated.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GenerateError {
-    /// The map, or the size of an asset.
+    /// The map, or the size of an asset, cannot be used.
     #[error("no scenarios can be made: {0}")]
     Roads(String),
     /// No assets were given.

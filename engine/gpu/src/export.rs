@@ -86,7 +86,7 @@ pub(crate) fn buffer_info() -> vk::ExternalMemoryBufferCreateInfo<'static> {
     vk::ExternalMemoryBufferCreateInfo::default().handle_types(MEMORY_HANDLE)
 }
 
-/// Likewise of a semaphore.
+/// Says, chained to the creation of a semaphore, that it will be exported.
 pub(crate) fn semaphore_info() -> vk::ExportSemaphoreCreateInfo<'static> {
     vk::ExportSemaphoreCreateInfo::default().handle_types(SEMAPHORE_HANDLE)
 }

@@ -19,8 +19,8 @@ use crate::{
     ExportedMemory, GpuError, MemoryKind, MemoryReport, context::Context, error::failed, export,
 };
 
-/// From this size a buffer has its own allocation: freed, it goes back to the driver at once, and
-/// capacities that grow leave no holes.
+/// Size from which a buffer has its own allocation, bytes: freed, it goes back to the driver at
+/// once, and capacities that grow leave no holes.
 const OWN_ALLOCATION_FROM_BYTES: u64 = 4 << 20;
 
 /// The least that is bound: a buffer of no elements still needs a descriptor.
@@ -94,9 +94,9 @@ pub(crate) struct BufferMemory {
 
 /// Storage of a buffer's bytes.
 enum Held {
-    /// In a block of the allocator, or an allocation of its own that the allocator knows.
+    /// Block of the allocator, or an allocation of its own that the allocator knows.
     Allocated(Allocation),
-    /// In memory that may be exported, and its size.
+    /// Memory that may be exported, and its size, bytes.
     Exported(vk::DeviceMemory, u64),
 }
 

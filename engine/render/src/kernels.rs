@@ -12,7 +12,7 @@ use crate::stages::{
     ProjectVariant, Relight, ResolvePlane, Scan, TileSort, finishes,
 };
 
-/// Longer segments are no segments.
+/// Largest number of pairs of a segment.
 const SEGMENT_PAIRS_MAX: u32 = 1 << 24;
 
 /// Longest segment that a software device blends: llvmpipe ends all loops of a thread after 65,535

@@ -139,8 +139,8 @@ impl Renderer {
     /// Frames are finished in the order submitted, by [`Renderer::finish`].
     ///
     /// # Errors
-    /// Those of [`Renderer::render`], and when [`RenderOptions::frames_in_flight`] frames are in
-    /// flight already.
+    /// Returns the errors of [`Renderer::render`], and one when [`RenderOptions::frames_in_flight`]
+    /// frames are in flight already.
     pub fn submit<'a>(
         &mut self,
         scene: impl Into<Scene<'a>>,

@@ -21,7 +21,7 @@ pub const NODE_SPLATS: usize = 256;
 /// Nodes with one parent, and splats that become one.
 pub const MERGED: usize = 4;
 
-/// No coarser level is made of as few nodes.
+/// Largest number of nodes from which no coarser level is made.
 const ROOTS_MAX: usize = 8;
 
 /// Parent of a node that has none.

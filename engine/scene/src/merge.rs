@@ -221,8 +221,8 @@ impl PartialOrd for Cluster {
 }
 
 impl Ord for Cluster {
-    /// By spread; of equal ones the one with the earliest splat is the greater. Clusters share no
-    /// splats.
+    /// Compares spreads; of equal ones the one with the earliest splat is the greater. Clusters
+    /// share no splats.
     fn cmp(&self, other: &Self) -> Ordering {
         self.spread
             .total_cmp(&other.spread)

@@ -8,11 +8,11 @@ use glam::DVec3;
 /// Frame of an asset's spherical harmonics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ShFrame {
-    /// In the asset's own frame: colors turn with the object (object captures).
+    /// Colors in the asset's own frame: they turn with the object (object captures).
     #[default]
     Canonical,
-    /// In the world's frame: trained in place, as HUGSIM and drivestudio export. Must not be
-    /// turned.
+    /// Colors in the world's frame: trained in place, as HUGSIM and drivestudio export. Such an
+    /// asset must not be turned.
     World,
 }
 

@@ -96,7 +96,7 @@ impl Batch {
         agents.map(|agent| agent.pose.translation).collect()
     }
 
-    /// Agents, in the light of the scene.
+    /// Agents of all views as one list, lit, each with the mask of its cameras.
     pub fn cast(&self, live: &LiveScene) -> AgentBatch {
         let mut cast = AgentBatch {
             agents: Vec::new(),

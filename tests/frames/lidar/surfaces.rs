@@ -43,7 +43,7 @@ fn to_cube(direction: DVec3, half_m: f64) -> (f64, f64) {
     (half_m / largest, largest)
 }
 
-/// The same for a sphere.
+/// Distance along `direction` to a sphere.
 fn to_sphere(direction: DVec3, center: DVec3, radius_m: f64) -> Option<(f64, f64)> {
     let middle = direction.dot(center);
     let half2 = radius_m * radius_m - (center - middle * direction).length_squared();

@@ -41,7 +41,7 @@ pub enum DgsPointFrame {
 #[repr(u32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DgsReturn {
-    /// The model's.
+    /// Kind of range that the model has.
     OfModel = 0,
     /// Range of the splat at which half of the beam is gone.
     Median = 1,

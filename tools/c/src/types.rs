@@ -244,9 +244,9 @@ impl DgsImageKind {
 pub struct DgsImage {
     /// The upper left pixel. Valid until the batch renderer draws or is closed.
     pub data: *const c_void,
-    /// From one row to the next.
+    /// Distance between rows, bytes.
     pub row_bytes: usize,
-    /// From one pixel to the next.
+    /// Distance between pixels of a row, bytes.
     pub pixel_bytes: u32,
     /// Pixels in a row.
     pub width_px: u32,
@@ -351,8 +351,8 @@ pub struct DgsDevice {
     pub kind: u32,
     /// Size of its largest memory.
     pub memory_bytes: u64,
-    /// The same for this device in every process and after every start; CUDA names it by the same
-    /// 16 bytes.
+    /// UUID of the driver, the same for this device in every process and after every start; CUDA
+    /// names it by the same 16 bytes.
     pub uuid: [u8; 16],
     /// Name; ends with a NUL.
     pub name: [c_char; 256],

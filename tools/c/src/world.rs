@@ -31,12 +31,12 @@ impl HeldWorld {
         }
     }
 
-    /// To look at, with others.
+    /// Locks the world for reading, with others.
     pub fn read(&self) -> Result<RwLockReadGuard<'_, World>, Failure> {
         to_read("world", &self.world)
     }
 
-    /// To change, alone.
+    /// Locks the world for changes, alone.
     fn write(&self) -> Result<RwLockWriteGuard<'_, World>, Failure> {
         to_change("world", &self.world)
     }

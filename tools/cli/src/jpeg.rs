@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 /// Rows of a strip, a multiple of the rows of a block of blocks.
 const STRIP_ROWS: usize = 64;
-/// From this quality on, colors keep the resolution of brightness.
+/// Quality from which colors keep the resolution of brightness.
 const FULL_COLOR_FROM: u8 = 90;
 
 const START_OF_SCAN: u8 = 0xda;
@@ -92,7 +92,7 @@ fn joined(strips: &[Vec<u8>], height_px: u16, interval: u16) -> Option<Vec<u8>> 
 
 /// A baseline JPEG of one scan, taken apart.
 struct Parts<'a> {
-    /// From the start to the scan's header.
+    /// Bytes from the start to the scan's header.
     tables: &'a [u8],
     /// Offset of the image's height in the tables.
     height_at: usize,

@@ -1,4 +1,4 @@
-//! From the bytes of a log to its episode.
+//! Reads an episode from the bytes of its log.
 
 use decouplegs_scene::episode::EpisodeTick;
 use decouplegs_scene::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep};

@@ -1,4 +1,4 @@
-//! From an episode to its log, record by record.
+//! Writes the log of an episode, record by record.
 
 use std::ffi::OsString;
 use std::fs::File;

@@ -1,4 +1,4 @@
-//! Our own lanes: JSON that can be written by hand or by a script from any source.
+//! Lane format of this project: JSON that can be written by hand or by a script from any source.
 //!
 //! ```json
 //! {"version": 1, "lanes": [

@@ -364,7 +364,7 @@ impl<'a> Lanelet<'a> {
         })
     }
 
-    /// By its subtype, unless tags say that no vehicle takes part.
+    /// Kind of the lane by its subtype, unless tags say that no vehicle takes part.
     fn kind(&self) -> LaneKind {
         let takes_part = |who: &str| {
             let mut tags = self

@@ -27,7 +27,7 @@ use crate::{AssetError, DecodeError};
 
 pub use polyline::length_m;
 
-/// Larger coordinates are no place on Earth, meters.
+/// Largest coordinate, meters: larger ones are no place on Earth.
 const COORDINATE_MAX_M: f64 = 1e8;
 
 /// The formats of maps that are read.
@@ -41,7 +41,7 @@ pub enum MapFormat {
     Argoverse2,
     /// CommonRoad scenarios, `.xml`.
     CommonRoad,
-    /// Our own, see [`lane_json`].
+    /// Lane format of this project, see [`lane_json`].
     LaneJson,
 }
 

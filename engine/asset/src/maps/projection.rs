@@ -20,7 +20,7 @@ const FALSE_EASTING_M: f64 = 500_000.0;
 const FALSE_NORTHING_M: f64 = 10_000_000.0;
 /// UTM is not defined nearer to the poles, degrees.
 const LATITUDE_MAX_DEG: f64 = 84.5;
-/// Farther from the central meridian the series is not exact, degrees.
+/// Largest distance from the central meridian, degrees: farther away the series is not exact.
 const FROM_MERIDIAN_MAX_DEG: f64 = 15.0;
 
 /// A zone of UTM, 6 degrees wide; the exceptions of Norway and Svalbard are not made.

@@ -1,4 +1,4 @@
-//! From a [`Scenario`] to the text of its file.
+//! Writes a [`Scenario`] as the text of its file.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! From a scene file to a world and its agents.
+//! Loads a scene file: its world and its agents.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -71,7 +71,7 @@ pub struct LoadedLight {
     pub transfer: Option<LightTransfer>,
     /// Options of that effect.
     pub relighting: RelightOptions,
-    /// From how far it is gathered.
+    /// Distance from which that light is gathered, and its grid.
     pub ambient: AmbientOptions,
     /// Contact shadows.
     pub shadows: Option<ShadowOptions>,

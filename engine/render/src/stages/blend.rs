@@ -86,11 +86,11 @@ impl PartialResults {
 /// End of a pixel: the splat behind which nothing counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelEnd {
-    /// The splat that leaves next to no light.
+    /// Ends at the splat that leaves next to no light.
     Full,
-    /// The last one before the limit of an exclusive stop.
+    /// Ends at the last splat before the limit of an exclusive stop.
     Exclusive,
-    /// The one in which half of the light is gone; its color is that of the pixel.
+    /// Ends at the splat in which half of the light is gone; its color is that of the pixel.
     Median,
 }
 

@@ -31,7 +31,7 @@ const BLACK: f64 = 1e-6;
 /// linear RGB.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroundLight {
-    /// In the shade of the sun, or far from all lamps.
+    /// Light in the shade of the sun, or far from all lamps.
     pub sky: [f64; 3],
     /// Added by the sun, or by a lamp straight above at its range.
     pub direct: [f64; 3],

@@ -116,7 +116,7 @@ impl ObservationRenderer {
         }
     }
 
-    /// The same sensors, the cameras [`decouplegs_scene::Intrinsics::through_f_theta`].
+    /// Replaces the cameras by [`decouplegs_scene::Intrinsics::through_f_theta`].
     ///
     /// # Errors
     /// A sentence naming a camera that no such lens can replace.

@@ -79,7 +79,7 @@ impl Rollout {
         &self.simulation
     }
 
-    /// The same, for rendering: vehicles remember on what ground they stood.
+    /// State of the vehicles, for rendering: vehicles remember on what ground they stood.
     pub fn simulation_mut(&mut self) -> &mut Simulation {
         &mut self.simulation
     }

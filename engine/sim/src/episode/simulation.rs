@@ -18,9 +18,10 @@ use crate::planner::{
 };
 use decouplegs_session::{AgentInstance, SessionError, World};
 
-/// The ego has left the road for good when it was off it for longer than this, seconds, ...
+/// Time off the road after which the ego has left it for good, seconds, if it also drove
+/// [`OFF_ROAD_M`].
 const OFF_ROAD_S: f64 = 4.0;
-/// ... and drove farther than this meanwhile, meters.
+/// Distance driven off the road after which the ego has left it for good, meters.
 const OFF_ROAD_M: f64 = 20.0;
 /// Distance from its route at which the ego has left it, meters, as in CARLA's leaderboard.
 const OFF_ROUTE_M: f64 = 30.0;
@@ -177,7 +178,8 @@ impl Simulation {
         &self.agent_sizes
     }
 
-    /// Since the start, seconds. Counted, not summed up: steps of a tenth do not add up to one.
+    /// Time since the start, seconds. Counted, not summed up: steps of a tenth do not add up to
+    /// one.
     #[must_use]
     pub fn time_s(&self) -> f64 {
         let (per_step, _) = self.scenario.substeps();

@@ -36,7 +36,7 @@ use self::assets::{
 /// Reason why a site cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SiteError {
-    /// A file of it.
+    /// A file of the site cannot be used.
     #[error(transparent)]
     Asset(#[from] AssetError),
     /// A generated asset.
@@ -58,15 +58,15 @@ pub struct Appearance {
     pub only_cars: bool,
 }
 
-/// A place made ready.
+/// Place of episodes, loaded: splats, lanes, obstacles and ground.
 pub struct Site {
     /// Splats to render; none if nothing is visible.
     pub loaded: LoadedScene,
     /// Lanes of the place.
     pub lanes: LaneMap,
-    /// The same for traffic.
+    /// Lanes as a graph for traffic.
     pub graph: Arc<RoadGraph>,
-    /// The same for vehicles that may leave them.
+    /// Road surface, for vehicles that may leave their lanes.
     pub surface: RoadSurface,
     /// Static things that the ego can hit.
     pub obstacles: Arc<Obstacles>,
@@ -240,7 +240,7 @@ impl Site {
         })
     }
 
-    /// A place that nobody looks at.
+    /// Site without splats, for episodes that are not rendered.
     fn bare(
         lanes: LaneMap,
         obstacles: Vec<Obstacle>,
@@ -463,7 +463,7 @@ impl Site {
     /// agents of worlds over it.
     ///
     /// # Errors
-    /// Those of [`Session::add_scene`].
+    /// Returns the errors of [`Session::add_scene`].
     pub fn add_to(&self, session: &Session) -> Result<Arc<SessionScene>, SessionError> {
         let scene = session.add_scene(&self.loaded)?;
         scene.bake_light(self.positions(Self::LIGHT_STEP_M));

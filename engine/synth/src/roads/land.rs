@@ -9,7 +9,7 @@ use super::strip_index::StripIndex;
 use crate::street::random::{fractal_noise, smoothstep};
 use crate::street::surface::display;
 
-/// Below the roads, so that it never covers them, meters.
+/// Depth of the land below the roads, so that it never covers them, meters.
 const BELOW_ROADS_M: f32 = 0.04;
 
 /// Paved beside the roads, meters.

@@ -123,13 +123,13 @@ impl Light {
         }
     }
 
-    /// The same with street lamps at `lamps`.
+    /// Adds street lamps at `lamps`.
     pub(super) fn with_lamps(self, lamps: Vec<Vec3>) -> Self {
         Self { lamps, ..self }
     }
 
-    /// The same on an asset that stands at `rotation` and `translation`, while its splats are made
-    /// in its own frame.
+    /// Light on an asset that stands at `rotation` and `translation`, while its splats are made in
+    /// its own frame.
     pub(super) fn on_asset(self, rotation: Quat, translation: Vec3) -> Self {
         Self {
             rotation,

@@ -99,8 +99,8 @@ impl Default for StreetOptions {
 pub struct Street {
     /// The static part, world frame, relative to the world's origin at zero.
     pub background: SplatCloud,
-    /// At most twelve distinct cars, canonical frame: x forward, y left, z up, origin at the middle
-    /// of the box, wheels touching z = -H/2.
+    /// Distinct cars, twelve at most, canonical frame: x forward, y left, z up, origin at the
+    /// middle of the box, wheels touching z = -H/2.
     pub assets: Vec<SplatCloud>,
     /// Length, width and height of each asset's box, meters; mirrors stand out beyond the width.
     pub asset_dims_m: Vec<[f32; 3]>,

@@ -64,7 +64,7 @@ impl Standard {
             .collect()
     }
 
-    /// The other way.
+    /// Inverse of [`Self::to_standardized`].
     pub(super) fn to_plain(&self, weights: &[f64]) -> Vec<f64> {
         let columns = self.means.len();
         let plain: Vec<f64> = (0..columns)

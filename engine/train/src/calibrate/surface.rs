@@ -8,7 +8,7 @@ use decouplegs_scene::light::{DISPLAY_MAX, to_display, to_linear};
 /// Coefficients of the highest degree.
 pub(super) const COEFFICIENTS: usize = sh::coefficient_count(sh::DEGREE_MAX);
 
-/// Below this display value light multiplies a color as it does here: the curve is a power there.
+/// Display value below which the curve is not the power that light multiplies a color by here.
 const DISPLAY_MIN: f64 = 0.02;
 
 /// A color as a plain expansion, DC without the 0.5 that splats' colors add: `[coefficient][rgb]`.

@@ -1,4 +1,4 @@
-//! From splats and codebooks to coded splats.
+//! Codes splats with codebooks.
 
 use decouplegs_scene::shape::PrincipalAxes;
 use decouplegs_scene::{Bounds, CodedSplat, SplatCloud, SplatCodes, sh};
@@ -41,8 +41,8 @@ pub(super) struct SizeScale {
 }
 
 impl SizeScale {
-    /// From the smallest to the largest splat of `levels`, or the one size `unit_m` where splats
-    /// keep none.
+    /// Scale from the smallest to the largest splat of `levels`, or the one size `unit_m` where
+    /// splats keep none.
     pub(super) fn of(levels: &[SplatCloud], space: ShapeSpace, unit_m: f64) -> Self {
         if !space.keeps_size() {
             return Self {

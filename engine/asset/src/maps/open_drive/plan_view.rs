@@ -188,9 +188,9 @@ fn along_arc(curvature: f64, way_m: f64) -> (DVec2, f64) {
     (DVec2::from_angle(half_turn) * way_m * sinc, 2.0 * half_turn)
 }
 
-/// Along a curve whose curvature starts as given and changes by `change` with every meter: the
-/// Fresnel integrals, by quadrature in pieces that turn by a radian at most, which leaves an error
-/// far below a micrometer.
+/// Offset along a curve whose curvature starts as given and changes by `change` with every meter:
+/// the Fresnel integrals, by quadrature in pieces that turn by a radian at most, which leaves an
+/// error far below a micrometer.
 fn along_spiral(curvature: f64, change: f64, way_m: f64) -> (DVec2, f64) {
     let heading = |at_m: f64| at_m * (curvature + 0.5 * change * at_m);
     let turn_rad = way_m.abs() * curvature.abs().max((curvature + change * way_m).abs());

@@ -11,7 +11,7 @@ const BEYOND_M: f64 = 120.0;
 /// it.
 const BEHIND_M: f64 = 60.0;
 const AHEAD_M: f64 = 160.0;
-/// To each side of the ego's box this much has to be free, meters: less than there is between cars
+/// Width that has to be free on each side of the ego's box, meters: less than there is between cars
 /// in lanes of 3 m.
 const SIDE_M: f64 = 0.25;
 /// Largest difference from the route's heading at which a vehicle counts as driving along it,
@@ -48,11 +48,11 @@ pub(super) struct Span {
 /// Predicted path of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PredictedPath {
-    /// With the route.
+    /// Path with the route.
     Along,
-    /// Against it.
+    /// Path against the route.
     Against,
-    /// Over it, or on another road.
+    /// Path over the route, or on another road.
     Across,
 }
 

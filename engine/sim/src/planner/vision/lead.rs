@@ -18,9 +18,9 @@ const FORGET_S: f64 = 1.6;
 /// A vehicle nearer than this hides its own foot below the image and is remembered for longer,
 /// meters along the way.
 const UNDER_IMAGE_M: f64 = 6.0;
-/// For how long, seconds.
+/// Time after which a vehicle nearer than that is forgotten, seconds.
 const FORGET_NEAR_S: f64 = 4.0;
-/// No vehicle is faster, meters per second.
+/// Largest speed of a vehicle, meters per second.
 const SPEED_MPS_MAX: f64 = 30.0;
 /// Assumed speed of a newly seen obstacle, as a share of the ego's speed.
 const SPEED_SHARE: f64 = 0.6;

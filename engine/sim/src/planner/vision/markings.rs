@@ -18,7 +18,7 @@ const CURVATURE_STEP: f64 = 0.0012;
 const CURVATURES: i32 = 2;
 /// Widths of lanes, meters.
 const WIDTHS_M: std::ops::RangeInclusive<f64> = 2.7..=4.0;
-/// From one width to the next that is tried.
+/// Difference between widths that are tried, meters.
 const WIDTH_STEP_M: f64 = 0.1;
 /// Lanes farther from the expected one than so many of its standard deviations are not looked for.
 const SIGMAS_MAX: f64 = 2.5;
@@ -45,7 +45,7 @@ pub(super) struct LaneFix {
     pub heading_rad: f64,
     /// Curvature, 1/m.
     pub curvature: f64,
-    /// From border to border, meters.
+    /// Width from border to border, meters.
     pub width_m: f64,
     /// Signal-to-noise ratio of the left and the right border, standard deviations.
     pub borders: [f64; 2],

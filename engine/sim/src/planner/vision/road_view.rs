@@ -7,14 +7,14 @@
 use super::camera_image::Image;
 use super::way::RoadPath;
 
-/// From one row to the next along the way, meters.
+/// Distance between rows along the way, meters.
 pub(super) const ROW_M: f64 = 0.25;
 /// The first row, meters ahead of the middle of the ego.
 const FIRST_M: f64 = 3.0;
 /// The last row is nearer than this, meters: beyond, a marking is narrower than a pixel of an image
 /// 320 wide.
 const VIEW_M: f64 = 34.0;
-/// From one column to the next across the way, meters.
+/// Distance between columns across the way, meters.
 pub(super) const COLUMN_M: f64 = 0.06;
 /// Columns reach so far to either side, meters.
 const HALF_WIDTH_M: f64 = 5.4;
@@ -24,7 +24,8 @@ pub(super) const COLUMNS: usize = 2 * HALF_COLUMNS + 1;
 pub(super) const HALF_COLUMNS: usize = (HALF_WIDTH_M / COLUMN_M) as usize;
 /// Half the width of the brightest part of a marking, meters.
 const CORE_M: f64 = 0.09;
-/// From there to what it is compared with, meters: the soft edge of a marking.
+/// Width of the soft edge of a marking, between its core and the road that it is compared with,
+/// meters.
 const EDGE_M: f64 = 0.10;
 /// Width of what it is compared with on either side, meters.
 const FLANK_M: f64 = 0.30;
