@@ -47,7 +47,7 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = Color::Rgba8)]
     color: Color,
     /// Render these planes too: depth, instance
-    #[arg(long, value_name = "PLANES", value_delimiter = ',', value_parser = plane_names())]
+    #[arg(long, value_name = "PLANE,...", value_delimiter = ',', value_parser = plane_names())]
     planes: Vec<Plane>,
     /// Compute the background's depth keys in every frame instead of reusing them while a camera
     /// does not turn
@@ -55,7 +55,7 @@ pub struct Arguments {
     compute_keys: bool,
     /// Render agents at the coarsest level of detail whose splats are at most this many pixels
     /// apart (default: always the finest)
-    #[arg(long, value_name = "PX", value_parser = pixels)]
+    #[arg(long, value_name = "PIXELS", value_parser = pixels)]
     level_pitch: Option<f64>,
     #[command(flatten)]
     background: BackgroundArguments,

@@ -50,7 +50,7 @@ pub struct BenchOptions {
     #[arg(long, value_enum, default_value = "jpeg")]
     pub format: FormatName,
     /// Quality of JPEG, 1 to 100
-    #[arg(long, value_name = "Q", default_value_t = 95.0)]
+    #[arg(long, value_name = "QUALITY", default_value_t = 95.0)]
     pub quality: f32,
     /// Ask for so long, also called --soak
     #[arg(

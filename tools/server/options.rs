@@ -37,7 +37,7 @@ pub struct ServerOptions {
     pub storage: Storage,
     /// Render backgrounds with fewer splats where they lie at most this many pixels apart (default:
     /// always the finest, which is exact)
-    #[arg(long, value_name = "PX", value_parser = pixels)]
+    #[arg(long, value_name = "PIXELS", value_parser = pixels)]
     pub background_pitch: Option<f64>,
     /// Origin of the clients' rig, in the scenes' vehicle frame (meters, x forward, y left, z up):
     /// simulators put it on the ground below the rear axle, scene files in the center of the box

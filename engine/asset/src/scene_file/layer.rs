@@ -21,8 +21,8 @@ pub enum Layer {
 }
 
 impl LoadedScene {
-    /// Part of [`LoadedScene::world`] that belongs to `layer`: its background, its agents of plain
-    /// splats, or both.
+    /// Part of [`LoadedScene::splat_scene`] that belongs to `layer`: its background, its agents of
+    /// plain splats, or both.
     #[must_use]
     pub fn standing(&self, layer: Layer) -> Cow<'_, SplatScene> {
         match layer {

@@ -32,7 +32,7 @@ pub struct LoadedScene {
     pub assets: Vec<CodedCloud>,
     /// The agents that show them, in the order of the scene file.
     pub agents: Vec<LoadedAgent>,
-    /// The agents of plain splat files that are in [`LoadedScene::world`].
+    /// The agents of plain splat files that are in [`LoadedScene::splat_scene`].
     pub plain_agents: Vec<PlainAgent>,
     /// The ego vehicle's sensors; none for a splat file.
     pub rig: Rig,
@@ -168,9 +168,9 @@ impl LoadedScene {
         .map_err(|error| AssetError::Placement(error.into()))
     }
 
-    /// The uncompressed twin: [`LoadedScene::world`] with the finest level of every agent added
-    /// that is present at `time_s`, where it is then, in order, in the scene's light. What was in
-    /// the world already stays as it stands.
+    /// The uncompressed twin: [`LoadedScene::splat_scene`] with the finest level of every agent
+    /// added that is present at `time_s`, where it is then, in order, in the scene's light. What
+    /// was in the scene already stays as it stands.
     #[must_use]
     pub fn baked(&self, time_s: f64) -> SplatScene {
         let mut splat_scene = self.splat_scene.clone();
