@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     report(&episode, &replayed, device.as_deref())
 }
 
-/// Drawn as the log was: its cameras, their size, every so manyth step.
+/// Drawn as the log was: its cameras, their size, its rendering interval.
 fn drawn(
     arguments: &Arguments,
     episode: &Episode,

@@ -24,7 +24,7 @@ const FREE_TIME_S: f64 = 13.0;
 const LANES_MAX: usize = 300;
 /// The ego is never asked to be faster than is allowed in towns.
 const CRUISE_MPS_MAX: f64 = 50.0 / 3.6;
-/// Nor slower than a bicycle: lanes that allow less are none to test on.
+/// Least speed of the ego, that of a bicycle: lanes that allow less are none to test on.
 const CRUISE_MPS_MIN: f64 = 4.0;
 /// Share of routes that lead straight on where they can.
 const STRAIGHT_SHARE: f64 = 0.65;

@@ -44,7 +44,7 @@ impl Change {
     }
 }
 
-/// Vehicles affected by a lane change. Who is not there gains nothing.
+/// Vehicles affected by a lane change. A vehicle that is not there gains nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Concerned {
     /// Vehicle that changes lanes.

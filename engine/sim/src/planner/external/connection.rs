@@ -21,7 +21,7 @@ pub(super) enum Fault {
     Closed,
     /// More than a line's bytes and no end of line; how it begins.
     Endless(Vec<u8>),
-    /// Bytes that nobody asked for; how they begin.
+    /// Bytes that were not asked for; how they begin.
     Unasked(Vec<u8>),
     /// Error of the operating system.
     System(std::io::Error),
