@@ -1,4 +1,4 @@
-//! The frame: one function that lists the stages in the order they run.
+//! The frame: [`record_frame`] and its parts record the stages in the order they run.
 
 use decouplegs_gpu::Recorder;
 

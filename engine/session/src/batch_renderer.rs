@@ -334,8 +334,8 @@ impl BatchRenderer {
                 batch.scene.ready_light(&batch.agent_positions());
             }
             let live = batch.scene.live();
-            let cast = batch.cast(&live);
-            self.renderers[*renderer].submit(cast.over(&live), &batch.cameras)?;
+            let lit = batch.lit_agents(&live);
+            self.renderers[*renderer].submit(lit.over(&live), &batch.cameras)?;
             self.in_flight += 1;
         }
         Ok(())

@@ -286,7 +286,7 @@ impl Session {
         }))
     }
 
-    /// Something that draws worlds of this session, as [`SessionOptions::render`] says.
+    /// A renderer of worlds of this session, as [`SessionOptions::render`] says.
     #[must_use]
     pub fn batch_renderer(&self) -> BatchRenderer {
         BatchRenderer::new(&self.gpu, &self.options)

@@ -245,7 +245,7 @@ impl Session {
         Ok(Scene { inner })
     }
 
-    /// Something that draws. Its buffers are kept from frame to frame; use one for each thread that
+    /// A renderer of worlds of this session. Its buffers are kept from frame to frame; use one for each thread that
     /// draws.
     fn batch_renderer(&self) -> PyResult<BatchRenderer> {
         BatchRenderer::new(&self.inner, self.cuda.as_ref()).map_err(|error| of_interop(&error))
