@@ -245,8 +245,8 @@ impl Session {
         Ok(Scene { inner })
     }
 
-    /// A renderer of worlds of this session. Its buffers are kept from frame to frame; use one for each thread that
-    /// draws.
+    /// A renderer of worlds of this session. Its buffers are kept from frame to frame; use one for
+    /// each thread that draws.
     fn batch_renderer(&self) -> PyResult<BatchRenderer> {
         BatchRenderer::new(&self.inner, self.cuda.as_ref()).map_err(|error| of_interop(&error))
     }

@@ -9,8 +9,8 @@ use super::surface::display;
 /// The light that the assets are captured in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum AssetLight {
-    /// A high sun under a clear sky, and the dark below the car as a part of it: fit to be looked
-    /// at as it is.
+    /// A high sun under a clear sky, and the dark below the car as a part of it: fit to be
+    /// shown as it is.
     #[default]
     Sun,
     /// White light from everywhere, irradiance pi, nothing thrown and nothing mirrored: the
