@@ -134,7 +134,10 @@ impl Gpu {
     /// # Errors
     /// Returns an error if the device cannot export.
     pub fn export_timeline(&self, role: QueueRole) -> Result<OwnedFd, GpuError> {
-        self.0.context.export_semaphore(self.0.queue(role).timeline)
+        self.0
+            .context
+            .exports()?
+            .semaphore_descriptor(self.0.queue(role).timeline)
     }
 
     /// Memory in use by purpose. What finished work held is given back first.

@@ -21,6 +21,7 @@
 //!
 //! This is the only crate with `unsafe`; each block is one operation and says why it is sound.
 
+mod accounting;
 mod buffer;
 mod choice;
 mod commands;

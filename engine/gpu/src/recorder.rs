@@ -1,6 +1,5 @@
 //! Recording commands: dispatches by name, copies and fills, in stages that are labeled and timed.
 
-
 use std::{borrow::Cow, sync::Arc};
 
 use bytemuck::Pod;
