@@ -395,7 +395,7 @@ fn trajectory(knots: &[(f64, Pose)]) -> Result<Trajectory> {
 
 /// Street and cars as they stand at time zero, one cloud.
 fn baked_world(street: &Street) -> Result<SplatCloud> {
-    let mut splat_scene = SplatScene::of(street.background.clone());
+    let mut splat_scene = SplatScene::from_splats(street.background.clone());
     for agent in &street.agents {
         splat_scene.bake_agent(&street.assets[agent.asset], agent)?;
     }

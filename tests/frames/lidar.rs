@@ -343,7 +343,7 @@ fn dual_returns_are_their_definition() {
         );
         let sweep = traced.returns(&ReturnOptions {
             mode: ReturnMode::Dual,
-            ..ReturnOptions::of(&lidar.model)
+            ..ReturnOptions::for_model(&lidar.model)
         });
         let of_two: Vec<_> = sweep
             .returns
@@ -370,7 +370,7 @@ fn dual_returns_of_a_single_sweep_are_refused() {
     let traced = trace(&gpu, &surroundings(200, 5), &lidar, 8);
     let _ = traced.returns(&ReturnOptions {
         mode: ReturnMode::Dual,
-        ..ReturnOptions::of(&lidar.model)
+        ..ReturnOptions::for_model(&lidar.model)
     });
 }
 
@@ -493,7 +493,7 @@ fn sweeps_repeat_and_do_not_depend_on_sectors() {
         let most = (traced.states.iter().zip(&moving.states)).map(apart);
         assert!(most.fold(0.0, f32::max) < 1e-3, "{what}");
         let seeded = |seed| {
-            let options = ReturnOptions::of(&lidar.model);
+            let options = ReturnOptions::for_model(&lidar.model);
             traced.returns(&ReturnOptions { seed, ..options }).returns
         };
         assert_eq!(seeded(1), seeded(2), "{what}: noise without a deviation");
@@ -506,7 +506,7 @@ fn sweeps_repeat_and_do_not_depend_on_sectors() {
     let lidar = lidar_at(noisy, world.origin, Motion::REST);
     let traced = trace(&gpu, &world, &lidar, 8);
     let returns = |seed| {
-        let options = ReturnOptions::of(&lidar.model);
+        let options = ReturnOptions::for_model(&lidar.model);
         traced.returns(&ReturnOptions { seed, ..options }).returns
     };
     assert_eq!(returns(7), returns(7));

@@ -107,7 +107,7 @@ fn a_street_at_30_meters_per_second() {
     });
     let mut world = SplatScene {
         sky: street.sky,
-        ..SplatScene::of(street.background.clone())
+        ..SplatScene::from_splats(street.background.clone())
     };
     for agent in &street.agents {
         let asset = &street.assets[agent.asset];

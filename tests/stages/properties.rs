@@ -179,7 +179,7 @@ fn culled_splats_change_nothing() {
                 .iter()
                 .map(|&splat| world.instance_from_splat[splat as usize])
                 .collect(),
-            ..SplatScene::of(world.splats.select(kept))
+            ..SplatScene::from_splats(world.splats.select(kept))
         };
         let images = draw(&gpu, &world, cameras, Rules::DEFAULT);
         prop_assert!(

@@ -103,7 +103,7 @@ fn image(cloud: SplatCloud, background: [f32; 3]) -> Image {
     );
     let splat_scene = SplatScene {
         sky: background,
-        ..SplatScene::of(cloud)
+        ..SplatScene::from_splats(cloud)
     };
     reference::render(&splat_scene, &cameras[1], &Rules::DEFAULT).to_image()
 }

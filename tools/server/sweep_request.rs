@@ -174,7 +174,7 @@ impl Common<'_> {
                 },
             },
             objects: objects_of(self.objects, duration_s, &field, limits)?,
-            options: ReturnOptions::of(model),
+            options: ReturnOptions::for_model(model),
             frame: PointFrame::End,
         })
     }

@@ -74,7 +74,7 @@ impl ReinsertionScene {
             plain_agents: Vec::new(),
             splat_scene: SplatScene {
                 sky: street.sky,
-                ..SplatScene::of(background.select(&order))
+                ..SplatScene::from_splats(background.select(&order))
             },
             assets: cars.coded.clone(),
             agents: agents.collect::<Result<_>>()?,

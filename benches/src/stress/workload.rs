@@ -147,7 +147,7 @@ impl Workload {
         let agents = agents.collect::<Result<Vec<_>>>()?;
         let splat_scene = SplatScene {
             sky: street.sky,
-            ..SplatScene::of(street.background.in_spatial_order())
+            ..SplatScene::from_splats(street.background.in_spatial_order())
         };
         let staged = LoadedScene {
             plain_agents: Vec::new(),

@@ -99,7 +99,7 @@ impl SplatSummary {
                 .filter(|mean| mean.iter().all(|x| x.is_finite()))
         };
         let bounds = finite().next().map(|_| {
-            let Bounds { min, max } = Bounds::of(finite());
+            let Bounds { min, max } = Bounds::from_points(finite());
             SummaryBounds { min, max }
         });
         let log10 = |value: f32| f64::from(value).log10();

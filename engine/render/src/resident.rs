@@ -293,7 +293,7 @@ pub(crate) fn cluster_of(splats: &[Extent]) -> ClusterRecord {
             ..ClusterRecord::zeroed()
         };
     }
-    let bounds = Bounds::of(drawn().map(|splat| &splat.mean_m));
+    let bounds = Bounds::from_points(drawn().map(|splat| &splat.mean_m));
     ClusterRecord {
         center_m: bounds.center(),
         half_extent_m: bounds.half_extent().map(|half| half * 1.000_01),

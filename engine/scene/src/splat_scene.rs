@@ -58,7 +58,7 @@ pub struct SplatScene {
 impl SplatScene {
     /// A scene of background only, its origin at zero, a black sky and the default rules.
     #[must_use]
-    pub fn of(splats: SplatCloud) -> Self {
+    pub fn from_splats(splats: SplatCloud) -> Self {
         Self {
             splats,
             ..Self::default()
@@ -132,7 +132,7 @@ mod tests {
         };
         let mut splat_scene = SplatScene {
             origin: DVec3::new(4.5e6, 0.0, 0.0),
-            ..SplatScene::of(one.clone())
+            ..SplatScene::from_splats(one.clone())
         };
         for x in [0.0, 10.0] {
             let agent = AgentPlacement {

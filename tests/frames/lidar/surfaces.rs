@@ -148,7 +148,7 @@ fn a_camera_and_a_lidar_agree_on_opaque_surfaces() {
         motion: Motion::REST,
     };
     let traced = trace(&gpu, &world, &lidar, 8);
-    let sweep = traced.returns(&ReturnOptions::of(&lidar.model));
+    let sweep = traced.returns(&ReturnOptions::for_model(&lidar.model));
     let mut camera = camera_towards(
         "front",
         position,
@@ -284,7 +284,7 @@ fn the_road_of_the_street_is_where_it_is() {
         agents: 0,
         ..StreetOptions::default()
     });
-    let mut world = SplatScene::of(street.background);
+    let mut world = SplatScene::from_splats(street.background);
     world.splats = world.splats.in_spatial_order();
     let model = spinning(&uniform(64, 5.0, -25.0), 720, 360.0, Spin::Clockwise);
     let height_m = 1.9;
@@ -295,7 +295,7 @@ fn the_road_of_the_street_is_where_it_is() {
         world_from_rig: Pose::from_yaw(0.3, DVec3::new(-20.0, -1.75, height_m)),
         motion: Motion::REST,
     };
-    let sweep = trace(&gpu, &world, &lidar, 8).returns(&ReturnOptions::of(&lidar.model));
+    let sweep = trace(&gpu, &world, &lidar, 8).returns(&ReturnOptions::for_model(&lidar.model));
     let mut by_incidence = [Vec::new(), Vec::new()];
     for point in sweep.points(PointFrame::World) {
         // Within the lanes, which are level at 0.

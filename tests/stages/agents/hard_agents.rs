@@ -476,7 +476,7 @@ fn cluster_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ClusterRecord {
             splat_radius_m: -1e30,
         };
     }
-    let bounds = Bounds::of(&means);
+    let bounds = Bounds::from_points(&means);
     let splat_radius_m = |codes: &SplatCodes| {
         let longest =
             principal_axes(&cloud.shapes[usize::from(codes.shape)]).scales[0] * cloud.size(codes);

@@ -104,7 +104,7 @@ impl QualityMeter {
     pub fn draw(&mut self, cloud: &SplatCloud, cameras: &[Camera]) -> Result<Vec<Image>> {
         let splat_scene = SplatScene {
             sky: SKY_RGB,
-            ..SplatScene::of(cloud.in_spatial_order())
+            ..SplatScene::from_splats(cloud.in_spatial_order())
         };
         let resident = self.renderer.upload(&splat_scene)?;
         self.renderer.render(&resident, cameras)?;

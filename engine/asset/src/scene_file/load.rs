@@ -233,7 +233,7 @@ impl LoadedScene {
             .flat_map(|way| places_along(way, light.ambient.spacing_m));
         let ground_light = light.relighting.by_normals.then(|| {
             let patches = field.ground_along(places, GroundLight::LANE_M);
-            GroundLight::of(&patches, &light.casting)
+            GroundLight::from_patches(&patches, &light.casting)
         });
         Some(Lighting {
             ground_light: ground_light.flatten(),
@@ -309,7 +309,7 @@ impl SceneFile {
             photometry: self.photometry,
             fog: self.fog,
             rules: self.rules,
-            ..SplatScene::of(background)
+            ..SplatScene::from_splats(background)
         });
         let mut loader = AgentLoader {
             files,
@@ -500,5 +500,5 @@ pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
         return open_packed_scene(path, time_s);
     }
     let splats = read_splats(path)?.in_spatial_order();
-    Ok(LoadedScene::of_world(SplatScene::of(splats)))
+    Ok(LoadedScene::of_world(SplatScene::from_splats(splats)))
 }

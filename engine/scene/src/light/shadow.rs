@@ -197,7 +197,7 @@ mod tests {
         };
         let mut splat_scene = SplatScene {
             origin: DVec3::new(4.5e6, 0.0, 0.0),
-            ..SplatScene::of(splat)
+            ..SplatScene::from_splats(splat)
         };
         let before = splat_scene.clone();
         bake_shadows(&mut splat_scene, &[shadow(), shadow()]);

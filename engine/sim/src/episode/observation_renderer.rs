@@ -186,7 +186,7 @@ impl ObservationRenderer {
             let sweep_s = lidar.model.sweep_s;
             let options = ReturnOptions {
                 seed: seed.wrapping_add(index as u64),
-                ..ReturnOptions::of(&lidar.model)
+                ..ReturnOptions::for_model(&lidar.model)
             };
             let traced = self
                 .renderer

@@ -161,7 +161,7 @@ impl Site {
                 let splat_scene = SplatScene {
                     origin: drawn.origin,
                     sky: drawn.sky,
-                    ..SplatScene::of(drawn.background)
+                    ..SplatScene::from_splats(drawn.background)
                 };
                 let cars = Cars {
                     signals: post_assets().into_iter().chain(sign_assets()).collect(),
@@ -220,7 +220,7 @@ impl Site {
         };
         let splat_scene = SplatScene {
             sky: street.sky,
-            ..SplatScene::of(street.background)
+            ..SplatScene::from_splats(street.background)
         };
         let cars = Cars {
             signals: head_assets().into_iter().chain(sign_assets()).collect(),

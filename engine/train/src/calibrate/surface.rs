@@ -58,7 +58,7 @@ impl Surface {
 /// The middle of what can be drawn of a cloud.
 pub(super) fn center_of(cloud: &SplatCloud) -> DVec3 {
     let drawn = (0..cloud.len()).filter(|&splat| cloud.defect_of(splat).is_none());
-    let bounds = decouplegs_scene::Bounds::of(drawn.map(|splat| &cloud.means[splat]));
+    let bounds = decouplegs_scene::Bounds::from_points(drawn.map(|splat| &cloud.means[splat]));
     let corner = |corner: [f32; 3]| DVec3::from_array(corner.map(f64::from));
     0.5 * (corner(bounds.min) + corner(bounds.max))
 }

@@ -199,7 +199,7 @@ struct Grid {
 
 impl Grid {
     fn of(cloud: &SplatCloud, splats: &[u32]) -> Self {
-        let bounds = Bounds::of(splats.iter().map(|&splat| &cloud.means[splat as usize]));
+        let bounds = Bounds::from_points(splats.iter().map(|&splat| &cloud.means[splat as usize]));
         let longest_m = (0..3)
             .map(|axis| f64::from(bounds.max[axis]) - f64::from(bounds.min[axis]))
             .fold(0.0, f64::max);

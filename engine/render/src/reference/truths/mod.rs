@@ -30,7 +30,7 @@ impl Plain {
 }
 
 fn world_of(plain: &[Plain]) -> SplatScene {
-    SplatScene::of(SplatCloud {
+    SplatScene::from_splats(SplatCloud {
         means: plain.iter().map(|splat| splat.mean).collect(),
         scales: plain.iter().map(|splat| splat.scales).collect(),
         rotations: vec![[1.0, 0.0, 0.0, 0.0]; plain.len()],
