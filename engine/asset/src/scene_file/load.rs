@@ -56,7 +56,7 @@ pub struct AgentLabel {
 impl AgentLabel {
     /// The label of `agent`.
     #[must_use]
-    pub fn of(agent: &SceneAgent) -> Self {
+    pub fn from_agent(agent: &SceneAgent) -> Self {
         Self {
             name: agent.name.clone(),
             class: agent.class.clone(),
@@ -354,7 +354,7 @@ impl SceneFile {
                 casting: light.casting.clone(),
             });
         }
-        scene.agent_labels = self.agents.iter().map(AgentLabel::of).collect();
+        scene.agent_labels = self.agents.iter().map(AgentLabel::from_agent).collect();
         Ok(scene)
     }
 }
