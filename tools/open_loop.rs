@@ -243,14 +243,14 @@ fn judged(source: &Path, episode: &Episode, plans: Vec<Option<Plan>>) -> Answers
 /// second.
 fn plan_ttc_s(episode: &Episode, instant: &EpisodeTick, plan: &Plan) -> Option<f64> {
     let velocity = instant.ego.to_world(plan.at(1.0)) - instant.ego.position_m;
-    let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
+    let ego = OrientedBox::for_vehicle(&instant.ego, &episode.head.scenario.ego.size);
     let agents = instant.agents.iter().zip(&episode.head.agent_sizes);
     let times = agents.filter_map(|(state, size)| {
         let state = state.as_ref()?;
         time_to_collision(
             &ego,
             velocity,
-            &OrientedBox::of(state, size),
+            &OrientedBox::for_vehicle(state, size),
             state.velocity(),
             TTC_HORIZON_S,
         )

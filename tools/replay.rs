@@ -146,8 +146,8 @@ fn report(episode: &Episode, replayed: &Replayed, device: Option<&str>) -> Resul
         bail!("the replay is another episode: {difference}");
     }
     let (before, after) = (
-        EpisodeScore::of(episode),
-        EpisodeScore::of(&replayed.episode),
+        EpisodeScore::new(episode),
+        EpisodeScore::new(&replayed.episode),
     );
     ensure!(
         before == after,

@@ -146,10 +146,10 @@ impl Course {
 }
 
 fn moment(ego: &Ego, line: &Polyline, agents: &[(VehicleState, VehicleSize)]) -> Moment {
-    let outline = OrientedBox::of(&ego.state(), &VehicleSize::CAR);
+    let outline = OrientedBox::for_vehicle(&ego.state(), &VehicleSize::CAR);
     let gaps = agents
         .iter()
-        .map(|(agent, size)| outline.distance_m(&OrientedBox::of(agent, size)));
+        .map(|(agent, size)| outline.distance_m(&OrientedBox::for_vehicle(agent, size)));
     let foot = line.project(ego.state().position_m);
     Moment {
         ego: ego.state(),

@@ -218,7 +218,7 @@ impl Played {
     pub fn facts(&self) -> Value {
         let episode = self.episode();
         let head = &episode.head;
-        let score = EpisodeScore::of(episode);
+        let score = EpisodeScore::new(episode);
         let infractions = score.infractions.iter().map(|infraction| {
             json!({
                 "time_s": infraction.time_s,

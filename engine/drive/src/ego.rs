@@ -154,7 +154,7 @@ impl Ego {
     /// driven and the rest is a halt: the ego never reverses. A plan that leads nowhere is a halt
     /// on the way of the plan before.
     pub fn follow(&mut self, plan: &Plan) {
-        let (path, arcs_m) = PlannedPath::of(plan, &self.state);
+        let (path, arcs_m) = PlannedPath::from_plan(plan, &self.state);
         let times = plan.points().iter().map(|point| point.time_s);
         self.profile = Some(SpeedProfile::new(times.zip(arcs_m), self.state.speed_mps));
         if path.is_some() {

@@ -30,7 +30,7 @@ struct Shadow {
 impl OrientedBox {
     /// The outline of a vehicle.
     #[must_use]
-    pub fn of(state: &VehicleState, size: &VehicleSize) -> Self {
+    pub fn for_vehicle(state: &VehicleState, size: &VehicleSize) -> Self {
         Self {
             center_m: state.position_m,
             yaw_rad: state.yaw_rad,

@@ -76,7 +76,7 @@ pub struct EpisodeScore {
 impl EpisodeScore {
     /// The score of `episode`.
     #[must_use]
-    pub fn of(episode: &Episode) -> Self {
+    pub fn new(episode: &Episode) -> Self {
         let done = episode.end == EpisodeEnd::RouteDone;
         let route_completion = progress::route_completion(episode);
         let infractions = infractions::infractions(episode);
@@ -91,7 +91,7 @@ impl EpisodeScore {
             infractions,
             closest,
             ttc_short_share,
-            comfort: Comfort::of(episode),
+            comfort: Comfort::new(episode),
             plan_ade_m: plan_error::episode_ade_m(episode),
             warm_up_s: warm_up_s(episode),
         }

@@ -188,7 +188,7 @@ impl Traffic {
             return Vec::new();
         }
         let vehicle = |state: &VehicleState, size: &VehicleSize| Vehicle {
-            outline: OrientedBox::of(state, size),
+            outline: OrientedBox::for_vehicle(state, size),
             speed_mps: state.speed_mps,
         };
         let agents = self.agents.iter().zip(&self.states);

@@ -88,10 +88,10 @@ impl Assets {
     /// True if there are kinds of vehicles but cars.
     pub fn are_mixed(&self) -> bool {
         let mut others = RoadUser::ON_LANES[1..].iter();
-        others.any(|&kind| !self.of(kind).is_empty())
+        others.any(|&kind| !self.of_kind(kind).is_empty())
     }
 
-    fn of(&self, kind: RoadUser) -> Vec<RoadUserAsset> {
+    fn of_kind(&self, kind: RoadUser) -> Vec<RoadUserAsset> {
         let same = self.all.iter().filter(|asset| asset.kind == kind);
         same.copied().collect()
     }
@@ -102,7 +102,7 @@ impl Assets {
     }
 
     fn draw_of(&self, kind: RoadUser, random: &mut Stream) -> RoadUserAsset {
-        let assets = self.of(kind);
+        let assets = self.of_kind(kind);
         assets[random.whole((0, assets.len() - 1))]
     }
 
@@ -113,7 +113,7 @@ impl Assets {
             return self.draw_car(random);
         }
         let slow = |kind| fast && kind == RoadUser::Cyclist;
-        let fits = |kind| !self.of(kind).is_empty() && !slow(kind);
+        let fits = |kind| !self.of_kind(kind).is_empty() && !slow(kind);
         let shares = || SHARES.into_iter().filter(|&(kind, _)| fits(kind));
         let mut rest = random.unit() * shares().map(|(_, share)| share).sum::<f64>();
         let drawn = shares().find(|(_, share)| {
@@ -131,7 +131,7 @@ impl Assets {
         start: &EgoStart,
         random: &mut Stream,
     ) -> Vec<Pedestrian> {
-        let assets = self.of(RoadUser::Pedestrian);
+        let assets = self.of_kind(RoadUser::Pedestrian);
         if assets.is_empty() {
             return Vec::new();
         }

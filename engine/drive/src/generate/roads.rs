@@ -145,7 +145,7 @@ impl<'a> Roads<'a> {
                 speed_mps: 0.0,
                 acceleration_mps2: 0.0,
             };
-            let outline = OrientedBox::of(&state, size);
+            let outline = OrientedBox::for_vehicle(&state, size);
             self.surface.holds_box(&outline, RoadSurface::SLACK_M)
         })
     }
@@ -186,7 +186,7 @@ impl<'a> Roads<'a> {
     /// The outline of a vehicle of `size` at `spot`.
     pub fn outline(&self, spot: Spot, size: &VehicleSize) -> OrientedBox {
         let position = position_on(self.graph.lanes(), &[spot.lane], 0, spot.at_m);
-        OrientedBox::of(
+        OrientedBox::for_vehicle(
             &VehicleState {
                 position_m: position.position_m,
                 yaw_rad: position.yaw_rad,

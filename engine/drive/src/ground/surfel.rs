@@ -47,7 +47,7 @@ pub struct Sample {
 
 impl Surfel {
     /// `None` for a splat that shows no surface, and its radius in meters otherwise.
-    fn of(cloud: &SplatCloud, splat: usize, column_sigma_m: f64) -> Option<(Self, f64)> {
+    fn from_splat(cloud: &SplatCloud, splat: usize, column_sigma_m: f64) -> Option<(Self, f64)> {
         let mean = cloud.means[splat];
         if cloud.defect_of(splat).is_some() || mean.iter().any(|x| x.abs() > EXTENT_M) {
             return None;
@@ -121,7 +121,7 @@ impl SurfelGrid {
     pub fn new(cloud: &SplatCloud, column_sigma_m: f64) -> Self {
         let surfels = (0..cloud.len())
             .into_par_iter()
-            .filter_map(|splat| Surfel::of(cloud, splat, column_sigma_m));
+            .filter_map(|splat| Surfel::from_splat(cloud, splat, column_sigma_m));
         let surfels: Vec<(Surfel, f64)> = surfels.collect();
         let level_of =
             |radius_m: f64| ((radius_m / CELL_M).log2().ceil().max(0.0) as usize).min(LEVELS - 1);

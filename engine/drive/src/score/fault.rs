@@ -101,7 +101,7 @@ pub(super) fn fault(
         .filter(|instant| instant.time_s >= now.time_s - REACTION_S);
     let abreast: Vec<Abreast> = recent
         .filter_map(|instant| {
-            Some(Abreast::of(
+            Some(Abreast::new(
                 &road,
                 [&instant.ego, instant.agents.get(agent)?.as_ref()?],
                 &sizes,
@@ -111,7 +111,7 @@ pub(super) fn fault(
     let Some(other) = &now.agents[agent] else {
         return Fault::Ego;
     };
-    let outline = OrientedBox::of(&now.ego, &sizes[0]);
+    let outline = OrientedBox::for_vehicle(&now.ego, &sizes[0]);
     let behind = outline.to_local(other.position_m).x <= -outline.half_length_m;
     let same_direction = wrapped(other.yaw_rad - now.ego.yaw_rad).abs() < SAME_DIRECTION_RAD;
     if behind && same_direction && abreast.iter().all(|at| at.gap_m <= 0.0) {
@@ -144,7 +144,7 @@ struct Abreast {
 }
 
 impl Abreast {
-    fn of(road: &Polyline, states: [&VehicleState; 2], sizes: &[VehicleSize; 2]) -> Self {
+    fn new(road: &Polyline, states: [&VehicleState; 2], sizes: &[VehicleSize; 2]) -> Self {
         let feet: [Foot; 2] = states.map(|state| road.project(state.position_m));
         let half_width_m = |which: usize| {
             let turned = DVec2::from_angle(states[which].yaw_rad - feet[which].heading_rad);

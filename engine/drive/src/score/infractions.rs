@@ -237,8 +237,8 @@ fn collisions(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
             // The record's own word counts, too: it may have looked between its moments.
             let message =
                 at + 1 == instants.len() && episode.end == EpisodeEnd::Collision { agent };
-            let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
-            if message || ego.overlaps(&OrientedBox::of(state, size)) {
+            let ego = OrientedBox::for_vehicle(&instant.ego, &episode.head.scenario.ego.size);
+            if message || ego.overlaps(&OrientedBox::for_vehicle(state, size)) {
                 if touched_s.is_none() {
                     let kind = InfractionKind::Collision {
                         agent,

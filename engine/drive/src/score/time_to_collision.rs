@@ -28,14 +28,14 @@ pub struct Closest {
 #[must_use]
 pub fn times_to_collision(episode: &Episode) -> Vec<(f64, Option<Closest>)> {
     let least = |instant: &EpisodeTick| {
-        let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
+        let ego = OrientedBox::for_vehicle(&instant.ego, &episode.head.scenario.ego.size);
         let agents = instant.agents.iter().zip(&episode.head.agent_sizes);
         let times = agents.enumerate().filter_map(|(agent, (state, size))| {
             let state = state.as_ref()?;
             let ttc_s = time_to_collision(
                 &ego,
                 instant.ego.velocity(),
-                &OrientedBox::of(state, size),
+                &OrientedBox::for_vehicle(state, size),
                 state.velocity(),
                 TTC_HORIZON_S,
             )?;

@@ -53,7 +53,7 @@ impl Outsider {
             width_m: size.width_m.clamp(0.1, 10.0),
             ..*size
         };
-        let outline = OrientedBox::of(state, &size);
+        let outline = OrientedBox::for_vehicle(state, &size);
         let mut cells = Vec::new();
         graph.cells().touched(&outline, &mut cells);
         let entries = entries(graph, &outline, state.ahead() * speed_mps, &cells, EGO);

@@ -116,7 +116,7 @@ impl Walker {
     }
 
     fn outline_at(&self, arc_m: f64) -> OrientedBox {
-        OrientedBox::of(&self.state_at(arc_m), &self.size)
+        OrientedBox::for_vehicle(&self.state_at(arc_m), &self.size)
     }
 
     pub(super) fn state(&self) -> VehicleState {

@@ -231,7 +231,7 @@ impl Traffic {
     fn touching(&self, number: usize) -> Option<usize> {
         let at_m = self.state_at_start(number).position_m;
         let outline = |number: usize| {
-            OrientedBox::of(&self.state_at_start(number), &self.agents[number].size)
+            OrientedBox::for_vehicle(&self.state_at_start(number), &self.agents[number].size)
         };
         let near_m =
             |other: usize| self.agents[number].size.length_m + self.agents[other].size.length_m;
@@ -251,7 +251,7 @@ impl Traffic {
     /// The agent whose box is nearest to another's.
     fn nearest(&self, number: usize) -> Option<usize> {
         let outline = |number: usize| {
-            OrientedBox::of(&self.state_at_start(number), &self.agents[number].size)
+            OrientedBox::for_vehicle(&self.state_at_start(number), &self.agents[number].size)
         };
         let own = outline(number);
         let others = (0..self.agents.len()).filter(|&other| other != number);
@@ -360,7 +360,7 @@ fn place(
     let mut placed = Agent::new(
         number,
         agent.size,
-        Driver::of(agent.kind, agent.driver),
+        Driver::new(agent.kind, agent.driver),
         lane,
         agent.at_m,
     );

@@ -398,7 +398,7 @@ fn a_swerve_is_as_wide_as_there_is_room() {
     let mut nearest_m = f64::INFINITY;
     for _ in 0..100 {
         drive(&mut beside_parked, &agents, 1, None);
-        let outline = OrientedBox::of(&state(&beside_parked, 0), &agents[0].size);
+        let outline = OrientedBox::for_vehicle(&state(&beside_parked, 0), &agents[0].size);
         nearest_m = nearest_m.min(outline.distance_m(&outline_of(&parked)));
     }
     assert!((0.01..1.0).contains(&nearest_m), "{nearest_m} m");

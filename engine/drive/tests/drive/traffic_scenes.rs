@@ -258,7 +258,12 @@ pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> Stri
         );
     }
     let outline = |(number, state): (usize, &Option<VehicleState>)| {
-        state.map(|state| (number, OrientedBox::of(&state, &agents[number].size)))
+        state.map(|state| {
+            (
+                number,
+                OrientedBox::for_vehicle(&state, &agents[number].size),
+            )
+        })
     };
     let vehicles = &traffic.states()[..agents.len()];
     let boxes: Vec<_> = vehicles.iter().enumerate().filter_map(outline).collect();
