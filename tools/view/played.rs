@@ -50,7 +50,7 @@ impl Played {
         site: Arc<Site>,
         scene: &Arc<SessionScene>,
     ) -> Result<Self, EpisodeError> {
-        let moments = Moments::of(&episode, &site, scene)?;
+        let moments = Moments::from_episode(&episode, &site, scene)?;
         Ok(Self::new(Driven::Logged(Box::new(episode)), site, moments))
     }
 

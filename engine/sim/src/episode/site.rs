@@ -247,7 +247,7 @@ impl Site {
         asset_sizes: Vec<VehicleSize>,
     ) -> Result<Self, SiteError> {
         let loaded = empty_scene(SplatScene::default());
-        Self::of(loaded, (lanes, obstacles), asset_sizes, None)
+        Self::new(loaded, (lanes, obstacles), asset_sizes, None)
     }
 
     fn synthetic(
@@ -284,7 +284,7 @@ impl Site {
             light: Some(light),
             ..empty_scene(splat_scene)
         };
-        Self::of(loaded, map, cars.sizes, None)
+        Self::new(loaded, map, cars.sizes, None)
     }
 
     fn captured(
@@ -330,10 +330,10 @@ impl Site {
         let obstacles = obstacles.unwrap_or_else(|| {
             occupancy::obstacles(&splat_scene.splats, splat_scene.origin, &lanes, &ground)
         });
-        Self::of(loaded, (lanes, obstacles), sizes, Some(ground))
+        Self::new(loaded, (lanes, obstacles), sizes, Some(ground))
     }
 
-    fn of(
+    fn new(
         loaded: LoadedScene,
         (lanes, obstacles): (LaneMap, Vec<Obstacle>),
         asset_sizes: Vec<VehicleSize>,

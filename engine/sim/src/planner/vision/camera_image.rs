@@ -57,7 +57,7 @@ pub(super) struct Image {
 
 impl Image {
     /// The image of `frame` for an ego so high; `None` where its bytes are not those of its camera.
-    pub(super) fn of(frame: &Frame, ego_height_m: f64) -> Option<Self> {
+    pub(super) fn from_frame(frame: &Frame, ego_height_m: f64) -> Option<Self> {
         let camera = frame.camera;
         camera.intrinsics.check().ok()?;
         let (width, height) = (

@@ -164,7 +164,7 @@ impl State {
         self.turn_on(Arc::announced(&observation.guidance));
         let image = images(observation.readings)
             .next()
-            .and_then(|frame| Image::of(&frame, self.ego_size.height_m));
+            .and_then(|frame| Image::from_frame(&frame, self.ego_size.height_m));
         let Some(image) = image else {
             self.lead = lead::track(self.lead, &elapsed, &[]);
             return;

@@ -68,7 +68,7 @@ fn row_at(image: &Image, way: &RoadPath, arc_m: f64) -> Option<Row> {
         return None;
     }
     let pixel_m = image.pixel_m(point.position_m.x);
-    let window = Window::of(pixel_m);
+    let window = Window::for_pixels(pixel_m);
     let responses = (0..COLUMNS)
         .map(|column| window.response(&sums, column))
         .collect();
@@ -89,7 +89,7 @@ struct Window {
 
 impl Window {
     /// Wide enough for pixels of `pixel_m` meters.
-    fn of(pixel_m: f64) -> Self {
+    fn for_pixels(pixel_m: f64) -> Self {
         let columns = |meters: f64| (meters / COLUMN_M).round().max(1.0) as usize;
         Self {
             core: columns(CORE_M.max(0.5 * pixel_m)),
