@@ -93,7 +93,7 @@ impl SceneCourse {
             .iter()
             .filter(|agent| agent.present.includes(time_s));
         let placed = present.map(|agent| {
-            let mut placed = AgentInstance::of(agent, time_s);
+            let mut placed = AgentInstance::from_agent(agent, time_s);
             if let Some((_, pose)) = self
                 .dragged
                 .as_ref()
