@@ -127,7 +127,7 @@ impl Comparison {
 
     /// Compares the prediction of `transfer` with `samples` in `lights`. `moments` holds the
     /// moments by visible colors.
-    pub(super) fn of(
+    pub(super) fn for_transfer(
         transfer: &LightTransfer,
         samples: &[Sample],
         moments: &Moments,

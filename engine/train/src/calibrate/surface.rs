@@ -26,7 +26,7 @@ pub(super) struct Surface {
 impl Surface {
     /// Splat `splat` of a cloud whose middle is `center`. The normal is the shortest axis, away
     /// from the middle.
-    pub(super) fn of(cloud: &SplatCloud, splat: usize, center: DVec3) -> Self {
+    pub(super) fn from_splat(cloud: &SplatCloud, splat: usize, center: DVec3) -> Self {
         let axis = cloud.thin_axis(splat);
         let outward = DVec3::from_array(cloud.means[splat].map(f64::from)) - center;
         let normal = if axis.dot(outward) < 0.0 { -axis } else { axis };
@@ -72,7 +72,7 @@ pub fn lit_cloud(cloud: &SplatCloud, reflected_by_white: impl Fn(DVec3) -> [f64;
     let stride = cloud.rest_stride();
     let mut lit_cloud = cloud.clone();
     for splat in (0..cloud.len()).filter(|&splat| cloud.defect_of(splat).is_none()) {
-        let surface = Surface::of(cloud, splat, center);
+        let surface = Surface::from_splat(cloud, splat, center);
         let lit = surface.lit(reflected_by_white(surface.normal));
         lit_cloud.sh_dc[splat] = lit[0].map(|value| (value - sh::DC_SHIFT) as f32);
         for (rest, value) in lit_cloud.sh_rest[splat * stride..(splat + 1) * stride]

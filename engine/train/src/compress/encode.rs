@@ -43,7 +43,7 @@ pub(super) struct SizeScale {
 impl SizeScale {
     /// Scale from the smallest to the largest splat of `levels`, or the one size `unit_m` where
     /// splats keep none.
-    pub(super) fn of(levels: &[SplatCloud], space: ShapeSpace, unit_m: f64) -> Self {
+    pub(super) fn for_levels(levels: &[SplatCloud], space: ShapeSpace, unit_m: f64) -> Self {
         if !space.keeps_size() {
             return Self {
                 log2_min: (unit_m.log2() as f32).clamp(-LOG2_SIZE_MAX, LOG2_SIZE_MAX),
