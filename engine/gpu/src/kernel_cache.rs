@@ -80,7 +80,7 @@ impl PipelineStore {
         properties: &vk::PhysicalDeviceProperties,
         kept: &KernelCache,
     ) -> Self {
-        let identity = Identity::of(properties);
+        let identity = Identity::new(properties);
         let path = kept
             .folder()
             .map(|folder| folder.join(identity.file_name()));
@@ -156,7 +156,7 @@ struct Identity {
 }
 
 impl Identity {
-    fn of(properties: &vk::PhysicalDeviceProperties) -> Self {
+    fn new(properties: &vk::PhysicalDeviceProperties) -> Self {
         Self {
             vendor: properties.vendor_id,
             device: properties.device_id,
