@@ -307,7 +307,7 @@ mod tests {
         let light = Light::new(
             Air {
                 towards_sun: Vec3::new(0.0, -1.0, 1.0),
-                ..Air::of(Weather::Clear)
+                ..Air::for_weather(Weather::Clear)
             },
             vec![],
         );

@@ -57,7 +57,7 @@ pub(super) struct Air {
 
 impl Air {
     /// The light over a street.
-    pub(super) fn of(weather: Weather) -> Self {
+    pub(super) fn for_weather(weather: Weather) -> Self {
         match weather {
             Weather::Clear => Self::clear(TOWARDS_SUN),
             Weather::Overcast => Self {
