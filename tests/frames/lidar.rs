@@ -200,7 +200,7 @@ struct Agreement {
 }
 
 impl Agreement {
-    fn of(states: &[BeamState], truth: &[BeamHit64], limit_m: f64) -> Self {
+    fn new(states: &[BeamState], truth: &[BeamHit64], limit_m: f64) -> Self {
         let mut found = Self {
             beams: truth.len(),
             ..Self::default()
@@ -290,7 +290,7 @@ fn sweeps_of_every_kind_of_sensor_are_their_definition() {
             let lidar = lidar_at(model.clone(), world.origin, Motion::REST);
             let traced = trace(&gpu, &world, &lidar, 8);
             let truth = truth_of(&world, &lidar, &traced.beams);
-            let found = Agreement::of(&traced.states, &truth, 1e-3);
+            let found = Agreement::new(&traced.states, &truth, 1e-3);
             found.assert(what, 1e-3);
             assert!(found.expected_rms_m < 1e-3, "{what}: {found:?}");
             assert!(found.intensity_max < 2e-3, "{what}: {found:?}");
@@ -386,7 +386,7 @@ fn splats_that_stand_2_mm_off_are_noticed() {
         mean_m[0] += 2e-3;
     }
     let truth = truth_of(&world, &lidar, &traced.beams);
-    Agreement::of(&traced.states, &truth, 1e-3).assert("shifted", 1e-3);
+    Agreement::new(&traced.states, &truth, 1e-3).assert("shifted", 1e-3);
 }
 
 #[test]
@@ -454,7 +454,7 @@ fn sweeps_in_motion_are_their_definition() {
                 .iter()
                 .filter(|hit| hit.median.is_some_and(|(_, id)| id > 0));
             assert!(on_agents.count() > 20, "{what}: no beam meets an agent");
-            let found = Agreement::of(&traced.states, &truth, 1e-2);
+            let found = Agreement::new(&traced.states, &truth, 1e-2);
             found.assert(what, 4e-3);
         }
     }
