@@ -84,7 +84,7 @@ pub struct Tracks {
 impl Tracks {
     /// The ways of `stage`'s agents as a log that drifts tells them, and as they come out of
     /// registration.
-    pub fn of(stage: &ReinsertionScene, drift: &Drift) -> Result<Self> {
+    pub fn register(stage: &ReinsertionScene, drift: &Drift) -> Result<Self> {
         let truth: Vec<Track> = (0..stage.loaded.agents.len())
             .map(|agent| true_track(stage, agent))
             .collect();

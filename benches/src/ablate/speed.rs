@@ -108,6 +108,6 @@ impl<'a> Speed<'a> {
         submit: impl FnMut(&mut Renderer, f64) -> Result<()>,
     ) -> Result<Measured> {
         let driven = self.schedule.drive(renderer, submit)?;
-        Ok(Measured::of(&driven, self.gpu.memory()))
+        Ok(Measured::from_driven(&driven, self.gpu.memory()))
     }
 }

@@ -110,7 +110,7 @@ impl Reinsertion<'_> {
         measured: &Reinserted,
         frames: u32,
     ) -> Result<System> {
-        let tracks = Tracks::of(self.stage, drift)?;
+        let tracks = Tracks::register(self.stage, drift)?;
         let speed = Speed::over(self.gpu, &self.stage.loaded, frames);
         let middle_s = speed.schedule.middle_s();
         let mut rows = Vec::new();

@@ -97,9 +97,10 @@ impl Point {
 impl Measured {
     /// The figures of `driven`, which has at least one frame. Times of stages, fidelity and what
     /// the frames do not tell are left open.
-    pub fn of(driven: &Driven, memory: MemoryReport) -> Self {
+    pub fn from_driven(driven: &Driven, memory: MemoryReport) -> Self {
         let frames = &driven.frames;
-        let spread = |of: &dyn Fn(&FrameStatistics) -> f64| Spread::of(frames.iter().map(of));
+        let spread =
+            |of: &dyn Fn(&FrameStatistics) -> f64| Spread::from_values(frames.iter().map(of));
         let median = |of: &dyn Fn(&FrameStatistics) -> f64| spread(of).median;
         let updates: Vec<f64> = frames
             .iter()
@@ -113,9 +114,9 @@ impl Measured {
         }
         Self {
             warm_up_frames: driven.warm_up_frames,
-            step_ms: Spread::of(driven.steps_ms.iter().copied()),
+            step_ms: Spread::from_values(driven.steps_ms.iter().copied()),
             gpu_ms: spread(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
-            update_ms: (!updates.is_empty()).then(|| Spread::of(updates)),
+            update_ms: (!updates.is_empty()).then(|| Spread::from_values(updates)),
             record_ms: spread(&|frame| frame.record_time.as_secs_f64() * 1e3),
             stages: Vec::new(),
             memory,
@@ -190,6 +191,6 @@ pub fn stage_times<'a>(frames: &'a [FrameStatistics]) -> Vec<(&'static str, Spre
     };
     let times = stage_times_ms(frames, stages).into_iter();
     times
-        .map(|(name, times)| (name, Spread::of(times)))
+        .map(|(name, times)| (name, Spread::from_values(times)))
         .collect()
 }
