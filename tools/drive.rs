@@ -258,7 +258,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     );
     drop(planner);
     let folder = RunFolder::open(&arguments.out, &arguments.settings())?;
-    let jobs = jobs::of(arguments, &folder)?;
+    let jobs = jobs::list(arguments, &folder)?;
     let gpu = (arguments.render.0 > 0)
         .then(|| arguments.device.open())
         .transpose()?;

@@ -59,7 +59,7 @@ fn describe(path: &Path) -> Result<(String, Value)> {
     }
     let splat_scene = loaded.baked(0.0);
     let summary = SplatSummary::new(&splat_scene.splats);
-    let scene = scene::Listing::of(&SceneFile::read(path)?, &loaded, &splat_scene);
+    let scene = scene::Listing::new(&SceneFile::read(path)?, &loaded, &splat_scene);
     let mut value = serde_json::to_value(&summary)?;
     if let (Value::Object(value), Value::Object(scene)) = (&mut value, scene.to_json()) {
         value.extend(scene);

@@ -127,7 +127,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         warn("--shared: lanes show no motion of the log as a whole, so no track was moved");
     }
     let compared = truth_ground.as_ref().or(ground.as_ref());
-    let measured = Measured::of(
+    let measured = Measured::new(
         &map,
         &tracks,
         &registration,

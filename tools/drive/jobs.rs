@@ -53,7 +53,7 @@ pub struct Job {
     pub directory: PathBuf,
 }
 
-pub fn of(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
+pub fn list(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     let jobs = if arguments.scenarios.is_empty() {
         generated(arguments, folder)?
     } else {

@@ -13,7 +13,7 @@ pub struct HdScores {
 }
 
 impl HdScores {
-    pub fn of(scored: &[Scored], variant: HdVariant) -> Self {
+    pub fn from_scored(scored: &[Scored], variant: HdVariant) -> Self {
         let scores = scored
             .iter()
             .map(|scored| HdScore::new(&scored.episode, variant));

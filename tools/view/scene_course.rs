@@ -71,7 +71,7 @@ impl SceneCourse {
         Ok(Self {
             agents: scene.loaded.agents.clone(),
             assets: (editor.as_ref()).map_or_else(AssetPlaces::default, |editor| {
-                AssetPlaces::of(editor.file())
+                AssetPlaces::for_file(editor.file())
             }),
             scene,
             editor,
@@ -262,7 +262,7 @@ impl SceneCourse {
         });
         match copied {
             Ok((on_device, changed)) => {
-                self.assets = AssetPlaces::of(file);
+                self.assets = AssetPlaces::for_file(file);
                 self.agents = changed.loaded.agents.clone();
                 self.scene = changed;
                 Ok(Some(on_device))
@@ -290,7 +290,7 @@ struct AssetPlaces(HashMap<PathBuf, usize>);
 
 impl AssetPlaces {
     /// Places of the assets of `file` once it is loaded.
-    fn of(file: &SceneFile) -> Self {
+    fn for_file(file: &SceneFile) -> Self {
         let mut places = HashMap::new();
         for SceneAgent { asset, .. } in &file.agents {
             if coded_asset::has_extension(asset) && !places.contains_key(asset) {

@@ -99,7 +99,7 @@ impl Failure {
     }
 
     /// Failure of this kind whose message begins with `whom`.
-    pub fn of(self, whom: &str) -> Self {
+    pub fn with_subject(self, whom: &str) -> Self {
         Self {
             message: format!("{whom}: {}", self.message),
             ..self

@@ -217,7 +217,7 @@ pub unsafe extern "C" fn dgs_world_agent(
         let world = held.read()?;
         let placed = self::agent(&world, index)?.placed;
         target.write(DgsAgent {
-            pose: DgsPose::of(&placed.pose),
+            pose: DgsPose::from_pose(&placed.pose),
             asset: placed.asset as u32,
             instance: placed.instance.into(),
         });

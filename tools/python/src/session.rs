@@ -206,7 +206,7 @@ impl Session {
     /// The device.
     #[getter]
     fn device(&self) -> Device {
-        Device::of(self.inner.gpu().info())
+        Device::from_info(self.inner.gpu().info())
     }
 
     /// True if BatchRenderer.draw_dlpack gives CUDA tensors over the renderer's memory, without a

@@ -35,7 +35,7 @@ fn ms(time: Duration) -> f64 {
 }
 
 impl Statistics {
-    pub fn of(frame: &FrameStatistics) -> Self {
+    pub fn from_frame(frame: &FrameStatistics) -> Self {
         let mut stages_ms = BTreeMap::new();
         for stage in frame.queues.iter().flat_map(|queue| &queue.stages) {
             *stages_ms.entry(stage.name.to_owned()).or_default() += stage.duration_ns as f64 / 1e6;
