@@ -200,32 +200,26 @@ impl<'a> Generator<'a> {
     /// level.
     pub fn scenario(&self, level: Level, seed: u64, index: u32) -> Result<Scenario, GenerateError> {
         let name = format!("{}_{index:04}", level.name());
-        let stream = Stream::new(seed)
-            .substream(level as u64)
-            .substream(u64::from(index));
+        let of_level = Stream::new(seed).split(level as u64);
+        let stream = of_level.split(u64::from(index));
         let rules = LevelRequirements::new(level, self.difficulty);
         let (least, most) = rules.near;
         let (mut found, mut routes) = (0, 0_u32);
         for number in 0..TRIES {
-            let random = stream.substream(FOR_TRIES).substream(number);
+            let random = stream.split(FOR_TRIES).split(number);
             let beside = number < TRIES_WITH_ALL && self.roads.has_lanes_beside;
             let wishes = Wishes {
                 crossing: number < TRIES_BEFORE_CROSSING,
                 beside,
             };
             let Some(start) =
-                ego_start::choose(&self.roads, self.area, &rules, &random.substream(0), wishes)
+                ego_start::choose(&self.roads, self.area, &rules, &random.split(0), wishes)
             else {
                 continue;
             };
             routes += 1;
-            let placement = Placement::new(
-                &self.roads,
-                &rules,
-                &start,
-                &self.assets,
-                random.substream(1),
-            );
+            let placement =
+                Placement::new(&self.roads, &rules, &start, &self.assets, random.split(1));
             let vehicles = match placement.fill((least, most)) {
                 Ok(vehicles) => vehicles,
                 Err(placement::TooFew(near)) => {
@@ -233,15 +227,10 @@ impl<'a> Generator<'a> {
                     continue;
                 }
             };
-            let mut agents = behaviors::agents(
-                self.roads.map,
-                &rules,
-                &start,
-                &vehicles,
-                &random.substream(2),
-            );
+            let mut agents =
+                behaviors::agents(self.roads.map, &rules, &start, &vehicles, &random.split(2));
             // Short enough to be read, and a whole number in any format.
-            let traffic_seed = stream.substream(FOR_TRAFFIC).bits() >> 32;
+            let traffic_seed = stream.split(FOR_TRAFFIC).bits() >> 32;
             if self.assets.are_mixed() {
                 let near = self.fit(&mut agents, &start, traffic_seed);
                 if near < least {
@@ -256,7 +245,7 @@ impl<'a> Generator<'a> {
                 true => lights::programs(
                     self.roads.map,
                     &self.roads.graph,
-                    &mut stream.substream(FOR_LIGHTS),
+                    &mut stream.split(FOR_LIGHTS),
                 ),
                 false => Vec::new(),
             };
@@ -270,13 +259,13 @@ impl<'a> Generator<'a> {
                     &lights,
                 )),
                 step_s: Scenario::STEP_S,
-                place: self.place.lit_for(level, &mut stream.substream(FOR_LIGHT)),
+                place: self.place.lit_for(level, &mut stream.split(FOR_LIGHT)),
                 agents,
                 pedestrians: self.assets.pedestrians(
                     &self.roads,
                     &rules,
                     &start,
-                    &mut stream.substream(FOR_PEDESTRIANS),
+                    &mut stream.split(FOR_PEDESTRIANS),
                 ),
                 signs: self.signs(&lights),
                 lights,

@@ -105,7 +105,7 @@ pub(super) fn choose(
     random: &Stream,
     wishes: Wishes,
 ) -> Option<EgoStart> {
-    let mut draw = random.substream(0);
+    let mut draw = random.split(0);
     let before_crossing = draw.chance(rules.crossing_share) && wishes.crossing;
     let lanes = if before_crossing {
         before_a_crossing(roads, rules, &mut draw)?
@@ -126,7 +126,7 @@ pub(super) fn choose(
     let mut length_m = draw.between(ROUTE_M);
     // Each time too long is made shorter; the same turns are taken.
     for _ in 0..6 {
-        let (lanes, end_m) = onward(roads, spot, &led, length_m, random.substream(1))?;
+        let (lanes, end_m) = onward(roads, spot, &led, length_m, random.split(1))?;
         let end = Spot {
             lane: *lanes.last()?,
             at_m: end_m,

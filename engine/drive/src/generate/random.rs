@@ -16,9 +16,9 @@ impl Stream {
         }
     }
 
-    /// The sequence that belongs to `what` of this one. It depends on where this one began and on
+    /// Child sequence with the number `what`. It depends on where this one began and on
     /// `what` alone if nothing is drawn before.
-    pub fn substream(&self, what: u64) -> Self {
+    pub fn split(&self, what: u64) -> Self {
         Self {
             state: mix(mix(self.state).wrapping_add(what.wrapping_add(1).wrapping_mul(GOLDEN))),
         }
@@ -77,10 +77,10 @@ mod tests {
         let base = Stream::new(5);
         let others = [
             Stream::new(6),
-            base.substream(0),
-            base.substream(1),
-            base.substream(0).substream(1),
-            base.substream(1).substream(0),
+            base.split(0),
+            base.split(1),
+            base.split(0).split(1),
+            base.split(1).split(0),
         ]
         .map(first);
         assert!(
@@ -89,7 +89,7 @@ mod tests {
                 .enumerate()
                 .all(|(at, bits)| *bits != first(base.clone()) && !others[..at].contains(bits))
         );
-        assert_eq!(first(base.substream(7)), first(Stream::new(5).substream(7)));
+        assert_eq!(first(base.split(7)), first(Stream::new(5).split(7)));
     }
 
     #[test]
