@@ -4,10 +4,10 @@
 //! Ways are turned so that left is to the left. Coordinates are the tags `local_x` and `local_y`
 //! where all nodes of lanelets have them, else latitude and longitude in UTM on WGS 84, full
 //! eastings and northings ([`LaneMap::offset`] is zero), in the zone and on the hemisphere of the
-//! first node of the first lanelet, see [`UtmZone::for_position`]. Height is the tag `ele`, known to
-//! a lanelet if all its nodes have it. A lanelet continues in those that start at the two nodes where
-//! it ends; neighbors share a way and its direction. A lanelet for both directions (`one_way` = no)
-//! is read in that of its file alone.
+//! first node of the first lanelet, see [`UtmZone::for_position`]. Height is the tag `ele`, known
+//! to a lanelet if all its nodes have it. A lanelet continues in those that start at the two nodes
+//! where it ends; neighbors share a way and its direction. A lanelet for both directions (`one_way`
+//! = no) is read in that of its file alone.
 //!
 //! Of regulatory elements, traffic lights (`lights`) and rights of way (`signs`) are read. Not
 //! read: areas, other regulatory elements, speed limits other than the tag `speed_limit`.
