@@ -97,7 +97,7 @@ impl Case {
             records,
             items,
             rules,
-            end: PixelEnd::of(&rules),
+            end: PixelEnd::for_rules(&rules),
         }
     }
 

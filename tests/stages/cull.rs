@@ -21,7 +21,7 @@ pub fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<
     let cull = Cull::new(
         gpu,
         rules,
-        CameraVariant::of(&scene.view.cameras, &scene.view.lenses),
+        CameraVariant::for_cameras(&scene.view.cameras, &scene.view.lenses),
         scene.resident.storage,
         0.0,
     )

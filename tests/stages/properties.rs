@@ -59,7 +59,8 @@ fn footprint_of(splat: &Splat, camera: &CameraRecord, rules: &Rules) -> Option<F
     let [sx, sy, sz] = splat.scale_m;
     let axes = axes_of([sx, sy, sz, splat.opacity], q.map(|x| (x / norm) as f32));
     let t = to_camera_axes(camera, from_camera_m(splat.mean_m, camera));
-    let (footprint, drawn) = project_splat(camera, t, axes, splat.opacity, Variant::of(rules));
+    let (footprint, drawn) =
+        project_splat(camera, t, axes, splat.opacity, Variant::for_rules(rules));
     drawn.then_some(footprint)
 }
 

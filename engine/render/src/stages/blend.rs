@@ -43,12 +43,12 @@ impl PartialResults {
         rules: &Rules,
         outputs: &Outputs,
     ) -> Result<Self, GpuError> {
-        let finishes = finishes(PixelEnd::of(rules), outputs);
+        let finishes = finishes(PixelEnd::for_rules(rules), outputs);
         let medians = outputs.planes.iter().any(Plane::is_median);
         let slots = capacity.partials;
         let unfinished = if finishes || medians { slots } else { 0 };
         let pixels = capacity.tiles * (COARSE_PIXELS / FINE_TILES);
-        let color_words = match RecordContents::of(outputs).attributes {
+        let color_words = match RecordContents::for_outputs(outputs).attributes {
             true => 4,
             false => 3,
         };
@@ -97,7 +97,7 @@ pub enum PixelEnd {
 impl PixelEnd {
     /// The end of pixels of color by `rules`.
     #[must_use]
-    pub fn of(rules: &Rules) -> Self {
+    pub fn for_rules(rules: &Rules) -> Self {
         match rules.stop {
             EarlyStop::Exclusive => Self::Exclusive,
             EarlyStop::None => Self::Full,

@@ -125,7 +125,7 @@ pub struct CameraVariant {
 impl CameraVariant {
     /// The variant for the cameras of a frame, as the splats' frame has them, and their lenses.
     #[must_use]
-    pub fn of(cameras: &[CameraRecord], lenses: &[LensRecord]) -> Self {
+    pub fn for_cameras(cameras: &[CameraRecord], lenses: &[LensRecord]) -> Self {
         Self {
             lenses: !lenses.is_empty(),
             rolling: cameras.iter().any(CameraRecord::rolls),

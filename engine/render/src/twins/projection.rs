@@ -22,7 +22,7 @@ pub struct Variant {
 impl Variant {
     /// The variant for `rules`.
     #[must_use]
-    pub fn of(rules: &Rules) -> Self {
+    pub fn for_rules(rules: &Rules) -> Self {
         Self {
             near_m: near_m(rules),
             antialias: rules.antialias,
