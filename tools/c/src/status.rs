@@ -20,7 +20,7 @@ pub enum DgsStatus {
     NotFound = 3,
     /// The buffer is too short for the text: `length` says how long it must be, without the NUL.
     TooSmall = 4,
-    /// The largest number of handles or images is in use.
+    /// A limit is reached: agents of a world, splats, or images that are held.
     Limit = 5,
     /// Another thread is using the batch renderer or changing the world.
     Busy = 6,
