@@ -14,7 +14,7 @@ use decouplegs::scene::episode::{Episode, LOG_VERSION};
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{EpisodeEnd, Level, ObstacleKind, Plan, PlanPoint, Scenario, Weather};
 
-/// Follows the route so many meters to its right.
+/// Follows the route at a distance to its right, meters.
 struct Beside {
     right_m: f64,
 }

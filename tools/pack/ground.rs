@@ -10,7 +10,7 @@ use glam::{DVec2, DVec3};
 
 use crate::progress;
 
-/// The mesh reaches so far to all sides of the way, meters.
+/// Distance to which the mesh reaches to all sides of the way, meters.
 const MARGIN_M: f64 = 40.0;
 /// Distance between vertices, meters, where that gives not too many.
 const STEP_M: f64 = 0.5;

@@ -132,7 +132,7 @@ pub struct Limits {
     /// Concurrent connections from one address; further ones are closed
     #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub address_connections: u32,
-    /// A connection without a request for so long is closed, seconds. Clients connect again by
+    /// Time without a request after which a connection is closed, seconds. Clients connect again by
     /// themselves
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = seconds)]
     pub idle: f64,

@@ -424,7 +424,7 @@ impl RenderWorker {
         }
     }
 
-    /// The result of `work` on the scene `id`, which draws so many images.
+    /// Result of `work` on the scene `id`, which draws `images` images.
     fn on_scene<T>(
         &mut self,
         id: &str,

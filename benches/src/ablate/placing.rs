@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use super::reinsertion_scene::{ReinsertionScene, trajectory};
 
-/// Tracks tell where a car is so often.
+/// Rate at which tracks tell where a car is, Hz.
 const RATE_HZ: f64 = 10.0;
 /// Corners deeper than this below the ground have penetrated it, meters.
 pub const TOLERANCE_M: f64 = 0.02;

@@ -44,7 +44,7 @@ pub struct WarmUp {
     /// One turn of it: frames of the schedule, drawn backwards so that the timed ones go on where
     /// it ends.
     pub turn: Vec<u32>,
-    /// Turns are repeated until so much time has passed.
+    /// Least total time for which turns are repeated.
     pub least: Duration,
 }
 

@@ -12,7 +12,7 @@ use super::mode::Mode;
 use crate::spread::Spread;
 use crate::stage_times::stage_times_ms;
 
-/// One mode with so many agents.
+/// Figures of one mode with one number of agents.
 pub struct Point {
     pub mode: Mode,
     pub agents: usize,

@@ -36,7 +36,7 @@ pub struct Workload {
     /// Background, rig and ego; assets and agents are those that were staged last.
     staged: LoadedScene,
     assets: Vec<Asset>,
-    /// All of them; the first so many are drawn.
+    /// All agents, of which the first are drawn, as many as a point asks for.
     agents: Vec<LoadedAgent>,
     /// Compressed assets of each coding.
     codings: Vec<(Coding, Vec<CodedCloud>)>,

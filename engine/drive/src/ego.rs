@@ -25,16 +25,17 @@ use speed::SpeedProfile;
 const PART_S: f64 = 0.01;
 /// Longest step, seconds.
 const STEP_S_MAX: f64 = 60.0;
-/// Speed errors are corrected within so long, seconds.
+/// Time within which speed errors are corrected, seconds.
 const SPEED_TIME_S: f64 = 0.25;
 /// Speed gain per meter that the ego is behind its plan, 1/s.
 const POSITION_GAIN_PER_S: f64 = 1.0;
 /// Deceleration without a plan or after its end: gentle, as nothing is known to be ahead.
 const IDLE_BRAKING_MPS2: f64 = 2.0;
-/// The last of the speed is taken off at least so hard: an exponential approach would creep
-/// forever.
+/// Least deceleration with which the last of the speed is taken off, m/s^2: an exponential approach
+/// would creep forever.
 const HALTING_MPS2: f64 = 1.0;
-/// The nearest position on the path is searched so far behind and ahead of the last one, meters.
+/// Distance behind and ahead of the last position on the path within which the nearest one is
+/// searched, meters.
 const SEARCH_M: f64 = 5.0;
 
 /// Limits of the ego vehicle.

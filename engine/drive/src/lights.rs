@@ -9,7 +9,7 @@ use crate::road_graph::RoadGraph;
 
 /// Half the width of a lane whose borders are unknown, meters.
 const HALF_LANE_M: f64 = 1.75;
-/// A stop line may lie so far beyond the end of its lane, meters: files round.
+/// Largest distance of a stop line beyond the end of its lane, meters: files round.
 const BEYOND_M: f64 = 0.5;
 
 /// Stop line on a lane.

@@ -11,7 +11,7 @@ use crate::road_surface::RoadSurface;
 
 /// Side of a cell, meters.
 const CELL_M: f64 = 1.0;
-/// Cells up to so far from the centerline of a lane count, meters.
+/// Largest distance of cells that count from the centerline of a lane, meters.
 const BESIDE_M: f64 = 15.0;
 /// Heights above the ground at which splats count, meters: above kerbs and grass, below crowns and
 /// signs.

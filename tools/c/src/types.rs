@@ -11,7 +11,7 @@ use glam::{DQuat, DVec3};
 use crate::status::{DgsStatus, Failure};
 use crate::world::DgsWorld;
 
-/// Rotations are of length 1 up to so much; beyond, something else was meant.
+/// Largest departure of a rotation's length from 1; beyond, something else was meant.
 const ROTATION_LENGTH_SPARE: f64 = 1e-3;
 
 /// Pose: parent = rotation * child + position.

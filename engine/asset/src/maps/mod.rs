@@ -95,7 +95,7 @@ impl MapFormat {
     }
 }
 
-/// A root element starts within so many bytes of its file.
+/// Number of bytes within which a root element starts.
 const ROOT_WITHIN_BYTES: usize = 1 << 16;
 
 /// True if `text` is a JSON object with `key`. The reader of the format explains invalid JSON.

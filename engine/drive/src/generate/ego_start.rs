@@ -30,7 +30,7 @@ const CRUISE_MPS_MIN: f64 = 4.0;
 const STRAIGHT_SHARE: f64 = 0.65;
 /// A lane that turns by less leads straight on, radians.
 const STRAIGHT_RAD: f64 = 0.35;
-/// A route ends at least so far from the end of a lane that leads nowhere, meters: the ego needs
+/// Least distance of a route's end from the end of a lane that leads nowhere, meters: the ego needs
 /// somewhere to go.
 const DEAD_END_M: f64 = 5.0;
 /// Area in which routes may start and end: a circle.

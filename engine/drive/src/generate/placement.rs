@@ -27,7 +27,7 @@ const WAITING_M: (f64, f64) = (1.0, 5.0);
 const WAITING_MPS: (f64, f64) = (0.0, 3.0);
 /// Least distance between boxes beside each other, meters.
 const CLEARANCE_M: f64 = 0.5;
-/// Vehicles on lanes that merge with the ego's start at least so far from it, meters.
+/// Least distance from the ego's start of vehicles on lanes that merge with its own, meters.
 const MERGE_APART_M: f64 = 25.0;
 /// Least distance from bumper to bumper, meters.
 const GAP_M_MIN: f64 = 3.0;

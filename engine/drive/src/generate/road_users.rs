@@ -21,7 +21,8 @@ const SHARES: [(RoadUser, f64); 4] = [
     (RoadUser::Bus, 0.05),
     (RoadUser::Cyclist, 0.14),
 ];
-/// Pedestrians cross the route from so far ahead of the ego's start on, meters: the ego can stop.
+/// Least distance ahead of the ego's start at which pedestrians cross the route, meters: the ego
+/// can stop.
 const AHEAD_M: f64 = 30.0;
 /// Distance of a waiting pedestrian from the road, meters.
 const BESIDE_M: f64 = 1.2;

@@ -13,7 +13,7 @@ use crate::road_graph::{RoadGraph, position_on};
 use crate::road_surface::RoadSurface;
 use crate::route::Route;
 
-/// Places along a route that are examined are so far apart, meters.
+/// Distance between places along a route that are examined, meters.
 const STRIDE_M: f64 = 0.5;
 /// Left free between a vehicle and the border of its lane, meters.
 const BORDER_M: f64 = 0.1;

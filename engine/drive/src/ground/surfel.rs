@@ -5,7 +5,7 @@ use decouplegs_scene::shape::{PrincipalAxes, triangular_factor};
 use glam::DVec2;
 use rayon::prelude::*;
 
-/// A splat spans so much height at one position and still counts half, meters. Road splats span
+/// Height that a splat spans at one position where it counts half, meters. Road splats span
 /// millimeters, leaves decimeters.
 const FLAT_SPAN_M: f64 = 0.1;
 /// Least weight in the middle of a column: smaller surfels cannot carry a surface.

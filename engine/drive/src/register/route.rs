@@ -65,7 +65,7 @@ const ALONG_RAD: f64 = 1.3;
 const HOPS_MAX: usize = 6;
 /// Lanes that are examined for one waypoint.
 const LANES_MAX: usize = 16;
-/// Neighboring lanes are so far apart at most, meters.
+/// Largest distance of neighboring lanes, meters.
 const NEIGHBOR_MAX_M: f64 = 6.0;
 
 /// True if tracks of `class` may be on lanes of `kind`.

@@ -21,8 +21,7 @@ const WINDOW_MAX_S: f64 = 1.5;
 /// Narrower windows are each this of the next wider one, down to half so many seconds.
 const WINDOW_STEP: f64 = 0.7;
 const WINDOW_MIN_S: f64 = 0.25;
-/// A wider window is believed while what it says is within so many deviations of what narrower ones
-/// said.
+/// Number of deviations from what narrower windows said within which a wider one is believed.
 const AGREED: f64 = 1.5;
 /// Least noise that is assumed, meters.
 const NOISE_MIN_M: f64 = 0.01;

@@ -2,8 +2,8 @@
 
 use super::RoadLane;
 
-/// A lane beside one that ends leads on if there are more than so many meters behind its end:
-/// where a map is cut out, lanes of one road end a little apart.
+/// Length behind the end of a lane from which one beside it leads on, meters: where a map is cut
+/// out, lanes of one road end a little apart.
 const LEADS_ON_M: f64 = 100.0;
 /// Least room for a vehicle at an entrance, meters.
 const ENTRANCE_M: f64 = 20.0;

@@ -9,8 +9,7 @@ use glam::DVec3;
 
 use crate::polyline::Polyline;
 
-/// A change of lanes takes so much of the way where there is room, meters: at 12 m/s two and a half
-/// seconds.
+/// Length of a change of lanes where there is room, meters: at 12 m/s two and a half seconds.
 const CHANGE_M: f64 = 30.0;
 /// Least length of a change of lanes, meters: no car could follow a shorter one.
 const CHANGE_M_MIN: f64 = 8.0;

@@ -19,7 +19,7 @@ const WEIGHTS: [f64; 2] = [5.0, 2.0];
 const AHEAD_S: [f64; 2] = [0.5, 1.0];
 /// An ego slower than this is on no course for a collision, meters per second.
 const STANDING_MPS: f64 = 0.005;
-/// Rates are differences over so long, half of it before and half of it after a moment, seconds.
+/// Time over which rates are differences, half of it before and half of it after a moment, seconds.
 const WINDOW_S: f64 = 0.5;
 /// Bounds of comfort (nuPlan): acceleration ahead, m/s^2.
 const AHEAD_MPS2: [f64; 2] = [-4.05, 2.40];

@@ -11,8 +11,8 @@ use super::{
 };
 use crate::oriented_box::OrientedBox;
 
-/// An excursion is over when the ego has been on the road for so long, seconds: a vehicle that
-/// drives along the edge leaves the road once.
+/// Time on the road after which an excursion is over, seconds: a vehicle that drives along the edge
+/// leaves the road once.
 const BACK_ON_ROAD_S: f64 = 1.0;
 /// Two contacts with the same agent are one where the boxes were apart for less, seconds.
 const APART_S: f64 = 1.0;

@@ -11,11 +11,11 @@ use super::signals::{NextLight, NextSign};
 use crate::polyline::wrapped;
 use crate::road_graph::{RoadGraph, length_of, position_on};
 
-/// A path is known so far ahead, meters: beyond what anybody looks for.
+/// Length of the path that is known ahead, meters: beyond what any model looks for.
 const PATH_AHEAD_M: f64 = 250.0;
 /// Lanes that lead on so far, meters, or half as far as any, are chosen from.
 const ONWARD_M: f64 = 500.0;
-/// Lanes that were left behind so many lanes ago are forgotten.
+/// Number of lanes behind the vehicle that are remembered.
 const LANES_BEHIND: usize = 24;
 
 /// A run of conflicts on a path. Positions are meters from the start of the agent's lane.

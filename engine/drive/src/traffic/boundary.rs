@@ -18,8 +18,8 @@ const RETRY_S: f64 = 0.5;
 const EGO_M: f64 = 50.0;
 /// Room between a vehicle that enters and the one ahead, meters.
 const ROOM_M: f64 = 4.0;
-/// A vehicle that could not merge in so long before the end of its lane leaves the map, seconds. It
-/// would keep all others from going on.
+/// Time before the end of its lane after which a vehicle that could not merge leaves the map,
+/// seconds. It would keep all others from going on.
 const MERGE_S_MAX: f64 = 25.0;
 
 impl Traffic {

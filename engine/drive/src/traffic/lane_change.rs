@@ -13,13 +13,14 @@ use super::mobil::{Change, Concerned, Side};
 use crate::polyline::wrapped;
 use crate::road_graph::length_of;
 
-/// A change takes so long, seconds, and at least so much of the road: meters, and lengths of the
-/// vehicle. Shorter ones would turn its nose out of the two lanes.
+/// Duration of a change, seconds, and its least length: meters, and lengths of the vehicle. Shorter
+/// ones would turn its nose out of the two lanes.
 const DURATION_S: f64 = 4.0;
 const HASTY_DURATION_S: f64 = 3.0;
 const LENGTH_M_MIN: f64 = 20.0;
 const LENGTHS_MIN: f64 = 5.0;
-/// Drivers think of it once in so long, seconds, and for so long not after a change.
+/// Interval at which drivers consider a change, seconds, and time after a change in which they do
+/// not.
 const PERIOD_S: f64 = 1.0;
 const COOL_DOWN_S: f64 = 2.0;
 /// Least speed of a voluntary lane change, m/s.

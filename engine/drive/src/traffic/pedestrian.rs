@@ -28,7 +28,7 @@ const STOP_MPS2: f64 = 4.0;
 const IN_THE_WAY_M: f64 = 0.6;
 /// Time for which a pedestrian stands on the road before going back, seconds.
 const PATIENCE_S: f64 = 2.0;
-/// Vehicles expect a pedestrian to walk on for so long, seconds.
+/// Time for which vehicles expect a pedestrian to walk on, seconds.
 const FORESIGHT_S: f64 = 2.0;
 /// Free time before and after a vehicle at each position of the road, seconds.
 const GAP_S: (f64, f64) = (1.0, 1.5);

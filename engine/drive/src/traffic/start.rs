@@ -17,7 +17,7 @@ use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
 use crate::road_graph::{RoadGraph, length_of};
 
-/// Speeds at the start are raised in so many rounds at most: a queue of so many vehicles.
+/// Largest number of rounds in which speeds at the start are raised: a queue of that many vehicles.
 const ROUNDS_MAX: usize = 200;
 
 /// Reason why traffic cannot start.
@@ -65,7 +65,7 @@ pub enum TrafficError {
         /// Name of the other agent.
         second: String,
     },
-    /// The lanes are not for vehicles so large.
+    /// The vehicles are too large for the lanes.
     #[error("{0}")]
     Roads(Invalid),
 }

@@ -103,7 +103,7 @@ fn scenario(agents: usize) -> Scenario {
     }
 }
 
-/// An episode of so many steps, in which all vehicles move as told; the route leads 100 m along x.
+/// Episode of `steps` steps, in which all vehicles move as told; the route leads 100 m along x.
 pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: EpisodeEnd) -> Episode {
     let instant = |time_s: f64| EpisodeTick {
         time_s,

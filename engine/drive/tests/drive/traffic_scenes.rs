@@ -58,8 +58,7 @@ pub fn lane(id: &str, points: &[[f64; 2]]) -> Lane {
     }
 }
 
-/// One straight lane of so many meters, and as many more beside it, each to the left of the one
-/// before.
+/// One straight lane of `length_m`, and others beside it, each to the left of the one before.
 pub fn straight(length_m: f64, lanes: usize, speed_limit_mps: f64) -> Arc<RoadGraph> {
     let mut map = LaneMap::default();
     for number in 0..lanes {

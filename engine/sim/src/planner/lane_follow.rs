@@ -28,7 +28,8 @@ const HEADWAY_S: f64 = 1.5;
 const TICK_S: f64 = 0.2;
 /// A vehicle that will be on the strip within this time is followed as if it were there, seconds.
 const FORESIGHT_S: f64 = 2.0;
-/// A crossing vehicle may be earlier or later by this, seconds, and is given so much room, meters.
+/// Time by which a crossing vehicle may be earlier or later, seconds, and room that it is given,
+/// meters.
 const CROSSING_S: f64 = 0.6;
 const CROSSING_M: f64 = 1.0;
 /// Being off the route's middle decays along this much of it, meters.

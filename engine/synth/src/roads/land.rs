@@ -24,7 +24,7 @@ const SCALE_OVER_CELL: f32 = 0.7;
 /// Cells beside roads over the spacing on roads.
 const CELL_OVER_SPACING: f32 = 2.0;
 
-/// Cells are halved at most so often.
+/// Largest number of times that cells are halved.
 const HALVINGS_MAX: u32 = 24;
 
 /// A square, its middle and width.

@@ -1,6 +1,6 @@
 //! Axes: their ranges, their ticks, and the numbers at them.
 
-/// About so many ticks on an axis.
+/// Number of ticks on an axis, about.
 const TICKS: f64 = 6.0;
 
 /// One axis of a plot.

@@ -36,7 +36,7 @@ pub(super) struct SectionLane {
     pub(super) is_reversed: bool,
 }
 
-/// The sections of a road of so many meters, in order; those beyond its end are left out.
+/// Sections of a road of `length_m`, in order; those beyond its end are left out.
 pub(super) fn read(road: Element, length_m: f64) -> Result<Vec<Section>, DecodeError> {
     let lanes = road.needed("lanes")?;
     let mut starts = Vec::new();

@@ -4,11 +4,10 @@ use decouplegs_drive::polyline::{Polyline, wrapped};
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
-/// The line goes on so far before and behind the route, meters, so that a vehicle beyond an end is
-/// not taken to be at it.
+/// Length of the line before and behind the route, meters, so that a vehicle beyond an end is not
+/// taken to be at it.
 const BEYOND_M: f64 = 120.0;
-/// Agents are looked for along so much of the route behind the ego, meters, and so much ahead of
-/// it.
+/// Length of the route behind the ego and ahead of it along which agents are looked for, meters.
 const BEHIND_M: f64 = 60.0;
 const AHEAD_M: f64 = 160.0;
 /// Width that has to be free on each side of the ego's box, meters: less than there is between cars

@@ -5,7 +5,7 @@ use glam::DVec2;
 use super::markings::LaneFix;
 use super::way::{RoadPath, seen_from};
 
-/// Lanes are so wide until measured, meters.
+/// Width of a lane until it is measured, meters.
 const WIDTH_M: f64 = 3.4;
 /// The rear axle, which does not slip, lies this share of the length behind the middle of the box.
 const REAR_AXLE_SHARE: f64 = 0.3;

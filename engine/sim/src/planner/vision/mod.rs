@@ -35,11 +35,11 @@ use super::{
 };
 use crate::planner::images;
 
-/// The lane before a turn is examined while there is at least so much of it ahead, meters.
+/// Least length of the lane before a turn that is examined, meters.
 const LANE_BEFORE_M: f64 = 10.0;
-/// The lane after a turn is looked for when it begins at most so far ahead, meters.
+/// Distance to a turn from which the lane after it is looked for, meters.
 const LANE_AFTER_M: f64 = 20.0;
-/// Markings are looked for up to so far before the vehicle ahead, meters.
+/// Distance before the vehicle ahead up to which markings are looked for, meters.
 const BEFORE_LEAD_M: f64 = 0.5;
 /// Being off the lane's middle decays along this, or along what is driven in [`RETURN_S`] where
 /// that is more, meters.

@@ -16,7 +16,7 @@ const FIRST_M: f64 = 3.0;
 const VIEW_M: f64 = 34.0;
 /// Distance between columns across the way, meters.
 pub(super) const COLUMN_M: f64 = 0.06;
-/// Columns reach so far to either side, meters.
+/// Distance to which columns reach on either side, meters.
 const HALF_WIDTH_M: f64 = 5.4;
 /// Columns, the middle one on the way.
 pub(super) const COLUMNS: usize = 2 * HALF_COLUMNS + 1;

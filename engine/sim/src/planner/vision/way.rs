@@ -78,7 +78,7 @@ pub(super) struct WayPoint {
 }
 
 impl WayPoint {
-    /// The position so far to the left of this one, meters.
+    /// Position at `left_m` to the left of this one, meters.
     pub(super) fn beside(&self, left_m: f64) -> DVec2 {
         self.position_m + self.left() * left_m
     }
