@@ -332,7 +332,7 @@ mod tests {
         let (u, v) = ([0.0, 20.0, 0.0, 0.0], [0.0, 0.0, 4.0, 0.0]);
         let normalized = geometry(Shape::ParamPoly3(u, v, 1.0), 20.0).at(10.0);
         assert!((normalized.position - DVec2::new(10.0, 1.0)).length() < 1e-12);
-        let by_length = of(
+        let by_length = geometry(
             Shape::ParamPoly3([0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.01, 0.0], 20.0),
             20.0,
         )
