@@ -19,10 +19,10 @@ const uint COLOR_WORDS = 24u;
 struct Relight {
     float gain[3 * COEFFICIENTS]; // T, [coefficient][rgb]
     float summand[3 * COEFFICIENTS]; // b
-    uint first_color; // in the pool
+    uint first_color; // first color in the pool
     uint colors;
-    uint first_relit; // where the first goes
-    uint first_group; // workgroups of those before it
+    uint first_relit; // index at which the first is written
+    uint first_group; // workgroups of the records before it
 };
 
 layout(set = 0, binding = 0, scalar) readonly buffer relights_block { Relight relights[]; };

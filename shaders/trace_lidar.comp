@@ -24,7 +24,7 @@ layout(constant_id = 22) const bool ECHOES = false; // found for dual returns
 // A beam of the grid, at the place of its cell.
 struct LidarBeam {
     vec3 direction; // sector axes at its time of firing; zero where the cell has no beam
-    uint firing;    // of its time
+    uint firing;    // index of its time of firing
 };
 
 // Sensor at a time of firing, relative to the middle of the sector.
@@ -49,13 +49,13 @@ struct Echo {
     float weight; // 0: none
     float range_sum_m;
     float intensity_sum;
-    uint instance; // of the splat with the largest weight
+    uint instance; // that of the splat with the largest weight
 };
 
 // Echoes of a beam so far.
 struct BeamEchoes {
-    Echo open; // goes on
-    float open_strongest; // largest weight of a splat of it
+    Echo open; // the group that may go on
+    float open_strongest; // largest weight of a splat in that group
     Echo strongest;
     Echo last;
 };

@@ -1,4 +1,4 @@
-//! The one integration binary: what only shows when the crates meet.
+//! Integration tests: what only shows when the crates meet.
 
 mod data;
 mod device;

@@ -41,10 +41,10 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", value_parser = asset_path)]
     out: PathBuf,
     /// Share of the most important splats to keep, above 0 and at most 1 (default: by --tau)
-    #[arg(long, value_name = "R", conflicts_with = "tau", value_parser = keep_ratio)]
+    #[arg(long, value_name = "SHARE", conflicts_with = "tau", value_parser = keep_ratio)]
     keep: Option<f32>,
     /// Least importance to keep, 0 to 1; a value above 0 removes splats that no view shows
-    #[arg(long, value_name = "T", default_value_t = THRESHOLD, value_parser = importance)]
+    #[arg(long, value_name = "SHARE", default_value_t = THRESHOLD, value_parser = importance)]
     tau: f32,
     /// Number of entries of the color codebook
     #[arg(long, value_name = "N", default_value_t = COLORS_MAX as u64,
@@ -55,7 +55,7 @@ pub struct Arguments {
         value_parser = clap::value_parser!(u64).range(1..=SHAPES_MAX as u64))]
     shapes: u64,
     /// Seed of all randomness: the same seed gives the same bytes
-    #[arg(long, value_name = "S", default_value_t = 1)]
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
     seed: u64,
     /// Frame of colors that change with the viewing direction
     #[arg(long, value_name = "FRAME", value_enum, default_value_t = Frame::Canonical)]
@@ -64,14 +64,14 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
     views: u32,
     /// Side of these views, pixels
-    #[arg(long, value_name = "PX", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=VIEW_PX_MAX as i64))]
+    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=VIEW_PX_MAX as i64))]
     view_size: u32,
     /// Measure the loss, with other settings too, and write report.html and report.json to this
     /// folder; takes minutes
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     /// Distance of the report's street cameras, meters: ten is for cars
-    #[arg(long, value_name = "METRES", default_value_t = 10.0, value_parser = distance)]
+    #[arg(long, value_name = "METERS", default_value_t = 10.0, value_parser = distance)]
     report_distance: f64,
     /// Cameras of each kind in the report (default: 4 on the street, 2 close by, 7 all around)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]

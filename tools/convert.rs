@@ -49,7 +49,7 @@ pub struct Arguments {
     tracks: Option<PathBuf>,
     /// Training image, or camera, whose color correction is taken, counted from 0 (default: the
     /// mean of all)
-    #[arg(long, value_name = "K")]
+    #[arg(long, value_name = "N")]
     image: Option<usize>,
 }
 

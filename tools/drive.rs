@@ -69,7 +69,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     episodes: u32,
     /// Seed of the generated scenarios
-    #[arg(long, value_name = "S", default_value_t = 1)]
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
     seed: u64,
     /// Folder of the run; created if it does not exist
     #[arg(long, value_name = "DIR")]
@@ -159,7 +159,7 @@ fn levels(text: &str) -> Result<LevelName, String> {
     }
 }
 
-/// Every so manyth step; 0 is none.
+/// Rendering interval in steps; 0: never.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Every(u32);
 
@@ -258,7 +258,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     );
     drop(planner);
     let folder = RunFolder::open(&arguments.out, &arguments.settings())?;
-    let jobs = jobs::of(arguments, &folder)?;
+    let jobs = jobs::list(arguments, &folder)?;
     let gpu = (arguments.render.0 > 0)
         .then(|| arguments.device.open())
         .transpose()?;

@@ -100,7 +100,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let touched = change(&mut edited, arguments, to)?;
     let mut report = String::new();
     if arguments.ground {
-        let footing = Footing::of(&to.join(&edited.background), edited.origin)?;
+        let footing = Footing::open(&to.join(&edited.background), edited.origin)?;
         for name in &touched {
             report.push_str(&set_on_ground(&mut edited, name, to, &footing)?);
         }

@@ -46,7 +46,7 @@ impl Scored {
         times: Option<Vec<StepTime>>,
     ) -> Result<Self> {
         Ok(Self {
-            score: EpisodeScore::of(&episode),
+            score: EpisodeScore::new(&episode),
             episode,
             log,
             images,
@@ -160,7 +160,7 @@ pub fn images_beside(log: &Path) -> PathBuf {
 /// Sums up, and refuses sums that cannot be: they would be a fault of the scoring.
 pub fn summary(scored: &[Scored]) -> Result<Summary> {
     let scores: Vec<EpisodeScore> = scored.iter().map(|scored| scored.score.clone()).collect();
-    let summary = Summary::of(&scores);
+    let summary = Summary::from_scores(&scores);
     summary
         .check()
         .map_err(anyhow::Error::msg)

@@ -101,7 +101,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let site = Arc::new(site.context("the place of the log is not usable")?);
     let rig = rig_of(arguments, &episode, &site.loaded.rig)?;
     let mut renderers = Renderers::new(&gpu, &site)?;
-    let moments = Moments::of(&episode, &site, renderers.scene())?;
+    let moments = Moments::from_episode(&episode, &site, renderers.scene())?;
     opening.finish_and_clear();
 
     let name = out.file_name().context("--out is no name of a folder")?;

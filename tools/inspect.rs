@@ -40,7 +40,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn describe(path: &Path) -> Result<(String, Value)> {
     if coded_asset::has_extension(path) {
         let asset = read_coded(path)?;
-        let summary = CodedSummary::of(&asset, std::fs::metadata(path)?.len());
+        let summary = CodedSummary::new(&asset, std::fs::metadata(path)?.len());
         return Ok((
             asset_to_text(&asset, &summary),
             serde_json::to_value(&summary)?,
@@ -51,15 +51,15 @@ fn describe(path: &Path) -> Result<(String, Value)> {
     if !is_scene_file(path) {
         // Of a package the agents as well.
         let summary = if loaded.agents.is_empty() {
-            SplatSummary::of(&loaded.splat_scene.splats)
+            SplatSummary::new(&loaded.splat_scene.splats)
         } else {
-            SplatSummary::of(&loaded.baked(0.0).splats)
+            SplatSummary::new(&loaded.baked(0.0).splats)
         };
         return Ok((splats_to_text(&summary), serde_json::to_value(&summary)?));
     }
     let splat_scene = loaded.baked(0.0);
-    let summary = SplatSummary::of(&splat_scene.splats);
-    let scene = scene::Listing::of(&SceneFile::read(path)?, &loaded, &splat_scene);
+    let summary = SplatSummary::new(&splat_scene.splats);
+    let scene = scene::Listing::new(&SceneFile::read(path)?, &loaded, &splat_scene);
     let mut value = serde_json::to_value(&summary)?;
     if let (Value::Object(value), Value::Object(scene)) = (&mut value, scene.to_json()) {
         value.extend(scene);

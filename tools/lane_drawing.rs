@@ -11,7 +11,7 @@ use crate::plot::number;
 const WIDTH_PX: f64 = 640.0;
 const HEIGHT_PX: f64 = 340.0;
 const MARGIN_PX: f64 = 30.0;
-/// Around the track, meters.
+/// Margin around the track, meters.
 const MARGIN_M: f64 = 8.0;
 
 /// A line through positions, under a name.

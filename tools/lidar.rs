@@ -66,7 +66,7 @@ pub struct Arguments {
     /// Standard deviation that is added to splats across the beams, radians: what the images that
     /// the scene was trained on have. sqrt(0.3) pixels over their focal length (default: that of
     /// the scene, otherwise 0.0005)
-    #[arg(long, value_name = "RAD", value_parser = dilation)]
+    #[arg(long, value_name = "RADIANS", value_parser = dilation)]
     dilation: Option<f64>,
     /// Seed of the noise of ranges, for sensors that have some
     #[arg(long, value_name = "SEED", default_value_t = 0)]

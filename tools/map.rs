@@ -49,7 +49,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let map = read_map(&arguments.file)?;
     let tracks = arguments.tracks.as_deref().map(read_tracks).transpose()?;
-    let summary = MapSummary::of(&map);
+    let summary = MapSummary::new(&map);
     let site = arguments.scene.as_ref().map(|scene| {
         let place = Place::Scene {
             scene: scene.clone(),
@@ -65,7 +65,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let driven = tracks
         .as_deref()
-        .map(|tracks| TrackSummary::of(tracks, &summary));
+        .map(|tracks| TrackSummary::new(tracks, &summary));
     if let Some(path) = &arguments.svg {
         let name = arguments
             .file

@@ -243,14 +243,14 @@ fn judged(source: &Path, episode: &Episode, plans: Vec<Option<Plan>>) -> Answers
 /// second.
 fn plan_ttc_s(episode: &Episode, instant: &EpisodeTick, plan: &Plan) -> Option<f64> {
     let velocity = instant.ego.to_world(plan.at(1.0)) - instant.ego.position_m;
-    let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
+    let ego = OrientedBox::for_vehicle(&instant.ego, &episode.head.scenario.ego.size);
     let agents = instant.agents.iter().zip(&episode.head.agent_sizes);
     let times = agents.filter_map(|(state, size)| {
         let state = state.as_ref()?;
         time_to_collision(
             &ego,
             velocity,
-            &OrientedBox::of(state, size),
+            &OrientedBox::for_vehicle(state, size),
             state.velocity(),
             TTC_HORIZON_S,
         )
@@ -290,7 +290,7 @@ fn text(answers: &[&Answers; 2], differences_m: &[Option<f64>]) -> String {
         text.push_str(&format!(
             "{:<32} {plans:>6}  {:>22}  {ttc_s:>9}\n",
             answers.name,
-            spread(Moments::of(&ade_m).as_ref(), 3)
+            spread(Moments::from_episode(&ade_m).as_ref(), 3)
         ));
     }
     let mut known = known(differences_m);
@@ -299,8 +299,9 @@ fn text(answers: &[&Answers; 2], differences_m: &[Option<f64>]) -> String {
         a.zip(b)
             .map_or("-".into(), |(a, b)| format!("{:.3}", (a - b).abs()))
     };
-    let mean =
-        |answers: &Answers| Moments::of(&self::known(&answers.ade_m)).map(|moments| moments.mean);
+    let mean = |answers: &Answers| {
+        Moments::from_episode(&self::known(&answers.ade_m)).map(|moments| moments.mean)
+    };
     let last = known
         .last()
         .map_or("-".into(), |worst| format!("{worst:.3}"));
@@ -308,7 +309,7 @@ fn text(answers: &[&Answers; 2], differences_m: &[Option<f64>]) -> String {
         "gap: mADE {} m, minTTC {} s; plans differ by {} m (mean over {} frames), at most {last} m\n",
         gap(mean(answers[0]), mean(answers[1])),
         gap(min_ttc_s(answers[0]), min_ttc_s(answers[1])),
-        spread(Moments::of(&known).as_ref(), 3),
+        spread(Moments::from_episode(&known).as_ref(), 3),
         known.len()
     ));
     text
@@ -318,7 +319,7 @@ fn to_json(episode: &Episode, answers: &[&Answers; 2], differences_m: &[Option<f
     let source = |answers: &Answers| {
         json!({
             "images": answers.name,
-            "mean_ade_m": Moments::of(&known(&answers.ade_m)).map(|moments| moments.mean),
+            "mean_ade_m": Moments::from_episode(&known(&answers.ade_m)).map(|moments| moments.mean),
             "min_ttc_s": min_ttc_s(answers),
             "ade_m": answers.ade_m,
             "ttc_s": answers.ttc_s,

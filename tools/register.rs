@@ -58,7 +58,7 @@ pub struct Arguments {
     report: Option<PathBuf>,
     /// Standard deviation of the log's noise, meters; 0 disables smoothing (default: estimated per
     /// track)
-    #[arg(long, value_name = "METRES", value_parser = not_negative)]
+    #[arg(long, value_name = "METERS", value_parser = not_negative)]
     sigma: Option<f64>,
     /// Move all tracks together or none: for a log that drifts as a whole
     #[arg(long)]
@@ -68,7 +68,7 @@ pub struct Arguments {
     #[arg(long, value_name = "METERS", default_value_t = 0.3, value_parser = not_negative)]
     habit: f64,
     /// Corners that are deeper below the ground have penetrated it, meters
-    #[arg(long, value_name = "METRES", default_value_t = 0.02, value_parser = not_negative)]
+    #[arg(long, value_name = "METERS", default_value_t = 0.02, value_parser = not_negative)]
     tolerance: f64,
 }
 
@@ -127,7 +127,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         warn("--shared: lanes show no motion of the log as a whole, so no track was moved");
     }
     let compared = truth_ground.as_ref().or(ground.as_ref());
-    let measured = Measured::of(
+    let measured = Measured::new(
         &map,
         &tracks,
         &registration,

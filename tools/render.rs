@@ -51,7 +51,7 @@ pub struct Arguments {
     layer: LayerName,
     /// Render agents at the coarsest level of detail whose splats are at most this many pixels
     /// apart (default: always the finest)
-    #[arg(long, value_name = "PX", conflicts_with = "reference", value_parser = pixels)]
+    #[arg(long, value_name = "PIXELS", conflicts_with = "reference", value_parser = pixels)]
     level_pitch: Option<f64>,
     /// Write these planes beside each image too, as NAME.PLANE.npy with one or more values per
     /// pixel, float32 where nothing else is said. depth: expected depth along the camera's z,
@@ -62,13 +62,13 @@ pub struct Arguments {
     /// --flow-interval to later and to earlier. scene_flow: 3 values, velocity in m/s, world axes.
     /// class: uint16, place in the list of classes.json, which is written too. moving: uint16, 1
     /// where an agent moves
-    #[arg(long, value_name = "PLANES", value_delimiter = ',', value_parser = WrittenPlane::parser())]
+    #[arg(long, value_name = "PLANE,...", value_delimiter = ',', value_parser = WrittenPlane::parser())]
     planes: Vec<WrittenPlane>,
     /// Write a preview of each plane too, as NAME.PLANE.png
     #[arg(long, requires = "planes")]
     plane_previews: bool,
     /// Interval of optical flow, seconds: the camera and agents go on with their motion
-    #[arg(long, value_name = "S", default_value_t = 0.1, value_parser = seconds_above_zero)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.1, value_parser = seconds_above_zero)]
     flow_interval: f64,
     /// Write boxes.json too: for each image the 3D, amodal and tight boxes of its agents, their
     /// visible pixels, and the shares of them that are visible and beyond the edges of the image
@@ -76,7 +76,7 @@ pub struct Arguments {
     boxes: bool,
     /// Blur what moves: expose each pixel for this time, seconds, around that of its sharp image.
     /// Planes and boxes stay those of the sharp image
-    #[arg(long, value_name = "S", value_parser = seconds_above_zero)]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds_above_zero)]
     exposure: Option<f64>,
     /// Sharp images whose light is averaged for one exposure
     #[arg(long, value_name = "N", requires = "exposure", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1024))]

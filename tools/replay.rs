@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     report(&episode, &replayed, device.as_deref())
 }
 
-/// Drawn as the log was: its cameras, their size, every so manyth step.
+/// Drawn as the log was: its cameras, their size, its rendering interval.
 fn drawn(
     arguments: &Arguments,
     episode: &Episode,
@@ -146,8 +146,8 @@ fn report(episode: &Episode, replayed: &Replayed, device: Option<&str>) -> Resul
         bail!("the replay is another episode: {difference}");
     }
     let (before, after) = (
-        EpisodeScore::of(episode),
-        EpisodeScore::of(&replayed.episode),
+        EpisodeScore::new(episode),
+        EpisodeScore::new(&replayed.episode),
     );
     ensure!(
         before == after,

@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             Hugsim::AsPublished => HdVariant::AsPublished,
             Hugsim::Corrected => HdVariant::Corrected,
         };
-        let scores = HdScores::of(&scored, variant);
+        let scores = HdScores::from_scored(&scored, variant);
         if let Some(out) = out {
             let report = scores.to_json(&scored);
             write_atomically(&out.join("hugsim.json"), |file| {

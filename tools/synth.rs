@@ -75,16 +75,16 @@ struct StreetArguments {
     #[arg(long, value_name = "N", default_value_t = 200_000)]
     background: usize,
     /// Cars that drive
-    #[arg(long, value_name = "K", default_value_t = 10)]
+    #[arg(long, value_name = "N", default_value_t = 10)]
     agents: usize,
     /// Splats of each car
-    #[arg(long, value_name = "M", default_value_t = 10_000)]
+    #[arg(long, value_name = "N", default_value_t = 10_000)]
     agent_splats: usize,
     /// Degree of the spherical harmonics
-    #[arg(long, value_name = "D", default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, value_name = "DEGREE", default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: u8,
     /// Seed of all randomness: the same seed gives the same bytes
-    #[arg(long, value_name = "S", default_value_t = 1)]
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
     seed: u64,
     /// The light over the street
     #[arg(long, value_name = "WEATHER", value_enum, default_value = "clear")]
@@ -395,7 +395,7 @@ fn trajectory(knots: &[(f64, Pose)]) -> Result<Trajectory> {
 
 /// Street and cars as they stand at time zero, one cloud.
 fn baked_world(street: &Street) -> Result<SplatCloud> {
-    let mut splat_scene = SplatScene::of(street.background.clone());
+    let mut splat_scene = SplatScene::from_splats(street.background.clone());
     for agent in &street.agents {
         splat_scene.bake_agent(&street.assets[agent.asset], agent)?;
     }

@@ -57,7 +57,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 300_000, value_parser = at_least_one)]
     background: usize,
     /// Cars that drive
-    #[arg(long, value_name = "K", default_value_t = 6, value_parser = at_least_one)]
+    #[arg(long, value_name = "N", default_value_t = 6, value_parser = at_least_one)]
     agents: usize,
     /// Splats of each car
     #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = at_least_one)]
@@ -70,22 +70,22 @@ pub struct Arguments {
     size: Size,
     /// Number of moments at which images are compared with the ground truth: one per part of the
     /// drive, the one with most cars in sight
-    #[arg(long, value_name = "M", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     moments: u32,
     /// Number of timed frames, 0.1 s apart
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: u32,
     /// Seed of all randomness: the street, the codebooks, the drift of tracks
-    #[arg(long, value_name = "S", default_value_t = 1)]
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
     seed: u64,
     /// Shift of each track, each in a random direction, meters
-    #[arg(long, value_name = "METRES", default_value_t = 0.5, value_parser = not_negative)]
+    #[arg(long, value_name = "METERS", default_value_t = 0.5, value_parser = not_negative)]
     drift_m: f64,
     /// Turn of each track about its middle, left or right, degrees
     #[arg(long, value_name = "DEGREES", default_value_t = 0.4, value_parser = not_negative)]
     drift_deg: f64,
     /// Standard deviation of each position along each axis, meters
-    #[arg(long, value_name = "METRES", default_value_t = 0.05, value_parser = not_negative)]
+    #[arg(long, value_name = "METERS", default_value_t = 0.05, value_parser = not_negative)]
     noise_m: f64,
     /// Length of a color, as a vector of at most 1.73, below which hue is ignored
     #[arg(long, value_name = "LENGTH", default_value_t = 0.05, value_parser = not_negative)]

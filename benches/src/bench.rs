@@ -49,7 +49,7 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = Color::Rgba8)]
     color: Color,
     /// Render these planes too: depth, instance
-    #[arg(long, value_name = "PLANES", value_delimiter = ',', value_parser = plane_names())]
+    #[arg(long, value_name = "PLANE,...", value_delimiter = ',', value_parser = plane_names())]
     planes: Vec<Plane>,
     /// Compute the background's depth keys in every frame instead of reusing them while a camera
     /// does not turn
@@ -57,7 +57,7 @@ pub struct Arguments {
     compute_keys: bool,
     /// Render agents at the coarsest level of detail whose splats are at most this many pixels
     /// apart (default: always the finest)
-    #[arg(long, value_name = "PX", value_parser = pixels)]
+    #[arg(long, value_name = "PIXELS", value_parser = pixels)]
     level_pitch: Option<f64>,
     #[command(flatten)]
     background: BackgroundArguments,
@@ -155,7 +155,7 @@ struct Timed {
     by_stage: Vec<FrameStatistics>,
     /// Wall clock from the end of the frame before to the end of each.
     steps_ms: Vec<f64>,
-    /// While the frames were drawn.
+    /// Device memory in use while the frames were drawn.
     memory: MemoryReport,
 }
 

@@ -14,7 +14,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
+    pub fn from_values(values: impl IntoIterator<Item = f64>) -> Self {
         let mut values: Vec<f64> = values.into_iter().collect();
         values.sort_by(f64::total_cmp);
         let count = values.len();
@@ -40,7 +40,7 @@ mod tests {
     #[test]
     fn a_spread_is_of_the_sorted_values() {
         assert_eq!(
-            Spread::of([5.0]),
+            Spread::from_values([5.0]),
             Spread {
                 mean: 5.0,
                 median: 5.0,
@@ -49,7 +49,7 @@ mod tests {
                 max: 5.0
             }
         );
-        let hundred = Spread::of((0..100).rev().map(f64::from));
+        let hundred = Spread::from_values((0..100).rev().map(f64::from));
         assert_eq!(
             hundred,
             Spread {

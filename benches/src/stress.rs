@@ -102,7 +102,7 @@ pub struct Arguments {
     #[arg(long, verbatim_doc_comment, value_name = "MODE,...", value_delimiter = ',', default_value = mode::DEFAULT_MODES)]
     modes: Vec<Mode>,
     /// Number of moments at which images are compared with vanilla's
-    #[arg(long, value_name = "K", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
     samples: u32,
     /// Limit of device memory, such as 2GiB or 500MiB; a mode that needs more is reported as out of
     /// memory
@@ -140,11 +140,11 @@ struct StreetArguments {
     #[arg(long, value_name = "N", default_value_t = 12, conflicts_with = "scene", value_parser = at_least_one)]
     assets: usize,
     /// Degree of the spherical harmonics
-    #[arg(long, value_name = "D", default_value_t = 3, conflicts_with = "scene",
+    #[arg(long, value_name = "DEGREE", default_value_t = 3, conflicts_with = "scene",
         value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: u8,
     /// Seed of all randomness, the codebooks of compressed assets too
-    #[arg(long, value_name = "S", default_value_t = 1)]
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
     seed: u64,
 }
 

@@ -17,7 +17,7 @@ struct Agent {
     uint splat_count;
     uint first_shape;
     uint first_color;
-    uint cameras; // a bit each that may see it
+    uint cameras; // mask of the cameras that may see it, bit 0 for the first
     uint instance;
     uint colors_in_world; // 1: not turned with the agent
     uint colors_relit; // 1: its colors are those that were made for it, not the pool's

@@ -1,4 +1,4 @@
-// Sums over a workgroup, right for every subgroup size. RequiredCounts WORKGROUP_THREADS and
+// Sums over a workgroup, right for every subgroup size. Requires WORKGROUP_THREADS and
 // GL_KHR_shader_subgroup_arithmetic.
 
 // At most this many subgroups in a workgroup: 256 threads in subgroups of 4.

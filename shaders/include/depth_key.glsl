@@ -51,7 +51,7 @@ vec2 scaled_depth(vec3 mean_m, Camera camera) {
     return depth;
 }
 
-// The same of a distance from the camera: it does not lose its sign, and only the camera's own
+// A distance from the camera, scaled: it does not lose its sign, and only the camera's own
 // position counts.
 vec2 scaled_distance(vec3 mean_m, Camera camera) {
     vec2 squared = vec2(0.0);

@@ -1,7 +1,7 @@
 // Depth slabs: coarse tiles' lists are cut by them before they are sorted. A slab is a function of
 // the depth key that never falls, so that the order of slabs and the order of keys agree.
 //
-// RequiredCounts depth_key.glsl.
+// Requires depth_key.glsl.
 
 // 64 slabs per doubling of the depth, from 1/16 m to 4 km. What is nearer or farther is in the
 // first or the last.

@@ -53,15 +53,15 @@ struct Cluster {
 struct RequiredCounts {
     uint records;    // visible (camera, splat)
     uint pairs;      // (coarse tile, record); more than 2^32 wrap: see wanted_pairs
-    uint pairs_low;  // the same, the sum of the lower 16 bits of each coarse tile's number
-    uint pairs_high; // and of the upper 16 bits
+    uint pairs_low;  // sum of the lower 16 bits of each coarse tile's number of pairs
+    uint pairs_high; // sum of the upper 16 bits of each coarse tile's number of pairs
     uint buckets;    // of pairs, sorted one by one
     uint items;      // (coarse tile, segment of its list)
     uint partials;   // items of coarse tiles with more than one segment
     uint composites; // coarse tiles with more than one segment
     uint longest;    // pairs of one coarse tile, at most
     uint tiles;      // fine tiles with partial results, at most in any blending of the frame
-    uint next_tile;  // of those, in the blending that runs; zero before it
+    uint next_tile;  // fine tiles with partial results in the blending that runs; zero before it
 };
 
 // Pairs that were wanted; what an u32 cannot hold is its largest value. Sums of up to 65,536 coarse

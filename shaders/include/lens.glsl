@@ -197,7 +197,7 @@ bool project_splat_seen(Camera camera, uint lens, vec3 t, mat3 axes, float opaci
     return project_splat(camera, t, axes, opacity, splat);
 }
 
-// At least the arc sine, for sines up to a quarter.
+// Upper bound of the arc sine, for sines up to a quarter.
 float arc_sine_bound(float s) {
     return s * inversesqrt(1.0 - s * s);
 }

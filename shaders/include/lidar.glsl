@@ -13,8 +13,8 @@ struct Sector {
     vec3 velocity_mps;   // mean velocity of the sensor, sector axes
     float half_time_s;   // no beam fires farther from the middle of the sector
     float residual_m;    // the sensor is no farther from where its mean velocity has it
-    uint first_column;   // of its columns among the bounds of all sectors'
-    uint first_row;      // the same of its rows
+    uint first_column;   // first of its columns among the bounds of all sectors
+    uint first_row;      // first of its rows among the bounds of all sectors
 };
 
 // A splat in the axes of a sector.
@@ -22,8 +22,8 @@ struct LidarSplat {
     vec3 toward;  // unit direction of the mean
     float range_m; // distance of the mean
     vec3 inverse_x_yx_zx; // first column of the inverse of the triangular factor of its covariance
-    vec3 inverse_y_zy_z;  // the rest of it: yy, zy, zz
-    vec3 drift_mps;       // its velocity
+    vec3 inverse_y_zy_z;  // its other entries: yy, zy, zz
+    vec3 drift_mps;       // velocity of the splat
     float log2_opacity;
 };
 

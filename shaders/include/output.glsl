@@ -32,7 +32,7 @@ uvec2 pixel_offset(uint index) {
 // transmittance to this or below.
 const float TRANSMITTANCE_MIN = 1e-4;
 
-// Likewise for a median: a pixel ends at the splat in which half of its light is gone.
+// Transmittance limit of a median: a pixel ends at the splat in which half of its light is gone.
 const float TRANSMITTANCE_MEDIAN = 0.5;
 
 // Transmittance of a pixel whose median is found; elsewhere it is more than TRANSMITTANCE_MEDIAN.

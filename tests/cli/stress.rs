@@ -153,7 +153,7 @@ fn modes_are_measured_against_agents_and_compared_with_vanilla() {
     }
 }
 
-/// It names no other resource, and holds no number that is none.
+/// Asserts that the page names no other resource, and holds no number that is none.
 pub fn assert_page_stands_alone(page: &str) {
     for outside in [
         "http", "src=\"/", "@import", "url(", "<script", "<link", "NaN", "inf\"",

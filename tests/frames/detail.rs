@@ -27,7 +27,7 @@ fn street(splats: usize) -> (SplatScene, Vec<Camera>) {
     let cloud = street.background.in_spatial_order();
     let world = SplatScene {
         sky: street.sky,
-        ..SplatScene::of(cloud)
+        ..SplatScene::from_splats(cloud)
     };
     (world, street.rig.at(&street.ego[0].1))
 }

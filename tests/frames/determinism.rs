@@ -1,4 +1,4 @@
-//! Same inputs, same device, same bits.
+//! Equal bits from equal inputs on one device.
 
 use decouplegs::render::{RenderOptions, Renderer};
 use decouplegs::scene::Rules;

@@ -26,7 +26,7 @@ use crate::stages::Random;
 
 const SIZE: (u32, u32) = (160, 90);
 
-/// No splat of an agent is deeper in any camera, meters.
+/// Largest depth of a splat of an agent in any camera, meters.
 const AGENTS_DEPTH_MAX_M: f64 = 12.0;
 
 /// Radius around the ego vehicle within which the background is removed, meters.

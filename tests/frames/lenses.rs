@@ -133,7 +133,7 @@ fn a_street_with_agents_through_a_fisheye_and_an_f_theta_lens() {
     });
     let mut world = SplatScene {
         sky: street.sky,
-        ..SplatScene::of(street.background.clone())
+        ..SplatScene::from_splats(street.background.clone())
     };
     for agent in &street.agents {
         world

@@ -190,9 +190,9 @@ struct Agreement {
     masks: usize,
     /// Beams with a median in both.
     both: usize,
-    /// Those of them with ranges farther apart than the limit.
+    /// Beams with a median in both whose ranges are farther apart than the limit.
     far: usize,
-    /// Those of them with another instance.
+    /// Beams with a median in both whose instances differ.
     instances: usize,
     /// Root mean square of the differences of mean ranges where half of the beam is taken, meters.
     expected_rms_m: f64,
@@ -200,7 +200,7 @@ struct Agreement {
 }
 
 impl Agreement {
-    fn of(states: &[BeamState], truth: &[BeamHit64], limit_m: f64) -> Self {
+    fn new(states: &[BeamState], truth: &[BeamHit64], limit_m: f64) -> Self {
         let mut found = Self {
             beams: truth.len(),
             ..Self::default()
@@ -290,7 +290,7 @@ fn sweeps_of_every_kind_of_sensor_are_their_definition() {
             let lidar = lidar_at(model.clone(), world.origin, Motion::REST);
             let traced = trace(&gpu, &world, &lidar, 8);
             let truth = truth_of(&world, &lidar, &traced.beams);
-            let found = Agreement::of(&traced.states, &truth, 1e-3);
+            let found = Agreement::new(&traced.states, &truth, 1e-3);
             found.assert(what, 1e-3);
             assert!(found.expected_rms_m < 1e-3, "{what}: {found:?}");
             assert!(found.intensity_max < 2e-3, "{what}: {found:?}");
@@ -343,7 +343,7 @@ fn dual_returns_are_their_definition() {
         );
         let sweep = traced.returns(&ReturnOptions {
             mode: ReturnMode::Dual,
-            ..ReturnOptions::of(&lidar.model)
+            ..ReturnOptions::for_model(&lidar.model)
         });
         let of_two: Vec<_> = sweep
             .returns
@@ -370,7 +370,7 @@ fn dual_returns_of_a_single_sweep_are_refused() {
     let traced = trace(&gpu, &surroundings(200, 5), &lidar, 8);
     let _ = traced.returns(&ReturnOptions {
         mode: ReturnMode::Dual,
-        ..ReturnOptions::of(&lidar.model)
+        ..ReturnOptions::for_model(&lidar.model)
     });
 }
 
@@ -386,7 +386,7 @@ fn splats_that_stand_2_mm_off_are_noticed() {
         mean_m[0] += 2e-3;
     }
     let truth = truth_of(&world, &lidar, &traced.beams);
-    Agreement::of(&traced.states, &truth, 1e-3).assert("shifted", 1e-3);
+    Agreement::new(&traced.states, &truth, 1e-3).assert("shifted", 1e-3);
 }
 
 #[test]
@@ -454,7 +454,7 @@ fn sweeps_in_motion_are_their_definition() {
                 .iter()
                 .filter(|hit| hit.median.is_some_and(|(_, id)| id > 0));
             assert!(on_agents.count() > 20, "{what}: no beam meets an agent");
-            let found = Agreement::of(&traced.states, &truth, 1e-2);
+            let found = Agreement::new(&traced.states, &truth, 1e-2);
             found.assert(what, 4e-3);
         }
     }
@@ -493,7 +493,7 @@ fn sweeps_repeat_and_do_not_depend_on_sectors() {
         let most = (traced.states.iter().zip(&moving.states)).map(apart);
         assert!(most.fold(0.0, f32::max) < 1e-3, "{what}");
         let seeded = |seed| {
-            let options = ReturnOptions::of(&lidar.model);
+            let options = ReturnOptions::for_model(&lidar.model);
             traced.returns(&ReturnOptions { seed, ..options }).returns
         };
         assert_eq!(seeded(1), seeded(2), "{what}: noise without a deviation");
@@ -506,7 +506,7 @@ fn sweeps_repeat_and_do_not_depend_on_sectors() {
     let lidar = lidar_at(noisy, world.origin, Motion::REST);
     let traced = trace(&gpu, &world, &lidar, 8);
     let returns = |seed| {
-        let options = ReturnOptions::of(&lidar.model);
+        let options = ReturnOptions::for_model(&lidar.model);
         traced.returns(&ReturnOptions { seed, ..options }).returns
     };
     assert_eq!(returns(7), returns(7));

@@ -123,17 +123,17 @@ impl Case {
     }
 
     fn drawn(&self, gpu: &Validated) -> Vec<Image> {
-        let mut stage = Stage::of(gpu, self);
+        let mut stage = Stage::new(gpu, self);
         let agents = self.agents(&stage.assets);
         stage.draw(&agents, &self.shadows, &self.cameras)
     }
 
-    /// By definition.
+    /// Images by definition.
     fn truth(&self) -> Vec<Image> {
         self.truth_with(|_, cloud| cloud)
     }
 
-    /// By definition, with agents as `lit` makes them, by number, of what transfers leave.
+    /// Images by definition, with agents as `lit` makes them, by number, of what transfers leave.
     fn truth_with(&self, lit: impl Fn(usize, SplatCloud) -> SplatCloud) -> Vec<Image> {
         let mut world = self.world.clone();
         bake_shadows(&mut world, &self.shadows);
@@ -158,7 +158,7 @@ struct Stage {
 }
 
 impl Stage {
-    fn of(gpu: &Validated, case: &Case) -> Self {
+    fn new(gpu: &Validated, case: &Case) -> Self {
         let renderer = Renderer::new(
             gpu,
             RenderOptions {
@@ -256,7 +256,7 @@ fn agents_lit_by_normals_are_the_definition() {
         None,
         None,
     ];
-    let mut stage = Stage::of(&gpu, &case);
+    let mut stage = Stage::new(&gpu, &case);
     let mut draw = |shadings: [Option<Shading>; 4]| {
         let mut agents = case.agents(&stage.assets);
         for (agent, shading) in agents.iter_mut().zip(shadings) {
@@ -290,7 +290,7 @@ fn agents_lit_by_normals_are_the_definition() {
 fn codebooks_are_relit_once_for_each_light() {
     let gpu = Validated::open();
     let case = Case::new();
-    let mut stage = Stage::of(&gpu, &case);
+    let mut stage = Stage::new(&gpu, &case);
     let mut agents = case.agents(&stage.assets);
     // Two lights of one asset, of which one is shown twice. Frames that are waited for have one
     // place.
@@ -311,14 +311,14 @@ fn codebooks_are_relit_once_for_each_light() {
     agents[1].relight = Some(some_transfer(8));
     assert_eq!(stage.relit(&agents, &case.shadows, &case.cameras), 1);
     let images = stage.renderer.read_images().unwrap();
-    let fresh = Stage::of(&gpu, &case).draw(&agents, &case.shadows, &case.cameras);
+    let fresh = Stage::new(&gpu, &case).draw(&agents, &case.shadows, &case.cameras);
     assert!(
         images == fresh,
         "a frame that makes one of four is the one that makes all"
     );
     agents.iter_mut().for_each(|agent| agent.relight = None);
     let unlit = stage.draw(&agents, &[], &case.cameras);
-    let mut without = Stage::of(&gpu, &case);
+    let mut without = Stage::new(&gpu, &case);
     assert!(
         unlit == without.draw(&agents, &[], &case.cameras),
         "what was lit before is as if it never was"
@@ -392,7 +392,7 @@ fn world_light_and_agent_turned_together_look_the_same() {
 fn light_and_shadows_that_are_none_are_refused() {
     let gpu = Validated::open();
     let case = Case::new();
-    let mut stage = Stage::of(&gpu, &case);
+    let mut stage = Stage::new(&gpu, &case);
     let mut agents = case.agents(&stage.assets);
     let nowhere = [GroundShadow {
         strength: f64::NAN,

@@ -61,7 +61,7 @@ impl Splat {
 
 /// A world of degree 0. Its camera frame is the world's: x right, y down, z forward.
 pub fn world_of(splats: &[Splat]) -> SplatScene {
-    SplatScene::of(SplatCloud {
+    SplatScene::from_splats(SplatCloud {
         means: splats.iter().map(|s| s.mean_m).collect(),
         scales: splats.iter().map(|s| s.scale_m).collect(),
         rotations: splats.iter().map(|s| s.rotation).collect(),

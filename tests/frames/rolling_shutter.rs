@@ -24,10 +24,10 @@ const READOUT_S: f64 = 0.03;
 /// Least PSNR on a street: one order per image and one linear motion per splat are approximations.
 const PSNR_MIN_DB: f64 = 49.0;
 
-/// The same behind a vehicle, where splats of the road come into view during the readout.
+/// Least PSNR behind a vehicle, where splats of the road come into view during the readout.
 const BEHIND_PSNR_MIN_DB: f64 = 37.0;
 
-/// The same for splats as near as 2 m, which come 0.9 m nearer during the readout.
+/// Least PSNR for splats as near as 2 m, which come 0.9 m nearer during the readout.
 const HARD_PSNR_MIN_DB: f64 = 40.0;
 
 const ROLLING: [ShutterDirection; 4] = [
@@ -107,7 +107,7 @@ fn a_street_at_30_meters_per_second() {
     });
     let mut world = SplatScene {
         sky: street.sky,
-        ..SplatScene::of(street.background.clone())
+        ..SplatScene::from_splats(street.background.clone())
     };
     for agent in &street.agents {
         let asset = &street.assets[agent.asset];

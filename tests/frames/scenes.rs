@@ -59,7 +59,7 @@ fn real_file(test: &str, name: &str) {
         cloud.sh_degree
     );
     let cameras = around(&cloud, -DVec3::Y);
-    let mut world = SplatScene::of(cloud);
+    let mut world = SplatScene::from_splats(cloud);
     world.sky = [0.7, 0.8, 0.9];
     assert_exact(&world, &cameras, Rules::DEFAULT);
 }
@@ -84,7 +84,7 @@ fn street(options: &StreetOptions) {
     let street = Street::generate(options);
     let mut world = SplatScene {
         sky: street.sky,
-        ..SplatScene::of(street.background.clone())
+        ..SplatScene::from_splats(street.background.clone())
     };
     for agent in &street.agents {
         world

@@ -60,7 +60,7 @@ fn subjects() -> Vec<(&'static str, SplatScene, Camera)> {
         if let Some(path) = data::file("compact storage of captured objects", file) {
             let cloud = read_splats(&path).unwrap();
             let camera = around(&cloud, -DVec3::Y).remove(0);
-            subjects.push((file, SplatScene::of(cloud), camera));
+            subjects.push((file, SplatScene::from_splats(cloud), camera));
         }
     }
     subjects

@@ -1,4 +1,4 @@
-//! Our own planners, with the ego that follows their plans.
+//! Planners of the engine, with the ego that follows their plans.
 
 use decouplegs::planner::{
     ConstantVelocity, LaneFollow, ObservationRequest, Planner, PlannerChoice, Replay,

@@ -8,7 +8,7 @@ use decouplegs::planner::{
 use decouplegs::scene::{RoadUser, VehicleSize, VehicleState};
 use glam::DVec2;
 
-/// From one plan to the next, and the parts of it in which the ego moves.
+/// Interval between plans, seconds, and the parts of it in which the ego moves.
 const STEP_S: f64 = 0.5;
 const SUBSTEPS: u32 = 5;
 
@@ -24,11 +24,11 @@ pub struct Course {
 pub struct Moment {
     pub ego: VehicleState,
     pub lateral_mps2: f64,
-    /// To the nearest agent, 0 where they overlap, infinite where there is none.
+    /// Distance to the nearest agent, 0 where they overlap, infinite where there is none.
     pub gap_m: f64,
     /// Distance from the route.
     pub off_m: f64,
-    /// Along the route.
+    /// Position along the route, meters.
     pub arc_m: f64,
 }
 
@@ -146,10 +146,10 @@ impl Course {
 }
 
 fn moment(ego: &Ego, line: &Polyline, agents: &[(VehicleState, VehicleSize)]) -> Moment {
-    let outline = OrientedBox::of(&ego.state(), &VehicleSize::CAR);
+    let outline = OrientedBox::for_vehicle(&ego.state(), &VehicleSize::CAR);
     let gaps = agents
         .iter()
-        .map(|(agent, size)| outline.distance_m(&OrientedBox::of(agent, size)));
+        .map(|(agent, size)| outline.distance_m(&OrientedBox::for_vehicle(agent, size)));
     let foot = line.project(ego.state().position_m);
     Moment {
         ego: ego.state(),
@@ -160,7 +160,7 @@ fn moment(ego: &Ego, line: &Polyline, agents: &[(VehicleState, VehicleSize)]) ->
     }
 }
 
-/// The nearest that anybody came.
+/// Smallest distance to any agent, meters.
 pub fn nearest_m(moments: &[Moment]) -> f64 {
     moments
         .iter()

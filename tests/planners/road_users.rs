@@ -60,7 +60,7 @@ fn driven(text: &str, planner: &mut dyn Planner) -> (Arc<Site>, Episode) {
 fn one_planner_stops_for_a_pedestrian_and_one_does_not() {
     let text = format!("{SCENARIO}{PEDESTRIAN}");
     let (_, stopped) = driven(&text, &mut LaneFollow::default());
-    let score = EpisodeScore::of(&stopped);
+    let score = EpisodeScore::new(&stopped);
     assert!(score.success && score.collisions() == 0, "{score:?}");
 
     let (site, hit) = driven(&text, &mut ConstantVelocity);
@@ -69,13 +69,13 @@ fn one_planner_stops_for_a_pedestrian_and_one_does_not() {
         hit.head.scenario.agent(1),
         ("walker", RoadUser::Pedestrian, 2)
     );
-    let score = EpisodeScore::of(&hit);
+    let score = EpisodeScore::new(&hit);
     assert_eq!(score.pedestrian_collisions(), 1);
     assert!(score.driving_score < 0.5);
 
     let bytes = episode_log::encode(&hit).unwrap();
     let read = episode_log::decode(&bytes).unwrap();
-    assert_eq!((EpisodeScore::of(&read), &read), (score, &hit));
+    assert_eq!((EpisodeScore::new(&read), &read), (score, &hit));
     let again = replay(&hit, &site, None, &mut ()).unwrap();
     assert_eq!(again.moved_differently, None);
 }

@@ -14,7 +14,7 @@ use decouplegs::scene::episode::{Episode, LOG_VERSION};
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{EpisodeEnd, Level, ObstacleKind, Plan, PlanPoint, Scenario, Weather};
 
-/// Follows the route so many meters to its right.
+/// Follows the route at a distance to its right, meters.
 struct Beside {
     right_m: f64,
 }
@@ -105,7 +105,7 @@ fn who_drives_beside_its_route_hits_what_stands_there() {
             panic!("seed {seed}: {:?}", episode.end);
         };
         kinds.push(obstacle.kind);
-        let score = EpisodeScore::of(&episode);
+        let score = EpisodeScore::new(&episode);
         assert_eq!((score.obstacle_collisions(), score.success), (1, false));
         let off_road = score.layout_infractions() as i32;
         let expected = score.route_completion * OBSTACLE_FACTOR * 0.65_f64.powi(off_road);

@@ -42,7 +42,7 @@ fn driven(scenario: &Scenario, planner: &mut dyn Planner) -> (Arc<Site>, Episode
 fn one_planner_waits_at_red_and_one_runs_it() {
     let scenario = scenario_file::parse(SCENARIO).unwrap();
     let (_, waited) = driven(&scenario, &mut LaneFollow::default());
-    let score = EpisodeScore::of(&waited);
+    let score = EpisodeScore::new(&waited);
     assert!(score.success && score.infractions.is_empty());
     // It waited with its front before the line until 12 s.
     let line = waited.head.stop_lines[1];
@@ -52,7 +52,7 @@ fn one_planner_waits_at_red_and_one_runs_it() {
     }
 
     let (site, ran) = driven(&scenario, &mut ConstantVelocity);
-    let score = EpisodeScore::of(&ran);
+    let score = EpisodeScore::new(&ran);
     assert_eq!(ran.end, EpisodeEnd::RouteDone);
     assert_eq!((score.red_lights(), score.success), (1, false));
     assert_eq!(score.driving_score, RED_LIGHT_FACTOR);
@@ -63,7 +63,7 @@ fn one_planner_waits_at_red_and_one_runs_it() {
 
     let bytes = episode_log::encode(&ran).unwrap();
     let read = episode_log::decode(&bytes).unwrap();
-    assert_eq!((EpisodeScore::of(&read), &read), (score, &ran));
+    assert_eq!((EpisodeScore::new(&read), &read), (score, &ran));
     let again = replay(&ran, &site, None, &mut ()).unwrap();
     assert_eq!(again.moved_differently, None);
 }
@@ -74,7 +74,7 @@ fn a_scenario_without_lights_leaves_no_trace_of_them() {
     let scenario = scenario_file::parse(without).unwrap();
     let (_, episode) = driven(&scenario, &mut ConstantVelocity);
     assert!(episode.head.stop_lines.is_empty());
-    assert_eq!(EpisodeScore::of(&episode).driving_score, 1.0);
+    assert_eq!(EpisodeScore::new(&episode).driving_score, 1.0);
     let text = String::from_utf8(episode_log::encode(&episode).unwrap()).unwrap();
     assert!(!text.contains("stop_lines") && !text.contains("[[light]]"));
 }

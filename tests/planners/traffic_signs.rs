@@ -42,7 +42,7 @@ fn driven(text: &str, planner: &mut dyn Planner) -> (Arc<Site>, Episode) {
 #[test]
 fn one_planner_stands_at_a_stop_sign_and_one_passes_it() {
     let (_, stood) = driven(SCENARIO, &mut LaneFollow::default());
-    let score = EpisodeScore::of(&stood);
+    let score = EpisodeScore::new(&stood);
     assert!(score.success && score.infractions.is_empty(), "{score:?}");
     let line = stood.head.sign_lines[0];
     let stands = stood.instants().any(|instant| {
@@ -52,7 +52,7 @@ fn one_planner_stands_at_a_stop_sign_and_one_passes_it() {
     assert!(stands);
 
     let (site, passed) = driven(SCENARIO, &mut ConstantVelocity);
-    let score = EpisodeScore::of(&passed);
+    let score = EpisodeScore::new(&passed);
     assert_eq!(passed.end, EpisodeEnd::RouteDone);
     assert_eq!((score.stop_signs(), score.success), (1, false));
     assert_eq!(score.driving_score, STOP_SIGN_FACTOR);
@@ -62,7 +62,7 @@ fn one_planner_stands_at_a_stop_sign_and_one_passes_it() {
 
     let bytes = episode_log::encode(&passed).unwrap();
     let read = episode_log::decode(&bytes).unwrap();
-    assert_eq!((EpisodeScore::of(&read), &read), (score, &passed));
+    assert_eq!((EpisodeScore::new(&read), &read), (score, &passed));
     let again = replay(&passed, &site, None, &mut ()).unwrap();
     assert_eq!(again.moved_differently, None);
 }
@@ -71,7 +71,7 @@ fn one_planner_stands_at_a_stop_sign_and_one_passes_it() {
 fn yield_signs_cost_nothing_and_scenarios_without_signs_have_no_trace() {
     let yields = SCENARIO.replace("kind = \"stop\"", "kind = \"yield\"");
     let (_, episode) = driven(&yields, &mut ConstantVelocity);
-    assert_eq!(EpisodeScore::of(&episode).driving_score, 1.0);
+    assert_eq!(EpisodeScore::new(&episode).driving_score, 1.0);
     let without = &SCENARIO[..SCENARIO.find("[[sign]]").unwrap()];
     let (_, episode) = driven(without, &mut ConstantVelocity);
     let text = String::from_utf8(episode_log::encode(&episode).unwrap()).unwrap();

@@ -25,7 +25,7 @@ pub struct DrawnRoad {
     pub width_m: f64,
     /// Start of the dashes of the left line.
     pub dashes_m: f64,
-    /// From the vehicle's front to the rear of a car in the lane.
+    /// Distance from the vehicle's front to the rear of a car in the lane.
     pub gap_m: Option<f64>,
     /// Shade over the road between two distances ahead.
     pub shade_m: Option<[f64; 2]>,

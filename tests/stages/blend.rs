@@ -97,7 +97,7 @@ impl Case {
             records,
             items,
             rules,
-            end: PixelEnd::of(&rules),
+            end: PixelEnd::for_rules(&rules),
         }
     }
 
@@ -150,14 +150,14 @@ impl Case {
         let list = &self.records[item.first_pair as usize..(item.first_pair + item.pairs) as usize];
         let list: Vec<_> = list
             .iter()
-            .map(|&record| ListedSplat::of(&self.projected, record))
+            .map(|&record| ListedSplat::new(&self.projected, record))
             .collect();
         (0..COARSE_PIXELS)
             .map(|index| {
                 let [x, y] = pixel_offset(index);
                 let before = before.map(|before| &before[index]);
                 let at = [origin[0] + x, origin[1] + y];
-                PixelBounds::of(&list, at, &self.rules, before)
+                PixelBounds::new(&list, at, &self.rules, before)
             })
             .collect()
     }

@@ -21,7 +21,7 @@ pub fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<
     let cull = Cull::new(
         gpu,
         rules,
-        CameraVariant::of(&scene.view.cameras, &scene.view.lenses),
+        CameraVariant::for_cameras(&scene.view.cameras, &scene.view.lenses),
         scene.resident.storage,
         0.0,
     )
@@ -119,7 +119,7 @@ fn clusters_of_every_fill() {
             Rules::DEFAULT,
         );
     }
-    let one = SplatScene::of(hard_world(16, 3).splats.select(&[12]));
+    let one = SplatScene::from_splats(hard_world(16, 3).splats.select(&[12]));
     compare(&gpu, &one, &rig()[..1], Rules::DEFAULT);
 }
 
@@ -142,7 +142,7 @@ fn drop_clusters_of(rig: &[Camera]) {
     let gpu = open();
     let small: Vec<u32> = (0..16_000).filter(|i| i % 16 >= 6).collect();
     let small = hard_world(16_000, 7).splats.select(&small);
-    let ordered = SplatScene::of(small.in_spatial_order());
+    let ordered = SplatScene::from_splats(small.in_spatial_order());
     let scene = Scene::new(&gpu, &ordered, rig);
     let near_m = decouplegs::render::layout::near_m(&Rules::DEFAULT);
     let overlaps = |camera: usize, cluster: usize| {

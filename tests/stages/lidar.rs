@@ -47,7 +47,7 @@ struct Listed {
     echoes: Vec<BeamEchoes>,
     /// Splats as the device has them.
     stored: Vec<([f32; 3], Mat3, f32)>,
-    /// Their DC coefficients.
+    /// DC coefficients of those splats.
     dc: Vec<Vec3>,
 }
 

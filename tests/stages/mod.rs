@@ -230,17 +230,17 @@ impl Random {
         (x ^ x >> 31) as u32
     }
 
-    /// From 0 to `end - 1`.
+    /// Random integer from 0 to `end - 1`.
     pub fn below(&mut self, end: u32) -> u32 {
         ((u64::from(self.word()) * u64::from(end)) >> 32) as u32
     }
 
-    /// From `low` to `high`.
+    /// Random number from `low` to `high`.
     pub fn between(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * ((self.word() >> 8) as f32 / 16_777_216.0)
     }
 
-    /// From `low` to `high`, each power of ten as often as the next.
+    /// Random number from `low` to `high`, each power of ten as often as the next.
     pub fn across_scales(&mut self, low: f32, high: f32) -> f32 {
         self.between(low.ln(), high.ln()).exp()
     }

@@ -165,7 +165,7 @@ fn every_pixel_has_the_sky_of_its_ray_and_the_color_of_its_camera() {
     }
 }
 
-/// Without a sky and with calibrations that change nothing, colors stay to the last bit.
+/// Colors stay to the last bit without a sky and with calibrations that change nothing.
 #[test]
 fn the_identity_changes_no_bit() {
     let gpu = open();

@@ -133,8 +133,8 @@ impl Case {
         check_keys(&kernel.keys, &twin.keys)
     }
 
-    /// By how much rounding may change what shadows leave of the splat's light: at an edge of one,
-    /// by all of it.
+    /// Largest change by rounding of what shadows leave of the splat's light: at an edge of one,
+    /// all of it.
     fn shadow_share(&self, splat: usize) -> f64 {
         let mean = self.scene.means_m[splat];
         let share = |shadow| {

@@ -59,7 +59,8 @@ fn footprint_of(splat: &Splat, camera: &CameraRecord, rules: &Rules) -> Option<F
     let [sx, sy, sz] = splat.scale_m;
     let axes = axes_of([sx, sy, sz, splat.opacity], q.map(|x| (x / norm) as f32));
     let t = to_camera_axes(camera, from_camera_m(splat.mean_m, camera));
-    let (footprint, drawn) = project_splat(camera, t, axes, splat.opacity, Variant::of(rules));
+    let (footprint, drawn) =
+        project_splat(camera, t, axes, splat.opacity, Variant::for_rules(rules));
     drawn.then_some(footprint)
 }
 
@@ -179,7 +180,7 @@ fn culled_splats_change_nothing() {
                 .iter()
                 .map(|&splat| world.instance_from_splat[splat as usize])
                 .collect(),
-            ..SplatScene::of(world.splats.select(kept))
+            ..SplatScene::from_splats(world.splats.select(kept))
         };
         let images = draw(&gpu, &world, cameras, Rules::DEFAULT);
         prop_assert!(

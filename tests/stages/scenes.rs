@@ -273,7 +273,7 @@ impl Scene {
             &self.clusters,
             self.splats(),
             &mut visible,
-            Variant::of(rules),
+            Variant::for_rules(rules),
         );
         (words, counts)
     }
@@ -315,8 +315,14 @@ pub fn settled_visibility(
     let t = to_camera_axes(camera, offset);
     let moved_m = (8.0 * ROUNDOFF) as f32 * offset.abs().element_sum();
     let visible = |t: Vec3, size: f32, opacity: f32| {
-        let (footprint, drawn) =
-            project_splat_seen(camera, lens, t, axes * size, opacity, Variant::of(rules));
+        let (footprint, drawn) = project_splat_seen(
+            camera,
+            lens,
+            t,
+            axes * size,
+            opacity,
+            Variant::for_rules(rules),
+        );
         drawn && count_coarse_tiles(&footprint, camera) > 0
     };
     let decision = visible(t, 1.0, opacity);

@@ -112,13 +112,19 @@ pub fn lines_with(
         .collect()
 }
 
+/// Positions of `word` in `text` with nothing of a name on either side.
+pub fn words_at(text: &str, word: &str) -> impl Iterator<Item = usize> {
+    let part_of_a_name = |c: char| c.is_alphanumeric() || c == '_';
+    text.match_indices(word).filter_map(move |(at, word)| {
+        let before = text[..at].ends_with(part_of_a_name);
+        let after = text[at + word.len()..].starts_with(part_of_a_name);
+        (!before && !after).then_some(at)
+    })
+}
+
 /// True if `word` stands in `text` with nothing of a name on either side.
 pub fn has_word(text: &str, word: &str) -> bool {
-    let part_of_a_name = |c: char| c.is_alphanumeric() || c == '_';
-    text.match_indices(word).any(|(at, _)| {
-        !text[..at].ends_with(part_of_a_name)
-            && !text[at + word.len()..].starts_with(part_of_a_name)
-    })
+    words_at(text, word).next().is_some()
 }
 
 pub fn nothing_undone(tree: &Tree) -> Vec<Finding> {
@@ -434,4 +440,17 @@ fn function_lines(code: &str) -> usize {
         }
     }
     0
+}
+
+/// Functions called `of`: at the call, `X::of(y)` does not say what is made.
+pub fn no_function_is_called_of(tree: &Tree) -> Vec<Finding> {
+    let fault = |line: &str| {
+        let mut functions = words_at(line, concat!("fn ", "of"));
+        let found = functions.any(|at| line[at + "fn of".len()..].starts_with(['(', '<']));
+        found.then(|| "a function called `of`: new, from_*, for_*, or what it returns".to_owned())
+    };
+    let files = tree.files.iter().filter(|file| file.is_rust());
+    files
+        .flat_map(|file| lines_with(file, &file.code, fault))
+        .collect()
 }

@@ -10,7 +10,7 @@ use super::tree::Tree;
 const DOCUMENTS: [&str; 2] = ["README.md", "engine/README.md"];
 /// Words of a claim.
 const CLAIM_WORDS: [&str; 3] = ["checked", "never", "once"];
-/// A path of Rust whose last name has at least so many underscores is that of a test.
+/// Least number of underscores in the last name of a path of Rust that is a test.
 const UNDERSCORES_OF_A_TEST: usize = 2;
 
 /// A paragraph, an item of a list or a row of a table, and the number of its first line.

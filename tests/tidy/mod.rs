@@ -16,7 +16,7 @@ use tree::{SourceFile, Tree};
 #[derive(Debug, PartialEq)]
 pub struct Finding {
     path: String,
-    /// From 1; 0 where the finding is about the file as a whole.
+    /// Line of the finding from 1; 0 where it is about the file as a whole.
     line: usize,
     what: String,
 }

@@ -40,19 +40,39 @@ fn module_of(path: &str) -> Option<(&str, &str)> {
 
 /// The modules that `code` names behind `crate::`.
 fn modules_used(code: &str) -> impl Iterator<Item = &str> {
-    code.split("crate::").skip(1).flat_map(|rest| {
-        let list = rest
-            .strip_prefix('{')
-            .and_then(|list| list.split('}').next());
-        let names = list.unwrap_or_else(|| {
-            rest.split([':', ';', '(', ' ', ',', '>'])
-                .next()
-                .unwrap_or("")
-        });
-        names
-            .split([',', ' ', '\n'])
-            .map(|name| name.split(':').next().unwrap_or(name))
-    })
+    code.split("crate::")
+        .skip(1)
+        .flat_map(|rest| match rest.strip_prefix('{') {
+            Some(list) => outer_names(list),
+            None => vec![name_at(rest)],
+        })
+}
+
+/// The name with which `text` begins.
+fn name_at(text: &str) -> &str {
+    let end = text.find(|c: char| !c.is_alphanumeric() && c != '_');
+    &text[..end.unwrap_or(text.len())]
+}
+
+/// The first name of each entry of a list in braces, whose opening brace is left out. Names in
+/// braces within are members of these.
+fn outer_names(list: &str) -> Vec<&str> {
+    let (mut depth, mut start, mut names) = (0, 0, Vec::new());
+    for (at, c) in list.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' if depth > 0 => depth -= 1,
+            ',' | '}' if depth == 0 => {
+                names.push(name_at(list[start..at].trim_start()));
+                start = at + 1;
+                if c == '}' {
+                    break;
+                }
+            }
+            _ => {}
+        }
+    }
+    names
 }
 
 pub fn modules_do_not_use_each_other(tree: &Tree) -> Vec<Finding> {

@@ -4,8 +4,9 @@
 use super::Rule;
 use super::checks::{
     crates_depend_one_way, crates_forbid_unsafe, files_have_an_end, functions_fit_a_screen,
-    kernel_has_its_stem, named_for_a_subject, no_machine_paths, nothing_undone,
-    shader_says_what_it_is, unsafe_is_explained, unsafe_only_in_gpu, vulkan_only_in_gpu,
+    kernel_has_its_stem, named_for_a_subject, no_function_is_called_of, no_machine_paths,
+    nothing_undone, shader_says_what_it_is, unsafe_is_explained, unsafe_only_in_gpu,
+    vulkan_only_in_gpu,
 };
 use super::claims::{claims_name_their_tests, named_tests_exist};
 use super::modules::modules_do_not_use_each_other;
@@ -192,7 +193,7 @@ pub const RULES: &[Rule] = &[
         check: docs_name_their_subject,
         kept_by: &[(
             "engine/a.rs",
-            "/// Visible splats.\n/// What follows may begin so.\nfn a() {}\n",
+            "/// Visible splats.\n/// What follows may begin so.\nfn a() {}\n\n/// The same image.\nfn b() {}\n",
         )],
         broken_by: &[
             ("engine/a.rs", "/// What culling finds.\nfn a() {}\n"),
@@ -201,6 +202,14 @@ pub const RULES: &[Rule] = &[
                 "engine/a.rs",
                 "/// Reads.\n///\n/// # Errors\n/// When it fails.\nfn a() {}\n",
             ),
+            ("engine/a.rs", "/// And at most.\nconst A: u8 = 1;\n"),
+            (
+                "engine/a.rs",
+                "/// The other's: the ego stood.\nconst A: u8 = 1;\n",
+            ),
+            ("engine/a.rs", "/// The same of agents.\nconst A: u8 = 1;\n"),
+            ("engine/a.rs", "/// The same, rounded.\nconst A: u8 = 1;\n"),
+            ("engine/a.rs", "/// ... and so far.\nconst A: u8 = 1;\n"),
         ],
     },
     Rule {
@@ -225,8 +234,13 @@ pub const RULES: &[Rule] = &[
             ("engine/a/src/c.rs", "use crate::{b::D, e};"),
             ("engine/a/src/e.rs", "use crate::f::G;"),
             ("engine/a/src/b/tests.rs", "use crate::c::D;"),
+            ("engine/a/src/f.rs", "use crate::{g::{c::D, h}, i};"),
+            ("engine/a/src/h.rs", "use crate::f::G;"),
         ],
-        broken_by: &[("engine/a/src/b.rs", "use crate::c::E;")],
+        broken_by: &[
+            ("engine/a/src/b.rs", "use crate::c::E;"),
+            ("engine/a/src/i.rs", "use crate::{j::{self, k::L}, f::M};"),
+        ],
     },
     Rule {
         name: "retired words stay retired",
@@ -239,6 +253,26 @@ pub const RULES: &[Rule] = &[
             ("engine/a.rs", concat!("// A pict", "ure.\n")),
             ("README.md", concat!("The col", "our of it.\n")),
             ("shaders/a.comp", concat!("uint fir", "sts;\n")),
+            ("tools/a.rs", concat!("value_name = \"MET", "RES\"\n")),
+            (
+                "engine/a.rs",
+                concat!("// It is looked\n    // a", "t twice.\n"),
+            ),
+        ],
+    },
+    Rule {
+        name: "no function is called of",
+        check: no_function_is_called_of,
+        kept_by: &[
+            (
+                "engine/a.rs",
+                "fn offset() {}\nfn of_agents() {}\n// fn of()\n",
+            ),
+            ("engine/b.rs", "let a = |of: u8| of;\n"),
+        ],
+        broken_by: &[
+            ("engine/a.rs", concat!("pub fn o", "f(a: u8) -> Self {}\n")),
+            ("tests/a.rs", concat!("fn o", "f<'a>(a: &'a u8) {}\n")),
         ],
     },
     Rule {

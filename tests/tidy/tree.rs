@@ -87,6 +87,8 @@ fn collect(root: &Path, folder: &Path, files: &mut Vec<SourceFile>) {
             if is_ours(name) {
                 collect(root, &path, files);
             }
+        } else if name == ".git" {
+            // In a worktree this is a file of git's.
         } else if let Ok(text) = fs::read_to_string(&path) {
             // Images and other files that are not UTF-8 are passed over.
             let relative = path

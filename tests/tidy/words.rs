@@ -2,11 +2,12 @@
 //! rules too.
 
 use super::Finding;
-use super::checks::{has_word, lines_with};
+use super::checks::{lines_with, words_at};
 use super::tree::Tree;
 
-/// Words that a doc comment must not begin with: what follows them is a riddle away from the item.
-const RELATIVE_WORDS: [&str; 15] = [
+/// Words that a doc comment must not begin with: what follows them is a riddle away from the item,
+/// a part of a sentence, or leans on the line above.
+const RELATIVE_WORDS: [&str; 51] = [
     "What",
     "How",
     "Where",
@@ -22,7 +23,81 @@ const RELATIVE_WORDS: [&str; 15] = [
     "As",
     concat!("Every", "body"),
     "Nobody",
+    "And",
+    "Or",
+    "But",
+    "It",
+    "They",
+    "Their",
+    "Them",
+    "Those",
+    "These",
+    "Likewise",
+    "Same",
+    "At",
+    "By",
+    "In",
+    "To",
+    "From",
+    "On",
+    "Under",
+    "Until",
+    "Since",
+    "After",
+    "Before",
+    "Between",
+    "Along",
+    "Above",
+    "Below",
+    "Behind",
+    "Beside",
+    "Beyond",
+    "Around",
+    "Against",
+    "With",
+    "Without",
+    "Within",
+    "Towards",
+    "While",
 ];
+
+/// Words of two that a doc comment must not begin with, for the same reason.
+const RELATIVE_PAIRS: [&str; 8] = [
+    "The one",
+    "The ones",
+    "The other",
+    "The others",
+    "The rest",
+    "A step",
+    "Every so",
+    "None: the",
+];
+
+/// Words before which "The same" names nothing.
+const AFTER_THE_SAME: [&str; 14] = [
+    "", "with", "for", "of", "in", "to", "as", "without", "and", "at", "along", "behind", "over",
+    "by",
+];
+
+/// The words with which `text` begins, if a doc comment must not begin so.
+fn relative_beginning(text: &str) -> Option<String> {
+    let mut words = text.split(' ');
+    let first = words.next().unwrap_or_default();
+    let second = words.next().unwrap_or_default();
+    let third = words.next().unwrap_or_default();
+    let pair = format!("{first} {second}");
+    let pair = pair.trim_end_matches([',', '.', ':', ';']);
+    if RELATIVE_WORDS.contains(&first) || first.starts_with("...") {
+        return Some(first.to_owned());
+    }
+    let names_nothing = match pair {
+        "The same" => {
+            pair.len() < first.len() + 1 + second.len() || AFTER_THE_SAME.contains(&third)
+        }
+        _ => RELATIVE_PAIRS.contains(&pair.trim_end_matches("'s")),
+    };
+    names_nothing.then(|| pair.to_owned())
+}
 
 /// The text of a doc comment's line, if `line` is one.
 fn doc_text(line: &str) -> Option<&str> {
@@ -42,16 +117,12 @@ pub fn docs_name_their_subject(tree: &Tree) -> Vec<Finding> {
             let begins = !in_doc;
             // The line below a heading begins too.
             in_doc = text.is_some_and(|text| !text.starts_with("# "));
-            let first = text
-                .and_then(|text| text.split_whitespace().next())
-                .unwrap_or_default();
-            if begins && RELATIVE_WORDS.contains(&first) {
-                findings.push(Finding {
-                    path: file.path.clone(),
-                    line: i + 1,
-                    what: format!("begins with {first:?}: name the thing, or what it does"),
-                });
-            }
+            let relative = text.filter(|_| begins).and_then(relative_beginning);
+            findings.extend(relative.map(|words| Finding {
+                path: file.path.clone(),
+                line: i + 1,
+                what: format!("begins with {words:?}: name the thing, or what it does"),
+            }));
         }
     }
     findings
@@ -100,7 +171,8 @@ pub fn comments_are_narrow(tree: &Tree) -> Vec<Finding> {
         .collect()
 }
 
-/// Words that the field has better ones for, with those. `CHANGELOG.md` tells of them.
+/// Words that the field has better ones for, in lower case, with those. `CHANGELOG.md` tells of
+/// them.
 const RETIRED_WORDS: &[(&str, &str)] = &[
     (concat!("pict", "ure"), "image"),
     (concat!("pict", "ures"), "images"),
@@ -118,20 +190,17 @@ const RETIRED_WORDS: &[(&str, &str)] = &[
     (concat!("render ", "tile"), "fine tile"),
     (concat!("render ", "tiles"), "fine tiles"),
     (concat!("who", "ever"), "the vehicle, caller or reader that"),
-    (concat!("Who", "ever"), "the vehicle, caller or reader that"),
     (concat!("some", "body"), "a vehicle, a caller"),
-    (concat!("Some", "body"), "a vehicle, a caller"),
     (concat!("every", "body"), "all vehicles"),
-    (concat!("Every", "body"), "all vehicles"),
     (concat!("made ", "up"), "synthetic, generated"),
     (concat!("looked ", "at"), "examined"),
-    (concat!("Resident", "World"), "GpuScene"),
-    (concat!("Frame", "Slot"), "FrameInFlight"),
-    (concat!("Yard", "stick"), "QualityMeter"),
-    (concat!("Show", "case"), "ExampleCrops"),
+    (concat!("resident", "world"), "GpuScene"),
+    (concat!("frame", "slot"), "FrameInFlight"),
+    (concat!("yard", "stick"), "QualityMeter"),
+    (concat!("show", "case"), "ExampleCrops"),
     (concat!("reach", "_m"), "radius_m, distance_max_m"),
     (concat!("squared_", "reach"), "squared_radius"),
-    (concat!("SIGMA_", "REACH"), "SIGMA_SPREAD"),
+    (concat!("sigma_", "reach"), "SIGMA_SPREAD"),
 ];
 
 /// Exceptions for retired words: keys of files on disk, and compiled test kernels.
@@ -143,8 +212,18 @@ const MAY_USE_RETIRED: &[(&str, &str)] = &[
     ),
 ];
 
+/// A line in lower case without the signs of comments and continued strings around it.
+fn plain(line: &str) -> String {
+    let line = line.trim().trim_end_matches('\\');
+    let text = line.trim_start_matches(['/', '!', '#', '*', '"']);
+    text.trim().to_lowercase()
+}
+
+/// Finds retired words in any case, those of two words across the end of a line too.
 pub fn no_retired_words(tree: &Tree) -> Vec<Finding> {
-    let texts = [".rs", ".comp", ".glsl", ".md", ".py", ".pyi", ".c", ".h"];
+    let texts = [
+        ".rs", ".comp", ".glsl", ".md", ".py", ".pyi", ".c", ".h", ".js", ".html",
+    ];
     let files = tree.files.iter().filter(|file| {
         file.path != "CHANGELOG.md" && texts.iter().any(|end| file.path.ends_with(end))
     });
@@ -154,13 +233,19 @@ pub fn no_retired_words(tree: &Tree) -> Vec<Finding> {
             let mut exceptions = MAY_USE_RETIRED.iter();
             exceptions.any(|(path, other)| file.path.starts_with(path) && *other == word)
         };
-        let fault = |line: &str| {
-            let found = RETIRED_WORDS
-                .iter()
-                .find(|(word, _)| has_word(line, word) && !allowed(word));
-            found.map(|(word, better)| format!("{word:?}: say {better:?}"))
-        };
-        findings.extend(lines_with(file, &file.text, fault));
+        let lines: Vec<String> = file.text.lines().map(plain).collect();
+        for (i, line) in lines.iter().enumerate() {
+            let next = lines.get(i + 1).map_or("", String::as_str);
+            let both = format!("{line} {next}");
+            let begins_here = |word: &str| words_at(&both, word).any(|at| at < line.len());
+            let mut retired = RETIRED_WORDS.iter();
+            let found = retired.find(|(word, _)| begins_here(word) && !allowed(word));
+            findings.extend(found.map(|(word, better)| Finding {
+                path: file.path.clone(),
+                line: i + 1,
+                what: format!("{word:?}: say {better:?}"),
+            }));
+        }
     }
     findings
 }

@@ -26,7 +26,7 @@ const WHITE: [f32; 3] = [1.0; 3];
 const RED: [f32; 3] = [1.0, 0.0, 0.0];
 const BLUE: [f32; 3] = [0.0, 0.0, 1.0];
 
-/// At the world's zero, looking along +z, `size_px` pixels square with a focal length of 100
+/// Camera at the world's zero, looking along +z, `size_px` pixels square with a focal length of 100
 /// pixels: an odd size puts a pixel's center on the axis.
 fn square_camera(size_px: u32) -> Camera {
     let center_px = 0.5 * f64::from(size_px);

@@ -17,9 +17,9 @@ const QUALITY_DEFAULT: u8 = 95;
 pub enum Encoding {
     /// Lossless, compressed lightly.
     Png,
-    /// With losses.
+    /// JPEG, with losses.
     Jpeg {
-        /// 1 to 100.
+        /// Quality, 1 to 100.
         quality: u8,
     },
     /// All red bytes, then all green ones, then all blue ones; rows from the top.
@@ -33,7 +33,7 @@ impl Encoding {
     /// # Errors
     /// UNIMPLEMENTED for formats that there are not, INVALID_ARGUMENT for numbers that are no
     /// format or no quality.
-    pub fn of(format: i32, quality: f32, field: &str) -> Result<Self, Status> {
+    pub fn from_request(format: i32, quality: f32, field: &str) -> Result<Self, Status> {
         const SUPPORTED: &str = "supported are PNG (1), JPEG (2) and RGB_UINT8_PLANAR (4)";
         match ImageFormat::try_from(format) {
             Ok(ImageFormat::Png) => Ok(Self::Png),
@@ -100,7 +100,7 @@ pub struct Encoders {
 }
 
 impl Encoders {
-    /// `threads` of them; 0: as many as there are processors.
+    /// Encoder with `threads` worker threads; 0: one per processor.
     ///
     /// # Errors
     /// Returns an error if the operating system gives no threads.
@@ -183,7 +183,7 @@ mod tests {
 
     #[test]
     fn quality_is_understood_both_ways() {
-        let of = |quality| Encoding::of(2, quality, "image_format");
+        let of = |quality| Encoding::from_request(2, quality, "image_format");
         for (asked, quality) in [
             (95.0, 95),
             (0.95, 95),
@@ -211,7 +211,7 @@ mod tests {
             (3, tonic::Code::Unimplemented),
             (99, tonic::Code::InvalidArgument),
         ] {
-            let status = Encoding::of(format, 0.0, "image_format").unwrap_err();
+            let status = Encoding::from_request(format, 0.0, "image_format").unwrap_err();
             assert!(
                 status.code() == code && status.message().contains("JPEG (2)"),
                 "{status}"

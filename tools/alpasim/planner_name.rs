@@ -32,7 +32,7 @@ impl PlannerName {
             Self::Driver(address) => Egodriver::open(address, options, timeouts)
                 .map(|driver| Box::new(driver) as Box<dyn Planner>),
         };
-        opened.with_context(|| format!("the planner {self} is not to be had"))
+        opened.with_context(|| format!("the planner {self} cannot be opened"))
     }
 
     /// True for a driver of AlpaSim.

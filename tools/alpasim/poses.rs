@@ -7,7 +7,7 @@ use tonic::Status;
 use crate::wire::common;
 use crate::wire::sensorsim::PosePair;
 
-/// Farther from the local origin f32 has no decimeters left, meters.
+/// Largest distance from the local origin, meters: farther away, f32 has no decimeters left.
 const DISTANCE_MAX_M: f64 = 1e6;
 /// A quaternion shorter than this is no rotation.
 const QUATERNION_MIN: f64 = 1e-6;

@@ -21,7 +21,7 @@ const DISTANCE: f64 = 2.0;
 /// Luminance of the reference ground in images.
 const GROUND_DISPLAY: f64 = 0.4;
 
-/// By how much the probe is turned in images, radians: not one of the turns that were fitted.
+/// Angle by which the probe is turned in images, radians: not one of the turns that were fitted.
 const YAW_RAD: f64 = 0.4;
 
 /// One probe left out, drawn.
@@ -103,7 +103,7 @@ fn image(cloud: SplatCloud, background: [f32; 3]) -> Image {
     );
     let splat_scene = SplatScene {
         sky: background,
-        ..SplatScene::of(cloud)
+        ..SplatScene::from_splats(cloud)
     };
     reference::render(&splat_scene, &cameras[1], &Rules::DEFAULT).to_image()
 }

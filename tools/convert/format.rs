@@ -24,8 +24,8 @@ pub enum Format {
     Sog,
     /// Binary glTF with KHR_gaussian_splatting: all in 32-bit floats
     Glb,
-    /// Our compressed asset, of all splats with an opacity of at least 1/255; `compress` prunes by
-    /// what is seen
+    /// Compressed asset of this project, of all splats with an opacity of at least 1/255;
+    /// `compress` prunes by what is seen
     Safetensors,
 }
 

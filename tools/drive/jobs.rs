@@ -53,7 +53,7 @@ pub struct Job {
     pub directory: PathBuf,
 }
 
-pub fn of(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
+pub fn list(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     let jobs = if arguments.scenarios.is_empty() {
         generated(arguments, folder)?
     } else {
@@ -216,7 +216,7 @@ impl PlaceArguments {
         self.background_on(&site.lanes, is_drawn)
     }
 
-    /// The same for the roads of a map.
+    /// Splats of the background for the roads of a map.
     fn background_on(&self, map: &LaneMap, is_drawn: bool) -> usize {
         let lengths_m = map.lanes.iter().map(|lane| length_m(&lane.centerline));
         let area_m2 = LANE_M * lengths_m.sum::<f64>();

@@ -65,7 +65,7 @@ pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
     });
     let body = |color: usize, state: &VehicleState, size: &VehicleSize| Body {
         color,
-        corners: OrientedBox::of(state, size).corners(),
+        corners: OrientedBox::for_vehicle(state, size).corners(),
     };
     let agents = last
         .agents

@@ -124,7 +124,7 @@ fn rows(pairs: &[Pair]) -> Result<Vec<Row>> {
 
 fn row(name: &'static str, pairs: &[&Pair]) -> Option<Row> {
     let moments = |value: &dyn Fn(&Pair) -> f64| {
-        Moments::of(&pairs.iter().map(|pair| value(pair)).collect::<Vec<_>>())
+        Moments::from_values(&pairs.iter().map(|pair| value(pair)).collect::<Vec<_>>())
     };
     let success = |scored: &Scored| f64::from(u8::from(scored.score.success));
     Some(Row {

@@ -13,10 +13,10 @@ pub struct HdScores {
 }
 
 impl HdScores {
-    pub fn of(scored: &[Scored], variant: HdVariant) -> Self {
+    pub fn from_scored(scored: &[Scored], variant: HdVariant) -> Self {
         let scores = scored
             .iter()
-            .map(|scored| HdScore::of(&scored.episode, variant));
+            .map(|scored| HdScore::new(&scored.episode, variant));
         Self {
             variant,
             scores: scores.collect(),
@@ -39,7 +39,8 @@ impl HdScores {
         for (level, scores) in self.sets(scored) {
             text.push_str(&format!("{level:<8} {:>8}", scores.len()));
             for terms in terms(&scores) {
-                let shown = Moments::of(&terms).map_or("-".into(), |moments| score(&moments));
+                let shown =
+                    Moments::from_values(&terms).map_or("-".into(), |moments| score(&moments));
                 text.push_str(&format!("  {shown:>20}"));
             }
             text.push('\n');

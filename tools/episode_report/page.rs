@@ -16,7 +16,7 @@ use crate::thumbnail::thumbnail;
 
 /// Episodes that are shown; a page of hundreds would not be read.
 const SHOWN_MAX: usize = 24;
-/// Images of the strip are at most so wide, pixels.
+/// Largest width of an image of the strip, pixels.
 const STRIP_WIDTH_PX: u32 = 240;
 
 pub fn page(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {

@@ -79,7 +79,7 @@ pub fn text(scored: &[Scored]) -> String {
     )
 }
 
-/// The same as a part of a page.
+/// Adds those figures to a page.
 pub fn part(page: &mut Page, scored: &[Scored]) {
     let Some((steps, parts)) = parts(scored) else {
         return;

@@ -26,7 +26,7 @@ const VERSION: &str = "v1.0-decouplegs";
 const START_US: i64 = 1_767_225_600_000_000;
 /// A road user that moves slower stands, meters per second.
 const STANDS_MPS: f64 = 0.2;
-/// From keyframe to keyframe, seconds. Readings between them are sweeps, without annotations.
+/// Interval between keyframes, seconds. Readings between them are sweeps, without annotations.
 const KEYFRAME_S: f64 = 0.5;
 /// File that stands for a map: devkits want one to exist.
 const MAP: &str = "maps/none.png";

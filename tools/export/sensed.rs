@@ -180,7 +180,7 @@ impl Renderers {
             .next();
         let sweep = match &lidar {
             Some(lidar) => {
-                let options = ReturnOptions::of(&lidar.model);
+                let options = ReturnOptions::for_model(&lidar.model);
                 let sweep_s = lidar.model.sweep_s;
                 let traced = (self.color).trace(&moment.world, lidar, sweep_s, options.mode)?;
                 Some(traced.returns(&options))

@@ -62,7 +62,7 @@ struct Agent {
 
 impl Listing {
     /// Lists `scene`, of which `loaded` was read and `splat_scene` baked.
-    pub fn of(scene: &SceneFile, loaded: &LoadedScene, splat_scene: &SplatScene) -> Self {
+    pub fn new(scene: &SceneFile, loaded: &LoadedScene, splat_scene: &SplatScene) -> Self {
         let mut splats = vec![0; scene.agents.len() + 1];
         splat_scene
             .instance_from_splat
@@ -96,7 +96,7 @@ impl Listing {
             lidars: loaded.rig.lidars().cloned().collect(),
             ego: loaded.ego.clone(),
             agents: scene.agents.iter().enumerate().map(agent).collect(),
-            light: Light::of(scene, loaded),
+            light: Light::new(scene, loaded),
         }
     }
 
@@ -210,7 +210,7 @@ impl Listing {
 }
 
 impl Light {
-    fn of(scene: &SceneFile, loaded: &LoadedScene) -> Option<Self> {
+    fn new(scene: &SceneFile, loaded: &LoadedScene) -> Option<Self> {
         let (file, lighting) = (scene.light.as_ref()?, loaded.lighting()?);
         let shadows = lighting.shadows.unwrap_or_default();
         // Agents of plain files stand behind the background.
@@ -408,7 +408,7 @@ fn way_to_json(way: &Trajectory) -> Value {
     json!({ "start_s": way.start_s(), "end_s": way.end_s(), "poses": way.poses().len(), "length_m": length_m(way) })
 }
 
-/// Along the straight pieces between its poses.
+/// Length of the straight pieces between poses, meters.
 fn length_m(way: &Trajectory) -> f64 {
     way.poses()
         .windows(2)

@@ -28,7 +28,7 @@ pub struct Drawing<'a> {
     pub obstacles: &'a [Obstacle],
 }
 
-/// Lanes without borders are drawn so wide, meters.
+/// Width of lanes without borders in the drawing, meters.
 const WIDTH_M: f64 = 3.0;
 /// Lanes drawn narrower have no arrows, pixels.
 const ARROW_WIDTH_PX: f64 = 2.5;

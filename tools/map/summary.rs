@@ -27,7 +27,7 @@ pub struct KindSummary {
 
 /// A map in numbers.
 pub struct MapSummary {
-    /// In the order of [`KINDS`].
+    /// Figures of each kind, in the order of [`KINDS`].
     pub kinds: [KindSummary; 5],
     pub min: DVec3,
     pub max: DVec3,
@@ -48,7 +48,7 @@ pub struct MapSummary {
 
 impl MapSummary {
     /// The numbers of a map, which has lanes.
-    pub fn of(map: &LaneMap) -> Self {
+    pub fn new(map: &LaneMap) -> Self {
         let lanes = &map.lanes;
         let count = |holds: fn(&decouplegs::scene::Lane) -> bool| {
             lanes.iter().filter(|lane| holds(lane)).count()
@@ -190,7 +190,7 @@ pub struct TrackSummary {
 }
 
 impl TrackSummary {
-    pub fn of(tracks: &[Track], map: &MapSummary) -> Self {
+    pub fn new(tracks: &[Track], map: &MapSummary) -> Self {
         let mut classes = BTreeMap::new();
         tracks
             .iter()

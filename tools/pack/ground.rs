@@ -10,9 +10,9 @@ use glam::{DVec2, DVec3};
 
 use crate::progress;
 
-/// The mesh reaches so far to all sides of the way, meters.
+/// Distance to which the mesh reaches to all sides of the way, meters.
 const MARGIN_M: f64 = 40.0;
-/// From one vertex to the next, meters, where that gives not too many.
+/// Distance between vertices, meters, where that gives not too many.
 const STEP_M: f64 = 0.5;
 /// Most positions that are asked for their height.
 const PLACES_MAX: f64 = 1e6;

@@ -50,7 +50,7 @@ pub struct BeforeAfter<T> {
 }
 
 impl Measured {
-    pub fn of(
+    pub fn new(
         map: &LaneMap,
         tracks: &[Track],
         registration: &Registration,

@@ -7,7 +7,7 @@ use decouplegs::asset::read_bytes;
 use decouplegs::scene::SplatCloud;
 use glam::DVec3;
 
-/// A point stands for the ground within so much of it, meters.
+/// Radius of the ground that a point stands for, meters.
 const POINT_SIGMA_M: f32 = 0.1;
 
 /// A table of x, y and z in meters, one point a line below a line of these names, as round splats

@@ -22,11 +22,11 @@ const NEARER_SHARE: f32 = 0.03;
 /// Pixels of which an agent would take half of the light or more if nothing else were there.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Coverage {
-    /// Those inside the image.
+    /// Pixels inside the image.
     inside: u32,
-    /// Those inside the image before which nothing is.
+    /// Pixels inside the image that nothing hides.
     visible: u32,
-    /// Those in an image twice as wide and high around it; `None` if the lens ends before.
+    /// Pixels in an image twice as wide and high around it; `None` if the lens ends before.
     around: Option<u32>,
 }
 
@@ -184,9 +184,9 @@ mod tests {
 
     #[test]
     fn half_of_a_half_hidden_plate_is_visible() {
-        let agent = SplatScene::of(plate(-1.0, 1.0, 4.0));
+        let agent = SplatScene::from_splats(plate(-1.0, 1.0, 4.0));
         // A wall 1 m nearer covers what is left of the middle.
-        let mut scene = SplatScene::of(plate(-2.0, 0.0, 3.0));
+        let mut scene = SplatScene::from_splats(plate(-2.0, 0.0, 3.0));
         let at = Pose::IDENTITY;
         scene.bake_instance(&agent.splats, &at, decouplegs::scene::ShFrame::World, 1);
         let of = |scene: &SplatScene| {
@@ -209,7 +209,7 @@ mod tests {
     #[test]
     fn half_of_a_plate_across_the_edge_is_truncated() {
         // The right edge of the image is 2 m to the right at 4 m.
-        let agent = SplatScene::of(plate(1.0, 3.0, 4.0));
+        let agent = SplatScene::from_splats(plate(1.0, 3.0, 4.0));
         let wall_m = [1.0; 400 * 300];
         let of = |splat_scene: &SplatScene| {
             let coverage =
@@ -220,7 +220,7 @@ mod tests {
         assert_eq!(coverage.visible_fraction(), Some(0.0));
         let truncated = coverage.truncated_fraction().unwrap();
         assert!((truncated - 0.5).abs() < 0.02, "{truncated}");
-        let behind = SplatScene::of(plate(-1.0, 1.0, -4.0));
+        let behind = SplatScene::from_splats(plate(-1.0, 1.0, -4.0));
         let none = of(&behind);
         assert_eq!(
             (none.visible_fraction(), none.truncated_fraction()),

@@ -25,10 +25,10 @@ use decouplegs_alpasim::wire::sensorsim::{
     BatchRgbRenderRequestItem, DynamicObject, ImageFormat, PosePair, RgbRenderRequest,
 };
 
-/// A shutter is open so long, microseconds.
+/// Time for which a shutter is open, microseconds.
 const SHUTTER_US: u64 = 20_000;
-/// The first requests of a client, in which buffers still grow, are left out of the figures: so
-/// many, or half of them if they are few.
+/// Number of first requests of a client that are left out of the figures, or half of them if they
+/// are few: buffers still grow.
 const WARM_UP: usize = 20;
 
 /// Bytes that the server may send ahead of what is read.
@@ -50,9 +50,9 @@ pub struct BenchOptions {
     #[arg(long, value_enum, default_value = "jpeg")]
     pub format: FormatName,
     /// Quality of JPEG, 1 to 100
-    #[arg(long, value_name = "Q", default_value_t = 95.0)]
+    #[arg(long, value_name = "QUALITY", default_value_t = 95.0)]
     pub quality: f32,
-    /// Ask for so long, also called --soak
+    /// Duration of the requests, also called --soak
     #[arg(
         long,
         visible_alias = "soak",
@@ -174,7 +174,7 @@ struct Rollout {
     client: SensorsimServiceClient<Channel>,
     scene: String,
     cameras: Vec<AvailableCamera>,
-    /// The ego's way, and the agents', in the local frame.
+    /// Trajectory of the ego: (time in us, pose), local frame.
     ego: Vec<(u64, Pose)>,
     agents: Vec<(String, Trajectory)>,
     origin: DVec3,

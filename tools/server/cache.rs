@@ -2,7 +2,7 @@
 
 /// Values by name, bounded by how many they are and by the bytes that they say they take.
 pub struct Cache<T> {
-    /// The longest unused first.
+    /// Entries, least recently used first.
     entries: Vec<Entry<T>>,
     entries_max: usize,
     bytes_max: u64,

@@ -114,7 +114,7 @@ impl Lidar for Sensorsim {
     ) -> Result<Response<SweepReturn>, Status> {
         let request = request.into_inner();
         let model = self.model(&request.scene_id, &request.logical_id).await?;
-        let checked = SweepRequest::of_named(&request, &model, &self.limits)?;
+        let checked = SweepRequest::from_named(&request, &model, &self.limits)?;
         let points = self.points(checked).await?;
         let points = || points.iter();
         let places = points().flat_map(|point| point.position_m.as_vec3().to_array());

@@ -37,7 +37,7 @@ pub struct ServerOptions {
     pub storage: Storage,
     /// Render backgrounds with fewer splats where they lie at most this many pixels apart (default:
     /// always the finest, which is exact)
-    #[arg(long, value_name = "PX", value_parser = pixels)]
+    #[arg(long, value_name = "PIXELS", value_parser = pixels)]
     pub background_pitch: Option<f64>,
     /// Origin of the clients' rig, in the scenes' vehicle frame (meters, x forward, y left, z up):
     /// simulators put it on the ground below the rear axle, scene files in the center of the box
@@ -132,7 +132,7 @@ pub struct Limits {
     /// Concurrent connections from one address; further ones are closed
     #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub address_connections: u32,
-    /// A connection without a request for so long is closed, seconds. Clients connect again by
+    /// Time without a request after which a connection is closed, seconds. Clients connect again by
     /// themselves
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = seconds)]
     pub idle: f64,
@@ -154,7 +154,7 @@ pub struct Limits {
     /// Time limit for the first bytes of a connection, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     pub handshake: f64,
-    /// On SIGTERM and SIGINT, requests that have begun may take so long to finish, seconds. Then
+    /// Longest time that requests may take to finish after SIGTERM or SIGINT, seconds. Then
     /// connections are closed and the server exits, as soon as the frame that is being drawn is
     /// done
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]

@@ -34,7 +34,7 @@ use decouplegs_alpasim::wire::physics::{
 const TRANSLATION_MAX_M: f64 = 1.5;
 /// A box that would be tilted by more is left as it is, radians: 10 degrees, as there.
 const ROTATION_MAX_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
-/// No vehicle is longer, meters.
+/// Largest side of a box, meters.
 const SIDE_MAX_M: f32 = 100.0;
 /// About what a splat takes in a ground, bytes.
 const BYTES_A_SPLAT: u64 = 64;

@@ -169,7 +169,7 @@ impl RenderQueue {
     /// The sweep that `request` asks for.
     ///
     /// # Errors
-    /// Those of [`RenderQueue::draw`].
+    /// Returns the errors of [`RenderQueue::draw`].
     pub async fn sweep(&self, request: SweepRequest) -> Result<LidarSweep, Status> {
         let (answer, answered) = oneshot::channel();
         let request = Box::new(request);
@@ -424,7 +424,7 @@ impl RenderWorker {
         }
     }
 
-    /// The result of `work` on the scene `id`, which draws so many images.
+    /// Result of `work` on the scene `id`, which draws `images` images.
     fn on_scene<T>(
         &mut self,
         id: &str,

@@ -47,7 +47,11 @@ impl RenderRequest {
     /// INVALID_ARGUMENT with the name of the field that is missing or makes no sense,
     /// RESOURCE_EXHAUSTED with the limit that it passes, UNIMPLEMENTED for lenses and formats that
     /// there are not.
-    pub fn of(request: RgbRenderRequest, field: &str, limits: &Limits) -> Result<Self, Status> {
+    pub fn from_request(
+        request: RgbRenderRequest,
+        field: &str,
+        limits: &Limits,
+    ) -> Result<Self, Status> {
         let named = |name: &str| {
             if field.is_empty() {
                 name.to_owned()
@@ -80,7 +84,7 @@ impl RenderRequest {
             &named("dynamic_objects"),
             limits,
         )?;
-        let encoding = Encoding::of(
+        let encoding = Encoding::from_request(
             request.image_format,
             request.image_quality,
             &named("image_format"),

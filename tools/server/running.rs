@@ -34,9 +34,9 @@ use decouplegs_alpasim::wire::sensorsim::sensorsim_service_server::SensorsimServ
 const STREAMS_MAX: u32 = 128;
 /// Bytes that a client may send ahead of what is read, of a stream and of a connection.
 const WINDOW_BYTES: u32 = 1 << 20;
-/// A connection is asked so often whether it is still there ...
+/// Interval at which a connection is asked whether it is still there.
 const KEEPALIVE: Duration = Duration::from_secs(30);
-/// ... and closed after so long without an answer.
+/// Time without an answer after which it is closed.
 const KEEPALIVE_PATIENCE: Duration = Duration::from_secs(20);
 /// Time for the frame that is being drawn when the server ends.
 const FRAME_PATIENCE: Duration = Duration::from_secs(60);

@@ -94,7 +94,7 @@ impl Sensorsim {
                     results.push(Err(Status::internal("it was not drawn")));
                     match shots.iter_mut().find(|shot| shot.scene == request.scene) {
                         Some(shot) => shot.add(place, request),
-                        None => shots.push(Shot::of(place, request)),
+                        None => shots.push(Shot::new(place, request)),
                     }
                 }
                 Err(status) => results.push(Err(status)),
@@ -190,7 +190,7 @@ struct Shot {
 }
 
 impl Shot {
-    fn of(place: usize, request: RenderRequest) -> Self {
+    fn new(place: usize, request: RenderRequest) -> Self {
         Self {
             scene: request.scene.clone(),
             views: vec![vec![request]],
@@ -232,7 +232,7 @@ impl SensorsimService for Sensorsim {
         &self,
         request: Request<RgbRenderRequest>,
     ) -> Result<Response<RgbRenderReturn>, Status> {
-        let request = RenderRequest::of(request.into_inner(), "", &self.limits)?;
+        let request = RenderRequest::from_request(request.into_inner(), "", &self.limits)?;
         let image_bytes = self.shot(vec![vec![request]]).await.remove(0)?;
         Ok(Response::new(RgbRenderReturn { image_bytes }))
     }
@@ -241,7 +241,7 @@ impl SensorsimService for Sensorsim {
         &self,
         request: Request<LidarRenderRequest>,
     ) -> Result<Response<LidarRenderReturn>, Status> {
-        let request = SweepRequest::of(request.get_ref(), "", &self.limits)?;
+        let request = SweepRequest::from_request(request.get_ref(), "", &self.limits)?;
         Ok(Response::new(self.lidar(request).await?))
     }
 
@@ -253,7 +253,7 @@ impl SensorsimService for Sensorsim {
         self.check_cameras(request.rgb_requests.len(), "rgb_requests")?;
         self.check_cameras(request.lidar_requests.len(), "lidar_requests")?;
         let of = |(index, request)| {
-            RenderRequest::of(request, &format!("rgb_requests[{index}]"), &self.limits)
+            RenderRequest::from_request(request, &format!("rgb_requests[{index}]"), &self.limits)
         };
         let requests: Vec<RenderRequest> = request
             .rgb_requests
@@ -263,7 +263,7 @@ impl SensorsimService for Sensorsim {
             .collect::<Result<_, _>>()?;
         // All requests are examined before the first is drawn.
         let of = |(index, request)| {
-            SweepRequest::of(request, &format!("lidar_requests[{index}]"), &self.limits)
+            SweepRequest::from_request(request, &format!("lidar_requests[{index}]"), &self.limits)
         };
         let sweeps = request.lidar_requests.iter().enumerate().map(of);
         let sweeps: Vec<SweepRequest> = sweeps.collect::<Result<_, _>>()?;
@@ -305,7 +305,7 @@ impl SensorsimService for Sensorsim {
                 )));
             }
             let missing = || Status::invalid_argument(format!("{field}.request is missing"));
-            let request = RenderRequest::of(
+            let request = RenderRequest::from_request(
                 item.request.ok_or_else(missing)?,
                 &format!("{field}.request"),
                 &self.limits,

@@ -62,7 +62,11 @@ impl SweepRequest {
     /// # Errors
     /// INVALID_ARGUMENT with the name of the field that is missing or makes no sense,
     /// RESOURCE_EXHAUSTED with the limit that it passes.
-    pub fn of(request: &LidarRenderRequest, field: &str, limits: &Limits) -> Result<Self, Status> {
+    pub fn from_request(
+        request: &LidarRenderRequest,
+        field: &str,
+        limits: &Limits,
+    ) -> Result<Self, Status> {
         let prefix = match field {
             "" => String::new(),
             _ => format!("{field}."),
@@ -93,8 +97,8 @@ impl SweepRequest {
     /// The request for a sweep of `model`.
     ///
     /// # Errors
-    /// Those of [`SweepRequest::of`].
-    pub fn of_named(
+    /// Returns the errors of [`SweepRequest::from_request`].
+    pub fn from_named(
         request: &NamedRequest,
         model: &Arc<LidarModel>,
         limits: &Limits,
@@ -174,7 +178,7 @@ impl Common<'_> {
                 },
             },
             objects: objects_of(self.objects, duration_s, &field, limits)?,
-            options: ReturnOptions::of(model),
+            options: ReturnOptions::for_model(model),
             frame: PointFrame::End,
         })
     }

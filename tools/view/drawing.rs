@@ -209,7 +209,7 @@ impl Drawer {
     /// A sentence, if there is no such LiDAR or the device fails.
     pub fn points(&mut self, source: &Source, name: &str) -> Result<Vec<u8>, String> {
         let (lidar, origin) = source.lidar(name)?;
-        let options = ReturnOptions::of(&lidar.model);
+        let options = ReturnOptions::for_model(&lidar.model);
         let sweep_s = lidar.model.sweep_s;
         let traced = (self.color).trace(source.world(true), &lidar, sweep_s, options.mode);
         let traced = traced.map_err(|error| decouplegs::explain::explain(&error))?;

@@ -243,7 +243,7 @@ impl Editor {
     fn ground(&self, file: &mut SceneFile, name: &str) -> Result<(), String> {
         let footing = self.footing.get_or_init(|| {
             let background = self.folder().join(&self.file().background);
-            Footing::of(&background, self.file().origin).ok()
+            Footing::open(&background, self.file().origin).ok()
         });
         let Some(footing) = footing else {
             return Ok(());

@@ -28,21 +28,21 @@ pub struct SourceArguments {
     file: Option<PathBuf>,
     #[command(flatten)]
     options: SceneOptions,
-    /// With a scenario: the planner that drives while you look [default: lane-follow]. As in
-    /// 'decouplegs drive'
+    /// Planner that drives a scenario while you watch, as in 'decouplegs drive' [default:
+    /// lane-follow]
     #[arg(long, value_name = "PLANNER")]
     planner: Option<PlannerName>,
     /// Compare with this: another scene, another log, or a planner that drives the same scenario
     #[arg(long, value_name = "FILE|PLANNER")]
     against: Option<String>,
-    /// With a scene: lanes to show, and to which agents snap that are moved [default: lanes.json
-    /// beside the scene]
+    /// Lanes of a scene, to show and to snap agents to that are moved [default: lanes.json beside
+    /// the scene]
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
-    /// With a log or a scenario: folder that its files are relative to [default: its own]
+    /// Folder that the files of a log or a scenario are relative to [default: its own]
     #[arg(long, value_name = "DIR")]
     base: Option<PathBuf>,
-    /// With a log or a scenario: light transfer for the cars, as given to 'drive'
+    /// Light transfer for the cars of a log or a scenario, as given to 'drive'
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
     #[command(flatten)]

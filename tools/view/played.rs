@@ -50,7 +50,7 @@ impl Played {
         site: Arc<Site>,
         scene: &Arc<SessionScene>,
     ) -> Result<Self, EpisodeError> {
-        let moments = Moments::of(&episode, &site, scene)?;
+        let moments = Moments::from_episode(&episode, &site, scene)?;
         Ok(Self::new(Driven::Logged(Box::new(episode)), site, moments))
     }
 
@@ -218,7 +218,7 @@ impl Played {
     pub fn facts(&self) -> Value {
         let episode = self.episode();
         let head = &episode.head;
-        let score = EpisodeScore::of(episode);
+        let score = EpisodeScore::new(episode);
         let infractions = score.infractions.iter().map(|infraction| {
             json!({
                 "time_s": infraction.time_s,

@@ -96,7 +96,7 @@ impl ScenarioEditor {
     /// The episode at its start.
     ///
     /// # Errors
-    /// Returns an error if the planner is not to be had, or the scenario does not fit the place.
+    /// Returns an error if the planner cannot be opened, or the scenario does not fit the place.
     pub fn begin(&self, session: &Session) -> Result<Played> {
         let site = &self.place.site;
         let LivePlanner { name, driver } = &self.planner;

@@ -71,7 +71,7 @@ impl SceneCourse {
         Ok(Self {
             agents: scene.loaded.agents.clone(),
             assets: (editor.as_ref()).map_or_else(AssetPlaces::default, |editor| {
-                AssetPlaces::of(editor.file())
+                AssetPlaces::for_file(editor.file())
             }),
             scene,
             editor,
@@ -93,7 +93,7 @@ impl SceneCourse {
             .iter()
             .filter(|agent| agent.present.includes(time_s));
         let placed = present.map(|agent| {
-            let mut placed = AgentInstance::of(agent, time_s);
+            let mut placed = AgentInstance::from_agent(agent, time_s);
             if let Some((_, pose)) = self
                 .dragged
                 .as_ref()
@@ -262,7 +262,7 @@ impl SceneCourse {
         });
         match copied {
             Ok((on_device, changed)) => {
-                self.assets = AssetPlaces::of(file);
+                self.assets = AssetPlaces::for_file(file);
                 self.agents = changed.loaded.agents.clone();
                 self.scene = changed;
                 Ok(Some(on_device))
@@ -289,8 +289,8 @@ fn plain(file: &SceneFile) -> Vec<(usize, &SceneAgent)> {
 struct AssetPlaces(HashMap<PathBuf, usize>);
 
 impl AssetPlaces {
-    /// Those of `file` once it is loaded.
-    fn of(file: &SceneFile) -> Self {
+    /// Places of the assets of `file` once it is loaded.
+    fn for_file(file: &SceneFile) -> Self {
         let mut places = HashMap::new();
         for SceneAgent { asset, .. } in &file.agents {
             if coded_asset::has_extension(asset) && !places.contains_key(asset) {

@@ -16,7 +16,7 @@ const VIEW_SIZE_PX: u32 = 256;
 
 /// All distinct cars of a street; the same in every weather.
 pub struct Cars {
-    /// In spatial order.
+    /// Original splats in spatial order.
     pub originals: Vec<SplatCloud>,
     /// Permutation from the street's order of splats into that order.
     pub orders: Vec<Vec<u32>>,

@@ -28,8 +28,8 @@ struct Window {
     rows: (usize, usize),
 }
 
-/// The one with more of one car in sight: `known`, whose first number says how much, or what
-/// `sample` shows.
+/// Crops with more pixels of one car: `known`, whose first number counts them, or those of
+/// `sample`.
 pub fn better(
     known: Option<(usize, ExampleCrops)>,
     sample: &Sample,

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use super::reinsertion_scene::{ReinsertionScene, trajectory};
 
-/// Tracks tell where a car is so often.
+/// Rate at which tracks tell where a car is, Hz.
 const RATE_HZ: f64 = 10.0;
 /// Corners deeper than this below the ground have penetrated it, meters.
 pub const TOLERANCE_M: f64 = 0.02;
@@ -22,11 +22,11 @@ pub const TOLERANCE_M: f64 = 0.02;
 /// Drift of tracks from the ground truth.
 #[derive(Clone, Copy, Debug)]
 pub struct Drift {
-    /// Each is shifted by this, in a direction of its own.
+    /// Shift of each track, meters, in a direction of its own.
     pub shift_m: f64,
-    /// And turned by this about its middle, to either side.
+    /// Turn of each track about its middle, to either side, radians.
     pub turn_rad: f64,
-    /// Deviation of each of its positions along each axis.
+    /// Standard deviation of each position of a track along each axis, meters.
     pub noise_m: f64,
     /// Seed of all randomness.
     pub seed: u64,
@@ -35,11 +35,11 @@ pub struct Drift {
 /// Placement errors of cars, means over tracks.
 #[derive(Clone, Copy, Debug)]
 pub struct Placing {
-    /// Mean distance to the true position at the same moment.
+    /// Mean distance to the true position at the same moment, meters.
     pub ade_truth_m: f64,
-    /// The part of it across the true way.
+    /// Mean distance across the true way, meters.
     pub across_m: f64,
-    /// The part along it.
+    /// Mean distance along the true way, meters.
     pub along_m: f64,
     /// Mean distance to the nearest centerline; true ways are on one.
     pub ade_lane_m: f64,
@@ -70,7 +70,7 @@ impl Placing {
 
 /// The ways of all agents.
 pub struct Placed {
-    /// In the order of the agents.
+    /// Trajectories in the order of the agents.
     pub ways: Vec<Trajectory>,
     pub placing: Placing,
 }
@@ -84,7 +84,7 @@ pub struct Tracks {
 impl Tracks {
     /// The ways of `stage`'s agents as a log that drifts tells them, and as they come out of
     /// registration.
-    pub fn of(stage: &ReinsertionScene, drift: &Drift) -> Result<Self> {
+    pub fn register(stage: &ReinsertionScene, drift: &Drift) -> Result<Self> {
         let truth: Vec<Track> = (0..stage.loaded.agents.len())
             .map(|agent| true_track(stage, agent))
             .collect();
@@ -233,7 +233,7 @@ fn placing(lanes: &LaneMap, truth: &[Track], ways: &[Trajectory], refused: usize
 struct Random(u64);
 
 impl Random {
-    /// From 0 to below 1.
+    /// Next number, uniform in [0, 1).
     fn unit(&mut self) -> f64 {
         (random::next(&mut self.0) >> 11) as f64 / (1u64 << 53) as f64
     }

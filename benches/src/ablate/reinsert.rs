@@ -54,7 +54,7 @@ impl Arm {
         }
     }
 
-    /// For the reader of a report.
+    /// Description for the reader of a report.
     pub fn what(self) -> &'static str {
         match self {
             Self::NoRelighting => {
@@ -90,11 +90,11 @@ impl Arm {
 pub struct Sample {
     pub time_s: f64,
     pub cameras: Vec<Camera>,
-    /// With instances, one per camera.
+    /// Ground truth with instances, one image per camera.
     pub truth: Vec<Image>,
-    /// For each image the pixels that show vehicles.
+    /// Pixels that show vehicles, `[image][pixel]`.
     pub vehicles: Vec<Vec<bool>>,
-    /// And those about them.
+    /// Pixels of the ground around vehicles, `[image][pixel]`.
     pub ground: Vec<Vec<bool>>,
 }
 
@@ -102,7 +102,8 @@ pub struct Sample {
 pub struct ArmFigures {
     pub arm: Arm,
     pub vehicles: MaskedDifference,
-    /// About vehicles, where shadows lie; `None` where vehicles fill all images.
+    /// Errors on the ground around vehicles, where shadows lie; `None` where vehicles fill all
+    /// images.
     pub ground: Option<MaskedDifference>,
     /// Darkening of the ground around vehicles.
     pub darkness: Option<f64>,

@@ -74,7 +74,7 @@ impl ReinsertionScene {
             plain_agents: Vec::new(),
             splat_scene: SplatScene {
                 sky: street.sky,
-                ..SplatScene::of(background.select(&order))
+                ..SplatScene::from_splats(background.select(&order))
             },
             assets: cars.coded.clone(),
             agents: agents.collect::<Result<_>>()?,
@@ -187,7 +187,7 @@ impl ReinsertionScene {
         }
     }
 
-    /// The same with agents that drive as `ways` say.
+    /// Scene in which agents drive as `ways` say.
     pub fn driven(&self, ways: &[Trajectory]) -> LoadedScene {
         let mut loaded = self.loaded.clone();
         loaded

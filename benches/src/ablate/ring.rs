@@ -7,7 +7,7 @@ use decouplegs::scene::light::LUMA;
 /// 25 px of 800.
 const RING_WIDTH: f64 = 25.0 / 800.0;
 
-/// For each pixel of an image `width_px` wide whether it lies near `vehicles`, and is not of them.
+/// True for each pixel of an image `width_px` wide that lies near `vehicles`, and is not of them.
 pub fn around(vehicles: &[bool], width_px: usize) -> Vec<bool> {
     let ring_px = ((RING_WIDTH * width_px as f64).round() as usize).max(1);
     let height_px = vehicles.len() / width_px.max(1);

@@ -11,7 +11,7 @@ use crate::stress::figures::Measured;
 
 /// Least number of frames before the timed ones.
 const WARM_UP_FRAMES: u32 = 2;
-/// From one frame to the next, seconds.
+/// Interval between frames, seconds.
 const STEP_S: f64 = 0.1;
 
 /// Scene of the drive that is timed.
@@ -108,6 +108,6 @@ impl<'a> Speed<'a> {
         submit: impl FnMut(&mut Renderer, f64) -> Result<()>,
     ) -> Result<Measured> {
         let driven = self.schedule.drive(renderer, submit)?;
-        Ok(Measured::of(&driven, self.gpu.memory()))
+        Ok(Measured::from_driven(&driven, self.gpu.memory()))
     }
 }

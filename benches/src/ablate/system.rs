@@ -41,7 +41,7 @@ impl Without {
         }
     }
 
-    /// For the reader of a report.
+    /// Description for the reader of a report.
     pub fn what(self) -> &'static str {
         match self {
             Self::Nothing => {
@@ -87,7 +87,7 @@ pub struct SystemRow {
     pub placing: Placing,
     /// Errors over vehicles' pixels, cars at their true poses.
     pub at_truth: MaskedDifference,
-    /// The same with cars where this row's tracks put them.
+    /// Errors over vehicles' pixels, cars where this row's tracks put them.
     pub as_placed: MaskedDifference,
 }
 
@@ -110,7 +110,7 @@ impl Reinsertion<'_> {
         measured: &Reinserted,
         frames: u32,
     ) -> Result<System> {
-        let tracks = Tracks::of(self.stage, drift)?;
+        let tracks = Tracks::register(self.stage, drift)?;
         let speed = Speed::over(self.gpu, &self.stage.loaded, frames);
         let middle_s = speed.schedule.middle_s();
         let mut rows = Vec::new();

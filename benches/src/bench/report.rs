@@ -31,9 +31,9 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
     } = timed;
     let last = frames.last().expect("at least one frame was timed");
     let milliseconds =
-        |of: &dyn Fn(&FrameStatistics) -> f64| Spread::of(frames.iter().map(of)).to_json();
+        |of: &dyn Fn(&FrameStatistics) -> f64| Spread::from_values(frames.iter().map(of)).to_json();
     let wall_ms = milliseconds(&|frame| frame.wall_time.as_secs_f64() * 1e3);
-    let step_wall_ms = Spread::of(steps_ms.iter().copied()).to_json();
+    let step_wall_ms = Spread::from_values(steps_ms.iter().copied()).to_json();
     // Not from the median: with frames in flight, their ends may come in bursts.
     let rig_steps_per_s = 1e3 * steps_ms.len() as f64 / steps_ms.iter().sum::<f64>();
     let stages_of = |frame: &'a FrameStatistics| {
@@ -42,7 +42,9 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
     };
     let stages: Vec<Value> = stage_times_ms(by_stage, stages_of)
         .into_iter()
-        .map(|(name, times)| json!({ "name": name, "gpu_ms": Spread::of(times).to_json() }))
+        .map(
+            |(name, times)| json!({ "name": name, "gpu_ms": Spread::from_values(times).to_json() }),
+        )
         .collect();
     let mut keys = BTreeMap::<String, usize>::new();
     for source in frames.iter().flat_map(|frame| &frame.keys) {

@@ -93,11 +93,11 @@ fn times(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Value> {
     });
     let stages: Vec<Value> = stages
         .into_iter()
-        .map(|(name, times)| json!({ "name": name, "gpu_ms": Spread::of(times).to_json() }))
+        .map(|(name, times)| json!({ "name": name, "gpu_ms": Spread::from_values(times).to_json() }))
         .collect();
     Ok(json!({
         "device": gpu.info().name,
-        "frame_gpu_ms": Spread::of(frame_ms).to_json(),
+        "frame_gpu_ms": Spread::from_values(frame_ms).to_json(),
         "stages": stages,
         "memory_bytes": timed.memory.total_bytes,
     }))

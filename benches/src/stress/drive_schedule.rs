@@ -25,7 +25,7 @@ const FRAMES_BY_STAGE_MAX: u32 = 10;
 pub struct DriveSchedule {
     /// The moment of the first timed frame, seconds.
     pub start_s: f64,
-    /// From one frame to the next, seconds.
+    /// Interval between frames, seconds.
     pub step_s: f64,
     /// Least number of frames before those that are timed.
     pub warm_up: u32,
@@ -44,7 +44,7 @@ pub struct WarmUp {
     /// One turn of it: frames of the schedule, drawn backwards so that the timed ones go on where
     /// it ends.
     pub turn: Vec<u32>,
-    /// Turns are repeated until so much time has passed.
+    /// Least total time for which turns are repeated.
     pub least: Duration,
 }
 

@@ -12,7 +12,7 @@ pub struct Fidelity {
     /// Signal-to-noise ratio from the mean squared error over all pixels, decibels; infinite for
     /// equal images.
     pub psnr_all_db: f64,
-    /// The same over pixels that show an agent; `None` where none does.
+    /// Signal-to-noise ratio over pixels that show an agent, decibels; `None` where none does.
     pub psnr_vehicles_db: Option<f64>,
     /// Mean over images; `None` where they are too small.
     pub ssim: Option<f64>,

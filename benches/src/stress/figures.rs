@@ -12,7 +12,7 @@ use super::mode::Mode;
 use crate::spread::Spread;
 use crate::stage_times::stage_times_ms;
 
-/// One mode with so many agents.
+/// Figures of one mode with one number of agents.
 pub struct Point {
     pub mode: Mode,
     pub agents: usize,
@@ -22,7 +22,7 @@ pub struct Point {
 
 pub enum Outcome {
     Measured(Box<Measured>),
-    /// It needs more memory than it may have, or than there is.
+    /// The mode needs more memory than it may have, or than there is.
     OutOfMemory {
         needed_bytes: u64,
         /// Source of the value.
@@ -44,10 +44,10 @@ pub struct Measured {
     pub update_ms: Option<Spread>,
     /// Host time to record and submit.
     pub record_ms: Spread,
-    /// In the order they run; of both queues. Of frames drawn once more, as stages that are timed
-    /// do not overlap.
+    /// Durations of the stages of both queues, milliseconds, in the order they run. Measured on
+    /// frames drawn once more, as stages that are timed do not overlap.
     pub stages: Vec<(&'static str, Spread)>,
-    /// While the last of the frames was shown.
+    /// Device memory in use while the last of the frames was shown.
     pub memory: MemoryReport,
     /// Predicted memory of the scene alone.
     pub predicted_scene_bytes: u64,
@@ -63,7 +63,7 @@ pub struct Measured {
     pub redrawn: usize,
     /// Views by the source of their background's depth keys.
     pub keys: BTreeMap<String, usize>,
-    /// Against vanilla; `None` for vanilla itself, or where nothing was compared.
+    /// Difference from vanilla; `None` for vanilla itself, or where nothing was compared.
     pub fidelity: Option<Fidelity>,
 }
 
@@ -97,9 +97,10 @@ impl Point {
 impl Measured {
     /// The figures of `driven`, which has at least one frame. Times of stages, fidelity and what
     /// the frames do not tell are left open.
-    pub fn of(driven: &Driven, memory: MemoryReport) -> Self {
+    pub fn from_driven(driven: &Driven, memory: MemoryReport) -> Self {
         let frames = &driven.frames;
-        let spread = |of: &dyn Fn(&FrameStatistics) -> f64| Spread::of(frames.iter().map(of));
+        let spread =
+            |of: &dyn Fn(&FrameStatistics) -> f64| Spread::from_values(frames.iter().map(of));
         let median = |of: &dyn Fn(&FrameStatistics) -> f64| spread(of).median;
         let updates: Vec<f64> = frames
             .iter()
@@ -113,9 +114,9 @@ impl Measured {
         }
         Self {
             warm_up_frames: driven.warm_up_frames,
-            step_ms: Spread::of(driven.steps_ms.iter().copied()),
+            step_ms: Spread::from_values(driven.steps_ms.iter().copied()),
             gpu_ms: spread(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
-            update_ms: (!updates.is_empty()).then(|| Spread::of(updates)),
+            update_ms: (!updates.is_empty()).then(|| Spread::from_values(updates)),
             record_ms: spread(&|frame| frame.record_time.as_secs_f64() * 1e3),
             stages: Vec::new(),
             memory,
@@ -132,8 +133,8 @@ impl Measured {
         }
     }
 
-    /// By the time that all of them took: frames in flight may end in pairs, so that a median says
-    /// nothing of a rate.
+    /// Frames of the whole rig per second, from the mean interval: frames in flight may end in
+    /// pairs, so that a median says nothing of a rate.
     pub fn rig_steps_per_s(&self) -> f64 {
         1e3 / self.step_ms.mean
     }
@@ -190,6 +191,6 @@ pub fn stage_times<'a>(frames: &'a [FrameStatistics]) -> Vec<(&'static str, Spre
     };
     let times = stage_times_ms(frames, stages).into_iter();
     times
-        .map(|(name, times)| (name, Spread::of(times)))
+        .map(|(name, times)| (name, Spread::from_values(times)))
         .collect()
 }

@@ -10,7 +10,7 @@ pub struct Line {
 }
 
 impl Line {
-    /// Through `points`; `None` where they do not lie at two places at least.
+    /// Least-squares line through `points`; `None` where they do not lie at two places at least.
     pub fn through(points: &[(f64, f64)]) -> Option<Self> {
         let count = points.len() as f64;
         let mean = |of: &dyn Fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;

@@ -159,7 +159,7 @@ impl<'a> TestRig<'a> {
             let by_stage = self.schedule.drive_by_stage(&mut renderer, submit)?;
             Measured {
                 stages: stage_times(&by_stage),
-                ..Measured::of(&driven, memory)
+                ..Measured::from_driven(&driven, memory)
             }
         };
         if measured.memory.total_bytes > limit_bytes {

@@ -31,7 +31,7 @@ pub struct Coding {
 pub struct Mode {
     /// Name as requested.
     pub name: String,
-    /// For the reader of a report.
+    /// Description for the reader of a report.
     pub what: String,
     pub agents: Agents,
     keep_keys: bool,
@@ -53,7 +53,7 @@ const KNOWN: &str = "vanilla, prune[=SHARE], decoupled, decoupled-serial, compac
 const PRUNE_KEEP: f64 = 0.34;
 const LEVEL_PITCH_PX: f64 = 0.7;
 const BACKGROUND_PITCH_PX: f64 = 2.0;
-/// Fewer make no codebook worth the name, and shapes have half as many.
+/// Least number of colors of a codebook; shapes have half as many.
 const COLORS_MIN: f64 = 2.0;
 const COLORS_MAX: f64 = decouplegs::scene::codebook::COLORS_MAX as f64;
 
@@ -81,7 +81,7 @@ impl Mode {
     fn vanilla(name: &str) -> Self {
         Self {
             what:
-                "the baseline: every agent is an uncompressed copy in splat_scene space, all depth keys are computed in every frame; \
+                "the baseline: every agent is an uncompressed copy in world space, all depth keys are computed in every frame; \
                    2 frames in flight"
                     .into(),
             agents: Agents::Copies { keep: 1.0 },

@@ -19,7 +19,7 @@ pub struct Report {
     pub thumbnails: Option<Thumbnails>,
 }
 
-/// The same view twice.
+/// Images of one view by both renderers.
 pub struct Thumbnails {
     pub agents: usize,
     pub time_s: f64,
@@ -35,7 +35,7 @@ pub struct MemoryLines {
     pub rest: Option<Line>,
     /// All of it against agents.
     pub total: Option<Line>,
-    /// The same of vanilla.
+    /// All memory of vanilla against agents.
     pub vanilla_total: Option<Line>,
 }
 
@@ -184,7 +184,7 @@ pub fn mebibytes(bytes: u64) -> f64 {
     bytes as f64 / f64::from(1 << 20)
 }
 
-/// Without the unit.
+/// Text of a ratio in decibels, without the unit.
 pub fn decibels(psnr_db: f64) -> String {
     if psnr_db.is_finite() {
         format!("{psnr_db:.2}")

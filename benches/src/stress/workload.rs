@@ -25,7 +25,7 @@ const VIEW_SIZE_PX: u32 = 256;
 /// An asset in its own frame.
 struct Asset {
     name: String,
-    /// In spatial order.
+    /// Original splats in spatial order.
     original: SplatCloud,
     /// Compressed asset, if it came compressed: then the original is its decoded form.
     stored: Option<CodedCloud>,
@@ -36,9 +36,9 @@ pub struct Workload {
     /// Background, rig and ego; assets and agents are those that were staged last.
     staged: LoadedScene,
     assets: Vec<Asset>,
-    /// All of them; the first so many are drawn.
+    /// All agents, of which the first are drawn, as many as a point asks for.
     agents: Vec<LoadedAgent>,
-    /// Compressed assets, by how.
+    /// Compressed assets of each coding.
     codings: Vec<(Coding, Vec<CodedCloud>)>,
     /// Source of the scene, for the report.
     source: Value,
@@ -147,7 +147,7 @@ impl Workload {
         let agents = agents.collect::<Result<Vec<_>>>()?;
         let splat_scene = SplatScene {
             sky: street.sky,
-            ..SplatScene::of(street.background.in_spatial_order())
+            ..SplatScene::from_splats(street.background.in_spatial_order())
         };
         let staged = LoadedScene {
             plain_agents: Vec::new(),
@@ -223,7 +223,8 @@ impl Workload {
         self.places(count).iter().flatten().count()
     }
 
-    /// For each asset its place among those that the first `count` agents show.
+    /// Place of each asset among those that the first `count` agents show; `None` for an asset that
+    /// none shows.
     fn places(&self, count: usize) -> Vec<Option<usize>> {
         let (mut places, mut next) = (vec![None; self.assets.len()], 0);
         for agent in &self.agents[..count] {

@@ -1,4 +1,4 @@
-//! Between trained parameters, as files store them, and the values that are drawn.
+//! Conversion between trained parameters, as files store them, and the values that are drawn.
 
 /// A standard deviation, meters, from its stored natural logarithm.
 ///

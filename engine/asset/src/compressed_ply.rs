@@ -152,7 +152,7 @@ fn rest_coefficients(ply: &Ply<'_>, splats: usize) -> Result<(u8, Vec<[f32; 3]>)
     if !ply.has_element("sh") {
         return Ok((0, Vec::new()));
     }
-    let columns = RestColumns::of(ply, "sh")?;
+    let columns = RestColumns::find(ply, "sh")?;
     if columns.degree == 0 {
         return Ok((0, Vec::new()));
     }

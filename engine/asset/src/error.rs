@@ -41,23 +41,23 @@ pub enum AssetError {
     /// The operating system refused to read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The refusal.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// The operating system refused to write.
     #[error("cannot write {}: {source}", path.display())]
     Write {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The refusal.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// The bytes are not a valid file of their format.
     #[error("{}: not a readable {format} file: {source}", path.display())]
     Decode {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// The format it was taken for.
         format: &'static str,
@@ -67,7 +67,7 @@ pub enum AssetError {
     /// Splats, a map or a table of tracks in no form that is read here.
     #[error("{}: {found}; expected {expected}", path.display())]
     Unrecognized {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Apparent content of the file.
         found: String,
@@ -77,9 +77,9 @@ pub enum AssetError {
     /// Something that a format cannot hold.
     #[error("{}: cannot be stored as {format}: {source}", path.display())]
     Encode {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The format.
+        /// Name of the format.
         format: &'static str,
         /// Reason and remedy.
         source: EncodeError,
@@ -87,7 +87,7 @@ pub enum AssetError {
     /// Cameras that cannot be used.
     #[error("{}: {source}", path.display())]
     Cameras {
-        /// The camera file.
+        /// Path of the camera file.
         path: PathBuf,
         /// Error, with the camera's name.
         source: DecodeError,
@@ -95,7 +95,7 @@ pub enum AssetError {
     /// A scene file or a scenario file that is not one.
     #[error("{}: {source}", path.display())]
     Scene {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Line, key and reason.
         source: SceneError,

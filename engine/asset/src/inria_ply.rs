@@ -61,7 +61,7 @@ pub(crate) fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, Dec
     let rotation = columns(&["rot_0", "rot_1", "rot_2", "rot_3"])?;
     let opacity = ply.column(element, "opacity")?;
     let dc = dc_columns(ply, element)?;
-    let rest = RestColumns::of(ply, element)?;
+    let rest = RestColumns::find(ply, element)?;
     let rows = ply.rows(element)?;
     Ok(SplatCloud {
         means: triples(&rows, &mean),
@@ -136,7 +136,7 @@ pub(crate) struct RestColumns {
 
 impl RestColumns {
     /// Finds `f_rest_0..` in `element` and the degree that their number means.
-    pub(crate) fn of(ply: &Ply<'_>, element: &str) -> Result<Self, DecodeError> {
+    pub(crate) fn find(ply: &Ply<'_>, element: &str) -> Result<Self, DecodeError> {
         let count = ply
             .property_names(element)
             .filter(|name| name.starts_with("f_rest_"))

@@ -19,7 +19,7 @@ impl AttributeLoss {
     /// The statistics of `errors`; zero without any. An error that is not a number counts as
     /// infinite.
     #[must_use]
-    pub fn of(mut errors: Vec<f64>) -> Self {
+    pub fn from_errors(mut errors: Vec<f64>) -> Self {
         if errors.is_empty() {
             return Self::default();
         }
@@ -50,9 +50,9 @@ pub struct LossReport {
     pub sh_dc: AttributeLoss,
     /// Error of the coefficients after DC; absent ones count as zero. None where there were none.
     pub sh_rest: Option<AttributeLoss>,
-    /// Degree of the spherical harmonics before.
+    /// Degree of the spherical harmonics before compression.
     pub sh_degree_before: u8,
-    /// And after.
+    /// Degree of the spherical harmonics after compression.
     pub sh_degree_after: u8,
 }
 
@@ -105,7 +105,7 @@ impl LossReport {
             differences(&a, &b)
         });
         Self {
-            position_m: AttributeLoss::of(
+            position_m: AttributeLoss::from_errors(
                 before
                     .means
                     .par_iter()
@@ -113,9 +113,9 @@ impl LossReport {
                     .map(distance)
                     .collect(),
             ),
-            scale_relative: AttributeLoss::of(scale_relative.collect()),
-            rotation_rad: axes_are_kept.then(|| AttributeLoss::of(angles.collect())),
-            opacity: AttributeLoss::of(
+            scale_relative: AttributeLoss::from_errors(scale_relative.collect()),
+            rotation_rad: axes_are_kept.then(|| AttributeLoss::from_errors(angles.collect())),
+            opacity: AttributeLoss::from_errors(
                 before
                     .opacities
                     .iter()
@@ -133,7 +133,7 @@ impl LossReport {
 
 fn differences(a: &[[f32; 3]], b: &[[f32; 3]]) -> AttributeLoss {
     let pairs = a.as_flattened().par_iter().zip(b.as_flattened());
-    AttributeLoss::of(
+    AttributeLoss::from_errors(
         pairs
             .map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs())
             .collect(),
@@ -229,9 +229,12 @@ mod tests {
 
     #[test]
     fn ninety_nine_of_a_hundred_are_below_the_percentile() {
-        let loss = AttributeLoss::of((1..=1000).map(f64::from).collect());
+        let loss = AttributeLoss::from_errors((1..=1000).map(f64::from).collect());
         assert_eq!((loss.p99, loss.max, loss.mean), (990.0, 1000.0, 500.5));
-        assert_eq!(AttributeLoss::of(vec![f64::NAN]).max, f64::INFINITY);
-        assert_eq!(AttributeLoss::of(vec![]), AttributeLoss::default());
+        assert_eq!(
+            AttributeLoss::from_errors(vec![f64::NAN]).max,
+            f64::INFINITY
+        );
+        assert_eq!(AttributeLoss::from_errors(vec![]), AttributeLoss::default());
     }
 }

@@ -100,7 +100,7 @@ pub fn write_obstacles(path: &Path, obstacles: &[Obstacle]) -> Result<(), AssetE
     let lines: Vec<String> = obstacles
         .iter()
         .map(|obstacle| {
-            let form = serde_json::to_string(&Form::of(obstacle));
+            let form = serde_json::to_string(&Form::from_obstacle(obstacle));
             format!("  {}", form.expect("numbers and names are JSON"))
         })
         .collect();
@@ -112,7 +112,7 @@ pub fn write_obstacles(path: &Path, obstacles: &[Obstacle]) -> Result<(), AssetE
 }
 
 impl Form {
-    fn of(obstacle: &Obstacle) -> Self {
+    fn from_obstacle(obstacle: &Obstacle) -> Self {
         Self {
             kind: obstacle.kind.name().to_owned(),
             center_m: obstacle.center_m.to_array(),

@@ -25,7 +25,8 @@ pub(crate) struct ImageSize {
     pub(crate) height_px: u32,
 }
 
-/// No compression of these formats makes images of light so small; a file that claims it is broken.
+/// Most pixels per byte of a file: no compression of these formats makes images of light smaller; a
+/// file that claims it is broken.
 const PIXELS_PER_BYTE_MAX: u64 = 1024;
 
 /// Reads an OpenEXR or Radiance HDR image from the bytes of its file.

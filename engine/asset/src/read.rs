@@ -29,7 +29,7 @@ pub enum SplatFormat {
     KhrGlb,
     /// Checkpoint that gsplat's trainer saves with PyTorch.
     Checkpoint,
-    /// Our own, of codebooks; its finest level is read.
+    /// Compressed asset of this project, with codebooks; its finest level is read.
     CodedAsset,
 }
 

@@ -23,7 +23,7 @@ pub struct Histogram {
 impl Histogram {
     /// Counts `values` in `bins` equal steps from `min` to `max`. Values that are not a number are
     /// left out.
-    fn of(values: impl Iterator<Item = f64>, min: f64, max: f64, bins: usize) -> Self {
+    fn new(values: impl Iterator<Item = f64>, min: f64, max: f64, bins: usize) -> Self {
         let edges = (0..=bins)
             .map(|i| min + (max - min) * i as f64 / bins as f64)
             .collect();
@@ -59,10 +59,10 @@ pub struct SummaryBounds {
 /// Splats that cannot be drawn, by the first thing wrong with each.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct DefectCounts {
-    /// All of them.
+    /// Splats with any defect.
     pub total: u64,
-    /// By kind: `mean`, `scale`, `rotation`, `opacity`, `color`. Kinds that do not occur are left
-    /// out.
+    /// Splats of each defect: `mean`, `scale`, `rotation`, `opacity`, `color`. Defects that do not
+    /// occur are left out.
     pub by_kind: BTreeMap<&'static str, u64>,
 }
 
@@ -91,7 +91,7 @@ pub struct SplatSummary {
 impl SplatSummary {
     /// Describes `cloud`.
     #[must_use]
-    pub fn of(cloud: &SplatCloud) -> Self {
+    pub fn new(cloud: &SplatCloud) -> Self {
         let finite = || {
             cloud
                 .means
@@ -99,7 +99,7 @@ impl SplatSummary {
                 .filter(|mean| mean.iter().all(|x| x.is_finite()))
         };
         let bounds = finite().next().map(|_| {
-            let Bounds { min, max } = Bounds::of(finite());
+            let Bounds { min, max } = Bounds::from_points(finite());
             SummaryBounds { min, max }
         });
         let log10 = |value: f32| f64::from(value).log10();
@@ -115,14 +115,14 @@ impl SplatSummary {
             splats: cloud.len() as u64,
             sh_degree: cloud.sh_degree,
             bounds,
-            scale_log10_m: Histogram::of(
+            scale_log10_m: Histogram::new(
                 cloud.scales.iter().flatten().map(|&scale| log10(scale)),
                 -6.0,
                 3.0,
                 36,
             ),
-            anisotropy_log10: Histogram::of(anisotropy, 0.0, 5.0, 20),
-            opacity: Histogram::of(
+            anisotropy_log10: Histogram::new(anisotropy, 0.0, 5.0, 20),
+            opacity: Histogram::new(
                 cloud.opacities.iter().map(|&opacity| f64::from(opacity)),
                 0.0,
                 1.0,
@@ -185,7 +185,7 @@ mod tests {
             f64::NEG_INFINITY,
             f64::NAN,
         ];
-        let histogram = Histogram::of(values.into_iter(), 0.0, 1.0, 20);
+        let histogram = Histogram::new(values.into_iter(), 0.0, 1.0, 20);
         assert_eq!(
             (histogram.below, histogram.above, histogram.edges.len()),
             (2, 2, 21)
@@ -211,7 +211,7 @@ mod tests {
             sh_dc: vec![[0.0; 3]; 3],
             sh_rest: vec![],
         };
-        let summary = SplatSummary::of(&cloud);
+        let summary = SplatSummary::new(&cloud);
         assert_eq!(
             summary.bounds,
             Some(SummaryBounds {
@@ -235,6 +235,6 @@ mod tests {
             json.contains("\"by_kind\":{\"mean\":1,\"rotation\":1}"),
             "{json}"
         );
-        assert_eq!(SplatSummary::of(&SplatCloud::default()).bounds, None);
+        assert_eq!(SplatSummary::new(&SplatCloud::default()).bounds, None);
     }
 }

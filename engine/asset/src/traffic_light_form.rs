@@ -32,7 +32,7 @@ pub(crate) struct LightForm {
 }
 
 impl LightForm {
-    pub(crate) fn of(light: &TrafficLight) -> Self {
+    pub(crate) fn from_light(light: &TrafficLight) -> Self {
         let line = |line: &StopLine| (line.lane.clone(), line.at_m);
         let phase = |phase: &LightPhase| (phase.color.name().to_owned(), phase.duration_s);
         Self {

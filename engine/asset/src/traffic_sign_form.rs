@@ -17,7 +17,7 @@ pub(crate) struct SignForm {
 }
 
 impl SignForm {
-    pub(crate) fn of(sign: &TrafficSign) -> Self {
+    pub(crate) fn from_sign(sign: &TrafficSign) -> Self {
         Self {
             kind: sign.kind.name().to_owned(),
             lane: sign.line.lane.clone(),

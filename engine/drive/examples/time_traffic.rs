@@ -12,7 +12,7 @@ use decouplegs_scene::{Lane, LaneMap, RoadUser, VehicleSize};
 use decouplegs_synth::street::{Street, StreetOptions};
 use glam::{DVec2, DVec3};
 
-/// Blocks of this length, meters, and so many crossings along each side.
+/// Length of a block, meters, and number of crossings along each side.
 const BLOCK_M: f64 = 160.0;
 const CROSSINGS: usize = 6;
 

@@ -55,9 +55,10 @@ pub fn against_truth(
     )
 }
 
-/// The same with the direction, radians, along which and across which each error is given: that of
-/// the lane, where one is known. The motion of a vehicle that changes lanes is at an angle to them,
-/// and an error along the lane, which lanes do not show, would count as one across its motion.
+/// Compares positions with the truth. Each comes with the direction, radians, along which and
+/// across which its error is given: that of the lane, where one is known. The motion of a vehicle
+/// that changes lanes is at an angle to them, and an error along the lane, which lanes do not show,
+/// would count as one across its motion.
 #[must_use]
 pub fn against_truth_along(
     positions: impl IntoIterator<Item = (f64, DVec2, Option<f64>)>,

@@ -20,39 +20,40 @@ mod speed;
 use path::PlannedPath;
 use speed::SpeedProfile;
 
-/// A step is integrated in parts of so many seconds at most, and the controls are set anew at each:
-/// steps of 0.1 s and 0.01 s then agree.
+/// Longest part of a step, seconds. The controls are set anew at each part: steps of 0.1 s and 0.01
+/// s then agree.
 const PART_S: f64 = 0.01;
 /// Longest step, seconds.
 const STEP_S_MAX: f64 = 60.0;
-/// Speed errors are corrected within so long, seconds.
+/// Time within which speed errors are corrected, seconds.
 const SPEED_TIME_S: f64 = 0.25;
 /// Speed gain per meter that the ego is behind its plan, 1/s.
 const POSITION_GAIN_PER_S: f64 = 1.0;
 /// Deceleration without a plan or after its end: gentle, as nothing is known to be ahead.
 const IDLE_BRAKING_MPS2: f64 = 2.0;
-/// The last of the speed is taken off at least so hard: an exponential approach would creep
-/// forever.
+/// Least deceleration with which the last of the speed is taken off, m/s^2: an exponential approach
+/// would creep forever.
 const HALTING_MPS2: f64 = 1.0;
-/// The nearest position on the path is searched so far behind and ahead of the last one, meters.
+/// Distance behind and ahead of the last position on the path within which the nearest one is
+/// searched, meters.
 const SEARCH_M: f64 = 5.0;
 
 /// Limits of the ego vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EgoOptions {
-    /// From axle to axle, meters; `None`: 0.6 of its length.
+    /// Distance between the axles, meters; `None`: 0.6 of the vehicle's length.
     pub wheelbase_m: Option<f64>,
     /// Largest angle of the front wheels, radians.
     pub steer_max_rad: f64,
-    /// Fastest change of it.
+    /// Fastest change of that angle, radians per second.
     pub steer_rate_max_radps: f64,
-    /// Hardest acceleration.
+    /// Hardest acceleration, m/s^2.
     pub acceleration_max_mps2: f64,
-    /// Hardest braking, above zero.
+    /// Hardest braking, above zero, m/s^2.
     pub braking_max_mps2: f64,
-    /// Pure pursuit aims at where the path is in so long, seconds.
+    /// Look-ahead time of pure pursuit along the path, seconds.
     pub look_ahead_s: f64,
-    /// It aims at least so far, meters.
+    /// Least look-ahead distance of pure pursuit, meters.
     pub look_ahead_m_min: f64,
 }
 
@@ -84,9 +85,9 @@ pub struct Ego {
     /// Arc length of the ego on the path, meters.
     path_arc_m: f64,
     profile: Option<SpeedProfile>,
-    /// Since the plan's observation, seconds.
+    /// Time since the plan's observation, seconds.
     plan_age_s: f64,
-    /// Driven since then, meters along the path.
+    /// Distance driven since the plan's observation, meters along the path.
     driven_m: f64,
 }
 
@@ -137,14 +138,14 @@ impl Ego {
         speed_mps * steer_rad.tan() / self.wheelbase_m
     }
 
-    /// From the rear axle to the middle of its box, meters.
+    /// Distance from the rear axle to the middle of the box, meters.
     #[must_use]
     pub fn rear_axle_to_middle_m(&self) -> f64 {
         0.5 * self.wheelbase_m
     }
 
-    /// Towards the middle of its bend, to the left where above zero. It is reported and limited by
-    /// nothing.
+    /// Acceleration towards the middle of the ego's bend, to the left where above zero. It is
+    /// reported and limited by nothing.
     #[must_use]
     pub fn lateral_acceleration_mps2(&self) -> f64 {
         self.state.speed_mps * self.yaw_rate_radps()
@@ -154,7 +155,7 @@ impl Ego {
     /// driven and the rest is a halt: the ego never reverses. A plan that leads nowhere is a halt
     /// on the way of the plan before.
     pub fn follow(&mut self, plan: &Plan) {
-        let (path, arcs_m) = PlannedPath::of(plan, &self.state);
+        let (path, arcs_m) = PlannedPath::from_plan(plan, &self.state);
         let times = plan.points().iter().map(|point| point.time_s);
         self.profile = Some(SpeedProfile::new(times.zip(arcs_m), self.state.speed_mps));
         if path.is_some() {

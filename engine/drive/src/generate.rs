@@ -66,7 +66,7 @@ const FOR_PEDESTRIANS: u64 = 4;
 /// Reason why no scenario can be generated.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GenerateError {
-    /// The map, or the size of an asset.
+    /// The map, or the size of an asset, cannot be used.
     #[error("no scenarios can be made: {0}")]
     Roads(String),
     /// No assets were given.
@@ -74,7 +74,7 @@ pub enum GenerateError {
         "no scenarios can be made without assets for agents to show; expected the size of at least one"
     )]
     NoAssets,
-    /// No way for the ego.
+    /// The ego finds no way.
     #[error(
         "scenario {name}: in {tries} tries no place was found where an ego can start and drive on for 60 m; expected longer driving lanes"
     )]
@@ -92,9 +92,9 @@ pub enum GenerateError {
     NoRoom {
         /// Name of the scenario.
         name: String,
-        /// Agents that the level has at least.
+        /// Least number of agents of the level.
         least: usize,
-        /// And at most.
+        /// Largest number of agents of the level.
         most: usize,
         /// The most that were put near an ego with room for all to stop.
         found: usize,
@@ -146,7 +146,8 @@ impl<'a> Generator<'a> {
         })
     }
 
-    /// The same with routes that start and end within `area`: where a captured scene has been seen.
+    /// Limits routes to those that start and end within `area`: where a captured scene has been
+    /// seen.
     #[must_use]
     pub fn within(self, area: Area) -> Self {
         Self {
@@ -155,8 +156,8 @@ impl<'a> Generator<'a> {
         }
     }
 
-    /// The same with trucks, buses, cyclists and pedestrians that show `assets`, among `obstacles`,
-    /// into which no pedestrian walks.
+    /// Adds trucks, buses, cyclists and pedestrians that show `assets`, among `obstacles`, into
+    /// which no pedestrian walks.
     ///
     /// # Errors
     /// [`GenerateError::Roads`].
@@ -178,13 +179,13 @@ impl<'a> Generator<'a> {
         Ok(self)
     }
 
-    /// The same with parts of the difficulty from other levels than a scenario's own.
+    /// Takes parts of the difficulty from other levels than a scenario's own.
     #[must_use]
     pub fn with_difficulty(self, difficulty: Difficulty) -> Self {
         Self { difficulty, ..self }
     }
 
-    /// The same without the traffic lights of the map.
+    /// Leaves out the traffic lights of the map.
     #[must_use]
     pub fn without_lights(mut self) -> Self {
         self.has_lights = false;
@@ -199,24 +200,26 @@ impl<'a> Generator<'a> {
     /// level.
     pub fn scenario(&self, level: Level, seed: u64, index: u32) -> Result<Scenario, GenerateError> {
         let name = format!("{}_{index:04}", level.name());
-        let stream = Stream::new(seed).of(level as u64).of(u64::from(index));
+        let of_level = Stream::new(seed).split(level as u64);
+        let stream = of_level.split(u64::from(index));
         let rules = LevelRequirements::new(level, self.difficulty);
         let (least, most) = rules.near;
         let (mut found, mut routes) = (0, 0_u32);
         for number in 0..TRIES {
-            let random = stream.of(FOR_TRIES).of(number);
+            let random = stream.split(FOR_TRIES).split(number);
             let beside = number < TRIES_WITH_ALL && self.roads.has_lanes_beside;
             let wishes = Wishes {
                 crossing: number < TRIES_BEFORE_CROSSING,
                 beside,
             };
             let Some(start) =
-                ego_start::choose(&self.roads, self.area, &rules, &random.of(0), wishes)
+                ego_start::choose(&self.roads, self.area, &rules, &random.split(0), wishes)
             else {
                 continue;
             };
             routes += 1;
-            let placement = Placement::new(&self.roads, &rules, &start, &self.assets, random.of(1));
+            let placement =
+                Placement::new(&self.roads, &rules, &start, &self.assets, random.split(1));
             let vehicles = match placement.fill((least, most)) {
                 Ok(vehicles) => vehicles,
                 Err(placement::TooFew(near)) => {
@@ -225,9 +228,9 @@ impl<'a> Generator<'a> {
                 }
             };
             let mut agents =
-                behaviors::agents(self.roads.map, &rules, &start, &vehicles, &random.of(2));
+                behaviors::agents(self.roads.map, &rules, &start, &vehicles, &random.split(2));
             // Short enough to be read, and a whole number in any format.
-            let traffic_seed = stream.of(FOR_TRAFFIC).bits() >> 32;
+            let traffic_seed = stream.split(FOR_TRAFFIC).bits() >> 32;
             if self.assets.are_mixed() {
                 let near = self.fit(&mut agents, &start, traffic_seed);
                 if near < least {
@@ -242,7 +245,7 @@ impl<'a> Generator<'a> {
                 true => lights::programs(
                     self.roads.map,
                     &self.roads.graph,
-                    &mut stream.of(FOR_LIGHTS),
+                    &mut stream.split(FOR_LIGHTS),
                 ),
                 false => Vec::new(),
             };
@@ -256,13 +259,13 @@ impl<'a> Generator<'a> {
                     &lights,
                 )),
                 step_s: Scenario::STEP_S,
-                place: self.place.lit_for(level, &mut stream.of(FOR_LIGHT)),
+                place: self.place.lit_for(level, &mut stream.split(FOR_LIGHT)),
                 agents,
                 pedestrians: self.assets.pedestrians(
                     &self.roads,
                     &rules,
                     &start,
-                    &mut stream.of(FOR_PEDESTRIANS),
+                    &mut stream.split(FOR_PEDESTRIANS),
                 ),
                 signs: self.signs(&lights),
                 lights,

@@ -35,13 +35,13 @@ pub struct GroundOptions {
     /// away, and more of the road's shape: the crown of a road of 2 % is lost by 0.8 times 2 % of
     /// it.
     pub column_sigma_m: f64,
-    /// A surface lies within so much of the height that was expected, meters: less than half of
+    /// Largest distance of a surface from the height that was expected, meters: less than half of
     /// what is between two decks.
     pub band_m: f64,
     /// A surface that covers less of its column, as a mean of alpha, is not one.
     pub support_min: f64,
-    /// Without an expected height the lowest surface counts that covers so much: less is debris
-    /// below the road.
+    /// Support that the lowest surface needs where no height is expected: less is debris below the
+    /// road.
     pub support_unasked: f64,
 }
 
@@ -79,11 +79,11 @@ pub struct Ground {
 /// Weight of nearness to the expected height against cover: at a third of the band as much as half
 /// the cover, so that the underside of a deck is not taken for the deck.
 const NEARNESS: f64 = 3.0;
-/// A surface of so much cover is closed; of two that are, neither is better for having more.
+/// Cover of a closed surface; of two that are closed, neither is better for having more.
 const CLOSED: f64 = 1.0;
 /// Debris below a surface covers less than this share of it.
 const DEBRIS_SHARE: f64 = 0.4;
-/// Debris lies within so much below its surface, meters: less than there is between decks.
+/// Largest depth of debris below its surface, meters: less than there is between decks.
 const DEBRIS_DEPTH_M: f64 = 1.5;
 /// Neighboring nodes hold the same surface where their planes meet within this, meters: a kerb more
 /// than that is another one.

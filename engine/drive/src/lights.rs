@@ -9,7 +9,7 @@ use crate::road_graph::RoadGraph;
 
 /// Half the width of a lane whose borders are unknown, meters.
 const HALF_LANE_M: f64 = 1.75;
-/// A stop line may lie so far beyond the end of its lane, meters: files round.
+/// Largest distance of a stop line beyond the end of its lane, meters: files round.
 const BEYOND_M: f64 = 0.5;
 
 /// Stop line on a lane.
@@ -53,7 +53,7 @@ impl LaneStopLine {
         Ok(Self { lane, at_m, record })
     }
 
-    /// Those of `lines`, which are sorted by lane, that are on a lane.
+    /// Stop lines on `lane` among `lines`, which are sorted by lane.
     pub(crate) fn on(lines: &[Self], lane: usize) -> &[Self] {
         let from = lines.partition_point(|line| line.lane < lane);
         let to = lines.partition_point(|line| line.lane <= lane);
@@ -65,7 +65,7 @@ impl LaneStopLine {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TrafficLights {
     lights: Vec<TrafficLight>,
-    /// By lane, then along it.
+    /// Stop lines, sorted by lane, then along it.
     lines: Vec<LaneStopLine>,
 }
 

@@ -11,16 +11,16 @@ use crate::road_surface::RoadSurface;
 
 /// Side of a cell, meters.
 const CELL_M: f64 = 1.0;
-/// Cells up to so far from the centerline of a lane count, meters.
+/// Largest distance of cells that count from the centerline of a lane, meters.
 const BESIDE_M: f64 = 15.0;
 /// Heights above the ground at which splats count, meters: above kerbs and grass, below crowns and
 /// signs.
 const HEIGHTS_M: std::ops::Range<f64> = 0.4..1.9;
 /// Heights above the nearest lane outside of which no splat is examined, meters.
 const LOOK_UP_M: std::ops::Range<f64> = -2.0..4.0;
-/// Fainter splats are haze.
+/// Least opacity of a splat that counts; fainter ones are haze.
 const OPACITY_MIN: f32 = 0.3;
-/// Larger splats are backdrops, meters.
+/// Largest scale of a splat that counts, meters; larger ones are backdrops.
 const SCALE_M_MAX: f32 = 1.0;
 /// Sum of opacities from which a cell is filled: one or two splats are floaters.
 const FILLED: f32 = 3.0;

@@ -11,26 +11,26 @@ pub struct OrientedBox {
     pub center_m: DVec2,
     /// Heading of the long axis, from x towards y.
     pub yaw_rad: f64,
-    /// From the middle to the front.
+    /// Distance from the middle to the front, meters.
     pub half_length_m: f64,
-    /// From the middle to the left side.
+    /// Distance from the middle to the left side, meters.
     pub half_width_m: f64,
 }
 
 /// Projections of two boxes on one direction, for the separating axis test.
 struct Shadow {
-    /// From the middle of the first to that of the second, along the direction, meters.
+    /// Distance from the middle of the first to that of the second, along the direction, meters.
     offset_m: f64,
     /// Largest distance of the centers at which the projections touch.
     half_sum_m: f64,
-    /// The direction.
+    /// Direction of the projection, unit vector.
     axis: DVec2,
 }
 
 impl OrientedBox {
     /// The outline of a vehicle.
     #[must_use]
-    pub fn of(state: &VehicleState, size: &VehicleSize) -> Self {
+    pub fn for_vehicle(state: &VehicleState, size: &VehicleSize) -> Self {
         Self {
             center_m: state.position_m,
             yaw_rad: state.yaw_rad,
@@ -93,7 +93,7 @@ impl OrientedBox {
             .min(other.nearest_corner_m(self))
     }
 
-    /// From this box to the nearest corner of `other`, meters.
+    /// Distance from this box to the nearest corner of `other`, meters.
     fn nearest_corner_m(&self, other: &Self) -> f64 {
         let (half, turn) = (
             DVec2::new(self.half_length_m, self.half_width_m),

@@ -16,7 +16,7 @@ pub struct PlanarTransform {
 }
 
 impl PlanarTransform {
-    /// No motion, about `pivot_m`.
+    /// Identity about `pivot_m`.
     #[must_use]
     pub const fn identity(pivot_m: DVec2) -> Self {
         Self {
@@ -42,7 +42,7 @@ impl PlanarTransform {
         }
     }
 
-    /// The motion back.
+    /// Inverse of the motion.
     #[must_use]
     pub fn inverse(&self) -> Self {
         Self {

@@ -21,9 +21,10 @@ pub struct Foot {
     pub point: DVec3,
     /// Heading of the line there, radians, as [`Polyline::heading_at`].
     pub heading_rad: f64,
-    /// From the line to the point, across, meters: to the left is positive.
+    /// Offset of the point across the line, meters, positive to the left.
     pub lateral_m: f64,
-    /// From the line to the point, meters; more than the lateral offset beyond the line's ends.
+    /// Distance from the line to the point, meters; more than the lateral offset beyond the line's
+    /// ends.
     pub distance_m: f64,
 }
 

@@ -31,7 +31,7 @@ const ONWARD_M_MAX: f64 = 2000.0;
 /// Conflict between two lanes: vehicles on these stretches may touch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conflict {
-    /// The other lane, its index in [`LaneMap::lanes`].
+    /// Index of the other lane in [`LaneMap::lanes`].
     pub other: usize,
     /// Start of the stretch on this lane, meters along it.
     pub from_m: f64,
@@ -50,7 +50,7 @@ pub struct Conflict {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Fork {
     pub other: usize,
-    /// Up to where this lane is in the way of the other, meters along.
+    /// End of the stretch of this lane that is in the way of the other, meters along it.
     pub to_m: f64,
     /// Largest offset along this lane between a conflicting point and its counterpart on the other,
     /// meters.
@@ -74,7 +74,7 @@ pub struct RoadLane {
     pub right: Option<usize>,
     /// 50 km/h where the map tells none.
     pub speed_limit_mps: f64,
-    /// By how much its heading changes from start to end, to the left where above zero.
+    /// Change of heading from start to end, radians, positive to the left.
     pub turn_rad: f64,
     /// Conflicts with other lanes: crossing or merging.
     pub conflicts: Vec<Conflict>,

@@ -12,13 +12,14 @@ use tree::TriangleTree;
 
 /// Half the width of a lane whose borders the map does not know, meters.
 pub const HALF_WIDTH_M: f64 = 1.75;
-/// Positions so near to the road are on it, meters: no seam between two triangles has a width.
+/// Largest distance from the road at which a position is still on it, meters: no seam between two
+/// triangles has a width.
 const SEAM_M: f64 = 1e-3;
-/// Between two positions on a box's outline that are examined, meters at most.
+/// Largest distance between positions on a box's outline that are examined, meters.
 const OUTLINE_STRIDE_M: f64 = 1.0;
 /// Positions on one side of a box at most; a vehicle of any real length has fewer.
 const OUTLINE_POSITIONS_MAX: f64 = 64.0;
-/// A position so far from all lanes, meters, has no height.
+/// Distance from all lanes beyond which a position has no height, meters.
 const HEIGHT_MAX_M: f64 = 3.0;
 
 /// The union of a map's driving lanes, from border to border, as triangles in a tree. It is seen
@@ -29,7 +30,7 @@ pub struct RoadSurface {
 }
 
 impl RoadSurface {
-    /// A wheel may be so far beyond the borders of the lanes, meters: markings are as wide.
+    /// Largest distance of a wheel beyond the borders of the lanes, meters: markings are as wide.
     pub const SLACK_M: f64 = 0.15;
 
     /// The surface of `map`. Where a border is missing, the lane reaches 1.75 m from its
@@ -139,7 +140,7 @@ impl Triangle {
         nearer(nearer(edge(0), edge(1)), edge(2))
     }
 
-    /// From a position to the triangle, seen from above, meters: 0 within it.
+    /// Distance from a position to the triangle, seen from above, meters: 0 within it.
     fn distance_m(&self, at: DVec2) -> f64 {
         self.nearest_offset(at).length()
     }

@@ -29,7 +29,7 @@ pub use time_to_collision::{Closest, TTC_HORIZON_S, TTC_SHORT_S, times_to_collis
 
 /// Factor on the driving score for each collision with a vehicle that is the ego's fault.
 pub const COLLISION_FACTOR: f64 = 0.60;
-/// The same for a collision with a pedestrian, as in CARLA's leaderboard.
+/// Factor on the driving score for each collision with a pedestrian, as in CARLA's leaderboard.
 pub const PEDESTRIAN_FACTOR: f64 = 0.50;
 /// Factor on the driving score for a collision with something static, as in CARLA's leaderboard.
 pub const OBSTACLE_FACTOR: f64 = 0.65;
@@ -76,7 +76,7 @@ pub struct EpisodeScore {
 impl EpisodeScore {
     /// The score of `episode`.
     #[must_use]
-    pub fn of(episode: &Episode) -> Self {
+    pub fn new(episode: &Episode) -> Self {
         let done = episode.end == EpisodeEnd::RouteDone;
         let route_completion = progress::route_completion(episode);
         let infractions = infractions::infractions(episode);
@@ -91,7 +91,7 @@ impl EpisodeScore {
             infractions,
             closest,
             ttc_short_share,
-            comfort: Comfort::of(episode),
+            comfort: Comfort::new(episode),
             plan_ade_m: plan_error::episode_ade_m(episode),
             warm_up_s: warm_up_s(episode),
         }

@@ -12,7 +12,7 @@ const CROSSING_M: f64 = 40.0;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TrafficSigns {
     kinds: Vec<SignKind>,
-    /// By lane, then along it. The index of a record is that of its sign.
+    /// Stop lines, sorted by lane, then along it. The index of a record is that of its sign.
     lines: Vec<LaneStopLine>,
     /// True for lanes over a crossing that only lead on from signs; by lane.
     minor: Vec<bool>,

@@ -51,11 +51,12 @@ pub use start::TrafficError;
 /// Position of an agent on the lanes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LanePosition {
-    /// Place in the map's list of lanes. Who changes lanes is on the new one from the beginning.
+    /// Place in the map's list of lanes. A vehicle that changes lanes counts on the target lane
+    /// from the start of the maneuver.
     pub lane: usize,
-    /// Along it, meters.
+    /// Position along the lane, meters.
     pub arc_m: f64,
-    /// From its middle to the left, meters.
+    /// Offset from the middle of the lane, meters, positive to the left.
     pub lateral_m: f64,
 }
 
@@ -82,28 +83,28 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    /// The same traffic among static obstacles, into which no vehicle swerves.
+    /// Adds static obstacles, into which no vehicle swerves.
     #[must_use]
     pub fn among(mut self, obstacles: Arc<Obstacles>) -> Self {
         self.obstacles = obstacles;
         self
     }
 
-    /// The same traffic, which obeys traffic lights. Their lanes are those of its graph.
+    /// Adds traffic lights, which agents obey. Their lanes are those of the traffic's graph.
     #[must_use]
     pub fn with_lights(mut self, lights: Arc<TrafficLights>) -> Self {
         self.lights = lights;
         self
     }
 
-    /// The same traffic, which obeys stop and yield signs. Their lanes are those of its graph.
+    /// Adds stop and yield signs, which agents obey. Their lanes are those of the traffic's graph.
     #[must_use]
     pub fn with_signs(mut self, signs: Arc<TrafficSigns>) -> Self {
         self.signs = signs;
         self
     }
 
-    /// The same traffic with pedestrians, whose states follow those of the vehicles.
+    /// Adds pedestrians, whose states follow those of the vehicles.
     ///
     /// # Errors
     /// Returns an error if a path has no length.
@@ -187,7 +188,7 @@ impl Traffic {
             return Vec::new();
         }
         let vehicle = |state: &VehicleState, size: &VehicleSize| Vehicle {
-            outline: OrientedBox::of(state, size),
+            outline: OrientedBox::for_vehicle(state, size),
             speed_mps: state.speed_mps,
         };
         let agents = self.agents.iter().zip(&self.states);

@@ -55,11 +55,11 @@ pub enum DeviceChoice {
     /// memory.
     #[default]
     Automatic,
-    /// By position in [`crate::Gpu::list`].
+    /// Device at this position in [`crate::Gpu::list`].
     Index(usize),
-    /// By a part of its name, upper and lower case alike.
+    /// Device with this part in its name, upper and lower case alike.
     Name(String),
-    /// By the driver's device UUID, which stays the same when other devices come and go.
+    /// Device with this UUID of the driver, which stays the same when other devices come and go.
     Uuid([u8; 16]),
 }
 

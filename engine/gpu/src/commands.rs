@@ -11,9 +11,9 @@ use crate::{
     Access,
     context::{Context, ShortName},
     device::BINDINGS_MAX,
+    hazards::{self, Hazards},
     kernel::KernelCore,
     memory::BufferMemory,
-    recorder::hazards::{self, Hazards},
 };
 
 /// A command; buffers, kernels and push constants stand in the lists beside it, in the order used.

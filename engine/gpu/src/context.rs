@@ -14,12 +14,13 @@ use gpu_allocator::{
 };
 
 use crate::{
-    DeviceInfo, DeviceKind, DeviceOptions, GpuError, Limits, MemoryReport, QueueUse, choice,
+    DeviceInfo, DeviceKind, DeviceOptions, GpuError, Limits, MemoryReport, QueueUse,
+    accounting::Accounting,
+    choice,
     device::{self, Abilities, Families, Opened, Physical},
     export::Exports,
     instance::Instance,
     kernel_cache::PipelineStore,
-    memory::Accounting,
     trial::{ExecutableProperties, KernelTrial},
 };
 
@@ -133,6 +134,15 @@ impl Context {
             physical: physical.raw,
             device,
             instance,
+        })
+    }
+
+    /// Export functions, or an error with the reason why there are none.
+    pub(crate) fn exports(&self) -> Result<&Exports, GpuError> {
+        self.exports.as_ref().ok_or_else(|| GpuError::MissingFeature {
+            device: self.info.name.clone(),
+            feature: "VK_KHR_external_memory_fd and VK_KHR_external_semaphore_fd for buffers and timelines".into(),
+            needed_by: "sharing images with another API".into(),
         })
     }
 

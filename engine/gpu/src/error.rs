@@ -69,7 +69,7 @@ pub enum GpuError {
         /// Expected and found.
         reason: String,
     },
-    /// Memory is used up.
+    /// The device has no memory left.
     #[error(
         "out of device memory: buffer {name} ({purpose}) wants {wanted_bytes} bytes, in use are {used_bytes} bytes ({used_by_purpose}) of a heap of {heap_bytes} bytes: render less or choose a device with more memory"
     )]
@@ -82,7 +82,7 @@ pub enum GpuError {
         wanted_bytes: u64,
         /// Total size of all buffers of this device.
         used_bytes: u64,
-        /// The same by purpose, as text.
+        /// Size of those buffers by purpose, as text.
         used_by_purpose: String,
         /// The largest device-local heap.
         heap_bytes: u64,

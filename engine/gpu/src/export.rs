@@ -11,7 +11,7 @@ use std::os::fd::{FromRawFd, OwnedFd};
 
 use ash::{khr, vk};
 
-use crate::{GpuError, context::Context, error::failed, instance::Instance};
+use crate::{GpuError, error::failed, instance::Instance};
 
 /// The kind of handle that is exported.
 const MEMORY_HANDLE: vk::ExternalMemoryHandleTypeFlags =
@@ -31,8 +31,8 @@ pub struct ExportedMemory {
 
 /// Functions for exporting, if the device has them.
 pub(crate) struct Exports {
-    pub(crate) memory: khr::external_memory_fd::Device,
-    pub(crate) semaphore: khr::external_semaphore_fd::Device,
+    memory: khr::external_memory_fd::Device,
+    semaphore: khr::external_semaphore_fd::Device,
 }
 
 impl Exports {
@@ -41,6 +41,33 @@ impl Exports {
             memory: khr::external_memory_fd::Device::new(&instance.raw, device),
             semaphore: khr::external_semaphore_fd::Device::new(&instance.raw, device),
         }
+    }
+
+    /// Descriptor of `memory`, which was allocated with [`memory_info`].
+    pub(crate) fn memory_descriptor(&self, memory: vk::DeviceMemory) -> Result<OwnedFd, GpuError> {
+        let get = vk::MemoryGetFdInfoKHR::default()
+            .memory(memory)
+            .handle_type(MEMORY_HANDLE);
+        // SAFETY: the memory was allocated to be exported as this type.
+        let descriptor =
+            unsafe { self.memory.get_memory_fd(&get) }.map_err(failed("vkGetMemoryFdKHR"))?;
+        // SAFETY: the call gives away a descriptor that nobody else owns.
+        Ok(unsafe { OwnedFd::from_raw_fd(descriptor) })
+    }
+
+    /// Descriptor of `semaphore`, which was made with [`semaphore_info`].
+    pub(crate) fn semaphore_descriptor(
+        &self,
+        semaphore: vk::Semaphore,
+    ) -> Result<OwnedFd, GpuError> {
+        let get = vk::SemaphoreGetFdInfoKHR::default()
+            .semaphore(semaphore)
+            .handle_type(SEMAPHORE_HANDLE);
+        // SAFETY: the semaphore was made to be exported as this type.
+        let descriptor = unsafe { self.semaphore.get_semaphore_fd(&get) }
+            .map_err(failed("vkGetSemaphoreFdKHR"))?;
+        // SAFETY: the call gives away a descriptor that nobody else owns.
+        Ok(unsafe { OwnedFd::from_raw_fd(descriptor) })
     }
 }
 
@@ -86,71 +113,12 @@ pub(crate) fn buffer_info() -> vk::ExternalMemoryBufferCreateInfo<'static> {
     vk::ExternalMemoryBufferCreateInfo::default().handle_types(MEMORY_HANDLE)
 }
 
-/// Likewise of a semaphore.
+/// Says, chained to an allocation, that the memory will be exported.
+pub(crate) fn memory_info() -> vk::ExportMemoryAllocateInfo<'static> {
+    vk::ExportMemoryAllocateInfo::default().handle_types(MEMORY_HANDLE)
+}
+
+/// Says, chained to the creation of a semaphore, that it will be exported.
 pub(crate) fn semaphore_info() -> vk::ExportSemaphoreCreateInfo<'static> {
     vk::ExportSemaphoreCreateInfo::default().handle_types(SEMAPHORE_HANDLE)
-}
-
-/// Device-local memory for `buffer` alone, bound to it, that can be exported; and its size.
-pub(crate) fn allocate(
-    context: &Context,
-    buffer: vk::Buffer,
-) -> Result<(vk::DeviceMemory, u64), vk::Result> {
-    // SAFETY: a query on a live buffer of this device.
-    let requirements = unsafe { context.device.get_buffer_memory_requirements(buffer) };
-    let memory_type = context
-        .device_local_type(requirements.memory_type_bits)
-        .ok_or(vk::Result::ERROR_OUT_OF_DEVICE_MEMORY)?;
-    let mut export = vk::ExportMemoryAllocateInfo::default().handle_types(MEMORY_HANDLE);
-    let mut dedicated = vk::MemoryDedicatedAllocateInfo::default().buffer(buffer);
-    let allocate = vk::MemoryAllocateInfo::default()
-        .allocation_size(requirements.size)
-        .memory_type_index(memory_type)
-        .push_next(&mut export)
-        .push_next(&mut dedicated);
-    // SAFETY: the type is one of those that the buffer may have, and the buffer was made for
-    // exported memory.
-    let memory = unsafe { context.device.allocate_memory(&allocate, None) }?;
-    // SAFETY: the memory was made for this buffer, which is bound to nothing yet.
-    if let Err(code) = unsafe { context.device.bind_buffer_memory(buffer, memory, 0) } {
-        // SAFETY: made above and bound to nothing.
-        unsafe { context.device.free_memory(memory, None) };
-        return Err(code);
-    }
-    Ok((memory, requirements.size))
-}
-
-impl Context {
-    /// Export functions, or an error with the reason why there are none.
-    pub(crate) fn exports(&self) -> Result<&Exports, GpuError> {
-        self.exports.as_ref().ok_or_else(|| GpuError::MissingFeature {
-            device: self.info.name.clone(),
-            feature: "VK_KHR_external_memory_fd and VK_KHR_external_semaphore_fd for buffers and timelines".into(),
-            needed_by: "sharing images with another API".into(),
-        })
-    }
-
-    /// A descriptor of `memory`.
-    pub(crate) fn export_memory(&self, memory: vk::DeviceMemory) -> Result<OwnedFd, GpuError> {
-        let get = vk::MemoryGetFdInfoKHR::default()
-            .memory(memory)
-            .handle_type(MEMORY_HANDLE);
-        // SAFETY: the memory was allocated to be exported as this type.
-        let descriptor = unsafe { self.exports()?.memory.get_memory_fd(&get) }
-            .map_err(failed("vkGetMemoryFdKHR"))?;
-        // SAFETY: the call gives away a descriptor that nobody else owns.
-        Ok(unsafe { OwnedFd::from_raw_fd(descriptor) })
-    }
-
-    /// A descriptor of `semaphore`.
-    pub(crate) fn export_semaphore(&self, semaphore: vk::Semaphore) -> Result<OwnedFd, GpuError> {
-        let get = vk::SemaphoreGetFdInfoKHR::default()
-            .semaphore(semaphore)
-            .handle_type(SEMAPHORE_HANDLE);
-        // SAFETY: the semaphore was made to be exported as this type.
-        let descriptor = unsafe { self.exports()?.semaphore.get_semaphore_fd(&get) }
-            .map_err(failed("vkGetSemaphoreFdKHR"))?;
-        // SAFETY: the call gives away a descriptor that nobody else owns.
-        Ok(unsafe { OwnedFd::from_raw_fd(descriptor) })
-    }
 }

@@ -15,9 +15,9 @@ use crate::{
 /// One moment on the clocks of host and device.
 #[derive(Clone, Copy, Debug)]
 pub struct DeviceClock {
-    /// On the host's.
+    /// Time on the host's clock.
     pub host: Instant,
-    /// On the device's, nanoseconds.
+    /// Time on the device's clock, nanoseconds.
     pub device_ns: u64,
     /// Largest difference between the two.
     pub uncertainty: Duration,
@@ -29,7 +29,7 @@ pub struct Gpu(Arc<Shared>);
 
 struct Shared {
     main: Arc<Queue>,
-    /// The same as `main` where the device has no queue beside it.
+    /// Queue beside `main`; `main` itself where the device has none.
     update: Arc<Queue>,
     kernels: Kernels,
     context: Arc<Context>,
@@ -142,7 +142,10 @@ impl Gpu {
     /// # Errors
     /// Returns an error if the device cannot export.
     pub fn export_timeline(&self, role: QueueRole) -> Result<OwnedFd, GpuError> {
-        self.0.context.export_semaphore(self.0.queue(role).timeline)
+        self.0
+            .context
+            .exports()?
+            .semaphore_descriptor(self.0.queue(role).timeline)
     }
 
     /// Memory in use by purpose. What finished work held is given back first.
@@ -181,7 +184,7 @@ impl Gpu {
     /// A buffer on the device that holds `data`.
     ///
     /// # Errors
-    /// Those of [`Gpu::buffer`], and when the device is lost.
+    /// Returns the errors of [`Gpu::buffer`], and one if the device is lost.
     pub fn upload<T: Pod>(
         &self,
         name: &'static str,

@@ -30,7 +30,7 @@ pub struct DeviceInfo {
     pub api_version: [u32; 3],
     /// Kind of hardware.
     pub kind: DeviceKind,
-    /// The same for this device in every process and after every reboot.
+    /// UUID of the driver, the same for this device in every process and after every reboot.
     pub uuid: [u8; 16],
     /// Size of the largest device-local heap.
     pub device_memory_bytes: u64,
@@ -77,7 +77,7 @@ pub struct MemoryReport {
     /// Bytes that buffers hold, by the purpose they were made for. Purposes that hold nothing are
     /// left out.
     pub bytes_by_purpose: BTreeMap<&'static str, u64>,
-    /// Their sum.
+    /// Sum over all purposes, bytes.
     pub total_bytes: u64,
     /// Budget of this process in its device-local heaps, if the driver reports it
     /// (`VK_EXT_memory_budget`).

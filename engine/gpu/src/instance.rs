@@ -157,7 +157,7 @@ fn listen(
     Ok((debug, messenger))
 }
 
-/// Called by the layer, on whatever thread made the call that it complains about.
+/// Validation callback; runs on the thread of the offending call.
 unsafe extern "system" fn keep_message(
     _severity: vk::DebugUtilsMessageSeverityFlagsEXT,
     _types: vk::DebugUtilsMessageTypeFlagsEXT,

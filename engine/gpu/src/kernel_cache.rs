@@ -16,7 +16,7 @@ use xxhash_rust::xxh3::xxh3_64;
 const MAGIC: [u8; 8] = *b"DGSKERN1";
 /// Magic, length and hash of what follows, little-endian.
 const HEADER_BYTES: usize = 24;
-/// Larger files are not ours.
+/// Largest size of a file that is read, bytes.
 const BYTES_MAX: usize = 64 << 20;
 /// Bytes of `VkPipelineCacheHeaderVersionOne`, which what a driver keeps begins with.
 const DRIVER_HEADER_BYTES: usize = 32;
@@ -24,11 +24,11 @@ const DRIVER_HEADER_BYTES: usize = 32;
 /// Folder in which built kernels are kept.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum KernelCache {
-    /// In `decouplegs/kernels` of the user's folder for caches (`XDG_CACHE_HOME`, else `.cache` in
-    /// `HOME`); nowhere without one.
+    /// Folder `decouplegs/kernels` of the user's folder for caches (`XDG_CACHE_HOME`, else `.cache`
+    /// in `HOME`); nowhere without one.
     #[default]
     User,
-    /// In this folder, which is made if it does not exist.
+    /// Folder at this path, which is made if it does not exist.
     Folder(PathBuf),
     /// Kernels are not kept.
     Off,
@@ -56,7 +56,7 @@ impl KernelCache {
 /// Numbers of kernels: all that were built, and those of them that were not compiled again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct KernelCounts {
-    /// All that were built.
+    /// Kernels that were built.
     pub built: u32,
     /// Number of kernels that the driver found in the cache, if it reports that.
     pub found: u32,
@@ -80,7 +80,7 @@ impl PipelineStore {
         properties: &vk::PhysicalDeviceProperties,
         kept: &KernelCache,
     ) -> Self {
-        let identity = Identity::of(properties);
+        let identity = Identity::new(properties);
         let path = kept
             .folder()
             .map(|folder| folder.join(identity.file_name()));
@@ -156,7 +156,7 @@ struct Identity {
 }
 
 impl Identity {
-    fn of(properties: &vk::PhysicalDeviceProperties) -> Self {
+    fn new(properties: &vk::PhysicalDeviceProperties) -> Self {
         Self {
             vendor: properties.vendor_id,
             device: properties.device_id,

@@ -7,7 +7,7 @@
 //!
 //! # Reading order
 //! `choice` and `device` (opening), `memory` and `buffer`, `kernel`, `kernel/reflection` and
-//! `kernel_cache`, `recorder`, `commands` and `recorder/hazards` (the one home of barriers),
+//! `kernel_cache`, `recorder`, `commands` and `hazards` (all barriers),
 //! `queue` (submitting, waiting, repeating), `transfer` (staged uploads and reads).
 //!
 //! # What is not done here
@@ -21,6 +21,7 @@
 //!
 //! This is the only crate with `unsafe`; each block is one operation and says why it is sound.
 
+mod accounting;
 mod buffer;
 mod choice;
 mod commands;
@@ -29,6 +30,7 @@ mod device;
 mod error;
 mod export;
 mod gpu;
+mod hazards;
 mod info;
 mod instance;
 mod kernel;

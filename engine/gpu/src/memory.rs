@@ -1,12 +1,9 @@
 //! Memory of buffers: where it comes from, who holds how much of it, and the sentence when there is
 //! no more.
 
-use std::{
-    collections::BTreeMap,
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicU64, Ordering},
-    },
+use std::sync::{
+    Arc, Mutex, PoisonError,
+    atomic::{AtomicU64, Ordering},
 };
 
 use ash::vk;
@@ -15,63 +12,14 @@ use gpu_allocator::{
     vulkan::{Allocation, AllocationCreateDesc, AllocationScheme},
 };
 
-use crate::{
-    ExportedMemory, GpuError, MemoryKind, MemoryReport, context::Context, error::failed, export,
-};
+use crate::{ExportedMemory, GpuError, MemoryKind, context::Context, error::failed, export};
 
-/// From this size a buffer has its own allocation: freed, it goes back to the driver at once, and
-/// capacities that grow leave no holes.
+/// Size from which a buffer has its own allocation, bytes: freed, it goes back to the driver at
+/// once, and capacities that grow leave no holes.
 const OWN_ALLOCATION_FROM_BYTES: u64 = 4 << 20;
 
 /// The least that is bound: a buffer of no elements still needs a descriptor.
 const BOUND_BYTES_MIN: u64 = 16;
-
-/// Memory in use, by allocation tag.
-#[derive(Debug, Default)]
-pub(crate) struct Accounting {
-    bytes_by_purpose: BTreeMap<&'static str, u64>,
-    /// Device-local share of the total.
-    device_local_bytes: u64,
-}
-
-impl Accounting {
-    pub(crate) fn report(&self) -> MemoryReport {
-        let bytes_by_purpose = self.bytes_by_purpose.clone();
-        let total_bytes = bytes_by_purpose.values().sum();
-        MemoryReport {
-            bytes_by_purpose,
-            total_bytes,
-            budget_bytes: None,
-            driver_usage_bytes: None,
-        }
-    }
-
-    fn add(&mut self, purpose: &'static str, bytes: u64, device_local: bool) {
-        *self.bytes_by_purpose.entry(purpose).or_default() += bytes;
-        self.device_local_bytes += if device_local { bytes } else { 0 };
-    }
-
-    fn remove(&mut self, purpose: &'static str, bytes: u64, device_local: bool) {
-        self.device_local_bytes -= if device_local { bytes } else { 0 };
-        let held = self.bytes_by_purpose.entry(purpose).or_default();
-        *held -= bytes;
-        if *held == 0 {
-            self.bytes_by_purpose.remove(purpose);
-        }
-    }
-
-    fn used_by_purpose(&self) -> String {
-        if self.bytes_by_purpose.is_empty() {
-            return "nothing yet".into();
-        }
-        let texts: Vec<String> = self
-            .bytes_by_purpose
-            .iter()
-            .map(|(purpose, bytes)| format!("{purpose} {bytes}"))
-            .collect();
-        texts.join(", ")
-    }
-}
 
 /// A buffer and its memory, freed with the last clone of whatever holds it.
 pub(crate) struct BufferMemory {
@@ -94,9 +42,9 @@ pub(crate) struct BufferMemory {
 
 /// Storage of a buffer's bytes.
 enum Held {
-    /// In a block of the allocator, or an allocation of its own that the allocator knows.
+    /// Block of the allocator, or an allocation of its own that the allocator knows.
     Allocated(Allocation),
-    /// In memory that may be exported, and its size.
+    /// Memory that may be exported, and its size, bytes.
     Exported(vk::DeviceMemory, u64),
 }
 
@@ -126,7 +74,7 @@ impl BufferMemory {
         let raw = create(context, bound_bytes, exported)
             .map_err(|code| translate(context, name, purpose, bound_bytes, code))?;
         let held = if exported {
-            let made = export::allocate(context, raw);
+            let made = allocate_exported(context, raw);
             made.map(|(memory, bytes)| (Held::Exported(memory, bytes), bytes, true))
                 .map_err(|code| translate(context, name, purpose, bound_bytes, code))
         } else {
@@ -198,7 +146,7 @@ impl BufferMemory {
             )
         };
         Ok(ExportedMemory {
-            descriptor: self.context.export_memory(memory)?,
+            descriptor: self.context.exports()?.memory_descriptor(memory)?,
             allocation_bytes,
         })
     }
@@ -351,6 +299,35 @@ fn allocate_and_bind(
     Ok((Held::Allocated(allocation), requirements.size, device_local))
 }
 
+/// Device-local memory for `buffer` alone, bound to it, that can be exported; and its size.
+fn allocate_exported(
+    context: &Context,
+    buffer: vk::Buffer,
+) -> Result<(vk::DeviceMemory, u64), vk::Result> {
+    // SAFETY: a query on a live buffer of this device.
+    let requirements = unsafe { context.device.get_buffer_memory_requirements(buffer) };
+    let memory_type = context
+        .device_local_type(requirements.memory_type_bits)
+        .ok_or(vk::Result::ERROR_OUT_OF_DEVICE_MEMORY)?;
+    let mut export = export::memory_info();
+    let mut dedicated = vk::MemoryDedicatedAllocateInfo::default().buffer(buffer);
+    let allocate = vk::MemoryAllocateInfo::default()
+        .allocation_size(requirements.size)
+        .memory_type_index(memory_type)
+        .push_next(&mut export)
+        .push_next(&mut dedicated);
+    // SAFETY: the type is one of those that the buffer may have, and the buffer was made for
+    // exported memory.
+    let memory = unsafe { context.device.allocate_memory(&allocate, None) }?;
+    // SAFETY: the memory was made for this buffer, which is bound to nothing yet.
+    if let Err(code) = unsafe { context.device.bind_buffer_memory(buffer, memory, 0) } {
+        // SAFETY: made above and bound to nothing.
+        unsafe { context.device.free_memory(memory, None) };
+        return Err(code);
+    }
+    Ok((memory, requirements.size))
+}
+
 fn translate(
     context: &Context,
     name: &'static str,
@@ -383,26 +360,5 @@ fn out_of_memory(
         used_bytes: accounting.report().total_bytes,
         used_by_purpose: accounting.used_by_purpose(),
         heap_bytes: context.limits.device_memory_bytes,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn purposes_that_hold_nothing_are_left_out() {
-        let mut accounting = Accounting::default();
-        accounting.add("splats", 100, true);
-        accounting.add("splats", 20, false);
-        accounting.add("images", 3, true);
-        assert_eq!(accounting.device_local_bytes, 103);
-        assert_eq!(accounting.used_by_purpose(), "images 3, splats 120");
-        accounting.remove("images", 3, true);
-        assert_eq!(
-            accounting.report().bytes_by_purpose,
-            BTreeMap::from([("splats", 120)])
-        );
-        assert_eq!(accounting.report().total_bytes, 120);
     }
 }

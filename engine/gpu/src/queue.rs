@@ -31,12 +31,12 @@ pub enum QueueRole {
     Update,
 }
 
-/// After this long, work counts as hung. Drivers of real GPUs give up within seconds; the CPU
+/// Time after which work counts as hung. Drivers of real GPUs give up within seconds; the CPU
 /// driver on a loaded machine has been seen to take a minute for one large frame.
 const HANG_AFTER: Duration = Duration::from_secs(300);
 
-/// Between two looks at how far waiting work has come: short enough to know the last stage when the
-/// device is lost.
+/// Interval between checks how far waiting work has come: short enough to know the last stage when
+/// the device is lost.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
 
 /// Command slots kept for what they have recorded: those of a few frames in flight, drawings of

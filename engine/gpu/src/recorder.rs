@@ -1,7 +1,5 @@
 //! Recording commands: dispatches by name, copies and fills, in stages that are labeled and timed.
 
-pub(crate) mod hazards;
-
 use std::{borrow::Cow, sync::Arc};
 
 use bytemuck::Pod;

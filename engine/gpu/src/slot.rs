@@ -10,7 +10,7 @@ use crate::{
     commands::{CommandList, Commands},
     context::Context,
     error::failed,
-    recorder::hazards,
+    hazards,
 };
 
 /// Stages of one command buffer; a frame has about forty.

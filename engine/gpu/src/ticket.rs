@@ -12,9 +12,9 @@ use crate::{GpuError, queue::Queue, slot::CommandSlot};
 pub struct StageTime {
     /// The stage's name.
     pub name: &'static str,
-    /// From the start of its command buffer, in nanoseconds.
+    /// Time from the start of its command buffer, nanoseconds.
     pub start_ns: u64,
-    /// From its start until its last command was done, in nanoseconds.
+    /// Time from its start until its last command was done, nanoseconds.
     pub duration_ns: u64,
 }
 
@@ -67,7 +67,7 @@ impl Ticket {
     /// [`crate::Recorder::time_stages`] asked for them. Waits for the work.
     ///
     /// # Errors
-    /// Those of [`Ticket::wait`], and when the queue has no timestamps.
+    /// Returns the errors of [`Ticket::wait`], and [`GpuError::MissingFeature`] without timestamps.
     pub fn stage_times(&self) -> Result<Vec<StageTime>, GpuError> {
         self.times().map(|times| times.stages.clone())
     }
@@ -75,7 +75,7 @@ impl Ticket {
     /// Duration of the whole command buffer, nanoseconds; waits for the work.
     ///
     /// # Errors
-    /// Those of [`Ticket::wait`], and when the queue has no timestamps.
+    /// Returns the errors of [`Ticket::wait`], and [`GpuError::MissingFeature`] without timestamps.
     pub fn gpu_time_ns(&self) -> Result<u64, GpuError> {
         self.times().map(|times| times.total_ns)
     }
@@ -84,7 +84,7 @@ impl Ticket {
     /// waits for the work.
     ///
     /// # Errors
-    /// Those of [`Ticket::wait`], and when the queue has no timestamps.
+    /// Returns the errors of [`Ticket::wait`], and [`GpuError::MissingFeature`] without timestamps.
     pub fn begin_ns(&self) -> Result<u64, GpuError> {
         self.times().map(|times| times.begin_ns)
     }

@@ -57,7 +57,7 @@ impl Agent {
         }
     }
 
-    /// The same in the light that its asset was captured in.
+    /// Agent in the light that its asset was captured in.
     #[must_use]
     pub fn unlit(&self) -> Self {
         Self {

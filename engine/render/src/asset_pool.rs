@@ -174,7 +174,7 @@ impl AssetPool {
     /// the memory.
     pub fn add(&mut self, cloud: &CodedCloud) -> Result<AssetId, RenderError> {
         cloud.check().map_err(RenderError::Asset)?;
-        let encoded = Encoded::of(cloud);
+        let encoded = Encoded::from_cloud(cloud);
         let ranges = self.allocate(&encoded)?;
         if let Err(error) = self.upload(&encoded, &ranges) {
             self.release(&ranges);
@@ -426,7 +426,7 @@ struct Encoded {
 }
 
 impl Encoded {
-    fn of(cloud: &CodedCloud) -> Self {
+    fn from_cloud(cloud: &CodedCloud) -> Self {
         let longest: Arc<[f32]> = cloud
             .shapes
             .iter()

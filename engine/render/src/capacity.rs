@@ -61,8 +61,8 @@ impl Capacity {
         }
     }
 
-    /// The same for lists of which less than half of what was to `spare` is left: a frame whose
-    /// counts grow slowly finds room, and is not drawn twice.
+    /// Capacity with growth for lists of which less than half of what was to `spare` is left: a
+    /// frame whose counts grow slowly finds room, and is not drawn twice.
     #[must_use]
     pub fn grown_ahead_of(&self, required: &RequiredCounts, spare: f64) -> Self {
         self.grown_where(required, spare, |have, need| {

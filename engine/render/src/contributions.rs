@@ -27,7 +27,7 @@ impl Renderer {
     /// Cameras are drawn one after the other, with buffers of their own.
     ///
     /// # Errors
-    /// Those of [`Renderer::render`].
+    /// Returns the errors of [`Renderer::render`].
     pub fn contribution_weights(
         &self,
         gpu_scene: &GpuScene,

@@ -1,4 +1,4 @@
-//! The frame: one function that lists the stages in the order they run.
+//! The frame: [`record_frame`] and its parts record the stages in the order they run.
 
 use decouplegs_gpu::Recorder;
 
@@ -138,7 +138,7 @@ fn begin_buffers<'a>(
     (written, counted)
 }
 
-/// From splats to records: those of the background, then those of agents.
+/// Projects splats to records: those of the background, then those of agents.
 fn record_projection(
     recorder: &mut Recorder,
     stages: &FrameStages,
@@ -233,8 +233,8 @@ fn project_agents(
     );
 }
 
-/// Records the planes of geometry: an attribute after the other is written into the records in the
-/// instead of color, blended over black, and resolved. The order of splats and their lists stay.
+/// Records the planes of geometry: one attribute after the other is written into the records in
+/// place of color, blended over black, and resolved. The order of splats and their lists stay.
 fn record_geometry(
     recorder: &mut Recorder,
     stages: &FrameStages,
@@ -273,7 +273,7 @@ fn record_geometry(
     }
 }
 
-/// From sorted lists to images.
+/// Blends sorted lists to images.
 fn record_images(
     recorder: &mut Recorder,
     stages: &FrameStages,

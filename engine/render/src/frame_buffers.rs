@@ -88,7 +88,7 @@ impl FrameBuffers {
                 gpu,
                 capacity.records,
                 capacity.pairs,
-                RecordContents::of(&options.outputs),
+                RecordContents::for_outputs(&options.outputs),
             )?,
             tile_sort: TileSortBuffers::new(gpu, &capacity, bins)?,
             plan: Plan::new(gpu, &capacity, bins)?,

@@ -12,7 +12,7 @@ use crate::stages::{
     ProjectVariant, Relight, ResolvePlane, Scan, TileSort, finishes,
 };
 
-/// Longer segments are no segments.
+/// Largest number of pairs of a segment.
 const SEGMENT_PAIRS_MAX: u32 = 1 << 24;
 
 /// Longest segment that a software device blends: llvmpipe ends all loops of a thread after 65,535
@@ -157,7 +157,7 @@ pub(crate) struct FrameVariant {
 impl FrameVariant {
     /// The variant whose projections write an attribute instead of color. It does not depend
     /// on what colors and instances need.
-    fn of(self, attribute: Attribute) -> Self {
+    fn with_attribute(self, attribute: Attribute) -> Self {
         Self {
             background: ProjectVariant {
                 sh_degree: 0,
@@ -207,7 +207,7 @@ impl Kernels {
     }
 
     /// The kernels for `variant`. The device shares those that other variants have, too.
-    pub fn of(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<&FrameStages, GpuError> {
+    pub fn stages(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<&FrameStages, GpuError> {
         let is_wanted = |stages: &FrameStages| stages.variant == variant;
         let index = match self.built.iter().position(is_wanted) {
             Some(index) => index,
@@ -243,7 +243,7 @@ impl KernelOptions {
                     color,
                     ..self.outputs
                 };
-                self.images(gpu, PixelEnd::of(rules), &outputs, false)?
+                self.images(gpu, PixelEnd::for_rules(rules), &outputs, false)?
             },
             post_process: (variant.post_processed)
                 .then(|| PostProcess::new(gpu, &self.outputs))
@@ -305,14 +305,14 @@ impl KernelOptions {
                 .transpose()
         };
         let mut stages = GeometryStages {
-            means: images(PixelEnd::of(&self.rules), false)?,
+            means: images(PixelEnd::for_rules(&self.rules), false)?,
             medians: images(PixelEnd::Median, true)?,
             resolve: ResolvePlane::new(gpu)?,
             attributes: Vec::new(),
         };
         for plane in planes() {
             if stages.projections(plane).is_none() {
-                let variant = variant.of(plane.attribute());
+                let variant = variant.with_attribute(plane.attribute());
                 let agents = |kind| ProjectAgents::new(gpu, &self.rules, kind);
                 stages.attributes.push(AttributeStages {
                     attribute: plane.attribute(),

@@ -32,7 +32,7 @@ struct Direction {
 }
 
 impl Direction {
-    fn of(camera: &CameraRecord) -> Self {
+    fn from_camera(camera: &CameraRecord) -> Self {
         Self {
             forward: camera.row_z,
             forward_low: camera.row_z_low,
@@ -124,7 +124,7 @@ impl PersistentKeys {
         }
         self.frame += 1;
         self.fit(gpu, gpu_scene, views)?;
-        let directions: Vec<Direction> = view.cameras.iter().map(Direction::of).collect();
+        let directions: Vec<Direction> = view.cameras.iter().map(Direction::from_camera).collect();
         let mut decision = self.all_computed(views);
         for (camera, direction) in directions.iter().enumerate() {
             let (set, source) =

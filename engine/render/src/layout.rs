@@ -293,7 +293,7 @@ pub struct AgentRecord {
     pub dc_residual_step: [f32; 3],
     /// Binary logarithm of the smallest size.
     pub log2_size_min: f32,
-    /// And of the ratio between two.
+    /// Binary logarithm of the ratio between two sizes.
     pub log2_size_step: f32,
     /// First cluster among those of all agents of the frame.
     pub first_cluster: u32,
@@ -307,7 +307,7 @@ pub struct AgentRecord {
     pub first_shape: u32,
     /// First color in the pool.
     pub first_color: u32,
-    /// A bit each camera that may see it.
+    /// Mask of the cameras that may see it, bit 0 for the first.
     pub cameras: u32,
     /// Instance id.
     pub instance: u32,

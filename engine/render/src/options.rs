@@ -95,7 +95,7 @@ pub struct QueueTrace {
 }
 
 impl QueueTrace {
-    pub(crate) fn of(queue: &'static str, ticket: &Ticket) -> Result<Self, GpuError> {
+    pub(crate) fn from_ticket(queue: &'static str, ticket: &Ticket) -> Result<Self, GpuError> {
         let (begin_ns, total_ns, stages) = (
             ticket.begin_ns()?,
             ticket.gpu_time_ns()?,

@@ -57,7 +57,7 @@ impl Outputs {
 pub struct OutputBuffers {
     /// RGB over the sky, unclamped, and alpha.
     pub images_f32: Buffer<[f32; 4]>,
-    /// The same in four bytes, red lowest.
+    /// Color and alpha in four bytes, red lowest.
     pub images_u8: Buffer<u32>,
     /// The planes that were asked for, one after the other: see [`Self::plane_words`].
     pub planes: Buffer<u32>,

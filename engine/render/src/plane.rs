@@ -28,14 +28,16 @@ pub enum Plane {
     /// f32, pixels: cameras and agents go on with their motion. A splat that is behind the near
     /// plane then counts as 0.
     FlowForward,
-    /// The same to the time earlier.
+    /// Displacement in the image to the time [`crate::RenderOptions::flow_interval_s`] earlier, two
+    /// f32, pixels.
     FlowBackward,
     /// Velocity, three f32, meters per second, world axes; the background is at rest.
     SceneFlow,
     /// Median depth, meters, f32: that of [`Plane::Depth`] of the splat in which half of a pixel's
     /// light is gone. 0 where more than half is left.
     DepthMedian,
-    /// The same of [`Plane::Range`].
+    /// Median range, meters, f32: that of [`Plane::Range`] of the splat in which half of a pixel's
+    /// light is gone. 0 where more than half is left.
     RangeMedian,
 }
 

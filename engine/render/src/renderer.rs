@@ -139,8 +139,8 @@ impl Renderer {
     /// Frames are finished in the order submitted, by [`Renderer::finish`].
     ///
     /// # Errors
-    /// Those of [`Renderer::render`], and when [`RenderOptions::frames_in_flight`] frames are in
-    /// flight already.
+    /// Returns the errors of [`Renderer::render`], and one when [`RenderOptions::frames_in_flight`]
+    /// frames are in flight already.
     pub fn submit<'a>(
         &mut self,
         scene: impl Into<Scene<'a>>,
@@ -244,7 +244,7 @@ impl Renderer {
         post_processed: bool,
     ) -> FrameVariant {
         let options = &self.options;
-        let labels = RecordContents::of(&options.outputs).labels;
+        let labels = RecordContents::for_outputs(&options.outputs).labels;
         FrameVariant {
             background: ProjectVariant {
                 sh_degree: scene.gpu_scene.sh_degree.min(options.sh_degree_max),
@@ -254,7 +254,7 @@ impl Renderer {
                 splat_ids: options.outputs.contributions,
                 shadows: !scene.shadows.is_empty(),
                 shadows_by_camera: scene.shadow_cameras.is_some(),
-                cameras: CameraVariant::of(&view.cameras, &view.lenses),
+                cameras: CameraVariant::for_cameras(&view.cameras, &view.lenses),
                 attribute: Attribute::None,
                 fog: scene.gpu_scene.fog.is_some(),
                 storage: scene.gpu_scene.storage,
@@ -270,7 +270,7 @@ impl Renderer {
                     labels,
                     relit: scene.relights(),
                     shaded: scene.shades(),
-                    cameras: CameraVariant::of(
+                    cameras: CameraVariant::for_cameras(
                         list.map_or(&[], |list| &list.cameras),
                         &view.lenses,
                     ),
@@ -422,7 +422,7 @@ impl Renderer {
             return Ok(None);
         }
         let mut recorder = self.recorder(QueueRole::Update);
-        let stages = self.kernels.of(&self.gpu, contents.variant)?;
+        let stages = self.kernels.stages(&self.gpu, contents.variant)?;
         record_agents(&mut recorder, stages, &self.slots[slot], contents);
         let behind: Vec<&Ticket> = added.into_iter().collect();
         Ok(Some(self.gpu.submit(recorder, &behind)?))
@@ -450,7 +450,7 @@ impl Renderer {
         };
         let frame = self.frame.insert(frame);
         frame.shape = shape;
-        let stages = self.kernels.of(&self.gpu, contents.variant)?;
+        let stages = self.kernels.stages(&self.gpu, contents.variant)?;
         if update.is_none() {
             record_agents(&mut recorder, stages, &self.slots[slot], contents);
         }

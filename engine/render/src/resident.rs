@@ -99,7 +99,7 @@ impl GpuScene {
         storage: Storage,
     ) -> Result<Self, RenderError> {
         let cloud = &splat_scene.splats;
-        Self::of(
+        Self::with_splats(
             gpu,
             splat_scene,
             (cloud, &splat_scene.instance_from_splat),
@@ -120,13 +120,13 @@ impl GpuScene {
         let levels = DetailLevels::build(&splat_scene.splats, &splat_scene.instance_from_splat);
         let nodes: Vec<NodeRecord> = levels.nodes.iter().map(NodeRecord::from).collect();
         let cloud = (&levels.splats, levels.instance_from_splat.as_slice());
-        let mut scene = Self::of(gpu, splat_scene, cloud, &nodes, storage)?;
+        let mut scene = Self::with_splats(gpu, splat_scene, cloud, &nodes, storage)?;
         scene.finest_clusters = levels.finest_nodes;
         Ok(scene)
     }
 
     /// `splat_scene` with other splats, and the instances that they belong to.
-    fn of(
+    fn with_splats(
         gpu: &Gpu,
         splat_scene: &SplatScene,
         (cloud, instance_from_splat): (&SplatCloud, &[u16]),
@@ -135,7 +135,7 @@ impl GpuScene {
     ) -> Result<Self, RenderError> {
         let prepared: Vec<Prepared> = (0..cloud.len())
             .into_par_iter()
-            .map(|splat| Prepared::of(cloud, splat, storage))
+            .map(|splat| Prepared::new(cloud, splat, storage))
             .collect();
         let means: Vec<[f32; 3]> = prepared.par_iter().map(|splat| splat.mean_m).collect();
         let shapes: Vec<[u32; 4]> = prepared.par_iter().map(|splat| splat.shape_words).collect();
@@ -215,7 +215,7 @@ struct Prepared {
 }
 
 impl Prepared {
-    fn of(cloud: &SplatCloud, splat: usize, storage: Storage) -> Self {
+    fn new(cloud: &SplatCloud, splat: usize, storage: Storage) -> Self {
         if cloud.defect_of(splat).is_some() {
             return Self {
                 drawn: false,
@@ -293,7 +293,7 @@ pub(crate) fn cluster_of(splats: &[Extent]) -> ClusterRecord {
             ..ClusterRecord::zeroed()
         };
     }
-    let bounds = Bounds::of(drawn().map(|splat| &splat.mean_m));
+    let bounds = Bounds::from_points(drawn().map(|splat| &splat.mean_m));
     ClusterRecord {
         center_m: bounds.center(),
         half_extent_m: bounds.half_extent().map(|half| half * 1.000_01),

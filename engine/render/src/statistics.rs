@@ -17,9 +17,9 @@ impl SubmittedFrame {
         awaited: Instant,
     ) -> Result<FrameStatistics, RenderError> {
         let list = self.contents.agents.as_ref();
-        let mut queues = vec![QueueTrace::of("main", &self.frame)?];
+        let mut queues = vec![QueueTrace::from_ticket("main", &self.frame)?];
         if let Some(update) = &self.update {
-            queues.push(QueueTrace::of("update", update)?);
+            queues.push(QueueTrace::from_ticket("update", update)?);
         }
         Ok(FrameStatistics {
             required,

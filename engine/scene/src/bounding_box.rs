@@ -222,7 +222,7 @@ mod tests {
         assert!(cut_off.amodal.max_px.x > 200.0 && cut_off.in_image.max_px.x == 200.0);
     }
 
-    /// Against a dense sampling of the surface.
+    /// Compares boxes with a dense sampling of the surface.
     #[test]
     fn boxes_through_a_lens_hold_what_their_surface_shows() {
         let lens = Lens::Fisheye(Fisheye {

@@ -18,7 +18,7 @@ impl Bounds {
 
     /// The smallest box around `points`.
     #[must_use]
-    pub fn of<'a>(points: impl IntoIterator<Item = &'a [f32; 3]>) -> Self {
+    pub fn from_points<'a>(points: impl IntoIterator<Item = &'a [f32; 3]>) -> Self {
         let mut bounds = Self::EMPTY;
         for point in points {
             bounds.include(point);

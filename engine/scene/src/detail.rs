@@ -21,7 +21,7 @@ pub const NODE_SPLATS: usize = 256;
 /// Nodes with one parent, and splats that become one.
 pub const MERGED: usize = 4;
 
-/// No coarser level is made of as few nodes.
+/// Largest number of nodes from which no coarser level is made.
 const ROOTS_MAX: usize = 8;
 
 /// Parent of a node that has none.
@@ -270,7 +270,7 @@ fn ball(balls: impl Iterator<Item = (DVec3, f64)> + Clone) -> DetailNode {
     let corners: Vec<[f32; 3]> = corners.collect();
     let center_m = match corners.is_empty() {
         true => [0.0; 3],
-        false => Bounds::of(&corners).center(),
+        false => Bounds::from_points(&corners).center(),
     };
     let center = DVec3::from_array(center_m.map(f64::from));
     let radius_m = balls.fold(0.0f64, |most, (at, radius_m)| {

@@ -32,7 +32,7 @@ pub struct DrawnBy {
     pub width_px: u32,
     /// Height of every image, pixels; 0 without images.
     pub height_px: u32,
-    /// Every so manyth step is drawn, from the first on.
+    /// Rendering interval in steps; step 0 is rendered.
     pub every: u32,
     /// True if cameras were drawn with [`Intrinsics::through_f_theta`].
     pub f_theta: bool,
@@ -122,7 +122,7 @@ pub struct ReadingRecord {
 /// States of all vehicles at one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpisodeTick {
-    /// Since the episode's start, seconds.
+    /// Time since the episode's start, seconds.
     pub time_s: f64,
     /// The ego.
     pub ego: VehicleState,
@@ -137,7 +137,7 @@ pub struct EpisodeTick {
 /// One step: what was seen, what was planned, what came of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpisodeStep {
-    /// From 0.
+    /// Number of the step, from 0.
     pub step: u32,
     /// Readings that the planner got, empty where none were drawn.
     pub readings: Vec<ReadingRecord>,

@@ -58,8 +58,8 @@ pub struct Lane {
     pub id: String,
     /// Purpose of the lane.
     pub kind: LaneKind,
-    /// At least two points, no two neighbors the same, world coordinates in meters. z is 0 where
-    /// [`Lane::has_height`] is false.
+    /// Points of the centerline, at least two, no two neighbors the same, world coordinates in
+    /// meters. z is 0 where [`Lane::has_height`] is false.
     pub centerline: Vec<DVec3>,
     /// Left border, none where the file tells nothing of it.
     pub left: Vec<DVec3>,
@@ -75,14 +75,14 @@ pub struct Lane {
     pub left_neighbor: Option<usize>,
     /// The lane to the right with the same direction.
     pub right_neighbor: Option<usize>,
-    /// Meters a second.
+    /// Speed limit, meters per second.
     pub speed_limit_mps: Option<f64>,
 }
 
 /// All lanes of a place.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LaneMap {
-    /// In the order of the file.
+    /// Lanes in the order of the file.
     pub lanes: Vec<Lane>,
     /// Offset that was added to the file's coordinates: zero if these are the file's own. Latitude
     /// and longitude have none, as they are projected.

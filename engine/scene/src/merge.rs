@@ -64,7 +64,7 @@ fn moment_match(cloud: &SplatCloud, weights: &[f64], members: &[u32]) -> SplatCl
         let spread = DMat3::from_cols(off * off.x, off * off.y, off * off.z);
         covariance += (covariance_of(cloud, splat as usize) + spread) * (weight / total);
     }
-    let own = OwnAxes::of(&covariance);
+    let own = OwnAxes::from_matrix(&covariance);
     let scales = own.values.max(DVec3::ZERO).map(f64::sqrt);
     let covered: f64 = members
         .iter()
@@ -129,7 +129,7 @@ pub fn clusters(
     };
     let features: Vec<Feature> = (0..cloud.len()).into_par_iter().map(feature).collect();
     let mut heap = BinaryHeap::new();
-    heap.push(Cluster::of((0..cloud.len() as u32).collect(), &features));
+    heap.push(Cluster::new((0..cloud.len() as u32).collect(), &features));
     while heap.len() < count {
         // Nothing to cut is left when the widest cluster is a point.
         if heap.peek().is_none_or(|widest| widest.spread <= 0.0) {
@@ -137,8 +137,8 @@ pub fn clusters(
         }
         let Some(widest) = heap.pop() else { break };
         let (low, high) = widest.cut(&features);
-        heap.push(Cluster::of(low, &features));
-        heap.push(Cluster::of(high, &features));
+        heap.push(Cluster::new(low, &features));
+        heap.push(Cluster::new(high, &features));
     }
     let mut clusters: Vec<Vec<u32>> = heap.into_iter().map(|cluster| cluster.members).collect();
     clusters.sort_unstable();
@@ -161,7 +161,7 @@ struct Cluster {
 }
 
 impl Cluster {
-    fn of(members: Vec<u32>, features: &[Feature]) -> Self {
+    fn new(members: Vec<u32>, features: &[Feature]) -> Self {
         let (mut weight, mut sums) = (0.0, [0.0; 6]);
         for &splat in &members {
             let feature = &features[splat as usize];
@@ -221,8 +221,8 @@ impl PartialOrd for Cluster {
 }
 
 impl Ord for Cluster {
-    /// By spread; of equal ones the one with the earliest splat is the greater. Clusters share no
-    /// splats.
+    /// Compares spreads; of equal ones the one with the earliest splat is the greater. Clusters
+    /// share no splats.
     fn cmp(&self, other: &Self) -> Ordering {
         self.spread
             .total_cmp(&other.spread)

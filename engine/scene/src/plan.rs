@@ -6,7 +6,7 @@ use glam::DVec2;
 /// Position of the ego at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanPoint {
-    /// After the observation that was planned from, seconds, above zero.
+    /// Time after the observation that was planned from, seconds, above zero.
     pub time_s: f64,
     /// Middle of the ego's box, in the ego's frame at that observation: x forward, y left, meters.
     pub position_m: DVec2,

@@ -80,7 +80,7 @@ impl Pose {
         self.rotation * point + self.translation
     }
 
-    /// Between two poses: position linear, rotation along the shorter great arc; `s` in 0 to 1.
+    /// Pose between two: position linear, rotation along the shorter great arc; `s` in 0 to 1.
     #[must_use]
     pub fn interpolate(&self, other: &Self, s: f64) -> Self {
         Self {

@@ -23,7 +23,7 @@ pub enum Level {
 }
 
 impl Level {
-    /// From easy to extreme.
+    /// All levels, from easy to extreme.
     pub const ALL: [Self; 4] = [Self::Easy, Self::Medium, Self::Hard, Self::Extreme];
 
     /// The name it has in files.
@@ -59,7 +59,7 @@ pub enum Weather {
 }
 
 impl Weather {
-    /// From bright to dark.
+    /// All weathers, from bright to dark.
     pub const ALL: [Self; 4] = [Self::Clear, Self::Overcast, Self::Dusk, Self::Night];
 
     /// The name it has in files.
@@ -149,7 +149,7 @@ pub enum DriverKind {
 }
 
 impl DriverKind {
-    /// From calm to aggressive.
+    /// All driver types, from calm to aggressive.
     pub const ALL: [Self; 4] = [Self::Calm, Self::Normal, Self::Hurried, Self::Aggressive];
 
     /// The name it has in files.
@@ -272,7 +272,7 @@ pub struct Pedestrian {
     pub asset: usize,
     /// Size of the box.
     pub size: VehicleSize,
-    /// At least two points, world coordinates, meters.
+    /// Points of the walk, at least two, world coordinates, meters.
     pub path_m: Vec<DVec2>,
     /// Walking speed.
     pub speed_mps: f64,
@@ -294,7 +294,7 @@ pub struct Scenario {
     pub seed: u64,
     /// Time limit, seconds.
     pub duration_s: f64,
-    /// From one plan to the next, seconds.
+    /// Interval between steps, seconds.
     pub step_s: f64,
     /// Place of the episode.
     pub place: Place,

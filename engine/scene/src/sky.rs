@@ -132,7 +132,7 @@ impl SkyMap {
     /// the mean of four samples.
     ///
     /// # Errors
-    /// Those of [`SkyMap::new`].
+    /// Returns the errors of [`SkyMap::new`].
     pub fn from_fn(
         face_texels: usize,
         world_from_sky: DMat3,

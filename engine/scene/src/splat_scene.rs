@@ -8,11 +8,11 @@ use glam::DVec3;
 /// Frame of an asset's spherical harmonics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ShFrame {
-    /// In the asset's own frame: colors turn with the object (object captures).
+    /// Colors in the asset's own frame: they turn with the object (object captures).
     #[default]
     Canonical,
-    /// In the world's frame: trained in place, as HUGSIM and drivestudio export. Must not be
-    /// turned.
+    /// Colors in the world's frame: trained in place, as HUGSIM and drivestudio export. Such an
+    /// asset must not be turned.
     World,
 }
 
@@ -58,7 +58,7 @@ pub struct SplatScene {
 impl SplatScene {
     /// A scene of background only, its origin at zero, a black sky and the default rules.
     #[must_use]
-    pub fn of(splats: SplatCloud) -> Self {
+    pub fn from_splats(splats: SplatCloud) -> Self {
         Self {
             splats,
             ..Self::default()
@@ -132,7 +132,7 @@ mod tests {
         };
         let mut splat_scene = SplatScene {
             origin: DVec3::new(4.5e6, 0.0, 0.0),
-            ..SplatScene::of(one.clone())
+            ..SplatScene::from_splats(one.clone())
         };
         for x in [0.0, 10.0] {
             let agent = AgentPlacement {

@@ -117,7 +117,7 @@ impl SplatCloud {
     /// The box around the means.
     #[must_use]
     pub fn bounds(&self) -> Bounds {
-        Bounds::of(&self.means)
+        Bounds::from_points(&self.means)
     }
 
     /// First defect of a splat, if any. Unit length of the rotation is not asked for here.
@@ -242,7 +242,7 @@ impl SplatCloud {
     /// that are not finite come last.
     #[must_use]
     pub fn spatial_order(&self) -> Vec<u32> {
-        let bounds = Bounds::of(
+        let bounds = Bounds::from_points(
             self.means
                 .iter()
                 .filter(|mean| mean.iter().all(|x| x.is_finite())),

@@ -16,7 +16,7 @@ impl OwnAxes {
     /// Computes the eigenvalues and eigenvectors of a matrix by Jacobi rotations: exact to the last
     /// digits of the largest value, for any finite input.
     #[must_use]
-    pub fn of(matrix: &DMat3) -> Self {
+    pub fn from_matrix(matrix: &DMat3) -> Self {
         let (mut m, mut axes) = (*matrix, DMat3::IDENTITY);
         for _sweep in 0..30 {
             let off = m.y_axis.x.abs() + m.z_axis.x.abs() + m.z_axis.y.abs();
@@ -112,7 +112,7 @@ mod tests {
         #[test]
         fn own_axes_give_the_matrix_back(six in prop::array::uniform6(-5.0f64..5.0), exponent in -60i32..60) {
             let matrix = from_six(&six.map(|x| x * f64::from(exponent).exp2()));
-            let own = OwnAxes::of(&matrix);
+            let own = OwnAxes::from_matrix(&matrix);
             let size = to_six(&matrix).iter().map(|x| x.abs()).fold(0.0, f64::max);
             for (a, b) in to_six(&own.matrix()).iter().zip(to_six(&matrix)) {
                 prop_assert!((a - b).abs() <= 1e-13 * size, "{own:?} of {matrix:?}");
@@ -136,6 +136,6 @@ mod tests {
             .sum::<f64>();
         let six: f64 = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
         assert!((frobenius - six).abs() < 1e-12);
-        assert_eq!(OwnAxes::of(&DMat3::ZERO).values, DVec3::ZERO);
+        assert_eq!(OwnAxes::from_matrix(&DMat3::ZERO).values, DVec3::ZERO);
     }
 }

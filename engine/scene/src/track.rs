@@ -33,7 +33,7 @@ pub struct Track {
     pub class: String,
     /// Length, width and height, meters, where the file tells.
     pub dims_m: Option<[f64; 3]>,
-    /// At least one, times finite and strictly rising.
+    /// Points of the track, at least one, times finite and strictly rising.
     pub points: Vec<TrackPoint>,
 }
 

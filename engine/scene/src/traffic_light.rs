@@ -12,7 +12,7 @@ pub enum LightColor {
 }
 
 impl LightColor {
-    /// In the order in which lights show them.
+    /// All colors in the order in which lights show them.
     pub const ALL: [Self; 3] = [Self::Green, Self::Yellow, Self::Red];
 
     /// Name in files and in the protocol of planners.

@@ -5,11 +5,11 @@ use glam::DVec2;
 /// Outer dimensions of a vehicle, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VehicleSize {
-    /// Along x of its frame.
+    /// Length along x of the vehicle's frame, meters.
     pub length_m: f64,
-    /// Along y, without mirrors.
+    /// Width along y without mirrors, meters.
     pub width_m: f64,
-    /// Along z; wheels touch the ground half of it below the middle.
+    /// Height along z, meters; wheels touch the ground half of it below the middle.
     pub height_m: f64,
 }
 
@@ -28,7 +28,7 @@ impl VehicleSize {
         height_m: 1.75,
     };
 
-    /// From length, width and height, meters.
+    /// Size of length, width and height, meters.
     #[must_use]
     pub fn from_array([length_m, width_m, height_m]: [f64; 3]) -> Self {
         Self {
@@ -52,7 +52,7 @@ pub struct VehicleState {
     pub position_m: DVec2,
     /// Heading, from x towards y.
     pub yaw_rad: f64,
-    /// Along its heading, never below zero: no vehicle here drives backwards.
+    /// Speed along the heading, m/s, never below zero: no vehicle here drives backwards.
     pub speed_mps: f64,
     /// Rate of the speed.
     pub acceleration_mps2: f64,

@@ -96,9 +96,9 @@ impl Batch {
         agents.map(|agent| agent.pose.translation).collect()
     }
 
-    /// Agents, in the light of the scene.
-    pub fn cast(&self, live: &LiveScene) -> AgentBatch {
-        let mut cast = AgentBatch {
+    /// Agents of all views as one list, lit, each with the mask of its cameras.
+    pub fn lit_agents(&self, live: &LiveScene) -> AgentBatch {
+        let mut batch = AgentBatch {
             agents: Vec::new(),
             shadows: Vec::new(),
             shadow_cameras: None,
@@ -109,18 +109,19 @@ impl Batch {
             let own = ((1u64 << part.cameras) - 1) << first;
             first += part.cameras;
             let moment = live.placed(&part.agents);
-            cast.agents
+            batch
+                .agents
                 .extend(moment.agents.into_iter().map(|agent| Agent {
                     cameras: own as u32,
                     ..agent
                 }));
             shadow_cameras.extend(std::iter::repeat_n(own as u32, moment.shadows.len()));
-            cast.shadows.extend(moment.shadows);
+            batch.shadows.extend(moment.shadows);
         }
         // One world needs no masks, and kernels without them are the faster ones.
-        cast.shadow_cameras =
+        batch.shadow_cameras =
             (self.parts.len() > 1 && !shadow_cameras.is_empty()).then_some(shadow_cameras);
-        cast
+        batch
     }
 }
 

@@ -28,12 +28,12 @@ pub struct WorldView<'a> {
 pub struct BatchRenderer {
     gpu: Gpu,
     options: RenderOptions,
-    /// None: each scene's own.
+    /// Rules of all scenes; `None`: each scene's own.
     rules: Option<Rules>,
     bakes_light_on_demand: bool,
     /// One for each set of rules that was drawn by: kernels are specialized by them.
     renderers: Vec<Renderer>,
-    /// The same for sweeps of LiDARs.
+    /// Renderers of LiDAR sweeps, one for each set of rules.
     lidars: Vec<LidarRenderer>,
     /// Number of frames of each submission, oldest first.
     submissions: VecDeque<usize>,
@@ -185,7 +185,7 @@ impl BatchRenderer {
     /// have them: `[view][camera]`.
     ///
     /// # Errors
-    /// Those of [`BatchRenderer::finish`], but for images in floats.
+    /// Returns the errors of [`BatchRenderer::finish`], but for images in floats.
     pub fn finish_images(
         &mut self,
     ) -> Result<(Vec<Vec<Image>>, Vec<FrameStatistics>), SessionError> {
@@ -204,7 +204,8 @@ impl BatchRenderer {
     /// [`decouplegs_render::Outputs::exported`] another API may read them there.
     ///
     /// # Errors
-    /// Those of [`BatchRenderer::finish_images`], and an error if too many images are held already.
+    /// Returns the errors of [`BatchRenderer::finish_images`], and one if too many images are held
+    /// already.
     pub fn finish_on_device(
         &mut self,
     ) -> Result<(Vec<TakenImages>, Vec<FrameStatistics>), SessionError> {
@@ -220,7 +221,7 @@ impl BatchRenderer {
     /// [`BatchRenderer::finish`].
     ///
     /// # Errors
-    /// Those of both, and [`SessionError::Unfinished`].
+    /// Returns the errors of both, and [`SessionError::Unfinished`].
     pub fn draw(
         &mut self,
         views: &[WorldView<'_>],
@@ -234,7 +235,7 @@ impl BatchRenderer {
     /// Draws `views`: [`BatchRenderer::submit`] and [`BatchRenderer::finish_images`].
     ///
     /// # Errors
-    /// Those of both, and [`SessionError::Unfinished`].
+    /// Returns the errors of both, and [`SessionError::Unfinished`].
     pub fn draw_images(
         &mut self,
         views: &[WorldView<'_>],
@@ -247,7 +248,7 @@ impl BatchRenderer {
     /// Draws `views`: [`BatchRenderer::submit`] and [`BatchRenderer::finish_on_device`].
     ///
     /// # Errors
-    /// Those of both, and [`SessionError::Unfinished`].
+    /// Returns the errors of both, and [`SessionError::Unfinished`].
     pub fn draw_on_device(
         &mut self,
         views: &[WorldView<'_>],
@@ -333,8 +334,8 @@ impl BatchRenderer {
                 batch.scene.ready_light(&batch.agent_positions());
             }
             let live = batch.scene.live();
-            let cast = batch.cast(&live);
-            self.renderers[*renderer].submit(cast.over(&live), &batch.cameras)?;
+            let lit = batch.lit_agents(&live);
+            self.renderers[*renderer].submit(lit.over(&live), &batch.cameras)?;
             self.in_flight += 1;
         }
         Ok(())

@@ -61,10 +61,10 @@ const PROBES_MAX: usize = 1 << 18;
 /// Reason why a session could not serve a request.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
-    /// The device.
+    /// The device failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// A file.
+    /// A file cannot be read.
     #[error(transparent)]
     Asset(#[from] AssetError),
     /// A frame, or an upload.
@@ -75,7 +75,7 @@ pub enum SessionError {
     NoAgent {
         /// The name asked for.
         name: String,
-        /// Some of those that there are.
+        /// Some names of the agents that the world has.
         there: String,
     },
     /// No such asset in the scene.
@@ -260,7 +260,7 @@ impl Session {
     /// their shadows, or the agents over nothing, in the light of the background.
     ///
     /// # Errors
-    /// Those of [`Session::add_scene`].
+    /// Returns the errors of [`Session::add_scene`].
     pub fn add_layer(
         &self,
         loaded: &LoadedScene,
@@ -286,7 +286,7 @@ impl Session {
         }))
     }
 
-    /// Something that draws worlds of this session, as [`SessionOptions::render`] says.
+    /// A renderer of worlds of this session, as [`SessionOptions::render`] says.
     #[must_use]
     pub fn batch_renderer(&self) -> BatchRenderer {
         BatchRenderer::new(&self.gpu, &self.options)

@@ -73,7 +73,7 @@ pub struct AgentInstance {
 impl AgentInstance {
     /// `agent` at `time_s` of its trajectory.
     #[must_use]
-    pub fn of(agent: &LoadedAgent, time_s: f64) -> Self {
+    pub fn from_agent(agent: &LoadedAgent, time_s: f64) -> Self {
         Self {
             asset: agent.asset,
             pose: agent.trajectory.at(time_s),
@@ -206,7 +206,7 @@ impl LiveScene {
         let agents = self.agents.iter();
         let present = agents.filter_map(|agent| {
             let present = agent.present.includes(time_s);
-            present.then(|| AgentInstance::of(agent, time_s))
+            present.then(|| AgentInstance::from_agent(agent, time_s))
         });
         self.placed(&present.collect::<Vec<_>>())
     }

@@ -82,7 +82,7 @@ fn code_plain(
                 loaded.assets.len() - 1
             }
         };
-        loaded.agent_labels.push(AgentLabel::of(&agent));
+        loaded.agent_labels.push(AgentLabel::from_agent(&agent));
         let instance = u16::try_from(loaded.agent_labels.len());
         let too_many = |_| {
             AssetError::Placement(format!(

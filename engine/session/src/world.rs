@@ -38,7 +38,7 @@ impl World {
     pub fn new(scene: &Arc<SessionScene>) -> Self {
         let agent = |agent: &decouplegs_asset::LoadedAgent| WorldAgent {
             name: agent.name.clone(),
-            placed: AgentInstance::of(agent, 0.0),
+            placed: AgentInstance::from_agent(agent, 0.0),
             present: agent.present.includes(0.0),
         };
         Self {

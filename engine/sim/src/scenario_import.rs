@@ -39,7 +39,7 @@ pub struct ImportedScenario {
 const CRUISE_MPS: f64 = 50.0 / 3.6;
 /// Slower initial speeds are no cruise speeds, m/s.
 const CRUISE_MPS_MIN: f64 = 1.0;
-/// Time limit: so many times the stop time of the file, and so many seconds more. An ego that
+/// Time limit as a factor on the stop time of the file, and seconds that are added. An ego that
 /// others slow down can still arrive.
 const TIME_FACTOR: f64 = 1.5;
 const TIME_PLUS_S: f64 = 15.0;

@@ -44,7 +44,7 @@ fn place_of(update: &Update, name: &str) -> Option<Pose> {
     Some(Pose::new(DQuat::from_array(turn), DVec3::from_slice(&at)))
 }
 
-/// With agents that move, with agents of plain splats, and in the light of the street.
+/// Renders agents that move and agents of plain splats, in the light of the street.
 #[test]
 fn an_edited_scene_renders_as_it_was_shown() {
     for kind in ["movable", "plain", "lit"] {

@@ -43,7 +43,7 @@ fn to_cube(direction: DVec3, half_m: f64) -> (f64, f64) {
     (half_m / largest, largest)
 }
 
-/// The same for a sphere.
+/// Distance along `direction` to a sphere.
 fn to_sphere(direction: DVec3, center: DVec3, radius_m: f64) -> Option<(f64, f64)> {
     let middle = direction.dot(center);
     let half2 = radius_m * radius_m - (center - middle * direction).length_squared();
@@ -148,7 +148,7 @@ fn a_camera_and_a_lidar_agree_on_opaque_surfaces() {
         motion: Motion::REST,
     };
     let traced = trace(&gpu, &world, &lidar, 8);
-    let sweep = traced.returns(&ReturnOptions::of(&lidar.model));
+    let sweep = traced.returns(&ReturnOptions::for_model(&lidar.model));
     let mut camera = camera_towards(
         "front",
         position,
@@ -284,7 +284,7 @@ fn the_road_of_the_street_is_where_it_is() {
         agents: 0,
         ..StreetOptions::default()
     });
-    let mut world = SplatScene::of(street.background);
+    let mut world = SplatScene::from_splats(street.background);
     world.splats = world.splats.in_spatial_order();
     let model = spinning(&uniform(64, 5.0, -25.0), 720, 360.0, Spin::Clockwise);
     let height_m = 1.9;
@@ -295,7 +295,7 @@ fn the_road_of_the_street_is_where_it_is() {
         world_from_rig: Pose::from_yaw(0.3, DVec3::new(-20.0, -1.75, height_m)),
         motion: Motion::REST,
     };
-    let sweep = trace(&gpu, &world, &lidar, 8).returns(&ReturnOptions::of(&lidar.model));
+    let sweep = trace(&gpu, &world, &lidar, 8).returns(&ReturnOptions::for_model(&lidar.model));
     let mut by_incidence = [Vec::new(), Vec::new()];
     for point in sweep.points(PointFrame::World) {
         // Within the lanes, which are level at 0.

@@ -76,7 +76,7 @@ fn agents_are_where_they_are_at_the_time_of_each_beam() {
     assert!(traced.states == own.trace(with_agents, &lidar, mode).unwrap().states);
 
     // Points on the car are in its box at their own time, and outside of it at the end.
-    let sweep = traced.returns(&ReturnOptions::of(&lidar.model));
+    let sweep = traced.returns(&ReturnOptions::for_model(&lidar.model));
     let half_m = DVec3::from_array(
         loaded.assets[0]
             .dims_m

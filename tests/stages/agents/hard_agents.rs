@@ -138,7 +138,7 @@ impl AgentScene {
 
     /// Kind of the cameras.
     pub fn camera_variant(&self) -> CameraVariant {
-        CameraVariant::of(&self.cameras, &self.lenses)
+        CameraVariant::for_cameras(&self.cameras, &self.lenses)
     }
 
     /// Puts a cloud into the pool; returns where its parts begin.
@@ -347,7 +347,7 @@ impl AgentScene {
             &self.inputs(),
             &self.clusters,
             &mut visible,
-            Variant::of(rules),
+            Variant::for_rules(rules),
         );
         (words, counts)
     }
@@ -476,7 +476,7 @@ fn cluster_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ClusterRecord {
             splat_radius_m: -1e30,
         };
     }
-    let bounds = Bounds::of(&means);
+    let bounds = Bounds::from_points(&means);
     let splat_radius_m = |codes: &SplatCodes| {
         let longest =
             principal_axes(&cloud.shapes[usize::from(codes.shape)]).scales[0] * cloud.size(codes);

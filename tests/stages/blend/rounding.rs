@@ -35,7 +35,7 @@ pub struct ListedSplat {
 }
 
 impl ListedSplat {
-    pub fn of(projected: &ProjectedTwin, record: u32) -> Self {
+    pub fn new(projected: &ProjectedTwin, record: u32) -> Self {
         let record = record as usize;
         Self {
             footprint: load_footprint(&projected.footprints, record),
@@ -57,7 +57,7 @@ struct Run {
 impl PixelBounds {
     /// Bounds of the pixel at column and row `at`, where `list` is blended front to back, behind
     /// `before` if given.
-    pub fn of(list: &[ListedSplat], at: [u32; 2], rules: &Rules, before: Option<&Pixel>) -> Self {
+    pub fn new(list: &[ListedSplat], at: [u32; 2], rules: &Rules, before: Option<&Pixel>) -> Self {
         let bounds = Self {
             color: 0.0,
             transmittance: 0.0,

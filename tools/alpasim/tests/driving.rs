@@ -205,7 +205,7 @@ fn an_episode_of_a_driver_replays_without_the_driver() {
         speed(4)
     );
     assert!(speed(7) < speed(4) - 0.1);
-    let score = decouplegs::drive::score::EpisodeScore::of(&episode);
+    let score = decouplegs::drive::score::EpisodeScore::new(&episode);
     assert_eq!(score.warm_up_s, 0.5);
     let scene = driver.asked().sessions[0]
         .debug_info

@@ -23,7 +23,7 @@ use glam::{DQuat, DVec3};
 use tonic::transport::server::TcpIncoming;
 use tonic::{Request, Response, Status};
 
-/// From pose to pose of an answer, and the number of poses.
+/// Interval between poses of an answer, and the number of poses.
 const SPACING_US: u64 = 100_000;
 const POSES: u64 = 40;
 

@@ -71,7 +71,7 @@ typedef enum {
      */
     DGS_STATUS_TOO_SMALL = 4,
     /**
-     * There are as many as there may be.
+     * A limit is reached: agents of a world, splats, or images that are held.
      */
     DGS_STATUS_LIMIT = 5,
     /**
@@ -262,7 +262,7 @@ enum DgsReturn
 #endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
  {
     /**
-     * The model's.
+     * Kind of range that the model has.
      */
     DGS_RETURN_OF_MODEL = 0,
     /**
@@ -332,8 +332,8 @@ typedef struct {
      */
     uint64_t memory_bytes;
     /**
-     * The same for this device in every process and after every start; CUDA names it by the same
-     * 16 bytes.
+     * UUID of the driver, the same for this device in every process and after every start; CUDA
+     * names it by the same 16 bytes.
      */
     uint8_t uuid[16];
     /**
@@ -485,11 +485,11 @@ typedef struct {
      */
     const void *data;
     /**
-     * From one row to the next.
+     * Distance between rows, bytes.
      */
     size_t row_bytes;
     /**
-     * From one pixel to the next.
+     * Distance between pixels of a row, bytes.
      */
     uint32_t pixel_bytes;
     /**

@@ -1,4 +1,4 @@
-//! From C's pointers to Rust's types, once, when a call begins.
+//! Conversion of C's pointers to Rust's types, once, when a call begins.
 //!
 //! All functions here trust one thing, which the header asks for and no library can see: a pointer
 //! that is not NULL points to as much as its type and count say, for as long as the call lasts, and

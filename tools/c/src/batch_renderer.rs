@@ -179,7 +179,7 @@ impl Seen {
     ) -> Result<Self, Failure> {
         let world = WORLDS
             .find(call, view.world)
-            .map_err(|failure| failure.of(&format!("view {index}")))?;
+            .map_err(|failure| failure.with_subject(&format!("view {index}")))?;
         if !Arc::ptr_eq(&world.session, session) {
             let text = "belongs to another session than the batch renderer: its device knows nothing of it";
             return Err(Failure::new(

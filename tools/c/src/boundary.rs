@@ -26,7 +26,7 @@ pub struct Call {
 }
 
 impl Call {
-    /// From here on a panic makes the handle with this flag unusable.
+    /// Marks the handle with this flag as unusable if the call panics from here on.
     pub fn uses(&mut self, poison: Arc<AtomicBool>) {
         self.poison.push(poison);
     }

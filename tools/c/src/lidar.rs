@@ -41,7 +41,7 @@ pub enum DgsPointFrame {
 #[repr(u32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DgsReturn {
-    /// The model's.
+    /// Kind of range that the model has.
     OfModel = 0,
     /// Range of the splat at which half of the beam is gone.
     Median = 1,
@@ -143,7 +143,7 @@ pub unsafe extern "C" fn dgs_scene_lidar(
             ))
         };
         let found = lidars.nth(index).ok_or_else(missing)?;
-        pose.write(DgsPose::of(&found.rig_from_lidar));
+        pose.write(DgsPose::from_pose(&found.rig_from_lidar));
         opened.write(LIDARS.add(found.model.clone()));
         Ok(())
     })
@@ -253,7 +253,7 @@ pub unsafe extern "C" fn dgs_batch_renderer_sweep(
             seed: asked.seed,
         });
         let points = sweep.points(frame);
-        drawing.points = points.iter().map(DgsLidarPoint::of).collect();
+        drawing.points = points.iter().map(DgsLidarPoint::from_point).collect();
         Ok(())
     })
 }

@@ -162,7 +162,7 @@ fn rig_camera(scene: &SessionScene, index: usize) -> Result<&RigCamera, Failure>
 
 fn camera_on(scene: &SessionScene, index: usize, ego: &Pose) -> Result<DgsCamera, Failure> {
     let rig = Rig::from_iter([rig_camera(scene, index)?.clone()]);
-    DgsCamera::of(&rig.at(ego)[0])
+    DgsCamera::from_camera(&rig.at(ego)[0])
 }
 
 /// Start and end of the ego vehicle's trajectory, seconds. `start_s` and `end_s` are the same where
@@ -194,7 +194,7 @@ pub unsafe extern "C" fn dgs_scene_ego_at(
     // SAFETY: as the header asks of all pointers.
     unsafe {
         read(scene, "pose", pose, |scene| {
-            Ok(DgsPose::of(&scene.ego().at(moment(time_s)?)))
+            Ok(DgsPose::from_pose(&scene.ego().at(moment(time_s)?)))
         })
     }
 }
@@ -253,7 +253,7 @@ pub unsafe extern "C" fn dgs_scene_agent_at(
 ) -> DgsStatus {
     let at = |scene: &SessionScene| {
         let agent = loaded_agent(scene, index)?;
-        let pose = DgsPose::of(&agent.trajectory.at(moment(time_s)?));
+        let pose = DgsPose::from_pose(&agent.trajectory.at(moment(time_s)?));
         Ok(DgsAgent {
             pose,
             asset: agent.asset as u32,

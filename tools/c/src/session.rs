@@ -46,7 +46,7 @@ pub unsafe extern "C" fn dgs_device(index: usize, device: *mut DgsDevice) -> Dgs
                 "device",
                 device,
                 DgsDevice::FIRST_BYTES,
-                &DgsDevice::of(info),
+                &DgsDevice::from_info(info),
             )
         }
     })
@@ -165,7 +165,7 @@ pub unsafe extern "C" fn dgs_session_device(
                 "device",
                 device,
                 DgsDevice::FIRST_BYTES,
-                &DgsDevice::of(session.gpu().info()),
+                &DgsDevice::from_info(session.gpu().info()),
             )
         }
     })

@@ -20,7 +20,7 @@ pub enum DgsStatus {
     NotFound = 3,
     /// The buffer is too short for the text: `length` says how long it must be, without the NUL.
     TooSmall = 4,
-    /// There are as many as there may be.
+    /// A limit is reached: agents of a world, splats, or images that are held.
     Limit = 5,
     /// Another thread is using the batch renderer or changing the world.
     Busy = 6,
@@ -98,8 +98,8 @@ impl Failure {
         Self::new(DgsStatus::InvalidArgument, message)
     }
 
-    /// The same, said of `whom`.
-    pub fn of(self, whom: &str) -> Self {
+    /// Failure of this kind whose message begins with `whom`.
+    pub fn with_subject(self, whom: &str) -> Self {
         Self {
             message: format!("{whom}: {}", self.message),
             ..self

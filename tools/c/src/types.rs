@@ -11,7 +11,7 @@ use glam::{DQuat, DVec3};
 use crate::status::{DgsStatus, Failure};
 use crate::world::DgsWorld;
 
-/// Rotations are of length 1 up to so much; beyond, something else was meant.
+/// Largest departure of a rotation's length from 1; beyond, something else was meant.
 const ROTATION_LENGTH_SPARE: f64 = 1e-3;
 
 /// Pose: parent = rotation * child + position.
@@ -25,7 +25,7 @@ pub struct DgsPose {
 }
 
 impl DgsPose {
-    pub fn of(pose: &Pose) -> Self {
+    pub fn from_pose(pose: &Pose) -> Self {
         let [x, y, z, w] = pose.rotation.to_array();
         Self {
             rotation_wxyz: [w, x, y, z],
@@ -79,7 +79,7 @@ pub struct DgsCamera {
 
 impl DgsCamera {
     /// `camera`, which must be a pinhole: others do not fit.
-    pub fn of(camera: &Camera) -> Result<Self, Failure> {
+    pub fn from_camera(camera: &Camera) -> Result<Self, Failure> {
         let Intrinsics {
             width_px,
             height_px,
@@ -113,7 +113,7 @@ impl DgsCamera {
             );
             return Err(Failure::new(DgsStatus::Unsupported, text));
         }
-        let world_from_camera = DgsPose::of(&camera.world_from_camera);
+        let world_from_camera = DgsPose::from_pose(&camera.world_from_camera);
         Ok(Self {
             width_px,
             height_px,
@@ -217,7 +217,7 @@ impl DgsImageKind {
     pub(crate) const LAST: u32 = Self::RangeMedianF32 as u32;
 
     /// The kind of the images of `plane`.
-    const fn of(plane: Plane) -> Self {
+    const fn from_plane(plane: Plane) -> Self {
         match plane {
             Plane::Depth => Self::DepthF32,
             Plane::Instance => Self::InstanceU16,
@@ -234,7 +234,7 @@ impl DgsImageKind {
     /// The plane whose kind is `kind`.
     pub(crate) fn plane(kind: u32) -> Option<Plane> {
         let mut planes = Plane::ALL.into_iter();
-        planes.find(|plane| Self::of(*plane) as u32 == kind)
+        planes.find(|plane| Self::from_plane(*plane) as u32 == kind)
     }
 }
 
@@ -244,9 +244,9 @@ impl DgsImageKind {
 pub struct DgsImage {
     /// The upper left pixel. Valid until the batch renderer draws or is closed.
     pub data: *const c_void,
-    /// From one row to the next.
+    /// Distance between rows, bytes.
     pub row_bytes: usize,
-    /// From one pixel to the next.
+    /// Distance between pixels of a row, bytes.
     pub pixel_bytes: u32,
     /// Pixels in a row.
     pub width_px: u32,
@@ -306,7 +306,7 @@ impl DgsSessionOptions {
             let text = format!("{name} is {number}: expected 0 or 1");
             return Err(Failure::argument(text));
         }
-        let bit = |plane: Plane| 1 << DgsImageKind::of(plane) as u32;
+        let bit = |plane: Plane| 1 << DgsImageKind::from_plane(plane) as u32;
         let known = Planes::ALL
             .geometry()
             .fold(0, |bits, plane| bits | bit(plane));
@@ -351,8 +351,8 @@ pub struct DgsDevice {
     pub kind: u32,
     /// Size of its largest memory.
     pub memory_bytes: u64,
-    /// The same for this device in every process and after every start; CUDA names it by the same
-    /// 16 bytes.
+    /// UUID of the driver, the same for this device in every process and after every start; CUDA
+    /// names it by the same 16 bytes.
     pub uuid: [u8; 16],
     /// Name; ends with a NUL.
     pub name: [c_char; 256],
@@ -364,7 +364,7 @@ impl DgsDevice {
     /// Size when it was first published.
     pub(crate) const FIRST_BYTES: usize = 544;
 
-    pub fn of(info: &DeviceInfo) -> Self {
+    pub fn from_info(info: &DeviceInfo) -> Self {
         let kind = match info.kind {
             DeviceKind::Discrete => DgsDeviceKind::Discrete,
             DeviceKind::Integrated => DgsDeviceKind::Integrated,
@@ -458,7 +458,7 @@ mod tests {
             DQuat::from_rotation_z(0.4) * DQuat::from_rotation_x(1.0),
             DVec3::new(1.0, 2.0, 3.0),
         );
-        let back = DgsPose::of(&pose).to_pose("it").unwrap();
+        let back = DgsPose::from_pose(&pose).to_pose("it").unwrap();
         assert!(
             back.rotation.angle_between(pose.rotation) < 1e-7
                 && back.translation == pose.translation
@@ -514,7 +514,7 @@ pub struct DgsLidarPoint {
 }
 
 impl DgsLidarPoint {
-    pub fn of(point: &LidarPoint) -> Self {
+    pub fn from_point(point: &LidarPoint) -> Self {
         Self {
             position_m: point.position_m.as_vec3().to_array(),
             range_m: point.measured.range_m,

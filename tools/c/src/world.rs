@@ -31,12 +31,12 @@ impl HeldWorld {
         }
     }
 
-    /// To look at, with others.
+    /// Locks the world for reading, with others.
     pub fn read(&self) -> Result<RwLockReadGuard<'_, World>, Failure> {
         to_read("world", &self.world)
     }
 
-    /// To change, alone.
+    /// Locks the world for changes, alone.
     fn write(&self) -> Result<RwLockWriteGuard<'_, World>, Failure> {
         to_change("world", &self.world)
     }
@@ -217,7 +217,7 @@ pub unsafe extern "C" fn dgs_world_agent(
         let world = held.read()?;
         let placed = self::agent(&world, index)?.placed;
         target.write(DgsAgent {
-            pose: DgsPose::of(&placed.pose),
+            pose: DgsPose::from_pose(&placed.pose),
             asset: placed.asset as u32,
             instance: placed.instance.into(),
         });

@@ -47,7 +47,7 @@ pub fn dims_of(path: &Path) -> Result<[f64; 3]> {
 
 impl Footing {
     /// The ground of the background at `path`, whose means are relative to `origin`.
-    pub fn of(path: &Path, origin: DVec3) -> Result<Self> {
+    pub fn open(path: &Path, origin: DVec3) -> Result<Self> {
         let reading = progress::spinner(format!("reading {}", path.display()));
         let cloud = read_splats(path)?;
         let ground = Ground::new(&cloud, origin, &GroundOptions::default());

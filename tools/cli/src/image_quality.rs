@@ -9,8 +9,8 @@ use decouplegs::render::{Image, RenderOptions, Renderer};
 use decouplegs::scene::{Camera, SplatCloud, SplatScene};
 use serde_json::{Value, json};
 
-/// Behind the asset: neither black nor white, so that what is missing shows on both dark and light
-/// parts.
+/// Color behind the asset: neither black nor white, so that what is missing shows on both dark and
+/// light parts.
 const SKY_RGB: [f32; 3] = [0.6, 0.7, 0.8];
 
 /// Similarity of images to the original's.
@@ -104,7 +104,7 @@ impl QualityMeter {
     pub fn draw(&mut self, cloud: &SplatCloud, cameras: &[Camera]) -> Result<Vec<Image>> {
         let splat_scene = SplatScene {
             sky: SKY_RGB,
-            ..SplatScene::of(cloud.in_spatial_order())
+            ..SplatScene::from_splats(cloud.in_spatial_order())
         };
         let resident = self.renderer.upload(&splat_scene)?;
         self.renderer.render(&resident, cameras)?;

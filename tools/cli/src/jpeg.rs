@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 /// Rows of a strip, a multiple of the rows of a block of blocks.
 const STRIP_ROWS: usize = 64;
-/// From this quality on, colors keep the resolution of brightness.
+/// Quality from which colors keep the resolution of brightness.
 const FULL_COLOR_FROM: u8 = 90;
 
 const START_OF_SCAN: u8 = 0xda;
@@ -70,7 +70,7 @@ fn strip(rgba: &[u8], width_px: u16, quality: u8) -> Result<Vec<u8>, String> {
 fn joined(strips: &[Vec<u8>], height_px: u16, interval: u16) -> Option<Vec<u8>> {
     let parts = strips
         .iter()
-        .map(|strip| Parts::of(strip))
+        .map(|strip| Parts::parse(strip))
         .collect::<Option<Vec<_>>>()?;
     let first = parts.first()?;
     let mut bytes = Vec::with_capacity(strips.iter().map(Vec::len).sum());
@@ -92,7 +92,7 @@ fn joined(strips: &[Vec<u8>], height_px: u16, interval: u16) -> Option<Vec<u8>> 
 
 /// A baseline JPEG of one scan, taken apart.
 struct Parts<'a> {
-    /// From the start to the scan's header.
+    /// Bytes from the start to the scan's header.
     tables: &'a [u8],
     /// Offset of the image's height in the tables.
     height_at: usize,
@@ -102,7 +102,7 @@ struct Parts<'a> {
 }
 
 impl<'a> Parts<'a> {
-    fn of(bytes: &'a [u8]) -> Option<Self> {
+    fn parse(bytes: &'a [u8]) -> Option<Self> {
         let (mut at, mut height_at) = (2, None);
         loop {
             let (marker, length) = match bytes.get(at..at + 4)? {
@@ -191,9 +191,9 @@ mod tests {
     #[test]
     fn what_is_no_jpeg_of_one_scan_is_not_taken_apart() {
         let bytes = strip(&image([32, 16]), 32, 95).unwrap();
-        assert!(Parts::of(&bytes).is_some());
+        assert!(Parts::parse(&bytes).is_some());
         for length in 0..bytes.len() {
-            assert!(Parts::of(&bytes[..length]).is_none(), "{length}");
+            assert!(Parts::parse(&bytes[..length]).is_none(), "{length}");
         }
         assert!(
             encode(&[0; 4], [70_000, 1], 95)

@@ -8,7 +8,7 @@ use decouplegs::render::rendered_image::{Image, ImageFileFormat};
 
 /// Style sheet of charts: readable on a light and on a dark background.
 const CHART_STYLE: &str = include_str!("page/charts.css");
-/// The rest of the page, in the same colors.
+/// Style sheet of the rest of the page, in the same colors.
 const STYLE: &str = include_str!("page/page.css");
 
 /// `text` as HTML shows it.
@@ -161,7 +161,7 @@ impl Table {
         }
     }
 
-    /// The same with sentences in a column, which are set to the left.
+    /// Sets sentences in a column to the left.
     pub fn with_text_in(mut self, column: usize) -> Self {
         self.columns[column].1 = Alignment::Text;
         self

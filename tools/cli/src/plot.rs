@@ -21,7 +21,7 @@ const FRAME: Frame = Frame {
 };
 const LEGEND_X: f64 = 494.0;
 const LEGEND_STEP: f64 = 18.0;
-/// A letter of the plots' text is about so wide.
+/// Width of a letter of the plots' text, about.
 const LETTER: f64 = 6.6;
 /// Points of a longer curve are not marked: marks would cover the line.
 const MARKED_MAX: usize = 40;

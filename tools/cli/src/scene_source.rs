@@ -73,7 +73,7 @@ pub struct Scene {
     pub loaded: LoadedScene,
     /// The moment that the cameras stand at, seconds.
     pub time_s: f64,
-    /// At least one.
+    /// Cameras to render; never empty.
     pub cameras: Vec<Camera>,
     /// True if the cameras are the ego vehicle's, and drive with it.
     drives: bool,
@@ -181,7 +181,7 @@ impl Scene {
         changed
     }
 
-    /// By whose definition splats become an image.
+    /// Rules by which splats become an image.
     pub fn rules(&self) -> Rules {
         self.loaded.splat_scene.rules
     }

@@ -31,7 +31,7 @@ pub fn visibility(gpu: &Gpu, cloud: &SplatCloud, cameras: &[Camera]) -> Result<V
     };
     let mut renderer = Renderer::new(gpu, options);
     let order = cloud.spatial_order();
-    let resident = renderer.upload(&SplatScene::of(cloud.select(&order)))?;
+    let resident = renderer.upload(&SplatScene::from_splats(cloud.select(&order)))?;
     let ordered = mean_contributions(&mut renderer, &resident, cameras)
         .context("the visibility of the splats cannot be measured")?;
     let mut weights = vec![0.0; cloud.len()];

@@ -21,7 +21,7 @@ const MARGIN: f64 = 28.0;
 const TITLE: f64 = 80.0;
 /// The legend's column.
 pub const PANEL: f64 = 250.0;
-/// Around the lanes, pixels.
+/// Padding around the lanes, pixels.
 const PADDING: f64 = 14.0;
 const AREA_HEIGHT: [f64; 2] = [460.0, 1080.0];
 

@@ -11,7 +11,7 @@ use crate::page::escaped;
 /// Size of the letters, and about the width of one, pixels.
 const SIZE_PX: f64 = 8.0;
 const LETTER_PX: f64 = 4.9;
-/// Longer ids are left to the lanes' tooltips.
+/// Most letters of an id that is drawn; longer ids are left to the lanes' tooltips.
 const LETTERS_MAX: usize = 16;
 /// Room around an id, pixels.
 const MARGIN_PX: f64 = 2.0;

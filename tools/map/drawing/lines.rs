@@ -8,7 +8,7 @@ use super::Frame;
 
 /// Points nearer than this to the one before are left out, pixels.
 const SAME_PX: f64 = 0.15;
-/// From arrow to arrow, pixels.
+/// Distance between arrows, pixels.
 const ARROW_STEP_PX: f64 = 70.0;
 /// Shorter lanes have no arrow, pixels.
 const ARROW_LANE_PX: f64 = 12.0;

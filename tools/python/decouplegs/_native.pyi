@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 __version__: str
 
+PlaneName = Literal["depth", "instance", "range", "normal", "flow_forward", "flow_backward", "scene_flow", "depth_median", "range_median"]
+LayerName = Literal["color", "depth", "instance", "range", "normal", "flow_forward", "flow_backward", "scene_flow", "depth_median", "range_median"]
+
 class Error(RuntimeError):
     """What the engine could not do. The base of the others."""
 
@@ -32,13 +35,13 @@ class Device:
         """Its index in devices(), which Session takes."""
     @property
     def name(self) -> str:
-        """Its own name."""
+        """Name of the device."""
     @property
     def driver(self) -> str:
         """Name and version of its driver."""
     @property
     def kind(self) -> Literal["discrete", "integrated", "virtual", "cpu", "other"]:
-        """What kind of hardware it is."""
+        """Kind of hardware."""
     @property
     def uuid(self) -> str:
         """``uuid:`` and 32 hexadecimal digits: the same in every process, and CUDA's of the same device."""
@@ -60,19 +63,19 @@ class Camera:
         """
     @property
     def name(self) -> str:
-        """Names its image."""
+        """Name of its image."""
     @property
     def width(self) -> int:
-        """Pixels a row."""
+        """Width, pixels."""
     @property
     def height(self) -> int:
-        """Rows."""
+        """Height, pixels."""
     @property
     def K(self) -> NDArray[np.float64]:
         """Intrinsics, float64 [3, 3], pixels."""
     @property
     def world_from_camera(self) -> NDArray[np.float64]:
-        """Where it stands, float64 [4, 4], meters."""
+        """Pose in the world, float64 [4, 4], meters."""
     def with_shutter(self, direction: Literal["global", "top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"], readout_s: float, start: ArrayLike, end: ArrayLike) -> Camera:
         """The same camera in motion with such a shutter; start and end are world_from_camera at both ends of the readout, float64 [4, 4], meters."""
     def with_photometry(
@@ -93,13 +96,13 @@ class RigCamera:
         """As Camera; rig_from_camera, float64 [4, 4], meters, is where it sits on the vehicle."""
     @property
     def name(self) -> str:
-        """Names its image."""
+        """Name of its image."""
     @property
     def width(self) -> int:
-        """Pixels a row."""
+        """Width, pixels."""
     @property
     def height(self) -> int:
-        """Rows."""
+        """Height, pixels."""
     @property
     def K(self) -> NDArray[np.float64]:
         """Intrinsics, float64 [3, 3], pixels."""
@@ -119,7 +122,7 @@ class Lidar:
         [4, 4], meters, is where it sits on the vehicle; None: on the roof of a car."""
     @property
     def name(self) -> str:
-        """Names its sweep."""
+        """Name of its sweep."""
     @property
     def sensor(self) -> str:
         """Name of the model."""
@@ -149,7 +152,7 @@ class Session:
         color: Literal["u8", "f32"] = "u8",
         depth: bool = False,
         instance: bool = False,
-        planes: Sequence[Literal["depth", "instance", "range", "normal", "flow_forward", "flow_backward", "scene_flow", "depth_median", "range_median"]] = (),
+        planes: Sequence[PlaneName] = (),
         flow_interval: float = 0.1,
         exported: bool | None = None,
         rules: Literal["default", "gsplat15", "gsplat16", "inria"] | None = None,
@@ -180,17 +183,17 @@ class Session:
         """Whether BatchRenderer.draw_dlpack gives CUDA tensors over the renderer's memory, without a copy."""
     @property
     def not_exported_because(self) -> str | None:
-        """Why not, where it does not."""
+        """Reason why images are not exported; None where they are."""
     @property
     def color(self) -> Literal["u8", "f32"]:
-        """How color is stored."""
+        """Storage format of color."""
     @property
     def taken_max(self) -> int:
         """Frames that tensors may hold at a time."""
     def open_scene(self, path: str | os.PathLike[str]) -> Scene:
         """The scene of a scene file (.toml) or splat file, loaded unless it is loaded already."""
     def batch_renderer(self) -> BatchRenderer:
-        """Something that draws. Its buffers are kept from frame to frame; use one for each thread that draws."""
+        """A renderer of worlds of this session. Its buffers are kept from frame to frame; use one for each thread that draws."""
     def memory(self) -> dict[str, int]:
         """Bytes on the device by purpose."""
     def take_validation_messages(self) -> list[str]:
@@ -242,13 +245,13 @@ class Agent:
 
     @property
     def name(self) -> str:
-        """Unique in its world."""
+        """Name, unique in its world."""
     @property
     def asset(self) -> int:
-        """Which of the scene's assets it shows."""
+        """Number of the asset that it shows, from 0."""
     @property
     def instance(self) -> int:
-        """What the instance layer has where it is seen; 0 is the background."""
+        """Id in the instance plane; 0 is the background."""
     @property
     def pose(self) -> NDArray[np.float64]:
         """world_from_agent, float64 [4, 4], meters."""
@@ -276,7 +279,7 @@ class World:
         """Takes an agent out."""
     @property
     def agents(self) -> list[Agent]:
-        """Its agents."""
+        """Agents of the world."""
     @property
     def scene(self) -> Scene:
         """The scene that it is over."""
@@ -286,7 +289,7 @@ class World:
     def __len__(self) -> int: ...
 
 class Statistics:
-    """What one frame took."""
+    """Statistics of one frame."""
 
     @property
     def gpu_ms(self) -> float:
@@ -296,10 +299,10 @@ class Statistics:
         """Time of the agents' part, where it was submitted by itself."""
     @property
     def wall_ms(self) -> float:
-        """From the submission to the finished images."""
+        """Time from the submission to the finished images, milliseconds."""
     @property
     def record_ms(self) -> float:
-        """The host's part of it."""
+        """Time of the host to record and submit, milliseconds."""
     @property
     def stages_ms(self) -> dict[str, float]:
         """Time on the device by stage; empty unless the session has stage_times."""
@@ -311,17 +314,24 @@ class Statistics:
         """Agents that some camera could see."""
     @property
     def agent_splats(self) -> int:
-        """Their splats."""
+        """Splats of those agents."""
     @property
     def redrawn(self) -> int:
-        """How often it was drawn again, because a list outgrew its buffer."""
+        """Number of repeated draws, because a list outgrew its buffer."""
 
 class Layers(TypedDict, total=False):
-    """Images of one view."""
+    """Images of one view, [C, H, W] or [C, H, W, channels]: color, and the planes that the session has."""
 
     color: NDArray[Any]
     depth: NDArray[np.float32]
     instance: NDArray[np.int32]
+    range: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    flow_forward: NDArray[np.float32]
+    flow_backward: NDArray[np.float32]
+    scene_flow: NDArray[np.float32]
+    depth_median: NDArray[np.float32]
+    range_median: NDArray[np.float32]
 
 class Sweep(TypedDict):
     """Returns of one sweep of a LiDAR, an entry each."""
@@ -382,7 +392,7 @@ class BatchRenderer:
         """Buffers of the renderer that are imported into CUDA."""
     @property
     def statistics(self) -> list[Statistics]:
-        """What the last call took, a frame each."""
+        """Statistics of each frame of the last call."""
 
 class Images:
     """Images of one call, where they were drawn. Of one frame and one size, they are themselves a tensor [C, H, W, 4]."""
@@ -393,12 +403,12 @@ class Images:
     @property
     def views(self) -> int:
         """Views that were drawn."""
-    def frame(self, index: int, layer: Literal["color", "depth", "instance"] = "color") -> Tensor:
-        """All cameras of a frame: [C, H, W, 4] of color, [C, H, W] of the others. Cameras must be of one size."""
-    def view(self, index: int, layer: Literal["color", "depth", "instance"] = "color") -> Tensor:
-        """All cameras of a view, likewise."""
-    def camera(self, view: int, camera: int, layer: Literal["color", "depth", "instance"] = "color") -> Tensor:
-        """One camera: [H, W, 4] of color, [H, W] of the others."""
+    def frame(self, index: int, layer: LayerName = "color") -> Tensor:
+        """All cameras of a frame: [C, H, W, 4] of color, [C, H, W, channels] of normals, flow and scene flow, [C, H, W] of other planes. Cameras must be of one size."""
+    def view(self, index: int, layer: LayerName = "color") -> Tensor:
+        """All cameras of a view, in the shapes of frame. Cameras must be of one size."""
+    def camera(self, view: int, camera: int, layer: LayerName = "color") -> Tensor:
+        """One camera: [H, W, 4] of color, [H, W, channels] of normals, flow and scene flow, [H, W] of other planes."""
     def tensor(self) -> Tensor:
         """All cameras of the call, of one frame and one size: [C, H, W, 4]."""
     def __dlpack__(

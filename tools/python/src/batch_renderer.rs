@@ -73,7 +73,7 @@ impl BatchRenderer {
     }
 
     fn keep(&self, frames: &[FrameStatistics]) {
-        *lock(&self.statistics) = frames.iter().map(Statistics::of).collect();
+        *lock(&self.statistics) = frames.iter().map(Statistics::from_frame).collect();
     }
 
     /// Draws to the host, without the interpreter's lock.

@@ -226,7 +226,7 @@ unsafe extern "C" fn destroy_versioned(capsule: *mut ffi::PyObject) {
 /// Pointer in `capsule` if it still has its `name`.
 ///
 /// # Safety
-/// It is a capsule, and the interpreter's lock is held.
+/// The object is a capsule, and the interpreter's lock is held.
 unsafe fn not_taken(capsule: *mut ffi::PyObject, name: &CStr) -> Option<*mut c_void> {
     // SAFETY: the caller's promise.
     let valid = unsafe { ffi::PyCapsule_IsValid(capsule, name.as_ptr()) };

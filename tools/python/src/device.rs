@@ -26,7 +26,7 @@ pub struct Device {
 }
 
 impl Device {
-    pub fn of(info: &DeviceInfo) -> Self {
+    pub fn from_info(info: &DeviceInfo) -> Self {
         let [major, minor, patch] = info.api_version;
         Self {
             index: info.index,
@@ -60,5 +60,5 @@ impl Device {
 #[pyfunction]
 pub fn devices(py: Python<'_>) -> PyResult<Vec<Device>> {
     let found = py.detach(Gpu::list).map_err(|error| of_gpu(&error))?;
-    Ok(found.iter().map(Device::of).collect())
+    Ok(found.iter().map(Device::from_info).collect())
 }

@@ -187,7 +187,8 @@ impl Images {
         frame.tensor((0, frame.ranges.len()), layer)
     }
 
-    /// All cameras of a view, likewise.
+    /// All cameras of a view: [C, H, W, 4] of color, [C, H, W] of the others. Cameras must be of
+    /// one size.
     #[pyo3(signature = (index, layer = "color"))]
     fn view(&self, index: usize, layer: &str) -> PyResult<Tensor> {
         let indices = self.of_view(index)?;

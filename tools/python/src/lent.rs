@@ -50,7 +50,7 @@ pub fn lender(session: &Session, cuda: &Arc<Cuda>) -> Result<Arc<CudaLender>, In
 #[derive(Clone, Copy, Default)]
 pub struct Addresses {
     pub color: u64,
-    /// By plane.
+    /// Addresses by plane.
     pub planes: [u64; Plane::ALL.len()],
 }
 

@@ -7,8 +7,8 @@ use pyo3::prelude::*;
 use crate::array::{matrix, shaped};
 use crate::error::value_error;
 
-/// A rotation may be so far from orthonormal: what is left of rounding to f32 in files and after a
-/// few products.
+/// Largest departure of a rotation from orthonormal: what is left of rounding to f32 in files and
+/// after a few products.
 const ORTHONORMAL_WITHIN: f64 = 1e-6;
 
 /// The pose that a matrix `[[R, t], [0, 1]]` says.

@@ -19,8 +19,7 @@ use crate::pose::to_matrix;
 use crate::site::Site;
 use crate::world::World;
 
-/// Controls are kept up so long in the plan that is made of them, seconds: what the ego looks
-/// ahead, and more.
+/// Duration of the plan that is made of controls, seconds: what the ego looks ahead, and more.
 const CONTROL_HORIZON_S: f64 = 2.0;
 /// Steps that a scenario may have, seconds.
 const STEP_S: std::ops::RangeInclusive<f64> = 0.02..=5.0;

@@ -206,7 +206,7 @@ impl Session {
     /// The device.
     #[getter]
     fn device(&self) -> Device {
-        Device::of(self.inner.gpu().info())
+        Device::from_info(self.inner.gpu().info())
     }
 
     /// True if BatchRenderer.draw_dlpack gives CUDA tensors over the renderer's memory, without a
@@ -245,8 +245,8 @@ impl Session {
         Ok(Scene { inner })
     }
 
-    /// Something that draws. Its buffers are kept from frame to frame; use one for each thread that
-    /// draws.
+    /// A renderer of worlds of this session. Its buffers are kept from frame to frame; use one for
+    /// each thread that draws.
     fn batch_renderer(&self) -> PyResult<BatchRenderer> {
         BatchRenderer::new(&self.inner, self.cuda.as_ref()).map_err(|error| of_interop(&error))
     }

@@ -14,9 +14,9 @@ pub struct Statistics {
     gpu_ms: f64,
     /// Time of the agents' part, where it was submitted by itself.
     update_ms: Option<f64>,
-    /// From the submission to the finished images.
+    /// Time from the submission to the finished images.
     wall_ms: f64,
-    /// The host's part of it.
+    /// Time of the host to record and submit.
     record_ms: f64,
     /// Time on the device by stage; empty unless the session has `stage_times=True`.
     stages_ms: BTreeMap<String, f64>,
@@ -24,7 +24,7 @@ pub struct Statistics {
     cameras: usize,
     /// Agents that some camera could see.
     agents: usize,
-    /// Their splats.
+    /// Splats of those agents.
     agent_splats: usize,
     /// Number of repeated draws, because a list outgrew its buffer.
     redrawn: u32,
@@ -35,7 +35,7 @@ fn ms(time: Duration) -> f64 {
 }
 
 impl Statistics {
-    pub fn of(frame: &FrameStatistics) -> Self {
+    pub fn from_frame(frame: &FrameStatistics) -> Self {
         let mut stages_ms = BTreeMap::new();
         for stage in frame.queues.iter().flat_map(|queue| &queue.stages) {
             *stages_ms.entry(stage.name.to_owned()).or_default() += stage.duration_ns as f64 / 1e6;

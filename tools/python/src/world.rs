@@ -47,7 +47,7 @@ impl Agent {
 }
 
 impl World {
-    pub fn of(inner: EngineWorld) -> Self {
+    pub fn from_engine(inner: EngineWorld) -> Self {
         Self {
             inner: Mutex::new(inner),
         }
@@ -64,7 +64,7 @@ impl World {
     #[new]
     #[pyo3(signature = (scene, empty = false))]
     fn new(scene: &Scene, empty: bool) -> Self {
-        Self::of(if empty {
+        Self::from_engine(if empty {
             EngineWorld::empty(&scene.inner)
         } else {
             EngineWorld::new(&scene.inner)
@@ -149,7 +149,7 @@ impl World {
 
     /// Another world with the same agents.
     fn copy(&self) -> Self {
-        Self::of(self.lock().clone())
+        Self::from_engine(self.lock().clone())
     }
 
     fn __copy__(&self) -> Self {

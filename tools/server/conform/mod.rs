@@ -102,7 +102,7 @@ pub fn run(options: &ConformOptions, said: &mut dyn FnMut(Check, &Outcome)) -> R
 /// Runs `checks`, for callers in a runtime.
 ///
 /// # Errors
-/// Those of [`run`].
+/// Returns the errors of [`run`].
 pub async fn judge(
     options: &ConformOptions,
     checks: &[Check],

@@ -28,7 +28,7 @@ pub(super) const SIZE_PX: [u32; 2] = [320, 200];
 /// Focal length of the pinhole that views are compared in, pixels: wide angles are left to the
 /// server's own cameras.
 pub(super) const FOCAL_PX: f64 = 360.0;
-/// A shutter that is open so long, microseconds.
+/// Time for which a shutter is open, microseconds.
 pub(super) const SHUTTER_US: u64 = 20_000;
 /// Images with less contrast show too little to be compared, of 255.
 const CONTRAST_MIN: f64 = 3.0;

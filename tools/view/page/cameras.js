@@ -76,7 +76,7 @@ export function shift(camera, right, up) {
   camera[key] = geometry.add(camera[key], by);
 }
 
-/** Moves toward what is looked at, meters. */
+/** Moves toward the focus, meters. */
 export function approach(camera, by_m) {
   if (camera.focus) {
     camera.far = Math.max(0.3, camera.far - by_m);

@@ -108,9 +108,9 @@ export class Connection {
     const { state, images, socket } = this;
     this.images = [];
     const points = images.find((image) => image.kind === "points");
-    const pictures = images.filter((image) => image.kind !== "points");
+    const flat = images.filter((image) => image.kind !== "points");
     const decoded = await Promise.all(
-      pictures.map(async (image) => ({
+      flat.map(async (image) => ({
         ...image,
         // Pixels are shown as they are: no color management, no premultiplied alpha.
         bitmap: await createImageBitmap(new Blob([image.data], { type: image.kind }), {

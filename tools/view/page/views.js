@@ -333,7 +333,7 @@ function steer(pane) {
     }
     const camera = movable(pane);
     if (!camera) return;
-    // A drag across the height of the view moves by that height, at the point looked at.
+    // A drag across the height of the view moves by that height, at the camera's focus.
     const height = box.getBoundingClientRect().height;
     const extent = 2 * (camera.far ?? 10) * Math.tan((camera.fov * Math.PI) / 360);
     const above = camera.focus && camera.pitch < -1.5;

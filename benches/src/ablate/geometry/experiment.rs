@@ -180,7 +180,7 @@ impl Subject {
         }
     }
 
-    /// The same for colors that follow the surfels' normals in `shading`, a body's of unit size.
+    /// Compares colors that follow the surfels' normals in `shading`, a body's of unit size.
     pub fn compare_by_normals(
         &self,
         shading: &Shading,

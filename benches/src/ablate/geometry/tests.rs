@@ -308,7 +308,7 @@ fn check_by_normals(
     }
 }
 
-/// With `DECOUPLEGS_RELIGHT_TABLE` set, all folds, bodies and grounds are taken, which takes
+/// Takes all folds, bodies and grounds where `DECOUPLEGS_RELIGHT_TABLE` is set, which takes
 /// minutes.
 #[test]
 fn relighting_helps_bodies_of_known_shape_in_light_left_out_of_the_fit() {

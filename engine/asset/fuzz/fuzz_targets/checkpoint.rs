@@ -19,7 +19,7 @@ fn zipped(pickle: &[u8]) -> Vec<u8> {
 fuzz_target!(|bytes: &[u8]| {
     for file in [bytes, &zipped(bytes)] {
         if let Ok(cloud) = checkpoint::decode(file) {
-            assert_eq!(SplatSummary::of(&cloud).splats, cloud.len() as u64);
+            assert_eq!(SplatSummary::new(&cloud).splats, cloud.len() as u64);
         }
     }
 });

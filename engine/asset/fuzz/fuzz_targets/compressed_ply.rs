@@ -7,6 +7,6 @@ use libfuzzer_sys::fuzz_target;
 fuzz_target!(|bytes: &[u8]| {
     if let Ok(cloud) = compressed_ply::decode(bytes) {
         // Every array is as long as the summary, which walks them all, takes it to be.
-        assert_eq!(SplatSummary::of(&cloud).splats, cloud.len() as u64);
+        assert_eq!(SplatSummary::new(&cloud).splats, cloud.len() as u64);
     }
 });

@@ -22,7 +22,7 @@ fuzz_target!(|bytes: &[u8]| {
     wrapped.extend_from_slice(&BINARY);
     for file in [bytes, &wrapped] {
         if let Ok(cloud) = khr_glb::decode(file) {
-            assert_eq!(SplatSummary::of(&cloud).splats, cloud.len() as u64);
+            assert_eq!(SplatSummary::new(&cloud).splats, cloud.len() as u64);
         }
     }
 });

@@ -44,7 +44,7 @@ fuzz_target!(|bytes: &[u8]| {
             .map(|actor| &actor.splats)
             .chain([&scene.background])
         {
-            assert_eq!(SplatSummary::of(splats).splats, splats.len() as u64);
+            assert_eq!(SplatSummary::new(splats).splats, splats.len() as u64);
         }
     }
 });

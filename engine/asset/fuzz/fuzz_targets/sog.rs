@@ -11,7 +11,7 @@ fuzz_target!(|bytes: &[u8]| {
     let wrapped = zip.finish().expect("a Vec takes every write");
     for file in [bytes, &wrapped] {
         if let Ok(cloud) = sog::decode(file) {
-            assert_eq!(SplatSummary::of(&cloud).splats, cloud.len() as u64);
+            assert_eq!(SplatSummary::new(&cloud).splats, cloud.len() as u64);
         }
     }
 });

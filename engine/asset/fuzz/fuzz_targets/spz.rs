@@ -12,7 +12,7 @@ fuzz_target!(|bytes: &[u8]| {
     let wrapped = gzip.finish().expect("a Vec takes every write");
     for file in [bytes, &wrapped] {
         if let Ok(cloud) = spz::decode(file) {
-            assert_eq!(SplatSummary::of(&cloud).splats, cloud.len() as u64);
+            assert_eq!(SplatSummary::new(&cloud).splats, cloud.len() as u64);
         }
     }
 });

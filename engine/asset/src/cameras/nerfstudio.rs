@@ -58,7 +58,7 @@ struct Lens {
 }
 
 impl Lens {
-    /// These values where given, else those of `shared`.
+    /// Values of this lens where given, else those of `shared`.
     fn or(&self, shared: &Self) -> Self {
         Self {
             w: self.w.or(shared.w),

@@ -92,7 +92,7 @@ pub(crate) struct Form {
 /// A tensor over its numbers, of which every index is there.
 #[derive(Clone, Debug)]
 pub(crate) struct Tensor<'a> {
-    /// From the first number on.
+    /// Bytes from the first number on.
     numbers: &'a [u8],
     scalar: Scalar,
     shape: Vec<usize>,

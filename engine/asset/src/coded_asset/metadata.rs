@@ -1,4 +1,4 @@
-//! Between an asset's scalars and the strings of its file's metadata.
+//! Conversion between an asset's scalars and the strings of its file's metadata.
 //!
 //! Numbers are the shortest decimals that read back as the same f32, three of them as a JSON array:
 //! `json.loads` reads both.
@@ -12,7 +12,7 @@ use super::container::Container;
 use super::{CodedAsset, FORMAT, Provenance, VERSION};
 use crate::DecodeError;
 
-/// Before the keys of [`Provenance::settings`].
+/// Prefix of the keys of [`Provenance::settings`].
 const SETTINGS: &str = "settings.";
 
 /// The scalars of a coded cloud, read.

@@ -47,7 +47,7 @@ impl CodedSummary {
     /// # Panics
     /// Panics if the cloud does not pass its check.
     #[must_use]
-    pub fn of(asset: &CodedAsset, file_bytes: u64) -> Self {
+    pub fn new(asset: &CodedAsset, file_bytes: u64) -> Self {
         let CodedAsset { cloud, provenance } = asset;
         let splats = cloud.splats.len();
         Self {
@@ -66,7 +66,7 @@ impl CodedSummary {
             source: provenance.source.clone(),
             source_sha256: provenance.source_sha256.clone(),
             settings: provenance.settings.clone(),
-            finest: SplatSummary::of(&cloud.decoded(0)),
+            finest: SplatSummary::new(&cloud.decoded(0)),
         }
     }
 }

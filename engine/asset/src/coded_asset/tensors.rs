@@ -1,4 +1,4 @@
-//! Between a coded cloud's arrays and the tensors of its file.
+//! Conversion between a coded cloud's arrays and the tensors of its file.
 
 use decouplegs_scene::{CodedCloud, CodedSplat, sh};
 use half::f16;

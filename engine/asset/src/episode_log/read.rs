@@ -1,4 +1,4 @@
-//! From the bytes of a log to its episode.
+//! Reads an episode from the bytes of its log.
 
 use decouplegs_scene::episode::EpisodeTick;
 use decouplegs_scene::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep};
@@ -103,13 +103,13 @@ fn record(chain: &mut Chain, line: &[u8], sequence: &mut Sequence) -> Result<Dec
     match Record::parse(payload)? {
         Record::Step(form) => {
             let step = form.into_step()?;
-            check_canonical(payload, &to_json(&StepForm::of(&step)))?;
+            check_canonical(payload, &to_json(&StepForm::from_step(&step)))?;
             sequence.step(&step)?;
             Ok(Decoded::Step(step))
         }
         Record::End(form) => {
             let end = form.into_end()?;
-            check_canonical(payload, &to_json(&EndForm::of(&end)))?;
+            check_canonical(payload, &to_json(&EndForm::from_end(&end)))?;
             sequence.end(&end)?;
             Ok(Decoded::End(end))
         }

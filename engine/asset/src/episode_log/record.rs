@@ -212,7 +212,7 @@ fn instant((time_s, ego, steer_rad, on_road, agents): InstantForm) -> EpisodeTic
 impl HeadForm {
     /// # Errors
     /// A sentence, when no file can say its scenario.
-    pub(super) fn of(head: &EpisodeHead, start: &EpisodeTick) -> Result<Self, String> {
+    pub(super) fn from_head(head: &EpisodeHead, start: &EpisodeTick) -> Result<Self, String> {
         let EpisodeHead {
             log_version,
             version,
@@ -321,7 +321,7 @@ impl HeadForm {
 }
 
 impl StepForm {
-    pub(super) fn of(step: &EpisodeStep) -> Self {
+    pub(super) fn from_step(step: &EpisodeStep) -> Self {
         let EpisodeStep {
             step,
             readings,
@@ -373,7 +373,7 @@ impl StepForm {
 }
 
 impl EndForm {
-    pub(super) fn of(end: &EpisodeEnd) -> Self {
+    pub(super) fn from_end(end: &EpisodeEnd) -> Self {
         match end {
             EpisodeEnd::RouteDone => Self::RouteDone {},
             EpisodeEnd::Collision { agent } => Self::Collision { agent: *agent },

@@ -14,7 +14,7 @@ pub(super) struct Sequence {
 }
 
 impl Sequence {
-    /// After the first line.
+    /// Checks the first line and starts the sequence.
     pub(super) fn new(head: &EpisodeHead, start: &EpisodeTick) -> Result<Self, String> {
         if head.route_m.len() < 2 {
             return Err(format!(
@@ -60,7 +60,7 @@ impl Sequence {
         Ok(sequence)
     }
 
-    /// After `step`.
+    /// Checks that `step` may follow.
     pub(super) fn step(&mut self, step: &EpisodeStep) -> Result<(), String> {
         if step.step != self.next_step {
             return Err(format!(
@@ -87,7 +87,7 @@ impl Sequence {
         Ok(())
     }
 
-    /// After `end`.
+    /// Checks that `end` may follow.
     pub(super) fn end(&self, end: &EpisodeEnd) -> Result<(), String> {
         match end {
             EpisodeEnd::Collision { agent } if *agent >= self.agents => Err(format!(

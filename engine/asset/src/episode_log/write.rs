@@ -1,4 +1,4 @@
-//! From an episode to its log, record by record.
+//! Writes the log of an episode, record by record.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -24,7 +24,7 @@ struct Encoder {
 impl Encoder {
     fn new(head: &EpisodeHead, start: &EpisodeTick) -> Result<(Self, String), EncodeError> {
         let sequence = Sequence::new(head, start).map_err(EncodeError)?;
-        let form = HeadForm::of(head, start).map_err(EncodeError)?;
+        let form = HeadForm::from_head(head, start).map_err(EncodeError)?;
         let mut chain = Chain::new();
         let line = chain.seal(&to_json(&form));
         Ok((Self { chain, sequence }, line))
@@ -32,12 +32,12 @@ impl Encoder {
 
     fn step(&mut self, step: &EpisodeStep) -> Result<String, EncodeError> {
         self.sequence.step(step).map_err(EncodeError)?;
-        Ok(self.chain.seal(&to_json(&StepForm::of(step))))
+        Ok(self.chain.seal(&to_json(&StepForm::from_step(step))))
     }
 
     fn end(&mut self, end: &EpisodeEnd) -> Result<String, EncodeError> {
         self.sequence.end(end).map_err(EncodeError)?;
-        Ok(self.chain.seal(&to_json(&EndForm::of(end))))
+        Ok(self.chain.seal(&to_json(&EndForm::from_end(end))))
     }
 }
 

@@ -1,4 +1,4 @@
-//! From primitives to splats.
+//! Conversion of primitives to splats.
 
 use decouplegs_scene::{SplatCloud, sh};
 

@@ -1,4 +1,4 @@
-//! From splats to a binary glTF.
+//! Writes splats as binary glTF.
 
 use std::io::Write;
 use std::path::Path;

@@ -52,7 +52,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         serde_json::from_slice(bytes).map_err(|error| DecodeError::Malformed(error.to_string()))?;
     let segments: Vec<Segment> = file.lane_segments.into_values().collect();
     let mut lanes: Vec<Lane> = segments.iter().map(lane).collect();
-    let indices = LaneIndices::of(&lanes)?;
+    let indices = LaneIndices::new(&lanes)?;
     let index = |id: i64| indices.get(&id.to_string());
     for (at, segment) in segments.iter().enumerate() {
         for next in segment.successors.iter().filter_map(|&id| index(id)) {

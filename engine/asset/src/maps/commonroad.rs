@@ -56,7 +56,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         .iter()
         .map(|element| lane(*element, &sign_limits))
         .collect::<Result<Vec<_>, _>>()?;
-    let indices = LaneIndices::of(&lanes)?;
+    let indices = LaneIndices::new(&lanes)?;
     for (at, element) in elements.iter().enumerate() {
         let linked = |name: &str| {
             element

@@ -1,4 +1,4 @@
-//! Our own lanes: JSON that can be written by hand or by a script from any source.
+//! Lane format of this project: JSON that can be written by hand or by a script from any source.
 //!
 //! ```json
 //! {"version": 1, "lanes": [
@@ -128,7 +128,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         ));
         lanes.push(form.into_lane()?);
     }
-    let indices = LaneIndices::of(&lanes)?;
+    let indices = LaneIndices::new(&lanes)?;
     for (at, (successors, left, right)) in links.into_iter().enumerate() {
         let index = |id: Id| {
             let id = id.into_text();
@@ -254,7 +254,7 @@ impl LaneForm {
         })
     }
 
-    fn of(lane: &Lane, all: &[Lane]) -> Self {
+    fn from_lane(lane: &Lane, all: &[Lane]) -> Self {
         let line = |points: &[DVec3]| -> Vec<Point> {
             let point = |point: &DVec3| match lane.has_height {
                 true => Point::Solid(point.to_array()),
@@ -287,14 +287,14 @@ pub fn encode(map: &LaneMap) -> Result<Vec<u8>, Invalid> {
     let lanes = map
         .lanes
         .iter()
-        .map(|lane| serde_json::to_string(&LaneForm::of(lane, &map.lanes)));
+        .map(|lane| serde_json::to_string(&LaneForm::from_lane(lane, &map.lanes)));
     let lanes = lanes
         .collect::<Result<Vec<_>, _>>()
         .map_err(|error| error.to_string())?;
     let offset =
         serde_json::to_string(&map.offset.to_array()).map_err(|error| error.to_string())?;
-    let lights = list("lights", map.lights.iter().map(LightForm::of))?;
-    let signs = list("signs", map.signs.iter().map(SignForm::of))?;
+    let lights = list("lights", map.lights.iter().map(LightForm::from_light))?;
+    let signs = list("signs", map.signs.iter().map(SignForm::from_sign))?;
     Ok(format!(
         "{{\"version\": {VERSION}, \"offset\": {offset}, \"lanes\": [\n{}\n]{lights}{signs}}}\n",
         lanes.join(",\n")

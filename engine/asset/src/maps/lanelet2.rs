@@ -4,10 +4,10 @@
 //! Ways are turned so that left is to the left. Coordinates are the tags `local_x` and `local_y`
 //! where all nodes of lanelets have them, else latitude and longitude in UTM on WGS 84, full
 //! eastings and northings ([`LaneMap::offset`] is zero), in the zone and on the hemisphere of the
-//! first node of the first lanelet, see [`UtmZone::of`]. Height is the tag `ele`, known to a
-//! lanelet if all its nodes have it. A lanelet continues in those that start at the two nodes where
-//! it ends; neighbors share a way and its direction. A lanelet for both directions (`one_way` = no)
-//! is read in that of its file alone.
+//! first node of the first lanelet, see [`UtmZone::for_position`]. Height is the tag `ele`, known
+//! to a lanelet if all its nodes have it. A lanelet continues in those that start at the two nodes
+//! where it ends; neighbors share a way and its direction. A lanelet for both directions (`one_way`
+//! = no) is read in that of its file alone.
 //!
 //! Of regulatory elements, traffic lights (`lights`) and rights of way (`signs`) are read. Not
 //! read: areas, other regulatory elements, speed limits other than the tag `speed_limit`.
@@ -49,7 +49,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         .zip(&sides)
         .map(|(lanelet, sides)| lanelet.lane(&file, plane, sides, &mut budget));
     let mut lanes = lanes.collect::<Result<Vec<_>, _>>()?;
-    LaneIndices::of(&lanes)?;
+    LaneIndices::new(&lanes)?;
     connect(&sides, &mut lanes);
     let lights = lights::lights(&file, plane, &lanes, &mut budget)?;
     let signs = signs::signs(&file, plane, &lanes, &mut budget)?;
@@ -200,7 +200,7 @@ impl<'a> File<'a> {
         let degrees = node
             .degrees
             .ok_or_else(|| first.element.fault("its first node has no lat and lon"))?;
-        Ok(Plane::Utm(UtmZone::of(degrees.y, degrees.x)))
+        Ok(Plane::Utm(UtmZone::for_position(degrees.y, degrees.x)))
     }
 
     /// The points of a way and whether all their heights are known.
@@ -364,7 +364,7 @@ impl<'a> Lanelet<'a> {
         })
     }
 
-    /// By its subtype, unless tags say that no vehicle takes part.
+    /// Kind of the lane by its subtype, unless tags say that no vehicle takes part.
     fn kind(&self) -> LaneKind {
         let takes_part = |who: &str| {
             let mut tags = self

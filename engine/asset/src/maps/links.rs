@@ -15,7 +15,7 @@ impl LaneIndices {
     ///
     /// # Errors
     /// A [`DecodeError`] naming an id that two lanes have.
-    pub(super) fn of(lanes: &[Lane]) -> Result<Self, DecodeError> {
+    pub(super) fn new(lanes: &[Lane]) -> Result<Self, DecodeError> {
         let mut indices = HashMap::with_capacity(lanes.len());
         for (at, lane) in lanes.iter().enumerate() {
             if indices.insert(lane.id.clone(), at).is_some() {

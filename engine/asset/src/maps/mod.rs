@@ -27,7 +27,7 @@ use crate::{AssetError, DecodeError};
 
 pub use polyline::length_m;
 
-/// Larger coordinates are no place on Earth, meters.
+/// Largest coordinate, meters: larger ones are no place on Earth.
 const COORDINATE_MAX_M: f64 = 1e8;
 
 /// The formats of maps that are read.
@@ -41,7 +41,7 @@ pub enum MapFormat {
     Argoverse2,
     /// CommonRoad scenarios, `.xml`.
     CommonRoad,
-    /// Our own, see [`lane_json`].
+    /// Lane format of this project, see [`lane_json`].
     LaneJson,
 }
 
@@ -95,7 +95,7 @@ impl MapFormat {
     }
 }
 
-/// A root element starts within so many bytes of its file.
+/// Number of bytes within which a root element starts.
 const ROOT_WITHIN_BYTES: usize = 1 << 16;
 
 /// True if `text` is a JSON object with `key`. The reader of the format explains invalid JSON.

@@ -20,7 +20,7 @@ const FALSE_EASTING_M: f64 = 500_000.0;
 const FALSE_NORTHING_M: f64 = 10_000_000.0;
 /// UTM is not defined nearer to the poles, degrees.
 const LATITUDE_MAX_DEG: f64 = 84.5;
-/// Farther from the central meridian the series is not exact, degrees.
+/// Largest distance from the central meridian, degrees: farther away the series is not exact.
 const FROM_MERIDIAN_MAX_DEG: f64 = 15.0;
 
 /// A zone of UTM, 6 degrees wide; the exceptions of Norway and Svalbard are not made.
@@ -36,7 +36,7 @@ pub struct UtmZone {
 impl UtmZone {
     /// The zone of a position, its longitude of -180 to 180 degrees.
     #[must_use]
-    pub fn of(latitude_deg: f64, longitude_deg: f64) -> Self {
+    pub fn for_position(latitude_deg: f64, longitude_deg: f64) -> Self {
         let number = ((longitude_deg + 180.0) / 6.0).floor().clamp(0.0, 59.0) as u8 + 1;
         Self {
             number,
@@ -141,7 +141,7 @@ mod tests {
     fn the_projection_is_conformal() {
         // A small step east and one north are turned and scaled alike, so their images are at right
         // angles and as long.
-        let zone = UtmZone::of(49.0, 8.424);
+        let zone = UtmZone::for_position(49.0, 8.424);
         assert_eq!(
             zone,
             UtmZone {
@@ -175,7 +175,7 @@ mod tests {
                 number: 56,
                 is_north: true,
             },
-            UtmZone::of(-33.9, 151.2),
+            UtmZone::for_position(-33.9, 151.2),
         );
         assert_eq!(
             south,
@@ -198,6 +198,10 @@ mod tests {
             assert!(north.project(latitude_deg, longitude_deg).is_err());
         }
         // Across the date line, zone 60 continues in the east.
-        assert!(UtmZone::of(0.0, 179.9).project(0.0, -179.9).is_ok());
+        assert!(
+            UtmZone::for_position(0.0, 179.9)
+                .project(0.0, -179.9)
+                .is_ok()
+        );
     }
 }

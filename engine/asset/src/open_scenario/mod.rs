@@ -64,7 +64,7 @@ pub struct Entity {
     pub kind: RoadUser,
     /// Size of the box.
     pub size: VehicleSize,
-    /// From the reference point to the middle of the box, meters forward.
+    /// Offset from the reference point to the middle of the box, meters forward.
     pub center_m: f64,
     /// Position at the start; `None` if the file gives none.
     pub position: Option<Position>,
@@ -110,7 +110,7 @@ pub enum TargetSpeed {
     Absolute(f64),
     /// The speed of another entity, times a factor, plus a difference.
     Relative {
-        /// Name of the other.
+        /// Name of the other entity.
         entity: String,
         /// Factor of that speed.
         factor: f64,
@@ -136,7 +136,7 @@ pub enum TargetLane {
 /// Duration of a change of speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Transition {
-    /// At once.
+    /// Change at once.
     Step,
     /// Duration, seconds.
     Time(f64),

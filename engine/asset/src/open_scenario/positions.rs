@@ -16,33 +16,33 @@ pub enum Position {
         /// Heading, radians from x towards y.
         heading_rad: f64,
     },
-    /// On a lane of an OpenDRIVE road.
+    /// Position on a lane of an OpenDRIVE road.
     Lane {
         /// Id of the road.
         road: String,
         /// Id of the lane.
         lane: i64,
-        /// Along the road's reference line, meters.
+        /// Position along the road's reference line, meters.
         s_m: f64,
-        /// From the lane's middle to the left of the reference line, meters.
+        /// Offset from the lane's middle to the left of the reference line, meters.
         offset_m: f64,
     },
-    /// Beside the reference line of an OpenDRIVE road.
+    /// Position beside the reference line of an OpenDRIVE road.
     Road {
         /// Id of the road.
         road: String,
-        /// Along its reference line, meters.
+        /// Position along the road's reference line, meters.
         s_m: f64,
-        /// To the left of it, meters.
+        /// Offset to the left of that line, meters.
         t_m: f64,
     },
     /// Relative to the lane of another entity.
     RelativeLane {
-        /// Name of the other.
+        /// Name of the other entity.
         entity: String,
         /// Lanes to its left, negative to the right.
         lanes: i64,
-        /// Along the lane, meters ahead of it.
+        /// Distance ahead of the entity along the lane, meters.
         ahead_m: f64,
     },
 }

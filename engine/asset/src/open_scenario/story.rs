@@ -248,7 +248,7 @@ fn path(routing: Element, skipped: &mut Skipped) -> Result<Option<Action>, Decod
     Ok(Some(Action::Path(read)))
 }
 
-/// The one condition that `triggers` amount to, for an action of `actor`; `None` if they cannot be
+/// Single condition that `triggers` amount to, for an action of `actor`; `None` if they cannot be
 /// expressed.
 fn conditions(
     triggers: &[Element],

@@ -38,9 +38,9 @@ pub use write::{PackSummary, pack};
 use decouplegs_scene::VehicleSize;
 use glam::DVec3;
 
-/// The folder in a package that is ours.
+/// Folder of this project in a package.
 const OURS: &str = "decouplegs/";
-/// Our scene file in it.
+/// Scene file in that folder.
 const SCENE: &str = "decouplegs/scene.toml";
 /// Poses a second of what is sampled.
 const SAMPLES_HZ: f64 = 10.0;
@@ -54,7 +54,7 @@ const SEQUENCE: &str = "dummy_chunk_id";
 /// Data of a packed scene that a scene file does not have.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PackOptions {
-    /// By which clients ask for the scene.
+    /// Id by which clients ask for the scene.
     pub scene_id: String,
     /// The ego vehicle.
     pub vehicle: VehicleSize,

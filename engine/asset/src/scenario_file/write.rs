@@ -1,4 +1,4 @@
-//! From a [`Scenario`] to the text of its file.
+//! Writes a [`Scenario`] as the text of its file.
 
 use std::path::Path;
 
@@ -49,12 +49,12 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
         light: scenario
             .lights
             .iter()
-            .map(|light| spanless(LightForm::of(light)))
+            .map(|light| spanless(LightForm::from_light(light)))
             .collect(),
         sign: scenario
             .signs
             .iter()
-            .map(|sign| spanless(SignForm::of(sign)))
+            .map(|sign| spanless(SignForm::from_sign(sign)))
             .collect(),
         pedestrian: scenario
             .pedestrians

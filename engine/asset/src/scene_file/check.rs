@@ -1,5 +1,5 @@
-//! From the TOML form of a scene file to a checked [`SceneFile`]; every complaint names its line
-//! and key.
+//! Checks the TOML form of a scene file and makes a [`SceneFile`] of it; every complaint names its
+//! line and key.
 
 use std::collections::HashSet;
 use std::ops::Range;

@@ -261,13 +261,13 @@ pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
         .iter()
         .map(|agent| Ok(spanless(agent_form(agent, path(&agent.asset)?))));
     let lidars = scene.lidars.iter();
-    let lidars = lidars.map(|lidar| Ok(spanless(LidarForm::of(lidar, path)?)));
+    let lidars = lidars.map(|lidar| Ok(spanless(LidarForm::from_lidar(lidar, path)?)));
     let form = SceneForm {
         version: VERSION,
         origin: scene.origin.to_array(),
         background: path(&scene.background)?,
         sky: spanless(sky_form(scene, path)?),
-        photometry: PhotometryForm::of(&scene.photometry).map(spanless),
+        photometry: PhotometryForm::from_photometry(&scene.photometry).map(spanless),
         fog: scene.fog.map(|fog| {
             spanless(FogForm {
                 extinction_per_m: fog.extinction_per_m,
@@ -417,10 +417,10 @@ fn camera_form(camera: &RigCamera) -> CameraForm {
         position_m: translation.to_array(),
         rotation_wxyz: Some(wxyz(rotation)),
         look: None,
-        lens: LensForm::of(&lens),
-        photometry: PhotometryForm::of(&photometry),
-        shutter: ShutterForm::of(&shutter, [width_px, height_px]),
-        windshield: windshield.as_ref().map(WindshieldForm::of),
+        lens: LensForm::from_lens(&lens),
+        photometry: PhotometryForm::from_photometry(&photometry),
+        shutter: ShutterForm::from_shutter(&shutter, [width_px, height_px]),
+        windshield: windshield.as_ref().map(WindshieldForm::from_windshield),
     }
 }
 

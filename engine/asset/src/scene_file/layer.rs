@@ -21,8 +21,8 @@ pub enum Layer {
 }
 
 impl LoadedScene {
-    /// Part of [`LoadedScene::world`] that belongs to `layer`: its background, its agents of plain
-    /// splats, or both.
+    /// Part of [`LoadedScene::splat_scene`] that belongs to `layer`: its background, its agents of
+    /// plain splats, or both.
     #[must_use]
     pub fn standing(&self, layer: Layer) -> Cow<'_, SplatScene> {
         match layer {
@@ -107,7 +107,7 @@ mod tests {
             sky: [0.2, 0.3, 0.4],
             rules: Rules::INRIA,
             fog: Some(Fog::new(0.01, [0.5; 3])),
-            ..SplatScene::of(splats(xs))
+            ..SplatScene::from_splats(splats(xs))
         };
         let background = of(&[3.0, 1.0, 2.0]);
         let mut splat_scene = background.clone();

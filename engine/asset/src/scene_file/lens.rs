@@ -105,7 +105,7 @@ impl LensForm {
     }
 
     /// `None` for a pinhole.
-    pub(super) fn of(lens: &Lens) -> Option<Self> {
+    pub(super) fn from_lens(lens: &Lens) -> Option<Self> {
         match lens {
             Lens::Pinhole => None,
             Lens::OpenCv(lens) => Some(Self::OpenCv {
@@ -159,7 +159,7 @@ impl WindshieldForm {
         })
     }
 
-    pub(super) fn of(windshield: &Windshield) -> Self {
+    pub(super) fn from_windshield(windshield: &Windshield) -> Self {
         Self {
             direction: match windshield.direction {
                 WindshieldDirection::Forward => DirectionForm::Forward,

@@ -62,7 +62,7 @@ pub(super) struct LidarForm {
 
 impl LidarForm {
     /// The form of `lidar`; `path` makes text of its model.
-    pub(super) fn of(
+    pub(super) fn from_lidar(
         lidar: &SceneLidar,
         path: impl Fn(&Path) -> Result<String, String>,
     ) -> Result<Self, String> {

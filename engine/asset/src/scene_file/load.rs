@@ -1,4 +1,4 @@
-//! From a scene file to a world and its agents.
+//! Loads a scene file: its world and its agents.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -32,7 +32,7 @@ pub struct LoadedScene {
     pub assets: Vec<CodedCloud>,
     /// The agents that show them, in the order of the scene file.
     pub agents: Vec<LoadedAgent>,
-    /// The agents of plain splat files that are in [`LoadedScene::world`].
+    /// The agents of plain splat files that are in [`LoadedScene::splat_scene`].
     pub plain_agents: Vec<PlainAgent>,
     /// The ego vehicle's sensors; none for a splat file.
     pub rig: Rig,
@@ -56,7 +56,7 @@ pub struct AgentLabel {
 impl AgentLabel {
     /// The label of `agent`.
     #[must_use]
-    pub fn of(agent: &SceneAgent) -> Self {
+    pub fn from_agent(agent: &SceneAgent) -> Self {
         Self {
             name: agent.name.clone(),
             class: agent.class.clone(),
@@ -71,7 +71,7 @@ pub struct LoadedLight {
     pub transfer: Option<LightTransfer>,
     /// Options of that effect.
     pub relighting: RelightOptions,
-    /// From how far it is gathered.
+    /// Distance from which that light is gathered, and its grid.
     pub ambient: AmbientOptions,
     /// Contact shadows.
     pub shadows: Option<ShadowOptions>,
@@ -168,9 +168,9 @@ impl LoadedScene {
         .map_err(|error| AssetError::Placement(error.into()))
     }
 
-    /// The uncompressed twin: [`LoadedScene::world`] with the finest level of every agent added
-    /// that is present at `time_s`, where it is then, in order, in the scene's light. What was in
-    /// the world already stays as it stands.
+    /// The uncompressed twin: [`LoadedScene::splat_scene`] with the finest level of every agent
+    /// added that is present at `time_s`, where it is then, in order, in the scene's light. What
+    /// was in the scene already stays as it stands.
     #[must_use]
     pub fn baked(&self, time_s: f64) -> SplatScene {
         let mut splat_scene = self.splat_scene.clone();
@@ -233,7 +233,7 @@ impl LoadedScene {
             .flat_map(|way| places_along(way, light.ambient.spacing_m));
         let ground_light = light.relighting.by_normals.then(|| {
             let patches = field.ground_along(places, GroundLight::LANE_M);
-            GroundLight::of(&patches, &light.casting)
+            GroundLight::from_patches(&patches, &light.casting)
         });
         Some(Lighting {
             ground_light: ground_light.flatten(),
@@ -309,7 +309,7 @@ impl SceneFile {
             photometry: self.photometry,
             fog: self.fog,
             rules: self.rules,
-            ..SplatScene::of(background)
+            ..SplatScene::from_splats(background)
         });
         let mut loader = AgentLoader {
             files,
@@ -354,7 +354,7 @@ impl SceneFile {
                 casting: light.casting.clone(),
             });
         }
-        scene.agent_labels = self.agents.iter().map(AgentLabel::of).collect();
+        scene.agent_labels = self.agents.iter().map(AgentLabel::from_agent).collect();
         Ok(scene)
     }
 }
@@ -500,5 +500,5 @@ pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
         return open_packed_scene(path, time_s);
     }
     let splats = read_splats(path)?.in_spatial_order();
-    Ok(LoadedScene::of_world(SplatScene::of(splats)))
+    Ok(LoadedScene::of_world(SplatScene::from_splats(splats)))
 }

@@ -1,4 +1,4 @@
-//! Our scene file: a background, its cameras, the way of the ego vehicle and the agents, as TOML.
+//! Scene file: a background, its cameras, the way of the ego vehicle and the agents, as TOML.
 //!
 //! The format is documented, with an example, in `engine/asset/scene-file.md`.
 
@@ -111,7 +111,7 @@ pub struct SceneLight {
     pub transfer: Option<PathBuf>,
     /// Options of that effect.
     pub relighting: RelightOptions,
-    /// From how far the light is gathered.
+    /// Distance from which that light is gathered, and its grid.
     pub ambient: AmbientOptions,
     /// Contact shadows. None: agents throw none.
     pub shadows: Option<ShadowOptions>,

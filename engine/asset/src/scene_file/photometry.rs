@@ -58,7 +58,7 @@ impl PhotometryForm {
     }
 
     /// The form of `photometry`; `None` for the identity.
-    pub(super) fn of(photometry: &Photometry) -> Option<Self> {
+    pub(super) fn from_photometry(photometry: &Photometry) -> Option<Self> {
         let identity = Photometry::IDENTITY;
         let vignetting = |vignetting: Vignetting| VignettingForm {
             center_px: vignetting.center_px,

@@ -37,7 +37,7 @@ impl ShutterForm {
     }
 
     /// The form of the shutter of an image of `size_px`; `None` for a global one.
-    pub(super) fn of(shutter: &Shutter, size_px: [u32; 2]) -> Option<Self> {
+    pub(super) fn from_shutter(shutter: &Shutter, size_px: [u32; 2]) -> Option<Self> {
         // Nanoseconds, so that 0.03 is written as that.
         let readout_s = (shutter.readout_s(size_px) * 1e9).round() / 1e9;
         (!shutter.is_global()).then(|| Self {

@@ -4,7 +4,7 @@ use super::meta::CODES;
 
 /// Rounds of moving each entry to the mean of what is nearest to it.
 const ROUNDS: usize = 12;
-/// Numbers that are examined; of more, every so many-th.
+/// Largest number of values that are examined; of more, an even sample.
 const SAMPLES_MAX: usize = 1 << 20;
 
 /// Rising numbers, at most 256, near to `values`: themselves if they are so few.

@@ -27,7 +27,7 @@ struct Meta {
 struct Node {
     #[serde(default)]
     children: Vec<Node>,
-    /// By level; 0 is the finest.
+    /// Splats of each level; 0 is the finest.
     #[serde(default)]
     lods: BTreeMap<u32, Range>,
 }

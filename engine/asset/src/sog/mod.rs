@@ -36,9 +36,10 @@ pub(crate) const NAME: &str = "SOG";
 pub(crate) const META: &str = "meta.json";
 /// Codebooks and a few names; real ones have some ten kilobytes.
 const META_BYTES_MAX: u64 = 1 << 20;
-/// A claim is believed up to this many splats however small the file is.
+/// Number of splats that a file may claim however small it is.
 const SPLATS_ALWAYS: u64 = 1 << 14;
-/// And up to this many for each of its bytes: real files take 10 to 20 bytes per splat.
+/// Number of further splats that a file may claim for each of its bytes: real files take 10 to 20
+/// bytes per splat.
 const SPLATS_PER_BYTE_MAX: u64 = 1;
 
 /// Reads the splats of a zipped bundle.

@@ -1,4 +1,4 @@
-//! From pixels to splats.
+//! Conversion of pixels to splats.
 
 use std::borrow::Cow;
 

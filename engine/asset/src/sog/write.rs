@@ -1,4 +1,4 @@
-//! From splats to a bundle.
+//! Writes splats as a bundle.
 
 use std::io::Write;
 use std::path::Path;

@@ -244,8 +244,8 @@ fn unpack_first_three(codes: [u8; 3]) -> [f32; 4] {
 const SMALL_MAX: f32 = std::f32::consts::FRAC_1_SQRT_2;
 const SMALL_CODES: f32 = 511.0;
 
-/// From version 3: of x, y, z, w, the index of the largest and 9 bits and a sign for each other,
-/// the last one lowest.
+/// Rotation from version 3 on: of x, y, z, w, the index of the largest and 9 bits and a sign for
+/// each other, the last one lowest.
 fn unpack_smallest_three(mut codes: u32) -> [f32; 4] {
     let largest = (codes >> 30) as usize;
     let mut xyzw = [0.0f32; 4];

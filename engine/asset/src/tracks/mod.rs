@@ -23,9 +23,9 @@ pub use poses::{PoseRow, encode_poses, write_poses};
 pub enum TrackFormat {
     /// A row for each road user and moment, see [`table`].
     Csv,
-    /// The same as an array of objects.
+    /// Array of objects with the fields of those rows.
     Json,
-    /// A scenario.
+    /// CommonRoad scenario.
     CommonRoad,
 }
 

@@ -16,7 +16,7 @@ const LOCATOR_BYTES: usize = 20;
 const LOCATOR: [u8; 4] = *b"PK\x06\x07";
 /// Signature of the 64-bit end of the directory.
 const END_64: [u8; 4] = *b"PK\x06\x06";
-/// A comment behind the directory has at most so many bytes.
+/// Largest size of a comment behind the directory, bytes.
 const COMMENT_BYTES_MAX: usize = 65_535;
 /// The extra field with 64-bit sizes.
 const EXTRA_64: u16 = 1;

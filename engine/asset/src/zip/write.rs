@@ -6,7 +6,7 @@ use flate2::Crc;
 
 use super::{CENTRAL, CENTRAL_BYTES, END, LOCAL, LOCAL_BYTES, leads_astray};
 
-/// Every entry's content begins at a multiple of so many bytes.
+/// Alignment of every entry's content, bytes.
 pub const ALIGNMENT: usize = 64;
 /// The extra field that fills up to the alignment: the one that USD's own writer uses.
 const PADDING: u16 = 0x1986;

@@ -18,7 +18,7 @@ struct Parts {
 }
 
 impl Parts {
-    fn of(bytes: &[u8]) -> Self {
+    fn read(bytes: &[u8]) -> Self {
         let end = 8 + u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
         Self {
             header: serde_json::from_slice(&bytes[8..end]).unwrap(),
@@ -46,7 +46,7 @@ impl Parts {
 
 /// Error message for the cone's file after `change`.
 fn complaint(change: impl Fn(&mut Parts)) -> String {
-    let mut parts = Parts::of(&coded_asset::encode(&coded_cone()).unwrap());
+    let mut parts = Parts::read(&coded_asset::encode(&coded_cone()).unwrap());
     change(&mut parts);
     coded_asset::decode(&parts.to_bytes())
         .expect_err("a broken file must be refused")
@@ -167,7 +167,7 @@ fn a_file_is_written_and_read_with_its_provenance() {
 
 #[test]
 fn a_summary_counts_levels_and_bytes() {
-    let summary = CodedSummary::of(&coded_cone(), 1600);
+    let summary = CodedSummary::new(&coded_cone(), 1600);
     assert_eq!(
         (summary.levels.as_slice(), summary.shapes, summary.colors),
         ([12, 4].as_slice(), 12, 12)
@@ -427,7 +427,7 @@ fn metadata_that_are_not_as_they_should_be_are_named() {
 
 #[test]
 fn what_others_add_to_the_metadata_is_no_fault() {
-    let mut parts = Parts::of(&coded_asset::encode(&coded_cone()).unwrap());
+    let mut parts = Parts::read(&coded_asset::encode(&coded_cone()).unwrap());
     parts.header["__metadata__"]["license"] = "CC0".into();
     parts.header["__metadata__"]["sh_frame"] = "canonical".into();
     let read = coded_asset::decode(&parts.to_bytes()).unwrap();

@@ -77,7 +77,7 @@ fn infinite_logits_are_full_opacity_and_nothing_is_defective() {
         .count();
     println!("hfk_keys.ply: {infinite} infinite logits, {full} splats of opacity exactly 1");
     assert!(infinite >= 75 && full >= 75);
-    let summary = SplatSummary::of(&ply);
+    let summary = SplatSummary::new(&ply);
     assert_eq!(summary.defects.total, 0, "{:?}", summary.defects);
     assert_eq!(summary.opacity.counts.iter().sum::<u64>(), 13_536);
 }
@@ -88,7 +88,7 @@ fn a_compressed_ply_of_playcanvas_is_a_guitar() {
         return;
     };
     let cloud = read_splats(&path).unwrap();
-    let summary = SplatSummary::of(&cloud);
+    let summary = SplatSummary::new(&cloud);
     println!(
         "guitar.compressed.ply: {}",
         serde_json::to_string(&summary).unwrap()

@@ -4,7 +4,7 @@ use decouplegs_scene::{Plan, PlanPoint};
 
 use super::{Ego, PART_S};
 
-/// From point to point, seconds: a vehicle bends no faster.
+/// Interval between points, seconds: a vehicle bends no faster.
 const POINT_S: f64 = 0.1;
 
 impl Ego {

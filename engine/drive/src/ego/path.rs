@@ -22,7 +22,7 @@ pub(super) struct PlannedPath {
 impl PlannedPath {
     /// The way of `plan` from `ego` on, where it leads anywhere, and how far along it each point of
     /// the plan is, meters, never falling.
-    pub(super) fn of(plan: &Plan, ego: &VehicleState) -> (Option<Self>, Vec<f64>) {
+    pub(super) fn from_plan(plan: &Plan, ego: &VehicleState) -> (Option<Self>, Vec<f64>) {
         let (knots, reached) = knots(plan);
         let nowhere = || vec![0.0; plan.points().len()];
         if knots.len() < 2 {

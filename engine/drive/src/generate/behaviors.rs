@@ -38,7 +38,7 @@ pub(super) fn agents(
     vehicles: &[Vehicle],
     random: &Stream,
 ) -> Vec<TrafficAgent> {
-    let mut draw = random.of(0);
+    let mut draw = random.split(0);
     let mut agents: Vec<TrafficAgent> = Vec::with_capacity(vehicles.len());
     for (number, vehicle) in vehicles.iter().enumerate().skip(1) {
         let driver = draw
@@ -64,7 +64,7 @@ pub(super) fn agents(
             behaviors: Vec::new(),
         });
     }
-    let mut inject = random.of(1);
+    let mut inject = random.split(1);
     let cuts_in = vehicles.iter().any(|vehicle| vehicle.role == Role::CutIn);
     for (agent, vehicle) in agents.iter_mut().zip(&vehicles[1..]) {
         let distance_m = vehicle

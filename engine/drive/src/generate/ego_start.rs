@@ -24,13 +24,13 @@ const FREE_TIME_S: f64 = 13.0;
 const LANES_MAX: usize = 300;
 /// The ego is never asked to be faster than is allowed in towns.
 const CRUISE_MPS_MAX: f64 = 50.0 / 3.6;
-/// Nor slower than a bicycle: lanes that allow less are none to test on.
+/// Least speed of the ego, that of a bicycle: lanes that allow less are none to test on.
 const CRUISE_MPS_MIN: f64 = 4.0;
 /// Share of routes that lead straight on where they can.
 const STRAIGHT_SHARE: f64 = 0.65;
 /// A lane that turns by less leads straight on, radians.
 const STRAIGHT_RAD: f64 = 0.35;
-/// A route ends at least so far from the end of a lane that leads nowhere, meters: the ego needs
+/// Least distance of a route's end from the end of a lane that leads nowhere, meters: the ego needs
 /// somewhere to go.
 const DEAD_END_M: f64 = 5.0;
 /// Area in which routes may start and end: a circle.
@@ -105,7 +105,7 @@ pub(super) fn choose(
     random: &Stream,
     wishes: Wishes,
 ) -> Option<EgoStart> {
-    let mut draw = random.of(0);
+    let mut draw = random.split(0);
     let before_crossing = draw.chance(rules.crossing_share) && wishes.crossing;
     let lanes = if before_crossing {
         before_a_crossing(roads, rules, &mut draw)?
@@ -126,7 +126,7 @@ pub(super) fn choose(
     let mut length_m = draw.between(ROUTE_M);
     // Each time too long is made shorter; the same turns are taken.
     for _ in 0..6 {
-        let (lanes, end_m) = onward(roads, spot, &led, length_m, random.of(1))?;
+        let (lanes, end_m) = onward(roads, spot, &led, length_m, random.split(1))?;
         let end = Spot {
             lane: *lanes.last()?,
             at_m: end_m,

@@ -62,8 +62,8 @@ const fn brightness_ev(weather: Weather) -> f64 {
     }
 }
 
-/// By how many stops a level makes its light more difficult: heavy clouds and late dusk at Hard; a
-/// sun that blinds, or a night without lamps, at Extreme.
+/// Stops by which a level makes its light more difficult: heavy clouds and late dusk at Hard; a sun
+/// that blinds, or a night without lamps, at Extreme.
 const fn difficulty_ev(level: Level, weather: Weather) -> f64 {
     match (level, weather) {
         (Level::Hard, _) => -0.5,

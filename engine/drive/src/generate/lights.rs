@@ -14,7 +14,7 @@ const ALL_RED_S: f64 = 2.0;
 /// Yellow, seconds, by the speed limit, m/s (RiLSA, Forschungsgesellschaft für Straßen- und
 /// Verkehrswesen, 2015): the first that is not below the limit.
 const YELLOW_S: [(f64, f64); 3] = [(50.0 / 3.6, 3.0), (60.0 / 3.6, 4.0), (f64::INFINITY, 5.0)];
-/// Lanes up to so far behind a stop line belong to its crossing, meters.
+/// Largest distance behind a stop line at which lanes belong to its crossing, meters.
 const CROSSING_M: f64 = 60.0;
 /// Lanes behind a stop line that are examined at most.
 const LANES_MAX: usize = 64;

@@ -14,7 +14,7 @@ use crate::oriented_box::OrientedBox;
 
 /// Agents that come along from farther away are not farther than this, meters from the ego.
 const FAR_M: f64 = 100.0;
-/// From the ego's front to the rear of the vehicle ahead, meters.
+/// Distance from the ego's front to the rear of the vehicle ahead, meters.
 const LEAD_GAP_M: (f64, f64) = (15.0, 40.0);
 /// Initial distance of the vehicle that cuts in, ahead of the ego along the next lane, center to
 /// center, meters.
@@ -25,11 +25,11 @@ const BESIDE_M: f64 = 6.0;
 const WAITING_M: (f64, f64) = (1.0, 5.0);
 /// Speed of vehicles that arrive at a full crossing.
 const WAITING_MPS: (f64, f64) = (0.0, 3.0);
-/// Between boxes beside each other, meters.
+/// Least distance between boxes beside each other, meters.
 const CLEARANCE_M: f64 = 0.5;
-/// Vehicles on lanes that merge with the ego's start at least so far from it, meters.
+/// Least distance from the ego's start of vehicles on lanes that merge with its own, meters.
 const MERGE_APART_M: f64 = 25.0;
-/// Bumper to bumper, meters.
+/// Least distance from bumper to bumper, meters.
 const GAP_M_MIN: f64 = 3.0;
 /// Two that are as near as [`GAP_M_MIN`] are not farther apart along their lanes than two long
 /// vehicles are, meters from middle to middle.
@@ -80,7 +80,7 @@ pub(super) struct Placement<'a> {
 }
 
 impl<'a> Placement<'a> {
-    /// The ego alone.
+    /// Placement of the ego alone.
     pub fn new(
         roads: &'a Roads<'a>,
         rules: &'a LevelRequirements,

@@ -16,9 +16,9 @@ impl Stream {
         }
     }
 
-    /// The sequence that belongs to `what` of this one. It depends on where this one began and on
+    /// Child sequence with the number `what`. It depends on where this one began and on
     /// `what` alone if nothing is drawn before.
-    pub fn of(&self, what: u64) -> Self {
+    pub fn split(&self, what: u64) -> Self {
         Self {
             state: mix(mix(self.state).wrapping_add(what.wrapping_add(1).wrapping_mul(GOLDEN))),
         }
@@ -77,10 +77,10 @@ mod tests {
         let base = Stream::new(5);
         let others = [
             Stream::new(6),
-            base.of(0),
-            base.of(1),
-            base.of(0).of(1),
-            base.of(1).of(0),
+            base.split(0),
+            base.split(1),
+            base.split(0).split(1),
+            base.split(1).split(0),
         ]
         .map(first);
         assert!(
@@ -89,7 +89,7 @@ mod tests {
                 .enumerate()
                 .all(|(at, bits)| *bits != first(base.clone()) && !others[..at].contains(bits))
         );
-        assert_eq!(first(base.of(7)), first(Stream::new(5).of(7)));
+        assert_eq!(first(base.split(7)), first(Stream::new(5).split(7)));
     }
 
     #[test]

@@ -21,7 +21,7 @@ pub(super) fn free_s(route: &Route, cruise_mps: f64) -> f64 {
     last(&times(allowed(route, cruise_mps), cruise_mps, &[]))
 }
 
-/// The same with traffic lights that the ego obeys.
+/// Duration of the drive with traffic lights that the ego obeys, seconds.
 pub(super) fn with_lights(roads: &Roads, start: &EgoStart, lights: &[TrafficLight]) -> f64 {
     let cruise_mps = start.task.cruise_mps;
     let mut allowed = allowed(&start.route, cruise_mps);

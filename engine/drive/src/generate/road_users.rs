@@ -21,9 +21,10 @@ const SHARES: [(RoadUser, f64); 4] = [
     (RoadUser::Bus, 0.05),
     (RoadUser::Cyclist, 0.14),
 ];
-/// Pedestrians cross the route from so far ahead of the ego's start on, meters: the ego can stop.
+/// Least distance ahead of the ego's start at which pedestrians cross the route, meters: the ego
+/// can stop.
 const AHEAD_M: f64 = 30.0;
-/// They stand this far beside the road, meters.
+/// Distance of a waiting pedestrian from the road, meters.
 const BESIDE_M: f64 = 1.2;
 /// Wider roads are not crossed, meters from the route to the edge.
 const EDGE_M_MAX: f64 = 18.0;
@@ -61,7 +62,7 @@ pub(super) struct Assets {
 }
 
 impl Assets {
-    /// Cars alone.
+    /// Assets of cars alone.
     pub fn cars(sizes: &[VehicleSize]) -> Self {
         let kind = RoadUser::Car;
         let cars = sizes.iter().enumerate();
@@ -73,7 +74,7 @@ impl Assets {
         }
     }
 
-    /// The same and others, among `obstacles`.
+    /// Adds `others`, among `obstacles`.
     pub fn mixed(&mut self, others: &[RoadUserAsset], obstacles: Arc<Obstacles>) {
         self.all.extend_from_slice(others);
         self.obstacles = obstacles;
@@ -88,21 +89,21 @@ impl Assets {
     /// True if there are kinds of vehicles but cars.
     pub fn are_mixed(&self) -> bool {
         let mut others = RoadUser::ON_LANES[1..].iter();
-        others.any(|&kind| !self.of(kind).is_empty())
+        others.any(|&kind| !self.of_kind(kind).is_empty())
     }
 
-    fn of(&self, kind: RoadUser) -> Vec<RoadUserAsset> {
+    fn of_kind(&self, kind: RoadUser) -> Vec<RoadUserAsset> {
         let same = self.all.iter().filter(|asset| asset.kind == kind);
         same.copied().collect()
     }
 
-    /// A car.
+    /// Draws a car at random.
     pub fn draw_car(&self, random: &mut Stream) -> RoadUserAsset {
         self.draw_of(RoadUser::Car, random)
     }
 
     fn draw_of(&self, kind: RoadUser, random: &mut Stream) -> RoadUserAsset {
-        let assets = self.of(kind);
+        let assets = self.of_kind(kind);
         assets[random.whole((0, assets.len() - 1))]
     }
 
@@ -113,7 +114,7 @@ impl Assets {
             return self.draw_car(random);
         }
         let slow = |kind| fast && kind == RoadUser::Cyclist;
-        let fits = |kind| !self.of(kind).is_empty() && !slow(kind);
+        let fits = |kind| !self.of_kind(kind).is_empty() && !slow(kind);
         let shares = || SHARES.into_iter().filter(|&(kind, _)| fits(kind));
         let mut rest = random.unit() * shares().map(|(_, share)| share).sum::<f64>();
         let drawn = shares().find(|(_, share)| {
@@ -131,7 +132,7 @@ impl Assets {
         start: &EgoStart,
         random: &mut Stream,
     ) -> Vec<Pedestrian> {
-        let assets = self.of(RoadUser::Pedestrian);
+        let assets = self.of_kind(RoadUser::Pedestrian);
         if assets.is_empty() {
             return Vec::new();
         }

@@ -13,7 +13,7 @@ use crate::road_graph::{RoadGraph, position_on};
 use crate::road_surface::RoadSurface;
 use crate::route::Route;
 
-/// Places along a route that are examined are so far apart, meters.
+/// Distance between places along a route that are examined, meters.
 const STRIDE_M: f64 = 0.5;
 /// Left free between a vehicle and the border of its lane, meters.
 const BORDER_M: f64 = 0.1;
@@ -23,7 +23,7 @@ const STRETCH_MARGIN_M: f64 = 0.5;
 const ONWARD_M_MIN: f64 = 25.0;
 /// Lanes that are followed when looking ahead: more are near one place only where a map is broken.
 const LANES_AHEAD_MAX: usize = 400;
-/// And lanes that one vehicle may stand on, or that are passed to find a place.
+/// Largest number of lanes that one vehicle occupies, or that a search visits.
 const LANES_UNDER_MAX: usize = 64;
 
 /// A place on a lane.
@@ -31,7 +31,7 @@ const LANES_UNDER_MAX: usize = 64;
 pub(super) struct Spot {
     /// Place in [`LaneMap::lanes`].
     pub lane: usize,
-    /// Meters along it.
+    /// Position along the lane, meters.
     pub at_m: f64,
 }
 
@@ -145,7 +145,7 @@ impl<'a> Roads<'a> {
                 speed_mps: 0.0,
                 acceleration_mps2: 0.0,
             };
-            let outline = OrientedBox::of(&state, size);
+            let outline = OrientedBox::for_vehicle(&state, size);
             self.surface.holds_box(&outline, RoadSurface::SLACK_M)
         })
     }
@@ -186,7 +186,7 @@ impl<'a> Roads<'a> {
     /// The outline of a vehicle of `size` at `spot`.
     pub fn outline(&self, spot: Spot, size: &VehicleSize) -> OrientedBox {
         let position = position_on(self.graph.lanes(), &[spot.lane], 0, spot.at_m);
-        OrientedBox::of(
+        OrientedBox::for_vehicle(
             &VehicleState {
                 position_m: position.position_m,
                 yaw_rad: position.yaw_rad,
@@ -287,8 +287,8 @@ impl<'a> Roads<'a> {
         None
     }
 
-    /// From the middle of one vehicle to that of another ahead of it, meters along the lanes; none
-    /// within `max_m`.
+    /// Distance from the middle of one vehicle to that of another ahead of it, meters along the
+    /// lanes; none within `max_m`.
     pub fn between_m(&self, behind: Spot, front: Spot, max_m: f64) -> Option<f64> {
         let apart =
             |ahead: LaneAhead| (ahead.lane == front.lane).then_some(ahead.begin_m + front.at_m);
@@ -350,8 +350,8 @@ impl<'a> Roads<'a> {
         found
     }
 
-    /// From `spot` to where a vehicle may have to stop for others, or where its lane ends, meters;
-    /// infinite beyond `max_m`.
+    /// Distance from `spot` to where a vehicle may have to stop for others, or where its lane ends,
+    /// meters; infinite beyond `max_m`.
     pub fn until_stop_m(&self, spot: Spot, max_m: f64) -> f64 {
         let stops = |ahead: LaneAhead| {
             let dead_end = self

@@ -63,7 +63,7 @@ pub(super) struct LevelRequirements {
     pub flow_speed_share: (f64, f64),
     /// Initial distance of the ego's front from a crossing, meters.
     pub before_crossing_m: (f64, f64),
-    /// In how many scenarios the ego starts before a crossing.
+    /// Fraction of scenarios whose ego starts before an intersection.
     pub crossing_share: f64,
     /// True if the ways to the crossing are full.
     pub congested: bool,
@@ -100,21 +100,21 @@ impl TimeBudget {
 impl LevelRequirements {
     /// The requirements of `level`, with parts of other levels.
     pub fn new(level: Level, difficulty: Difficulty) -> Self {
-        let density = Self::of(difficulty.density.unwrap_or(level));
-        let surprise = Self::of(difficulty.surprise.unwrap_or(level));
+        let density = Self::for_one_level(difficulty.density.unwrap_or(level));
+        let surprise = Self::for_one_level(difficulty.surprise.unwrap_or(level));
         let Self {
             before_crossing_m,
             crossing_share,
             ego_speed_share,
             lead_share,
             ..
-        } = Self::of(level);
+        } = Self::for_one_level(level);
         Self {
             near: density.near,
             far: density.far,
             flow_speed_share: density.flow_speed_share,
             congested: density.congested,
-            time: Self::of(difficulty.time.unwrap_or(level)).time,
+            time: Self::for_one_level(difficulty.time.unwrap_or(level)).time,
             before_crossing_m,
             crossing_share,
             ego_speed_share,
@@ -123,7 +123,7 @@ impl LevelRequirements {
         }
     }
 
-    fn of(level: Level) -> Self {
+    fn for_one_level(level: Level) -> Self {
         use DriverKind::{Aggressive, Calm, Hurried, Normal};
         let easy = Self {
             near: agents_near(Level::Easy),

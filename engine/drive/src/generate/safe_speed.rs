@@ -8,7 +8,7 @@
 const REACTION_S: f64 = 1.0;
 /// Deceleration of a follower on which safe gaps count, m/s^2: a full brake of the ego is 8.
 const BRAKING_MPS2: f64 = 6.0;
-/// The hardest that anybody brakes, m/s^2: a dry road gives no more.
+/// Hardest braking of any vehicle, m/s^2: a dry road gives no more.
 const LEADER_BRAKING_MPS2: f64 = 8.0;
 /// Gap between two standing vehicles, meters.
 const STANDING_GAP_M: f64 = 2.0;

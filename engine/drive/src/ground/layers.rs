@@ -6,7 +6,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::surfel::{Sample, SurfelGrid};
 
-/// Heights within so much of one another belong to one surface, meters: several times the noise of
+/// Largest difference of heights that belong to one surface, meters: several times the noise of
 /// reconstructed roads, and less than a kerb is high twice.
 const WINDOW_M: f32 = 0.12;
 /// Surfaces that one column may have. A canopy takes one for each half meter.

@@ -5,19 +5,19 @@ use decouplegs_scene::shape::{PrincipalAxes, triangular_factor};
 use glam::DVec2;
 use rayon::prelude::*;
 
-/// A splat spans so much height at one position and still counts half, meters. Road splats span
+/// Height that a splat spans at one position where it counts half, meters. Road splats span
 /// millimeters, leaves decimeters.
 const FLAT_SPAN_M: f64 = 0.1;
 /// Least weight in the middle of a column: smaller surfels cannot carry a surface.
 const SHARE_MIN: f64 = 2e-3;
-/// A splat reaches so many standard deviations.
+/// Radius of a splat, standard deviations.
 const RADIUS_SIGMAS: f64 = 3.0;
 /// Cells of the finest grid, meters; each further one has twice the size.
 const CELL_M: f64 = 0.5;
 /// Grids; a splat lies in the finest whose cells are as large as its radius. Wider ones count
 /// within the largest cell only.
 const LEVELS: usize = 5;
-/// Farther from the origin f32 means have no centimeters left, meters.
+/// Largest distance from the origin, meters: farther away, f32 means have no centimeters left.
 const EXTENT_M: f32 = 1e5;
 
 /// Part of a splat within a column. With S the horizontal covariance of the splat, c the column's
@@ -47,7 +47,7 @@ pub struct Sample {
 
 impl Surfel {
     /// `None` for a splat that shows no surface, and its radius in meters otherwise.
-    fn of(cloud: &SplatCloud, splat: usize, column_sigma_m: f64) -> Option<(Self, f64)> {
+    fn from_splat(cloud: &SplatCloud, splat: usize, column_sigma_m: f64) -> Option<(Self, f64)> {
         let mean = cloud.means[splat];
         if cloud.defect_of(splat).is_some() || mean.iter().any(|x| x.abs() > EXTENT_M) {
             return None;
@@ -121,7 +121,7 @@ impl SurfelGrid {
     pub fn new(cloud: &SplatCloud, column_sigma_m: f64) -> Self {
         let surfels = (0..cloud.len())
             .into_par_iter()
-            .filter_map(|splat| Surfel::of(cloud, splat, column_sigma_m));
+            .filter_map(|splat| Surfel::from_splat(cloud, splat, column_sigma_m));
         let surfels: Vec<(Surfel, f64)> = surfels.collect();
         let level_of =
             |radius_m: f64| ((radius_m / CELL_M).log2().ceil().max(0.0) as usize).min(LEVELS - 1);

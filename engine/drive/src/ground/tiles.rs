@@ -8,8 +8,8 @@ use glam::DVec2;
 use super::layers::Layer;
 use super::surfel::SurfelGrid;
 
-/// Between nodes, meters. A surface is a plane between four of them, so less than what bends on a
-/// road.
+/// Distance between nodes, meters. A surface is a plane between four of them, so less than what
+/// bends on a road.
 const NODE_M: f64 = 0.25;
 /// Squares of nodes along a side of a tile; one more node than that, so that a query needs one tile
 /// only.
@@ -32,14 +32,14 @@ struct Tile {
 pub struct Corner<'a> {
     /// Surfaces over it, rising.
     pub layers: &'a [Layer],
-    /// From the node to the query, meters.
+    /// Offset from the node to the query, meters.
     pub offset: DVec2,
-    /// Bilinear; the four add up to one.
+    /// Bilinear weight; the four add up to one.
     pub weight: f64,
 }
 
 impl Tiles {
-    /// No tile computed yet.
+    /// Grid of tiles under `surfels`, none computed yet.
     pub fn under(surfels: &SurfelGrid) -> Self {
         let mut tiles = HashMap::new();
         for (low, size) in surfels.reached() {

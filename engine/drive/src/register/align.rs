@@ -25,8 +25,8 @@ const MATCHES: usize = 12;
 const SCALE_FIRST_M: f64 = 1.0;
 /// Matching ends when the motion changes by less, meters and (times a hundred meters) radians.
 const SETTLED: f64 = 1e-5;
-/// Drivers keep to the middle of their lane to about so much, as a deviation in meters, and for
-/// about so many waypoints to the same side.
+/// Deviation of drivers from the middle of their lane, meters, and number of waypoints for which
+/// they stay on one side.
 const LANE_KEEPING_M: f64 = 0.2;
 pub(super) const KEEPING_WAYPOINTS: f64 = 5.0;
 /// Costs of a waypoint that is anywhere, of a lane change, and of a leg that does not follow the

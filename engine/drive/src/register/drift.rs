@@ -38,7 +38,7 @@ const PRIOR_TRACKS: f64 = 2.0;
 pub enum KeptBecause {
     /// Lanes show no more than habits of drivers.
     NoEvidence,
-    /// It fits several lanes about as well.
+    /// Several lanes fit the track about as well.
     LaneUnsure,
 }
 

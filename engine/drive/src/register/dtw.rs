@@ -10,7 +10,8 @@ pub struct Band {
 }
 
 impl Band {
-    /// Within `half` steps of `middles` on a lane of `steps` steps, of which there must be one.
+    /// Band within `half` steps of `middles` on a lane of `steps` steps, of which there must be
+    /// one.
     ///
     /// Middles that fall are lifted to the one before: a path through the band must exist.
     #[must_use]

@@ -20,7 +20,7 @@ const NEAR_M: f64 = 15.0;
 /// A plane in the frame of a vehicle: z = height + forward x + left y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RoadPlane {
-    /// Under the middle of the vehicle, meters.
+    /// Height under the middle of the vehicle, meters.
     pub height_m: f64,
     /// Rise a meter to its front.
     pub forward: f64,

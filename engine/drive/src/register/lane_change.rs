@@ -2,8 +2,8 @@
 
 use super::route::Leg;
 
-/// Around the moment at which the nearest lane is another one, so much is taken for the change at
-/// first, seconds: most changes take 3 to 6 s.
+/// First guess at half the duration of a change, seconds, around the moment at which the nearest
+/// lane is another one: most changes take 3 to 6 s.
 const HALF_CHANGE_S: f64 = 3.0;
 /// The shortest half of a change, seconds.
 const HALF_CHANGE_MIN_S: f64 = 0.5;
@@ -17,9 +17,9 @@ const ARRIVED_DEVIATIONS: f64 = 3.0;
 pub struct LaneChange {
     /// Time at which the nearer lane becomes the new one, seconds.
     pub time_s: f64,
-    /// It begins then, seconds.
+    /// Start of the lane change, seconds.
     pub from_s: f64,
-    /// And ends then.
+    /// End of the lane change, seconds.
     pub to_s: f64,
 }
 

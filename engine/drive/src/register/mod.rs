@@ -50,13 +50,13 @@ pub struct RegisterOptions {
     pub keeping_m: f64,
     /// Deviation of the tracks' noise along one axis, meters. None: told by each track itself.
     pub noise_m: Option<f64>,
-    /// No other motion than one of all tracks of the log together.
+    /// True: the one motion of the whole log is the only one.
     pub shared: bool,
     /// Prior of the drift of logs.
     pub prior: MotionPrior,
-    /// A motion of more is not believed: shift in meters.
+    /// Largest shift that is believed, meters.
     pub shift_max_m: f64,
-    /// And turn in radians.
+    /// Largest turn that is believed, radians.
     pub yaw_max_rad: f64,
     /// A track that lies about its lane by more, as a deviation in meters, does not follow it.
     pub residual_max_m: f64,
@@ -97,10 +97,10 @@ pub enum RegisterError {
     /// The map has no lanes.
     #[error("the map has no lanes; tracks are registered to lanes")]
     NoLanes,
-    /// The map is not one.
+    /// The map cannot be used.
     #[error("the map cannot be used: {0}")]
     Map(Invalid),
-    /// There are no tracks.
+    /// The log has no tracks.
     #[error("there are no tracks to register")]
     NoTracks,
     /// An option is not a positive number.
@@ -116,7 +116,7 @@ pub enum RegisterError {
 /// All tracks of a log.
 #[derive(Clone, Debug)]
 pub struct Registration {
-    /// In the order of the log.
+    /// Tracks in the order of the log.
     pub tracks: Vec<RegisteredTrack>,
     /// The motion of all tracks together, where lanes show that the log drifted as a whole.
     pub shared: Option<PlanarFit>,
@@ -138,9 +138,9 @@ pub struct RegisteredTrack {
 /// Poses, or why there are none.
 #[derive(Clone, Debug)]
 pub enum Outcome {
-    /// It stands on its lanes.
+    /// The track is put on its lanes.
     Registered(Box<Registered>),
-    /// It does not, and is best left out.
+    /// The track fits no lanes, and is best left out.
     Refused {
         /// Reason, as a sentence without its end.
         reason: String,
@@ -230,7 +230,7 @@ pub struct PoseFlags {
     pub no_height: bool,
     /// The corners are no plane: a kerb, or something on the road.
     pub uneven: bool,
-    /// It is between two lanes.
+    /// The vehicle is between two lanes.
     pub lane_change: bool,
     /// The log has it far from its neighbors; it was put where they say.
     pub outlier: bool,

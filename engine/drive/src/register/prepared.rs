@@ -8,7 +8,7 @@ use super::route::Waypoint;
 use super::smooth::{Smoothed, smooth};
 use crate::planar::PlanarTransform;
 
-/// Between waypoints, meters: closer ones tell nothing more of a lane.
+/// Distance between waypoints, meters: closer ones tell nothing more of a lane.
 const WAYPOINT_M: f64 = 1.0;
 
 /// A track, smoothed, and the points of it that lanes are chosen by.

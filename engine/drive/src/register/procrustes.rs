@@ -13,11 +13,11 @@ pub struct WeightedPair {
     pub from: DVec2,
     /// Position of its partner.
     pub to: DVec2,
-    /// At least zero.
+    /// Weight of the pair, at least zero.
     pub weight: f64,
 }
 
-/// Points that lie within so much of each other show no direction, meters.
+/// Extent below which points show no direction, meters.
 const EXTENT_MIN_M: f64 = 1e-6;
 
 /// The turn and shift with the least sum of `weight |R from + t - to|^2`: no scale, and a turn of

@@ -32,7 +32,7 @@ pub struct Waypoint {
 pub struct Leg {
     /// Indices in [`LaneMap::lanes`], in driving order.
     pub lanes: Vec<usize>,
-    /// Their centerlines as one line.
+    /// Centerlines of the lanes as one line.
     pub line: Polyline,
     /// Positions and headings along the line, [`STEP_M`] apart.
     pub samples: Vec<(DVec2, f64)>,
@@ -65,7 +65,7 @@ const ALONG_RAD: f64 = 1.3;
 const HOPS_MAX: usize = 6;
 /// Lanes that are examined for one waypoint.
 const LANES_MAX: usize = 16;
-/// Neighboring lanes are so far apart at most, meters.
+/// Largest distance of neighboring lanes, meters.
 const NEIGHBOR_MAX_M: f64 = 6.0;
 
 /// True if tracks of `class` may be on lanes of `kind`.
@@ -88,7 +88,7 @@ struct State {
 
 #[derive(Clone, Debug, PartialEq)]
 enum Step {
-    /// Along the same lane, or over these and into another.
+    /// Lanes of the way on: the same lane alone, or these and then another.
     On(Vec<usize>),
     LaneChange,
     Jump,

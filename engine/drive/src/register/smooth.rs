@@ -21,18 +21,17 @@ const WINDOW_MAX_S: f64 = 1.5;
 /// Narrower windows are each this of the next wider one, down to half so many seconds.
 const WINDOW_STEP: f64 = 0.7;
 const WINDOW_MIN_S: f64 = 0.25;
-/// A wider window is believed while what it says is within so many deviations of what narrower ones
-/// said.
+/// Number of deviations from what narrower windows said within which a wider one is believed.
 const AGREED: f64 = 1.5;
-/// Less noise than this is left, meters.
+/// Least noise that is assumed, meters.
 const NOISE_MIN_M: f64 = 0.01;
 /// Neighbors to each side, whatever the rate of the log.
 const NEIGHBORS_MAX: usize = 60;
 /// Fits for a point, each after the first without the outliers of the one before.
 const ROUNDS: usize = 3;
-/// Outliers are farther from the fit than this times its spread.
+/// Distance from the fit beyond which a point is an outlier, as a factor on the spread.
 const OUTLIER_SPREADS: f64 = 5.0;
-/// Slower than this nothing is told of where a car points, meters per second.
+/// Least speed at which motion tells where a car points, meters per second.
 const MOVING_MPS: f64 = 0.7;
 
 /// A track without noise, in the frame of its log.
@@ -83,8 +82,8 @@ pub fn smooth(track: &Track, noise_m: Option<f64>) -> Smoothed {
     smoothed
 }
 
-/// From third differences of neighbors at an even pace, which motion hardly shows in; the median
-/// withstands outliers. 0 for tracks too short or too uneven to tell.
+/// Noise estimated from third differences of neighbors at an even pace, which motion hardly shows
+/// in; the median withstands outliers. 0 for tracks too short or too uneven to tell.
 fn estimated_noise_m(track: &Track) -> f64 {
     // The variance of x0 - 3 x1 + 3 x2 - x3 is 20 times that of one. Lengths in the plane, whose
     // median is 1.1774 deviations: axes would make the answer depend on which way is north.

@@ -2,12 +2,12 @@
 
 use super::RoadLane;
 
-/// A lane beside one that ends leads on if there are more than so many meters behind its end:
-/// where a map is cut out, lanes of one road end a little apart.
+/// Length behind the end of a lane from which one beside it leads on, meters: where a map is cut
+/// out, lanes of one road end a little apart.
 const LEADS_ON_M: f64 = 100.0;
-/// An entrance has at least so much room for a vehicle, meters, ...
+/// Least room for a vehicle at an entrance, meters.
 const ENTRANCE_M: f64 = 20.0;
-/// ... and leads on at least so far.
+/// Least length that an entrance leads on, meters.
 const ENTRANCE_ONWARD_M: f64 = 60.0;
 /// Lanes beside each other that are looked through: more than any road has.
 const BESIDE_MAX: usize = 16;

@@ -11,11 +11,11 @@ use crate::grid::Grid;
 /// Cells that follow each other along a way by less than this many lengths of a vehicle touch
 /// because the way goes on.
 const SEQUENCE_LENGTHS: f64 = 3.0;
-/// Lanes so far above each other cross on a bridge, meters.
+/// Least height of a lane above another that it crosses on a bridge, meters.
 const BRIDGE_M: f64 = 3.0;
 /// Most pairs of cells in each other's way, and of cells compared: a large city has a tenth of it.
 const PAIRS_MAX: usize = 10_000_000;
-/// Beside each other on a fork are cells that are about as far along, meters.
+/// Largest difference of cells along a fork that counts as beside each other, meters.
 const FORK_LEAD_M: f64 = 8.0;
 /// Headings that cross by less, radians, come from the front or the same side.
 const FROM_ASIDE_RAD: f64 = 0.26;

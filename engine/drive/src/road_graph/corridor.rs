@@ -25,7 +25,7 @@ pub(super) fn corridors(
     vehicle: VehicleSize,
 ) -> Vec<OrientedBox> {
     let mut frames: Vec<Frame> = (0..cells.count())
-        .map(|cell| Frame::of(lanes, cells, cell))
+        .map(|cell| Frame::at_cell(lanes, cells, cell))
         .collect();
     let half_m = DVec2::new(0.5 * vehicle.length_m, 0.5 * vehicle.width_m + MARGIN_M);
     // The axles of a short vehicle lie beyond its box.
@@ -156,7 +156,7 @@ struct Frame {
 }
 
 impl Frame {
-    fn of(lanes: &[Option<RoadLane>], cells: &Cells, cell: usize) -> Self {
+    fn at_cell(lanes: &[Option<RoadLane>], cells: &Cells, cell: usize) -> Self {
         let (lane, stretch) = cells.stretch_of(cell);
         let at = |at_m: f64| position_on(lanes, &[lane], 0, at_m);
         let (from, to) = (at(stretch.from_m).position_m, at(stretch.to_m).position_m);

@@ -71,7 +71,7 @@ fn in_pieces(points: &[DVec3]) -> Vec<DVec3> {
     border
 }
 
-/// The line so far to the left of `centerline`, meters.
+/// Line at `to_left_m` to the left of `centerline`, meters.
 fn beside(centerline: &[DVec3], to_left_m: f64) -> Vec<DVec3> {
     let points = in_pieces(centerline);
     let along = |from: DVec3, to: DVec3| (to - from).truncate().normalize_or_zero();

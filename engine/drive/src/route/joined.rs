@@ -9,12 +9,11 @@ use glam::DVec3;
 
 use crate::polyline::Polyline;
 
-/// A change of lanes takes so much of the way where there is room, meters: at 12 m/s two and a half
-/// seconds.
+/// Length of a change of lanes where there is room, meters: at 12 m/s two and a half seconds.
 const CHANGE_M: f64 = 30.0;
-/// With less, no car could follow.
+/// Least length of a change of lanes, meters: no car could follow a shorter one.
 const CHANGE_M_MIN: f64 = 8.0;
-/// From one point of the line to the next, meters.
+/// Distance between points of the line, meters.
 const STRIDE_M: f64 = 1.0;
 /// A line of more strides has longer ones: a map may claim any length.
 const STRIDES_MAX: f64 = 200_000.0;
@@ -42,7 +41,7 @@ struct Entry {
 struct Way {
     stride_m: f64,
     points: Vec<DVec3>,
-    /// At which point each lane begins.
+    /// Point at which each lane begins, and the lane's index in the map.
     marks: Vec<(usize, usize)>,
 }
 
@@ -144,8 +143,8 @@ fn entries(map: &LaneMap, task: &EgoTask) -> Result<Vec<Entry>, String> {
 }
 
 impl Way {
-    /// Lanes side by side, from `from_m` along the first to `to_m` along the last. What room there
-    /// is is shared by all changes.
+    /// Lanes side by side, from `from_m` along the first to `to_m` along the last. All changes
+    /// share the room that there is.
     fn along_section(
         &mut self,
         map: &LaneMap,
@@ -241,8 +240,8 @@ impl Way {
     }
 }
 
-/// From 0 to 1 with neither speed nor acceleration across at both ends (the quintic of least jerk:
-/// Flash and Hogan, "The coordination of arm movements", 1985).
+/// Smooth step from 0 to 1 with neither speed nor acceleration across at both ends (the quintic of
+/// least jerk: Flash and Hogan, "The coordination of arm movements", 1985).
 fn blend(share: f64) -> f64 {
     share.powi(3) * (10.0 + share * (6.0 * share - 15.0))
 }

@@ -13,7 +13,7 @@ use crate::polyline::Polyline;
 pub struct LaneSpot {
     /// Index of the lane in its map.
     pub lane: usize,
-    /// Along the lane, meters.
+    /// Position along the lane, meters.
     pub at_m: f64,
 }
 

@@ -9,7 +9,7 @@ pub struct RouteTurn {
     pub begin_m: f64,
     /// End, meters along the route.
     pub end_m: f64,
-    /// By how much the heading changes, radians, to the left where above zero.
+    /// Change of heading, radians, positive to the left.
     pub angle_rad: f64,
 }
 
@@ -18,17 +18,17 @@ pub struct RouteTurn {
 const TURN_CURVATURE: f64 = 1.0 / 40.0;
 /// A turn reaches out to where the way bends less than this, 1/m.
 const BEND_CURVATURE: f64 = 1.0 / 80.0;
-/// Parts of a turn may be so far apart, meters: a turn around a corner is often two bends with a
-/// straight piece between.
+/// Largest distance between parts of a turn, meters: a turn around a corner is often two bends with
+/// a straight piece between.
 const TURN_GAP_M: f64 = 6.0;
 /// Least change of heading that counts as a turn; smaller ones are curves of the road, radians: 30
 /// degrees.
 const TURN_ANGLE_RAD: f64 = std::f64::consts::FRAC_PI_6;
-/// From one look at the curvature to the next, meters.
+/// Distance between samples of the curvature, meters.
 const STRIDE_M: f64 = 1.0;
 /// Curvature is measured over this far before and behind, meters.
 const HALF_SPAN_M: f64 = 2.0;
-/// A line longer than so many strides is examined in longer ones.
+/// Largest number of strides of a line; a longer line is examined in longer ones.
 const STRIDES_MAX: f64 = 200_000.0;
 
 /// All turns of `line`, in order.

@@ -16,7 +16,7 @@ pub struct Comfort {
 impl Comfort {
     /// Comfort of the ego in `episode`.
     #[must_use]
-    pub fn of(episode: &Episode) -> Self {
+    pub fn new(episode: &Episode) -> Self {
         let braking = episode
             .instants()
             .map(|instant| -instant.ego.acceleration_mps2);

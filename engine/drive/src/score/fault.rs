@@ -33,26 +33,26 @@ const STANDING_MPS: f64 = 0.1;
 const REACTION_S: f64 = 1.0;
 /// Headings that differ by less are one direction, radians.
 const SAME_DIRECTION_RAD: f64 = std::f64::consts::FRAC_PI_4;
-/// The route is averaged over so much to both sides at most, meters: more than a lane change is
-/// long, ...
+/// Largest distance to each side over which the route is averaged, meters: more than a lane change
+/// is long.
 const AVERAGED_M: f64 = 40.0;
-/// ... and over so little that it bends by no more than this, radians.
+/// Largest bend of the route within that distance, radians.
 const AVERAGED_BEND_RAD: f64 = std::f64::consts::FRAC_PI_4;
-/// From one point of the averaged route to the next, meters.
+/// Distance between points of the averaged route, meters.
 const STRIDE_M: f64 = 2.0;
-/// Points of a longer route lie farther apart.
+/// Largest number of points of an averaged route; those of a longer one lie farther apart.
 const STRIDES_MAX: f64 = 50_000.0;
 
 /// Fault of a collision, and the reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// The ego's: nothing excuses it.
+    /// Ego at fault: nothing excuses it.
     Ego,
-    /// The other's: the ego stood.
+    /// Other vehicle at fault: it hit a standing ego.
     EgoStood,
-    /// The other's: it drove into the rear of the ego, which was in its lane.
+    /// Other vehicle at fault: it hit the rear of the ego, which was in its own lane.
     HitFromBehind,
-    /// The other's: it moved into the ego's way too late for anybody to react.
+    /// Other vehicle at fault: it cut in with less than the reaction time left.
     CutIn,
 }
 
@@ -101,7 +101,7 @@ pub(super) fn fault(
         .filter(|instant| instant.time_s >= now.time_s - REACTION_S);
     let abreast: Vec<Abreast> = recent
         .filter_map(|instant| {
-            Some(Abreast::of(
+            Some(Abreast::new(
                 &road,
                 [&instant.ego, instant.agents.get(agent)?.as_ref()?],
                 &sizes,
@@ -111,7 +111,7 @@ pub(super) fn fault(
     let Some(other) = &now.agents[agent] else {
         return Fault::Ego;
     };
-    let outline = OrientedBox::of(&now.ego, &sizes[0]);
+    let outline = OrientedBox::for_vehicle(&now.ego, &sizes[0]);
     let behind = outline.to_local(other.position_m).x <= -outline.half_length_m;
     let same_direction = wrapped(other.yaw_rad - now.ego.yaw_rad).abs() < SAME_DIRECTION_RAD;
     if behind && same_direction && abreast.iter().all(|at| at.gap_m <= 0.0) {
@@ -136,14 +136,15 @@ pub(super) fn fault(
 
 /// The ego and the other across the road at one moment.
 struct Abreast {
-    /// Their middles, to the left of the road's line, meters.
+    /// Offsets of the middles of both boxes from the road's line, meters, positive to the left.
     laterals_m: [f64; 2],
-    /// Between their outlines across the road; zero and below where one is in the other's way.
+    /// Gap between the outlines of both boxes across the road, meters; zero and below where one is
+    /// in the other's way.
     gap_m: f64,
 }
 
 impl Abreast {
-    fn of(road: &Polyline, states: [&VehicleState; 2], sizes: &[VehicleSize; 2]) -> Self {
+    fn new(road: &Polyline, states: [&VehicleState; 2], sizes: &[VehicleSize; 2]) -> Self {
         let feet: [Foot; 2] = states.map(|state| road.project(state.position_m));
         let half_width_m = |which: usize| {
             let turned = DVec2::from_angle(states[which].yaw_rad - feet[which].heading_rad);

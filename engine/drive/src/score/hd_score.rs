@@ -19,7 +19,7 @@ const WEIGHTS: [f64; 2] = [5.0, 2.0];
 const AHEAD_S: [f64; 2] = [0.5, 1.0];
 /// An ego slower than this is on no course for a collision, meters per second.
 const STANDING_MPS: f64 = 0.005;
-/// Rates are differences over so long, half of it before and half of it after a moment, seconds.
+/// Time over which rates are differences, half of it before and half of it after a moment, seconds.
 const WINDOW_S: f64 = 0.5;
 /// Bounds of comfort (nuPlan): acceleration ahead, m/s^2.
 const AHEAD_MPS2: [f64; 2] = [-4.05, 2.40];
@@ -63,7 +63,7 @@ pub struct HdScore {
 impl HdScore {
     /// The score of `episode`.
     #[must_use]
-    pub fn of(episode: &Episode, variant: HdVariant) -> Self {
+    pub fn new(episode: &Episode, variant: HdVariant) -> Self {
         let ticks: Vec<&EpisodeTick> = episode.instants().collect();
         let comfort = comfortable(&ticks, variant);
         let hits_obstacle = matches!(episode.end, EpisodeEnd::Obstacle { .. });
@@ -108,12 +108,14 @@ fn touches(episode: &Episode, tick: &EpisodeTick, ahead_s: f64) -> bool {
         center_m: outline.center_m + velocity_mps * ahead_s,
         ..outline
     };
-    let ego = OrientedBox::of(&tick.ego, &episode.head.scenario.ego.size);
+    let ego = OrientedBox::for_vehicle(&tick.ego, &episode.head.scenario.ego.size);
     let ego = moved(ego, tick.ego.velocity());
     let agents = tick.agents.iter().zip(&episode.head.agent_sizes);
     agents
         .filter_map(|(state, size)| Some((state.as_ref()?, size)))
-        .any(|(state, size)| moved(OrientedBox::of(state, size), state.velocity()).overlaps(&ego))
+        .any(|(state, size)| {
+            moved(OrientedBox::for_vehicle(state, size), state.velocity()).overlaps(&ego)
+        })
 }
 
 /// True for each of `ticks` at which the ego is within the bounds of comfort.

@@ -11,8 +11,8 @@ use super::{
 };
 use crate::oriented_box::OrientedBox;
 
-/// An excursion is over when the ego has been on the road for so long, seconds: a vehicle that
-/// drives along the edge leaves the road once.
+/// Time on the road after which an excursion is over, seconds: a vehicle that drives along the edge
+/// leaves the road once.
 const BACK_ON_ROAD_S: f64 = 1.0;
 /// Two contacts with the same agent are one where the boxes were apart for less, seconds.
 const APART_S: f64 = 1.0;
@@ -237,8 +237,8 @@ fn collisions(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
             // The record's own word counts, too: it may have looked between its moments.
             let message =
                 at + 1 == instants.len() && episode.end == EpisodeEnd::Collision { agent };
-            let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
-            if message || ego.overlaps(&OrientedBox::of(state, size)) {
+            let ego = OrientedBox::for_vehicle(&instant.ego, &episode.head.scenario.ego.size);
+            if message || ego.overlaps(&OrientedBox::for_vehicle(state, size)) {
                 if touched_s.is_none() {
                     let kind = InfractionKind::Collision {
                         agent,

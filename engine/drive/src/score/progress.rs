@@ -5,11 +5,12 @@ use glam::DVec2;
 
 use crate::polyline::Polyline;
 
-/// Farther from the route than this, progress along it does not count, meters: about two lanes.
+/// Largest distance from the route at which progress along it counts, meters: about two lanes.
 const OFF_ROUTE_M: f64 = 8.0;
-/// Progress is searched ahead as far as was driven, times this (corners may be cut), and ...
+/// Factor on the driven distance up to which progress is searched ahead: corners may be cut.
 const SEARCH_FACTOR: f64 = 2.0;
-/// ... so much more, meters. A route that comes near itself does not make the ego jump along it.
+/// Further distance that is searched, meters. A route that comes near itself does not make the ego
+/// jump along it.
 const SEARCH_M: f64 = 10.0;
 
 /// Progress of a vehicle along a route, moment by moment.
@@ -23,8 +24,8 @@ pub struct RouteProgress {
 }
 
 impl RouteProgress {
-    /// At the start of the line through `route_m`, for a vehicle that stands at `start_m`; `None`
-    /// where it is no line.
+    /// Starts at the start of the line through `route_m`, for a vehicle that stands at `start_m`;
+    /// `None` where it is no line.
     #[must_use]
     pub fn new(route_m: &[DVec2], start_m: DVec2) -> Option<Self> {
         let route = Polyline::new(route_m.iter().map(|point| point.extend(0.0)))?;

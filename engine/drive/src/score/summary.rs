@@ -12,18 +12,18 @@ const ROUNDING: f64 = 1e-9;
 /// Mean and spread of a figure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moments {
-    /// Over so many episodes, at least one.
+    /// Number of episodes, at least one.
     pub count: usize,
-    /// Their mean.
+    /// Mean of the figure.
     pub mean: f64,
-    /// Their sample standard deviation (over count - 1); `None` of a single one.
+    /// Sample standard deviation of the figure (over count - 1); `None` of a single one.
     pub std: Option<f64>,
 }
 
 impl Moments {
     /// Statistics of `values`; `None` of none.
     #[must_use]
-    pub fn of(values: &[f64]) -> Option<Self> {
+    pub fn from_values(values: &[f64]) -> Option<Self> {
         if values.is_empty() {
             return None;
         }
@@ -96,17 +96,17 @@ mod tests {
             let found = t_quantile(degrees);
             assert!((found - expected).abs() < 1e-3, "{degrees}: {found}");
         }
-        let moments = Moments::of(&[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
+        let moments = Moments::from_values(&[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
         let [low, high] = moments.interval().unwrap();
         // 3 -+ 2.7764 sqrt(2.5 / 5).
         assert!((low - 1.0368).abs() < 1e-3 && (high - 4.9632).abs() < 1e-3);
-        assert_eq!(Moments::of(&[1.0]).unwrap().interval(), None);
+        assert_eq!(Moments::from_values(&[1.0]).unwrap().interval(), None);
         // 8 of 10, by Wilson.
         let mut shares = [1.0; 10];
         shares[..2].fill(0.0);
-        let [low, high] = Moments::of(&shares).unwrap().share_interval();
+        let [low, high] = Moments::from_values(&shares).unwrap().share_interval();
         assert!((low - 0.4902).abs() < 1e-3 && (high - 0.9433).abs() < 1e-3);
-        let all = Moments::of(&[1.0; 20]).unwrap().share_interval();
+        let all = Moments::from_values(&[1.0; 20]).unwrap().share_interval();
         assert!(
             all[0] > 0.8 && all[0] < 0.9 && (all[1] - 1.0).abs() < 1e-9,
             "{all:?}"
@@ -148,10 +148,10 @@ pub struct SetSummary {
 impl SetSummary {
     /// Mean of `scores`; `None` of none.
     #[must_use]
-    pub fn of(scores: &[&EpisodeScore]) -> Option<Self> {
+    pub fn from_scores(scores: &[&EpisodeScore]) -> Option<Self> {
         let moments = |figure: &dyn Fn(&EpisodeScore) -> Option<f64>| {
             let values: Vec<f64> = scores.iter().filter_map(|score| figure(score)).collect();
-            Moments::of(&values)
+            Moments::from_values(&values)
         };
         let count = |counts: &dyn Fn(&EpisodeScore) -> usize| {
             scores.iter().map(|score| counts(score)).sum()
@@ -207,27 +207,27 @@ impl SetSummary {
 /// Figures of many episodes, for each level and over all.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
-    /// From easy to extreme, after those of no level.
+    /// Figures of each level, from easy to extreme, after those of no level.
     pub levels: BTreeMap<Option<Level>, SetSummary>,
-    /// Over all episodes; `None` where there is none.
+    /// Figures of all episodes; `None` where there are none.
     pub all: Option<SetSummary>,
 }
 
 impl Summary {
     /// Summary of `scores`.
     #[must_use]
-    pub fn of(scores: &[EpisodeScore]) -> Self {
+    pub fn from_scores(scores: &[EpisodeScore]) -> Self {
         let mut by_level: BTreeMap<Option<Level>, Vec<&EpisodeScore>> = BTreeMap::new();
         for score in scores {
             by_level.entry(score.level).or_default().push(score);
         }
         let levels = by_level
             .into_iter()
-            .filter_map(|(level, scores)| Some((level, SetSummary::of(&scores)?)))
+            .filter_map(|(level, scores)| Some((level, SetSummary::from_scores(&scores)?)))
             .collect();
         Self {
             levels,
-            all: SetSummary::of(&scores.iter().collect::<Vec<_>>()),
+            all: SetSummary::from_scores(&scores.iter().collect::<Vec<_>>()),
         }
     }
 

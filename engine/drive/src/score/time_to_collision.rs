@@ -14,11 +14,12 @@ pub const TTC_SHORT_S: f64 = 1.5;
 /// Moment with the shortest time to collision.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Closest {
-    /// Until the boxes would have touched at the velocities of that moment: 0 where they do.
+    /// Time until the boxes would have touched at the velocities of that moment, seconds: 0 where
+    /// they touch.
     pub ttc_s: f64,
     /// Time of that moment, seconds since the start.
     pub time_s: f64,
-    /// With whom: the agent's index in the scenario.
+    /// Index of the other agent in the scenario.
     pub agent: usize,
 }
 
@@ -27,14 +28,14 @@ pub struct Closest {
 #[must_use]
 pub fn times_to_collision(episode: &Episode) -> Vec<(f64, Option<Closest>)> {
     let least = |instant: &EpisodeTick| {
-        let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
+        let ego = OrientedBox::for_vehicle(&instant.ego, &episode.head.scenario.ego.size);
         let agents = instant.agents.iter().zip(&episode.head.agent_sizes);
         let times = agents.enumerate().filter_map(|(agent, (state, size))| {
             let state = state.as_ref()?;
             let ttc_s = time_to_collision(
                 &ego,
                 instant.ego.velocity(),
-                &OrientedBox::of(state, size),
+                &OrientedBox::for_vehicle(state, size),
                 state.velocity(),
                 TTC_HORIZON_S,
             )?;

@@ -11,11 +11,11 @@ use super::signals::{NextLight, NextSign};
 use crate::polyline::wrapped;
 use crate::road_graph::{RoadGraph, length_of, position_on};
 
-/// A path is known so far ahead, meters: beyond what anybody looks for.
+/// Length of the path that is known ahead, meters: beyond what any model looks for.
 const PATH_AHEAD_M: f64 = 250.0;
 /// Lanes that lead on so far, meters, or half as far as any, are chosen from.
 const ONWARD_M: f64 = 500.0;
-/// Lanes that were left behind so many lanes ago are forgotten.
+/// Number of lanes behind the vehicle that are remembered.
 const LANES_BEHIND: usize = 24;
 
 /// A run of conflicts on a path. Positions are meters from the start of the agent's lane.
@@ -37,7 +37,7 @@ pub(super) struct Aside {
 
 #[derive(Clone, Debug)]
 pub(super) enum AsideKind {
-    /// On its way from another lane, on which it still counts.
+    /// Change from another lane, on which it still counts.
     Change {
         from: usize,
         /// Position on the other lane.
@@ -46,7 +46,7 @@ pub(super) enum AsideKind {
         /// meters.
         offset_m: DVec2,
     },
-    /// Out to a side and back.
+    /// Swerve out to a side and back.
     Swerve {
         amplitude_m: f64,
         /// Cells of other lanes that it takes up meanwhile.
@@ -58,7 +58,7 @@ pub(super) enum AsideKind {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Phase {
     Waiting,
-    /// It began, and is tried until then, seconds.
+    /// The behavior has begun, and is tried until `until_s`, seconds.
     Trying {
         until_s: f64,
     },
@@ -85,7 +85,8 @@ pub(super) struct Agent {
     pub free_mps: f64,
     pub aside: Option<Aside>,
     pub crossing: Option<Crossing>,
-    /// There are no conflicts on its path from its own crossing, or where it stops, up to there.
+    /// Position along its path up to which there are no conflicts behind its own crossing, or where
+    /// it stops, meters.
     pub clear_m: f64,
     /// Next stop line with a traffic light on its path.
     pub light: Option<NextLight>,
@@ -95,7 +96,7 @@ pub(super) struct Agent {
     /// True if it must stop before its crossing.
     pub held_up: bool,
     pub waited_s: f64,
-    /// Until it may change lanes again.
+    /// Time until it may change lanes again, seconds.
     pub cool_down_s: f64,
     /// Hard braking, and until when.
     pub brake: Option<(f64, f64)>,
@@ -200,7 +201,7 @@ impl Agent {
         }
     }
 
-    /// Longer where needed: at crossings a way is chosen among those that lead on.
+    /// Extends the path where needed: at crossings a way is chosen among those that lead on.
     pub(super) fn extend_path(&mut self, graph: &RoadGraph, seed: u64) {
         let mut ahead_m: f64 = self.path[self.here..]
             .iter()
@@ -333,14 +334,14 @@ impl Agent {
         (position_m, wrapped(position.yaw_rad + slope.atan()))
     }
 
-    /// To the left of the middle of its lane, meters.
+    /// Offset from the middle of its lane, meters, positive to the left.
     pub(super) fn lateral_m(&self, graph: &RoadGraph) -> f64 {
         let aside = self.aside.as_ref();
         aside.map_or(0.0, |aside| aside.offset_after(0.0).0.y) - self.right_m(graph)
     }
 
-    /// To the right of the middle of the lane where it keeps to the right, meters: within what the
-    /// largest vehicle takes up of the lane, which is free for it.
+    /// Offset to the right from the middle of the lane where it keeps to the right, meters: within
+    /// what the largest vehicle takes up of the lane, which is free for it.
     fn right_m(&self, graph: &RoadGraph) -> f64 {
         match self.driver.keeps_right {
             true => 0.5 * (graph.vehicle().width_m - self.size.width_m).max(0.0),

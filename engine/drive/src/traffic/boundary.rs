@@ -13,12 +13,13 @@ use super::random;
 const AWAY_S_MAX: f64 = 4.0;
 /// A vehicle that found no room tries another entrance after this, seconds.
 const RETRY_S: f64 = 0.5;
-/// No vehicle enters nearer to the ego than this, meters: it would come out of nothing.
+/// Least distance from the ego at which vehicles enter, meters: nearer ones would come out of
+/// nothing.
 const EGO_M: f64 = 50.0;
 /// Room between a vehicle that enters and the one ahead, meters.
 const ROOM_M: f64 = 4.0;
-/// A vehicle that could not merge in so long before the end of its lane leaves the map, seconds. It
-/// would keep all others from going on.
+/// Time before the end of its lane after which a vehicle that could not merge leaves the map,
+/// seconds. It would keep all others from going on.
 const MERGE_S_MAX: f64 = 25.0;
 
 impl Traffic {

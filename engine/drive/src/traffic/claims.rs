@@ -18,7 +18,7 @@ pub(super) struct Block {
     pub agent: usize,
 }
 
-/// Below this a vehicle stands, m/s.
+/// Speed below which a vehicle stands, m/s.
 const STANDING_MPS: f64 = 0.3;
 
 /// Agents that have something: how many, and one of them.
@@ -50,7 +50,7 @@ impl Owners {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Claims {
     owners: Vec<Owners>,
-    /// Those of them that stand.
+    /// Owners that stand, by cell.
     standing: Vec<Owners>,
     /// True if the ego, or a pedestrian, is or will be there, as far as known.
     ego: Vec<bool>,

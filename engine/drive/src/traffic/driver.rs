@@ -84,7 +84,7 @@ impl Driver {
     /// The numbers are chosen: trucks start slower, buses have standing passengers, and a cyclist
     /// rides at the right edge of the lane.
     #[must_use]
-    pub fn of(kind: RoadUser, driver: DriverKind) -> Self {
+    pub fn new(kind: RoadUser, driver: DriverKind) -> Self {
         let mut made = Self::from(driver);
         let idm = &mut made.idm;
         match kind {

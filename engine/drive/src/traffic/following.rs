@@ -15,8 +15,8 @@ const HORIZON_M: f64 = 50.0;
 const HORIZON_S: f64 = 4.0;
 /// The end of a lane is seen from farther away: braking for it is to be gentle.
 const END_M: f64 = 50.0;
-/// A vehicle that found no room to merge waits so far before the end of its lane, meters: a change
-/// of lanes takes as much.
+/// Distance from the end of its lane at which a vehicle waits that found no room to merge, meters:
+/// a change of lanes takes as much.
 pub(super) const MERGE_ROOM_M: f64 = 30.0;
 /// A driver loses speed that is too much for the road in about this time, seconds.
 const SLOWING_S: f64 = 0.5;

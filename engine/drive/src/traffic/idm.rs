@@ -1,8 +1,8 @@
 //! The intelligent driver model (M. Treiber, A. Hennecke, D. Helbing: Congested traffic states in
 //! empirical observations and microscopic simulations, Physical Review E 62, 2000).
 
-/// No vehicle brakes harder, m/s^2: what tires hold on a dry road. All that is safe here rests on
-/// it.
+/// Hardest braking of any vehicle, m/s^2: what tires hold on a dry road. All that is safe here
+/// rests on it.
 pub const BRAKING_MPS2: f64 = 8.0;
 
 /// A driver's parameters in the model.
@@ -40,9 +40,9 @@ impl Default for IdmParameters {
 /// Leader of a vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Leader {
-    /// From one's front to its rear, meters: its own length is not in it.
+    /// Distance from the follower's front to the leader's rear, meters.
     pub gap_m: f64,
-    /// Speed along the lane.
+    /// Speed along the lane, m/s.
     pub speed_mps: f64,
 }
 

@@ -27,19 +27,19 @@ const WANT_S: f64 = 15.0;
 /// Conflicts follow each other at less than this and a vehicle's length: they are crossed as one,
 /// meters.
 const BETWEEN_M: f64 = 1.5;
-/// The rear of a vehicle is so far out of a crossing that it has left, meters.
+/// Distance of a vehicle's rear behind a crossing at which it has left, meters.
 const REAR_M: f64 = 0.3;
-/// Vehicles stop so far before a crossing that is not granted, meters.
+/// Distance from a crossing at which vehicles stop that it is not granted to, meters.
 pub(super) const LINE_GAP_M: f64 = 0.5;
 /// The last of a gap that a vehicle closes takes too long to wait for, meters.
 const CREEP_M: f64 = 0.5;
 /// Short vehicles leave as much room behind a crossing as this long one, meters: more than anybody
 /// drives in a step.
 const LENGTH_M_MIN: f64 = 4.5;
-/// The row of conflicts that is granted as a whole is at most so long, meters. A map may have lanes
+/// Largest length of a row of conflicts that is granted as a whole, meters. A map may have lanes
 /// that lie on each other all along.
 const RUN_M_MAX: f64 = 150.0;
-/// Conflicts are looked for up to so far ahead of where a vehicle could stop, meters.
+/// Distance ahead of where a vehicle could stop within which conflicts are looked for, meters.
 const AHEAD_M: f64 = 100.0;
 /// Braking before a crossing that is not granted, m/s^2: it is asked for when one would have to
 /// begin.

@@ -13,21 +13,22 @@ use super::mobil::{Change, Concerned, Side};
 use crate::polyline::wrapped;
 use crate::road_graph::length_of;
 
-/// A change takes so long, seconds, and at least so much of the road: meters, and lengths of the
-/// vehicle. Shorter ones would turn its nose out of the two lanes.
+/// Duration of a change, seconds, and its least length: meters, and lengths of the vehicle. Shorter
+/// ones would turn its nose out of the two lanes.
 const DURATION_S: f64 = 4.0;
 const HASTY_DURATION_S: f64 = 3.0;
 const LENGTH_M_MIN: f64 = 20.0;
 const LENGTHS_MIN: f64 = 5.0;
-/// Drivers think of it once in so long, seconds, and for so long not after a change.
+/// Interval at which drivers consider a change, seconds, and time after a change in which they do
+/// not.
 const PERIOD_S: f64 = 1.0;
 const COOL_DOWN_S: f64 = 2.0;
 /// Least speed of a voluntary lane change, m/s.
 const SPEED_MPS_MIN: f64 = 1.5;
-/// Between the middles of two lanes, meters.
+/// Range of the distance between the middles of two lanes, meters.
 const ASIDE_M: std::ops::Range<f64> = 1.5..6.0;
-/// By how much two lanes may differ in heading, and each of them turn meanwhile, radians: else
-/// their lengths differ.
+/// Largest difference of two lanes in heading, and largest turn of each of them meanwhile, radians:
+/// else their lengths differ.
 const PARALLEL_RAD: f64 = 0.1;
 const TURN_RAD: f64 = 0.3;
 /// Distance within which followers are considered, meters: the fastest can stop within it.

@@ -5,13 +5,14 @@ use super::idm::stopping_m;
 use super::outsider::Outsiders;
 use crate::road_graph::{RoadGraph, length_of};
 
-/// In place of an agent's number.
+/// Agent number of the ego.
 pub(super) const EGO: u32 = u32::MAX;
-/// In place of an agent's number: a pedestrian.
+/// Agent number of pedestrians.
 pub(super) const PEDESTRIAN: u32 = u32::MAX - 1;
-/// In place of a lane: the vehicle is on this one only in part, or what it will do is not known.
+/// Lane number of an entry whose next lane is not known, or whose vehicle is on this lane only in
+/// part.
 pub(super) const NO_LANE: u32 = u32::MAX;
-/// In place of a lane: none goes on.
+/// Lane number of an entry whose lane leads nowhere.
 pub(super) const DEAD_END: u32 = u32::MAX - 1;
 /// Share of the stopping distance that counts on the lane that a vehicle is leaving: it may be a
 /// little longer there.

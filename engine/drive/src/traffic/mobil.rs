@@ -34,7 +34,7 @@ impl Default for MobilParameters {
 pub struct Change {
     /// Acceleration without a change of lanes.
     pub before_mps2: f64,
-    /// Right after the change.
+    /// Acceleration right after the change.
     pub after_mps2: f64,
 }
 
@@ -44,7 +44,7 @@ impl Change {
     }
 }
 
-/// Vehicles affected by a lane change. Who is not there gains nothing.
+/// Vehicles affected by a lane change. A vehicle that is not there gains nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Concerned {
     /// Vehicle that changes lanes.
@@ -55,12 +55,12 @@ pub struct Concerned {
     pub old_follower: Change,
 }
 
-/// To which side a change goes.
+/// Direction of a change of lanes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// To the left.
+    /// Change to the left.
     Left,
-    /// To the right.
+    /// Change to the right.
     Right,
 }
 

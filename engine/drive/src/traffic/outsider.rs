@@ -9,9 +9,9 @@ use super::lane_order::{EGO, Entry, NO_LANE, PEDESTRIAN};
 use crate::oriented_box::OrientedBox;
 use crate::road_graph::RoadGraph;
 
-/// It is expected to go straight on for so long, seconds, and then to brake comfortably.
+/// Time for which an outsider is expected to go straight on before it brakes comfortably, seconds.
 const REACTION_S: f64 = 0.5;
-/// Braking that is expected of it, m/s^2.
+/// Deceleration that is expected of an outsider, m/s^2.
 const BRAKING_MPS2: f64 = 3.0;
 /// Upper limit of plausible speeds: larger values are mistakes.
 const SPEED_MPS_MAX: f64 = 100.0;
@@ -26,11 +26,11 @@ pub(super) struct Outsider {
     pub cells: Vec<u32>,
 }
 
-/// All of them.
+/// Ego and pedestrians of a step.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Outsiders {
     pub ego: Option<Outsider>,
-    /// Those on the road, or about to step on it.
+    /// Pedestrians on the road, or about to step on it.
     pub pedestrians: Vec<Outsider>,
 }
 
@@ -53,7 +53,7 @@ impl Outsider {
             width_m: size.width_m.clamp(0.1, 10.0),
             ..*size
         };
-        let outline = OrientedBox::of(state, &size);
+        let outline = OrientedBox::for_vehicle(state, &size);
         let mut cells = Vec::new();
         graph.cells().touched(&outline, &mut cells);
         let entries = entries(graph, &outline, state.ahead() * speed_mps, &cells, EGO);

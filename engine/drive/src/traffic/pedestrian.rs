@@ -28,7 +28,7 @@ const STOP_MPS2: f64 = 4.0;
 const IN_THE_WAY_M: f64 = 0.6;
 /// Time for which a pedestrian stands on the road before going back, seconds.
 const PATIENCE_S: f64 = 2.0;
-/// Vehicles expect a pedestrian to walk on for so long, seconds.
+/// Time for which vehicles expect a pedestrian to walk on, seconds.
 const FORESIGHT_S: f64 = 2.0;
 /// Free time before and after a vehicle at each position of the road, seconds.
 const GAP_S: (f64, f64) = (1.0, 1.5);
@@ -116,7 +116,7 @@ impl Walker {
     }
 
     fn outline_at(&self, arc_m: f64) -> OrientedBox {
-        OrientedBox::of(&self.state_at(arc_m), &self.size)
+        OrientedBox::for_vehicle(&self.state_at(arc_m), &self.size)
     }
 
     pub(super) fn state(&self) -> VehicleState {
@@ -216,7 +216,7 @@ impl Walker {
         })
     }
 
-    /// A step at the decided speed.
+    /// Advances by `dt_s` at the decided speed.
     pub(super) fn advance(&mut self, speed_mps: f64, dt_s: f64) {
         self.acceleration_mps2 = (speed_mps - self.speed_mps) / dt_s;
         self.speed_mps = speed_mps;

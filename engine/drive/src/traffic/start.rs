@@ -17,7 +17,7 @@ use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
 use crate::road_graph::{RoadGraph, length_of};
 
-/// Speeds at the start are raised in so many rounds at most: a queue of so many vehicles.
+/// Largest number of rounds in which speeds at the start are raised: a queue of that many vehicles.
 const ROUNDS_MAX: usize = 200;
 
 /// Reason why traffic cannot start.
@@ -31,7 +31,7 @@ pub enum TrafficError {
         /// The lane's id.
         lane: String,
     },
-    /// The lane is shorter.
+    /// A position lies beyond the end of its lane.
     #[error("agent {agent}: {at_m} m along lane {lane}; expected 0 to {length_m:.2}")]
     BeyondLane {
         /// Name of the agent.
@@ -62,10 +62,10 @@ pub enum TrafficError {
     Overlap {
         /// Name of one agent.
         first: String,
-        /// The other.
+        /// Name of the other agent.
         second: String,
     },
-    /// The lanes are not for vehicles so large.
+    /// The vehicles are too large for the lanes.
     #[error("{0}")]
     Roads(Invalid),
 }
@@ -231,7 +231,7 @@ impl Traffic {
     fn touching(&self, number: usize) -> Option<usize> {
         let at_m = self.state_at_start(number).position_m;
         let outline = |number: usize| {
-            OrientedBox::of(&self.state_at_start(number), &self.agents[number].size)
+            OrientedBox::for_vehicle(&self.state_at_start(number), &self.agents[number].size)
         };
         let near_m =
             |other: usize| self.agents[number].size.length_m + self.agents[other].size.length_m;
@@ -251,7 +251,7 @@ impl Traffic {
     /// The agent whose box is nearest to another's.
     fn nearest(&self, number: usize) -> Option<usize> {
         let outline = |number: usize| {
-            OrientedBox::of(&self.state_at_start(number), &self.agents[number].size)
+            OrientedBox::for_vehicle(&self.state_at_start(number), &self.agents[number].size)
         };
         let own = outline(number);
         let others = (0..self.agents.len()).filter(|&other| other != number);
@@ -360,7 +360,7 @@ fn place(
     let mut placed = Agent::new(
         number,
         agent.size,
-        Driver::of(agent.kind, agent.driver),
+        Driver::new(agent.kind, agent.driver),
         lane,
         agent.at_m,
     );

@@ -13,7 +13,7 @@ fn car(x: f64, y: f64, yaw_rad: f64) -> OrientedBox {
         yaw_rad,
         ..VehicleState::default()
     };
-    OrientedBox::of(&state, &VehicleSize::CAR)
+    OrientedBox::for_vehicle(&state, &VehicleSize::CAR)
 }
 
 /// True if two outlines cross, or one is within the other.

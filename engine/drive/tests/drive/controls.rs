@@ -16,7 +16,7 @@ fn ego(speed_mps: f64) -> Ego {
     )
 }
 
-/// Drives so many steps of half a second, steered anew at each.
+/// Drives steps of half a second, steered anew at each.
 fn steered(ego: &mut Ego, steer_rad: f64, acceleration_mps2: f64, steps: usize) {
     for _ in 0..steps {
         ego.follow(&ego.plan_under(steer_rad, acceleration_mps2, 2.0).unwrap());

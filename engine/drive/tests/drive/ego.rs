@@ -30,7 +30,7 @@ fn plan(step_s: f64, positions: impl IntoIterator<Item = DVec2>) -> Plan {
     Plan::new(positions.into_iter().enumerate().map(point).collect()).unwrap()
 }
 
-/// Straight ahead, with the way driven after so many seconds.
+/// Plan straight ahead, with the way driven after each number of seconds.
 fn ahead(way_m: impl Fn(f64) -> f64) -> Plan {
     plan(
         0.5,

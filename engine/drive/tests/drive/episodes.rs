@@ -24,7 +24,7 @@ pub(crate) fn state(x: f64, y: f64, yaw_rad: f64, speed_mps: f64) -> VehicleStat
     }
 }
 
-/// At `x`, `y` at the start, straight on.
+/// Motion straight on from `x`, `y` at the start.
 pub(crate) fn straight<'a>(x: f64, y: f64, yaw_rad: f64, speed_mps: f64) -> Motion<'a> {
     Box::new(move |time_s| {
         let start = state(x, y, yaw_rad, speed_mps);
@@ -35,7 +35,7 @@ pub(crate) fn straight<'a>(x: f64, y: f64, yaw_rad: f64, speed_mps: f64) -> Moti
     })
 }
 
-/// Along x from `x`, and from `y` to `to_y` between two moments.
+/// Motion along x from `x`, and from `y` to `to_y` between two moments.
 pub(crate) fn aside<'a>(
     x: f64,
     speed_mps: f64,
@@ -103,7 +103,7 @@ fn scenario(agents: usize) -> Scenario {
     }
 }
 
-/// An episode of so many steps, in which all vehicles move as told; the route leads 100 m along x.
+/// Episode of `steps` steps, in which all vehicles move as told; the route leads 100 m along x.
 pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: EpisodeEnd) -> Episode {
     let instant = |time_s: f64| EpisodeTick {
         time_s,

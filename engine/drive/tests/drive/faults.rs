@@ -9,10 +9,10 @@ use glam::DVec2;
 
 use crate::episodes::{Motion, aside, episode, straight};
 
-/// The same, up to the first contact with agent 0, which must come.
+/// Episode up to the first contact with agent 0, which must come.
 fn until_contact(ego: &Motion, agents: &[Motion]) -> Episode {
     let mut whole = episode(40, ego, agents, EpisodeEnd::Collision { agent: 0 });
-    let score = EpisodeScore::of(&whole);
+    let score = EpisodeScore::new(&whole);
     let contact_s = score
         .infractions
         .iter()
@@ -32,7 +32,7 @@ fn until_contact(ego: &Motion, agents: &[Motion]) -> Episode {
 }
 
 fn fault_of(ego: &Motion, other: Motion) -> Fault {
-    let score = EpisodeScore::of(&until_contact(ego, &[other]));
+    let score = EpisodeScore::new(&until_contact(ego, &[other]));
     let [infraction] = &score.infractions[..] else {
         panic!("{:?}", score.infractions)
     };
@@ -149,7 +149,7 @@ fn a_route_that_changes_lanes_does_not_make_others_cut_in() {
     collided.head.route_m = (0..=100)
         .map(|x| ego(0.1 * f64::from(x)).position_m)
         .collect();
-    let score = EpisodeScore::of(&collided);
+    let score = EpisodeScore::new(&collided);
     assert!(
         matches!(
             score.infractions[0].kind,
@@ -163,8 +163,8 @@ fn a_route_that_changes_lanes_does_not_make_others_cut_in() {
     );
 }
 
-/// On a circle that begins at the world's origin and bends to the left, `beside_m` to the left of
-/// it; never out of it but by what `aside_m` says.
+/// Motion on a circle that begins at the world's origin and bends to the left, `beside_m` to the
+/// left of it; never out of it but by what `aside_m` says.
 fn bending<'a>(
     radius_m: f64,
     beside_m: f64,
@@ -185,13 +185,13 @@ fn bending<'a>(
     })
 }
 
-/// With the route along `route` for 9 s.
+/// Fault where the route follows `route` for 9 s.
 fn fault_along(route: &Motion, ego: &Motion, other: Motion) -> Fault {
     let mut collided = until_contact(ego, &[other]);
     collided.head.route_m = (0..=90)
         .map(|at| route(0.1 * f64::from(at)).position_m)
         .collect();
-    let InfractionKind::Collision { fault, .. } = EpisodeScore::of(&collided).infractions[0].kind
+    let InfractionKind::Collision { fault, .. } = EpisodeScore::new(&collided).infractions[0].kind
     else {
         unreachable!()
     };
@@ -258,7 +258,7 @@ fn a_pedestrian_counts_more_than_a_vehicle_and_is_never_at_fault() {
         start: Trigger::Time { time_s: 0.0 },
         waits_for_gap: false,
     });
-    let score = EpisodeScore::of(&walked);
+    let score = EpisodeScore::new(&walked);
     assert_eq!((score.collisions(), score.pedestrian_collisions()), (1, 1));
     assert!(score.infractions[0].at_fault());
     let expected = PEDESTRIAN_FACTOR * score.route_completion;

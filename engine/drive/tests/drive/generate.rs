@@ -123,7 +123,7 @@ fn starter(
         at_m,
         speed_mps,
         size,
-        outline: OrientedBox::of(&state, &size),
+        outline: OrientedBox::for_vehicle(&state, &size),
     }
 }
 
@@ -326,7 +326,7 @@ fn check(grounds: &Grounds, scenario: &Scenario, level: Level, what: &str) {
             yaw_rad,
             ..VehicleState::default()
         };
-        let outline = OrientedBox::of(&state, &scenario.ego.size);
+        let outline = OrientedBox::for_vehicle(&state, &scenario.ego.size);
         assert!(
             surface.holds_box(&outline, RoadSurface::SLACK_M),
             "{what}: the route leaves the road after {meter} m"
@@ -385,9 +385,9 @@ fn check_start(graph: &Arc<RoadGraph>, map: &LaneMap, scenario: &Scenario, what:
         let slower_mps = if step < 10 { 0.0 } else { 0.6 };
         ego.progress_m += 0.1 * (ego.speed_mps - 0.5 * slower_mps).max(0.0);
         ego.speed_mps = (ego.speed_mps - slower_mps).max(0.0);
-        let outline = OrientedBox::of(&ego.state(), &ego.size);
+        let outline = OrientedBox::for_vehicle(&ego.state(), &ego.size);
         for (state, agent) in traffic.states().iter().flatten().zip(&scenario.agents) {
-            let touches = outline.overlaps(&OrientedBox::of(state, &agent.size));
+            let touches = outline.overlaps(&OrientedBox::for_vehicle(state, &agent.size));
             let cuts_in = agent
                 .behaviors
                 .iter()

@@ -8,13 +8,13 @@ use super::episodes::{Motion, episode, straight};
 
 const STEPS: usize = 20;
 
-fn of(ego: &Motion, agents: &[Motion], end: EpisodeEnd) -> HdScore {
-    HdScore::of(&episode(STEPS, ego, agents, end), HdVariant::Corrected)
+fn hd_score(ego: &Motion, agents: &[Motion], end: EpisodeEnd) -> HdScore {
+    HdScore::new(&episode(STEPS, ego, agents, end), HdVariant::Corrected)
 }
 
 #[test]
 fn a_calm_drive_has_its_route_completion() {
-    let score = of(&straight(0.0, 0.0, 0.0, 5.0), &[], EpisodeEnd::Time);
+    let score = hd_score(&straight(0.0, 0.0, 0.0, 5.0), &[], EpisodeEnd::Time);
     assert_eq!(
         [
             score.no_collision,
@@ -31,18 +31,18 @@ fn a_calm_drive_has_its_route_completion() {
 #[test]
 fn each_term_costs_what_it_weighs() {
     let calm = straight(0.0, 0.0, 0.0, 5.0);
-    let rc = of(&calm, &[], EpisodeEnd::Time).route_completion;
+    let rc = hd_score(&calm, &[], EpisodeEnd::Time).route_completion;
     // A parked car is at 56.1 m. At 5 m/s the boxes touch within one second once the middle of the
     // ego is past 46.6 m: the last 7 of 101 moments.
     let standing = |x: f64| -> Motion { straight(x, 0.0, 0.0, 0.0) };
-    let near = of(&calm, &[standing(56.1)], EpisodeEnd::Time);
+    let near = hd_score(&calm, &[standing(56.1)], EpisodeEnd::Time);
     let share = near.time_to_collision;
     assert!((share - 94.0 / 101.0).abs() < 1e-9, "{near:?}");
     assert_eq!(near.no_collision, 1.0);
     let expected = rc * (1.0 - 5.0 / 7.0 * (1.0 - share));
     assert!((near.hd_score - expected).abs() < 1e-9, "{near:?}");
     // An ego that stands is on no course for a collision.
-    let parked = of(
+    let parked = hd_score(
         &standing(0.0),
         &[straight(12.0, 0.0, std::f64::consts::PI, 1.0)],
         EpisodeEnd::Time,
@@ -56,7 +56,7 @@ fn each_term_costs_what_it_weighs() {
             .iter_mut()
             .for_each(|tick| tick.on_road = false);
     }
-    let off = HdScore::of(&off, HdVariant::Corrected);
+    let off = HdScore::new(&off, HdVariant::Corrected);
     assert!((off.drivable_area - 51.0 / 101.0).abs() < 1e-9);
     assert!((off.hd_score - rc * off.drivable_area).abs() < 1e-9);
 
@@ -68,7 +68,7 @@ fn each_term_costs_what_it_weighs() {
         length_m: 0.6,
         width_m: 0.6,
     };
-    let hit = of(&calm, &[], EpisodeEnd::Obstacle { obstacle });
+    let hit = hd_score(&calm, &[], EpisodeEnd::Obstacle { obstacle });
     assert!((hit.no_collision - 100.0 / 101.0).abs() < 1e-9, "{hit:?}");
 }
 
@@ -85,8 +85,8 @@ fn comfort_counts_turns_unless_it_is_as_published() {
         }
     });
     let driven = episode(STEPS, &circle, &[], EpisodeEnd::Time);
-    let [published, corrected] =
-        [HdVariant::AsPublished, HdVariant::Corrected].map(|variant| HdScore::of(&driven, variant));
+    let [published, corrected] = [HdVariant::AsPublished, HdVariant::Corrected]
+        .map(|variant| HdScore::new(&driven, variant));
     assert_eq!((published.comfort, corrected.comfort), (1.0, 0.0));
     assert!((corrected.hd_score / published.hd_score - 5.0 / 7.0).abs() < 1e-9);
 
@@ -102,7 +102,7 @@ fn comfort_counts_turns_unless_it_is_as_published() {
             ..VehicleState::default()
         }
     });
-    let hard = HdScore::of(
+    let hard = HdScore::new(
         &episode(STEPS, &braking, &[], EpisodeEnd::Time),
         HdVariant::AsPublished,
     );

@@ -18,7 +18,7 @@ use crate::episodes::{Motion, SIZE, episode, state, straight};
 
 #[test]
 fn a_drive_without_incident_scores_all() {
-    let score = EpisodeScore::of(&episode(
+    let score = EpisodeScore::new(&episode(
         20,
         &straight(0.0, 0.0, 0.0, 10.0),
         &[straight(30.0, 3.5, 0.0, 8.0)],
@@ -43,7 +43,7 @@ fn a_drive_without_incident_scores_all() {
 #[test]
 fn completion_is_the_farthest_place_along_the_route() {
     let driven = |ego: &Motion, end: EpisodeEnd| {
-        EpisodeScore::of(&episode(10, ego, &[], end)).route_completion
+        EpisodeScore::new(&episode(10, ego, &[], end)).route_completion
     };
     assert!((driven(&straight(0.0, 1.0, 0.0, 7.0), EpisodeEnd::Time) - 0.35).abs() < 1e-9);
     // To 30 m and back.
@@ -77,7 +77,7 @@ fn completion_is_the_farthest_place_along_the_route() {
         [18.0, -60.0],
     ];
     around.head.route_m = corners.map(DVec2::from_array).to_vec();
-    assert!((EpisodeScore::of(&around).route_completion - 20.0 / 322.0).abs() < 1e-9);
+    assert!((EpisodeScore::new(&around).route_completion - 20.0 / 322.0).abs() < 1e-9);
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn an_excursion_counts_once_until_the_ego_has_been_back_for_a_second() {
                 .iter()
                 .any(|&(from_s, to_s)| (from_s - 0.01..to_s - 0.01).contains(&instant.time_s));
         }
-        EpisodeScore::of(&made)
+        EpisodeScore::new(&made)
     };
     let one = off(&[(1.0, 1.5), (1.8, 1.9), (2.5, 3.0)], EpisodeEnd::RouteDone);
     assert_eq!(
@@ -117,7 +117,7 @@ fn the_closest_call_has_its_moment_and_its_agent() {
         )
     });
     let agents = || [straight(60.0, 9.0, 0.0, 0.0), straight(50.0, 0.0, 0.0, 0.0)];
-    let score = EpisodeScore::of(&episode(10, &ego, &agents(), EpisodeEnd::Time));
+    let score = EpisodeScore::new(&episode(10, &ego, &agents(), EpisodeEnd::Time));
     let closest = score.closest.unwrap();
     assert!(
         (closest.ttc_s - 1.55).abs() < 1e-9
@@ -134,7 +134,7 @@ fn the_closest_call_has_its_moment_and_its_agent() {
             if time_s <= 3.2 + 1e-9 { 10.0 } else { 0.0 },
         )
     });
-    let score = EpisodeScore::of(&episode(10, &farther, &agents(), EpisodeEnd::Time));
+    let score = EpisodeScore::new(&episode(10, &farther, &agents(), EpisodeEnd::Time));
     assert!(
         (score.ttc_short_share - 2.0 / 51.0).abs() < 1e-12,
         "{}",
@@ -154,7 +154,7 @@ fn comfort_and_displacement_are_measured() {
             acceleration_mps2: -3.0 * time_s / 5.0,
         }
     });
-    let score = EpisodeScore::of(&episode(10, &turning, &[], EpisodeEnd::Time));
+    let score = EpisodeScore::new(&episode(10, &turning, &[], EpisodeEnd::Time));
     assert!((score.comfort.lateral_acceleration_max_mps2 - 1.6).abs() < 1e-9);
     assert!((score.comfort.braking_max_mps2 - 3.0).abs() < 1e-9);
     // Every point of every plan is 2 m to the left of what was driven.
@@ -166,7 +166,7 @@ fn comfort_and_displacement_are_measured() {
         };
         step.plan = Plan::new(step.plan.points().iter().map(moved).collect()).unwrap();
     }
-    assert!((EpisodeScore::of(&beside).plan_ade_m.unwrap() - 2.0).abs() < 1e-9);
+    assert!((EpisodeScore::new(&beside).plan_ade_m.unwrap() - 2.0).abs() < 1e-9);
     // Against a reference: 1 and 3 m off at the two points within it.
     let pose = |time_s: f64, y: f64| TimedPose {
         time_s,
@@ -188,14 +188,14 @@ fn summaries_have_the_layout_of_the_table_and_hold_what_must_be_true() {
     let score = |end: EpisodeEnd, level: Option<Level>| {
         let mut made = episode(10, &ego(), &[straight(74.5, 0.0, 0.0, 0.0)], end);
         made.head.scenario.level = level;
-        EpisodeScore::of(&made)
+        EpisodeScore::new(&made)
     };
     let (done, late, other) = (
         score(EpisodeEnd::RouteDone, Some(Level::Hard)),
         score(EpisodeEnd::Time, Some(Level::Hard)),
         score(EpisodeEnd::Time, None),
     );
-    let summary = Summary::of(&[done, other, late]);
+    let summary = Summary::from_scores(&[done, other, late]);
     assert_eq!(
         summary.levels.keys().copied().collect::<Vec<_>>(),
         [None, Some(Level::Hard)]
@@ -244,10 +244,13 @@ fn summaries_have_the_layout_of_the_table_and_hold_what_must_be_true() {
         assert!(summary.check().unwrap_err().reason().contains(names));
     }
     assert_eq!(
-        (Summary::of(&[]).all, Summary::of(&[]).check()),
+        (
+            Summary::from_scores(&[]).all,
+            Summary::from_scores(&[]).check()
+        ),
         (None, Ok(()))
     );
-    let moments = Moments::of(&[1.0, 2.0, 4.0]).unwrap();
+    let moments = Moments::from_values(&[1.0, 2.0, 4.0]).unwrap();
     assert!(
         (moments.mean - 7.0 / 3.0).abs() < 1e-12
             && (moments.std.unwrap() - (7.0_f64 / 3.0).sqrt()).abs() < 1e-12
@@ -273,7 +276,7 @@ fn records_that_are_nonsense_score_without_a_panic() {
         vec![DVec2::splat(-1e200), DVec2::splat(1e200)],
     ] {
         made.head.route_m = route_m;
-        let score = EpisodeScore::of(&made);
+        let score = EpisodeScore::new(&made);
         assert!(
             (0.0..=1.0).contains(&score.route_completion)
                 && score.driving_score <= score.route_completion
@@ -291,7 +294,7 @@ fn any_motion() -> impl Strategy<Value = (f64, f64, f64, f64, f64)> {
     )
 }
 
-/// On a circle, or nearly straight.
+/// Motion on a circle, or nearly straight.
 fn motion<'a>((x, y, yaw_rad, speed_mps, rate_radps): (f64, f64, f64, f64, f64)) -> Motion<'a> {
     Box::new(move |time_s| {
         let turned = rate_radps * time_s;
@@ -365,15 +368,15 @@ proptest! {
 
     #[test]
     fn scores_are_in_their_bounds(episodes in prop::collection::vec(any_episode(), 1..6)) {
-        let scores: Vec<EpisodeScore> = episodes.iter().map(EpisodeScore::of).collect();
+        let scores: Vec<EpisodeScore> = episodes.iter().map(EpisodeScore::new).collect();
         for (score, episode) in scores.iter().zip(&episodes) {
             prop_assert!(0.0 <= score.driving_score && score.driving_score <= score.route_completion);
             prop_assert_eq!(score.route_completion == 1.0, episode.end == EpisodeEnd::RouteDone);
             prop_assert!(score.route_completion <= 1.0 && (!score.success || score.driving_score == 1.0));
             prop_assert_eq!(score.collisions() > 0, score.min_ttc_s() == Some(0.0) || matches!(episode.end, EpisodeEnd::Collision { .. }));
-            prop_assert_eq!(&EpisodeScore::of(episode), score, "scoring again");
+            prop_assert_eq!(&EpisodeScore::new(episode), score, "scoring again");
         }
-        prop_assert_eq!(Summary::of(&scores).check(), Ok(()));
+        prop_assert_eq!(Summary::from_scores(&scores).check(), Ok(()));
     }
 
     #[test]
@@ -381,7 +384,7 @@ proptest! {
         episode in any_episode(), yaw_rad in -3.1f64..3.1, x in -6e5f64..6e5, y in -6e6f64..6e6,
     ) {
         let motion = PlanarTransform { pivot_m: DVec2::ZERO, yaw_rad, shift_m: DVec2::new(x, y) };
-        let (here, there) = (EpisodeScore::of(&episode), EpisodeScore::of(&moved(&episode, &motion)));
+        let (here, there) = (EpisodeScore::new(&episode), EpisodeScore::new(&moved(&episode, &motion)));
         prop_assert_eq!(&here.infractions, &there.infractions);
         prop_assert_eq!(here.success, there.success);
         prop_assert!((here.driving_score - there.driving_score).abs() < 1e-7);
@@ -401,7 +404,7 @@ proptest! {
         for instant in with.steps.iter_mut().flat_map(|step| &mut step.instants).chain([&mut with.start]) {
             instant.agents.push(Some(state(x, y, 1.0, speed_mps)));
         }
-        prop_assert_eq!(EpisodeScore::of(&episode), EpisodeScore::of(&with));
+        prop_assert_eq!(EpisodeScore::new(&episode), EpisodeScore::new(&with));
     }
 }
 
@@ -425,7 +428,7 @@ fn a_red_light_costs_and_yellow_does_not() {
         made.head.stop_lines = [ends_m, beside]
             .map(|ends_m| StopLineRecord { index: 0, ends_m })
             .into();
-        EpisodeScore::of(&made)
+        EpisodeScore::new(&made)
     };
     let (green, yellow, red) = (LightColor::Green, LightColor::Yellow, LightColor::Red);
     let across = [[50.0, -2.0], [50.0, 2.0]];

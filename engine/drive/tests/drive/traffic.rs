@@ -93,9 +93,8 @@ fn who_follows_comes_to_the_equilibrium_gap_and_stops_two_metres_behind() {
     );
 }
 
-/// By how much a slow wave of speed, `rate_radps`, grows or fades from each vehicle of a platoon to
-/// the one behind it: the amplitude of the last of `followers` over that of the first, for one of
-/// them.
+/// Gain of a slow wave of speed, `rate_radps`, from each vehicle of a platoon to the one behind it:
+/// the amplitude of the last of `followers` over that of the first, for one of them.
 fn growth(idm: &IdmParameters, even_mps: f64, rate_radps: f64, followers: usize) -> f64 {
     let gap_m = idm.equilibrium_gap_m(even_mps);
     let mut places: Vec<f64> = (0..=followers)
@@ -399,7 +398,7 @@ fn a_swerve_is_as_wide_as_there_is_room() {
     let mut nearest_m = f64::INFINITY;
     for _ in 0..100 {
         drive(&mut beside_parked, &agents, 1, None);
-        let outline = OrientedBox::of(&state(&beside_parked, 0), &agents[0].size);
+        let outline = OrientedBox::for_vehicle(&state(&beside_parked, 0), &agents[0].size);
         nearest_m = nearest_m.min(outline.distance_m(&outline_of(&parked)));
     }
     assert!((0.01..1.0).contains(&nearest_m), "{nearest_m} m");

@@ -239,7 +239,7 @@ fn nobody_enters_while_the_ego_stands_across_and_all_go_on_when_it_is_gone() {
         yaw_rad: 0.8,
         ..VehicleState::default()
     };
-    let outline = |state: &VehicleState| OrientedBox::of(state, &VehicleSize::CAR);
+    let outline = |state: &VehicleState| OrientedBox::for_vehicle(state, &VehicleSize::CAR);
     for _ in 0..300 {
         traffic.step(0.1, Some((&ego, &VehicleSize::CAR)));
         for (number, state) in traffic.states().iter().flatten().enumerate() {

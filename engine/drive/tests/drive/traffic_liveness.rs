@@ -11,11 +11,11 @@ use rayon::prelude::*;
 use crate::traffic_junctions::crossing;
 use crate::traffic_scenes::{agent, check, random_traffic, roads, street};
 
-/// A vehicle may stand so long, seconds, ...
+/// Longest time that a vehicle may stand, seconds.
 const STANDING_S: f64 = 30.0;
-/// ... or so long where traffic passes that it has to let pass, ...
+/// Longest time that a vehicle may stand where traffic passes that it has to let pass, seconds.
 const YIELDING_S: f64 = 120.0;
-/// ... within so many meters of it.
+/// Largest distance of the traffic that excuses standing, meters.
 const NEAR_M: f64 = 80.0;
 /// A vehicle starts within this time after the last one that it waited for has left, seconds.
 const STARTING_S: f64 = 3.0;

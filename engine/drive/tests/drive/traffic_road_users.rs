@@ -40,7 +40,7 @@ fn vehicle(kind: RoadUser, lane: &str, at_m: f64, speed_mps: f64) -> TrafficAgen
 /// Vehicles and pedestrians that touch, by their indices.
 fn touched(traffic: &Traffic, agents: &[TrafficAgent]) -> Option<(usize, usize)> {
     let (vehicles, walkers) = traffic.states().split_at(agents.len());
-    let outline = |state: &VehicleState, size: &VehicleSize| OrientedBox::of(state, size);
+    let outline = |state: &VehicleState, size: &VehicleSize| OrientedBox::for_vehicle(state, size);
     vehicles.iter().enumerate().find_map(|(number, state)| {
         let vehicle = outline(state.as_ref()?, &agents[number].size);
         let walker = walkers

@@ -58,8 +58,7 @@ pub fn lane(id: &str, points: &[[f64; 2]]) -> Lane {
     }
 }
 
-/// One straight lane of so many meters, and as many more beside it, each to the left of the one
-/// before.
+/// One straight lane of `length_m`, and others beside it, each to the left of the one before.
 pub fn straight(length_m: f64, lanes: usize, speed_limit_mps: f64) -> Arc<RoadGraph> {
     let mut map = LaneMap::default();
     for number in 0..lanes {
@@ -131,7 +130,7 @@ pub fn random_traffic(
     traffic_of(graph, random_cars(graph, count, seed), seed)
 }
 
-/// The same of which half are trucks, buses and cyclists.
+/// Traffic of which half are trucks, buses and cyclists.
 pub fn mixed_traffic(
     graph: &Arc<RoadGraph>,
     count: usize,
@@ -258,7 +257,12 @@ pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> Stri
         );
     }
     let outline = |(number, state): (usize, &Option<VehicleState>)| {
-        state.map(|state| (number, OrientedBox::of(&state, &agents[number].size)))
+        state.map(|state| {
+            (
+                number,
+                OrientedBox::for_vehicle(&state, &agents[number].size),
+            )
+        })
     };
     let vehicles = &traffic.states()[..agents.len()];
     let boxes: Vec<_> = vehicles.iter().enumerate().filter_map(outline).collect();

@@ -102,7 +102,7 @@ pub(super) struct Declarations {
     pub(super) capabilities: Vec<u32>,
     pub(super) names: HashMap<u32, String>,
     pub(super) member_names: HashMap<(u32, u32), String>,
-    /// By id and decoration; the value is its first operand, 0 where it has none.
+    /// First operand of each decoration by id and decoration, 0 where it has none.
     pub(super) decorations: HashMap<(u32, u32), u32>,
     pub(super) member_decorations: HashMap<(u32, u32, u32), u32>,
     pub(super) types: HashMap<u32, Type>,

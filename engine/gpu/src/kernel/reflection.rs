@@ -16,7 +16,7 @@ const CLASS_STORAGE_BUFFER: u32 = 12;
 #[derive(Debug)]
 pub(crate) struct Interface {
     pub(crate) entry_point: String,
-    /// In order of their binding number.
+    /// Bindings in the order of their number.
     pub(crate) bindings: Vec<ReflectedBinding>,
     pub(crate) push: Option<Block>,
     pub(crate) constants: Vec<ReflectedConstant>,

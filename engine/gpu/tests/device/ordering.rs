@@ -10,7 +10,7 @@ use crate::{Watched, bytes, scale, scale_push, spirv};
 
 const COUNT: u32 = 4096;
 
-/// From `a` to `b` and back again to `a`: read after write, write after read.
+/// Copies from `a` to `b` and back again to `a`: read after write, write after read.
 fn there_and_back(recorder: &mut Recorder, kernel: &Kernel, a: &Buffer<i32>, b: &Buffer<i32>) {
     for (from, to) in [(a, b), (b, a)] {
         let buffers = [

@@ -13,11 +13,11 @@ pub struct ShadowRecord {
     pub center_high_m: [f32; 3],
     /// Rounding error.
     pub center_low_m: [f32; 3],
-    /// Along the agent in the ground, over its half length.
+    /// Axis along the agent in the ground, over its half length.
     pub along: [f32; 3],
-    /// Across it, over its half width.
+    /// Axis across the agent in the ground, over its half width.
     pub across: [f32; 3],
-    /// Out of the ground, unit.
+    /// Unit normal of the ground.
     pub normal: [f32; 3],
     /// Share of the light that is gone in the middle.
     pub strength: f32,
@@ -115,7 +115,7 @@ pub struct ShadingRecord {
     pub outward: [f32; 3],
     /// Unit vectors towards the lights.
     pub towards: [[f32; 3]; SHADING_LIGHTS],
-    /// Their light on surfaces that face them.
+    /// Light of each on surfaces that face it, linear RGB.
     pub rgb: [[f32; 3]; SHADING_LIGHTS],
     /// Slope of the share of the first light that reaches a position.
     pub first_slope_per_m: [f32; 3],

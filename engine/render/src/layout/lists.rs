@@ -11,9 +11,9 @@ pub struct RequiredCounts {
     pub records: u32,
     /// (Coarse tile, record); `u32::MAX` where there are more.
     pub pairs: u32,
-    /// The same: the sum of the lower 16 bits of each coarse tile's number.
+    /// Checksum of the pairs: the sum of the lower 16 bits of each coarse tile's number.
     pub pairs_low: u32,
-    /// And of the upper 16 bits.
+    /// Checksum of the pairs: the sum of the upper 16 bits of each coarse tile's number.
     pub pairs_high: u32,
     /// Buckets of pairs, sorted one by one.
     pub buckets: u32,
@@ -27,7 +27,7 @@ pub struct RequiredCounts {
     pub longest: u32,
     /// Fine tiles with partial results, at most in any blending of the frame.
     pub tiles: u32,
-    /// Those of the last blending. The kernel counts with it.
+    /// Fine tiles with partial results of the last blending. The kernel counts with it.
     pub next_tile: u32,
 }
 

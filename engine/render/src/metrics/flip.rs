@@ -41,7 +41,7 @@ type Plane = Vec<f64>;
 
 /// Mean of the FLIP map of two images of one size, 0 to 1.
 pub fn mean_flip(a: &Image, b: &Image) -> f64 {
-    let (first, second) = (Seen::of(a), Seen::of(b));
+    let (first, second) = (Seen::new(a), Seen::new(b));
     let color_max = hyab(hunt_lab([0.0, 1.0, 0.0]), hunt_lab([0.0, 0.0, 1.0])).powf(COLOR_EXPONENT);
     let error_of = |at: usize| {
         let color = color_error(
@@ -68,7 +68,7 @@ struct Seen {
 }
 
 impl Seen {
-    fn of(image: &Image) -> Self {
+    fn new(image: &Image) -> Self {
         let width = image.width as usize;
         let srgb: [Plane; 3] = std::array::from_fn(|channel| clamped_channel(image, channel));
         let opponent: Vec<[f64; 3]> = (0..image.rgb.len())

@@ -109,7 +109,7 @@ struct Seen {
     mean_range_m: f64,
     /// Cholesky factor of the covariance, by columns.
     factor: DMat3,
-    /// No longer than this is an axis of the covariance, meters.
+    /// Upper bound of the axes of the covariance, meters.
     longest_m: f64,
     opacity: f64,
 }
@@ -133,7 +133,7 @@ impl LidarScene64<'_> {
         found.into_iter().flatten().collect()
     }
 
-    /// The same for beams of one time.
+    /// Contributions to beams of one time.
     fn of_firing(&self, lidar: &Lidar, beams: &[Beam]) -> Vec<Vec<Contribution64>> {
         let time_s = beams[0].time_s;
         let sensor = lidar.pose_at(time_s);

@@ -190,8 +190,8 @@ mod tests {
             .encode(ImageFileFormat::Png)
             .unwrap();
         bytes[16..24].copy_from_slice(&[0, 0, 0xff, 0xff, 0, 0, 0xff, 0xff]);
-        // The checksum of the chunk that was changed (ISO 3309), or the claim would not be looked
-        // at.
+        // The checksum of the chunk that was changed (ISO 3309), or the claim would not be
+        // examined.
         let mut crc = !0u32;
         for &byte in &bytes[12..29] {
             crc ^= u32::from(byte);

@@ -5,7 +5,7 @@ use super::Image;
 /// Space around each image of a sheet, pixels.
 const GUTTER_PX: u32 = 8;
 
-/// Between the images: a gray that is neither a night nor a sky.
+/// Color between the images: a gray that is neither a night nor a sky.
 const GUTTER_RGB: [f32; 3] = [0.12; 3];
 
 /// `images` side by side, `columns` a row (at least one), in cells of the largest width and height,

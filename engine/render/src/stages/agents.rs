@@ -68,7 +68,7 @@ pub struct AgentCounts {
     pub cameras: usize,
     /// Clusters of all those agents.
     pub clusters: usize,
-    /// Those that are shaded by normals.
+    /// Agents that are shaded by normals.
     pub shadings: usize,
 }
 
@@ -169,7 +169,7 @@ impl CullAgents {
 /// Agents that are projected.
 #[derive(Clone, Copy)]
 pub struct SeenAgents<'a> {
-    /// Their assets.
+    /// Assets of the agents.
     pub pool: &'a PoolBuffers,
     /// The agents, the cameras as each of them has them, and what is visible.
     pub buffers: &'a AgentBuffers,

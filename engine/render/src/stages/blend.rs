@@ -43,12 +43,12 @@ impl PartialResults {
         rules: &Rules,
         outputs: &Outputs,
     ) -> Result<Self, GpuError> {
-        let finishes = finishes(PixelEnd::of(rules), outputs);
+        let finishes = finishes(PixelEnd::for_rules(rules), outputs);
         let medians = outputs.planes.iter().any(Plane::is_median);
         let slots = capacity.partials;
         let unfinished = if finishes || medians { slots } else { 0 };
         let pixels = capacity.tiles * (COARSE_PIXELS / FINE_TILES);
-        let color_words = match RecordContents::of(outputs).attributes {
+        let color_words = match RecordContents::for_outputs(outputs).attributes {
             true => 4,
             false => 3,
         };
@@ -86,18 +86,18 @@ impl PartialResults {
 /// End of a pixel: the splat behind which nothing counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelEnd {
-    /// The splat that leaves next to no light.
+    /// Ends at the splat that leaves next to no light.
     Full,
-    /// The last one before the limit of an exclusive stop.
+    /// Ends at the last splat before the limit of an exclusive stop.
     Exclusive,
-    /// The one in which half of the light is gone; its color is that of the pixel.
+    /// Ends at the splat in which half of the light is gone; its color is that of the pixel.
     Median,
 }
 
 impl PixelEnd {
     /// The end of pixels of color by `rules`.
     #[must_use]
-    pub fn of(rules: &Rules) -> Self {
+    pub fn for_rules(rules: &Rules) -> Self {
         match rules.stop {
             EarlyStop::Exclusive => Self::Exclusive,
             EarlyStop::None => Self::Full,

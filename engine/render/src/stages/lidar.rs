@@ -53,7 +53,7 @@ pub struct SectorBuffers {
     pub bins: u32,
     /// Axes, grids and positions of the sectors.
     pub cameras: Staged<CameraRecord>,
-    /// Their motion, and the offsets of their bounds.
+    /// Motion of the sectors, and the offsets of their bounds.
     pub sectors: Staged<SectorRecord>,
     /// Lowest and highest azimuth of the beams of each column, as `around` in `lidar.glsl` orders
     /// them.
@@ -314,7 +314,7 @@ impl ProjectLidar {
 /// Agents of a sweep.
 #[derive(Clone, Copy)]
 pub struct LidarAgents<'a> {
-    /// Their assets.
+    /// Assets of the agents.
     pub pool: &'a PoolBuffers,
     /// The agents, and the sectors as each of them has them.
     pub agents: &'a AgentBuffers,

@@ -1,6 +1,7 @@
-//! The stages of a frame. A stage is one stem: `shaders/NAME.comp`, `stages/NAME.rs`, its twin in
-//! `twins/NAME.rs` and a case in `tests/stages/`. Its kernel is built once, its buffers once per
-//! capacity, its commands every frame.
+//! The stages of a frame. A stage of one kernel shares its stem with it: `shaders/NAME.comp`,
+//! `stages/NAME.rs`, its twin in `twins/NAME.rs` and a case in `tests/stages/`. Three have several
+//! kernels: `agents`, `lidar` and `tile_sort`. Kernels are built once, buffers once per capacity,
+//! commands every frame.
 //!
 //! Each stage takes the buffers it reads and returns nothing but commands: what it writes is a
 //! named struct of buffers, made beforehand, that the next stage takes.
@@ -124,7 +125,7 @@ pub struct CameraVariant {
 impl CameraVariant {
     /// The variant for the cameras of a frame, as the splats' frame has them, and their lenses.
     #[must_use]
-    pub fn of(cameras: &[CameraRecord], lenses: &[LensRecord]) -> Self {
+    pub fn for_cameras(cameras: &[CameraRecord], lenses: &[LensRecord]) -> Self {
         Self {
             lenses: !lenses.is_empty(),
             rolling: cameras.iter().any(CameraRecord::rolls),

@@ -27,9 +27,9 @@ push_constants! {
 pub struct PostProcessInputs<'a> {
     /// Cameras of the frame.
     pub cameras: &'a Buffer<CameraRecord>,
-    /// Their photometric calibrations.
+    /// Photometric calibrations of those cameras.
     pub photometry: &'a Buffer<PhotometryRecord>,
-    /// The same cameras, as post-processing sees them.
+    /// Views of those cameras, as post-processing needs them.
     pub views: &'a [ProcessedView],
     /// The sky map.
     pub sky: Option<&'a SkyBuffers>,

@@ -27,7 +27,7 @@ pub struct RecordContents {
 impl RecordContents {
     /// The contents that `outputs` need.
     #[must_use]
-    pub fn of(outputs: &Outputs) -> Self {
+    pub fn for_outputs(outputs: &Outputs) -> Self {
         let planes = outputs.planes;
         let labels = planes.contains(Plane::Depth) || planes.contains(Plane::Instance);
         Self {

@@ -161,7 +161,7 @@ pub fn project_agents(
         fog,
         shadings,
     } = input;
-    let variant = Variant::of(rules);
+    let variant = Variant::for_rules(rules);
     let radial = rules.order == DepthOrder::Radial;
     let records_max = records.labels.len();
     let visible = |list: usize, index: usize| {

@@ -15,7 +15,7 @@ pub struct Footprint {
     pub slope: f32,
     /// Square root of the exponent's fall along x, per pixel.
     pub rate_x: f32,
-    /// The same along y on the ridge.
+    /// Square root of the exponent's fall along y on the ridge, per pixel.
     pub rate_y: f32,
     /// log2 of the peak alpha.
     pub log2_opacity: f32,

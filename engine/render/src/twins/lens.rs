@@ -215,7 +215,7 @@ pub fn project_splat_seen(
     }
 }
 
-/// At least the arc sine, for sines up to a quarter.
+/// Upper bound of the arc sine, for sines up to a quarter.
 fn arc_sine_bound(s: f32) -> f32 {
     s / (1.0 - s * s).sqrt()
 }

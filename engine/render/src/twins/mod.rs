@@ -1,4 +1,5 @@
-//! CPU mirrors of the kernels, the oracle of the stage tests: sequential, f32, simple.
+//! CPU mirrors of the kernels, the oracle of the stage tests: sequential, f32, simple. The host
+//! uses a few of them too, to decide what a frame holds: `agents.rs`, `lidar/sectors.rs`.
 //!
 //! `twins/NAME.rs` computes what `shaders/NAME.comp` does. The modules `agent`, `depth_key`,
 //! `footprint`, `lens`, `lidar`, `output`, `planes`, `projection`, `record`, `rolling`, `sh`,

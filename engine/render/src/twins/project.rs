@@ -97,7 +97,7 @@ pub fn project(
                     means_m[splat_index],
                     axes_of(shape, rotations[splat_index]),
                     shape[3],
-                    Variant::of(rules),
+                    Variant::for_rules(rules),
                 );
                 let id = input.instances.map_or(0, |ids| {
                     ids[splat_index / 2] >> (16 * (splat_index % 2)) & 0xffff

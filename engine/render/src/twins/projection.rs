@@ -1,4 +1,4 @@
-//! From a Gaussian in the world to its footprint in an image, in f32: `projection.glsl`.
+//! Projection of a Gaussian in the world to its footprint in an image, in f32: `projection.glsl`.
 
 use decouplegs_scene::{Rules, rules};
 pub use decouplegs_shaders::constants::HALF_LOG2_E;
@@ -22,7 +22,7 @@ pub struct Variant {
 impl Variant {
     /// The variant for `rules`.
     #[must_use]
-    pub fn of(rules: &Rules) -> Self {
+    pub fn for_rules(rules: &Rules) -> Self {
         Self {
             near_m: near_m(rules),
             antialias: rules.antialias,

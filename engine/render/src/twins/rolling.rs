@@ -147,7 +147,7 @@ fn sheared(splat: Footprint, w: Vec2, s_per_px: Vec2, late_s: f32) -> Footprint 
 pub struct SeenSplat {
     /// Offset of the mean from the camera in the splats' axes, meters.
     pub offset_m: Vec3,
-    /// The same in camera axes.
+    /// Offset of the mean from the camera in camera axes, meters.
     pub t: Vec3,
     /// Footprint in the image.
     pub splat: Footprint,

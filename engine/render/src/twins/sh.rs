@@ -9,7 +9,7 @@ use crate::storage::Storage;
 /// splat_count + i`), but for exact DC: three f32 a splat.
 #[derive(Clone, Copy, Debug)]
 pub struct Stored<'a> {
-    /// Their storage.
+    /// Storage of the coefficients.
     pub storage: Storage,
     /// DC coefficients.
     pub sh_dc: &'a [u32],

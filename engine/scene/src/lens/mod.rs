@@ -17,8 +17,8 @@ pub use windshield::{Windshield, WindshieldDirection};
 
 use crate::Invalid;
 
-/// No lens shows a ray farther off its axis than this, whatever its maximum angle: depth is counted
-/// along the axis.
+/// Largest angle off the axis that any lens shows, whatever its own maximum: depth is counted along
+/// the axis.
 pub const ANGLE_LIMIT_RAD: f64 = 1.57;
 
 /// Lens: the mapping from rays to pixels. Angles are those between a ray and the optical axis.

@@ -1,4 +1,4 @@
-//! From rays to pixels and back, in f64.
+//! Maps of rays to pixels and back, in f64.
 
 use glam::{DMat2, DVec2, DVec3};
 

@@ -14,9 +14,9 @@ pub type AnglePolynomial = [[f64; 6]; 6];
 /// Direction of the calibrated polynomials.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WindshieldDirection {
-    /// From rays in the world to rays that reach the lens.
+    /// Polynomials map rays in the world to rays that reach the lens.
     Forward,
-    /// From rays that reach the lens to rays in the world.
+    /// Polynomials map rays that reach the lens to rays in the world.
     Backward,
 }
 

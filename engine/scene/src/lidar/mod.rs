@@ -126,7 +126,7 @@ pub struct ReturnOptions {
 impl ReturnOptions {
     /// The kind of range that `model` reports, half of a beam, and seed 0.
     #[must_use]
-    pub fn of(model: &LidarModel) -> Self {
+    pub fn for_model(model: &LidarModel) -> Self {
         Self {
             mode: model.returns,
             opacity_min: 0.5,

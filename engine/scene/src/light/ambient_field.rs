@@ -42,7 +42,7 @@ pub struct AmbientOptions {
     pub sigma_m: f64,
     /// Splats farther away count nothing, meters.
     pub radius_m: f64,
-    /// From one probe of a baked field to the next, meters.
+    /// Distance between probes of a baked field, meters.
     pub spacing_m: f64,
 }
 
@@ -190,7 +190,7 @@ pub struct AmbientField {
     /// World coordinates of the point that everything below is relative to.
     origin: DVec3,
     voxel_m: f64,
-    /// By column, and by height within one.
+    /// Voxels sorted by column, and by height within one.
     voxels: Vec<Voxel>,
     columns: HashMap<(i32, i32), Range<usize>>,
     /// Sums at the points of the grid.

@@ -73,7 +73,7 @@ impl Sun {
 /// Street lamps that are lit, all alike.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lamps {
-    /// Their positions, world coordinates.
+    /// Positions of the lamps, world coordinates, meters.
     pub positions: Vec<DVec3>,
     /// Distance at which a lamp straight above gives the ground as much light as the sky does,
     /// meters.
@@ -123,9 +123,9 @@ impl Lamps {
 /// A light as it arrives at one position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Arriving {
-    /// From afar: a unit vector towards the light.
+    /// Light from afar: a unit vector towards it.
     Sun(DVec3),
-    /// From a lamp at this position.
+    /// Light from a lamp at this position.
     Lamp(DVec3),
 }
 

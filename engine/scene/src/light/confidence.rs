@@ -9,7 +9,7 @@ use crate::{Invalid, sh};
 /// (EPA, Reducing Urban Heat Islands: Cool Pavements, 2008).
 pub const ALBEDO_SPREAD: f64 = 0.15;
 
-/// The same of an albedo that a scene gives: tables tell it to some 10 %.
+/// Spread of an albedo that a scene gives: tables tell it to some 10 %.
 pub const ALBEDO_SPREAD_GIVEN: f64 = 0.10;
 
 /// Options of the effect of light on colors.

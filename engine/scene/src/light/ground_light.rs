@@ -31,7 +31,7 @@ const BLACK: f64 = 1e-6;
 /// linear RGB.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroundLight {
-    /// In the shade of the sun, or far from all lamps.
+    /// Light in the shade of the sun, or far from all lamps.
     pub sky: [f64; 3],
     /// Added by the sun, or by a lamp straight above at its range.
     pub direct: [f64; 3],
@@ -65,7 +65,7 @@ impl GroundLight {
     /// The light that `patches` of ground show under `lights`; `None` without direct light, or if
     /// the patches do not tell.
     #[must_use]
-    pub fn of(patches: &[GroundPatch], lights: &CastingLights) -> Option<Self> {
+    pub fn from_patches(patches: &[GroundPatch], lights: &CastingLights) -> Option<Self> {
         match lights.sun {
             Some(sun) => Self::of_sun(patches, sun.share),
             None if lights.lamps.positions.is_empty() => None,
@@ -217,7 +217,7 @@ mod tests {
     fn sun_and_sky_are_told_apart_by_ground_in_the_shade() {
         for shaded_m in [5.0, 50.0, 85.0] {
             let patches = ground(|x| sunlit(if x < shaded_m { 0.0 } else { 1.0 }));
-            let found = GroundLight::of(&patches, &sun()).unwrap();
+            let found = GroundLight::from_patches(&patches, &sun()).unwrap();
             let worst = off(found.sky, SKY).max(off(found.direct, SUN));
             assert!(worst < 0.1, "{shaded_m}: {found:?}");
             for share in [0.0, 0.4, 1.0] {
@@ -230,12 +230,14 @@ mod tests {
 
     #[test]
     fn ground_in_one_light_is_in_the_sun() {
-        let found = GroundLight::of(&ground(|_| sunlit(1.0)), &sun()).unwrap();
+        let found = GroundLight::from_patches(&ground(|_| sunlit(1.0)), &sun()).unwrap();
         let gray = luminance(found.sky) / luminance(found.direct);
         assert!((gray - luminance(SKY) / luminance(SUN)).abs() < 0.05);
         assert!(off(found.sky, sunlit(1.0).map(|value| value * 0.44)) < 0.1);
-        assert!(GroundLight::of(&[], &sun()).is_none());
-        assert!(GroundLight::of(&ground(sunlit_by_none), &CastingLights::default()).is_none());
+        assert!(GroundLight::from_patches(&[], &sun()).is_none());
+        assert!(
+            GroundLight::from_patches(&ground(sunlit_by_none), &CastingLights::default()).is_none()
+        );
     }
 
     fn sunlit_by_none(_: f64) -> [f64; 3] {
@@ -256,7 +258,7 @@ mod tests {
         };
         let patches = ground(light);
         let lights = CastingLights { sun: None, lamps };
-        let found = GroundLight::of(&patches, &lights).unwrap();
+        let found = GroundLight::from_patches(&patches, &lights).unwrap();
         // Markings are as bright as their share in the area says.
         let albedo = 1.0 + 0.6 / 0.15 / 12.0 - 1.0 / 12.0;
         for (found, expected) in [(found.sky, night), (found.direct, lamp)] {
@@ -271,6 +273,6 @@ mod tests {
                 ..Lamps::default()
             },
         };
-        assert!(GroundLight::of(&ground(sunlit_by_none), &far).is_none());
+        assert!(GroundLight::from_patches(&ground(sunlit_by_none), &far).is_none());
     }
 }

@@ -123,7 +123,7 @@ pub struct Lighting {
 /// Effect of light on one agent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LitAgent {
-    /// To its colors, in the frame that these are meant in.
+    /// Effect on colors, in the frame that these are meant in.
     pub relight: Option<ColorTransfer>,
     /// Light on each side of it; `None`: colors do not follow normals.
     pub shading: Option<Shading>,
@@ -422,8 +422,8 @@ mod tests {
         }
     }
 
-    /// Without lights that cast shadows an agent has its contact shadow, to the bit; with a sun the
-    /// contact shadow is what is hidden of the sky.
+    /// Checks that without lights that cast shadows an agent has its contact shadow, to the bit,
+    /// and that with a sun the contact shadow is what is hidden of the sky.
     #[test]
     fn a_cast_shadow_takes_its_part_from_the_contact_shadow() {
         let options = ShadowOptions::default();

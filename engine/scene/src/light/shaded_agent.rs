@@ -172,7 +172,7 @@ mod tests {
         let way = (-18..=18).map(|x| DVec3::new(f64::from(x), 0.0, 0.75));
         let patches = field.ground_along(way, GroundLight::LANE_M);
         Lighting {
-            ground_light: GroundLight::of(&patches, &casting),
+            ground_light: GroundLight::from_patches(&patches, &casting),
             field,
             transfer: None,
             relighting: RelightOptions {

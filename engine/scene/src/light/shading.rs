@@ -34,7 +34,7 @@ pub struct Shading {
     pub up: DVec3,
     /// `E / pi` on surfaces that face up, without the lights below, linear RGB.
     pub sky: [f64; 3],
-    /// The same on surfaces that face down.
+    /// `E / pi` on surfaces that face down, linear RGB.
     pub ground: [f64; 3],
     /// Sun and lamps, the sun first; those that are not there give no light.
     pub lights: [LightFrom; SHADING_LIGHTS],
@@ -48,7 +48,7 @@ pub struct Shading {
 /// may lie across it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LitShare {
-    /// In the middle of the agent's box, 0 to 1.
+    /// Share in the middle of the agent's box, 0 to 1.
     pub middle: f64,
     /// Change along each axis of the agent's frame, per meter.
     pub slope_per_m: DVec3,

@@ -26,7 +26,7 @@ pub struct GroundShadow {
     pub strength: f64,
     /// tau_decay: how fast it fades outward.
     pub decay: f64,
-    /// Number of times that the radius is squared before it decays, at most [`SHARPNESS_MAX`]: 0
+    /// Number of times that the radius is squared before it decays, at most 8: 0
     /// fades from the middle on, 3 is even within and has a soft edge.
     pub sharpness: u32,
     /// Splats whose mean is farther from the plane are not ground, meters.
@@ -197,7 +197,7 @@ mod tests {
         };
         let mut splat_scene = SplatScene {
             origin: DVec3::new(4.5e6, 0.0, 0.0),
-            ..SplatScene::of(splat)
+            ..SplatScene::from_splats(splat)
         };
         let before = splat_scene.clone();
         bake_shadows(&mut splat_scene, &[shadow(), shadow()]);

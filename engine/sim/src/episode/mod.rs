@@ -48,17 +48,17 @@ pub enum EpisodeError {
         /// Reason, a sentence.
         reason: String,
     },
-    /// The images.
+    /// The images cannot be drawn.
     #[error("the cameras cannot be drawn")]
     Render(#[from] SessionError),
-    /// The log.
+    /// The log cannot be written.
     #[error(transparent)]
     Log(#[from] AssetError),
 }
 
 /// Observer of an episode while it runs: a log, or a writer of images.
 pub trait EpisodeObserver {
-    /// Before the first step.
+    /// Called before the first step.
     ///
     /// # Errors
     /// Ends the episode and the run.
@@ -66,13 +66,13 @@ pub trait EpisodeObserver {
         Ok(())
     }
 
-    /// After each step, with the readings that its plan was made from.
+    /// Called after each step, with the readings that its plan was made from.
     ///
     /// # Errors
     /// Ends the episode and the run.
     fn step(&mut self, step: &EpisodeStep, readings: &[Reading]) -> Result<(), EpisodeError>;
 
-    /// After the last.
+    /// Called after the last step.
     ///
     /// # Errors
     /// Ends the run.
@@ -93,18 +93,18 @@ impl EpisodeObserver for () {
 pub struct StepTime {
     /// Poses, light, the frame on the device, its images back on the host, and sweeps of LiDARs.
     pub draw: Duration,
-    /// The planner's.
+    /// Time of the planner.
     pub plan: Duration,
     /// Waiting for the hashes of the images, which are made while the planner plans.
     pub hash: Duration,
-    /// Ego and traffic.
+    /// Motion of ego and traffic.
     pub advance: Duration,
     /// The observer: logs and image files.
     pub observer: Duration,
 }
 
 impl StepTime {
-    /// All but the planner's.
+    /// All time but that of the planner.
     #[must_use]
     pub fn simulator(&self) -> Duration {
         self.draw + self.hash + self.advance + self.observer
@@ -115,7 +115,7 @@ impl StepTime {
 pub struct Driven {
     /// Record of the episode.
     pub episode: Episode,
-    /// A step each.
+    /// Duration of each step.
     pub times: Vec<StepTime>,
 }
 
@@ -169,7 +169,8 @@ fn introduce(
     }
 }
 
-/// Once round the loop. No step where the planner failed.
+/// One step of the loop: draw, observe, plan, advance. Its times; an error where the planner
+/// failed.
 fn one_step(
     rollout: &mut Rollout,
     mut renderer: Option<&mut ObservationRenderer>,

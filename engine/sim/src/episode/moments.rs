@@ -64,7 +64,7 @@ impl Moments {
     ///
     /// # Errors
     /// Returns an error if the log is of another version, and those of [`Moments::begin`].
-    pub fn of(
+    pub fn from_episode(
         episode: &Episode,
         site: &Arc<Site>,
         scene: &Arc<SessionScene>,

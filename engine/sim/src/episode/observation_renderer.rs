@@ -116,7 +116,7 @@ impl ObservationRenderer {
         }
     }
 
-    /// The same sensors, the cameras [`decouplegs_scene::Intrinsics::through_f_theta`].
+    /// Replaces the cameras by [`decouplegs_scene::Intrinsics::through_f_theta`].
     ///
     /// # Errors
     /// A sentence naming a camera that no such lens can replace.
@@ -186,7 +186,7 @@ impl ObservationRenderer {
             let sweep_s = lidar.model.sweep_s;
             let options = ReturnOptions {
                 seed: seed.wrapping_add(index as u64),
-                ..ReturnOptions::of(&lidar.model)
+                ..ReturnOptions::for_model(&lidar.model)
             };
             let traced = self
                 .renderer

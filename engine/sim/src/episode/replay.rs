@@ -65,7 +65,7 @@ impl Planner for Logged<'_> {
 /// Drives the plans of `episode` again in `site`, drawn by `renderer`, and compares.
 ///
 /// # Errors
-/// Those of [`drive`].
+/// Returns the errors of [`drive`].
 pub fn replay(
     episode: &Episode,
     site: &Arc<Site>,

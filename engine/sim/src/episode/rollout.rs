@@ -79,7 +79,7 @@ impl Rollout {
         &self.simulation
     }
 
-    /// The same, for rendering: vehicles remember on what ground they stood.
+    /// State of the vehicles, for rendering: vehicles remember on what ground they stood.
     pub fn simulation_mut(&mut self) -> &mut Simulation {
         &mut self.simulation
     }
@@ -154,7 +154,7 @@ impl Rollout {
     /// Score so far.
     #[must_use]
     pub fn score(&self) -> EpisodeScore {
-        EpisodeScore::of(&self.episode)
+        EpisodeScore::new(&self.episode)
     }
 
     /// Puts the agents into `world` as they stand now, and takes out all others. Returns the ego's

@@ -18,9 +18,10 @@ use crate::planner::{
 };
 use decouplegs_session::{AgentInstance, SessionError, World};
 
-/// The ego has left the road for good when it was off it for longer than this, seconds, ...
+/// Time off the road after which the ego has left it for good, seconds, if it also drove
+/// [`OFF_ROAD_M`].
 const OFF_ROAD_S: f64 = 4.0;
-/// ... and drove farther than this meanwhile, meters.
+/// Distance driven off the road after which the ego has left it for good, meters.
 const OFF_ROAD_M: f64 = 20.0;
 /// Distance from its route at which the ego has left it, meters, as in CARLA's leaderboard.
 const OFF_ROUTE_M: f64 = 30.0;
@@ -89,7 +90,7 @@ impl Simulation {
         let progress = RouteProgress::new(&line_of(&route), state.position_m)
             .ok_or_else(|| unfit("the route is no line".into()))?;
         let agent_sizes = scenario.agent_sizes();
-        let ego_box = OrientedBox::of(&state, &scenario.ego.size);
+        let ego_box = OrientedBox::for_vehicle(&state, &scenario.ego.size);
         let touched = boxes(traffic.states(), &agent_sizes)
             .find(|(_, other)| other.overlaps(&ego_box))
             .map(|(agent, _)| agent);
@@ -177,7 +178,8 @@ impl Simulation {
         &self.agent_sizes
     }
 
-    /// Since the start, seconds. Counted, not summed up: steps of a tenth do not add up to one.
+    /// Time since the start, seconds. Counted, not summed up: steps of a tenth do not add up to
+    /// one.
     #[must_use]
     pub fn time_s(&self) -> f64 {
         let (per_step, _) = self.scenario.substeps();
@@ -202,7 +204,7 @@ impl Simulation {
         EpisodeTick {
             time_s: self.time_s(),
             on_road: self.site.surface.holds_box(
-                &OrientedBox::of(&ego, &self.scenario.ego.size),
+                &OrientedBox::for_vehicle(&ego, &self.scenario.ego.size),
                 RoadSurface::SLACK_M,
             ),
             ego,
@@ -402,7 +404,7 @@ impl Simulation {
     }
 
     fn end_at(&self, instant: &EpisodeTick) -> Option<EpisodeEnd> {
-        let ego = OrientedBox::of(&instant.ego, &self.scenario.ego.size);
+        let ego = OrientedBox::for_vehicle(&instant.ego, &self.scenario.ego.size);
         let mut others = boxes(&instant.agents, &self.agent_sizes);
         if let Some((agent, _)) = others.find(|(_, other)| other.overlaps(&ego)) {
             return Some(EpisodeEnd::Collision { agent });
@@ -523,7 +525,9 @@ fn boxes(
     sizes: &[VehicleSize],
 ) -> impl Iterator<Item = (usize, OrientedBox)> {
     let all = states.iter().zip(sizes).enumerate();
-    all.filter_map(|(agent, (state, size))| Some((agent, OrientedBox::of(state.as_ref()?, size))))
+    all.filter_map(|(agent, (state, size))| {
+        Some((agent, OrientedBox::for_vehicle(state.as_ref()?, size)))
+    })
 }
 
 fn line_of(route: &Route) -> Vec<DVec2> {

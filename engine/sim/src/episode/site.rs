@@ -36,7 +36,7 @@ use self::assets::{
 /// Reason why a site cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SiteError {
-    /// A file of it.
+    /// A file of the site cannot be used.
     #[error(transparent)]
     Asset(#[from] AssetError),
     /// A generated asset.
@@ -58,15 +58,15 @@ pub struct Appearance {
     pub only_cars: bool,
 }
 
-/// A place made ready.
+/// Place of episodes, loaded: splats, lanes, obstacles and ground.
 pub struct Site {
     /// Splats to render; none if nothing is visible.
     pub loaded: LoadedScene,
     /// Lanes of the place.
     pub lanes: LaneMap,
-    /// The same for traffic.
+    /// Lanes as a graph for traffic.
     pub graph: Arc<RoadGraph>,
-    /// The same for vehicles that may leave them.
+    /// Road surface, for vehicles that may leave their lanes.
     pub surface: RoadSurface,
     /// Static things that the ego can hit.
     pub obstacles: Arc<Obstacles>,
@@ -161,7 +161,7 @@ impl Site {
                 let splat_scene = SplatScene {
                     origin: drawn.origin,
                     sky: drawn.sky,
-                    ..SplatScene::of(drawn.background)
+                    ..SplatScene::from_splats(drawn.background)
                 };
                 let cars = Cars {
                     signals: post_assets().into_iter().chain(sign_assets()).collect(),
@@ -220,7 +220,7 @@ impl Site {
         };
         let splat_scene = SplatScene {
             sky: street.sky,
-            ..SplatScene::of(street.background)
+            ..SplatScene::from_splats(street.background)
         };
         let cars = Cars {
             signals: head_assets().into_iter().chain(sign_assets()).collect(),
@@ -240,14 +240,14 @@ impl Site {
         })
     }
 
-    /// A place that nobody looks at.
+    /// Site without splats, for episodes that are not rendered.
     fn bare(
         lanes: LaneMap,
         obstacles: Vec<Obstacle>,
         asset_sizes: Vec<VehicleSize>,
     ) -> Result<Self, SiteError> {
         let loaded = empty_scene(SplatScene::default());
-        Self::of(loaded, (lanes, obstacles), asset_sizes, None)
+        Self::new(loaded, (lanes, obstacles), asset_sizes, None)
     }
 
     fn synthetic(
@@ -284,7 +284,7 @@ impl Site {
             light: Some(light),
             ..empty_scene(splat_scene)
         };
-        Self::of(loaded, map, cars.sizes, None)
+        Self::new(loaded, map, cars.sizes, None)
     }
 
     fn captured(
@@ -330,10 +330,10 @@ impl Site {
         let obstacles = obstacles.unwrap_or_else(|| {
             occupancy::obstacles(&splat_scene.splats, splat_scene.origin, &lanes, &ground)
         });
-        Self::of(loaded, (lanes, obstacles), sizes, Some(ground))
+        Self::new(loaded, (lanes, obstacles), sizes, Some(ground))
     }
 
-    fn of(
+    fn new(
         loaded: LoadedScene,
         (lanes, obstacles): (LaneMap, Vec<Obstacle>),
         asset_sizes: Vec<VehicleSize>,
@@ -463,7 +463,7 @@ impl Site {
     /// agents of worlds over it.
     ///
     /// # Errors
-    /// Those of [`Session::add_scene`].
+    /// Returns the errors of [`Session::add_scene`].
     pub fn add_to(&self, session: &Session) -> Result<Arc<SessionScene>, SessionError> {
         let scene = session.add_scene(&self.loaded)?;
         scene.bake_light(self.positions(Self::LIGHT_STEP_M));

@@ -5,8 +5,7 @@ use glam::DVec2;
 
 use super::PlannerError;
 
-/// From one point of a plan to the next, seconds: half a control step, so that each step passes
-/// two.
+/// Interval between points of a plan, seconds: half a control step, so that each step passes two.
 pub(super) const SPACING_S: f64 = 0.25;
 /// Horizon of a plan, seconds: the time that a car at 50 km/h needs to stop with comfort.
 pub(super) const HORIZON_S: f64 = 4.0;

@@ -22,11 +22,11 @@ use super::{ConstantVelocity, LaneFollow, Planner, PlannerError, Replay, Vision}
 /// | `unix:PATH` | [`External`], a server on a Unix socket |
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PlannerChoice {
-    /// Straight on.
+    /// Planner that drives straight on.
     ConstantVelocity,
-    /// The privileged driver.
+    /// Privileged planner that follows lanes.
     LaneFollow,
-    /// The one that looks.
+    /// Planner that drives by camera images.
     Vision,
     /// The way of the ego in the episode of this log.
     Replay(PathBuf),

@@ -32,9 +32,9 @@ pub enum Transport {
 /// Timeouts of an external planner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timeouts {
-    /// From its start to its hello: it may have to load a network.
+    /// Time from the planner's start to its hello: it may have to load a network.
     pub hello: Duration,
-    /// From the first byte of a question to the last of the answer.
+    /// Time from the first byte of a question to the last of the answer.
     pub answer: Duration,
 }
 
@@ -73,7 +73,7 @@ impl External {
         })
     }
 
-    /// The same planner, waited for so long from here on.
+    /// Waits for answers as long as `patience` says.
     #[must_use]
     pub fn with_patience(self, patience: Timeouts) -> Self {
         Self { patience, ..self }

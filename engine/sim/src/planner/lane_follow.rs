@@ -28,7 +28,8 @@ const HEADWAY_S: f64 = 1.5;
 const TICK_S: f64 = 0.2;
 /// A vehicle that will be on the strip within this time is followed as if it were there, seconds.
 const FORESIGHT_S: f64 = 2.0;
-/// A crossing vehicle may be earlier or later by this, seconds, and is given so much room, meters.
+/// Time by which a crossing vehicle may be earlier or later, seconds, and room that it is given,
+/// meters.
 const CROSSING_S: f64 = 0.6;
 const CROSSING_M: f64 = 1.0;
 /// Being off the route's middle decays along this much of it, meters.
@@ -39,7 +40,7 @@ const BRAKES_MPS2: [f64; 6] = [0.0, 1.0, 2.0, 3.5, 5.0, BRAKING_MPS2];
 /// Follows the lanes of its route. Privileged: it is told the states of all vehicles.
 #[derive(Clone, Debug, Default)]
 pub struct LaneFollow {
-    /// Along its route when it last looked, meters.
+    /// Position along the route at the last observation, meters.
     arc_m: Option<f64>,
     /// Stop line at which it stops, meters along the route.
     hold_m: Option<f64>,
@@ -267,7 +268,7 @@ impl Outlook {
 }
 
 impl Candidate {
-    /// Along the route `time_s` from now, meters.
+    /// Position along the route `time_s` from now, meters.
     fn at(&self, time_s: f64) -> f64 {
         let at = (time_s / TICK_S).clamp(0.0, (self.arcs_m.len() - 1) as f64);
         let before = at.floor() as usize;

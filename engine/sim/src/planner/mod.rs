@@ -44,14 +44,14 @@ pub struct ObservationRequest {
 /// Cameras of a rig that a planner requests.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Cameras {
-    /// None: nothing has to be drawn for it.
+    /// No camera: nothing has to be drawn for the planner.
     #[default]
     None,
-    /// The one that looks ahead: named `front`, otherwise the first.
+    /// Camera that looks ahead: named `front`, otherwise the first.
     Front,
-    /// Those with these names, in this order.
+    /// Cameras with these names, in this order.
     Named(Vec<String>),
-    /// The whole rig.
+    /// All cameras of the rig.
     All,
 }
 
@@ -104,9 +104,9 @@ pub enum Turn {
     /// Straight on, or no crossing ahead.
     #[default]
     Straight,
-    /// To the left.
+    /// Turn to the left.
     Left,
-    /// To the right.
+    /// Turn to the right.
     Right,
 }
 
@@ -127,10 +127,10 @@ impl Turn {
 pub struct Navigation {
     /// The next turn of the route.
     pub turn: Turn,
-    /// Until it begins, meters along the route; below zero within it, and the rest of the route
-    /// where none is ahead.
+    /// Distance to the start of that turn, meters along the route; below zero within it, and the
+    /// rest of the route where none is ahead.
     pub distance_m: f64,
-    /// By how much the heading changes in it, radians, to the left where above zero.
+    /// Change of heading in that turn, radians, positive to the left.
     pub angle_rad: f64,
     /// Length, meters along the route.
     pub length_m: f64,
@@ -141,24 +141,24 @@ pub struct Navigation {
 /// Ego motion as the vehicle knows it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EgoMotion {
-    /// Along its heading.
+    /// Speed along the heading, m/s.
     pub speed_mps: f64,
-    /// Rate of the speed.
+    /// Rate of the speed, m/s^2.
     pub acceleration_mps2: f64,
     /// Angle of its front wheels, to the left where above zero.
     pub steer_rad: f64,
-    /// Rate of its heading.
+    /// Rate of the heading, radians per second.
     pub yaw_rate_radps: f64,
 }
 
 /// Pose and motion of the ego at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocatedEgo {
-    /// Since the episode's start, seconds.
+    /// Time since the episode's start, seconds.
     pub time_s: f64,
     /// Middle of the ego's box, world coordinates, meters.
     pub pose: Pose,
-    /// The same pose on the plane. Positions of a plan are in its frame.
+    /// Pose on the plane. Positions of a plan are in its frame.
     pub state: VehicleState,
     /// Motion of the ego.
     pub motion: EgoMotion,
@@ -222,9 +222,9 @@ pub struct Privileged {
 /// Inputs of a planner at a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation<'a> {
-    /// From 0.
+    /// Number of the step, from 0.
     pub step: u32,
-    /// Since the episode's start, seconds.
+    /// Time since the episode's start, seconds.
     pub time_s: f64,
     /// Readings of the sensors it asked for; none at a step that is not drawn.
     pub readings: &'a [Reading<'a>],
@@ -245,11 +245,11 @@ pub struct EpisodeInfo {
     pub scenario: String,
     /// The scenario's seed.
     pub seed: u64,
-    /// From one plan to the next, seconds.
+    /// Interval between plans, seconds.
     pub step_s: f64,
     /// The ego's box.
     pub ego_size: VehicleSize,
-    /// From the rear axle to the middle of the ego's box, meters.
+    /// Distance from the rear axle to the middle of the ego's box, meters.
     pub rear_axle_to_middle_m: f64,
     /// The sensors it asked for.
     pub sensors: Vec<Sensor>,

@@ -21,7 +21,7 @@ pub struct Replay {
 }
 
 impl Replay {
-    /// Along `path`, its times in seconds since the episode's start.
+    /// Planner that drives along `path`, its times in seconds since the episode's start.
     #[must_use]
     pub fn along(path: Trajectory) -> Self {
         Self { path }

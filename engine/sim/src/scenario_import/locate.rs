@@ -20,7 +20,7 @@ pub(super) struct Located {
     pub point_m: DVec2,
     /// Heading, radians from x towards y.
     pub heading_rad: f64,
-    /// On a driving lane; `None` beside the road.
+    /// Position on a driving lane; `None` beside the road.
     pub spot: Option<LaneSpot>,
 }
 

@@ -10,9 +10,10 @@ use super::illumination::Illumination;
 pub(super) struct Disc {
     /// Relative to the origin, meters.
     pub(super) middle: Vec3,
-    /// Along the surface; its length is the standard deviation, meters.
+    /// Axis along the surface; its length is the standard deviation, meters.
     pub(super) along: Vec3,
-    /// The same at right angles to it.
+    /// Axis along the surface at right angles to `along`; its length is the standard deviation,
+    /// meters.
     pub(super) across: Vec3,
     /// Linear RGB.
     pub(super) albedo: Vec3,
@@ -22,9 +23,10 @@ pub(super) struct Disc {
 /// Shading of a disc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Look {
-    /// By what falls on it; the strength of what it mirrors, 0 to 1, counts where it faces up.
+    /// Shaded by what falls on it; the strength of what it mirrors, 0 to 1, counts where it faces
+    /// up.
     Lit { gloss: f32 },
-    /// By itself: `albedo` is what it shows, display-referred.
+    /// Shown as it is: `albedo` is display-referred.
     Shown,
 }
 

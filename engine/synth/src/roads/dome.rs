@@ -5,7 +5,7 @@ use glam::Vec3;
 use super::canvas::{Canvas, Disc, Look};
 use super::illumination::Illumination;
 
-/// From the land's end to the dome, meters.
+/// Distance from the land's end to the dome, meters.
 pub(super) const BEYOND_M: f32 = 150.0;
 
 /// The dome reaches this far below the horizon, over its radius: the land ends before it.

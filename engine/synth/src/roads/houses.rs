@@ -10,7 +10,7 @@ use super::strip_index::StripIndex;
 use crate::street::random::{Stream, cell, fractal_noise};
 use crate::street::surface::display;
 
-/// From one try for a house to the next along a lane, meters.
+/// Distance between tries for a house along a lane, meters.
 const TRY_EVERY_M: f32 = 16.0;
 
 /// Most houses of a place.

@@ -9,7 +9,7 @@ use super::strip_index::StripIndex;
 use crate::street::random::{fractal_noise, smoothstep};
 use crate::street::surface::display;
 
-/// Below the roads, so that it never covers them, meters.
+/// Depth of the land below the roads, so that it never covers them, meters.
 const BELOW_ROADS_M: f32 = 0.04;
 
 /// Paved beside the roads, meters.
@@ -24,7 +24,7 @@ const SCALE_OVER_CELL: f32 = 0.7;
 /// Cells beside roads over the spacing on roads.
 const CELL_OVER_SPACING: f32 = 2.0;
 
-/// Cells are halved at most so often.
+/// Largest number of times that cells are halved.
 const HALVINGS_MAX: u32 = 24;
 
 /// A square, its middle and width.

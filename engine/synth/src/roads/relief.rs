@@ -85,7 +85,7 @@ impl Relief {
             .map(move |(_, step)| cell.wrapping_add_signed(step))
     }
 
-    /// From the lowest of `points` in each cell to all land, nearest first.
+    /// Spreads heights from the lowest of `points` in each cell to all land, nearest first.
     fn spread(&mut self, points: impl Iterator<Item = Vec3>) {
         let mut seeds = vec![f32::MAX; self.height_m.len()];
         for point in points {
@@ -147,7 +147,7 @@ impl Relief {
         }
     }
 
-    /// From the origin to the corners of the grid, meters.
+    /// Distance from the origin to the corners of the grid, meters.
     pub(super) fn radius_m(&self) -> f32 {
         let far = self.corner + Vec2::new(self.columns as f32, self.rows as f32) * self.cell_m;
         self.corner.abs().max(far.abs()).length()

@@ -23,9 +23,9 @@ struct Piece {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
     pub(super) strip: usize,
-    /// To the nearer border, meters.
+    /// Distance to the nearer border, meters.
     pub(super) depth_m: f32,
-    /// Unit, where traffic goes.
+    /// Direction of traffic, unit vector.
     pub(super) ahead: Vec2,
 }
 

@@ -4,7 +4,7 @@
 use decouplegs_scene::{Lane, LaneKind, LaneMap};
 use glam::{DVec2, DVec3, Vec3};
 
-/// From one section to the next, meters: a chord of it departs 2 cm from an arc of 6 m radius.
+/// Distance between sections, meters: a chord of it departs 2 cm from an arc of 6 m radius.
 const STEP_M: f64 = 1.0;
 
 /// Most sections of a map; beyond, steps grow.

@@ -84,7 +84,7 @@ const VAN: Build = Build {
 
 impl Build {
     /// Build and paint of a variant; numbers from [`VARIANTS`] on repeat.
-    pub(super) fn of(variant: usize) -> (Self, Paint) {
+    pub(super) fn for_variant(variant: usize) -> (Self, Paint) {
         let colors = [
             display(205, 208, 210),
             display(28, 30, 34),
@@ -315,7 +315,7 @@ mod tests {
     #[test]
     fn every_build_fills_its_box_and_stands_on_its_wheels() {
         for variant in 0..VARIANTS {
-            let (build, paint) = Build::of(variant);
+            let (build, paint) = Build::for_variant(variant);
             let half = build.size * 0.5;
             let (mut low, mut high) = (Vec3::MAX, Vec3::MIN);
             for element in build.elements(paint) {
@@ -348,7 +348,7 @@ mod tests {
     #[test]
     fn the_roof_is_above_the_belt_and_the_belt_above_the_sill() {
         for variant in 0..VARIANTS {
-            let (build, _) = Build::of(variant);
+            let (build, _) = Build::for_variant(variant);
             for step in 0..20 {
                 let x = build.size.x * (step as f32 / 19.0 - 0.5);
                 assert!(

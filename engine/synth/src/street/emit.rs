@@ -1,4 +1,4 @@
-//! From surfaces to splats, with the statistics of trained driving scenes.
+//! Makes splats of surfaces, with the statistics of trained driving scenes.
 
 use decouplegs_scene::{SplatCloud, sh};
 use glam::{DVec3, Quat, Vec3};
@@ -14,7 +14,7 @@ use super::surface::Element;
 /// trained scenes.
 pub(super) const FAINT_SHARE: f32 = 0.45;
 
-/// Below what any pixel shows (1/255), yet with a finite logit.
+/// Opacity below what any pixel shows (1/255), yet with a finite logit.
 const OPACITY_MIN: f32 = 0.003;
 
 /// Upper end of the faint mode.
@@ -164,7 +164,7 @@ fn is_faint(index: usize) -> bool {
 
 /// One of the splats on an element.
 struct Item {
-    /// From 0.
+    /// Number of the splat on the element, from 0.
     index: usize,
     /// Number of splats on the element.
     count: usize,
@@ -307,7 +307,7 @@ mod tests {
         let light = Light::new(
             Air {
                 towards_sun: Vec3::new(0.0, -1.0, 1.0),
-                ..Air::of(Weather::Clear)
+                ..Air::for_weather(Weather::Clear)
             },
             vec![],
         );

@@ -31,10 +31,10 @@ const DRIVEN_M: f32 = 110.0;
 /// Positions of the cameras of a street's capture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Capture {
-    /// On the way of the street's own ego.
+    /// Cameras on the way of the street's own ego.
     #[default]
     Ego,
-    /// In every lane of both streets: for those who drive where they like.
+    /// Cameras in every lane of both streets: for those who drive where they like.
     Lanes,
 }
 
@@ -70,7 +70,7 @@ impl Focus {
         }
     }
 
-    /// No way at all: assets are seen from anywhere.
+    /// Focus without a way: assets are seen from anywhere.
     pub(super) fn nowhere() -> Self {
         Self { legs: Vec::new() }
     }

@@ -12,7 +12,7 @@ const SCALE_OVER_SPACING: f32 = 0.7;
 /// Spread of ln scale that a splat's two tangential axes share, and that each has of its own;
 /// together 0.6.
 const LN_SCALE_SHARED: f32 = 0.42;
-/// See [`LN_SCALE_SHARED`].
+/// Spread of ln scale that each tangential axis has of its own: see [`LN_SCALE_SHARED`].
 const LN_SCALE_OWN: f32 = 0.43;
 
 /// Change of albedo, as the difference of square roots (roughly of what is displayed), that counts

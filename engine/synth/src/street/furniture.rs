@@ -10,7 +10,7 @@ use super::weather::lamplight;
 /// Splats a square meter of posts, relative to asphalt: thin things need many.
 const POST_DENSITY: f32 = 4.0;
 
-/// The same of signs, which are small and drawn sharply.
+/// Splats a square meter of signs, relative to asphalt: they are small and drawn sharply.
 const SIGN_DENSITY: f32 = 30.0;
 
 fn painted_metal(point: &SurfacePoint) -> Texel {

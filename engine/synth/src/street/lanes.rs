@@ -20,7 +20,8 @@ const END_M: f64 = 340.0;
 /// Points of straight lines lie this far apart at most, meters.
 const STEP_M: f64 = 5.0;
 
-/// The same in turns: half a meter of the narrowest turn's border departs 5 mm from its chord.
+/// Largest distance between points in turns, meters: half a meter of the narrowest turn's border
+/// departs 5 mm from its chord.
 const TURN_STEP_M: f64 = 0.5;
 
 /// 50 km/h, meters per second.

@@ -16,7 +16,7 @@ pub(super) const LANE_M: f32 = 3.3;
 pub(super) const LANES_HALF_M: f32 = 2.0 * LANE_M;
 /// Centerline to kerb: two lanes and a parking lane, meters.
 pub(super) const ROAD_HALF_M: f32 = 9.0;
-/// Middle of the crossing to the near edge of stop lines.
+/// Distance from the center of the intersection to the near edge of a stop line, meters.
 pub(super) const STOP_LINE_M: f64 = 14.8;
 /// Centerline to house fronts, meters.
 pub(super) const FRONT_M: f32 = 13.0;
@@ -35,7 +35,7 @@ pub(super) struct Lot {
     pub yaw_rad: f32,
     /// True if each end (x = 0, x = width) stands free beside a street.
     pub free_ends: [bool; 2],
-    /// Beyond the detailed extent.
+    /// True beyond the detailed extent.
     pub far: bool,
     pub seed: u64,
 }

@@ -123,13 +123,13 @@ impl Light {
         }
     }
 
-    /// The same with street lamps at `lamps`.
+    /// Adds street lamps at `lamps`.
     pub(super) fn with_lamps(self, lamps: Vec<Vec3>) -> Self {
         Self { lamps, ..self }
     }
 
-    /// The same on an asset that stands at `rotation` and `translation`, while its splats are made
-    /// in its own frame.
+    /// Light on an asset that stands at `rotation` and `translation`, while its splats are made in
+    /// its own frame.
     pub(super) fn on_asset(self, rotation: Quat, translation: Vec3) -> Self {
         Self {
             rotation,
@@ -320,7 +320,7 @@ mod tests {
     fn sunny() -> Light {
         light(Air {
             towards_sun: Vec3::new(0.0, 1.0, 1.0),
-            ..Air::of(Weather::Clear)
+            ..Air::for_weather(Weather::Clear)
         })
     }
 
@@ -361,7 +361,7 @@ mod tests {
 
     #[test]
     fn clouds_leave_no_cast_shadow_but_the_dark_under_a_car() {
-        let (sunny, gray) = (sunny(), light(Air::of(Weather::Overcast)));
+        let (sunny, gray) = (sunny(), light(Air::for_weather(Weather::Overcast)));
         assert!(white_ground(&sunny, 0.0, -3.0).x < 0.7 * white_ground(&sunny, 0.0, -20.0).x);
         assert_eq!(
             white_ground(&gray, 0.0, -3.0),
@@ -383,7 +383,7 @@ mod tests {
     #[test]
     fn a_lamp_lights_what_is_below_it_warmly_and_a_car_throws_its_shadow() {
         let lamp = Vec3::new(-34.0, 0.0, 7.5);
-        let lit = light(Air::of(Weather::Night)).with_lamps(vec![lamp]);
+        let lit = light(Air::for_weather(Weather::Night)).with_lamps(vec![lamp]);
         let (below, far) = (
             white_ground(&lit, -34.0, 0.0),
             white_ground(&lit, -34.0, 60.0),
@@ -431,7 +431,7 @@ mod tests {
 
     #[test]
     fn an_asset_is_lit_as_it_stands() {
-        let light = || Light::new(Air::of(Weather::Dusk), vec![]);
+        let light = || Light::new(Air::for_weather(Weather::Dusk), vec![]);
         let turn = Quat::from_rotation_z(2.1);
         let texel = Texel::matt(Vec3::splat(0.3));
         let shade = |light: &Light, normal: Vec3| {

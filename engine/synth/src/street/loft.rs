@@ -16,7 +16,7 @@ pub(super) struct Loft {
     core: Vec3,
     /// Share of the area in rows before each, `CELLS + 1` entries.
     rows: Vec<f32>,
-    /// The same within each row, `CELLS` times `CELLS + 1` entries.
+    /// Share of the area in cells before each, within each row: `CELLS` times `CELLS + 1` entries.
     columns: Vec<f32>,
     /// Flat extent around each cell along u and v, meters.
     flat_m: Vec<[f32; 2]>,

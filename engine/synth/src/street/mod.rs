@@ -99,8 +99,8 @@ impl Default for StreetOptions {
 pub struct Street {
     /// The static part, world frame, relative to the world's origin at zero.
     pub background: SplatCloud,
-    /// At most twelve distinct cars, canonical frame: x forward, y left, z up, origin at the middle
-    /// of the box, wheels touching z = -H/2.
+    /// Distinct cars, twelve at most, canonical frame: x forward, y left, z up, origin at the
+    /// middle of the box, wheels touching z = -H/2.
     pub assets: Vec<SplatCloud>,
     /// Length, width and height of each asset's box, meters; mirrors stand out beyond the width.
     pub asset_dims_m: Vec<[f32; 3]>,
@@ -148,7 +148,7 @@ impl Street {
             background,
             assets,
             asset_dims_m: (0..asset_count)
-                .map(|asset| Build::of(asset).0.size.to_array())
+                .map(|asset| Build::for_variant(asset).0.size.to_array())
                 .collect(),
             agents: traffic.agents,
             agent_trajectories: traffic.trajectories,
@@ -180,7 +180,7 @@ fn background(options: &StreetOptions, layout: &Layout, others: Vec<Occluder>) -
 
 /// Asset `asset` in `light`, in its own frame.
 fn asset_in(options: &StreetOptions, asset: usize, light: &Light) -> SplatCloud {
-    let (build, paint) = Build::of(asset);
+    let (build, paint) = Build::for_variant(asset);
     let mut elements = build.elements(paint);
     if options.asset_light == AssetLight::Sun {
         elements.push(build.shadow());
@@ -214,7 +214,7 @@ fn open_light(weather: Weather, layout: &Layout, occluders: Vec<Occluder>) -> Li
     } else {
         vec![]
     };
-    Light::new(Air::of(weather), occluders).with_lamps(lamps)
+    Light::new(Air::for_weather(weather), occluders).with_lamps(lamps)
 }
 
 /// The variant of a parked car.
@@ -242,7 +242,7 @@ fn occluders(layout: &Layout, weather: Weather) -> Vec<Occluder> {
     }
     occluders.extend(layout.trees.iter().flat_map(tree::tree_occluders));
     for spot in &layout.parked {
-        let (build, _) = Build::of(variant_of(spot));
+        let (build, _) = Build::for_variant(variant_of(spot));
         // The box is narrower than the car, whose own roof edge would otherwise stand in its
         // shadow.
         let half = Vec3::new(0.46 * build.size.x, 0.42 * build.size.y, 0.0);
@@ -277,7 +277,7 @@ fn background_elements(
     elements.extend(layout.lamps.iter().flat_map(furniture::beside_lamp));
     elements.extend(signals::traffic_lights());
     let cars: Vec<(Build, Vec<Element>)> = (0..car::VARIANTS)
-        .map(Build::of)
+        .map(Build::for_variant)
         .map(|(build, paint)| (build, build.elements(paint)))
         .collect();
     for spot in &layout.parked {

@@ -41,7 +41,7 @@ pub(super) fn obstacles(layout: &Layout) -> Vec<Obstacle> {
     });
     let posts = lamps.chain(signals);
     let parked = layout.parked.iter().map(|spot| {
-        let size = Build::of(variant_of(spot)).0.size.as_dvec3();
+        let size = Build::for_variant(variant_of(spot)).0.size.as_dvec3();
         at(ObstacleKind::ParkedCar, spot, size.x, size.y)
     });
     houses

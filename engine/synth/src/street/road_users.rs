@@ -108,7 +108,7 @@ fn wheels(size: Vec3, axles_x: [f32; 2]) -> Vec<Element> {
         size,
         wheel_radius_m: 0.48,
         axles_x,
-        ..Build::of(0).0
+        ..Build::for_variant(0).0
     };
     let lift = Vec3::Z * (0.5 * size.z);
     axles_x

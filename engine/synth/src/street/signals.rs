@@ -16,8 +16,8 @@ use super::weather::Air;
 
 /// Half the size of a head, meters.
 const HEAD_HALF_M: Vec3 = Vec3::new(0.13, 0.19, 0.5);
-/// Heads that are assets are so much larger than those of the background that they hide, meters: a
-/// dark layer, for splats are not wholly opaque, and the head.
+/// Difference in size of heads that are assets to those of the background, which they hide, meters:
+/// a dark layer, for splats are not wholly opaque, and the head.
 const COVER_M: [f32; 2] = [0.02, 0.04];
 /// Height of a head on a post, meters.
 const HEAD_Z_M: f32 = 3.0;

@@ -96,7 +96,7 @@ fn clear_sky(direction: Vec3, sun: Vec3, seed: u64) -> Vec3 {
 
 /// Everything beyond the houses.
 pub(super) fn far_shell(seed: u64, weather: Weather) -> Vec<Element> {
-    let towards_sun = Air::of(weather).towards_sun.normalize_or(Vec3::Z);
+    let towards_sun = Air::for_weather(weather).towards_sun.normalize_or(Vec3::Z);
     let dome = Element::new(
         Shape::Dome {
             radius_m: DOME_RADIUS_M,

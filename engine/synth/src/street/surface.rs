@@ -14,9 +14,9 @@ pub(super) const FAR_M: f32 = 1e6;
 /// `position`, which is what moves when the surroundings of a splat are probed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SurfacePoint {
-    /// Surface parameters in [0, 1].
+    /// First surface parameter in [0, 1].
     pub u: f32,
-    /// See `u`.
+    /// Second surface parameter in [0, 1].
     pub v: f32,
     pub position: Vec3,
     /// Unit, outward.
@@ -236,9 +236,9 @@ pub(super) struct Element {
     /// True if the surface continues in the same look beyond its border, which splats may then
     /// overhang.
     pub seamless: bool,
-    /// Parent from element.
+    /// Rotation from the element's frame to its parent's.
     pub rotation: Quat,
-    /// See `rotation`, meters.
+    /// Translation from the element's frame to its parent's, meters.
     pub translation: Vec3,
 }
 
@@ -286,7 +286,7 @@ impl Element {
         }
     }
 
-    /// See [`Shape::middle`], in the element's parent.
+    /// Middle of the shape in the frame of the element's parent: see [`Shape::middle`].
     pub(super) fn middle(&self) -> Vec3 {
         self.rotation * self.shape.middle() + self.translation
     }

@@ -285,7 +285,7 @@ fn detail_is_near_the_road_and_the_shell_is_far() {
     assert!(far > cloud.len() / 100, "{far} in the far shell");
 }
 
-/// At night asphalt is bright and warm below the lamps and darker between them; under clouds it is
+/// Asphalt at night is bright and warm below the lamps and darker between them; under clouds it is
 /// gray all over.
 #[test]
 fn lamps_lay_warm_pools_on_the_road_at_night() {

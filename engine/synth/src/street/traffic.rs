@@ -98,7 +98,7 @@ pub(super) fn traffic(count: usize, assets: usize, seed: u64) -> Traffic {
     };
     for (number, (lane, s)) in positions.into_iter().enumerate() {
         let asset = number % assets;
-        let (build, _) = Build::of(asset);
+        let (build, _) = Build::for_variant(asset);
         let z = 0.5 * f64::from(build.size.z);
         let start = lane.pose(s, z);
         let traveled_m = lane.speed_mps * DURATION_S * if lane.forward { 1.0 } else { -1.0 };

@@ -35,7 +35,10 @@ impl Street {
     pub fn lit(options: &StreetOptions, placements: &[AgentPlacement]) -> Truth {
         let layout = Layout::new(options.seed);
         let shadows_of = |placement: &AgentPlacement| {
-            occluders(&Build::of(placement.asset).0, &placement.world_from_agent)
+            occluders(
+                &Build::for_variant(placement.asset).0,
+                &placement.world_from_agent,
+            )
         };
         let all = placements.iter().flat_map(shadows_of).collect();
         let cars = placements
@@ -131,7 +134,7 @@ mod tests {
             asset,
             world_from_agent: Pose::from_yaw(
                 yaw_rad,
-                DVec3::new(x, y, 0.5 * f64::from(Build::of(asset).0.size.z)),
+                DVec3::new(x, y, 0.5 * f64::from(Build::for_variant(asset).0.size.z)),
             ),
             sh_frame: ShFrame::Canonical,
         };
@@ -165,8 +168,13 @@ mod tests {
     /// Mean of what ground within `margin_m` beyond the car's sides shows in the truth over what it
     /// shows without cars.
     fn kept(street: &Street, truth: &Truth, placement: &AgentPlacement, margin_m: f64) -> f64 {
-        let half =
-            Build::of(placement.asset).0.size.as_dvec3().truncate() * 0.5 + DVec2::splat(margin_m);
+        let half = Build::for_variant(placement.asset)
+            .0
+            .size
+            .as_dvec3()
+            .truncate()
+            * 0.5
+            + DVec2::splat(margin_m);
         let car_from_world = placement.world_from_agent.inverse();
         let (mut with, mut without) = (0.0, 0.0);
         for (splat, mean) in street

@@ -1,4 +1,4 @@
-//! In which light the street and its assets stand: the sun, the sky, the lamps and the air, in
+//! Light in which the street and its assets stand: the sun, the sky, the lamps and the air, in
 //! numbers.
 
 pub use decouplegs_scene::Weather;
@@ -9,8 +9,8 @@ use super::surface::display;
 /// The light that the assets are captured in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum AssetLight {
-    /// A high sun under a clear sky, and the dark below the car as a part of it: fit to be looked
-    /// at as it is.
+    /// A high sun under a clear sky, and the dark below the car as a part of it: fit to be
+    /// shown as it is.
     #[default]
     Sun,
     /// White light from everywhere, irradiance pi, nothing thrown and nothing mirrored: the
@@ -18,23 +18,23 @@ pub enum AssetLight {
     Neutral,
 }
 
-/// Towards the sun of [`Weather::Clear`]: half-way up, behind the ego on its right, so that it
-/// drives into lit fronts and short shadows. Random numbers are drawn by this sun in every weather,
-/// so that only the light differs.
+/// Direction towards the sun of [`Weather::Clear`]: half-way up, behind the ego on its right, so
+/// that it drives into lit fronts and short shadows. Random numbers are drawn by this sun in every
+/// weather, so that only the light differs.
 pub(super) const TOWARDS_SUN: Vec3 = Vec3::new(-0.50, -0.36, 0.79);
 
-/// The same in an asset's frame. High, since the asset may head anywhere.
+/// Direction towards that sun in an asset's frame. High, since the asset may head anywhere.
 pub(super) const TOWARDS_SUN_ASSET: Vec3 = Vec3::new(-0.22, 0.18, 0.95);
 
-/// Towards the sun at dusk, 14 degrees high: it looks down the street from behind the ego and
-/// lights the fronts on the left.
+/// Direction towards the sun at dusk, 14 degrees high: it looks down the street from behind the ego
+/// and lights the fronts on the left.
 const TOWARDS_LOW_SUN: Vec3 = Vec3::new(-0.933, -0.267, 0.242);
 
 /// The light of a place that nothing stands in the way of. Colors are linear RGB, in units in which
 /// white turned to a light of 1 is displayed as white: exposure is in them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Air {
-    /// Towards the sun; any length.
+    /// Direction towards the sun; any length.
     pub towards_sun: Vec3,
     pub sun: Vec3,
     /// Factor on `sun`; at 0 there is none.
@@ -57,7 +57,7 @@ pub(super) struct Air {
 
 impl Air {
     /// The light over a street.
-    pub(super) fn of(weather: Weather) -> Self {
+    pub(super) fn for_weather(weather: Weather) -> Self {
         match weather {
             Weather::Clear => Self::clear(TOWARDS_SUN),
             Weather::Overcast => Self {

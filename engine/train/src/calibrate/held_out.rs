@@ -100,11 +100,12 @@ impl ColorError {
 /// Seen colors in some lights, by three ways to relight, against the truth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
-    /// Colors as they are.
+    /// Error of the colors as they are.
     pub none: ColorError,
-    /// By a light transfer.
+    /// Error of colors by the light transfer.
     pub relit: ColorError,
-    /// By the T and b that fit each light best, which no transfer can beat but by clamping.
+    /// Error of colors by the T and b that fit each light best, which no transfer can beat but by
+    /// clamping.
     pub affine: ColorError,
 }
 
@@ -126,7 +127,7 @@ impl Comparison {
 
     /// Compares the prediction of `transfer` with `samples` in `lights`. `moments` holds the
     /// moments by visible colors.
-    pub(super) fn of(
+    pub(super) fn for_transfer(
         transfer: &LightTransfer,
         samples: &[Sample],
         moments: &Moments,

@@ -46,7 +46,7 @@ impl PreparedProbe {
 pub struct Lighting<'a> {
     /// Index and probe, among those given; `None` for the neutral light.
     pub probe: Option<(usize, &'a PreparedProbe)>,
-    /// By how much the world about the agent is turned, radians about z.
+    /// Angle by which the world about the agent is turned, radians about z.
     pub yaw_rad: f64,
     /// Mirrors left and right (y) before the turn.
     pub mirrored: bool,

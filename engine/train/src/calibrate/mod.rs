@@ -170,7 +170,7 @@ pub fn calibrate(
     };
     let compare = |transfer: &LightTransfer, probe: Option<usize>| {
         let of_probe: Vec<_> = in_light_of(probe).collect();
-        Comparison::of(transfer, &samples, &seen, &of_probe)
+        Comparison::for_transfer(transfer, &samples, &seen, &of_probe)
     };
     let mut held_out = Vec::new();
     for probe in (0..probes.len()).filter(|&probe| left_out[probe][probe].is_some()) {
@@ -229,7 +229,7 @@ fn moments_of(
             .lit(light.reflected_by_white(sample.surface.normal))
     };
     let coefficients = sh::coefficient_count(sh_degree);
-    let moments = |objective| Moments::of(samples, lights, coefficients, objective, lit);
+    let moments = |objective| Moments::from_samples(samples, lights, coefficients, objective, lit);
     let seen = moments(Objective::Seen);
     let fitted = match objective {
         Objective::Seen => seen.clone(),
@@ -260,7 +260,7 @@ fn assets_left_out(
         let pairs: Vec<_> = lights.iter().zip(&seen.lights).collect();
         HeldOutAsset {
             asset,
-            comparison: Comparison::of(&transfer, own, &seen, &pairs),
+            comparison: Comparison::for_transfer(&transfer, own, &seen, &pairs),
         }
     };
     of_assets.iter().enumerate().map(without).collect()

@@ -39,7 +39,7 @@ pub(super) struct Moments {
 
 impl Moments {
     /// The moments of `samples` in `lights`, where `truth` tells a sample's color in a light.
-    pub(super) fn of(
+    pub(super) fn from_samples(
         samples: &[Sample],
         lights: &[Lighting<'_>],
         coefficients: usize,

@@ -110,7 +110,7 @@ pub enum CalibrateError {
     /// An asset of which nothing is seen.
     #[error("{0}: none of its splats shows and tells which way it faces; leave it out")]
     NothingSeen(String),
-    /// Fewer lights than unknowns.
+    /// The lights are fewer than the unknowns.
     #[error(
         "{found} different lights from {probes} probe(s); at least {LIGHTS_MIN} are needed: give more probes or turn them more ways"
     )]

@@ -86,7 +86,7 @@ fn fit(
         .iter()
         .flat_map(|light| (0..3).map(|channel| own_descriptor(light, channel)))
         .collect();
-    let standard = Standard::of(own.iter().map(<[f64; 9]>::as_slice));
+    let standard = Standard::from_rows(own.iter().map(<[f64; 9]>::as_slice));
     let mean_square = |row: usize| {
         moments
             .gram

@@ -96,7 +96,7 @@ fn eigen(matrix: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
 }
 
 pub(super) fn standard_of(lights: &[&LightMoments]) -> Standard {
-    Standard::of(lights.iter().map(|light| light.descriptor.as_slice()))
+    Standard::from_rows(lights.iter().map(|light| light.descriptor.as_slice()))
 }
 
 /// Weight of each light; they sum to 1.

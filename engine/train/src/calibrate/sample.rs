@@ -123,7 +123,7 @@ pub(super) fn samples(cloud: &SplatCloud, count: usize, seed: u64) -> Vec<Sample
     let weighed: Vec<(Surface, f64)> = (0..cloud.len())
         .filter(shown)
         .map(|splat| {
-            let surface = Surface::of(cloud, splat, center);
+            let surface = Surface::from_splat(cloud, splat, center);
             (surface, weight(cloud, splat, &surface, &directions))
         })
         .filter(|(_, weight)| weight.is_finite() && *weight > 0.0)

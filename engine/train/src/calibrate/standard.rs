@@ -16,7 +16,7 @@ pub(super) struct Standard {
 
 impl Standard {
     /// Builds the standardization of rows of equal length; at least one row.
-    pub(super) fn of<'a>(rows: impl Iterator<Item = &'a [f64]> + Clone) -> Self {
+    pub(super) fn from_rows<'a>(rows: impl Iterator<Item = &'a [f64]> + Clone) -> Self {
         let count = rows.clone().count() as f64;
         let columns = rows.clone().next().map_or(0, <[f64]>::len);
         let mean = |value: &dyn Fn(&[f64]) -> f64| rows.clone().map(value).sum::<f64>() / count;
@@ -64,7 +64,7 @@ impl Standard {
             .collect()
     }
 
-    /// The other way.
+    /// Inverse of [`Self::to_standardized`].
     pub(super) fn to_plain(&self, weights: &[f64]) -> Vec<f64> {
         let columns = self.means.len();
         let plain: Vec<f64> = (0..columns)
@@ -87,7 +87,7 @@ mod tests {
         let rows: Vec<[f64; 3]> = (0..9)
             .map(|i| [f64::from(i).sin(), 4.0 + f64::from(i * i), 7.0])
             .collect();
-        let standard = Standard::of(rows.iter().map(<[f64; 3]>::as_slice));
+        let standard = Standard::from_rows(rows.iter().map(<[f64; 3]>::as_slice));
         let weights = [0.3, -2.0, 0.5, 1.5];
         let moved = standard.to_standardized(&weights);
         let value = |weights: &[f64], row: &[f64]| {

@@ -8,7 +8,7 @@ use decouplegs_scene::light::{DISPLAY_MAX, to_display, to_linear};
 /// Coefficients of the highest degree.
 pub(super) const COEFFICIENTS: usize = sh::coefficient_count(sh::DEGREE_MAX);
 
-/// Below this display value light multiplies a color as it does here: the curve is a power there.
+/// Display value below which the curve is not the power that light multiplies a color by here.
 const DISPLAY_MIN: f64 = 0.02;
 
 /// A color as a plain expansion, DC without the 0.5 that splats' colors add: `[coefficient][rgb]`.
@@ -26,7 +26,7 @@ pub(super) struct Surface {
 impl Surface {
     /// Splat `splat` of a cloud whose middle is `center`. The normal is the shortest axis, away
     /// from the middle.
-    pub(super) fn of(cloud: &SplatCloud, splat: usize, center: DVec3) -> Self {
+    pub(super) fn from_splat(cloud: &SplatCloud, splat: usize, center: DVec3) -> Self {
         let axis = cloud.thin_axis(splat);
         let outward = DVec3::from_array(cloud.means[splat].map(f64::from)) - center;
         let normal = if axis.dot(outward) < 0.0 { -axis } else { axis };
@@ -58,7 +58,7 @@ impl Surface {
 /// The middle of what can be drawn of a cloud.
 pub(super) fn center_of(cloud: &SplatCloud) -> DVec3 {
     let drawn = (0..cloud.len()).filter(|&splat| cloud.defect_of(splat).is_none());
-    let bounds = decouplegs_scene::Bounds::of(drawn.map(|splat| &cloud.means[splat]));
+    let bounds = decouplegs_scene::Bounds::from_points(drawn.map(|splat| &cloud.means[splat]));
     let corner = |corner: [f32; 3]| DVec3::from_array(corner.map(f64::from));
     0.5 * (corner(bounds.min) + corner(bounds.max))
 }
@@ -72,7 +72,7 @@ pub fn lit_cloud(cloud: &SplatCloud, reflected_by_white: impl Fn(DVec3) -> [f64;
     let stride = cloud.rest_stride();
     let mut lit_cloud = cloud.clone();
     for splat in (0..cloud.len()).filter(|&splat| cloud.defect_of(splat).is_none()) {
-        let surface = Surface::of(cloud, splat, center);
+        let surface = Surface::from_splat(cloud, splat, center);
         let lit = surface.lit(reflected_by_white(surface.normal));
         lit_cloud.sh_dc[splat] = lit[0].map(|value| (value - sh::DC_SHIFT) as f32);
         for (rest, value) in lit_cloud.sh_rest[splat * stride..(splat + 1) * stride]

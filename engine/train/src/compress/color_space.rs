@@ -13,7 +13,7 @@ const RESIDUAL_HALF: [f32; 3] = [16.0, 8.0, 8.0];
 /// held to its ends.
 const RESIDUAL_SHARE: f64 = 0.9999;
 
-/// No step is finer: a 4096th of the range of a channel.
+/// Least step: a 4096th of the range of a channel.
 const RESIDUAL_STEP_MIN: f32 = 1e-3;
 
 /// The coefficients of all splats, DC first and weighted, `[splat][coefficient][rgb]`.

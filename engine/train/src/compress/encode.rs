@@ -1,4 +1,4 @@
-//! From splats and codebooks to coded splats.
+//! Codes splats with codebooks.
 
 use decouplegs_scene::shape::PrincipalAxes;
 use decouplegs_scene::{Bounds, CodedSplat, SplatCloud, SplatCodes, sh};
@@ -41,9 +41,9 @@ pub(super) struct SizeScale {
 }
 
 impl SizeScale {
-    /// From the smallest to the largest splat of `levels`, or the one size `unit_m` where splats
-    /// keep none.
-    pub(super) fn of(levels: &[SplatCloud], space: ShapeSpace, unit_m: f64) -> Self {
+    /// Scale from the smallest to the largest splat of `levels`, or the one size `unit_m` where
+    /// splats keep none.
+    pub(super) fn for_levels(levels: &[SplatCloud], space: ShapeSpace, unit_m: f64) -> Self {
         if !space.keeps_size() {
             return Self {
                 log2_min: (unit_m.log2() as f32).clamp(-LOG2_SIZE_MAX, LOG2_SIZE_MAX),

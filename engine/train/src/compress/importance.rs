@@ -136,7 +136,7 @@ impl Colors {
 /// cells), and the entropy of the neighborhood's colors. Cells are summed up before they are
 /// joined, so that a heap of splats in one place costs nothing more.
 fn contrast_and_entropy(cloud: &SplatCloud, splats: &[u32]) -> (Vec<f32>, Vec<f32>) {
-    let grid = Grid::of(cloud, splats);
+    let grid = Grid::new(cloud, splats);
     let mut cells: HashMap<[i32; 3], Colors> = HashMap::new();
     for &splat in splats {
         let rgb = shown_rgb(&cloud.sh_dc[splat as usize]);
@@ -198,8 +198,8 @@ struct Grid {
 }
 
 impl Grid {
-    fn of(cloud: &SplatCloud, splats: &[u32]) -> Self {
-        let bounds = Bounds::of(splats.iter().map(|&splat| &cloud.means[splat as usize]));
+    fn new(cloud: &SplatCloud, splats: &[u32]) -> Self {
+        let bounds = Bounds::from_points(splats.iter().map(|&splat| &cloud.means[splat as usize]));
         let longest_m = (0..3)
             .map(|axis| f64::from(bounds.max[axis]) - f64::from(bounds.min[axis]))
             .fold(0.0, f64::max);

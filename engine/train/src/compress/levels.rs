@@ -24,7 +24,7 @@ pub const LEVEL_RATIO: usize = 8;
 /// Most levels: the finest and three coarser ones, the last a five-hundredth of the first.
 pub const LEVELS: usize = 4;
 
-/// No level has fewer splats, but for the finest.
+/// Least number of splats of a level but the finest.
 pub const LEVEL_SPLATS_MIN: usize = 32;
 
 /// Weight of opacity times area beside visibility. It orders splats that no view shows.

@@ -88,7 +88,7 @@ pub fn compress(
             unseen: visibility.iter().filter(|&&value| value == 0.0).count(),
         });
     };
-    let levels = Levels::of(cloud, visibility, &kept.splats);
+    let levels = Levels::new(cloud, visibility, &kept.splats);
     let weights = book_weights(&levels.visibility);
     let (coded, [shapes, colors]) = code(&levels.clouds, &weights, options, progress)?;
     let report = CompressionReport {
@@ -100,7 +100,7 @@ pub fn compress(
         shape_space: options.shape_space,
         shapes,
         colors,
-        bytes: PartBytes::of(&coded),
+        bytes: PartBytes::new(&coded),
     };
     Ok(Compressed {
         cloud: coded,
@@ -119,7 +119,7 @@ struct Levels {
 }
 
 impl Levels {
-    fn of(cloud: &SplatCloud, visibility: &[f32], kept: &[u32]) -> Self {
+    fn new(cloud: &SplatCloud, visibility: &[f32], kept: &[u32]) -> Self {
         let order: Vec<u32> = cloud
             .select(kept)
             .spatial_order()
@@ -199,7 +199,7 @@ fn code(
         finest.sh_degree,
         options.color_dc_weight,
     );
-    let sizes = SizeScale::of(levels, options.shape_space, unit_m);
+    let sizes = SizeScale::for_levels(levels, options.shape_space, unit_m);
     let books = Books {
         options,
         bounds,

@@ -98,7 +98,7 @@ pub enum CompressError {
     /// An option out of its range.
     #[error("{0}")]
     Option(String),
-    /// Not one visibility a splat.
+    /// The visibilities are not one for each splat.
     #[error("{found} visibilities were given for {expected} splats; expected one for each")]
     VisibilityCount {
         /// Number of splats.

@@ -3,7 +3,7 @@
 use decouplegs_scene::SplatCloud;
 use decouplegs_scene::rules::ALPHA_MIN;
 
-/// By what splats are kept.
+/// Rule by which splats are kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Prune {
     /// Keeps splats with at least this importance.

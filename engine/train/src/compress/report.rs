@@ -53,7 +53,7 @@ pub struct PartBytes {
 }
 
 impl PartBytes {
-    pub(super) fn of(cloud: &CodedCloud) -> Self {
+    pub(super) fn new(cloud: &CodedCloud) -> Self {
         Self {
             levels: cloud
                 .levels

@@ -80,7 +80,7 @@ impl ShapeSpace {
         six.iter_mut()
             .zip(vector)
             .for_each(|(to, &from)| *to = f64::from(from));
-        let own = OwnAxes::of(&from_six(&six));
+        let own = OwnAxes::from_matrix(&from_six(&six));
         let scales = match self {
             Self::Covariance => own.values.max(DVec3::ZERO).map(f64::sqrt),
             Self::LogCovariance | Self::UnitLogCovariance => own

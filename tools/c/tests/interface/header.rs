@@ -5,7 +5,7 @@ use std::{env, fs};
 
 use crate::library::{FOLDER, run, succeed};
 
-/// In the order in which the header has them.
+/// Sources in the order in which the header has them.
 const SOURCES: [&str; 8] = [
     "status",
     "boundary",

@@ -1,13 +1,13 @@
 //! Axes: their ranges, their ticks, and the numbers at them.
 
-/// About so many ticks on an axis.
+/// Number of ticks on an axis, about.
 const TICKS: f64 = 6.0;
 
 /// One axis of a plot.
 #[derive(Clone, Copy, Default)]
 pub struct Axis<'a> {
     pub label: &'a str,
-    /// By the decimal logarithm.
+    /// True for a decimal logarithmic axis.
     pub log: bool,
     /// True if a linear axis begins at zero.
     pub from_zero: bool,
@@ -49,7 +49,7 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// For `values`; those that the axis cannot show are passed over.
+    /// Scale of `values`; those that the axis cannot show are passed over.
     pub fn over(values: impl Iterator<Item = f64>, axis: Axis<'_>) -> Self {
         let shown = values.filter(|&value| value.is_finite() && (!axis.log || value > 0.0));
         let (min, max) = shown.fold((f64::INFINITY, f64::NEG_INFINITY), |(min, max), value| {

@@ -141,7 +141,8 @@ impl Context {
             .and_then(|code| self.functions.check(name, code))
     }
 
-    /// The same, for calls whose code says more than whether they failed.
+    /// Makes a call whose code says more than whether it failed, with the context current on this
+    /// thread.
     fn check_within(
         &self,
         name: &'static str,

@@ -17,10 +17,10 @@ pub struct Exported {
 /// Reason why images could not be shared.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InteropError {
-    /// There is no such API on this machine.
+    /// The machine has no CUDA.
     #[error("CUDA is not there: {0}")]
     Missing(String),
-    /// It does not know the device.
+    /// CUDA does not know the device.
     #[error("no CUDA device has the UUID {uuid} of the Vulkan device: {found}")]
     NoSuchDevice {
         /// The device's, in hexadecimal.
@@ -50,7 +50,7 @@ pub enum Stream {
     PerThread,
     /// A stream of the consumer's own, by its address.
     Own(usize),
-    /// None: the consumer sees to the order itself.
+    /// No synchronization: the consumer orders its reads after the frame.
     Unordered,
 }
 

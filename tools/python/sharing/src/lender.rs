@@ -8,7 +8,7 @@ use crate::{Exported, Interop, InteropError, Stream};
 
 /// A buffer of the renderer that can be shared. Clones share the memory.
 pub trait Shared: Send + Sync {
-    /// No other buffer that is alive has the same.
+    /// Id that no other buffer that is alive has.
     fn id(&self) -> usize;
 
     /// Number of owners, this handle included.
@@ -31,8 +31,8 @@ struct Import<M> {
 pub struct Lender<I: Interop, P: Send> {
     interop: Arc<I>,
     timeline: I::Timeline,
-    /// By [`Shared::id`]. A renderer draws into the same few buffers again and again, and importing
-    /// one takes far longer than handing it out.
+    /// Imports by [`Shared::id`]. A renderer draws into the same few buffers again and again, and
+    /// importing one takes far longer than handing it out.
     imports: Mutex<HashMap<usize, Import<I::Memory>>>,
     returned: Mutex<Vec<Returned<I, P>>>,
 }

@@ -8,7 +8,7 @@ use crate::xml::Element;
 pub(super) struct Cubic {
     /// Start along the road, meters.
     pub(super) start_m: f64,
-    /// From the constant up.
+    /// Factors from the constant up.
     pub(super) factors: [f64; 4],
 }
 

@@ -9,18 +9,18 @@ use crate::xml::{Element, excerpt};
 
 /// A stretch of a road with the same lanes.
 pub(super) struct Section {
-    /// Along the road, meters.
+    /// Start along the road, meters.
     pub(super) start_m: f64,
     pub(super) end_m: f64,
-    /// From the reference line outwards.
+    /// Lanes to the left, from the reference line outwards.
     pub(super) left: Vec<SectionLane>,
-    /// From the reference line outwards.
+    /// Lanes to the right, from the reference line outwards.
     pub(super) right: Vec<SectionLane>,
 }
 
 /// A lane of a section.
 pub(super) struct SectionLane {
-    /// Above zero to the left, below to the right.
+    /// Id of the lane: above zero to the left, below to the right.
     pub(super) id: i64,
     pub(super) kind: LaneKind,
     /// Width along the road, meters.
@@ -36,7 +36,7 @@ pub(super) struct SectionLane {
     pub(super) is_reversed: bool,
 }
 
-/// The sections of a road of so many meters, in order; those beyond its end are left out.
+/// Sections of a road of `length_m`, in order; those beyond its end are left out.
 pub(super) fn read(road: Element, length_m: f64) -> Result<Vec<Section>, DecodeError> {
     let lanes = road.needed("lanes")?;
     let mut starts = Vec::new();

@@ -8,7 +8,7 @@
 //! The speed limit is the lane's or, where it has none, the road's where the section starts.
 //! Coordinates are those of the file: `geoReference` and the header's `offset` are not applied.
 //!
-//! Lanes that taper to nothing beside the lane that follows are bent onto it ([`tapers`]).
+//! Lanes that taper to nothing beside the lane that follows are bent onto it (`tapers`).
 //!
 //! Not read: superelevation and the lateral shape (a bank of 5% lifts the outer border of a lane by
 //! some 20 cm, its middle by half of it), kerb heights, objects, signals other than traffic lights

@@ -188,9 +188,9 @@ fn along_arc(curvature: f64, way_m: f64) -> (DVec2, f64) {
     (DVec2::from_angle(half_turn) * way_m * sinc, 2.0 * half_turn)
 }
 
-/// Along a curve whose curvature starts as given and changes by `change` with every meter: the
-/// Fresnel integrals, by quadrature in pieces that turn by a radian at most, which leaves an error
-/// far below a micrometer.
+/// Offset along a curve whose curvature starts as given and changes by `change` with every meter:
+/// the Fresnel integrals, by quadrature in pieces that turn by a radian at most, which leaves an
+/// error far below a micrometer.
 fn along_spiral(curvature: f64, change: f64, way_m: f64) -> (DVec2, f64) {
     let heading = |at_m: f64| at_m * (curvature + 0.5 * change * at_m);
     let turn_rad = way_m.abs() * curvature.abs().max((curvature + change * way_m).abs());
@@ -253,7 +253,7 @@ fn integral(end: f64, panels: usize, integrand: impl Fn(f64) -> DVec2) -> DVec2 
 mod tests {
     use super::*;
 
-    fn of(shape: Shape, length_m: f64) -> Geometry {
+    fn geometry(shape: Shape, length_m: f64) -> Geometry {
         Geometry {
             start_m: 0.0,
             length_m,
@@ -265,14 +265,14 @@ mod tests {
 
     #[test]
     fn an_arc_is_on_its_circle() {
-        let quarter = of(Shape::Arc(0.1), 10.0 * std::f64::consts::FRAC_PI_2)
+        let quarter = geometry(Shape::Arc(0.1), 10.0 * std::f64::consts::FRAC_PI_2)
             .at(10.0 * std::f64::consts::FRAC_PI_2);
         assert!(
             (quarter.position - DVec2::new(10.0, 10.0)).length() < 1e-12,
             "{quarter:?}"
         );
         assert!((quarter.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
-        let nearly_straight = of(Shape::Arc(1e-13), 100.0).at(100.0).position;
+        let nearly_straight = geometry(Shape::Arc(1e-13), 100.0).at(100.0).position;
         assert!((nearly_straight - DVec2::new(100.0, 5e-10)).length() < 1e-11);
     }
 
@@ -280,12 +280,12 @@ mod tests {
     fn a_spiral_ends_where_fresnel_says() {
         // Curvature 0 to pi over the length 1: x + iy = C(1) + i S(1) of the normalized integrals
         // (Abramowitz and Stegun, table 7.7).
-        let end = of(Shape::Spiral(0.0, std::f64::consts::PI), 1.0).at(1.0);
+        let end = geometry(Shape::Spiral(0.0, std::f64::consts::PI), 1.0).at(1.0);
         let expected = DVec2::new(0.779_893_400_376_823, 0.438_259_147_390_355);
         assert!((end.position - expected).length() < 1e-9, "{end:?}");
         assert!((end.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
         // C(2) and S(2): two radians of curvature a meter more.
-        let end = of(Shape::Spiral(0.0, 2.0 * std::f64::consts::PI), 2.0)
+        let end = geometry(Shape::Spiral(0.0, 2.0 * std::f64::consts::PI), 2.0)
             .at(2.0)
             .position;
         assert!(
@@ -293,7 +293,7 @@ mod tests {
             "{end}"
         );
         // From curved to straight is the same spiral from its other end.
-        let back = of(Shape::Spiral(std::f64::consts::PI, 0.0), 1.0).at(1.0);
+        let back = geometry(Shape::Spiral(std::f64::consts::PI, 0.0), 1.0).at(1.0);
         let turned = DVec2::from_angle(std::f64::consts::FRAC_PI_2)
             .rotate(DVec2::new(expected.x, -expected.y));
         assert!(
@@ -302,8 +302,8 @@ mod tests {
         );
         // Of constant curvature it is an arc.
         let (spiral, arc) = (
-            of(Shape::Spiral(0.05, 0.05), 80.0).at(77.0),
-            of(Shape::Arc(0.05), 80.0).at(77.0),
+            geometry(Shape::Spiral(0.05, 0.05), 80.0).at(77.0),
+            geometry(Shape::Arc(0.05), 80.0).at(77.0),
         );
         assert!((spiral.position - arc.position).length() < 1e-9);
     }
@@ -311,7 +311,7 @@ mod tests {
     #[test]
     fn a_cubic_is_walked_by_its_length() {
         // v = u: after the way s the position is (s, s) / sqrt(2).
-        let straight = of(Shape::Poly3([0.0, 1.0, 0.0, 0.0]), 10.0).at(10.0);
+        let straight = geometry(Shape::Poly3([0.0, 1.0, 0.0, 0.0]), 10.0).at(10.0);
         assert!(
             (straight.position - DVec2::splat(50.0_f64.sqrt())).length() < 1e-8,
             "{straight:?}"
@@ -319,7 +319,7 @@ mod tests {
         // v = u²/2: the length up to u is (u sqrt(1 + u²) + asinh u) / 2.
         let u = 3.0_f64;
         let way_m = 0.5 * (u * u.hypot(1.0) + u.asinh());
-        let parabola = of(Shape::Poly3([0.0, 0.0, 0.5, 0.0]), way_m).at(way_m);
+        let parabola = geometry(Shape::Poly3([0.0, 0.0, 0.5, 0.0]), way_m).at(way_m);
         assert!(
             (parabola.position - DVec2::new(3.0, 4.5)).length() < 1e-6,
             "{parabola:?}"
@@ -330,9 +330,9 @@ mod tests {
     #[test]
     fn a_parametric_cubic_has_two_ranges() {
         let (u, v) = ([0.0, 20.0, 0.0, 0.0], [0.0, 0.0, 4.0, 0.0]);
-        let normalized = of(Shape::ParamPoly3(u, v, 1.0), 20.0).at(10.0);
+        let normalized = geometry(Shape::ParamPoly3(u, v, 1.0), 20.0).at(10.0);
         assert!((normalized.position - DVec2::new(10.0, 1.0)).length() < 1e-12);
-        let by_length = of(
+        let by_length = geometry(
             Shape::ParamPoly3([0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.01, 0.0], 20.0),
             20.0,
         )

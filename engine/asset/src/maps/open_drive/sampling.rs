@@ -13,8 +13,8 @@ use crate::maps::polyline::cleaned;
 
 /// Points stand no farther apart along the road, meters.
 const STEP_MAX_M: f64 = 2.0;
-/// No border leaves the line through its points by more, meters; a bend is examined in its middle,
-/// where it is farthest.
+/// Largest distance of a border from the line through its points, meters; a bend is examined in its
+/// middle, where it is farthest.
 const CHORD_ERROR_MAX_M: f64 = 0.015;
 /// Steps are not halved below, whatever the chord's error, meters.
 const STEP_MIN_M: f64 = 0.05;

@@ -13,9 +13,9 @@ const NARROW_M: f64 = 1.2;
 /// Gaps up to this are what rounding leaves, and larger ones than half of a wide lane are no merge,
 /// meters.
 const GAP_M: std::ops::Range<f64> = 0.1..4.0;
-/// Length over which a centerline is bent, meters: at least this where the lane is long enough ...
+/// Least length over which a centerline is bent, where the lane is long enough, meters.
 const BEND_MIN_M: f64 = 40.0;
-/// ... and as long as the lane is narrower than this share of its largest width.
+/// Share of a lane's largest width below which its centerline is bent.
 const FULL_WIDTH: f64 = 0.95;
 /// Share of a lane's length that may be bent.
 const BEND_SHARE_MAX: f64 = 0.8;

@@ -42,7 +42,7 @@ struct Links {
 /// A sentence naming the lane at fault.
 pub fn encode(map: &LaneMap) -> Result<Vec<u8>, Invalid> {
     map.check()?;
-    let links = Links::of(map);
+    let links = Links::new(map);
     let mut text = String::from(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<OpenDRIVE>\n\
          <header revMajor=\"1\" revMinor=\"4\" name=\"lanes\" version=\"1\">\n\
@@ -78,7 +78,7 @@ fn junction_id(map: &LaneMap, junction: usize) -> usize {
 }
 
 impl Links {
-    fn of(map: &LaneMap) -> Self {
+    fn new(map: &LaneMap) -> Self {
         let count = map.lanes.len();
         let mut incoming: Vec<Vec<usize>> = vec![Vec::new(); count];
         for (lane, of_lane) in map.lanes.iter().enumerate() {

@@ -30,7 +30,7 @@ impl Plain {
 }
 
 fn world_of(plain: &[Plain]) -> SplatScene {
-    SplatScene::of(SplatCloud {
+    SplatScene::from_splats(SplatCloud {
         means: plain.iter().map(|splat| splat.mean).collect(),
         scales: plain.iter().map(|splat| splat.scales).collect(),
         rotations: vec![[1.0, 0.0, 0.0, 0.0]; plain.len()],
@@ -48,8 +48,8 @@ fn world_of(plain: &[Plain]) -> SplatScene {
     })
 }
 
-/// At the world's zero, looking along +z with x right and y down; an odd size puts a pixel's center
-/// on the axis.
+/// Camera at the world's zero, looking along +z with x right and y down; an odd size puts a pixel's
+/// center on the axis.
 fn camera(size_px: u32) -> Camera {
     Camera {
         name: "front".into(),

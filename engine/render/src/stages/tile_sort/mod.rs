@@ -83,13 +83,13 @@ pub struct Records<'a> {
     pub cameras: &'a Buffer<CameraRecord>,
     /// Number of cameras.
     pub camera_count: usize,
-    /// Their footprints and depth keys.
+    /// Footprints and depth keys of the records.
     pub projected: &'a Projected,
     /// Records of the background before each `[camera][cluster]`, and their total.
     pub static_offsets: &'a Buffer<u32>,
     /// Clusters of the background.
     pub static_clusters: usize,
-    /// The same of agents.
+    /// Records of agents before each `[camera][cluster]`, and their total.
     pub moving_offsets: &'a Buffer<u32>,
     /// Clusters of agents.
     pub moving_clusters: usize,

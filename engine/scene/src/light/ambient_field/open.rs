@@ -17,7 +17,7 @@ impl AmbientField {
     /// direction `towards` reaches past the background, by its middle and corners.
     ///
     /// Cubes of the background that hold an opaque splat or more block the way. They are looked for
-    /// up to [`OPEN_ABOVE_M`] above and [`OPEN_ASIDE_M`] away.
+    /// up to 40 m above and 100 m away.
     #[must_use]
     pub fn open_share(&self, world_from_agent: &Pose, dims_m: [f32; 3], towards: DVec3) -> f64 {
         let [length_m, width_m, height_m] = dims_m.map(|size| 0.5 * f64::from(size));

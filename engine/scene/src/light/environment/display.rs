@@ -1,5 +1,5 @@
-//! Between linear light and what a camera of the engine's scenes displays: gamma 2.2 with a
-//! shoulder instead of a clip.
+//! Conversion between linear light and what a camera of the engine's scenes displays: gamma 2.2
+//! with a shoulder instead of a clip.
 
 /// Encoding exponent is its reciprocal.
 pub(in crate::light) const GAMMA: f64 = 2.2;

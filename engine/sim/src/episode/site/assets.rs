@@ -66,7 +66,7 @@ pub(super) fn road_users() -> Vec<RoadUserAsset> {
         .collect()
 }
 
-/// Their assets in the renderer's form.
+/// Compressed assets of those road users.
 pub(super) fn road_users_coded(
     splats: usize,
     light: AssetLight,
@@ -77,7 +77,7 @@ pub(super) fn road_users_coded(
         .collect()
 }
 
-/// In millimeters, so that a person can read what a scenario says of it.
+/// Size rounded to millimeters, so that a person can read what a scenario says of it.
 pub(super) fn size_of(dims_m: [f32; 3]) -> VehicleSize {
     VehicleSize::from_array(dims_m.map(|side_m| (f64::from(side_m) * 1e3).round() / 1e3))
 }

@@ -15,13 +15,13 @@ const READ_BYTES: usize = 8 * 1024;
 /// Reason for a missing line.
 #[derive(Debug)]
 pub(super) enum Fault {
-    /// The deadline passed.
+    /// No line came before the deadline.
     Late,
-    /// The other end closed it.
+    /// Peer closed the connection.
     Closed,
     /// More than a line's bytes and no end of line; how it begins.
     Endless(Vec<u8>),
-    /// Bytes that nobody asked for; how they begin.
+    /// Bytes that were not asked for; how they begin.
     Unasked(Vec<u8>),
     /// Error of the operating system.
     System(std::io::Error),

@@ -35,7 +35,7 @@ pub(super) enum Answer {
         step: u64,
         plan: Plan,
     },
-    /// It cannot go on, and why.
+    /// The planner cannot go on, for this reason.
     Fail(String),
 }
 
@@ -178,7 +178,7 @@ pub(super) fn beginning(line: &[u8]) -> String {
     format!("{:?}{more}", String::from_utf8_lossy(shown))
 }
 
-/// Our first word.
+/// First message to a planner.
 pub(super) fn hello() -> Value {
     json!({ "type": "hello", "protocol": PROTOCOL, "engine": concat!("decouplegs ", env!("CARGO_PKG_VERSION")), "bytes": 0 })
 }
@@ -188,7 +188,7 @@ fn wxyz(pose: &Pose) -> [f64; 4] {
     [turned.w, turned.x, turned.y, turned.z]
 }
 
-/// Before an episode.
+/// Message before an episode.
 pub(super) fn begin(info: &EpisodeInfo) -> Value {
     let (mut cameras, mut lidars) = (Vec::new(), Vec::new());
     for sensor in &info.sensors {
@@ -242,7 +242,8 @@ pub(super) fn points(sweep: &LidarSweep) -> Vec<u8> {
     bytes
 }
 
-/// At a step. The images follow the line in the order of `frames`, the points of sweeps after them.
+/// Message at a step. The images follow the line in the order of `frames`, the points of sweeps
+/// after them.
 pub(super) fn observe(observation: &Observation) -> Value {
     let (ego, guidance) = (observation.ego, observation.guidance);
     let frame = |frame: Frame| {
@@ -330,7 +331,7 @@ fn vehicle(state: &VehicleState, size: &VehicleSize) -> Value {
     })
 }
 
-/// Our last word.
+/// Last message to a planner.
 pub(super) fn end() -> Value {
     json!({ "type": "end", "bytes": 0 })
 }

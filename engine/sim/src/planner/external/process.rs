@@ -16,7 +16,7 @@ use super::connection::Connection;
 /// Number of bytes of stderr that are kept; the last lines of them are reported.
 const TAIL_BYTES: usize = 2048;
 const TAIL_LINES: usize = 6;
-/// Between two looks at whether it has ended.
+/// Interval between checks whether the process has ended.
 const LOOK: Duration = Duration::from_millis(3);
 
 /// A running child that leads a process group of its own. Dropping it ends the group and reaps the

@@ -15,7 +15,7 @@ use crate::planner::PlannerError;
 
 /// Time that a closing process has to end, so that its exit status can be reported.
 const EXIT_GRACE: Duration = Duration::from_secs(1);
-/// Our last word is not worth a longer wait.
+/// Time limit for the last message: a planner that ends is not worth a longer wait.
 const FAREWELL: Duration = Duration::from_millis(200);
 
 /// A connection, and the process behind it where we started it.

@@ -4,14 +4,13 @@ use decouplegs_drive::polyline::{Polyline, wrapped};
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
-/// The line goes on so far before and behind the route, meters, so that a vehicle beyond an end is
-/// not taken to be at it.
+/// Length of the line before and behind the route, meters, so that a vehicle beyond an end is not
+/// taken to be at it.
 const BEYOND_M: f64 = 120.0;
-/// Agents are looked for along so much of the route behind the ego, meters, and so much ahead of
-/// it.
+/// Length of the route behind the ego and ahead of it along which agents are looked for, meters.
 const BEHIND_M: f64 = 60.0;
 const AHEAD_M: f64 = 160.0;
-/// To each side of the ego's box this much has to be free, meters: less than there is between cars
+/// Width that has to be free on each side of the ego's box, meters: less than there is between cars
 /// in lanes of 3 m.
 const SIDE_M: f64 = 0.25;
 /// Largest difference from the route's heading at which a vehicle counts as driving along it,
@@ -48,11 +47,11 @@ pub(super) struct Span {
 /// Predicted path of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PredictedPath {
-    /// With the route.
+    /// Path with the route.
     Along,
-    /// Against it.
+    /// Path against the route.
     Against,
-    /// Over it, or on another road.
+    /// Path over the route, or on another road.
     Across,
 }
 

@@ -7,7 +7,7 @@ use glam::DVec2;
 use super::super::Privileged;
 use super::corridor::Corridor;
 
-/// It stops at yellow where it can with this braking, and at red with the other, m/s^2.
+/// Hardest braking for a yellow light and for a red one, m/s^2.
 const YELLOW_MPS2: f64 = 2.5;
 const RED_MPS2: f64 = 7.0;
 /// Stop lines whose middle is nearer to the route than this are on it, meters.

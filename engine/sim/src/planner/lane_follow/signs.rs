@@ -10,7 +10,7 @@ use super::lights::{GAP_M, ON_ROUTE_M, on_route_m};
 /// meters.
 const STANDING_MPS: f64 = 0.1;
 const AT_LINE_M: f64 = 4.0;
-/// It stops where it can with this braking, m/s^2.
+/// Hardest braking for a stop sign, m/s^2.
 const BRAKING_MPS2: f64 = 7.0;
 
 /// The line of a stop sign at which the ego stops, meters along the line of `corridor`. `stood_m`

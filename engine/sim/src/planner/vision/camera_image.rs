@@ -56,8 +56,9 @@ pub(super) struct Image {
 }
 
 impl Image {
-    /// The image of `frame` for an ego so high; `None` where its bytes are not those of its camera.
-    pub(super) fn of(frame: &Frame, ego_height_m: f64) -> Option<Self> {
+    /// Image of `frame` for an ego of height `ego_height_m`; `None` where its bytes are not those
+    /// of its camera.
+    pub(super) fn from_frame(frame: &Frame, ego_height_m: f64) -> Option<Self> {
         let camera = frame.camera;
         camera.intrinsics.check().ok()?;
         let (width, height) = (

@@ -19,14 +19,14 @@ const BRAKING_MPS2: f64 = 2.5;
 const HEADWAY_S: f64 = 1.6;
 /// Gap to a standing vehicle, meters: so far, because nearer ones hide their foot below the image.
 const STANDSTILL_M: f64 = 3.8;
-/// From one speed limit on the way to the next, meters.
+/// Distance between speed limits on the way, meters.
 const LIMIT_STEP_M: f64 = 1.0;
 
 /// Target positions of the ego on the path, and its speed profile.
 pub(super) struct Pace<'a> {
     pub way: &'a RoadPath,
     pub lead: Option<Lead>,
-    /// Length of the ego.
+    /// Length of the ego, meters.
     pub length_m: f64,
     pub speed_mps: f64,
     pub cruise_mps: f64,

@@ -5,7 +5,7 @@ use glam::DVec2;
 use super::markings::LaneFix;
 use super::way::{RoadPath, seen_from};
 
-/// Lanes are so wide until measured, meters.
+/// Width of a lane until it is measured, meters.
 const WIDTH_M: f64 = 3.4;
 /// The rear axle, which does not slip, lies this share of the length behind the middle of the box.
 const REAR_AXLE_SHARE: f64 = 0.3;
@@ -17,11 +17,11 @@ const OFFSET_M_MAX: f64 = 2.0;
 /// Motion of the ego from one image to the next.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
-    /// By its rear axle, meters.
+    /// Distance driven by the rear axle, meters.
     pub driven_m: f64,
-    /// By how much its heading changed, to the left where above zero.
+    /// Change of heading, radians, positive to the left.
     pub turned_rad: f64,
-    /// Along the way, as navigation tells, meters.
+    /// Progress along the way, as navigation tells, meters.
     pub progress_m: Option<f64>,
 }
 
@@ -34,13 +34,13 @@ pub(super) struct LaneBelief {
     pub heading_rad: f64,
     /// 1/m, to the left where above zero.
     pub curvature: f64,
-    /// From border to border, meters.
+    /// Width from border to border, meters.
     pub width_m: f64,
     pub offset_sigma_m: f64,
     pub heading_sigma_rad: f64,
     pub curvature_sigma: f64,
     pub width_sigma_m: f64,
-    /// Since its markings were last seen, meters driven.
+    /// Distance driven since the markings were last seen, meters.
     pub unseen_m: f64,
 }
 

@@ -7,20 +7,20 @@ use super::obstacle::Sighting;
 const NEW_SCORE: f64 = 1.0;
 /// Log odds above which it is the vehicle that was seen before.
 const KNOWN_SCORE: f64 = -1.0;
-/// A sighting is that of the known vehicle when it is so near to where that was expected, as a
-/// share of the distance, and meters.
+/// Largest distance of a sighting from where the known vehicle was expected, as a share of the
+/// distance, and meters.
 const GATE: (f64, f64) = (0.2, 2.0);
 /// Sightings this far beyond the first above the threshold may still be the same vehicle's better
 /// one, as a share of the distance.
 const SAME_SHARE: f64 = 0.15;
-/// A vehicle of which nothing was seen for so long is forgotten, seconds.
+/// Time without a sighting after which a vehicle is forgotten, seconds.
 const FORGET_S: f64 = 1.6;
 /// A vehicle nearer than this hides its own foot below the image and is remembered for longer,
 /// meters along the way.
 const UNDER_IMAGE_M: f64 = 6.0;
-/// For how long, seconds.
+/// Time after which a vehicle nearer than that is forgotten, seconds.
 const FORGET_NEAR_S: f64 = 4.0;
-/// No vehicle is faster, meters per second.
+/// Largest speed of a vehicle, meters per second.
 const SPEED_MPS_MAX: f64 = 30.0;
 /// Assumed speed of a newly seen obstacle, as a share of the ego's speed.
 const SPEED_SHARE: f64 = 0.6;

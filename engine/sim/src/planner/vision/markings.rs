@@ -8,7 +8,7 @@
 use super::lane::LaneBelief;
 use super::road_view::{COLUMN_M, COLUMNS, HALF_COLUMNS, Row};
 
-/// Rows are voted with in groups of so many.
+/// Number of rows that vote together.
 const GROUP: usize = 4;
 /// Headings that are tried, from the expected one, radians.
 const HEADING_STEP_RAD: f64 = 0.006;
@@ -18,11 +18,11 @@ const CURVATURE_STEP: f64 = 0.0012;
 const CURVATURES: i32 = 2;
 /// Widths of lanes, meters.
 const WIDTHS_M: std::ops::RangeInclusive<f64> = 2.7..=4.0;
-/// From one width to the next that is tried.
+/// Difference between widths that are tried, meters.
 const WIDTH_STEP_M: f64 = 0.1;
-/// Lanes farther from the expected one than so many of its standard deviations are not looked for.
+/// Largest distance from the expected lane at which lanes are looked for, standard deviations.
 const SIGMAS_MAX: f64 = 2.5;
-/// A border is a marking when it stands out of the noise by so many standard deviations.
+/// Number of standard deviations by which a marking stands out of the noise.
 const BORDER_SIGMAS: f64 = 3.0;
 /// More evidence than this for a border counts for no more.
 const BORDER_SIGMAS_MAX: f64 = 8.0;
@@ -45,7 +45,7 @@ pub(super) struct LaneFix {
     pub heading_rad: f64,
     /// Curvature, 1/m.
     pub curvature: f64,
-    /// From border to border, meters.
+    /// Width from border to border, meters.
     pub width_m: f64,
     /// Signal-to-noise ratio of the left and the right border, standard deviations.
     pub borders: [f64; 2],

@@ -35,24 +35,24 @@ use super::{
 };
 use crate::planner::images;
 
-/// The lane before a turn is examined while there is at least so much of it ahead, meters.
+/// Least length of the lane before a turn that is examined, meters.
 const LANE_BEFORE_M: f64 = 10.0;
-/// The lane after a turn is looked for when it begins at most so far ahead, meters.
+/// Distance to a turn from which the lane after it is looked for, meters.
 const LANE_AFTER_M: f64 = 20.0;
-/// Markings are looked for up to so far before the vehicle ahead, meters.
+/// Distance before the vehicle ahead up to which markings are looked for, meters.
 const BEFORE_LEAD_M: f64 = 0.5;
 /// Being off the lane's middle decays along this, or along what is driven in [`RETURN_S`] where
 /// that is more, meters.
 const RETURN_M: f64 = 6.0;
-/// See [`RETURN_M`], seconds.
+/// Time that takes the place of [`RETURN_M`] at higher speeds, seconds.
 const RETURN_S: f64 = 0.9;
-/// Without markings for longer than this it drives slowly, meters.
+/// Distance without markings after which the ego drives slowly, meters.
 const LOST_M: f64 = 60.0;
 /// Speed while the lane is lost, m/s.
 const LOST_MPS: f64 = 5.0;
-/// No speed beyond this is believed, meters per second.
+/// Largest speed that is believed, meters per second.
 const SPEED_MPS_MAX: f64 = 60.0;
-/// No step takes longer than this, seconds.
+/// Longest step that is believed, seconds.
 const STEP_S_MAX: f64 = 5.0;
 /// Progress that navigation tells is believed when it differs from what was driven by less than
 /// this, meters.
@@ -67,11 +67,11 @@ pub struct Perception {
     pub lane_heading_rad: f64,
     /// Bend of the lane, to the left where above zero, 1/m.
     pub lane_curvature: f64,
-    /// From border to border, meters.
+    /// Width of the lane from border to border, meters.
     pub lane_width_m: f64,
     /// Driven since markings were last seen, meters.
     pub unseen_m: f64,
-    /// From the ego's front to the vehicle ahead, meters; `None` where none is seen.
+    /// Distance from the ego's front to the vehicle ahead, meters; `None` where none is seen.
     pub gap_m: Option<f64>,
 }
 
@@ -164,7 +164,7 @@ impl State {
         self.turn_on(Arc::announced(&observation.guidance));
         let image = images(observation.readings)
             .next()
-            .and_then(|frame| Image::of(&frame, self.ego_size.height_m));
+            .and_then(|frame| Image::from_frame(&frame, self.ego_size.height_m));
         let Some(image) = image else {
             self.lead = lead::track(self.lead, &elapsed, &[]);
             return;

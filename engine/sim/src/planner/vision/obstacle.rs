@@ -31,7 +31,7 @@ pub(super) const FEATURES: usize = PER_BAND * BANDS + 5;
 const FEATURE_MAX: f32 = 1.5;
 /// First and last distance that is tried, meters along the way.
 const RANGE_M: std::ops::Range<f64> = 3.5..42.0;
-/// Each distance is so many times the one before.
+/// Ratio of each distance that is tried to the one before.
 const RANGE_RATIO: f64 = 1.03;
 /// Blocks stand in the middle of the way and beside it, meters.
 const BESIDE_M: [f64; 3] = [0.0, 0.55, -0.55];

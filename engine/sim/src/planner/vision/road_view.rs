@@ -7,16 +7,16 @@
 use super::camera_image::Image;
 use super::way::RoadPath;
 
-/// From one row to the next along the way, meters.
+/// Distance between rows along the way, meters.
 pub(super) const ROW_M: f64 = 0.25;
 /// The first row, meters ahead of the middle of the ego.
 const FIRST_M: f64 = 3.0;
 /// The last row is nearer than this, meters: beyond, a marking is narrower than a pixel of an image
 /// 320 wide.
 const VIEW_M: f64 = 34.0;
-/// From one column to the next across the way, meters.
+/// Distance between columns across the way, meters.
 pub(super) const COLUMN_M: f64 = 0.06;
-/// Columns reach so far to either side, meters.
+/// Distance to which columns reach on either side, meters.
 const HALF_WIDTH_M: f64 = 5.4;
 /// Columns, the middle one on the way.
 pub(super) const COLUMNS: usize = 2 * HALF_COLUMNS + 1;
@@ -24,7 +24,8 @@ pub(super) const COLUMNS: usize = 2 * HALF_COLUMNS + 1;
 pub(super) const HALF_COLUMNS: usize = (HALF_WIDTH_M / COLUMN_M) as usize;
 /// Half the width of the brightest part of a marking, meters.
 const CORE_M: f64 = 0.09;
-/// From there to what it is compared with, meters: the soft edge of a marking.
+/// Width of the soft edge of a marking, between its core and the road that it is compared with,
+/// meters.
 const EDGE_M: f64 = 0.10;
 /// Width of what it is compared with on either side, meters.
 const FLANK_M: f64 = 0.30;
@@ -67,7 +68,7 @@ fn row_at(image: &Image, way: &RoadPath, arc_m: f64) -> Option<Row> {
         return None;
     }
     let pixel_m = image.pixel_m(point.position_m.x);
-    let window = Window::of(pixel_m);
+    let window = Window::for_pixels(pixel_m);
     let responses = (0..COLUMNS)
         .map(|column| window.response(&sums, column))
         .collect();
@@ -88,7 +89,7 @@ struct Window {
 
 impl Window {
     /// Wide enough for pixels of `pixel_m` meters.
-    fn of(pixel_m: f64) -> Self {
+    fn for_pixels(pixel_m: f64) -> Self {
         let columns = |meters: f64| (meters / COLUMN_M).round().max(1.0) as usize;
         Self {
             core: columns(CORE_M.max(0.5 * pixel_m)),

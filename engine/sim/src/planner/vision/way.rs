@@ -9,7 +9,7 @@ use glam::DVec2;
 use super::lane::LaneBelief;
 use crate::planner::{Navigation, Turn};
 
-/// From one point to the next, meters.
+/// Distance between points, meters.
 pub(super) const STEP_M: f64 = 0.25;
 /// Length of the path, meters.
 pub(super) const VIEW_M: f64 = 60.0;
@@ -23,9 +23,9 @@ const EASING_M: (f64, f64) = (0.5, 2.0);
 const EASING_SHARE: f64 = 0.2;
 /// Turns that are farther or longer than this are no news, meters.
 const TURN_M_MAX: f64 = 10_000.0;
-/// No turn changes the heading by more, radians: a full circle.
+/// Largest change of heading of a turn, radians: a full circle.
 const TURN_RAD_MAX: f64 = 2.0 * PI;
-/// No turn is tighter than this, 1/m: no car follows a radius below 5 m.
+/// Largest curvature of a turn, 1/m: no car follows a radius below 5 m.
 const CURVATURE_MAX: f64 = 0.2;
 
 /// The arc of a turn on the way, meters ahead of the ego.
@@ -33,7 +33,7 @@ const CURVATURE_MAX: f64 = 0.2;
 pub(super) struct Arc {
     pub begin_m: f64,
     pub end_m: f64,
-    /// To the left where above zero, 1/m.
+    /// Curvature, 1/m, positive to the left.
     pub curvature: f64,
 }
 
@@ -70,15 +70,15 @@ impl Arc {
 /// A position on the way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct WayPoint {
-    /// In the ego's frame, meters.
+    /// Position in the ego's frame, meters.
     pub position_m: DVec2,
     pub heading_rad: f64,
-    /// To the left where above zero, 1/m.
+    /// Curvature, 1/m, positive to the left.
     pub curvature: f64,
 }
 
 impl WayPoint {
-    /// The position so far to the left of this one, meters.
+    /// Position at `left_m` to the left of this one, meters.
     pub(super) fn beside(&self, left_m: f64) -> DVec2 {
         self.position_m + self.left() * left_m
     }

@@ -82,7 +82,7 @@ fn a_planted_transfer_is_found_and_a_broken_one_is_told_from_it() {
             }
             color
         };
-        let moments = Moments::of(&samples, &lights, 9, objective, relit);
+        let moments = Moments::from_samples(&samples, &lights, 9, objective, relit);
         let all: Vec<_> = moments.lights.iter().collect();
         let found = Ridge::new(&moments, &all)
             .solve(1e-13, &zero(9))
@@ -455,7 +455,7 @@ fn judged(transfer: &LightTransfer, cloud: &SplatCloud) -> f64 {
     let samples = samples(cloud, 150, options().seed + 1);
     let (_, moments) = moments_of(&samples, &lights, 1, Objective::Seen);
     let pairs: Vec<_> = lights.iter().zip(&moments.lights).collect();
-    Comparison::of(transfer, &samples, &moments, &pairs)
+    Comparison::for_transfer(transfer, &samples, &moments, &pairs)
         .relit
         .rmse()
 }

@@ -49,7 +49,7 @@ pub struct Nearest {
     pub square: f32,
 }
 
-/// Entries in the order of one component, in blocks of [`LANES`]: one component of a difference,
+/// Entries in the order of one component, in blocks of 16: one component of a difference,
 /// squared, is a lower bound of the squared distance, so the search begins at the block around the
 /// vector and ends where the next block is too far.
 pub struct SearchBook {

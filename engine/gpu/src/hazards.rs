@@ -1,5 +1,4 @@
-//! The one home of barriers: which are needed follows from what kernels declare they do with their
-//! buffers.
+//! All barriers: which are needed follows from what kernels declare they do with their buffers.
 //!
 //! Since the last barrier, the buffers written and the buffers read are kept. A command that reads
 //! what was written, or writes what was read or written, needs a barrier first; the barrier covers
@@ -67,7 +66,8 @@ pub(crate) fn barrier_between(context: &Context, commands: vk::CommandBuffer) {
     emit(context, commands, (stages(), written), (stages(), touched));
 }
 
-/// At the start: earlier command buffers of the same queue, and whatever a semaphore waited for.
+/// Barrier at the start, behind earlier command buffers of the same queue and whatever a semaphore
+/// waited for.
 pub(crate) fn barrier_at_start(context: &Context, commands: vk::CommandBuffer) {
     use vk::{AccessFlags2 as Flags, PipelineStageFlags2 as Stages};
     emit(
@@ -81,7 +81,7 @@ pub(crate) fn barrier_at_start(context: &Context, commands: vk::CommandBuffer) {
     );
 }
 
-/// At the end: what the device wrote becomes visible to the host that waits for the ticket.
+/// Barrier at the end: what the device wrote becomes visible to the host that waits for the ticket.
 pub(crate) fn barrier_to_host(context: &Context, commands: vk::CommandBuffer) {
     use vk::{AccessFlags2 as Flags, PipelineStageFlags2 as Stages};
     emit(
