@@ -28,7 +28,7 @@
 //! in UTM coordinates keeps its millimeters.
 #![forbid(unsafe_code)]
 
-pub mod explain;
+pub use decouplegs_scene::explain;
 
 pub use decouplegs_asset as asset;
 pub use decouplegs_drive as drive;
@@ -39,7 +39,7 @@ pub use decouplegs_session::{
     self as session, AgentInstance, LiveScene, SceneSnapshot, measure_movable_scene,
     open_movable_scene,
 };
-pub use decouplegs_sim::{episode, planner, scenario_import};
+pub use decouplegs_sim::{episode, footing, planner, scenario_import};
 pub use decouplegs_synth as synth;
 pub use decouplegs_train as train;
 pub use scene::{Camera, Intrinsics, Pose, Rig, Rules, Scenario, SplatCloud, Trajectory};

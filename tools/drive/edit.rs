@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::scene_file::path_from;
 use decouplegs::asset::{SceneAgent, SceneFile, is_scene_file};
+use decouplegs::footing::{Footing, dims_of};
 use decouplegs::scene::{Pose, Presence, Trajectory};
-use decouplegs_cli::footing::{Footing, dims_of};
 
 use crate::arguments::print;
+use crate::progress;
 use change::{Addition, Move, Shift, Swap, Times};
 
 /// Move, swap, remove, add and time agents of a scene, and write it as a new scene file
@@ -100,7 +101,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let touched = change(&mut edited, arguments, to)?;
     let mut report = String::new();
     if arguments.ground {
-        let footing = Footing::of(&to.join(&edited.background), edited.origin)?;
+        let background = to.join(&edited.background);
+        let reading = progress::spinner(format!("reading {}", background.display()));
+        let footing = Footing::open(&background, edited.origin)?;
+        reading.finish_and_clear();
         for name in &touched {
             report.push_str(&set_on_ground(&mut edited, name, to, &footing)?);
         }

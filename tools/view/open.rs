@@ -16,6 +16,7 @@ use decouplegs_cli::arguments::transfer_in;
 use decouplegs_cli::progress;
 use decouplegs_cli::scene_source::{Scene, SceneOptions};
 
+use crate::demo::demo;
 use crate::played::Played;
 use crate::scenario_edits::{LivePlanner, Place, ScenarioEditor};
 use crate::scene_course::SceneCourse;
@@ -73,16 +74,11 @@ fn input(path: &Path) -> Result<Input> {
 }
 
 impl SourceArguments {
-    /// Opens all that is shown. `demo` makes the demo scene where it is absent, and returns its
-    /// file.
+    /// Opens all that is shown: the demo scene where no file is named.
     ///
     /// # Errors
     /// Returns an error if a file is at fault, or the device has not the memory.
-    pub fn open(
-        &self,
-        session: &Session,
-        demo: impl FnOnce() -> Result<PathBuf>,
-    ) -> Result<Vec<Source>> {
+    pub fn open(&self, session: &Session) -> Result<Vec<Source>> {
         let path = match &self.file {
             Some(path) => path.clone(),
             None => demo()?,

@@ -1,15 +1,23 @@
 //! The ground below agents, and their wheels on it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, ensure};
-use decouplegs::asset::{coded_asset, read_coded, read_splats};
-use decouplegs::drive::register::grounding::set_on_ground;
-use decouplegs::drive::{Ground, GroundOptions};
-use decouplegs::scene::{TimedPose, Trajectory};
+use decouplegs_asset::{AssetError, coded_asset, read_coded, read_splats};
+use decouplegs_drive::register::grounding::set_on_ground;
+use decouplegs_drive::{Ground, GroundOptions};
+use decouplegs_scene::{Invalid, TimedPose, Trajectory};
 use glam::DVec3;
 
-use crate::progress;
+/// An asset that has no size.
+#[derive(Debug, thiserror::Error)]
+pub enum FootingError {
+    /// Its file.
+    #[error(transparent)]
+    Asset(#[from] AssetError),
+    /// No splat with a finite mean.
+    #[error("{} has no splats that could stand somewhere", .0.display())]
+    Empty(PathBuf),
+}
 
 /// The ground that agents are set on.
 pub struct Footing {
@@ -28,7 +36,10 @@ pub struct Grounded {
 
 /// Length, width and height of the asset at `path`, meters: as a compressed one says, or of the box
 /// about the means of its splats.
-pub fn dims_of(path: &Path) -> Result<[f64; 3]> {
+///
+/// # Errors
+/// Returns an error if the file cannot be read, or has no splats.
+pub fn dims_of(path: &Path) -> Result<[f64; 3], FootingError> {
     if coded_asset::has_extension(path) {
         return Ok(read_coded(path)?.cloud.dims_m.map(f64::from));
     }
@@ -37,27 +48,29 @@ pub fn dims_of(path: &Path) -> Result<[f64; 3]> {
         .bounds()
         .half_extent()
         .map(|half_m| 2.0 * f64::from(half_m));
-    ensure!(
-        dims_m.iter().all(|side_m| side_m.is_finite()),
-        "{} has no splats that could stand somewhere",
-        path.display()
-    );
+    if !dims_m.iter().all(|side_m| side_m.is_finite()) {
+        return Err(FootingError::Empty(path.to_owned()));
+    }
     Ok(dims_m)
 }
 
 impl Footing {
     /// The ground of the background at `path`, whose means are relative to `origin`.
-    pub fn of(path: &Path, origin: DVec3) -> Result<Self> {
-        let reading = progress::spinner(format!("reading {}", path.display()));
+    ///
+    /// # Errors
+    /// Returns an error if the file cannot be read.
+    pub fn open(path: &Path, origin: DVec3) -> Result<Self, AssetError> {
         let cloud = read_splats(path)?;
         let ground = Ground::new(&cloud, origin, &GroundOptions::default());
-        reading.finish_and_clear();
         Ok(Self { ground })
     }
 
     /// `trajectory` with the wheels of a box of `dims_m` on the ground at each pose: the heading
     /// stays, and the position from above.
-    pub fn under(&self, trajectory: &Trajectory, dims_m: [f64; 3]) -> Result<Grounded> {
+    ///
+    /// # Errors
+    /// Returns an error if the poses are no trajectory.
+    pub fn under(&self, trajectory: &Trajectory, dims_m: [f64; 3]) -> Result<Grounded, Invalid> {
         let (mut grounded, mut raised_max_m) = (0, 0f64);
         let mut set = |timed: &TimedPose| {
             let Some((_, pose)) = set_on_ground(&self.ground, &timed.pose, dims_m) else {
@@ -82,8 +95,8 @@ impl Footing {
 
 #[cfg(test)]
 mod tests {
-    use decouplegs::drive::register::grounding::corners;
-    use decouplegs::scene::{Pose, SplatCloud};
+    use decouplegs_drive::register::grounding::corners;
+    use decouplegs_scene::{Pose, SplatCloud};
     use glam::DVec2;
 
     use super::*;
