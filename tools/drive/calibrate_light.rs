@@ -14,7 +14,7 @@ use decouplegs::asset::{
 };
 use decouplegs::scene::SplatCloud;
 use decouplegs::scene::light::{Probe, Surroundings};
-use decouplegs::train::calibrate::{
+use decouplegs_calibrate::{
     CalibrateOptions, Calibration, Comparison, LIGHTS_MIN, Objective, Progress, calibrate,
 };
 
@@ -252,7 +252,7 @@ fn row(name: &str, comparison: &Comparison) -> String {
         relit,
         affine,
     } = comparison;
-    let angle = |error: &decouplegs::train::calibrate::ColorError| {
+    let angle = |error: &decouplegs_calibrate::ColorError| {
         format!(
             "{:6.2} / {:5.2} deg",
             error.angle_mean_deg(),

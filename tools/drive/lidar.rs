@@ -9,13 +9,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::point_cloud::{McapSweeps, PointFormat, write_points};
 use decouplegs::asset::{LoadedScene, lidar_names, open_scene, write_atomically};
 use decouplegs::episode::chosen_lidars;
 use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer};
 use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions};
 use decouplegs::scene::{LidarSweep, Motion, Rig, RigLidar, Rules};
 use decouplegs::session::LiveScene;
+use decouplegs_recording::point_cloud::{McapSweeps, PointFormat, write_points};
 use glam::{DQuat, DVec3};
 use serde_json::json;
 

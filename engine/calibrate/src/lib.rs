@@ -7,6 +7,7 @@
 //! looks like in that light (`surroundings`), because at run time L is what the background looks
 //! like. Probes are turned, mirrored and exposed (`lighting`) so that lights span all of R^27; a
 //! fit that they leave undetermined is refused.
+#![forbid(unsafe_code)]
 
 mod confidence;
 mod held_out;

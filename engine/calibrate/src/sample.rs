@@ -4,7 +4,7 @@ use decouplegs_scene::{SplatCloud, sh};
 use glam::DVec3;
 
 use super::surface::{COEFFICIENTS, Surface, center_of};
-use crate::compress::random::Random;
+use decouplegs_scene::random::Random;
 
 /// Directions over the sphere of which those count in which a splat is seen.
 const DIRECTIONS: usize = 256;

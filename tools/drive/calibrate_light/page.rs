@@ -1,7 +1,7 @@
 //! The report as one HTML page.
 
 use anyhow::Result;
-use decouplegs::train::calibrate::{Calibration, ColorError, Comparison, HUE_FLOOR, LIGHTS_MIN};
+use decouplegs_calibrate::{Calibration, ColorError, Comparison, HUE_FLOOR, LIGHTS_MIN};
 
 use super::{Subject, views};
 use crate::page::{Figure, Page, Table};

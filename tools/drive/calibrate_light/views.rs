@@ -4,7 +4,7 @@ use decouplegs::render::reference;
 use decouplegs::render::rendered_image::Image;
 use decouplegs::scene::light::{Probe, Surroundings, to_display};
 use decouplegs::scene::{AmbientDescriptor, Rules, SplatCloud, SplatScene};
-use decouplegs::train::calibrate::{Calibration, HeldOut, Lighting, PreparedProbe, lit_cloud};
+use decouplegs_calibrate::{Calibration, HeldOut, Lighting, PreparedProbe, lit_cloud};
 
 use super::Subject;
 use crate::views::street;

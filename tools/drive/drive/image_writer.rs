@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use decouplegs::asset::EpisodeLog;
-use decouplegs::asset::point_cloud::{PointFormat, write_points};
 use decouplegs::episode::{EpisodeError, EpisodeObserver};
 use decouplegs::planner::{Frame, Reading, images, sweeps};
 use decouplegs::render::Image;
@@ -14,6 +13,7 @@ use decouplegs::render::rendered_image::ImageFileFormat;
 use decouplegs::scene::episode::{EpisodeEnd, EpisodeHead, EpisodeStep, EpisodeTick};
 use decouplegs::scene::lidar::PointFrame;
 use decouplegs::scene::{Lidar, LidarSweep};
+use decouplegs_recording::point_cloud::{PointFormat, write_points};
 
 use crate::arguments::write_image;
 use crate::lidar::previews::{ABOVE, RANGES, from_above, ranges};

@@ -7,12 +7,12 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use decouplegs::asset::point_cloud::{PointFormat, write_points};
 use decouplegs::asset::write_atomically;
 use decouplegs::drive::polyline::wrapped;
 use decouplegs::scene::bounding_box::AgentBox;
 use decouplegs::scene::lidar::PointFrame;
 use decouplegs::scene::{Camera, Pose, Rig, RoadUser};
+use decouplegs_recording::point_cloud::{PointFormat, write_points};
 use glam::DVec3;
 
 use super::sensed::{Labeled, LabeledAgent, Sensed};

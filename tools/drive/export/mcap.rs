@@ -5,15 +5,15 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use decouplegs::asset::point_cloud::point_cloud2;
-use decouplegs::asset::ros::{
-    CAMERA_INFO, COMPRESSED_IMAGE, CameraModel, MARKER_ARRAY, Marker, McapLog, POINT_CLOUD2,
-    TF_MESSAGE, Topic, Transform, camera_info, compressed_image, marker_array, tf_message,
-};
 use decouplegs::scene::lens::Lens;
 use decouplegs::scene::lidar::PointFrame;
 use decouplegs::scene::{Intrinsics, Rig, RoadUser};
 use decouplegs_cli::png_bytes;
+use decouplegs_recording::point_cloud::point_cloud2;
+use decouplegs_recording::ros::{
+    CAMERA_INFO, COMPRESSED_IMAGE, CameraModel, MARKER_ARRAY, Marker, McapLog, POINT_CLOUD2,
+    TF_MESSAGE, Topic, Transform, camera_info, compressed_image, marker_array, tf_message,
+};
 
 use super::DataSet;
 use super::sensed::{LabeledAgent, LabeledImage, Sensed};

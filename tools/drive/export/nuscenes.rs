@@ -7,13 +7,13 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use decouplegs::asset::point_cloud::{PointFormat, write_points};
 use decouplegs::asset::write_atomically;
 use decouplegs::episode::reading_hash;
 use decouplegs::scene::episode::Episode;
 use decouplegs::scene::lidar::PointFrame;
 use decouplegs::scene::{Pose, Rig, RoadUser};
 use decouplegs_cli::png_bytes;
+use decouplegs_recording::point_cloud::{PointFormat, write_points};
 use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
 

@@ -14,7 +14,7 @@ use super::super::ridge::{Ridge, zero};
 use super::super::sample::{Sample, samples};
 use super::super::*;
 use super::{ball, skies};
-use crate::compress::random::Random;
+use decouplegs_scene::random::Random;
 
 fn options() -> CalibrateOptions {
     CalibrateOptions {

@@ -7,7 +7,7 @@ use decouplegs_scene::light::Probe;
 use decouplegs_scene::{SplatCloud, sh};
 use glam::DVec3;
 
-use crate::compress::random::Random;
+use decouplegs_scene::random::Random;
 
 /// A sky of colored lobes over a gray ground: light that differs by direction, hue and contrast,
 /// the same for the same seed.

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use arrow_array::{ArrayRef, Float16Array, Int32Array, RecordBatch, UInt8Array};
 use arrow_ipc::writer::FileWriter;
+use decouplegs_asset::EncodeError;
 use decouplegs_scene::lidar::LidarPoint;
 use half::f16;
 
 use super::intensity_byte;
-use crate::EncodeError;
 
 /// The bytes of the file.
 pub(super) fn encode(points: &[LidarPoint]) -> Result<Vec<u8>, EncodeError> {

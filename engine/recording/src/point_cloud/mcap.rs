@@ -2,10 +2,10 @@
 
 use std::io::Cursor;
 
+use decouplegs_asset::EncodeError;
 use decouplegs_scene::lidar::LidarPoint;
 
 use super::{intensity_byte, rounded};
-use crate::EncodeError;
 use crate::ros::{Cdr, McapLog, POINT_CLOUD2, Topic};
 
 /// Fields of a point: name, offset, and type as in `PointField`. Autoware's `PointXYZIRCAEDT`, 32

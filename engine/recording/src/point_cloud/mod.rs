@@ -15,10 +15,9 @@ use std::fmt::Write as _;
 use std::io::Write;
 use std::path::Path;
 
+use decouplegs_asset::{AssetError, EncodeError, write_atomically};
 use decouplegs_scene::lidar::LidarPoint;
 use glam::DVec3;
-
-use crate::{AssetError, EncodeError, write_atomically};
 
 pub use mcap::{McapSweeps, POINT_FIELDS, point_cloud2};
 

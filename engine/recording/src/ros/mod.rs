@@ -11,9 +11,8 @@ use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 use std::sync::Arc;
 
+use decouplegs_asset::EncodeError;
 use mcap::{Channel, Message, Schema, WriteOptions, Writer};
-
-use crate::EncodeError;
 
 pub(crate) use cdr::Cdr;
 pub use messages::{

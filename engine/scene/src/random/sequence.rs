@@ -1,17 +1,17 @@
-//! The random numbers of a compression: all of them follow from its seed, and none is drawn by a
-//! thread of its own.
+//! A sequence of random numbers: all of them follow from its seed, and none is drawn by a thread of
+//! its own.
 
-use decouplegs_scene::random::{GOLDEN, next};
+use super::{GOLDEN, next};
 
 /// A sequence of random numbers.
 #[derive(Clone, Debug)]
-pub(crate) struct Random {
+pub struct Random {
     state: u64,
 }
 
 impl Random {
     /// The sequence of `seed`.
-    pub(crate) fn new(seed: u64) -> Self {
+    pub fn new(seed: u64) -> Self {
         Self {
             state: seed.wrapping_mul(GOLDEN) ^ 0x5bf0_3635,
         }
@@ -22,18 +22,18 @@ impl Random {
     }
 
     /// Uniform in [0, 1).
-    pub(crate) fn unit(&mut self) -> f64 {
+    pub fn unit(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / 9_007_199_254_740_992.0
     }
 
     /// Uniform in 0 to `count` - 1, which must not be empty.
-    pub(crate) fn index(&mut self, count: usize) -> usize {
+    pub fn index(&mut self, count: usize) -> usize {
         ((u128::from(self.bits()) * count as u128) >> 64) as usize
     }
 
     /// `picked` distinct numbers below `count` in increasing order, all of them when there are no
     /// more (Knuth, The Art of Computer Programming 2, algorithm S).
-    pub(crate) fn subset(&mut self, count: usize, picked: usize) -> Vec<usize> {
+    pub fn subset(&mut self, count: usize, picked: usize) -> Vec<usize> {
         let mut wanted = picked.min(count);
         let mut subset = Vec::with_capacity(wanted);
         for index in 0..count {
