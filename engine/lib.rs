@@ -18,7 +18,7 @@
 //! | [`scene`] | data types: splats, poses, cameras, lenses, rules, light, lane maps, episodes | - |
 //! | [`asset`] | file formats: splats, maps, tracks, scene files, logs, probes | `scene` |
 //! | [`synth`] | procedural streets, roads of maps as splats, environment probes | `scene` |
-//! | [`train`] | compression by vector quantization, calibration of light | `scene` |
+//! | [`train`] | compression by vector quantization | `scene` |
 //! | [`drive`] | lanes, ground, registration of tracks, traffic, scores | `scene` |
 //! | [`gpu`] | Vulkan: device, queues, memory, kernels; the only `unsafe` code | - |
 //! | [`render`] | images: the GPU frame, its f64 reference, differences between images | `scene`, `gpu` |

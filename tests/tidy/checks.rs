@@ -28,6 +28,11 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("engine/drive/Cargo.toml", &["decouplegs-scene"]),
     ("engine/synth/Cargo.toml", &["decouplegs-scene"]),
     ("engine/train/Cargo.toml", &["decouplegs-scene"]),
+    ("engine/calibrate/Cargo.toml", &["decouplegs-scene"]),
+    (
+        "engine/recording/Cargo.toml",
+        &["decouplegs-asset", "decouplegs-scene"],
+    ),
     (
         "engine/render/Cargo.toml",
         &["decouplegs-scene", "decouplegs-gpu", "decouplegs-shaders"],
@@ -81,7 +86,13 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ),
     (
         "tools/drive/Cargo.toml",
-        &["decouplegs", "decouplegs-cli", "decouplegs-alpasim"],
+        &[
+            "decouplegs",
+            "decouplegs-calibrate",
+            "decouplegs-cli",
+            "decouplegs-alpasim",
+            "decouplegs-recording",
+        ],
     ),
     (
         "tools/alpasim/Cargo.toml",
@@ -108,8 +119,10 @@ const MAY_TEST_WITH: &[(&str, &str)] = &[
     ("engine/drive/Cargo.toml", "decouplegs-asset"),
     ("engine/drive/Cargo.toml", "decouplegs-synth"),
     ("engine/train/Cargo.toml", "decouplegs-synth"),
+    ("engine/calibrate/Cargo.toml", "decouplegs-synth"),
     ("engine/session/Cargo.toml", "decouplegs-synth"),
     ("tools/Cargo.toml", "decouplegs"),
+    ("benches/Cargo.toml", "decouplegs-calibrate"),
 ];
 
 /// Findings for the lines of `texts` in which `fault` sees one.
