@@ -16,7 +16,8 @@
 //! | module | content | depends on |
 //! |---|---|---|
 //! | [`scene`] | data types: splats, poses, cameras, lenses, rules, light, lane maps, episodes | - |
-//! | [`asset`] | file formats: splats, maps, tracks, scene files, logs, probes | `scene` |
+//! | [`asset`] | file formats: splats, maps, tracks, scene files, probes | `scene` |
+//! | [`logs`] | files of the closed loop: logs, scenarios | `scene`, `asset` |
 //! | [`synth`] | procedural streets, roads of maps as splats, environment probes | `scene` |
 //! | [`train`] | compression by vector quantization | `scene` |
 //! | [`drive`] | lanes, ground, registration of tracks, traffic, scores | `scene` |
@@ -33,6 +34,7 @@ pub use decouplegs_scene::explain;
 pub use decouplegs_asset as asset;
 pub use decouplegs_drive as drive;
 pub use decouplegs_gpu as gpu;
+pub use decouplegs_logs as logs;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;
 pub use decouplegs_session::{

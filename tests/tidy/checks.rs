@@ -30,6 +30,10 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("engine/train/Cargo.toml", &["decouplegs-scene"]),
     ("engine/calibrate/Cargo.toml", &["decouplegs-scene"]),
     (
+        "engine/logs/Cargo.toml",
+        &["decouplegs-asset", "decouplegs-scene"],
+    ),
+    (
         "engine/recording/Cargo.toml",
         &["decouplegs-asset", "decouplegs-scene"],
     ),
@@ -52,6 +56,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
         &[
             "decouplegs-asset",
             "decouplegs-drive",
+            "decouplegs-logs",
             "decouplegs-scene",
             "decouplegs-session",
             "decouplegs-synth",

@@ -12,10 +12,11 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::{AssetError, read_episode_log, scenario_file};
+use decouplegs::asset::AssetError;
 use decouplegs::episode::{
     self, Appearance, Driven, ObservationRenderer, chosen, chosen_lidars, drive,
 };
+use decouplegs::logs::{read_episode_log, scenario_file};
 use decouplegs::planner::{Cameras, Planner, Timeouts};
 use decouplegs::scene::episode::Episode;
 use decouplegs::scene::{Level, Sensor};

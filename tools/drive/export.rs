@@ -13,8 +13,9 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::{TEMPORARY_PREFIX, read_episode_log, write_atomically};
+use decouplegs::asset::{TEMPORARY_PREFIX, write_atomically};
 use decouplegs::episode::{Appearance, Moments, Site, camera_named, chosen_lidars};
+use decouplegs::logs::read_episode_log;
 use decouplegs::scene::episode::{DrawnBy, Episode};
 use decouplegs::scene::{Camera, Rig, RigCamera, RigLidar, RoadUser, Sensor};
 use decouplegs_cli::png_bytes;

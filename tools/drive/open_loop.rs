@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::{read_episode_log, write_atomically};
+use decouplegs::asset::write_atomically;
 use decouplegs::drive::OrientedBox;
 use decouplegs::drive::oriented_box::time_to_collision;
 use decouplegs::drive::score::{Moments, TTC_HORIZON_S, plan_ade_m};
 use decouplegs::episode::open_loop::{Images, plans};
 use decouplegs::episode::{Appearance, EpisodeError, ObservationRenderer, Simulation, chosen};
+use decouplegs::logs::read_episode_log;
 use decouplegs::planner::{Timeouts, images};
 use decouplegs::render::Image;
 use decouplegs::scene::episode::{Episode, EpisodeTick};

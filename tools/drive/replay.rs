@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Result, bail, ensure};
-use decouplegs::asset::read_episode_log;
 use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{
     Appearance, EpisodeObserver, ObservationRenderer, Replayed, Site, camera_named, chosen_lidars,
     replay,
 };
+use decouplegs::logs::read_episode_log;
 use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
 use decouplegs::scene::{Rig, Sensor};
 

@@ -5,9 +5,10 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::ValueEnum;
-use decouplegs::asset::{read_episode_log, write_atomically};
+use decouplegs::asset::write_atomically;
 use decouplegs::drive::score::HdVariant;
 use decouplegs::episode::Appearance;
+use decouplegs::logs::read_episode_log;
 
 use crate::arguments::print;
 use crate::background::BackgroundArguments;

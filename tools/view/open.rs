@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
-use decouplegs::asset::{SplatFormat, is_scene_file, read_episode_log, read_scenario};
+use decouplegs::asset::{SplatFormat, is_scene_file};
 use decouplegs::episode::{Appearance, Site};
+use decouplegs::logs::{read_episode_log, read_scenario};
 use decouplegs::planner::PlannerChoice;
 use decouplegs::scene::Scenario;
 use decouplegs::scene::episode::Episode;

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use decouplegs::asset::EpisodeLog;
 use decouplegs::episode::{EpisodeError, EpisodeObserver};
+use decouplegs::logs::EpisodeLog;
 use decouplegs::planner::{Frame, Reading, images, sweeps};
 use decouplegs::render::Image;
 use decouplegs::render::rendered_image::ImageFileFormat;

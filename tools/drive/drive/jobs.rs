@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use decouplegs::asset::maps::length_m;
-use decouplegs::asset::{probe_paths, read_scenario, write_atomically, write_scenario};
+use decouplegs::asset::{probe_paths, write_atomically};
 use decouplegs::drive::generate::{Area, Difficulty, Generator, PlaceOptions, Sky};
 use decouplegs::episode::Site;
+use decouplegs::logs::{read_scenario, write_scenario};
 use decouplegs::scenario_import::import_open_scenario;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{LaneMap, Scenario, Weather};

@@ -13,8 +13,8 @@ use std::path::Path;
 
 use decouplegs_scene::Episode;
 
-use crate::error::read_bytes;
-use crate::{AssetError, DecodeError, EncodeError};
+use decouplegs_asset::read_bytes;
+use decouplegs_asset::{AssetError, DecodeError, EncodeError};
 
 pub use write::EpisodeLog;
 

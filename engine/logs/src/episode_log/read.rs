@@ -7,7 +7,7 @@ use super::chain::Chain;
 use super::record::{EndForm, FormatForm, HeadForm, Record, StepForm, to_json};
 use super::sequence::Sequence;
 use super::{FORMAT, VERSION};
-use crate::DecodeError;
+use decouplegs_asset::DecodeError;
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Episode, DecodeError> {
     let mut chain = Chain::new();

@@ -11,8 +11,8 @@ use decouplegs_scene::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep};
 use super::chain::Chain;
 use super::record::{EndForm, HeadForm, StepForm, to_json};
 use super::sequence::Sequence;
-use crate::atomic::sync_directory_of;
-use crate::{AssetError, EncodeError};
+use decouplegs_asset::sync_directory_of;
+use decouplegs_asset::{AssetError, EncodeError};
 
 /// Turns records into lines.
 #[derive(Debug)]

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use decouplegs_scene::{RoadUser, VehicleSize};
 
 use super::{Entity, Skipped};
-use crate::DecodeError;
-use crate::xml::{self, Element};
+use decouplegs_asset::DecodeError;
+use decouplegs_asset::xml::{self, Element};
 
 /// Reads the entities of a scenario.
 pub(super) fn read(

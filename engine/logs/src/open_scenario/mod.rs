@@ -23,9 +23,9 @@ use std::path::{Path, PathBuf};
 
 use decouplegs_scene::{LightPhase, RoadUser, VehicleSize};
 
-use crate::error::read_bytes;
-use crate::xml::{self, Element};
-use crate::{AssetError, DecodeError};
+use decouplegs_asset::read_bytes;
+use decouplegs_asset::xml::{self, Element};
+use decouplegs_asset::{AssetError, DecodeError};
 
 pub use positions::Position;
 

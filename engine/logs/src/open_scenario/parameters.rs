@@ -3,8 +3,8 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-use crate::DecodeError;
-use crate::xml::{self, Element, excerpt};
+use decouplegs_asset::DecodeError;
+use decouplegs_asset::xml::{self, Element, excerpt};
 
 /// Longest value of a parameter, and largest file after substitution, bytes.
 const VALUE_BYTES_MAX: usize = 1000;

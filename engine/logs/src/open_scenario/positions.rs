@@ -3,8 +3,8 @@
 use glam::DVec2;
 
 use super::Skipped;
-use crate::DecodeError;
-use crate::xml::Element;
+use decouplegs_asset::DecodeError;
+use decouplegs_asset::xml::Element;
 
 /// A position, as the file gives it.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,8 +5,8 @@ use std::collections::HashMap;
 use decouplegs_scene::{LightColor, LightPhase};
 
 use super::{SignalPhases, Skipped};
-use crate::DecodeError;
-use crate::xml::Element;
+use decouplegs_asset::DecodeError;
+use decouplegs_asset::xml::Element;
 
 /// Phases of all signals of the road network.
 pub(super) fn read(

@@ -5,8 +5,8 @@ use std::collections::HashMap;
 use super::{
     Action, Entity, Event, EventTrigger, Skipped, TargetLane, TargetSpeed, Transition, positions,
 };
-use crate::DecodeError;
-use crate::xml::Element;
+use decouplegs_asset::DecodeError;
+use decouplegs_asset::xml::Element;
 
 /// Entities by name.
 struct Cast<'a> {

@@ -8,8 +8,8 @@ use std::path::Path;
 use decouplegs_scene::scenario::{Behavior, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
 use decouplegs_scene::{Pedestrian, RoadUser, Scenario, TrafficLight, TrafficSign, VehicleSize};
 
-use crate::traffic_light_form::{self, LIGHTS_MAX};
-use crate::traffic_sign_form::{self, SIGNS_MAX};
+use decouplegs_asset::traffic_light_form::{self, LIGHTS_MAX};
+use decouplegs_asset::traffic_sign_form::{self, SIGNS_MAX};
 
 /// Most agents of a scenario, pedestrians included.
 pub const AGENTS_MAX: usize = 10_000;

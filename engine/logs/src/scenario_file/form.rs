@@ -11,10 +11,10 @@ use toml::Spanned;
 use super::VERSION;
 use super::check::{Fault, Table, check};
 use super::seed::Seed;
-use crate::SceneError;
-use crate::toml_text::{Checker, syntax_error};
-use crate::traffic_light_form::LightForm;
-use crate::traffic_sign_form::SignForm;
+use decouplegs_asset::SceneError;
+use decouplegs_asset::toml_text::{Checker, syntax_error};
+use decouplegs_asset::traffic_light_form::LightForm;
+use decouplegs_asset::traffic_sign_form::SignForm;
 
 /// Tables keep their place in the text so that a complaint can name its line.
 #[derive(Deserialize, Serialize)]

@@ -12,9 +12,9 @@ use std::path::Path;
 
 use decouplegs_scene::Scenario;
 
-use crate::error::read_bytes;
-use crate::toml_text::text_of;
-use crate::{AssetError, EncodeError, SceneError, write_atomically};
+use decouplegs_asset::read_bytes;
+use decouplegs_asset::toml_text::text_of;
+use decouplegs_asset::{AssetError, EncodeError, SceneError, write_atomically};
 
 pub use check::{AGENTS_MAX, DURATION_S_MAX, STEP_S_MAX, STEP_S_MIN};
 

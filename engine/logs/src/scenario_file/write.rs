@@ -16,9 +16,9 @@ use super::form::{
     SceneForm, StreetForm,
 };
 use super::seed::Seed;
-use crate::EncodeError;
-use crate::traffic_light_form::LightForm;
-use crate::traffic_sign_form::SignForm;
+use decouplegs_asset::EncodeError;
+use decouplegs_asset::traffic_light_form::LightForm;
+use decouplegs_asset::traffic_sign_form::SignForm;
 
 /// Comment at the top of a scenario file, for people who edit it.
 const HEADING: &str = "\

@@ -2,8 +2,8 @@
 
 mod writing;
 
-use decouplegs_asset::episode_log::{VERSION, decode, encode};
-use decouplegs_asset::{EpisodeLog, read_episode_log};
+use decouplegs_logs::episode_log::{VERSION, decode, encode};
+use decouplegs_logs::{EpisodeLog, read_episode_log};
 use decouplegs_scene::episode::{
     DrawnBy, EpisodeTick, PlannerRecord, ReadingRecord, StopLineRecord,
 };
@@ -192,7 +192,7 @@ fn episodes() -> impl Strategy<Value = Episode> {
 
 /// An episode of three short steps with one agent.
 fn small() -> Episode {
-    let mut scenario: Scenario = decouplegs_asset::scenario_file::parse(
+    let mut scenario: Scenario = decouplegs_logs::scenario_file::parse(
         &crate::scenario_files::example().replace("\"hard\"", "\"easy\""),
     )
     .unwrap();

@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
-use decouplegs_asset::open_scenario::{
+use decouplegs_logs::open_scenario::{
     Action, EventTrigger, OpenScenario, Position, TargetLane, TargetSpeed, Transition, decode,
 };
 use decouplegs_scene::{LightColor, RoadUser};
 use glam::DVec2;
 use proptest::prelude::*;
 
-const SCENARIO: &str = include_str!("../../fuzz/seeds/open_scenario/cut_in.xosc");
+const SCENARIO: &str = include_str!("../../../asset/fuzz/seeds/open_scenario/cut_in.xosc");
 
 const CATALOG: &str = "<OpenSCENARIO><FileHeader revMajor='1' revMinor='2'/><Catalog name='vehicles'>
     <Vehicle name='van' vehicleCategory='van'><BoundingBox><Center x='1.5' y='0' z='1'/>

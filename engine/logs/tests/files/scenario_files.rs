@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use decouplegs_asset::scenario_file::{self, AGENTS_MAX};
-use decouplegs_asset::{read_scenario, write_scenario};
+use decouplegs_logs::scenario_file::{self, AGENTS_MAX};
+use decouplegs_logs::{read_scenario, write_scenario};
 use decouplegs_scene::scenario::{Behavior, DriverKind, LaneSide, Maneuver, Place, Trigger};
 use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
 use proptest::prelude::*;
@@ -12,9 +12,10 @@ use crate::scenarios::scenarios;
 
 /// The pieces of TOML on the format's page.
 fn examples() -> Vec<String> {
-    let page =
-        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("scenario-file.md"))
-            .unwrap();
+    let page = std::fs::read_to_string(
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../asset/scenario-file.md"),
+    )
+    .unwrap();
     let ends = |piece: &str| piece[..piece.find("```").expect("the piece ends")].to_owned();
     page.split("```toml\n").skip(1).map(ends).collect()
 }
