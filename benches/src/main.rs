@@ -17,7 +17,7 @@ struct Program {
 
 #[derive(Subcommand)]
 enum Command {
-    Bench(bench::Arguments),
+    Bench(Box<bench::Arguments>),
     Stress(Box<stress::Arguments>),
     Ablate(Box<ablate::Arguments>),
 }
