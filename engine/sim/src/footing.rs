@@ -11,7 +11,7 @@ use glam::DVec3;
 /// An asset that has no size.
 #[derive(Debug, thiserror::Error)]
 pub enum FootingError {
-    /// Its file.
+    /// The file.
     #[error(transparent)]
     Asset(#[from] AssetError),
     /// No splat with a finite mean.

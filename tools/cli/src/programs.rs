@@ -14,7 +14,7 @@ pub struct Program {
     pub name: &'static str,
     /// Folder of its package, relative to that of the sources.
     pub folder: &'static str,
-    /// Its subcommands, each with the sentence that describes it.
+    /// Subcommands, each with the sentence that describes it.
     pub commands: &'static [(&'static str, &'static str)],
 }
 
