@@ -3,6 +3,10 @@
 #   make demo     renders a small synthetic street with a six-camera rig and writes the images to out/demo
 #   make test     runs every test, with the Vulkan validation layers on
 #
+# One to install the program `decouplegs`, and those that it runs:
+#
+#   make install  builds them, optimized, and copies them to cargo's folder of programs
+#
 # And one to change a shader:
 #
 #   make shaders  compiles shaders/*.comp to shaders/spirv with shaderc. The first time it builds shaderc: about eight minutes.
@@ -11,7 +15,7 @@
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore nuscenes
+.PHONY: demo test install shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore nuscenes
 
 # What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
 # A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
@@ -39,6 +43,9 @@ PYTHON := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/python
 DEMO := out/demo
 DECOUPLEGS := cargo run --quiet --package decouplegs-tools --
 
+# Folders of the packages of all programs: `decouplegs` first, then those that it runs.
+PROGRAMS := tools tools/drive tools/view tools/server benches
+
 # The demo is built like the tests (optimized, see [profile.dev] in Cargo.toml), so that nothing is built twice.
 # Its sizes are what lavapipe draws on two cores in half a minute.
 demo: NEEDS := $(NEEDS_RUN)
@@ -47,7 +54,11 @@ demo: packages
 	$(DECOUPLEGS) synth street --background 400000 --agents 8 --agent-splats 8000 --degree 1 --seed 7 --size 800x450 --movable --out $(DEMO)/street
 	$(DECOUPLEGS) render $(DEMO)/street/scene.toml --out $(DEMO) --contact-sheet $(DEMO)/contact-sheet.png
 	@echo "The six images are in $(DEMO), side by side in $(DEMO)/contact-sheet.png."
-	@echo "To look around in the street:  cargo run --package decouplegs-tools -- view"
+	@echo "To look around in the street:  cargo run --package decouplegs-view -- view"
+
+install: NEEDS := $(NEEDS_RUN)
+install: packages
+	for folder in $(PROGRAMS); do cargo install --locked --path $$folder; done
 
 # Documentation tests come first: what stands last in the output is the count of the tests proper.
 test: export DECOUPLEGS_VALIDATION := 1

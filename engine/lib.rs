@@ -16,9 +16,10 @@
 //! | module | content | depends on |
 //! |---|---|---|
 //! | [`scene`] | data types: splats, poses, cameras, lenses, rules, light, lane maps, episodes | - |
-//! | [`asset`] | file formats: splats, maps, tracks, scene files, logs, probes | `scene` |
+//! | [`asset`] | file formats: splats, maps, tracks, scene files, probes | `scene` |
+//! | [`logs`] | files of the closed loop: logs, scenarios | `scene`, `asset` |
 //! | [`synth`] | procedural streets, roads of maps as splats, environment probes | `scene` |
-//! | [`train`] | compression by vector quantization, calibration of light | `scene` |
+//! | [`train`] | compression by vector quantization | `scene` |
 //! | [`drive`] | lanes, ground, registration of tracks, traffic, scores | `scene` |
 //! | [`gpu`] | Vulkan: device, queues, memory, kernels; the only `unsafe` code | - |
 //! | [`render`] | images: the GPU frame, its f64 reference, differences between images | `scene`, `gpu` |
@@ -28,18 +29,19 @@
 //! in UTM coordinates keeps its millimeters.
 #![forbid(unsafe_code)]
 
-pub mod explain;
+pub use decouplegs_scene::explain;
 
 pub use decouplegs_asset as asset;
 pub use decouplegs_drive as drive;
 pub use decouplegs_gpu as gpu;
+pub use decouplegs_logs as logs;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;
 pub use decouplegs_session::{
     self as session, AgentInstance, LiveScene, SceneSnapshot, measure_movable_scene,
     open_movable_scene,
 };
-pub use decouplegs_sim::{episode, planner, scenario_import};
+pub use decouplegs_sim::{episode, footing, planner, scenario_import};
 pub use decouplegs_synth as synth;
 pub use decouplegs_train as train;
 pub use scene::{Camera, Intrinsics, Pose, Rig, Rules, Scenario, SplatCloud, Trajectory};

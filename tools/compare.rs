@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use decouplegs::render::metrics::{Difference, difference_image};
-use decouplegs::render::rendered_image::{Image, ImageFileFormat};
+use decouplegs_render::metrics::{Difference, difference_image};
+use decouplegs_render::rendered_image::{Image, ImageFileFormat};
 
 use crate::arguments::{print, write_image};
 

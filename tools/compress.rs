@@ -8,12 +8,12 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::{
+use decouplegs_asset::{
     CodedAsset, Provenance, SplatFormat, check_writable, read_bytes, read_splats, write_coded,
 };
-use decouplegs::scene::codebook::{COLORS_MAX, SHAPES_MAX};
-use decouplegs::scene::{ShFrame, SplatCloud};
-use decouplegs::train::compress::{
+use decouplegs_scene::codebook::{COLORS_MAX, SHAPES_MAX};
+use decouplegs_scene::{ShFrame, SplatCloud};
+use decouplegs_train::compress::{
     CompressOptions, Compressed, Progress, Prune, THRESHOLD, compress,
 };
 use indicatif::ProgressBar;
@@ -91,7 +91,7 @@ enum Frame {
 
 fn asset_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    let fits = decouplegs::asset::coded_asset::has_extension(&path);
+    let fits = decouplegs_asset::coded_asset::has_extension(&path);
     if fits {
         Ok(path)
     } else {

@@ -7,9 +7,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use decouplegs::asset::scene_import::{ImportOptions, ImportedScene, read_scene};
-use decouplegs::asset::{LossReport, SplatFormat, khr_glb, read_bytes, read_splats, read_tracks};
-use decouplegs::scene::SplatCloud;
+use decouplegs_asset::scene_import::{ImportOptions, ImportedScene, read_scene};
+use decouplegs_asset::{LossReport, SplatFormat, khr_glb, read_bytes, read_splats, read_tracks};
+use decouplegs_scene::SplatCloud;
 
 use crate::arguments::print;
 use crate::progress;

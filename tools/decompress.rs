@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::{inria_ply, read_coded};
+use decouplegs_asset::{inria_ply, read_coded};
 
 use crate::arguments::print;
 

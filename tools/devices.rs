@@ -1,7 +1,7 @@
 //! `decouplegs devices`: what Vulkan finds on this machine.
 
 use anyhow::Result;
-use decouplegs::gpu::{DeviceChoice, DeviceInfo, DeviceKind, Gpu};
+use decouplegs_gpu::{DeviceChoice, DeviceInfo, DeviceKind, Gpu};
 use serde_json::json;
 
 use crate::arguments::print;

@@ -6,7 +6,7 @@ mod summary;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use decouplegs::asset::{
+use decouplegs_asset::{
     CodedAsset, CodedSummary, SceneFile, SplatFormat, SplatSummary, coded_asset, is_scene_file,
     open_scene, read_coded,
 };

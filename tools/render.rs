@@ -12,16 +12,16 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::{Layer, memory, write_atomically};
-use decouplegs::gpu::Gpu;
-use decouplegs::render::reference::geometry::depth_median;
-use decouplegs::render::rendered_image::exposure::{ExposureSum, sub_exposures_s};
-use decouplegs::render::rendered_image::{Image, ImageFileFormat, contact_sheet, preview};
-use decouplegs::render::{
+use decouplegs_asset::{Layer, memory, write_atomically};
+use decouplegs_gpu::Gpu;
+use decouplegs_render::reference::geometry::depth_median;
+use decouplegs_render::rendered_image::exposure::{ExposureSum, sub_exposures_s};
+use decouplegs_render::rendered_image::{Image, ImageFileFormat, contact_sheet, preview};
+use decouplegs_render::{
     Attribute, ColorFormat, Outputs, Plane, PlaneValues, Planes, RenderOptions, reference,
 };
-use decouplegs::scene::{Camera, Photometry};
-use decouplegs::session::{Session, SessionOptions, World, WorldView};
+use decouplegs_scene::{Camera, Photometry};
+use decouplegs_session::{Session, SessionOptions, World, WorldView};
 
 use self::boxes::BoxList;
 use self::coverage::Counter;
@@ -459,8 +459,8 @@ fn check_names(cameras: &[Camera]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use decouplegs::scene::Motion;
-    use decouplegs::scene::{Intrinsics, Pose};
+    use decouplegs_scene::Motion;
+    use decouplegs_scene::{Intrinsics, Pose};
 
     fn cameras(names: &[&str]) -> Vec<Camera> {
         let intrinsics = Intrinsics::from_horizontal_fov(2, 2, 1.0);

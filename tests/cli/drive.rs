@@ -373,7 +373,7 @@ fn a_scenario_that_was_written_can_be_edited_and_driven() {
         text(&run),
     ]);
     assert!(said.contains("medium"), "{said}");
-    let episode = decouplegs::asset::read_episode_log(&run.join("logs/mine.log")).unwrap();
+    let episode = decouplegs::logs::read_episode_log(&run.join("logs/mine.log")).unwrap();
     assert_eq!(
         (episode.steps.len(), episode.head.scenario.duration_s),
         (6, 3.0)

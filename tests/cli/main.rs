@@ -16,6 +16,7 @@ mod hostile;
 mod interfaces;
 mod lidar;
 mod map;
+mod programs;
 mod register;
 mod rendering;
 mod stress;

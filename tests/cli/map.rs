@@ -214,7 +214,7 @@ fn obstacles_of_a_captured_scene_are_edited() {
             text(&out),
         ];
         succeed(&[&words[..], &place, more].concat());
-        decouplegs::asset::read_episode_log(&out.join("logs/easy_0000.log")).unwrap()
+        decouplegs::logs::read_episode_log(&out.join("logs/easy_0000.log")).unwrap()
     };
     let with = |text: &str| fs::write(&file, text).unwrap();
     let own = run("own", &[]);

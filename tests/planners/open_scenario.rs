@@ -3,8 +3,8 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use decouplegs::asset::{episode_log, scenario_file};
 use decouplegs::episode::{Site, drive};
+use decouplegs::logs::{episode_log, scenario_file};
 use decouplegs::planner::LaneFollow;
 use decouplegs::scenario_import::{ImportedScenario, import_open_scenario};
 use decouplegs::scene::episode::Episode;

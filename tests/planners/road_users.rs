@@ -3,10 +3,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use decouplegs::asset::{episode_log, scenario_file};
 use decouplegs::drive::generate::{Generator, PlaceOptions};
 use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{Appearance, Site, drive, replay};
+use decouplegs::logs::{episode_log, scenario_file};
 use decouplegs::planner::{ConstantVelocity, LaneFollow, Planner};
 use decouplegs::scene::episode::Episode;
 use decouplegs::scene::scenario::Place;

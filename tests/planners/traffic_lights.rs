@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use decouplegs::asset::{episode_log, scenario_file};
 use decouplegs::drive::score::{EpisodeScore, InfractionKind, RED_LIGHT_FACTOR};
 use decouplegs::episode::{Site, drive, replay};
+use decouplegs::logs::{episode_log, scenario_file};
 use decouplegs::planner::{ConstantVelocity, LaneFollow, Planner};
 use decouplegs::scene::episode::Episode;
 use decouplegs::scene::{EpisodeEnd, Scenario};

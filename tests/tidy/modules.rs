@@ -16,6 +16,7 @@ const MAY_USE_EACH_OTHER: &[(&str, &str, &str)] = &[
 fn module_of(path: &str) -> Option<(&str, &str)> {
     let products = [
         "tools/cli/src",
+        "tools/drive",
         "tools/alpasim",
         "tools/server",
         "tools/view",

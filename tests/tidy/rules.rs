@@ -132,7 +132,7 @@ pub const RULES: &[Rule] = &[
             ),
             (
                 "tools/Cargo.toml",
-                "name = \"decouplegs-tools\"\ndecouplegs.workspace = true\n",
+                "name = \"decouplegs-tools\"\ndecouplegs-render.workspace = true\n",
             ),
             (
                 "engine/drive/Cargo.toml",
@@ -156,6 +156,10 @@ pub const RULES: &[Rule] = &[
                 "engine/scene/Cargo.toml",
                 "[dev-dependencies]\ndecouplegs.workspace = true\n",
             ),
+            (
+                "tools/Cargo.toml",
+                "[dependencies]\ndecouplegs-server.workspace = true\n\n[dev-dependencies]\n",
+            ),
         ],
     },
     Rule {
@@ -165,12 +169,14 @@ pub const RULES: &[Rule] = &[
             ("engine/a/src/lib.rs", "//! A.\n#![forbid(unsafe_code)]\n"),
             ("engine/gpu/src/lib.rs", ""),
             ("engine/gpu/tests/device/main.rs", ""),
+            ("engine/drive/tests/main.rs", ""),
             ("tools/python/sharing/src/lib.rs", ""),
             ("engine/a/src/b.rs", ""),
         ],
         broken_by: &[
             ("engine/a/src/lib.rs", "// #![forbid(unsafe_code)]"),
             ("tools/main.rs", ""),
+            ("benches/src/main.rs", ""),
             ("engine/lib.rs", ""),
         ],
     },

@@ -207,7 +207,7 @@ const RETIRED_WORDS: &[(&str, &str)] = &[
 const MAY_USE_RETIRED: &[(&str, &str)] = &[
     ("engine/gpu/tests/", concat!("pict", "ure")),
     (
-        "engine/asset/src/scenario_file/form.rs",
+        "engine/logs/src/scenario_file/form.rs",
         concat!("behav", "iour"),
     ),
 ];

@@ -1,8 +1,8 @@
 //! The report as one HTML page.
 
 use anyhow::Result;
-use decouplegs::render::metrics::difference_image;
-use decouplegs::train::compress::{BookReport, Compressed};
+use decouplegs_render::metrics::difference_image;
+use decouplegs_train::compress::{BookReport, Compressed};
 
 use super::report::{Measured, Subject, Trial};
 use crate::image_quality::{QualityMeter, Score};

@@ -5,10 +5,10 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use decouplegs::asset::write_atomically;
-use decouplegs::gpu::Gpu;
-use decouplegs::scene::{CodedCloud, SplatCloud};
-use decouplegs::train::compress::{
+use decouplegs_asset::write_atomically;
+use decouplegs_gpu::Gpu;
+use decouplegs_scene::{CodedCloud, SplatCloud};
+use decouplegs_train::compress::{
     CompressOptions, Compressed, Prune, ShapeSpace, compress, importance, prune,
 };
 use indicatif::ProgressBar;

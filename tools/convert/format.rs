@@ -4,12 +4,12 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use decouplegs::asset::{
+use decouplegs_asset::{
     CodedAsset, Provenance, inria_ply, khr_glb, read_bytes, read_splats, sog, splat, spz,
     write_coded,
 };
-use decouplegs::scene::SplatCloud;
-use decouplegs::train::compress::{CompressOptions, Prune, compress};
+use decouplegs_scene::SplatCloud;
+use decouplegs_train::compress::{CompressOptions, Prune, compress};
 
 /// A format that splats are written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -162,8 +162,9 @@ impl Format {
             // These are told by their first bytes.
             Self::Ply | Self::Spz | Self::Sog | Self::Glb => return Ok(read_splats(path)?),
             Self::Splat => splat::decode(&bytes()?),
-            Self::Safetensors => decouplegs::asset::coded_asset::decode(&bytes()?)
-                .map(|asset| asset.cloud.decoded(0)),
+            Self::Safetensors => {
+                decouplegs_asset::coded_asset::decode(&bytes()?).map(|asset| asset.cloud.decoded(0))
+            }
         };
         decoded.with_context(|| format!("{} cannot be read back", path.display()))
     }

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::Result;
-use decouplegs::asset::{AttributeLoss, LossReport, write_atomically};
+use decouplegs_asset::{AttributeLoss, LossReport, write_atomically};
 use serde_json::json;
 
 /// One conversion.

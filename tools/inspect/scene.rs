@@ -4,9 +4,9 @@ use std::borrow::Cow;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use decouplegs::asset::{LoadedScene, SceneFile};
-use decouplegs::scene::light::{CastingLights, GroundLight, Sun, Trust, ambient_by_definition};
-use decouplegs::scene::{Presence, RigCamera, RigLidar, ShFrame, SplatScene, Trajectory};
+use decouplegs_asset::{LoadedScene, SceneFile};
+use decouplegs_scene::light::{CastingLights, GroundLight, Sun, Trust, ambient_by_definition};
+use decouplegs_scene::{Presence, RigCamera, RigLidar, ShFrame, SplatScene, Trajectory};
 use glam::DVec3;
 use serde_json::{Value, json};
 
@@ -68,7 +68,7 @@ impl Listing {
             .instance_from_splat
             .iter()
             .for_each(|&instance| splats[usize::from(instance)] += 1);
-        let agent = |(index, agent): (usize, &decouplegs::asset::SceneAgent)| {
+        let agent = |(index, agent): (usize, &decouplegs_asset::SceneAgent)| {
             let coded = loaded
                 .agents
                 .iter()

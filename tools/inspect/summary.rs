@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use decouplegs::asset::{Histogram, SplatSummary};
+use decouplegs_asset::{Histogram, SplatSummary};
 
 /// Lines of a label and a value each.
 #[derive(Default)]

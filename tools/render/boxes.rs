@@ -4,10 +4,10 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use decouplegs::asset::write_atomically;
-use decouplegs::render::{Image, Plane};
-use decouplegs::scene::bounding_box::{ImageBox, agent_box, visible_boxes};
-use decouplegs::scene::{Camera, Pose, SplatScene};
+use decouplegs_asset::write_atomically;
+use decouplegs_render::{Image, Plane};
+use decouplegs_scene::bounding_box::{ImageBox, agent_box, visible_boxes};
+use decouplegs_scene::{Camera, Pose, SplatScene};
 use serde_json::{Value, json};
 
 use super::coverage::Counter;

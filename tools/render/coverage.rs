@@ -1,10 +1,10 @@
 //! Shares of agents that are hidden, or beyond the edges of an image.
 
 use anyhow::{Context, Result};
-use decouplegs::gpu::Gpu;
-use decouplegs::render::reference::geometry;
-use decouplegs::render::{Image, Outputs, Plane, RenderOptions, Renderer};
-use decouplegs::scene::{Camera, SplatScene};
+use decouplegs_gpu::Gpu;
+use decouplegs_render::reference::geometry;
+use decouplegs_render::{Image, Outputs, Plane, RenderOptions, Renderer};
+use decouplegs_scene::{Camera, SplatScene};
 
 use crate::scene_source::Scene;
 
@@ -140,7 +140,7 @@ impl Counter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use decouplegs::scene::{Intrinsics, Motion, Pose, SplatCloud};
+    use decouplegs_scene::{Intrinsics, Motion, Pose, SplatCloud};
 
     /// Opaque splats 5 cm apart on a plate from `left_m` to `right_m`, 2 m high, `ahead_m` away.
     fn plate(left_m: f32, right_m: f32, ahead_m: f32) -> SplatCloud {
@@ -188,7 +188,7 @@ mod tests {
         // A wall 1 m nearer covers what is left of the middle.
         let mut scene = SplatScene::from_splats(plate(-2.0, 0.0, 3.0));
         let at = Pose::IDENTITY;
-        scene.bake_instance(&agent.splats, &at, decouplegs::scene::ShFrame::World, 1);
+        scene.bake_instance(&agent.splats, &at, decouplegs_scene::ShFrame::World, 1);
         let of = |scene: &SplatScene| {
             let depths_m = geometry::depth_median(scene, &camera(), &scene.rules);
             let coverage =

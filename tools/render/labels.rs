@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use decouplegs::asset::write_atomically;
-use decouplegs::render::rendered_image::Image;
-use decouplegs::render::{Plane, PlaneValues};
-use decouplegs::scene::Motion;
+use decouplegs_asset::write_atomically;
+use decouplegs_render::rendered_image::Image;
+use decouplegs_render::{Plane, PlaneValues};
+use decouplegs_scene::Motion;
 
 use crate::scene_source::Scene;
 

@@ -8,10 +8,13 @@ use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::{Parser, Subcommand};
-use decouplegs::explain::explain;
+use decouplegs::asset::write_atomically;
+use decouplegs_cli::arguments::print;
+use decouplegs_cli::programs::exit_code;
 use decouplegs_server::bench::{self, BenchOptions};
+use decouplegs_server::conform::{self, ConformOptions, Report};
 use decouplegs_server::options::{LogForm, ServerOptions};
 use decouplegs_server::running;
 use tokio::signal::unix::{SignalKind, signal};
@@ -35,6 +38,7 @@ enum Command {
     Serve(Box<ServerOptions>),
     /// Start a server in this process, request images over the loopback, and report latencies
     Bench(Box<BenchOptions>),
+    Conform(Box<ConformOptions>),
 }
 
 fn main() -> ExitCode {
@@ -45,15 +49,9 @@ fn main() -> ExitCode {
             log(LogForm::Text, "warn");
             bench::run(&options, started)
         }
+        Command::Conform(options) => judge(&options),
     };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            // Where standard error is full or closed, there is nobody to tell.
-            let _ = std::io::stderr().write_all(explain(error.as_ref()).as_bytes());
-            ExitCode::FAILURE
-        }
-    }
+    exit_code(&done)
 }
 
 fn serve(options: &ServerOptions) -> Result<()> {
@@ -89,6 +87,25 @@ fn serve(options: &ServerOptions) -> Result<()> {
     served
 }
 
+fn judge(options: &ConformOptions) -> Result<()> {
+    let mut printed = Ok(());
+    let report = conform::run(options, &mut |check, outcome| {
+        if printed.is_ok() {
+            printed = print(&Report::line(check, outcome));
+        }
+    })?;
+    printed?;
+    print(&report.summary())?;
+    if let Some(path) = &options.json {
+        write_atomically(path, |file| writeln!(file, "{:#}", report.to_json()))?;
+    }
+    let failed = report.failed().len();
+    if failed > 0 {
+        bail!("{failed} checks failed");
+    }
+    Ok(())
+}
+
 /// Events go to standard error: those that `RUST_LOG` says, otherwise those of `level` and above.
 fn log(form: LogForm, level: &str) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
@@ -99,5 +116,25 @@ fn log(form: LogForm, level: &str) {
     match form {
         LogForm::Text => events.init(),
         LogForm::Json => events.json().init(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+    use decouplegs_cli::programs;
+
+    #[test]
+    fn subcommands_are_those_that_decouplegs_lists() {
+        let command = Program::command();
+        command.clone().debug_assert();
+        for (name, about) in programs::SERVER.commands {
+            let own = command.find_subcommand(name).expect(name);
+            assert_eq!(
+                own.get_about().map(ToString::to_string).as_deref(),
+                Some(*about)
+            );
+        }
     }
 }

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use decouplegs::asset::scene_file::editing::{delayed, passing, shifted};
 use decouplegs::asset::{SceneAgent, SceneFile};
 use decouplegs::explain::explain;
+use decouplegs::footing::{Footing, dims_of};
 use decouplegs::scene::{Pose, Presence};
-use decouplegs_cli::footing::{Footing, dims_of};
+use decouplegs_cli::progress;
 use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
 
@@ -243,7 +244,10 @@ impl Editor {
     fn ground(&self, file: &mut SceneFile, name: &str) -> Result<(), String> {
         let footing = self.footing.get_or_init(|| {
             let background = self.folder().join(&self.file().background);
-            Footing::open(&background, self.file().origin).ok()
+            let reading = progress::spinner(format!("reading {}", background.display()));
+            let footing = Footing::open(&background, self.file().origin).ok();
+            reading.finish_and_clear();
+            footing
         });
         let Some(footing) = footing else {
             return Ok(());
@@ -256,7 +260,7 @@ impl Editor {
     }
 
     fn dims_m(&self, asset: &Path) -> Result<[f64; 3], String> {
-        dims_of(&self.folder().join(asset)).map_err(|error| explain(error.as_ref()))
+        dims_of(&self.folder().join(asset)).map_err(|error| explain(&error))
     }
 
     fn save(&mut self, name: &str) -> Result<String, String> {

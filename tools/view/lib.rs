@@ -3,7 +3,7 @@
 //! | module | content |
 //! |---|---|
 //! | `protocol`, `image_header` | commands and acknowledgements; what stands before an image |
-//! | `open` | scenes, logs and scenarios of the command line |
+//! | `open`, `demo` | scenes, logs and scenarios of the command line; the scene where none is named |
 //! | `source` | the scene at a time: worlds, cameras, boxes |
 //! | `scene_course`, `edits`, `history`, `lanes` | a scene with its tracks, edits, undo, lanes to snap to |
 //! | `played`, `scenario_edits` | an episode at a time, and its score; a scenario that is edited and begun anew |
@@ -12,6 +12,7 @@
 //! | `server`, `events` | HTTP, WebSockets, and who may connect |
 #![forbid(unsafe_code)]
 
+mod demo;
 mod drawing;
 mod edits;
 mod events;
@@ -31,7 +32,6 @@ mod source;
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::mpsc;
@@ -89,12 +89,11 @@ fn token(text: &str) -> Result<String, String> {
     ))
 }
 
-/// Serves the page until Ctrl-C. `demo` makes the demo scene where it is absent, and returns its
-/// file.
+/// Serves the page until Ctrl-C.
 ///
 /// # Errors
 /// Returns an error if the scene is at fault, there is no device, or the port is taken.
-pub fn run(arguments: &Arguments, demo: impl FnOnce() -> Result<PathBuf>) -> Result<()> {
+pub fn run(arguments: &Arguments) -> Result<()> {
     let address = SocketAddr::new(arguments.address, arguments.port);
     ensure!(
         address.ip().is_loopback() || arguments.token.is_some(),
@@ -113,7 +112,7 @@ pub fn run(arguments: &Arguments, demo: impl FnOnce() -> Result<PathBuf>) -> Res
     let address = listener.local_addr()?;
     let gpu = arguments.device.open()?;
     let drawer = Drawer::new(&gpu, arguments.background);
-    let sources = arguments.sources.open(drawer.session(), demo)?;
+    let sources = arguments.sources.open(drawer.session())?;
     let mut viewer = Viewer::new(drawer, sources);
     let (events, inbox) = mpsc::sync_channel(EVENTS_MAX);
     let renders = std::thread::Builder::new()

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
-use decouplegs::asset::{SplatFormat, is_scene_file, read_episode_log, read_scenario};
+use decouplegs::asset::{SplatFormat, is_scene_file};
 use decouplegs::episode::{Appearance, Site};
+use decouplegs::logs::{read_episode_log, read_scenario};
 use decouplegs::planner::PlannerChoice;
 use decouplegs::scene::Scenario;
 use decouplegs::scene::episode::Episode;
@@ -16,6 +17,7 @@ use decouplegs_cli::arguments::transfer_in;
 use decouplegs_cli::progress;
 use decouplegs_cli::scene_source::{Scene, SceneOptions};
 
+use crate::demo::demo;
 use crate::played::Played;
 use crate::scenario_edits::{LivePlanner, Place, ScenarioEditor};
 use crate::scene_course::SceneCourse;
@@ -73,16 +75,11 @@ fn input(path: &Path) -> Result<Input> {
 }
 
 impl SourceArguments {
-    /// Opens all that is shown. `demo` makes the demo scene where it is absent, and returns its
-    /// file.
+    /// Opens all that is shown: the demo scene where no file is named.
     ///
     /// # Errors
     /// Returns an error if a file is at fault, or the device has not the memory.
-    pub fn open(
-        &self,
-        session: &Session,
-        demo: impl FnOnce() -> Result<PathBuf>,
-    ) -> Result<Vec<Source>> {
+    pub fn open(&self, session: &Session) -> Result<Vec<Source>> {
         let path = match &self.file {
             Some(path) => path.clone(),
             None => demo()?,

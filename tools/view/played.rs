@@ -4,10 +4,11 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
-use decouplegs::asset::{LoadedScene, episode_log, write_atomically};
+use decouplegs::asset::{LoadedScene, write_atomically};
 use decouplegs::drive::score::{EpisodeScore, times_to_collision};
 use decouplegs::episode::{EpisodeError, LiveEpisode, Moment, Moments, Site, reading_hash};
 use decouplegs::explain::explain;
+use decouplegs::logs::episode_log;
 use decouplegs::scene::episode::{Episode, EpisodeTick};
 use decouplegs::scene::{Camera, Plan, Rig};
 use decouplegs::session::SessionScene;

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Result;
-use decouplegs::asset::write_scenario;
 use decouplegs::episode::{
     LiveEpisode, ObservationRenderer, Site, cameras_of, chosen, chosen_lidars,
 };
 use decouplegs::explain::explain;
+use decouplegs::logs::write_scenario;
 use decouplegs::planner::{Cameras, Timeouts};
 use decouplegs::scene::{Scenario, Sensor};
 use decouplegs::session::{Session, SessionScene};

@@ -93,7 +93,9 @@ fn times(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Value> {
     });
     let stages: Vec<Value> = stages
         .into_iter()
-        .map(|(name, times)| json!({ "name": name, "gpu_ms": Spread::from_values(times).to_json() }))
+        .map(
+            |(name, times)| json!({ "name": name, "gpu_ms": Spread::from_values(times).to_json() }),
+        )
         .collect();
     Ok(json!({
         "device": gpu.info().name,

@@ -174,7 +174,7 @@ fn directory_of(path: &Path) -> &Path {
 
 /// Makes a rename to `path` survive a power cut; systems that cannot sync a directory have no such
 /// guarantee to give.
-pub(crate) fn sync_directory_of(path: &Path) {
+pub fn sync_directory_of(path: &Path) {
     if let Ok(directory) = File::open(directory_of(path)) {
         let _ = directory.sync_all();
     }

@@ -11,16 +11,21 @@ mod error;
 mod ply;
 mod read;
 mod summary;
-mod toml_text;
-mod traffic_light_form;
-mod traffic_sign_form;
-mod xml;
+
+// Parts of readers that other crates of files are made of, too.
+#[doc(hidden)]
+pub mod toml_text;
+#[doc(hidden)]
+pub mod traffic_light_form;
+#[doc(hidden)]
+pub mod traffic_sign_form;
+#[doc(hidden)]
+pub mod xml;
 
 pub mod cameras;
 pub mod checkpoint;
 pub mod coded_asset;
 pub mod compressed_ply;
-pub mod episode_log;
 pub mod inria_ply;
 pub mod khr_glb;
 pub mod lidar_file;
@@ -29,12 +34,8 @@ pub mod loss;
 pub mod maps;
 pub mod memory;
 pub mod obstacle_file;
-pub mod open_scenario;
 pub mod packed_scene;
-pub mod point_cloud;
 pub mod probe;
-pub mod ros;
-pub mod scenario_file;
 pub mod scene_file;
 pub mod scene_import;
 pub mod sky_file;
@@ -44,21 +45,20 @@ pub mod spz;
 pub mod tracks;
 pub mod zip;
 
+#[doc(hidden)]
+pub use atomic::sync_directory_of;
 pub use atomic::{TEMPORARY_PREFIX, check_writable, write_atomically};
 pub use cameras::{CameraOptions, read_cameras};
 pub use coded_asset::{CodedAsset, CodedSummary, Provenance, read_coded, write_coded};
-pub use episode_log::{EpisodeLog, read_episode_log};
 pub use error::{AssetError, DecodeError, EncodeError, SceneError, read_bytes};
 pub use lidar_file::{lidar_names, read_lidar};
 pub use light_transfer_file::{LightTransferFile, read_light_transfer, write_light_transfer};
 pub use loss::{AttributeLoss, LossReport};
 pub use maps::read_map;
 pub use obstacle_file::{read_obstacles, write_obstacles};
-pub use open_scenario::{OpenScenario, read_open_scenario};
 pub use packed_scene::open_packed_scene;
 pub use probe::{probe_paths, read_probe};
 pub use read::{SplatFormat, read_splats};
-pub use scenario_file::{read_scenario, write_scenario};
 pub use scene_file::{
     AgentLabel, EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, PlainAgent, SceneAgent,
     SceneFile, SceneLidar, SceneLight, SceneSky, is_scene_file, open_scene,

@@ -5,13 +5,13 @@ use std::ops::Range;
 use crate::{SceneError, memory};
 
 /// Text that is being checked.
-pub(crate) struct Checker<'a> {
-    pub(crate) text: &'a str,
+pub struct Checker<'a> {
+    pub text: &'a str,
 }
 
 impl Checker<'_> {
     /// A complaint about `field` of the table called `table`, whose text begins in `span`.
-    pub(crate) fn error(
+    pub fn error(
         &self,
         span: &Range<usize>,
         table: &str,
@@ -53,7 +53,7 @@ impl Checker<'_> {
 }
 
 /// Error of serde or of the TOML grammar, with its line.
-pub(crate) fn syntax_error(text: &str, error: &toml::de::Error) -> SceneError {
+pub fn syntax_error(text: &str, error: &toml::de::Error) -> SceneError {
     let start = error.span().map_or(0, |span| span.start);
     let line = 1 + text
         .bytes()
@@ -88,7 +88,7 @@ const KEY_DOTS_MAX: usize = 8;
 const PARSER_BYTES_PER_BYTE: u64 = 100;
 
 /// The text of a TOML file, or the line where it is not UTF-8 or too deep.
-pub(crate) fn text_of(bytes: &[u8]) -> Result<&str, SceneError> {
+pub fn text_of(bytes: &[u8]) -> Result<&str, SceneError> {
     let line_at = |byte: usize| 1 + bytes[..byte].iter().filter(|&&byte| byte == b'\n').count();
     let text = std::str::from_utf8(bytes).map_err(|error| {
         let line = line_at(error.valid_up_to());

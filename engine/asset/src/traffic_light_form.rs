@@ -7,7 +7,7 @@ use crate::DecodeError;
 use crate::xml::excerpt;
 
 /// Most lights of a file, stop lines of a light and phases of a cycle.
-pub(crate) const LIGHTS_MAX: usize = 10_000;
+pub const LIGHTS_MAX: usize = 10_000;
 const LINES_MAX: usize = 1_000;
 const PHASES_MAX: usize = 100;
 /// Shortest and longest phase, seconds.
@@ -20,7 +20,7 @@ const NAME_BYTES_MAX: usize = 1000;
 
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct LightForm {
+pub struct LightForm {
     name: String,
     /// Lane and meters along it.
     stop_lines: Vec<(String, f64)>,
@@ -32,7 +32,7 @@ pub(crate) struct LightForm {
 }
 
 impl LightForm {
-    pub(crate) fn from_light(light: &TrafficLight) -> Self {
+    pub fn from_light(light: &TrafficLight) -> Self {
         let line = |line: &StopLine| (line.lane.clone(), line.at_m);
         let phase = |phase: &LightPhase| (phase.color.name().to_owned(), phase.duration_s);
         Self {
@@ -47,7 +47,7 @@ impl LightForm {
     ///
     /// # Errors
     /// Returns an error that names the field and the color that is unknown.
-    pub(crate) fn light(&self) -> Result<TrafficLight, Fault> {
+    pub fn light(&self) -> Result<TrafficLight, Fault> {
         let phase = |(name, duration_s): &(String, f64)| {
             let color = LightColor::by_name(name).ok_or_else(|| Fault {
                 field: "phases",
@@ -72,16 +72,16 @@ impl LightForm {
 }
 
 /// Field of a light that is wrong, and the reason.
-pub(crate) struct Fault {
-    pub(crate) field: &'static str,
-    pub(crate) reason: String,
+pub struct Fault {
+    pub field: &'static str,
+    pub reason: String,
 }
 
 /// The lights of a map that have a stop line.
 ///
 /// # Errors
 /// Returns an error that names the light at fault, or their number.
-pub(crate) fn checked(mut lights: Vec<TrafficLight>) -> Result<Vec<TrafficLight>, DecodeError> {
+pub fn checked(mut lights: Vec<TrafficLight>) -> Result<Vec<TrafficLight>, DecodeError> {
     lights.retain(|light| !light.stop_lines.is_empty());
     if lights.len() > LIGHTS_MAX {
         return Err(DecodeError::Malformed(format!(
@@ -99,7 +99,7 @@ pub(crate) fn checked(mut lights: Vec<TrafficLight>) -> Result<Vec<TrafficLight>
 }
 
 /// First fault of a light, if any. Only lights of maps may be without phases.
-pub(crate) fn check(light: &TrafficLight, in_map: bool) -> Result<(), Fault> {
+pub fn check(light: &TrafficLight, in_map: bool) -> Result<(), Fault> {
     let fault = |field, reason: String| Err(Fault { field, reason });
     let name_bytes = light.name.len();
     if !(1..=NAME_BYTES_MAX).contains(&name_bytes) {
@@ -144,7 +144,7 @@ pub(crate) fn check(light: &TrafficLight, in_map: bool) -> Result<(), Fault> {
 }
 
 /// Fault of a line, if any.
-pub(crate) fn check_line(line: &StopLine) -> Result<(), String> {
+pub fn check_line(line: &StopLine) -> Result<(), String> {
     if !(0.0..=ALONG_M_MAX).contains(&line.at_m) {
         let at_m = line.at_m;
         return Err(format!(

@@ -6,18 +6,18 @@ use serde::{Deserialize, Serialize};
 use crate::traffic_light_form::{Fault, check_line};
 
 /// Most signs of a file.
-pub(crate) const SIGNS_MAX: usize = 10_000;
+pub const SIGNS_MAX: usize = 10_000;
 
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct SignForm {
+pub struct SignForm {
     kind: String,
     lane: String,
     at_m: f64,
 }
 
 impl SignForm {
-    pub(crate) fn from_sign(sign: &TrafficSign) -> Self {
+    pub fn from_sign(sign: &TrafficSign) -> Self {
         Self {
             kind: sign.kind.name().to_owned(),
             lane: sign.line.lane.clone(),
@@ -29,7 +29,7 @@ impl SignForm {
     ///
     /// # Errors
     /// Returns an error if the kind is unknown.
-    pub(crate) fn sign(&self) -> Result<TrafficSign, Fault> {
+    pub fn sign(&self) -> Result<TrafficSign, Fault> {
         let kind = SignKind::by_name(&self.kind).ok_or_else(|| Fault {
             field: "kind",
             reason: format!("'{}' is unknown; there are stop, yield", self.kind),
@@ -43,7 +43,7 @@ impl SignForm {
 }
 
 /// First fault of a sign, if any.
-pub(crate) fn check(sign: &TrafficSign) -> Result<(), Fault> {
+pub fn check(sign: &TrafficSign) -> Result<(), Fault> {
     check_line(&sign.line).map_err(|reason| Fault {
         field: "at_m",
         reason,

@@ -6,7 +6,7 @@ use roxmltree::{Document, Node};
 use crate::DecodeError;
 
 /// The document that `bytes` hold.
-pub(crate) fn parse(bytes: &[u8]) -> Result<Document<'_>, DecodeError> {
+pub fn parse(bytes: &[u8]) -> Result<Document<'_>, DecodeError> {
     let text = std::str::from_utf8(bytes).map_err(|error| {
         DecodeError::Malformed(format!(
             "{error}; expected XML in UTF-8, without which it is not read"
@@ -107,11 +107,11 @@ impl Tag {
 
 /// An element of a document.
 #[derive(Clone, Copy)]
-pub(crate) struct Element<'a>(Node<'a, 'a>);
+pub struct Element<'a>(Node<'a, 'a>);
 
 impl<'a> Element<'a> {
     /// The root, which must have `name`.
-    pub(crate) fn root(document: &'a Document<'a>, name: &str) -> Result<Self, DecodeError> {
+    pub fn root(document: &'a Document<'a>, name: &str) -> Result<Self, DecodeError> {
         let root = Self(document.root_element());
         if root.name() == name {
             Ok(root)
@@ -121,23 +121,23 @@ impl<'a> Element<'a> {
     }
 
     /// Name without a namespace.
-    pub(crate) fn name(self) -> &'a str {
+    pub fn name(self) -> &'a str {
         self.0.tag_name().name()
     }
 
     /// All elements in it.
-    pub(crate) fn elements(self) -> impl Iterator<Item = Self> {
+    pub fn elements(self) -> impl Iterator<Item = Self> {
         self.0.children().filter(Node::is_element).map(Self)
     }
 
     /// The elements in it that have `name`.
-    pub(crate) fn all(self, name: &str) -> impl Iterator<Item = Self> {
+    pub fn all(self, name: &str) -> impl Iterator<Item = Self> {
         self.elements()
             .filter(move |element| element.name() == name)
     }
 
     /// All elements below it, at any depth, that have `name`, in the order of the file.
-    pub(crate) fn descendants(self, name: &str) -> impl Iterator<Item = Self> {
+    pub fn descendants(self, name: &str) -> impl Iterator<Item = Self> {
         self.0
             .descendants()
             .filter(Node::is_element)
@@ -146,41 +146,41 @@ impl<'a> Element<'a> {
     }
 
     /// Line of its start tag, from 1.
-    pub(crate) fn line(self) -> u32 {
+    pub fn line(self) -> u32 {
         self.0.document().text_pos_at(self.0.range().start).row
     }
 
     /// The first element in it that has `name`.
-    pub(crate) fn first(self, name: &str) -> Option<Self> {
+    pub fn first(self, name: &str) -> Option<Self> {
         self.all(name).next()
     }
 
     /// Like [`Element::first`]; an error if there is none.
-    pub(crate) fn needed(self, name: &str) -> Result<Self, DecodeError> {
+    pub fn needed(self, name: &str) -> Result<Self, DecodeError> {
         self.first(name)
             .ok_or_else(|| self.fault(format!("it has no <{name}>")))
     }
 
     /// Value of an attribute.
-    pub(crate) fn attribute(self, name: &str) -> Option<&'a str> {
+    pub fn attribute(self, name: &str) -> Option<&'a str> {
         self.0.attribute(name).map(str::trim)
     }
 
     /// Like [`Element::attribute`]; an error if there is none.
-    pub(crate) fn needed_attribute(self, name: &str) -> Result<&'a str, DecodeError> {
+    pub fn needed_attribute(self, name: &str) -> Result<&'a str, DecodeError> {
         self.attribute(name)
             .ok_or_else(|| self.fault(format!("it has no attribute '{name}'")))
     }
 
     /// The number in an attribute.
-    pub(crate) fn number(self, name: &str) -> Result<f64, DecodeError> {
+    pub fn number(self, name: &str) -> Result<f64, DecodeError> {
         let text = self.needed_attribute(name)?;
         finite(text)
             .ok_or_else(|| self.fault(format!("{name}=\"{}\" is no finite number", excerpt(text))))
     }
 
     /// Like [`Element::number`], or `otherwise` if the attribute is absent.
-    pub(crate) fn number_or(self, name: &str, otherwise: f64) -> Result<f64, DecodeError> {
+    pub fn number_or(self, name: &str, otherwise: f64) -> Result<f64, DecodeError> {
         if self.attribute(name).is_some() {
             self.number(name)
         } else {
@@ -189,18 +189,18 @@ impl<'a> Element<'a> {
     }
 
     /// The text in it, trimmed; empty where there is none.
-    pub(crate) fn text(self) -> &'a str {
+    pub fn text(self) -> &'a str {
         self.0.text().unwrap_or_default().trim()
     }
 
     /// The number that its text is.
-    pub(crate) fn text_number(self) -> Result<f64, DecodeError> {
+    pub fn text_number(self) -> Result<f64, DecodeError> {
         finite(self.text())
             .ok_or_else(|| self.fault(format!("'{}' is no finite number", excerpt(self.text()))))
     }
 
     /// Error about this element, with its line and name.
-    pub(crate) fn fault(self, reason: impl AsRef<str>) -> DecodeError {
+    pub fn fault(self, reason: impl AsRef<str>) -> DecodeError {
         DecodeError::Malformed(format!(
             "line {}, <{}>: {}",
             self.line(),
@@ -211,12 +211,12 @@ impl<'a> Element<'a> {
 }
 
 /// The finite number that `text` is.
-pub(crate) fn finite(text: &str) -> Option<f64> {
+pub fn finite(text: &str) -> Option<f64> {
     text.parse().ok().filter(|number: &f64| number.is_finite())
 }
 
 /// The start of `text`, short enough for a sentence.
-pub(crate) fn excerpt(text: &str) -> String {
+pub fn excerpt(text: &str) -> String {
     const CHARS_MAX: usize = 60;
     match text.char_indices().nth(CHARS_MAX) {
         Some((end, _)) => format!("{}...", &text[..end]),

@@ -13,6 +13,7 @@ pub mod camera;
 pub mod codebook;
 pub mod detail;
 pub mod episode;
+pub mod explain;
 pub mod fog;
 mod invalid;
 pub mod lane_map;

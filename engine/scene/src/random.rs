@@ -1,6 +1,10 @@
 //! SplitMix64 (Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators", 2014): the
 //! one source of random numbers. Each user seeds streams of its own.
 
+mod sequence;
+
+pub use sequence::Random;
+
 /// Increment of the state: 2^64 over the golden ratio.
 pub const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 

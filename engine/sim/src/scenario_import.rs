@@ -14,10 +14,11 @@ use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use decouplegs_asset::maps::{MapFormat, open_drive};
-use decouplegs_asset::open_scenario::{Action, Entity, OpenScenario, SignalPhases, TargetSpeed};
-use decouplegs_asset::scenario_file::DURATION_S_MAX;
-use decouplegs_asset::{AssetError, DecodeError, read_bytes, read_map, read_open_scenario};
+use decouplegs_asset::{AssetError, DecodeError, read_bytes, read_map};
 use decouplegs_drive::route::{LaneSpot, lanes_between, straight_on};
+use decouplegs_logs::open_scenario::{Action, Entity, OpenScenario, SignalPhases, TargetSpeed};
+use decouplegs_logs::read_open_scenario;
+use decouplegs_logs::scenario_file::DURATION_S_MAX;
 use decouplegs_scene::scenario::{DriverKind, EgoTask, Place, TrafficAgent};
 use decouplegs_scene::{LaneMap, RoadUser, Scenario, TrafficLight};
 

@@ -8,11 +8,11 @@ use std::str::FromStr;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use decouplegs::asset::{read_light_transfer, write_atomically};
-use decouplegs::explain::one_line;
-use decouplegs::render::Plane;
-use decouplegs::render::rendered_image::{Image, ImageFileFormat};
-use decouplegs::scene::{LightTransfer, Rules};
+use decouplegs_asset::{read_light_transfer, write_atomically};
+use decouplegs_render::Plane;
+use decouplegs_render::rendered_image::{Image, ImageFileFormat};
+use decouplegs_scene::explain::one_line;
+use decouplegs_scene::{LightTransfer, Rules};
 
 /// The size of an image, written `1600x900`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

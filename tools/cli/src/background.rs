@@ -1,7 +1,7 @@
 //! Storage and levels of detail of the background on the command line.
 
 use clap::ValueEnum;
-use decouplegs::render::{RenderOptions, Storage};
+use decouplegs_render::{RenderOptions, Storage};
 
 use crate::arguments::pixels;
 

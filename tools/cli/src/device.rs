@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use anyhow::{Result, bail};
-use decouplegs::gpu::{DeviceChoice, DeviceOptions, Gpu};
+use decouplegs_gpu::{DeviceChoice, DeviceOptions, Gpu};
 
 /// The argument of every command that draws on a device.
 #[derive(clap::Args)]

@@ -3,10 +3,10 @@
 use std::thread;
 
 use anyhow::Result;
-use decouplegs::gpu::Gpu;
-use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Image, RenderOptions, Renderer};
-use decouplegs::scene::{Camera, SplatCloud, SplatScene};
+use decouplegs_gpu::Gpu;
+use decouplegs_render::metrics::Difference;
+use decouplegs_render::{Image, RenderOptions, Renderer};
+use decouplegs_scene::{Camera, SplatCloud, SplatScene};
 use serde_json::{Value, json};
 
 /// Color behind the asset: neither black nor white, so that what is missing shows on both dark and

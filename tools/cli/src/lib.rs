@@ -3,11 +3,12 @@
 //!
 //! | module | content |
 //! |---|---|
+//! | `programs` | the programs, their subcommands and their exit codes |
 //! | `arguments`, `device`, `scene_source`, `orbit`, `background` | arguments of several subcommands, and what they open |
-//! | `footing` | the ground below agents |
 //! | `progress` | progress lines and durations |
 //! | `jpeg`, `png_bytes`, `video` | images as bytes of a file, and as a video |
 //! | `page`, `plot`, `thumbnail` | pages of reports: their text, tables and images, and plots as SVG |
+//! | `street_files` | a synthetic street as the files of a scene |
 //! | `views`, `visibility`, `image_quality` | views around an asset, how much each splat shows in them, and differences between images |
 #![forbid(unsafe_code)]
 
@@ -17,8 +18,6 @@ pub mod arguments;
 pub mod background;
 #[doc(hidden)]
 pub mod device;
-#[doc(hidden)]
-pub mod footing;
 #[doc(hidden)]
 pub mod image_quality;
 #[doc(hidden)]
@@ -32,9 +31,13 @@ pub mod plot;
 #[doc(hidden)]
 pub mod png_bytes;
 #[doc(hidden)]
+pub mod programs;
+#[doc(hidden)]
 pub mod progress;
 #[doc(hidden)]
 pub mod scene_source;
+#[doc(hidden)]
+pub mod street_files;
 #[doc(hidden)]
 pub mod thumbnail;
 #[doc(hidden)]

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 use std::path::Path;
 use std::str::FromStr;
 
-use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, SplatCloud};
+use decouplegs_scene::{Camera, Intrinsics, Motion, Pose, SplatCloud};
 use glam::{DQuat, DVec3};
 
 use crate::arguments::three_numbers;

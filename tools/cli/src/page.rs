@@ -4,7 +4,7 @@ use std::fmt::{Display, Write};
 
 use anyhow::Result;
 use base64::{Engine, engine::general_purpose::STANDARD};
-use decouplegs::render::rendered_image::{Image, ImageFileFormat};
+use decouplegs_render::rendered_image::{Image, ImageFileFormat};
 
 /// Style sheet of charts: readable on a light and on a dark background.
 const CHART_STYLE: &str = include_str!("page/charts.css");

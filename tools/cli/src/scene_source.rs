@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use decouplegs::asset::{CameraOptions, LoadedScene, SplatFormat, open_scene, read_cameras};
-use decouplegs::scene::{Camera, Intrinsics, Rules, SplatScene};
+use decouplegs_asset::{CameraOptions, LoadedScene, SplatFormat, open_scene, read_cameras};
+use decouplegs_scene::{Camera, Intrinsics, Rules, SplatScene};
 
 use crate::arguments::{RulesName, Size, finite, warn};
 use crate::orbit::OrbitArguments;

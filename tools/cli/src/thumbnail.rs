@@ -1,6 +1,6 @@
 //! Images small enough for a page.
 
-use decouplegs::render::rendered_image::Image;
+use decouplegs_render::rendered_image::Image;
 
 /// `image` at `1 / n` of its size, each pixel the mean of `n` by `n`, for the least n that makes it
 /// at most `width_px` wide.

@@ -1,6 +1,6 @@
 //! Cameras around an asset.
 
-use decouplegs::scene::{Bounds, Camera, Intrinsics, Motion, Pose};
+use decouplegs_scene::{Bounds, Camera, Intrinsics, Motion, Pose};
 use glam::DVec3;
 
 /// Field of view of the cameras on a sphere, radians: close to a car's, far from an orthographic

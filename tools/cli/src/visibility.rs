@@ -1,9 +1,9 @@
 //! Visibility of each splat from all around.
 
 use anyhow::{Context, Result};
-use decouplegs::gpu::Gpu;
-use decouplegs::render::{GpuScene, Outputs, RenderError, RenderOptions, Renderer};
-use decouplegs::scene::{Camera, SplatCloud, SplatScene};
+use decouplegs_gpu::Gpu;
+use decouplegs_render::{GpuScene, Outputs, RenderError, RenderOptions, Renderer};
+use decouplegs_scene::{Camera, SplatCloud, SplatScene};
 
 use crate::progress;
 

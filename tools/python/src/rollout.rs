@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use decouplegs::asset::EpisodeLog;
 use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{EpisodeMetadata, Rollout as EngineRollout, Site as EngineSite};
+use decouplegs::logs::EpisodeLog;
 use decouplegs::scene::episode::{EpisodeEnd, PlannerRecord};
 use decouplegs::scene::{Motion, Plan, PlanPoint};
 use glam::DVec2;

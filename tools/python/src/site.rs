@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use decouplegs::asset::read_scenario;
 use decouplegs::drive::generate::{Generator, PlaceOptions};
 use decouplegs::episode::{Appearance, Site as EngineSite};
+use decouplegs::logs::read_scenario;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Level, Scenario, Weather};
 use decouplegs::session::SessionScene;

@@ -6,7 +6,7 @@ use decouplegs::asset::{probe_paths, read_probe};
 use decouplegs::scene::light::{ALBEDO_SPREAD, Probe, Surroundings, to_display};
 use decouplegs::scene::{ColorTransfer, LightTransfer};
 use decouplegs::synth::street::{AssetLight, Street, StreetOptions};
-use decouplegs::train::calibrate::{CalibrateOptions, calibrate};
+use decouplegs_calibrate::{CalibrateOptions, calibrate};
 use glam::DVec3;
 use rayon::prelude::*;
 

@@ -2,7 +2,7 @@
 //! episode whose log is these bytes.
 #![no_main]
 
-use decouplegs_asset::episode_log::{decode, encode};
+use decouplegs_logs::episode_log::{decode, encode};
 use libfuzzer_sys::fuzz_target;
 use xxhash_rust::xxh3::xxh3_64;
 

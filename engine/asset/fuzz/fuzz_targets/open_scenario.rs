@@ -1,7 +1,7 @@
 //! Any bytes as an OpenSCENARIO file, which is also its own catalog.
 #![no_main]
 
-use decouplegs_asset::open_scenario;
+use decouplegs_logs::open_scenario;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {

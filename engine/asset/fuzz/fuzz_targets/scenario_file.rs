@@ -1,7 +1,7 @@
 //! Any text as a scenario file: an error, or a scenario that survives being written and read.
 #![no_main]
 
-use decouplegs_asset::scenario_file;
+use decouplegs_logs::scenario_file;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|text: &str| {

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use decouplegs_asset::read_episode_log;
+use decouplegs_logs::read_episode_log;
 
 use super::external::{External, Timeouts, Transport};
 use super::{ConstantVelocity, LaneFollow, Planner, PlannerError, Replay, Vision};

@@ -1,6 +1,6 @@
 //! Actions of vehicles and pedestrians, as behaviors and paths.
 
-use decouplegs_asset::open_scenario::{Action, Event, EventTrigger, TargetLane, Transition};
+use decouplegs_logs::open_scenario::{Action, Event, EventTrigger, TargetLane, Transition};
 use decouplegs_scene::Pedestrian;
 use decouplegs_scene::scenario::{Behavior, LaneSide, Maneuver, Trigger};
 use glam::DVec2;
@@ -146,7 +146,7 @@ impl Import<'_> {
     fn trigger(&self, event: &Event, index: usize, ego: usize) -> Option<Trigger> {
         match &event.trigger {
             EventTrigger::Time(time_s) => Some(Trigger::Time {
-                time_s: time_s.min(decouplegs_asset::scenario_file::DURATION_S_MAX),
+                time_s: time_s.min(decouplegs_logs::scenario_file::DURATION_S_MAX),
             }),
             EventTrigger::Distance {
                 entities,

@@ -3,10 +3,10 @@
 use std::collections::HashMap;
 
 use decouplegs_asset::maps::open_drive::RoadPositions;
-use decouplegs_asset::open_scenario::{Entity, Position};
 use decouplegs_drive::LaneIndex;
 use decouplegs_drive::polyline::wrapped;
 use decouplegs_drive::route::{LaneSpot, straight_on};
+use decouplegs_logs::open_scenario::{Entity, Position};
 use decouplegs_scene::{LaneKind, LaneMap};
 use glam::DVec2;
 

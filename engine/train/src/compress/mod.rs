@@ -12,7 +12,6 @@ pub mod levels;
 mod options;
 mod prune;
 mod quick;
-pub(crate) mod random;
 mod report;
 mod shape_space;
 #[cfg(test)]

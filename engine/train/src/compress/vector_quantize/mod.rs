@@ -15,7 +15,7 @@ mod tests;
 
 pub use codebook::{Nearest, SearchBook, Vectors};
 
-use super::random::Random;
+use decouplegs_scene::random::Random;
 use moving_average::MovingAverage;
 
 /// Vectors among which entries begin: more find no better beginning, only a slower one.

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::super::random::Random;
 use super::codebook::{SearchBook, Vectors};
+use decouplegs_scene::random::Random;
 
 /// Vectors that one task compares with a new entry.
 const TASK_VECTORS: usize = 1024;

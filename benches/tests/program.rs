@@ -1,0 +1,28 @@
+//! The program by itself: users meet it through `decouplegs`, as `tests/cli` does.
+
+use std::process::{Command, Output};
+
+fn run(arguments: &[&str]) -> Output {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_decouplegs-lab"));
+    program
+        .args(arguments)
+        .output()
+        .expect("the program starts")
+}
+
+#[test]
+fn exit_codes_tell_an_error_from_a_command_line_without_sense() {
+    for (code, arguments, says) in [
+        (
+            2,
+            &["bench", "--nonsense"] as &[&str],
+            "Usage: decouplegs-lab",
+        ),
+        (1, &["bench", "absent.toml"], "error: absent.toml"),
+    ] {
+        let output = run(arguments);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+        assert!(said.contains(says) && output.stdout.is_empty(), "{said}");
+    }
+}

@@ -1,0 +1,335 @@
+//! Scenarios of a run: from files, or generated for levels.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use decouplegs::asset::maps::length_m;
+use decouplegs::asset::{probe_paths, write_atomically};
+use decouplegs::drive::generate::{Area, Difficulty, Generator, PlaceOptions, Sky};
+use decouplegs::episode::Site;
+use decouplegs::logs::{read_scenario, write_scenario};
+use decouplegs::scenario_import::import_open_scenario;
+use decouplegs::scene::scenario::Place;
+use decouplegs::scene::{LaneMap, Scenario, Weather};
+use serde_json::{Value, json};
+
+use super::folder::RunFolder;
+use super::{Arguments, RoadUsers, TrafficLights};
+use crate::arguments::warn;
+use crate::progress;
+
+/// Place of generated scenarios.
+#[derive(clap::Args)]
+pub struct PlaceArguments {
+    /// Drive on the roads of this map, rendered as asphalt and markings, instead of the synthetic
+    /// street
+    #[arg(long, value_name = "FILE", conflicts_with = "scenarios")]
+    map: Option<PathBuf>,
+    /// Light the roads of --map by the probes (.hdr, .exr) in this folder. Names with `night`,
+    /// `dusk`, `dawn`, `sunset`, `sunrise`, `overcast` or `cloud` define the weather; all others
+    /// count as clear days
+    #[arg(long, value_name = "DIR", requires = "map")]
+    probes: Option<PathBuf>,
+    /// Drive in this captured scene (.toml), whose lanes are those of --map
+    #[arg(long, value_name = "FILE", requires = "map", conflicts_with = "probes")]
+    scene: Option<PathBuf>,
+    /// Obstacles of --scene, instead of what its splats show beside the lanes. `map --obstacles`
+    /// writes such a file
+    #[arg(long, value_name = "FILE", requires = "scene")]
+    obstacles: Option<PathBuf>,
+    /// Number of background splats of a synthetic place [default: 200000, on a map at least 8 per
+    /// square meter of its lanes]
+    #[arg(long, value_name = "N")]
+    background: Option<usize>,
+    /// Number of splats of each car of a synthetic place
+    #[arg(long, value_name = "N", default_value_t = 4_000)]
+    agent_splats: usize,
+}
+
+/// An episode to be driven.
+pub struct Job {
+    pub scenario: Scenario,
+    /// Base folder of the scenario's files.
+    pub directory: PathBuf,
+}
+
+pub fn list(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
+    let jobs = if arguments.scenarios.is_empty() {
+        generated(arguments, folder)?
+    } else {
+        from_files(arguments, folder)?
+    };
+    let mut names: Vec<&str> = jobs.iter().map(|job| job.scenario.name.as_str()).collect();
+    names.sort_unstable();
+    if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+        bail!(
+            "two scenarios are called {:?}: their logs would be one; change `name` in one of the files",
+            pair[0]
+        );
+    }
+    Ok(jobs)
+}
+
+fn from_files(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
+    let job = |path: &PathBuf| {
+        let is_open_scenario = path
+            .extension()
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("xosc"));
+        if is_open_scenario {
+            return imported(path, arguments, folder);
+        }
+        Ok(Job {
+            scenario: stepped(read_scenario(path)?, arguments),
+            directory: path.parent().unwrap_or(Path::new("")).to_owned(),
+        })
+    };
+    arguments.scenarios.iter().map(job).collect()
+}
+
+/// `scenario` with the time between plans that was asked for, if any.
+fn stepped(scenario: Scenario, arguments: &Arguments) -> Scenario {
+    let step_s = arguments.step_s().unwrap_or(scenario.step_s);
+    Scenario { step_s, ..scenario }
+}
+
+/// Sentences about skipped elements that are printed; all of them are in a file.
+const SKIPPED_SHOWN: usize = 8;
+
+/// The scenario of an OpenSCENARIO file, written to the folder of the run beside a list of what was
+/// skipped.
+fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Job> {
+    let imported = import_open_scenario(path)?;
+    let mut scenario = stepped(imported.scenario, arguments);
+    if let Place::Roads {
+        background,
+        agent_splats,
+        ..
+    } = &mut scenario.place
+    {
+        let place = &arguments.place;
+        *background = place.background_on(&imported.map, arguments.render.0 > 0);
+        *agent_splats = place.agent_splats;
+    }
+    let written = folder.scenario(&scenario.name);
+    write_scenario(&written, &scenario)?;
+    let list = written.with_extension("skipped.txt");
+    let mut text = imported.skipped.join("\n");
+    text.push('\n');
+    write_atomically(&list, |file| file.write_all(text.as_bytes()))?;
+    let skipped = &imported.skipped;
+    for sentence in skipped.iter().take(SKIPPED_SHOWN) {
+        warn(&format!("{}: {sentence}", path.display()));
+    }
+    if skipped.len() > SKIPPED_SHOWN {
+        let more = skipped.len() - SKIPPED_SHOWN;
+        warn(&format!("and {more} more: all are in {}", list.display()));
+    }
+    Ok(Job {
+        scenario,
+        directory: PathBuf::new(),
+    })
+}
+
+/// Scenarios of each level, written to the folder of the run, where people can read, edit and drive
+/// them.
+fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
+    let site = Site::open(&arguments.place.bare(), Path::new(""), None)
+        .context("no scenarios can be generated here")?;
+    let options = arguments
+        .place
+        .options(arguments.place.background(&site, arguments.render.0 > 0))?;
+    let mut generator = Generator::new(&site.lanes, options, &site.asset_sizes)?;
+    if let Some(area) = arguments.place.seen(&site) {
+        generator = generator.within(area);
+    }
+    if arguments.traffic_lights == TrafficLights::Off {
+        generator = generator.without_lights();
+    }
+    if arguments.road_users == RoadUsers::Mixed {
+        generator = generator.with_road_users(&site.road_users, site.obstacles.clone())?;
+    }
+    let generator = generator.with_difficulty(Difficulty {
+        density: arguments.density,
+        surprise: arguments.surprise,
+        time: arguments.time_budget,
+    });
+    let levels = arguments.levels();
+    let bar = progress::bar("scenarios", levels.len() * arguments.episodes as usize);
+    let mut jobs = Vec::new();
+    for (level, index) in levels
+        .into_iter()
+        .flat_map(|level| (0..arguments.episodes).map(move |index| (level, index)))
+    {
+        let scenario = generator.scenario(level, arguments.seed, index)?;
+        let scenario = stepped(scenario, arguments);
+        let path = folder.scenario(&scenario.name);
+        if !path.exists() {
+            write_scenario(&path, &scenario)?;
+        }
+        jobs.push(Job {
+            scenario,
+            directory: PathBuf::new(),
+        });
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(jobs)
+}
+
+/// Weather of a probe, by its name.
+fn weather_of(probe: &Path) -> Weather {
+    let name = probe
+        .file_stem()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_lowercase();
+    let says = |words: &[&str]| words.iter().any(|word| name.contains(word));
+    match () {
+        () if says(&["night"]) => Weather::Night,
+        () if says(&["dusk", "dawn", "sunset", "sunrise"]) => Weather::Dusk,
+        () if says(&["overcast", "cloud"]) => Weather::Overcast,
+        () => Weather::Clear,
+    }
+}
+
+/// A captured scene is driven in within this of the middle of its ego's way, meters, where it has
+/// none: what cameras see from there.
+const SEEN_M: f64 = 150.0;
+/// The seed of the street's houses: the same for all runs, so that they differ by who drives.
+const STREET_SEED: u64 = 1;
+
+/// Splats of a synthetic background unless the lanes need more, and at most.
+const BACKGROUND: usize = 200_000;
+const BACKGROUND_MAX: usize = 8_000_000;
+/// Splats per square meter of lanes below which roads look like fog.
+const SPLATS_PER_M2_MIN: f64 = 8.0;
+/// Width of a lane, meters, as far as this needs it.
+const LANE_M: f64 = 3.5;
+
+impl PlaceArguments {
+    /// Splats of the background: as asked for, otherwise enough for the area of the lanes up to a
+    /// limit. Warns where a map's roads have too few.
+    fn background(&self, site: &Site, is_drawn: bool) -> usize {
+        if self.map.is_none() || self.scene.is_some() {
+            return self.background.unwrap_or(BACKGROUND);
+        }
+        self.background_on(&site.lanes, is_drawn)
+    }
+
+    /// Splats of the background for the roads of a map.
+    fn background_on(&self, map: &LaneMap, is_drawn: bool) -> usize {
+        let lengths_m = map.lanes.iter().map(|lane| length_m(&lane.centerline));
+        let area_m2 = LANE_M * lengths_m.sum::<f64>();
+        let needed = ((SPLATS_PER_M2_MIN * area_m2 / 1e4).ceil() * 1e4) as usize;
+        let splats = self
+            .background
+            .unwrap_or_else(|| needed.clamp(BACKGROUND, BACKGROUND_MAX));
+        if is_drawn && splats < needed {
+            warn(&format!(
+                "{splats} splats on {area_m2:.0} m² of lanes: images will look foggy. --background {needed} is enough"
+            ));
+        }
+        splats
+    }
+
+    /// Place of generated scenarios. Files go by their whole path, as scenarios lie in the folder
+    /// of the run.
+    fn options(&self, background: usize) -> Result<PlaceOptions> {
+        let whole = |path: &Path| {
+            std::fs::canonicalize(path)
+                .with_context(|| format!("{} cannot be read: expected a file", path.display()))
+        };
+        let agent_splats = self.agent_splats;
+        Ok(match (&self.map, &self.scene) {
+            (Some(map), Some(scene)) => PlaceOptions::Scene {
+                scene: whole(scene)?,
+                map: whole(map)?,
+                obstacles: self.obstacles.as_deref().map(whole).transpose()?,
+            },
+            (Some(map), None) => {
+                let probes = self
+                    .probes
+                    .as_deref()
+                    .map(probe_paths)
+                    .transpose()?
+                    .unwrap_or_default();
+                let sky = |probe: PathBuf| {
+                    Ok(Sky {
+                        weather: weather_of(&probe),
+                        probe: whole(&probe)?,
+                    })
+                };
+                let skies = probes.into_iter().map(sky).collect::<Result<_>>()?;
+                PlaceOptions::Roads {
+                    map: whole(map)?,
+                    skies,
+                    background,
+                    agent_splats,
+                }
+            }
+            (None, _) => PlaceOptions::Street {
+                background,
+                agent_splats,
+                seed: STREET_SEED,
+            },
+        })
+    }
+
+    /// The same place with nothing to see.
+    fn bare(&self) -> Place {
+        match (self.map.clone(), self.scene.clone()) {
+            (Some(map), Some(scene)) => Place::Scene {
+                scene,
+                map,
+                obstacles: self.obstacles.clone(),
+            },
+            (Some(map), None) => Place::Roads {
+                map,
+                probe: None,
+                exposure_ev: 0.0,
+                background: 0,
+                agent_splats: 0,
+            },
+            (None, _) => Place::Street {
+                weather: Weather::Clear,
+                background: 0,
+                agent_splats: 0,
+                seed: STREET_SEED,
+            },
+        }
+    }
+
+    /// Visible area of a captured scene: around the path of the vehicle that captured it.
+    fn seen(&self, site: &Site) -> Option<Area> {
+        self.scene.as_ref()?;
+        let way: Vec<_> = site
+            .loaded
+            .ego
+            .poses()
+            .iter()
+            .map(|timed| timed.pose.translation.truncate())
+            .collect();
+        let center_m = way.iter().sum::<glam::DVec2>() / way.len() as f64;
+        let farthest_m = way
+            .iter()
+            .map(|at| at.distance(center_m))
+            .fold(0.0, f64::max);
+        Some(Area {
+            center_m,
+            radius_m: farthest_m.max(SEEN_M),
+        })
+    }
+
+    pub fn to_json(&self) -> Value {
+        let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+        json!({
+            "map": path(&self.map),
+            "probes": path(&self.probes),
+            "scene": path(&self.scene),
+            "obstacles": path(&self.obstacles),
+            "background": self.background,
+            "agent_splats": self.agent_splats,
+        })
+    }
+}

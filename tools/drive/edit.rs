@@ -1,0 +1,226 @@
+//! `decouplegs edit`: a scene with agents moved, swapped, removed and added, as a new scene file.
+
+mod change;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use decouplegs::asset::scene_file::path_from;
+use decouplegs::asset::{SceneAgent, SceneFile, is_scene_file};
+use decouplegs::footing::{Footing, dims_of};
+use decouplegs::scene::{Pose, Presence, Trajectory};
+
+use crate::arguments::print;
+use crate::progress;
+use change::{Addition, Move, Shift, Swap, Times};
+
+/// Move, swap, remove, add and time agents of a scene, and write it as a new scene file
+///
+/// Whatever the order on the command line: agents are removed first, then added, swapped, moved and
+/// shifted. Positions are world coordinates of the middle of an agent's box, meters; angles are
+/// degrees, counted from x towards y. Files that the scene names stay where they are: their paths
+/// are rewritten if the new file lies in another folder. Comments of the old file are lost.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Scene (.toml); it is not changed
+    scene: PathBuf,
+    /// Scene file to write
+    #[arg(long, value_name = "NEW.toml", value_parser = scene_path)]
+    out: PathBuf,
+    /// Remove an agent; later agents of the file get other instance ids
+    #[arg(long, value_name = "NAME")]
+    remove: Vec<String>,
+    /// Add an agent at a fixed pose
+    #[arg(
+        long,
+        value_name = "NAME=ASSET,X,Y,Z,YAW_DEG",
+        allow_hyphen_values = true
+    )]
+    add: Vec<Addition>,
+    /// Use another asset; the pose stays, so an asset of another height needs --ground
+    #[arg(long, value_name = "NAME=ASSET")]
+    swap: Vec<Swap>,
+    /// Move an agent with its whole trajectory to a new start
+    #[arg(
+        long = "move",
+        value_name = "NAME=X,Y,Z,YAW_DEG",
+        allow_hyphen_values = true
+    )]
+    moves: Vec<Move>,
+    /// Move an agent in its own frame, at each pose of its trajectory
+    #[arg(
+        long,
+        value_name = "NAME=FORWARD,LEFT[,YAW_DEG]",
+        allow_hyphen_values = true
+    )]
+    shift: Vec<Shift>,
+    /// Show an agent at these times alone, or always
+    #[arg(
+        long,
+        value_name = "NAME=FROM_S,TO_S[,...]",
+        allow_hyphen_values = true
+    )]
+    present: Vec<Times>,
+    /// Place the wheels of every added, swapped, moved or shifted agent on the captured ground
+    #[arg(long)]
+    ground: bool,
+}
+
+fn scene_path(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    if is_scene_file(&path) {
+        Ok(path)
+    } else {
+        Err(format!(
+            "expected a name that ends with .toml, found {text:?}"
+        ))
+    }
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let scene = SceneFile::read(&arguments.scene)?;
+    let [from, to] =
+        [&arguments.scene, &arguments.out].map(|file| file.parent().unwrap_or(Path::new("")));
+    let is_itself = arguments.out.canonicalize().is_ok_and(|out| {
+        arguments
+            .scene
+            .canonicalize()
+            .is_ok_and(|scene| scene == out)
+    });
+    ensure!(
+        !is_itself,
+        "{} is the scene itself, which is left as it is; give --out another name",
+        arguments.out.display()
+    );
+    let mut edited = scene.moved_to_folder(from, to).with_context(|| {
+        format!(
+            "{} cannot be written: its folder cannot be reached",
+            arguments.out.display()
+        )
+    })?;
+    let touched = change(&mut edited, arguments, to)?;
+    let mut report = String::new();
+    if arguments.ground {
+        let background = to.join(&edited.background);
+        let reading = progress::spinner(format!("reading {}", background.display()));
+        let footing = Footing::open(&background, edited.origin)?;
+        reading.finish_and_clear();
+        for name in &touched {
+            report.push_str(&set_on_ground(&mut edited, name, to, &footing)?);
+        }
+    }
+    edited.write(&arguments.out)?;
+    print(&format!(
+        "{report}{}: {} agents, {} before\n",
+        arguments.out.display(),
+        edited.agents.len(),
+        scene.agents.len()
+    ))
+}
+
+/// Edits `scene`, whose paths are relative to `folder`; returns the agents whose feet may have left
+/// the ground, each once.
+fn change(scene: &mut SceneFile, arguments: &Arguments, folder: &Path) -> Result<Vec<String>> {
+    for name in &arguments.remove {
+        scene.remove_agent(name)?;
+    }
+    for Addition {
+        name,
+        asset,
+        position_m,
+        yaw_rad,
+    } in &arguments.add
+    {
+        let trajectory = Trajectory::standing(Pose::from_yaw(*yaw_rad, *position_m));
+        let asset = asset_from(folder, asset)?;
+        scene.add_agent(SceneAgent {
+            name: name.clone(),
+            class: None,
+            asset,
+            sh_frame: None,
+            trajectory,
+            present: Presence::ALWAYS,
+        })?;
+    }
+    for Swap { name, asset } in &arguments.swap {
+        scene.swap_asset(name, asset_from(folder, asset)?)?;
+    }
+    for Move {
+        name,
+        position_m,
+        yaw_rad,
+    } in &arguments.moves
+    {
+        scene.move_agent(name, *position_m, *yaw_rad)?;
+    }
+    for Shift { name, shift } in &arguments.shift {
+        scene.shift_agent(name, shift)?;
+    }
+    for Times { name, present } in &arguments.present {
+        scene.set_presence(name, present.clone())?;
+    }
+    let added = arguments.add.iter().map(|change| &change.name);
+    let swapped = arguments.swap.iter().map(|change| &change.name);
+    let moved = arguments.moves.iter().map(|change| &change.name);
+    let shifted = arguments.shift.iter().map(|change| &change.name);
+    let mut touched: Vec<String> = Vec::new();
+    for name in added.chain(swapped).chain(moved).chain(shifted) {
+        if !touched.contains(name) {
+            touched.push(name.clone());
+        }
+    }
+    Ok(touched)
+}
+
+/// The asset at `path` as a scene file in `folder` names it. It is read, so that no scene names
+/// what cannot be shown.
+fn asset_from(folder: &Path, path: &Path) -> Result<PathBuf> {
+    dims_of(path)?;
+    path_from(folder, path)
+        .with_context(|| format!("{} cannot be named in the new scene", path.display()))
+}
+
+/// Sets the agent called `name` on the ground all along its way; what was done, as lines.
+fn set_on_ground(
+    scene: &mut SceneFile,
+    name: &str,
+    folder: &Path,
+    footing: &Footing,
+) -> Result<String> {
+    let agent = scene.agent(name)?;
+    let dims_m = dims_of(&folder.join(&agent.asset))?;
+    let set = footing.under(&agent.trajectory, dims_m)?;
+    let poses = agent.trajectory.poses().len();
+    scene.set_trajectory(name, set.trajectory)?;
+    let missing = poses - set.grounded;
+    ensure!(
+        set.grounded > 0,
+        "there is no ground below agent {name:?}; move it over the street that was captured"
+    );
+    let left = if missing == 0 {
+        String::new()
+    } else {
+        format!("; {missing} without ground below keep their heights")
+    };
+    let turned = if set.raised_max_m < 0.0 {
+        "lowered"
+    } else {
+        "raised"
+    };
+    let by_m = set.raised_max_m.abs();
+    Ok(format!(
+        "{name}: poses on the ground {} of {poses}, {turned} by {by_m:.3} m at most{left}\n",
+        set.grounded
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_is_written_as_toml() {
+        assert!(scene_path("a/new.TOML").is_ok());
+        assert!(scene_path("new.ply").unwrap_err().contains("new.ply"));
+    }
+}

@@ -1,0 +1,188 @@
+//! `decouplegs replay`: an episode driven again from its log.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Result, bail, ensure};
+use decouplegs::drive::score::EpisodeScore;
+use decouplegs::episode::{
+    Appearance, EpisodeObserver, ObservationRenderer, Replayed, Site, camera_named, chosen_lidars,
+    replay,
+};
+use decouplegs::logs::read_episode_log;
+use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
+use decouplegs::scene::{Rig, Sensor};
+
+use crate::arguments::{print, transfer_in};
+use crate::background::BackgroundArguments;
+use crate::device::{DeviceArguments, check_validation};
+use crate::drive::{ImageWriter, Images};
+use crate::progress;
+use crate::sites::{Ready, Sites};
+
+/// Repeat the plans of a log and compare: the motion of all vehicles and the score to the last bit,
+/// images by their hashes. Exits with 1 if something differs
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Log of an episode, as `drive` writes it
+    log: PathBuf,
+    /// Folder that the scenario's files are relative to (default: the log's)
+    #[arg(long, value_name = "DIR")]
+    base: Option<PathBuf>,
+    /// Render nothing: compare motion and score only
+    #[arg(long)]
+    no_render: bool,
+    /// Light transfer for the cars, as given to the run
+    #[arg(long, value_name = "FILE")]
+    light: Option<PathBuf>,
+    /// Write the images to this folder
+    #[arg(long, value_name = "DIR", conflicts_with = "no_render")]
+    images: Option<PathBuf>,
+    #[command(flatten)]
+    background: BackgroundArguments,
+    #[command(flatten)]
+    device: DeviceArguments,
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let episode = read_episode_log(&arguments.log)?;
+    let base = arguments
+        .base
+        .as_deref()
+        .or(arguments.log.parent())
+        .unwrap_or(Path::new(""));
+    let working = progress::spinner(format!("replaying {}", arguments.log.display()));
+    let (replayed, device) = match (&episode.head.drawn_by, arguments.no_render) {
+        (Some(drawn_by), false) => drawn(arguments, &episode, drawn_by, base)?,
+        _ => {
+            let site = Arc::new(Site::open(&episode.head.scenario.place, base, None)?);
+            (replay(&episode, &site, None, &mut ())?, None)
+        }
+    };
+    working.finish_and_clear();
+    report(&episode, &replayed, device.as_deref())
+}
+
+/// Drawn as the log was: its cameras, their size, its rendering interval.
+fn drawn(
+    arguments: &Arguments,
+    episode: &Episode,
+    drawn_by: &DrawnBy,
+    base: &Path,
+) -> Result<(Replayed, Option<String>)> {
+    let gpu = arguments.device.open()?;
+    let scenario = &episode.head.scenario;
+    let appearance = Appearance {
+        transfer: transfer_in(arguments.light.as_deref())?,
+        only_cars: scenario.has_only_cars(),
+    };
+    let sites = Sites::new(Some(&gpu), arguments.background, appearance);
+    let ready = sites.get(&scenario.place, base)?;
+    let (
+        Some(session),
+        Ready {
+            site,
+            scene: Some(scene),
+        },
+    ) = (sites.session(), ready.as_ref())
+    else {
+        bail!("the place has nothing to draw")
+    };
+    let mut cameras = Vec::new();
+    for name in &episode.head.planner.cameras {
+        let mut camera = camera_named(&site.loaded.rig, name)?.clone();
+        camera.intrinsics = drawn_by.intrinsics(&camera.intrinsics);
+        cameras.push(camera);
+    }
+    let lidars = chosen_lidars(&site.loaded.rig, false, &episode.head.planner.lidars)?;
+    let mut rig = Rig::from_iter(cameras);
+    rig.sensors.extend(lidars.into_iter().map(Sensor::Lidar));
+    let mut renderer =
+        ObservationRenderer::new(session.batch_renderer(), scene, rig, drawn_by.every);
+    let keeps = if arguments.images.is_some() {
+        Images::All
+    } else {
+        Images::None
+    };
+    let mut keeper = ImageKeeper {
+        image_writer: ImageWriter::new(arguments.images.clone().unwrap_or_default(), keeps),
+        error: None,
+    };
+    let replayed = replay(episode, site, Some(&mut renderer), &mut keeper)?;
+    check_validation(&gpu)?;
+    keeper.error.map_or(Ok(()), Err)?;
+    Ok((replayed, renderer.drawn_by().map(|by| by.device)))
+}
+
+/// Keeps images and nothing else.
+struct ImageKeeper {
+    image_writer: ImageWriter,
+    error: Option<anyhow::Error>,
+}
+
+impl EpisodeObserver for ImageKeeper {
+    fn begin(
+        &mut self,
+        _: &EpisodeHead,
+        _: &decouplegs::scene::episode::EpisodeTick,
+    ) -> Result<(), decouplegs::episode::EpisodeError> {
+        Ok(())
+    }
+
+    fn step(
+        &mut self,
+        step: &EpisodeStep,
+        readings: &[decouplegs::planner::Reading],
+    ) -> Result<(), decouplegs::episode::EpisodeError> {
+        if let Err(error) = self.image_writer.add(step.step, readings) {
+            self.error.get_or_insert(error);
+        }
+        Ok(())
+    }
+}
+
+fn report(episode: &Episode, replayed: &Replayed, device: Option<&str>) -> Result<()> {
+    if let Some(difference) = &replayed.moved_differently {
+        bail!("the replay is another episode: {difference}");
+    }
+    let (before, after) = (
+        EpisodeScore::new(episode),
+        EpisodeScore::new(&replayed.episode),
+    );
+    ensure!(
+        before == after,
+        "the same motion was scored differently: {before:?} in the log, {after:?} now"
+    );
+    let steps = episode.steps.len();
+    print(&format!(
+        "{steps} steps: all vehicles move as in the log, to the last bit; the score is the same\n"
+    ))?;
+    let Some(device) = device else { return Ok(()) };
+    let logged_on = episode
+        .head
+        .drawn_by
+        .as_ref()
+        .map_or("", |by| by.device.as_str());
+    let Replayed {
+        readings,
+        readings_different,
+        ..
+    } = replayed;
+    // Sweeps of LiDARs are readings too.
+    let what = match episode.head.planner.lidars.is_empty() {
+        true => "images",
+        false => "images and sweeps",
+    };
+    if *readings_different == 0 {
+        return print(&format!("{readings} {what}: the same, to the last bit\n"));
+    }
+    if logged_on == device {
+        bail!(
+            "{readings_different} of {readings} {what} are not those of the log, on the same device: {device}"
+        );
+    }
+    print(&format!(
+        "{readings_different} of {readings} {what} have other bits: they were drawn on {logged_on}, now on {device}, and devices round \
+         differently\n"
+    ))
+}

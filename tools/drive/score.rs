@@ -1,0 +1,95 @@
+//! `decouplegs score`: scores from logs.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::ValueEnum;
+use decouplegs::asset::write_atomically;
+use decouplegs::drive::score::HdVariant;
+use decouplegs::episode::Appearance;
+use decouplegs::logs::read_episode_log;
+
+use crate::arguments::print;
+use crate::background::BackgroundArguments;
+use crate::episode_report::{self, HdScores, Scored};
+use crate::progress;
+use crate::sites::Sites;
+
+/// Versions of the HD-Score.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Hugsim {
+    /// The acceleration across counts as 0, as in HUGSIM's code
+    AsPublished,
+    /// The acceleration across counts
+    Corrected,
+}
+
+/// Score episodes again from their logs, without rendering
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Logs of episodes, as `drive` writes them
+    #[arg(required = true, value_name = "LOG")]
+    logs: Vec<PathBuf>,
+    /// Compare with these logs of another run, episode by episode. Both runs need the same
+    /// scenarios
+    #[arg(long, value_name = "LOG", num_args = 1..)]
+    against: Vec<PathBuf>,
+    /// Print the HD-Score of HUGSIM too, taken from what was driven; with --out, write hugsim.json
+    #[arg(long, value_name = "VERSION", value_enum, conflicts_with = "against")]
+    hugsim: Option<Hugsim>,
+    /// Write report.json and report.html, with --against comparison.json and comparison.html, to
+    /// this folder too
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let scored = read(&arguments.logs)?;
+    let out = arguments.out.as_deref();
+    let text = match out {
+        _ if !arguments.against.is_empty() => {
+            episode_report::compare(&scored, &read(&arguments.against)?, out)?
+        }
+        Some(out) => episode_report::write(
+            &scored,
+            &Sites::new(None, BackgroundArguments::default(), Appearance::default()),
+            out,
+        )?,
+        None => episode_report::text(&scored)?,
+    };
+    print(&text)?;
+    if let Some(version) = arguments.hugsim {
+        let variant = match version {
+            Hugsim::AsPublished => HdVariant::AsPublished,
+            Hugsim::Corrected => HdVariant::Corrected,
+        };
+        let scores = HdScores::from_scored(&scored, variant);
+        if let Some(out) = out {
+            let report = scores.to_json(&scored);
+            write_atomically(&out.join("hugsim.json"), |file| {
+                writeln!(file, "{report:#}")
+            })?;
+        }
+        print(&scores.text(&scored))?;
+    }
+    Ok(())
+}
+
+fn read(paths: &[PathBuf]) -> Result<Vec<Scored>> {
+    let bar = progress::bar("logs", paths.len());
+    let mut scored = Vec::with_capacity(paths.len());
+    for path in paths {
+        let images = episode_report::images_beside(path);
+        scored.push(Scored::new(
+            read_episode_log(path)?,
+            path.clone(),
+            images,
+            None,
+        )?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    scored.sort_by(|a, b| (a.level(), a.name()).cmp(&(b.level(), b.name())));
+    Ok(scored)
+}
