@@ -34,6 +34,7 @@
 #include "frame.glsl"
 #include "footprint.glsl"
 #include "color_code.glsl"
+#include "mean_px.glsl"
 #include "record.glsl"
 #include "output.glsl"
 
@@ -296,7 +297,7 @@ bool is_drawn(uint tiles, uint first_index) {
 
 // Blends a segment of one batch: subgroups take shares from a counter.
 void blend_one_batch(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
-    stage_records(item.first_pair, item.pairs, origin, camera.size_px);
+    stage_records(item.first_pair, item.pairs, origin, camera.size_px, camera.mean_shift);
     barrier();
     if (writes_partial(item)) {
         uint thread = gl_LocalInvocationIndex;
@@ -340,7 +341,7 @@ void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
     bool has_any = false; // records in a fine tile, by the first 32 threads
     for (uint done = 0u; done < item.pairs; done += BATCH) {
         uint count = min(BATCH, item.pairs - done);
-        stage_records(item.first_pair + done, count, origin, camera.size_px);
+        stage_records(item.first_pair + done, count, origin, camera.size_px, camera.mean_shift);
         if (gl_LocalInvocationIndex == 0u) {
             open_subgroups = 0u;
         }

@@ -61,15 +61,16 @@ uint reached_fine_tiles(Footprint splat, uvec2 origin, uvec2 size_px) {
 
 // Stages record `entry` of `count`, which begin at entry `first` of the lists; returns the fine
 // tiles that it can reach.
-uint stage_record(uint first, uint count, uint entry, uvec2 origin, uvec2 size_px) {
+uint stage_record(uint first, uint count, uint entry, uvec2 origin, uvec2 size_px, uint mean_shift) {
     if (entry >= count) {
         return 0u;
     }
     uint record = records[first + entry];
+    uvec4 low = footprints[2u * record];
     uvec4 high = footprints[2u * record + 1u];
-    Footprint splat = unpack_footprint(footprints[2u * record], high);
+    Footprint splat = unpack_footprint(low, high, mean_shift);
     vec3 color = ATTRIBUTES ? attributes[record] : unpack_record_color(high);
-    vec2 mean = splat.mean_px - vec2(origin);
+    vec2 mean = unpack_mean(low.xy, origin, mean_shift);
     float sheared_x = mean.x - splat.slope * mean.y;
     batch_slants[entry] = vec4(splat.rate_x, -splat.slope * splat.rate_x, -sheared_x * splat.rate_x, -mean.y * splat.rate_y);
     batch_tones[entry] = vec4(splat.rate_y, splat.log2_opacity, color.rg);
@@ -88,13 +89,13 @@ uint stage_record(uint first, uint count, uint entry, uvec2 origin, uvec2 size_p
 //
 // A subgroup takes 32 records at a time, or as many as it has lanes: their masks are turned into
 // one word per tile by ballots.
-void stage_records(uint first, uint count, uvec2 origin, uvec2 size_px) {
+void stage_records(uint first, uint count, uvec2 origin, uvec2 size_px, uint mean_shift) {
     uint lane = gl_SubgroupInvocationID;
     uint words = (count + 31u) / 32u;
     for (uint word = gl_LocalInvocationIndex / LANES * WORDS_STAGED; word < words; word += SUBGROUPS * WORDS_STAGED) {
         uint masks[PARTS];
         [[unroll]] for (uint part = 0u; part < PARTS; ++part) {
-            masks[part] = stage_record(first, count, 32u * word + part * LANES + lane, origin, size_px);
+            masks[part] = stage_record(first, count, 32u * word + part * LANES + lane, origin, size_px, mean_shift);
         }
         [[unroll]] for (uint first_tile = 0u; first_tile < 32u; first_tile += ROUND) {
             uint kept = 0u;
