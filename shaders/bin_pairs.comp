@@ -13,6 +13,7 @@
 #include "frame.glsl"
 #include "footprint.glsl"
 #include "color_code.glsl"
+#include "mean_px.glsl"
 #include "record.glsl"
 #include "double_float.glsl"
 #include "depth_key.glsl"
@@ -60,8 +61,12 @@ uint camera_of(uint record) {
     return camera;
 }
 
-Footprint load_footprint(uint record) {
-    return unpack_footprint(footprints[2u * record], footprints[2u * record + 1u]);
+// A LiDAR's record has its first and last column and row in place of mean, slope and rate.
+Footprint load_footprint(uint record, Camera camera) {
+    uvec4 low = footprints[2u * record];
+    Footprint splat = unpack_footprint(low, footprints[2u * record + 1u], camera.mean_shift);
+    splat.mean_px = LIDAR ? uintBitsToFloat(low.xy) : splat.mean_px;
+    return splat;
 }
 
 // Rows of coarse tiles [x, y] that a record reaches; empty when x > y.
@@ -102,7 +107,7 @@ void main() {
         bool real = base + thread < end_record;
         uint record = real ? base + thread : first_record;
         Camera camera = cameras[camera_of(record)];
-        Footprint splat = load_footprint(record);
+        Footprint splat = load_footprint(record, camera);
         ivec2 rows = rows_of(splat, camera);
         uint row_count = real ? uint(rows.y - rows.x + 1) : 0u;
         bool alone = row_count <= ALONE_ROWS_MAX;
@@ -119,7 +124,7 @@ void main() {
             uint giver = giver_of(given);
             uint giver_record = shared_records[giver];
             Camera giver_camera = cameras[camera_of(giver_record)];
-            Footprint giver_splat = load_footprint(giver_record);
+            Footprint giver_splat = load_footprint(giver_record, giver_camera);
             uint row = uint(rows_of(giver_splat, giver_camera).x) + given - shared_rows_before[giver];
             bin_row(giver_camera, giver_splat, giver_record, keys[giver_record], row);
         }

@@ -34,6 +34,7 @@
 #include "frame.glsl"
 #include "footprint.glsl"
 #include "color_code.glsl"
+#include "mean_px.glsl"
 #include "record.glsl"
 #include "output.glsl"
 
@@ -142,7 +143,7 @@ void blend_first_placed(inout LanePixels pixels, vec2 at, uint first_place, uint
 // Blends the batch of `batch_records` from entry `first` of the lists on into the subgroup's share
 // that begins at `first_index` of the coarse tile at `coarse_origin`; false once all its pixels are
 // full. Every lane calls it.
-bool blend_share(inout LanePixels pixels, uint first_index, uint first, uint batch_records, uvec2 coarse_origin) {
+bool blend_share(inout LanePixels pixels, uint first_index, uint first, uint batch_records, uvec2 coarse_origin, uint mean_shift) {
     uint lane = gl_SubgroupInvocationID;
     uint first_place = gl_LocalInvocationIndex / LANES * LANES;
     uint tile = fine_tile(first_index);
@@ -160,7 +161,7 @@ bool blend_share(inout LanePixels pixels, uint first_index, uint first, uint bat
         for (uint done = 0u; done < candidates && open; done += ROUND) {
             uint entry = 32u * first_word + record_of_rank(done + lane, bits, before);
             bool some = lane < ROUND && done + lane < candidates;
-            Staged own = read_record(records[first + (some ? entry : 0u)], coarse_origin + tile_offset);
+            Staged own = read_record(records[first + (some ? entry : 0u)], coarse_origin + tile_offset, mean_shift);
             own.tones.y = some ? own.tones.y : -1e3; // log2 of an alpha far below 1/255
             if (lane < ROUND) {
                 place_record(first_place + lane, own);
@@ -296,7 +297,7 @@ bool is_drawn(uint tiles, uint first_index) {
 // software drivers, which run one after the other: the first would take all shares, and come to the
 // end of the rounds that such a driver allows.
 void blend_one_batch(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
-    list_records(item.first_pair, item.pairs, origin, camera.size_px);
+    list_records(item.first_pair, item.pairs, origin, camera.size_px, camera.mean_shift);
     barrier();
     if (writes_partial(item)) {
         uint thread = gl_LocalInvocationIndex;
@@ -318,7 +319,7 @@ void blend_one_batch(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
         if (is_drawn(tiles, first_index)) {
             uint index = first_index + gl_SubgroupInvocationID;
             LanePixels pixels = first_pixels(item, camera, origin, index);
-            blend_share(pixels, first_index, item.first_pair, item.pairs, origin);
+            blend_share(pixels, first_index, item.first_pair, item.pairs, origin, camera.mean_shift);
             write_result(item, camera, origin, index, pixels);
         }
     }
@@ -342,7 +343,7 @@ void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
     bool has_any = false; // records in a fine tile, by the first 32 threads
     for (uint done = 0u; done < item.pairs; done += BATCH) {
         uint count = min(BATCH, item.pairs - done);
-        list_records(item.first_pair + done, count, origin, camera.size_px);
+        list_records(item.first_pair + done, count, origin, camera.size_px, camera.mean_shift);
         if (gl_LocalInvocationIndex == 0u) {
             open_subgroups = 0u;
         }
@@ -350,10 +351,10 @@ void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
         if (writes_partial(item) && gl_LocalInvocationIndex < 32u) {
             has_any = has_any || has_records(gl_LocalInvocationIndex, count);
         }
-        open0 = open0 && blend_share(pixels0, first0, item.first_pair + done, count, origin);
-        open1 = open1 && blend_share(pixels1, first1, item.first_pair + done, count, origin);
-        open2 = open2 && blend_share(pixels2, first2, item.first_pair + done, count, origin);
-        open3 = open3 && blend_share(pixels3, first3, item.first_pair + done, count, origin);
+        open0 = open0 && blend_share(pixels0, first0, item.first_pair + done, count, origin, camera.mean_shift);
+        open1 = open1 && blend_share(pixels1, first1, item.first_pair + done, count, origin, camera.mean_shift);
+        open2 = open2 && blend_share(pixels2, first2, item.first_pair + done, count, origin, camera.mean_shift);
+        open3 = open3 && blend_share(pixels3, first3, item.first_pair + done, count, origin, camera.mean_shift);
         if (lane == 0u && (open0 || open1 || open2 || open3)) {
             atomicOr(open_subgroups, 1u);
         }

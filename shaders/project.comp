@@ -17,6 +17,7 @@
 #include "double_float.glsl"
 #include "depth_key.glsl"
 #include "color_code.glsl"
+#include "mean_px.glsl"
 #include "record.glsl"
 #include "shadow.glsl"
 #include "geometry.glsl"
@@ -153,6 +154,7 @@ void main() {
         }
         Record record;
         record.splat = seen.splat;
+        record.mean = code_of_mean(camera, camera_index, mean_m, seen.splat);
         record.depth_m = RADIAL ? length(seen.offset_m) : seen.t.z;
         record.instance = SPLAT_IDS ? splat_index : INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
         vec3 color = sh_color(load_dc(splat_index), splat_index, splat_count, normalize(seen.offset_m));

@@ -16,6 +16,7 @@
 #include "double_float.glsl"
 #include "depth_key.glsl"
 #include "color_code.glsl"
+#include "mean_px.glsl"
 #include "record.glsl"
 #include "agent.glsl"
 #include "geometry.glsl"
@@ -145,6 +146,7 @@ void main() {
         }
         Record record;
         record.splat = seen.splat;
+        record.mean = code_of_mean(camera, camera_index, coded.mean_m, seen.splat);
         record.depth_m = RADIAL ? length(seen.offset_m) : seen.t.z;
         record.instance = agent.instance;
         vec3 d = normalize(seen.offset_m);

@@ -17,13 +17,13 @@ use clap::ValueEnum;
 use decouplegs::LiveScene;
 use decouplegs::asset::{check_writable, write_atomically};
 use decouplegs::gpu::{DeviceInfo, DeviceOptions, Gpu, KernelReport, KernelTrial, MemoryReport};
-use decouplegs::render::metrics::Difference;
+use decouplegs::render::metrics::{Difference, Flips};
 use decouplegs::render::reference::{self, Window};
 use decouplegs::render::rendered_image::Image;
 use decouplegs::render::{
     ColorFormat, FrameStatistics, Outputs, Plane, PlaneMap, RenderOptions, Renderer,
 };
-use decouplegs::scene::{Intrinsics, Rules};
+use decouplegs::scene::{Intrinsics, Rules, SplatScene};
 
 use crate::arguments::{Size, finite, pixels, plane_names, print};
 use crate::background::BackgroundArguments;
@@ -83,6 +83,10 @@ pub struct Arguments {
     /// for any --color
     #[arg(long, value_name = "WxH", default_value = "160x90")]
     error_window: Size,
+    /// Measure the error in the whole images of N cameras too, evenly chosen from all: the f64
+    /// reference takes seconds to minutes for each
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    error_cameras: usize,
     /// Print what the driver says of each kernel: registers, shared memory, and the workgroups that
     /// fit a multiprocessor of 48 KB of shared memory
     #[arg(long)]
@@ -168,8 +172,16 @@ struct Measured {
     timed: Timed,
     window: Window,
     difference: Difference,
+    images: Vec<ImageError>,
     /// Empty where they were not asked for.
     kernels: Vec<KernelReport>,
+}
+
+/// Error of a whole image.
+struct ImageError {
+    camera: String,
+    difference: Difference,
+    flips: Flips,
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -187,6 +199,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         scene.cameras.len()
     );
     scene.cameras.truncate(used);
+    ensure!(
+        arguments.error_cameras <= used,
+        "--error-cameras {}: {used} cameras are rendered",
+        arguments.error_cameras
+    );
 
     if !arguments.trial.is_empty() {
         let figures = trial::run(&scene, arguments)?;
@@ -209,7 +226,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     }
     let window = middle(&scene.cameras[0].intrinsics, arguments.error_window);
-    let difference = error_in_window(&gpu, &scene, arguments, window)?;
+    let mut comparison = Comparison::new(&gpu, &scene, arguments)?;
+    let (difference, _) = comparison.differences(0, window)?;
+    let images = comparison.whole_images(arguments.error_cameras)?;
+    drop(comparison);
     check_validation(&gpu)?;
 
     let (device, warm_up) = (gpu.info().clone(), arguments.warm_up);
@@ -222,6 +242,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         timed,
         window,
         difference,
+        images,
         kernels: gpu.kernel_reports(),
     };
     let mut figures = report::figures(&scene, &measured);
@@ -298,39 +319,76 @@ fn middle(image: &Intrinsics, size: Size) -> Window {
     }
 }
 
-/// Difference between the first camera's image, rendered once more in f32, and the reference: 8
-/// bits would hide it.
-fn error_in_window(
-    gpu: &Gpu,
-    scene: &Scene,
-    arguments: &Arguments,
-    window: Window,
-) -> Result<Difference> {
-    let working = progress::spinner("the middle of an image by the f64 definition".into());
-    let camera = &scene.cameras[0];
-    let outputs = Outputs::default();
-    let mut renderer = Renderer::new(
-        gpu,
-        RenderOptions {
-            outputs,
+/// Images that are rendered once more in f32, since 8 bits would hide their error, and the
+/// reference's.
+struct Comparison<'a> {
+    renderer: Renderer,
+    live: LiveScene,
+    scene: &'a Scene,
+    splat_scene: SplatScene,
+}
+
+impl<'a> Comparison<'a> {
+    fn new(gpu: &Gpu, scene: &'a Scene, arguments: &Arguments) -> Result<Self> {
+        let options = RenderOptions {
+            outputs: Outputs::default(),
             ..arguments.options(scene.rules())
-        },
-    );
-    let live = LiveScene::new(&renderer, &scene.loaded)?;
-    renderer.render(
-        live.with(&live.at(scene.time_s)),
-        std::slice::from_ref(camera),
-    )?;
-    let found = cut(&renderer.read_images()?[0], window);
-    let splat_scene = scene.splat_scene();
-    let world_at = |later_s: f64| match later_s {
-        0.0 => Cow::Borrowed(&splat_scene),
-        _ => Cow::Owned(scene.loaded.baked(scene.time_s + later_s)),
-    };
-    let expected = reference::render_moving_window(&world_at, camera, &splat_scene.rules, window);
-    let expected = expected.to_image();
-    working.finish_and_clear();
-    Ok(Difference::between(&found, &expected)?)
+        };
+        let renderer = Renderer::new(gpu, options);
+        let live = LiveScene::new(&renderer, &scene.loaded)?;
+        Ok(Self {
+            renderer: renderer,
+            live,
+            scene,
+            splat_scene: scene.splat_scene(),
+        })
+    }
+
+    /// The error in `window` of the image of camera `index`.
+    fn differences(&mut self, index: usize, window: Window) -> Result<(Difference, Flips)> {
+        let Self {
+            renderer,
+            live,
+            scene,
+            splat_scene,
+        } = self;
+        let camera = &scene.cameras[index];
+        let working = progress::spinner(format!("{} by the f64 definition", camera.name));
+        renderer.render(
+            live.with(&live.at(scene.time_s)),
+            std::slice::from_ref(camera),
+        )?;
+        let found = cut(&renderer.read_images()?[0], window);
+        let world_at = |later_s: f64| match later_s {
+            0.0 => Cow::Borrowed(splat_scene),
+            _ => Cow::Owned(scene.loaded.baked(scene.time_s + later_s)),
+        };
+        let expected =
+            reference::render_moving_window(&world_at, camera, &splat_scene.rules, window);
+        let expected = expected.to_image();
+        working.finish_and_clear();
+        Ok((
+            Difference::between(&found, &expected)?,
+            Flips::between(&found, &expected)?,
+        ))
+    }
+
+    /// The errors of the whole images of `count` cameras.
+    fn whole_images(&mut self, count: usize) -> Result<Vec<ImageError>> {
+        let mut errors = Vec::with_capacity(count);
+        for place in 0..count {
+            let index = place * self.scene.cameras.len() / count;
+            let camera = &self.scene.cameras[index];
+            let whole = Window::whole(&camera.intrinsics);
+            let (difference, flips) = self.differences(index, whole)?;
+            errors.push(ImageError {
+                camera: camera.name.clone(),
+                difference,
+                flips,
+            });
+        }
+        Ok(errors)
+    }
 }
 
 /// The pixels of `image` in `window`, which lies inside it.

@@ -49,12 +49,12 @@ uint reached_fine_tiles(Footprint splat, uvec2 origin, uvec2 size_px) {
 
 // Fine tiles that entry `entry` of the batch can reach; none behind its end. The batch has `count`
 // records, from entry `first` of the lists on.
-uint listed_tiles(uint first, uint count, uint entry, uvec2 origin, uvec2 size_px) {
+uint listed_tiles(uint first, uint count, uint entry, uvec2 origin, uvec2 size_px, uint mean_shift) {
     if (entry >= count) {
         return 0u;
     }
     uint record = records[first + entry];
-    return reached_fine_tiles(unpack_footprint(footprints[2u * record], footprints[2u * record + 1u]), origin, size_px);
+    return reached_fine_tiles(unpack_footprint(footprints[2u * record], footprints[2u * record + 1u], mean_shift), origin, size_px);
 }
 
 // Lists `count` records, which begin at entry `first` of the lists, by fine tile. A barrier must
@@ -62,13 +62,13 @@ uint listed_tiles(uint first, uint count, uint entry, uvec2 origin, uvec2 size_p
 //
 // A subgroup takes 32 records at a time, or as many as it has lanes: their masks are turned into
 // one word per tile by ballots.
-void list_records(uint first, uint count, uvec2 origin, uvec2 size_px) {
+void list_records(uint first, uint count, uvec2 origin, uvec2 size_px, uint mean_shift) {
     uint lane = gl_SubgroupInvocationID;
     uint words = (count + 31u) / 32u;
     for (uint word = gl_LocalInvocationIndex / LANES * WORDS_LISTED; word < words; word += SUBGROUPS * WORDS_LISTED) {
         uint masks[PARTS];
         [[unroll]] for (uint part = 0u; part < PARTS; ++part) {
-            masks[part] = listed_tiles(first, count, 32u * word + part * LANES + lane, origin, size_px);
+            masks[part] = listed_tiles(first, count, 32u * word + part * LANES + lane, origin, size_px, mean_shift);
         }
         [[unroll]] for (uint first_tile = 0u; first_tile < 32u; first_tile += ROUND) {
             uint kept = 0u;
@@ -128,15 +128,15 @@ struct Staged {
     uint instance; // likewise
 };
 
-// Record `record` relative to `origin`.
-Staged read_record(uint record, uvec2 origin) {
-    vec4 low = uintBitsToFloat(footprints[2u * record]);
+// Record `record` relative to the pixel `origin` of the image.
+Staged read_record(uint record, uvec2 origin, uint mean_shift) {
+    uvec4 low = footprints[2u * record];
     uvec4 high = footprints[2u * record + 1u];
-    vec2 rest = uintBitsToFloat(high.xy);
+    vec4 rest = uintBitsToFloat(uvec4(low.zw, high.xy)); // slope, rates, log2 of the opacity
     vec3 color = ATTRIBUTES ? attributes[record] : unpack_record_color(high);
-    vec2 mean = low.xy - vec2(origin);
-    float sheared_x = mean.x - low.z * mean.y;
-    Staged staged = Staged(vec4(low.w, -low.z * low.w, -sheared_x * low.w, -mean.y * rest.x), vec4(rest, color.rg), color.b, 0.0, 0u);
+    vec2 mean = unpack_mean(low.xy, origin, mean_shift);
+    float sheared_x = mean.x - rest.x * mean.y;
+    Staged staged = Staged(vec4(rest.y, -rest.x * rest.y, -sheared_x * rest.y, -mean.y * rest.z), vec4(rest.zw, color.rg), color.b, 0.0, 0u);
     if (DEPTH || INSTANCE || CONTRIBUTIONS) {
         uvec2 label = labels[record];
         staged.depth_m = uintBitsToFloat(label.x);

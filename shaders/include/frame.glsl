@@ -21,8 +21,19 @@ struct Camera {
     vec3 row_z_low; // what rounding left of row_z: depths are ordered by both
     vec3 center_high_m; // the camera's center relative to the world's origin is center_high_m + center_low_m
     vec3 center_low_m;
+    vec3 row_x_coarse; // in steps of 2^-11; mean_px.glsl says what for
+    vec3 row_y_coarse;
+    vec3 row_z_coarse;
+    vec3 row_x_fine; // what that left of the row
+    vec3 row_y_fine;
+    vec3 row_z_fine;
     vec2 focal_px;
     vec2 principal_px;
+    vec2 focal_coarse_px; // in steps of 2^(18 - mean_shift) px
+    vec2 focal_fine_px;
+    vec2 principal_coarse_px; // likewise
+    vec2 principal_fine_px;
+    uint mean_shift; // means are stored in steps of 2^-mean_shift px
     vec2 slope_min; // x/z and y/z are kept inside these in the projection's Jacobian
     vec2 slope_max;
     uvec2 size_px;

@@ -7,6 +7,16 @@ layout(set = 0, binding = 12, scalar) writeonly buffer attributes_block { vec3 a
 layout(set = 0, binding = 13, scalar) writeonly buffer keys_block { uint keys[]; }; // depth keys
 layout(set = 0, binding = 19, std430) writeonly buffer labels_block { uvec2 labels[]; }; // bits of the depth, instance
 
+// The code of the mean of a projected splat. Through a lens and under a rolling shutter, it is an
+// f32's.
+uvec2 code_of_mean(Camera camera, uint lens, vec3 mean_m, Footprint splat) {
+    PixelPair pair = PixelPair(splat.mean_px, vec2(0.0));
+    if (!(ROLLING && rolls(camera)) && !(LENSES && lenses[lens].kind != LENS_PINHOLE)) {
+        pair = exact_mean_px(camera, mean_m);
+    }
+    return pack_mean(pair, splat.mean_px, camera.mean_shift);
+}
+
 void write_record(uint slot, Record record) {
     footprints[2u * slot] = pack_record_low(record);
     footprints[2u * slot + 1u] = pack_record_high(record);

@@ -276,6 +276,8 @@ fn a_bench_reports_time_memory_and_error() {
         "1",
         "--cameras-used",
         "2",
+        "--error-cameras",
+        "2",
         "--json",
         text(&report),
     ]);
@@ -288,6 +290,8 @@ fn a_bench_reports_time_memory_and_error() {
         "3 frames after 1",
         "MiB on the device",
         "against f64",
+        "all of front_left",
+        "without the worst 100",
     ] {
         assert!(said.contains(word), "{word}: {said}");
     }
@@ -310,6 +314,17 @@ fn a_bench_reports_time_memory_and_error() {
         report["error"]["difference"]["max_abs"].as_f64().unwrap() <= 0.01,
         "{report}"
     );
+    let images = report["error"]["images"].as_array().unwrap();
+    assert_eq!(images.len(), 2);
+    for image in images {
+        let (difference, flips) = (&image["difference"], &image["flips"]);
+        assert!(difference["psnr_db"].as_f64().unwrap() >= 95.0, "{image}");
+        assert!(
+            flips["psnr_without_db"].as_f64().unwrap() >= 100.0,
+            "{image}"
+        );
+        assert!(flips["share"].as_f64().unwrap() < 0.01, "{image}");
+    }
     assert!(
         report["outputs"]["color"] == "U8"
             && report["rules"] == "default"
@@ -338,4 +353,6 @@ fn a_bench_reports_time_memory_and_error() {
         "{said}"
     );
     assert!(fail(1, &["bench", text(&scene), "--cameras-used", "7"]).contains("6 cameras"));
+    let too_many = ["--cameras-used", "2", "--error-cameras", "3"];
+    assert!(fail(1, &[&["bench", text(&scene)][..], &too_many].concat()).contains("2 cameras"));
 }

@@ -14,6 +14,7 @@ mod lenses;
 pub mod lidar;
 mod light;
 mod light_on_demand;
+mod needles;
 mod outputs;
 mod presence;
 mod rolling_shutter;

@@ -150,14 +150,12 @@ impl Case {
         let list = &self.records[item.first_pair as usize..(item.first_pair + item.pairs) as usize];
         let list: Vec<_> = list
             .iter()
-            .map(|&record| ListedSplat::new(&self.projected, record))
+            .map(|&record| ListedSplat::new(&self.projected, record, camera, origin))
             .collect();
         (0..COARSE_PIXELS)
             .map(|index| {
-                let [x, y] = pixel_offset(index);
                 let before = before.map(|before| &before[index]);
-                let at = [origin[0] + x, origin[1] + y];
-                PixelBounds::new(&list, at, &self.rules, before)
+                PixelBounds::new(&list, pixel_offset(index), &self.rules, before)
             })
             .collect()
     }

@@ -56,6 +56,11 @@ impl Case {
         }
     }
 
+    /// Shift of means in the image of record `record`.
+    pub fn mean_shift(&self, record: usize) -> u32 {
+        self.scene.view.cameras[self.listed.records[record].0].mean_shift
+    }
+
     pub fn twin(&self) -> ProjectedTwin {
         self.scene
             .projected(&self.listed, &self.rules, self.variant, self.room)

@@ -72,11 +72,16 @@ fn clusters_are_dropped_only_if_no_splat_is_seen_during_the_readout() {
 }
 
 /// Shares of records whose footprints and colors lie within the tolerances.
-fn agreeing(kernel: &ProjectedTwin, twin: &ProjectedTwin) -> [f64; 2] {
+fn agreeing(
+    kernel: &ProjectedTwin,
+    twin: &ProjectedTwin,
+    mean_shift: impl Fn(usize) -> u32,
+) -> [f64; 2] {
     let near = |a: f32, b: f32, tolerance: f32| (a - b).abs() <= tolerance * (1.0 + b.abs());
     let records = twin.labels.len();
     let footprint = |record: &usize| {
-        let (kernel, twin) = (kernel.values(*record), twin.values(*record));
+        let [kernel, twin] =
+            [kernel, twin].map(|side| side.values(*record, mean_shift(*record), [0; 2]));
         (0..7).all(|index| near(kernel[index], twin[index], 1e-3))
     };
     let color = |record: &usize| {
@@ -106,7 +111,7 @@ fn records_of_moving_cameras() {
         };
         let case = Case::seen_by(&gpu, 3000, &cameras, Rules::DEFAULT, variant);
         let (kernel, twin) = (case.kernel(&gpu), case.twin());
-        let shares = agreeing(&kernel, &twin);
+        let shares = agreeing(&kernel, &twin, |record| case.mean_shift(record));
         println!("{} records, {shares:?} agree", twin.labels.len());
         assert!(twin.labels.len() > CLUSTER_SPLATS);
         assert!(shares.iter().all(|&share| share > 0.995), "{shares:?}");

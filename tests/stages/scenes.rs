@@ -422,9 +422,18 @@ impl ProjectedTwin {
         self.footprints[2 * record + 1][2..].copy_from_slice(&code);
     }
 
-    /// Footprint and depth of a record.
-    pub fn values(&self, record: usize) -> [f32; 7] {
-        let splat = load_footprint(&self.footprints, record);
+    /// The pixel in which a record's mean lies, or that next to it, in an image of this
+    /// `mean_shift`.
+    pub fn pixel_of_mean(&self, record: usize, mean_shift: u32) -> [u32; 2] {
+        let splat = load_footprint(&self.footprints, record, mean_shift, [0; 2]);
+        let end = 1 << (31 - mean_shift);
+        splat.mean_px.to_array().map(|px| (px as u32).min(end - 1))
+    }
+
+    /// Footprint, its mean relative to pixel `origin`, and depth of a record of an image of this
+    /// `mean_shift`.
+    pub fn values(&self, record: usize, mean_shift: u32, origin: [u32; 2]) -> [f32; 7] {
+        let splat = load_footprint(&self.footprints, record, mean_shift, origin);
         [
             splat.mean_px.x,
             splat.mean_px.y,

@@ -70,7 +70,12 @@ impl Case {
                 (0..listed.records.len()).filter(|&record| listed.records[record].0 == camera)
             {
                 if settled_tile_count(
-                    &load_footprint(&all.footprints, record),
+                    &load_footprint(
+                        &all.footprints,
+                        record,
+                        case.cameras[camera].mean_shift,
+                        [0; 2],
+                    ),
                     &case.cameras[camera],
                 )
                 .is_some()

@@ -191,7 +191,7 @@ fn seen_by_kernel(
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
     let footprints = gpu.read(&projected.footprints).unwrap();
     let seen = |record: usize| {
-        let splat = load_footprint(&footprints, record);
+        let splat = load_footprint(&footprints, record, 0, [0; 2]);
         let [slope, rate_x, rate_y] = [splat.slope, splat.rate_x, splat.rate_y].map(f64::from);
         // In d.y the variance is half log2(e) over the squared rate; along x what slope explains
         // comes on top.

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 
 use decouplegs::render::FrameStatistics;
+use decouplegs::render::metrics::{FLIP_MIN, WORST_PIXELS};
 use decouplegs::scene::{Camera, Rules};
 use serde_json::{Value, json};
 
-use super::{Measured, Timed};
+use super::{ImageError, Measured, Timed};
 use crate::scene_source::Scene;
 use crate::spread::Spread;
 use crate::stage_times::stage_times_ms;
@@ -21,6 +22,7 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
         timed,
         window,
         difference,
+        images,
         kernels: _,
     } = measured;
     let Timed {
@@ -53,6 +55,7 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
             .or_default() += 1;
     }
     let size = |camera: &Camera| json!([camera.intrinsics.width_px, camera.intrinsics.height_px]);
+    let image_error = |image: &ImageError| json!({ "camera": image.camera, "difference": image.difference, "flips": image.flips });
     let splat_bytes = options
         .storage
         .splat_bytes(scene.loaded.splat_scene.splats.sh_degree);
@@ -100,6 +103,8 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
             "camera": scene.cameras[0].name,
             "window_px": [window.left_px, window.top_px, window.width_px, window.height_px],
             "difference": difference,
+            "flip_min": FLIP_MIN,
+            "images": images.iter().map(image_error).collect::<Vec<_>>(),
         },
     })
 }
@@ -249,18 +254,38 @@ fn memory(figures: &Value) -> String {
     )
 }
 
+/// A PSNR, which is null where two images are equal.
+fn psnr_text(psnr_db: &Value) -> String {
+    psnr_db
+        .as_f64()
+        .map_or("no error".to_owned(), |psnr| format!("{psnr:.2} dB"))
+}
+
 fn error(figures: &Value) -> String {
     let (error, difference) = (&figures["error"], &figures["error"]["difference"]);
-    let psnr = difference["psnr_db"]
-        .as_f64()
-        .map_or("no error".to_owned(), |psnr| format!("PSNR {psnr:.2} dB"));
-    format!(
-        "  against f64, {}x{} in the middle of {}: {psnr}, max {:.6}\n",
+    let mut lines = format!(
+        "  against f64, {}x{} in the middle of {}: PSNR {}, max {:.6}\n",
         error["window_px"][2],
         error["window_px"][3],
         text(&error["camera"]),
+        psnr_text(&difference["psnr_db"]),
         number(&difference["max_abs"])
-    )
+    );
+    for image in error["images"].as_array().into_iter().flatten() {
+        let (difference, flips) = (&image["difference"], &image["flips"]);
+        lines.push_str(&format!(
+            "  against f64, all of {}: PSNR {}, max {:.6}; {} pixels ({:.1e}) off by more than {:.0e}, PSNR {} without them, {} without the worst {WORST_PIXELS}\n",
+            text(&image["camera"]),
+            psnr_text(&difference["psnr_db"]),
+            number(&difference["max_abs"]),
+            flips["pixels"],
+            number(&flips["share"]),
+            number(&error["flip_min"]),
+            psnr_text(&flips["psnr_without_db"]),
+            psnr_text(&flips["psnr_without_worst_db"]),
+        ));
+    }
+    lines
 }
 
 #[cfg(test)]

@@ -64,10 +64,32 @@ pub struct CameraRecord {
     pub center_high_m: [f32; 3],
     /// Rounding error.
     pub center_low_m: [f32; 3],
+    /// First row in steps of 2^-11 ([`CameraRecord::COARSE_STEPS`]).
+    pub row_x_coarse: [f32; 3],
+    /// Second row.
+    pub row_y_coarse: [f32; 3],
+    /// Third row.
+    pub row_z_coarse: [f32; 3],
+    /// Rest of the first row beside its coarse part.
+    pub row_x_fine: [f32; 3],
+    /// Rest of the second row.
+    pub row_y_fine: [f32; 3],
+    /// Rest of the third row.
+    pub row_z_fine: [f32; 3],
     /// Focal lengths.
     pub focal_px: [f32; 2],
     /// Principal point.
     pub principal_px: [f32; 2],
+    /// Focal lengths in steps of 2^(18 - `mean_shift`) pixels.
+    pub focal_coarse_px: [f32; 2],
+    /// Rest of the focal lengths.
+    pub focal_fine_px: [f32; 2],
+    /// Principal point in such steps.
+    pub principal_coarse_px: [f32; 2],
+    /// Rest of the principal point.
+    pub principal_fine_px: [f32; 2],
+    /// Means of splats are stored in steps of 2^-`mean_shift` pixels.
+    pub mean_shift: u32,
     /// Lower limits of x/z and y/z in the Jacobian.
     pub slope_min: [f32; 2],
     /// Upper limits.
@@ -100,6 +122,9 @@ pub struct CameraRecord {
 }
 
 impl CameraRecord {
+    /// Steps of a row's coarse part in 1.
+    pub const COARSE_STEPS: f64 = 2048.0;
+
     /// The record of `camera` in a world with the given `origin`, whose depths are scaled by
     /// `key_scale`; bins and pixels begin where the arguments say.
     #[must_use]
@@ -118,6 +143,16 @@ impl CameraRecord {
         let center = camera.world_from_camera.translation - origin;
         let high = center.as_vec3();
         let low = (center - high.as_dvec3()).as_vec3();
+        let mean_shift = mean_shift(k.width_px.max(k.height_px));
+        let coarse_row = |row: DVec3| (row * Self::COARSE_STEPS).round() / Self::COARSE_STEPS;
+        let fine_row = |row: DVec3| (row - coarse_row(row)).as_vec3().to_array();
+        let steps_per_px = (f64::from(mean_shift) - 18.0).exp2();
+        let coarse_px = |px: [f64; 2]| px.map(|px| (px * steps_per_px).round() / steps_per_px);
+        let fine_px = |px: [f64; 2]| {
+            let [x, y] = coarse_px(px);
+            [(px[0] - x) as f32, (px[1] - y) as f32]
+        };
+        let (focal_px, principal_px) = ([k.fx_px, k.fy_px], [k.cx_px, k.cy_px]);
         Self {
             row_x: axes.x_axis.as_vec3().to_array(),
             row_y: axes.y_axis.as_vec3().to_array(),
@@ -127,8 +162,19 @@ impl CameraRecord {
                 .to_array(),
             center_high_m: high.to_array(),
             center_low_m: low.to_array(),
-            focal_px: [k.fx_px as f32, k.fy_px as f32],
-            principal_px: [k.cx_px as f32, k.cy_px as f32],
+            row_x_coarse: coarse_row(axes.x_axis).as_vec3().to_array(),
+            row_y_coarse: coarse_row(axes.y_axis).as_vec3().to_array(),
+            row_z_coarse: coarse_row(forward).as_vec3().to_array(),
+            row_x_fine: fine_row(axes.x_axis),
+            row_y_fine: fine_row(axes.y_axis),
+            row_z_fine: fine_row(forward),
+            focal_px: focal_px.map(|px| px as f32),
+            principal_px: principal_px.map(|px| px as f32),
+            focal_coarse_px: coarse_px(focal_px).map(|px| px as f32),
+            focal_fine_px: fine_px(focal_px),
+            principal_coarse_px: coarse_px(principal_px).map(|px| px as f32),
+            principal_fine_px: fine_px(principal_px),
+            mean_shift,
             slope_min: [
                 (-k.cx_px / k.fx_px - margin(size.x, k.fx_px)) as f32,
                 (-k.cy_px / k.fy_px - margin(size.y, k.fy_px)) as f32,
@@ -209,6 +255,12 @@ impl CameraRecord {
         }
     }
 
+    /// Step in which means of splats are stored, pixels.
+    #[must_use]
+    pub fn mean_step_px(&self) -> f64 {
+        (-f64::from(self.mean_shift)).exp2()
+    }
+
     /// Coarse tiles of the camera's image.
     #[must_use]
     pub fn bins(&self) -> u32 {
@@ -220,6 +272,13 @@ impl CameraRecord {
     pub fn pixels(&self) -> usize {
         self.size_px[0] as usize * self.size_px[1] as usize
     }
+}
+
+/// The shift of [`CameraRecord::mean_shift`] for an image of `size_px` pixels along its longer
+/// side: 31 bits reach a quarter of the image beyond it. At most 20: means are not exact to more.
+fn mean_shift(size_px: u32) -> u32 {
+    let reach_px = u64::from(size_px) * 5 / 4;
+    (31 - reach_px.next_power_of_two().ilog2()).min(20)
 }
 
 /// A direction without its last digits, which rounding changes from one frame to the next although

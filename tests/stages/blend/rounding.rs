@@ -1,7 +1,7 @@
 //! Rounding error of a blended pixel: a running error analysis (Higham, Accuracy and Stability of
 //! Numerical Algorithms, 2002, section 3.3) of the same sums in f64.
 
-use decouplegs::render::layout::{COARSE_HEIGHT_PX, COARSE_WIDTH_PX};
+use decouplegs::render::layout::{COARSE_HEIGHT_PX, COARSE_WIDTH_PX, CameraRecord};
 use decouplegs::render::twins::footprint::{Footprint, center_of};
 use decouplegs::render::twins::output::Pixel;
 use decouplegs::render::twins::record::load_footprint;
@@ -35,10 +35,18 @@ pub struct ListedSplat {
 }
 
 impl ListedSplat {
-    pub fn new(projected: &ProjectedTwin, record: u32) -> Self {
+    /// Record `record`, its mean relative to `origin`, the first pixel of a coarse tile of
+    /// `camera`.
+    pub fn new(
+        projected: &ProjectedTwin,
+        record: u32,
+        camera: &CameraRecord,
+        origin: [u32; 2],
+    ) -> Self {
         let record = record as usize;
+        let (footprints, shift) = (&projected.footprints, camera.mean_shift);
         Self {
-            footprint: load_footprint(&projected.footprints, record),
+            footprint: load_footprint(footprints, record, shift, origin),
             color: f64::from(projected.color(record).max_element()),
             depth_m: f64::from(projected.depth_m(record)),
             instance: projected.labels[record][1] as usize,
@@ -55,8 +63,8 @@ struct Run {
 }
 
 impl PixelBounds {
-    /// Bounds of the pixel at column and row `at`, where `list` is blended front to back, behind
-    /// `before` if given.
+    /// Bounds of the pixel at column and row `at` of its coarse tile, where `list` is blended front
+    /// to back, behind `before` if given.
     pub fn new(list: &[ListedSplat], at: [u32; 2], rules: &Rules, before: Option<&Pixel>) -> Self {
         let bounds = Self {
             color: 0.0,

@@ -34,6 +34,9 @@ pub struct Projection<'a> {
 /// Precision of SPIR-V Instructions).
 pub struct RecordBounds {
     footprint: [f64; 6],
+    /// Error bound of the mean where its code counts steps, pixels.
+    mean_px: [f64; 2],
+    mean_shift: u32,
     depth_m: f64,
     color: f64,
 }
@@ -58,8 +61,11 @@ impl Projection<'_> {
         };
         if let Some((map, record)) = &self.lens {
             let axes = DMat3::from_cols(rows[0], rows[1], rows[2]).transpose() * self.axes;
+            let footprint = self.through(map, record, t, t_error, axes, rules);
             return RecordBounds {
-                footprint: self.through(map, record, t, t_error, axes, rules),
+                footprint,
+                mean_px: [footprint[0], footprint[1]].map(|error| error + 2.0 * k.mean_step_px()),
+                mean_shift: k.mean_shift,
                 depth_m,
                 color: self.color,
             };
@@ -69,6 +75,15 @@ impl Projection<'_> {
         let xy_error = (DVec2::ONE + xy.abs()) * (t_error / t.z) + 6.0 * u * xy.abs();
         let mean_error = focal * xy_error
             + 4.0 * u * (focal * xy.abs() + DVec2::from_array(k.principal_px.map(f64::from)).abs());
+
+        // Fine parts are 2^11 times smaller than coarse ones, which are not rounded.
+        let coarse = 2f64.powi(-11);
+        let fine_error = 40.0 * u * coarse * 2.0 * offset.abs().max_element() / t.z;
+        let ratio_error = (DVec2::ONE + xy.abs()) * fine_error;
+        let coarse_px = (17.0 - f64::from(k.mean_shift)).exp2();
+        let exact_mean_error = 2.0 * focal * (ratio_error + 8.0 * u * (coarse + xy_error))
+            + 8.0 * u * coarse_px * (DVec2::ONE + xy.abs())
+            + 2.0 * k.mean_step_px();
 
         let low = DVec2::from_array(k.slope_min.map(f64::from));
         let slope = xy
@@ -109,6 +124,8 @@ impl Projection<'_> {
                 rate_y,
                 log2_opacity,
             ],
+            mean_px: exact_mean_error.to_array(),
+            mean_shift: k.mean_shift,
             depth_m,
             color: self.color,
         }
@@ -216,8 +233,21 @@ pub fn check_record(
     twin: &ProjectedTwin,
     bounds: &RecordBounds,
 ) -> Result<[f64; 2], String> {
-    let [a, b] = [kernel, twin].map(|side| (side.values(record), side.labels[record][1]));
-    let [mean_x, mean_y, slope, rate_x, rate_y, log2_opacity] = bounds.footprint;
+    // Relative to the pixel of the mean, where differences are smaller than an f32 of the image.
+    let shift = bounds.mean_shift;
+    let origin = twin.pixel_of_mean(record, shift);
+    let [a, b] =
+        [kernel, twin].map(|side| (side.values(record, shift, origin), side.labels[record][1]));
+    let [_, _, slope, rate_x, rate_y, log2_opacity] = bounds.footprint;
+    let mean = |axis: usize| {
+        let [kernel, twin] = [kernel, twin].map(|side| side.footprints[2 * record][axis]);
+        if (kernel | twin) >> 31 == 0 {
+            return bounds.mean_px[axis];
+        }
+        // Without the last digit.
+        bounds.footprint[axis] + 4.0 * ROUNDOFF * f64::from(f32::from_bits(twin << 1)).abs()
+    };
+    let (mean_x, mean_y) = (mean(0), mean(1));
     let footprint = [
         mean_x,
         mean_y,

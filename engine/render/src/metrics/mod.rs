@@ -6,11 +6,13 @@
 
 mod false_color;
 mod flip;
+mod flips;
 mod masked;
 mod ssim;
 
 pub use false_color::difference_image;
 pub use flip::PIXELS_PER_DEGREE;
+pub use flips::{FLIP_MIN, Flips, WORST_PIXELS};
 pub use masked::{MaskedDifference, MaskedErrors, Peak};
 
 use serde::{Serialize, Serializer};

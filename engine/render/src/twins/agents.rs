@@ -14,7 +14,7 @@ use super::rolling::{see_splat, swept};
 use super::sh::{Stored, sh_color};
 use super::shading::{shading_gain, shading_normal};
 use super::visibility::splat_overlaps;
-use super::write_record::Records;
+use super::write_record::{Records, code_of_mean};
 use crate::layout::{
     AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, ShadingRecord,
 };
@@ -181,14 +181,8 @@ pub fn project_agents(
                 let coded =
                     unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
                 let axes = axes_of(agent, &coded, coded_shapes);
-                let seen = see_splat(
-                    camera,
-                    lens_of(lenses, camera_index),
-                    coded.mean_m,
-                    axes,
-                    coded.opacity,
-                    variant,
-                );
+                let lens = lens_of(lenses, camera_index);
+                let seen = see_splat(camera, lens, coded.mean_m, axes, coded.opacity, variant);
                 let d = seen.offset_m.normalize();
                 let d = if agent.colors_in_world != 0 {
                     turned(agent, d)
@@ -220,6 +214,7 @@ pub fn project_agents(
                 };
                 let record = Record {
                     splat: seen.splat,
+                    mean: code_of_mean(camera, lens, coded.mean_m, seen.splat.mean_px),
                     color,
                     depth_m: if radial {
                         seen.offset_m.length()

@@ -42,7 +42,8 @@ fn blend_pixel(
 }
 
 /// The pixels of the item's coarse tile, by their index in a partial result ([`pixel_offset`]).
-/// Every record meets every pixel: the kernel's lists may leave out nothing that counts.
+/// Every record meets every pixel: the kernel's lists may leave out nothing that counts. Positions
+/// are relative to the coarse tile.
 ///
 /// `before` is what composite left to be finished, for the pass that finishes it: only pixels whose
 /// transmittance is negative there take part. In results of cut lists, a negative transmittance
@@ -80,13 +81,13 @@ pub fn blend(
         .iter()
         .map(|&record| record as usize)
         .map(|record| {
-            let footprint = load_footprint(footprints, record);
+            let footprint = load_footprint(footprints, record, camera.mean_shift, origin);
             (footprint, load_color(footprints, record), labels[record])
         })
         .collect();
     for (index, (pixel, full)) in pixels.iter_mut().zip(&mut full).enumerate() {
         let [x, y] = pixel_offset(index);
-        let center = center_of(origin[0] + x, origin[1] + y);
+        let center = center_of(x, y);
         for (footprint, color, label) in &splats {
             let log2_alpha = log2_alpha(footprint, center);
             blend_pixel(pixel, full, log2_alpha, *color, *label, alpha_max, end);

@@ -11,7 +11,7 @@ use super::record::Record;
 use super::rolling::see_splat;
 use super::sh::{Stored, sh_color};
 use super::shadow::shadow_factor;
-use super::write_record::Records;
+use super::write_record::{Records, code_of_mean};
 use crate::layout::{CLUSTER_SPLATS, CameraRecord, LensRecord, NO_KEY_SET, ShadowRecord};
 use crate::stages::ProjectVariant;
 
@@ -123,6 +123,7 @@ pub fn project(
                 };
                 let record = Record {
                     splat: seen.splat,
+                    mean: code_of_mean(camera, lens, means_m[splat_index], seen.splat.mean_px),
                     color,
                     depth_m: if radial {
                         seen.offset_m.length()

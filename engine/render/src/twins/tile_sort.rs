@@ -47,7 +47,7 @@ pub fn bin_pairs(
     let mut pairs = vec![Vec::new(); bins as usize * SLABS];
     for (record, &key) in (0u32..).zip(keys) {
         let camera = &cameras[camera_of(record, lists, cameras.len())];
-        let splat = load_footprint(footprints, record as usize);
+        let splat = load_footprint(footprints, record as usize, camera.mean_shift, [0; 2]);
         let slab = depth_slab(
             key,
             if radial { 0.0 } else { camera.key_depth },
