@@ -133,9 +133,26 @@ struct PartialTiles {
     uint tiles;
 };
 
-// A coarse tile whose partial results are to be joined.
+// A coarse tile whose partial results are to be joined, or a part of its pixels.
 struct Composite {
     uint bin;
     uint first_partial;
     uint partials;
+    uint part; // of composite_runs(partials)
 };
+
+// Segments of a coarse tile that one thread joins, where there are not more than
+// COMPOSITE_RUNS_MAX times as many.
+const uint COMPOSITE_RUN = 4u;
+const uint COMPOSITE_RUNS_MAX = 16u;
+
+// Runs into which the segments of a coarse tile are divided: a power of two. They are joined side
+// by side, so there are as many threads for each pixel, and as many parts of the coarse tile's
+// pixels.
+uint composite_runs(uint partials) {
+    uint runs = 1u;
+    while (runs * COMPOSITE_RUN < partials && runs < COMPOSITE_RUNS_MAX) {
+        runs *= 2u;
+    }
+    return runs;
+}

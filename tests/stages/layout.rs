@@ -142,7 +142,8 @@ fn records_of_frames() -> Vec<Record> {
         record!(Composite {
             bin,
             first_partial,
-            partials
+            partials,
+            part
         }),
     ]
 }

@@ -82,7 +82,8 @@ pub struct PartialTiles {
     pub tiles: u32,
 }
 
-/// `Composite` of `frame.glsl`: a coarse tile whose partial results are joined.
+/// `Composite` of `frame.glsl`: a coarse tile whose partial results are joined, or a part of its
+/// pixels.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct Composite {
@@ -92,4 +93,6 @@ pub struct Composite {
     pub first_partial: u32,
     /// Number of partial results.
     pub partials: u32,
+    /// The part of its pixels, of as many as `twins::composite_runs` says.
+    pub part: u32,
 }
