@@ -6,7 +6,10 @@
 // workgroups run; its content does not. A bucket is a run of neighboring depth slabs. It ends with
 // the slab in which the running count of pairs passes a multiple of BUCKET_PAIRS. A slab of
 // BUCKET_PAIRS or more is a bucket by itself. So a bucket has fewer than twice BUCKET_PAIRS pairs,
-// or is one slab. It may be empty.
+// or is one slab. It may be empty. Slabs of more than SHARED_PAIRS pairs are listed from the end of
+// the list of buckets: split_slabs cuts them into pieces, and these become buckets.
+//
+// The workgroup that is done last knows how many workgroups the sort needs.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -24,8 +27,9 @@ layout(set = 0, binding = 0, scalar) buffer required_block { RequiredCounts requ
 layout(set = 0, binding = 1, scalar) buffer slab_counts_block { uint slab_counts[]; }; // pairs, then the first pair
 layout(set = 0, binding = 2, scalar) writeonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first pair and length
 layout(set = 0, binding = 3, scalar) writeonly buffer buckets_block { Bucket buckets[]; };
+layout(set = 0, binding = 4, scalar) writeonly buffer arguments_block { uvec3 arguments[]; };
 
-layout(push_constant, scalar) uniform push_block { uint bin_count; uint buckets_max; };
+layout(push_constant, scalar) uniform push_block { uint bin_count; uint buckets_max; uint pairs_max; uint records_max; };
 
 const uint SLABS_PER_THREAD = SLABS / WORKGROUP_THREADS;
 
@@ -37,6 +41,22 @@ shared uint first_bucket;
 uint ends_at(uint index, uint count) {
     uint by_itself = count >= BUCKET_PAIRS ? 1u : 0u;
     return by_itself + (index / BUCKET_PAIRS != (index + count) / BUCKET_PAIRS ? 1u : 0u);
+}
+
+// The dispatches of fill_pairs and the sort, once all coarse tiles are planned. Counts are read as they were added
+// up, by atomics.
+void plan_sort() {
+    RequiredCounts found;
+    found.pairs_low = atomicAdd(required.pairs_low, 0u);
+    found.pairs_high = atomicAdd(required.pairs_high, 0u);
+    bool fits = wanted_pairs(found) <= pairs_max;
+    uint long_slabs = atomicAdd(required.long_slabs, 0u);
+    uint buckets = atomicAdd(required.buckets, 0u) + atomicAdd(required.pieces, 0u);
+    uint records = held(required.records, records_max);
+    uint blocks = (records + PAIR_BLOCK - 1u) / PAIR_BLOCK + (required.large + LARGE_BLOCK - 1u) / LARGE_BLOCK;
+    arguments[ARGUMENTS_FILL] = groups_for(fits ? blocks : 0u);
+    arguments[ARGUMENTS_SPLIT] = groups_for(fits ? long_slabs : 0u);
+    arguments[ARGUMENTS_SORT] = groups_for(fits ? buckets : 0u);
 }
 
 void main() {
@@ -87,13 +107,29 @@ void main() {
     for (uint bucket = thread; bucket < bucket_count; bucket += WORKGROUP_THREADS) {
         uint begin = bucket == 0u ? 0u : ends[bucket - 1u];
         uint end = bucket < end_total ? ends[bucket] : total;
-        if (first_bucket + bucket < buckets_max) {
-            buckets[first_bucket + bucket] = Bucket(first_pair + begin, end - begin, bin);
+        uint place = first_bucket + bucket;
+        uint pairs = end - begin;
+        if (pairs > SHARED_PAIRS) {
+            uint from_end = atomicAdd(required.long_slabs, 1u);
+            atomicAdd(required.pieces, pairs / BUCKET_PAIRS + 1u);
+            if (from_end < buckets_max) {
+                buckets[buckets_max - 1u - from_end] = Bucket(first_pair + begin, pairs, bin);
+            }
+            pairs = 0u;
+        }
+        if (place < buckets_max) {
+            buckets[place] = Bucket(first_pair + begin, pairs, bin);
         }
     }
     index = first_pair + before;
     for (uint slab = 0u; slab < SLABS_PER_THREAD; ++slab) {
         slab_counts[first_count + slab] = index;
         index += counts[slab];
+    }
+    memoryBarrierBuffer(); // the atomics of all threads
+    barrier();
+    if (thread == 0u && atomicAdd(required.planned, 1u) == bin_count - 1u) {
+        memoryBarrierBuffer();
+        plan_sort();
     }
 }
