@@ -15,6 +15,7 @@
 // waits for another.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "frame.glsl"
@@ -42,6 +43,9 @@ layout(push_constant, scalar) uniform push_block {
 // Workgroups that share the joining of one coarse tile, or of a part of its pixels.
 const uint COMPOSITE_GROUPS = COARSE_PIXELS / 256u;
 
+// Lists that a thread reads before it counts the first, so that the reads overlap.
+const uint AHEAD = 4u;
+
 shared uint longest_list;
 
 uint segments_of(uint length) {
@@ -65,15 +69,23 @@ void main() {
         longest_list = 0u;
     }
     barrier();
-    for (uint bin = thread; bin < bin_count; bin += WORKGROUP_THREADS) {
-        uint length = tile_lists[bin].y;
-        atomicMax(longest_list, length);
-        uint segments = segments_of(length);
-        bool earlier = bin < block_first;
-        earlier_items += min(segments, earlier ? end_segment : first_segment);
-        earlier_partials += earlier && segments > 1u ? segments : 0u;
-        earlier_composites += earlier && segments > 1u ? composite_runs(segments) : 0u;
+    uint longest = 0u;
+    for (uint first = thread; first < bin_count; first += AHEAD * WORKGROUP_THREADS) {
+        uint lengths[AHEAD];
+        [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
+            lengths[next] = tile_lists[min(first + next * WORKGROUP_THREADS, bin_count - 1u)].y;
+        }
+        [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
+            uint bin = first + next * WORKGROUP_THREADS;
+            uint segments = bin < bin_count ? segments_of(lengths[next]) : 0u;
+            bool earlier = bin < block_first;
+            longest = max(longest, lengths[next]);
+            earlier_items += min(segments, earlier ? end_segment : first_segment);
+            earlier_partials += earlier && segments > 1u ? segments : 0u;
+            earlier_composites += earlier && segments > 1u ? composite_runs(segments) : 0u;
+        }
     }
+    atomicMax(longest_list, longest);
     uint items_before = block_sum(earlier_items);
     uint partials_before = block_sum(earlier_partials);
     uint composites_before = block_sum(earlier_composites);
