@@ -16,8 +16,9 @@
 #include "depth_key.glsl"
 #include "depth_slab.glsl"
 
-const uint WORKGROUP_THREADS = 256u;
-layout(local_size_x = 256) in;
+// As many as the device allows, up to SLAB_BINS: a long slab is the work of one workgroup.
+layout(constant_id = 1) const uint WORKGROUP_THREADS = 256u; // a power of two
+layout(local_size_x_id = 1) in;
 #include "block.glsl"
 
 layout(set = 0, binding = 0, scalar) buffer required_block { RequiredCounts required; };

@@ -14,6 +14,9 @@ push_constants! {
     }
 }
 
+/// Bins of a slab, and threads at most.
+const SLAB_BINS: u32 = 1024;
+
 /// `split_slabs.comp`.
 pub struct SplitSlabs {
     kernel: Kernel,
@@ -25,11 +28,16 @@ impl SplitSlabs {
     /// # Errors
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu, radial: bool) -> Result<Self, GpuError> {
+        // A power of two. Devices have 128 at least.
+        let threads = 1 << gpu.limits().workgroup_threads_max.min(SLAB_BINS).ilog2();
         Ok(Self {
             kernel: kernel::<Push>(
                 gpu,
                 &decouplegs_shaders::SPLIT_SLABS,
-                &[("RADIAL", Constant::Bool(radial))],
+                &[
+                    ("RADIAL", Constant::Bool(radial)),
+                    ("WORKGROUP_THREADS", Constant::U32(threads)),
+                ],
             )?,
         })
     }
