@@ -38,6 +38,7 @@ layout(push_constant, scalar) uniform push_block {
 };
 
 #include "bin_records.glsl"
+#include "slab_hash.glsl"
 
 // Records of the block that have more than a reach holds: their index in the block, and above it
 // first their rows and then the rows of those before.
@@ -51,7 +52,23 @@ const uint OWN_LARGE = PAIR_BLOCK / WORKGROUP_THREADS;
 void count_row(Camera camera, uint slab, uint row, ivec2 tiles) {
     for (int tile = tiles.x; tile <= tiles.y; ++tile) {
         uint bin = camera.first_bin + row * camera.coarse_tiles.x + uint(tile);
-        atomicAdd(slab_counts[bin * SLABS + slab], 1u);
+        uint at = bin * SLABS + slab;
+        uint slot = slot_of(at);
+        if (slot == NO_SLOT) {
+            atomicAdd(slab_counts[at], 1u);
+        } else {
+            atomicAdd(hash_counts[slot], 1u);
+        }
+    }
+}
+
+// Adds what the workgroup has counted. Every thread calls it.
+void add_hash(uint thread) {
+    barrier();
+    for (uint slot = thread; slot < HASH_SLOTS; slot += WORKGROUP_THREADS) {
+        if (hash_counts[slot] > 0u) {
+            atomicAdd(slab_counts[hash_slabs[slot]], hash_counts[slot]);
+        }
     }
 }
 
@@ -110,6 +127,7 @@ void main() {
     if (thread == 0u) {
         large_count = 0u;
     }
+    empty_hash(thread);
     barrier();
     for (uint record = first_record + thread; record < end_record; record += WORKGROUP_THREADS) {
         Camera camera = cameras[camera_of(record)];
@@ -125,6 +143,7 @@ void main() {
     barrier();
     uint count = large_count;
     if (count == 0u) {
+        add_hash(thread);
         return;
     }
     uint entries[OWN_LARGE];
@@ -157,4 +176,5 @@ void main() {
         uint row = uint(rows_of(splat, camera).x) + given - (entry >> INDEX_BITS);
         count_row(camera, slab_of(keys[record], camera), row, tiles_of(splat, camera, row));
     }
+    add_hash(thread);
 }

@@ -4,7 +4,8 @@
 //
 // The order within a stretch is that of the atomics: sort_buckets makes it one order. The first
 // workgroups take the large records, whose rows of coarse tiles are shared out over their threads;
-// the others take the records whose reach is a word.
+// the others take the records whose reach is a word. Of those, the workgroup asks for the places of
+// all pairs in one slab at once.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -39,6 +40,7 @@ layout(push_constant, scalar) uniform push_block {
 };
 
 #include "bin_records.glsl"
+#include "slab_hash.glsl"
 
 // Pairs whose places are asked for before the first is written, so that the answers overlap.
 const uint AHEAD = 4u;
@@ -102,33 +104,74 @@ void fill_large(uint first, uint end, uint thread) {
     }
 }
 
-void fill_few(uint record) {
-    uint reach = reaches[record];
-    uint key = keys[record];
-    Camera camera = cameras[camera_of(record)];
-    if ((reach & REACH_LARGE) != 0u) {
-        return;
-    }
-    uint slab = slab_of(key, camera);
-    uint columns = camera.coarse_tiles.x;
+// Pairs of a record whose places are asked for by the workgroup; those of more coarse tiles are
+// asked for by the thread.
+const uint TOGETHER = 2u;
+const uint OWN_RECORDS = PAIR_BLOCK / WORKGROUP_THREADS; // of a thread
+
+// Place of a pair among those of the workgroup in its slot: the slot, and above it the rank.
+const uint NO_TICKET = 0xffffffffu;
+
+// The slab of the pair `pair` of a reach, as an index in slab_counts.
+uint slab_of_pair(uint reach, uint pair, uint columns, uint slab) {
     uint second = reach_tiles(reach, 0u);
     uint third = second + reach_tiles(reach, 1u);
-    uint count = third + reach_tiles(reach, 2u);
-    uint first_bin = reach_bin(reach, 0u, columns);
-    uint second_bin = reach_bin(reach, 1u, columns) - second;
-    uint third_bin = reach_bin(reach, 2u, columns) - third;
-    for (uint pair = 0u; pair < count; pair += AHEAD) {
-        uint places[AHEAD];
-        [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
-            uint index = pair + next;
-            uint bin = index + (index < second ? first_bin : index < third ? second_bin : third_bin);
-            if (index < count) {
-                places[next] = atomicAdd(slab_counts[bin * SLABS + slab], 1u);
+    uint bin = pair < second ? reach_bin(reach, 0u, columns) + pair
+        : pair < third ? reach_bin(reach, 1u, columns) + pair - second
+        : reach_bin(reach, 2u, columns) + pair - third;
+    return bin * SLABS + slab;
+}
+
+void fill_few(uint first_record, uint end_record, uint thread) {
+    empty_hash(thread);
+    barrier();
+    uint keys_of[OWN_RECORDS];
+    uint tickets[OWN_RECORDS * TOGETHER];
+    [[unroll]] for (uint own = 0u; own < OWN_RECORDS; ++own) {
+        uint record = first_record + own * WORKGROUP_THREADS + thread;
+        bool real = record < end_record;
+        uint reach = real ? reaches[record] : 0u;
+        uint key = real ? keys[record] : 0u;
+        keys_of[own] = key;
+        [[unroll]] for (uint pair = 0u; pair < TOGETHER; ++pair) {
+            tickets[own * TOGETHER + pair] = NO_TICKET;
+        }
+        if (!real || (reach & REACH_LARGE) != 0u) {
+            continue;
+        }
+        Camera camera = cameras[camera_of(record)];
+        uint slab = slab_of(key, camera);
+        uint columns = camera.coarse_tiles.x;
+        uint count = reach_tiles(reach, 0u) + reach_tiles(reach, 1u) + reach_tiles(reach, 2u);
+        [[unroll]] for (uint pair = 0u; pair < TOGETHER; ++pair) {
+            if (pair < count) {
+                uint at = slab_of_pair(reach, pair, columns, slab);
+                uint slot = slot_of(at);
+                if (slot == NO_SLOT) {
+                    write_pair(atomicAdd(slab_counts[at], 1u), key, record);
+                } else {
+                    tickets[own * TOGETHER + pair] = atomicAdd(hash_counts[slot], 1u) << HASH_BITS | slot;
+                }
             }
         }
-        [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
-            if (pair + next < count) {
-                write_pair(places[next], key, record);
+        for (uint pair = TOGETHER; pair < count; ++pair) {
+            write_pair(atomicAdd(slab_counts[slab_of_pair(reach, pair, columns, slab)], 1u), key, record);
+        }
+    }
+    barrier();
+    for (uint slot = thread; slot < HASH_SLOTS; slot += WORKGROUP_THREADS) {
+        uint count = hash_counts[slot];
+        if (count > 0u) {
+            hash_counts[slot] = atomicAdd(slab_counts[hash_slabs[slot]], count);
+        }
+    }
+    barrier();
+    [[unroll]] for (uint own = 0u; own < OWN_RECORDS; ++own) {
+        [[unroll]] for (uint pair = 0u; pair < TOGETHER; ++pair) {
+            uint ticket = tickets[own * TOGETHER + pair];
+            if (ticket != NO_TICKET) {
+                uint place = hash_counts[ticket & (HASH_SLOTS - 1u)] + (ticket >> HASH_BITS);
+                write_pair(place, keys_of[own], first_record + own * WORKGROUP_THREADS + thread);
             }
         }
     }
@@ -148,7 +191,5 @@ void main() {
     }
     uint first_record = (group - large_groups) * PAIR_BLOCK;
     uint end_record = min(first_record + PAIR_BLOCK, held(required.records, records_max));
-    for (uint record = first_record + thread; record < end_record; record += WORKGROUP_THREADS) {
-        fill_few(record);
-    }
+    fill_few(first_record, end_record, thread);
 }
