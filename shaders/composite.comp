@@ -31,6 +31,10 @@ layout(set = 0, binding = 8, std430) buffer partial_planes_block { uint partial_
 layout(set = 0, binding = 9, scalar) buffer partial_unfinished_block { uint partial_unfinished[]; };
 layout(set = 0, binding = 10, scalar) readonly buffer partial_tiles_block { PartialTiles partial_tiles[]; };
 
+// Per partial result and fine tile: bits of the largest transmittance that it left, or 0 where that
+// is not known.
+layout(set = 0, binding = 11, scalar) readonly buffer partial_transmittances_block { uint partial_transmittances[]; };
+
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint image_pixels; };
 
 // Segments that are read before the first is used, so that the reads overlap.
@@ -112,6 +116,36 @@ bool join(inout Pixel pixel, Composite composite, uint first, uint end, uint ind
     return !stopped;
 }
 
+// A product of largest transmittances up to here means that all pixels have ended, its own rounding
+// included.
+float covered() {
+    return 0.5 * (EXCLUSIVE_STOP ? stop_limit() : TRANSMITTANCE_FULL);
+}
+
+shared float run_transmittances[WORKGROUP_THREADS];
+
+// True if the runs before the thread's own are known to cover the fine tile `tile`: then nobody
+// needs the thread's run. Every thread of the workgroup calls it.
+bool is_covered(Composite composite, uint first, uint end, uint tile, uint thread, uint pixels) {
+    float transmittance = 1.0;
+    for (uint base = first; base < end; base += AHEAD) {
+        uint ahead[AHEAD];
+        [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
+            ahead[next] = partial_transmittances[32u * (composite.first_partial + min(base + next, end - 1u)) + tile];
+        }
+        [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
+            transmittance *= ahead[next] == 0u || base + next >= end ? 1.0 : uintBitsToFloat(ahead[next]);
+        }
+    }
+    run_transmittances[thread] = transmittance;
+    barrier();
+    transmittance = 1.0;
+    for (uint other = thread % pixels; other < thread; other += pixels) {
+        transmittance *= run_transmittances[other];
+    }
+    return transmittance <= covered();
+}
+
 void main() {
     uint composite_index = group_index() / COMPOSITE_GROUPS;
     if (composite_index >= required.composites) {
@@ -137,8 +171,9 @@ void main() {
     uint length = (composite.partials + runs - 1u) / runs;
     uint first = min(run * length, composite.partials);
     uint end = min(first + length, composite.partials);
+    bool hidden = is_covered(composite, first, end, fine_tile(index), thread, pixels);
     if (real) {
-        bool open = join(pixel, composite, first, end, index, false, false);
+        bool open = hidden || join(pixel, composite, first, end, index, false, false);
         Pixel shown = pixel;
         shown.transmittance = open ? pixel.transmittance : -pixel.transmittance;
         show_joined(thread, shown);
