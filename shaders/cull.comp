@@ -2,10 +2,11 @@
 // Frustum culling of clusters and splats: a bit per splat and camera of the rig.
 //
 // One workgroup per cluster, one thread per splat; attributes are read once for all cameras. A
-// cluster whose box cannot reach a camera's image is skipped with one test. Writes one bit per
-// splat and the count a (camera, cluster).
+// cluster whose box cannot reach a camera's image is skipped with one test, which one subgroup does
+// for all. Writes one bit per splat and the count a (camera, cluster).
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
+#extension GL_KHR_shader_subgroup_basic : require
 #include "frame.glsl"
 #include "footprint.glsl"
 #include "projection.glsl"
@@ -46,6 +47,27 @@ bool is_shown(uint cluster_index, Camera camera) {
         && (node.parent == NO_PARENT || !fine_enough(nodes[node.parent], camera, pitch_px));
 }
 
+// Cameras whose image the cluster may reach, as bits.
+shared uint reached_cameras;
+
+// Finds the cameras whose image the cluster may reach, a subgroup per camera. Every thread of the
+// workgroup calls it.
+uint cameras_reached(uint cluster_index, Cluster cluster, uint thread) {
+    if (thread == 0u) {
+        reached_cameras = 0u;
+    }
+    barrier();
+    for (uint camera_index = gl_SubgroupID; camera_index < camera_count; camera_index += gl_NumSubgroups) {
+        Camera camera = cameras[camera_index];
+        bool reached = cluster_overlaps_any_lens(swept(cluster, camera), camera, camera_index) && is_shown(cluster_index, camera);
+        if (reached && subgroupElect()) {
+            atomicOr(reached_cameras, 1u << camera_index);
+        }
+    }
+    barrier();
+    return reached_cameras;
+}
+
 void main() {
     uint cluster_index = group_index();
     if (cluster_index >= cluster_count) {
@@ -54,18 +76,15 @@ void main() {
     uint thread = gl_LocalInvocationIndex;
     clear_words(thread);
 
-    Cluster cluster = clusters[cluster_index];
+    uint reached = cameras_reached(cluster_index, clusters[cluster_index], thread);
     uint splat_index = cluster_index * CLUSTER_SPLATS + thread;
     bool loaded = false;
     vec3 mean_m;
     float opacity;
     mat3 axes;
-    for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
+    for (; reached != 0u && splat_index < splat_count; reached &= reached - 1u) {
+        uint camera_index = uint(findLSB(reached));
         Camera camera = cameras[camera_index];
-        if (splat_index >= splat_count || !cluster_overlaps_any_lens(swept(cluster, camera), camera, camera_index)
-            || !is_shown(cluster_index, camera)) {
-            continue;
-        }
         if (!loaded) {
             mean_m = means_m[splat_index];
             axes = load_axes(splat_index, opacity);

@@ -15,6 +15,7 @@
 // waits for another.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "frame.glsl"
@@ -36,10 +37,14 @@ layout(push_constant, scalar) uniform push_block {
     uint pairs_max;
     uint items_max;
     uint partials_max;
+    uint composites_max;
 };
 
-// Workgroups that share the joining of one coarse tile.
+// Workgroups that share the joining of one coarse tile, or of a part of its pixels.
 const uint COMPOSITE_GROUPS = COARSE_PIXELS / 256u;
+
+// Lists that a thread reads before it counts the first, so that the reads overlap.
+const uint AHEAD = 4u;
 
 shared uint longest_list;
 
@@ -59,23 +64,31 @@ void main() {
     uint end_segment = wave_first(gl_WorkGroupID.y + 1u);
     uint earlier_items = 0u;    // of earlier waves, and of earlier tiles in this one
     uint earlier_partials = 0u; // of earlier tiles
-    uint earlier_tiles = 0u;    // earlier tiles cut into more than one segment
+    uint earlier_composites = 0u; // of earlier tiles, which are cut into more than one segment
     if (thread == 0u) {
         longest_list = 0u;
     }
     barrier();
-    for (uint bin = thread; bin < bin_count; bin += WORKGROUP_THREADS) {
-        uint length = tile_lists[bin].y;
-        atomicMax(longest_list, length);
-        uint segments = segments_of(length);
-        bool earlier = bin < block_first;
-        earlier_items += min(segments, earlier ? end_segment : first_segment);
-        earlier_partials += earlier && segments > 1u ? segments : 0u;
-        earlier_tiles += earlier && segments > 1u ? 1u : 0u;
+    uint longest = 0u;
+    for (uint first = thread; first < bin_count; first += AHEAD * WORKGROUP_THREADS) {
+        uint lengths[AHEAD];
+        [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
+            lengths[next] = tile_lists[min(first + next * WORKGROUP_THREADS, bin_count - 1u)].y;
+        }
+        [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
+            uint bin = first + next * WORKGROUP_THREADS;
+            uint segments = bin < bin_count ? segments_of(lengths[next]) : 0u;
+            bool earlier = bin < block_first;
+            longest = max(longest, lengths[next]);
+            earlier_items += min(segments, earlier ? end_segment : first_segment);
+            earlier_partials += earlier && segments > 1u ? segments : 0u;
+            earlier_composites += earlier && segments > 1u ? composite_runs(segments) : 0u;
+        }
     }
+    atomicMax(longest_list, longest);
     uint items_before = block_sum(earlier_items);
     uint partials_before = block_sum(earlier_partials);
-    uint composites_before = block_sum(earlier_tiles);
+    uint composites_before = block_sum(earlier_composites);
 
     uint bin = block_first + thread;
     bool real = bin < bin_count;
@@ -87,7 +100,7 @@ void main() {
     uint item_total, partial_total, composite_total;
     uint item = items_before + block_exclusive_sum(wave_end - min(first_segment, wave_end), item_total);
     uint partial = partials_before + block_exclusive_sum(cut ? segments : 0u, partial_total);
-    uint composite = composites_before + block_exclusive_sum(cut ? 1u : 0u, composite_total);
+    uint composite = composites_before + block_exclusive_sum(cut ? composite_runs(segments) : 0u, composite_total);
 
     for (uint segment = first_segment; segment < wave_end; ++segment, ++item) {
         uint taken = segment * SEGMENT_PAIRS;
@@ -98,7 +111,11 @@ void main() {
         }
     }
     if (cut && first_segment == 0u) {
-        composites[composite] = Composite(bin, partial, segments);
+        for (uint part = 0u; part < composite_runs(segments); ++part) {
+            if (composite + part < composites_max) {
+                composites[composite + part] = Composite(bin, partial, segments, part);
+            }
+        }
     }
     if (thread == 0u && gl_WorkGroupID.xy == gl_NumWorkGroups.xy - 1u) {
         uint all_items = items_before + item_total;

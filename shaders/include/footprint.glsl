@@ -1,6 +1,6 @@
 // The pixels that a projected splat can reach. Culling, binning, masks and blending all use the
-// numbers here, so that nothing is dropped that blending would count. `precise`: the two runs of
-// bin_pairs must find the same tiles, and a compiler might fuse them differently.
+// numbers here, so that nothing is dropped that blending would count. `precise`: count_pairs and
+// fill_pairs must find the same tiles, and a compiler might fuse them differently.
 
 // A projected Gaussian in the factored form that blending evaluates: with d = pixel center - mean,
 // log2(alpha) = log2_opacity - ((d.x - slope * d.y) * rate_x)^2 - (d.y * rate_y)^2, a sum of

@@ -66,7 +66,11 @@ struct RequiredCounts {
     uint pairs;      // (coarse tile, record); more than 2^32 wrap: see wanted_pairs
     uint pairs_low;  // sum of the lower 16 bits of each coarse tile's number of pairs
     uint pairs_high; // sum of the upper 16 bits of each coarse tile's number of pairs
+    uint large;      // records with more coarse tiles than a reach holds
     uint buckets;    // of pairs, sorted one by one
+    uint long_slabs; // depth slabs that are cut into pieces before they are sorted
+    uint pieces;     // of those, at most; they become buckets too
+    uint planned;    // coarse tiles whose buckets are planned
     uint items;      // (coarse tile, segment of its list)
     uint partials;   // items of coarse tiles with more than one segment
     uint composites; // coarse tiles with more than one segment
@@ -91,6 +95,9 @@ uint held(uint need, uint room) {
 const uint ARGUMENTS_PAIR_BLOCKS = 0u;
 const uint ARGUMENTS_BLEND = 1u;
 const uint ARGUMENTS_COMPOSITE = 2u;
+const uint ARGUMENTS_SPLIT = 3u;
+const uint ARGUMENTS_SORT = 4u;
+const uint ARGUMENTS_FILL = 5u;
 
 // First records of a camera: the background's lie before those of agents, each in the order of
 // their splats.
@@ -99,18 +106,25 @@ struct ViewLists {
     uint first_moving;
 };
 
-// Records handled by one workgroup of bin_pairs.
+// Records handled by one workgroup of count_pairs and fill_pairs.
 const uint PAIR_BLOCK = 1024u;
 
+// Of records with many coarse tiles, those handled by one workgroup of fill_pairs. A power of two.
+const uint LARGE_BLOCK = 32u;
+
 // Pairs after which a bucket ends with the next depth slab.
-const uint BUCKET_PAIRS = 1024u;
+const uint BUCKET_PAIRS = 512u;
+
+// Pairs of a bucket, at most: those that sort_buckets has room for. A power of two.
+const uint SHARED_PAIRS = 1024u;
 
 // A run of one coarse tile's pairs that is sorted by itself.
 struct Bucket {
     uint first_pair;
     uint pairs;
-    uint bin;
+    uint bin; // its coarse tile, or NO_BIN where it is a piece of a depth slab
 };
+const uint NO_BIN = 0xffffffffu;
 
 // A camera whose direction has no kept keys.
 const uint NO_KEY_SET = 0xffffffffu;
@@ -144,9 +158,26 @@ struct PartialTiles {
     uint tiles;
 };
 
-// A coarse tile whose partial results are to be joined.
+// A coarse tile whose partial results are to be joined, or a part of its pixels.
 struct Composite {
     uint bin;
     uint first_partial;
     uint partials;
+    uint part; // of composite_runs(partials)
 };
+
+// Segments of a coarse tile that one thread joins, where there are not more than
+// COMPOSITE_RUNS_MAX times as many.
+const uint COMPOSITE_RUN = 4u;
+const uint COMPOSITE_RUNS_MAX = 16u;
+
+// Runs into which the segments of a coarse tile are divided: a power of two. They are joined side
+// by side, so there are as many threads for each pixel, and as many parts of the coarse tile's
+// pixels.
+uint composite_runs(uint partials) {
+    uint runs = 1u;
+    while (runs * COMPOSITE_RUN < partials && runs < COMPOSITE_RUNS_MAX) {
+        runs *= 2u;
+    }
+    return runs;
+}

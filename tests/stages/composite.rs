@@ -34,7 +34,7 @@ struct Case {
 }
 
 impl Case {
-    /// Every second coarse tile of two cameras, cut into 2 to 40 segments of random pixels.
+    /// Every second coarse tile of two cameras, cut into 2 to 100 segments of random pixels.
     fn new(seed: u64) -> Self {
         let view = View::new(&rig()[..2], DVec3::ZERO, 1.0).unwrap();
         let mut random = Random(seed);
@@ -42,15 +42,18 @@ impl Case {
         let mut composites = Vec::new();
         for bin in (0..view.bins).step_by(2) {
             let partials = 2 + if bin % 8 == 0 {
-                random.below(39)
+                random.below(99)
             } else {
                 random.below(4)
             };
-            composites.push(Composite {
-                bin,
-                first_partial,
-                partials,
-            });
+            for part in 0..twins::composite_runs(partials) {
+                composites.push(Composite {
+                    bin,
+                    first_partial,
+                    partials,
+                    part,
+                });
+            }
             first_partial += partials;
         }
         let mut partials: Vec<Pixel> = (0..first_partial as usize * COARSE_PIXELS)
@@ -67,6 +70,11 @@ impl Case {
             composites,
             partials,
         }
+    }
+
+    /// The cut coarse tiles, each once.
+    fn tiles(&self) -> impl Iterator<Item = &Composite> {
+        (self.composites.iter()).filter(|composite| composite.part == 0)
     }
 
     /// Output of the kernel, with colors in bytes if requested.
@@ -104,7 +112,8 @@ impl Case {
                 composites.len() * COMPOSITE_GROUPS,
             )],
         );
-        let plan = Plan::new(gpu, &room_for_partials(1), view.bins).unwrap();
+        let room = room_for_partials(partials.len() / COARSE_PIXELS);
+        let plan = Plan::new(gpu, &room, view.bins).unwrap();
         gpu.write(&plan.composites, 0, composites).unwrap();
         // Rules by which pixels are finished.
         let rules = match end {
@@ -125,6 +134,12 @@ impl Case {
         )
         .unwrap();
         write_partials(gpu, &on_device, partials);
+        gpu.write(
+            &on_device.transmittances,
+            0,
+            &largest_transmittances(partials),
+        )
+        .unwrap();
         let images = OutputBuffers::new(gpu, view.pixels, 0, &outputs).unwrap();
         gpu.write(&images.planes, 0, &vec![UNTOUCHED; images.planes.len()])
             .unwrap();
@@ -164,7 +179,7 @@ impl Case {
         let pixels = self.view.pixels;
         let mut images = Images::filled(pixels, UNTOUCHED);
         let mut segments = vec![0; pixels];
-        for composite in &self.composites {
+        for composite in self.tiles() {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
             let origin = coarse_tile_origin(composite.bin, camera);
             for (index, pixel) in twins::composite(composite, &self.partials, end, counts)
@@ -196,7 +211,7 @@ impl Case {
         let mut tiles = vec![0u32; left.unfinished.len()];
         let left_pixels = read_partials(gpu, left);
         let mut found = 0;
-        for composite in &self.composites {
+        for composite in self.tiles() {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
             let origin = coarse_tile_origin(composite.bin, camera);
             for unfinished in twins::composite(composite, &self.partials, end, counts).1 {
@@ -273,6 +288,24 @@ impl Case {
         println!("{worst:.3} of the bound");
         Ok(())
     }
+}
+
+/// Bits of the largest transmittance of each segment and fine tile, as blend leaves them: those of
+/// every third segment are not known.
+fn largest_transmittances(partials: &[Pixel]) -> Vec<[u32; FINE_TILES]> {
+    let largest = |pixels: &[Pixel], tile: usize| {
+        let left = pixels_of_tile(tile).map(|index| pixels[index].transmittance.max(0.0));
+        left.fold(f32::MIN_POSITIVE, f32::max).to_bits()
+    };
+    let slots = partials.chunks_exact(COARSE_PIXELS).enumerate();
+    slots
+        .map(|(slot, pixels)| {
+            std::array::from_fn(|tile| match slot % 3 {
+                0 => 0,
+                _ => largest(pixels, tile),
+            })
+        })
+        .collect()
 }
 
 fn random_pixel(random: &mut Random) -> Pixel {
@@ -370,7 +403,11 @@ fn pixels_are_left_to_be_finished_where_they_end() {
         let stops = end != PixelEnd::Full;
         let mut case = Case::new(4);
         let mut random = Random(6);
-        for composite in &case.composites {
+        for composite in case
+            .composites
+            .iter()
+            .filter(|composite| composite.part == 0)
+        {
             // Some pixels end in the first segment, which tells by the sign.
             let first = composite.first_partial as usize * COARSE_PIXELS;
             for pixel in &mut case.partials[first..first + COARSE_PIXELS] {

@@ -101,7 +101,11 @@ fn records_of_frames() -> Vec<Record> {
             pairs,
             pairs_low,
             pairs_high,
+            large,
             buckets,
+            long_slabs,
+            pieces,
+            planned,
             items,
             partials,
             composites,
@@ -153,7 +157,8 @@ fn records_of_frames() -> Vec<Record> {
         record!(Composite {
             bin,
             first_partial,
-            partials
+            partials,
+            part
         }),
     ]
 }

@@ -156,7 +156,11 @@ fn edges_of_a_segment() {
     let required = case.compare(&gpu, 256).unwrap();
     assert_eq!(
         (required.items, required.partials, required.composites),
-        (4 + 2 + 2 + 2 + 3 + 100 + 101, 2 + 2 + 2 + 3 + 100 + 101, 6)
+        (
+            4 + 2 + 2 + 2 + 3 + 100 + 101,
+            2 + 2 + 2 + 3 + 100 + 101,
+            4 + 2 * 16
+        )
     );
 }
 

@@ -1,10 +1,11 @@
-//! `plan_lists.comp`, `bin_pairs.comp`, `plan_buckets.comp` and `sort_buckets.comp`: from records
-//! to sorted lists of coarse tiles.
+//! `plan_lists.comp`, `count_pairs.comp`, `plan_buckets.comp`, `fill_pairs.comp`,
+//! `split_slabs.comp` and `sort_buckets.comp`: from records to sorted lists of coarse tiles.
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::Capacity;
 use decouplegs::render::layout::{
-    BUCKET_PAIRS, Bucket, CameraRecord, PAIR_BLOCK, RequiredCounts, SLABS, View,
+    BUCKET_PAIRS, Bucket, CameraRecord, NO_BIN, PAIR_BLOCK, RequiredCounts, SHARED_PAIRS, SLABS,
+    View,
 };
 use decouplegs::render::stages::{
     IndirectArguments, Plan, PlanBuckets, PlanSegments, Projected, RecordContents, Records,
@@ -139,6 +140,9 @@ impl Case {
                     .map(|slab| slab.len() as u32)
                     .collect::<Vec<_>>(),
             )
+            .into_iter()
+            .filter(|&pairs| pairs > 0)
+            .collect()
         };
         Sorted {
             records: slabs.chunks(SLABS).map(sorted).collect(),
@@ -204,8 +208,22 @@ impl Case {
             .iter()
             .map(|&[first, length]| all[first as usize..(first + length) as usize].to_vec())
             .collect();
-        let mut buckets: Vec<Bucket> =
-            gpu.read(&buffers.buckets).unwrap()[..required.buckets as usize].to_vec();
+        // Buckets as they were planned: long slabs stand at the end, and their pieces are buckets
+        // of no coarse tile.
+        let listed = gpu.read(&buffers.buckets).unwrap();
+        let (planned, long) = (required.buckets as usize, required.long_slabs as usize);
+        assert!(planned + long <= listed.len(), "buckets have no room");
+        let mut buckets: Vec<Bucket> = listed[..planned].to_vec();
+        buckets.retain(|bucket| bucket.bin != NO_BIN);
+        let pieces = planned - buckets.len();
+        assert!(
+            pieces <= required.pieces as usize,
+            "{pieces} pieces, {} counted",
+            required.pieces
+        );
+        assert_eq!(required.planned, bins, "coarse tiles that are planned");
+        buckets.extend_from_slice(&listed[listed.len() - long..]);
+        buckets.retain(|bucket| bucket.pairs > 0);
         buckets.sort_unstable();
         let of_tile = |bin: usize| {
             let own = buckets.iter().filter(|bucket| bucket.bin as usize == bin);
@@ -238,10 +256,11 @@ impl Case {
         let counts = [
             required.pairs,
             (required.pairs_high << 16) + required.pairs_low,
-            required.buckets,
+            required.long_slabs,
         ];
-        let buckets = twin.buckets.iter().map(Vec::len).sum::<usize>() as u32;
-        identical("counts", &counts, &[pairs as u32, pairs as u32, buckets])?;
+        let long = |&&pairs: &&u32| pairs > SHARED_PAIRS as u32;
+        let long_slabs = twin.buckets.iter().flatten().filter(long).count() as u32;
+        identical("counts", &counts, &[pairs as u32, pairs as u32, long_slabs])?;
         Ok(kernel)
     }
 }
@@ -270,6 +289,11 @@ fn lists_of_hard_splats_are_those_of_the_definition() {
             "the case must fill blocks and cut lists"
         );
         assert!(sorted.buckets.iter().any(|buckets| buckets.len() > 1));
+        let large = case.kernel(&gpu, pairs).unwrap().1.large as usize;
+        assert!(
+            0 < large && large < case.keys.len() / 2,
+            "{large} records with many coarse tiles"
+        );
     }
 }
 
@@ -320,7 +344,7 @@ fn hard_keys(count: usize) -> Vec<(&'static str, Vec<u32>)> {
 #[test]
 fn piles_of_all_sizes_are_sorted() {
     let gpu = open();
-    for count in [1, 2, 255, 257, 1023, 1024, 1025, 2047, 2048, 2049, 5000] {
+    for count in [1, 2, 255, 257, 511, 512, 513, 1023, 1024, 1025, 2048, 5000] {
         for (name, keys) in hard_keys(count) {
             Case::pile(&gpu, keys)
                 .compare(&gpu)

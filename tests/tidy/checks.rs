@@ -14,8 +14,10 @@ const KERNELS_OF_A_STAGE: &[(&str, &str)] = &[
     ("project_lidar_agents", "lidar"),
     ("trace_lidar", "lidar"),
     ("plan_lists", "tile_sort"),
-    ("bin_pairs", "tile_sort"),
+    ("count_pairs", "tile_sort"),
     ("plan_buckets", "tile_sort"),
+    ("fill_pairs", "tile_sort"),
+    ("split_slabs", "tile_sort"),
     ("sort_buckets", "tile_sort"),
 ];
 

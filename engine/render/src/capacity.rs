@@ -98,11 +98,11 @@ impl Capacity {
         bins as usize + self.partials
     }
 
-    /// Coarse tiles that can be cut: each takes two partial results at least. Cut tiles are listed
-    /// even when their results find no room, so that their number is known.
+    /// Coarse tiles that can be cut, or parts of them: one with more than four partial results has
+    /// half as many parts at most.
     #[must_use]
     pub fn composites(&self, bins: u32) -> usize {
-        bins as usize
+        bins as usize + self.partials / 2
     }
 }
 

@@ -15,7 +15,7 @@ pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
 pub use lidar::{BeamEchoes, BeamRecord, BeamState, EchoRecord, FiringRecord, SectorRecord};
 pub use light::{RelightRecord, ShadingRecord, ShadowRecord};
 pub use lists::{
-    BlendItem, Bucket, Composite, NO_PARTIAL, PartialTiles, RequiredCounts, ViewLists,
+    BlendItem, Bucket, Composite, NO_BIN, NO_PARTIAL, PartialTiles, RequiredCounts, ViewLists,
 };
 
 use bytemuck::{Pod, Zeroable};
@@ -33,10 +33,12 @@ pub const COARSE_HEIGHT_PX: u32 = constants::COARSE_ROWS * constants::FINE_TILE_
 pub const COARSE_PIXELS: usize = (COARSE_WIDTH_PX * COARSE_HEIGHT_PX) as usize;
 /// Fine tiles of a coarse tile.
 pub const FINE_TILES: usize = (constants::COARSE_COLUMNS * constants::COARSE_ROWS) as usize;
-/// Records that one workgroup of `bin_pairs` takes.
+/// Records that one workgroup of `count_pairs` and `fill_pairs` takes.
 pub const PAIR_BLOCK: usize = constants::PAIR_BLOCK as usize;
 /// Pairs after which a bucket of the tile sort ends with the next depth slab.
 pub const BUCKET_PAIRS: usize = constants::BUCKET_PAIRS as usize;
+/// Pairs of a bucket, at most; longer depth slabs are cut into pieces.
+pub const SHARED_PAIRS: usize = constants::SHARED_PAIRS as usize;
 /// Depth slabs by which coarse tiles' lists are cut; `depth_slab.glsl`.
 pub const SLABS: usize = constants::SLABS as usize;
 /// A camera whose direction has no set in the persistent key buffer.
@@ -44,7 +46,7 @@ pub const NO_KEY_SET: u32 = constants::NO_KEY_SET;
 /// Entries that one workgroup of `scan` takes.
 pub const SCAN_BLOCK: usize = 1024;
 /// Indirect dispatches of a frame.
-pub const ARGUMENT_SETS: usize = 3;
+pub const ARGUMENT_SETS: usize = 6;
 /// Cameras that one submission can draw.
 pub const CAMERAS_MAX: usize = constants::CAMERAS_MAX as usize;
 

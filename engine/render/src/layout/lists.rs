@@ -15,8 +15,16 @@ pub struct RequiredCounts {
     pub pairs_low: u32,
     /// Checksum of the pairs: the sum of the upper 16 bits of each coarse tile's number.
     pub pairs_high: u32,
+    /// Records with more coarse tiles than a word says.
+    pub large: u32,
     /// Buckets of pairs, sorted one by one.
     pub buckets: u32,
+    /// Depth slabs that are cut into pieces before they are sorted.
+    pub long_slabs: u32,
+    /// Pieces of those, at most; they become buckets too.
+    pub pieces: u32,
+    /// Coarse tiles whose buckets are planned.
+    pub planned: u32,
     /// (Coarse tile, segment of its list).
     pub items: u32,
     /// Items of coarse tiles that were cut into more than one segment.
@@ -39,9 +47,12 @@ pub struct Bucket {
     pub first_pair: u32,
     /// Number of entries.
     pub pairs: u32,
-    /// Coarse tile.
+    /// Coarse tile, or [`NO_BIN`] where the bucket is a piece of a depth slab.
     pub bin: u32,
 }
+
+/// The bucket is a piece of a depth slab.
+pub const NO_BIN: u32 = constants::NO_BIN;
 
 /// `ViewLists` of `frame.glsl`: first records of a camera.
 #[repr(C)]
@@ -82,7 +93,8 @@ pub struct PartialTiles {
     pub tiles: u32,
 }
 
-/// `Composite` of `frame.glsl`: a coarse tile whose partial results are joined.
+/// `Composite` of `frame.glsl`: a coarse tile whose partial results are joined, or a part of its
+/// pixels.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct Composite {
@@ -92,4 +104,6 @@ pub struct Composite {
     pub first_partial: u32,
     /// Number of partial results.
     pub partials: u32,
+    /// The part of its pixels, of as many as `twins::composite_runs` says.
+    pub part: u32,
 }

@@ -71,6 +71,7 @@ impl CompositeSegments {
             ("partial_planes", partials.planes.binding()),
             ("partial_tiles", partials.tiles.binding()),
             ("partial_unfinished", partials.unfinished.binding()),
+            ("partial_transmittances", partials.transmittances.binding()),
         ];
         let offset = IndirectArguments::Composite.byte_offset();
         recorder.dispatch_indirect(

@@ -45,7 +45,8 @@ pub use resolve_plane::ResolvePlane;
 pub use scan::Scan;
 pub use staged::Staged;
 pub use tile_sort::{
-    BinPairs, BinPass, PlanBuckets, PlanLists, Records, SortBuckets, TileSort, TileSortBuffers,
+    CountPairs, FillPairs, PlanBuckets, PlanLists, Records, SortBuckets, SplitSlabs, TileSort,
+    TileSortBuffers,
 };
 
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind};
@@ -98,6 +99,12 @@ pub enum IndirectArguments {
     Blend = constants::ARGUMENTS_BLEND as isize,
     /// Cut coarse tiles to be joined.
     Composite = constants::ARGUMENTS_COMPOSITE as isize,
+    /// Depth slabs to be cut into pieces.
+    Split = constants::ARGUMENTS_SPLIT as isize,
+    /// Records whose pairs are written.
+    Fill = constants::ARGUMENTS_FILL as isize,
+    /// Buckets to be sorted.
+    Sort = constants::ARGUMENTS_SORT as isize,
 }
 
 impl IndirectArguments {

@@ -12,7 +12,7 @@ pub struct Plan {
     /// Segments, in waves: those that are first in their coarse tile, then the second, then the
     /// third and fourth and so on.
     pub items: Buffer<BlendItem>,
-    /// Coarse tiles that were cut.
+    /// Coarse tiles that were cut, those with many segments in parts.
     pub composites: Buffer<Composite>,
 }
 
@@ -49,6 +49,7 @@ push_constants! {
         pairs_max: u32,
         items_max: u32,
         partials_max: u32,
+        composites_max: u32,
     }
 }
 
@@ -85,6 +86,7 @@ impl PlanSegments {
             pairs_max: capacity.pairs as u32,
             items_max: plan.items.len() as u32,
             partials_max: capacity.partials as u32,
+            composites_max: plan.composites.len() as u32,
         };
         let buffers = [
             ("required", counters.required.binding()),

@@ -53,7 +53,7 @@ mod write_record;
 pub use agents::{AgentInputs, ColorCodebooks, ListedSplats, cull_agents, project_agents};
 pub use begin::begin;
 pub use blend::blend;
-pub use composite::{Unfinished, composite};
+pub use composite::{Unfinished, composite, composite_runs};
 pub use cull::{SplatBuffers, VisibleBits, cull};
 pub use cull_shadows::cull_shadows;
 pub use key_splats::key_splats;

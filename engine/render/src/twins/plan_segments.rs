@@ -4,6 +4,7 @@
 //! Items come in waves: segment 0 of every tile, segment 1, segments 2 and 3, segments 4 to 7 and
 //! so on.
 
+use super::composite::composite_runs;
 use crate::capacity::groups_for;
 use crate::layout::{BlendItem, COARSE_PIXELS, Composite, NO_PARTIAL, RequiredCounts};
 use crate::stages::IndirectArguments;
@@ -18,7 +19,7 @@ fn wanted_pairs(required: &RequiredCounts) -> u32 {
 }
 
 /// Writes the segments of all coarse tiles as far as there is room, the coarse tiles that were cut,
-/// how many of each there are, and the dispatches that depend on it.
+/// in parts, how many of each there are, and the dispatches that depend on it.
 pub fn plan_segments(
     required: &mut RequiredCounts,
     tile_lists: &[[u32; 2]],
@@ -39,12 +40,17 @@ pub fn plan_segments(
         let segments = segments_of(list);
         first_partials.push(partial);
         if segments > 1 {
-            composites[composite as usize] = Composite {
-                bin,
-                first_partial: partial,
-                partials: segments,
-            };
-            composite += 1;
+            for part in 0..composite_runs(segments) {
+                if let Some(listed) = composites.get_mut((composite + part) as usize) {
+                    *listed = Composite {
+                        bin,
+                        first_partial: partial,
+                        partials: segments,
+                        part,
+                    };
+                }
+            }
+            composite += composite_runs(segments);
             partial += segments;
         }
     }

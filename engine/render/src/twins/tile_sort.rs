@@ -1,4 +1,4 @@
-//! Tile binning and the plan of its buckets: `bin_pairs.comp`, `plan_buckets.comp` and
+//! Tile binning and the plan of its buckets: `count_pairs.comp`, `plan_buckets.comp` and
 //! `depth_slab.glsl`.
 
 use decouplegs_shaders::constants::{SLAB_FIRST_M, SLAB_SHIFT};

@@ -2,19 +2,24 @@
 //! tile.
 //!
 //! A radix sort by the most significant digits, coarse tile and depth slab, which counts
-//! ([`BinPairs`]), plans ([`PlanBuckets`]) and fills; then each bucket, a run of slabs, is sorted
-//! by the rest of its digits in shared memory ([`SortBuckets`]). All that lies between is in
+//! ([`CountPairs`]), plans ([`PlanBuckets`]) and fills ([`FillPairs`]). Then each bucket, a run of
+//! slabs, is sorted by the rest of its digits in shared memory ([`SortBuckets`]). Slabs that are
+//! too long for that are cut into pieces before ([`SplitSlabs`]). All that lies between is in
 //! [`TileSortBuffers`]. Who replaces the sort needs to read this folder only.
 
-mod bin_pairs;
+mod count_pairs;
+mod fill_pairs;
 mod plan_buckets;
 mod plan_lists;
 mod sort_buckets;
+mod split_slabs;
 
-pub use bin_pairs::{BinPairs, BinPass};
+pub use count_pairs::CountPairs;
+pub use fill_pairs::FillPairs;
 pub use plan_buckets::PlanBuckets;
 pub use plan_lists::PlanLists;
 pub use sort_buckets::SortBuckets;
+pub use split_slabs::SplitSlabs;
 
 use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
@@ -30,9 +35,14 @@ pub struct TileSortBuffers {
     /// Pairs of each `[coarse tile][depth slab]`; zero before the frame. From the plan on, the next
     /// index in the pair buffer.
     pub slab_counts: Buffer<u32>,
+    /// Coarse tiles of each record, where they are few.
+    pub reaches: Buffer<u32>,
+    /// Records with more.
+    pub large_records: Buffer<u32>,
     /// First pair and length of each coarse tile's list.
     pub tile_lists: Buffer<[u32; 2]>,
-    /// Runs of pairs that are sorted one by one.
+    /// Runs of pairs that are sorted one by one; from the end, depth slabs that are cut into such
+    /// runs.
     pub buckets: Buffer<Bucket>,
     /// Depth key and record of each pair.
     pub pairs: Buffer<[u32; 2]>,
@@ -50,11 +60,13 @@ impl TileSortBuffers {
         Ok(Self {
             lists: gpu.buffer("view_lists", PURPOSE, crate::layout::CAMERAS_MAX, device)?,
             slab_counts: gpu.buffer("slab_counts", PURPOSE, bin_count * SLABS, device)?,
+            reaches: gpu.buffer("reaches", PURPOSE, capacity.records, device)?,
+            large_records: gpu.buffer("large_records", PURPOSE, capacity.records, device)?,
             tile_lists: gpu.buffer("tile_lists", PURPOSE, bin_count, device)?,
             buckets: gpu.buffer(
                 "buckets",
                 PURPOSE,
-                2 * capacity.pairs / BUCKET_PAIRS + bin_count,
+                3 * capacity.pairs / BUCKET_PAIRS + bin_count,
                 device,
             )?,
             pairs: gpu.buffer("pairs", PURPOSE, capacity.pairs, device)?,
@@ -98,9 +110,10 @@ pub struct Records<'a> {
 /// The stages of the sort.
 pub struct TileSort {
     plan_lists: PlanLists,
-    count: BinPairs,
+    count: CountPairs,
     plan_buckets: PlanBuckets,
-    fill: BinPairs,
+    fill: FillPairs,
+    split: SplitSlabs,
     sort: SortBuckets,
 }
 
@@ -124,9 +137,10 @@ impl TileSort {
     fn of_records(gpu: &Gpu, radial: bool, lidar: bool) -> Result<Self, GpuError> {
         Ok(Self {
             plan_lists: PlanLists::new(gpu)?,
-            count: BinPairs::new(gpu, BinPass::Count, radial, lidar)?,
+            count: CountPairs::new(gpu, radial, lidar)?,
             plan_buckets: PlanBuckets::new(gpu)?,
-            fill: BinPairs::new(gpu, BinPass::Fill, radial, lidar)?,
+            fill: FillPairs::new(gpu, radial, lidar)?,
+            split: SplitSlabs::new(gpu, radial)?,
             sort: SortBuckets::new(gpu, radial)?,
         })
     }
@@ -146,6 +160,9 @@ impl TileSort {
             self.plan_buckets.record(r, counters, buffers, bins);
             self.fill.record(r, counters, records, buffers);
         });
-        recorder.stage("sort", |r| self.sort.record(r, counters, records, buffers));
+        recorder.stage("sort", |r| {
+            self.split.record(r, counters, records, buffers);
+            self.sort.record(r, counters, records, buffers);
+        });
     }
 }

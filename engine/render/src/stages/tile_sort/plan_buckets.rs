@@ -12,6 +12,8 @@ push_constants! {
     struct Push {
         bin_count: u32,
         buckets_max: u32,
+        pairs_max: u32,
+        records_max: u32,
     }
 }
 
@@ -31,7 +33,8 @@ impl PlanBuckets {
         })
     }
 
-    /// Turns the counts of `bins` coarse tiles into offsets, and writes their lists and buckets.
+    /// Turns the counts of `bins` coarse tiles into offsets, and writes their lists and buckets,
+    /// and the dispatches that fill and sort them.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -42,12 +45,15 @@ impl PlanBuckets {
         let push = Push {
             bin_count: bins,
             buckets_max: buffers.buckets.len() as u32,
+            pairs_max: buffers.sorted_records.len() as u32,
+            records_max: buffers.reaches.len() as u32,
         };
         let bound = [
             ("required", counters.required.binding()),
             ("slab_counts", buffers.slab_counts.binding()),
             ("tile_lists", buffers.tile_lists.binding()),
             ("buckets", buffers.buckets.binding()),
+            ("arguments", counters.arguments.binding()),
         ];
         recorder.dispatch(
             &self.kernel,

@@ -4,8 +4,7 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Constant, Gpu, GpuError, Kernel, Recorder};
 
 use super::{Records, TileSortBuffers};
-use crate::capacity::groups_for;
-use crate::stages::{FrameCounters, kernel, push_constants};
+use crate::stages::{FrameCounters, IndirectArguments, kernel, push_constants};
 
 push_constants! {
     struct Push {
@@ -34,7 +33,7 @@ impl SortBuckets {
         })
     }
 
-    /// Writes the sorted records. Their own depth keys are overwritten: the pairs have copies.
+    /// Writes the sorted records.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -55,12 +54,13 @@ impl SortBuckets {
             ("cameras", records.cameras.binding()),
             ("slab_ends", buffers.slab_counts.binding()),
         ];
-        // As many workgroups as there may be buckets: one that finds none ends at once.
-        recorder.dispatch(
+        let offset = IndirectArguments::Sort.byte_offset();
+        recorder.dispatch_indirect(
             &self.kernel,
             &bound,
             bytes_of(&push),
-            groups_for(buffers.buckets.len()),
+            counters.arguments.binding(),
+            offset,
         );
     }
 }

@@ -1,19 +1,10 @@
-//! Tile binning: (coarse tile, record) pairs by depth slab, counted and then written.
+//! Tile binning: (coarse tile, record) pairs by depth slab, written.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Constant, Gpu, GpuError, Kernel, Recorder};
 
 use super::{Records, TileSortBuffers};
 use crate::stages::{FrameCounters, IndirectArguments, kernel, push_constants};
-
-/// Purpose of a run of [`BinPairs`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BinPass {
-    /// Counts the pairs of each coarse tile and depth slab.
-    Count,
-    /// Writes them to the indices that were planned.
-    Fill,
-}
 
 push_constants! {
     struct Push {
@@ -23,29 +14,28 @@ push_constants! {
     }
 }
 
-/// `bin_pairs.comp`.
-pub struct BinPairs {
+/// `fill_pairs.comp`.
+pub struct FillPairs {
     kernel: Kernel,
 }
 
-impl BinPairs {
+impl FillPairs {
     /// The stage; `radial` where keys are of distances, `lidar` where records have cells of beams
     /// instead of footprints.
     ///
     /// # Errors
     /// [`GpuError`]: the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, pass: BinPass, radial: bool, lidar: bool) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, radial: bool, lidar: bool) -> Result<Self, GpuError> {
         let constants = [
-            ("FILL", Constant::Bool(pass == BinPass::Fill)),
             ("RADIAL", Constant::Bool(radial)),
             ("LIDAR", Constant::Bool(lidar)),
         ];
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::BIN_PAIRS, &constants)?,
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::FILL_PAIRS, &constants)?,
         })
     }
 
-    /// Counts or writes the pairs of `records`.
+    /// Writes the pairs of `records` to the indices that were planned.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -65,9 +55,11 @@ impl BinPairs {
             ("keys", records.projected.keys.binding()),
             ("footprints", records.projected.footprints.binding()),
             ("slab_counts", buffers.slab_counts.binding()),
+            ("reaches", buffers.reaches.binding()),
+            ("large_records", buffers.large_records.binding()),
             ("pairs", buffers.pairs.binding()),
         ];
-        let offset = IndirectArguments::PairBlocks.byte_offset();
+        let offset = IndirectArguments::Fill.byte_offset();
         recorder.dispatch_indirect(
             &self.kernel,
             &bound,

@@ -1,0 +1,181 @@
+#version 460
+// Tile binning, first run: counts the (coarse tile, record) pairs of each coarse tile and depth
+// slab.
+//
+// plan_buckets then gives each of them a stretch of the pair buffer, and fill_pairs fills it. A
+// thread counts the coarse tiles of records with few rows and leaves a word with them, so that
+// nobody needs to find them again. Records with more are listed, and their rows are shared out over
+// the workgroup.
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#include "frame.glsl"
+#include "footprint.glsl"
+#include "color_code.glsl"
+#include "mean_px.glsl"
+#include "record.glsl"
+#include "double_float.glsl"
+#include "depth_key.glsl"
+#include "depth_slab.glsl"
+
+const uint WORKGROUP_THREADS = 256u;
+layout(local_size_x = 256) in;
+#include "block.glsl"
+
+layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
+layout(set = 0, binding = 1, scalar) buffer required_block { RequiredCounts required; };
+layout(set = 0, binding = 2, scalar) readonly buffer lists_block { ViewLists lists[]; };
+layout(set = 0, binding = 3, scalar) readonly buffer keys_block { uint keys[]; };
+layout(set = 0, binding = 4, std430) readonly buffer footprints_block { uvec4 footprints[]; };
+layout(set = 0, binding = 5, scalar) buffer slab_counts_block { uint slab_counts[]; }; // [coarse tile][slab]
+layout(set = 0, binding = 6, scalar) writeonly buffer reaches_block { uint reaches[]; };
+layout(set = 0, binding = 7, scalar) writeonly buffer large_records_block { uint large_records[]; };
+
+layout(push_constant, scalar) uniform push_block {
+    uint camera_count;
+    uint records_max;
+};
+
+#include "bin_records.glsl"
+#include "slab_hash.glsl"
+
+// Records of the block that have more than a reach holds: their index in the block, and above it
+// first their rows and then the rows of those before.
+shared uint shared_large[PAIR_BLOCK];
+shared uint large_count;
+shared uint first_large;
+
+const uint INDEX_BITS = 10u; // of PAIR_BLOCK
+const uint OWN_LARGE = PAIR_BLOCK / WORKGROUP_THREADS;
+
+void count_row(Camera camera, uint slab, uint row, ivec2 tiles) {
+    for (int tile = tiles.x; tile <= tiles.y; ++tile) {
+        uint bin = camera.first_bin + row * camera.coarse_tiles.x + uint(tile);
+        uint at = bin * SLABS + slab;
+        uint slot = slot_of(at);
+        if (slot == NO_SLOT) {
+            atomicAdd(slab_counts[at], 1u);
+        } else {
+            atomicAdd(hash_counts[slot], 1u);
+        }
+    }
+}
+
+// Adds what the workgroup has counted. Every thread calls it.
+void add_hash(uint thread) {
+    barrier();
+    for (uint slot = thread; slot < HASH_SLOTS; slot += WORKGROUP_THREADS) {
+        if (hash_counts[slot] > 0u) {
+            atomicAdd(slab_counts[hash_slabs[slot]], hash_counts[slot]);
+        }
+    }
+}
+
+// Counts the pairs of a record with few coarse tiles and returns its reach; REACH_LARGE where it
+// has more, and then nothing is counted.
+uint count_few(Footprint splat, Camera camera, uint key, ivec2 rows) {
+    ivec2 tiles[REACH_ROWS];
+    int first = 0x7fffffff;
+    bool few = rows.y - rows.x < int(REACH_ROWS);
+    if (!few) {
+        return REACH_LARGE;
+    }
+    [[unroll]] for (uint row = 0u; row < REACH_ROWS; ++row) {
+        tiles[row] = ivec2(0, -1);
+        if (rows.x + int(row) <= rows.y) {
+            tiles[row] = tiles_of(splat, camera, uint(rows.x) + row);
+            bool some = tiles[row].x <= tiles[row].y;
+            first = some && first == 0x7fffffff ? tiles[row].x : first;
+            few = few && tiles[row].y - tiles[row].x < int(REACH_TILES_MAX);
+            few = few && (!some || (tiles[row].x - first >= -REACH_LEFT && tiles[row].x - first < REACH_LEFT));
+        }
+    }
+    if (first == 0x7fffffff) {
+        return 0u; // no coarse tile at all
+    }
+    uint bin = camera.first_bin + uint(rows.x) * camera.coarse_tiles.x + uint(first);
+    if (!few || bin >= REACH_BINS) {
+        return REACH_LARGE;
+    }
+    uint slab = slab_of(key, camera);
+    uint reach = bin;
+    [[unroll]] for (uint row = 0u; row < REACH_ROWS; ++row) {
+        if (tiles[row].x <= tiles[row].y) {
+            reach |= uint(tiles[row].y - tiles[row].x + 1) << (16u + 3u * row);
+            reach |= row > 0u ? uint(tiles[row].x - first + REACH_LEFT) << (22u + 3u * row) : 0u;
+            count_row(camera, slab, uint(rows.x) + row, tiles[row]);
+        }
+    }
+    return reach;
+}
+
+// The last large record of the block before which there are no more than `row` rows.
+uint giver_of(uint row) {
+    uint giver = 0u;
+    [[unroll]] for (uint step = PAIR_BLOCK / 2u; step > 0u; step /= 2u) {
+        giver += giver + step < large_count && shared_large[giver + step] >> INDEX_BITS <= row ? step : 0u;
+    }
+    return giver;
+}
+
+void main() {
+    uint record_count = held(required.records, records_max);
+    uint first_record = group_index() * PAIR_BLOCK;
+    uint end_record = min(first_record + PAIR_BLOCK, record_count);
+    uint thread = block_thread();
+    if (thread == 0u) {
+        large_count = 0u;
+    }
+    empty_hash(thread);
+    barrier();
+    for (uint record = first_record + thread; record < end_record; record += WORKGROUP_THREADS) {
+        Camera camera = cameras[camera_of(record)];
+        Footprint splat = load_footprint(record, camera);
+        uint key = keys[record];
+        ivec2 rows = rows_of(splat, camera);
+        uint reach = count_few(splat, camera, key, rows);
+        reaches[record] = reach;
+        if (reach == REACH_LARGE) {
+            shared_large[atomicAdd(large_count, 1u)] = uint(rows.y - rows.x + 1) << INDEX_BITS | record - first_record;
+        }
+    }
+    barrier();
+    uint count = large_count;
+    if (count == 0u) {
+        add_hash(thread);
+        return;
+    }
+    uint entries[OWN_LARGE];
+    uint own_rows = 0u;
+    [[unroll]] for (uint next = 0u; next < OWN_LARGE; ++next) {
+        uint index = thread * OWN_LARGE + next;
+        entries[next] = index < count ? shared_large[index] : 0u;
+        own_rows += entries[next] >> INDEX_BITS;
+    }
+    if (thread == 0u) {
+        first_large = atomicAdd(required.large, count);
+    }
+    uint row_total;
+    uint rows_before = block_exclusive_sum(own_rows, row_total); // waits for all threads
+    [[unroll]] for (uint next = 0u; next < OWN_LARGE; ++next) {
+        uint index = thread * OWN_LARGE + next;
+        uint record_index = entries[next] & (PAIR_BLOCK - 1u);
+        if (index < count) {
+            shared_large[index] = rows_before << INDEX_BITS | record_index;
+            large_records[first_large + index] = first_record + record_index;
+        }
+        rows_before += entries[next] >> INDEX_BITS;
+    }
+    barrier();
+    for (uint given = thread; given < row_total; given += WORKGROUP_THREADS) {
+        uint entry = shared_large[giver_of(given)];
+        uint record = first_record + (entry & (PAIR_BLOCK - 1u));
+        Camera camera = cameras[camera_of(record)];
+        Footprint splat = load_footprint(record, camera);
+        uint row = uint(rows_of(splat, camera).x) + given - (entry >> INDEX_BITS);
+        count_row(camera, slab_of(keys[record], camera), row, tiles_of(splat, camera, row));
+    }
+    add_hash(thread);
+}
