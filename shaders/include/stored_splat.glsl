@@ -3,13 +3,24 @@
 
 layout(constant_id = 23) const bool COMPACT = false; // 120 bytes per splat of degree 3 instead of 152
 
-const uint SCALE_BITS = 21u;
-const uint SCALE_BIAS = 7143424u; // pattern of 2^-18 as f32, without its lowest 7 bits
+const uint SCALE_BITS = 21u; // of a scale, beside those below
+const uint SCALE_LOW_BITS = 2u;
+const uint SCALE_BIAS = 28573696u; // pattern of 2^-18 as f32, without its lowest 5 bits
+const uint OPACITY_BITS = 26u;
+const uint OPACITY_BIAS = 998277248u; // pattern of the largest f32 below 1/255
 const float COMPONENT_STEP = 6.7435012e-07; // 1/sqrt(2) / (2^20 - 1)
 
-vec3 unpack_scales_m(uvec3 words) {
-    uvec3 codes = words & ((1u << SCALE_BITS) - 1u);
-    return mix(uintBitsToFloat((codes + SCALE_BIAS) << 7u), vec3(0.0), equal(codes, uvec3(0u)));
+// `opacity_word` has the lowest bits of the scales above the opacity.
+vec3 unpack_scales_m(uvec3 words, uint opacity_word) {
+    uvec3 low = uvec3(opacity_word) >> (OPACITY_BITS + SCALE_LOW_BITS * uvec3(0u, 1u, 2u)) & ((1u << SCALE_LOW_BITS) - 1u);
+    uvec3 codes = (words & ((1u << SCALE_BITS) - 1u)) << SCALE_LOW_BITS | low;
+    return mix(uintBitsToFloat((codes + SCALE_BIAS) << 5u), vec3(0.0), equal(codes, uvec3(0u)));
+}
+
+// 0 where it is below 1/255: no pixel shows that.
+float unpack_opacity(uint opacity_word) {
+    uint code = opacity_word & ((1u << OPACITY_BITS) - 1u);
+    return code == 0u ? 0.0 : uintBitsToFloat(code + OPACITY_BIAS);
 }
 
 // Unit quaternion, w first; the largest component is what the others leave.
@@ -31,9 +42,10 @@ mat3 load_axes(uint splat_index, out float opacity) {
     vec3 scales_m;
     vec4 rotation;
     if (COMPACT) {
-        scales_m = unpack_scales_m(words.xyz);
+        uint opacity_word = rotations[splat_index / 4u][splat_index % 4u];
+        scales_m = unpack_scales_m(words.xyz, opacity_word);
         rotation = unpack_rotation(words);
-        opacity = uintBitsToFloat(rotations[splat_index / 4u][splat_index % 4u]);
+        opacity = unpack_opacity(opacity_word);
     } else {
         scales_m = uintBitsToFloat(words.xyz);
         rotation = uintBitsToFloat(rotations[splat_index]);

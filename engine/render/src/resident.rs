@@ -60,7 +60,7 @@ pub struct GpuScene {
     pub means: Buffer<[f32; 3]>,
     /// Exact: scales (m) and opacity, f32. Compact: [`CompactShape`].
     pub shapes: Buffer<[u32; 4]>,
-    /// Exact: unit quaternions w, x, y, z, f32. Compact: opacities of four splats, f32.
+    /// Exact: unit quaternions w, x, y, z, f32. Compact: the opacity words of four splats.
     pub rotations: Buffer<[u32; 4]>,
     /// DC coefficients. Exact: f32, three a splat. Compact: by plane of words.
     pub sh_dc: Buffer<u32>,
@@ -211,6 +211,8 @@ struct Prepared {
     shape: [f32; 4],
     /// Words in [`GpuScene::shapes`].
     shape_words: [u32; 4],
+    /// Word in [`GpuScene::rotations`] of compact storage.
+    opacity_word: u32,
     rotation: [f32; 4],
 }
 
@@ -222,21 +224,22 @@ impl Prepared {
                 mean_m: [0.0; 3],
                 shape: [0.0; 4],
                 shape_words: [0; 4],
+                opacity_word: 0,
                 rotation: [1.0, 0.0, 0.0, 0.0],
             };
         }
         let (scales_m, opacity) = (cloud.scales[splat], cloud.opacities[splat]);
         let rotation = unit(cloud.rotations[splat]);
-        let with_opacity = |[x, y, z]: [f32; 3]| [x, y, z, opacity];
         // Boxes of clusters must hold what is drawn, so scales are those that are read back.
-        let (shape, shape_words) = match storage {
+        let (shape, shape_words, opacity_word) = match storage {
             Storage::Exact => {
-                let shape = with_opacity(scales_m);
-                (shape, shape.map(f32::to_bits))
+                let [x, y, z] = scales_m;
+                let shape = [x, y, z, opacity];
+                (shape, shape.map(f32::to_bits), 0)
             }
             Storage::Compact => {
-                let code = CompactShape::new(scales_m, rotation);
-                (with_opacity(code.unpack().0), code.0)
+                let code = CompactShape::new(scales_m, rotation, opacity);
+                (code.unpack().0, code.shape, code.opacity)
             }
         };
         Self {
@@ -244,6 +247,7 @@ impl Prepared {
             mean_m: cloud.means[splat],
             shape,
             shape_words,
+            opacity_word,
             rotation,
         }
     }
@@ -311,7 +315,7 @@ fn rotation_words(prepared: &[Prepared], storage: Storage) -> Vec<[u32; 4]> {
         Storage::Compact => prepared
             .par_chunks(4)
             .map(|splats| {
-                std::array::from_fn(|k| splats.get(k).map_or(0, |splat| splat.shape[3].to_bits()))
+                std::array::from_fn(|k| splats.get(k).map_or(0, |splat| splat.opacity_word))
             })
             .collect(),
     }

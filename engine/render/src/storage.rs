@@ -5,16 +5,19 @@
 //! |---|---|---|
 //! | mean | 12: three f32 | 12: the same |
 //! | scales, rotation | 28: f32 | 16: see [`CompactShape`] |
-//! | opacity | 4: f32 | 4: the same |
+//! | opacity | 4: f32 | 4: the same, and the last bits of the scales |
 //! | DC | 12: three f32 | 8: fractions of 19 bits |
 //! | bands 1, 2, 3 | 20, 32, 44: fractions of 16 bits | 16, 28, 36: of 13, 14 and 13 bits |
 //! | splat of degree 3 | 152 | 120 |
 //!
 //! Means and opacities are never rounded: order, and whether a splat reaches 1/255, stay what they
-//! are.
+//! are. An opacity below 1/255, which no pixel shows, is stored as 0.
 
 use decouplegs_gpu::Constant;
 use decouplegs_scene::{SplatCloud, sh};
+use decouplegs_shaders::constants::{
+    OPACITY_BIAS, OPACITY_BITS, SCALE_BIAS, SCALE_BITS, SCALE_LOW_BITS,
+};
 use rayon::prelude::*;
 
 use crate::sh_codec::{self, EXACT_BITS};
@@ -91,7 +94,10 @@ impl Storage {
     pub fn stored_shape(self, scales_m: [f32; 3], rotation: [f32; 4]) -> ([f32; 3], [f32; 4]) {
         match self {
             Self::Exact => (scales_m, rotation),
-            Self::Compact => CompactShape::new(scales_m, rotation).unpack(),
+            Self::Compact => {
+                let ([x, y, z, _], rotation) = CompactShape::new(scales_m, rotation, 1.0).unpack();
+                ([x, y, z], rotation)
+            }
         }
     }
 
@@ -146,33 +152,46 @@ pub(crate) fn unit(rotation: [f32; 4]) -> [f32; 4] {
     q.map(|x| (x / norm) as f32)
 }
 
-/// Scales and rotation of a splat in 128 bits.
+/// Scales, rotation and opacity of a splat in 160 bits.
 ///
-/// A scale has 21 bits: 5 of exponent and 16 of mantissa, from 2^-18 to 2^14 m, rounded to 7.7e-6
-/// of itself; smaller ones become 2^-18 m (3.8 um) or 0, larger ones 2^14 m (16 km). The rotation
-/// leaves out the largest component of its quaternion (2 bits say which); the others are signed
-/// fractions of 1/sqrt(2) with 21 bits, an error of 3.4e-7 each.
+/// A scale has 23 bits: 5 of exponent and 18 of mantissa, from 2^-18 to 2^14 m, rounded to 2e-6 of
+/// itself; smaller ones become 2^-18 m (3.8 um) or 0, larger ones 2^14 m (16 km). Alpha at a
+/// splat's rim changes by up to 11 times the relative change of its scales, which is what decides
+/// most of the pixels that storage changes. The rotation leaves out the largest component of its
+/// quaternion (2 bits say which); the others are signed fractions of 1/sqrt(2) with 21 bits, an
+/// error of 3.4e-7 each. The opacity is the f32 itself, counted from the largest below 1/255.
 ///
 /// | word | bits 0 to 20 | bits 21 to 31 |
 /// |---|---|---|
-/// | 0 | scale along x | lower 11 bits of the first fraction |
+/// | 0 | scale along x, upper 21 bits | lower 11 bits of the first fraction |
 /// | 1 | scale along y | its upper 10 bits, then the lower bit of the component left out |
 /// | 2 | scale along z | lower 11 bits of the second fraction |
 /// | 3 | third fraction | upper 10 bits of the second, then the upper bit of the component |
+///
+/// The word of the opacity has that in its bits 0 to 25, and the two lower bits of each scale, x
+/// first, in those above.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CompactShape(pub [u32; 4]);
+pub struct CompactShape {
+    /// Scales and rotation.
+    pub shape: [u32; 4],
+    /// Opacity and the last bits of the scales.
+    pub opacity: u32,
+}
 
-/// Pattern of 2^-18 as f32, without the 7 bits of the mantissa that are not stored.
-const SCALE_BIAS: u32 = (127 - 18) << 16;
-/// Largest code of 21 bits.
-const CODE_MAX: u32 = (1 << 21) - 1;
+/// Largest code of a component's 21 bits.
+const COMPONENT_MAX: u32 = (1 << 21) - 1;
+/// Largest code of a scale.
+const SCALE_MAX: u32 = (1 << (SCALE_BITS + SCALE_LOW_BITS)) - 1;
+/// Bits of an f32 that a scale's code has not.
+const SCALE_DROPPED: u32 = 5;
 /// Value of one step of a component, 1/sqrt(2) / (2^20 - 1).
 const COMPONENT_STEP: f32 = std::f32::consts::FRAC_1_SQRT_2 / 1_048_575.0;
 
 impl CompactShape {
-    /// The code of scales that are finite and not negative, and of a unit quaternion (w, x, y, z).
+    /// The code of scales that are finite and not negative, of a unit quaternion (w, x, y, z) and
+    /// of an opacity of at most 1.
     #[must_use]
-    pub fn new(scales_m: [f32; 3], rotation: [f32; 4]) -> Self {
+    pub fn new(scales_m: [f32; 3], rotation: [f32; 4], opacity: f32) -> Self {
         let scales = scales_m.map(scale_code);
         let largest = (0..4).fold(0, |best, k| {
             if rotation[k].abs() > rotation[best].abs() {
@@ -184,26 +203,36 @@ impl CompactShape {
         let sign = f64::from(rotation[largest].signum());
         let code = |component: f32| {
             let fraction = sign * f64::from(component) * std::f64::consts::SQRT_2 * 1_048_575.0;
-            fraction.round().clamp(-1_048_575.0, 1_048_575.0) as i32 as u32 & CODE_MAX
+            fraction.round().clamp(-1_048_575.0, 1_048_575.0) as i32 as u32 & COMPONENT_MAX
         };
         let mut others = (0..4).filter(|k| *k != largest).map(|k| code(rotation[k]));
         let [first, second, third] = std::array::from_fn(|_| others.next().unwrap_or(0));
         let left_out = largest as u32;
-        Self([
-            scales[0] | first << 21,
-            scales[1] | first >> 11 << 21 | left_out << 31,
-            scales[2] | second << 21,
-            third | second >> 11 << 21 | left_out >> 1 << 31,
-        ])
+        let [x, y, z] = scales.map(|scale| scale >> SCALE_LOW_BITS);
+        let low = scales.map(|scale| scale & ((1 << SCALE_LOW_BITS) - 1));
+        let low = low[0] | low[1] << SCALE_LOW_BITS | low[2] << (2 * SCALE_LOW_BITS);
+        Self {
+            shape: [
+                x | first << 21,
+                y | first >> 11 << 21 | left_out << 31,
+                z | second << 21,
+                third | second >> 11 << 21 | left_out >> 1 << 31,
+            ],
+            opacity: opacity.to_bits().saturating_sub(OPACITY_BIAS) | low << OPACITY_BITS,
+        }
     }
 
-    /// Scales (m) and unit quaternion, in the arithmetic of `stored_splat.glsl`.
+    /// Scales (m) with opacity, and unit quaternion, in the arithmetic of `stored_splat.glsl`.
     #[must_use]
-    pub fn unpack(self) -> ([f32; 3], [f32; 4]) {
-        let [x, y, z, w] = self.0;
-        let scale = |word: u32| match word & CODE_MAX {
-            0 => 0.0,
-            code => f32::from_bits((code + SCALE_BIAS) << 7),
+    pub fn unpack(self) -> ([f32; 4], [f32; 4]) {
+        let [x, y, z, w] = self.shape;
+        let scale = |axis: u32, word: u32| {
+            let low = self.opacity >> (OPACITY_BITS + SCALE_LOW_BITS * axis)
+                & ((1 << SCALE_LOW_BITS) - 1);
+            match (word & ((1 << SCALE_BITS) - 1)) << SCALE_LOW_BITS | low {
+                0 => 0.0,
+                code => f32::from_bits((code + SCALE_BIAS) << SCALE_DROPPED),
+            }
         };
         let component = |code: u32| ((code << 11) as i32 >> 11) as f32 * COMPONENT_STEP;
         let high = |word: u32| (word >> 21 & 0x3ff) << 11;
@@ -215,17 +244,21 @@ impl CompactShape {
             2 => [a, b, left_out, c],
             _ => [a, b, c, left_out],
         };
-        ([x, y, z].map(scale), rotation)
+        let opacity = match self.opacity & ((1 << OPACITY_BITS) - 1) {
+            0 => 0.0,
+            code => f32::from_bits(code + OPACITY_BIAS),
+        };
+        ([scale(0, x), scale(1, y), scale(2, z), opacity], rotation)
     }
 }
 
 /// The code of one scale: code 0 is a scale of 0.
 fn scale_code(scale_m: f32) -> u32 {
-    let rounded = (scale_m.to_bits() + 0x40) >> 7;
+    let rounded = (scale_m.to_bits() + (1 << (SCALE_DROPPED - 1))) >> SCALE_DROPPED;
     if scale_m < 2f32.powi(-19) {
         0
     } else {
-        rounded.saturating_sub(SCALE_BIAS).clamp(1, CODE_MAX)
+        rounded.saturating_sub(SCALE_BIAS).clamp(1, SCALE_MAX)
     }
 }
 
@@ -278,6 +311,21 @@ mod tests {
         }
     }
 
+    #[test]
+    fn opacities_that_a_pixel_can_show_are_kept() {
+        let stored = |opacity: f32| {
+            let code = CompactShape::new([1.0, 0.3, 7.7], [1.0, 0.0, 0.0, 0.0], opacity);
+            code.unpack().0[3]
+        };
+        let least = 1.0f32 / 255.0;
+        for opacity in [least, least.next_up(), 0.1, 0.999_999_94, 1.0] {
+            assert_eq!(stored(opacity), opacity);
+        }
+        for opacity in [least.next_down(), 0.001, 0.0] {
+            assert_eq!(stored(opacity), 0.0);
+        }
+    }
+
     proptest! {
         #[test]
         fn shapes_are_rounded_to_their_last_bit(
@@ -288,7 +336,7 @@ mod tests {
             let (scales, rotation) = (exponents.map(f32::exp2), unit(q));
             let (stored_scales, stored) = Storage::Compact.stored_shape(scales, rotation);
             for (a, b) in scales.iter().zip(stored_scales) {
-                prop_assert!((a - b).abs() <= 7.7e-6 * a, "{} became {}", a, b);
+                prop_assert!((a - b).abs() <= 2e-6 * a, "{} became {}", a, b);
             }
             let dot: f32 = rotation.iter().zip(stored).map(|(a, b)| a * b).sum();
             for (a, b) in rotation.iter().zip(stored) {

@@ -16,9 +16,11 @@ pub fn load_shape(
             rotations[splat].map(f32::from_bits),
         ),
         Storage::Compact => {
-            let ([x, y, z], rotation) = CompactShape(shapes[splat]).unpack();
-            let opacity = f32::from_bits(rotations[splat / 4][splat % 4]);
-            ([x, y, z, opacity], rotation)
+            let code = CompactShape {
+                shape: shapes[splat],
+                opacity: rotations[splat / 4][splat % 4],
+            };
+            code.unpack()
         }
     }
 }
