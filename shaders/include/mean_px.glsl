@@ -1,9 +1,9 @@
-// Where the mean of a splat lies in the image: exact to about 2^-20 px, where an f32 has 2^-14 px at
-// column 1,600.
+// Where the mean of a splat lies in the image, exact to about 2^-20 px. An f32 is off by up to
+// 2^-14 px at column 1,600.
 //
-// alpha >= 1/255 is asked of every pixel at a splat's rim. There alpha of a splat one pixel wide
-// changes by a hundredth within a 400th of a pixel, so the rounding of f32 means decides that test
-// for a hundred pixels of a captured street. Nothing else of a footprint comes near that.
+// alpha >= 1/255 is asked of every pixel at a splat's rim. There alpha of the thinnest splats
+// changes by up to 6 times itself per pixel, so the rounding of f32 means decides that test for a
+// hundred pixels of a captured street. Nothing else of a footprint comes near that.
 //
 // A mean is found as a coarse and a fine part. Products and sums of coarse parts have at most 24
 // binary digits: an f32 holds them without rounding, fused or not, on every device. Fine parts are

@@ -56,7 +56,7 @@ impl Case {
         }
     }
 
-    /// Of the camera of record `record`.
+    /// Shift of means in the image of record `record`.
     pub fn mean_shift(&self, record: usize) -> u32 {
         self.scene.view.cameras[self.listed.records[record].0].mean_shift
     }

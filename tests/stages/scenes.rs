@@ -416,7 +416,8 @@ impl ProjectedTwin {
         self.footprints[2 * record + 1][2..].copy_from_slice(&code);
     }
 
-    /// The pixel of an image of this `mean_shift` in which a record's mean lies, or that next to it.
+    /// The pixel in which a record's mean lies, or that next to it, in an image of this
+    /// `mean_shift`.
     pub fn pixel_of_mean(&self, record: usize, mean_shift: u32) -> [u32; 2] {
         let splat = load_footprint(&self.footprints, record, mean_shift, [0; 2]);
         let end = 1 << (31 - mean_shift);

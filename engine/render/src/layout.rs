@@ -70,11 +70,11 @@ pub struct CameraRecord {
     pub row_y_coarse: [f32; 3],
     /// Third row.
     pub row_z_coarse: [f32; 3],
-    /// What that leaves of the first row.
+    /// Rest of the first row beside its coarse part.
     pub row_x_fine: [f32; 3],
-    /// Of the second row.
+    /// Rest of the second row.
     pub row_y_fine: [f32; 3],
-    /// Of the third row.
+    /// Rest of the third row.
     pub row_z_fine: [f32; 3],
     /// Focal lengths.
     pub focal_px: [f32; 2],
@@ -82,11 +82,11 @@ pub struct CameraRecord {
     pub principal_px: [f32; 2],
     /// Focal lengths in steps of 2^(18 - `mean_shift`) pixels.
     pub focal_coarse_px: [f32; 2],
-    /// What that leaves of them.
+    /// Rest of the focal lengths.
     pub focal_fine_px: [f32; 2],
     /// Principal point in such steps.
     pub principal_coarse_px: [f32; 2],
-    /// What that leaves of it.
+    /// Rest of the principal point.
     pub principal_fine_px: [f32; 2],
     /// Means of splats are stored in steps of 2^-`mean_shift` pixels.
     pub mean_shift: u32,

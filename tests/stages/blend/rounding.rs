@@ -35,7 +35,7 @@ pub struct ListedSplat {
 }
 
 impl ListedSplat {
-    /// Record `record`, whose mean is taken relative to `origin`, the first pixel of a coarse tile of
+    /// Record `record`, its mean relative to `origin`, the first pixel of a coarse tile of
     /// `camera`.
     pub fn of(
         projected: &ProjectedTwin,
@@ -63,8 +63,8 @@ struct Run {
 }
 
 impl PixelBounds {
-    /// Bounds of the pixel at column and row `at` of its coarse tile, where `list` is blended front to back, behind
-    /// `before` if given.
+    /// Bounds of the pixel at column and row `at` of its coarse tile, where `list` is blended front
+    /// to back, behind `before` if given.
     pub fn of(list: &[ListedSplat], at: [u32; 2], rules: &Rules, before: Option<&Pixel>) -> Self {
         let bounds = Self {
             color: 0.0,

@@ -34,7 +34,7 @@ pub struct Projection<'a> {
 /// Precision of SPIR-V Instructions).
 pub struct RecordBounds {
     footprint: [f64; 6],
-    /// Of the mean where its code is of steps.
+    /// Error bound of the mean where its code counts steps, pixels.
     mean_px: [f64; 2],
     mean_shift: u32,
     depth_m: f64,

@@ -1,10 +1,10 @@
 //! CPU mirrors of the kernels, the oracle of the stage tests: sequential, f32, simple.
 //!
 //! `twins/NAME.rs` computes what `shaders/NAME.comp` does. The modules `agent`, `depth_key`,
-//! `footprint`, `lens`, `lidar`, `mean_px`, `output`, `planes`, `projection`, `record`, `rolling`, `sh`,
-//! `shadow`, `stored_splat`, `visibility`, `color_code` and `write_record` correspond to the shared
-//! GLSL of the same name. Arguments have the shader's names; outputs are written in place, as
-//! there. The stage tests feed both sides the same bytes. Twins use no workgroups and no shared
+//! `footprint`, `lens`, `lidar`, `mean_px`, `output`, `planes`, `projection`, `record`, `rolling`,
+//! `sh`, `shadow`, `stored_splat`, `visibility`, `color_code` and `write_record` correspond to the
+//! shared GLSL of the same name. Arguments have the shader's names; outputs are written in place,
+//! as there. The stage tests feed both sides the same bytes. Twins use no workgroups and no shared
 //! memory.
 //!
 //! A twin shares the shader's formulas, so it shows that a kernel is implemented right, not that
