@@ -29,7 +29,9 @@ fn a_program_is_found_beside_this_one_then_on_the_path_and_takes_its_place() {
     // A link to a program needs its file system.
     let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
     let [beside, path] = ["beside", "path"].map(|name| folder.path().join(name));
-    [&beside, &path].map(|folder| fs::create_dir(folder).unwrap());
+    for folder in [&beside, &path] {
+        fs::create_dir(folder).unwrap();
+    }
     let program = beside.join("decouplegs");
     fs::hard_link(env!("CARGO_BIN_EXE_decouplegs"), &program).unwrap();
 
