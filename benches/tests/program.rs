@@ -18,7 +18,11 @@ fn exit_codes_tell_an_error_from_a_command_line_without_sense() {
             &["bench", "--nonsense"] as &[&str],
             "Usage: decouplegs-lab",
         ),
-        (1, &["bench", "absent.toml"], "error: absent.toml"),
+        (
+            1,
+            &["bench", "absent.toml"],
+            "error: cannot read absent.toml",
+        ),
     ] {
         let output = run(arguments);
         let said = String::from_utf8_lossy(&output.stderr);

@@ -18,7 +18,7 @@ fn exit_codes_tell_an_error_from_a_command_line_without_sense() {
             &["drive", "--nonsense"] as &[&str],
             "Usage: decouplegs-drive",
         ),
-        (1, &["score", "absent.log"], "error: absent.log"),
+        (1, &["score", "absent.log"], "error: cannot read absent.log"),
     ] {
         let output = run(arguments);
         let said = String::from_utf8_lossy(&output.stderr);
