@@ -3,11 +3,11 @@
 // pixels. Early termination: a saturated fine tile takes no more splats.
 //
 // The list is taken in batches. Each thread finds which of the 32 fine tiles (8 x 8 pixels) some
-// records can reach; the masks are turned into one bit list per fine tile. Then every subgroup works
-// by itself: its lanes read a round of the records of its fine tile, a record each, place them in
-// shared memory, and all lanes blend one after the other, two pixels per lane. Threads wait for each
-// other only while a batch is listed. Sums are f32; the pixel decides alpha >= 1/255 by itself,
-// lists only leave out what that test would refuse.
+// records can reach; the masks are turned into one bit list per fine tile. Then every subgroup
+// works by itself: its lanes read a round of the records of its fine tile, a record each, place
+// them in shared memory, and all lanes blend one after the other, two pixels per lane. Threads wait
+// for each other only while a batch is listed. Sums are f32; the pixel decides alpha >= 1/255 by
+// itself, lists only leave out what that test would refuse.
 //
 // Where a segment is one batch, subgroups take their shares of the coarse tile from a counter, and
 // one that meets few records takes more of them. Where it is several, each keeps four shares in

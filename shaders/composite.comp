@@ -198,7 +198,9 @@ void main() {
     bool stopped = EXCLUSIVE_STOP && joined_by(thread).transmittance < 0.0;
     Pixel all = over(before, pixel);
     bool ends_here = stopped || has_ended(all);
-    if ((EXCLUSIVE_STOP && ends_here && !stopped) || CONTRIBUTIONS) {
+    // Segments behind the end may or may not have been blended, depending on which were done first:
+    // the run is joined again, up to the end.
+    if ((ends_here && !stopped) || CONTRIBUTIONS) {
         all = before;
         join(all, composite, first, end, index, true, EXCLUSIVE_STOP && ends_here);
     }

@@ -11,7 +11,7 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use decouplegs_cli::programs::{PROGRAMS, Program};
 
-/// The other program that `arguments` ask for, and its subcommand: `decouplegs view`, or
+/// Program beside this one that `arguments` ask for, and its subcommand: `decouplegs view`, or
 /// `decouplegs help view`.
 pub fn asked_for(arguments: &[OsString]) -> Option<(&'static Program, &'static str)> {
     let named = arguments.get(1)?;

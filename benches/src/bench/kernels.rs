@@ -1,4 +1,5 @@
-//! What the driver says of each kernel, and how many of its workgroups fit a multiprocessor.
+//! Registers and shared memory of each kernel, by the driver, and how many of its workgroups fit a
+//! multiprocessor.
 
 use decouplegs::gpu::KernelReport;
 use serde_json::{Value, json};

@@ -35,7 +35,7 @@ pub(crate) struct Context {
     pub(crate) push_descriptor: khr::push_descriptor::Device,
     /// Export functions, if the device can export.
     pub(crate) exports: Option<Exports>,
-    /// Functions that ask the driver about kernels, if that was asked for and the driver can answer.
+    /// Functions that ask the driver about kernels, if that was wanted and the driver can answer.
     pub(crate) executables: Option<ExecutableProperties>,
     /// Kernels that replace those of the program.
     pub(crate) trial: KernelTrial,

@@ -159,8 +159,8 @@ pub(crate) struct Opened {
     pub(crate) limits: Limits,
 }
 
-/// Opens `physical` with one queue of each of `families`; with `reports_kernels`, so that the driver
-/// can be asked about kernels, where it has the extension.
+/// Opens `physical` with one queue of each of `families`; with `reports_kernels`, so that the
+/// driver can be asked about kernels, where it has the extension.
 pub(crate) fn open(
     instance: &Instance,
     physical: &Physical,

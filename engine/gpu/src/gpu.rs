@@ -103,7 +103,7 @@ impl Gpu {
         self.0.context.pipelines.counts()
     }
 
-    /// What the driver says of the kernels that were built. Empty unless
+    /// Registers and shared memory of the kernels that were built, by the driver. Empty unless
     /// [`DeviceOptions::reports_kernels`] asked for it and the driver has
     /// `VK_KHR_pipeline_executable_properties`.
     #[must_use]

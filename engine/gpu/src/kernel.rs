@@ -131,7 +131,7 @@ pub(crate) struct KernelCore {
     push: Block,
     workgroup_size: [u32; 3],
     subgroups_pinned: bool,
-    /// What the driver says of it, where it was asked.
+    /// Figures of the driver, where it was asked.
     report: Option<KernelReport>,
     context: Arc<Context>,
 }
@@ -228,7 +228,7 @@ impl Kernel {
         self.core.subgroups_pinned
     }
 
-    /// What the driver says of it; `None` where it was not asked or has no answer.
+    /// Figures of the driver; `None` where it was not asked or has no answer.
     pub(crate) fn report(&self) -> Option<&KernelReport> {
         self.core.report.as_ref()
     }
@@ -417,7 +417,7 @@ impl Drop for KernelCore {
     }
 }
 
-/// Those of `constants` that the shader has.
+/// Selects the `constants` that the shader has.
 fn constants_in<'a>(
     interface: &Interface,
     constants: &[(&'a str, Constant)],

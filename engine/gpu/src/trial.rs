@@ -19,12 +19,12 @@ pub struct KernelTrial {
 }
 
 impl KernelTrial {
-    /// Reads `NAME.spv` for each kernel that is replaced, and `constants.txt`, if it is there, whose
-    /// lines are `KERNEL.CONSTANT=VALUE`.
+    /// Reads `NAME.spv` for each kernel that is replaced, and `constants.txt`, if it is there, with
+    /// lines of the form `KERNEL.CONSTANT=VALUE`.
     ///
     /// # Errors
-    /// Returns an error if the folder or a file cannot be read, if a file is no SPIR-V, or if a line
-    /// is not of that form.
+    /// Returns an error if the folder or a file cannot be read, a file is no SPIR-V, or a line is
+    /// not of that form.
     pub fn from_folder(folder: &Path) -> Result<Self, GpuError> {
         let refuse = |path: &Path, reason: String| GpuError::Trial {
             path: path.to_owned(),
@@ -99,7 +99,7 @@ impl KernelTrial {
 /// First bytes of SPIR-V, little-endian.
 const SPIRV_MAGIC: [u8; 4] = 0x0723_0203_u32.to_le_bytes();
 
-/// What the driver says of a kernel, where it has `VK_KHR_pipeline_executable_properties`.
+/// Figures of a kernel by the driver, where it has `VK_KHR_pipeline_executable_properties`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KernelReport {
     /// Name of the kernel.

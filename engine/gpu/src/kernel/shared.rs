@@ -25,7 +25,7 @@ struct Key {
 }
 
 impl Kernels {
-    /// What the driver says of all of them, in the order of their last use.
+    /// Figures of the driver for all kernels, in the order of their last use.
     pub(crate) fn reports(&self) -> Vec<KernelReport> {
         let kernels = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let reports = kernels.iter().filter_map(|(_, kernel)| kernel.report());

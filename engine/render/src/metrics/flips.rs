@@ -19,7 +19,7 @@ pub const WORST_PIXELS: usize = 100;
 pub struct Flips {
     /// Pixels with a channel that differs by more than [`FLIP_MIN`].
     pub pixels: usize,
-    /// Their share, 0 to 1.
+    /// Share of such pixels, 0 to 1.
     pub share: f64,
     /// PSNR of all other pixels, decibels at peak 1; infinite where they are equal, serialized as
     /// null then.

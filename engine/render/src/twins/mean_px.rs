@@ -16,7 +16,7 @@ fn on_grid(v: Vec3, unit: f32) -> Vec3 {
 pub struct PixelPair {
     /// A multiple of 2^(7 - mean_shift) pixels.
     pub coarse: Vec2,
-    /// The rest.
+    /// Remainder that the coarse part leaves.
     pub fine: Vec2,
 }
 
