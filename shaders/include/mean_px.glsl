@@ -27,14 +27,7 @@ struct PixelPair {
     vec2 fine;
 };
 
-// Their scalar product, the same in every kernel: `dot` may be fused in one and not in another.
-float sum_of_products(vec3 a, vec3 b) {
-    precise float sum = a.x * b.x + a.y * b.y + a.z * b.z;
-    return sum;
-}
-
-// Projection of a mean by a pinhole. `precise`: kernels that differ in something else, such as fog,
-// must find the same code.
+// Projection of a mean by a pinhole.
 PixelPair exact_mean_px(Camera camera, vec3 mean_m) {
     // The offset from the camera, and what rounding leaves of it.
     precise vec3 offset = mean_m - camera.center_high_m;
@@ -43,23 +36,21 @@ PixelPair exact_mean_px(Camera camera, vec3 mean_m) {
     float longest = max(abs(offset.x), max(abs(offset.y), abs(offset.z)));
     float unit = 2.0 * uintBitsToFloat(floatBitsToUint(longest) & 0x7f800000u);
     vec3 coarse = on_grid(offset, unit);
-    precise vec3 fine = (offset - coarse) + rest;
-    precise vec3 both = coarse + fine;
+    vec3 fine = (offset - coarse) + rest;
+    vec3 both = coarse + fine;
     // In camera axes.
     vec3 t = vec3(dot(camera.row_x_coarse, coarse), dot(camera.row_y_coarse, coarse), dot(camera.row_z_coarse, coarse));
-    precise vec3 t_fine = vec3(sum_of_products(camera.row_x_coarse, fine) + sum_of_products(camera.row_x_fine, both),
-                               sum_of_products(camera.row_y_coarse, fine) + sum_of_products(camera.row_y_fine, both),
-                               sum_of_products(camera.row_z_coarse, fine) + sum_of_products(camera.row_z_fine, both));
-    precise float z = t.z + t_fine.z;
+    vec3 t_fine = vec3(dot(camera.row_x_coarse, fine) + dot(camera.row_x_fine, both),
+                       dot(camera.row_y_coarse, fine) + dot(camera.row_y_fine, both),
+                       dot(camera.row_z_coarse, fine) + dot(camera.row_z_fine, both));
+    float z = t.z + t_fine.z;
     // x / z is a multiple of 2^-11 and the rest of that division over z.
-    precise vec2 quotient = (t.xy + t_fine.xy) / z;
-    vec2 ratio = on_grid(vec3(quotient, 0.0), 1.0).xy;
+    vec2 ratio = on_grid(vec3((t.xy + t_fine.xy) / z, 0.0), 1.0).xy;
     float z_coarse = on_grid(vec3(t.z, 0.0, 0.0), unit).x;
-    precise float z_fine = (t.z - z_coarse) + t_fine.z;
-    precise vec2 remainder = ((t.xy - ratio * z_coarse) - ratio * z_fine) + t_fine.xy;
-    precise vec2 coarse_px = camera.focal_coarse_px * ratio + camera.principal_coarse_px;
-    precise vec2 fine_px = camera.focal_fine_px * ratio + camera.principal_fine_px + camera.focal_px * (remainder / z);
-    return PixelPair(coarse_px, fine_px);
+    float z_fine = (t.z - z_coarse) + t_fine.z;
+    vec2 remainder = ((t.xy - ratio * z_coarse) - ratio * z_fine) + t_fine.xy;
+    return PixelPair(camera.focal_coarse_px * ratio + camera.principal_coarse_px,
+                     camera.focal_fine_px * ratio + camera.principal_fine_px + camera.focal_px * (remainder / z));
 }
 
 // A position in the image in 32 bits a coordinate: steps of 2^-shift px from 0 to 2^(31 - shift)
