@@ -198,7 +198,9 @@ void main() {
     bool stopped = EXCLUSIVE_STOP && joined_by(thread).transmittance < 0.0;
     Pixel all = over(before, pixel);
     bool ends_here = stopped || has_ended(all);
-    if ((EXCLUSIVE_STOP && ends_here && !stopped) || CONTRIBUTIONS) {
+    if ((ends_here && !stopped) || CONTRIBUTIONS) {
+        // Segments behind the one in which the pixel ends are left out, whether they were blended
+        // or not: that depends on which of them were done first.
         all = before;
         join(all, composite, first, end, index, true, EXCLUSIVE_STOP && ends_here);
     }

@@ -85,7 +85,7 @@ impl Join<'_> {
             let (own, stopped) = self.run(PIXEL_EMPTY, run_of(run), index, None, left);
             let mut all = over(before, &own);
             let full = all.transmittance <= self.limit.unwrap_or(TRANSMITTANCE_FULL);
-            if (self.limit.is_some() && full && !stopped) || self.counts {
+            if (full && !stopped) || self.counts {
                 let ends_here = self.limit.is_some() && (full || stopped);
                 all = self
                     .run(before, run_of(run), index, Some(ends_here), left)
