@@ -67,15 +67,16 @@ uint block_exclusive_max(uint value, out uint largest) {
 void list_bucket(uint bin, uint bucket, uint begin, uint end) {
     uint pairs = end - begin;
     if (pairs > SHARED_PAIRS) {
-        uint from_end = atomicAdd(required.long_slabs, 1u);
-        atomicAdd(required.pieces, pairs / BUCKET_PAIRS + 1u);
-        if (from_end < buckets_max) {
-            buckets[buckets_max - 1u - from_end] = Bucket(first_pair + begin, pairs, bin);
+        uint parts = slab_parts(pairs);
+        uint from_end = atomicAdd(required.long_slabs, parts);
+        atomicAdd(required.pieces, pairs / BUCKET_PAIRS + parts);
+        for (uint part = 0u; part < parts && from_end + part < buckets_max; ++part) {
+            buckets[buckets_max - 1u - from_end - part] = Bucket(first_pair + begin, pairs, bin, part);
         }
         pairs = 0u;
     }
     if (first_bucket + bucket < buckets_max) {
-        buckets[first_bucket + bucket] = Bucket(first_pair + begin, pairs, bin);
+        buckets[first_bucket + bucket] = Bucket(first_pair + begin, pairs, bin, 0u);
     }
 }
 

@@ -7,7 +7,8 @@
 // in shared memory, as many bins as pairs: a depth slab gets as many bins as it has pairs, and a
 // piece of a slab is spread from its least to its largest key. Each thread then counts within the
 // bin of its pair, which holds few. Many pairs of almost one depth are sorted by a bitonic sort
-// (Batcher, Sorting Networks and Their Applications, 1968).
+// (Batcher, Sorting Networks and Their Applications, 1968), and more of them than SHARED_PAIRS by a
+// radix sort in global memory, two bits per pass.
 //
 // Threads keep their pairs in registers, and bins and pairs lie in the same shared memory, one
 // after the other: a device that gives an SM 48 KB of it holds five workgroups.
@@ -27,9 +28,9 @@ layout(local_size_x = 256) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 1, scalar) readonly buffer buckets_block { Bucket buckets[]; };
-layout(set = 0, binding = 2, std430) readonly buffer pairs_block { uvec2 pairs[]; }; // depth key, record
-layout(set = 0, binding = 3, scalar) readonly buffer other_keys_block { uint other_keys[]; }; // of pieces of slabs
-layout(set = 0, binding = 4, scalar) buffer sorted_records_block { uint sorted_records[]; };  // of pieces before, the result behind
+layout(set = 0, binding = 2, std430) coherent buffer pairs_block { uvec2 pairs[]; }; // depth key, record
+layout(set = 0, binding = 3, scalar) coherent buffer other_keys_block { uint other_keys[]; }; // of pieces of slabs
+layout(set = 0, binding = 4, scalar) coherent buffer sorted_records_block { uint sorted_records[]; };  // of pieces before, the result behind
 
 layout(set = 0, binding = 5, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 6, scalar) readonly buffer slab_counts_block { uint slab_ends[]; }; // [coarse tile][slab]
@@ -46,6 +47,8 @@ shared uint shared_words[2u * SHARED_PAIRS]; // the bins' counts, then keys and 
 shared uint crowded; // 1 if a bin holds more than BIN_PAIRS_MAX
 shared uint least_key;
 shared uint largest_key;
+shared uint differing_keys;
+shared uint differing_records;
 
 bool stands_before(uint key, uint record, uint other_key, uint other_record) {
     return key < other_key || (key == other_key && record < other_record);
@@ -120,17 +123,133 @@ void sort_bitonic(uint size, uint thread) {
 // Pairs that are sorted fastest by comparing all with all.
 const uint FEW_PAIRS = 64u;
 
-// Sorts up to as many pairs as there are threads, without shared memory.
+// Sorts up to FEW_PAIRS pairs.
 void sort_few(uint first, uint count, uint thread) {
+    uvec2 own;
     if (thread < count) {
-        uvec2 own = pairs[first + thread];
+        own = pairs[first + thread];
+        shared_words[thread] = own.x;
+        shared_words[FEW_PAIRS + thread] = own.y;
+    }
+    barrier();
+    if (thread < count) {
         uint rank = 0u;
         for (uint index = 0u; index < count; ++index) {
-            uvec2 other = pairs[first + index];
-            rank += stands_before(other.x, other.y, own.x, own.y) ? 1u : 0u;
+            rank += stands_before(shared_words[index], shared_words[FEW_PAIRS + index], own.x, own.y) ? 1u : 0u;
         }
         sorted_records[first + rank] = own.y;
     }
+}
+
+// Pairs that a thread moves per round of its loops. Software drivers end all loops of a thread after
+// 65,535 rounds in total.
+const uint MOVED = 8u;
+
+const uint DIGIT_BITS = 2u;
+const uint DIGITS = 1u << DIGIT_BITS;
+
+uint key_at(bool there, uint index) {
+    return there ? other_keys[index] : pairs[index].x;
+}
+
+uint record_at(bool there, uint index) {
+    return there ? sorted_records[index] : pairs[index].y;
+}
+
+uint digit_of(uint key, uint record, uint shift, bool by_key) {
+    return (by_key ? key : record) >> shift & (DIGITS - 1u);
+}
+
+// One pass of a stable radix sort in global memory, from the first buffers to the others, or where
+// `there` back. Each thread takes a run of pairs.
+void pass_over_memory(uint first, uint count, uint thread, bool there, uint shift, bool by_key) {
+    uint run = (count + WORKGROUP_THREADS - 1u) / WORKGROUP_THREADS;
+    uint begin = min(thread * run, count);
+    uint end = min(begin + run, count);
+    for (uint digit = 0u; digit < DIGITS; ++digit) {
+        shared_words[digit * WORKGROUP_THREADS + thread] = 0u;
+    }
+    for (uint index = begin; index < end; index += MOVED) {
+        [[unroll]] for (uint next = index; next < index + MOVED; ++next) {
+            if (next < end) {
+                uint digit = digit_of(key_at(there, first + next), record_at(there, first + next), shift, by_key);
+                ++shared_words[digit * WORKGROUP_THREADS + thread];
+            }
+        }
+    }
+    barrier();
+    uint counts[DIGITS];
+    uint own = 0u;
+    [[unroll]] for (uint next = 0u; next < DIGITS; ++next) {
+        counts[next] = shared_words[thread * DIGITS + next];
+        own += counts[next];
+    }
+    uint total;
+    uint sum = block_exclusive_sum(own, total);
+    [[unroll]] for (uint next = 0u; next < DIGITS; ++next) {
+        shared_words[thread * DIGITS + next] = sum;
+        sum += counts[next];
+    }
+    barrier();
+    for (uint index = begin; index < end; index += MOVED) {
+        [[unroll]] for (uint next = index; next < index + MOVED; ++next) {
+            if (next < end) {
+                uint key = key_at(there, first + next);
+                uint record = record_at(there, first + next);
+                uint at = digit_of(key, record, shift, by_key) * WORKGROUP_THREADS + thread;
+                uint target = first + shared_words[at]++;
+                if (there) {
+                    pairs[target] = uvec2(key, record);
+                } else {
+                    other_keys[target] = key;
+                    sorted_records[target] = record;
+                }
+            }
+        }
+    }
+    memoryBarrierBuffer();
+    barrier();
+}
+
+// Sorts pairs of any number that lie in the other buffers.
+void sort_in_memory(uint first, uint count, uint thread) {
+    if (thread == 0u) {
+        differing_keys = 0u;
+        differing_records = 0u;
+    }
+    barrier();
+    uint keys_differ = 0u;
+    uint records_differ = 0u;
+    for (uint index = thread; index < count; index += MOVED * WORKGROUP_THREADS) {
+        [[unroll]] for (uint next = 0u; next < MOVED; ++next) {
+            uint at = first + min(index + next * WORKGROUP_THREADS, count - 1u);
+            keys_differ |= other_keys[at] ^ other_keys[first];
+            records_differ |= sorted_records[at] ^ sorted_records[first];
+        }
+    }
+    atomicOr(differing_keys, keys_differ);
+    atomicOr(differing_records, records_differ);
+    barrier();
+    bool there = true;
+    for (uint pass = 0u; pass < 64u / DIGIT_BITS; ++pass) {
+        bool by_key = pass >= 32u / DIGIT_BITS;
+        uint shift = pass % (32u / DIGIT_BITS) * DIGIT_BITS;
+        if (digit_of(differing_keys, differing_records, shift, by_key) != 0u) {
+            pass_over_memory(first, count, thread, there, shift, by_key);
+            there = !there;
+        }
+    }
+    if (!there) {
+        for (uint index = thread; index < count; index += MOVED * WORKGROUP_THREADS) {
+            [[unroll]] for (uint next = 0u; next < MOVED; ++next) {
+                uint at = index + next * WORKGROUP_THREADS;
+                if (at < count) {
+                    sorted_records[first + at] = pairs[first + at].y;
+                }
+            }
+        }
+    }
+    barrier(); // digit places and differences are read to their end
 }
 
 // Sorts a bucket in shared memory.
@@ -240,5 +359,7 @@ void main() {
     } else if (bucket.pairs <= SHARED_PAIRS) {
         Camera camera = cameras[camera_of_bin(piece ? 0u : bucket.bin, camera_count)];
         sort_in_shared_memory(bucket, piece, RADIAL ? 0.0 : camera.key_depth, camera.key_scale, thread);
+    } else if (piece) {
+        sort_in_memory(bucket.first_pair, bucket.pairs, thread);
     }
 }

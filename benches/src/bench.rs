@@ -337,7 +337,7 @@ impl<'a> Comparison<'a> {
         let renderer = Renderer::new(gpu, options);
         let live = LiveScene::new(&renderer, &scene.loaded)?;
         Ok(Self {
-            renderer: renderer,
+            renderer,
             live,
             scene,
             splat_scene: scene.splat_scene(),

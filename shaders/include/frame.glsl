@@ -122,9 +122,24 @@ const uint SHARED_PAIRS = 1024u;
 struct Bucket {
     uint first_pair;
     uint pairs;
-    uint bin; // its coarse tile, or NO_BIN where it is a piece of a depth slab
+    uint bin;  // its coarse tile, or NO_BIN where it is a piece of a depth slab
+    uint part; // of a slab that is cut, one of slab_parts
 };
 const uint NO_BIN = 0xffffffffu;
+
+// Pairs of a long depth slab for which a workgroup more is worth it, up to SLAB_PARTS_MAX: each
+// reads the whole slab and moves its part.
+const uint SLAB_PART_PAIRS = 4096u;
+const uint SLAB_PARTS_MAX = 16u;
+
+// Workgroups that cut a slab, a power of two.
+uint slab_parts(uint pairs) {
+    uint parts = 1u;
+    while (parts * SLAB_PART_PAIRS < pairs && parts < SLAB_PARTS_MAX) {
+        parts *= 2u;
+    }
+    return parts;
+}
 
 // A camera whose direction has no kept keys.
 const uint NO_KEY_SET = 0xffffffffu;

@@ -121,7 +121,8 @@ fn records_of_frames() -> Vec<Record> {
         record!(Bucket {
             first_pair,
             pairs,
-            bin
+            bin,
+            part
         }),
         record!(AgentRecord {
             row_x,

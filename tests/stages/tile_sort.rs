@@ -223,7 +223,7 @@ impl Case {
         );
         assert_eq!(required.planned, bins, "coarse tiles that are planned");
         buckets.extend_from_slice(&listed[listed.len() - long..]);
-        buckets.retain(|bucket| bucket.pairs > 0);
+        buckets.retain(|bucket| bucket.pairs > 0 && bucket.part == 0);
         buckets.sort_unstable();
         let of_tile = |bin: usize| {
             let own = buckets.iter().filter(|bucket| bucket.bin as usize == bin);
@@ -259,7 +259,8 @@ impl Case {
             required.long_slabs,
         ];
         let long = |&&pairs: &&u32| pairs > SHARED_PAIRS as u32;
-        let long_slabs = twin.buckets.iter().flatten().filter(long).count() as u32;
+        let long_slabs = twin.buckets.iter().flatten().filter(long);
+        let long_slabs = long_slabs.map(|&pairs| twins::slab_parts(pairs)).sum();
         identical("counts", &counts, &[pairs as u32, pairs as u32, long_slabs])?;
         Ok(kernel)
     }

@@ -49,6 +49,8 @@ pub struct Bucket {
     pub pairs: u32,
     /// Coarse tile, or [`NO_BIN`] where the bucket is a piece of a depth slab.
     pub bin: u32,
+    /// Of a slab that is cut, the part that a workgroup moves.
+    pub part: u32,
 }
 
 /// The bucket is a piece of a depth slab.

@@ -62,6 +62,6 @@ pub use plan_segments::plan_segments;
 pub use project::{ProjectBuffers, project};
 pub use relight::relight;
 pub use scan::scan;
-pub use tile_sort::{bin_pairs, depth_slab, plan_buckets};
+pub use tile_sort::{bin_pairs, depth_slab, plan_buckets, slab_parts};
 pub use visibility::cluster_overlaps;
 pub use write_record::Records;

@@ -1,7 +1,7 @@
 //! Tile binning and the plan of its buckets: `count_pairs.comp`, `plan_buckets.comp` and
 //! `depth_slab.glsl`.
 
-use decouplegs_shaders::constants::{SLAB_FIRST_M, SLAB_SHIFT};
+use decouplegs_shaders::constants::{SLAB_FIRST_M, SLAB_PART_PAIRS, SLAB_PARTS_MAX, SLAB_SHIFT};
 
 use super::depth_key::depth_of_key;
 use super::footprint::{reached_coarse_rows, reached_coarse_tiles};
@@ -85,4 +85,11 @@ pub fn plan_buckets(slab_counts: &[u32]) -> Vec<u32> {
         buckets.push(index - begin);
     }
     buckets
+}
+
+/// Workgroups that cut a depth slab of `pairs` pairs that is too long for a bucket.
+#[must_use]
+pub fn slab_parts(pairs: u32) -> u32 {
+    let parts = pairs.div_ceil(SLAB_PART_PAIRS).next_power_of_two();
+    parts.min(SLAB_PARTS_MAX)
 }
