@@ -36,7 +36,7 @@ struct Program {
 
 #[derive(Subcommand)]
 enum Command {
-    Render(render::Arguments),
+    Render(Box<render::Arguments>),
     Inspect(inspect::Arguments),
     Convert(convert::Arguments),
     Decompress(decompress::Arguments),

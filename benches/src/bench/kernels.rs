@@ -112,7 +112,7 @@ mod tests {
             constants: Vec::new(),
             figures: Vec::new(),
         };
-        assert!(to_text(&figures(&[report.clone()])).contains("does not tell"));
+        assert!(to_text(&figures(std::slice::from_ref(&report))).contains("does not tell"));
         let report = KernelReport {
             figures: vec![
                 ("Register Count".into(), 47.0),

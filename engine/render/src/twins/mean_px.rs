@@ -135,7 +135,7 @@ mod tests {
             ),
             world_from_camera: Pose::new(
                 DQuat::from_rotation_y(yaw_rad) * DQuat::from_rotation_x(0.0123),
-                DVec3::new(1234.567_89, -3.21, 98.765_432_1),
+                DVec3::new(1_234.567_89, -3.21, 98.765_432_1),
             ),
             motion: Motion::REST,
         }
