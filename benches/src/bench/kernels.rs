@@ -32,6 +32,14 @@ fn workgroups_that_fit(threads: f64, registers: f64, shared_bytes: f64) -> f64 {
     by_registers.min(by_memory).min(by_threads).min(WORKGROUPS)
 }
 
+/// Bytes per thread that found no register; `None` where the driver does not tell.
+fn spilled_bytes(report: &KernelReport) -> Option<f64> {
+    let told = report.figure(&["local"]);
+    let told = told.or_else(|| report.figure(&["spill"]));
+    // NVIDIA's driver 580 has another number in the upper 32 bits.
+    told.map(|bytes| bytes % f64::from(1_u32 << 16).powi(2))
+}
+
 /// The reports as JSON.
 pub fn figures(reports: &[KernelReport]) -> Value {
     let one = |report: &KernelReport| {
@@ -47,7 +55,7 @@ pub fn figures(reports: &[KernelReport]) -> Value {
             "workgroup_threads": report.workgroup_threads,
             "registers": registers,
             "shared_bytes": shared_bytes,
-            "spilled_bytes": report.figure(&["local"]).or_else(|| report.figure(&["spill"])),
+            "spilled_bytes": spilled_bytes(report),
             "workgroups_per_multiprocessor": fit,
             "constants": constants.map(|(name, value)| (name.clone(), json!(value.to_string()))).collect::<serde_json::Map<_, _>>(),
             "driver": report.figures.iter().map(|(name, value)| (name.clone(), json!(value))).collect::<serde_json::Map<_, _>>(),
@@ -115,6 +123,7 @@ mod tests {
         assert!(to_text(&figures(std::slice::from_ref(&report))).contains("does not tell"));
         let report = KernelReport {
             figures: vec![
+                ("Local Memory Size".into(), 68_719_476_768.0),
                 ("Register Count".into(), 47.0),
                 ("Shared Memory Size".into(), 1024.0),
             ],
@@ -127,6 +136,6 @@ mod tests {
             .unwrap_or_default()
             .split_whitespace()
             .collect();
-        assert_eq!(line, ["cull", "256", "47", "1024", "-", "5"]);
+        assert_eq!(line, ["cull", "256", "47", "1024", "32", "5"]);
     }
 }

@@ -10,7 +10,7 @@ impl Renderer {
     ///
     /// Colors of [`crate::ColorFormat::U8`] come back as multiples of 1/255. Empty before the first
     /// frame, and once its place is taken by a frame submitted later
-    /// ([`RenderOptions::frames_in_flight`]).
+    /// (`RenderOptions::frames_in_flight`).
     ///
     /// # Errors
     /// Returns an error if the device was lost.

@@ -31,7 +31,7 @@ pub struct LensRecord {
     pub chord_limit: f32,
     /// Growth of the radius in the lens's plane per chord beyond the limit.
     pub slope_beyond: f32,
-    /// No two rays within [`STEEPEST_WITHIN_RAD`] of the axis fall farther apart, by the angle
+    /// No two rays within `STEEPEST_WITHIN_RAD` of the axis fall farther apart, by the angle
     /// between them.
     pub pixels_per_rad: f32,
     /// Intervals of the table by chord.

@@ -12,7 +12,7 @@ use crate::layout::{BeamEchoes, BeamState, RequiredCounts};
 pub struct TracedSweep {
     /// Sensor, and its poses during the sweep.
     pub lidar: Lidar,
-    /// Beams, in the order of [`LidarModel::beams`].
+    /// Beams, in the order of `LidarModel::beams`.
     pub beams: Arc<[Beam]>,
     /// State of each beam.
     pub states: Vec<BeamState>,
