@@ -141,8 +141,8 @@ void sort_few(uint first, uint count, uint thread) {
     }
 }
 
-// Pairs that a thread moves per round of its loops. Software drivers end all loops of a thread after
-// 65,535 rounds in total.
+// Pairs that a thread moves per round of its loops. Software drivers end all loops of a thread
+// after 65,535 rounds in total.
 const uint MOVED = 8u;
 
 const uint DIGIT_BITS = 2u;

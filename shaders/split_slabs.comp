@@ -2,9 +2,9 @@
 // Radix sort, between the depth slabs and the last digits: cuts slabs that are too long for
 // sort_buckets into pieces that are not.
 //
-// Pairs are distributed over SLAB_BINS bins by their offset in the slab, into the other buffers, and
-// runs of bins become buckets. Several workgroups share a slab of very many pairs, a range of bins
-// each: reading all of them is cheap, and writing them far apart is not.
+// Pairs are distributed over SLAB_BINS bins by their offset in the slab, into the other buffers,
+// and runs of bins become buckets. Several workgroups share a slab of very many pairs, a range of
+// bins each: reading all of them is cheap, and writing them far apart is not.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require

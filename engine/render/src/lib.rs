@@ -1,8 +1,8 @@
 //! Renderer: from a world to pixels.
 //!
-//! [`Renderer`] draws on a GPU; [`mod@reference`] is the f64 definition of the same image, brute force
-//! on the CPU, and [`metrics`] measures one against the other. `frame.rs` lists the stages of a
-//! frame in the order they run.
+//! [`Renderer`] draws on a GPU; [`mod@reference`] is the f64 definition of the same image, brute
+//! force on the CPU, and [`metrics`] measures one against the other. `frame.rs` lists the stages of
+//! a frame in the order they run.
 #![forbid(unsafe_code)]
 
 mod agents;

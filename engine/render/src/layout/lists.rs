@@ -49,7 +49,7 @@ pub struct Bucket {
     pub pairs: u32,
     /// Coarse tile, or [`NO_BIN`] where the bucket is a piece of a depth slab.
     pub bin: u32,
-    /// Of a slab that is cut, the part that a workgroup moves.
+    /// Index of the workgroup among those that share a slab that is cut; 0 elsewhere.
     pub part: u32,
 }
 
