@@ -46,7 +46,7 @@ DECOUPLEGS := cargo run --quiet --package decouplegs-tools --
 # Folders of the packages of all programs: `decouplegs` first, then those that it runs.
 PROGRAMS := tools tools/drive tools/view tools/server benches
 
-# The demo is built like the tests (optimized, see [profile.dev] in Cargo.toml), so that nothing is built twice.
+# The demo is built like the tests (optimized, see [profile.dev] in Cargo.toml), but for the features that only other programs ask of shared crates.
 # Its sizes are what lavapipe draws on two cores in half a minute.
 demo: NEEDS := $(NEEDS_RUN)
 demo: packages

@@ -18,8 +18,7 @@ const WORKGROUPS: f64 = 32.0;
 /// with `shared_bytes`.
 fn workgroups_that_fit(threads: f64, registers: f64, shared_bytes: f64) -> f64 {
     let subgroups = (threads / 32.0).ceil().max(1.0);
-    // Registers are given to a subgroup in units of 256, and shared memory in units of 128 bytes
-    // with 1,024 bytes of the driver's own only where CUDA's limit holds.
+    // Registers are given to a subgroup in units of 256, and shared memory in units of 128 bytes.
     let by_registers = match registers {
         0.0 => f64::INFINITY,
         _ => (REGISTERS / ((registers * 32.0 / 256.0).ceil() * 256.0) / subgroups).floor(),
