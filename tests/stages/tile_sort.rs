@@ -187,6 +187,8 @@ impl Case {
             static_clusters: 1,
             moving_offsets: &moving_offsets,
             moving_clusters: usize::from(self.moving_offsets.len() > 1),
+            moving_only: false,
+            other_keys: &projected.keys,
         };
         let sort = TileSort::new(gpu, &self.rules).unwrap();
         run(gpu, |r| sort.record(r, &counters, records, &buffers, bins));
