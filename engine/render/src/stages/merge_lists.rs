@@ -4,11 +4,13 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 
 use super::{
-    FrameCounters, IndirectArguments, PURPOSE, Projected, TileLists, TileSortBuffers, kernel,
-    push_constants,
+    FrameCounters, IndirectArguments, Projected, TileLists, TileSortBuffers, kernel, push_constants,
 };
 use crate::capacity::Capacity;
 use crate::layout::{MERGE_PAIRS, MergePiece, RequiredCounts};
+
+/// Purpose under which the memory of kept lists is counted.
+const KEPT_PURPOSE: &str = "kept lists";
 
 /// Kept lists of the background, and what is merged of them and of agents.
 pub struct MergeBuffers {
@@ -37,13 +39,23 @@ impl MergeBuffers {
         let (device, bin_count) = (MemoryKind::Device, bins as usize);
         let pieces = capacity.pairs / MERGE_PAIRS + bin_count;
         Ok(Self {
-            sorted_records: gpu.buffer("merged_records", PURPOSE, 2 * capacity.pairs, device)?,
-            kept_lists: gpu.buffer("kept_lists", PURPOSE, bin_count, device)?,
-            kept_required: gpu.buffer("kept_required", PURPOSE, 1, device)?,
-            merged_lists: gpu.buffer("merged_lists", PURPOSE, bin_count, device)?,
-            pieces: gpu.buffer("merge_pieces", PURPOSE, pieces, device)?,
-            other_keys: gpu.buffer("other_keys", PURPOSE, capacity.pairs, device)?,
+            sorted_records: gpu.buffer(
+                "merged_records",
+                KEPT_PURPOSE,
+                2 * capacity.pairs,
+                device,
+            )?,
+            kept_lists: gpu.buffer("kept_lists", KEPT_PURPOSE, bin_count, device)?,
+            kept_required: gpu.buffer("kept_required", KEPT_PURPOSE, 1, device)?,
+            merged_lists: gpu.buffer("merged_lists", KEPT_PURPOSE, bin_count, device)?,
+            pieces: gpu.buffer("merge_pieces", KEPT_PURPOSE, pieces, device)?,
+            other_keys: gpu.buffer("other_keys", KEPT_PURPOSE, capacity.pairs, device)?,
         })
+    }
+
+    /// Size of the buffers, bytes.
+    pub(crate) fn bytes(capacity: &Capacity, bins: u32) -> u64 {
+        12 * capacity.pairs as u64 + 24 * u64::from(bins)
     }
 
     /// Buffers of a sort whose result are the kept lists, with the scratch of `sort`.
