@@ -13,7 +13,7 @@ use crate::stages::IndirectArguments;
 const COMPOSITE_GROUPS: u32 = COARSE_PIXELS as u32 / 256;
 
 /// Pairs that were wanted; `u32::MAX` where they are more than it can hold.
-fn wanted_pairs(required: &RequiredCounts) -> u32 {
+pub(super) fn wanted_pairs(required: &RequiredCounts) -> u32 {
     let pairs = (u64::from(required.pairs_high) << 16) + u64::from(required.pairs_low);
     u32::try_from(pairs).unwrap_or(u32::MAX)
 }
