@@ -144,7 +144,8 @@ pub struct SessionOptions {
 }
 
 impl Default for SessionOptions {
-    /// The best device, images in bytes, and room to spare for cameras that leap.
+    /// The best device, images in bytes, room to spare for cameras that leap, and lists that are
+    /// kept while cameras stand.
     fn default() -> Self {
         let outputs = Outputs {
             color: ColorFormat::U8,
@@ -153,6 +154,7 @@ impl Default for SessionOptions {
         let render = RenderOptions {
             outputs,
             spare: 0.5,
+            keep_lists: true,
             ..RenderOptions::default()
         };
         Self {
