@@ -1,9 +1,9 @@
 #version 460
 // First records of each camera, and the number of workgroups that bin them.
 //
-// One workgroup. With `moving_only`, records of agents alone are binned: the lists of the background
-// are kept. A frame without room for its records bins none: the need is known, and the host
-// draws it again.
+// One workgroup. With `moving_only`, records of agents alone are binned: the lists of the
+// background are kept. A frame without room for its records bins none: the need is known, and the
+// host draws it again.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"

@@ -1,7 +1,7 @@
 #version 460
 // Plans the lists of a frame whose lists of the background are kept: where the merged list of each
-// coarse tile with splats of agents lies, in pieces for merge_lists, and which coarse tiles need not
-// be blended.
+// coarse tile with splats of agents lies, in pieces for merge_lists, and which coarse tiles need
+// not be blended.
 //
 // A coarse tile without agents keeps the list of the background where it is. If the image has been
 // drawn so, from the same lists and without agents, the tile is not blended again: `drawn_alone`

@@ -7,13 +7,16 @@ use decouplegs::render::{
     Agent, AssetId, AssetPool, Capacity, ColorFormat, FrameStatistics, GpuScene, Image, ListSource,
     Outputs, Plane, Planes, RenderOptions, Renderer, Scene,
 };
-use decouplegs::scene::{Camera, DepthOrder, Pose, Rules, SplatScene};
+use decouplegs::scene::{
+    Camera, DepthOrder, Fog, Pose, Rules, Shutter, ShutterDirection, SplatScene,
+};
 use glam::{DMat3, DVec3};
 
 use super::agents::{background, camera_towards, coded_car};
 use super::light::shadow;
 use super::{all_outputs, sky};
 use crate::device::Validated;
+use crate::stages::scenes::lens_rig;
 
 /// Two cameras at stop `stop` of a drive.
 fn rig(stop: usize) -> Vec<Camera> {
@@ -47,6 +50,8 @@ struct Site {
     world: SplatScene,
     pool: AssetPool,
     car: AssetId,
+    /// Cameras at a stop.
+    rig: fn(usize) -> Vec<Camera>,
 }
 
 impl Site {
@@ -59,6 +64,7 @@ impl Site {
             world,
             pool,
             car,
+            rig,
         }
     }
 
@@ -83,7 +89,7 @@ impl Site {
             if let Some(&stop) = stops.get(step) {
                 let cars = cars(self.car, step);
                 let scene = Scene::with_agents(world, &self.pool, &cars);
-                renderer.submit(scene, &rig(stop)).unwrap();
+                renderer.submit(scene, &(self.rig)(stop)).unwrap();
             }
             if step + 1 >= depth {
                 let statistics = renderer.finish().unwrap();
@@ -262,6 +268,30 @@ fn images_that_are_processed_are_blended_whole() {
     let [frames, sorted] = site.compare(RenderOptions::default(), &STANDING[..8]);
     assert_eq!(sources(&frames), "sfkkkkkk");
     assert_eq!(frames[7].0.required.items, sorted[7].0.required.items);
+}
+
+/// Lenses of all kinds that follow a turning vehicle, read out by rows, in fog: the same in every
+/// frame, they stand.
+#[test]
+fn lenses_rolling_shutters_and_fog_are_the_same() {
+    let mut site = Site::new(SplatScene {
+        fog: Some(Fog::new(0.02, [0.5, 0.6, 0.7])),
+        ..background(2000, 84)
+    });
+    site.rig = |stop| {
+        let mut cameras = lens_rig();
+        for camera in &mut cameras {
+            camera.intrinsics = camera.intrinsics.resized(150, 100);
+            camera.intrinsics.shutter =
+                Shutter::new(ShutterDirection::TopToBottom, 0.03, [150, 100]);
+            camera.world_from_camera = rig(0)[0].world_from_camera;
+            camera.motion.velocity_mps = DVec3::new(3.0 + stop as f64, 0.5, 0.0);
+            camera.motion.turn_rad_per_s = DVec3::new(0.0, 0.4, 0.0);
+        }
+        cameras
+    };
+    let [frames, _] = site.compare(RenderOptions::default(), &[0, 0, 0, 0, 0, 1, 1, 1]);
+    assert_eq!(sources(&frames), "sfkkksfk");
 }
 
 #[test]

@@ -14,7 +14,6 @@ use decouplegs_scene::Fog;
 use crate::capacity::Capacity;
 use crate::layout::{CameraRecord, LensRecord};
 use crate::stages::{MergeBuffers, ProjectVariant};
-use crate::submitted::FrameContents;
 
 /// Source of the lists of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -23,37 +22,24 @@ pub enum ListSource {
     Sorted,
     /// Background sorted by itself, and kept; agents merged.
     Found,
-    /// Those of the background as kept; agents merged.
+    /// Kept lists of the background; agents merged.
     Kept,
 }
 
-/// All that records, lists and pixels of a background without agents depend on, to the last bit,
+/// Contents of a frame that records, lists and pixels of a background without agents depend on,
 /// beside the options of the renderer.
 #[derive(Clone)]
 pub(crate) struct Standing {
-    scene_id: u64,
-    sky: [f32; 3],
-    fog: Option<Fog>,
-    cameras: Vec<CameraRecord>,
-    lenses: Vec<LensRecord>,
-    background: ProjectVariant,
-    post_processed: bool,
+    pub scene_id: u64,
+    pub sky: [f32; 3],
+    pub fog: Option<Fog>,
+    pub cameras: Vec<CameraRecord>,
+    pub lenses: Vec<LensRecord>,
+    pub background: ProjectVariant,
+    pub post_processed: bool,
 }
 
 impl Standing {
-    /// That of a frame; `None` where shadows of agents lie on the background: they move.
-    pub fn for_frame(contents: &FrameContents) -> Option<Self> {
-        (contents.shadow_count == 0).then(|| Self {
-            scene_id: contents.gpu_scene.id,
-            sky: contents.gpu_scene.sky,
-            fog: contents.gpu_scene.fog,
-            cameras: contents.view.cameras.clone(),
-            lenses: contents.view.lenses.clone(),
-            background: contents.variant.background,
-            post_processed: contents.variant.post_processed,
-        })
-    }
-
     /// True if both are the same, bit by bit.
     fn equals(&self, other: &Self) -> bool {
         fn bytes<T: bytemuck::Pod>(records: &[T]) -> &[u8] {
@@ -82,7 +68,7 @@ pub(crate) struct Kept {
 /// The kept lists of a frame's buffers.
 #[derive(Default)]
 pub(crate) struct KeptLists {
-    /// What the frame before showed.
+    /// Contents of the frame before.
     before: Option<Standing>,
     kept: Option<Kept>,
     /// Frames since the lists were found.
@@ -137,7 +123,7 @@ impl KeptLists {
         ListSource::Sorted
     }
 
-    /// The same without lists, for other buffers: what stands can be found again at once.
+    /// Copy without lists, for other buffers: what stands can be found again at once.
     pub fn without_lists(self) -> Self {
         Self { kept: None, ..self }
     }
@@ -153,8 +139,8 @@ impl KeptLists {
     }
 }
 
-/// True if less than a twentieth of the memory is left once `wanted_bytes` more are taken, as far as
-/// the driver tells.
+/// True if less than a twentieth of the memory is left once `wanted_bytes` more are taken. False
+/// where the driver does not tell.
 fn is_short(report: &MemoryReport, wanted_bytes: u64) -> bool {
     match (report.budget_bytes, report.driver_usage_bytes) {
         (Some(budget), Some(used)) => used.saturating_add(wanted_bytes) > budget / 20 * 19,

@@ -10,7 +10,7 @@ use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::frame::{FrameInput, record_agents, record_frame};
 use crate::frame_buffers::{FrameBuffers, FrameShape};
-use crate::kept_lists::{KeptLists, ListSource, Standing};
+use crate::kept_lists::{KeptLists, ListSource};
 use crate::kernels::{FrameVariant, Kernels};
 use crate::keys::{KeyDecision, PersistentKeys};
 use crate::layout::{View, near_m};
@@ -237,7 +237,7 @@ impl Renderer {
             standing: None,
         };
         if options.keep_lists && !options.outputs.contributions {
-            contents.standing = Standing::for_frame(&contents);
+            contents.standing = contents.find_standing();
         }
         Ok(contents)
     }

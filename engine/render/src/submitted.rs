@@ -27,7 +27,7 @@ pub(crate) struct FrameContents {
     pub processed: Vec<ProcessedView>,
     /// One per camera, where images are post-processed.
     pub photometry: Vec<PhotometryRecord>,
-    /// What may stand from frame to frame; `None` where no lists are kept.
+    /// Contents that may stand from frame to frame; `None` where no lists are kept.
     pub standing: Option<Standing>,
 }
 
@@ -37,6 +37,20 @@ impl FrameContents {
         self.agents
             .as_ref()
             .map_or_else(AgentCounts::default, |list| list.counts)
+    }
+
+    /// Contents that may stand from frame to frame; `None` where shadows of agents lie on the
+    /// background: they move.
+    pub fn find_standing(&self) -> Option<Standing> {
+        (self.shadow_count == 0).then(|| Standing {
+            scene_id: self.gpu_scene.id,
+            sky: self.gpu_scene.sky,
+            fog: self.gpu_scene.fog,
+            cameras: self.view.cameras.clone(),
+            lenses: self.view.lenses.clone(),
+            background: self.variant.background,
+            post_processed: self.variant.post_processed,
+        })
     }
 
     /// Splats of background and agents.

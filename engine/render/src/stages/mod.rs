@@ -1,7 +1,7 @@
 //! The stages of a frame. A stage of one kernel shares its stem with it: `shaders/NAME.comp`,
 //! `stages/NAME.rs`, its twin in `twins/NAME.rs` and a case in `tests/stages/`. Four have several
-//! kernels: `agents`, `lidar`, `merge_lists` and `tile_sort`. Kernels are built once, buffers once per capacity,
-//! commands every frame.
+//! kernels: `agents`, `lidar`, `merge_lists` and `tile_sort`. Kernels are built once, buffers once
+//! per capacity, commands every frame.
 //!
 //! Each stage takes the buffers it reads and returns nothing but commands: what it writes is a
 //! named struct of buffers, made beforehand, that the next stage takes.

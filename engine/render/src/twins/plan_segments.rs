@@ -18,6 +18,21 @@ pub(super) fn wanted_pairs(required: &RequiredCounts) -> u32 {
     u32::try_from(pairs).unwrap_or(u32::MAX)
 }
 
+/// Segments of a list, of which one that is not blended has none.
+fn segments_of([_, length]: [u32; 2], segment_pairs: u32) -> u32 {
+    match length {
+        NOT_BLENDED => 0,
+        length => length.div_ceil(segment_pairs).max(1),
+    }
+}
+
+/// Length of the longest list that is blended.
+fn longest_blended(lists: &[[u32; 2]]) -> u32 {
+    let lengths = lists.iter().map(|list| list[1]);
+    let blended = lengths.filter(|&length| length != NOT_BLENDED);
+    blended.max().unwrap_or(0)
+}
+
 /// Writes the segments of all coarse tiles as far as there is room, the coarse tiles that were cut,
 /// in parts, how many of each there are, and the dispatches that depend on it.
 pub fn plan_segments(
@@ -32,10 +47,7 @@ pub fn plan_segments(
     segment_pairs: u32,
 ) {
     let lists = &tile_lists[..bin_count as usize];
-    let segments_of = |[_, length]: [u32; 2]| match length {
-        NOT_BLENDED => 0,
-        length => length.div_ceil(segment_pairs).max(1),
-    };
+    let segments_of = |list| segments_of(list, segment_pairs);
 
     let (mut partial, mut composite) = (0u32, 0u32);
     let mut first_partials = Vec::new();
@@ -100,9 +112,7 @@ pub fn plan_segments(
     if bin_count == 0 {
         return;
     }
-    let lengths = lists.iter().map(|list| list[1]);
-    let blended = lengths.filter(|&length| length != NOT_BLENDED);
-    required.longest = blended.max().unwrap_or(0);
+    required.longest = longest_blended(lists);
     required.pairs = wanted_pairs(required);
     (required.items, required.partials, required.composites) = (item, partial, composite);
     let fits = required.pairs <= pairs_max;
