@@ -122,7 +122,7 @@ uint giver_of(uint row) {
 
 void main() {
     uint record_count = held(required.records, records_max);
-    uint first_record = group_index() * PAIR_BLOCK;
+    uint first_record = required.first_binned + group_index() * PAIR_BLOCK;
     uint end_record = min(first_record + PAIR_BLOCK, record_count);
     uint thread = block_thread();
     if (thread == 0u) {

@@ -191,7 +191,7 @@ void main() {
         fill_large(group * LARGE_BLOCK, large, thread);
         return;
     }
-    uint first_record = (group - large_groups) * PAIR_BLOCK;
+    uint first_record = required.first_binned + (group - large_groups) * PAIR_BLOCK;
     uint end_record = min(first_record + PAIR_BLOCK, held(required.records, records_max));
     fill_few(first_record, end_record, thread);
 }

@@ -89,7 +89,7 @@ void plan_sort() {
     bool fits = wanted_pairs(found) <= pairs_max;
     uint long_slabs = atomicAdd(required.long_slabs, 0u);
     uint buckets = atomicAdd(required.buckets, 0u) + atomicAdd(required.pieces, 0u);
-    uint records = held(required.records, records_max);
+    uint records = binned_records(required.records, required.first_binned, records_max);
     uint blocks = (records + PAIR_BLOCK - 1u) / PAIR_BLOCK + (required.large + LARGE_BLOCK - 1u) / LARGE_BLOCK;
     arguments[ARGUMENTS_FILL] = groups_for(fits ? blocks : 0u);
     arguments[ARGUMENTS_SPLIT] = groups_for(fits ? long_slabs : 0u);

@@ -1,7 +1,8 @@
 #version 460
 // First records of each camera, and the number of workgroups that bin them.
 //
-// One workgroup. A frame without room for its records bins none: the need is known, and the host
+// One workgroup. With `moving_only`, records of agents alone are binned: the lists of the background
+// are kept. A frame without room for its records bins none: the need is known, and the host
 // draws it again.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
@@ -20,6 +21,7 @@ layout(push_constant, scalar) uniform push_block {
     uint static_clusters;
     uint moving_clusters;
     uint records_max;
+    uint moving_only; // 1 where records of the background are not binned
 };
 
 void main() {
@@ -30,7 +32,9 @@ void main() {
     }
     if (camera == 0u) {
         uint records = static_records + moving_offsets[camera_count * moving_clusters];
+        uint first = moving_only != 0u ? static_records : 0u;
         required.records = records;
-        arguments[ARGUMENTS_PAIR_BLOCKS] = groups_for((held(records, records_max) + PAIR_BLOCK - 1u) / PAIR_BLOCK);
+        required.first_binned = first;
+        arguments[ARGUMENTS_PAIR_BLOCKS] = groups_for((binned_records(records, first, records_max) + PAIR_BLOCK - 1u) / PAIR_BLOCK);
     }
 }

@@ -11,6 +11,8 @@
 // 3, then 4 to 7 and so on, so that a segment mostly starts when those before it are done and can
 // leave out what they have covered.
 //
+// A tile whose pixels are in the image already, of length NOT_BLENDED, has no segment.
+//
 // One thread per tile and wave. Each workgroup adds up what stands before it by itself; no group
 // waits for another.
 #extension GL_GOOGLE_include_directive : require
@@ -54,7 +56,7 @@ shared uint own_items[WORKGROUP_THREADS];
 shared uvec4 own_lists[WORKGROUP_THREADS];
 
 uint segments_of(uint length) {
-    return max(1u, length / SEGMENT_PAIRS + (length % SEGMENT_PAIRS > 0u ? 1u : 0u));
+    return length == NOT_BLENDED ? 0u : max(1u, length / SEGMENT_PAIRS + (length % SEGMENT_PAIRS > 0u ? 1u : 0u));
 }
 
 // First segment of a wave: 0, 1, 2, 4, 8 ...
@@ -84,7 +86,7 @@ void main() {
             uint bin = first + next * WORKGROUP_THREADS;
             uint segments = bin < bin_count ? segments_of(lengths[next]) : 0u;
             bool earlier = bin < block_first;
-            longest = max(longest, lengths[next]);
+            longest = max(longest, lengths[next] == NOT_BLENDED ? 0u : lengths[next]);
             earlier_items += min(segments, earlier ? end_segment : first_segment);
             earlier_partials += earlier && segments > 1u ? segments : 0u;
             earlier_composites += earlier && segments > 1u ? composite_runs(segments) : 0u;

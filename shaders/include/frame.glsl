@@ -77,6 +77,8 @@ struct RequiredCounts {
     uint longest;    // pairs of one coarse tile, at most
     uint tiles;      // fine tiles with partial results, at most in any blending of the frame
     uint next_tile;  // fine tiles with partial results in the blending that runs; zero before it
+    uint first_binned; // record from which on records are binned: the first of the agents where lists of the background are kept
+    uint merges;     // pieces of merged lists
 };
 
 // Pairs that were wanted; what an u32 cannot hold is its largest value. Sums of up to 65,536 coarse
@@ -91,6 +93,11 @@ uint held(uint need, uint room) {
     return need > room ? 0u : need;
 }
 
+// Records that are binned, of `records` those from `first_binned` on; none where not all have room.
+uint binned_records(uint records, uint first_binned, uint records_max) {
+    return records > records_max ? 0u : records - first_binned;
+}
+
 // Offsets of the arguments of each indirect dispatch, in units of uvec3.
 const uint ARGUMENTS_PAIR_BLOCKS = 0u;
 const uint ARGUMENTS_BLEND = 1u;
@@ -98,6 +105,7 @@ const uint ARGUMENTS_COMPOSITE = 2u;
 const uint ARGUMENTS_SPLIT = 3u;
 const uint ARGUMENTS_SORT = 4u;
 const uint ARGUMENTS_FILL = 5u;
+const uint ARGUMENTS_MERGE = 6u;
 
 // First records of a camera: the background's lie before those of agents, each in the order of
 // their splats.
@@ -140,6 +148,18 @@ uint slab_parts(uint pairs) {
     }
     return parts;
 }
+
+// A run of one coarse tile's merged list: entries from piece * MERGE_PAIRS on.
+struct MergePiece {
+    uint bin;
+    uint piece;
+};
+
+// Entries of a piece, at most.
+const uint MERGE_PAIRS = 1024u;
+
+// Length of the list of a coarse tile that is not blended: its pixels are in the image already.
+const uint NOT_BLENDED = 0xffffffffu;
 
 // A camera whose direction has no kept keys.
 const uint NO_KEY_SET = 0xffffffffu;

@@ -9,6 +9,7 @@ mod geometry;
 mod growth;
 mod hard_cases;
 mod in_flight;
+mod kept_lists;
 mod keys;
 mod lenses;
 pub mod lidar;

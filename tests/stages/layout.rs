@@ -8,8 +8,8 @@ use std::path::Path;
 use decouplegs::gpu::{DeviceOptions, Gpu};
 use decouplegs::render::layout::{
     AgentRecord, BeamEchoes, BeamRecord, BeamState, BlendItem, Bucket, CameraRecord, ClusterRecord,
-    Composite, EchoRecord, FiringRecord, LensRecord, NodeRecord, PartialTiles, RelightRecord,
-    RequiredCounts, SectorRecord, ShadingRecord, ShadowRecord, ViewLists,
+    Composite, EchoRecord, FiringRecord, LensRecord, MergePiece, NodeRecord, PartialTiles,
+    RelightRecord, RequiredCounts, SectorRecord, ShadingRecord, ShadowRecord, ViewLists,
 };
 use decouplegs::render::post_processing::PhotometryRecord;
 use decouplegs::scene::{lidar, light, rules};
@@ -111,8 +111,11 @@ fn records_of_frames() -> Vec<Record> {
             composites,
             longest,
             tiles,
-            next_tile
+            next_tile,
+            first_binned,
+            merges
         }),
+        record!(MergePiece { bin, piece }),
         record!(PartialTiles { first, tiles }),
         record!(ViewLists {
             first_static,

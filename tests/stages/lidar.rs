@@ -105,6 +105,8 @@ impl Listed {
             static_clusters: clusters,
             moving_offsets: &buffers.no_agents,
             moving_clusters: 0,
+            moving_only: false,
+            other_keys: &buffers.projected.keys,
         };
         tile_sort.record(&mut recorder, counters, records, lists, sectors.bins);
         gpu.submit(recorder, &[]).unwrap().wait().unwrap();

@@ -13,6 +13,7 @@ mod cull_shadows;
 mod key_splats;
 mod layout;
 mod lidar;
+mod merge_lists;
 mod plan_segments;
 mod post_process;
 mod project;

@@ -2,7 +2,7 @@
 
 use bytemuck::Zeroable;
 use decouplegs::render::Capacity;
-use decouplegs::render::layout::{BlendItem, Composite, RequiredCounts};
+use decouplegs::render::layout::{BlendItem, Composite, NOT_BLENDED, RequiredCounts};
 use decouplegs::render::stages::{Plan, PlanSegments, TileLists};
 use decouplegs::render::twins;
 
@@ -21,13 +21,14 @@ impl Case<'_> {
     /// First index and length of each list, the last list first.
     fn tile_lists(&self) -> Vec<[u32; 2]> {
         let mut first = 0;
+        let held = |length: u32| if length == NOT_BLENDED { 0 } else { length };
         let mut lists: Vec<_> = self
             .lengths
             .iter()
             .rev()
             .map(|&length| {
-                first += length;
-                [first - length, length]
+                first += held(length);
+                [first - held(length), length]
             })
             .collect();
         lists.reverse();
@@ -43,7 +44,9 @@ impl Case<'_> {
             partials: self.partials_max,
             tiles: 1,
         };
-        let (tile_lists, pairs) = (self.tile_lists(), self.lengths.iter().sum::<u32>());
+        let held = |&&length: &&u32| length != NOT_BLENDED;
+        let pairs = self.lengths.iter().filter(held).sum::<u32>();
+        let tile_lists = self.tile_lists();
         let before = RequiredCounts {
             pairs,
             pairs_low: pairs & 0xffff,
@@ -175,6 +178,26 @@ fn no_pairs_is_an_item_a_tile() {
         partials_max: 10,
     };
     assert_eq!(case.compare(&gpu, 64).unwrap().items, 700);
+}
+
+#[test]
+fn coarse_tiles_that_are_not_blended_have_no_segment() {
+    let gpu = open();
+    for bins in [1, 256, 600] {
+        let mut lengths = lengths(bins);
+        for length in lengths.iter_mut().step_by(3) {
+            *length = NOT_BLENDED;
+        }
+        let blended = lengths.iter().filter(|&&length| length != NOT_BLENDED);
+        let segments: u32 = blended.map(|length| length.div_ceil(64).max(1)).sum();
+        let case = Case {
+            lengths: &lengths,
+            segment_pairs: 64,
+            pairs_max: 1 << 24,
+            partials_max: 1 << 18,
+        };
+        assert_eq!(case.compare(&gpu, 64).unwrap().items, segments);
+    }
 }
 
 #[test]

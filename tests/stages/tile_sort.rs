@@ -24,21 +24,21 @@ use crate::device::Validated;
 use crate::frames::camera_at;
 
 /// Records of a rig: those of the background by camera, and those of agents by camera behind them.
-struct Case {
-    cameras: Vec<CameraRecord>,
-    camera_buffer: Buffer<CameraRecord>,
-    footprints: Vec<[u32; 4]>,
-    keys: Vec<u32>,
+pub(super) struct Case {
+    pub(super) cameras: Vec<CameraRecord>,
+    pub(super) camera_buffer: Buffer<CameraRecord>,
+    pub(super) footprints: Vec<[u32; 4]>,
+    pub(super) keys: Vec<u32>,
     /// First record of each camera in its half, and the number of all in it.
-    static_offsets: Vec<u32>,
-    moving_offsets: Vec<u32>,
+    pub(super) static_offsets: Vec<u32>,
+    pub(super) moving_offsets: Vec<u32>,
     rules: Rules,
 }
 
 /// Lists as they were sorted, by coarse tile, and the lengths of its buckets in their order.
 #[derive(Clone, Debug, PartialEq)]
-struct Sorted {
-    records: Vec<Vec<u32>>,
+pub(super) struct Sorted {
+    pub(super) records: Vec<Vec<u32>>,
     buckets: Vec<Vec<u32>>,
 }
 
@@ -53,7 +53,7 @@ fn check_lists(kernel: &Sorted, twin: &Sorted) -> Result<(), String> {
 impl Case {
     /// Hard splats whose coarse tiles do not depend on rounding. Agents are the background once
     /// more, so that all keys are tied.
-    fn hard(gpu: &Validated, splats: usize, rules: Rules) -> Self {
+    pub(super) fn hard(gpu: &Validated, splats: usize, rules: Rules) -> Self {
         let scene = Scene::new(gpu, &hard_world(splats, 41), &rig());
         let listed = scene.listed(&rules);
         let all = scene.projected(&listed, &rules, PLAIN, listed.records.len());
@@ -114,11 +114,11 @@ impl Case {
         }
     }
 
-    fn bins(&self) -> u32 {
+    pub(super) fn bins(&self) -> u32 {
         self.cameras.iter().map(CameraRecord::bins).sum()
     }
 
-    fn twin(&self) -> Sorted {
+    pub(super) fn twin(&self) -> Sorted {
         let statics = *self.static_offsets.last().unwrap();
         let lists: Vec<_> = (0..self.cameras.len())
             .map(|camera| decouplegs::render::layout::ViewLists {
@@ -187,6 +187,8 @@ impl Case {
             static_clusters: 1,
             moving_offsets: &moving_offsets,
             moving_clusters: usize::from(self.moving_offsets.len() > 1),
+            moving_only: false,
+            other_keys: &projected.keys,
         };
         let sort = TileSort::new(gpu, &self.rules).unwrap();
         run(gpu, |r| sort.record(r, &counters, records, &buffers, bins));

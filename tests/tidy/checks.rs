@@ -19,6 +19,7 @@ const KERNELS_OF_A_STAGE: &[(&str, &str)] = &[
     ("fill_pairs", "tile_sort"),
     ("split_slabs", "tile_sort"),
     ("sort_buckets", "tile_sort"),
+    ("plan_merges", "merge_lists"),
 ];
 
 /// Crates of the workspace that the crate of a `Cargo.toml` may use.

@@ -3,6 +3,7 @@
 use decouplegs_gpu::Recorder;
 
 use crate::frame_buffers::{FrameBuffers, FrameShape};
+use crate::kept_lists::{Kept, ListSource};
 use crate::kernels::{FrameStages, ImageStages};
 use crate::keys::KeyDecision;
 use crate::options::RenderOptions;
@@ -20,6 +21,7 @@ use crate::submitted::FrameContents;
 pub(crate) struct FrameInput<'a> {
     pub contents: &'a FrameContents,
     pub keys: &'a KeyDecision,
+    pub lists: ListSource,
     pub options: &'a RenderOptions,
 }
 
@@ -86,8 +88,33 @@ pub(crate) fn record_frame(
             }
         });
     }
-    record_projection(recorder, stages, frame, slot, input);
-    let records = Records {
+    if input.lists != ListSource::Kept {
+        record_background(recorder, stages, frame, slot, input);
+    }
+    if let Some(agents) = &stages.agents {
+        recorder.stage("project agents", |r| {
+            project_agents(r, &agents.project, frame, slot, input, 0.0);
+        });
+    }
+    record_lists(recorder, stages, frame, slot, input);
+    record_images(recorder, stages, frame, slot, input);
+    record_geometry(recorder, stages, frame, slot, input);
+    recorder.stage("end", |r| {
+        r.copy(&frame.counters.required, 0, &slot.found_required, 0, 1);
+    });
+}
+
+/// Records the sort of records to lists of coarse tiles: of all of them, or of those of agents,
+/// whose lists are merged with the kept ones of the background.
+fn record_lists(
+    recorder: &mut Recorder,
+    stages: &FrameStages,
+    frame: &FrameBuffers,
+    slot: &FrameInFlight,
+    input: FrameInput<'_>,
+) {
+    let (counters, bins) = (&frame.counters, frame.shape.bins);
+    let all = Records {
         cameras: &frame.cameras,
         camera_count: frame.shape.cameras,
         projected: &frame.projected,
@@ -95,18 +122,47 @@ pub(crate) fn record_frame(
         static_clusters: frame.shape.clusters,
         moving_offsets: &slot.agents().offsets,
         moving_clusters: input.contents.agent_counts().clusters,
+        moving_only: false,
+        other_keys: &frame.projected.keys,
     };
-    stages.common.tile_sort.record(
-        recorder,
-        &frame.counters,
-        records,
-        &frame.tile_sort,
-        frame.shape.bins,
-    );
-    record_images(recorder, stages, frame, slot, input);
-    record_geometry(recorder, stages, frame, slot, input);
-    recorder.stage("end", |r| {
-        r.copy(&frame.counters.required, 0, &slot.found_required, 0, 1);
+    let (sort, own) = (&stages.common.tile_sort, &frame.tile_sort);
+    let (Some(merge), Some(Kept { buffers, .. })) =
+        (&stages.common.merge_lists, frame.kept_lists.kept())
+    else {
+        sort.record(recorder, counters, all, own, bins);
+        return;
+    };
+    let all = Records {
+        other_keys: &buffers.other_keys,
+        ..all
+    };
+    if input.lists == ListSource::Found {
+        let background = Records {
+            moving_clusters: 0,
+            ..all
+        };
+        sort.record(
+            recorder,
+            counters,
+            background,
+            &buffers.kept_sort(own),
+            bins,
+        );
+        recorder.stage("keep lists", |r| {
+            r.copy(&counters.required, 0, &buffers.kept_required, 0, 1);
+            let (written, counted) = begin_buffers(frame, slot, input);
+            stages.common.begin.record_lists(r, written, counted);
+        });
+    }
+    let agents = Records {
+        moving_only: true,
+        ..all
+    };
+    sort.record(recorder, counters, agents, own, bins);
+    recorder.stage("merge", |r| {
+        let moving = own.lists_of(bins);
+        merge.record_plan(r, counters, moving, buffers, slot.drawn_alone());
+        merge.record(r, counters, own, &frame.projected, buffers);
     });
 }
 
@@ -138,8 +194,8 @@ fn begin_buffers<'a>(
     (written, counted)
 }
 
-/// Projects splats to records: those of the background, then those of agents.
-fn record_projection(
+/// Records culling and projection of the background.
+fn record_background(
     recorder: &mut Recorder,
     stages: &FrameStages,
     frame: &FrameBuffers,
@@ -167,11 +223,6 @@ fn record_projection(
     recorder.stage("project", |r| {
         project_background(r, &background.project, frame, slot, input, 0.0);
     });
-    if let Some(agents) = &stages.agents {
-        recorder.stage("project agents", |r| {
-            project_agents(r, &agents.project, frame, slot, input, 0.0);
-        });
-    }
 }
 
 /// Records a projection of the background.
@@ -284,7 +335,6 @@ fn record_images(
     let FrameShape {
         capacity,
         cameras: camera_count,
-        bins,
         ..
     } = frame.shape;
     let counters = &frame.counters;
@@ -295,13 +345,10 @@ fn record_images(
         .map(|_| slot.images.with_color_in(&frame.blended));
     let images = blended.as_ref().unwrap_or(&slot.images);
     recorder.stage("plan", |r| {
-        stages.common.plan_segments.record(
-            r,
-            counters,
-            frame.tile_sort.lists_of(bins),
-            &capacity,
-            &frame.plan,
-        );
+        stages
+            .common
+            .plan_segments
+            .record(r, counters, frame.lists().0, &capacity, &frame.plan);
     });
     let gpu_scene = &input.contents.gpu_scene;
     blend_images(recorder, &stages.images, frame, images, gpu_scene.sky);
@@ -335,7 +382,7 @@ fn blend_images(
 ) {
     let (views, target) = (frame.views(), Target { images, sky });
     let splats = ListedSplats {
-        records: &frame.tile_sort.sorted_records,
+        records: frame.lists().1,
         projected: &frame.projected,
     };
     let segments = Segments {

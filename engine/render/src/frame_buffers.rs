@@ -3,12 +3,13 @@
 use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind};
 
 use crate::capacity::Capacity;
+use crate::kept_lists::{Kept, KeptLists};
 use crate::layout::{CAMERAS_MAX, CameraRecord, LensRecord};
 use crate::options::RenderOptions;
 use crate::post_processing::PhotometryRecord;
 use crate::stages::{
-    FrameCounters, PURPOSE, PartialResults, Plan, Projected, RecordContents, TileSortBuffers,
-    Views, Visible,
+    FrameCounters, PURPOSE, PartialResults, Plan, Projected, RecordContents, TileLists,
+    TileSortBuffers, Views, Visible,
 };
 
 /// Counts that determine the size of a frame's buffers.
@@ -63,6 +64,7 @@ pub(crate) struct FrameBuffers {
     /// Color of splats over black, and alpha, that is post-processed.
     pub blended: Buffer<[f32; 4]>,
     pub photometry: Buffer<PhotometryRecord>,
+    pub kept_lists: KeptLists,
 }
 
 impl FrameBuffers {
@@ -95,6 +97,7 @@ impl FrameBuffers {
             partials: PartialResults::new(gpu, &capacity, &options.rules, &options.outputs)?,
             blended: gpu.buffer("blended", PURPOSE, blended_pixels, device)?,
             photometry: gpu.buffer("photometry", PURPOSE, cameras, device)?,
+            kept_lists: KeptLists::default(),
         })
     }
 
@@ -104,6 +107,15 @@ impl FrameBuffers {
             cameras: &self.cameras,
             lenses: &self.lenses,
             count: self.shape.cameras,
+        }
+    }
+
+    /// The lists that are blended, and the buffer of their records.
+    pub fn lists(&self) -> (TileLists<'_>, &Buffer<u32>) {
+        let (sort, bins) = (&self.tile_sort, self.shape.bins);
+        match self.kept_lists.kept() {
+            Some(Kept { buffers, .. }) => (buffers.lists_of(bins), &buffers.sorted_records),
+            None => (sort.lists_of(bins), &sort.sorted_records),
         }
     }
 

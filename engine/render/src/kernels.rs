@@ -8,8 +8,8 @@ use crate::output::{ColorFormat, Outputs};
 use crate::plane::{Attribute, Plane};
 use crate::stages::{
     AgentVariant, Begin, Blend, BlendPass, BlendVariant, CompositeSegments, Cull, CullAgents,
-    CullShadows, KeySplats, PixelEnd, PlanSegments, PostProcess, Project, ProjectAgents,
-    ProjectVariant, Relight, ResolvePlane, Scan, TileSort, finishes,
+    CullShadows, KeySplats, MergeLists, PixelEnd, PlanSegments, PostProcess, Project,
+    ProjectAgents, ProjectVariant, Relight, ResolvePlane, Scan, TileSort, finishes,
 };
 
 /// Largest number of pairs of a segment.
@@ -26,6 +26,8 @@ pub(crate) struct CommonStages {
     /// `None` where no depth keys are kept.
     pub key_splats: Option<KeySplats>,
     pub tile_sort: TileSort,
+    /// `None` where no lists are kept.
+    pub merge_lists: Option<MergeLists>,
     pub plan_segments: PlanSegments,
 }
 
@@ -124,6 +126,7 @@ struct KernelOptions {
     outputs: Outputs,
     segment_pairs: u32,
     keep_keys: bool,
+    keep_lists: bool,
     /// Limit of the background's levels of detail; 0: the finest.
     pitch_px: f32,
 }
@@ -193,6 +196,7 @@ impl Kernels {
             rules: options.rules,
             outputs: options.outputs,
             keep_keys: options.keep_keys,
+            keep_lists: options.keep_lists,
             pitch_px: options.background_pitch_px.unwrap_or(0.0) as f32,
             segment_pairs: match device {
                 DeviceKind::Cpu => segment_pairs.clamp(1, SEGMENT_PAIRS_MAX_IN_SOFTWARE),
@@ -231,6 +235,7 @@ impl KernelOptions {
                 scan: Scan::new(gpu)?,
                 key_splats: self.keep_keys.then(|| KeySplats::new(gpu)).transpose()?,
                 tile_sort: TileSort::new(gpu, rules)?,
+                merge_lists: self.keep_lists.then(|| MergeLists::new(gpu)).transpose()?,
                 plan_segments: PlanSegments::new(gpu, self.segment_pairs)?,
             },
             images: {

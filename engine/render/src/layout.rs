@@ -15,7 +15,8 @@ pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
 pub use lidar::{BeamEchoes, BeamRecord, BeamState, EchoRecord, FiringRecord, SectorRecord};
 pub use light::{RelightRecord, ShadingRecord, ShadowRecord};
 pub use lists::{
-    BlendItem, Bucket, Composite, NO_BIN, NO_PARTIAL, PartialTiles, RequiredCounts, ViewLists,
+    BlendItem, Bucket, Composite, MergePiece, NO_BIN, NO_PARTIAL, NOT_BLENDED, PartialTiles,
+    RequiredCounts, ViewLists,
 };
 
 use bytemuck::{Pod, Zeroable};
@@ -39,6 +40,8 @@ pub const PAIR_BLOCK: usize = constants::PAIR_BLOCK as usize;
 pub const BUCKET_PAIRS: usize = constants::BUCKET_PAIRS as usize;
 /// Pairs of a bucket, at most; longer depth slabs are cut into pieces.
 pub const SHARED_PAIRS: usize = constants::SHARED_PAIRS as usize;
+/// Entries of a piece of a merged list, at most.
+pub const MERGE_PAIRS: usize = constants::MERGE_PAIRS as usize;
 /// Depth slabs by which coarse tiles' lists are cut; `depth_slab.glsl`.
 pub const SLABS: usize = constants::SLABS as usize;
 /// A camera whose direction has no set in the persistent key buffer.
@@ -46,7 +49,7 @@ pub const NO_KEY_SET: u32 = constants::NO_KEY_SET;
 /// Entries that one workgroup of `scan` takes.
 pub const SCAN_BLOCK: usize = 1024;
 /// Indirect dispatches of a frame.
-pub const ARGUMENT_SETS: usize = 6;
+pub const ARGUMENT_SETS: usize = 7;
 /// Cameras that one submission can draw.
 pub const CAMERAS_MAX: usize = constants::CAMERAS_MAX as usize;
 

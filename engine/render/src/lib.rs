@@ -11,6 +11,7 @@ mod contributions;
 mod error;
 mod frame;
 mod frame_buffers;
+mod kept_lists;
 mod kernels;
 mod keys;
 pub mod lidar;
@@ -45,6 +46,7 @@ pub use asset_pool::{AssetId, AssetPool, PoolBuffers, SHAPE_WORDS, stored_shape}
 pub use capacity::Capacity;
 pub use error::RenderError;
 pub use image_bytes::ImageBytes;
+pub use kept_lists::ListSource;
 pub use keys::KeySource;
 pub use lidar::{LidarOptions, LidarRenderer, TracedSweep};
 pub use options::{FrameStatistics, QueueTrace, RenderOptions};

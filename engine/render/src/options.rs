@@ -7,6 +7,7 @@ use decouplegs_scene::Rules;
 use decouplegs_shaders::constants;
 
 use crate::capacity::Capacity;
+use crate::kept_lists::ListSource;
 use crate::keys::KeySource;
 use crate::layout::RequiredCounts;
 use crate::output::Outputs;
@@ -36,6 +37,12 @@ pub struct RenderOptions {
     /// True keeps depth keys of the background per view direction, false computes them in every
     /// frame. Images are the same.
     pub keep_keys: bool,
+    /// True keeps records and lists of the background while all cameras of the renderer stand: from
+    /// the third frame on only agents are projected and sorted, and coarse tiles without agents
+    /// that the image shows already are not blended again. Shadows on the background, and
+    /// [`Outputs::contributions`], rule it out. It takes 12 bytes of memory per pair, while cameras
+    /// stand. Images are the same.
+    pub keep_lists: bool,
     /// Agents are drawn at the coarsest level of detail whose splats are at most this far apart in
     /// the image. `None`: always at the finest, which is exact.
     pub level_pitch_px: Option<f64>,
@@ -69,6 +76,7 @@ impl Default for RenderOptions {
             storage: Storage::Exact,
             segment_pairs: constants::BATCH,
             keep_keys: true,
+            keep_lists: false,
             level_pitch_px: None,
             background_pitch_px: None,
             frames_in_flight: 2,
@@ -121,6 +129,8 @@ pub struct FrameStatistics {
     pub redrawn: u32,
     /// Source of the depth keys of each view's background.
     pub keys: Vec<KeySource>,
+    /// Source of the lists of coarse tiles.
+    pub lists: ListSource,
     /// Agents that some camera could see, and their splats at the levels of detail that were drawn.
     pub agents: usize,
     /// Splats of those agents.

@@ -10,6 +10,7 @@ use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::frame::{FrameInput, record_agents, record_frame};
 use crate::frame_buffers::{FrameBuffers, FrameShape};
+use crate::kept_lists::{KeptLists, ListSource, Standing};
 use crate::kernels::{FrameVariant, Kernels};
 use crate::keys::{KeyDecision, PersistentKeys};
 use crate::layout::{View, near_m};
@@ -170,7 +171,7 @@ impl Renderer {
         let added = scene.agents.and_then(|(pool, _)| pool.last_upload());
         let update = self.submit_agents(index, &contents, added)?;
         let record_start = Instant::now();
-        let (frame, capacity) =
+        let (frame, capacity, lists) =
             match self.submit_frame(index, &contents, &decision, update.as_ref()) {
                 Ok(submitted) => submitted,
                 Err(error) => {
@@ -188,6 +189,7 @@ impl Renderer {
             slot: index,
             contents,
             keys: decision,
+            lists,
             frame,
             update,
             capacity,
@@ -223,7 +225,7 @@ impl Renderer {
                 .map(|camera| scene.gpu_scene.photometry_of(camera));
             photometry.extend(calibrations.map(|own| PhotometryRecord::new(&own)));
         }
-        Ok(FrameContents {
+        let mut contents = FrameContents {
             gpu_scene: scene.gpu_scene.clone(),
             variant: self.variant(scene, &view, agents.as_ref(), !processed.is_empty()),
             view,
@@ -232,7 +234,12 @@ impl Renderer {
             shadow_count: scene.shadows.len(),
             processed,
             photometry,
-        })
+            standing: None,
+        };
+        if options.keep_lists && !options.outputs.contributions {
+            contents.standing = Standing::for_frame(&contents);
+        }
+        Ok(contents)
     }
 
     /// Specialization of the frame that shows `scene` to the cameras of `view`.
@@ -321,7 +328,9 @@ impl Renderer {
             // Frames submitted since may have taken the place of the keys that this one was to use.
             submitted.keys = submitted.keys.without_kept_keys();
             slot.staged_key_sets.write_host(0, &submitted.keys.sets);
-            (submitted.frame, submitted.capacity) = self.submit_frame(
+            // Nor is what they keep the lists of this one, or in its images.
+            submitted.contents.standing = None;
+            (submitted.frame, submitted.capacity, submitted.lists) = self.submit_frame(
                 submitted.slot,
                 &submitted.contents,
                 &submitted.keys,
@@ -428,22 +437,26 @@ impl Renderer {
         Ok(Some(self.gpu.submit(recorder, &behind)?))
     }
 
-    /// Submits the frame in `slot`; returns what room it was given.
+    /// Submits the frame in `slot`; returns what room it was given, and where its lists are from.
     fn submit_frame(
         &mut self,
         slot: usize,
         contents: &FrameContents,
         keys: &KeyDecision,
         update: Option<&Ticket>,
-    ) -> Result<(Ticket, Capacity), RenderError> {
+    ) -> Result<(Ticket, Capacity, ListSource), RenderError> {
         let mut recorder = self.recorder(QueueRole::Main);
         let shape = self.shape(contents);
         let frame = match self.frame.take() {
             Some(frame) if frame.room().covers(&shape) => frame,
             old => {
                 // The old ones go first: both would not always fit.
-                let room = old.map_or(shape, |old| old.room().with(&shape));
-                let made = FrameBuffers::new(&self.gpu, room, &self.options)?;
+                let (room, kept_lists) = match old {
+                    Some(old) => (old.room().with(&shape), old.kept_lists.without_lists()),
+                    None => (shape, KeptLists::default()),
+                };
+                let mut made = FrameBuffers::new(&self.gpu, room, &self.options)?;
+                made.kept_lists = kept_lists;
                 self.capacity = Some(shape.capacity);
                 made
             }
@@ -454,14 +467,28 @@ impl Renderer {
         if update.is_none() {
             record_agents(&mut recorder, stages, &self.slots[slot], contents);
         }
-        let input = FrameInput {
-            contents,
-            keys,
-            options: &self.options,
-        };
-        record_frame(&mut recorder, stages, frame, &self.slots[slot], input);
-        let behind: Vec<&Ticket> = update.into_iter().collect();
-        Ok((self.gpu.submit(recorder, &behind)?, shape.capacity))
+        let standing = contents.standing.as_ref();
+        let lists = (frame.kept_lists).decide(&self.gpu, standing, &shape.capacity, shape.bins);
+        let kept = frame.kept_lists.kept().map(|kept| kept.id);
+        // What is blended more than once, or into a buffer that frames share, is blended whole.
+        let skips = contents.processed.is_empty() && !with_geometry(&self.options);
+        let skipped_bins = if skips { shape.bins } else { 0 };
+        let prepared = self.slots[slot].draw_from(&self.gpu, kept, skipped_bins);
+        let submitted = prepared.and_then(|()| {
+            let input = FrameInput {
+                contents,
+                keys,
+                lists,
+                options: &self.options,
+            };
+            record_frame(&mut recorder, stages, frame, &self.slots[slot], input);
+            let behind: Vec<&Ticket> = update.into_iter().collect();
+            self.gpu.submit(recorder, &behind)
+        });
+        if submitted.is_err() {
+            frame.kept_lists.forget();
+        }
+        Ok((submitted?, shape.capacity, lists))
     }
 
     fn recorder(&self, role: QueueRole) -> Recorder {
@@ -475,7 +502,6 @@ impl Renderer {
     /// Sizes of the buffers for a frame, as far as they are known.
     fn shape(&self, contents: &FrameContents) -> FrameShape {
         let view = &contents.view;
-        let with_geometry = self.options.outputs.planes.geometry().next().is_some();
         FrameShape {
             capacity: self
                 .capacity
@@ -483,11 +509,16 @@ impl Renderer {
             cameras: view.cameras.len(),
             clusters: contents.gpu_scene.cluster_count(),
             bins: view.bins,
-            blended_pixels: if contents.processed.is_empty() && !with_geometry {
+            blended_pixels: if contents.processed.is_empty() && !with_geometry(&self.options) {
                 0
             } else {
                 view.pixels
             },
         }
     }
+}
+
+/// True if planes of geometry are asked for.
+fn with_geometry(options: &RenderOptions) -> bool {
+    options.outputs.planes.geometry().next().is_some()
 }

@@ -1,7 +1,7 @@
 //! Frame in flight: buffers that the host writes before it, and buffers that the host reads after
 //! it.
 
-use decouplegs_gpu::{Buffer, Gpu, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind, Recorder};
 use decouplegs_scene::GroundShadow;
 
 use crate::RenderError;
@@ -11,7 +11,7 @@ use crate::output::{OutputBuffers, Outputs};
 use crate::post_processing::PhotometryRecord;
 use crate::relit::RelitCodebooks;
 use crate::staged_agents::StagedAgents;
-use crate::stages::{AgentBuffers, AgentCounts, FrameData, PURPOSE, ShadowBuffers};
+use crate::stages::{AgentBuffers, AgentCounts, DrawnAlone, FrameData, PURPOSE, ShadowBuffers};
 use crate::submitted::FrameContents;
 use crate::taken::SharedImagePool;
 
@@ -32,6 +32,11 @@ pub(crate) struct FrameInFlight {
     /// Pixels and splats that the images are made for.
     room: (usize, usize),
     pub found_required: Buffer<RequiredCounts>,
+    drawn_alone: Buffer<u32>,
+    /// The kept lists that the images were drawn from last, as [`crate::kept_lists::Kept::id`]
+    /// tells; `None` where others may have drawn into them since.
+    drawn_from: Option<u64>,
+    drawn_holds: bool,
 }
 
 impl FrameInFlight {
@@ -67,16 +72,42 @@ impl FrameInFlight {
             no_images,
             room: (0, 0),
             found_required: gpu.buffer("found_required", PURPOSE, 1, MemoryKind::Readback)?,
+            drawn_alone: gpu.buffer("drawn_alone", PURPOSE, 0, MemoryKind::Device)?,
+            drawn_from: None,
+            drawn_holds: false,
         })
     }
 
     /// Removes its images, with the size that they were made for; none remain.
     pub fn give_images(&mut self) -> ((usize, usize), OutputBuffers) {
         let room = std::mem::take(&mut self.room);
+        self.drawn_from = None;
         (
             room,
             std::mem::replace(&mut self.images, self.no_images.clone()),
         )
+    }
+
+    /// Prepares for a frame that is drawn from the kept lists `kept`, if there are some, and leaves
+    /// out coarse tiles of `bins` that its images show already; 0 where none is left out. The frame
+    /// before in this slot must be done.
+    pub fn draw_from(&mut self, gpu: &Gpu, kept: Option<u64>, bins: u32) -> Result<(), GpuError> {
+        let from = kept.filter(|_| bins > 0);
+        self.drawn_holds = from.is_some() && self.drawn_from == from;
+        self.drawn_from = from;
+        if kept.is_some() && self.drawn_alone.len() != bins as usize {
+            self.drawn_alone =
+                gpu.buffer("drawn_alone", PURPOSE, bins as usize, MemoryKind::Device)?;
+        }
+        Ok(())
+    }
+
+    /// Coarse tiles that its images show already, or [`Self::draw_from`] says that none count.
+    pub fn drawn_alone(&self) -> DrawnAlone<'_> {
+        DrawnAlone {
+            tiles: &self.drawn_alone,
+            holds: self.drawn_holds,
+        }
     }
 
     /// Pixels that its images are made for.

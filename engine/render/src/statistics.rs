@@ -26,6 +26,7 @@ impl SubmittedFrame {
             capacity: self.capacity,
             redrawn,
             keys: self.keys.sources.clone(),
+            lists: self.lists,
             agents: list.map_or(0, |list| list.agents),
             agent_splats: list.map_or(0, |list| list.splats),
             relit: self.contents.relights.count,

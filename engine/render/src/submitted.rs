@@ -6,6 +6,7 @@ use decouplegs_gpu::Ticket;
 
 use crate::agents::AgentList;
 use crate::capacity::Capacity;
+use crate::kept_lists::{ListSource, Standing};
 use crate::kernels::FrameVariant;
 use crate::keys::KeyDecision;
 use crate::layout::View;
@@ -26,6 +27,8 @@ pub(crate) struct FrameContents {
     pub processed: Vec<ProcessedView>,
     /// One per camera, where images are post-processed.
     pub photometry: Vec<PhotometryRecord>,
+    /// What may stand from frame to frame; `None` where no lists are kept.
+    pub standing: Option<Standing>,
 }
 
 impl FrameContents {
@@ -48,6 +51,7 @@ pub(crate) struct SubmittedFrame {
     pub slot: usize,
     pub contents: FrameContents,
     pub keys: KeyDecision,
+    pub lists: ListSource,
     pub frame: Ticket,
     /// The agents' part, where it was submitted by itself.
     pub update: Option<Ticket>,

@@ -37,6 +37,10 @@ pub struct RequiredCounts {
     pub tiles: u32,
     /// Fine tiles with partial results of the last blending. The kernel counts with it.
     pub next_tile: u32,
+    /// First record that is binned: that of the agents where lists of the background are kept.
+    pub first_binned: u32,
+    /// Pieces of merged lists.
+    pub merges: u32,
 }
 
 /// `Bucket` of `frame.glsl`: a run of one coarse tile's pairs that is sorted by itself.
@@ -55,6 +59,19 @@ pub struct Bucket {
 
 /// The bucket is a piece of a depth slab.
 pub const NO_BIN: u32 = constants::NO_BIN;
+
+/// `MergePiece` of `frame.glsl`: a run of one coarse tile's merged list.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct MergePiece {
+    /// Coarse tile.
+    pub bin: u32,
+    /// Index of the run in the list.
+    pub piece: u32,
+}
+
+/// Length of the list of a coarse tile that is not blended: its pixels are in the image already.
+pub const NOT_BLENDED: u32 = constants::NOT_BLENDED;
 
 /// `ViewLists` of `frame.glsl`: first records of a camera.
 #[repr(C)]

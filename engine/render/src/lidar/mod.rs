@@ -391,6 +391,8 @@ impl LidarRenderer {
             static_clusters: gpu_scene.finest_clusters,
             moving_offsets: agents.map_or(&buffers.no_agents, |agents| &agents.agents.offsets),
             moving_clusters: agents.map_or(0, |agents| agents.counts.clusters),
+            moving_only: false,
+            other_keys: &buffers.projected.keys,
         };
         let counters = &buffers.counters;
         tile_sort.record(

@@ -122,6 +122,21 @@ impl Begin {
         self.dispatch(recorder, written, counted, push);
     }
 
+    /// Empties what a sort counts, for another sort of the same frame.
+    pub fn record_lists(
+        &self,
+        recorder: &mut Recorder,
+        written: HostWritten<'_>,
+        counted: Counted<'_>,
+    ) {
+        let push = Push {
+            required_words: words(&counted.counters.required, 1),
+            slab_words: counted.bins * SLABS as u32,
+            ..Push::zeroed()
+        };
+        self.dispatch(recorder, written, counted, push);
+    }
+
     fn dispatch(
         &self,
         recorder: &mut Recorder,

@@ -1,6 +1,6 @@
 //! The stages of a frame. A stage of one kernel shares its stem with it: `shaders/NAME.comp`,
-//! `stages/NAME.rs`, its twin in `twins/NAME.rs` and a case in `tests/stages/`. Three have several
-//! kernels: `agents`, `lidar` and `tile_sort`. Kernels are built once, buffers once per capacity,
+//! `stages/NAME.rs`, its twin in `twins/NAME.rs` and a case in `tests/stages/`. Four have several
+//! kernels: `agents`, `lidar`, `merge_lists` and `tile_sort`. Kernels are built once, buffers once per capacity,
 //! commands every frame.
 //!
 //! Each stage takes the buffers it reads and returns nothing but commands: what it writes is a
@@ -14,6 +14,7 @@ mod cull;
 mod cull_shadows;
 mod key_splats;
 mod lidar;
+mod merge_lists;
 mod plan_segments;
 mod post_process;
 mod project;
@@ -37,6 +38,7 @@ pub use lidar::{
     LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ProjectLidar,
     ProjectLidarAgents, SectorBuffers, SectorTables, TraceLidar,
 };
+pub use merge_lists::{DrawnAlone, MergeBuffers, MergeLists};
 pub use plan_segments::{Plan, PlanSegments, TileLists};
 pub use post_process::{PostProcess, PostProcessInputs};
 pub use project::{Project, ProjectInputs, ProjectVariant, Projected, RecordContents};
@@ -105,6 +107,8 @@ pub enum IndirectArguments {
     Fill = constants::ARGUMENTS_FILL as isize,
     /// Buckets to be sorted.
     Sort = constants::ARGUMENTS_SORT as isize,
+    /// Pieces of lists to be merged.
+    Merge = constants::ARGUMENTS_MERGE as isize,
 }
 
 impl IndirectArguments {

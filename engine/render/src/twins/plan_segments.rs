@@ -6,14 +6,14 @@
 
 use super::composite::composite_runs;
 use crate::capacity::groups_for;
-use crate::layout::{BlendItem, COARSE_PIXELS, Composite, NO_PARTIAL, RequiredCounts};
+use crate::layout::{BlendItem, COARSE_PIXELS, Composite, NO_PARTIAL, NOT_BLENDED, RequiredCounts};
 use crate::stages::IndirectArguments;
 
 /// Workgroups that share the joining of one coarse tile.
 const COMPOSITE_GROUPS: u32 = COARSE_PIXELS as u32 / 256;
 
 /// Pairs that were wanted; `u32::MAX` where they are more than it can hold.
-fn wanted_pairs(required: &RequiredCounts) -> u32 {
+pub(super) fn wanted_pairs(required: &RequiredCounts) -> u32 {
     let pairs = (u64::from(required.pairs_high) << 16) + u64::from(required.pairs_low);
     u32::try_from(pairs).unwrap_or(u32::MAX)
 }
@@ -32,7 +32,10 @@ pub fn plan_segments(
     segment_pairs: u32,
 ) {
     let lists = &tile_lists[..bin_count as usize];
-    let segments_of = |[_, length]: [u32; 2]| length.div_ceil(segment_pairs).max(1);
+    let segments_of = |[_, length]: [u32; 2]| match length {
+        NOT_BLENDED => 0,
+        length => length.div_ceil(segment_pairs).max(1),
+    };
 
     let (mut partial, mut composite) = (0u32, 0u32);
     let mut first_partials = Vec::new();
@@ -97,7 +100,9 @@ pub fn plan_segments(
     if bin_count == 0 {
         return;
     }
-    required.longest = lists.iter().map(|list| list[1]).max().unwrap_or(0);
+    let lengths = lists.iter().map(|list| list[1]);
+    let blended = lengths.filter(|&length| length != NOT_BLENDED);
+    required.longest = blended.max().unwrap_or(0);
     required.pairs = wanted_pairs(required);
     (required.items, required.partials, required.composites) = (item, partial, composite);
     let fits = required.pairs <= pairs_max;

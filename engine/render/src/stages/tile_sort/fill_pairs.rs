@@ -46,7 +46,7 @@ impl FillPairs {
         let push = Push {
             camera_count: records.camera_count as u32,
             records_max: records.projected.room() as u32,
-            pairs_max: buffers.sorted_records.len() as u32,
+            pairs_max: buffers.pairs.len() as u32,
         };
         let bound = [
             ("cameras", records.cameras.binding()),

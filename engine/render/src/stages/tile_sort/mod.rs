@@ -29,6 +29,7 @@ use crate::capacity::Capacity;
 use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists};
 
 /// Lists and scratch of the sort.
+#[derive(Clone)]
 pub struct TileSortBuffers {
     /// First records of each camera.
     pub lists: Buffer<ViewLists>,
@@ -103,8 +104,13 @@ pub struct Records<'a> {
     pub static_clusters: usize,
     /// Records of agents before each `[camera][cluster]`, and their total.
     pub moving_offsets: &'a Buffer<u32>,
-    /// Clusters of agents.
+    /// Clusters of agents; with none, records of the background alone are sorted.
     pub moving_clusters: usize,
+    /// True if records of agents alone are sorted.
+    pub moving_only: bool,
+    /// Keys of pairs while they are sorted, as long as the list of pairs. Mostly the keys of the
+    /// records themselves, which are then overwritten.
+    pub other_keys: &'a Buffer<u32>,
 }
 
 /// The stages of the sort.

@@ -45,7 +45,7 @@ impl PlanBuckets {
         let push = Push {
             bin_count: bins,
             buckets_max: buffers.buckets.len() as u32,
-            pairs_max: buffers.sorted_records.len() as u32,
+            pairs_max: buffers.pairs.len() as u32,
             records_max: buffers.reaches.len() as u32,
         };
         let bound = [

@@ -12,6 +12,7 @@ push_constants! {
         static_clusters: u32,
         moving_clusters: u32,
         records_max: u32,
+        moving_only: u32,
     }
 }
 
@@ -44,6 +45,7 @@ impl PlanLists {
             static_clusters: records.static_clusters as u32,
             moving_clusters: records.moving_clusters as u32,
             records_max: records.projected.room() as u32,
+            moving_only: u32::from(records.moving_only),
         };
         let bound = [
             ("static_offsets", records.static_offsets.binding()),

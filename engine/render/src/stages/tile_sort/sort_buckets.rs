@@ -42,14 +42,14 @@ impl SortBuckets {
         buffers: &TileSortBuffers,
     ) {
         let push = Push {
-            pairs_max: buffers.sorted_records.len() as u32,
+            pairs_max: buffers.pairs.len() as u32,
             camera_count: records.camera_count as u32,
         };
         let bound = [
             ("required", counters.required.binding()),
             ("buckets", buffers.buckets.binding()),
             ("pairs", buffers.pairs.binding()),
-            ("other_keys", records.projected.keys.binding()),
+            ("other_keys", records.other_keys.binding()),
             ("sorted_records", buffers.sorted_records.binding()),
             ("cameras", records.cameras.binding()),
             ("slab_ends", buffers.slab_counts.binding()),
