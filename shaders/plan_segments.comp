@@ -50,6 +50,11 @@ const uint AHEAD = 4u;
 
 shared uint longest_list;
 
+// Of each thread: its first item among those of the workgroup, and its list, first partial result
+// and number of segments.
+shared uint own_items[WORKGROUP_THREADS];
+shared uvec4 own_lists[WORKGROUP_THREADS];
+
 uint segments_of(uint length) {
     return length == NOT_BLENDED ? 0u : max(1u, length / SEGMENT_PAIRS + (length % SEGMENT_PAIRS > 0u ? 1u : 0u));
 }
@@ -104,13 +109,21 @@ void main() {
     uint partial = partials_before + block_exclusive_sum(cut ? segments : 0u, partial_total);
     uint composite = composites_before + block_exclusive_sum(cut ? composite_runs(segments) : 0u, composite_total);
 
-    for (uint segment = first_segment; segment < wave_end; ++segment, ++item) {
+    // One list may have most of the segments: the threads share them.
+    own_items[thread] = item - items_before;
+    own_lists[thread] = uvec4(list, cut ? partial : NO_PARTIAL, segments);
+    barrier();
+    for (uint next = thread; next < item_total && items_before + next < items_max; next += WORKGROUP_THREADS) {
+        uint giver = 0u; // the last thread whose first item is not behind this one
+        [[unroll]] for (uint step = WORKGROUP_THREADS / 2u; step > 0u; step /= 2u) {
+            giver += own_items[giver + step] <= next ? step : 0u;
+        }
+        uvec4 given = own_lists[giver];
+        uint segment = first_segment + next - own_items[giver];
         uint taken = segment * SEGMENT_PAIRS;
         // Without room for the partial result any slot is valid: the image is rendered again.
-        uint slot = cut ? min(partial + segment, partials_max - 1u) : NO_PARTIAL;
-        if (item < items_max) {
-            items[item] = BlendItem(bin, list.x + taken, segment + 1u < segments ? SEGMENT_PAIRS : length - taken, slot, segment);
-        }
+        uint slot = given.z == NO_PARTIAL ? NO_PARTIAL : min(given.z + segment, partials_max - 1u);
+        items[items_before + next] = BlendItem(block_first + giver, given.x + taken, segment + 1u < given.w ? SEGMENT_PAIRS : given.y - taken, slot, segment);
     }
     if (cut && first_segment == 0u) {
         for (uint part = 0u; part < composite_runs(segments); ++part) {

@@ -10,6 +10,7 @@ use std::borrow::Cow;
 use std::io::Write;
 use std::ops::Range;
 use std::path::PathBuf;
+use std::str::FromStr;
 use std::time::Instant;
 
 use anyhow::{Result, ensure};
@@ -55,6 +56,10 @@ pub struct Arguments {
     /// does not turn
     #[arg(long)]
     compute_keys: bool,
+    /// Keep records and sorted lists of the background while the cameras stand (default: sort
+    /// everything in every frame)
+    #[arg(long)]
+    keep_lists: bool,
     /// Render agents at the coarsest level of detail whose splats are at most this many pixels
     /// apart (default: always the finest)
     #[arg(long, value_name = "PIXELS", value_parser = pixels)]
@@ -65,6 +70,10 @@ pub struct Arguments {
     /// still)
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = finite)]
     step: f64,
+    /// Frames in which the ego, and with it every camera, stands while the agents go on, warm-up
+    /// included; with no value, in all
+    #[arg(long, value_name = "FROM..TO", num_args = 0..=1, default_missing_value = "0..", requires = "step")]
+    ego_stands: Option<EgoStands>,
     /// Frames in flight: with 2, a frame is submitted before the previous one has finished
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     in_flight: u8,
@@ -103,6 +112,41 @@ pub struct Arguments {
     json: Option<PathBuf>,
 }
 
+/// Frames in which the ego stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct EgoStands(Range<u32>);
+
+impl EgoStands {
+    /// Frames before `frame` in which the ego moved.
+    fn frames_moved(&self, frame: u32) -> u32 {
+        let Range { start, end } = self.0;
+        match frame {
+            moving if moving < start => moving,
+            standing if standing < end => start,
+            moving_again => start + (moving_again - end),
+        }
+    }
+}
+
+impl FromStr for EgoStands {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected =
+            || format!("expected FROM..TO, for example 40..80, or FROM.., found '{text}'");
+        let (from, to) = text.split_once("..").ok_or_else(expected)?;
+        let from = from.parse().map_err(|_| expected())?;
+        let to = match to {
+            "" => u32::MAX,
+            to => to.parse().map_err(|_| expected())?,
+        };
+        if from >= to {
+            return Err(expected());
+        }
+        Ok(Self(from..to))
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Color {
     /// 8 bits per channel, what a camera delivers
@@ -117,6 +161,7 @@ impl Arguments {
             rules,
             outputs: self.outputs(),
             keep_keys: !self.compute_keys,
+            keep_lists: self.keep_lists,
             level_pitch_px: self.level_pitch,
             frames_in_flight: usize::from(self.in_flight),
             overlap: !self.serial,
@@ -278,7 +323,12 @@ fn time_frames(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Timed>
             if let Some(frame) = moments.next() {
                 let later_s = f64::from(frame) * arguments.step;
                 let moment = live.at(scene.time_s + later_s);
-                renderer.submit(live.with(&moment), &scene.cameras_after(later_s))?;
+                let moved = match &arguments.ego_stands {
+                    Some(stands) => stands.frames_moved(frame),
+                    None => frame,
+                };
+                let cameras = scene.cameras_after(f64::from(moved) * arguments.step);
+                renderer.submit(live.with(&moment), &cameras)?;
             }
             if place >= ahead {
                 frames.push(renderer.finish()?);
@@ -440,5 +490,17 @@ mod tests {
             .for_each(|(at, rgb)| rgb[0] = at as f32);
         let offsets: Vec<f32> = cut(&image, window).rgb.iter().map(|rgb| rgb[0]).collect();
         assert_eq!(offsets[..4], [2.0, 3.0, 4.0, 9.0]);
+    }
+
+    #[test]
+    fn an_ego_that_stands_goes_on_from_where_it_stood() {
+        let stands: EgoStands = "2..5".parse().unwrap();
+        let moved: Vec<u32> = (0..8).map(|frame| stands.frames_moved(frame)).collect();
+        assert_eq!(moved, [0, 1, 2, 2, 2, 2, 3, 4]);
+        let always: EgoStands = "0..".parse().unwrap();
+        assert_eq!(always.frames_moved(99), 0);
+        for text in ["", "3", "5..5", "6..5", "a..b"] {
+            assert!(text.parse::<EgoStands>().unwrap_err().contains("FROM..TO"));
+        }
     }
 }

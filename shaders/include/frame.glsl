@@ -203,7 +203,7 @@ struct Composite {
 
 // Segments of a coarse tile that one thread joins, where there are not more than
 // COMPOSITE_RUNS_MAX times as many.
-const uint COMPOSITE_RUN = 4u;
+const uint COMPOSITE_RUN = 16u;
 const uint COMPOSITE_RUNS_MAX = 16u;
 
 // Runs into which the segments of a coarse tile are divided: a power of two. They are joined side

@@ -21,7 +21,7 @@ fn every_list_grows_and_the_image_is_whole() {
     let world = world_of(&splats);
     let cameras = [camera_at(DVec3::ZERO, 150, 100)];
     let options = RenderOptions {
-        segment_pairs: 256,
+        segment_pairs: 64,
         ..RenderOptions::default()
     };
 
@@ -41,8 +41,8 @@ fn every_list_grows_and_the_image_is_whole() {
     );
     assert_eq!(
         (statistics.required.partials, statistics.required.composites),
-        (12 * 8, 12 * 2),
-        "2000 entries are 7 segments of 256 and one of 208, joined in two runs"
+        (12 * 32, 12 * 2),
+        "2000 entries are 31 segments of 64 and one of 16, joined in two runs"
     );
     let whole = roomy.read_images().unwrap();
 

@@ -59,7 +59,7 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
     let splat_bytes = options
         .storage
         .splat_bytes(scene.loaded.splat_scene.splats.sh_degree);
-    json!({
+    let mut figures = json!({
         "version": env!("CARGO_PKG_VERSION"),
         "device": device.name,
         "driver": device.driver,
@@ -106,7 +106,10 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
             "flip_min": FLIP_MIN,
             "images": images.iter().map(image_error).collect::<Vec<_>>(),
         },
-    })
+    });
+    figures["keep_lists"] = json!(options.keep_lists);
+    figures["frame_gpu_ms_by_lists"] = by_lists(frames);
+    figures
 }
 
 /// Name of `rules`, or all of their values if they have no name.
@@ -161,9 +164,45 @@ fn text(value: &Value) -> &str {
     value.as_str().unwrap_or_default()
 }
 
+/// GPU times of frames, milliseconds, by the source of their lists.
+fn by_lists(frames: &[FrameStatistics]) -> Value {
+    let mut times_ms = BTreeMap::<String, Vec<f64>>::new();
+    for frame in frames {
+        let source = format!("{:?}", frame.lists).to_lowercase();
+        let frame_ms = frame.gpu_time.as_secs_f64() * 1e3;
+        times_ms.entry(source).or_default().push(frame_ms);
+    }
+    let rows = times_ms.into_iter().map(|(source, times_ms)| {
+        let mut row = Spread::from_values(times_ms.iter().copied()).to_json();
+        row["frames"] = json!(times_ms.len());
+        (source, row)
+    });
+    Value::Object(rows.collect())
+}
+
+/// A line of [`by_lists`] where lists may be kept.
+fn lists_text(figures: &Value) -> String {
+    if figures["keep_lists"] != true {
+        return String::new();
+    }
+    let rows = figures["frame_gpu_ms_by_lists"].as_object();
+    let rows: Vec<String> = rows
+        .into_iter()
+        .flatten()
+        .map(|(source, times)| {
+            format!(
+                "{source} {} frames, median {:.3} ms",
+                times["frames"],
+                number(&times["median"])
+            )
+        })
+        .collect();
+    format!("by the source of their lists: {}\n", rows.join("; "))
+}
+
 fn heading(figures: &Value) -> String {
     format!(
-        "{} ({})\n{} splats of degree {} in {} storage ({} bytes each){} and {} agents of {} splats, rules {}\nviews by the source of their background's depth keys: {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up: {} redrawn, {} with the commands of an earlier frame; times of stages are of {} more frames\n",
+        "{} ({})\n{} splats of degree {} in {} storage ({} bytes each){} and {} agents of {} splats, rules {}\nviews by the source of their background's depth keys: {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up: {} redrawn, {} with the commands of an earlier frame; times of stages are of {} more frames\n{}",
         text(&figures["device"]),
         text(&figures["driver"]),
         figures["splats"],
@@ -187,6 +226,7 @@ fn heading(figures: &Value) -> String {
         figures["frames_redrawn"],
         figures["frames_repeated"],
         figures["frames_by_stage"],
+        lists_text(figures),
     )
 }
 

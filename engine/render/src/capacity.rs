@@ -98,11 +98,11 @@ impl Capacity {
         bins as usize + self.partials
     }
 
-    /// Coarse tiles that can be cut, or parts of them: one with more than four partial results has
-    /// half as many parts at most.
+    /// Coarse tiles that can be cut, or parts of them: one with more than 16 partial results has an
+    /// eighth as many parts at most.
     #[must_use]
     pub fn composites(&self, bins: u32) -> usize {
-        bins as usize + self.partials / 2
+        bins as usize + self.partials / 8
     }
 }
 
