@@ -48,12 +48,6 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
             |(name, times)| json!({ "name": name, "gpu_ms": Spread::from_values(times).to_json() }),
         )
         .collect();
-    let mut keys = BTreeMap::<String, usize>::new();
-    for source in frames.iter().flat_map(|frame| &frame.keys) {
-        *keys
-            .entry(format!("{source:?}").to_lowercase())
-            .or_default() += 1;
-    }
     let size = |camera: &Camera| json!([camera.intrinsics.width_px, camera.intrinsics.height_px]);
     let image_error = |image: &ImageError| json!({ "camera": image.camera, "difference": image.difference, "flips": image.flips });
     let splat_bytes = options
@@ -85,7 +79,7 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
         "frame_gpu_ms": milliseconds(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
         "frame_wall_ms": wall_ms,
         "step_wall_ms": step_wall_ms,
-        "keys": keys,
+        "keys": by_key_source(frames),
         "update_gpu_ms": milliseconds(&|frame| frame.update_time.map_or(0.0, |time| time.as_secs_f64() * 1e3)),
         "record_ms": milliseconds(&|frame| frame.record_time.as_secs_f64() * 1e3),
         "rig_steps_per_s": rig_steps_per_s,
@@ -162,6 +156,17 @@ fn number(value: &Value) -> f64 {
 
 fn text(value: &Value) -> &str {
     value.as_str().unwrap_or_default()
+}
+
+/// Numbers of views by the source of their depth keys.
+fn by_key_source(frames: &[FrameStatistics]) -> BTreeMap<String, usize> {
+    let mut views = BTreeMap::new();
+    for source in frames.iter().flat_map(|frame| &frame.keys) {
+        *views
+            .entry(format!("{source:?}").to_lowercase())
+            .or_default() += 1;
+    }
+    views
 }
 
 /// GPU times of frames, milliseconds, by the source of their lists.
