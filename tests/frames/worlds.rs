@@ -165,6 +165,7 @@ fn loaded(seed: u64) -> LoadedScene {
         agents: vec![agent("a", 0, 1, 8.0), agent("b", 1, 2, 12.0)],
         rig: Rig::default(),
         ego: Trajectory::standing(Pose::IDENTITY),
+        ego_height_m: None,
         agent_labels: Vec::new(),
         light: None,
     }

@@ -10,7 +10,7 @@ use decouplegs::asset::{SceneAgent, SceneFile, is_scene_file};
 use decouplegs::footing::{Footing, dims_of};
 use decouplegs::scene::{Pose, Presence, Trajectory};
 
-use crate::arguments::print;
+use crate::arguments::{print, warn};
 use crate::progress;
 use change::{Addition, Move, Shift, Swap, Times};
 
@@ -103,8 +103,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if arguments.ground {
         let background = to.join(&edited.background);
         let reading = progress::spinner(format!("reading {}", background.display()));
-        let footing = Footing::open(&background, edited.origin)?;
+        let footing = Footing::open(&edited, to)?;
         reading.finish_and_clear();
+        if let Some(warning) = footing.warning() {
+            warn(&format!("{}: {warning}", background.display()));
+        }
         for name in &touched {
             report.push_str(&set_on_ground(&mut edited, name, to, &footing)?);
         }

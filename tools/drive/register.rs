@@ -12,8 +12,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, bail, ensure};
 use decouplegs::asset::tracks::{PoseRow, write_poses};
 use decouplegs::asset::{open_scene, read_map, read_tracks, write_atomically};
-use decouplegs::drive::{Ground, GroundOptions, Outcome, RegisterOptions, Registration, register};
-use decouplegs::scene::SplatScene;
+use decouplegs::drive::{
+    Ground, GroundGuides, GroundOptions, GroundQuality, Outcome, RecordedWay, RegisterOptions,
+    Registration, register,
+};
+use decouplegs::scene::{LaneMap, SplatScene};
 
 use crate::arguments::{print, warn};
 use crate::progress;
@@ -109,12 +112,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             arguments.tracks.display()
         );
     }
-    let ground = arguments.scene.as_deref().map(ground_of).transpose()?;
-    let truth_ground = arguments
-        .ground_truth
-        .as_deref()
-        .map(ground_of)
-        .transpose()?;
+    let of_map = |path: &Path| ground_of(path, &map);
+    let ground = arguments.scene.as_deref().map(of_map).transpose()?;
+    let truth_ground = arguments.ground_truth.as_deref().map(of_map).transpose()?;
     let options = RegisterOptions {
         noise_m: arguments.sigma,
         shared: arguments.shared,
@@ -173,17 +173,22 @@ fn text_of(path: Option<&Path>) -> String {
 }
 
 /// The ground of a scene's background, or that of a survey's points.
-fn ground_of(path: &Path) -> Result<Ground> {
+///
+/// Where splats show the road poorly, heights are those of `map`, or of the ego's way in the scene.
+fn ground_of(path: &Path, map: &LaneMap) -> Result<Ground> {
     let reading = progress::spinner(format!("reading {}", path.display()));
+    let mut recorded = None;
     let (cloud, origin) = if path.extension().is_some_and(|extension| extension == "csv") {
         points::read(path)?
     } else {
+        let loaded = open_scene(path, 0.0)?;
+        recorded = Some((loaded.ego, loaded.ego_height_m));
         let SplatScene {
             splats,
             instance_from_splat,
             origin,
             ..
-        } = open_scene(path, 0.0)?.splat_scene;
+        } = loaded.splat_scene;
         let still: Vec<u32> = (0..splats.len() as u32)
             .filter(|&at| {
                 instance_from_splat
@@ -193,8 +198,22 @@ fn ground_of(path: &Path) -> Result<Ground> {
             .collect();
         (splats.select(&still), origin)
     };
-    let ground = Ground::new(&cloud, origin, &GroundOptions::default());
+    let mut ground = Ground::new(&cloud, origin, &GroundOptions::default());
+    if let Some((ego, height_m)) = &recorded {
+        let guides = GroundGuides {
+            map: Some(map),
+            way: Some(RecordedWay {
+                poses: ego.poses(),
+                height_m: *height_m,
+            }),
+            ..GroundGuides::default()
+        };
+        ground = ground.guided(&cloud, guides);
+    }
     reading.finish_and_clear();
+    if let Some(warning) = ground.quality().and_then(GroundQuality::warning) {
+        warn(&format!("{}: {warning}", path.display()));
+    }
     ensure!(
         !cloud.is_empty(),
         "{} has no splats to stand on",

@@ -10,6 +10,7 @@ use decouplegs::scene::Lane;
 use decouplegs::scene::scenario::Place;
 use decouplegs::session::{Session, SessionOptions, SessionScene};
 
+use crate::arguments::warn;
 use crate::background::BackgroundArguments;
 
 /// Places that are kept: a street in four weathers and a few more.
@@ -77,6 +78,9 @@ impl Sites {
             self.session.as_ref().map(|_| &self.appearance),
         )
         .context("the place of the scenario is not usable")?;
+        if let Some(warning) = site.ground_warning() {
+            warn(&warning);
+        }
         let site = Arc::new(site);
         let Some(session) = &self.session else {
             return Ok(Ready { site, scene: None });

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene, read_splats};
 use decouplegs::drive::register::grounding::set_on_ground;
-use decouplegs::drive::{Ground, GroundOptions};
+use decouplegs::drive::{Ground, GroundGuides, GroundOptions, RecordedWay};
 use decouplegs::scene::{Pose, SplatCloud};
 use glam::DVec3;
 use tonic::{Request, Response, Status};
@@ -85,8 +85,16 @@ impl Physics {
         }
         let path = path.to_owned();
         let read = move || -> Result<(LocalGround, u64), AssetError> {
-            let (cloud, origin) = background_of(&path)?;
-            let ground = Ground::new(&cloud, origin, &GroundOptions::default());
+            let Background { cloud, origin, way } = Background::open(&path)?;
+            let guides = GroundGuides {
+                way: way.as_ref().map(|(ego, height_m)| RecordedWay {
+                    poses: ego.poses(),
+                    height_m: *height_m,
+                }),
+                ..GroundGuides::default()
+            };
+            let ground =
+                Ground::new(&cloud, origin, &GroundOptions::default()).guided(&cloud, guides);
             Ok((
                 LocalGround { ground, origin },
                 cloud.len() as u64 * BYTES_A_SPLAT,
@@ -105,15 +113,34 @@ impl Physics {
     }
 }
 
-/// Background splats of the scene at `path`, and the world coordinates of its origin.
-fn background_of(path: &std::path::Path) -> Result<(SplatCloud, DVec3), AssetError> {
-    if is_scene_file(path) {
-        let file = SceneFile::read(path)?;
-        let directory = path.parent().unwrap_or(std::path::Path::new(""));
-        return Ok((read_splats(&directory.join(&file.background))?, file.origin));
+/// Splats and recorded way of a scene.
+struct Background {
+    /// Splats, relative to the origin.
+    cloud: SplatCloud,
+    /// World coordinates, meters.
+    origin: DVec3,
+    /// Way of the recorded ego, and its height above the road, meters, where that is known.
+    way: Option<(decouplegs::scene::Trajectory, Option<f64>)>,
+}
+
+impl Background {
+    fn open(path: &std::path::Path) -> Result<Self, AssetError> {
+        if is_scene_file(path) {
+            let file = SceneFile::read(path)?;
+            let directory = path.parent().unwrap_or(std::path::Path::new(""));
+            return Ok(Self {
+                cloud: read_splats(&directory.join(&file.background))?,
+                origin: file.origin,
+                way: file.ego.map(|ego| (ego, file.ego_height_m)),
+            });
+        }
+        let loaded = open_scene(path, 0.0)?;
+        Ok(Self {
+            cloud: loaded.splat_scene.splats,
+            origin: loaded.splat_scene.origin,
+            way: Some((loaded.ego, loaded.ego_height_m)),
+        })
     }
-    let loaded = open_scene(path, 0.0)?;
-    Ok((loaded.splat_scene.splats, loaded.splat_scene.origin))
 }
 
 impl LocalGround {

@@ -245,7 +245,7 @@ impl Editor {
         let footing = self.footing.get_or_init(|| {
             let background = self.folder().join(&self.file().background);
             let reading = progress::spinner(format!("reading {}", background.display()));
-            let footing = Footing::open(&background, self.file().origin).ok();
+            let footing = Footing::open(self.file(), self.folder()).ok();
             reading.finish_and_clear();
             footing
         });

@@ -80,6 +80,7 @@ impl ReinsertionScene {
             agents: agents.collect::<Result<_>>()?,
             rig,
             ego: trajectory(street.ego.iter().copied())?,
+            ego_height_m: None,
             agent_labels: Vec::new(),
             light: Some(LoadedLight {
                 transfer: Some(light.clone()),

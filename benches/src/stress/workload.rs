@@ -156,6 +156,7 @@ impl Workload {
             agents: Vec::new(),
             rig: street.rig.clone(),
             ego: trajectory(&street.ego)?,
+            ego_height_m: None,
             agent_labels: Vec::new(),
             light: None,
         };

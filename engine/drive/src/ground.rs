@@ -15,10 +15,16 @@
 //!
 //! Surfaces are found at the nodes of a grid, a tile of nodes at a time and only when a tile is
 //! first asked for; a query joins the planes of the four nodes around it.
+//!
+//! Splats of a capture may be too few and too scattered for all that. [`Ground::guided`] measures
+//! it, and then takes heights from what is known better ([`guide`](GroundGuides)).
 
+mod guide;
 mod layers;
+mod quality;
 mod surfel;
 mod tiles;
+mod way;
 
 use decouplegs_scene::SplatCloud;
 use glam::{DVec2, DVec3};
@@ -27,6 +33,10 @@ use rayon::prelude::*;
 use layers::Layer;
 use surfel::SurfelGrid;
 use tiles::Tiles;
+
+use guide::Guide;
+pub use guide::{GroundGuides, GroundSource, RecordedWay, Survey};
+pub use quality::GroundQuality;
 
 /// Options of the height search.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,10 +76,18 @@ pub struct GroundHeight {
     pub support: f64,
     /// Standard deviation of the splats' heights about the surface, meters.
     pub spread_m: f64,
+    /// Source of the height.
+    pub source: GroundSource,
 }
 
 /// The ground of a background, to be asked for heights. Queries may come from many threads.
 pub struct Ground {
+    splats: SplatGround,
+    guide: Option<Box<Guide>>,
+}
+
+/// Heights from splats alone.
+struct SplatGround {
     origin: DVec3,
     options: GroundOptions,
     surfels: SurfelGrid,
@@ -94,6 +112,57 @@ impl Ground {
     /// passed over; splats of moving objects should not be in it.
     #[must_use]
     pub fn new(cloud: &SplatCloud, origin: DVec3, options: &GroundOptions) -> Self {
+        Self {
+            splats: SplatGround::new(cloud, origin, options),
+            guide: None,
+        }
+    }
+
+    /// This ground of `cloud` with `guides`, by order of trust: a survey, and then splats, if they
+    /// are a road where the guides lead; if not, the map, the recorded way, and splats last.
+    /// Without a way and lanes the splats are not examined.
+    #[must_use]
+    pub fn guided(mut self, cloud: &SplatCloud, guides: GroundGuides<'_>) -> Self {
+        self.guide = Guide::new(&self.splats, cloud, guides).map(Box::new);
+        self
+    }
+
+    /// Options of the height search.
+    #[must_use]
+    pub fn options(&self) -> &GroundOptions {
+        &self.splats.options
+    }
+
+    /// Figures of how well splats show the road where the guides lead. `None` without guides.
+    #[must_use]
+    pub fn quality(&self) -> Option<&GroundQuality> {
+        self.guide.as_ref()?.quality()
+    }
+
+    /// The height at `xy_m`, world coordinates: of the best covered surface within the band around
+    /// `expected_z_m`, or, where nothing is expected, of the lowest well-covered one. `None` where
+    /// there is none.
+    #[must_use]
+    pub fn height_at(&self, xy_m: DVec2, expected_z_m: Option<f64>) -> Option<GroundHeight> {
+        let Some(guide) = &self.guide else {
+            return self.splats.height_at(xy_m, expected_z_m);
+        };
+        guide.height_at(&self.splats, xy_m, expected_z_m)
+    }
+
+    /// [`Ground::height_at`] for many positions, on all threads.
+    #[must_use]
+    pub fn heights_at(&self, queries: &[(DVec2, Option<f64>)]) -> Vec<Option<GroundHeight>> {
+        queries
+            .par_iter()
+            .with_min_len(256)
+            .map(|&(xy_m, expected_z_m)| self.height_at(xy_m, expected_z_m))
+            .collect()
+    }
+}
+
+impl SplatGround {
+    fn new(cloud: &SplatCloud, origin: DVec3, options: &GroundOptions) -> Self {
         let surfels = SurfelGrid::new(cloud, options.column_sigma_m);
         let tiles = Tiles::under(&surfels);
         Self {
@@ -104,17 +173,8 @@ impl Ground {
         }
     }
 
-    /// Options of the height search.
-    #[must_use]
-    pub fn options(&self) -> &GroundOptions {
-        &self.options
-    }
-
-    /// The height at `xy_m`, world coordinates: of the best covered surface within the band around
-    /// `expected_z_m`, or, where nothing is expected, of the lowest well-covered one. `None` where
-    /// there is none.
-    #[must_use]
-    pub fn height_at(&self, xy_m: DVec2, expected_z_m: Option<f64>) -> Option<GroundHeight> {
+    /// [`Ground::height_at`] without guides.
+    fn height_at(&self, xy_m: DVec2, expected_z_m: Option<f64>) -> Option<GroundHeight> {
         let local = xy_m - self.origin.truncate();
         let expected = expected_z_m.map(|z_m| z_m - self.origin.z);
         let corners = self.tiles.around(local, |node| {
@@ -148,18 +208,9 @@ impl Ground {
             z_m: z * share + self.origin.z,
             support: support * share,
             spread_m: spread * share,
+            source: GroundSource::Splats,
         };
         found.z_m.is_finite().then_some(found)
-    }
-
-    /// [`Ground::height_at`] for many positions, on all threads.
-    #[must_use]
-    pub fn heights_at(&self, queries: &[(DVec2, Option<f64>)]) -> Vec<Option<GroundHeight>> {
-        queries
-            .par_iter()
-            .with_min_len(256)
-            .map(|&(xy_m, expected_z_m)| self.height_at(xy_m, expected_z_m))
-            .collect()
     }
 
     fn choose<'a>(

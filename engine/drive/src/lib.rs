@@ -26,7 +26,10 @@ pub mod signs;
 pub mod traffic;
 
 pub use ego::{Ego, EgoOptions};
-pub use ground::{Ground, GroundHeight, GroundOptions};
+pub use ground::{
+    Ground, GroundGuides, GroundHeight, GroundOptions, GroundQuality, GroundSource, RecordedWay,
+    Survey,
+};
 pub use lane_index::{LaneIndex, LanePoint};
 pub use obstacles::Obstacles;
 pub use oriented_box::{OrientedBox, time_to_collision};

@@ -2,11 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use decouplegs_asset::{AssetError, coded_asset, read_coded, read_splats};
+use decouplegs_asset::{AssetError, SceneFile, coded_asset, read_coded, read_splats};
 use decouplegs_drive::register::grounding::set_on_ground;
-use decouplegs_drive::{Ground, GroundOptions};
+use decouplegs_drive::{Ground, GroundGuides, GroundOptions, RecordedWay};
 use decouplegs_scene::{Invalid, TimedPose, Trajectory};
-use glam::DVec3;
 
 /// An asset that has no size.
 #[derive(Debug, thiserror::Error)]
@@ -55,14 +54,28 @@ pub fn dims_of(path: &Path) -> Result<[f64; 3], FootingError> {
 }
 
 impl Footing {
-    /// The ground of the background at `path`, whose means are relative to `origin`.
+    /// The ground of the background of `scene`, whose paths are relative to `directory`.
     ///
     /// # Errors
     /// Returns an error if the file cannot be read.
-    pub fn open(path: &Path, origin: DVec3) -> Result<Self, AssetError> {
-        let cloud = read_splats(path)?;
-        let ground = Ground::new(&cloud, origin, &GroundOptions::default());
+    pub fn open(scene: &SceneFile, directory: &Path) -> Result<Self, AssetError> {
+        let cloud = read_splats(&directory.join(&scene.background))?;
+        let guides = GroundGuides {
+            way: scene.ego.as_ref().map(|ego| RecordedWay {
+                poses: ego.poses(),
+                height_m: scene.ego_height_m,
+            }),
+            ..GroundGuides::default()
+        };
+        let ground =
+            Ground::new(&cloud, scene.origin, &GroundOptions::default()).guided(&cloud, guides);
         Ok(Self { ground })
+    }
+
+    /// A sentence where heights may be wrong, because splats show the road poorly.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        self.ground.quality()?.warning()
     }
 
     /// `trajectory` with the wheels of a box of `dims_m` on the ground at each pose: the heading
@@ -97,7 +110,7 @@ impl Footing {
 mod tests {
     use decouplegs_drive::register::grounding::corners;
     use decouplegs_scene::{Pose, SplatCloud};
-    use glam::DVec2;
+    use glam::{DVec2, DVec3};
 
     use super::*;
 

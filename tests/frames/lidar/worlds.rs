@@ -23,6 +23,7 @@ fn scene() -> LoadedScene {
         agents: Vec::new(),
         rig: Rig::default(),
         ego: Trajectory::standing(Pose::IDENTITY),
+        ego_height_m: None,
         agent_labels: Vec::new(),
         light: None,
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use decouplegs::asset::{SceneFile, read_splats};
-use decouplegs::drive::{Ground, GroundOptions};
+use decouplegs::drive::{Ground, GroundGuides, GroundOptions, RecordedWay};
 use decouplegs::scene::{Pose, Trajectory};
 use glam::{DVec2, DVec3};
 
@@ -30,7 +30,15 @@ pub struct Mesh {
 pub fn mesh_of(scene: &SceneFile, directory: &Path, height_m: f64) -> Result<Mesh> {
     let finding = progress::spinner("finding the ground".into());
     let cloud = read_splats(&directory.join(&scene.background))?;
-    let ground = Ground::new(&cloud, scene.origin, &GroundOptions::default());
+    let guides = GroundGuides {
+        way: scene.ego.as_ref().map(|ego| RecordedWay {
+            poses: ego.poses(),
+            height_m: scene.ego_height_m,
+        }),
+        ..GroundGuides::default()
+    };
+    let ground =
+        Ground::new(&cloud, scene.origin, &GroundOptions::default()).guided(&cloud, guides);
     let standing = Trajectory::standing(Pose {
         translation: scene.origin,
         ..Pose::IDENTITY

@@ -25,6 +25,9 @@ use crate::{SceneError, SkyKind};
 /// Ids that agents can have: 16 bits, of which 0 is the background.
 const AGENTS_MAX: usize = 65_535;
 
+/// No recording vehicle's origin is higher above the road, meters.
+const EGO_HEIGHT_MAX_M: f64 = 10.0;
+
 /// Reads and checks `text`.
 pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
     let form: SceneForm = toml::from_str(text).map_err(|error| syntax_error(text, &error))?;
@@ -46,6 +49,13 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
     } else {
         Some(checker.trajectory(&form.ego, "ego")?)
     };
+    if !form
+        .ego_height_m
+        .is_none_or(|height_m| (0.0..=EGO_HEIGHT_MAX_M).contains(&height_m))
+    {
+        let reason = format!("must be 0 to {EGO_HEIGHT_MAX_M} meters above the road");
+        return Err(checker.error(&top, "", "ego_height_m", reason));
+    }
     let mut names = HashSet::new();
     let cameras = checker.cameras(&form.rig, &mut names)?;
     Ok(SceneFile {
@@ -59,6 +69,7 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
         rig: Rig::from_iter(cameras),
         lidars: checker.lidars(&form.lidar, &mut names)?,
         ego,
+        ego_height_m: form.ego_height_m,
         agents: checker.agents(&form.agent)?,
         light: form
             .light

@@ -27,6 +27,8 @@ pub(super) struct SceneForm {
     #[serde(default)]
     pub(super) origin: [f64; 3],
     pub(super) background: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) ego_height_m: Option<f64>,
     #[serde(default = "black_sky")]
     pub(super) sky: Spanned<SkyForm>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -283,6 +285,7 @@ pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
             .collect(),
         lidar: lidars.collect::<Result<_, String>>()?,
         ego: scene.ego.as_ref().map(timed_pose_forms).unwrap_or_default(),
+        ego_height_m: scene.ego_height_m,
         agent: agents.collect::<Result<_, String>>()?,
         light: scene
             .light

@@ -38,6 +38,8 @@ pub struct LoadedScene {
     pub rig: Rig,
     /// Trajectory of the ego vehicle, world coordinates.
     pub ego: Trajectory,
+    /// Height of the ego's poses above the road, meters, where it is known.
+    pub ego_height_m: Option<f64>,
     /// Names and classes of all agents of both kinds; the instance id of agent `i` is `i + 1`.
     pub agent_labels: Vec<AgentLabel>,
     /// Light of the background on the moving agents.
@@ -128,6 +130,7 @@ impl LoadedScene {
             plain_agents: Vec::new(),
             rig: Rig::default(),
             ego: Trajectory::standing(Pose::IDENTITY),
+            ego_height_m: None,
             agent_labels: Vec::new(),
             light: None,
         }
@@ -336,6 +339,7 @@ impl SceneFile {
             })
         };
         scene.ego = self.ego.clone().unwrap_or_else(standing);
+        scene.ego_height_m = self.ego_height_m;
         if let Some(light) = &self.light {
             let read = |file: &PathBuf| {
                 light_transfer_file::read_from(&files.bytes(file)?, &files.path(file))

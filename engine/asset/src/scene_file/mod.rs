@@ -67,6 +67,8 @@ pub struct SceneFile {
     pub lidars: Vec<SceneLidar>,
     /// Trajectory of the ego vehicle, world coordinates. None: it stands at [`SceneFile::origin`].
     pub ego: Option<Trajectory>,
+    /// Height of the ego's poses above the road, meters. `None`: estimated where it is needed.
+    pub ego_height_m: Option<f64>,
     /// Agents in front of the background.
     pub agents: Vec<SceneAgent>,
     /// Light of the background on the agents. None: they keep the light that their assets were
@@ -151,6 +153,7 @@ impl SceneFile {
             rig: Rig::default(),
             lidars: Vec::new(),
             ego: None,
+            ego_height_m: None,
             agents: Vec::new(),
             light: None,
         }

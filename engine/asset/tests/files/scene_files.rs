@@ -51,6 +51,7 @@ fn the_documented_example_means_what_it_says() {
         (left.rig_from_camera.rotation * DVec3::Y + DVec3::Z).length() < 1e-12,
         "image down is vehicle down"
     );
+    assert_eq!(scene.ego_height_m, Some(0.8));
     let ego = scene.ego.unwrap();
     assert!((ego.at(1.0).translation.x - 458_010.0).abs() < 1e-9);
     assert!(
@@ -151,6 +152,12 @@ fn complaints_name_file_line_and_key() {
             "slash",
         ),
         ("time_s = 2.0", "time_s = 0.0", "ego[1].time_s", "later"),
+        (
+            "ego_height_m = 0.8",
+            "ego_height_m = 80.0",
+            "ego_height_m",
+            "0 to 10 meters",
+        ),
         (
             "name = \"oncoming\"",
             "name = \"\"",

@@ -286,6 +286,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                     },
                     rig: cameras.into_iter().enumerate().map(rig_camera).collect(),
                     lidars: lidars.into_iter().enumerate().map(scene_lidar).collect(),
+                    ego_height_m: ego.is_some().then_some(readout_s),
                     ego,
                     agents: agents.into_iter().enumerate().map(scene_agent).collect(),
                     light,

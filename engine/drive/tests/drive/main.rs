@@ -10,6 +10,7 @@ mod generated_difficulty;
 mod generated_lights;
 mod ground;
 mod grounding;
+mod guided_ground;
 mod hd_scores;
 mod lanes;
 mod properties;

@@ -13,7 +13,9 @@ use decouplegs_drive::generate::RoadUserAsset;
 use decouplegs_drive::lights::{LaneStopLine, TrafficLights};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::signs::TrafficSigns;
-use decouplegs_drive::{Ground, GroundOptions, Obstacles, RoadGraph, RoadSurface, occupancy};
+use decouplegs_drive::{
+    Ground, GroundGuides, GroundOptions, Obstacles, RecordedWay, RoadGraph, RoadSurface, occupancy,
+};
 use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
@@ -321,12 +323,17 @@ impl Site {
             band_m: GROUND_BAND_M,
             ..GroundOptions::default()
         };
-        let ground = Ground::new(
-            &loaded.splat_scene.splats,
-            loaded.splat_scene.origin,
-            &options,
-        );
         let splat_scene = &loaded.splat_scene;
+        let guides = GroundGuides {
+            map: Some(&lanes),
+            way: Some(RecordedWay {
+                poses: loaded.ego.poses(),
+                height_m: loaded.ego_height_m,
+            }),
+            ..GroundGuides::default()
+        };
+        let ground = Ground::new(&splat_scene.splats, splat_scene.origin, &options)
+            .guided(&splat_scene.splats, guides);
         let obstacles = obstacles.unwrap_or_else(|| {
             occupancy::obstacles(&splat_scene.splats, splat_scene.origin, &lanes, &ground)
         });
@@ -353,6 +360,12 @@ impl Site {
             signals: None,
             ground,
         })
+    }
+
+    /// A sentence where heights of the ground may be wrong, because splats show the road poorly.
+    #[must_use]
+    pub fn ground_warning(&self) -> Option<String> {
+        self.ground.as_ref()?.quality()?.warning()
     }
 
     /// Index in the scene of the asset that an agent shows. Indices beyond the last of its kind
@@ -503,6 +516,7 @@ fn empty_scene(splat_scene: SplatScene) -> LoadedScene {
         agents: Vec::new(),
         rig: Rig::default(),
         ego: Trajectory::standing(Pose::IDENTITY),
+        ego_height_m: None,
         agent_labels: Vec::new(),
         light: None,
     }
