@@ -5,10 +5,7 @@
 //! column of them is noise, four corners are four noises, and a car on it pitches and rolls. A
 //! vehicle that was there stood on the road: the way of its wheels is known to centimeters. So
 //! where splats are no road ([`GroundQuality::is_road`]), they are a bounded correction of what is
-//! known better: one slope across for the whole way, drawn towards none by its own error, and
-//! heights in wide columns beside it.
-
-use std::collections::HashMap;
+//! known better: the height of a way that nobody gives, and heights in wide columns beside it.
 
 use decouplegs_scene::{LaneKind, LaneMap, SplatCloud, TimedPose};
 use glam::{DMat2, DVec2, DVec3};
@@ -23,10 +20,6 @@ use crate::road_surface::RoadSurface;
 const HEIGHT_M: f64 = 0.75;
 /// Largest correction of a height that nobody knows, meters.
 const HEIGHT_OFF_M: f64 = 0.6;
-/// Slope across that springs and mounts add to a road's, as a standard deviation: 0.7 degrees.
-const LEFT_SIGMA: f64 = 0.012;
-/// Largest correction of the slope across: 1.5 degrees.
-const LEFT_MAX: f64 = 0.026;
 /// Distance to the side within which the way is the road, meters, and that from which on splats
 /// correct it in full.
 const CORRIDOR_M: [f64; 2] = [2.0, 4.0];
@@ -34,8 +27,6 @@ const CORRIDOR_M: [f64; 2] = [2.0, 4.0];
 const BOUND_M: [f64; 2] = [0.05, 0.08];
 /// Standard deviation of wide columns, meters.
 const WIDE_SIGMA_M: f64 = 0.7;
-/// Lengths of way whose splats err alike, meters.
-const BLOCK_M: f64 = 8.0;
 /// Columns in which splats are compared with the way: meters to its left.
 const LEFTS_M: [f64; 5] = [-1.6, -0.8, 0.0, 0.8, 1.6];
 /// Nodes of the way from one row of columns to the next.
@@ -155,9 +146,8 @@ impl Guide {
             };
             return (guide.survey.is_some() || guide.quality.is_some()).then_some(guide);
         }
-        if let Some(way) = &mut way {
-            let found = correction(splats, way, height_m.is_some());
-            way.correct(found.0, found.1);
+        if let Some(way) = way.as_mut().filter(|_| height_m.is_none()) {
+            way.raise(height_off_m(splats, way));
         }
         let map = guides
             .map
@@ -348,75 +338,37 @@ fn lane_places(map: &LaneMap) -> Vec<Place> {
     places
 }
 
-/// A splat on the road: how far above the way's road it is, how far to the left, its weight, and
-/// the block of way it belongs to.
+/// A splat on the road: how far above the way's road it is, how far to the left, and its weight.
 struct Residual {
     up_m: f64,
     left_m: f64,
     share: f64,
-    block: i64,
 }
 
-/// Correction of the way as a whole by splats: how much higher the road is, zero where its height
-/// is known, and how much it leans to the left.
-fn correction(splats: &SplatGround, way: &Way, height_known: bool) -> (f64, f64) {
-    let distance_max_m = if height_known {
-        2.0 * SPREADS_M[0]
-    } else {
-        HEIGHT_OFF_M
-    };
-    let residuals = residuals(splats, way, distance_max_m);
-    let first_m = if height_known { 2.0 } else { 4.0 } * SPREADS_M[0];
-    let (mut fit, mut spread_m) = (DVec2::ZERO, first_m);
-    let mut found = None;
+/// Height of the road above the way's, by splats, meters: for a way whose height is not known. What
+/// they say of the slope across is worse than what the vehicle did.
+fn height_off_m(splats: &SplatGround, way: &Way) -> f64 {
+    let residuals = residuals(splats, way);
+    let (mut fit, mut spread_m) = (DVec2::ZERO, 4.0 * SPREADS_M[0]);
     for _ in 0..ROUNDS {
         let (mut normal, mut right) = (DMat2::ZERO, DVec2::ZERO);
-        let weigh = |one: &Residual, fit: DVec2| {
-            let off = (one.up_m - fit.dot(DVec2::new(1.0, one.left_m))) / spread_m;
-            one.share * (1.0 - off * off).max(0.0).powi(2)
-        };
         for one in &residuals {
-            let (row, weight) = (DVec2::new(1.0, one.left_m), weigh(one, fit));
+            let row = DVec2::new(1.0, one.left_m);
+            let off = (one.up_m - fit.dot(row)) / spread_m;
+            let weight = one.share * (1.0 - off * off).max(0.0).powi(2);
             normal += DMat2::from_cols(row * row.x, row * row.y) * weight;
             right += row * (weight * one.up_m);
         }
-        let inverse = normal.inverse();
-        let fitted = inverse * right;
-        if !fitted.is_finite() {
-            return (0.0, 0.0);
+        fit = normal.inverse() * right;
+        if !fit.is_finite() {
+            return 0.0;
         }
-        // Splats of a stretch err together, so the error is that of stretches.
-        let mut blocks: HashMap<i64, DVec2> = HashMap::new();
-        for one in &residuals {
-            let row = DVec2::new(1.0, one.left_m);
-            let off_m = one.up_m - fitted.dot(row);
-            *blocks.entry(one.block).or_default() += row * (weigh(one, fit) * off_m);
-        }
-        let along = inverse.row(1);
-        let variance: f64 = blocks.values().map(|sum| along.dot(*sum).powi(2)).sum();
-        found = Some((fitted, variance, blocks.len()));
-        fit = fitted;
         spread_m = (0.9 * spread_m).max(SPREADS_M[1]);
     }
-    let Some((fit, variance, blocks)) = found else {
-        return (0.0, 0.0);
-    };
-    let known = LEFT_SIGMA * LEFT_SIGMA;
-    // One stretch tells nothing of its own error.
-    let trust = if blocks > 1 {
-        known / (known + variance)
-    } else {
-        0.0
-    };
-    let up_m = if height_known {
-        0.0
-    } else {
-        fit.x.clamp(-HEIGHT_OFF_M, HEIGHT_OFF_M)
-    };
-    (up_m, (trust * fit.y).clamp(-LEFT_MAX, LEFT_MAX))
+    fit.x.clamp(-HEIGHT_OFF_M, HEIGHT_OFF_M)
 }
 
-fn residuals(splats: &SplatGround, way: &Way, distance_max_m: f64) -> Vec<Residual> {
+fn residuals(splats: &SplatGround, way: &Way) -> Vec<Residual> {
     let (mut found, mut samples): (Vec<Residual>, Vec<Sample>) = (Vec::new(), Vec::new());
     let origin = splats.origin;
     for (at, node) in way.nodes().iter().enumerate().step_by(ROW_NODES) {
@@ -430,12 +382,11 @@ fn residuals(splats: &SplatGround, way: &Way, distance_max_m: f64) -> Vec<Residu
                 let (along_m, left_m) = (ahead.dot(offset), left_m + ahead.perp().dot(offset));
                 let road_m = node.point.z + node.grade * along_m + node.left * left_m;
                 let up_m = f64::from(sample.height) + origin.z - road_m;
-                if up_m.abs() <= distance_max_m {
+                if up_m.abs() <= HEIGHT_OFF_M {
                     found.push(Residual {
                         up_m,
                         left_m,
                         share: f64::from(sample.share),
-                        block: (node.arc_m / BLOCK_M).floor() as i64,
                     });
                 }
             }

@@ -98,11 +98,10 @@ impl Way {
         along.truncate().normalize_or(DVec2::X)
     }
 
-    /// Raises all of it by `up_m`, and turns it to the left by the slope `left`.
-    pub fn correct(&mut self, up_m: f64, left: f64) {
+    /// Raises all of it by `up_m`.
+    pub fn raise(&mut self, up_m: f64) {
         for node in &mut self.nodes {
             node.point.z += up_m;
-            node.left += left;
         }
     }
 
