@@ -13,8 +13,8 @@ use anyhow::{Result, bail, ensure};
 use decouplegs::asset::tracks::{PoseRow, write_poses};
 use decouplegs::asset::{open_scene, read_map, read_tracks, write_atomically};
 use decouplegs::drive::{
-    Ground, GroundGuides, GroundOptions, GroundQuality, Outcome, RecordedWay, RegisterOptions,
-    Registration, register,
+    Ground, GroundGuides, GroundOptions, GroundQuality, Outcome, RegisterOptions, Registration,
+    register,
 };
 use decouplegs::scene::{LaneMap, SplatScene};
 
@@ -112,9 +112,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             arguments.tracks.display()
         );
     }
-    let of_map = |path: &Path| ground_of(path, &map);
-    let ground = arguments.scene.as_deref().map(of_map).transpose()?;
-    let truth_ground = arguments.ground_truth.as_deref().map(of_map).transpose()?;
+    let ground = arguments
+        .scene
+        .as_deref()
+        .map(|path| ground_of(path, Some(&map)))
+        .transpose()?;
+    let truth_ground = arguments
+        .ground_truth
+        .as_deref()
+        .map(|path| ground_of(path, None))
+        .transpose()?;
     let options = RegisterOptions {
         noise_m: arguments.sigma,
         shared: arguments.shared,
@@ -174,8 +181,9 @@ fn text_of(path: Option<&Path>) -> String {
 
 /// The ground of a scene's background, or that of a survey's points.
 ///
-/// Where splats show the road poorly, heights are those of `map`, or of the ego's way in the scene.
-fn ground_of(path: &Path, map: &LaneMap) -> Result<Ground> {
+/// With `map`, that and the way of the scene's ego guide it. A truth has no guides: it would be
+/// compared with itself.
+fn ground_of(path: &Path, map: Option<&LaneMap>) -> Result<Ground> {
     let reading = progress::spinner(format!("reading {}", path.display()));
     let mut recorded = None;
     let (cloud, origin) = if path.extension().is_some_and(|extension| extension == "csv") {
@@ -199,14 +207,10 @@ fn ground_of(path: &Path, map: &LaneMap) -> Result<Ground> {
         (splats.select(&still), origin)
     };
     let mut ground = Ground::new(&cloud, origin, &GroundOptions::default());
-    if let Some((ego, height_m)) = &recorded {
+    if let (Some(_), Some((ego, height_m))) = (map, &recorded) {
         let guides = GroundGuides {
-            map: Some(map),
-            way: Some(RecordedWay {
-                poses: ego.poses(),
-                height_m: *height_m,
-            }),
-            ..GroundGuides::default()
+            map,
+            ..GroundGuides::for_way(ego.poses(), *height_m)
         };
         ground = ground.guided(&cloud, guides);
     }

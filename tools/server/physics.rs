@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene, read_splats};
 use decouplegs::drive::register::grounding::set_on_ground;
-use decouplegs::drive::{Ground, GroundGuides, GroundOptions, RecordedWay};
+use decouplegs::drive::{Ground, GroundGuides, GroundOptions};
 use decouplegs::scene::{Pose, SplatCloud};
 use glam::DVec3;
 use tonic::{Request, Response, Status};
@@ -86,15 +86,10 @@ impl Physics {
         let path = path.to_owned();
         let read = move || -> Result<(LocalGround, u64), AssetError> {
             let Background { cloud, origin, way } = Background::open(&path)?;
-            let guides = GroundGuides {
-                way: way.as_ref().map(|(ego, height_m)| RecordedWay {
-                    poses: ego.poses(),
-                    height_m: *height_m,
-                }),
-                ..GroundGuides::default()
-            };
-            let ground =
-                Ground::new(&cloud, origin, &GroundOptions::default()).guided(&cloud, guides);
+            let mut ground = Ground::new(&cloud, origin, &GroundOptions::default());
+            if let Some((ego, height_m)) = &way {
+                ground = ground.guided(&cloud, GroundGuides::for_way(ego.poses(), *height_m));
+            }
             Ok((
                 LocalGround { ground, origin },
                 cloud.len() as u64 * BYTES_A_SPLAT,

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use decouplegs_asset::{AssetError, SceneFile, coded_asset, read_coded, read_splats};
 use decouplegs_drive::register::grounding::set_on_ground;
-use decouplegs_drive::{Ground, GroundGuides, GroundOptions, RecordedWay};
+use decouplegs_drive::{Ground, GroundGuides, GroundOptions};
 use decouplegs_scene::{Invalid, TimedPose, Trajectory};
 
 /// An asset that has no size.
@@ -33,6 +33,23 @@ pub struct Grounded {
     pub raised_max_m: f64,
 }
 
+/// The ground of the background of `scene`, whose paths are relative to `directory`, guided by the
+/// way of its ego.
+///
+/// # Errors
+/// Returns an error if the file cannot be read.
+pub fn ground_of(scene: &SceneFile, directory: &Path) -> Result<Ground, AssetError> {
+    let cloud = read_splats(&directory.join(&scene.background))?;
+    let ground = Ground::new(&cloud, scene.origin, &GroundOptions::default());
+    Ok(match &scene.ego {
+        Some(ego) => ground.guided(
+            &cloud,
+            GroundGuides::for_way(ego.poses(), scene.ego_height_m),
+        ),
+        None => ground,
+    })
+}
+
 /// Length, width and height of the asset at `path`, meters: as a compressed one says, or of the box
 /// about the means of its splats.
 ///
@@ -59,16 +76,7 @@ impl Footing {
     /// # Errors
     /// Returns an error if the file cannot be read.
     pub fn open(scene: &SceneFile, directory: &Path) -> Result<Self, AssetError> {
-        let cloud = read_splats(&directory.join(&scene.background))?;
-        let guides = GroundGuides {
-            way: scene.ego.as_ref().map(|ego| RecordedWay {
-                poses: ego.poses(),
-                height_m: scene.ego_height_m,
-            }),
-            ..GroundGuides::default()
-        };
-        let ground =
-            Ground::new(&cloud, scene.origin, &GroundOptions::default()).guided(&cloud, guides);
+        let ground = ground_of(scene, directory)?;
         Ok(Self { ground })
     }
 

@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use anyhow::Result;
-use decouplegs::asset::{SceneFile, read_splats};
-use decouplegs::drive::{Ground, GroundGuides, GroundOptions, RecordedWay};
+use decouplegs::asset::SceneFile;
+use decouplegs::drive::Ground;
+use decouplegs::footing::ground_of;
 use decouplegs::scene::{Pose, Trajectory};
 use glam::{DVec2, DVec3};
 
@@ -29,16 +30,7 @@ pub struct Mesh {
 /// The ground of `scene` about its ego's way; the ego's middle is half of `height_m` above it.
 pub fn mesh_of(scene: &SceneFile, directory: &Path, height_m: f64) -> Result<Mesh> {
     let finding = progress::spinner("finding the ground".into());
-    let cloud = read_splats(&directory.join(&scene.background))?;
-    let guides = GroundGuides {
-        way: scene.ego.as_ref().map(|ego| RecordedWay {
-            poses: ego.poses(),
-            height_m: scene.ego_height_m,
-        }),
-        ..GroundGuides::default()
-    };
-    let ground =
-        Ground::new(&cloud, scene.origin, &GroundOptions::default()).guided(&cloud, guides);
+    let ground = ground_of(scene, directory)?;
     let standing = Trajectory::standing(Pose {
         translation: scene.origin,
         ..Pose::IDENTITY
@@ -150,6 +142,7 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use decouplegs::drive::GroundOptions;
     use decouplegs::scene::SplatCloud;
 
     #[test]

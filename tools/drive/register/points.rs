@@ -4,11 +4,9 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::read_bytes;
+use decouplegs::drive::Survey;
 use decouplegs::scene::SplatCloud;
 use glam::DVec3;
-
-/// Radius of the ground that a point stands for, meters.
-const POINT_SIGMA_M: f32 = 0.1;
 
 /// A table of x, y and z in meters, one point a line below a line of these names, as round splats
 /// about their first point.
@@ -55,20 +53,8 @@ fn parse(text: &str) -> Result<(SplatCloud, DVec3)> {
     }
     ensure!(!points.is_empty(), "it has no points below its first line");
     let origin = points[0];
-    let count = points.len();
-    let cloud = SplatCloud {
-        means: points
-            .iter()
-            .map(|point| (*point - origin).as_vec3().to_array())
-            .collect(),
-        // Flat, so that the ground is where the points are.
-        scales: vec![[POINT_SIGMA_M, POINT_SIGMA_M, 0.01]; count],
-        rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],
-        opacities: vec![1.0; count],
-        sh_dc: vec![[0.0; 3]; count],
-        ..SplatCloud::default()
-    };
-    Ok((cloud, origin))
+    let survey = Survey { points_m: points };
+    Ok((survey.cloud(origin), origin))
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 //! column of them is noise, four corners are four noises, and a car on it pitches and rolls. A
 //! vehicle that was there stood on the road: the way of its wheels is known to centimeters. So
 //! where splats are no road ([`GroundQuality::is_road`]), they are a bounded correction of what is
-//! known better: the height of a way that nobody gives, and heights in wide columns beside it.
+//! known better: the height above the road of a way without one, and heights beside the way.
 
 use decouplegs_scene::{LaneKind, LaneMap, SplatCloud, TimedPose};
 use glam::{DMat2, DVec2, DVec3};
@@ -13,12 +13,12 @@ use glam::{DMat2, DVec2, DVec3};
 use super::quality::{self, GroundQuality, Place, quantile};
 use super::surfel::Sample;
 use super::way::Way;
-use super::{Ground, GroundHeight, GroundOptions, SplatGround};
+use super::{GroundHeight, GroundOptions, SplatGround};
 use crate::road_surface::RoadSurface;
 
 /// Height of a vehicle's middle above the road where nothing tells it, meters.
 const HEIGHT_M: f64 = 0.75;
-/// Largest correction of a height that nobody knows, meters.
+/// Largest correction of the height of a way above the road, where it is estimated, meters.
 const HEIGHT_OFF_M: f64 = 0.6;
 /// Distance to the side within which the way is the road, meters, and that from which on splats
 /// correct it in full.
@@ -57,19 +57,6 @@ pub enum GroundSource {
     Splats,
 }
 
-impl GroundSource {
-    /// Name in reports.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Survey => "survey",
-            Self::Map => "map",
-            Self::Way => "recorded way",
-            Self::Splats => "splats",
-        }
-    }
-}
-
 /// Points of the ground, or the middles of the triangles of its mesh, as splats about an origin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Survey {
@@ -95,6 +82,18 @@ pub struct GroundGuides<'a> {
     pub map: Option<&'a LaneMap>,
     /// The recorded way.
     pub way: Option<RecordedWay<'a>>,
+}
+
+impl<'a> GroundGuides<'a> {
+    /// The way of a recorded vehicle alone: its poses, and their height above the road, meters,
+    /// where it is known.
+    #[must_use]
+    pub fn for_way(poses: &'a [TimedPose], height_m: Option<f64>) -> Self {
+        Self {
+            way: Some(RecordedWay { poses, height_m }),
+            ..Self::default()
+        }
+    }
 }
 
 /// Guides, made ready.
@@ -289,15 +288,6 @@ impl Survey {
             opacities: vec![1.0; count],
             sh_dc: vec![[0.0; 3]; count],
             ..SplatCloud::default()
-        }
-    }
-
-    /// The ground of the points alone.
-    #[must_use]
-    pub fn ground(&self) -> Ground {
-        Ground {
-            splats: survey_ground(self),
-            guide: None,
         }
     }
 }

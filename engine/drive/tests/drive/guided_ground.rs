@@ -1,7 +1,7 @@
 //! Heights of captured roads whose splats are few and scattered, from what is known better.
 
 use decouplegs_drive::register::grounding::{corners, set_on_ground};
-use decouplegs_drive::{Ground, GroundGuides, GroundOptions, GroundSource, RecordedWay, Survey};
+use decouplegs_drive::{Ground, GroundGuides, GroundOptions, GroundSource, Survey};
 use decouplegs_scene::{LaneMap, Pose, SplatCloud, TimedPose};
 use glam::{DQuat, DVec2, DVec3};
 
@@ -72,13 +72,6 @@ fn guided(cloud: &SplatCloud, guides: GroundGuides<'_>) -> Ground {
     Ground::new(cloud, DVec3::ZERO, &GroundOptions::default()).guided(cloud, guides)
 }
 
-fn recorded(poses: &[TimedPose], height_m: Option<f64>) -> GroundGuides<'_> {
-    GroundGuides {
-        way: Some(RecordedWay { poses, height_m }),
-        ..GroundGuides::default()
-    }
-}
-
 #[test]
 fn cars_stand_on_the_road_where_a_vehicle_drove() {
     let (cloud, way) = (captured(1), way());
@@ -89,7 +82,7 @@ fn cars_stand_on_the_road_where_a_vehicle_drove() {
         "splats alone leave {alone_m:.3} m: the test shows nothing"
     );
     for (height_m, middle_m, most_m) in [(Some(HEIGHT_M), 0.01, 0.03), (None, 0.04, 0.06)] {
-        let ground = guided(&cloud, recorded(&way, height_m));
+        let ground = guided(&cloud, GroundGuides::for_way(&way, height_m));
         let errors = corner_errors(&ground);
         let (middle, p95) = (errors[errors.len() / 2], errors[errors.len() * 95 / 100]);
         assert!(
@@ -120,7 +113,7 @@ fn a_map_with_heights_is_better_than_the_way() {
     }
     let guides = GroundGuides {
         map: Some(&map),
-        ..recorded(&way, Some(HEIGHT_M))
+        ..GroundGuides::for_way(&way, Some(HEIGHT_M))
     };
     let ground = guided(&cloud, guides);
     assert_eq!(ground.quality().unwrap().source, GroundSource::Map);
@@ -147,7 +140,7 @@ fn points_of_a_survey_are_trusted_first() {
     // The way is said to be 10 cm lower than it is: the survey knows better.
     let guides = GroundGuides {
         survey: Some(&survey),
-        ..recorded(&way, Some(HEIGHT_M - 0.1))
+        ..GroundGuides::for_way(&way, Some(HEIGHT_M - 0.1))
     };
     let ground = guided(&cloud, guides);
     let errors = corner_errors(&ground);
@@ -161,7 +154,7 @@ fn splats_that_are_a_road_are_asked_alone() {
     let cloud = cluttered(&ROAD, &road_z_m, 7);
     let way = way();
     let plain = Ground::new(&cloud, DVec3::ZERO, &GroundOptions::default());
-    let ground = guided(&cloud, recorded(&way, Some(HEIGHT_M)));
+    let ground = guided(&cloud, GroundGuides::for_way(&way, Some(HEIGHT_M)));
     let quality = ground.quality().unwrap();
     assert!(
         quality.is_road() && quality.warning().is_none(),

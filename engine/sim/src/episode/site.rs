@@ -14,7 +14,7 @@ use decouplegs_drive::lights::{LaneStopLine, TrafficLights};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{
-    Ground, GroundGuides, GroundOptions, Obstacles, RecordedWay, RoadGraph, RoadSurface, occupancy,
+    Ground, GroundGuides, GroundOptions, Obstacles, RoadGraph, RoadSurface, occupancy,
 };
 use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions};
@@ -326,11 +326,7 @@ impl Site {
         let splat_scene = &loaded.splat_scene;
         let guides = GroundGuides {
             map: Some(&lanes),
-            way: Some(RecordedWay {
-                poses: loaded.ego.poses(),
-                height_m: loaded.ego_height_m,
-            }),
-            ..GroundGuides::default()
+            ..GroundGuides::for_way(loaded.ego.poses(), loaded.ego_height_m)
         };
         let ground = Ground::new(&splat_scene.splats, splat_scene.origin, &options)
             .guided(&splat_scene.splats, guides);
