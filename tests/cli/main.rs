@@ -17,6 +17,7 @@ mod interfaces;
 mod lidar;
 mod map;
 mod programs;
+mod recording;
 mod register;
 mod rendering;
 mod stress;

@@ -166,6 +166,7 @@ fn loaded(seed: u64) -> LoadedScene {
         rig: Rig::default(),
         ego: Trajectory::standing(Pose::IDENTITY),
         ego_height_m: None,
+        recording: Default::default(),
         agent_labels: Vec::new(),
         light: None,
     }

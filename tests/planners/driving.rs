@@ -121,6 +121,7 @@ fn recorded() -> Episode {
         speed_mps: 5.0,
         cruise_mps: 5.0,
         size: VehicleSize::CAR,
+        follows_recording: false,
     };
     let scenario = Scenario {
         name: "seen".into(),

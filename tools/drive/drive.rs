@@ -19,6 +19,7 @@ use decouplegs::episode::{
 use decouplegs::logs::{read_episode_log, scenario_file};
 use decouplegs::planner::{Cameras, Planner, Timeouts};
 use decouplegs::scene::episode::Episode;
+use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Level, Sensor};
 use decouplegs::session::BatchRenderer;
 use indicatif::ProgressBar;
@@ -33,6 +34,7 @@ use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
 use crate::progress;
+use crate::seen::SeenWatch;
 use crate::sites::Sites;
 use decouplegs_alpasim::egodriver::DriverOptions;
 use decouplegs_alpasim::planner_name::PlannerName;
@@ -57,11 +59,15 @@ enum RoadUsers {
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Scenarios (.toml) or OpenSCENARIO files (.xosc) to drive, one episode each
-    #[arg(required_unless_present = "level", value_name = "SCENARIO")]
+    #[arg(required_unless_present_any = ["level", "follow_recording"], value_name = "SCENARIO")]
     scenarios: Vec<PathBuf>,
     /// Generate scenarios of these levels: easy, medium, hard, extreme or all
     #[arg(long, value_name = "LEVEL", value_delimiter = ',', value_parser = levels, conflicts_with = "scenarios")]
     level: Vec<LevelName>,
+    /// Drive the way on which --scene was recorded, pose by pose and as fast, whatever the planner
+    /// plans: an open loop, whose log `open-loop` compares images along
+    #[arg(long, requires = "scene", conflicts_with_all = ["level", "scenarios"])]
+    follow_recording: bool,
     /// Planner: constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND, unix:SOCKET, or
     /// egodriver://HOST:PORT, a driver of AlpaSim
     #[arg(long, value_name = "PLANNER")]
@@ -208,6 +214,9 @@ impl Arguments {
             "road_users": if self.road_users == RoadUsers::Mixed { "mixed" } else { "cars" },
             "light": self.light.as_ref().map(|light| light.display().to_string()),
         });
+        if self.follow_recording {
+            settings["follow_recording"] = true.into();
+        }
         if let Some(step_s) = self.step_s() {
             settings["step"] = step_s.into();
         }
@@ -391,7 +400,11 @@ impl Worker<'_> {
         };
         let name = &job.scenario.name;
         let image_writer = ImageWriter::new(run.folder.images(name), run.arguments.keeps());
-        let mut images = EpisodeImages::new(run.folder.log(name), image_writer);
+        let log = run.folder.log(name);
+        // Synthetic places look right from everywhere.
+        let is_captured = matches!(job.scenario.place, Place::Scene { .. });
+        let seen = is_captured.then(|| SeenWatch::new(ready.site.view_support().cloned(), &log));
+        let mut images = EpisodeImages::new(log, image_writer, seen);
         let driven = match (run.sites.session(), &ready.scene) {
             (Some(session), Some(scene)) => {
                 let renderer = self.renderer.take();

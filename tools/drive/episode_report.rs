@@ -22,6 +22,7 @@ use decouplegs::scene::episode::{Episode, EpisodeEnd};
 use glam::DVec2;
 use serde_json::{Value, json};
 
+use crate::seen::Seen;
 use crate::sites::Sites;
 
 pub use comparison::compare;
@@ -34,6 +35,8 @@ pub struct Scored {
     pub log: PathBuf,
     /// Folder of its images, if there are any.
     pub images: PathBuf,
+    /// What was seen of a captured place.
+    pub seen: Seen,
     /// Times of its steps; none if it was driven before.
     pub times: Option<Vec<StepTime>>,
 }
@@ -47,6 +50,7 @@ impl Scored {
     ) -> Result<Self> {
         Ok(Self {
             score: EpisodeScore::new(&episode),
+            seen: Seen::beside(&log)?,
             episode,
             log,
             images,
@@ -254,9 +258,34 @@ pub fn write(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
     write_atomically(&html, |file| file.write_all(page.as_bytes()))?;
     let mut text = text(scored)?;
     text.push_str(&timing::text(scored));
+    text.push_str(&unseen(scored));
     text.push_str(&failed_planners(scored));
     text.push_str(&format!("{}\n{}\n", json.display(), html.display()));
     Ok(text)
+}
+
+/// Episodes with a warning about what was seen that are named on the console.
+const UNSEEN_SHOWN_MAX: usize = 3;
+
+/// How many episodes show a captured place where it was not seen from, and the first of them.
+fn unseen(scored: &[Scored]) -> String {
+    let warned = scored
+        .iter()
+        .map(|scored| (scored.name(), scored.seen.warnings()))
+        .filter(|(_, warnings)| !warnings.is_empty());
+    let warned: Vec<_> = warned.collect();
+    if warned.is_empty() {
+        return String::new();
+    }
+    let mut text = format!(
+        "the place is shown badly in {} of {} episodes, whose scores say little:\n",
+        warned.len(),
+        scored.len()
+    );
+    for (name, warnings) in warned.iter().take(UNSEEN_SHOWN_MAX) {
+        text.push_str(&format!("  {name}: {}\n", warnings.join("; ")));
+    }
+    text
 }
 
 /// Episodes whose planner failed that are named on the console.
@@ -360,7 +389,7 @@ fn episode_to_json(scored: &Scored) -> Value {
             "light": scenario.lights[light].name,
         }),
     };
-    json!({
+    let mut episode = json!({
         "name": scored.name(),
         "level": scored.level().map(Level::name),
         "ending": scored.ending(),
@@ -375,5 +404,15 @@ fn episode_to_json(scored: &Scored) -> Value {
         "lateral_acceleration_max_mps2": score.comfort.lateral_acceleration_max_mps2,
         "infractions": score.infractions.iter().map(infraction).collect::<Vec<_>>(),
         "log": scored.log.display().to_string(),
-    })
+    });
+    if !scored.seen.steps.is_empty() {
+        let (left, least) = (scored.seen.left(), scored.seen.least_opacity());
+        episode["seen"] = json!({
+            "left_at_s": left.map(|(from_s, _)| from_s),
+            "left_share": left.map_or(0.0, |(_, share)| share),
+            "least_opacity": least.map(|(opacity, ..)| opacity),
+            "warnings": scored.seen.warnings(),
+        });
+    }
+    episode
 }

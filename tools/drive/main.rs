@@ -10,6 +10,7 @@ mod drive;
 mod edit;
 mod episode_report;
 mod export;
+mod import;
 mod lane_drawing;
 mod lidar;
 mod map;
@@ -18,6 +19,7 @@ mod pack;
 mod register;
 mod replay;
 mod score;
+mod seen;
 mod sites;
 
 use std::process::ExitCode;
@@ -36,6 +38,7 @@ struct Program {
 
 #[derive(Subcommand)]
 enum Command {
+    Import(import::Arguments),
     Lidar(Box<lidar::Arguments>),
     Edit(edit::Arguments),
     Pack(pack::Arguments),
@@ -51,6 +54,7 @@ enum Command {
 
 fn main() -> ExitCode {
     exit_code(&match &Program::parse().command {
+        Command::Import(arguments) => import::run(arguments),
         Command::Lidar(arguments) => lidar::run(arguments),
         Command::Edit(arguments) => edit::run(arguments),
         Command::Pack(arguments) => pack::run(arguments),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use decouplegs::asset::{LoadedScene, lidar_names};
 use decouplegs::episode::chosen_lidars;
 use decouplegs::explain::explain;
-use decouplegs::scene::{Camera, Intrinsics, Lidar, Motion, Pose};
+use decouplegs::scene::{Camera, CapturedViews, Intrinsics, Lidar, Motion, Pose};
 use decouplegs::session::{Session, SessionError, SessionScene, World};
 use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
@@ -408,6 +408,7 @@ impl Source {
             "cameras": cameras,
             "step_s": self.step_s(),
             "has_ego": self.episode().is_some() || has_rig,
+            "is_captured": has_rig && is_captured(loaded),
             "background_splats": self.on_device.background_splats(),
             "assets": loaded.assets.len(),
             "first_camera": pose_json(&first),
@@ -531,4 +532,13 @@ pub fn scaled(own: &Intrinsics, scale: f64) -> Intrinsics {
     }
     let side = |side_px: u32| ((f64::from(side_px) * scale).round() as u32).max(1);
     own.resized(side(own.width_px), side(own.height_px))
+}
+/// True where a scene looks right from the cameras that captured it alone: behind the car nothing
+/// may be seen.
+fn is_captured(loaded: &LoadedScene) -> bool {
+    match &loaded.recording.views {
+        Some(CapturedViews::Everywhere) => false,
+        Some(CapturedViews::From(_)) => true,
+        None => loaded.ego.poses().len() > 1,
+    }
 }

@@ -81,6 +81,7 @@ impl ReinsertionScene {
             rig,
             ego: trajectory(street.ego.iter().copied())?,
             ego_height_m: None,
+            recording: Default::default(),
             agent_labels: Vec::new(),
             light: Some(LoadedLight {
                 transfer: Some(light.clone()),

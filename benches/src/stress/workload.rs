@@ -157,6 +157,7 @@ impl Workload {
             rig: street.rig.clone(),
             ego: trajectory(&street.ego)?,
             ego_height_m: None,
+            recording: Default::default(),
             agent_labels: Vec::new(),
             light: None,
         };

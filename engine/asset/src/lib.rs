@@ -28,6 +28,7 @@ pub mod coded_asset;
 pub mod compressed_ply;
 pub mod inria_ply;
 pub mod khr_glb;
+pub mod kitti_raw;
 pub mod lidar_file;
 pub mod light_transfer_file;
 pub mod loss;
@@ -60,8 +61,9 @@ pub use packed_scene::open_packed_scene;
 pub use probe::{probe_paths, read_probe};
 pub use read::{SplatFormat, read_splats};
 pub use scene_file::{
-    AgentLabel, EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, PlainAgent, SceneAgent,
-    SceneFile, SceneLidar, SceneLight, SceneSky, is_scene_file, open_scene,
+    AgentLabel, EditError, Layer, LoadedAgent, LoadedLight, LoadedRecording, LoadedScene,
+    PlainAgent, SceneAgent, SceneFile, SceneLidar, SceneLight, SceneRecording, SceneSky, SeenFrom,
+    is_scene_file, open_scene,
 };
 pub use sky_file::SkyKind;
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};

@@ -23,6 +23,8 @@ use speed::SpeedProfile;
 /// Longest part of a step, seconds. The controls are set anew at each part: steps of 0.1 s and 0.01
 /// s then agree.
 const PART_S: f64 = 0.01;
+/// Below this speed the turn of a moved ego says nothing about its wheels.
+const STEERED_MPS_MIN: f64 = 0.1;
 /// Longest step, seconds.
 const STEP_S_MAX: f64 = 60.0;
 /// Time within which speed errors are corrected, seconds.
@@ -179,6 +181,18 @@ impl Ego {
             self.part(dt_s / parts);
         }
         self.state.acceleration_mps2 = (self.state.speed_mps - speed_before_mps) / dt_s;
+    }
+
+    /// Moves to `state` as if it had driven there, turning at `yaw_rate_radps`, with no regard to
+    /// any plan. The angle of the wheels is the one that turns so.
+    pub fn move_to(&mut self, state: VehicleState, yaw_rate_radps: f64) {
+        self.state = state;
+        let steer_max_rad = self.options.steer_max_rad;
+        let steer_rad = (yaw_rate_radps * self.wheelbase_m).atan2(state.speed_mps);
+        // Standing wheels tell nothing.
+        if state.speed_mps > STEERED_MPS_MIN {
+            self.steer_rad = steer_rad.clamp(-steer_max_rad, steer_max_rad);
+        }
     }
 
     fn part(&mut self, dt_s: f64) {

@@ -40,6 +40,7 @@ pub use rules::{Difficulty, NEAR_M, agents_near, weathers};
 use crate::obstacles::Obstacles;
 use crate::road_graph::RoadGraph;
 use crate::traffic::{Traffic, TrafficError};
+use crate::view_support::ViewSupport;
 use ego_start::{EgoStart, Wishes};
 use placement::Placement;
 use random::Stream;
@@ -76,13 +77,18 @@ pub enum GenerateError {
     NoAssets,
     /// The ego finds no way.
     #[error(
-        "scenario {name}: in {tries} tries no place was found where an ego can start and drive on for 60 m; expected longer driving lanes"
+        "scenario {name}: in {tries} tries no place was found where an ego can start and drive on for {least_m} m; expected longer {}",
+        if *is_limited { "driving lanes along the views that the scene was seen from (`seen_from` in its [recording])" } else { "driving lanes" }
     )]
     NoRoute {
         /// Name of the scenario.
         name: String,
         /// Number of starts that were tried.
         tries: u64,
+        /// Least length of a route, meters.
+        least_m: f64,
+        /// True if routes are limited to where the place was seen from.
+        is_limited: bool,
     },
     /// Too few agents fit.
     #[error(
@@ -108,6 +114,7 @@ pub struct Generator<'a> {
     roads: Roads<'a>,
     place: PlaceOptions,
     area: Option<Area>,
+    seen: Option<Arc<ViewSupport>>,
     assets: Assets,
     has_lights: bool,
     difficulty: Difficulty,
@@ -140,6 +147,7 @@ impl<'a> Generator<'a> {
             roads,
             place,
             area,
+            seen: None,
             assets: Assets::cars(assets),
             has_lights: true,
             difficulty: Difficulty::default(),
@@ -154,6 +162,14 @@ impl<'a> Generator<'a> {
             area: Some(area),
             ..self
         }
+    }
+
+    /// Limits routes to places and headings from which a captured scene was seen.
+    #[must_use]
+    pub fn seen_from(mut self, support: Arc<ViewSupport>) -> Self {
+        self.roads.limit_to(support.clone());
+        self.seen = Some(support);
+        self
     }
 
     /// Adds trucks, buses, cyclists and pedestrians that show `assets`, among `obstacles`, into
@@ -173,6 +189,9 @@ impl<'a> Generator<'a> {
         let largest = largest(self.assets.vehicle_sizes());
         let has_lights = self.has_lights;
         self.roads = Roads::new(self.roads.map, largest).map_err(GenerateError::Roads)?;
+        if let Some(support) = &self.seen {
+            self.roads.limit_to(support.clone());
+        }
         if !has_lights {
             self.roads.ignore_lights();
         }
@@ -276,7 +295,12 @@ impl<'a> Generator<'a> {
             });
         }
         Err(match routes {
-            0 => GenerateError::NoRoute { name, tries: TRIES },
+            0 => GenerateError::NoRoute {
+                name,
+                tries: TRIES,
+                least_m: self.roads.route_m_min(),
+                is_limited: self.seen.is_some(),
+            },
             _ => GenerateError::NoRoom {
                 name,
                 least,

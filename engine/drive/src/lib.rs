@@ -24,6 +24,7 @@ pub mod route;
 pub mod score;
 pub mod signs;
 pub mod traffic;
+pub mod view_support;
 
 pub use ego::{Ego, EgoOptions};
 pub use ground::{
@@ -43,3 +44,4 @@ pub use road_surface::RoadSurface;
 pub use route::{Route, RouteTurn};
 pub use score::{EpisodeScore, Summary};
 pub use traffic::{LanePosition, Traffic, TrafficError, driver, idm, mobil};
+pub use view_support::ViewSupport;

@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 
 use decouplegs_scene::{LaneKind, LaneMap, Obstacle, ObstacleKind, SplatCloud};
-use glam::{DVec2, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 
 use crate::ground::Ground;
 use crate::road_surface::RoadSurface;
@@ -18,12 +18,18 @@ const BESIDE_M: f64 = 15.0;
 const HEIGHTS_M: std::ops::Range<f64> = 0.4..1.9;
 /// Heights above the nearest lane outside of which no splat is examined, meters.
 const LOOK_UP_M: std::ops::Range<f64> = -2.0..4.0;
-/// Least opacity of a splat that counts; fainter ones are haze.
-const OPACITY_MIN: f32 = 0.3;
+/// Least opacity of a splat that counts.
+const OPACITY_MIN: f32 = 0.05;
 /// Largest scale of a splat that counts, meters; larger ones are backdrops.
-const SCALE_M_MAX: f32 = 1.0;
-/// Sum of opacities from which a cell is filled: one or two splats are floaters.
-const FILLED: f32 = 3.0;
+const SCALE_M_MAX: f32 = 2.5;
+/// Sum of opacity times area from which a cell is filled, square meters: a dark, smooth side of a
+/// car has few splats, but large ones, and haze has many faint ones. On two captured streets this
+/// finds the most at the fewest phantoms.
+const FILLED_M2: f64 = 0.35;
+/// Splats with an axis above this, meters, are spread along it, to this many standard deviations:
+/// a wall is wider than the cell of its mean.
+const SPREAD_M_MIN: f64 = 0.1;
+const SPREAD_SIGMAS: f64 = 1.2;
 
 /// Contents of a cell.
 #[derive(Clone, Copy, Debug)]
@@ -32,7 +38,7 @@ struct Cell {
     lane: (f64, f64),
     /// Height of the ground, looked up when a splat is near it.
     ground_z_m: Option<f64>,
-    mass: f32,
+    area_m2: f64,
     low_m: DVec2,
     high_m: DVec2,
 }
@@ -47,35 +53,41 @@ pub fn obstacles(
     ground: &Ground,
 ) -> Vec<Obstacle> {
     let mut cells = cells_beside(map);
-    for (splat, mean) in cloud.means.iter().enumerate() {
+    for splat in 0..cloud.len() {
         let scale_m = cloud.scales[splat].into_iter().fold(0.0, f32::max);
         let opacity = cloud.opacities[splat];
         // Written so that what is no number does not count.
         if !(opacity >= OPACITY_MIN && scale_m <= SCALE_M_MAX) {
             continue;
         }
-        let at_m = origin + DVec3::from(mean.map(f64::from));
-        let Some(cell) = cells.get_mut(&key(at_m.truncate())) else {
-            continue;
-        };
-        if !(LOOK_UP_M.contains(&(at_m.z - cell.lane.1))) {
+        let mean_m = origin + DVec3::from(cloud.means[splat].map(f64::from));
+        let is_near = |cell: &Cell| LOOK_UP_M.contains(&(mean_m.z - cell.lane.1));
+        if !cells.get(&key(mean_m.truncate())).is_some_and(is_near) {
             continue;
         }
-        let ground_z_m = *cell.ground_z_m.get_or_insert_with(|| {
-            let middle_m = ((at_m.truncate() / CELL_M).floor() + 0.5) * CELL_M;
-            let found = ground.height_at(middle_m, Some(cell.lane.1));
-            found.map_or(cell.lane.1, |height| height.z_m)
-        });
-        if HEIGHTS_M.contains(&(at_m.z - ground_z_m)) {
-            cell.mass += opacity;
-            cell.low_m = cell.low_m.min(at_m.truncate());
-            cell.high_m = cell.high_m.max(at_m.truncate());
+        let (offsets_m, area_m2) = spread(cloud, splat);
+        let part_m2 = f64::from(opacity) * area_m2 / offsets_m.len() as f64;
+        for offset_m in offsets_m {
+            let at_m = mean_m + offset_m;
+            let Some(cell) = cells.get_mut(&key(at_m.truncate())) else {
+                continue;
+            };
+            let ground_z_m = *cell.ground_z_m.get_or_insert_with(|| {
+                let middle_m = ((at_m.truncate() / CELL_M).floor() + 0.5) * CELL_M;
+                let found = ground.height_at(middle_m, Some(cell.lane.1));
+                found.map_or(cell.lane.1, |height| height.z_m)
+            });
+            if HEIGHTS_M.contains(&(at_m.z - ground_z_m)) {
+                cell.area_m2 += part_m2;
+                cell.low_m = cell.low_m.min(at_m.truncate());
+                cell.high_m = cell.high_m.max(at_m.truncate());
+            }
         }
     }
     let surface = RoadSurface::new(map);
     let mut filled: Vec<_> = cells
         .into_iter()
-        .filter(|(_, cell)| cell.mass >= FILLED)
+        .filter(|(_, cell)| cell.area_m2 >= FILLED_M2)
         .filter(|(_, cell)| !surface.contains(0.5 * (cell.low_m + cell.high_m)))
         .collect();
     filled.sort_unstable_by_key(|(key, _)| *key);
@@ -90,6 +102,33 @@ pub fn obstacles(
         }
     };
     filled.into_iter().map(boxed).collect()
+}
+
+/// Places over which a splat is spread, relative to its mean, and its area, square meters: twice
+/// that of the ellipse of one standard deviation, whose integral is that of the Gaussian.
+fn spread(cloud: &SplatCloud, splat: usize) -> (Vec<DVec3>, f64) {
+    let [w, x, y, z] = cloud.rotations[splat].map(f64::from);
+    let rotation = DQuat::from_xyzw(x, y, z, w);
+    let length = rotation.length();
+    let mut axes = [DVec3::X, DVec3::Y, DVec3::Z]
+        .into_iter()
+        .zip(cloud.scales[splat].map(f64::from))
+        .map(|(axis, sigma_m)| (sigma_m, axis));
+    let mut axes: [(f64, DVec3); 3] = std::array::from_fn(|_| axes.next().unwrap_or_default());
+    axes.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let area_m2 = std::f64::consts::TAU * axes[0].0 * axes[1].0;
+    let steps = |(sigma_m, axis): (f64, DVec3)| {
+        let reach_m = match length > 0.0 && sigma_m > SPREAD_M_MIN {
+            true => rotation.normalize() * axis * (SPREAD_SIGMAS * sigma_m),
+            false => return vec![DVec3::ZERO],
+        };
+        vec![-reach_m, DVec3::ZERO, reach_m]
+    };
+    let (along, across) = (steps(axes[0]), steps(axes[1]));
+    let places = along
+        .iter()
+        .flat_map(|a| across.iter().map(move |b| *a + *b));
+    (places.collect(), area_m2)
 }
 
 fn key(at_m: DVec2) -> (i64, i64) {
@@ -127,7 +166,7 @@ fn cells_beside(map: &LaneMap) -> HashMap<(i64, i64), Cell> {
                 let cell = cells.entry((x + dx, y + dy)).or_insert(Cell {
                     lane,
                     ground_z_m: None,
-                    mass: 0.0,
+                    area_m2: 0.0,
                     low_m: DVec2::INFINITY,
                     high_m: DVec2::NEG_INFINITY,
                 });
@@ -194,8 +233,9 @@ mod tests {
             ([30.3, 0.5, 1.0], 0.9, 0.1),  // on the lane
             ([40.3, 5.4, 0.1], 0.9, 0.1),  // a kerb
             ([50.3, 5.4, 3.0], 0.9, 0.1),  // a crown
-            ([60.3, 5.4, 1.0], 0.2, 0.1),  // haze
+            ([60.3, 5.4, 1.0], 0.04, 0.3), // haze
             ([70.3, 5.4, 1.0], 0.9, 3.0),  // a backdrop
+            ([65.3, 5.4, 1.0], 0.2, 0.05), // a few faint specks
             ([35.3, 19.4, 1.0], 0.9, 0.1), // far from the road
         ];
         let found = found(&all);
@@ -207,6 +247,33 @@ mod tests {
             "{post:?}"
         );
         assert!(post.length_m < 0.2 && post.width_m < 0.01, "{post:?}");
+    }
+
+    #[test]
+    fn a_smooth_wall_of_a_few_large_splats_fills_all_that_it_covers() {
+        let map = LaneMap {
+            lanes: vec![Lane {
+                id: "a".into(),
+                centerline: vec![DVec3::ZERO, DVec3::new(80.0, 0.0, 0.0)],
+                ..Lane::default()
+            }],
+            ..LaneMap::default()
+        };
+        // A meter and a half along x, half a meter high, as thin as paper.
+        let mut wall = disc([20.5, 5.5, 1.1], 0.5, 1.0);
+        wall.scales[0] = [1.5, 0.01, 0.5];
+        let ground = Ground::new(&wall, DVec3::ZERO, &GroundOptions::default());
+        let found = obstacles(&wall, DVec3::ZERO, &map, &ground);
+        assert!(found.len() >= 3, "{found:?}");
+        assert!(
+            found.iter().all(|one| (one.center_m.y - 5.5).abs() < 0.02),
+            "{found:?}"
+        );
+        let faint = SplatCloud {
+            opacities: vec![0.06],
+            ..wall
+        };
+        assert!(obstacles(&faint, DVec3::ZERO, &map, &ground).is_empty());
     }
 
     #[test]

@@ -10,6 +10,7 @@
 pub mod bounding_box;
 pub mod bounds;
 pub mod camera;
+pub mod captured_views;
 pub mod codebook;
 pub mod detail;
 pub mod episode;
@@ -46,6 +47,7 @@ pub mod vehicle;
 
 pub use bounds::Bounds;
 pub use camera::{Camera, Intrinsics, Rig, RigCamera, Sensor};
+pub use captured_views::{CapturedView, CapturedViews};
 pub use codebook::{CodedCloud, CodedSplat, SplatCodes};
 pub use detail::{DetailLevels, DetailNode};
 pub use episode::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep};

@@ -133,6 +133,8 @@ pub struct EgoTask {
     pub cruise_mps: f64,
     /// Size of the box.
     pub size: VehicleSize,
+    /// True if the ego moves as the scene was recorded, whatever it plans: an open loop.
+    pub follows_recording: bool,
 }
 
 /// Driver type.

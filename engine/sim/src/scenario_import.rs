@@ -251,6 +251,7 @@ impl Import<'_> {
             speed_mps,
             cruise_mps,
             size: entity.size,
+            follows_recording: false,
         })
     }
 

@@ -24,6 +24,7 @@ fn scene() -> LoadedScene {
         rig: Rig::default(),
         ego: Trajectory::standing(Pose::IDENTITY),
         ego_height_m: None,
+        recording: Default::default(),
         agent_labels: Vec::new(),
         light: None,
     }

@@ -24,6 +24,11 @@ pub const DRIVE: Program = Program {
     folder: "tools/drive",
     commands: &[
         (
+            "import",
+            "Make a scene to drive in from a recording and the splats that were trained on its images: \
+             the rig, the way of the vehicle, views, lanes along the way and labeled boxes",
+        ),
+        (
             "lidar",
             "Sweep a scene with a LiDAR: one file of points per sweep, listed as they are written",
         ),

@@ -9,8 +9,8 @@ use anyhow::{Context, Result};
 use decouplegs_asset::maps::lane_json;
 use decouplegs_asset::tracks::{self, PoseRow};
 use decouplegs_asset::{
-    CodedAsset, Provenance, SceneAgent, SceneFile, SceneLight, inria_ply, write_atomically,
-    write_coded,
+    CodedAsset, Provenance, SceneAgent, SceneFile, SceneLight, SceneRecording, SeenFrom, inria_ply,
+    write_atomically, write_coded,
 };
 use decouplegs_scene::light::{RelightOptions, ShadowOptions};
 use decouplegs_scene::{
@@ -125,6 +125,10 @@ fn scene_file(street: &Street, ego: Trajectory, content: Content) -> Result<Scen
         rules: Rules::DEFAULT,
         rig: street.rig.clone(),
         ego: Some(ego),
+        recording: SceneRecording {
+            seen_from: Some(SeenFrom::Everywhere),
+            ..SceneRecording::default()
+        },
         agents: agents.collect::<Result<_>>()?,
         light: (content.shadows || content.by_normals).then(|| SceneLight {
             relighting: RelightOptions {
@@ -197,7 +201,8 @@ fn baked_world(street: &Street) -> Result<SplatCloud> {
 
 /// nerfstudio's transforms.json: world from camera in OpenGL axes (x right, y up, z back),
 /// intrinsics for each frame.
-fn transforms(cameras: &[Camera]) -> Value {
+#[must_use]
+pub fn transforms(cameras: &[Camera]) -> Value {
     let frame = |camera: &Camera| {
         let Pose {
             rotation,

@@ -17,6 +17,7 @@ use decouplegs_recording::point_cloud::{PointFormat, write_points};
 
 use crate::arguments::write_image;
 use crate::lidar::previews::{ABOVE, RANGES, from_above, ranges};
+use crate::seen::SeenWatch;
 
 /// Images to keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -182,16 +183,19 @@ pub struct EpisodeImages {
     path: PathBuf,
     log: Option<EpisodeLog>,
     image_writer: ImageWriter,
+    /// Watch over what was seen of a captured place.
+    seen: Option<SeenWatch>,
     /// Error of writing an image. The log has priority, so it is reported after the episode.
     pub image_error: Option<anyhow::Error>,
 }
 
 impl EpisodeImages {
-    pub fn new(path: PathBuf, image_writer: ImageWriter) -> Self {
+    pub fn new(path: PathBuf, image_writer: ImageWriter, seen: Option<SeenWatch>) -> Self {
         Self {
             path,
             log: None,
             image_writer,
+            seen,
             image_error: None,
         }
     }
@@ -206,12 +210,21 @@ impl EpisodeImages {
 impl EpisodeObserver for EpisodeImages {
     fn begin(&mut self, head: &EpisodeHead, start: &EpisodeTick) -> Result<(), EpisodeError> {
         self.log = Some(EpisodeLog::create(&self.path, head, start)?);
+        if let Some(seen) = &mut self.seen {
+            seen.moved(start.ego, start.time_s);
+        }
         Ok(())
     }
 
     fn step(&mut self, step: &EpisodeStep, readings: &[Reading]) -> Result<(), EpisodeError> {
         if let Some(log) = &mut self.log {
             log.append(step)?;
+        }
+        if let Some(seen) = &mut self.seen {
+            seen.observe(readings);
+            if let Some(last) = step.instants.last() {
+                seen.moved(last.ego, last.time_s);
+            }
         }
         let added = self.image_writer.add(step.step, readings);
         self.keep(added);
@@ -222,6 +235,8 @@ impl EpisodeObserver for EpisodeImages {
         // Images first: a log under its own name says that all of the episode is there.
         let closed = self.image_writer.close();
         self.keep(closed);
+        let noted = self.seen.as_mut().map_or(Ok(()), SeenWatch::finish);
+        self.keep(noted);
         if let Some(log) = self.log.take() {
             log.finish(end)?;
         }

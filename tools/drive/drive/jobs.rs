@@ -9,6 +9,7 @@ use decouplegs::asset::{probe_paths, write_atomically};
 use decouplegs::drive::generate::{Area, Difficulty, Generator, PlaceOptions, Sky};
 use decouplegs::episode::Site;
 use decouplegs::logs::{read_scenario, write_scenario};
+use decouplegs::recorded::recorded_scenario;
 use decouplegs::scenario_import::import_open_scenario;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{LaneMap, Scenario, Weather};
@@ -55,7 +56,9 @@ pub struct Job {
 }
 
 pub fn list(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
-    let jobs = if arguments.scenarios.is_empty() {
+    let jobs = if arguments.follow_recording {
+        vec![recorded(arguments, folder)?]
+    } else if arguments.scenarios.is_empty() {
         generated(arguments, folder)?
     } else {
         from_files(arguments, folder)?
@@ -131,6 +134,22 @@ fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Jo
     })
 }
 
+/// The scenario of the recorded way, written to the folder of the run.
+fn recorded(arguments: &Arguments, folder: &RunFolder) -> Result<Job> {
+    let site = Site::open(&arguments.place.bare(), Path::new(""), None)
+        .context("the recording cannot be followed here")?;
+    let place = arguments.place.whole()?;
+    let scenario = stepped(recorded_scenario(&site, place)?, arguments);
+    let path = folder.scenario(&scenario.name);
+    if !path.exists() {
+        write_scenario(&path, &scenario)?;
+    }
+    Ok(Job {
+        scenario,
+        directory: PathBuf::new(),
+    })
+}
+
 /// Scenarios of each level, written to the folder of the run, where people can read, edit and drive
 /// them.
 fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
@@ -140,8 +159,13 @@ fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
         .place
         .options(arguments.place.background(&site, arguments.render.0 > 0))?;
     let mut generator = Generator::new(&site.lanes, options, &site.asset_sizes)?;
-    if let Some(area) = arguments.place.seen(&site) {
-        generator = generator.within(area);
+    match site.view_support() {
+        Some(support) => generator = generator.seen_from(support.clone()),
+        None => {
+            if let Some(area) = arguments.place.seen(&site) {
+                generator = generator.within(area);
+            }
+        }
     }
     if arguments.traffic_lights == TrafficLights::Off {
         generator = generator.without_lights();
@@ -274,6 +298,24 @@ impl PlaceArguments {
                 seed: STREET_SEED,
             },
         })
+    }
+
+    /// Place of the recorded drive. Files go by their whole path, as those of generated scenarios.
+    fn whole(&self) -> Result<Place> {
+        match self.options(0)? {
+            PlaceOptions::Scene {
+                scene,
+                map,
+                obstacles,
+            } => Ok(Place::Scene {
+                scene,
+                map,
+                obstacles,
+            }),
+            PlaceOptions::Street { .. } | PlaceOptions::Roads { .. } => {
+                bail!("a recording is that of a captured scene: name it with --scene")
+            }
+        }
     }
 
     /// The same place with nothing to see.

@@ -26,6 +26,7 @@ pub fn figures(scored: &Scored) -> impl Iterator<Item = Figure> {
         ("plan error", "meters", errors(scored)),
     ]
     .into_iter()
+    .chain(seen(scored))
     .map(|(what, unit, series)| Figure::flexible_svg(&over_time(scored, what, unit, series)))
 }
 
@@ -103,6 +104,23 @@ fn steering(scored: &Scored) -> Vec<Named> {
     let points = scored.episode.instants();
     let points = points.map(|instant| (instant.time_s, instant.steer_rad.to_degrees()));
     vec![("front wheels", 0, points.collect())]
+}
+
+/// Opacity and support of a captured place; nothing for one that is not captured.
+fn seen(scored: &Scored) -> Option<(&'static str, &'static str, Vec<Named>)> {
+    let steps = &scored.seen.steps;
+    let opacity = steps.iter().filter_map(|step| {
+        let (opacity, _) = step.opacity.as_ref()?;
+        Some((step.time_s, f64::from(*opacity)))
+    });
+    let support = steps
+        .iter()
+        .map(|step| (step.time_s, f64::from(u8::from(step.is_supported))));
+    let series = vec![
+        ("opacity of the lower half", 0, opacity.collect()),
+        ("seen from here", 2, support.collect()),
+    ];
+    (!steps.is_empty()).then_some(("what was seen", "0 to 1", series))
 }
 
 fn errors(scored: &Scored) -> Vec<Named> {

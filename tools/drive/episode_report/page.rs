@@ -184,6 +184,9 @@ fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {
         link(&format!("logs/{}.log", scored.name()), "log"),
         link(&format!("scenarios/{}.toml", scored.name()), "scenario"),
     ));
+    for warning in scored.seen.warnings() {
+        page.note(&format!("Warning: {warning}."));
+    }
     infractions(page, scored);
     let above = Figure::flexible_svg(&birds_eye::svg(scored, lanes));
     page.row(std::iter::once(above).chain(charts::figures(scored)));

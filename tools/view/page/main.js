@@ -49,7 +49,9 @@ function showChange(change) {
   if (state.panes.length > 0) return;
   const [first] = state.sources;
   $("empty").hidden = true;
-  views.choose(views.addPane(0), first.has_ego ? "follow" : "orbit");
+  // Where a scene was captured by few cameras, nothing else may be seen.
+  const captured = first.is_captured ? `named:${first.cameras[0].name}` : null;
+  views.choose(views.addPane(0), captured ?? (first.has_ego ? "follow" : "orbit"));
   views.activate(0);
   if (state.sources.length > 1) views.setTwo(true);
 }

@@ -11,7 +11,7 @@ use super::agents::sequence_tracks;
 use super::rig::{geographic_origin, rig_trajectories, span_of};
 use super::{OURS, PackOptions, SCENE};
 use crate::zip::StoredZip;
-use crate::{AssetError, SceneFile, SceneLidar, write_atomically};
+use crate::{AssetError, SceneFile, SceneLidar, SeenFrom, write_atomically};
 
 /// The layer that makes a zip a USDZ: an empty stage.
 const STAGE: &str = "#usda 1.0\n(\n    defaultPrim = \"World\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n)\n\ndef Xform \"World\"\n{\n}\n";
@@ -162,6 +162,10 @@ fn renamed(scene: &SceneFile) -> (SceneFile, Vec<(PathBuf, String)>) {
     models.for_each(|file| take(file, ""));
     if let Some(sky) = &mut own.sky_map {
         take(&mut sky.file, "");
+    }
+    let seen_from = own.recording.seen_from.as_mut();
+    if let Some(file) = seen_from.and_then(SeenFrom::file_mut) {
+        take(file, "");
     }
     if let Some(path) = own.light.as_mut().and_then(|light| light.transfer.as_mut()) {
         take(path, "");

@@ -18,7 +18,8 @@ use super::form::{
 use super::lens::LensForm;
 use super::lens::WindshieldForm;
 use super::photometry::PhotometryForm;
-use super::{SceneAgent, SceneFile, SceneSky, VERSION};
+use super::recording::RecordingForm;
+use super::{SceneAgent, SceneFile, SceneRecording, SceneSky, VERSION};
 use crate::toml_text::{Checker, syntax_error};
 use crate::{SceneError, SkyKind};
 
@@ -70,6 +71,12 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
         lidars: checker.lidars(&form.lidar, &mut names)?,
         ego,
         ego_height_m: form.ego_height_m,
+        recording: form
+            .recording
+            .as_ref()
+            .map_or(Ok(SceneRecording::default()), |form| {
+                RecordingForm::checked(form, &checker)
+            })?,
         agents: checker.agents(&form.agent)?,
         light: form
             .light

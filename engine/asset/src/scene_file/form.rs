@@ -15,6 +15,7 @@ use super::lens::LensForm;
 use super::lens::WindshieldForm;
 use super::lidar::LidarForm;
 use super::photometry::PhotometryForm;
+use super::recording::RecordingForm;
 use super::shutter::ShutterForm;
 use super::{SceneAgent, SceneFile, SceneLight, VERSION};
 use crate::SkyKind;
@@ -29,6 +30,8 @@ pub(super) struct SceneForm {
     pub(super) background: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) ego_height_m: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) recording: Option<Spanned<RecordingForm>>,
     #[serde(default = "black_sky")]
     pub(super) sky: Spanned<SkyForm>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -286,6 +289,7 @@ pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
         lidar: lidars.collect::<Result<_, String>>()?,
         ego: scene.ego.as_ref().map(timed_pose_forms).unwrap_or_default(),
         ego_height_m: scene.ego_height_m,
+        recording: RecordingForm::from_recording(&scene.recording, path)?.map(spanless),
         agent: agents.collect::<Result<_, String>>()?,
         light: scene
             .light

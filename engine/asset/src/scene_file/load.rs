@@ -15,7 +15,7 @@ use decouplegs_scene::{
 };
 use glam::DVec3;
 
-use super::{SceneAgent, SceneFile, SceneSky, is_scene_file};
+use super::{LoadedRecording, SceneAgent, SceneFile, SceneSky, is_scene_file};
 use crate::memory::{self, SPLATS_MAX, cloud_bytes};
 use crate::packed_scene::{is_package, open_packed_scene};
 use crate::read::splats_of;
@@ -40,6 +40,8 @@ pub struct LoadedScene {
     pub ego: Trajectory,
     /// Height of the ego's poses above the road, meters, where it is known.
     pub ego_height_m: Option<f64>,
+    /// Drive on which the scene was recorded.
+    pub recording: LoadedRecording,
     /// Names and classes of all agents of both kinds; the instance id of agent `i` is `i + 1`.
     pub agent_labels: Vec<AgentLabel>,
     /// Light of the background on the moving agents.
@@ -131,6 +133,7 @@ impl LoadedScene {
             rig: Rig::default(),
             ego: Trajectory::standing(Pose::IDENTITY),
             ego_height_m: None,
+            recording: LoadedRecording::default(),
             agent_labels: Vec::new(),
             light: None,
         }
@@ -340,6 +343,7 @@ impl SceneFile {
         };
         scene.ego = self.ego.clone().unwrap_or_else(standing);
         scene.ego_height_m = self.ego_height_m;
+        scene.recording = self.recording.load(files)?;
         if let Some(light) = &self.light {
             let read = |file: &PathBuf| {
                 light_transfer_file::read_from(&files.bytes(file)?, &files.path(file))

@@ -12,6 +12,7 @@ mod lidar;
 mod load;
 mod paths;
 mod photometry;
+mod recording;
 mod shutter;
 
 use std::io::Write;
@@ -31,6 +32,7 @@ pub use lidar::SceneLidar;
 pub(crate) use load::SceneFiles;
 pub use load::{AgentLabel, LoadedAgent, LoadedLight, LoadedScene, PlainAgent, open_scene};
 pub use paths::path_from;
+pub use recording::{LoadedRecording, SceneRecording, SeenFrom};
 
 /// The version that is written, and the only one there is.
 pub const VERSION: u32 = 1;
@@ -69,6 +71,8 @@ pub struct SceneFile {
     pub ego: Option<Trajectory>,
     /// Height of the ego's poses above the road, meters. `None`: estimated where it is needed.
     pub ego_height_m: Option<f64>,
+    /// Drive on which the scene was recorded.
+    pub recording: SceneRecording,
     /// Agents in front of the background.
     pub agents: Vec<SceneAgent>,
     /// Light of the background on the agents. None: they keep the light that their assets were
@@ -154,6 +158,7 @@ impl SceneFile {
             lidars: Vec::new(),
             ego: None,
             ego_height_m: None,
+            recording: SceneRecording::default(),
             agents: Vec::new(),
             light: None,
         }

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Component, Path, PathBuf};
 
-use super::{SceneFile, SceneLidar};
+use super::{SceneFile, SceneLidar, SeenFrom};
 
 /// The way to `target` from `directory`, both of which exist: relative where they share a folder
 /// below the root, else absolute.
@@ -65,6 +65,14 @@ impl SceneFile {
         models.for_each(|file| *file = moved(file));
         if let Some(sky) = &mut scene.sky_map {
             sky.file = moved(&sky.file);
+        }
+        if let Some(file) = scene
+            .recording
+            .seen_from
+            .as_mut()
+            .and_then(SeenFrom::file_mut)
+        {
+            *file = moved(file);
         }
         if let Some(light) = &mut scene.light {
             light.transfer = light.transfer.as_ref().map(moved);

@@ -9,6 +9,7 @@ mod exchange;
 mod frozen;
 mod hostile;
 mod hugsim;
+mod kitti;
 mod lidar;
 mod light_transfer;
 mod properties;

@@ -1,13 +1,16 @@
 //! Properties over generated cameras and scene files.
 
-use decouplegs_asset::{SceneAgent, SceneFile, SceneLidar, SceneLight, SceneSky, SkyKind, cameras};
+use decouplegs_asset::{
+    SceneAgent, SceneFile, SceneLidar, SceneLight, SceneRecording, SceneSky, SeenFrom, SkyKind,
+    cameras,
+};
 use decouplegs_scene::light::{
     AmbientOptions, CastingLights, Lamps, RelightOptions, ShadowOptions, Sun,
 };
 use decouplegs_scene::photometry::{ColorCurve, Vignetting};
 use decouplegs_scene::{
     Camera, Fog, Intrinsics, Lens, Photometry, Pose, Presence, RigCamera, Rules, ShFrame, Shutter,
-    ShutterDirection, TimedPose, Trajectory,
+    ShutterDirection, TimedPose, Trajectory, VehicleSize,
 };
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use proptest::prelude::*;
@@ -287,6 +290,16 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                     rig: cameras.into_iter().enumerate().map(rig_camera).collect(),
                     lidars: lidars.into_iter().enumerate().map(scene_lidar).collect(),
                     ego_height_m: ego.is_some().then_some(readout_s),
+                    recording: SceneRecording {
+                        // The name of a file may be the word for no file.
+                        seen_from: match agents.len() % 4 {
+                            0 => None,
+                            1 => Some(SeenFrom::Everywhere),
+                            2 => Some(SeenFrom::Cameras(format!("{name}.json").into())),
+                            _ => Some(SeenFrom::Cameras("./everywhere".into())),
+                        },
+                        vehicle_size: antialias.then_some(VehicleSize::CAR),
+                    },
                     ego,
                     agents: agents.into_iter().enumerate().map(scene_agent).collect(),
                     light,

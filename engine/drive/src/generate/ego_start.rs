@@ -15,8 +15,10 @@ use crate::route::Route;
 pub(super) const EGO: VehicleSize = VehicleSize::CAR;
 /// Range of requested route lengths, meters.
 const ROUTE_M: (f64, f64) = (100.0, 180.0);
-/// A route that has to be shorter than this is none, meters.
-const ROUTE_M_MIN: f64 = 60.0;
+/// A route that has to be shorter than this is none, meters; and where a captured place was seen
+/// on a short stretch alone.
+pub(super) const ROUTE_M_MIN: f64 = 60.0;
+pub(super) const SEEN_ROUTE_M_MIN: f64 = 15.0;
 /// A route is so short that it can be driven in this time where nothing is in the way: it leaves a
 /// third of an episode to wait for others, seconds.
 const FREE_TIME_S: f64 = 13.0;
@@ -133,7 +135,9 @@ pub(super) fn choose(
         };
         let start = task(roads, spot, lanes, end_m)?;
         let time_s = reference::free_s(&start.route, start.task.cruise_mps);
-        if time_s <= FREE_TIME_S && inside(end) {
+        let seen_m = roads.seen_m(&start.route);
+        let is_seen = start.route.length_m() <= seen_m;
+        if time_s <= FREE_TIME_S && inside(end) && is_seen {
             if !roads.hold(&start.route, &EGO) {
                 return None;
             }
@@ -147,13 +151,20 @@ pub(super) fn choose(
                 ..start
             });
         }
+        if !is_seen {
+            length_m = seen_m;
+            if length_m < roads.route_m_min() {
+                return None;
+            }
+            continue;
+        }
         let shorter = if inside(end) {
             0.97 * FREE_TIME_S / time_s
         } else {
             0.9
         };
         length_m = start.route.length_m() * shorter;
-        if length_m < ROUTE_M_MIN {
+        if length_m < roads.route_m_min() {
             return None;
         }
     }
@@ -238,7 +249,7 @@ fn onward(
     let end_m = to_centimeter(end_m.min(roads.length_m(*lanes.last()?) - 0.01));
     let driven_m: f64 = lanes.iter().map(|&lane| roads.length_m(lane)).sum::<f64>() - spot.at_m;
     let rest_m = roads.length_m(*lanes.last()?) - end_m;
-    (end_m > 0.0 && driven_m - rest_m >= ROUTE_M_MIN).then_some((lanes, end_m))
+    (end_m > 0.0 && driven_m - rest_m >= roads.route_m_min()).then_some((lanes, end_m))
 }
 
 fn task(roads: &Roads, spot: Spot, lanes: Vec<usize>, end_m: f64) -> Option<EgoStart> {
@@ -256,6 +267,7 @@ fn task(roads: &Roads, spot: Spot, lanes: Vec<usize>, end_m: f64) -> Option<EgoS
         speed_mps: 0.0,
         cruise_mps: down_to_tenth(limit_mps),
         size: EGO,
+        follows_recording: false,
     };
     let route = Route::new(roads.map, &task)
         .ok()

@@ -1,10 +1,12 @@
 //! Road layout for placement: free positions, crossings, and lanes ahead.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 
 use decouplegs_scene::{LaneMap, VehicleSize, VehicleState};
 use glam::DVec2;
 
+use super::ego_start::{ROUTE_M_MIN, SEEN_ROUTE_M_MIN};
 use super::random::Stream;
 use crate::lane_index::LaneIndex;
 use crate::oriented_box::OrientedBox;
@@ -12,6 +14,7 @@ use crate::polyline::Polyline;
 use crate::road_graph::{RoadGraph, position_on};
 use crate::road_surface::RoadSurface;
 use crate::route::Route;
+use crate::view_support::ViewSupport;
 
 /// Distance between places along a route that are examined, meters.
 const STRIDE_M: f64 = 0.5;
@@ -62,6 +65,9 @@ pub(super) struct Roads<'a> {
     pub has_lanes_beside: bool,
     /// Driving lanes, and how many meters of them there are up to the end of each.
     cumulative_m: Vec<(usize, f64)>,
+    /// Views that the place was seen from, and the places on lanes that they support, about a
+    /// meter apart. `None`: all of it may be driven in.
+    seen: Option<(Arc<ViewSupport>, Vec<Spot>)>,
 }
 
 impl<'a> Roads<'a> {
@@ -125,7 +131,46 @@ impl<'a> Roads<'a> {
             crossings,
             has_lanes_beside,
             cumulative_m,
+            seen: None,
         })
+    }
+
+    /// Limits starts and routes to where the place was seen from.
+    pub fn limit_to(&mut self, support: Arc<ViewSupport>) {
+        let mut spots = Vec::new();
+        for &(lane, _) in &self.cumulative_m {
+            let meters = self.length_m(lane).floor() as u32;
+            let along = (0..=meters).map(|at_m| Spot {
+                lane,
+                at_m: f64::from(at_m),
+            });
+            let is_seen = |spot: &Spot| {
+                let place = position_on(self.graph.lanes(), &[lane], 0, spot.at_m);
+                support.holds(place.position_m, place.yaw_rad)
+            };
+            spots.extend(along.filter(is_seen));
+        }
+        let seen_lanes: HashSet<usize> = spots.iter().map(|spot| spot.lane).collect();
+        self.crossings
+            .retain(|spot| seen_lanes.contains(&spot.lane));
+        self.seen = Some((support, spots));
+    }
+
+    /// Least length of a route, meters.
+    pub fn route_m_min(&self) -> f64 {
+        match self.seen {
+            Some(_) => SEEN_ROUTE_M_MIN,
+            None => ROUTE_M_MIN,
+        }
+    }
+
+    /// Distance along `route` up to which it leads where the place was seen from, meters; infinite
+    /// where it may be driven in everywhere.
+    pub fn seen_m(&self, route: &Route) -> f64 {
+        match &self.seen {
+            None => f64::INFINITY,
+            Some((support, _)) => support.along_m(route),
+        }
     }
 
     /// Forgets the traffic lights of the map.
@@ -152,6 +197,11 @@ impl<'a> Roads<'a> {
 
     /// A place on any driving lane, all meters alike.
     pub fn anywhere(&self, random: &mut Stream) -> Option<Spot> {
+        if let Some((_, spots)) = &self.seen {
+            let spot = *random.pick(spots)?;
+            let at_m = (spot.at_m + random.between((0.0, 1.0))).min(self.length_m(spot.lane));
+            return Some(Spot { at_m, ..spot });
+        }
         let total_m = self.cumulative_m.last()?.1;
         let drawn_m = random.between((0.0, total_m));
         let at = self

@@ -82,6 +82,7 @@ fn scenario(agents: usize) -> Scenario {
         speed_mps: 10.0,
         cruise_mps: 10.0,
         size: SIZE,
+        follows_recording: false,
     };
     Scenario {
         name: "made".into(),

@@ -76,6 +76,7 @@ fn task(route: &[&str], start_m: f64, end_m: f64) -> EgoTask {
         speed_mps: 8.0,
         cruise_mps: 10.0,
         size: VehicleSize::CAR,
+        follows_recording: false,
     }
 }
 

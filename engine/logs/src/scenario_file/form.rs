@@ -97,6 +97,8 @@ pub(super) struct EgoForm {
     pub(super) cruise_mps: f64,
     #[serde(default = "default_size_m")]
     pub(super) size_m: [f64; 3],
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(super) follows_recording: bool,
 }
 
 fn default_size_m() -> [f64; 3] {
@@ -342,6 +344,7 @@ fn ego(form: &EgoForm) -> EgoTask {
         speed_mps: form.speed_mps,
         cruise_mps: form.cruise_mps,
         size: VehicleSize::from_array(form.size_m),
+        follows_recording: form.follows_recording,
     }
 }
 

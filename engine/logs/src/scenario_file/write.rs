@@ -126,6 +126,7 @@ fn ego_form(ego: &EgoTask) -> EgoForm {
         speed_mps: ego.speed_mps,
         cruise_mps: ego.cruise_mps,
         size_m: ego.size.to_array(),
+        follows_recording: ego.follows_recording,
     }
 }
 

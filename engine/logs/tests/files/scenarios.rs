@@ -62,15 +62,17 @@ fn egos() -> impl Strategy<Value = EgoTask> {
         1e3f64..=1e6,
         speeds,
         sizes(),
+        any::<bool>(),
     )
         .prop_map(
-            |(route, start_m, end_m, (speed_mps, cruise_mps), size)| EgoTask {
+            |(route, start_m, end_m, (speed_mps, cruise_mps), size, follows_recording)| EgoTask {
                 route,
                 start_m,
                 end_m,
                 speed_mps,
                 cruise_mps,
                 size,
+                follows_recording,
             },
         )
 }

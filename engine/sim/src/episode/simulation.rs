@@ -8,7 +8,9 @@ use decouplegs_drive::score::RouteProgress;
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{Ego, EgoOptions, OrientedBox, RoadSurface, Route, Traffic};
 use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick};
-use decouplegs_scene::{Motion, Plan, Pose, Scenario, SignKind, VehicleSize, VehicleState};
+use decouplegs_scene::{
+    Motion, Plan, Pose, Scenario, SignKind, Trajectory, VehicleSize, VehicleState,
+};
 use glam::{DVec2, DVec3};
 
 use super::EpisodeError;
@@ -26,6 +28,9 @@ const OFF_ROAD_M: f64 = 20.0;
 /// Distance from its route at which the ego has left it, meters, as in CARLA's leaderboard.
 const OFF_ROUTE_M: f64 = 30.0;
 
+/// Time over which the acceleration of a recorded vehicle is taken, seconds.
+const RECORDED_S: f64 = 0.2;
+
 /// One episode in motion. [`Simulation::advance`] is all that moves it: the same plans give the
 /// same bits.
 pub struct Simulation {
@@ -34,6 +39,8 @@ pub struct Simulation {
     route: Route,
     progress: RouteProgress,
     ego: Ego,
+    /// The way that the ego takes instead of its plans.
+    recorded: Option<Trajectory>,
     traffic: Traffic,
     agent_sizes: Vec<VehicleSize>,
     lights: Arc<TrafficLights>,
@@ -81,11 +88,22 @@ impl Simulation {
             .with_pedestrians(&scenario.pedestrians)
             .map_err(|error| unfit(error.into()))?;
         let (start, heading_rad) = route.pose_at(0.0);
-        let state = VehicleState {
-            position_m: start.truncate(),
-            yaw_rad: heading_rad,
-            speed_mps: scenario.ego.speed_mps,
-            acceleration_mps2: 0.0,
+        let recorded = match (scenario.ego.follows_recording, site.recorded_way()) {
+            (false, _) => None,
+            (true, Some(way)) => Some(way.clone()),
+            (true, None) => {
+                let reason = "its ego follows the recording, and the place has none: expected [[ego]] poses in its scene file";
+                return Err(unfit(reason.into()));
+            }
+        };
+        let state = match &recorded {
+            Some(way) => recorded_state(way, 0.0).0,
+            None => VehicleState {
+                position_m: start.truncate(),
+                yaw_rad: heading_rad,
+                speed_mps: scenario.ego.speed_mps,
+                acceleration_mps2: 0.0,
+            },
         };
         let progress = RouteProgress::new(&line_of(&route), state.position_m)
             .ok_or_else(|| unfit("the route is no line".into()))?;
@@ -100,7 +118,8 @@ impl Simulation {
                 scenario.agent(agent).0
             )));
         }
-        if let Some(obstacle) = site.obstacles.touched(&ego_box) {
+        let hit = site.obstacles.touched(&ego_box);
+        if let Some(obstacle) = hit.filter(|_| recorded.is_none()) {
             return Err(unfit(format!(
                 "the ego starts in a {} at ({:.1}, {:.1}) m",
                 obstacle.kind.name(),
@@ -111,6 +130,7 @@ impl Simulation {
         Ok(Self {
             progress,
             route,
+            recorded,
             ego: Ego::new(state, scenario.ego.size, EgoOptions::default()),
             traffic,
             agent_sizes,
@@ -264,7 +284,9 @@ impl Simulation {
             let near_z_m = route_z_m(at_m(tick)).unwrap_or(shown_z_m);
             LocatedEgo {
                 time_s: tick.time_s,
-                pose: self.site.pose_of(&tick.ego, size, near_z_m),
+                pose: self
+                    .recorded_pose(tick.time_s)
+                    .unwrap_or_else(|| self.site.pose_of(&tick.ego, size, near_z_m)),
                 state: tick.ego,
                 motion: EgoMotion {
                     speed_mps: tick.ego.speed_mps,
@@ -353,7 +375,16 @@ impl Simulation {
             // All act on the previous state: none sees another's step before its own.
             let seen = self.ego.state();
             self.before = (substep_s, self.yaws_rad());
-            self.ego.step(substep_s);
+            match &self.recorded {
+                None => self.ego.step(substep_s),
+                Some(way) => {
+                    let (per_step, _) = self.scenario.substeps();
+                    let time_s =
+                        f64::from(self.substep + 1) * self.scenario.step_s / f64::from(per_step);
+                    let (state, yaw_rate_radps) = recorded_state(way, time_s);
+                    self.ego.move_to(state, yaw_rate_radps);
+                }
+            }
             self.traffic
                 .step(substep_s, Some((&seen, &self.scenario.ego.size)));
             let heights = self.ground_z_m[1..].iter_mut();
@@ -409,13 +440,17 @@ impl Simulation {
         if let Some((agent, _)) = others.find(|(_, other)| other.overlaps(&ego)) {
             return Some(EpisodeEnd::Collision { agent });
         }
-        if let Some(&obstacle) = self.site.obstacles.touched(&ego) {
+        // Where the recording went, nothing was in the way, whatever splats look like.
+        let is_free = self.recorded.is_some();
+        if let Some(&obstacle) = self.site.obstacles.touched(&ego)
+            && !is_free
+        {
             return Some(EpisodeEnd::Obstacle { obstacle });
         }
         if self.progress.is_done() {
             return Some(EpisodeEnd::RouteDone);
         }
-        if self.off_road.0 > OFF_ROAD_S && self.off_road.1 > OFF_ROAD_M {
+        if self.off_road.0 > OFF_ROAD_S && self.off_road.1 > OFF_ROAD_M && !is_free {
             return Some(EpisodeEnd::OffRoad);
         }
         let last_m = self.progress.progress_m();
@@ -434,7 +469,9 @@ impl Simulation {
     /// # Errors
     /// Returns an error if the scene of `world` has not the assets.
     pub fn show(&mut self, world: &mut World) -> Result<(Pose, Motion), SessionError> {
-        let ego = self.stand(0, self.ego.state(), self.scenario.ego.size);
+        let recorded = self.recorded_pose(self.time_s());
+        let ego =
+            recorded.unwrap_or_else(|| self.stand(0, self.ego.state(), self.scenario.ego.size));
         let mut placed = Vec::with_capacity(self.agent_sizes.len());
         for index in 0..self.agent_sizes.len() {
             let Some(state) = self.traffic.states()[index] else {
@@ -485,8 +522,17 @@ impl Simulation {
             placed.push((name, instance));
         }
         world.set_agents(placed)?;
-        let motion = self.motion_of(0, self.ego.state(), &ego);
+        let motion = match &self.recorded {
+            None => self.motion_of(0, self.ego.state(), &ego),
+            Some(way) => way.motion_at(way.start_s() + self.time_s()),
+        };
         Ok((ego, motion))
+    }
+
+    /// Pose of an ego that follows the recording, `time_s` seconds after its start.
+    fn recorded_pose(&self, time_s: f64) -> Option<Pose> {
+        let way = self.recorded.as_ref()?;
+        Some(way.at(way.start_s() + time_s))
     }
 
     /// Height of the lane below an agent, meters: vehicles that enter the map were nowhere before.
@@ -537,4 +583,25 @@ fn line_of(route: &Route) -> Vec<DVec2> {
         .iter()
         .map(|point| point.truncate())
         .collect()
+}
+
+/// State and yaw rate of a vehicle on `way`, `time_s` seconds after its start. The acceleration is
+/// that of the last [`RECORDED_S`].
+fn recorded_state(way: &Trajectory, time_s: f64) -> (VehicleState, f64) {
+    let at_s = way.start_s() + time_s;
+    let pose = way.at(at_s);
+    let ahead = pose.rotation * DVec3::X;
+    let motion = way.motion_at(at_s);
+    let speed_mps = |at_s: f64| {
+        let ahead = way.at(at_s).rotation * DVec3::X;
+        way.motion_at(at_s).velocity_mps.dot(ahead)
+    };
+    let state = VehicleState {
+        position_m: pose.translation.truncate(),
+        yaw_rad: ahead.truncate().to_angle(),
+        // The ego never reverses, and noise of positions is no drive.
+        speed_mps: speed_mps(at_s).max(0.0),
+        acceleration_mps2: (speed_mps(at_s) - speed_mps(at_s - RECORDED_S)) / RECORDED_S,
+    };
+    (state, motion.turn_rad_per_s.z)
 }

@@ -14,14 +14,14 @@ use decouplegs_drive::lights::{LaneStopLine, TrafficLights};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{
-    Ground, GroundGuides, GroundOptions, Obstacles, RoadGraph, RoadSurface, occupancy,
+    Ground, GroundGuides, GroundOptions, Obstacles, RoadGraph, RoadSurface, ViewSupport, occupancy,
 };
 use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
-    LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind, SplatScene,
-    Trajectory, VehicleSize, VehicleState, Weather,
+    CapturedViews, LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind,
+    SplatScene, Trajectory, VehicleSize, VehicleState, Weather,
 };
 use decouplegs_session::{Session, SessionError, SessionScene};
 use decouplegs_synth::roads::{self, RoadsOptions};
@@ -80,6 +80,8 @@ pub struct Site {
     pub signals: Option<Signals>,
     /// The ground that was captured, where it was.
     ground: Option<Ground>,
+    /// Places and headings that the place was seen from, where it was not from everywhere.
+    view_support: Option<Arc<ViewSupport>>,
 }
 
 /// Assets of traffic lights and signs: green, yellow and red, stop and yield, after those of cars.
@@ -308,13 +310,18 @@ impl Site {
         // Traffic replaces the vehicles that drove when the scene was captured.
         loaded.agents.clear();
         loaded.agent_labels.clear();
-        if appearance.is_some() && loaded.assets.is_empty() {
-            let scene = scene.display();
-            return Err(SiteError::Unfit(format!(
-                "{scene} has no agents, so there is no asset that traffic could show: add one"
-            )));
+        let mut sizes: Vec<VehicleSize> = dims_m.into_iter().map(size_of).collect();
+        if sizes.is_empty() {
+            // A scene without agents of its own is driven in among the cars of the street.
+            let splats = ROAD_USER_SPLATS * usize::from(appearance.is_some());
+            let cars = cars(splats, AssetLight::Neutral);
+            let assets = cars.clouds.par_iter().zip(&cars.sizes);
+            let assets = assets.map(|(cloud, size)| coded(cloud, size));
+            if appearance.is_some() {
+                loaded.assets = assets.collect::<Result<_, _>>()?;
+            }
+            sizes = cars.sizes;
         }
-        let sizes = dims_m.into_iter().map(size_of).collect();
         if appearance.is_some_and(|appearance| !appearance.only_cars) {
             let coded = road_users_coded(ROAD_USER_SPLATS, AssetLight::Neutral)?;
             loaded.assets.extend(coded);
@@ -333,7 +340,12 @@ impl Site {
         let obstacles = obstacles.unwrap_or_else(|| {
             occupancy::obstacles(&splat_scene.splats, splat_scene.origin, &lanes, &ground)
         });
-        Self::new(loaded, (lanes, obstacles), sizes, Some(ground))
+        let view_support = support_of(&loaded).map(Arc::new);
+        let site = Self::new(loaded, (lanes, obstacles), sizes, Some(ground))?;
+        Ok(Self {
+            view_support,
+            ..site
+        })
     }
 
     fn new(
@@ -355,6 +367,7 @@ impl Site {
             road_users: road_users(),
             signals: None,
             ground,
+            view_support: None,
         })
     }
 
@@ -362,6 +375,19 @@ impl Site {
     #[must_use]
     pub fn ground_warning(&self) -> Option<String> {
         self.ground.as_ref()?.quality()?.warning()
+    }
+
+    /// Places and headings that the place was seen from: elsewhere its images are no good. `None`
+    /// where it looks right from everywhere, or nobody knows.
+    #[must_use]
+    pub fn view_support(&self) -> Option<&Arc<ViewSupport>> {
+        self.view_support.as_ref()
+    }
+
+    /// The way that the place was recorded on; `None` where there is none.
+    #[must_use]
+    pub fn recorded_way(&self) -> Option<&Trajectory> {
+        Some(&self.loaded.ego).filter(|way| way.poses().len() > 1)
     }
 
     /// Index in the scene of the asset that an agent shows. Indices beyond the last of its kind
@@ -504,6 +530,15 @@ pub fn rig_of(place: &Place, directory: &Path) -> Result<Rig, SiteError> {
     }
 }
 
+/// Support of the views that a scene file names, else of the way of its ego.
+fn support_of(loaded: &LoadedScene) -> Option<ViewSupport> {
+    let of_way = || CapturedViews::from_way(&loaded.ego);
+    match loaded.recording.views.clone().or_else(of_way)? {
+        CapturedViews::Everywhere => None,
+        CapturedViews::From(views) => ViewSupport::from_views(&views),
+    }
+}
+
 fn empty_scene(splat_scene: SplatScene) -> LoadedScene {
     LoadedScene {
         plain_agents: Vec::new(),
@@ -513,6 +548,7 @@ fn empty_scene(splat_scene: SplatScene) -> LoadedScene {
         rig: Rig::default(),
         ego: Trajectory::standing(Pose::IDENTITY),
         ego_height_m: None,
+        recording: Default::default(),
         agent_labels: Vec::new(),
         light: None,
     }

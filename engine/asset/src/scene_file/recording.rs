@@ -1,0 +1,141 @@
+//! The drive on which a scene was recorded, as a scene file tells of it.
+
+use std::path::{Path, PathBuf};
+
+use decouplegs_scene::{CapturedViews, VehicleSize};
+use serde::{Deserialize, Serialize};
+use toml::Spanned;
+
+use super::load::SceneFiles;
+use crate::toml_text::Checker;
+use crate::{AssetError, SceneError, cameras};
+
+/// The drive on which a scene was recorded. All of it may be unknown.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SceneRecording {
+    /// Views that the scene was captured from. `None`: those of the ego's way, if it has one.
+    pub seen_from: Option<SeenFrom>,
+    /// Box of the vehicle that recorded; the ego's poses are those of its middle.
+    pub vehicle_size: Option<VehicleSize>,
+}
+
+/// Views that a scene was captured from, as its file names them.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SeenFrom {
+    /// The scene looks right from everywhere.
+    Everywhere,
+    /// File of the cameras of the images that the scene was trained on: INRIA's or nerfstudio's
+    /// JSON. A path relative to the scene file.
+    Cameras(PathBuf),
+}
+
+impl SeenFrom {
+    /// The word for [`SeenFrom::Everywhere`] in a file.
+    const EVERYWHERE: &'static str = "everywhere";
+
+    /// The file of cameras, if there is one.
+    pub(crate) fn file_mut(&mut self) -> Option<&mut PathBuf> {
+        match self {
+            Self::Everywhere => None,
+            Self::Cameras(file) => Some(file),
+        }
+    }
+}
+
+/// A recording, its files read.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LoadedRecording {
+    /// Views that the scene was captured from; `None` where the file tells none.
+    pub views: Option<CapturedViews>,
+    /// Box of the vehicle that recorded; the ego's poses are those of its middle.
+    pub vehicle_size: Option<VehicleSize>,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RecordingForm {
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    seen_from: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    vehicle_size_m: Option<[f64; 3]>,
+}
+
+/// Lengths of the sides of a vehicle, meters.
+const SIDE_M: std::ops::RangeInclusive<f64> = 0.1..=30.0;
+
+/// Size of images of which a camera file tells none: only where they were taken is asked.
+const ANY_SIZE_PX: [u32; 2] = [1600, 900];
+
+impl RecordingForm {
+    pub(super) fn from_recording(
+        recording: &SceneRecording,
+        path: impl Fn(&Path) -> Result<String, String>,
+    ) -> Result<Option<Self>, String> {
+        let seen_from = match &recording.seen_from {
+            None => None,
+            Some(SeenFrom::Everywhere) => Some(SeenFrom::EVERYWHERE.to_owned()),
+            // A file may have the name of the word.
+            Some(SeenFrom::Cameras(file)) if file.as_os_str() == SeenFrom::EVERYWHERE => {
+                Some(path(&Path::new(".").join(file))?)
+            }
+            Some(SeenFrom::Cameras(file)) => Some(path(file)?),
+        };
+        let vehicle_size_m = recording.vehicle_size.map(|size| size.to_array());
+        let is_empty = seen_from.is_none() && vehicle_size_m.is_none();
+        Ok((!is_empty).then_some(Self {
+            seen_from,
+            vehicle_size_m,
+        }))
+    }
+
+    pub(super) fn checked(
+        form: &Spanned<Self>,
+        checker: &Checker<'_>,
+    ) -> Result<SceneRecording, SceneError> {
+        let own = form.get_ref();
+        let error = |key, reason: String| checker.error(&form.span(), "recording", key, reason);
+        let seen_from = match own.seen_from.as_deref() {
+            None => None,
+            Some("") => {
+                let reason = "must be a file of cameras, or \"everywhere\"";
+                return Err(error("seen_from", reason.into()));
+            }
+            Some(SeenFrom::EVERYWHERE) => Some(SeenFrom::Everywhere),
+            Some(file) => Some(SeenFrom::Cameras(file.into())),
+        };
+        let sides_m = own.vehicle_size_m.unwrap_or([1.0; 3]);
+        if !sides_m.iter().all(|side_m| SIDE_M.contains(side_m)) {
+            let (least_m, most_m) = (SIDE_M.start(), SIDE_M.end());
+            let reason = format!(
+                "must be length, width and height of a vehicle, each {least_m} to {most_m} meters"
+            );
+            return Err(error("vehicle_size_m", reason));
+        }
+        Ok(SceneRecording {
+            seen_from,
+            vehicle_size: own.vehicle_size_m.map(VehicleSize::from_array),
+        })
+    }
+}
+
+impl SceneRecording {
+    /// Reads the cameras from `files`.
+    pub(super) fn load(&self, files: &dyn SceneFiles) -> Result<LoadedRecording, AssetError> {
+        let views = match &self.seen_from {
+            None => None,
+            Some(SeenFrom::Everywhere) => Some(CapturedViews::Everywhere),
+            Some(SeenFrom::Cameras(file)) => {
+                let cameras = cameras::decode(&files.bytes(file)?, Some(ANY_SIZE_PX));
+                let cameras = cameras.map_err(|source| AssetError::Cameras {
+                    path: files.path(file),
+                    source,
+                })?;
+                Some(CapturedViews::from_cameras(&cameras))
+            }
+        };
+        Ok(LoadedRecording {
+            views,
+            vehicle_size: self.vehicle_size,
+        })
+    }
+}

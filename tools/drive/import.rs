@@ -1,0 +1,313 @@
+//! `decouplegs import`: a scene to drive in from a recording and the splats that were trained on it.
+
+mod kitti;
+mod lanes;
+mod posed_images;
+mod recording;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::ValueEnum;
+use decouplegs::asset::maps::lane_json;
+use decouplegs::asset::scene_file::path_from;
+use decouplegs::asset::tracks::write_poses;
+use decouplegs::asset::{
+    SceneFile, SceneRecording, SeenFrom, inria_ply, read_splats, write_atomically,
+};
+use decouplegs::drive::{Ground, GroundOptions};
+use decouplegs::footing::ground_of;
+use decouplegs::scene::{Pose, Trajectory, VehicleSize};
+use decouplegs_cli::street_files::transforms;
+use glam::{DQuat, DVec3};
+use std::io::Write as _;
+
+use self::recording::Recording;
+use crate::arguments::{print, warn};
+use crate::progress;
+
+/// Form of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Form {
+    /// A drive of KITTI's raw data, synced and rectified
+    Kitti,
+    /// transforms.json of nerfstudio or instant-ngp, or its folder
+    Nerfstudio,
+    /// Folder with a COLMAP model
+    Colmap,
+}
+
+/// Make a scene to drive in from a recording and the splats that were trained on its images: the
+/// rig, the way of the vehicle, views, lanes along the way and labeled boxes
+///
+/// The new folder holds scene.toml, cameras.json, lanes.json and, where boxes are labeled,
+/// tracks.csv. The splats stay where they are, unless --level turns them.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Form of the recording
+    form: Form,
+    /// Recording: a folder, or a file of cameras
+    recording: PathBuf,
+    /// Splats that were trained on the recording (.ply, .spz, ...), in its coordinates
+    #[arg(long, value_name = "FILE")]
+    splats: PathBuf,
+    /// Folder of the new scene; it must not exist, or be empty
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Cameras that the splats were trained with, in place of the poses of a KITTI drive: a
+    /// transforms.json whose names hold frame and camera, such as 000004_2.png
+    #[arg(long, value_name = "FILE")]
+    poses: Option<PathBuf>,
+    /// Box of the vehicle that recorded, meters [default: that of KITTI's car, else 4.5,1.8,1.5]
+    #[arg(long, value_name = "LENGTH,WIDTH,HEIGHT", value_parser = triple)]
+    vehicle: Option<[f64; 3]>,
+    /// Middle of the vehicle's box from the origin of the recorded poses, meters forward, left and
+    /// up: from the IMU of a KITTI drive, else from the front camera [default: 1.23,-0.32,-0.17 for
+    /// KITTI, else -0.3,0,-0.75]
+    #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_hyphen_values = true)]
+    middle: Option<[f64; 3]>,
+    /// Images per second of a recording without times
+    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate)]
+    rate: f64,
+    /// Turn the scene until its z axis is up, with its splats, which are written as background.ply
+    #[arg(long)]
+    level: bool,
+}
+
+fn triple(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Option<Vec<f64>> = text
+        .split(',')
+        .map(|part| part.trim().parse().ok().filter(|x: &f64| x.is_finite()))
+        .collect();
+    let bad = || format!("expected three numbers such as 4.5,1.8,1.5, found {text:?}");
+    numbers.ok_or_else(bad)?.try_into().map_err(|_| bad())
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    let rate: Option<f64> = text.parse().ok();
+    rate.filter(|rate| (0.01..=1000.0).contains(rate))
+        .ok_or_else(|| format!("expected 0.01 to 1000 images per second, found {text:?}"))
+}
+
+/// A scene that is tilted by more is worth a word, degrees.
+const TILT_DEG_MAX: f64 = 1.0;
+/// Poses that are farther from where they should be above the ground are worth a word, meters.
+const HEIGHT_OFF_M_MAX: f64 = 0.15;
+/// Places along the way at which the ground is asked for.
+const PLACES: usize = 200;
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let out = &arguments.out;
+    if let Ok(mut entries) = std::fs::read_dir(out) {
+        ensure!(
+            entries.next().is_none(),
+            "{} is not empty: nothing that exists is replaced; name another folder with --out",
+            out.display()
+        );
+    }
+    let vehicle = arguments.vehicle.map(VehicleSize::from_array);
+    let middle_m = arguments.middle.map(DVec3::from_array);
+    let path = &arguments.recording;
+    ensure!(
+        arguments.poses.is_none() || arguments.form == Form::Kitti,
+        "--poses belongs to a KITTI drive: a file of cameras has its own"
+    );
+    let mut recording = match arguments.form {
+        Form::Kitti => kitti::read(path, arguments.poses.as_deref(), vehicle, middle_m)?,
+        Form::Nerfstudio | Form::Colmap => {
+            let file = match arguments.form {
+                Form::Nerfstudio if path.is_dir() => path.join("transforms.json"),
+                _ => path.clone(),
+            };
+            posed_images::read(&file, vehicle, middle_m, arguments.rate)?
+        }
+    };
+    let reading = progress::spinner(format!("reading {}", arguments.splats.display()));
+    let mut splats = read_splats(&arguments.splats)?;
+    reading.finish_and_clear();
+    std::fs::create_dir_all(out).with_context(|| format!("{} cannot be made", out.display()))?;
+    let tilt_deg = recording
+        .level_from_world
+        .angle_between(DQuat::IDENTITY)
+        .to_degrees();
+    let background = if arguments.level {
+        let level = Pose::new(recording.level_from_world, DVec3::ZERO);
+        splats = splats.placed(&level, true);
+        recording.turn(&level);
+        let file = PathBuf::from("background.ply");
+        inria_ply::write(&out.join(&file), &splats)?;
+        file
+    } else {
+        path_from(out, &arguments.splats)
+            .with_context(|| format!("{} cannot be named", arguments.splats.display()))?
+    };
+    let ego_height_m = recording.ego_height_m;
+    let scene = SceneFile {
+        rig: recording.rig.clone(),
+        lidars: recording.lidars.clone(),
+        ego: Some(recording.ego.clone()),
+        ego_height_m: Some(ego_height_m),
+        recording: SceneRecording {
+            seen_from: Some(SeenFrom::Cameras("cameras.json".into())),
+            vehicle_size: Some(recording.vehicle),
+        },
+        ..SceneFile::of_background(background)
+    };
+    let cameras = transforms(&recording.views);
+    write_atomically(&out.join("cameras.json"), |file| {
+        writeln!(file, "{cameras:#}")
+    })?;
+    let lanes = lanes::along(&recording.ego, ego_height_m);
+    if let Some(lanes) = &lanes {
+        lane_json::write(&out.join("lanes.json"), lanes)?;
+    }
+    if !recording.tracks.is_empty() {
+        write_poses(&out.join("tracks.csv"), &recording.tracks)?;
+    }
+    // Last: when it is there, all that it names is.
+    scene.write(&out.join("scene.toml"))?;
+    let looking = progress::spinner("measuring the ground".into());
+    let check = checked(&scene, out, &recording)?;
+    looking.finish_and_clear();
+    for sentence in &check.warnings {
+        warn(sentence);
+    }
+    if tilt_deg > TILT_DEG_MAX && !arguments.level {
+        warn(&format!(
+            "the world is tilted by {tilt_deg:.1} degrees against the vertical: --level turns it, with its splats"
+        ));
+    }
+    print(&report(&recording, &scene, &check, lanes.is_some(), out))
+}
+
+/// What the splats say of the way.
+struct Check {
+    /// Median height of the ego's poses above the ground of the splats, where they show one.
+    height_m: Option<f64>,
+    places: usize,
+    warnings: Vec<String>,
+}
+
+fn checked(scene: &SceneFile, out: &Path, recording: &Recording) -> Result<Check> {
+    let cloud = read_splats(&out.join(&scene.background))?;
+    let ground = Ground::new(&cloud, scene.origin, &GroundOptions::default());
+    let places = along(&recording.ego);
+    let mut heights_m: Vec<f64> = places
+        .iter()
+        .filter_map(|at| {
+            let below = ground.height_at(at.truncate(), Some(at.z - recording.ego_height_m))?;
+            Some(at.z - below.z_m)
+        })
+        .collect();
+    heights_m.sort_by(f64::total_cmp);
+    let height_m = heights_m.get(heights_m.len() / 2).copied();
+    let mut warnings = Vec::new();
+    match height_m {
+        Some(height_m) if (height_m - recording.ego_height_m).abs() > HEIGHT_OFF_M_MAX => {
+            warnings.push(format!(
+                "the middle of the vehicle is {height_m:.2} m above the ground of the splats, and {:.2} m were expected: \
+                 the origin of the recorded poses may be another one ({}); give its place with --middle",
+                recording.ego_height_m, recording.origin
+            ));
+        }
+        Some(_) => {}
+        None => warnings.push(
+            "no ground was found below the way: are the splats in the coordinates of the recording?".into(),
+        ),
+    }
+    let quality = ground_of(scene, out)?;
+    warnings.extend(quality.quality().and_then(|quality| quality.warning()));
+    Ok(Check {
+        height_m,
+        places: heights_m.len(),
+        warnings,
+    })
+}
+
+/// Places along a way.
+fn along(way: &Trajectory) -> Vec<DVec3> {
+    let span_s = way.end_s() - way.start_s();
+    let at = |place: usize| {
+        let share = place as f64 / (PLACES - 1) as f64;
+        way.at(way.start_s() + share * span_s).translation
+    };
+    (0..PLACES).map(at).collect()
+}
+
+fn report(
+    recording: &Recording,
+    scene: &SceneFile,
+    check: &Check,
+    has_lanes: bool,
+    out: &Path,
+) -> String {
+    let way: Vec<DVec3> = along(&recording.ego);
+    let length_m: f64 = way.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+    let span_s = recording.ego.end_s() - recording.ego.start_s();
+    let cameras: Vec<&str> = scene
+        .rig
+        .cameras()
+        .map(|camera| camera.name.as_str())
+        .collect();
+    let height = check
+        .height_m
+        .map_or("-".into(), |height_m| format!("{height_m:.2} m"));
+    let [length, width, tall] = recording.vehicle.to_array();
+    let mut lines = vec![
+        format!("origin     {}", recording.origin),
+        format!(
+            "vehicle    {length:.2} x {width:.2} x {tall:.2} m; its middle {:.2} m above the road, {height} above the ground of the splats ({} of {PLACES} places)",
+            recording.ego_height_m, check.places
+        ),
+        format!(
+            "way        {} poses, {length_m:.1} m, {span_s:.1} s",
+            recording.ego.poses().len()
+        ),
+        format!(
+            "cameras    {}; {} views",
+            cameras.join(", "),
+            recording.views.len()
+        ),
+    ];
+    if !recording.tracks.is_empty() {
+        let ids: std::collections::HashSet<&str> =
+            recording.tracks.iter().map(|row| row.id.as_str()).collect();
+        lines.push(format!("tracks     {} labeled road users", ids.len()));
+    }
+    lines.push(match has_lanes {
+        true => "lanes      one along the way, as no map is there".into(),
+        false => "lanes      none: the vehicle stood".into(),
+    });
+    let scene = out.join("scene.toml");
+    lines.push(scene.display().to_string());
+    if has_lanes {
+        lines.push(format!(
+            "next       decouplegs drive --scene {} --map {} --follow-recording --planner constant-velocity --out RUN",
+            scene.display(),
+            out.join("lanes.json").display()
+        ));
+    }
+    lines.join("\n") + "\n"
+}
+
+/// A way of poses, or what is wrong with them.
+fn way_of(poses: Vec<decouplegs::scene::TimedPose>) -> Result<Trajectory> {
+    if poses.is_empty() {
+        bail!("the recording has no poses");
+    }
+    Trajectory::new(poses).map_err(|reason| anyhow::anyhow!("the poses are no way: {reason}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_options_are_checked() {
+        assert_eq!(triple("4.5, 1.8,1.5"), Ok([4.5, 1.8, 1.5]));
+        for text in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
+            assert!(triple(text).is_err(), "{text}");
+        }
+        assert!(rate("0").is_err() && rate("10").is_ok() && rate("x").is_err());
+    }
+}

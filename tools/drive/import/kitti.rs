@@ -1,0 +1,199 @@
+//! Recordings of KITTI's raw data.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use anyhow::{Result, ensure};
+use decouplegs::asset::kitti_raw::{CAR, IMU_TO_MIDDLE_M, KittiDrive};
+use decouplegs::asset::tracks::PoseRow;
+use decouplegs::asset::{CameraOptions, SceneLidar, read_cameras};
+use decouplegs::scene::{Camera, Motion, Pose, Rig, RigCamera, TimedPose, VehicleSize};
+use glam::{DQuat, DVec3};
+
+use super::recording::Recording;
+use super::way_of;
+
+/// Classes of KITTI as perception names them.
+const CLASSES: [(&str, &str); 7] = [
+    ("car", "car"),
+    ("van", "car"),
+    ("truck", "truck"),
+    ("tram", "bus"),
+    ("pedestrian", "pedestrian"),
+    ("person (sitting)", "pedestrian"),
+    ("cyclist", "cyclist"),
+];
+
+/// Reads a drive; poses are those of `trained` where it is given.
+pub fn read(
+    folder: &Path,
+    trained: Option<&Path>,
+    vehicle: Option<VehicleSize>,
+    middle_m: Option<DVec3>,
+) -> Result<Recording> {
+    let drive = KittiDrive::read(folder)?;
+    let middle_m = middle_m.unwrap_or(IMU_TO_MIDDLE_M);
+    let vehicle = vehicle.unwrap_or(CAR);
+    let imu_from_middle = Pose::new(DQuat::IDENTITY, middle_m);
+    let middle_from_imu = imu_from_middle.inverse();
+    let mut rig_cameras: Vec<RigCamera> = drive
+        .cameras
+        .iter()
+        .map(|camera| RigCamera {
+            name: name(camera.number),
+            intrinsics: camera.intrinsics,
+            rig_from_camera: middle_from_imu.then(&camera.imu_from_camera),
+        })
+        .collect();
+    let trained = trained.map(|path| trained_poses(path)).transpose()?;
+    // World from IMU by frame.
+    let mut world_from_imu: Vec<(usize, f64, Pose)> = Vec::new();
+    let frames = drive.times_s.iter().copied().enumerate();
+    for (frame, time_s) in frames.filter(|(_, time_s)| *time_s >= 0.0) {
+        let of_camera = |camera: &decouplegs::asset::kitti_raw::KittiCamera| {
+            let pose = trained.as_ref()?.get(&(frame, camera.number))?;
+            Some(
+                pose.world_from_camera
+                    .then(&camera.imu_from_camera.inverse()),
+            )
+        };
+        let pose = match &trained {
+            Some(_) => drive.cameras.iter().find_map(of_camera),
+            None => (time_s <= drive.imu.end_s()).then(|| drive.imu.at(time_s)),
+        };
+        world_from_imu.extend(pose.map(|pose| (frame, time_s, pose)));
+    }
+    if let (Some(trained), Some(path)) = (&trained, folder.to_str()) {
+        ensure!(
+            !world_from_imu.is_empty(),
+            "none of the {} cameras of --poses is an image of {path}: expected names that hold the number of the frame and of the camera, such as 000004_2.png",
+            trained.len()
+        );
+        // Principal points and focal lengths are those that the splats were trained with.
+        for (own, camera) in rig_cameras.iter_mut().zip(&drive.cameras) {
+            let mut same = trained
+                .iter()
+                .filter(|((_, number), _)| *number == camera.number);
+            if let Some((_, of)) = same.next() {
+                own.intrinsics = of.intrinsics;
+            }
+        }
+    }
+    let by_frame: HashMap<usize, Pose> = world_from_imu
+        .iter()
+        .map(|(frame, _, pose)| (*frame, *pose))
+        .collect();
+    let mut views = Vec::new();
+    for (camera, own) in drive.cameras.iter().zip(&rig_cameras) {
+        for image in &camera.images {
+            let Some(pose) = by_frame.get(&image.frame) else {
+                continue;
+            };
+            views.push(Camera {
+                name: format!("{}_{:06}", own.name, image.frame),
+                intrinsics: own.intrinsics,
+                world_from_camera: pose.then(&camera.imu_from_camera),
+                motion: Motion::REST,
+            });
+        }
+    }
+    let ego = world_from_imu.iter().map(|(_, time_s, pose)| TimedPose {
+        time_s: *time_s,
+        pose: pose.then(&imu_from_middle),
+    });
+    let mut tracks = Vec::new();
+    for (index, tracklet) in drive.tracklets.iter().enumerate() {
+        let [.., height_m] = tracklet.dims_m;
+        for (offset, (bottom, yaw_rad)) in tracklet.places.iter().enumerate() {
+            let frame = tracklet.first_frame + offset;
+            let (Some(pose), Some(&time_s)) = (by_frame.get(&frame), drive.times_s.get(frame))
+            else {
+                continue;
+            };
+            let in_lidar = Pose::from_yaw(*yaw_rad, *bottom + DVec3::Z * 0.5 * height_m);
+            let at = pose.then(&drive.imu_from_lidar).then(&in_lidar);
+            let known = CLASSES.iter().find(|(own, _)| *own == tracklet.class);
+            tracks.push(PoseRow {
+                id: format!("{}_{index:02}", tracklet.class.replace([' ', '(', ')'], "")),
+                class: known.map_or("unknown", |(_, class)| class).into(),
+                time_s,
+                position: at.translation,
+                rotation: at.rotation,
+                dims_m: Some(tracklet.dims_m),
+                note: String::new(),
+            });
+        }
+    }
+    Ok(Recording {
+        rig: Rig::from_iter(rig_cameras),
+        lidars: vec![SceneLidar {
+            name: "velodyne".into(),
+            sensor: "hdl64e".into(),
+            rig_from_lidar: middle_from_imu.then(&drive.imu_from_lidar),
+        }],
+        ego: way_of(ego.collect())?,
+        ego_height_m: 0.5 * vehicle.height_m,
+        vehicle,
+        views,
+        tracks,
+        level_from_world: drive.level_from_world,
+        origin: format!(
+            "the IMU of the first frame; the middle of the vehicle is {:.2}, {:.2}, {:.2} m forward, left and up from the IMU",
+            middle_m.x, middle_m.y, middle_m.z
+        ),
+    })
+}
+
+/// Name of a camera on the vehicle.
+fn name(number: u32) -> String {
+    match number {
+        2 => "front".into(),
+        3 => "front_right".into(),
+        0 => "front_gray".into(),
+        _ => format!("front_gray_{number}"),
+    }
+}
+
+/// Cameras by frame and number, from their names.
+fn trained_poses(path: &Path) -> Result<HashMap<(usize, u32), Camera>> {
+    let cameras = read_cameras(path, &CameraOptions::default())?;
+    let keyed = cameras.into_iter().filter_map(|camera| {
+        let key = frame_and_number(&camera.name)?;
+        Some((key, camera))
+    });
+    Ok(keyed.collect())
+}
+
+/// Frame and number of the camera in a name: the last two numbers, of which the longer one is the
+/// frame. A name with one number is an image of camera 2.
+fn frame_and_number(name: &str) -> Option<(usize, u32)> {
+    let digits = name
+        .split(|c: char| !c.is_ascii_digit())
+        .filter(|part| !part.is_empty());
+    let parts: Vec<&str> = digits.collect();
+    let (frame, number) = match parts.as_slice() {
+        [] => return None,
+        [frame] => (*frame, "2"),
+        [.., a, b] if a.len() >= b.len() => (*a, *b),
+        [.., a, b] => (*b, *a),
+    };
+    Some((frame.parse().ok()?, number.parse().ok()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_tell_frame_and_camera() {
+        for (name, key) in [
+            ("images_000004_2", Some((4, 2))),
+            ("image_02_data_0000000044", Some((44, 2))),
+            ("2011_09_26_image_03_0000000001", Some((1, 3))),
+            ("000017", Some((17, 2))),
+            ("front", None),
+        ] {
+            assert_eq!(frame_and_number(name), key, "{name}");
+        }
+    }
+}
