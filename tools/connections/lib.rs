@@ -468,4 +468,27 @@ mod tests {
         let _client = TcpStream::connect(address).await.unwrap();
         assert!(acceptor.accept().await.info().is_spare);
     }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_listener_outlasts_a_lack_of_file_descriptors() {
+        use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+
+        let (acceptor, address) = acceptor(ConnectionLimits::default()).await;
+        let client = TcpStream::connect(address).await.unwrap();
+        let before = getrlimit(Resource::Nofile);
+        let few = Rlimit {
+            current: Some(64),
+            ..before
+        };
+        setrlimit(Resource::Nofile, few).unwrap();
+        let taken: Vec<std::fs::File> =
+            std::iter::from_fn(|| std::fs::File::open("/dev/null").ok()).collect();
+        let accepting = tokio::spawn(async move { acceptor.accept().await.peer() });
+        sleep(3 * ACCEPT_PAUSE).await;
+        assert!(!accepting.is_finished() && !taken.is_empty());
+        drop(taken);
+        let accepted = accepting.await.unwrap();
+        setrlimit(Resource::Nofile, before).unwrap();
+        assert_eq!(accepted, client.local_addr().unwrap());
+    }
 }

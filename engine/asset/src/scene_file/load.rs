@@ -422,14 +422,14 @@ impl AgentLoader<'_> {
     /// Checks that the memory holds `splats` splats and as many more, as a list that is full grows
     /// to twice its size: 500 agents may show one small file.
     fn check_size(&mut self, splats: u64, sh_degree: u8) -> Result<(), AssetError> {
-        if splats <= self.checked_splats {
-            return Ok(());
-        }
         if splats > SPLATS_MAX {
             let message = format!(
                 "background and agents have more than {SPLATS_MAX} splats, which is no scene: compress the agents"
             );
             return Err(AssetError::Placement(message));
+        }
+        if splats <= self.checked_splats {
+            return Ok(());
         }
         self.checked_splats = 2 * splats;
         let what = format!("a scene of {splats} splats and more, with its agents,");
