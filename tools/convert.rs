@@ -8,7 +8,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use decouplegs_asset::scene_import::{ImportOptions, ImportedScene, read_scene};
-use decouplegs_asset::{LossReport, SplatFormat, khr_glb, read_bytes, read_splats, read_tracks};
+use decouplegs_asset::{
+    LossReport, SplatFormat, UnfinishedFolder, khr_glb, read_bytes, read_splats, read_tracks,
+};
 use decouplegs_scene::SplatCloud;
 
 use crate::arguments::print;
@@ -176,24 +178,9 @@ fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
         "{} is there already; give a folder that is empty or not there",
         out.display()
     );
-    let parent = out
-        .parent()
-        .filter(|parent| !parent.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
-    let name = out
-        .file_name()
-        .with_context(|| format!("{} names no folder", out.display()))?;
-    let unfinished = parent.join(format!(
-        ".writing-{}-{}",
-        std::process::id(),
-        name.to_string_lossy()
-    ));
-    let written = write_into(&unfinished, out, scene);
-    if written.is_err() {
-        // What is left of an attempt is nobody's.
-        let _ = fs::remove_dir_all(&unfinished);
-    }
-    let agents = written?;
+    let unfinished = UnfinishedFolder::begin(out)?;
+    let agents = scene.write(unfinished.path())?.agents.len();
+    unfinished.finish()?;
     let mut notes = scene.notes.clone();
     let placed = format!(
         "{} of {} actors stand in the scene, their colors in the world's frame",
@@ -219,19 +206,6 @@ fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
         notes,
     };
     finish(arguments, &report)
-}
-
-/// Writes the scene under the name `unfinished` and renames it; agents in it.
-fn write_into(unfinished: &Path, out: &Path, scene: &ImportedScene) -> Result<usize> {
-    fs::create_dir(unfinished)
-        .with_context(|| format!("cannot make a folder beside {}", out.display()))?;
-    let agents = scene.write(unfinished)?.agents.len();
-    if out.is_dir() {
-        fs::remove_dir(out).with_context(|| format!("cannot replace {}", out.display()))?;
-    }
-    fs::rename(unfinished, out)
-        .with_context(|| format!("cannot give {} its name", out.display()))?;
-    Ok(agents)
 }
 
 /// Loss of a scene's splats in the written files.

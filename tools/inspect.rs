@@ -46,9 +46,9 @@ fn describe(path: &Path) -> Result<(String, Value)> {
             serde_json::to_value(&summary)?,
         ));
     }
-    let loaded = open_scene(path, 0.0)?;
-    loaded.check_baked()?;
     if !is_scene_file(path) {
+        let loaded = open_scene(path, 0.0)?;
+        loaded.check_baked()?;
         // Of a package the agents as well.
         let summary = if loaded.agents.is_empty() {
             SplatSummary::new(&loaded.splat_scene.splats)
@@ -57,9 +57,12 @@ fn describe(path: &Path) -> Result<(String, Value)> {
         };
         return Ok((splats_to_text(&summary), serde_json::to_value(&summary)?));
     }
+    let file = SceneFile::read(path)?;
+    let loaded = file.load(path.parent().unwrap_or(Path::new("")), 0.0)?;
+    loaded.check_baked()?;
     let splat_scene = loaded.baked(0.0);
     let summary = SplatSummary::new(&splat_scene.splats);
-    let scene = scene::Listing::new(&SceneFile::read(path)?, &loaded, &splat_scene);
+    let scene = scene::Listing::new(&file, &loaded, &splat_scene);
     let mut value = serde_json::to_value(&summary)?;
     if let (Value::Object(value), Value::Object(scene)) = (&mut value, scene.to_json()) {
         value.extend(scene);

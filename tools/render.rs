@@ -383,9 +383,10 @@ fn render_by_definition(
         .map(|camera| camera.intrinsics.pixels())
         .max()
         .unwrap_or(0);
-    memory::require(
+    memory::require_product(
         "a reference image of this size",
-        REFERENCE_PIXEL_BYTES * most,
+        &[most],
+        REFERENCE_PIXEL_BYTES,
     )?;
     let splat_scene = scene.loaded.baked_layer(scene.time_s, layer);
     let world_at = |later_s: f64| match later_s {

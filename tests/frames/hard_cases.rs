@@ -1,11 +1,13 @@
 //! The hard cases of a static scene, each by name.
 
+use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Image, RenderOptions, Renderer, reference};
 use decouplegs::scene::rules::ALPHA_MIN;
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, SplatScene, sh};
+use decouplegs_shaders::constants::COLOR_MAX;
 use glam::{DQuat, DVec3};
 
-use super::{Splat, assert_exact, camera_at, draw, world_of};
+use super::{ERROR_MAX, PSNR_MIN_DB, Splat, assert_exact, camera_at, draw, world_of};
 use crate::device::Validated;
 
 const SIZE: (u32, u32) = (200, 120);
@@ -65,6 +67,39 @@ fn near_plane_crossing() {
     splats.extend(crowd(200));
     assert_exact(&world_of(&splats), &[camera()], Rules::DEFAULT);
     assert_exact(&world_of(&splats), &[camera()], Rules::INRIA);
+}
+
+#[test]
+fn colors_beyond_every_display_are_as_bright_as_a_record_holds() {
+    let gpu = Validated::open();
+    for brightness in [1e9, 1e10, 1e30] {
+        let mut splats = crowd(300);
+        for splat in splats.iter_mut().step_by(3) {
+            splat.rgb = splat.rgb.map(|value| value * brightness);
+        }
+        let world = world_of(&splats);
+        // In units of the largest color, so that the bounds are those of other images.
+        let scaled = |mut image: Image| {
+            let peak = brightness.min(COLOR_MAX);
+            for rgb in &mut image.rgb {
+                *rgb = rgb.map(|value| value / peak);
+            }
+            image
+        };
+        let drawn = draw(&gpu, &world, &[camera()], Rules::DEFAULT).remove(0);
+        let defined = reference::render(&world, &camera(), &Rules::DEFAULT).to_image();
+        let difference = Difference::between(&scaled(drawn), &scaled(defined)).unwrap();
+        println!(
+            "{brightness:e}: {:.1} dB, max {:.2e} of the largest",
+            difference.psnr_db, difference.max_abs
+        );
+        assert!(
+            difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX,
+            "{brightness:e}: {:.2} dB and {:.2e}",
+            difference.psnr_db,
+            difference.max_abs
+        );
+    }
 }
 
 #[test]

@@ -106,13 +106,24 @@ const MAY_USE: &[(&str, &[&str])] = &[
         "tools/alpasim/Cargo.toml",
         &["decouplegs", "decouplegs-cli"],
     ),
+    ("tools/connections/Cargo.toml", &[]),
     (
         "tools/server/Cargo.toml",
-        &["decouplegs", "decouplegs-cli", "decouplegs-alpasim"],
+        &[
+            "decouplegs",
+            "decouplegs-cli",
+            "decouplegs-connections",
+            "decouplegs-alpasim",
+        ],
     ),
     (
         "tools/view/Cargo.toml",
-        &["decouplegs", "decouplegs-cli", "decouplegs-alpasim"],
+        &[
+            "decouplegs",
+            "decouplegs-cli",
+            "decouplegs-connections",
+            "decouplegs-alpasim",
+        ],
     ),
     (
         "tools/python/Cargo.toml",

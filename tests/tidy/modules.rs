@@ -18,6 +18,7 @@ fn module_of(path: &str) -> Option<(&str, &str)> {
         "tools/cli/src",
         "tools/drive",
         "tools/alpasim",
+        "tools/connections",
         "tools/server",
         "tools/view",
         "tools/c/src",

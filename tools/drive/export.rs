@@ -6,14 +6,13 @@ mod mcap;
 mod nuscenes;
 mod sensed;
 
-use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::{TEMPORARY_PREFIX, write_atomically};
+use decouplegs::asset::{UnfinishedFolder, write_atomically};
 use decouplegs::episode::{Appearance, Moments, Site, camera_named, chosen_lidars};
 use decouplegs::logs::read_episode_log;
 use decouplegs::scene::episode::{DrawnBy, Episode};
@@ -105,18 +104,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let moments = Moments::from_episode(&episode, &site, renderers.scene())?;
     opening.finish_and_clear();
 
-    let name = out.file_name().context("--out is no name of a folder")?;
-    let part = out.with_file_name(format!("{TEMPORARY_PREFIX}{}", name.to_string_lossy()));
-    if part.exists() {
-        fs::remove_dir_all(&part).with_context(|| format!("{} is in the way", part.display()))?;
-    }
-    fs::create_dir_all(&part).with_context(|| format!("{} cannot be made", part.display()))?;
-    let written = write(arguments, &episode, &rig, &mut renderers, &moments, &part);
-    if written.is_err() {
-        let _ = fs::remove_dir_all(&part);
-    }
-    let said = written?;
-    fs::rename(&part, out).with_context(|| format!("{} cannot be made", out.display()))?;
+    let part = UnfinishedFolder::begin(out)?;
+    let said = write(
+        arguments,
+        &episode,
+        &rig,
+        &mut renderers,
+        &moments,
+        part.path(),
+    )?;
+    part.finish()?;
     print(&format!("{}: {said}\n", out.display()))?;
     check_validation(&gpu)
 }

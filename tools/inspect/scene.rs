@@ -1,10 +1,11 @@
 //! Contents of a scene file: cameras, LiDARs, the ego vehicle's trajectory, agents.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use decouplegs_asset::{LoadedScene, SceneFile};
+use decouplegs_asset::{LoadedAgent, LoadedScene, SceneFile};
 use decouplegs_scene::light::{CastingLights, GroundLight, Sun, Trust, ambient_by_definition};
 use decouplegs_scene::{Presence, RigCamera, RigLidar, ShFrame, SplatScene, Trajectory};
 use glam::DVec3;
@@ -68,11 +69,13 @@ impl Listing {
             .instance_from_splat
             .iter()
             .for_each(|&instance| splats[usize::from(instance)] += 1);
+        let by_instance: HashMap<usize, &LoadedAgent> = loaded
+            .agents
+            .iter()
+            .map(|coded| (usize::from(coded.instance), coded))
+            .collect();
         let agent = |(index, agent): (usize, &decouplegs_asset::SceneAgent)| {
-            let coded = loaded
-                .agents
-                .iter()
-                .find(|coded| usize::from(coded.instance) == index + 1);
+            let coded = by_instance.get(&(index + 1));
             let sh_frame = coded.map_or_else(
                 || agent.sh_frame.unwrap_or_default(),
                 |coded| coded.sh_frame,

@@ -4,7 +4,7 @@
 //! | module | content |
 //! |---|---|
 //! | [`options`], [`names`] | options, and the names of the services |
-//! | `request_guard`, `connections` | admission: tokens, limits, deadlines, metrics |
+//! | `request_guard`, `incoming` | admission: tokens, limits, deadlines, metrics |
 //! | `sensorsim`, `lidar`, `physics` | the services: messages in, messages out |
 //! | `render_request`, `sweep_request` | a checked request: cameras, LiDARs and agents |
 //! | `scene_registry` | scenes that are served, and their metadata |
@@ -22,8 +22,8 @@
 pub mod bench;
 mod cache;
 pub mod conform;
-mod connections;
 mod image_memory;
+mod incoming;
 mod lidar;
 mod log_limit;
 mod metrics;

@@ -1,7 +1,8 @@
 //! The program `decouplegs-server`.
 //!
 //! It exits with 0 when it was told to stop, with 1 when it could not serve (one sentence on
-//! standard error, then its causes), and with 2 when the command line makes no sense.
+//! standard error, then its causes), with 2 when the command line makes no sense, and with 130 when it
+//! was told twice.
 #![forbid(unsafe_code)]
 
 use std::io::{IsTerminal, Write};
@@ -20,6 +21,8 @@ use decouplegs_server::running;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
+/// Exit code after a second signal: that of programs that Ctrl-C ended.
+const EXIT_INTERRUPTED: i32 = 130;
 /// Time for threads that read files to end after the server has ended.
 const THREADS_PATIENCE: Duration = Duration::from_secs(1);
 
@@ -61,11 +64,12 @@ fn serve(options: &ServerOptions) -> Result<()> {
         .build()
         .context("no threads")?;
     let served = runtime.block_on(async {
+        // Until it answers, a signal ends it at once: nothing has begun.
+        let running = running::start(options).await?;
         let (mut terminated, mut interrupted) = (
             signal(SignalKind::terminate())?,
             signal(SignalKind::interrupt())?,
         );
-        let running = running::start(options).await?;
         let mut said = std::io::stdout().lock();
         writeln!(said, "listening on {}", running.address)?;
         if let Some(address) = running.metrics_address {
@@ -73,12 +77,21 @@ fn serve(options: &ServerOptions) -> Result<()> {
         }
         said.flush()?;
         drop(said);
-        let message = async {
+        let message = async move {
             tokio::select! {
                 _ = terminated.recv() => {}
                 _ = interrupted.recv() => {}
             }
-            tracing::info!("told to stop: finishing what has begun");
+            tracing::info!(
+                "told to stop: finishing what has begun; a second signal ends it at once"
+            );
+            tokio::spawn(async move {
+                tokio::select! {
+                    _ = terminated.recv() => {}
+                    _ = interrupted.recv() => {}
+                }
+                std::process::exit(EXIT_INTERRUPTED);
+            });
         };
         running.until(message).await
     });

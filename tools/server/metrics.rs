@@ -78,7 +78,7 @@ impl Metrics {
     }
 
     /// A connection was closed because there were too many.
-    pub fn refused(&self) {
+    pub fn refused_connection(&self) {
         self.connections_refused.fetch_add(1, Ordering::Relaxed);
     }
 

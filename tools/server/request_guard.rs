@@ -7,6 +7,7 @@ use std::task::{Context, Poll, ready};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use decouplegs_connections::{ConnectionInfo, OpenRequest};
 use http::uri::PathAndQuery;
 use http::{Request, Response, Uri};
 use http_body::{Body as HttpBody, Frame, SizeHint};
@@ -18,7 +19,6 @@ use tonic::transport::server::TlsConnectInfo;
 use tonic::{Code, Status};
 use tower::{Layer, Service};
 
-use crate::connections::{ConnectionInfo, OpenRequest};
 use crate::metrics::Metrics;
 use crate::names::{Destination, destination_of};
 use crate::options::Limits;
@@ -95,7 +95,7 @@ where
         let place = self.rules.admit(
             &request,
             &destination,
-            info.is_some_and(|info| info.is_for_health),
+            info.is_some_and(|info| info.is_spare),
         );
         if let Some(path) = destination
             .path

@@ -24,7 +24,7 @@ use crate::render_queue::RenderQueue;
 use crate::request_guard::GateLayer;
 use crate::scene_registry::SceneRegistry;
 use crate::sensorsim::Sensorsim;
-use crate::{connections, metrics_page};
+use crate::{incoming, metrics_page};
 use decouplegs_alpasim::encoding::Encoders;
 use decouplegs_alpasim::wire::lidar::lidar_server::LidarServer;
 use decouplegs_alpasim::wire::physics::physics_service_server::PhysicsServiceServer;
@@ -216,7 +216,7 @@ impl Services {
             .add_service(physics)
             .add_service(health);
         let (close, closing) = watch::channel(false);
-        let connections = connections::accept(listener, &limits, &closing, metrics);
+        let connections = incoming::accept(listener, &limits, closing, metrics);
         let (end, ending) = oneshot::channel();
         let ended = async {
             // The sender is gone: that too is an end.

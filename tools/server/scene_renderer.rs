@@ -151,19 +151,38 @@ impl SceneRenderer {
     }
 }
 
-/// gRPC status of `error` for a client.
+/// gRPC status of `error` for a client: INVALID_ARGUMENT for what its request asks for,
+/// FAILED_PRECONDITION for what a scene file holds, and INTERNAL for faults of the server alone,
+/// which clients try again.
 pub fn status_of(error: &SessionError) -> Status {
+    use SessionError::{NoAgent, NoAsset, NoCameras, PlainSplats, TooManyAgents};
     if is_lost(error) {
         return Status::unavailable(error.to_string());
     }
     match error {
-        SessionError::Render(RenderError::View(error)) => Status::invalid_argument(error.reason()),
         SessionError::Render(RenderError::Gpu(error)) | SessionError::Gpu(error) => match error {
             GpuError::OutOfMemory { .. } | GpuError::BufferTooLarge { .. } => {
                 Status::resource_exhausted(error.to_string())
             }
             _ => Status::internal(error.to_string()),
         },
+        SessionError::Render(error) => match error {
+            RenderError::View(error) => Status::invalid_argument(error.reason()),
+            RenderError::Lidar { .. }
+            | RenderError::AgentPose { .. }
+            | RenderError::AgentMotion { .. } => Status::invalid_argument(error.to_string()),
+            RenderError::Asset(_)
+            | RenderError::AgentLight { .. }
+            | RenderError::Shadow { .. }
+            | RenderError::TooManySplats { .. } => Status::failed_precondition(error.to_string()),
+            _ => Status::internal(error.to_string()),
+        },
+        NoAgent { .. } | NoAsset { .. } | TooManyAgents { .. } | NoCameras => {
+            Status::invalid_argument(error.to_string())
+        }
+        SessionError::Asset(_) | PlainSplats { .. } => {
+            Status::failed_precondition(error.to_string())
+        }
         _ => Status::internal(error.to_string()),
     }
 }
@@ -174,4 +193,41 @@ pub fn is_lost(error: &SessionError) -> bool {
         return false;
     };
     matches!(error, GpuError::DeviceLost { .. } | GpuError::Hang { .. })
+}
+
+#[cfg(test)]
+mod tests {
+    use decouplegs::scene::Invalid;
+    use tonic::Code;
+
+    use super::*;
+
+    #[test]
+    fn a_fault_of_the_client_is_never_one_of_the_server() {
+        let reason = || Invalid::new("a turn of 1.57 rad in 0.0000005 s".to_owned());
+        let of_request = [
+            SessionError::Render(RenderError::View(reason())),
+            SessionError::Render(RenderError::AgentMotion {
+                instance: 1,
+                reason: reason(),
+            }),
+            SessionError::Render(RenderError::AgentPose {
+                instance: 1,
+                pose: "NaN".into(),
+            }),
+            SessionError::Render(RenderError::Lidar {
+                name: "roof".into(),
+                reason: reason(),
+            }),
+            SessionError::TooManyAgents { max: 65_535 },
+            SessionError::NoCameras,
+        ];
+        for error in of_request {
+            assert_eq!(status_of(&error).code(), Code::InvalidArgument, "{error}");
+        }
+        let of_scene = SessionError::Render(RenderError::Asset(reason()));
+        assert_eq!(status_of(&of_scene).code(), Code::FailedPrecondition);
+        let of_server = SessionError::Render(RenderError::NothingInFlight);
+        assert_eq!(status_of(&of_server).code(), Code::Internal);
+    }
 }

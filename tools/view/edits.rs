@@ -1,10 +1,11 @@
 //! Agents of a scene file moved, turned, added and removed, with undo.
 
 use std::cell::OnceCell;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use decouplegs::asset::scene_file::editing::{delayed, passing, shifted};
-use decouplegs::asset::{SceneAgent, SceneFile};
+use decouplegs::asset::{Replaces, SceneAgent, SceneFile, write_in_folder};
 use decouplegs::explain::explain;
 use decouplegs::footing::{Footing, dims_of};
 use decouplegs::scene::{Pose, Presence};
@@ -266,28 +267,29 @@ impl Editor {
     fn save(&mut self, name: &str) -> Result<String, String> {
         check_name(name, ".toml")?;
         let path = self.folder().join(name);
-        check_unwritten(&path, &self.saved)?;
-        let written = self.file().write(&path);
-        written.map_err(|error| explain(&error))?;
-        if !self.saved.contains(&path) {
-            self.saved.push(path.clone());
-        }
-        Ok(format!("saved as {}", path.display()))
+        let text = self.file().to_toml().map_err(|error| error.to_string())?;
+        save(path, &mut self.saved, text.as_bytes())
     }
 }
 
-/// Checks that writing `path` loses nothing: no file is there, or one of `own`.
+/// Writes `text` to `path`, through no link, and loses nothing: no file is there, or one of `own`,
+/// which `path` is then one of.
 ///
 /// # Errors
 /// A sentence.
-pub fn check_unwritten(path: &Path, own: &[PathBuf]) -> Result<(), String> {
-    match path.exists() && !own.iter().any(|written| written == path) {
-        true => Err(format!(
-            "{} exists already and is left as it is: choose another name",
-            path.display()
-        )),
-        false => Ok(()),
+pub fn save(path: PathBuf, own: &mut Vec<PathBuf>, text: &[u8]) -> Result<String, String> {
+    let is_own = own.contains(&path);
+    let replaces = match is_own {
+        true => Replaces::Anything,
+        false => Replaces::Nothing,
+    };
+    let written = write_in_folder(&path, replaces, |file| file.write_all(text));
+    written.map_err(|error| explain(&error))?;
+    let said = format!("saved as {}", path.display());
+    if !is_own {
+        own.push(path);
     }
+    Ok(said)
 }
 
 fn finite(what: &str, value: f64) -> Result<(), String> {

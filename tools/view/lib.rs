@@ -33,11 +33,12 @@ mod source;
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
-use std::sync::atomic::AtomicU64;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use axum::serve::ListenerExt;
 use decouplegs_cli::arguments::print;
 use decouplegs_cli::background::BackgroundArguments;
 use decouplegs_cli::device::{DeviceArguments, check_validation};
@@ -45,9 +46,11 @@ use decouplegs_cli::device::{DeviceArguments, check_validation};
 use drawing::Drawer;
 use events::Event;
 use open::SourceArguments;
-use server::{Service, router};
+use server::{Connections, Peer, Secret, Service, router};
 use session::Viewer;
 
+/// Longest wait for the image that is drawn when the viewer ends.
+const LAST_IMAGE: Duration = Duration::from_secs(3);
 /// Commands that wait for the thread that renders.
 const EVENTS_MAX: usize = 1024;
 
@@ -64,12 +67,18 @@ pub struct Arguments {
     /// Port; 0 takes a free one
     #[arg(long, default_value_t = 8090)]
     port: u16,
-    /// Address to listen on. All but loopback addresses need --token
+    /// Address to listen on. What is sent is not encrypted: prefer ssh -L to other addresses than
+    /// loopback
     #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     address: IpAddr,
-    /// Secret that the page needs, letters and digits: it is part of the printed address
-    #[arg(long, value_parser = token)]
+    /// Secret that the page needs, letters and digits: it is part of the printed address. A new one
+    /// is made if it is left out
+    #[arg(long, value_parser = token, conflicts_with = "no_token")]
     token: Option<String>,
+    /// Ask for no secret: every program and user of this machine may then edit, save and record.
+    /// For loopback addresses alone
+    #[arg(long)]
+    no_token: bool,
     #[command(flatten)]
     background: BackgroundArguments,
     #[command(flatten)]
@@ -89,6 +98,13 @@ fn token(text: &str) -> Result<String, String> {
     ))
 }
 
+/// A secret of 128 random bits.
+fn new_token() -> Result<String> {
+    let mut bits = [0; 16];
+    getrandom::fill(&mut bits).context("the system has no random numbers: give a --token")?;
+    Ok(bits.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
 /// Serves the page until Ctrl-C.
 ///
 /// # Errors
@@ -96,8 +112,8 @@ fn token(text: &str) -> Result<String, String> {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let address = SocketAddr::new(arguments.address, arguments.port);
     ensure!(
-        address.ip().is_loopback() || arguments.token.is_some(),
-        "{} can be reached from other machines: give --token, or leave out --address",
+        address.ip().is_loopback() || !arguments.no_token,
+        "{} can be reached from other machines: leave out --no-token, or --address",
         address.ip()
     );
     let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -115,14 +131,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let sources = arguments.sources.open(drawer.session())?;
     let mut viewer = Viewer::new(drawer, sources);
     let (events, inbox) = mpsc::sync_channel(EVENTS_MAX);
+    let ending = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&ending);
     let renders = std::thread::Builder::new()
         .name("viewer".into())
-        .spawn(move || viewer.run(&inbox))
+        .spawn(move || viewer.run(&inbox, &told))
         .context("the thread that renders cannot be started")?;
-    let query = arguments
-        .token
-        .as_ref()
-        .map(|token| format!("?token={token}"));
+    let token = match (&arguments.token, arguments.no_token) {
+        (_, true) => None,
+        (Some(token), false) => Some(token.clone()),
+        (None, false) => Some(new_token()?),
+    };
+    let query = token.as_ref().map(|token| format!("?token={token}"));
     let url = format!("http://{address}/{}", query.unwrap_or_default());
     print(&format!("{url}\n"))?;
     let _ = writeln!(
@@ -131,26 +151,43 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     );
     let service = Service {
         events: events.clone(),
-        token: arguments.token.as_deref().map(Arc::from),
+        secret: token.map(|token| Secret::new(&token, address.port())),
         next_client: Arc::new(AtomicU64::new(1)),
         loopback: address.ip().is_loopback(),
     };
     runtime.block_on(async {
-        // Small messages are sent at once: by default one waits for the answer to the one before,
-        // up to 40 ms.
-        let listener = listener.tap_io(|stream| {
-            let _ = stream.set_nodelay(true);
-        });
-        let served = axum::serve(listener, router(service));
+        let pages = router(service).into_make_service_with_connect_info::<Peer>();
+        let served = axum::serve(Connections::new(listener), pages);
         tokio::select! {
             ended = served => ended.context("the server failed"),
             signal = tokio::signal::ctrl_c() => signal.context("Ctrl-C cannot be waited for"),
         }
     })?;
-    let _ = events.send(Event::Stop);
+    // Commands that wait are dropped, and with them what a full queue would hold up.
+    ending.store(true, Ordering::SeqCst);
+    let _ = events.try_send(Event::Stop);
     drop(events);
-    ensure!(renders.join().is_ok(), "the thread that renders failed");
+    end_of(renders)?;
     check_validation(&gpu)
+}
+
+/// Waits until the thread that renders has ended, and no longer than for an image: where a planner
+/// does not answer, the program ends without its plan, and its process with the program.
+fn end_of(renders: JoinHandle<()>) -> Result<()> {
+    let since = Instant::now();
+    while !renders.is_finished() {
+        if since.elapsed() > LAST_IMAGE {
+            let _ = writeln!(
+                std::io::stderr(),
+                "a planner, or an image, was not waited for"
+            );
+            // Nothing is written at this point but new files, which are whole or absent.
+            std::process::exit(0);
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    ensure!(renders.join().is_ok(), "the thread that renders failed");
+    Ok(())
 }
 
 #[cfg(test)]

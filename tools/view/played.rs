@@ -1,10 +1,9 @@
 //! Episode at all its moments: from a log, or driven while it is shown.
 
-use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
-use decouplegs::asset::{LoadedScene, write_atomically};
+use decouplegs::asset::LoadedScene;
 use decouplegs::drive::score::{EpisodeScore, times_to_collision};
 use decouplegs::episode::{EpisodeError, LiveEpisode, Moment, Moments, Site, reading_hash};
 use decouplegs::explain::explain;
@@ -15,7 +14,7 @@ use decouplegs::session::SessionScene;
 use glam::DVec2;
 use serde_json::{Value, json};
 
-use crate::edits::check_unwritten;
+use crate::edits;
 use crate::lanes::Lanes;
 
 /// Times of a log are matched to this, seconds: far below its steps.
@@ -121,16 +120,13 @@ impl Played {
     /// # Errors
     /// A sentence.
     pub fn save(&self, path: &Path) -> Result<String, String> {
-        check_unwritten(path, &[])?;
         if self.goes_on() {
             return Err(
                 "the episode goes on: a log is that of a whole one. Play it to its end".into(),
             );
         }
         let bytes = episode_log::encode(self.episode()).map_err(|error| explain(&error))?;
-        let written = write_atomically(path, |file| file.write_all(&bytes));
-        written.map_err(|error| explain(&error))?;
-        Ok(format!("saved as {}", path.display()))
+        edits::save(path.to_owned(), &mut Vec::new(), &bytes)
     }
 
     /// First and last time, seconds.

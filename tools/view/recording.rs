@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use decouplegs::asset::write_atomically;
+use decouplegs::asset::{Replaces, write_in_folder};
 use decouplegs::explain::explain;
 use decouplegs_cli::{png_bytes, video};
 
@@ -73,7 +73,7 @@ impl Recorder {
             let bytes = png_bytes::encode(&image.rgba, image.size_px)?;
             let name = format!("{}_{:05}.png", name_of(pane), self.written);
             let path = self.folder.join(name);
-            let written = write_atomically(&path, |file| file.write_all(&bytes));
+            let written = write_in_folder(&path, Replaces::Nothing, |file| file.write_all(&bytes));
             written.map_err(|error| explain(&error))?;
         }
         self.written += 1;

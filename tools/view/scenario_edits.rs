@@ -8,7 +8,7 @@ use decouplegs::episode::{
     LiveEpisode, ObservationRenderer, Site, cameras_of, chosen, chosen_lidars,
 };
 use decouplegs::explain::explain;
-use decouplegs::logs::write_scenario;
+use decouplegs::logs::scenario_file::to_toml;
 use decouplegs::planner::{Cameras, Timeouts};
 use decouplegs::scene::{Scenario, Sensor};
 use decouplegs::session::{Session, SessionScene};
@@ -17,7 +17,7 @@ use decouplegs_alpasim::planner_name::PlannerName;
 use glam::DVec2;
 use serde_json::{Value, json};
 
-use crate::edits::{COPY_GAP_M, check_unwritten};
+use crate::edits::{COPY_GAP_M, save};
 use crate::history::History;
 use crate::lanes::Lanes;
 use crate::played::Played;
@@ -224,11 +224,8 @@ impl ScenarioEditor {
     fn save(&mut self, file: &str) -> Result<String, String> {
         check_name(file, ".toml")?;
         let path = self.path.with_file_name(file);
-        check_unwritten(&path, &self.saved)?;
-        let written = write_scenario(&path, self.history.state());
-        written.map_err(|error| explain(&error))?;
-        self.saved.push(path.clone());
-        Ok(format!("saved as {}", path.display()))
+        let text = to_toml(self.history.state()).map_err(|error| explain(&error))?;
+        save(path, &mut self.saved, text.as_bytes())
     }
 }
 

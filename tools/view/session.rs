@@ -1,6 +1,7 @@
 //! The thread that renders: commands in, images out.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
@@ -79,9 +80,9 @@ impl Viewer {
         viewer
     }
 
-    /// Serves `events` until the program ends.
-    pub fn run(&mut self, events: &Receiver<Event>) {
-        loop {
+    /// Serves `events` until the program ends: events that wait are left where `ending` is true.
+    pub fn run(&mut self, events: &Receiver<Event>, ending: &AtomicBool) {
+        while !ending.load(Ordering::SeqCst) {
             let first = match self.is_busy() {
                 // While something plays, as many updates are made as clients show.
                 true => events.recv_timeout(Duration::from_millis(5)),
@@ -94,10 +95,10 @@ impl Viewer {
             }
             // All commands first: of several views of one client only the last is rendered.
             while let Ok(event) = events.try_recv() {
-                match event {
-                    Event::Stop => return,
-                    event => self.take(event),
+                if ending.load(Ordering::SeqCst) {
+                    return;
                 }
+                self.take(event);
             }
             self.advance();
             self.record();

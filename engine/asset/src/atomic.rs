@@ -37,6 +37,45 @@ pub fn write_atomically(
     })
 }
 
+/// What a file that is written may replace.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Replaces {
+    /// Nothing: a name that is taken, also by a link that leads nowhere, is an error.
+    Nothing,
+    /// Whatever is there but a folder. A link is replaced itself.
+    Anything,
+}
+
+/// Writes `path` as [`write_atomically`] does, and follows no link: the file is in the folder of
+/// `path` afterwards. For names that come from somebody else than who runs the program, or that
+/// stand in a folder of somebody else.
+///
+/// # Errors
+/// [`AssetError::Write`] with the failure of `fill` or of the operating system, or where
+/// [`Replaces::Nothing`] is asked for and the name is taken.
+pub fn write_in_folder(
+    path: &Path,
+    replaces: Replaces,
+    fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
+) -> Result<(), AssetError> {
+    let there = std::fs::symlink_metadata(path).ok();
+    let written = match (there, replaces) {
+        (Some(_), Replaces::Nothing) => Err(name_is_taken()),
+        (there, _) => {
+            let kept = there.filter(Metadata::is_file);
+            write_at(path, kept.as_ref(), replaces, fill)
+        }
+    };
+    written.map_err(|source| AssetError::Write {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+fn name_is_taken() -> io::Error {
+    io::Error::other("something of that name exists already, and is left as it is: choose another")
+}
+
 /// Checks that [`write_atomically`] could write `path` now: before work that takes long, not after
 /// it.
 ///
@@ -81,7 +120,17 @@ fn write(
     {
         return fill_file(&mut OpenOptions::new().write(true).open(path)?, fill);
     }
-    let path = &followed(path)?;
+    write_at(&followed(path)?, there.as_ref(), Replaces::Anything, fill)
+}
+
+/// Writes the file at `path`, whose last part is no link that is to be followed, with the
+/// permissions of the file `there`.
+fn write_at(
+    path: &Path,
+    there: Option<&Metadata>,
+    replaces: Replaces,
+    fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
+) -> io::Result<()> {
     let directory = directory_of(path);
     let unnamed = rustix::fs::open(
         directory,
@@ -92,15 +141,19 @@ fn write(
         Ok(unnamed) => {
             let mut file = File::from(unnamed);
             fill_file(&mut file, fill)?;
-            finish(&file, there.as_ref())?;
-            give_name(&file, path)?;
+            finish(&file, there)?;
+            give_name(&file, path, replaces)?;
         }
         // Whatever is wrong with the directory, the next call tells it too.
         Err(_) => {
             let mut temporary = temporary_name().tempfile_in(directory)?;
             fill_file(temporary.as_file_mut(), fill)?;
-            finish(temporary.as_file(), there.as_ref())?;
-            temporary.persist(path).map_err(|error| error.error)?;
+            finish(temporary.as_file(), there)?;
+            let named = match replaces {
+                Replaces::Anything => temporary.persist(path),
+                Replaces::Nothing => temporary.persist_noclobber(path),
+            };
+            named.map_err(|error| error.error)?;
         }
     }
     sync_directory_of(path);
@@ -124,12 +177,13 @@ fn finish(file: &File, replaced: Option<&Metadata>) -> io::Result<()> {
     file.sync_all()
 }
 
-/// Links `file`, which has no name, to `path`, over any file there. Only the last two steps leave a
+/// Links `file`, which has no name, to `path`, over any file there that it may replace. Only the last two steps leave a
 /// file behind if the program is killed between them.
-fn give_name(file: &File, path: &Path) -> io::Result<()> {
+fn give_name(file: &File, path: &Path, replaces: Replaces) -> io::Result<()> {
     let unnamed = format!("/proc/self/fd/{}", file.as_raw_fd());
     let link = |name: &Path| linkat(CWD, unnamed.as_str(), CWD, name, AtFlags::SYMLINK_FOLLOW);
     match link(path) {
+        Err(rustix::io::Errno::EXIST) if replaces == Replaces::Nothing => Err(name_is_taken()),
         Err(rustix::io::Errno::EXIST) => {
             let temporary = temporary_name().make_in(directory_of(path), |name| Ok(link(name)?))?;
             temporary
@@ -165,7 +219,7 @@ fn followed(path: &Path) -> io::Result<PathBuf> {
 }
 
 /// The directory that `path` is in.
-fn directory_of(path: &Path) -> &Path {
+pub(crate) fn directory_of(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
@@ -231,6 +285,36 @@ mod tests {
                 .to_string()
                 .contains("round")
         );
+    }
+
+    #[test]
+    fn a_name_in_a_folder_leads_nowhere_else() {
+        use std::os::unix::fs::symlink;
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        std::fs::create_dir_all(at("in")).unwrap();
+        let write = |name: &str, replaces| {
+            write_in_folder(&at(name), replaces, |file| file.write_all(b"new"))
+                .map_err(|error| error.to_string())
+        };
+        symlink("../elsewhere", at("in/dangling")).unwrap();
+        std::fs::write(at("in/taken"), b"old").unwrap();
+        for name in ["in/dangling", "in/taken", "in"] {
+            let refused = write(name, Replaces::Nothing).unwrap_err();
+            assert!(refused.contains("choose another"), "{name}: {refused}");
+        }
+        assert_eq!(std::fs::read(at("in/taken")).unwrap(), b"old");
+        write("in/fresh", Replaces::Nothing).unwrap();
+        // Whoever put a link there meanwhile gets nothing written through it.
+        write("in/dangling", Replaces::Anything).unwrap();
+        write("in/taken", Replaces::Anything).unwrap();
+        assert!(write("in", Replaces::Anything).is_err());
+        for name in ["in/dangling", "in/taken", "in/fresh"] {
+            assert!(std::fs::symlink_metadata(at(name)).unwrap().is_file());
+            assert_eq!(std::fs::read(at(name)).unwrap(), b"new");
+        }
+        assert!(!at("elsewhere").exists());
+        assert_eq!(std::fs::read_dir(at("in")).unwrap().count(), 3, "no litter");
     }
 
     #[test]

@@ -44,11 +44,12 @@ pub mod sog;
 pub mod splat;
 pub mod spz;
 pub mod tracks;
+mod unfinished;
 pub mod zip;
 
 #[doc(hidden)]
 pub use atomic::sync_directory_of;
-pub use atomic::{TEMPORARY_PREFIX, check_writable, write_atomically};
+pub use atomic::{Replaces, TEMPORARY_PREFIX, check_writable, write_atomically, write_in_folder};
 pub use cameras::{CameraOptions, read_cameras};
 pub use coded_asset::{CodedAsset, CodedSummary, Provenance, read_coded, write_coded};
 pub use error::{AssetError, DecodeError, EncodeError, SceneError, read_bytes};
@@ -68,3 +69,4 @@ pub use scene_file::{
 pub use sky_file::SkyKind;
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};
 pub use tracks::read_tracks;
+pub use unfinished::UnfinishedFolder;

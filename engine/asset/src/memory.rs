@@ -39,6 +39,18 @@ pub fn require(what: &str, bytes: u64) -> Result<(), Invalid> {
     Ok(require_of(what, bytes, free_bytes())?)
 }
 
+/// [`require`] for numbers that multiply: `counts` of each other, and `bytes_each` for each of all.
+/// Files and arguments state the numbers one by one, and each may be harmless.
+///
+/// # Errors
+/// As [`require`]; a product of more than 64 bits is beyond every memory.
+pub fn require_product(what: &str, counts: &[u64], bytes_each: u64) -> Result<(), Invalid> {
+    require(
+        what,
+        counts.iter().copied().fold(bytes_each, u64::saturating_mul),
+    )
+}
+
 fn require_of(what: &str, bytes: u64, free: Option<u64>) -> Result<(), String> {
     match free {
         Some(free) if bytes > free / 100 * SHARE_PERCENT => Err(format!(
@@ -126,6 +138,9 @@ mod tests {
         #[cfg(target_os = "linux")]
         assert!(free_bytes().is_some_and(|bytes| bytes > 1 << 20));
         assert!(require("everything", u64::MAX).is_err());
+        assert!(require_product("all squares of all boxes", &[1 << 20, 1 << 16], 1 << 10).is_err());
+        assert!(require_product("more than a number", &[1 << 40, 1 << 40], 24).is_err());
+        assert!(require_product("nothing", &[1 << 40, 0, 1 << 40], 24).is_ok());
     }
 
     #[test]

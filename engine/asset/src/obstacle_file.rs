@@ -7,7 +7,8 @@
 //! ```
 //!
 //! `center_m` is in world coordinates. `kind` is one of [`ObstacleKind::by_name`]'s, `captured
-//! object` if left out; `yaw_rad` is 0 if left out.
+//! object` if left out; `yaw_rad` is 0 if left out. All boxes together reach over at most
+//! [`SQUARES_MAX`] squares of 4 m.
 
 use std::io::Write;
 use std::path::Path;
@@ -17,12 +18,19 @@ use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use crate::error::read_bytes;
-use crate::{AssetError, DecodeError, write_atomically};
+use crate::{AssetError, DecodeError, memory, write_atomically};
 
 /// The version that is written, and the only one there is.
 const VERSION: u32 = 1;
 /// Most boxes of a file.
 const OBSTACLES_MAX: usize = 1_000_000;
+/// Most squares of [`SQUARE_M`] that the boxes of a file reach over, each box counted by itself:
+/// programs list the boxes of each square. A million posts on corners of squares have half of that.
+pub const SQUARES_MAX: u64 = 8_000_000;
+/// Side of a square, meters.
+const SQUARE_M: f64 = 4.0;
+/// Bytes of a list of squares for each square: a box in it, and as much again as the list grows.
+const SQUARE_BYTES: u64 = 48;
 /// Largest side of a box and largest coordinate, meters.
 const SIDE_M_MAX: f64 = 1000.0;
 const COORDINATE_M_MAX: f64 = 1e8;
@@ -83,12 +91,35 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<Obstacle>, DecodeError> {
         )));
     }
     let numbered = file.obstacles.iter().enumerate();
-    numbered
+    let obstacles: Vec<Obstacle> = numbered
         .map(|(index, form)| {
             form.obstacle()
                 .map_err(|reason| malformed(format!("obstacle {index}: {reason}")))
         })
-        .collect()
+        .collect::<Result<_, _>>()?;
+    let squares: u64 = obstacles.iter().map(squares_of).sum();
+    if squares > SQUARES_MAX {
+        return Err(malformed(format!(
+            "its {} boxes together reach over {squares} squares of {SQUARE_M} m, one box counted after the other; at most {SQUARES_MAX} are read: leave out boxes that lie on others, and cut large ones into smaller",
+            obstacles.len()
+        )));
+    }
+    let what = format!("an index of {} boxes", obstacles.len());
+    memory::require_product(&what, &[squares], SQUARE_BYTES)
+        .map_err(|error| malformed(error.into()))?;
+    Ok(obstacles)
+}
+
+/// Most squares that a box reaches over, wherever it stands.
+fn squares_of(obstacle: &Obstacle) -> u64 {
+    let (sin, cos) = obstacle.yaw_rad.sin_cos();
+    let (sin, cos) = (sin.abs(), cos.abs());
+    let extent_m = [
+        cos * obstacle.length_m + sin * obstacle.width_m,
+        sin * obstacle.length_m + cos * obstacle.width_m,
+    ];
+    let along = |extent_m: f64| (extent_m / SQUARE_M).ceil() as u64 + 1;
+    extent_m.map(along).into_iter().product()
 }
 
 /// Writes obstacles to `path`, atomically.
@@ -189,6 +220,16 @@ mod tests {
             let error = decode(file(&good.replace(from, to)).as_bytes()).unwrap_err();
             assert!(error.to_string().contains(part), "{from}: {error}");
         }
+        // As large as each may be, at one place: 300 kB that would be gigabytes of squares.
+        let large = "{\"center_m\": [0, 0], \"length_m\": 1000, \"width_m\": 1000}";
+        let many = |count: usize| decode(file(&[large].repeat(count).join(", ")).as_bytes());
+        assert_eq!(many(120).unwrap().len(), 121);
+        let error = many(5000).unwrap_err().to_string();
+        assert!(error.contains("at most 8000000 are read"), "{error}");
+        // A line has no area, and reaches over squares.
+        let line = "{\"center_m\": [0, 0], \"length_m\": 1000, \"width_m\": 0, \"yaw_rad\": 0.8}";
+        let lines = [line].repeat(300).join(", ");
+        assert!(decode(file(&lines).as_bytes()).is_err());
         let other = decode(b"{\"version\": 2, \"obstacles\": []}").unwrap_err();
         assert!(other.to_string().contains("version 2"));
     }

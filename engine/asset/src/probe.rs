@@ -121,7 +121,8 @@ fn check_size(
     }
     // As it is stored, up to 12 bytes per pixel, and as f32.
     let what = format!("an image of {width} x {height} px");
-    memory::require(&what, 24 * pixels).map_err(|error| DecodeError::Malformed(error.into()))
+    memory::require_product(&what, &[pixels], 24)
+        .map_err(|error| DecodeError::Malformed(error.into()))
 }
 
 /// Data windows may differ from the image's size, and lines of them are unpacked whole.

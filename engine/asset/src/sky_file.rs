@@ -79,7 +79,7 @@ pub fn decode(bytes: &[u8], kind: SkyKind, world_from_sky: DMat3) -> Result<SkyM
             }
             let face_texels = (width / 4).clamp(1, FACE_TEXELS_MAX);
             let texels = 6 * (face_texels as u64 + 2).pow(2);
-            memory::require("the cube of a sky", 24 * texels)
+            memory::require_product("the cube of a sky", &[texels], 24)
                 .map_err(|error| DecodeError::Malformed(error.into()))?;
             let image = LatLong { width, height, rgb };
             SkyMap::from_fn(face_texels, world_from_sky, |direction| {

@@ -98,9 +98,10 @@ pub fn text_of(bytes: &[u8]) -> Result<&str, SceneError> {
             reason: "is not UTF-8".into(),
         }
     })?;
-    memory::require(
+    memory::require_product(
         "reading this text",
-        PARSER_BYTES_PER_BYTE * bytes.len() as u64,
+        &[bytes.len() as u64],
+        PARSER_BYTES_PER_BYTE,
     )
     .map_err(|reason| SceneError {
         line: 1,

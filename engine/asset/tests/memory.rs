@@ -372,3 +372,35 @@ fn text_takes_a_small_multiple_of_its_length() {
         assert!(peak <= 128 * text.len(), "{start}{middle}: {peak} bytes");
     }
 }
+
+#[test]
+fn agents_times_splats_are_counted_before_the_first_is_placed() {
+    let _alone = MEASURING.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    // One black splat of 1 m after another: a .splat is 32 bytes each.
+    let one: Vec<u8> = [[0.0_f32; 3], [1.0; 3]]
+        .as_flattened()
+        .iter()
+        .flat_map(|value| value.to_le_bytes())
+        .chain([0, 0, 0, 255, 255, 128, 128, 128])
+        .collect();
+    std::fs::write(folder.path().join("ground.splat"), &one).unwrap();
+    std::fs::write(folder.path().join("car.splat"), one.repeat(20_000)).unwrap();
+    let agents = |count: usize| {
+        let agent = |index: usize| {
+            format!(
+                "[[agent]]\nname = \"car {index}\"\nasset = \"car.splat\"\nposition_m = [0, 0, 0]\n"
+            )
+        };
+        let agents: String = (0..count).map(agent).collect();
+        let text = format!("version = 1\nbackground = \"ground.splat\"\n{agents}");
+        SceneFile::parse(&text).unwrap()
+    };
+    assert!(agents(3).load(folder.path(), 0.0).is_ok());
+    let many = agents(7000);
+    let load = || many.load(folder.path(), 0.0).unwrap_err().to_string();
+    let peak = peak_bytes(load);
+    println!("7000 agents of 20000 splats: {peak} bytes of heap");
+    assert!(load().contains("compress the agents"), "{}", load());
+    assert!(peak < 64 * MIB, "{peak} bytes");
+}

@@ -116,6 +116,12 @@ fn an_edited_scene_renders_as_it_was_shown() {
         }
         assert!(seen(&page.look(&all)) == seen(&after), "{kind}");
 
+        // A link that leads nowhere is a name that is taken.
+        let link = folder.path().join("linked.toml");
+        let _ = fs::remove_file(&link);
+        let elsewhere = tempfile::tempdir().unwrap();
+        std::os::unix::fs::symlink(elsewhere.path().join("away.toml"), &link).unwrap();
+
         // What is refused changes nothing.
         for (kind, fields, word) in [
             ("remove", json!({"agent": "nobody"}), "nobody"),
@@ -131,12 +137,14 @@ fn an_edited_scene_renders_as_it_was_shown() {
             ),
             ("save", json!({"file": "../up.toml"}), "expected a name"),
             ("save", json!({"file": "scene.toml"}), "exists already"),
+            ("save", json!({"file": "linked.toml"}), "exists already"),
             ("save", json!({"file": "background.ply"}), ".toml"),
         ] {
             let error = edit(&mut page, kind, fields).unwrap_err();
             assert!(error.contains(word), "{error}");
         }
         assert!(seen(&page.look(&all)) == seen(&after), "{kind}");
+        assert_eq!(fs::read_dir(elsewhere.path()).unwrap().count(), 0);
         assert_eq!(
             fs::read(&scene).unwrap(),
             original,

@@ -230,3 +230,46 @@ fn an_edited_scenario_is_driven_as_it_is_saved() {
     assert!(undone.rgb(folder.path(), 0) == start.rgb(folder.path(), 0));
     assert_eq!(agents(&undone), agents(&start));
 }
+
+/// A planner that does not answer does not hold up the end of the viewer, nor do steps that wait.
+#[test]
+fn the_first_ctrl_c_ends_a_viewer_whose_planner_hangs() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = ["drive", "--background", "3000", "--agent-splats", "200"];
+    let what = ["--level", "easy", "--episodes", "1", "--size", "64x36"];
+    let how = ["--planner", "constant-velocity", "--render", "off"];
+    let out = folder.path().join("run");
+    succeed(&[&place[..], &what, &how, &["--out", text(&out)]].concat());
+    let script = folder.path().join("planner.sh");
+    let id = folder.path().join("id");
+    let says =
+        r#"{"type":"hello","protocol":1,"name":"hangs","cameras":"none","privileged":false}"#;
+    let lines = format!(
+        "echo $$ > {}\nread -r line; echo '{says}'\nread -r line; echo '{{\"type\":\"ready\"}}'\nexec sleep 600\n",
+        text(&id)
+    );
+    fs::write(&script, lines).unwrap();
+    let scenario = out.join("scenarios/easy_0000.toml");
+    let exec = format!("exec:sh {}", text(&script));
+    let planner = [text(&scenario), "--size", "64x36", "--planner", &exec];
+    let viewer = Viewer::start_in(folder.path(), &planner);
+    let mut page = viewer.connect();
+    // A planner is given ten seconds for each.
+    for _ in 0..3 {
+        page.send("step", json!({"by": 1}));
+    }
+    std::thread::sleep(Duration::from_millis(500));
+    let since = Instant::now();
+    drop(viewer);
+    let took = since.elapsed();
+    assert!(took < Duration::from_secs(8), "{took:?}");
+    let planner = fs::read_to_string(id).unwrap();
+    let lives = || Path::new("/proc").join(planner.trim()).exists();
+    while lives() {
+        assert!(
+            since.elapsed() < PATIENCE,
+            "the planner outlives the viewer"
+        );
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}

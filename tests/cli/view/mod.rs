@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::json;
 use tungstenite::{Message, WebSocket};
@@ -26,6 +26,8 @@ struct Viewer {
     program: Child,
     /// Host and port.
     host: String,
+    /// Query with the token that the printed address had, or empty.
+    query: String,
 }
 
 impl Viewer {
@@ -46,21 +48,36 @@ impl Viewer {
         let mut url = String::new();
         let stdout = program.stdout.take().expect("it is piped");
         BufReader::new(stdout).read_line(&mut url).expect("text");
-        let host = url.trim().trim_start_matches("http://");
-        let host = host.split('/').next().unwrap_or_default().to_owned();
+        let printed = url.trim().trim_start_matches("http://");
+        let (host, query) = printed.split_once('/').expect("an address");
         assert!(host.starts_with("127.0.0.1:"), "{url:?}");
-        Self { program, host }
+        Self {
+            program,
+            host: host.to_owned(),
+            query: query.to_owned(),
+        }
     }
 
     /// Status line, headers and body of the answer to `GET path`.
     fn get(&self, path: &str, headers: &str) -> String {
         let mut stream = TcpStream::connect(&self.host).expect("it listens");
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
-        let request = format!("GET {path} HTTP/1.1\r\nConnection: close\r\n{headers}\r\n");
+        let then = match headers.contains("Upgrade: ") {
+            true => "Upgrade",
+            false => "close",
+        };
+        let request = format!("GET {path} HTTP/1.1\r\nConnection: {then}\r\n{headers}\r\n");
         stream.write_all(request.as_bytes()).expect("it reads");
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).expect("text");
-        answer
+        let mut answer = Vec::new();
+        let mut part = [0; 4096];
+        loop {
+            let length = stream.read(&mut part).expect("it answers");
+            answer.extend_from_slice(&part[..length]);
+            // After an upgrade there is no end.
+            if length == 0 || answer.starts_with(b"HTTP/1.1 101") {
+                return String::from_utf8_lossy(&answer).into_owned();
+            }
+        }
     }
 
     fn connect(&self) -> Page {
@@ -71,7 +88,7 @@ impl Viewer {
     fn connect_with_facts(&self) -> (Page, Value) {
         let stream = TcpStream::connect(&self.host).expect("it listens");
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
-        let url = format!("ws://{}/socket", self.host);
+        let url = format!("ws://{}/socket{}", self.host, self.query);
         let (socket, _) = tungstenite::client(url, stream).expect("it upgrades");
         let mut page = Page {
             socket,

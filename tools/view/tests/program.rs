@@ -18,7 +18,11 @@ fn exit_codes_tell_an_error_from_a_command_line_without_sense() {
             &["view", "--nonsense"] as &[&str],
             "Usage: decouplegs-view",
         ),
-        (1, &["view", "--address", "0.0.0.0"], "error: 0.0.0.0"),
+        (
+            1,
+            &["view", "--address", "0.0.0.0", "--no-token"],
+            "error: 0.0.0.0",
+        ),
     ] {
         let output = run(arguments);
         let said = String::from_utf8_lossy(&output.stderr);

@@ -447,12 +447,13 @@ def test_nothing_overlaps_at_any_width(street, open_page, width, scheme):
 
 
 def test_a_lost_viewer_is_told_and_found_again(street, open_page):
-    with Viewer(street, "scene.toml") as viewer:
+    with Viewer(street, "scene.toml", "--token", "open-sesame") as viewer:
         page = open_page(viewer)
-        port = viewer.url.split(":")[2].strip("/")
+        port = re.search(r":(\d+)/", viewer.url)[1]
     page.page.wait_for_selector("#notice.fault:not([hidden])")
     assert "No connection" in page.notice()
-    with Viewer(street, "scene.toml", "--port", port) as viewer:
+    # The page has the cookie of this token and port.
+    with Viewer(street, "scene.toml", "--port", port, "--token", "open-sesame") as viewer:
         before = page.shown()["update"]
         page.wait(lambda frame: frame["update"] != before or page.notice() == "")
         page.after(lambda: page.page.keyboard.press("."))

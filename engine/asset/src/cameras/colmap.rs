@@ -301,10 +301,14 @@ fn camera(
         .get(&lens)
         .ok_or_else(|| format!("image '{name:.60}': there is no camera {lens}"))?;
     let (rotation, translation) = (DQuat::from_xyzw(x, y, z, w), DVec3::from_array(t));
-    if !(rotation.is_finite() && translation.is_finite() && rotation.length_squared() > 1e-12) {
-        return Err(format!("image '{name:.60}': its pose is no rigid motion"));
+    let no_motion = || format!("image '{name:.60}': its pose is no rigid motion");
+    if !(translation.is_finite() && (1e-12..1e12).contains(&rotation.length_squared())) {
+        return Err(no_motion());
     }
     let world_from_camera = Pose::new(rotation.normalize(), translation).inverse();
+    if !world_from_camera.translation.is_finite() {
+        return Err(no_motion());
+    }
     Ok(Camera {
         name: name.to_owned(),
         intrinsics,
@@ -504,6 +508,33 @@ mod tests {
                 "{length}"
             );
         }
+        // Other bits are an error, or cameras that stand somewhere.
+        let flipped = |bytes: &[u8], bit: usize| {
+            let mut bytes = bytes.to_vec();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            bytes
+        };
+        let mut read = 0;
+        for bit in 0..8 * cameras.len() {
+            // Whether the lenses make images is checked with all cameras.
+            read += usize::from(lenses_of_binary(&flipped(&cameras, bit)).is_ok());
+        }
+        for bit in 0..8 * images.len() {
+            for camera in images_of_binary(&flipped(&images, bit), &lenses)
+                .into_iter()
+                .flatten()
+            {
+                let Pose {
+                    translation,
+                    rotation,
+                } = camera.world_from_camera;
+                assert!(translation.is_finite(), "bit {bit}: {translation}");
+                let length = rotation.length();
+                assert!((length - 1.0).abs() < 1e-9, "bit {bit}: {rotation}");
+                read += 1;
+            }
+        }
+        assert!(read > 500, "{read}");
         // A claim of points or images allocates nothing.
         let mut lying = images.clone();
         lying[..8].copy_from_slice(&u64::MAX.to_le_bytes());

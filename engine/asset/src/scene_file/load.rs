@@ -324,6 +324,7 @@ impl SceneFile {
             coded: HashMap::new(),
             checked_splats: 0,
         };
+        loader.read_assets(&mut scene, &self.agents)?;
         for (index, agent) in self.agents.iter().enumerate() {
             let instance = u16::try_from(index + 1).map_err(|_| {
                 AssetError::Placement(format!(
@@ -332,7 +333,7 @@ impl SceneFile {
                     u16::MAX
                 ))
             })?;
-            loader.add(&mut scene, agent, instance)?;
+            loader.add(&mut scene, agent, instance);
         }
         scene.rig = self.rig_from(files)?;
         let standing = || {
@@ -425,14 +426,14 @@ impl AgentLoader<'_> {
     /// Checks that the memory holds `splats` splats and as many more, as a list that is full grows
     /// to twice its size: 500 agents may show one small file.
     fn check_size(&mut self, splats: u64, sh_degree: u8) -> Result<(), AssetError> {
-        if splats <= self.checked_splats {
-            return Ok(());
-        }
         if splats > SPLATS_MAX {
             let message = format!(
                 "background and agents have more than {SPLATS_MAX} splats, which is no scene: compress the agents"
             );
             return Err(AssetError::Placement(message));
+        }
+        if splats <= self.checked_splats {
+            return Ok(());
         }
         self.checked_splats = 2 * splats;
         let what = format!("a scene of {splats} splats and more, with its agents,");
@@ -440,23 +441,46 @@ impl AgentLoader<'_> {
             .map_err(|error| AssetError::Placement(error.into()))
     }
 
-    fn add(
+    /// Reads the assets that agents show, each file once, and checks that the memory holds the
+    /// background with all plain splats before the first are placed in it.
+    fn read_assets(
         &mut self,
         scene: &mut LoadedScene,
-        agent: &SceneAgent,
-        instance: u16,
+        agents: &[SceneAgent],
     ) -> Result<(), AssetError> {
-        let file = &agent.asset;
-        if !coded_asset::has_extension(file) {
-            if !self.plain.contains_key(file) {
-                let splats = self.files.splats(file)?.in_spatial_order();
-                self.plain.insert(file.clone(), splats);
+        let background = &scene.splat_scene.splats;
+        let (mut splats, mut sh_degree) = (background.len() as u64, background.sh_degree);
+        for agent in agents {
+            let file = &agent.asset;
+            if coded_asset::has_extension(file) {
+                if !self.coded.contains_key(file) {
+                    let (bytes, path) = (self.files.bytes(file)?, self.files.path(file));
+                    self.coded.insert(file.clone(), scene.assets.len());
+                    scene
+                        .assets
+                        .push(coded_asset::read_from(&bytes, &path)?.cloud);
+                }
+                continue;
             }
-            let (there, added) = (&scene.splat_scene.splats, &self.plain[file]);
-            let splats = (there.len() + added.len()) as u64;
-            self.check_size(splats, there.sh_degree.max(added.sh_degree))?;
+            if !self.plain.contains_key(file) {
+                let cloud = self.files.splats(file)?.in_spatial_order();
+                self.plain.insert(file.clone(), cloud);
+            }
+            let cloud = &self.plain[file];
             if agent.present.includes(self.time_s) {
-                let asset = &self.plain[file];
+                splats += cloud.len() as u64;
+            }
+            sh_degree = sh_degree.max(cloud.sh_degree);
+            self.check_size(splats, sh_degree)?;
+        }
+        Ok(())
+    }
+
+    /// Adds an agent whose asset was read.
+    fn add(&self, scene: &mut LoadedScene, agent: &SceneAgent, instance: u16) {
+        let file = &agent.asset;
+        if let Some(asset) = self.plain.get(file) {
+            if agent.present.includes(self.time_s) {
                 let pose = agent.trajectory.at(self.time_s);
                 let sh_frame = agent.sh_frame.unwrap_or_default();
                 scene
@@ -469,18 +493,9 @@ impl AgentLoader<'_> {
                     dims_m: asset.bounds().half_extent().map(|half_m| 2.0 * half_m),
                 });
             }
-            return Ok(());
+            return;
         }
-        let asset = match self.coded.get(file) {
-            Some(&asset) => asset,
-            None => {
-                scene.assets.push(
-                    coded_asset::read_from(&self.files.bytes(file)?, &self.files.path(file))?.cloud,
-                );
-                self.coded.insert(file.clone(), scene.assets.len() - 1);
-                scene.assets.len() - 1
-            }
-        };
+        let asset = self.coded[file];
         scene.agents.push(LoadedAgent {
             name: agent.name.clone(),
             asset,
@@ -489,7 +504,6 @@ impl AgentLoader<'_> {
             trajectory: agent.trajectory.clone(),
             present: agent.present.clone(),
         });
-        Ok(())
     }
 }
 

@@ -201,4 +201,25 @@ mod tests {
             assert!(message.contains(part), "{to}: {message}");
         }
     }
+
+    #[test]
+    fn other_bytes_are_an_error_or_splats_of_its_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let good = set(folder.path()).into_bytes();
+        let mut read = 0;
+        for at in 0..good.len() {
+            for value in [b'0', b'9', b'"', b'}', 0x80] {
+                let mut bytes = good.clone();
+                bytes[at] = value;
+                std::fs::write(folder.path().join(LOD_META), &bytes).unwrap();
+                if let Ok(cloud) = read_set(folder.path()) {
+                    assert!(cloud.len() <= 40, "byte {at}: {} splats", cloud.len());
+                    read += 1;
+                }
+            }
+            std::fs::write(folder.path().join(LOD_META), &good[..at]).unwrap();
+            assert!(read_set(folder.path()).is_err(), "cut to {at} bytes");
+        }
+        assert!(read > 50, "{read}");
+    }
 }

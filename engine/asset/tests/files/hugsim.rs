@@ -265,3 +265,63 @@ fn faults_of_a_hugsim_folder_name_the_file() {
         assert!(decode_checkpoint(&scene[..length], &ImportOptions::default()).is_err());
     }
 }
+
+#[test]
+fn cameras_without_number_are_no_metadata_and_images_take_no_search() {
+    let frames = |count: usize, rgb_path: &dyn Fn(usize) -> String| {
+        let frame = |index: usize| {
+            format!(
+                "{{\"rgb_path\": \"{}\", \"camtoworld\": [[1,0,0,0],[0,1,0,0],[0,0,1,{index}],[0,0,0,1]], \"intrinsics\": [[400,0,400],[0,400,300],[0,0,1]], \"width\": 800, \"height\": 600}}",
+                rgb_path(index)
+            )
+        };
+        let all: Vec<String> = (0..count).map(frame).collect();
+        format!("{{\"frames\": [{}]}}", all.join(", "))
+    };
+    let scene = std::fs::read(folder().join("scene.pth")).unwrap();
+    let decode = |metadata: &str| {
+        let files = HugsimFiles {
+            scene: &scene,
+            metadata: Some(metadata.as_bytes()),
+            actors: &[],
+        };
+        decode_hugsim(&files, &ImportOptions::default())
+    };
+    let own = frames(1001, &|index| format!("images/c{index}/1.jpg"));
+    let fault = decode(&own).unwrap_err().error.to_string();
+    assert!(fault.contains("more than 1000 cameras"), "{fault}");
+    let many = frames(1000, &|index| format!("images/c{index}/1.jpg"));
+    assert_eq!(decode(&many).unwrap().rig.cameras().count(), 1000);
+    // Images of one camera that say no time are counted, each by one step.
+    let one = decode(&frames(5000, &|_| "images/front/1.jpg".into())).unwrap();
+    let ego = one.ego.unwrap();
+    let step_s = 1.0 / ImportOptions::default().frame_rate_hz;
+    assert!(
+        (ego.end_s() - 4999.0 * step_s).abs() < 1e-6,
+        "{}",
+        ego.end_s()
+    );
+}
+
+#[test]
+fn what_is_no_file_under_the_name_of_the_scene_is_said() {
+    let out = tempfile::tempdir().unwrap();
+    let read = || read_scene(out.path(), &ImportOptions::default());
+    assert_eq!(read().unwrap(), None);
+    let path = out.path().join("scene.pth");
+    let said = |word: &str| {
+        let message = read().unwrap_err().to_string();
+        assert!(
+            message.contains("scene.pth") && message.contains(word),
+            "{message}"
+        );
+    };
+    std::fs::create_dir(&path).unwrap();
+    said("folder");
+    std::fs::remove_dir(&path).unwrap();
+    std::os::unix::fs::symlink("/dev/zero", &path).unwrap();
+    said("regular file");
+    std::fs::remove_file(&path).unwrap();
+    std::os::unix::fs::symlink("nowhere", &path).unwrap();
+    said("cannot read");
+}

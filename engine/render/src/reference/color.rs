@@ -1,6 +1,7 @@
 //! The color of a splat seen from a point, in f64.
 
 use decouplegs_scene::{SplatCloud, sh};
+use decouplegs_shaders::constants::COLOR_MAX;
 use glam::DVec3;
 
 /// `max(0, 0.5 + SH(d))` per channel, display-referred RGB, with `d` the unit vector from `center`
@@ -16,6 +17,13 @@ pub fn color(splats: &SplatCloud, splat: usize, center: DVec3) -> [f64; 3] {
         }
     }
     rgb.map(|value| value.max(0.0))
+}
+
+/// The color of a splat as it is blended: in its light and fog, at most [`COLOR_MAX`] per channel,
+/// which is the largest that a record of a splat holds. Only broken files have brighter splats.
+#[must_use]
+pub fn blended(rgb: [f64; 3]) -> [f64; 3] {
+    rgb.map(|value| value.min(f64::from(COLOR_MAX)))
 }
 
 #[cfg(test)]

@@ -174,10 +174,10 @@ pub fn render_window(
     );
     let color = |splat: usize, center: DVec3| {
         let rgb = color::color(&splat_scene.splats, splat, center);
-        match &splat_scene.fog {
+        color::blended(match &splat_scene.fog {
             Some(fog) => fog.seen(rgb, center.distance(splat_scene.splats.mean_m(splat))),
             None => rgb,
-        }
+        })
     };
     let splats = front_to_back(splat_scene, camera, rules, &window, &color);
     let seen_sky = |rgb: [f64; 3]| match &splat_scene.fog {

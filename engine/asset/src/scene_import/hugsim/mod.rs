@@ -63,9 +63,15 @@ pub struct HugsimFiles<'a> {
     pub actors: &'a [(String, Vec<u8>)],
 }
 
-/// True if `folder` holds a scene of HUGSIM.
+/// True if `folder` holds a scene of HUGSIM, or something under its name: what that is instead of a
+/// file is said where it is read.
 pub(super) fn is_scene(folder: &Path) -> bool {
-    folder.join(SCENE).is_file()
+    is_there(&folder.join(SCENE))
+}
+
+/// True if anything has the name, also a link that leads nowhere.
+fn is_there(path: &Path) -> bool {
+    std::fs::symlink_metadata(path).is_ok()
 }
 
 /// True if a checkpoint is one of HUGSIM: a tuple, where others save dictionaries.
@@ -81,8 +87,7 @@ pub(super) fn read(folder: &Path, options: &ImportOptions) -> Result<ImportedSce
     let scene_path = folder.join(SCENE);
     let scene = read_bytes(&scene_path)?;
     let metadata_path = folder.join(METADATA);
-    let metadata = metadata_path
-        .is_file()
+    let metadata = is_there(&metadata_path)
         .then(|| read_bytes(&metadata_path))
         .transpose()?;
     let (actor_files, left_out) = list(folder)?;

@@ -11,6 +11,8 @@ use serde::Deserialize;
 use super::{ImportedScene, TURN, is_plain};
 use crate::DecodeError;
 
+/// Most cameras: each is sought among all images.
+const CAMERAS_MAX: usize = 1000;
 /// Moments closer than this are one, seconds.
 const SAME_TIME_S: f64 = 1e-3;
 /// Height of the first camera where no ground is below it, meters.
@@ -89,18 +91,17 @@ impl Recording {
             .filter_map(|frame| frame.timestamp)
             .reduce(f64::min)
             .unwrap_or(0.0);
-        let mut cameras: Vec<(String, Intrinsics)> = Vec::new();
+        let mut cameras = Cameras::default();
         let mut taken = HashMap::new();
         let mut views = Vec::new();
         let mut boxes: BTreeMap<String, Vec<TimedPose>> = BTreeMap::new();
         for (index, frame) in form.frames.iter().enumerate() {
             let at = |error: DecodeError| malformed(format!("frame {index}: {error}"));
             let name = name_of(frame, &mut taken);
-            let camera = camera_of(frame, &name, &mut cameras).map_err(at)?;
-            let before = views.iter().filter(|view: &&View| view.camera == camera);
+            let (camera, before) = cameras.next_image(frame, &name).map_err(at)?;
             let time_s = match frame.timestamp {
                 Some(time_s) => time_s - first_s,
-                None => before.count() as f64 / frame_rate_hz,
+                None => before as f64 / frame_rate_hz,
             };
             let source_from_camera = pose_of(&frame.camtoworld, "camtoworld").map_err(at)?;
             for (id, matrix) in &frame.dynamics {
@@ -120,7 +121,7 @@ impl Recording {
             .map(|(id, poses)| Ok((id, track_of(poses, &times_s)?)))
             .collect::<Result<_, DecodeError>>()?;
         Ok(Self {
-            cameras,
+            cameras: cameras.all,
             views,
             tracks,
         })
@@ -244,30 +245,53 @@ fn name_of(frame: &FrameForm, taken: &mut HashMap<(String, u64), usize>) -> Stri
     }
 }
 
-/// Index of the camera `name` in `cameras`, to which it is added if it is new.
-fn camera_of(
-    frame: &FrameForm,
-    name: &str,
-    cameras: &mut Vec<(String, Intrinsics)>,
-) -> Result<usize, DecodeError> {
-    if let Some(known) = cameras.iter().position(|(known, _)| known == name) {
-        return Ok(known);
+/// Cameras of the frames that were read.
+#[derive(Default)]
+struct Cameras {
+    all: Vec<(String, Intrinsics)>,
+    /// Indices in `all`.
+    by_name: HashMap<String, usize>,
+    /// Images of each camera.
+    images: Vec<usize>,
+}
+
+impl Cameras {
+    /// Index of the camera `name`, which is added if it is new, and its images before `frame`.
+    fn next_image(&mut self, frame: &FrameForm, name: &str) -> Result<(usize, usize), DecodeError> {
+        let camera = match self.by_name.get(name) {
+            Some(&known) => known,
+            None if self.all.len() == CAMERAS_MAX => {
+                return Err(malformed(format!(
+                    "more than {CAMERAS_MAX} cameras; expected those of a vehicle, each with its folder of images in 'rgb_path'"
+                )));
+            }
+            None => {
+                self.all.push((name.to_owned(), intrinsics_of(frame)?));
+                self.by_name.insert(name.to_owned(), self.images.len());
+                self.images.push(0);
+                self.images.len() - 1
+            }
+        };
+        self.images[camera] += 1;
+        Ok((camera, self.images[camera] - 1))
     }
+}
+
+/// Intrinsics of the camera of `frame`.
+fn intrinsics_of(frame: &FrameForm) -> Result<Intrinsics, DecodeError> {
     let entry = |row: usize, column: usize| {
         let value = frame.intrinsics.get(row).and_then(|row| row.get(column));
         value.copied().ok_or_else(|| {
             malformed("'intrinsics' is no matrix of three rows and columns or more".into())
         })
     };
-    let intrinsics = Intrinsics {
+    Ok(Intrinsics {
         fx_px: entry(0, 0)?,
         fy_px: entry(1, 1)?,
         cx_px: entry(0, 2)?,
         cy_px: entry(1, 2)?,
         ..Intrinsics::from_horizontal_fov(frame.width, frame.height, 1.0)
-    };
-    cameras.push((name.to_owned(), intrinsics));
-    Ok(cameras.len() - 1)
+    })
 }
 
 /// Rigid pose of a matrix of 3 or 4 rows and 4 columns.
