@@ -19,6 +19,7 @@ use decouplegs::episode::StepTime;
 use decouplegs::explain::one_line;
 use decouplegs::scene::Level;
 use decouplegs::scene::episode::{Episode, EpisodeEnd};
+use decouplegs::scene::scenario::Place;
 use glam::DVec2;
 use serde_json::{Value, json};
 
@@ -56,6 +57,19 @@ impl Scored {
 
     pub fn name(&self) -> &str {
         &self.episode.head.scenario.name
+    }
+
+    /// Its place, as it is where nothing is drawn: all weathers and sizes have the same lanes.
+    pub fn place(&self) -> Place {
+        match &self.episode.head.scenario.place {
+            Place::Street { weather, seed, .. } => Place::Street {
+                weather: *weather,
+                background: 0,
+                agent_splats: 0,
+                seed: *seed,
+            },
+            place => place.clone(),
+        }
     }
 
     /// True if the ego was at fault.
