@@ -14,10 +14,11 @@ use crate::{AssetError, DecodeError, LoadedScene, SceneFile};
 use super::{OURS, SCENE};
 
 /// Name of the format in messages.
-const NAME: &str = "USDZ package of decouplegs";
+pub(super) const NAME: &str = "USDZ package of decouplegs";
 
 /// True if `path` is named like a package.
-pub(crate) fn is_package(path: &Path) -> bool {
+#[must_use]
+pub fn is_package(path: &Path) -> bool {
     path.extension()
         .is_some_and(|extension| extension.eq_ignore_ascii_case("usdz"))
 }
