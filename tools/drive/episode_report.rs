@@ -26,7 +26,7 @@ use serde_json::{Value, json};
 use crate::sites::Sites;
 
 pub use comparison::compare;
-pub use hd_score::HdScores;
+pub use hd_score::{HdScores, Hugsim};
 
 /// An episode and what it is worth.
 pub struct Scored {
@@ -59,7 +59,7 @@ impl Scored {
         &self.episode.head.scenario.name
     }
 
-    /// Its place, as it is where nothing is drawn: all weathers and sizes have the same lanes.
+    /// The place, as it is where nothing is drawn: all weathers and sizes have the same lanes.
     pub fn place(&self) -> Place {
         match &self.episode.head.scenario.place {
             Place::Street { weather, seed, .. } => Place::Street {

@@ -4,26 +4,15 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use clap::ValueEnum;
 use decouplegs::asset::write_atomically;
 use decouplegs::episode::Appearance;
 use decouplegs::logs::read_episode_log;
 
 use crate::arguments::print;
 use crate::background::BackgroundArguments;
-use crate::episode_report::{self, HdScores, Scored};
+use crate::episode_report::{self, HdScores, Hugsim, Scored};
 use crate::progress;
 use crate::sites::Sites;
-
-/// Kinds of HD-Scores.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Hugsim {
-    /// HUGSIM's own formula, from the plan of each step
-    AsPublished,
-    /// In the manner of HUGSIM, from what was driven
-    #[value(alias = "corrected")]
-    Driven,
-}
 
 /// Score episodes again from their logs, without rendering
 #[derive(clap::Args)]

@@ -89,7 +89,7 @@ pub struct NurecFlags {
 }
 
 impl NurecFlags {
-    /// Those that were given.
+    /// Names of the flags that were given.
     #[must_use]
     pub fn given(&self) -> Vec<&'static str> {
         let all = [
@@ -294,7 +294,7 @@ mod tests {
             "--egocar-hood-dir=/mnt/ego-hoods",
             "--no-enable-nrend",
             "--download-cache-dir",
-            "/tmp/nre-cache-dir",
+            "/cache/nre",
             "--cache-size=2",
             "--max-workers=4",
             "--enable-editing-actors",

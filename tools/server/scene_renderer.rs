@@ -26,7 +26,7 @@ pub struct SceneRenderer {
     origin: DVec3,
     /// Assets of the scene's agents, by name; their poses come with each request.
     agents: HashMap<String, AgentInstance>,
-    /// Those that stand all the time: a request that does not list them sees them there.
+    /// Agents that stand all the time: a request that does not list them sees them there.
     standing: Vec<(String, AgentInstance)>,
 }
 

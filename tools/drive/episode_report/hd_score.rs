@@ -3,14 +3,24 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use clap::ValueEnum;
 use decouplegs::drive::score::{HdScore, Moments};
 use decouplegs::scene::Level;
 use glam::DVec2;
 use serde_json::{Value, json};
 
 use super::{Scored, score};
-use crate::score::Hugsim;
 use crate::sites::Sites;
+
+/// Kinds of HD-Scores.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Hugsim {
+    /// HUGSIM's own formula, from the plan of each step
+    AsPublished,
+    /// HUGSIM's terms, taken from what was driven
+    #[value(alias = "corrected")]
+    Driven,
+}
 
 /// HD-Scores of episodes, in their order.
 pub struct HdScores {

@@ -68,10 +68,10 @@ pub(super) fn sequence_tracks(
     Ok(Value::Object(sequences))
 }
 
-/// Moments in microseconds of the package and local poses (x, y, z and a quaternion x, y, z, w): where the agent's
-/// own way is known, and over the whole scene for one that stands; from its first presence to its
-/// last. Tracks have no gaps: times of absence between are part of it.
-/// None for an agent that is absent all the time.
+/// Moments in microseconds of the package and local poses (x, y, z and a quaternion x, y, z, w):
+/// where the agent's own way is known, and over the whole scene for one that stands; from its first
+/// presence to its last. Tracks have no gaps: times of absence between are part of it. None for an
+/// agent that is absent all the time.
 fn sampled(scene: &SceneFile, agent: &SceneAgent, span_s: (f64, f64)) -> Vec<(u64, [f64; 7])> {
     let way = &agent.trajectory;
     let there_s = match agent.present.span_s() {

@@ -20,10 +20,11 @@
 //! **Frames.** `local` is the scene's world seen from its origin, axes as they are: others keep it
 //! in 32-bit floats. The rig's origin is where [`PackOptions::rig_origin_m`] says, on the ground
 //! below the rear axle by default; agents are the middles of their boxes, as in scene files.
-//! **Times** are the scene's in microseconds plus [`PackSummary::offset_s`], whole seconds: the first
-//! pose is at 1 s or later, and the first frame of a camera 0.2 s after it, because AlpaSim asks for
-//! the poses one control step before the first frame, and for those when its shutter opens, as
-//! unsigned numbers (`src/runtime/alpasim_runtime/unbound_rollout.py:88`, `event_loop.py:236`).
+//! **Times** are the scene's in microseconds plus [`PackSummary::offset_s`], whole seconds: the
+//! first pose is at 1 s or later, and the first frame of a camera 0.2 s after it, because AlpaSim
+//! asks for the poses one control step before the first frame, and for those when its shutter
+//! opens, as unsigned numbers (`src/runtime/alpasim_runtime/unbound_rollout.py:88`,
+//! `event_loop.py:236`).
 //!
 //! Trajectories are sampled ten times a second: others interpolate, and smooth, more than two poses
 //! far apart.
@@ -39,7 +40,7 @@ pub use agents::stands;
 pub use camera_model::packed_intrinsics;
 pub use packed_rig::{PackedRig, packed_scene_id, read_packed_rig};
 pub use read::is_package;
-pub use read::open_packed_scene;
+pub use read::{PackedScene, open_packed_scene};
 pub use write::{PackSummary, pack};
 
 use decouplegs_scene::VehicleSize;

@@ -18,7 +18,8 @@ use crate::{AssetError, DecodeError};
 const RIG: &str = "rig_trajectories.json";
 /// Entry of the scene's id and of the program that packed it.
 const METADATA: &str = "metadata.yaml";
-/// Bytes at the start of a package in which its id is looked for: it is in one of the first entries.
+/// Bytes at the start of a package in which its id is looked for: it is in one of the first
+/// entries.
 const START_BYTES: u64 = 1 << 16;
 
 /// The rig of a package.
@@ -26,16 +27,21 @@ const START_BYTES: u64 = 1 << 16;
 pub struct PackedRig {
     /// Program that wrote the package, with its version; empty where it is not told.
     pub version: String,
-    /// Origin of the rig in the vehicle frame (from the middle of the box), meters.
+    /// Origin of the rig in the vehicle frame (from the middle of the box), meters; zero where the
+    /// package does not tell the box.
     pub origin_m: DVec3,
     /// Way of the rig: local frame, times of the package.
     pub way: Trajectory,
+    /// Cameras by name, each with its pose in the rig.
+    pub cameras: Vec<(String, Pose)>,
     /// Start of the first frame of a camera, seconds. `None`: no camera has a frame.
     pub first_frame_s: Option<f64>,
 }
 
 #[derive(Deserialize)]
 struct RigFile {
+    #[serde(default)]
+    camera_calibrations: BTreeMap<String, Calibration>,
     rig_trajectories: Vec<RigWay>,
 }
 
@@ -47,7 +53,14 @@ struct RigWay {
     worlds: Vec<[[f64; 4]; 4]>,
     #[serde(default)]
     cameras_frame_timestamps_us: BTreeMap<String, Vec<[u64; 2]>>,
-    rig_bbox: RigBox,
+    rig_bbox: Option<RigBox>,
+}
+
+#[derive(Deserialize)]
+struct Calibration {
+    logical_sensor_name: String,
+    #[serde(rename = "T_sensor_rig")]
+    rig_from_sensor: [[f64; 4]; 4],
 }
 
 #[derive(Deserialize)]
@@ -68,8 +81,8 @@ pub fn read_packed_rig(path: &Path) -> Result<PackedRig, AssetError> {
     })
 }
 
-/// Id by which clients ask for the package at `path`, as its `metadata.yaml` says. `None` where that
-/// is not at its start.
+/// Id by which clients ask for the package at `path`, as its `metadata.yaml` says. `None` where
+/// that is not at its start.
 #[must_use]
 pub fn packed_scene_id(path: &Path) -> Option<String> {
     if !is_package(path) {
@@ -108,7 +121,11 @@ fn rig_of(bytes: &[u8]) -> Result<PackedRig, DecodeError> {
     });
     let way_read =
         Trajectory::new(poses.collect()).map_err(|reason| malformed(reason.to_string()))?;
-    let centroid = DVec3::from_array(way.rig_bbox.centroid);
+    let centroid = way
+        .rig_bbox
+        .as_ref()
+        .map_or([0.0; 3], |rig_box| rig_box.centroid);
+    let centroid = DVec3::from_array(centroid);
     if !centroid.is_finite() {
         return Err(malformed("rig_bbox.centroid is not finite".into()));
     }
@@ -117,6 +134,11 @@ fn rig_of(bytes: &[u8]) -> Result<PackedRig, DecodeError> {
         .filter_map(|of_camera| of_camera.first())
         .map(|frame| frame[0])
         .min();
+    let cameras = file.camera_calibrations.into_values();
+    let cameras = cameras.map(|camera| {
+        let pose = pose_of(&camera.rig_from_sensor);
+        (camera.logical_sensor_name, pose)
+    });
     let metadata = archive.checked(METADATA, bytes.len() as u64);
     let version = metadata
         .ok()
@@ -125,6 +147,7 @@ fn rig_of(bytes: &[u8]) -> Result<PackedRig, DecodeError> {
         version: version.unwrap_or_default(),
         origin_m: -centroid,
         way: way_read,
+        cameras: cameras.collect(),
         first_frame_s: first_frame_us.map(|us| us as f64 * 1e-6),
     })
 }

@@ -48,8 +48,8 @@ pub(super) fn package_us(time_s: f64, offset_s: f64) -> u64 {
     ((time_s + offset_s) * 1e6).round() as u64
 }
 
-/// Moments from `start_s` to `end_s`, both included, as seconds of the scene and microseconds of the
-/// package that rise.
+/// Moments from `start_s` to `end_s`, both included, as seconds of the scene and microseconds of
+/// the package that rise.
 pub(super) fn moments(start_s: f64, end_s: f64, offset_s: f64) -> Vec<(f64, u64)> {
     let steps = ((end_s - start_s) * SAMPLES_HZ).ceil().max(1.0) as usize;
     let mut moments: Vec<(f64, u64)> = (0..=steps)

@@ -42,16 +42,7 @@ pub fn pack(
     out: &Path,
 ) -> Result<PackSummary, AssetError> {
     let refused = |message: String| AssetError::Placement(message);
-    if options.scene_id.is_empty()
-        || options
-            .scene_id
-            .contains(|c: char| c.is_control() || matches!(c, '/' | '\\' | '"' | '@'))
-    {
-        return Err(refused(format!(
-            "{:?} is no scene id; expected a name without slashes, quotes and @",
-            options.scene_id
-        )));
-    }
+    check_id(&options.scene_id).map_err(refused)?;
     let scene = &with_camera_names(scene, &options.camera_names).map_err(refused)?;
     let mut cameras = scene.rig.cameras();
     if let Some(camera) = cameras.find(|camera| camera.intrinsics.windshield.is_some()) {
@@ -130,6 +121,16 @@ pub fn pack(
         offset_s: offset_of(span_s.0),
         is_georeferenced,
     })
+}
+
+/// Checks that an id can name a scene in requests and files of others.
+fn check_id(id: &str) -> Result<(), String> {
+    if id.is_empty() || id.contains(|c: char| c.is_control() || "/\\\"@".contains(c)) {
+        return Err(format!(
+            "{id:?} is no scene id; expected a name without slashes, quotes and @"
+        ));
+    }
+    Ok(())
 }
 
 /// The scene with other names of cameras.

@@ -147,9 +147,9 @@ fn bend(count: usize) -> LaneMap {
     map
 }
 
-/// AlpaSim's evaluation takes each outer border of a road for a curb
-/// (trajdata at c4c3c6d, `src/trajdata/dataset_specific/xodr/lane_processing.py:354`), and the union
-/// of lanes for road only where their borders are the same numbers (`src/eval/src/eval/scorers/offroad.py:186`).
+/// AlpaSim's evaluation takes each outer border of a road for a curb (trajdata at c4c3c6d,
+/// `src/trajdata/dataset_specific/xodr/lane_processing.py:354`), and the union of lanes for road
+/// only where their borders are the same numbers (`src/eval/src/eval/scorers/offroad.py:186`).
 #[test]
 fn lanes_beside_each_other_are_lanes_of_one_road() {
     let map = bend(3);

@@ -1,11 +1,11 @@
 //! HUGSIM's own HD-Score: that of the plans, not of what was driven.
 //!
-//! Followed is hyzhou404/HUGSIM at 62c690d of November 2025: `closed_loop.py:49-96` for what a frame
-//! is, `sim/utils/score_calculator.py` for its terms, `sim/hugsim_env/envs/hug_sim.py:174` for route
-//! completion. A frame is a step: its plan, and the ego and the others when the step is over; the
-//! plan is laid out from where the ego is then, as that code does. Poses of a plan are 0.5 s apart,
-//! and the last one gives only the heading of the one before. Not judged are collisions with splats
-//! of the background, which are in no log.
+//! Followed is hyzhou404/HUGSIM at 62c690d of November 2025: `closed_loop.py:49-96` for what a
+//! frame is, `sim/utils/score_calculator.py` for its terms, `sim/hugsim_env/envs/hug_sim.py:174`
+//! for route completion. A frame is a step: its plan, and the ego and the others when the step is
+//! over; the plan is laid out from where the ego is then, as that code does. Poses of a plan are
+//! 0.5 s apart, and the last one gives only the heading of the one before. Not judged are
+//! collisions with splats of the background, which are in no log.
 
 use std::f64::consts::PI;
 
@@ -152,8 +152,8 @@ fn planned(ego: &VehicleState, count: usize, at: impl Fn(f64) -> DVec2) -> Vec<P
     poses
 }
 
-/// The boxes of the agents at `start_s` and every [`INTERVAL_S`] after it, at most `count` times and
-/// no farther than the record reaches.
+/// The boxes of the agents at `start_s` and every [`INTERVAL_S`] after it, at most `count` times
+/// and no farther than the record reaches.
 fn boxes_at(
     episode: &Episode,
     ticks: &[&EpisodeTick],

@@ -122,8 +122,9 @@ fn the_published_score_is_that_of_the_plans() {
     assert!((free.route_completion - 0.5 / 0.9).abs() < 1e-9, "{free:?}");
     assert_eq!(free.hd_score, free.route_completion);
 
-    // Frames are at the ends of steps, at 2.5 m to 50 m. Plans reach 2.5 s, 12.5 m, ahead; the boxes
-    // of 4.5 m touch when the middle is at 51.6 m. Then the last 5 plans touch: from 39.1 m on.
+    // Frames are at the ends of steps, at 2.5 m to 50 m. Plans reach 2.5 s, 12.5 m, ahead; the
+    // boxes of 4.5 m touch when the middle is at 51.6 m. Then the last 5 plans touch: from 39.1 m
+    // on.
     let near = of(&episode(STEPS, &calm, &[standing(56.1)], EpisodeEnd::Time));
     assert!((near.no_collision - 15.0 / 20.0).abs() < 1e-9, "{near:?}");
     // Another second of 5 m/s: from 34.1 m on.

@@ -14,7 +14,7 @@ const HEIGHT_M: f64 = 0.15;
 /// Least width of a lane of a road, meters.
 const WIDTH_MIN_M: f64 = 0.1;
 /// Lines are looked for within this of the reference line, meters.
-const REACH_M: f64 = 40.0;
+const SIDE_MAX_M: f64 = 40.0;
 /// A border is read so far beyond its ends, meters: lines rarely end on one normal.
 const BEYOND_M: f64 = 2.0;
 /// An arc of a smaller curvature, 1/m, is a straight piece.
@@ -193,7 +193,7 @@ fn beside(map: &LaneMap, lanes: Vec<usize>) -> Option<Road> {
             center.push(middle_m);
             sides.push([&lane.left, &lane.right].map(|border| {
                 let found = across(border, middle_m).map(|(side_m, _)| side_m);
-                found.filter(|side_m| (side_m - middle_m).abs() < REACH_M)
+                found.filter(|side_m| (side_m - middle_m).abs() < SIDE_MAX_M)
             }));
             near_m = middle_m - WIDTH_M;
         }
@@ -237,14 +237,14 @@ fn beside(map: &LaneMap, lanes: Vec<usize>) -> Option<Road> {
             return None;
         }
     }
-    let reach_m = borders_m
+    let farthest_m = borders_m
         .iter()
         .flatten()
         .fold(0.0_f64, |most, border_m| most.max(border_m.abs()));
     if line
         .pieces
         .iter()
-        .any(|piece| piece.curvature.abs() * reach_m > 0.9)
+        .any(|piece| piece.curvature.abs() * farthest_m > 0.9)
     {
         return None;
     }
@@ -277,7 +277,7 @@ fn tangents_of(points: &[DVec2]) -> Vec<DVec2> {
     tangents
 }
 
-/// Where `line` crosses the normal of `tangent` at `point`: the distance to the left, meters, and
+/// Crossing of `line` and the normal of `tangent` at `point`: the distance to the left, meters, and
 /// the height. Of several crossings that nearest to `near_m`. `None` without one.
 fn crossing(line: &[DVec3], point: DVec2, tangent: DVec2, near_m: f64) -> Option<(f64, f64)> {
     let count = line.len().checked_sub(1)?;
@@ -300,7 +300,7 @@ fn crossing(line: &[DVec3], point: DVec2, tangent: DVec2, near_m: f64) -> Option
             continue;
         }
         let side_m = from.y + share * (to.y - from.y);
-        if side_m.abs() < REACH_M
+        if side_m.abs() < SIDE_MAX_M
             && best.is_none_or(|(other, _)| (side_m - near_m).abs() < (other - near_m).abs())
         {
             best = Some((side_m, line[at].z + share * (line[at + 1].z - line[at].z)));

@@ -4,9 +4,9 @@
 //! its own. The reference line of a road is the centerline of its leftmost lane, from which
 //! `laneOffset` leads to the left border. A road of one lane has it in straight pieces, so that the
 //! centerline is exact, and borders are as far apart as in the map, but centered. One of several
-//! lanes has it in arcs, whose heading does not jump: lanes beside a bend would. Lanes that split or
-//! merge meet in junctions. That lanes of opposite directions lie beside each other is lost. Traffic
-//! lights and signs are left out.
+//! lanes has it in arcs, whose heading does not jump: lanes beside a bend would. Lanes that split
+//! or merge meet in junctions. That lanes of opposite directions lie beside each other is lost.
+//! Traffic lights and signs are left out.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
