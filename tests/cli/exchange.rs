@@ -257,6 +257,43 @@ fn a_packed_scene_is_a_zip_that_others_read_and_opens_as_the_scene() {
     };
     assert!(holds("<OpenDRIVE>") && holds("<laneOffset s="));
     assert!(fail(2, &["pack", text(&scene), "--usdz", "a.zip"]).contains("a.zip"));
+    // Cameras as a simulator's configuration calls them.
+    let named = |camera: &str| -> Vec<String> {
+        let words = [
+            "pack",
+            text(&scene),
+            "--usdz",
+            text(&package),
+            "--no-ground",
+            "--camera",
+        ];
+        words
+            .iter()
+            .copied()
+            .chain([camera])
+            .map(str::to_owned)
+            .collect()
+    };
+    let words = named("front=camera_front_wide_120fov");
+    succeed(&words.iter().map(String::as_str).collect::<Vec<_>>());
+    let names: Vec<String> = open_scene(&package, 0.0)
+        .unwrap()
+        .rig
+        .cameras()
+        .map(|camera| camera.name.clone())
+        .collect();
+    assert_eq!(names[0], "camera_front_wide_120fov");
+    assert_eq!(names.len(), 6);
+    for (camera, code, reason) in [
+        ("front", 2, "front=camera_front_wide_120fov"),
+        ("roof=a", 1, "no camera \"roof\""),
+        ("front=back", 1, "two sensors would be called \"back\""),
+    ] {
+        let words = named(camera);
+        let words: Vec<&str> = words.iter().map(String::as_str).collect();
+        let said = fail(code, &words);
+        assert!(said.contains(reason), "{said}");
+    }
     assert!(
         fail(
             1,
@@ -304,7 +341,10 @@ with open(sys.argv[1], "rb") as file, zipfile.ZipFile(file) as archive:
     columns.append(only["cuboidtracks_data"]["cuboids_dims"])
     assert len({len(column) for column in columns}) == 1
     assert all(len(pose) == 7 for poses in columns[4] for pose in poses)
-    assert data["pose-range"]["start-timestamp_us"] == times[0]
+    assert data["pose-range"]["start-timestamp_us"] == times[0] >= 1_000_000
+    for frames in way["cameras_frame_timestamps_us"].values():
+        assert frames[0][0] >= times[0] + 200_000 and frames[-1][1] <= times[-1]
+        assert {end - start for start, end in frames} == {30_000}
     print(json.dumps({"rig": [row[3] for row in way["T_rig_worlds"][0][:3]], "agents": columns[0], "first": columns[4][0][0]}))
 "#;
     let output = Command::new("python3")

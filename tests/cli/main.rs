@@ -12,6 +12,7 @@ mod exchange;
 mod export;
 mod first_hour;
 mod ground_truth;
+mod hd_scores;
 mod hostile;
 mod interfaces;
 mod lidar;

@@ -66,7 +66,16 @@ pub fn intrinsics_of(
     intrinsics
         .check()
         .map_err(|reason| Status::invalid_argument(format!("{field}: {reason}")))?;
-    let resized = intrinsics.resized(asked[0], asked[1]);
+    let mut resized = intrinsics.resized(asked[0], asked[1]);
+    if let Lens::FTheta(_) = intrinsics.lens {
+        // AlpaSim's rectifier scales the number itself, which counts from the middle of the first
+        // pixel (`src/driver/src/alpasim_driver/rectification.py:434`): half a pixel stays one.
+        let scaled = |center_px: f64, from: u32, to: u32| {
+            (center_px - FTHETA_ORIGIN_PX) * f64::from(to) / f64::from(from) + FTHETA_ORIGIN_PX
+        };
+        resized.cx_px = scaled(intrinsics.cx_px, own[0], asked[0]);
+        resized.cy_px = scaled(intrinsics.cy_px, own[1], asked[1]);
+    }
     resized.check().map_err(|reason| {
         Status::invalid_argument(format!("resolution_w and resolution_h: {reason}"))
     })?;
@@ -364,10 +373,12 @@ mod tests {
             }
             let spec = spec_of(&own, "front");
             assert_eq!(intrinsics_of(&spec, [0, 0], "k").unwrap(), own);
-            assert_eq!(
-                intrinsics_of(&spec, [320, 90], "k").unwrap(),
-                own.resized(320, 90)
-            );
+            let mut resized = own.resized(320, 90);
+            if let Lens::FTheta(_) = lens {
+                // 300 and 179.5 px of 640 x 360 from the middle of the first pixel.
+                [resized.cx_px, resized.cy_px] = [150.0 + 0.5, 0.25 * 179.5 + 0.5];
+            }
+            assert_eq!(intrinsics_of(&spec, [320, 90], "k").unwrap(), resized);
             let unsized_spec = CameraSpec {
                 resolution_h: 0,
                 resolution_w: 0,

@@ -10,7 +10,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::AssetError;
 use decouplegs::episode::{
@@ -18,7 +18,7 @@ use decouplegs::episode::{
 };
 use decouplegs::logs::{read_episode_log, scenario_file};
 use decouplegs::planner::{Cameras, Planner, Timeouts};
-use decouplegs::scene::episode::Episode;
+use decouplegs::scene::episode::{Episode, EpisodeEnd};
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Level, Sensor};
 use decouplegs::session::BatchRenderer;
@@ -288,7 +288,20 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     scored.sort_by(|a, b| (a.level(), a.name()).cmp(&(b.level(), b.name())));
     let text = episode_report::write(&scored, &sites, &arguments.out)?;
     print(&text)?;
-    gpu.as_ref().map_or(Ok(()), check_validation)
+    gpu.as_ref().map_or(Ok(()), check_validation)?;
+    // A planner that drove nothing at all is a fault of the run, not of an episode.
+    let reason = |scored: &Scored| match &scored.episode.end {
+        EpisodeEnd::Planner { reason } => Some(reason.clone()),
+        _ => None,
+    };
+    let reasons: Vec<String> = scored.iter().map_while(reason).collect();
+    if let (Some(first), true) = (reasons.first(), reasons.len() == scored.len()) {
+        bail!(
+            "the planner failed in all {} episodes: {first}",
+            scored.len()
+        );
+    }
+    Ok(())
 }
 
 /// State shared by workers.

@@ -19,6 +19,7 @@ use decouplegs::episode::StepTime;
 use decouplegs::explain::one_line;
 use decouplegs::scene::Level;
 use decouplegs::scene::episode::{Episode, EpisodeEnd};
+use decouplegs::scene::scenario::Place;
 use glam::DVec2;
 use serde_json::{Value, json};
 
@@ -26,7 +27,7 @@ use crate::seen::Seen;
 use crate::sites::Sites;
 
 pub use comparison::compare;
-pub use hd_score::HdScores;
+pub use hd_score::{HdScores, Hugsim};
 
 /// An episode and what it is worth.
 pub struct Scored {
@@ -60,6 +61,19 @@ impl Scored {
 
     pub fn name(&self) -> &str {
         &self.episode.head.scenario.name
+    }
+
+    /// The place, as it is where nothing is drawn: all weathers and sizes have the same lanes.
+    pub fn place(&self) -> Place {
+        match &self.episode.head.scenario.place {
+            Place::Street { weather, seed, .. } => Place::Street {
+                weather: *weather,
+                background: 0,
+                agent_splats: 0,
+                seed: *seed,
+            },
+            place => place.clone(),
+        }
     }
 
     /// True if the ego was at fault.

@@ -41,6 +41,10 @@ pub struct Arguments {
     /// (default: 1.35 m behind it, on the ground)
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     rig_origin: Option<Triple>,
+    /// Another name of a camera in the package, such as front=camera_front_wide_120fov; may be
+    /// repeated
+    #[arg(long, value_name = "NAME=NEW", value_parser = new_name)]
+    camera: Vec<(String, String)>,
     /// Omit the ground, whose search takes seconds
     #[arg(long)]
     no_ground: bool,
@@ -62,6 +66,16 @@ impl FromStr for Triple {
             format!("expected three numbers of meters, like 4.5,1.8,1.5, found {text:?}")
         })
     }
+}
+
+/// A name and what it becomes, written `front=camera_front`.
+fn new_name(text: &str) -> Result<(String, String), String> {
+    text.split_once('=')
+        .filter(|(from, to)| !from.is_empty() && !to.is_empty())
+        .map(|(from, to)| (from.to_owned(), to.to_owned()))
+        .ok_or_else(|| {
+            format!("expected a camera and its new name, like front=camera_front_wide_120fov, found {text:?}")
+        })
 }
 
 fn package_path(text: &str) -> Result<PathBuf, String> {
@@ -92,6 +106,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     options.rig_origin_m = arguments
         .rig_origin
         .map_or(below, |Triple(origin)| DVec3::from_array(origin));
+    options.camera_names.clone_from(&arguments.camera);
     let mut notes = Vec::new();
     if let Some(map) = &arguments.map {
         // Read as a map too: an empty or wrong file would only be found by those who open the
@@ -102,7 +117,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             Ok(MapFormat::OpenDrive) => bytes,
             _ => {
                 notes.push(format!(
-                    "OpenDRIVE is written of {}: a road for each of {} lanes, without signals, at latitude and longitude 0",
+                    "OpenDRIVE is written of {}: {} lanes, those beside each other on one road, without signals, at latitude and longitude 0",
                     map.display(),
                     lanes.lanes.len()
                 ));
@@ -133,6 +148,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         notes.push("the map has no geoReference with +lat_0 and +lon_0: AlpaSim cannot lay it under the scene".to_owned());
     }
     let (start_s, end_s) = summary.span_s;
+    if summary.offset_s != 0.0 {
+        notes.push(format!(
+            "times of the package are those of the scene plus {:.0} s",
+            summary.offset_s
+        ));
+    }
     let bytes = fs::metadata(&arguments.usdz)
         .with_context(|| format!("cannot read {}", arguments.usdz.display()))?
         .len();

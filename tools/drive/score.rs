@@ -4,26 +4,15 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use clap::ValueEnum;
 use decouplegs::asset::write_atomically;
-use decouplegs::drive::score::HdVariant;
 use decouplegs::episode::Appearance;
 use decouplegs::logs::read_episode_log;
 
 use crate::arguments::print;
 use crate::background::BackgroundArguments;
-use crate::episode_report::{self, HdScores, Scored};
+use crate::episode_report::{self, HdScores, Hugsim, Scored};
 use crate::progress;
 use crate::sites::Sites;
-
-/// Versions of the HD-Score.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Hugsim {
-    /// The acceleration across counts as 0, as in HUGSIM's code
-    AsPublished,
-    /// The acceleration across counts
-    Corrected,
-}
 
 /// Score episodes again from their logs, without rendering
 #[derive(clap::Args)]
@@ -35,7 +24,7 @@ pub struct Arguments {
     /// scenarios
     #[arg(long, value_name = "LOG", num_args = 1..)]
     against: Vec<PathBuf>,
-    /// Print the HD-Score of HUGSIM too, taken from what was driven; with --out, write hugsim.json
+    /// Print the HD-Score of HUGSIM too; with --out, write hugsim.json
     #[arg(long, value_name = "VERSION", value_enum, conflicts_with = "against")]
     hugsim: Option<Hugsim>,
     /// Write report.json and report.html, with --against comparison.json and comparison.html, to
@@ -47,24 +36,17 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let scored = read(&arguments.logs)?;
     let out = arguments.out.as_deref();
+    let sites = Sites::new(None, BackgroundArguments::default(), Appearance::default());
     let text = match out {
         _ if !arguments.against.is_empty() => {
             episode_report::compare(&scored, &read(&arguments.against)?, out)?
         }
-        Some(out) => episode_report::write(
-            &scored,
-            &Sites::new(None, BackgroundArguments::default(), Appearance::default()),
-            out,
-        )?,
+        Some(out) => episode_report::write(&scored, &sites, out)?,
         None => episode_report::text(&scored)?,
     };
     print(&text)?;
     if let Some(version) = arguments.hugsim {
-        let variant = match version {
-            Hugsim::AsPublished => HdVariant::AsPublished,
-            Hugsim::Corrected => HdVariant::Corrected,
-        };
-        let scores = HdScores::from_scored(&scored, variant);
+        let scores = HdScores::from_scored(&scored, version, &sites)?;
         if let Some(out) = out {
             let report = scores.to_json(&scored);
             write_atomically(&out.join("hugsim.json"), |file| {

@@ -39,10 +39,11 @@ pub struct ServerOptions {
     /// always the finest, which is exact)
     #[arg(long, value_name = "PIXELS", value_parser = pixels)]
     pub background_pitch: Option<f64>,
-    /// Origin of the clients' rig, in the scenes' vehicle frame (meters, x forward, y left, z up):
-    /// simulators put it on the ground below the rear axle, scene files in the center of the box
-    #[arg(long, value_name = "X,Y,Z", value_parser = meters, default_value = "0,0,0", allow_hyphen_values = true)]
-    pub rig_origin: [f64; 3],
+    /// Origin of the clients' rig, in the scenes' vehicle frame (meters, x forward, y left, z up),
+    /// instead of the origin that a package was made with, and of the center of the box for scene
+    /// files. Simulators put it on the ground below the rear axle
+    #[arg(long, value_name = "X,Y,Z", value_parser = meters, allow_hyphen_values = true)]
+    pub rig_origin: Option<[f64; 3]>,
     /// Load all scenes into the cache at the start instead of at their first request
     #[arg(long)]
     pub preload: bool,
@@ -61,6 +62,52 @@ pub struct ServerOptions {
     /// Form of the log on standard error
     #[arg(long, value_name = "FORM", value_enum, default_value = "text")]
     pub log: LogForm,
+    /// Flags of another renderer
+    #[command(flatten)]
+    pub of_nurec: NurecFlags,
+}
+
+/// Flags that AlpaSim gives the NuRec renderer (`services.renderer.command` of
+/// `src/wizard/configs/base_config.yaml` at 3032e0c) and that say nothing to this server: taken, so
+/// that it starts in that renderer's place, and named in a warning.
+#[derive(Args, Clone, Debug, Default)]
+pub struct NurecFlags {
+    #[arg(long, hide = true, value_name = "DIR")]
+    egocar_hood_dir: Option<PathBuf>,
+    #[arg(long, hide = true, value_name = "DIR")]
+    download_cache_dir: Option<PathBuf>,
+    #[arg(long, hide = true, value_name = "N")]
+    max_backends_per_scene: Option<u32>,
+    #[arg(long, hide = true)]
+    enable_nrend: bool,
+    #[arg(long, hide = true)]
+    no_enable_nrend: bool,
+    #[arg(long, hide = true)]
+    enable_editing_actors: bool,
+    #[arg(long, hide = true)]
+    enable_timing: bool,
+}
+
+impl NurecFlags {
+    /// Names of the flags that were given.
+    #[must_use]
+    pub fn given(&self) -> Vec<&'static str> {
+        let all = [
+            ("--egocar-hood-dir", self.egocar_hood_dir.is_some()),
+            ("--download-cache-dir", self.download_cache_dir.is_some()),
+            (
+                "--max-backends-per-scene",
+                self.max_backends_per_scene.is_some(),
+            ),
+            ("--enable-nrend", self.enable_nrend),
+            ("--no-enable-nrend", self.no_enable_nrend),
+            ("--enable-editing-actors", self.enable_editing_actors),
+            ("--enable-timing", self.enable_timing),
+        ];
+        all.into_iter()
+            .filter_map(|(name, is_given)| is_given.then_some(name))
+            .collect()
+    }
 }
 
 impl ServerOptions {
@@ -225,4 +272,44 @@ fn meters(text: &str) -> Result<[f64; 3], String> {
     parsed.ok_or_else(|| {
         format!("expected three numbers in meters, like -1.4,0,-0.75, found {text:?}")
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parsed(line: &[&str]) -> Result<ServerOptions, clap::Error> {
+        let line = std::iter::once("decouplegs-server").chain(line.iter().copied());
+        Defaults::try_parse_from(line).map(|defaults| defaults.options)
+    }
+
+    /// The command of `services.renderer` in AlpaSim's `src/wizard/configs/base_config.yaml:155` at
+    /// 3032e0c, its references resolved, behind the name of the program.
+    #[test]
+    fn the_command_line_of_alpasim_is_taken() {
+        let options = parsed(&[
+            "--port=6005",
+            "--host=0.0.0.0",
+            "--artifact-glob=/mnt/nre-data/sceneset/**/*.usdz",
+            "--egocar-hood-dir=/mnt/ego-hoods",
+            "--no-enable-nrend",
+            "--download-cache-dir",
+            "/cache/nre",
+            "--cache-size=2",
+            "--max-workers=4",
+            "--enable-editing-actors",
+        ])
+        .unwrap();
+        assert_eq!((options.port, options.limits.cache_size), (6005, 2));
+        assert_eq!(options.artifact_glob, ["/mnt/nre-data/sceneset/**/*.usdz"]);
+        let ignored = [
+            "--egocar-hood-dir",
+            "--download-cache-dir",
+            "--no-enable-nrend",
+            "--enable-editing-actors",
+        ];
+        assert_eq!(options.of_nurec.given(), ignored);
+        assert!(parsed(&["scene.toml"]).unwrap().of_nurec.given().is_empty());
+        assert!(parsed(&["--egocar-hood"]).is_err(), "a typing error is one");
+    }
 }

@@ -91,7 +91,7 @@ impl Running {
 /// Returns an error if there are no scenes, no device, a file cannot be read, or the address is
 /// taken.
 pub async fn start(options: &ServerOptions) -> Result<Running> {
-    let rig_origin = DVec3::from_array(options.rig_origin);
+    let rig_origin = options.rig_origin.map(DVec3::from_array);
     let registry = Arc::new(SceneRegistry::new(
         &options.scenes,
         &options.artifact_glob,
@@ -100,6 +100,13 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
     let token = options.token_file.as_deref().map(token_of).transpose()?;
     let tls = tls_of(options)?;
     warn_of_openness(options);
+    let ignored = options.of_nurec.given();
+    if !ignored.is_empty() {
+        tracing::warn!(
+            "without effect, as they are for the NuRec renderer: {}",
+            ignored.join(", ")
+        );
+    }
     let listener = listen(SocketAddr::new(options.host, options.port)).await?;
     let page = match options.metrics_port {
         Some(port) => Some(listen(SocketAddr::new(options.host, port)).await?),

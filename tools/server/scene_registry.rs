@@ -5,9 +5,18 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail, ensure};
+use decouplegs::asset::packed_scene::{
+    is_package, packed_intrinsics, packed_scene_id, read_packed_rig,
+};
 use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene};
 use decouplegs::scene::{Pose, Rig, RigCamera, RigLidar, TimedPose, Trajectory};
 use glam::DVec3;
+
+/// Control step of AlpaSim's defaults, seconds, for which it asks before the first pose
+/// (`src/wizard/configs/base_config.yaml`).
+const CONTROL_STEP_S: f64 = 0.1;
+/// Shutter of AlpaSim's defaults, seconds, which opens before the first frame.
+const SHUTTER_S: f64 = 0.03;
 
 /// Metadata of a scene as clients see it: in the local frame, and from the clients' rig origin.
 #[derive(Debug)]
@@ -23,8 +32,9 @@ pub struct SceneMetadata {
 /// The scenes of a server, by id.
 pub struct SceneRegistry {
     paths: BTreeMap<String, PathBuf>,
-    /// The clients' rig origin in the vehicle frame, meters.
-    rig_origin: DVec3,
+    /// The clients' rig origin in the vehicle frame, meters, whatever the scene. None: that of a
+    /// package, and of other scenes the middle of the box.
+    rig_origin: Option<DVec3>,
     metadata: Mutex<HashMap<String, Arc<SceneMetadata>>>,
     /// Held while an metadata is read: one at a time, because a splat file may take gigabytes.
     reading: Mutex<()>,
@@ -36,7 +46,7 @@ impl SceneRegistry {
     /// # Errors
     /// Returns an error if a path does not exist, a pattern makes no sense, two scenes have one id,
     /// or there is no scene at all.
-    pub fn new(paths: &[PathBuf], patterns: &[String], rig_origin: DVec3) -> Result<Self> {
+    pub fn new(paths: &[PathBuf], patterns: &[String], rig_origin: Option<DVec3>) -> Result<Self> {
         let mut found = paths.to_vec();
         for pattern in patterns {
             let matches = glob::glob(pattern)
@@ -113,50 +123,96 @@ impl SceneRegistry {
                 })
             });
             let directory = path.parent().unwrap_or(Path::new(""));
-            self.seen_by_clients(file.loaded_rig(directory)?, &ego, file.origin)
+            let rig_origin = self.rig_origin.unwrap_or(DVec3::ZERO);
+            let local = in_local(&ego, rig_origin, file.origin);
+            seen_by_clients(file.loaded_rig(directory)?, local, rig_origin)
+        } else if is_package(path) {
+            self.packed(path)?
         } else {
             let loaded = open_scene(path, 0.0)?;
-            self.seen_by_clients(loaded.rig, &loaded.ego, loaded.splat_scene.origin)
+            let rig_origin = self.rig_origin.unwrap_or(DVec3::ZERO);
+            let local = in_local(&loaded.ego, rig_origin, loaded.splat_scene.origin);
+            seen_by_clients(loaded.rig, local, rig_origin)
         };
         let metadata = Arc::new(metadata);
         known().insert(id.to_owned(), Arc::clone(&metadata));
         Ok(Some(metadata))
     }
 
-    fn seen_by_clients(&self, rig: Rig, ego: &Trajectory, world_origin: DVec3) -> SceneMetadata {
-        let in_rig = |pose: Pose| Pose {
-            translation: pose.translation - self.rig_origin,
-            ..pose
-        };
-        let moved = |camera: RigCamera| RigCamera {
-            rig_from_camera: in_rig(camera.rig_from_camera),
-            ..camera
-        };
-        let moved_lidar = |lidar: RigLidar| RigLidar {
-            rig_from_lidar: in_rig(lidar.rig_from_lidar),
-            ..lidar
-        };
-        let local = |timed: &TimedPose| {
-            let translation = timed.pose.transform(self.rig_origin) - world_origin;
-            TimedPose {
-                pose: Pose {
-                    translation,
-                    ..timed.pose
-                },
-                ..*timed
-            }
-        };
-        let poses = ego.poses().iter().map(local).collect();
-        SceneMetadata {
-            lidars: rig.lidars().cloned().map(moved_lidar).collect(),
-            rig: rig.cameras().cloned().map(moved).collect(),
-            ego: Trajectory::new(poses).unwrap_or_else(|_| ego.clone()),
+    /// A package as its other readers see it: its rig, lenses, poses and times.
+    fn packed(&self, path: &Path) -> Result<SceneMetadata, AssetError> {
+        let packed = read_packed_rig(path)?;
+        let mut rig = open_scene(path, 0.0)?.rig;
+        for camera in rig.cameras_mut() {
+            camera.intrinsics = packed_intrinsics(&camera.intrinsics);
         }
+        let start_s = packed.way.start_s();
+        let first_frame_s = packed.first_frame_s.unwrap_or(f64::INFINITY);
+        if start_s < CONTROL_STEP_S || first_frame_s < start_s + SHUTTER_S {
+            tracing::warn!(
+                package = %path.display(),
+                "packed by {:?}, its times begin at {start_s} s and its frames at {first_frame_s} s: AlpaSim's defaults fail with it; pack the scene again",
+                packed.version
+            );
+        }
+        let Some(rig_origin) = self.rig_origin else {
+            return Ok(seen_by_clients(rig, packed.way, packed.origin_m));
+        };
+        if rig_origin.distance(packed.origin_m) > 1e-6 {
+            tracing::warn!(
+                package = %path.display(),
+                "--rig-origin {rig_origin} is not that of the package, {}: simulators that read the package put their cameras elsewhere",
+                packed.origin_m
+            );
+        }
+        let way = in_local(&packed.way, rig_origin - packed.origin_m, DVec3::ZERO);
+        Ok(seen_by_clients(rig, way, rig_origin))
     }
 }
 
-/// The folder's name for `scene.toml`, and otherwise the file's without its ending.
+/// The way of a point of a vehicle whose way is `ego`, in the frame at `world_origin`.
+fn in_local(ego: &Trajectory, point: DVec3, world_origin: DVec3) -> Trajectory {
+    let local = |timed: &TimedPose| {
+        let translation = timed.pose.transform(point) - world_origin;
+        TimedPose {
+            pose: Pose {
+                translation,
+                ..timed.pose
+            },
+            ..*timed
+        }
+    };
+    let poses = ego.poses().iter().map(local).collect();
+    Trajectory::new(poses).unwrap_or_else(|_| ego.clone())
+}
+
+/// A rig from the vehicle's frame seen from `rig_origin`, whose way is `way`.
+fn seen_by_clients(rig: Rig, way: Trajectory, rig_origin: DVec3) -> SceneMetadata {
+    let in_rig = |pose: Pose| Pose {
+        translation: pose.translation - rig_origin,
+        ..pose
+    };
+    let moved = |camera: RigCamera| RigCamera {
+        rig_from_camera: in_rig(camera.rig_from_camera),
+        ..camera
+    };
+    let moved_lidar = |lidar: RigLidar| RigLidar {
+        rig_from_lidar: in_rig(lidar.rig_from_lidar),
+        ..lidar
+    };
+    SceneMetadata {
+        lidars: rig.lidars().cloned().map(moved_lidar).collect(),
+        rig: rig.cameras().cloned().map(moved).collect(),
+        ego: way,
+    }
+}
+
+/// The id in a package, the folder's name for `scene.toml`, and otherwise the file's without its
+/// ending.
 fn id_of(path: &Path) -> Option<String> {
+    if let Some(id) = packed_scene_id(path) {
+        return Some(id);
+    }
     let absolute = std::path::absolute(path).ok()?;
     let is_plain = absolute
         .file_name()
@@ -172,6 +228,8 @@ fn id_of(path: &Path) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use decouplegs::asset::packed_scene::{PackOptions, pack};
+    use decouplegs::scene::Lens;
 
     #[test]
     fn scenes_are_called_by_their_folder_or_file() {
@@ -197,7 +255,7 @@ mod tests {
             std::fs::write(path, "").unwrap();
         }
         let refused = |paths: &[PathBuf], patterns: &[String]| {
-            SceneRegistry::new(paths, patterns, DVec3::ZERO)
+            SceneRegistry::new(paths, patterns, None)
                 .map(|_| ())
                 .unwrap_err()
                 .to_string()
@@ -208,11 +266,56 @@ mod tests {
         assert!(refused(&[], &["a***".to_owned()]).contains("no pattern"));
         let pattern = format!("{}/*.toml", folder.path().display());
         assert_eq!(
-            SceneRegistry::new(&[one], &[pattern], DVec3::ZERO)
-                .unwrap()
-                .ids(),
+            SceneRegistry::new(&[one], &[pattern], None).unwrap().ids(),
             ["town"]
         );
+    }
+
+    /// AlpaSim composes the poses of the package with the `rig_to_camera` of the server
+    /// (`src/runtime/alpasim_runtime/services/sensorsim_service.py:295-332`).
+    #[test]
+    fn a_package_is_served_with_the_rig_lenses_times_and_id_that_are_in_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let cloud = decouplegs::scene::SplatCloud::default();
+        decouplegs::asset::inria_ply::write(&folder.path().join("none.ply"), &cloud).unwrap();
+        let text = "version = 1\nbackground = \"none.ply\"\norigin = [1000.0, 2000.0, 50.0]\n[[rig]]\nname = \"front\"\nwidth_px = 64\n\
+                    height_px = 36\nfx_px = 40.0\nfy_px = 40.0\ncx_px = 32.0\ncy_px = 18.0\nposition_m = [1.7, 0.1, 0.5]\nlook = [1.0, \
+                    0.2, 0.0]\n[[ego]]\ntime_s = 0.0\nposition_m = [1010.0, 2005.0, 50.8]\nyaw_rad = 1.0\n\
+                    [[ego]]\ntime_s = 2.0\nposition_m = [1020.0, 2005.0, 50.8]\nyaw_rad = 1.2\n";
+        let file = SceneFile::parse(text).unwrap();
+        let mut options = PackOptions::new("place");
+        options.rig_origin_m = DVec3::new(-1.2, 0.05, -0.7);
+        options.camera_names = vec![("front".into(), "camera_front_wide_120fov".into())];
+        let path = folder.path().join("another_name.usdz");
+        pack(&file, folder.path(), &options, &path).unwrap();
+        let metadata = |rig_origin| {
+            let registry =
+                SceneRegistry::new(std::slice::from_ref(&path), &[], rig_origin).unwrap();
+            assert_eq!(registry.ids(), ["place"]);
+            registry.metadata("place").unwrap().unwrap()
+        };
+        let served = metadata(None);
+        let camera = served.rig.cameras().next().unwrap();
+        let own = file.rig.cameras().next().unwrap();
+        assert_eq!(camera.name, "camera_front_wide_120fov");
+        let place = own.rig_from_camera.translation - options.rig_origin_m;
+        assert!((camera.rig_from_camera.translation - place).length() < 1e-9);
+        assert!(
+            matches!(camera.intrinsics.lens, Lens::FTheta(_)),
+            "as the package says"
+        );
+        assert_eq!((served.ego.start_s(), served.ego.end_s()), (1.0, 3.0));
+        // From the middle of the box, where the rig's origin was before.
+        let middle = metadata(Some(DVec3::ZERO));
+        for time_s in [1.0, 1.55, 3.0] {
+            let ego = file.ego.as_ref().unwrap().at(time_s - 1.0);
+            let truth = ego.transform(own.rig_from_camera.translation) - file.origin;
+            for metadata in [&served, &middle] {
+                let shown = metadata.rig.at(&metadata.ego.at(time_s)).remove(0);
+                let found = shown.world_from_camera.translation;
+                assert!((found - truth).length() < 1e-5, "{found} {truth}");
+            }
+        }
     }
 
     #[test]
@@ -225,7 +328,7 @@ mod tests {
         std::fs::write(&path, text).unwrap();
         let camera = |rig_origin| {
             let registry =
-                SceneRegistry::new(std::slice::from_ref(&path), &[], rig_origin).unwrap();
+                SceneRegistry::new(std::slice::from_ref(&path), &[], Some(rig_origin)).unwrap();
             let metadata = registry.metadata("town").unwrap().unwrap();
             assert!(registry.metadata("village").unwrap().is_none());
             metadata

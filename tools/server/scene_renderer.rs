@@ -1,13 +1,16 @@
 //! A scene on the device, and images of it. All use of the renderer is in this file.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use decouplegs::AgentInstance;
 use decouplegs::asset::LoadedScene;
+use decouplegs::asset::packed_scene::stands;
 use decouplegs::gpu::GpuError;
 use decouplegs::render::RenderError;
 use decouplegs::scene::{Camera, Lidar, LidarSweep, Pose};
-use decouplegs::session::{BatchRenderer, HostImages, Session, SessionError, World, WorldView};
+use decouplegs::session::{
+    BatchRenderer, HostImages, Session, SessionError, World, WorldAgent, WorldView,
+};
 use glam::DVec3;
 use tonic::Status;
 
@@ -23,6 +26,8 @@ pub struct SceneRenderer {
     origin: DVec3,
     /// Assets of the scene's agents, by name; their poses come with each request.
     agents: HashMap<String, AgentInstance>,
+    /// Agents that stand all the time: a request that does not list them sees them there.
+    standing: Vec<(String, AgentInstance)>,
 }
 
 /// Results beside the images.
@@ -44,8 +49,23 @@ impl SceneRenderer {
             .agents()
             .iter()
             .map(|agent| (agent.name.clone(), agent.placed));
+        let stood = loaded.agents.iter();
+        let stood = stood.filter(|agent| stands(&agent.trajectory, &agent.present));
+        let stood: HashSet<&str> = stood.map(|agent| &*agent.name).collect();
+        let standing = file
+            .agents()
+            .iter()
+            .filter(|agent| stood.contains(&*agent.name));
+        // To clients that do not list it, it is a part of the background.
+        let unlisted = |agent: &WorldAgent| AgentInstance {
+            instance: 0,
+            ..agent.placed
+        };
         Ok(Self {
             renderer: session.batch_renderer(),
+            standing: standing
+                .map(|agent| (agent.name.clone(), unlisted(agent)))
+                .collect(),
             agents: placed.collect(),
             worlds: vec![World::empty(&scene)],
             origin: loaded.splat_scene.origin,
@@ -106,7 +126,8 @@ impl SceneRenderer {
         Ok((sweep, drawn))
     }
 
-    /// Replaces the agents of world `view` by `objects`; makes the world if it is the next one.
+    /// Replaces the agents of world `view` by `objects` and those that stand and are not among
+    /// them; makes the world if it is the next one.
     fn place(&mut self, view: usize, objects: &[PlacedObject]) -> Result<Drawn, SessionError> {
         let mut drawn = Drawn::default();
         let mut placed = Vec::with_capacity(objects.len());
@@ -125,6 +146,15 @@ impl SceneRenderer {
                 }
                 None => drawn.unknown.push(track_id.clone()),
             }
+        }
+        if !self.standing.is_empty() {
+            let listed: HashSet<&str> = objects.iter().map(|object| &*object.track_id).collect();
+            let standing = self.standing.iter();
+            placed.extend(
+                standing
+                    .filter(|(name, _)| !listed.contains(&**name))
+                    .cloned(),
+            );
         }
         if view == self.worlds.len() {
             self.worlds.push(World::empty(self.worlds[0].scene()));

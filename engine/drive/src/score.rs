@@ -14,13 +14,14 @@ mod fault;
 mod hd_score;
 mod infractions;
 mod plan_error;
+mod plan_hd_score;
 mod progress;
 mod summary;
 mod time_to_collision;
 
 pub use comfort::{Comfort, lateral_accelerations};
 pub use fault::Fault;
-pub use hd_score::{HdScore, HdVariant};
+pub use hd_score::HdScore;
 pub use infractions::{Infraction, InfractionKind};
 pub use plan_error::{plan_ade_m, plan_errors};
 pub use progress::RouteProgress;

@@ -1,34 +1,78 @@
 //! HD-Scores as text and JSON.
 
-use decouplegs::drive::score::{HdScore, HdVariant, Moments};
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use decouplegs::drive::score::{HdScore, Moments};
 use decouplegs::scene::Level;
+use glam::DVec2;
 use serde_json::{Value, json};
 
 use super::{Scored, score};
+use crate::sites::Sites;
+
+/// Kinds of HD-Scores.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Hugsim {
+    /// HUGSIM's own formula, from the plan of each step
+    AsPublished,
+    /// HUGSIM's terms, taken from what was driven
+    #[value(alias = "corrected")]
+    Driven,
+}
 
 /// HD-Scores of episodes, in their order.
 pub struct HdScores {
-    variant: HdVariant,
+    kind: Hugsim,
     scores: Vec<HdScore>,
+    /// Episodes whose road is not known: its drivable area counts as kept.
+    without_road: usize,
 }
 
 impl HdScores {
-    pub fn from_scored(scored: &[Scored], variant: HdVariant) -> Self {
-        let scores = scored
-            .iter()
-            .map(|scored| HdScore::new(&scored.episode, variant));
-        Self {
-            variant,
-            scores: scores.collect(),
-        }
+    /// The scores of `scored`, whose places tell where the road is.
+    ///
+    /// # Errors
+    /// Returns an error for an episode whose plans are too short for [`Hugsim::AsPublished`].
+    pub fn from_scored(scored: &[Scored], kind: Hugsim, sites: &Sites) -> Result<Self> {
+        let mut without_road = 0;
+        let of = |scored: &Scored| match kind {
+            Hugsim::Driven => Ok(HdScore::from_driven(&scored.episode)),
+            Hugsim::AsPublished => {
+                // Logs are in a folder of the run, to which its files are relative.
+                let run = scored.log.parent().and_then(Path::parent);
+                let ready = sites
+                    .get(&scored.place(), run.unwrap_or(Path::new("")))
+                    .ok();
+                let surface = ready.as_ref().map(|ready| &ready.site.surface);
+                let is_road = surface.map(|surface| |at: DVec2| surface.contains(at));
+                without_road += usize::from(is_road.is_none());
+                let is_road = is_road
+                    .as_ref()
+                    .map(|is_road| is_road as &dyn Fn(DVec2) -> bool);
+                HdScore::from_plans(&scored.episode, is_road).with_context(|| {
+                    format!(
+                        "{}: HUGSIM judges plans of at least 1.5 s, and none is so long; use --hugsim driven",
+                        scored.log.display()
+                    )
+                })
+            }
+        };
+        let scores = scored.iter().map(of).collect::<Result<_>>()?;
+        Ok(Self {
+            kind,
+            scores,
+            without_road,
+        })
     }
 
     /// A table, a line per level.
     pub fn text(&self, scored: &[Scored]) -> String {
         let columns = ["HD-Score", "RC", "NC", "DAC", "TTC", "comfort"];
         let mut text = format!(
-            "\nHD-Score of HUGSIM, {}: RC x mean of NC x DAC x (5 TTC + 2 comfort) / 7 over moments\n{:<8} {:>8}",
-            self.variant_name(),
+            "\nHD-Score {}: RC x mean of NC x DAC x (5 TTC + 2 comfort) / 7\n{:<8} {:>8}",
+            self.description(),
             "level",
             "episodes"
         );
@@ -45,6 +89,12 @@ impl HdScores {
             }
             text.push('\n');
         }
+        if self.without_road > 0 {
+            text.push_str(&format!(
+                "DAC is 1 in {} episodes whose place is not there\n",
+                self.without_road
+            ));
+        }
         text
     }
 
@@ -57,13 +107,23 @@ impl HdScores {
                 "comfort": score.comfort,
             })
         });
-        json!({ "variant": self.variant_name(), "episodes": episodes.collect::<Vec<_>>() })
+        json!({
+            "variant": self.name(), "episodes_without_road": self.without_road,
+            "episodes": episodes.collect::<Vec<_>>(),
+        })
     }
 
-    fn variant_name(&self) -> &'static str {
-        match self.variant {
-            HdVariant::AsPublished => "as published",
-            HdVariant::Corrected => "corrected",
+    fn name(&self) -> &'static str {
+        match self.kind {
+            Hugsim::AsPublished => "as published",
+            Hugsim::Driven => "driven",
+        }
+    }
+
+    fn description(&self) -> &'static str {
+        match self.kind {
+            Hugsim::AsPublished => "of HUGSIM, of the plans, as published",
+            Hugsim::Driven => "in the manner of HUGSIM, of what was driven",
         }
     }
 

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use decouplegs::render::Image;
 use decouplegs::scene::Lane;
-use decouplegs::scene::scenario::Place;
 
 use super::{Scored, birds_eye, charts, rows, score, share, spread, summary, timing};
 use crate::lidar::previews::{ABOVE, RANGES};
@@ -153,17 +152,7 @@ fn episodes(page: &mut Page, scored: &[Scored], sites: &Sites, out: &Path) -> Re
 
 /// The lanes of an episode's place; none where its map is not at hand.
 fn lanes(scored: &Scored, sites: &Sites, out: &Path) -> Vec<Lane> {
-    let place = match &scored.episode.head.scenario.place {
-        // Where nothing is drawn, all weathers and sizes have the same lanes.
-        Place::Street { weather, seed, .. } => Place::Street {
-            weather: *weather,
-            background: 0,
-            agent_splats: 0,
-            seed: *seed,
-        },
-        place => place.clone(),
-    };
-    sites.lanes(&place, out).unwrap_or_default()
+    sites.lanes(&scored.place(), out).unwrap_or_default()
 }
 
 fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {

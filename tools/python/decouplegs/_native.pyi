@@ -188,6 +188,9 @@ class Session:
     def color(self) -> Literal["u8", "f32"]:
         """Storage format of color."""
     @property
+    def layers(self) -> list[PlaneName]:
+        """Names of the layers that renderers draw beside color."""
+    @property
     def taken_max(self) -> int:
         """Frames that tensors may hold at a time."""
     def open_scene(self, path: str | os.PathLike[str]) -> Scene:
@@ -516,6 +519,9 @@ class Rollout:
     def sizes(self) -> NDArray[np.float64]:
         """Sizes of boxes: length, width, height, meters, float64 [N + 1, 3]. Row 0 is the ego, row i the vehicle or pedestrian whose instance
         is i."""
+    @property
+    def kinds(self) -> list[Literal["car", "truck", "bus", "cyclist", "pedestrian"]]:
+        """Kinds of road users, a name for each row of sizes. The ego is a car."""
     @property
     def guidance(self) -> dict[str, Any]:
         """What a navigation system says: turn (``left``, ``right``, ``straight``), distance_m, angle_rad, length_m, cruise_mps."""

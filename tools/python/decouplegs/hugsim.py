@@ -5,18 +5,27 @@
   through the FIFOs ``DIR/obs_pipe`` and ``DIR/plan_pipe``;
 - ``python -m decouplegs.hugsim serve``: its HTTP interface, for the package ``hugsim-client``.
 
-Observation: ``rgb``, uint8 [H, W, 3] by camera. Cameras have their nuScenes names (``CAM_FRONT``). HUGSIM's ``semantic`` and ``depth`` are absent.
+Frames, signs and layouts are those of HUGSIM's code (hyzhou404/HUGSIM at 62c690d of November 2025: ``sim/hugsim_env/envs/hug_sim.py``,
+``sim/utils/sim_utils.py``, ``closed_loop.py``).
 
-Info: ``ego_box`` and ``obj_boxes``, each [x, y, z, width, length, height, yaw] in meters and radians, world z up, of the middle of the box;
-``ego_pos`` [3], ``ego_rot`` (quaternion w, x, y, z), ``ego_velo`` m/s, ``ego_steer`` rad, ``accelerate`` m/s2, ``steer_rate`` rad/s, ``timestamp`` s, ``command``
-(0 right, 1 left, 2 straight on), ``rc`` (share of the route that is done), ``collision``, and ``cam_params`` by camera: ``intrinsic`` (``H``, ``W``, ``fx``, ``fy``,
-``cx``, ``cy``, pixels, and ``fovx``, ``fovy``, radians), ``v2c``, float64 [4, 4], from the vehicle's frame (x forward, y left, z up) to the camera's, and ``l2c``,
-from the plan's frame (x right, y forward, z up) to the camera's.
+Observation, each by camera: ``rgb``, uint8 [H, W, 3]; ``depth``, float32 [H, W], meters along the camera's z, 0 where nothing was hit; ``semantic``,
+uint8 [H, W], a class of Cityscapes: 10 the sky, 11 a pedestrian, 13 a vehicle, and 19, unlabeled, everything of the background. Cameras have their
+nuScenes names (``CAM_FRONT``). A session that draws no such layers is refused: open it with ``depth=True, instance=True``.
 
-Action: ``acc`` m/s2 and ``steer_rate`` rad/s for 0.25 s; the wheels turn at most 15 degrees, the acceleration is at most 2 m/s2 either way. A plan is
-[N, 2], meters, x to the right and y forward, 0.5 s apart; this program's own controller follows it, not HUGSIM's iLQR.
+Info:
 
-The layout of ``cam_params`` and the names of ``ego_rot`` follow HUGSIM's documentation as far as it was at hand; they were not compared with its code.
+- ``ego_pos`` [3]: the middle of the ego's box in a world of OpenCV's axes, x right, y down, z forward: (-y, -z, x) of the scene's;
+- ``ego_rot`` [3]: its rotation in the same axes as intrinsic Euler angles XYZ, radians; the second is the heading, to the right where above zero;
+- ``ego_box`` and ``obj_boxes``: [x, y, z, width, length, height, yaw], meters and radians, the scene's world (z up, yaw to the left), of the middle of the box;
+- ``ego_velo`` m/s, ``accelerate`` m/s2; ``ego_steer`` rad and ``steer_rate`` rad/s, to the right where above zero;
+- ``timestamp`` s, ``command`` (0 right, 1 left, 2 straight on), ``collision``, and ``rc``: the driven share of the first 90 % of the route; the episode
+  ends at 1;
+- ``cam_params`` by camera: ``intrinsic`` (``H``, ``W``, ``fx``, ``fy``, ``cx``, ``cy``, pixels, and ``fovx``, ``fovy``, radians), ``v2c``, float64 [4, 4],
+  from the vehicle's frame (rear axle on the ground, x forward, y left, z up) to the camera's, and ``l2c``, from the LiDAR's, which is that of plans (x
+  right, y forward, z up). The LiDAR is the scene's first, or where nuScenes has its LIDAR_TOP.
+
+Action: ``acc`` m/s2 and ``steer_rate`` rad/s, to the right where above zero, for 0.25 s; the wheels turn at most 15 degrees, the acceleration is at most
+2 m/s2 either way. A plan is [N, 2], meters, x to the right and y forward, 0.5 s apart; this program's own controller follows it, not HUGSIM's iLQR.
 """
 
 from __future__ import annotations
@@ -63,8 +72,20 @@ _NUSCENES = {
     "back_left": "CAM_BACK_LEFT",
     "back_right": "CAM_BACK_RIGHT",
 }
-# From the plan's frame to the vehicle's: forward is its y, left its -x.
-_VEHICLE_FROM_PLAN = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+# From axes x forward, y left, z up to OpenCV's x right, y down, z forward.
+_OPENCV_FROM_WORLD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+# From the axes of the LiDAR, x right, y forward, z up, to x forward, y left, z up.
+_VEHICLE_FROM_LIDAR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+# The rear axle is so far behind the middle of the box, by its length: 1.35 m of 4.5 m, HUGSIM's Lr (configs/sim/kinematic.yaml).
+REAR_AXLE_SHARE = 0.3
+# LIDAR_TOP of nuScenes, from the rear axle on the ground, meters.
+LIDAR_TOP_M = np.array([0.943713, 0.0, 1.84023])
+# Share of the route at which it counts as completed (hug_sim.py, route_completion).
+ROUTE_SHARE = 0.9
+# Classes of Cityscapes, as HUGSIM's semantic images count them.
+SKY, PEDESTRIAN, VEHICLE, UNLABELED = 10, 11, 13, 19
+DEPTH_MAX_M = 1000.0
+CLASSES_MAX = 50
 
 
 class HUGSimEnv(gymnasium.Env):
@@ -85,6 +106,10 @@ class HUGSimEnv(gymnasium.Env):
         device: int | str | None = None,
     ) -> None:
         """An environment of one ``scenario`` file, or of scenarios of a ``level`` on the synthetic street. ``size`` is (width, height) of the images."""
+        session = session or _native.Session(device, exported=False, depth=True, instance=True)
+        missing = {"depth", "instance"} - set(session.layers)
+        if missing:
+            raise ValueError(f"session: HUGSIM shows depth and semantic too; open the session with {', '.join(f'{name}=True' for name in sorted(missing))}")
         self.course = _Course(
             session=session,
             site=site,
@@ -108,7 +133,12 @@ class HUGSimEnv(gymnasium.Env):
         width, height = size
         image = spaces.Box(0, 255, (height, width, 3), np.uint8)
         self.names = {name: _NUSCENES.get(name, name) for name in self.course.rig}
-        self.observation_space = spaces.Dict({"rgb": spaces.Dict({name: image for name in self.names.values()})})
+        layers = {
+            "rgb": image,
+            "semantic": spaces.Box(0, CLASSES_MAX, (height, width), np.uint8),
+            "depth": spaces.Box(0.0, DEPTH_MAX_M, (height, width), np.float32),
+        }
+        self.observation_space = spaces.Dict({key: spaces.Dict({name: space for name in self.names.values()}) for key, space in layers.items()})
         self.action_space = spaces.Dict(
             {
                 "acc": spaces.Box(-ACCELERATION_MAX_MPS2, ACCELERATION_MAX_MPS2, (), np.float64),
@@ -125,11 +155,11 @@ class HUGSimEnv(gymnasium.Env):
         return self._observed(False)
 
     def step(self, action: dict[str, Any]) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Drives on for 0.25 s with the given acceleration, while the wheels turn at the given rate."""
+        """Drives on for 0.25 s with the given acceleration, while the wheels turn at the given rate, to the right where above zero."""
         acceleration = float(np.clip(action["acc"], -ACCELERATION_MAX_MPS2, ACCELERATION_MAX_MPS2))
         rate = float(np.clip(action["steer_rate"], -STEER_RATE_MAX_RADPS, STEER_RATE_MAX_RADPS))
         rollout = self._rollout()
-        steer = float(np.clip(rollout.ego_state[2] + rate * STEP_S, -STEER_MAX_RAD, STEER_MAX_RAD))
+        steer = float(np.clip(rollout.ego_state[2] - rate * STEP_S, -STEER_MAX_RAD, STEER_MAX_RAD))
         self._controls = {"accelerate": acceleration, "steer_rate": rate}
         return self._after(rollout.step_controls(steer, acceleration))
 
@@ -148,7 +178,7 @@ class HUGSimEnv(gymnasium.Env):
         before = rollout.ego_state
         result = rollout.step_plan(np.column_stack([times, plan[:, 1], -plan[:, 0]]))
         after = rollout.ego_state
-        self._controls = {"accelerate": float(after[1]), "steer_rate": float((after[2] - before[2]) / STEP_S)}
+        self._controls = {"accelerate": float(after[1]), "steer_rate": float((before[2] - after[2]) / STEP_S)}
         return self._after(result)
 
     def _rollout(self) -> _native.Rollout:
@@ -159,38 +189,57 @@ class HUGSimEnv(gymnasium.Env):
     def _after(self, result: _native.StepResult) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         rollout = self._rollout()
         collision = result["end"] in ("collision", "obstacle")
-        terminated = result["end"] in ("route_done", "collision", "obstacle", "off_road", "off_route")
+        terminated = result["end"] in ("route_done", "collision", "obstacle", "off_road", "off_route") or self._completion() >= 1.0
         truncated = result["end"] == "time" or (not terminated and rollout.steps >= STEPS_MAX)
         observation, info = self._observed(collision)
         return observation, 0.0, terminated, truncated, info
 
+    def _completion(self) -> float:
+        done, whole = self._rollout().progress_m
+        return float(done / (ROUTE_SHARE * whole)) if whole > 0 else 1.0
+
+    def _semantic(self, instance: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Classes of the pixels of one camera."""
+        classes = np.full(2**16, UNLABELED, np.uint8)
+        kinds = self._rollout().kinds
+        # Instances beyond the kinds are lamps and signs.
+        classes[1 : len(kinds)] = [PEDESTRIAN if kind == "pedestrian" else VEHICLE for kind in kinds[1:]]
+        found = classes[instance]
+        found[(instance == 0) & (depth <= 0.0)] = SKY
+        return found
+
     def _observed(self, collision: bool) -> tuple[dict[str, Any], dict[str, Any]]:
         rollout = self._rollout()
         view = self.drive.view()
-        images = self.course.renderer.draw([view])[0]
-        rgb = {self.names[name]: np.ascontiguousarray(image[..., :3]) for name, image in zip(self.course.rig, images)}
+        layers = self.course.renderer.draw_layers([view])[0]
+        names = list(self.names.values())
+        observation = {
+            "rgb": {name: np.ascontiguousarray(image[..., :3]) for name, image in zip(names, layers["color"])},
+            "semantic": {name: self._semantic(*planes) for name, *planes in zip(names, layers["instance"], layers["depth"])},
+            "depth": {name: np.minimum(depth, np.float32(DEPTH_MAX_M)) for name, depth in zip(names, layers["depth"])},
+        }
         first = next(iter(self.course.rig.values()))
         world_from_rig = view[1][0].world_from_camera @ np.linalg.inv(first.rig_from_camera)
         speed, _, steer, _ = rollout.ego_state
-        done, whole = rollout.progress_m
         sizes = rollout.sizes
+        lidars = self.course.site.scene.lidars
         # Instances beyond the sizes are lamps and signs.
         others = [agent for agent in view[0].agents if 0 < agent.instance < len(sizes)]
         info = {
-            "ego_pos": world_from_rig[:3, 3].tolist(),
-            "ego_rot": _quaternion(world_from_rig[:3, :3]),
+            "ego_pos": (_OPENCV_FROM_WORLD @ world_from_rig[:3, 3]).tolist(),
+            "ego_rot": _euler_xyz(_OPENCV_FROM_WORLD @ world_from_rig[:3, :3] @ _OPENCV_FROM_WORLD.T),
             "ego_velo": float(speed),
-            "ego_steer": float(steer),
+            "ego_steer": -float(steer),
             **self._controls,
             "timestamp": rollout.steps * rollout.step_s,
             "command": _COMMANDS[rollout.guidance["turn"]],
             "ego_box": _box(world_from_rig, sizes[0]),
             "obj_boxes": [_box(agent.pose, sizes[agent.instance]) for agent in others],
-            "cam_params": {self.names[name]: _camera(camera) for name, camera in self.course.rig.items()},
-            "rc": float(done / whole) if whole > 0 else 1.0,
+            "cam_params": {self.names[name]: _camera(camera, *_frames(sizes[0], lidars)) for name, camera in self.course.rig.items()},
+            "rc": self._completion(),
             "collision": collision,
         }
-        return {"rgb": rgb}, info
+        return observation, info
 
 
 def _box(world_from_box: np.ndarray, size: np.ndarray) -> list[float]:
@@ -200,26 +249,30 @@ def _box(world_from_box: np.ndarray, size: np.ndarray) -> list[float]:
     return [*world_from_box[:3, 3].tolist(), width, length, height, yaw]
 
 
-def _quaternion(rotation: np.ndarray) -> list[float]:
-    """The unit quaternion w, x, y, z of a rotation, w at least 0."""
-    # The eigenvector of the largest eigenvalue (Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", 2000).
-    m = rotation
-    form = np.array(
-        [
-            [m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2], m[2, 1] - m[1, 2]],
-            [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]],
-            [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], m[0, 0] + m[1, 1] + m[2, 2]],
-        ]
-    )
-    x, y, z, w = np.linalg.eigh(form)[1][:, -1]
-    sign = -1.0 if w < 0 else 1.0
-    return [float(sign * value) for value in (w, x, y, z)]
+def _euler_xyz(rotation: np.ndarray) -> list[float]:
+    """The intrinsic Euler angles XYZ of a rotation, radians: of the two sets the one whose first angle is within 90 degrees, so that the second is the
+    heading of an ego on a road all around."""
+    first = np.arctan2(-rotation[1, 2], rotation[2, 2])
+    if abs(first) > 0.5 * np.pi:
+        first -= np.copysign(np.pi, first)
+    sine, cosine = np.sin(first), np.cos(first)
+    second = np.arctan2(rotation[0, 2], cosine * rotation[2, 2] - sine * rotation[1, 2])
+    third = np.arctan2(cosine * rotation[1, 0] + sine * rotation[2, 0], cosine * rotation[1, 1] + sine * rotation[2, 1])
+    return [float(angle) for angle in (first, second, third)]
 
 
-def _camera(camera: _native.RigCamera) -> dict[str, Any]:
+def _frames(size: np.ndarray, lidars: list[_native.Lidar]) -> tuple[np.ndarray, np.ndarray]:
+    """The frames of HUGSIM's vehicle and of its LiDAR in that of the rig, whose origin is the middle of the box of ``size``."""
+    rig_from_vehicle, rig_from_lidar = np.eye(4), np.eye(4)
+    rig_from_vehicle[:3, 3] = [-REAR_AXLE_SHARE * size[0], 0.0, -0.5 * size[2]]
+    rig_from_lidar[:3, :3] = _VEHICLE_FROM_LIDAR
+    rig_from_lidar[:3, 3] = lidars[0].rig_from_lidar[:3, 3] if lidars else rig_from_vehicle[:3, 3] + LIDAR_TOP_M
+    return rig_from_vehicle, rig_from_lidar
+
+
+def _camera(camera: _native.RigCamera, rig_from_vehicle: np.ndarray, rig_from_lidar: np.ndarray) -> dict[str, Any]:
     width, height, k = camera.width, camera.height, camera.K
-    vehicle_to_camera = np.linalg.inv(camera.rig_from_camera)
+    camera_from_rig = np.linalg.inv(camera.rig_from_camera)
     return {
         "intrinsic": {
             "H": height,
@@ -231,8 +284,8 @@ def _camera(camera: _native.RigCamera) -> dict[str, Any]:
             "fovx": 2 * np.arctan(width / (2 * k[0, 0])),
             "fovy": 2 * np.arctan(height / (2 * k[1, 1])),
         },
-        "v2c": vehicle_to_camera,
-        "l2c": vehicle_to_camera @ _VEHICLE_FROM_PLAN,
+        "v2c": camera_from_rig @ rig_from_vehicle,
+        "l2c": camera_from_rig @ rig_from_lidar,
     }
 
 

@@ -7,7 +7,7 @@ use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{EpisodeMetadata, Rollout as EngineRollout, Site as EngineSite};
 use decouplegs::logs::EpisodeLog;
 use decouplegs::scene::episode::{EpisodeEnd, PlannerRecord};
-use decouplegs::scene::{Motion, Plan, PlanPoint};
+use decouplegs::scene::{Motion, Plan, PlanPoint, RoadUser};
 use glam::DVec2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -219,6 +219,19 @@ impl Rollout {
             .collect();
         let count = values.len() / 3;
         shaped(py, values, &[count, 3])
+    }
+
+    /// Kinds of road users, a name for each row of ``sizes``: ``car``, ``truck``, ``bus``,
+    /// ``cyclist`` or ``pedestrian``. The ego is a car.
+    #[getter]
+    fn kinds(&self) -> Vec<&'static str> {
+        let rollout = self.lock();
+        let scenario = rollout.simulation().scenario();
+        let others = (0..scenario.agent_count()).map(|index| scenario.agent(index).1);
+        std::iter::once(RoadUser::Car)
+            .chain(others)
+            .map(RoadUser::name)
+            .collect()
     }
 
     /// Navigation instructions: turn (``left``, ``right``, ``straight``), distance_m, angle_rad,

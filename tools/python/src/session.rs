@@ -231,6 +231,13 @@ impl Session {
         }
     }
 
+    /// Names of the layers that renderers draw beside color.
+    #[getter]
+    fn layers(&self) -> Vec<&'static str> {
+        let planes = &self.inner.options().render.outputs.planes;
+        planes.iter().map(Plane::name).collect()
+    }
+
     /// Frames that tensors may hold at a time.
     #[getter]
     fn taken_max(&self) -> usize {

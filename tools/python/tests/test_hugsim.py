@@ -17,14 +17,19 @@ import decouplegs
 
 gymnasium = pytest.importorskip("gymnasium")
 
-from decouplegs.hugsim import HUGSimEnv, _Plans, _quaternion, run_pipes, server  # noqa: E402
+from decouplegs.hugsim import HUGSimEnv, _Plans, _euler_xyz, run_pipes, server  # noqa: E402
 
 # Two seconds at 4 m/s, and more to look ahead: x to the right, y forward.
 AHEAD = np.column_stack([np.zeros(6), 2.0 * np.arange(1, 7)])
 
 
+# Value of HUGSIM's clients (UniAD_SIM at 5fb279e, tools/closeloop/dataparser.py:8; NAVSIM at ca0ca7e, hugsim/dataparser.py:8).
+OPENCV2IMU = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+
+
 @pytest.fixture(scope="module")
-def env(session):
+def env():
+    session = decouplegs.Session(exported=False, depth=True, instance=True)
     site = decouplegs.Site(session, background=4_000, agent_splats=64)
     return HUGSimEnv(session=session, site=site, size=(48, 32))
 
@@ -40,20 +45,90 @@ def test_observations_and_info_are_those_of_hugsim(env):
     assert len(info["ego_box"]) == 7 and all(len(box) == 7 for box in info["obj_boxes"])
     width, length, height = info["ego_box"][3:6]
     assert length > width > 1.0 and height > 1.0
-    assert np.allclose(info["ego_box"][:2], info["ego_pos"][:2], atol=1e-6)
-    # A point 10 m ahead in the plan's frame is in the middle of the front camera's image, left of it in a camera that looks right.
+    assert len(info["ego_pos"]) == len(info["ego_rot"]) == 3
+    np.testing.assert_allclose(OPENCV2IMU @ info["ego_pos"], info["ego_box"][:3], atol=1e-9)
+    # imu_rot[2] = -ego_rot[1] is the heading (UniAD_SIM, dataparser.py:26).
+    assert abs(-info["ego_rot"][1] - info["ego_box"][6]) < 1e-6
+    for camera in observation["rgb"]:
+        depth, semantic = observation["depth"][camera], observation["semantic"][camera]
+        assert depth.shape == semantic.shape == (32, 48) and depth.dtype == np.float32 and semantic.dtype == np.uint8
+        assert set(np.unique(semantic)) <= {10, 11, 13, 19}
+    depth, semantic = observation["depth"]["CAM_FRONT"], observation["semantic"]["CAM_FRONT"]
+    assert (semantic[-1] == 19).all() and (depth[-1] > 1.0).all() and (depth[-1] < 10.0).all(), "the road"
+    assert np.array_equal(semantic == 10, (depth == 0.0) & (semantic != 13))
+
+
+def test_others_are_vehicles_in_the_semantic_image(env):
+    found = set()
+    for seed in range(3, 9):
+        observation, info = env.reset(seed=seed)
+        for camera, semantic in observation["semantic"].items():
+            if (semantic == 13).any():
+                inside = observation["depth"][camera][semantic == 13]
+                near = min(np.hypot(*(np.array(box[:2]) - info["ego_box"][:2])) for box in info["obj_boxes"])
+                assert inside.max() > near - 6.0
+                found.add(camera)
+    assert found, "no other vehicle in any camera of six episodes"
+
+
+def test_a_session_without_depth_is_refused(session):
+    with pytest.raises(ValueError, match="depth=True, instance=True"):
+        HUGSimEnv(session=session)
+
+
+def test_frames_are_those_of_hugsim(env):
+    """HUGSIM's configs/sim/nuscenes_camera.yaml: CAM_FRONT is 1.73 m before the rear axle and 1.48 m above the ground, 0.73 m before the LiDAR and 0.35 m below."""
+    info = env.reset(seed=3)[1]
+    size, rig = env.drive.rollout.sizes[0], env.course.rig
+    lidars = env.course.site.scene.lidars
+    for name, own in rig.items():
+        params = info["cam_params"][env.names[name]]
+        place = own.rig_from_camera[:3, 3]
+        in_vehicle, in_lidar = (np.linalg.inv(params[key])[:3, 3] for key in ("v2c", "l2c"))
+        # The rear axle of a car of 4.5 m is 1.35 m behind its middle (Lr of configs/sim/kinematic.yaml), on the ground.
+        np.testing.assert_allclose(in_vehicle, place + [0.3 * size[0], 0.0, 0.5 * size[2]], atol=1e-6)
+        right, ahead, up = in_lidar
+        if not lidars:
+            np.testing.assert_allclose([ahead, -right, up], in_vehicle - [0.943713, 0.0, 1.84023], atol=1e-6)
+        # The vehicle's x is the LiDAR's y, its y the LiDAR's -x.
+        np.testing.assert_allclose(params["v2c"][:3, 0], params["l2c"][:3, 1], atol=1e-9)
+        np.testing.assert_allclose(params["v2c"][:3, 1], -params["l2c"][:3, 0], atol=1e-9)
+    # A point 10 m ahead is in the middle of the front camera's image.
     front = info["cam_params"]["CAM_FRONT"]
-    x, y, z = (front["l2c"] @ [0.0, 10.0, 0.0, 1.0])[:3]
+    x, _, z = (front["l2c"] @ [0.0, 10.0, 0.0, 1.0])[:3]
     assert z > 7.0 and abs(x) < 0.5
     assert (front["l2c"] @ [2.0, 10.0, 0.0, 1.0])[0] > x + 1.9, "x is to the right"
-    assert np.allclose(front["v2c"] @ [10.0, 0.0, 0.0, 1.0], front["l2c"] @ [0.0, 10.0, 0.0, 1.0])
 
 
-def test_quaternions_are_those_of_rotations():
-    turn = 0.7
-    level = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    np.testing.assert_allclose(_quaternion(level), [np.cos(turn / 2), 0, 0, np.sin(turn / 2)], atol=1e-12)
-    np.testing.assert_allclose(_quaternion(np.eye(3)), [1, 0, 0, 0], atol=1e-12)
+def _rotation(first, second, third):
+    """Rx Ry Rz, as SCR.from_euler("XYZ", ...) of HUGSIM's sim/utils/sim_utils.py:8 multiplies them."""
+
+    def about(axis, angle):
+        matrix, (i, j) = np.eye(3), [(1, 2), (2, 0), (0, 1)][axis]
+        matrix[[i, j], [i, j]] = np.cos(angle)
+        matrix[i, j], matrix[j, i] = -np.sin(angle), np.sin(angle)
+        return matrix
+
+    return about(0, first) @ about(1, second) @ about(2, third)
+
+
+def test_angles_are_those_of_rotations():
+    for angles in [(0, 0, 0), (0.1, -0.7, 0.05), (-0.2, 1.5, 0.3), (0.02, 2.5, -0.01), (0.0, -3.0, 0.0)]:
+        np.testing.assert_allclose(_euler_xyz(_rotation(*angles)), angles, atol=1e-9)
+
+
+def test_a_turn_to_the_right_has_the_signs_of_hugsim(env):
+    """hug_sim.py:289-300: with a steer_rate above zero the second angle rises and x of ego_pos grows for an ego that looks along z."""
+    _, before = env.reset(seed=3)
+    for _ in range(6):
+        _, _, over, _, info = env.step({"acc": 1.0, "steer_rate": 0.15})
+        assert not over
+    assert info["ego_steer"] > before["ego_steer"] + 0.1 and info["steer_rate"] == 0.15
+    assert info["ego_rot"][1] > before["ego_rot"][1] + 0.01, "the heading is to the right where above zero"
+    heading = before["ego_rot"][1]
+    moved = np.array(info["ego_pos"]) - before["ego_pos"]
+    right = moved @ [np.cos(heading), 0.0, -np.sin(heading)]
+    assert right > 0.02, "and so is what was driven"
 
 
 def test_actions_accelerate_and_turn_the_wheels(env):
@@ -64,7 +139,7 @@ def test_actions_accelerate_and_turn_the_wheels(env):
     _, _, terminated, truncated, info = env.step(action)
     assert not (terminated or truncated) and info["timestamp"] == 0.25
     assert 0.25 < info["ego_velo"] - before["ego_velo"] <= 0.51
-    assert 0.0 < info["ego_steer"] - before["ego_steer"] <= 0.051
+    assert 0.0 < info["ego_steer"] - before["ego_steer"] <= 0.051, "to the right"
     assert info["accelerate"] == 2.0 and info["steer_rate"] == 0.2
 
 

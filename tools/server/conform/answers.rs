@@ -2,17 +2,24 @@
 
 use std::collections::HashSet;
 
+use decouplegs::asset::packed_scene::read_packed_rig;
 use tonic::Code;
 
 use super::check::{Judged, Stop, failed};
 use super::rgb_image::RgbImage;
 use super::target::Target;
+use decouplegs_alpasim::poses::pose_of;
 use decouplegs_alpasim::wire::common::{Empty, Pose};
 use decouplegs_alpasim::wire::sensorsim::{
     AvailableCamerasRequest, AvailableTrajectoriesRequest, BatchRgbRenderRequest,
     BatchRgbRenderRequestItem, ImageFormat, RgbRenderRequest,
 };
 
+/// Largest distance of a camera from where the package has it, meters, and radians.
+const SAME_M: f64 = 1e-3;
+const SAME_RAD: f64 = 1e-3;
+/// Largest distance of the rig from its way in the package, meters: poses lie between others.
+const SAME_WAY_M: f64 = 0.05;
 /// Largest deviation of a quaternion's length from 1.
 const UNIT_ERROR_MAX: f32 = 1e-3;
 
@@ -71,6 +78,61 @@ pub(super) async fn cameras(target: &mut Target) -> Judged {
         )?;
     }
     Ok(format!("{} cameras", cameras.len()))
+}
+
+/// Compares what is listed with the package that the simulator reads for itself.
+pub(super) async fn package(target: &mut Target) -> Judged {
+    let Some(path) = target.package.clone() else {
+        return Err(Stop::Skipped("name the package with --package".into()));
+    };
+    let packed = read_packed_rig(&path).or_else(|error| failed(error.to_string()))?;
+    let scene_id = target.scene.clone();
+    let asked = AvailableCamerasRequest {
+        scene_id: scene_id.clone(),
+    };
+    let listed = target.client.get_available_cameras(asked).await?;
+    let listed = listed.into_inner().available_cameras;
+    let mut farthest_m: f64 = 0.0;
+    for (name, expected) in &packed.cameras {
+        let Some(camera) = listed.iter().find(|camera| camera.logical_id == *name) else {
+            return failed(format!("camera {name:?} of the package is not listed"));
+        };
+        let pose = pose_of(camera.rig_to_camera.as_ref(), "rig_to_camera")?;
+        let off_m = pose.translation.distance(expected.translation);
+        let off_rad = pose.rotation.angle_between(expected.rotation);
+        if off_m > SAME_M || off_rad > SAME_RAD {
+            return failed(format!(
+                "camera {name:?}: rig_to_camera is {off_m:.3} m and {off_rad:.4} rad off T_sensor_rig"
+            ));
+        }
+        farthest_m = farthest_m.max(off_m);
+    }
+    let asked = AvailableTrajectoriesRequest { scene_id };
+    if let Ok(answer) = target.client.get_available_trajectories(asked).await {
+        let first = answer
+            .into_inner()
+            .available_trajectories
+            .into_iter()
+            .next();
+        let poses = first
+            .and_then(|first| first.trajectory)
+            .map(|way| way.poses);
+        for timed in poses.iter().flatten() {
+            let pose = pose_of(timed.pose.as_ref(), "trajectory")?;
+            let expected = packed.way.at(timed.timestamp_us as f64 * 1e-6);
+            let off_m = pose.translation.distance(expected.translation);
+            if off_m > SAME_WAY_M {
+                return failed(format!(
+                    "at {} us the rig is {off_m:.3} m off that of the package",
+                    timed.timestamp_us
+                ));
+            }
+        }
+    }
+    Ok(format!(
+        "{} cameras, at most {farthest_m:.6} m off",
+        packed.cameras.len()
+    ))
 }
 
 pub(super) async fn trajectories(target: &mut Target) -> Judged {
@@ -189,7 +251,7 @@ pub(super) async fn batch(target: &mut Target) -> Judged {
 pub(super) async fn batch_of_objects(target: &mut Target) -> Judged {
     let without = target.request();
     let with = RgbRenderRequest {
-        dynamic_objects: vec![target.object(12.0, 0.0)?],
+        dynamic_objects: vec![target.object(12.0, 0.0, 0.0)?],
         ..target.request()
     };
     same_alone(target, vec![without, with]).await

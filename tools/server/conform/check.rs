@@ -1,5 +1,6 @@
 //! The checks, by name, and what becomes of one.
 
+use decouplegs_alpasim::wire::sensorsim::ftheta_camera_param::PolynomialType;
 use tonic::{Code, Status};
 
 use super::target::Target;
@@ -64,9 +65,11 @@ pub enum Check {
     Version,
     Scenes,
     Cameras,
+    Package,
     Trajectories,
     EgoMasks,
     Png,
+    Colors,
     Planar,
     Jpeg,
     LargeAnswer,
@@ -76,13 +79,16 @@ pub enum Check {
     UnknownFields,
     Fisheye,
     FTheta,
+    FThetaBackward,
     ShutterInstant,
     StaticRolling,
     RollingRows,
     RollingReversed,
     ObjectShown,
     ObjectMoves,
-    UnlistedHidden,
+    ObjectCentered,
+    ObjectTurns,
+    ObjectForgotten,
     UnknownObject,
     Batch,
     BatchPerCameraObjects,
@@ -97,13 +103,15 @@ pub enum Check {
 
 impl Check {
     /// All checks, in the order in which they are run.
-    pub const ALL: [Self; 32] = [
+    pub const ALL: [Self; 37] = [
         Self::Version,
         Self::Scenes,
         Self::Cameras,
+        Self::Package,
         Self::Trajectories,
         Self::EgoMasks,
         Self::Png,
+        Self::Colors,
         Self::Planar,
         Self::Jpeg,
         Self::LargeAnswer,
@@ -113,13 +121,16 @@ impl Check {
         Self::UnknownFields,
         Self::Fisheye,
         Self::FTheta,
+        Self::FThetaBackward,
         Self::ShutterInstant,
         Self::StaticRolling,
         Self::RollingRows,
         Self::RollingReversed,
         Self::ObjectShown,
         Self::ObjectMoves,
-        Self::UnlistedHidden,
+        Self::ObjectCentered,
+        Self::ObjectTurns,
+        Self::ObjectForgotten,
         Self::UnknownObject,
         Self::Batch,
         Self::BatchPerCameraObjects,
@@ -139,18 +150,25 @@ impl Check {
             Self::Version => "get_version names the server and the version of the contract",
             Self::Scenes => "get_available_scenes lists scenes, each once",
             Self::Cameras => "cameras have unique ids, a lens, a size and a unit quaternion",
+            Self::Package => {
+                "cameras have the poses and names, the trajectory the times of the package"
+            }
             Self::Trajectories => "the recorded trajectory has rising times and unit quaternions",
             Self::EgoMasks => "get_available_ego_masks answers, also without masks",
             Self::Png => "a PNG has the size asked for",
+            Self::Colors => "channels come as red, green, blue: a bright sky is not red",
             Self::Planar => "RGB_UINT8_PLANAR has three planes with the pixels of the PNG",
             Self::Jpeg => "a JPEG of quality 95 has the size asked for and shows the PNG",
-            Self::LargeAnswer => "an image of 6 MB arrives",
+            Self::LargeAnswer => "an image of 1920 x 1080 arrives, 6 MB as planes",
             Self::Resized => "another size shows the same view with other pixels",
             Self::Repeatable => "the same request gives the same pixels",
             Self::Parallel => "eight requests at once give the pixels of one alone",
             Self::UnknownFields => "fields that the server does not know change nothing",
             Self::Fisheye => "an OpenCV fisheye that is a pinhole in disguise shows its image",
             Self::FTheta => "an f-theta lens that is a pinhole in disguise shows its image",
+            Self::FThetaBackward => {
+                "so does one whose reference is the polynomial from pixels to angles"
+            }
             Self::ShutterInstant => "frame_end_us may be frame_start_us",
             Self::StaticRolling => "a rolling shutter at rest shows the image of a global one",
             Self::RollingRows => {
@@ -159,7 +177,11 @@ impl Check {
             Self::RollingReversed => "bottom-to-top: upper rows are seen from the end pose",
             Self::ObjectShown => "an object that is listed is drawn",
             Self::ObjectMoves => "an object is drawn where its pose says",
-            Self::UnlistedHidden => "an object that is not listed is not drawn",
+            Self::ObjectCentered => "the pose of an object is that of the middle of its box",
+            Self::ObjectTurns => "an object turns with its pose",
+            Self::ObjectForgotten => {
+                "a request is drawn alike whatever objects the one before it listed"
+            }
             Self::UnknownObject => "an unknown track id changes nothing, or is refused",
             Self::Batch => "a batch returns each camera once, with the pixels of render_rgb",
             Self::BatchPerCameraObjects => "items of a batch may list different objects",
@@ -173,12 +195,60 @@ impl Check {
         }
     }
 
+    /// Clause of the contract that it rests on: message and field of AlpaSim's protos
+    /// (`src/grpc/alpasim_grpc/v0` at 3032e0c, version 0.54.0), or where its runtime relies on it.
+    #[must_use]
+    pub fn rests_on(self) -> &'static str {
+        match self {
+            Self::Version => "common.proto VersionId",
+            Self::Scenes => "common.proto AvailableScenesReturn.scene_ids",
+            Self::Cameras => "sensorsim.proto AvailableCamerasReturn.AvailableCamera",
+            Self::Package => {
+                "runtime sensorsim_service.py:295: poses of the package and rig_to_camera"
+            }
+            Self::Trajectories => {
+                "sensorsim.proto AvailableTrajectory; the runtime does not call it"
+            }
+            Self::EgoMasks => "sensorsim.proto AvailableEgoMasksReturn",
+            Self::Png | Self::Jpeg | Self::Planar | Self::UndefinedFormat => {
+                "sensorsim.proto ImageFormat"
+            }
+            Self::Colors => "sensorsim.proto RGBRenderReturn: RGB",
+            Self::LargeAnswer | Self::Resized => {
+                "sensorsim.proto RGBRenderRequest.resolution_h, resolution_w"
+            }
+            Self::Repeatable | Self::Parallel | Self::ObjectForgotten => {
+                "sensorsim.proto SensorsimService: a request has all of its state"
+            }
+            Self::UnknownFields => "protobuf: unknown fields are kept or dropped",
+            Self::Fisheye => "sensorsim.proto OpenCVFisheyeCameraParam",
+            Self::FTheta | Self::FThetaBackward => {
+                "sensorsim.proto FthetaCameraParam.reference_poly, principal_point"
+            }
+            Self::ShutterInstant | Self::BackwardTime => {
+                "sensorsim.proto RGBRenderRequest.frame_start_us, frame_end_us"
+            }
+            Self::StaticRolling | Self::RollingRows | Self::RollingReversed => {
+                "sensorsim.proto CameraSpec.shutter_type, PosePair"
+            }
+            Self::ObjectShown | Self::ObjectMoves | Self::ObjectCentered | Self::ObjectTurns => {
+                "sensorsim.proto DynamicObject.pose_pair"
+            }
+            Self::UnknownObject => "sensorsim.proto DynamicObject.track_id",
+            Self::Batch | Self::BatchPerCameraObjects => "sensorsim.proto BatchRGBRenderReturn",
+            Self::UnknownScene => "sensorsim.proto RGBRenderRequest.scene_id",
+            Self::MissingCamera => "sensorsim.proto RGBRenderRequest.camera_intrinsics",
+            Self::Lidar | Self::LidarPose => "sensorsim.proto LidarRenderReturn",
+            Self::Aggregated => "sensorsim.proto AggregatedRenderReturn",
+        }
+    }
+
     /// True for calls that every simulator needs: without them the check fails.
     #[must_use]
     pub fn is_required(self) -> bool {
         !matches!(
             self,
-            Self::EgoMasks | Self::Lidar | Self::LidarPose | Self::Aggregated
+            Self::EgoMasks | Self::Trajectories | Self::Lidar | Self::LidarPose | Self::Aggregated
         )
     }
 
@@ -188,9 +258,11 @@ impl Check {
             Self::Version => answers::version(target).await,
             Self::Scenes => answers::scenes(target).await,
             Self::Cameras => answers::cameras(target).await,
+            Self::Package => answers::package(target).await,
             Self::Trajectories => answers::trajectories(target).await,
             Self::EgoMasks => answers::ego_masks(target).await,
             Self::Png => images::png(target).await,
+            Self::Colors => images::colors(target).await,
             Self::Planar => images::planar(target).await,
             Self::Jpeg => images::jpeg(target).await,
             Self::LargeAnswer => images::large(target).await,
@@ -199,14 +271,23 @@ impl Check {
             Self::Parallel => images::parallel(target).await,
             Self::UnknownFields => images::unknown_fields(target).await,
             Self::Fisheye => images::lens(target, images::fisheye()).await,
-            Self::FTheta => images::lens(target, images::ftheta()).await,
+            Self::FTheta => {
+                let lens = images::ftheta(PolynomialType::AngleToPixeldist);
+                images::lens(target, lens).await
+            }
+            Self::FThetaBackward => {
+                let lens = images::ftheta(PolynomialType::PixeldistToAngle);
+                images::lens(target, lens).await
+            }
             Self::ShutterInstant => motion::instant(target).await,
             Self::StaticRolling => motion::at_rest(target).await,
             Self::RollingRows => motion::rows(target, false).await,
             Self::RollingReversed => motion::rows(target, true).await,
             Self::ObjectShown => motion::object_shown(target).await,
             Self::ObjectMoves => motion::object_moves(target).await,
-            Self::UnlistedHidden => motion::unlisted(target).await,
+            Self::ObjectCentered => motion::object_centered(target).await,
+            Self::ObjectTurns => motion::object_turns(target).await,
+            Self::ObjectForgotten => motion::forgotten(target).await,
             Self::UnknownObject => motion::unknown_object(target).await,
             Self::Batch => answers::batch(target).await,
             Self::BatchPerCameraObjects => answers::batch_of_objects(target).await,

@@ -1,16 +1,18 @@
 //! Checks of image formats, sizes and lenses.
 
 use bytes::{BufMut, Bytes, BytesMut};
+use decouplegs::scene::Pose;
+use glam::{DQuat, DVec3};
 use http::uri::PathAndQuery;
 use prost::Message;
 use tonic::client::Grpc;
 use tonic::codec::{Codec, DecodeBuf, Decoder, EncodeBuf, Encoder};
-use tonic::{Request, Status};
+use tonic::{Code, Request, Status};
 
 use super::MESSAGE_BYTES_MAX;
 use super::check::{Judged, Stop, failed};
 use super::rgb_image::RgbImage;
-use super::target::{FOCAL_PX, SIZE_PX, Target, spec_of};
+use super::target::{FOCAL_PX, SIZE_PX, Target, pinhole, spec_of};
 use decouplegs_alpasim::wire::sensorsim::camera_spec::CameraParam;
 use decouplegs_alpasim::wire::sensorsim::ftheta_camera_param::PolynomialType;
 use decouplegs_alpasim::wire::sensorsim::{
@@ -24,6 +26,11 @@ const HALVED_DIFFERENCE_MAX: f64 = 10.0;
 /// Largest shift between images of one view, pixels, and largest mean difference, of 255.
 const SHIFT_MAX_PX: f64 = 0.05;
 const LENS_DIFFERENCE_MAX: f64 = 2.0;
+
+/// A sky that is darker than this tells nothing by its color, of 255.
+const BRIGHT_MIN: f64 = 90.0;
+/// Greatest excess of red over blue of a bright sky overhead, of 255.
+const REDDER_MAX: f64 = 20.0;
 
 /// Number of a field that no version of the contract has.
 const UNKNOWN_FIELD: u32 = 7_654;
@@ -57,8 +64,11 @@ pub(super) async fn planar(target: &mut Target) -> Judged {
         image_format: ImageFormat::RgbUint8Planar.into(),
         ..request
     };
-    let answer = target.client.render_rgb(request).await?.into_inner();
-    let planes = RgbImage::of_planes(&answer.image_bytes, SIZE_PX)?;
+    let Some(planes) = planes_of(target, request, SIZE_PX).await? else {
+        return Err(Stop::Skipped(
+            "the server has PNG and JPEG alone, which is all that AlpaSim asks for".into(),
+        ));
+    };
     let difference = planes.difference(&png);
     if difference > 0.0 {
         return failed(format!(
@@ -87,6 +97,21 @@ pub(super) async fn jpeg(target: &mut Target) -> Judged {
     Ok(format!("{difference:.1} of 255 from the PNG"))
 }
 
+/// The planes of an image; `None` from a server that has no such format.
+async fn planes_of(
+    target: &mut Target,
+    request: RgbRenderRequest,
+    size: [u32; 2],
+) -> Result<Option<RgbImage>, Stop> {
+    match target.client.render_rgb(request).await {
+        Ok(answer) => RgbImage::of_planes(&answer.into_inner().image_bytes, size).map(Some),
+        Err(status) if matches!(status.code(), Code::Unimplemented | Code::InvalidArgument) => {
+            Ok(None)
+        }
+        Err(status) => Err(status.into()),
+    }
+}
+
 pub(super) async fn large(target: &mut Target) -> Judged {
     let size = [1920, 1080];
     let request = RgbRenderRequest {
@@ -95,9 +120,43 @@ pub(super) async fn large(target: &mut Target) -> Judged {
         image_format: ImageFormat::RgbUint8Planar.into(),
         ..target.request()
     };
+    if let Some(planes) = planes_of(target, request.clone(), size).await? {
+        return Ok(format!("{} bytes", planes.rgb.len()));
+    }
+    let request = RgbRenderRequest {
+        image_format: ImageFormat::Png.into(),
+        ..request
+    };
     let answer = target.client.render_rgb(request).await?.into_inner();
-    RgbImage::of_planes(&answer.image_bytes, size)?;
-    Ok(format!("{} bytes", answer.image_bytes.len()))
+    has_size(&RgbImage::of_png(&answer.image_bytes)?, size)?;
+    Ok(format!("a PNG of {} bytes", answer.image_bytes.len()))
+}
+
+/// Looks straight up: whatever the weather, a bright sky is no redder than it is blue.
+pub(super) async fn colors(target: &mut Target) -> Judged {
+    let sensor = target.sensor();
+    let up = Pose {
+        rotation: DQuat::from_rotation_arc(sensor.rotation * DVec3::Z, DVec3::Z) * sensor.rotation,
+        ..sensor
+    };
+    let request = target.request_of(spec_of(pinhole()), &up, &up);
+    let image = target.image(request).await?;
+    let mut sums = [0.0; 3];
+    for pixel in image.rgb.chunks_exact(3) {
+        for (sum, value) in sums.iter_mut().zip(pixel) {
+            *sum += f64::from(*value);
+        }
+    }
+    let [red, green, blue] = sums.map(|sum| sum / (image.rgb.len() / 3).max(1) as f64);
+    let figure =
+        format!("the sky overhead has red {red:.0}, green {green:.0}, blue {blue:.0} of 255");
+    if red.max(green).max(blue) < BRIGHT_MIN {
+        return Err(Stop::Skipped(format!("{figure}: too dark to tell")));
+    }
+    if red - blue > REDDER_MAX {
+        return failed(format!("{figure}: are the channels blue, green, red?"));
+    }
+    Ok(figure)
 }
 
 pub(super) async fn resized(target: &mut Target) -> Judged {
@@ -265,18 +324,23 @@ pub(super) fn fisheye() -> CameraParam {
 }
 
 /// The pinhole as an f-theta lens, whose principal point counts from the middle of the first pixel.
-pub(super) fn ftheta() -> CameraParam {
+/// Only the polynomial of `reference` is that of the pinhole: the other is a first guess, 0.1 % off
+/// at the middle and 8 % at the corners.
+pub(super) fn ftheta(reference: PolynomialType) -> CameraParam {
     let powers = |fit: &[f64; 5], of: &dyn Fn(i32, f64) -> f64| -> Vec<f64> {
         let terms = (1..).zip(fit).map(|(power, c)| of(power, *c));
         std::iter::once(0.0).chain(terms).collect()
     };
-    let forward = powers(&TANGENT_FIT, &|_, c| FOCAL_PX * c);
-    // For servers that take the other polynomial.
-    let backward = powers(&ARC_TANGENT_FIT, &|power, c| c / FOCAL_PX.powi(power));
+    let mut forward = powers(&TANGENT_FIT, &|_, c| FOCAL_PX * c);
+    let mut backward = powers(&ARC_TANGENT_FIT, &|power, c| c / FOCAL_PX.powi(power));
+    match reference {
+        PolynomialType::PixeldistToAngle => forward[2..].fill(0.0),
+        _ => backward[2..].fill(0.0),
+    }
     CameraParam::FthetaParam(FthetaCameraParam {
         principal_point_x: f64::from(SIZE_PX[0]) / 2.0 - 0.5,
         principal_point_y: f64::from(SIZE_PX[1]) / 2.0 - 0.5,
-        reference_poly: PolynomialType::AngleToPixeldist.into(),
+        reference_poly: reference.into(),
         pixeldist_to_angle_poly: backward,
         angle_to_pixeldist_poly: forward,
         max_angle: 0.7,

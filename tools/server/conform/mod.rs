@@ -48,6 +48,10 @@ pub struct ConformOptions {
     /// objects are skipped
     #[arg(long, value_name = "ID")]
     pub object: Option<String>,
+    /// Package (.usdz) that the simulator reads beside the server: poses of cameras, names and
+    /// times are compared with it. Without one, that check is skipped
+    #[arg(long, value_name = "FILE.usdz")]
+    pub package: Option<PathBuf>,
     /// File with a token, sent as `authorization: Bearer TOKEN`
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
@@ -71,6 +75,7 @@ impl ConformOptions {
             scene: None,
             camera: None,
             object: None,
+            package: None,
             token_file: None,
             ca_cert: None,
             timeout: 300.0,

@@ -5,8 +5,10 @@ use glam::DVec3;
 
 use super::check::{Judged, Stop, failed};
 use super::rgb_image::RgbImage;
-use super::target::{SIZE_PX, Target, pair, pinhole, spec_of};
-use decouplegs_alpasim::wire::sensorsim::{CameraSpec, RgbRenderRequest, ShutterType};
+use super::target::{FOCAL_PX, SIZE_PX, Target, pair, pinhole, spec_of};
+use decouplegs_alpasim::wire::sensorsim::{
+    CameraSpec, DynamicObject, RgbRenderRequest, ShutterType,
+};
 
 /// Largest mean difference of a rolling shutter at rest from a global one, of 255.
 const REST_DIFFERENCE_MAX: f64 = 0.05;
@@ -16,6 +18,9 @@ const TURN_RAD: f64 = 0.04;
 const EDGE_PX: u32 = 20;
 /// Distance of the object in front of the camera, meters.
 const AHEAD_M: f64 = 12.0;
+/// Greatest height of the middle of what is drawn above the pose of an object, meters: half of a
+/// car's height is 0.75.
+const OFF_CENTER_MAX_M: f64 = 0.4;
 /// Smallest share of pixels that change where an object appears.
 const SHOWN_SHARE_MIN: f64 = 0.002;
 
@@ -112,37 +117,64 @@ pub(super) async fn rows(target: &mut Target, reversed: bool) -> Judged {
     ))
 }
 
-/// Share of pixels that differ by more than 8 of 255, and their mean column.
-fn changed(a: &RgbImage, b: &RgbImage) -> (f64, f64) {
-    let width = a.width_px as usize;
-    let pixels = a.rgb.chunks_exact(3).zip(b.rgb.chunks_exact(3)).enumerate();
-    let columns: Vec<usize> = pixels
-        .filter(|(_, (a, b))| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > 8))
-        .map(|(at, _)| at % width)
-        .collect();
-    let sum: usize = columns.iter().sum();
-    let count = columns.len().max(1) as f64;
-    (
-        columns.len() as f64 / (a.rgb.len() / 3).max(1) as f64,
-        sum as f64 / count,
-    )
+/// Pixels that differ between two images.
+struct Changed {
+    /// Share of pixels that differ by more than 8 of 255.
+    share: f64,
+    /// Mean column and row of these, pixels.
+    middle_px: [f64; 2],
 }
 
-/// Views without the object and with it at `right_m`.
-async fn with_object(target: &mut Target, right_m: f64) -> Result<[RgbImage; 2], Stop> {
-    let object = target.object(AHEAD_M, right_m)?;
-    let request = target.request();
-    let without = target.image(request.clone()).await?;
+fn changed(a: &RgbImage, b: &RgbImage) -> Changed {
+    let width = a.width_px as usize;
+    let pixels = a.rgb.chunks_exact(3).zip(b.rgb.chunks_exact(3)).enumerate();
+    let places: Vec<[usize; 2]> = pixels
+        .filter(|(_, (a, b))| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > 8))
+        .map(|(at, _)| [at % width, at / width])
+        .collect();
+    let count = places.len().max(1) as f64;
+    let mean = |axis: usize| {
+        let sum: usize = places.iter().map(|place| place[axis]).sum();
+        0.5 + sum as f64 / count
+    };
+    Changed {
+        share: places.len() as f64 / (a.rgb.len() / 3).max(1) as f64,
+        middle_px: [mean(0), mean(1)],
+    }
+}
+
+/// Image of the scene with `object` alone.
+async fn with(target: &mut Target, object: DynamicObject) -> Result<RgbImage, Stop> {
     let request = RgbRenderRequest {
         dynamic_objects: vec![object],
-        ..request
+        ..target.request()
     };
-    Ok([without, target.image(request).await?])
+    target.image(request).await
+}
+
+/// Views without the object and with it at `right_m`. It is hidden as AlpaSim hides objects, far
+/// below the ground: a renderer may draw those that a request does not list where they were
+/// recorded, as NuRec does.
+async fn with_object(target: &mut Target, right_m: f64) -> Result<[RgbImage; 2], Stop> {
+    let object = target.object(AHEAD_M, right_m, 0.0)?;
+    let hidden = target.hidden_object()?;
+    Ok([with(target, hidden).await?, with(target, object).await?])
+}
+
+/// Views of [`with_object`]; skips the check where the object is not drawn at all.
+async fn with_shown_object(target: &mut Target) -> Result<[RgbImage; 2], Stop> {
+    let images = with_object(target, 0.0).await?;
+    if changed(&images[0], &images[1]).share < SHOWN_SHARE_MIN {
+        return Err(Stop::Skipped(
+            "the object is not drawn where it is listed".into(),
+        ));
+    }
+    Ok(images)
 }
 
 pub(super) async fn object_shown(target: &mut Target) -> Judged {
     let [without, with] = with_object(target, 0.0).await?;
-    let (share, _) = changed(&without, &with);
+    let share = changed(&without, &with).share;
     if share < SHOWN_SHARE_MIN {
         return failed(format!(
             "{AHEAD_M} m in front of the camera it changes {:.2} % of the pixels",
@@ -156,16 +188,16 @@ pub(super) async fn object_moves(target: &mut Target) -> Judged {
     let mut columns = Vec::new();
     for right_m in [-2.0, 2.0] {
         let [without, with] = with_object(target, right_m).await?;
-        let (share, column) = changed(&without, &with);
+        let Changed { share, middle_px } = changed(&without, &with);
         if share < SHOWN_SHARE_MIN {
             return failed(format!(
                 "{right_m} m to the right of the view it is not drawn"
             ));
         }
-        columns.push(column);
+        columns.push(middle_px[0]);
     }
     // Four meters at the distance of the object, by the focal length; its own sides differ.
-    let expected_px = 4.0 / AHEAD_M * super::target::FOCAL_PX;
+    let expected_px = 4.0 / AHEAD_M * FOCAL_PX;
     let found_px = columns[1] - columns[0];
     let figure = format!("4 m to the right are {found_px:.0} px; expected {expected_px:.0}");
     if (found_px - expected_px).abs() > 0.35 * expected_px {
@@ -174,23 +206,57 @@ pub(super) async fn object_moves(target: &mut Target) -> Judged {
     Ok(figure)
 }
 
-pub(super) async fn unlisted(target: &mut Target) -> Judged {
-    let [before, with] = with_object(target, 0.0).await?;
-    // The object was just drawn: the next request must forget it.
-    let request = target.request();
-    let after = target.image(request).await?;
-    if changed(&before, &with).0 < SHOWN_SHARE_MIN {
-        return Err(Stop::Skipped(
-            "the object is not drawn where it is listed".into(),
+pub(super) async fn object_centered(target: &mut Target) -> Judged {
+    let [without, with] = with_shown_object(target).await?;
+    // Its center is level with the camera: on the horizon.
+    let sensor = target.sensor();
+    let toward = sensor.rotation.inverse() * target.object_direction();
+    let expected_px = 0.5 * f64::from(SIZE_PX[1]) + FOCAL_PX * toward.y / toward.z;
+    let found_px = changed(&without, &with).middle_px[1];
+    let off_m = (expected_px - found_px) * AHEAD_M / FOCAL_PX;
+    let figure = format!("its middle is drawn {off_m:.2} m above its pose");
+    if off_m.abs() > OFF_CENTER_MAX_M {
+        return failed(format!(
+            "{figure}; at most {OFF_CENTER_MAX_M} m is expected"
         ));
     }
+    Ok(figure)
+}
+
+pub(super) async fn object_turns(target: &mut Target) -> Judged {
+    let [_, ahead] = with_shown_object(target).await?;
+    let object = target.object(AHEAD_M, 0.0, std::f64::consts::FRAC_PI_2)?;
+    let across = with(target, object).await?;
+    let share = changed(&ahead, &across).share;
+    if share < 0.5 * SHOWN_SHARE_MIN {
+        return failed(format!(
+            "turned by 90 degrees it changes {:.2} % of the pixels",
+            100.0 * share
+        ));
+    }
+    Ok(format!(
+        "turned by 90 degrees it changes {:.1} % of the pixels",
+        100.0 * share
+    ))
+}
+
+pub(super) async fn forgotten(target: &mut Target) -> Judged {
+    let request = target.request();
+    let before = target.image(request.clone()).await?;
+    let [hidden, _] = with_shown_object(target).await?;
+    // The object was just drawn: the next request must forget it.
+    let after = target.image(request).await?;
     let difference = before.difference(&after);
     if difference > 0.0 {
         return failed(format!(
             "after a request with the object, one without it differs by {difference:.2} of 255"
         ));
     }
-    Ok("the same pixels".into())
+    Ok(if hidden.difference(&after) > 0.0 {
+        "the same pixels: it is drawn where it was recorded".into()
+    } else {
+        "the same pixels, without it".into()
+    })
 }
 
 pub(super) async fn unknown_object(target: &mut Target) -> Judged {
@@ -198,7 +264,7 @@ pub(super) async fn unknown_object(target: &mut Target) -> Judged {
     let without = target.image(request.clone()).await?;
     let sensor = target.sensor();
     let request = RgbRenderRequest {
-        dynamic_objects: vec![decouplegs_alpasim::wire::sensorsim::DynamicObject {
+        dynamic_objects: vec![DynamicObject {
             track_id: "no-object-has-this-name".into(),
             pose_pair: Some(pair(&sensor, &sensor)),
         }],

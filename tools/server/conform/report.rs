@@ -58,7 +58,7 @@ impl Report {
         let mut line = String::new();
         // Writing to a string does not fail.
         let _ = writeln!(line, "{:<8} {}", outcome.word(), check.asks());
-        let _ = writeln!(line, "         {}", outcome.detail());
+        let _ = writeln!(line, "         {} [{}]", outcome.detail(), check.rests_on());
         line
     }
 
@@ -69,6 +69,7 @@ impl Report {
             json!({
                 "check": format!("{check:?}"),
                 "asks": check.asks(),
+                "rests_on": check.rests_on(),
                 "outcome": outcome.word().to_lowercase(),
                 "detail": outcome.detail(),
             })

@@ -30,6 +30,8 @@ pub(super) const SIZE_PX: [u32; 2] = [320, 200];
 pub(super) const FOCAL_PX: f64 = 360.0;
 /// Time for which a shutter is open, microseconds.
 pub(super) const SHUTTER_US: u64 = 20_000;
+/// Distance of a hidden object, meters.
+const AHEAD_HIDDEN_M: f64 = 12.0;
 /// Images with less contrast show too little to be compared, of 255.
 const CONTRAST_MIN: f64 = 3.0;
 
@@ -58,6 +60,8 @@ pub(super) struct Target {
     pub(super) scene: String,
     pub(super) camera: AvailableCamera,
     pub(super) object: Option<String>,
+    /// Package that the simulator reads beside the server.
+    pub(super) package: Option<std::path::PathBuf>,
     /// Pose of the rig in the middle of its trajectory, and the time there.
     pub(super) local_from_rig: Pose,
     pub(super) time_us: u64,
@@ -97,6 +101,7 @@ impl Target {
             scene,
             camera,
             object: options.object.clone(),
+            package: options.package.clone(),
             local_from_rig,
             time_us,
         })
@@ -156,24 +161,44 @@ impl Target {
         Ok(image)
     }
 
-    /// Object of the options, `ahead_m` in front of the camera and `right_m` to its right, standing
-    /// upright with the heading of the rig.
-    pub(super) fn object(&self, ahead_m: f64, right_m: f64) -> Result<DynamicObject, Stop> {
+    /// Object of the options, `ahead_m` in front of the camera, level with it, and `right_m` to its
+    /// right, upright, turned by `yaw_rad` from the heading of the camera.
+    pub(super) fn object(
+        &self,
+        ahead_m: f64,
+        right_m: f64,
+        yaw_rad: f64,
+    ) -> Result<DynamicObject, Stop> {
         let track_id = self.object.clone().ok_or_else(|| {
             Stop::Skipped("the contract does not list objects: name one with --object".into())
         })?;
-        let sensor = self.sensor();
-        let forward = (sensor.rotation * DVec3::Z)
-            .truncate()
-            .normalize_or(glam::DVec2::X);
-        let place = sensor.translation
-            + forward.extend(0.0) * ahead_m
-            + (-forward.perp()).extend(0.0) * right_m;
-        let pose = Pose::from_yaw(forward.y.atan2(forward.x), place);
+        let forward = self.object_direction();
+        let right = forward.cross(DVec3::Z);
+        let place = self.sensor().translation + forward * ahead_m + right * right_m;
+        let pose = Pose::from_yaw(forward.y.atan2(forward.x) + yaw_rad, place);
         Ok(DynamicObject {
             track_id,
             pose_pair: Some(pair(&pose, &pose)),
         })
+    }
+
+    /// Object of the options where nobody sees it, as AlpaSim hides it
+    /// (`src/runtime/alpasim_runtime/unbound_rollout.py:243`).
+    pub(super) fn hidden_object(&self) -> Result<DynamicObject, Stop> {
+        let mut object = self.object(AHEAD_HIDDEN_M, 0.0, 0.0)?;
+        let poses = object.pose_pair.iter_mut();
+        for pose in poses.flat_map(|pair| [&mut pair.start_pose, &mut pair.end_pose]) {
+            if let Some(place) = pose.as_mut().and_then(|pose| pose.vec.as_mut()) {
+                place.z -= 100.0;
+            }
+        }
+        Ok(object)
+    }
+
+    /// Horizontal direction in which the camera looks.
+    pub(super) fn object_direction(&self) -> DVec3 {
+        let ahead = (self.sensor().rotation * DVec3::Z).truncate();
+        ahead.normalize_or(glam::DVec2::X).extend(0.0)
     }
 }
 

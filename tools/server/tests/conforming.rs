@@ -6,8 +6,13 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 
-use decouplegs_alpasim::wire::common::{AvailableScenesReturn, Empty, VersionId};
+use decouplegs::asset::SceneFile;
+use decouplegs::asset::packed_scene::{PackOptions, pack};
+use decouplegs::scene::Pose;
+use decouplegs_alpasim::encoding::{Encoding, encode};
+use decouplegs_alpasim::wire::common::{AvailableScenesReturn, Empty, Quat, VersionId};
 use decouplegs_alpasim::wire::sensorsim::camera_spec::CameraParam;
+use decouplegs_alpasim::wire::sensorsim::ftheta_camera_param::PolynomialType;
 use decouplegs_alpasim::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
 use decouplegs_alpasim::wire::sensorsim::sensorsim_service_server::{
     SensorsimService, SensorsimServiceServer,
@@ -20,13 +25,14 @@ use decouplegs_alpasim::wire::sensorsim::{
     ShutterType,
 };
 use decouplegs_server::conform::{Check, ConformOptions, Outcome, Report, judge};
+use glam::DVec3;
 use tokio::net::TcpListener;
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::TcpListenerStream;
 use tonic::transport::{Channel, Server};
 use tonic::{Request, Response, Status};
 
-use crate::asking::{channel, options, serve};
+use crate::asking::{channel, object, options, png, serve};
 use crate::scenes::street_of;
 
 /// Faults of a server.
@@ -54,12 +60,26 @@ enum Fault {
     IgnoresSensorTurn,
     /// Trajectories run backwards.
     ReversesTime,
+    /// Images are blue, green, red.
+    SwapsColors,
+    /// Poses of objects are taken for those of the bottom of a box of 1.5 m.
+    LiftsObjects,
+    /// Objects are drawn with the heading of the world.
+    IgnoresObjectTurn,
+    /// The polynomial from pixels to angles is taken, whatever the reference.
+    IgnoresReference,
+    /// No fault, NuRec's way: an object that is not listed is drawn where it was recorded.
+    DrawsUnlisted,
+    /// No fault: PNG and JPEG alone.
+    HasNoPlanes,
+    /// No fault: no trajectories, which AlpaSim's runtime does not ask for.
+    HasNoTrajectories,
 }
 
 impl Fault {
     /// Each fault, with the checks that fail for it and no others.
-    const ALL: [(Self, &'static [Check]); 11] = [
-        (Self::HalfPixel, &[Check::FTheta]),
+    const ALL: [(Self, &'static [Check]); 18] = [
+        (Self::HalfPixel, &[Check::FTheta, Check::FThetaBackward]),
         (
             Self::IgnoresShutters,
             &[Check::RollingRows, Check::RollingReversed],
@@ -82,6 +102,13 @@ impl Fault {
         ),
         (Self::IgnoresSensorTurn, &[Check::LidarPose]),
         (Self::ReversesTime, &[Check::Trajectories]),
+        (Self::SwapsColors, &[Check::Colors]),
+        (Self::LiftsObjects, &[Check::ObjectCentered]),
+        (Self::IgnoresObjectTurn, &[Check::ObjectTurns]),
+        (Self::IgnoresReference, &[Check::FTheta]),
+        (Self::DrawsUnlisted, &[]),
+        (Self::HasNoPlanes, &[]),
+        (Self::HasNoTrajectories, &[]),
     ];
 }
 
@@ -132,6 +159,9 @@ impl Faulty {
                     lens.principal_point_x -= 0.5;
                     lens.principal_point_y -= 0.5;
                 }
+                (Some(Fault::IgnoresReference), Some(CameraParam::FthetaParam(lens))) => {
+                    lens.reference_poly = PolynomialType::PixeldistToAngle.into();
+                }
                 (Some(Fault::IgnoresShutters), _) => spec.shutter_type = ShutterType::Global.into(),
                 (Some(Fault::IgnoresSize), _) => {
                     request.resolution_w = spec.resolution_w;
@@ -146,7 +176,34 @@ impl Faulty {
             }
             (Some(Fault::IgnoresObjects), _) => request.dynamic_objects.clear(),
             (Some(Fault::InventsScenes), _) => request.scene_id = self.scene.clone(),
+            (Some(Fault::SwapsColors), _) if request.image_format() != ImageFormat::Undefined => {
+                request.image_format = ImageFormat::Png.into();
+            }
+            (Some(Fault::DrawsUnlisted), _) => {
+                let recorded = Pose::from_yaw(0.3, DVec3::new(8.0, 3.0, 0.8));
+                let mut listed = request.dynamic_objects.iter();
+                if !listed.any(|object| object.track_id == "car_000") {
+                    let recorded = object("car_000", &recorded, &recorded);
+                    request.dynamic_objects.push(recorded);
+                }
+            }
             _ => {}
+        }
+        let poses = request.dynamic_objects.iter_mut();
+        let poses = poses.filter_map(|object| object.pose_pair.as_mut());
+        for pose in poses.flat_map(|pair| [&mut pair.start_pose, &mut pair.end_pose]) {
+            match (self.fault, pose) {
+                (Some(Fault::LiftsObjects), Some(pose)) => {
+                    pose.vec.iter_mut().for_each(|place| place.z += 0.75);
+                }
+                (Some(Fault::IgnoresObjectTurn), Some(pose)) => {
+                    pose.quat = Some(Quat {
+                        w: 1.0,
+                        ..Default::default()
+                    });
+                }
+                _ => {}
+            }
         }
         request
     }
@@ -161,6 +218,13 @@ impl Faulty {
                 &bytes[..plane],
             ];
             image.image_bytes = planes.concat().into();
+        }
+        if self.fault == Some(Fault::SwapsColors) {
+            let (size, rgb) = png(&image.image_bytes);
+            let swapped = rgb.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0], 255]);
+            let encoding = Encoding::from_request(format.into(), 95.0, "").unwrap();
+            let bytes = encode(&swapped.collect::<Vec<u8>>(), size, encoding).unwrap();
+            image.image_bytes = bytes.into();
         }
         image
     }
@@ -179,7 +243,7 @@ impl Faulty {
             .map(|pair| [&mut pair.start_pose, &mut pair.end_pose]);
         for pose in poses.into_iter().flatten().flatten() {
             if self.fault == Some(Fault::IgnoresSensorTurn) {
-                pose.quat = Some(decouplegs_alpasim::wire::common::Quat {
+                pose.quat = Some(Quat {
                     w: 1.0,
                     ..Default::default()
                 });
@@ -197,6 +261,9 @@ impl SensorsimService for Faulty {
     ) -> Result<Response<RgbRenderReturn>, Status> {
         let request = request.into_inner();
         let format = request.image_format();
+        if self.fault == Some(Fault::HasNoPlanes) && format == ImageFormat::RgbUint8Planar {
+            return Err(Status::invalid_argument("PNG and JPEG only"));
+        }
         let mut good = self.good.clone();
         let ask = async |request| good.render_rgb(request).await;
         let image = self
@@ -222,11 +289,15 @@ impl SensorsimService for Faulty {
         }
         let mut good = self.good.clone();
         let ask = async |request| good.batch_render_rgb(request).await;
-        let batch = self
+        let mut batch = self
             .answers
             .batches
             .or_asked(self.fault, request, ask)
             .await?;
+        for item in &mut batch.items {
+            let image = item.result.take();
+            item.result = image.map(|image| self.spoiled_image(ImageFormat::Png, image));
+        }
         Ok(Response::new(batch))
     }
 
@@ -297,6 +368,9 @@ impl SensorsimService for Faulty {
         &self,
         request: Request<AvailableTrajectoriesRequest>,
     ) -> Result<Response<AvailableTrajectoriesReturn>, Status> {
+        if self.fault == Some(Fault::HasNoTrajectories) {
+            return Err(Status::unimplemented(""));
+        }
         let mut good = self.good.clone();
         let answer = good.get_available_trajectories(request.into_inner());
         let mut answer = answer.await?.into_inner();
@@ -364,6 +438,11 @@ async fn this_server_conforms_and_faults_are_found_where_they_are() {
     // What stands between drops fields that it does not know.
     let direct = judged(running.address, &[Check::UnknownFields]).await;
     for (check, outcome) in report.results.iter().chain(&direct.results) {
+        assert!(!check.rests_on().is_empty());
+        if *check == Check::Package {
+            assert!(matches!(outcome, Outcome::Skipped(_)), "{outcome:?}");
+            continue;
+        }
         assert!(
             matches!(outcome, Outcome::Passed(_)),
             "{check:?}: {outcome:?}"
@@ -428,4 +507,34 @@ async fn a_server_that_is_not_there_and_a_camera_that_is_not_are_named() {
             .unwrap_err()
     );
     assert!(message.contains("nowhere"), "{message}");
+}
+
+/// AlpaSim puts its cameras where the package has the rig and the server has `rig_to_camera`.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_does_not_answer_as_the_package_says_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = scene(&folder).remove(0);
+    let package = folder.path().join("place.usdz");
+    let file = SceneFile::read(&scene).unwrap();
+    let packed = PackOptions::new("place");
+    pack(&file, scene.parent().unwrap(), &packed, &package).unwrap();
+    let judged = async |rig_origin| {
+        let mut served = options(vec![package.clone()]);
+        served.rig_origin = rig_origin;
+        let running = serve(&served).await;
+        let asked = ConformOptions {
+            package: Some(package.clone()),
+            ..ConformOptions::of_target(running.address.to_string())
+        };
+        let report = judge(&asked, &[Check::Package], &mut |_, _| {}).await;
+        running.stop().await.unwrap();
+        report.unwrap().results.remove(0).1
+    };
+    let own = judged(None).await;
+    assert!(matches!(own, Outcome::Passed(_)), "{own:?}");
+    let middle = judged(Some([0.0; 3])).await;
+    assert!(
+        matches!(&middle, Outcome::Failed(fault) if fault.contains("1.544 m")),
+        "1.35 m along and 0.75 m up: {middle:?}"
+    );
 }

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use decouplegs_scene::Pose;
+use decouplegs_scene::{Pose, Presence, TimedPose, Trajectory};
 use serde_json::{Value, json};
 
-use super::rig::moments;
+use super::rig::{moments, offset_of};
 use super::{PackOptions, SEQUENCE};
 use crate::{AssetError, SceneAgent, SceneFile, coded_asset, read_coded, read_splats};
 
@@ -13,6 +13,8 @@ use crate::{AssetError, SceneAgent, SceneFile, coded_asset, read_coded, read_spl
 const CLASS: &str = "automobile";
 /// An agent that moves by less than this, meters, stands.
 const STANDS_M: f64 = 0.05;
+/// An agent that turns by less than this, radians, stands.
+const STANDS_RAD: f64 = 0.02;
 
 /// `sequence_tracks.json`, of the scene in `directory`.
 pub(super) fn sequence_tracks(
@@ -33,7 +35,7 @@ pub(super) fn sequence_tracks(
             None | Some("car") => CLASS,
             Some(class) => class,
         }));
-        flags.push(if stands(agent) {
+        flags.push(if stands(&agent.trajectory, &agent.present) {
             json!(["STATIC"])
         } else {
             json!(["DYNAMIC", "CONTROLLABLE"])
@@ -66,10 +68,10 @@ pub(super) fn sequence_tracks(
     Ok(Value::Object(sequences))
 }
 
-/// Moments in microseconds and local poses (x, y, z and a quaternion x, y, z, w): where the agent's
-/// own way is known, and over the whole scene for one that stands; from its first presence to its
-/// last. Tracks have no gaps: times of absence between are part of it.
-/// None for an agent that is absent all the time.
+/// Moments in microseconds of the package and local poses (x, y, z and a quaternion x, y, z, w):
+/// where the agent's own way is known, and over the whole scene for one that stands; from its first
+/// presence to its last. Tracks have no gaps: times of absence between are part of it. None for an
+/// agent that is absent all the time.
 fn sampled(scene: &SceneFile, agent: &SceneAgent, span_s: (f64, f64)) -> Vec<(u64, [f64; 7])> {
     let way = &agent.trajectory;
     let there_s = match agent.present.span_s() {
@@ -92,17 +94,24 @@ fn sampled(scene: &SceneFile, agent: &SceneAgent, span_s: (f64, f64)) -> Vec<(u6
         let [x, y, z] = (translation - scene.origin).to_array();
         [x, y, z, q.x, q.y, q.z, q.w]
     };
-    moments(start_s, end_s)
+    moments(start_s, end_s, offset_of(span_s.0))
         .into_iter()
         .map(|(time_s, time_us)| (time_us, local(time_s)))
         .collect()
 }
 
-fn stands(agent: &SceneAgent) -> bool {
-    let poses = agent.trajectory.poses();
-    poses
-        .iter()
-        .all(|timed| timed.pose.translation.distance(poses[0].pose.translation) < STANDS_M)
+/// True for an agent of a way and presence that stands at one place all the time. Packages call
+/// it STATIC: AlpaSim lists it in no request, because NuRec draws it as a part of the street
+/// (`src/runtime/alpasim_runtime/events/camera.py:22`, `unbound_rollout.py:236`).
+#[must_use]
+pub fn stands(way: &Trajectory, present: &Presence) -> bool {
+    let poses = way.poses();
+    let first = poses[0].pose;
+    let is_there = |timed: &TimedPose| {
+        timed.pose.translation.distance(first.translation) < STANDS_M
+            && timed.pose.rotation.angle_between(first.rotation) < STANDS_RAD
+    };
+    present.span_s().is_none() && poses.iter().all(is_there)
 }
 
 /// Length, width and height of an asset, meters: as a compressed one says, or of the box about the

@@ -12,7 +12,27 @@ const SAMPLES: usize = 64;
 /// F-theta calibrations count pixels from the center of the first one, this engine from its corner.
 const FTHETA_ORIGIN_PX: f64 = 0.5;
 
-/// The model of a camera. A pinhole is written as f-theta, which all readers of packages know.
+/// A camera as a package says it is: a pinhole becomes f-theta, which all readers of packages know
+/// and AlpaSim's rectifier demands (`src/driver/src/alpasim_driver/rectification.py:485`); others
+/// are as they are.
+#[must_use]
+pub fn packed_intrinsics(intrinsics: &Intrinsics) -> Intrinsics {
+    match intrinsics.lens {
+        Lens::Pinhole => {
+            let lens = fitted(intrinsics);
+            let [fx_px, fy_px] = lens.center_focal_px();
+            Intrinsics {
+                fx_px,
+                fy_px,
+                lens: Lens::FTheta(lens),
+                ..*intrinsics
+            }
+        }
+        _ => *intrinsics,
+    }
+}
+
+/// The model of a camera, that of [`packed_intrinsics`].
 pub(super) fn model(intrinsics: &Intrinsics) -> Value {
     let principal_point = [intrinsics.cx_px, intrinsics.cy_px];
     let focal_length = [intrinsics.fx_px, intrinsics.fy_px];
@@ -189,6 +209,14 @@ mod tests {
             json!([815.8, 491.0]),
             "counted from the center of the first pixel"
         );
+    }
+
+    #[test]
+    fn cameras_are_served_as_packages_say_they_are() {
+        let packed = packed_intrinsics(&usual());
+        assert!(packed.check().is_ok() && matches!(packed.lens, Lens::FTheta(_)));
+        assert_eq!(model(&packed), model(&usual()));
+        assert_eq!(packed_intrinsics(&packed), packed);
     }
 
     #[test]

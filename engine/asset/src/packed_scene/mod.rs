@@ -20,19 +20,27 @@
 //! **Frames.** `local` is the scene's world seen from its origin, axes as they are: others keep it
 //! in 32-bit floats. The rig's origin is where [`PackOptions::rig_origin_m`] says, on the ground
 //! below the rear axle by default; agents are the middles of their boxes, as in scene files.
-//! **Times** are the scene's in microseconds, and have to be at least 0.
+//! **Times** are the scene's in microseconds plus [`PackSummary::offset_s`], whole seconds: the
+//! first pose is at 1 s or later, and the first frame of a camera 0.2 s after it, because AlpaSim
+//! asks for the poses one control step before the first frame, and for those when its shutter
+//! opens, as unsigned numbers (`src/runtime/alpasim_runtime/unbound_rollout.py:88`,
+//! `event_loop.py:236`).
 //!
 //! Trajectories are sampled ten times a second: others interpolate, and smooth, more than two poses
 //! far apart.
 
 mod agents;
 mod camera_model;
+mod packed_rig;
 mod read;
 mod rig;
 mod write;
 
-pub(crate) use read::is_package;
-pub use read::open_packed_scene;
+pub use agents::stands;
+pub use camera_model::packed_intrinsics;
+pub use packed_rig::{PackedRig, packed_scene_id, read_packed_rig};
+pub use read::is_package;
+pub use read::{PackedScene, open_packed_scene};
 pub use write::{PackSummary, pack};
 
 use decouplegs_scene::VehicleSize;
@@ -48,6 +56,13 @@ const SAMPLES_HZ: f64 = 10.0;
 const STANDING_S: f64 = 20.0;
 /// Longest scene, seconds: a day.
 const DURATION_MAX_S: f64 = 86_400.0;
+/// Earliest moment in a package, seconds.
+const START_S: f64 = 1.0;
+/// Time from the first pose to the first frame of a camera, seconds: more than the shutter (0.03 s)
+/// and the control step (0.1 s) of AlpaSim's defaults (`src/wizard/configs/base_config.yaml`).
+const BEFORE_FRAMES_S: f64 = 0.2;
+/// Duration of a frame of a global shutter, seconds: `shutter_duration_us` there.
+const EXPOSURE_S: f64 = 0.03;
 /// The name of the only sequence of tracks: CARLA's script asks for no other.
 const SEQUENCE: &str = "dummy_chunk_id";
 
@@ -61,6 +76,9 @@ pub struct PackOptions {
     /// Origin of the other simulator's rig in the vehicle frame (from the middle of the box),
     /// meters.
     pub rig_origin_m: DVec3,
+    /// Names of cameras in the scene, and what they are called in the package. Others keep their
+    /// names.
+    pub camera_names: Vec<(String, String)>,
     /// An OpenDRIVE map, as it is.
     pub map: Option<Vec<u8>>,
     /// The ground as triangles in the local frame, a PLY ([`ground_mesh_ply`]).
@@ -77,6 +95,7 @@ impl PackOptions {
             scene_id: scene_id.into(),
             vehicle,
             rig_origin_m,
+            camera_names: Vec::new(),
             map: None,
             ground_mesh: None,
         }

@@ -10,14 +10,16 @@ use crate::scene_file::SceneFiles;
 use crate::toml_text::text_of;
 use crate::zip::Archive;
 use crate::{AssetError, DecodeError, LoadedScene, SceneFile};
+use decouplegs_scene::SplatCloud;
 
 use super::{OURS, SCENE};
 
 /// Name of the format in messages.
-const NAME: &str = "USDZ package of decouplegs";
+pub(super) const NAME: &str = "USDZ package of decouplegs";
 
 /// True if `path` is named like a package.
-pub(crate) fn is_package(path: &Path) -> bool {
+#[must_use]
+pub fn is_package(path: &Path) -> bool {
     path.extension()
         .is_some_and(|extension| extension.eq_ignore_ascii_case("usdz"))
 }
@@ -29,34 +31,69 @@ pub(crate) fn is_package(path: &Path) -> bool {
 /// [`AssetError`] of the package, or of the entry at fault. A scene that names files outside of its
 /// package is refused.
 pub fn open_packed_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
-    let bytes = read_bytes(path)?;
-    let decode_error = |source| AssetError::Decode {
-        path: path.to_owned(),
-        format: NAME,
-        source,
-    };
-    let archive = Archive::parse(&bytes).map_err(decode_error)?;
-    if !archive.has(SCENE) {
-        let message = format!(
-            "it has no '{SCENE}': packages of other programs hold no scene that is read here"
-        );
-        return Err(decode_error(DecodeError::Unsupported(message)));
+    let package = PackedScene::open(path)?;
+    package.load(&package.file, time_s)
+}
+
+/// A package that is open: its scene file, and the files that it names.
+pub struct PackedScene {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    file: SceneFile,
+}
+
+impl PackedScene {
+    /// Opens the package at `path`.
+    ///
+    /// # Errors
+    /// [`AssetError`] of the package, or of its scene file.
+    pub fn open(path: &Path) -> Result<Self, AssetError> {
+        let bytes = read_bytes(path)?;
+        let file = {
+            let package = Package::new(path, &bytes)?;
+            if !package.archive.has(SCENE) {
+                let message = format!(
+                    "it has no '{SCENE}': packages of other programs hold no scene that is read here"
+                );
+                return Err(package.error(DecodeError::Unsupported(message)));
+            }
+            let text = package.bytes(Path::new(&SCENE[OURS.len()..]))?;
+            let scene_error = |source| AssetError::Scene {
+                path: path.join(SCENE),
+                source,
+            };
+            text_of(&text)
+                .and_then(SceneFile::parse)
+                .map_err(scene_error)?
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            bytes,
+            file,
+        })
     }
-    let package = Package {
-        path,
-        archive,
-        file_bytes: bytes.len() as u64,
-        read_bytes: Cell::new(0),
-    };
-    let text = package.bytes(Path::new(&SCENE[OURS.len()..]))?;
-    let scene_error = |source| AssetError::Scene {
-        path: path.join(SCENE),
-        source,
-    };
-    let scene = text_of(&text)
-        .and_then(SceneFile::parse)
-        .map_err(scene_error)?;
-    scene.load_from(&package, time_s)
+
+    /// The scene file.
+    #[must_use]
+    pub fn file(&self) -> &SceneFile {
+        &self.file
+    }
+
+    /// `scene`, which names files of this package, loaded as at `time_s`.
+    ///
+    /// # Errors
+    /// [`AssetError`] of the entry at fault.
+    pub fn load(&self, scene: &SceneFile, time_s: f64) -> Result<LoadedScene, AssetError> {
+        scene.load_from(&Package::new(&self.path, &self.bytes)?, time_s)
+    }
+
+    /// The splats in `file`, a path as the scene file names it.
+    ///
+    /// # Errors
+    /// [`AssetError`] of the entry.
+    pub fn splats(&self, file: &Path) -> Result<SplatCloud, AssetError> {
+        Package::new(&self.path, &self.bytes)?.splats(file)
+    }
 }
 
 /// The entries of a package as the files of its scene.
@@ -71,11 +108,7 @@ struct Package<'a> {
 
 impl SceneFiles for Package<'_> {
     fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError> {
-        self.entry(file).map_err(|source| AssetError::Decode {
-            path: self.path.to_owned(),
-            format: NAME,
-            source,
-        })
+        self.entry(file).map_err(|source| self.error(source))
     }
 
     fn path(&self, file: &Path) -> PathBuf {
@@ -83,7 +116,29 @@ impl SceneFiles for Package<'_> {
     }
 }
 
-impl Package<'_> {
+impl<'a> Package<'a> {
+    fn new(path: &'a Path, bytes: &'a [u8]) -> Result<Self, AssetError> {
+        let archive = Archive::parse(bytes).map_err(|source| AssetError::Decode {
+            path: path.to_owned(),
+            format: NAME,
+            source,
+        })?;
+        Ok(Self {
+            path,
+            archive,
+            file_bytes: bytes.len() as u64,
+            read_bytes: Cell::new(0),
+        })
+    }
+
+    fn error(&self, source: DecodeError) -> AssetError {
+        AssetError::Decode {
+            path: self.path.to_owned(),
+            format: NAME,
+            source,
+        }
+    }
+
     fn entry(&self, file: &Path) -> Result<Cow<'_, [u8]>, DecodeError> {
         let is_inside = file
             .components()

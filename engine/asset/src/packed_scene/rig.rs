@@ -1,11 +1,13 @@
 //! The ego's way and cameras as others read them.
 
-use decouplegs_scene::{Intrinsics, Pose, Trajectory};
+use decouplegs_scene::{Intrinsics, Pose, ShutterDirection, Trajectory};
 use glam::{DMat4, DVec3};
 use serde_json::{Map, Value, json};
 
 use super::camera_model::model;
-use super::{DURATION_MAX_S, PackOptions, SAMPLES_HZ, STANDING_S};
+use super::{
+    BEFORE_FRAMES_S, DURATION_MAX_S, EXPOSURE_S, PackOptions, SAMPLES_HZ, STANDING_S, START_S,
+};
 use crate::SceneFile;
 
 /// First and last moment of a scene, seconds.
@@ -28,20 +30,31 @@ pub(super) fn span_of(scene: &SceneFile) -> Result<(f64, f64), String> {
     } else {
         start_s + STANDING_S
     };
-    if start_s < 0.0 || end_s > DURATION_MAX_S {
+    if end_s - start_s > DURATION_MAX_S || start_s.abs() > DURATION_MAX_S {
         return Err(format!(
-            "the scene lasts from {start_s} to {end_s} s; a package counts microseconds from 0 to {DURATION_MAX_S} s"
+            "the scene lasts from {start_s} to {end_s} s; a package lasts at most {DURATION_MAX_S} s, and begins within as many of 0"
         ));
     }
     Ok((start_s, end_s))
 }
 
-/// Moments from `start_s` to `end_s`, both included, as seconds and microseconds that rise.
-pub(super) fn moments(start_s: f64, end_s: f64) -> Vec<(f64, u64)> {
+/// Whole seconds that a package adds to the times of a scene that begins at `start_s`.
+pub(super) fn offset_of(start_s: f64) -> f64 {
+    (START_S - start_s).ceil().max(0.0)
+}
+
+/// Microseconds of a package for a moment of a scene whose times it offsets.
+pub(super) fn package_us(time_s: f64, offset_s: f64) -> u64 {
+    ((time_s + offset_s) * 1e6).round() as u64
+}
+
+/// Moments from `start_s` to `end_s`, both included, as seconds of the scene and microseconds of
+/// the package that rise.
+pub(super) fn moments(start_s: f64, end_s: f64, offset_s: f64) -> Vec<(f64, u64)> {
     let steps = ((end_s - start_s) * SAMPLES_HZ).ceil().max(1.0) as usize;
     let mut moments: Vec<(f64, u64)> = (0..=steps)
         .map(|step| (start_s + step as f64 / SAMPLES_HZ).min(end_s))
-        .map(|time_s| (time_s, (time_s * 1e6).round() as u64))
+        .map(|time_s| (time_s, package_us(time_s, offset_s)))
         .collect();
     moments.dedup_by_key(|(_, time_us)| *time_us);
     moments
@@ -64,7 +77,7 @@ pub(super) fn rig_trajectories(
         ..Pose::IDENTITY
     });
     let ego = scene.ego.as_ref().unwrap_or(&standing);
-    let moments = moments(span_s.0, span_s.1);
+    let moments = moments(span_s.0, span_s.1, offset_of(span_s.0));
     let local_from_rig = |time_s: f64| {
         let pose = ego.at(time_s);
         Pose {
@@ -74,18 +87,28 @@ pub(super) fn rig_trajectories(
     };
     let mut calibrations = Map::new();
     let mut frames = Map::new();
-    // A frame lasts as long as its readout, around its moment, and at least an instant, of which
-    // the end is not part; the last sample is where the way ends.
+    // A frame lasts as long as its readout or exposure, around its moment.
     let frame_times = |intrinsics: &Intrinsics| -> Vec<[u64; 2]> {
         let size_px = [intrinsics.width_px, intrinsics.height_px];
-        let readout_us = (1e6 * intrinsics.shutter.readout_s(size_px)).round() as u64;
-        let moments = moments.iter().take(moments.len().max(2) - 1);
-        moments
-            .map(|&(_, time_us)| {
-                let start_us = time_us.saturating_sub(readout_us / 2);
-                [start_us, start_us + readout_us.max(1)]
-            })
-            .collect()
+        let readout_s = match intrinsics.shutter.direction() {
+            ShutterDirection::Global => EXPOSURE_S,
+            _ => intrinsics.shutter.readout_s(size_px),
+        };
+        let readout_us = ((1e6 * readout_s).round() as u64).max(2);
+        let (first_us, last_us) = (moments[0].1, moments[moments.len() - 1].1);
+        let frame = |&(_, time_us): &(f64, u64)| {
+            let start_us = time_us.saturating_sub(readout_us / 2);
+            [start_us, start_us + readout_us]
+        };
+        let earliest_us = first_us + (1e6 * BEFORE_FRAMES_S) as u64;
+        let is_known =
+            |[start_us, end_us]: &[u64; 2]| *start_us >= earliest_us && *end_us <= last_us;
+        let mut frames: Vec<[u64; 2]> = moments.iter().map(frame).filter(is_known).collect();
+        if frames.is_empty() {
+            // A scene too short for a frame with room before it has one at its end.
+            frames.push([last_us.saturating_sub(readout_us).max(first_us), last_us]);
+        }
+        frames
     };
     for (index, camera) in scene.rig.cameras().enumerate() {
         let key = format!("{}@{}", camera.name, options.scene_id);
@@ -188,17 +211,74 @@ fn earth_from_east_north_up(latitude_deg: f64, longitude_deg: f64) -> Pose {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use decouplegs_scene::RigCamera;
 
     #[test]
     fn moments_rise_and_hold_both_ends() {
         assert_eq!(
-            moments(0.0, 0.25)
+            moments(0.0, 0.25, 1.0)
                 .iter()
                 .map(|moment| moment.1)
                 .collect::<Vec<_>>(),
-            [0, 100_000, 200_000, 250_000]
+            [1_000_000, 1_100_000, 1_200_000, 1_250_000]
         );
-        assert_eq!(moments(1.0, 1.0).len(), 1);
+        assert_eq!(moments(1.0, 1.0, 0.0).len(), 1);
+    }
+
+    #[test]
+    fn packages_begin_at_one_second_or_later() {
+        for (start_s, offset_s) in [(0.0, 1.0), (0.25, 1.0), (1.0, 0.0), (7.5, 0.0), (-3.2, 5.0)] {
+            assert_eq!(offset_of(start_s), offset_s, "{start_s}");
+        }
+    }
+
+    /// AlpaSim at 3032e0c, with the defaults of `src/wizard/configs/base_config.yaml` (shutter
+    /// 30 ms, control step 100 ms), subtracts both from the end of the first frame and from the
+    /// first pose: `unbound_rollout.py:88-94`, `event_loop.py:236`.
+    #[test]
+    fn times_leave_room_for_a_shutter_and_a_control_step() {
+        let front = RigCamera {
+            name: "front".into(),
+            intrinsics: Intrinsics::from_horizontal_fov(640, 360, 1.1),
+            rig_from_camera: Pose::IDENTITY,
+        };
+        let mut scene = SceneFile::of_background("none.ply");
+        scene.rig = [front].into_iter().collect();
+        let at = |time_s: f64| decouplegs_scene::TimedPose {
+            time_s,
+            pose: Pose::IDENTITY,
+        };
+        for end_s in [0.1, 4.0] {
+            scene.ego = Some(Trajectory::new(vec![at(0.0), at(end_s)]).unwrap());
+            let span_s = span_of(&scene).unwrap();
+            let json = rig_trajectories(&scene, &PackOptions::new("place"), span_s);
+            let way = &json["rig_trajectories"][0];
+            let times = way["T_rig_world_timestamps_us"].as_array().unwrap();
+            let (first_us, last_us) = (
+                times[0].as_i64().unwrap(),
+                times[times.len() - 1].as_i64().unwrap(),
+            );
+            let frames = way["cameras_frame_timestamps_us"]["front@place"]
+                .as_array()
+                .unwrap();
+            assert!(
+                first_us - 100_000 >= 0,
+                "a control step before the first pose"
+            );
+            let [start_us, end_us] = [0, 1].map(|part| frames[0][part].as_i64().unwrap());
+            assert!(
+                end_us - 30_000 >= first_us,
+                "a shutter before the first frame"
+            );
+            for frame in frames {
+                let [start_us, end_us] = [0, 1].map(|part| frame[part].as_i64().unwrap());
+                assert!(first_us <= start_us && end_us <= last_us);
+                assert!(end_us - start_us == 30_000, "{frame}");
+            }
+            if end_s > 1.0 {
+                assert!(start_us >= first_us + 200_000 && end_us < first_us + 400_000);
+            }
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! A scene into a package.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 
 use super::agents::sequence_tracks;
-use super::rig::{geographic_origin, rig_trajectories, span_of};
+use super::rig::{geographic_origin, offset_of, package_us, rig_trajectories, span_of};
 use super::{OURS, PackOptions, SCENE};
 use crate::zip::StoredZip;
 use crate::{AssetError, SceneFile, SceneLidar, SeenFrom, write_atomically};
@@ -21,8 +21,10 @@ const STAGE: &str = "#usda 1.0\n(\n    defaultPrim = \"World\"\n    metersPerUni
 pub struct PackSummary {
     /// Names of the entries, in order.
     pub entries: Vec<String>,
-    /// First and last moment, seconds.
+    /// First and last moment of the scene, seconds.
     pub span_s: (f64, f64),
+    /// Seconds that the package adds to the times of the scene.
+    pub offset_s: f64,
     /// True if the map says where on Earth it is; without that AlpaSim cannot lay it under the
     /// scene.
     pub is_georeferenced: bool,
@@ -32,7 +34,7 @@ pub struct PackSummary {
 ///
 /// # Errors
 /// [`AssetError`] of the file at fault; [`AssetError::Placement`] when the scene's times do not
-/// fit, the id is none or an asset is a folder.
+/// fit, the id is none, a camera to be renamed is not there or an asset is a folder.
 pub fn pack(
     scene: &SceneFile,
     directory: &Path,
@@ -40,16 +42,8 @@ pub fn pack(
     out: &Path,
 ) -> Result<PackSummary, AssetError> {
     let refused = |message: String| AssetError::Placement(message);
-    if options.scene_id.is_empty()
-        || options
-            .scene_id
-            .contains(|c: char| c.is_control() || matches!(c, '/' | '\\' | '"' | '@'))
-    {
-        return Err(refused(format!(
-            "{:?} is no scene id; expected a name without slashes, quotes and @",
-            options.scene_id
-        )));
-    }
+    check_id(&options.scene_id).map_err(refused)?;
+    let scene = &with_camera_names(scene, &options.camera_names).map_err(refused)?;
     let mut cameras = scene.rig.cameras();
     if let Some(camera) = cameras.find(|camera| camera.intrinsics.windshield.is_some()) {
         return Err(refused(format!(
@@ -124,8 +118,58 @@ pub fn pack(
     Ok(PackSummary {
         entries,
         span_s,
+        offset_s: offset_of(span_s.0),
         is_georeferenced,
     })
+}
+
+/// Checks that an id can name a scene in requests and files of others.
+fn check_id(id: &str) -> Result<(), String> {
+    if id.is_empty() || id.contains(|c: char| c.is_control() || "/\\\"@".contains(c)) {
+        return Err(format!(
+            "{id:?} is no scene id; expected a name without slashes, quotes and @"
+        ));
+    }
+    Ok(())
+}
+
+/// The scene with other names of cameras.
+fn with_camera_names(scene: &SceneFile, names: &[(String, String)]) -> Result<SceneFile, String> {
+    let mut scene = scene.clone();
+    for (index, (from, to)) in names.iter().enumerate() {
+        if names[..index].iter().any(|(other, _)| other == from) {
+            return Err(format!("camera {from:?} is renamed twice"));
+        }
+        if to.is_empty() || to.contains(|c: char| c.is_control() || matches!(c, '/' | '\\' | '@')) {
+            return Err(format!(
+                "{to:?} is no name of a camera; expected one without slashes and @"
+            ));
+        }
+        if !scene.rig.cameras().any(|camera| camera.name == *from) {
+            let there: Vec<&str> = scene
+                .rig
+                .cameras()
+                .map(|camera| camera.name.as_str())
+                .collect();
+            return Err(format!(
+                "the scene has no camera {from:?} to rename, only: {}",
+                there.join(", ")
+            ));
+        }
+    }
+    let renamed = |name: &String| names.iter().find(|(from, _)| from == name);
+    for camera in scene.rig.cameras_mut() {
+        if let Some((_, to)) = renamed(&camera.name) {
+            camera.name.clone_from(to);
+        }
+    }
+    let mut seen = HashSet::new();
+    let sensors = scene.rig.sensors.iter().map(|sensor| sensor.name());
+    let lidars = scene.lidars.iter().map(|lidar| lidar.name.as_str());
+    if let Some(twice) = sensors.chain(lidars).find(|name| !seen.insert(*name)) {
+        return Err(format!("two sensors would be called {twice:?}"));
+    }
+    Ok(scene)
 }
 
 /// The scene as it names its files in the package, and where each comes from and what it is called
@@ -193,14 +237,14 @@ fn metadata(scene: &SceneFile, options: &PackOptions, span_s: (f64, f64)) -> Str
          time_range:\n  start: {:?}\n  end: {:?}\ntraining_step_outputs: {{}}\n",
         quoted(concat!("decouplegs ", env!("CARGO_PKG_VERSION"))),
         json!(cameras),
-        span_s.0,
-        span_s.1
+        span_s.0 + offset_of(span_s.0),
+        span_s.1 + offset_of(span_s.0)
     )
 }
 
 /// `data_info.json`.
 fn data_info(options: &PackOptions, span_s: (f64, f64)) -> Value {
-    let us = |time_s: f64| (time_s * 1e6).round() as u64;
+    let us = |time_s: f64| package_us(time_s, offset_of(span_s.0));
     json!({
         "sequence_id": options.scene_id,
         "pose-range": {"start-timestamp_us": us(span_s.0), "end-timestamp_us": us(span_s.1)},

@@ -8,7 +8,7 @@
 mod read;
 mod write;
 
-pub(crate) use read::Archive;
+pub(crate) use read::{Archive, first_stored};
 pub use write::{ALIGNMENT, StoredZip};
 
 /// Signature of local entries.
@@ -66,6 +66,17 @@ mod tests {
             assert_eq!(archive.checked(name, 300).unwrap(), content);
         }
         assert_eq!(archive.stored("a.txt").unwrap(), b"first");
+        // Also where the end of the file, with the directory, is not there.
+        assert_eq!(
+            first_stored(&bytes[..430], "folder/b.bin"),
+            Some(&[7; 300][..])
+        );
+        assert_eq!(
+            first_stored(&bytes[..400], "folder/b.bin"),
+            None,
+            "cut short"
+        );
+        assert_eq!(first_stored(&bytes, "c"), None);
         assert!(
             archive
                 .checked("folder/b.bin", 299)

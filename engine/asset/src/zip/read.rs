@@ -166,6 +166,28 @@ impl<'a> Archive<'a> {
     }
 }
 
+/// The content of the entry `name` among the stored ones at the `start` of an archive, without its
+/// directory, which is at the end of a file that may be large. `None` where it is not among them.
+/// Its checksum is not examined.
+pub(crate) fn first_stored<'a>(start: &'a [u8], name: &str) -> Option<&'a [u8]> {
+    let mut at = 0;
+    loop {
+        let header = slice(start, at, LOCAL_BYTES)?;
+        // Stored, and its size is known before its content.
+        if !header.starts_with(&LOCAL) || u16_at(header, 8) != 0 || u16_at(header, 6) & 8 != 0 {
+            return None;
+        }
+        let [name_bytes, extra_bytes] = [26, 28].map(|at| usize::from(u16_at(header, at)));
+        let name_at = at + LOCAL_BYTES;
+        let content_at = name_at + name_bytes + extra_bytes;
+        let content_bytes = usize::try_from(u32_at(header, 18)).ok()?;
+        if slice(start, name_at, name_bytes)? == name.as_bytes() {
+            return slice(start, content_at, content_bytes);
+        }
+        at = content_at.checked_add(content_bytes)?;
+    }
+}
+
 fn inflated(packed: &[u8], entry: &Entry<'_>) -> Result<Vec<u8>, DecodeError> {
     let mut content = Vec::new();
     // One byte more than is claimed tells a claim that is too small.

@@ -1,10 +1,11 @@
-//! HD-Score, the score of HUGSIM, from the record of an episode.
+//! HD-Scores from the record of an episode: HUGSIM's own ([`HdScore::from_plans`], in
+//! `plan_hd_score`), and the same terms taken from what was driven ([`HdScore::from_driven`]).
 //!
 //! At each moment, with terms of 0 or 1: `NC * DAC * (5 TTC + 2 C) / 7`. The score of an episode is
 //! its route completion times the mean over all moments (Zhou et al., "HUGSIM: A Real-Time,
 //! Photo-Realistic and Closed-Loop Simulator for Autonomous Driving", 2024). Terms are those of
 //! NAVSIM's PDM score (Dauner et al., "NAVSIM: Data-Driven Non-Reactive Autonomous Vehicle
-//! Simulation and Benchmarking", 2024), taken from what was driven.
+//! Simulation and Benchmarking", 2024).
 
 use decouplegs_scene::episode::{Episode, EpisodeEnd, EpisodeTick};
 use glam::DVec2;
@@ -14,9 +15,9 @@ use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
 
 /// Weights of the time to collision and of comfort.
-const WEIGHTS: [f64; 2] = [5.0, 2.0];
+pub(super) const WEIGHTS: [f64; 2] = [5.0, 2.0];
 /// Moments at which the boxes of the ego and of others are compared, seconds from now.
-const AHEAD_S: [f64; 2] = [0.5, 1.0];
+pub(super) const AHEAD_S: [f64; 2] = [0.5, 1.0];
 /// An ego slower than this is on no course for a collision, meters per second.
 const STANDING_MPS: f64 = 0.005;
 /// Time over which rates are differences, half of it before and half of it after a moment, seconds.
@@ -33,15 +34,6 @@ const JERK_MPS3: f64 = 8.37;
 const YAW_RADPS: f64 = 0.95;
 /// Greatest yaw acceleration, rad/s^2.
 const YAW_RADPS2: f64 = 1.93;
-
-/// Version of the comfort term.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum HdVariant {
-    /// The public code of HUGSIM: the acceleration across counts as 0.
-    AsPublished,
-    /// The definition: the acceleration across is that of the ego.
-    Corrected,
-}
 
 /// HD-Score of an episode, with the means of its terms; all from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,11 +53,11 @@ pub struct HdScore {
 }
 
 impl HdScore {
-    /// The score of `episode`.
+    /// The score of `episode` in the manner of HUGSIM, from what was driven, at all its moments.
     #[must_use]
-    pub fn new(episode: &Episode, variant: HdVariant) -> Self {
+    pub fn from_driven(episode: &Episode) -> Self {
         let ticks: Vec<&EpisodeTick> = episode.instants().collect();
-        let comfort = comfortable(&ticks, variant);
+        let comfort = comfortable(&ticks);
         let hits_obstacle = matches!(episode.end, EpisodeEnd::Obstacle { .. });
         let mut sums = [0.0; 5];
         for (index, tick) in ticks.iter().enumerate() {
@@ -119,7 +111,7 @@ fn touches(episode: &Episode, tick: &EpisodeTick, ahead_s: f64) -> bool {
 }
 
 /// True for each of `ticks` at which the ego is within the bounds of comfort.
-fn comfortable(ticks: &[&EpisodeTick], variant: HdVariant) -> Vec<bool> {
+fn comfortable(ticks: &[&EpisodeTick]) -> Vec<bool> {
     let times_s: Vec<f64> = ticks.iter().map(|tick| tick.time_s).collect();
     let speeds: Vec<f64> = ticks.iter().map(|tick| tick.ego.speed_mps).collect();
     let mut yaw_rad = 0.0;
@@ -130,10 +122,7 @@ fn comfortable(ticks: &[&EpisodeTick], variant: HdVariant) -> Vec<bool> {
     }
     let ahead = rates(&times_s, &speeds);
     let yaw_rates = rates(&times_s, &yaws);
-    let across: Vec<f64> = match variant {
-        HdVariant::AsPublished => vec![0.0; ticks.len()],
-        HdVariant::Corrected => speeds.iter().zip(&yaw_rates).map(|(v, w)| v * w).collect(),
-    };
+    let across: Vec<f64> = speeds.iter().zip(&yaw_rates).map(|(v, w)| v * w).collect();
     let jerk_ahead = rates(&times_s, &ahead);
     let jerk_across = rates(&times_s, &across);
     let yaw_accelerations = rates(&times_s, &yaw_rates);

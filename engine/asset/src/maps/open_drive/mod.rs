@@ -14,6 +14,7 @@
 //! some 20 cm, its middle by half of it), kerb heights, objects, signals other than traffic lights
 //! (`signals`), railways.
 
+mod beside;
 mod cubic;
 mod junctions;
 mod lanes;
