@@ -18,6 +18,80 @@ fn site(folder: &Path) -> (PathBuf, PathBuf) {
     (street.join("scene.toml"), edited.join("new.toml"))
 }
 
+/// A cut changes nothing as long as the agent stays, and leaves the place when it is moved.
+#[test]
+fn an_agent_is_cut_out_of_the_background() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, new) = site(folder.path());
+    let before = SceneFile::read(&scene).unwrap();
+    // A street whose first car is part of the background: its world at the start, baked.
+    let baked = folder.path().join("street/baked.toml");
+    let car = &before.agents[0];
+    let pose = car.trajectory.at(0.0);
+    let plain = SceneFile {
+        background: "world.ply".into(),
+        agents: Vec::new(),
+        ..before.clone()
+    };
+    plain.write(&baked).unwrap();
+    let yaw_deg = pose.heading_rad().to_degrees();
+    let at = pose.translation;
+    let cut = format!("car={},{},{},{yaw_deg},6,3,2.5", at.x, at.y, at.z);
+    let said = succeed(&["edit", text(&baked), "--out", text(&new), "--cut", &cut]);
+    assert!(
+        said.contains("car: ") && said.contains("1 agents, 0 before"),
+        "{said}"
+    );
+    let edited = SceneFile::read(&new).unwrap();
+    assert_eq!(edited.agents[0].asset, PathBuf::from("car.ply"));
+    let images = |scene: &Path, out: &str| {
+        let out = folder.path().join(out);
+        succeed(&[
+            "render",
+            text(scene),
+            "--size",
+            "96x54",
+            "--out",
+            text(&out),
+        ]);
+        Image::read(&out.join("front.png")).unwrap()
+    };
+    let (whole, stays) = (images(&baked, "whole"), images(&new, "stays"));
+    let off = |a: &Image, b: &Image| {
+        let pairs = a.rgb.iter().flatten().zip(b.rgb.iter().flatten());
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    };
+    // The asset is stored in another frame, in 32 bits.
+    assert!(
+        off(&whole, &stays) <= 2.5 / 255.0,
+        "{}",
+        off(&whole, &stays)
+    );
+    // Nothing that exists is replaced, and a box without splats is no agent.
+    assert!(
+        fail(
+            1,
+            &["edit", text(&baked), "--out", text(&new), "--cut", &cut]
+        )
+        .contains("car.ply exists")
+    );
+    let empty = folder.path().join("edited/empty.toml");
+    let nowhere = "car=0,0,500,0,4,2,2";
+    let said = fail(
+        1,
+        &[
+            "edit",
+            text(&baked),
+            "--out",
+            text(&empty),
+            "--cut",
+            nowhere,
+        ],
+    );
+    assert!(said.contains("0 splats in the box of car"), "{said}");
+    assert!(!empty.exists());
+}
+
 #[test]
 fn a_scene_is_edited_into_another_folder_and_left_as_it_is() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,6 +1,7 @@
 //! `decouplegs edit`: a scene with agents moved, swapped, removed and added, as a new scene file.
 
 mod change;
+mod cut;
 
 use std::path::{Path, PathBuf};
 
@@ -12,11 +13,11 @@ use decouplegs::scene::{Pose, Presence, Trajectory};
 
 use crate::arguments::{print, warn};
 use crate::progress;
-use change::{Addition, Move, Shift, Swap, Times};
+use change::{Addition, CutBox, Move, Shift, Swap, Times};
 
 /// Move, swap, remove, add and time agents of a scene, and write it as a new scene file
 ///
-/// Whatever the order on the command line: agents are removed first, then added, swapped, moved and
+/// Whatever the order on the command line: agents are cut out first, then removed, then added, swapped, moved and
 /// shifted. Positions are world coordinates of the middle of an agent's box, meters; angles are
 /// degrees, counted from x towards y. Files that the scene names stay where they are: their paths
 /// are rewritten if the new file lies in another folder. Comments of the old file are lost.
@@ -30,6 +31,14 @@ pub struct Arguments {
     /// Remove an agent; later agents of the file get other instance ids
     #[arg(long, value_name = "NAME")]
     remove: Vec<String>,
+    /// Cut an agent out of the background: the splats in this box become the asset NAME.ply beside
+    /// the new file, which moves like others, and the background without them is written too
+    #[arg(
+        long,
+        value_name = "NAME=X,Y,Z,YAW_DEG,LENGTH,WIDTH,HEIGHT",
+        allow_hyphen_values = true
+    )]
+    cut: Vec<CutBox>,
     /// Add an agent at a fixed pose
     #[arg(
         long,
@@ -98,8 +107,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             arguments.out.display()
         )
     })?;
-    let touched = change(&mut edited, arguments, to)?;
     let mut report = String::new();
+    if !arguments.cut.is_empty() {
+        let cutting = progress::spinner("cutting agents out of the background".into());
+        report = cut::cut(&mut edited, &arguments.cut, to)?;
+        cutting.finish_and_clear();
+    }
+    let touched = change(&mut edited, arguments, to)?;
     if arguments.ground {
         let background = to.join(&edited.background);
         let reading = progress::spinner(format!("reading {}", background.display()));

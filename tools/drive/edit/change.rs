@@ -6,6 +6,9 @@ use std::str::FromStr;
 use decouplegs::scene::{Pose, Presence};
 use glam::{DQuat, DVec3};
 
+/// No agent is longer, meters.
+const SIDE_M_MAX: f64 = 100.0;
+
 /// An agent that comes: `NAME=ASSET,X,Y,Z,YAW_DEG`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Addition {
@@ -13,6 +16,16 @@ pub struct Addition {
     pub asset: PathBuf,
     pub position_m: DVec3,
     pub yaw_rad: f64,
+}
+
+/// An agent that is cut out of the background: `NAME=X,Y,Z,YAW_DEG,LENGTH,WIDTH,HEIGHT`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CutBox {
+    pub name: String,
+    /// World from box.
+    pub pose: Pose,
+    /// Length, width and height, meters.
+    pub dims_m: DVec3,
 }
 
 /// Another asset for an agent: `NAME=ASSET`.
@@ -64,6 +77,36 @@ impl FromStr for Addition {
         });
         parsed.ok_or_else(|| {
             format!("expected NAME=ASSET,X,Y,Z,YAW_DEG, like taxi=car.safetensors,12.5,-3,0.75,90, found {text:?}")
+        })
+    }
+}
+
+impl FromStr for CutBox {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parsed = named_numbers(text).and_then(|(name, numbers)| match numbers[..] {
+            [x, y, z, yaw_deg, length, width, height] => {
+                let dims_m = DVec3::new(length, width, height);
+                let is_box = dims_m.min_element() > 0.0 && dims_m.max_element() <= SIDE_M_MAX;
+                // The name becomes that of a file.
+                let is_plain = name
+                    .chars()
+                    .all(|c| c.is_ascii_alphanumeric() || matches!(c, '_' | '-'));
+                let rotation = DQuat::from_rotation_z(yaw_deg.to_radians());
+                (is_box && is_plain).then(|| Self {
+                    name,
+                    pose: Pose::new(rotation, DVec3::new(x, y, z)),
+                    dims_m,
+                })
+            }
+            _ => None,
+        });
+        parsed.ok_or_else(|| {
+            format!(
+                "expected NAME=X,Y,Z,YAW_DEG,LENGTH,WIDTH,HEIGHT in meters and degrees, the name of letters, digits, - and _, \
+                 like van_00=14.7,4.1,0.2,31.6,4.4,1.8,2.0, found {text:?}"
+            )
         })
     }
 }

@@ -45,7 +45,7 @@ pub fn read(
             rig_from_camera: middle_from_imu.then(&camera.imu_from_camera),
         })
         .collect();
-    let trained = trained.map(|path| trained_poses(path)).transpose()?;
+    let trained = trained.map(trained_poses).transpose()?;
     // World from IMU by frame.
     let mut world_from_imu: Vec<(usize, f64, Pose)> = Vec::new();
     let frames = drive.times_s.iter().copied().enumerate();
