@@ -271,7 +271,7 @@ impl Connection {
         self.peer
     }
 
-    /// What requests of the connection see of it.
+    /// The state of the connection that its requests see.
     #[must_use]
     pub fn info(&self) -> ConnectionInfo {
         self.info.clone()

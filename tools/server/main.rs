@@ -1,8 +1,8 @@
 //! The program `decouplegs-server`.
 //!
 //! It exits with 0 when it was told to stop, with 1 when it could not serve (one sentence on
-//! standard error, then its causes), with 2 when the command line makes no sense, and with 130 when it
-//! was told twice.
+//! standard error, then its causes), with 2 when the command line makes no sense, and with 130 when
+//! it was told twice.
 #![forbid(unsafe_code)]
 
 use std::io::{IsTerminal, Write};

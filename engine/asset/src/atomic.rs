@@ -37,7 +37,7 @@ pub fn write_atomically(
     })
 }
 
-/// What a file that is written may replace.
+/// Files that one which is written may replace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Replaces {
     /// Nothing: a name that is taken, also by a link that leads nowhere, is an error.
@@ -47,8 +47,7 @@ pub enum Replaces {
 }
 
 /// Writes `path` as [`write_atomically`] does, and follows no link: the file is in the folder of
-/// `path` afterwards. For names that come from somebody else than who runs the program, or that
-/// stand in a folder of somebody else.
+/// `path` afterwards. For names that a client gives, and folders that others may write.
 ///
 /// # Errors
 /// [`AssetError::Write`] with the failure of `fill` or of the operating system, or where
@@ -177,8 +176,8 @@ fn finish(file: &File, replaced: Option<&Metadata>) -> io::Result<()> {
     file.sync_all()
 }
 
-/// Links `file`, which has no name, to `path`, over any file there that it may replace. Only the last two steps leave a
-/// file behind if the program is killed between them.
+/// Links `file`, which has no name, to `path`, over any file there that it may replace. Only the
+/// last two steps leave a file behind if the program is killed between them.
 fn give_name(file: &File, path: &Path, replaces: Replaces) -> io::Result<()> {
     let unnamed = format!("/proc/self/fd/{}", file.as_raw_fd());
     let link = |name: &Path| linkat(CWD, unnamed.as_str(), CWD, name, AtFlags::SYMLINK_FOLLOW);
@@ -305,7 +304,7 @@ mod tests {
         }
         assert_eq!(std::fs::read(at("in/taken")).unwrap(), b"old");
         write("in/fresh", Replaces::Nothing).unwrap();
-        // Whoever put a link there meanwhile gets nothing written through it.
+        // A link that was put there meanwhile is replaced, and nothing is written through it.
         write("in/dangling", Replaces::Anything).unwrap();
         write("in/taken", Replaces::Anything).unwrap();
         assert!(write("in", Replaces::Anything).is_err());

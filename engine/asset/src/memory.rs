@@ -43,7 +43,7 @@ pub fn require(what: &str, bytes: u64) -> Result<(), Invalid> {
 /// Files and arguments state the numbers one by one, and each may be harmless.
 ///
 /// # Errors
-/// As [`require`]; a product of more than 64 bits is beyond every memory.
+/// Returns the errors of [`require`]; a product of more than 64 bits is beyond every memory.
 pub fn require_product(what: &str, counts: &[u64], bytes_each: u64) -> Result<(), Invalid> {
     require(
         what,

@@ -52,7 +52,7 @@ impl UnfinishedFolder {
         loop {
             let part = builder.tempdir_in(parent)?;
             let mut mark = File::create_new(part.path().join(MARK))?;
-            // Somebody may sweep between the two calls.
+            // Another program may sweep between the two calls.
             if flock(&mark, FlockOperation::NonBlockingLockExclusive).is_ok()
                 && part.path().join(MARK).exists()
             {

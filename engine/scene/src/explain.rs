@@ -33,7 +33,7 @@ pub fn explain(error: &(dyn Error + 'static)) -> String {
 /// stands first, the advice last.
 #[must_use]
 pub fn one_line(text: &str) -> String {
-    // What is far beyond the limit on both sides need not be looked at.
+    // The middle of a text that is far too long is cut before it is examined.
     let kept: Vec<char> = match text.char_indices().nth(16 * CHARS_MAX) {
         None => text.chars().collect(),
         Some(_) => {
