@@ -313,7 +313,8 @@ mod tests {
             for metadata in [&served, &middle] {
                 let shown = metadata.rig.at(&metadata.ego.at(time_s)).remove(0);
                 let found = shown.world_from_camera.translation;
-                assert!((found - truth).length() < 1e-5, "{found} {truth}");
+                // Ten poses a second of a point that goes around a bend.
+                assert!((found - truth).length() < 1e-4, "{found} {truth}");
             }
         }
     }

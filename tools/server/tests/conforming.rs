@@ -153,6 +153,11 @@ struct Faulty {
 
 impl Faulty {
     fn spoiled(&self, mut request: RgbRenderRequest) -> RgbRenderRequest {
+        let has_format = request.image_format() != ImageFormat::Undefined;
+        if self.fault == Some(Fault::SwapsColors) && has_format {
+            // Its pixels are swapped before they are encoded.
+            request.image_format = ImageFormat::Png.into();
+        }
         if let Some(spec) = &mut request.camera_intrinsics {
             match (self.fault, &mut spec.camera_param) {
                 (Some(Fault::HalfPixel), Some(CameraParam::FthetaParam(lens))) => {
@@ -176,9 +181,6 @@ impl Faulty {
             }
             (Some(Fault::IgnoresObjects), _) => request.dynamic_objects.clear(),
             (Some(Fault::InventsScenes), _) => request.scene_id = self.scene.clone(),
-            (Some(Fault::SwapsColors), _) if request.image_format() != ImageFormat::Undefined => {
-                request.image_format = ImageFormat::Png.into();
-            }
             (Some(Fault::DrawsUnlisted), _) => {
                 let recorded = Pose::from_yaw(0.3, DVec3::new(8.0, 3.0, 0.8));
                 let mut listed = request.dynamic_objects.iter();
