@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use decouplegs::asset::maps::length_m;
-use decouplegs::asset::{probe_paths, write_atomically};
+use decouplegs::asset::{probe_paths, write_atomically, write_obstacles};
 use decouplegs::drive::generate::{Area, Difficulty, Generator, PlaceOptions, Sky};
 use decouplegs::episode::Site;
 use decouplegs::logs::{read_scenario, write_scenario};
@@ -23,8 +23,8 @@ use crate::progress;
 #[derive(clap::Args)]
 pub struct PlaceArguments {
     /// Drive on the roads of this map, rendered as asphalt and markings, instead of the synthetic
-    /// street
-    #[arg(long, value_name = "FILE", conflicts_with = "scenarios")]
+    /// street, or instead of the map that OpenSCENARIO files name
+    #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
     /// Light the roads of --map by the probes (.hdr, .exr) in this folder. Names with `night`,
     /// `dusk`, `dawn`, `sunset`, `sunrise`, `overcast` or `cloud` define the weather; all others
@@ -99,19 +99,32 @@ const SKIPPED_SHOWN: usize = 8;
 /// The scenario of an OpenSCENARIO file, written to the folder of the run beside a list of what was
 /// skipped.
 fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Job> {
-    let imported = import_open_scenario(path)?;
+    let imported = import_open_scenario(path, arguments.place.map.as_deref())?;
     let mut scenario = stepped(imported.scenario, arguments);
+    let written = folder.scenario(&scenario.name);
     if let Place::Roads {
         background,
         agent_splats,
+        obstacles,
         ..
     } = &mut scenario.place
     {
         let place = &arguments.place;
         *background = place.background_on(&imported.map, arguments.render.0 > 0);
         *agent_splats = place.agent_splats;
+        if !imported.obstacles.is_empty() {
+            let file = written.with_extension("obstacles.json");
+            write_obstacles(&file, &imported.obstacles)?;
+            *obstacles = Some(std::path::absolute(file)?);
+        }
     }
-    let written = folder.scenario(&scenario.name);
+    eprintln!(
+        "{}: the planner drives {}; {} of {} events of others are driven",
+        path.display(),
+        imported.ego,
+        imported.events_driven,
+        imported.events
+    );
     write_scenario(&written, &scenario)?;
     let list = written.with_extension("skipped.txt");
     let mut text = imported.skipped.join("\n");
@@ -288,6 +301,7 @@ impl PlaceArguments {
                 map,
                 probe: None,
                 exposure_ev: 0.0,
+                obstacles: None,
                 background: 0,
                 agent_splats: 0,
             },

@@ -15,12 +15,15 @@ use glam::DVec3;
 
 use super::links::{LaneIndices, join};
 use super::polyline::{between, cleaned};
+use super::speed;
 use crate::DecodeError;
 use crate::xml::{Element, excerpt, parse};
 
-/// Signs that limit the speed, of Germany (and CommonRoad's own country), the United States and
-/// Spain.
-const SPEED_LIMIT_SIGNS: [&str; 3] = ["274", "R2-1", "r301"];
+/// Signs that limit the speed, also in a zone: of Germany (and CommonRoad's own country), the United
+/// States, Spain, France, Belgium, Russia, Croatia and Greece.
+const SPEED_LIMIT_SIGNS: [&str; 9] = [
+    "274", "274.1", "R2-1", "r301", "B14", "C43", "3.24", "B31", "R32",
+];
 
 /// The scenario that a document is, of a version that is read.
 pub(crate) fn scenario<'a>(
@@ -47,7 +50,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     let root = scenario(&document)?;
     let mut sign_limits = HashMap::new();
     for sign in root.all("trafficSign") {
-        if let Some(limit_mps) = sign_limit_mps(sign)? {
+        if let Some(limit_mps) = sign_limit_mps(sign) {
             sign_limits.insert(sign.needed_attribute("id")?, limit_mps);
         }
     }
@@ -140,18 +143,27 @@ fn bound(element: Element) -> Result<(Vec<DVec3>, bool), DecodeError> {
 }
 
 /// The least limit that the elements of a sign set, if they set one.
-fn sign_limit_mps(sign: Element) -> Result<Option<f64>, DecodeError> {
+fn sign_limit_mps(sign: Element) -> Option<f64> {
     let mut least_mps: Option<f64> = None;
     for part in sign.all("trafficSignElement") {
         let is_limit = part
             .first("trafficSignID")
             .is_some_and(|id| SPEED_LIMIT_SIGNS.contains(&id.text()));
         if let Some(value) = part.first("additionalValue").filter(|_| is_limit) {
-            let limit_mps = value.text_number()?;
+            // Meters a second, unless a converter wrote a unit.
+            let Some((number, factor)) = speed::with_unit(value.text()) else {
+                log::warn!(
+                    "line {}: the speed limit '{}' is no speed; it is left out",
+                    value.line(),
+                    excerpt(value.text())
+                );
+                continue;
+            };
+            let limit_mps = number * factor.unwrap_or(1.0);
             least_mps = Some(least_mps.map_or(limit_mps, |least| least.min(limit_mps)));
         }
     }
-    Ok(least_mps)
+    least_mps
 }
 
 fn kind(element: Element) -> LaneKind {
