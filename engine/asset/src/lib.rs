@@ -43,6 +43,7 @@ pub mod sog;
 pub mod splat;
 pub mod spz;
 pub mod tracks;
+mod unknown_keys;
 pub mod zip;
 
 #[doc(hidden)]
@@ -58,7 +59,7 @@ pub use maps::read_map;
 pub use obstacle_file::{read_obstacles, write_obstacles};
 pub use packed_scene::open_packed_scene;
 pub use probe::{probe_paths, read_probe};
-pub use read::{SplatFormat, read_splats};
+pub use read::{SplatFormat, read_placed_splats, read_splats};
 pub use scene_file::{
     AgentLabel, EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, PlainAgent, SceneAgent,
     SceneFile, SceneLidar, SceneLight, SceneSky, is_scene_file, open_scene,

@@ -17,7 +17,7 @@ use crate::{AssetError, DecodeError};
 /// Folders of a dataset in which a model is looked for, the given one first.
 const FOLDERS: [&str; 4] = ["", "sparse/0", "0", "sparse"];
 /// Names of the camera models by their numbers in binary files, and the number of their parameters.
-const MODELS: [(&str, usize); 11] = [
+const MODELS: [(&str, usize); 18] = [
     ("SIMPLE_PINHOLE", 3),
     ("PINHOLE", 4),
     ("SIMPLE_RADIAL", 4),
@@ -29,6 +29,13 @@ const MODELS: [(&str, usize); 11] = [
     ("SIMPLE_RADIAL_FISHEYE", 4),
     ("RADIAL_FISHEYE", 5),
     ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
 ];
 /// Bytes of a point in a binary image: x, y, number.
 const POINT_BYTES: u64 = 24;
@@ -101,8 +108,9 @@ fn decode_images(
     }
 }
 
-/// Intrinsics by the number of the camera.
-type Lenses = HashMap<u32, Intrinsics>;
+/// Intrinsics by the number of the camera, or a sentence that says why they are not drawn: it
+/// counts only if an image uses the camera.
+type Lenses = HashMap<u32, Result<Intrinsics, String>>;
 
 /// Reads `cameras.txt`.
 fn lenses_of_text(bytes: &[u8]) -> Result<Lenses, DecodeError> {
@@ -122,10 +130,8 @@ fn lenses_of_text(bytes: &[u8]) -> Result<Lenses, DecodeError> {
                 "expected whole numbers for id, width and height, and numbers behind them",
             ));
         };
-        lenses.insert(
-            id,
-            intrinsics(model, [width, height], &parameters).map_err(|reason| fault(&reason))?,
-        );
+        let lens = intrinsics(model, [width, height], &parameters);
+        lenses.insert(id, lens.map_err(|reason| fault(&reason).to_string()));
     }
     Ok(lenses)
 }
@@ -148,8 +154,7 @@ fn lenses_of_binary(bytes: &[u8]) -> Result<Lenses, DecodeError> {
         let parameters = (0..*count)
             .map(|_| reader.f64())
             .collect::<Result<Vec<f64>, _>>()?;
-        let of_camera = |reason| DecodeError::Malformed(format!("camera {id}: {reason}"));
-        lenses.insert(id, intrinsics(name, size, &parameters).map_err(of_camera)?);
+        lenses.insert(id, intrinsics(name, size, &parameters));
     }
     Ok(lenses)
 }
@@ -232,6 +237,8 @@ fn intrinsics(
         ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => {
             with([f, f], [cx, cy], fisheye([k1, k2, 0.0, 0.0]))
         }
+        ("SIMPLE_FISHEYE", &[f, cx, cy]) => with([f, f], [cx, cy], fisheye([0.0; 4])),
+        ("FISHEYE", &[fx, fy, cx, cy]) => with([fx, fy], [cx, cy], fisheye([0.0; 4])),
         _ => Err(format!(
             "camera model {model} is not drawn: undistort the images first (colmap image_undistorter)"
         )),
@@ -247,7 +254,15 @@ fn images_of_text(bytes: &[u8], lenses: &Lenses) -> Result<Vec<Camera>, DecodeEr
             continue;
         }
         let fault = |reason: String| DecodeError::Malformed(format!("line {number}: {reason}"));
-        let words: Vec<&str> = line.splitn(10, ' ').collect();
+        // Any white space parts the columns; the name is the rest of the line, blanks within.
+        let (mut words, mut rest) = (Vec::new(), line);
+        while words.len() < 9
+            && let Some((word, more)) = rest.split_once(|letter: char| letter.is_ascii_whitespace())
+        {
+            words.push(word);
+            rest = more.trim_start();
+        }
+        words.push(rest);
         let [_, pose @ .., lens, name] = words.as_slice() else {
             return Err(fault("expected ten columns".into()));
         };
@@ -297,9 +312,11 @@ fn camera(
     lens: u32,
     lenses: &Lenses,
 ) -> Result<Camera, String> {
-    let intrinsics = *lenses
+    let intrinsics = lenses
         .get(&lens)
-        .ok_or_else(|| format!("image '{name:.60}': there is no camera {lens}"))?;
+        .ok_or_else(|| format!("image '{name:.60}': there is no camera {lens}"))?
+        .clone()
+        .map_err(|reason| format!("image '{name:.60}': camera {lens}: {reason}"))?;
     let (rotation, translation) = (DQuat::from_xyzw(x, y, z, w), DVec3::from_array(t));
     if !(rotation.is_finite() && translation.is_finite() && rotation.length_squared() > 1e-12) {
         return Err(format!("image '{name:.60}': its pose is no rigid motion"));
@@ -387,152 +404,4 @@ impl<'a> Reader<'a> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const CAMERAS: &str = "# Camera list\n1 PINHOLE 640 480 500 510 320 240\n7 OPENCV 640 480 500 510 320 240 0.1 0.01 0.001 -0.001\n";
-    /// A camera at (0, 0, -5) that looks along z, and one at (4, 0, 0) turned by half a turn about
-    /// y.
-    const IMAGES: &str = "# Image list\n2 0 0 1 0 4 0 0 7 b dir/b.png\n\n1 1 0 0 0 0 0 5 1 a.jpg\n1.5 2.5 -1 3.0 4.0 12\n";
-
-    fn binary() -> (Vec<u8>, Vec<u8>) {
-        let mut cameras = 2u64.to_le_bytes().to_vec();
-        for (id, model, parameters) in [
-            (1u32, 1u32, &[500.0f64, 510.0, 320.0, 240.0][..]),
-            (
-                7,
-                4,
-                &[500.0, 510.0, 320.0, 240.0, 0.1, 0.01, 0.001, -0.001],
-            ),
-        ] {
-            cameras.extend([id.to_le_bytes(), model.to_le_bytes()].concat());
-            cameras.extend([640u64.to_le_bytes(), 480u64.to_le_bytes()].concat());
-            cameras.extend(parameters.iter().flat_map(|number| number.to_le_bytes()));
-        }
-        let mut images = 2u64.to_le_bytes().to_vec();
-        for (id, pose, camera, name, points) in [
-            (
-                2u32,
-                [0.0f64, 0.0, 1.0, 0.0, 4.0, 0.0, 0.0],
-                7u32,
-                "b dir/b.png\0",
-                0u64,
-            ),
-            (1, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 5.0], 1, "a.jpg\0", 2),
-        ] {
-            images.extend(id.to_le_bytes());
-            images.extend(pose.iter().flat_map(|number| number.to_le_bytes()));
-            images.extend(camera.to_le_bytes());
-            images.extend(name.bytes());
-            images.extend(points.to_le_bytes());
-            images.extend(vec![7; (POINT_BYTES * points) as usize]);
-        }
-        (cameras, images)
-    }
-
-    #[test]
-    fn text_and_binary_are_the_same_cameras() {
-        let text = images_of_text(
-            IMAGES.as_bytes(),
-            &lenses_of_text(CAMERAS.as_bytes()).unwrap(),
-        )
-        .unwrap();
-        let (cameras, images) = binary();
-        assert_eq!(
-            images_of_binary(&images, &lenses_of_binary(&cameras).unwrap()).unwrap(),
-            text
-        );
-        assert_eq!(
-            [text[0].name.as_str(), text[1].name.as_str()],
-            ["a.jpg", "b dir/b.png"]
-        );
-        let [a, b] = [&text[0], &text[1]];
-        assert!((a.world_from_camera.translation - DVec3::new(0.0, 0.0, -5.0)).length() < 1e-12);
-        assert!((b.world_from_camera.translation - DVec3::new(4.0, 0.0, 0.0)).length() < 1e-12);
-        assert!((b.world_from_camera.rotation * DVec3::Z - DVec3::NEG_Z).length() < 1e-12);
-        assert_eq!(
-            (a.intrinsics.lens, a.intrinsics.fy_px),
-            (Lens::Pinhole, 510.0)
-        );
-        assert!(
-            matches!(b.intrinsics.lens, Lens::OpenCv(lens) if lens.radial[0] == 0.1 && lens.tangential[1] == -0.001)
-        );
-    }
-
-    #[test]
-    fn a_dataset_is_found_by_its_folder() {
-        let folder = tempfile::tempdir().unwrap();
-        let message = read_folder(folder.path()).unwrap_err().to_string();
-        assert!(
-            message.contains("cameras.bin") && message.contains("sparse/0"),
-            "{message}"
-        );
-        let model = folder.path().join("sparse/0");
-        std::fs::create_dir_all(&model).unwrap();
-        std::fs::write(model.join("cameras.txt"), CAMERAS).unwrap();
-        assert!(
-            read_folder(folder.path())
-                .unwrap_err()
-                .to_string()
-                .contains("images.txt")
-        );
-        std::fs::write(model.join("images.txt"), IMAGES).unwrap();
-        assert_eq!(read_folder(folder.path()).unwrap().len(), 2);
-        assert_eq!(read_folder(&model).unwrap().len(), 2);
-        let options = super::super::CameraOptions {
-            dataparser: Some(folder.path()),
-            ..Default::default()
-        };
-        assert!(
-            super::super::read_cameras(&model, &options)
-                .unwrap_err()
-                .to_string()
-                .contains("this is a folder")
-        );
-    }
-
-    #[test]
-    fn cut_and_wrong_files_are_errors() {
-        let (cameras, images) = binary();
-        let lenses = lenses_of_binary(&cameras).unwrap();
-        for length in 0..cameras.len() {
-            assert!(lenses_of_binary(&cameras[..length]).is_err(), "{length}");
-        }
-        for length in 0..images.len() {
-            assert!(
-                images_of_binary(&images[..length], &lenses).is_err(),
-                "{length}"
-            );
-        }
-        // A claim of points or images allocates nothing.
-        let mut lying = images.clone();
-        lying[..8].copy_from_slice(&u64::MAX.to_le_bytes());
-        assert!(images_of_binary(&lying, &lenses).is_err());
-        for (from, to, part) in [
-            ("PINHOLE 640 480 500", "FOV 640 480 1 500", "not drawn"),
-            ("PINHOLE", "CUBE", "unknown"),
-            ("510 320 240\n7", "510 320\n7", "4 parameters"),
-            ("640 480 500", "640 -1 500", "whole numbers"),
-            ("640 480 500", "99999999999 480 500", "pixels a side"),
-        ] {
-            let message = lenses_of_text(CAMERAS.replacen(from, to, 1).as_bytes())
-                .unwrap_err()
-                .to_string();
-            assert!(
-                message.contains(part) && message.contains("line 2"),
-                "{to}: {message}"
-            );
-        }
-        let lenses = lenses_of_text(CAMERAS.as_bytes()).unwrap();
-        for (from, to, part) in [
-            ("4 0 0 7 b", "4 0 0 9 b", "no camera 9"),
-            ("2 0 0 1 0", "2 0 0 0 0", "rigid"),
-            ("7 b dir/b.png", "", "IMAGE_ID"),
-        ] {
-            let message = images_of_text(IMAGES.replacen(from, to, 1).as_bytes(), &lenses)
-                .unwrap_err()
-                .to_string();
-            assert!(message.contains(part), "{to}: {message}");
-        }
-    }
-}
+mod tests;
