@@ -3,14 +3,14 @@
 //! A lanelet's kind is its `laneletType` (2020a; 2018b knows only roads). Its speed limit is its
 //! `speedLimit` (2018b) or that of the signs that it refers to (2020a), meters per second.
 //! Neighbors are kept where they run the same way. Traffic lights (2020a) have their cycles
-//! (`lights`). The road users of a scenario are
+//! (`lights`), and stop and yield signs stand at stop lines. The road users of a scenario are
 //! [`crate::tracks::commonroad`]'s.
 
 mod lights;
 
 use std::collections::HashMap;
 
-use decouplegs_scene::{Lane, LaneKind, LaneMap};
+use decouplegs_scene::{Lane, LaneKind, LaneMap, SignKind, StopLine, TrafficSign};
 use glam::DVec3;
 
 use super::links::{LaneIndices, join};
@@ -19,8 +19,8 @@ use super::speed;
 use crate::DecodeError;
 use crate::xml::{Element, excerpt, parse};
 
-/// Signs that limit the speed, also in a zone: of Germany (and CommonRoad's own country), the United
-/// States, Spain, France, Belgium, Russia, Croatia and Greece.
+/// Signs that limit the speed, also in a zone: of Germany (and CommonRoad's own country), the
+/// United States, Spain, France, Belgium, Russia, Croatia and Greece.
 const SPEED_LIMIT_SIGNS: [&str; 9] = [
     "274", "274.1", "R2-1", "r301", "B14", "C43", "3.24", "B31", "R32",
 ];
@@ -83,8 +83,10 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
             (beside("adjacentLeft"), beside("adjacentRight"));
     }
     let lights = lights::lights(root, &elements, &lanes)?;
+    let signs = signs(root, &elements, &lanes)?;
     Ok(LaneMap {
         lights,
+        signs,
         ..super::finished(lanes, DVec3::ZERO)?
     })
 }
@@ -140,6 +142,49 @@ fn bound(element: Element) -> Result<(Vec<DVec3>, bool), DecodeError> {
     } else {
         Ok((points, has_height))
     }
+}
+
+/// Stop and yield signs of driving lanes, at their stop lines: Germany's (and CommonRoad's own) and
+/// those of the United States.
+fn signs(
+    root: Element,
+    lanelets: &[Element],
+    lanes: &[Lane],
+) -> Result<Vec<TrafficSign>, DecodeError> {
+    let mut kinds = HashMap::new();
+    for sign in root.all("trafficSign") {
+        let ids = sign
+            .all("trafficSignElement")
+            .filter_map(|part| part.first("trafficSignID"));
+        let kind = ids
+            .filter_map(|id| match id.text() {
+                "206" | "R1-1" => Some(SignKind::Stop),
+                "205" | "R1-2" => Some(SignKind::Yield),
+                _ => None,
+            })
+            .next();
+        if let (Some(kind), Some(id)) = (kind, sign.attribute("id")) {
+            kinds.insert(id, kind);
+        }
+    }
+    let mut signs = Vec::new();
+    let driven = lanelets.iter().zip(lanes);
+    for (lanelet, lane) in driven.filter(|(_, lane)| lane.kind == LaneKind::Driving) {
+        let of_line = lanelet.first("stopLine");
+        let of_line = of_line.iter().flat_map(|line| line.all("trafficSignRef"));
+        let mut named = lanelet.all("trafficSignRef").chain(of_line);
+        let kind = named.find_map(|sign| kinds.get(sign.attribute("ref")?).copied());
+        if let Some(kind) = kind {
+            signs.push(TrafficSign {
+                kind,
+                line: StopLine {
+                    lane: lane.id.clone(),
+                    at_m: lights::stop_at_m(*lanelet, lane)?,
+                },
+            });
+        }
+    }
+    Ok(signs)
 }
 
 /// The least limit that the elements of a sign set, if they set one.

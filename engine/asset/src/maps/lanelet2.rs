@@ -39,6 +39,13 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     let document = parse(bytes)?;
     let root = Element::root(&document, "osm")?;
     let file = File::read(root)?;
+    if file.lanelets.is_empty() && file.has_roads {
+        return Err(DecodeError::Unsupported(
+            "the roads of a plain OpenStreetMap file, without lanelets; make lanes of them first, for instance with SUMO's \
+             netconvert (to OpenDRIVE) or with CommonRoad's scenario designer"
+                .into(),
+        ));
+    }
     let plane = file.plane()?;
     let mut budget = Budget::whole();
     let lanelets = file
@@ -82,6 +89,8 @@ struct File<'a> {
     rights: Vec<Element<'a>>,
     /// Ways that are stop signs.
     stop_signs: HashSet<&'a str>,
+    /// True if a way is a road of OpenStreetMap.
+    has_roads: bool,
 }
 
 /// Rule by which nodes become points.
@@ -127,6 +136,7 @@ impl<'a> File<'a> {
             lights: Vec::new(),
             rights: Vec::new(),
             stop_signs: HashSet::new(),
+            has_roads: false,
         };
         // JOSM keeps what was deleted until it is uploaded.
         for element in root
@@ -145,6 +155,7 @@ impl<'a> File<'a> {
                         .collect::<Result<_, _>>()?;
                     let id = element.needed_attribute("id")?;
                     file.ways.insert(id, nodes);
+                    file.has_roads |= tag(element, "highway").is_some();
                     if signs::is_stop_sign(element) {
                         file.stop_signs.insert(id);
                     }
@@ -376,7 +387,7 @@ impl<'a> Lanelet<'a> {
                 LaneKind::Driving
             }
             "emergency_lane" => LaneKind::Other,
-            // Subtypes of others, and of areas, keep their meaning whoever takes part.
+            // Subtypes of others, and of areas, keep their meaning, no matter who takes part.
             "parking" => return LaneKind::Parking,
             _ => return LaneKind::Other,
         };

@@ -55,11 +55,19 @@ fn maps_of_all_formats_are_the_same_as_open_drive() {
         "open_drive/crossing.xodr",
         "open_drive/three_lanes.xodr",
     ] {
-        let expected = seed(name);
-        let found = written(&expected);
-        assert_eq!(found.lanes.len(), expected.lanes.len(), "{name}");
-        for (found, expected) in found.lanes.iter().zip(&expected.lanes) {
+        let seeded = seed(name);
+        let found = written(&seeded);
+        assert_eq!(found.lanes.len(), seeded.lanes.len(), "{name}");
+        for (found, expected) in found.lanes.iter().zip(&seeded.lanes) {
             assert_same_lane(found, expected);
+            // Links over a gap are not believed.
+            let meets = |next: &usize| {
+                let end = expected.centerline[expected.centerline.len() - 1];
+                let start = seeded.lanes[*next].centerline[0];
+                end.truncate().distance(start.truncate()) < 4.0
+            };
+            let successors: Vec<usize> =
+                expected.successors.iter().copied().filter(meets).collect();
             let sorted = |links: &[usize]| {
                 let mut links = links.to_vec();
                 links.sort_unstable();
@@ -67,7 +75,7 @@ fn maps_of_all_formats_are_the_same_as_open_drive() {
             };
             assert_eq!(
                 sorted(&found.successors),
-                sorted(&expected.successors),
+                sorted(&successors),
                 "{name}, lane {}",
                 expected.id
             );

@@ -66,8 +66,8 @@ impl Network<'_> {
         }
     }
 
-    /// Joins the end of a lane with the lane `linked` across it. A road may give the wrong end of the
-    /// one that it touches: then the other is tried.
+    /// Joins the end of a lane with the lane `linked` across it. A road may give the wrong end of
+    /// the one that it touches: then the other is tried.
     fn join_lane(&mut self, at: [usize; 2], id: i64, contact: Contact, linked: i64) {
         let [road_at, section_at] = at;
         let Some(from) = self.end(road_at, section_at, id, contact) else {
@@ -157,8 +157,8 @@ impl Network<'_> {
         }
     }
 
-    /// Driving lanes without a successor, each with one without a predecessor that begins at its end
-    /// and leads on.
+    /// Driving lanes without a successor, each with one without a predecessor that begins at its
+    /// end and leads on.
     fn touching(&self) -> Vec<[usize; 2]> {
         let cell = |point: DVec3| {
             let cell = (point.truncate() / TOUCHING_M).floor();
@@ -180,7 +180,9 @@ impl Network<'_> {
             let line = &lane.centerline;
             let end = line[line.len() - 1];
             let [x, y] = cell(end);
-            let near = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| [x + dx, y + dy]));
+            let near = (-1..=1).flat_map(|dx| {
+                (-1..=1).map(move |dy| [x.saturating_add(dx), y.saturating_add(dy)])
+            });
             let next = near
                 .filter_map(|cell| starts.get(&cell).copied())
                 .find(|&next| {

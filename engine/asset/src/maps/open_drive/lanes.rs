@@ -61,8 +61,8 @@ const PART_M_MIN: f64 = 1.0;
 /// Most parts of a section.
 const PARTS_MAX: usize = 1000;
 
-/// `sections`, divided where the limit of one of their driving lanes changes: `road_limits` are those
-/// of the road from positions on.
+/// `sections`, divided where the limit of one of their driving lanes changes: `road_limits` are
+/// those of the road from positions on.
 pub(super) fn divided(sections: Vec<Section>, road_limits: &[(f64, Option<f64>)]) -> Vec<Section> {
     let mut parts = Vec::with_capacity(sections.len());
     for section in sections {

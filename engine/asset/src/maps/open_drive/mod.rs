@@ -7,7 +7,7 @@
 //! id is `road/section/lane`, sections counted from 0; each section of a road has lanes of its own.
 //! The speed limit is the lane's or, where it has none, the road's. Where it changes within a
 //! section, the section is divided: its parts are `3`, `3.1`, `3.2`.
-//! Links are believed where the ends of lanes meet within 2 m ([`junctions`]).
+//! Links are believed where the ends of lanes meet within 2 m (`junctions`).
 //! Coordinates are those of the file: `geoReference` and the header's `offset` are not applied.
 //!
 //! Lanes that taper to nothing beside the lane that follows are bent onto it (`tapers`).
@@ -117,6 +117,7 @@ pub fn decode_with_positions(bytes: &[u8]) -> Result<(LaneMap, RoadPositions), D
         roads.push(road);
         signals.push(signals::read(element)?);
     }
+    warn_of_late_profiles(&roads);
     let mut lanes: Vec<Lane> = Vec::new();
     let mut indices = Vec::with_capacity(roads.len());
     let mut budget = Budget::whole();
@@ -142,6 +143,30 @@ pub fn decode_with_positions(bytes: &[u8]) -> Result<(LaneMap, RoadPositions), D
         ..super::finished(lanes, DVec3::ZERO)?
     };
     Ok((map, RoadPositions::new(roads, indices, by_id)))
+}
+
+/// Warns of profiles without a polynomial where they begin. By the letter they are zero there; like
+/// other readers, this one continues the first polynomial backwards.
+fn warn_of_late_profiles(roads: &[Road]) {
+    let is_late = |road: &&Road| {
+        let of_section = |section: &Section| {
+            let mut lanes = section.left.iter().chain(&section.right);
+            lanes.any(|lane| lane.widths.begins_after(section.start_m))
+        };
+        // Parts of a divided section begin later than the widths of the whole.
+        road.elevation.begins_after(0.0)
+            || road.lane_offset.begins_after(0.0)
+            || road.sections.iter().any(of_section)
+    };
+    let mut late = roads.iter().filter(is_late);
+    if let Some(first) = late.next() {
+        log::warn!(
+            "{} roads, of which the first is {}, have an elevation, lane offset or width that begins after its road or \
+             section: it is continued backwards",
+            1 + late.count(),
+            excerpt(&first.id)
+        );
+    }
 }
 
 impl Road {
