@@ -10,6 +10,8 @@
 
 mod actions;
 mod locate;
+#[cfg(test)]
+mod tests;
 
 use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
@@ -89,11 +91,19 @@ pub fn import_open_scenario(
     }));
     let locator = Locator::new(&map, roads.as_ref(), &file.entities);
     let map_path = std::fs::canonicalize(map_file).unwrap_or_else(|_| map_file.to_owned());
+    let mut by_event: HashMap<usize, Vec<(usize, usize)>> = HashMap::new();
+    for (index, entity) in file.entities.iter().enumerate() {
+        for (at, event) in entity.events.iter().enumerate() {
+            by_event.entry(event.number).or_default().push((index, at));
+        }
+    }
     let import = Import {
         file: &file,
         map: &map,
         located: locator.all(),
         locator,
+        by_event,
+        event_times_s: RefCell::default(),
         events_driven: RefCell::default(),
     };
     let ego = import.ego_index().map_err(&fault)?;
@@ -135,6 +145,10 @@ struct Import<'a> {
     locator: Locator<'a>,
     /// Places of the entities at the start, `None` where they are unknown.
     located: Vec<Found>,
+    /// Actions of each event: entities, and places among their events.
+    by_event: HashMap<usize, Vec<(usize, usize)>>,
+    /// Times at which events begin (false) and end (true), where times alone decide them, seconds.
+    event_times_s: RefCell<HashMap<(usize, bool), Option<f64>>>,
     /// Numbers of events of which an action is driven.
     events_driven: RefCell<HashSet<usize>>,
 }
@@ -361,12 +375,19 @@ impl Import<'_> {
     /// Lanes to `to`, and its place; to a lane beside it, also of the other direction, where no way
     /// leads to its own.
     fn way_to(&self, from: LaneSpot, to: LaneSpot) -> Option<(Vec<usize>, LaneSpot)> {
-        if let Some(lanes) = lanes_between(self.map, from, to) {
+        // A lane beside, changed to at once, leads no way back.
+        let leads = |lanes: &Vec<usize>, to: LaneSpot| {
+            let mut pairs = lanes.windows(2);
+            pairs.any(|pair| self.map.lanes[pair[0]].successors.contains(&pair[1]))
+                || to.at_m > from.at_m
+        };
+        let way = |to: LaneSpot| lanes_between(self.map, from, to).filter(|lanes| leads(lanes, to));
+        if let Some(lanes) = way(to) {
             return Some((lanes, to));
         }
         let beside = self.locator.lanes_beside(to).into_iter();
         beside
-            .filter_map(|spot| Some((lanes_between(self.map, from, spot)?, spot)))
+            .filter_map(|spot| Some((way(spot)?, spot)))
             .min_by_key(|(lanes, _)| lanes.len())
     }
 
@@ -474,7 +495,7 @@ impl UniqueNames {
 }
 
 #[cfg(test)]
-mod tests {
+mod names {
     use super::*;
 
     #[test]

@@ -29,10 +29,15 @@ pub struct PlaceArguments {
     /// Light the roads of --map by the probes (.hdr, .exr) in this folder. Names with `night`,
     /// `dusk`, `dawn`, `sunset`, `sunrise`, `overcast` or `cloud` define the weather; all others
     /// count as clear days
-    #[arg(long, value_name = "DIR", requires = "map")]
+    #[arg(
+        long,
+        value_name = "DIR",
+        requires = "map",
+        conflicts_with = "scenarios"
+    )]
     probes: Option<PathBuf>,
     /// Drive in this captured scene (.toml), whose lanes are those of --map
-    #[arg(long, value_name = "FILE", requires = "map", conflicts_with = "probes")]
+    #[arg(long, value_name = "FILE", requires = "map", conflicts_with_all = ["probes", "scenarios"])]
     scene: Option<PathBuf>,
     /// Obstacles of --scene, instead of what its splats show beside the lanes. `map --obstacles`
     /// writes such a file
@@ -52,6 +57,9 @@ pub struct Job {
     pub scenario: Scenario,
     /// Base folder of the scenario's files.
     pub directory: PathBuf,
+    /// Sentence about events of its OpenSCENARIO file that are not driven, to stand beside its
+    /// score.
+    pub lost: Option<String>,
 }
 
 pub fn list(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
@@ -72,16 +80,28 @@ pub fn list(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
 }
 
 fn from_files(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
+    let is_open_scenario = |path: &PathBuf| {
+        path.extension()
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("xosc"))
+    };
+    if let Some(other) = arguments
+        .scenarios
+        .iter()
+        .find(|path| arguments.place.map.is_some() && !is_open_scenario(path))
+    {
+        bail!(
+            "--map stands for the map of OpenSCENARIO files (.xosc), and {} names its own",
+            other.display()
+        );
+    }
     let job = |path: &PathBuf| {
-        let is_open_scenario = path
-            .extension()
-            .is_some_and(|extension| extension.eq_ignore_ascii_case("xosc"));
-        if is_open_scenario {
+        if is_open_scenario(path) {
             return imported(path, arguments, folder);
         }
         Ok(Job {
             scenario: stepped(read_scenario(path)?, arguments),
             directory: path.parent().unwrap_or(Path::new("")).to_owned(),
+            lost: None,
         })
     };
     arguments.scenarios.iter().map(job).collect()
@@ -118,7 +138,8 @@ fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Jo
             *obstacles = Some(std::path::absolute(file)?);
         }
     }
-    eprintln!(
+    let _ = writeln!(
+        std::io::stderr(),
         "{}: the planner drives {}; {} of {} events of others are driven",
         path.display(),
         imported.ego,
@@ -138,9 +159,16 @@ fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Jo
         let more = skipped.len() - SKIPPED_SHOWN;
         warn(&format!("and {more} more: all are in {}", list.display()));
     }
+    let lost = (imported.events_driven < imported.events).then(|| {
+        format!(
+            "{}: {} of {} events of others are driven, so its score is not that of the whole file",
+            scenario.name, imported.events_driven, imported.events
+        )
+    });
     Ok(Job {
         scenario,
         directory: PathBuf::new(),
+        lost,
     })
 }
 
@@ -183,6 +211,7 @@ fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
         jobs.push(Job {
             scenario,
             directory: PathBuf::new(),
+            lost: None,
         });
         bar.inc(1);
     }

@@ -56,8 +56,8 @@ impl<'r> Catalogs<'r> {
         })
     }
 
-    /// What `read` makes of the entry that `reference` names, with the parameters that the reference
-    /// assigns. `None` if there is no such catalog.
+    /// Result of `read` for the entry that `reference` names, with the parameters that it assigns.
+    /// `None` if there is no such catalog.
     ///
     /// # Errors
     /// An error if the catalog is no catalog or has no such entry, and those of `read`.

@@ -13,8 +13,8 @@ use super::positions::{self, Position};
 /// Most groups that alternatives of a trigger lead to, and most conditions of a group.
 const GROUPS_MAX: usize = 64;
 
-/// When an event begins: stages that are reached one after the other, of acts first. A stage without
-/// groups is reached at once.
+/// Trigger of an event: stages that are reached one after the other, of acts first. A stage
+/// without groups is reached at once.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EventTrigger {
     /// The stages.
@@ -31,9 +31,9 @@ pub struct Condition {
     pub line: u32,
     /// The measured value.
     pub measure: Measure,
-    /// How it compares.
+    /// Comparison with the value.
     pub rule: Rule,
-    /// What it is compared with, in the unit of the measure.
+    /// Value that it is compared with, in the unit of the measure.
     pub value: f64,
     /// Time that passes from then on, seconds.
     pub delay_s: f64,
@@ -42,22 +42,22 @@ pub struct Condition {
 /// Comparison of a measured value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
-    /// At most the value.
+    /// Values up to it hold.
     Below,
-    /// At least the value.
+    /// Values from it on hold.
     Above,
-    /// The value, within what a step changes.
+    /// Values like it hold, within what a step changes.
     Equal,
 }
 
 /// Direction in which a distance is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
-    /// In a straight line.
+    /// Straight line.
     Straight,
-    /// Along the entity's heading, or along its lane.
+    /// Part along the entity's heading, or along its lane.
     Longitudinal,
-    /// Across it.
+    /// Part across it.
     Lateral,
 }
 
@@ -106,9 +106,9 @@ pub enum Measure {
     Distance {
         /// Name of the entity that it is measured from.
         of: String,
-        /// What it is measured to.
+        /// Other end.
         to: Target,
-        /// Its direction.
+        /// Direction in which it is measured.
         direction: Direction,
         /// True if it is measured between boxes, not reference points.
         between_boxes: bool,
@@ -126,7 +126,7 @@ pub enum Measure {
     TimeToCollision {
         /// Name of the entity.
         of: String,
-        /// What it would collide with.
+        /// Entity or place that it would collide with.
         to: Target,
         /// True if the distance is measured between boxes.
         between_boxes: bool,
@@ -266,8 +266,8 @@ fn stage(
     Ok(Some(stage))
 }
 
-/// Alternatives of a `<Condition>`, each a list of conditions that hold together; `None` if it is of
-/// a kind that is not read.
+/// Alternatives of a `<Condition>`, each a list of conditions that hold together; `None` if it is
+/// of a kind that is not read.
 fn read_condition(
     condition: Node,
     actor: &str,
@@ -311,21 +311,7 @@ fn read_condition(
             }
             "StoryboardElementStateCondition" => state(kind, condition.line(), delay_s, skipped),
             "ParameterCondition" => {
-                let found = kind.parameter(kind.element().needed_attribute("parameterRef")?)?;
-                let value = kind.needed_attribute("value")?;
-                let is_met = match (finite(found.trim()), finite(value.trim())) {
-                    (Some(found), Some(value)) => match rule(kind)? {
-                        Some(Rule::Below) => {
-                            found < value || kind.is("rule", "lessOrEqual")? && found == value
-                        }
-                        Some(Rule::Above) => {
-                            found > value || kind.is("rule", "greaterOrEqual")? && found == value
-                        }
-                        Some(Rule::Equal) => found == value,
-                        None => found != value,
-                    },
-                    _ => (found.trim() == value.trim()) != kind.is("rule", "notEqualTo")?,
-                };
+                let is_met = parameter_condition(kind)?;
                 Ok(Some(vec![vec![Read::Constant(is_met)]]))
             }
             _ => unknown(skipped, kind),
@@ -366,6 +352,24 @@ fn read_condition(
     } else {
         vec![all]
     }))
+}
+
+/// True if a `<ParameterCondition>` is met: parameters do not change.
+fn parameter_condition(kind: Node) -> Result<bool, DecodeError> {
+    let found = kind.parameter(kind.element().needed_attribute("parameterRef")?)?;
+    let value = kind.needed_attribute("value")?;
+    let is_met = match (finite(found.trim()), finite(value.trim())) {
+        (Some(found), Some(value)) => match rule(kind)? {
+            Some(Rule::Below) => found < value || kind.is("rule", "lessOrEqual")? && found == value,
+            Some(Rule::Above) => {
+                found > value || kind.is("rule", "greaterOrEqual")? && found == value
+            }
+            Some(Rule::Equal) => found == value,
+            None => found != value,
+        },
+        _ => (found.trim() == value.trim()) != kind.is("rule", "notEqualTo")?,
+    };
+    Ok(is_met)
 }
 
 fn state(
@@ -477,15 +481,8 @@ fn by_entity_kind(
             between_boxes: between_boxes()?,
         },
         "TimeToCollisionCondition" => {
-            let target = kind.needed("TimeToCollisionConditionTarget")?;
-            let to = if let Some(entity) = target.first("EntityRef") {
-                Target::Entity(entity.needed_attribute("entityRef")?.into_owned())
-            } else {
-                let place = target.needed("Position")?;
-                match positions::read(place, catalogs, skipped)? {
-                    Some(place) => Target::Place(place),
-                    None => return Ok(None),
-                }
+            let Some(to) = collision_target(kind, catalogs, skipped)? else {
+                return Ok(None);
             };
             Measure::TimeToCollision {
                 of,
@@ -503,6 +500,21 @@ fn by_entity_kind(
         return Ok(None);
     };
     Ok(Some((measure, rule, kind.number("value")?)))
+}
+
+/// Entity or place of a `<TimeToCollisionCondition>`; `None` for a place that is not read.
+fn collision_target(
+    kind: Node,
+    catalogs: &Catalogs,
+    skipped: &mut Skipped,
+) -> Result<Option<Target>, DecodeError> {
+    let target = kind.needed("TimeToCollisionConditionTarget")?;
+    if let Some(entity) = target.first("EntityRef") {
+        let name = entity.needed_attribute("entityRef")?;
+        return Ok(Some(Target::Entity(name.into_owned())));
+    }
+    let place = positions::read(target.needed("Position")?, catalogs, skipped)?;
+    Ok(place.map(Target::Place))
 }
 
 /// Rule of a condition; `None` for `notEqualTo`.

@@ -56,7 +56,8 @@ pub(super) fn evaluate(
             text.len()
         ));
     }
-    // A parameter without a value is not asked for again: chains of them would take exponential time.
+    // A parameter without a value is not asked for again: chains of them would take exponential
+    // time.
     let mut is_unknown = false;
     let value = Parser {
         rest: text,

@@ -111,6 +111,8 @@ pub struct Event {
     pub trigger: EventTrigger,
     /// Action of the entity.
     pub action: Action,
+    /// Duration of the action, seconds, where the file gives one.
+    pub duration_s: Option<f64>,
 }
 
 /// A speed.
@@ -170,7 +172,7 @@ pub enum Action {
     ChangeLane(TargetLane),
     /// Goes along a route or trajectory.
     Path {
-        /// Its positions.
+        /// Positions in its order.
         points: Vec<Position>,
         /// Times of a trajectory's points, seconds.
         times_s: Option<Vec<f64>>,

@@ -1,5 +1,5 @@
-//! Parameters and their scopes: the value of an attribute, `$name` or `${expression}`, is found when
-//! it is read.
+//! Parameters and their scopes: the value of an attribute, `$name` or `${expression}`, is found
+//! when it is read.
 //!
 //! A parameter holds within the element that has its `<ParameterDeclarations>`; the innermost
 //! declaration counts. What a reference to a catalog assigns replaces the defaults of the entry.

@@ -99,7 +99,7 @@ pub enum Position {
         /// Heading, if the file gives one.
         heading: Option<Heading>,
     },
-    /// Along a route.
+    /// Position along a route.
     Route {
         /// Waypoints of the route.
         waypoints: Vec<Position>,
@@ -119,7 +119,7 @@ pub enum Position {
         /// A position relative to the entity itself.
         by: Box<Position>,
     },
-    /// Along a trajectory.
+    /// Position along a trajectory.
     Trajectory {
         /// Points of the trajectory.
         points: Vec<Position>,
@@ -135,9 +135,9 @@ pub enum Position {
 /// Distance along a road or a lane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Along {
-    /// Along the road's reference line, in its direction, meters.
+    /// Meters along the road's reference line, in its direction.
     Road(f64),
-    /// Along the middle of the lane in driving direction, meters.
+    /// Meters along the middle of the lane in driving direction.
     Lane(f64),
 }
 
@@ -170,8 +170,8 @@ fn heading(kind: Node) -> Result<Option<Heading>, DecodeError> {
         .transpose()
 }
 
-/// The position in `element`, a `<Position>` or `<TargetPosition>`; `None` if it is of a kind that is
-/// not read.
+/// The position in `element`, a `<Position>` or `<TargetPosition>`; `None` if it is of a kind that
+/// is not read.
 pub(super) fn read(
     element: Node,
     catalogs: &Catalogs,

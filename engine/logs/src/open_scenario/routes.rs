@@ -10,8 +10,8 @@ use super::positions::{self, Position};
 /// Most points of a route or trajectory, all positions that it leads to counted.
 const POINTS_MAX: usize = 100_000;
 
-/// Waypoints of the `<Route>` in `holder`, or of the one that its `<CatalogReference>` names; `None`
-/// if they cannot be read.
+/// Waypoints of the `<Route>` in `holder`, or of the one that its `<CatalogReference>` names;
+/// `None` if they cannot be read.
 pub(super) fn route(
     holder: Node,
     catalogs: &Catalogs,

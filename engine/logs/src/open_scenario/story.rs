@@ -13,11 +13,11 @@ use super::{
     positions, routes,
 };
 
-/// What the storyboard says beside what its entities do.
+/// Content of the storyboard, the events of its entities left out.
 pub(super) struct Story {
     /// Time at which it stops, seconds.
     pub stop_time_s: Option<f64>,
-    /// Its events.
+    /// Events of the storyboard.
     pub events: Vec<StoryEvent>,
 }
 
@@ -93,8 +93,8 @@ pub(super) fn read(
     })
 }
 
-/// What was read, or `None` with a sentence: a fault of one event does not keep a file from being
-/// driven.
+/// The value that was read, or `None` with a sentence: a fault of one event does not keep a file
+/// from being driven.
 fn recovered<T>(
     node: Node,
     read: Result<Option<T>, DecodeError>,
@@ -270,6 +270,7 @@ impl Reader<'_, '_> {
         let Some(read) = read_action(private, self.catalogs, skipped)? else {
             return Ok(());
         };
+        let duration_s = duration_s(private, &read)?;
         for actor in self.events[number].actors.clone() {
             let found = conditions::read(triggers, &actor, self.catalogs, states, skipped)?;
             let Some(trigger) = found else { continue };
@@ -282,6 +283,7 @@ impl Reader<'_, '_> {
                 number,
                 trigger,
                 action: read.clone(),
+                duration_s,
             });
         }
         Ok(())
@@ -373,6 +375,28 @@ fn read_action(
             Ok(None)
         }
     }
+}
+
+/// Duration of `action`, the one in `private`, where its dynamics or its trajectory give it.
+fn duration_s(private: Node, action: &Action) -> Result<Option<f64>, DecodeError> {
+    let of = |transition: Transition| match transition {
+        Transition::Step => Some(0.0),
+        Transition::Time(time_s) => Some(time_s),
+        Transition::Rate(_) | Transition::Distance(_) => None,
+    };
+    Ok(match action {
+        Action::Speed { transition, .. } => of(*transition),
+        Action::ChangeLane(_) => {
+            let change = private
+                .first("LateralAction")
+                .and_then(|lateral| lateral.first("LaneChangeAction"));
+            let dynamics = change.and_then(|change| change.first("LaneChangeActionDynamics"));
+            of(transition(dynamics)?)
+        }
+        Action::Path { times_s, .. } => {
+            times_s.as_ref().and_then(|times_s| times_s.last().copied())
+        }
+    })
 }
 
 fn speed_of(target: Node) -> Result<Option<TargetSpeed>, DecodeError> {

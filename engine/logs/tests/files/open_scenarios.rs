@@ -245,6 +245,19 @@ fn large_files_take_linear_time() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(256))]
 
+    /// Any expression has a finite value or is an error with a sentence, at once.
+    #[test]
+    fn expressions_do_not_panic(inner in "([-+*/%^(), ]|[0-9.e]{1,4}|\\$EgoSpeed|pow|max|not|and|sqrt){0,60}") {
+        let text = SCENARIO.replace("value=\"$EgoSpeed\"", &format!("value=\"${{{inner}}}\""));
+        match decode(text.as_bytes(), catalog) {
+            Ok(read) => {
+                let speed = &read.entities[0].speed;
+                prop_assert!(matches!(speed, Some(TargetSpeed::Absolute(speed)) if speed.is_finite()));
+            }
+            Err(error) => prop_assert!(error.to_string().contains("line ")),
+        }
+    }
+
     /// Parts of the file removed, doubled or replaced give an error or a scenario, never a panic.
     #[test]
     fn damaged_files_do_not_panic(

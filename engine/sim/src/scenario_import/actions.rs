@@ -1,7 +1,7 @@
 //! Actions of vehicles and pedestrians, as behaviors and paths.
 
 use decouplegs_logs::open_scenario::{
-    Action, Condition, Direction, Event, Measure, Rule, Target, TargetLane, Transition,
+    Action, Condition, Direction, Event, Measure, Rule, Stage, Target, TargetLane, Transition,
 };
 use decouplegs_scene::Pedestrian;
 use decouplegs_scene::scenario::{Behavior, LaneSide, Maneuver, Trigger};
@@ -20,6 +20,9 @@ const STANDING_M: f64 = 0.02;
 const STANDING_MPS: f64 = 0.1;
 /// Lane changes of an action: no road has more lanes.
 const CHANGES_MAX: u64 = 16;
+/// Longest chain of events that wait for each other, and most events that a condition waits for.
+const CHAIN_MAX: u32 = 32;
+const EVENTS_MAX: usize = 16;
 /// Points closer than this are one point of a path, meters.
 const STEP_M_MIN: f64 = 0.05;
 
@@ -157,18 +160,17 @@ impl Import<'_> {
         let mut time_s: f64 = 0.0;
         let mut near_ego = None;
         for stage in &event.trigger.stages {
+            if let Some(reached_s) = self.stage_s(stage, CHAIN_MAX) {
+                time_s = time_s.max(reached_s);
+                continue;
+            }
             let [group] = stage.as_slice() else {
                 return None;
             };
             let [condition] = group.as_slice() else {
                 return None;
             };
-            match (&condition.measure, condition.rule) {
-                (Measure::Time, Rule::Above) => {
-                    time_s = time_s.max(condition.value + condition.delay_s);
-                }
-                _ => near_ego = Some(self.near_ego(condition, [index, ego])?),
-            }
+            near_ego = Some(self.near_ego(condition, [index, ego])?);
         }
         match near_ego {
             Some(_) if time_s > 0.0 => None,
@@ -177,6 +179,83 @@ impl Import<'_> {
                 time_s: time_s.min(decouplegs_logs::scenario_file::DURATION_S_MAX),
             }),
         }
+    }
+
+    /// Time at which a stage is reached, seconds, if times alone decide it: that of the first of
+    /// its groups, whose last condition counts.
+    fn stage_s(&self, stage: &Stage, depth: u32) -> Option<f64> {
+        let mut first_s: Option<f64> = None;
+        for group in stage {
+            let mut last_s: f64 = 0.0;
+            for condition in group {
+                last_s = last_s.max(self.condition_s(condition, depth)?);
+            }
+            first_s = Some(first_s.map_or(last_s, |first_s| first_s.min(last_s)));
+        }
+        Some(first_s.unwrap_or(0.0))
+    }
+
+    /// Time from which a condition holds, if times alone decide it: its own, or that of the events
+    /// that it waits for.
+    fn condition_s(&self, condition: &Condition, depth: u32) -> Option<f64> {
+        if condition.rule != Rule::Above {
+            return None;
+        }
+        let at_s = match &condition.measure {
+            Measure::Time => condition.value,
+            Measure::Event { events, has_ended } => {
+                let depth = depth.checked_sub(1)?;
+                if events.len() > EVENTS_MAX {
+                    return None;
+                }
+                let mut times_s = Vec::new();
+                for &number in events.iter() {
+                    times_s.push(self.event_s(number, *has_ended, depth)?);
+                }
+                let times_s = times_s.into_iter();
+                match has_ended {
+                    true => times_s.reduce(f64::max)?,
+                    false => times_s.reduce(f64::min)?,
+                }
+            }
+            _ => return None,
+        };
+        Some(at_s + condition.delay_s)
+    }
+
+    /// Time at which an event begins or ends, if times alone decide it.
+    fn event_s(&self, number: usize, has_ended: bool, depth: u32) -> Option<f64> {
+        // Each is found once; while it is, one that waits for itself has no time.
+        let known = self
+            .event_times_s
+            .borrow()
+            .get(&(number, has_ended))
+            .copied();
+        if let Some(known) = known {
+            return known;
+        }
+        self.event_times_s
+            .borrow_mut()
+            .insert((number, has_ended), None);
+        let found = self.unknown_event_s(number, has_ended, depth);
+        self.event_times_s
+            .borrow_mut()
+            .insert((number, has_ended), found);
+        found
+    }
+
+    fn unknown_event_s(&self, number: usize, has_ended: bool, depth: u32) -> Option<f64> {
+        let mut last_s: Option<f64> = None;
+        for &(entity, at) in self.by_event.get(&number)? {
+            let event = &self.file.entities[entity].events[at];
+            let mut begin_s: f64 = 0.0;
+            for stage in &event.trigger.stages {
+                begin_s = begin_s.max(self.stage_s(stage, depth)?);
+            }
+            let at_s = begin_s + if has_ended { event.duration_s? } else { 0.0 };
+            last_s = Some(last_s.map_or(at_s, |last_s| last_s.max(at_s)));
+        }
+        last_s
     }
 
     /// The distance of two entities below which a condition holds, if it is about `own`.

@@ -199,23 +199,32 @@ impl<'a> Locator<'a> {
                 path_m,
                 offset_m,
                 heading,
-            } => {
-                let mut line = Vec::new();
-                for point in points {
-                    line.push(self.locate(point, located)?.point_m.extend(0.0));
-                }
-                let line = Polyline::new(line).ok_or("its trajectory has no length")?;
-                let heading_rad = line.heading_at(*path_m);
-                let left = DVec2::from_angle(heading_rad).perp();
-                let point_m = line.at(*path_m).truncate() + *offset_m * left;
-                let heading_rad = match heading {
-                    Some(heading) if !heading.is_relative => heading.rad,
-                    Some(heading) => heading_rad + heading.rad,
-                    None => heading_rad,
-                };
-                Ok(self.at(point_m, Some(heading_rad)))
-            }
+            } => self.on_trajectory(points, [*path_m, *offset_m], *heading, located),
         }
+    }
+
+    /// The place `path_m` along a trajectory and `offset_m` to its left.
+    fn on_trajectory(
+        &self,
+        points: &[Position],
+        [path_m, offset_m]: [f64; 2],
+        heading: Option<Heading>,
+        located: &[Place],
+    ) -> Place {
+        let mut line = Vec::new();
+        for point in points {
+            line.push(self.locate(point, located)?.point_m.extend(0.0));
+        }
+        let line = Polyline::new(line).ok_or("its trajectory has no length")?;
+        let heading_rad = line.heading_at(path_m);
+        let left = DVec2::from_angle(heading_rad).perp();
+        let point_m = line.at(path_m).truncate() + offset_m * left;
+        let heading_rad = match heading {
+            Some(heading) if !heading.is_relative => heading.rad,
+            Some(heading) => heading_rad + heading.rad,
+            None => heading_rad,
+        };
+        Ok(self.at(point_m, Some(heading_rad)))
     }
 
     fn roads(&self) -> Result<&RoadPositions, String> {

@@ -20,7 +20,7 @@ const FAR_M: f64 = 50_000.0;
 /// A box on the ground.
 pub(super) struct Object {
     middle: Vec3,
-    /// From the middle to the front and to the left side.
+    /// Vectors from the middle to the front and to the left side.
     ahead: Vec3,
     left: Vec3,
 }
