@@ -217,8 +217,8 @@ pub fn decode(
     }
     let mut skipped = Skipped::default();
     let catalogs = Catalogs::new(root, &read)?;
-    let network = root.needed("RoadNetwork")?;
-    let map = match network.first("LogicFile") {
+    let network = root.first("RoadNetwork");
+    let map = match network.and_then(|network| network.first("LogicFile")) {
         Some(logic) => Some(
             logic
                 .needed_attribute("filepath")?
@@ -227,7 +227,11 @@ pub fn decode(
         ),
         None => None,
     };
-    let signals = signals::read(network, &mut skipped)?;
+    let map = map.filter(|map: &PathBuf| !map.as_os_str().is_empty());
+    let signals = match network {
+        Some(network) => signals::read(network, &mut skipped)?,
+        None => Vec::new(),
+    };
     let mut entities = entities::read(root, &catalogs, &mut skipped)?;
     let storyboard = root.needed("Storyboard")?;
     let story = story::read(storyboard, &mut entities, &catalogs, &mut skipped)?;
