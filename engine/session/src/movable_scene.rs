@@ -54,7 +54,7 @@ enum Files {
     /// The folder of the scene file.
     Folder(PathBuf),
     /// The package that holds the scene file.
-    Package(PathBuf, PackedScene),
+    Package(PathBuf, Box<PackedScene>),
 }
 
 impl Files {
@@ -95,7 +95,7 @@ impl WithoutPlain {
             return Ok(Self {
                 loaded: packed.load(&file, 0.0)?,
                 plain,
-                files: Files::Package(path.to_owned(), packed),
+                files: Files::Package(path.to_owned(), Box::new(packed)),
             });
         }
         Ok(Self {
