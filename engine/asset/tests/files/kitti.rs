@@ -117,7 +117,7 @@ trait Explain {
     fn explain(&self) -> String;
 }
 
-impl<E: std::error::Error> Explain for E {
+impl<E: std::error::Error + 'static> Explain for E {
     fn explain(&self) -> String {
         decouplegs_scene::explain::explain(self)
     }
