@@ -10,6 +10,9 @@ use super::positions::{self, Position};
 /// Most points of a route or trajectory, all positions that it leads to counted.
 const POINTS_MAX: usize = 100_000;
 
+/// Points of a trajectory and their times, seconds, where it gives them.
+pub(super) type TimedPoints = Vec<(Position, Option<f64>)>;
+
 /// Waypoints of the `<Route>` in `holder`, or of the one that its `<CatalogReference>` names;
 /// `None` if they cannot be read.
 pub(super) fn route(
@@ -60,7 +63,7 @@ pub(super) fn trajectory(
     holder: Node,
     catalogs: &Catalogs,
     skipped: &mut Skipped,
-) -> Result<Option<Vec<(Position, Option<f64>)>>, DecodeError> {
+) -> Result<Option<TimedPoints>, DecodeError> {
     match (holder.first("Trajectory"), holder.first("CatalogReference")) {
         (Some(trajectory), _) => points(trajectory, catalogs, skipped),
         (None, Some(reference)) => {
@@ -83,7 +86,7 @@ fn points(
     trajectory: Node,
     catalogs: &Catalogs,
     skipped: &mut Skipped,
-) -> Result<Option<Vec<(Position, Option<f64>)>>, DecodeError> {
+) -> Result<Option<TimedPoints>, DecodeError> {
     let shape = trajectory.first("Shape").unwrap_or(trajectory);
     let Some(line) = shape.first("Polyline") else {
         skipped.add(shape, "only a polyline is read");
