@@ -20,7 +20,7 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use decouplegs_cli::programs::exit_code;
+use decouplegs_cli::programs::{exit_code, print_warnings};
 use decouplegs_cli::{
     arguments, background, device, image_quality, page, plot, progress, scene_source, street_files,
     views, visibility,
@@ -61,6 +61,7 @@ fn main() -> ExitCode {
     if let Some((program, command)) = programs::asked_for(&arguments) {
         return exit_code(&programs::run(program, command, &arguments));
     }
+    print_warnings();
     let matches = command_line().get_matches_from(arguments);
     let program = Program::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     exit_code(&match &program.command {

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use decouplegs_benches::{ablate, bench, stress};
-use decouplegs_cli::programs::exit_code;
+use decouplegs_cli::programs::{exit_code, print_warnings};
 
 /// Measures speed, memory and error, and what each part of the system is worth.
 #[derive(Parser)]
@@ -23,6 +23,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    print_warnings();
     exit_code(&match &Program::parse().command {
         Command::Bench(arguments) => bench::run(arguments),
         Command::Stress(arguments) => stress::run(arguments),

@@ -32,13 +32,13 @@ fn folder(replaced: &[(&str, &str)]) -> TempDir {
 
 fn imported(replaced: &[(&str, &str)]) -> (TempDir, ImportedScenario) {
     let folder = folder(replaced);
-    let imported = import_open_scenario(&folder.path().join("cut_in.xosc")).unwrap();
+    let imported = import_open_scenario(&folder.path().join("cut_in.xosc"), None).unwrap();
     (folder, imported)
 }
 
 fn refused(replaced: &[(&str, &str)]) -> String {
     let folder = folder(replaced);
-    let error = import_open_scenario(&folder.path().join("cut_in.xosc")).unwrap_err();
+    let error = import_open_scenario(&folder.path().join("cut_in.xosc"), None).unwrap_err();
     let message = error.to_string();
     assert!(message.contains("cut_in.xosc"), "{message}");
     message
@@ -106,7 +106,19 @@ fn a_file_becomes_a_scenario_that_can_be_written() {
     assert_eq!(walker.start, Trigger::NearEgo { distance_m: 60.0 });
     assert_eq!((walker.path_m.len(), walker.speed_mps), (2, 1.5));
     assert_eq!(scenario.lights[0].stop_lines.len(), 3);
-    assert_eq!(skipped.len(), 4, "{skipped:#?}");
+    // The cone has neither a size nor a place; a gap to another vehicle is not kept.
+    let parts = [
+        "<MiscObject>",
+        "<GlobalAction>",
+        "<LongitudinalDistanceAction>",
+        "cone",
+    ];
+    for part in parts {
+        assert!(
+            skipped.iter().any(|sentence| sentence.contains(part)),
+            "{part}: {skipped:#?}"
+        );
+    }
 
     let text = scenario_file::to_toml(&scenario).unwrap();
     assert_eq!(scenario_file::parse(&text).unwrap(), scenario);
@@ -161,7 +173,7 @@ fn vehicles_do_what_the_file_says() {
 fn what_cannot_be_placed_is_said() {
     let message = refused(&[("laneId=\"-2\" s=\"50\"", "laneId=\"-9\" s=\"50\"")]);
     assert!(
-        message.contains("Ego") && message.contains("no driving lane"),
+        message.contains("Ego") && message.contains("road 1 has no lane -9"),
         "{message}"
     );
     let path = "<LanePosition roadId=\"1\" laneId=\"-4\"";
@@ -178,5 +190,5 @@ fn what_cannot_be_placed_is_said() {
         "<LanePosition roadId=\"1\" laneId=\"-2\" s=\"50\" offset=\"0\"/>",
         "<RelativeLanePosition entityRef=\"Overtaker\" dLane=\"0\" ds=\"5\"/>",
     )]);
-    assert!(message.contains("no driving lane"), "{message}");
+    assert!(message.contains("it counts from Overtaker"), "{message}");
 }

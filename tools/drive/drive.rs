@@ -288,6 +288,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     scored.sort_by(|a, b| (a.level(), a.name()).cmp(&(b.level(), b.name())));
     let text = episode_report::write(&scored, &sites, &arguments.out)?;
     print(&text)?;
+    let lost = jobs.iter().filter_map(|job| job.lost.as_ref());
+    for sentence in lost {
+        print(&format!("{sentence}\n"))?;
+    }
     gpu.as_ref().map_or(Ok(()), check_validation)?;
     // A planner that drove nothing at all is a fault of the run, not of an episode.
     let reason = |scored: &Scored| match &scored.episode.end {

@@ -25,7 +25,7 @@ mod sites;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use decouplegs_cli::programs::exit_code;
+use decouplegs_cli::programs::{exit_code, print_warnings};
 use decouplegs_cli::{arguments, background, device, page, plot, progress, thumbnail, views};
 
 /// Drives, scores and exports episodes; moves agents, reads maps, sweeps LiDARs.
@@ -53,6 +53,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    print_warnings();
     exit_code(&match &Program::parse().command {
         Command::Import(arguments) => import::run(arguments),
         Command::Lidar(arguments) => lidar::run(arguments),

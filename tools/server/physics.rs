@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene, read_splats};
+use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene, read_placed_splats};
 use decouplegs::drive::register::grounding::set_on_ground;
 use decouplegs::drive::{Ground, GroundGuides, GroundOptions};
 use decouplegs::scene::{Pose, SplatCloud};
@@ -123,9 +123,10 @@ impl Background {
         if is_scene_file(path) {
             let file = SceneFile::read(path)?;
             let directory = path.parent().unwrap_or(std::path::Path::new(""));
+            let (cloud, placed_at) = read_placed_splats(&directory.join(&file.background))?;
             return Ok(Self {
-                cloud: read_splats(&directory.join(&file.background))?,
-                origin: file.origin,
+                cloud,
+                origin: file.origin + placed_at,
                 way: file.ego.map(|ego| (ego, file.ego_height_m)),
             });
         }

@@ -4,7 +4,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use decouplegs_cli::programs::exit_code;
+use decouplegs_cli::programs::{exit_code, print_warnings};
 use decouplegs_view as view;
 
 /// Shows scenes and episodes in the browser.
@@ -21,6 +21,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    print_warnings();
     let Command::View(arguments) = Program::parse().command;
     exit_code(&view::run(&arguments))
 }

@@ -6,15 +6,23 @@
 //! Properties are found by name, of any scalar type, among any others. Coordinates are the
 //! trainer's and stay as they are. Where DC has several terms a channel, those of a Fourier series
 //! over time (Street Gaussians), their mean over time is read.
+//!
+//! Other trainers leave out or add columns. Read are files of 2DGS, whose splats are flat (no
+//! `scale_2`: the third scale is 1e-6), of one scale for all axes, with `red green blue` instead of
+//! `f_dc` (nerfstudio), and with Mip-Splatting's `filter_3D`, which widens splats and fades them.
+//! Splats that move with time are refused. Coordinates that are stored as doubles and are large,
+//! as georeferenced ones are, are read relative to an origin ([`decode_placed`]).
 
 use std::io::{self, Write};
 use std::path::Path;
 
 use decouplegs_scene::{SplatCloud, sh};
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::activation::{log_of_scale, logit, normalized, scale_of_log, sigmoid};
-use crate::ply::{Column, Ply, Rows};
+use crate::ply::{Column, Ply, Rows, Scalar};
+use crate::unknown_keys::UnknownKeys;
 use crate::{AssetError, DecodeError, write_atomically};
 
 /// Moments over which colors that change with time are averaged.
@@ -36,6 +44,54 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     decode_ply(&Ply::parse(bytes)?, ELEMENT)
 }
 
+/// Reads the splats of element `vertex` relative to an origin, world coordinates: zero unless
+/// coordinates are doubles that f32 would round by more than a millimeter.
+///
+/// # Errors
+/// Returns the errors of [`decode`].
+pub fn decode_placed(bytes: &[u8]) -> Result<(SplatCloud, DVec3), DecodeError> {
+    let ply = Ply::parse(bytes)?;
+    let origin = origin_of(&ply)?;
+    Ok((decode_relative(&ply, ELEMENT, origin)?, origin))
+}
+
+/// Coordinates up to this are exact to a millimeter as f32, meters.
+const EXACT_M: f64 = 16_384.0;
+
+/// The middle of the splats in whole meters, where their coordinates are large doubles; else zero.
+fn origin_of(ply: &Ply<'_>) -> Result<DVec3, DecodeError> {
+    let names = ["x", "y", "z"];
+    let columns: Option<Vec<Column>> = names
+        .iter()
+        .map(|name| ply.column_if_present(ELEMENT, name))
+        .collect();
+    let Some(columns) = columns else {
+        return Ok(DVec3::ZERO);
+    };
+    let rows = ply.rows(ELEMENT)?;
+    let (mut least, mut most) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for row in rows.bytes.chunks_exact(rows.stride.max(1)) {
+        let point = DVec3::from_array(std::array::from_fn(|axis| columns[axis].f64_of(row)));
+        if point.is_finite() {
+            (least, most) = (least.min(point), most.max(point));
+        }
+    }
+    let largest_m = least.abs().max(most.abs()).max_element();
+    if !(EXACT_M..1e12).contains(&largest_m) {
+        return Ok(DVec3::ZERO);
+    }
+    if columns.iter().any(|column| column.scalar != Scalar::F64) {
+        // A power of two below the coordinate, over the 24 bits that a float has.
+        let step_m = largest_m.log2().floor().exp2() / f64::from(1 << 23);
+        log::warn!(
+            "coordinates up to {largest_m:.0} m are stored in 32 bits: they are rounded to steps of {step_m} m; export \
+             them as doubles, or relative to an origin"
+        );
+        return Ok(DVec3::ZERO);
+    }
+    Ok((0.5 * (least + most)).round())
+}
+
 /// Reads the splats of the element called `element`: files that keep one element a model
 /// (`vertex_background`, `vertex_obj_007`) are read one model at a time.
 ///
@@ -47,6 +103,11 @@ pub fn decode_element(bytes: &[u8], element: &str) -> Result<SplatCloud, DecodeE
 
 /// Reads the splats of `element` of a parsed file.
 pub(crate) fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, DecodeError> {
+    decode_relative(ply, element, DVec3::ZERO)
+}
+
+/// Reads the splats of `element`, their means relative to `origin`.
+fn decode_relative(ply: &Ply<'_>, element: &str, origin: DVec3) -> Result<SplatCloud, DecodeError> {
     if !ply.has_element(element) {
         return Err(DecodeError::Malformed(format!(
             "there is no element '{element}', only: {}",
@@ -56,18 +117,31 @@ pub(crate) fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, Dec
     let columns = |names: &[&str]| -> Result<Vec<Column>, DecodeError> {
         names.iter().map(|name| ply.column(element, name)).collect()
     };
+    check_properties(ply, element)?;
     let mean = columns(&["x", "y", "z"])?;
-    let scale = columns(&["scale_0", "scale_1", "scale_2"])?;
+    let scale = scale_columns(ply, element)?;
     let rotation = columns(&["rot_0", "rot_1", "rot_2", "rot_3"])?;
     let opacity = ply.column(element, "opacity")?;
     let dc = dc_columns(ply, element)?;
     let rest = RestColumns::find(ply, element)?;
     let rows = ply.rows(element)?;
-    Ok(SplatCloud {
-        means: triples(&rows, &mean),
-        scales: triples(&rows, &scale)
-            .into_par_iter()
-            .map(|logarithms| logarithms.map(scale_of_log))
+    let means = if origin == DVec3::ZERO {
+        triples(&rows, &mean)
+    } else {
+        let relative = |axis: usize, row: &[u8]| (mean[axis].f64_of(row) - origin[axis]) as f32;
+        row_slices(&rows)
+            .map(|row| std::array::from_fn(|axis| relative(axis, row)))
+            .collect()
+    };
+    let mut cloud = SplatCloud {
+        means,
+        scales: row_slices(&rows)
+            .map(|row| {
+                let logarithms: [f32; 3] = std::array::from_fn(|axis| {
+                    scale[axis].map_or(FLAT_LOG_SCALE, |column| column.f32_of(row))
+                });
+                logarithms.map(scale_of_log)
+            })
             .collect(),
         rotations: row_slices(&rows)
             .map(|row| normalized(std::array::from_fn(|i| rotation[i].f32_of(row))))
@@ -80,13 +154,135 @@ pub(crate) fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, Dec
             .map(|row| std::array::from_fn(|channel| dc.value(channel, row)))
             .collect(),
         sh_rest: rest.read(&rows, |column, row| column.f32_of(row)),
-    })
+    };
+    if let Some(filter) = ply.column_if_present(element, "filter_3D") {
+        log::warn!("Mip-Splatting's filter_3D is applied to scales and opacities");
+        let widths = row_slices(&rows).map(|row| filter.f32_of(row));
+        cloud
+            .scales
+            .par_iter_mut()
+            .zip(&mut cloud.opacities)
+            .zip(widths)
+            .for_each(|((scales, opacity), width)| filtered(scales, opacity, width));
+    }
+    Ok(cloud)
+}
+
+/// Widens a splat by a low-pass filter of standard deviation `width`, and fades it as much as it
+/// grows (Yu et al., "Mip-Splatting", 2024, equation 9).
+fn filtered(scales: &mut [f32; 3], opacity: &mut f32, width: f32) {
+    let mut share = 1.0;
+    for scale in scales {
+        let wider = scale.hypot(width);
+        share *= *scale / wider;
+        *scale = wider;
+    }
+    if share.is_finite() {
+        *opacity *= share;
+    }
+}
+
+/// Logarithm of the third scale of flat splats, 1e-6, as the authors of 2DGS advise.
+const FLAT_LOG_SCALE: f32 = -13.815_511;
+/// Band 0 of the spherical harmonics.
+const SH_BAND_0: f32 = 0.282_094_79;
+
+/// Properties that change nothing that is drawn. Ends in `_`: all names that begin so.
+const HARMLESS: [&str; 31] = [
+    "x",
+    "y",
+    "z",
+    "nx",
+    "ny",
+    "nz",
+    "opacity",
+    "filter_3D",
+    "red",
+    "green",
+    "blue",
+    "alpha",
+    "f_dc_",
+    "f_rest_",
+    "scale_",
+    "rot_",
+    "confidence",
+    "label",
+    "class",
+    "instance",
+    "segment",
+    "semantic_",
+    "obj_dc_",
+    "id",
+    "objectid",
+    "ids",
+    "uid",
+    "score",
+    "feature_",
+    "language_feature_",
+    "embedding_",
+];
+/// Properties of splats that move, bend or shine otherwise than those that are drawn here, with
+/// what they are.
+const REFUSED: [(&str, &str); 7] = [
+    ("trbf_", "splats that appear and vanish with time"),
+    ("motion_", "splats that move with time"),
+    ("omega_", "splats that turn with time"),
+    ("f_t_", "colors that change with time"),
+    ("t_scale", "splats of four dimensions"),
+    ("sb_params_", "colors of spherical Betas"),
+    (
+        "beta",
+        "splats with the kernel of Deformable Beta Splatting",
+    ),
+];
+
+/// Refuses files whose splats mean something else, and warns of properties that nobody here knows.
+fn check_properties(ply: &Ply<'_>, element: &str) -> Result<(), DecodeError> {
+    let mut unknown = UnknownKeys::default();
+    for name in ply.property_names(element) {
+        if let Some((_, what)) = REFUSED.iter().find(|(start, _)| name.starts_with(start)) {
+            return Err(DecodeError::Unsupported(format!(
+                "the property '{name}' tells of {what}, which are not drawn; export plain Gaussian splats"
+            )));
+        }
+        let is_known = HARMLESS
+            .iter()
+            .any(|known| *known == name || known.ends_with('_') && name.starts_with(known));
+        if !is_known {
+            unknown.add(name);
+        }
+    }
+    unknown.warn("properties of splats");
+    Ok(())
+}
+
+/// Columns of the logarithms of the scales; `None` for the third of flat splats.
+fn scale_columns(ply: &Ply<'_>, element: &str) -> Result<[Option<Column>; 3], DecodeError> {
+    let found = ["scale_0", "scale_1", "scale_2"].map(|name| ply.column_if_present(element, name));
+    match found {
+        [Some(_), Some(_), None] => {
+            log::warn!("two scales a splat, as 2DGS writes them: the third is 1e-6");
+            Ok(found)
+        }
+        [Some(_), None, None] => {
+            log::warn!("one scale a splat: it holds for all three axes");
+            Ok([found[0]; 3])
+        }
+        _ => {
+            for name in ["scale_0", "scale_1", "scale_2"] {
+                ply.column(element, name)?;
+            }
+            Ok(found)
+        }
+    }
 }
 
 /// The `f_dc` columns of an element, channel-major: one per channel, or the terms of its series
 /// over time.
 struct DcColumns {
     columns: Vec<Column>,
+    /// True if they are the colors themselves, 0 to 1 or integers.
+    are_colors: bool,
     /// Mean of each term.
     weights: Vec<f64>,
 }
@@ -97,6 +293,15 @@ fn dc_columns(ply: &Ply<'_>, element: &str) -> Result<DcColumns, DecodeError> {
         .property_names(element)
         .filter(|name| name.starts_with("f_dc_"))
         .count();
+    let colors = ["red", "green", "blue"].map(|name| ply.column_if_present(element, name));
+    if let ([Some(red), Some(green), Some(blue)], 0) = (colors, count) {
+        log::warn!("colors are red, green and blue, as nerfstudio writes them, without bands");
+        return Ok(DcColumns {
+            columns: vec![red, green, blue],
+            are_colors: true,
+            weights: vec![1.0],
+        });
+    }
     // Fewer than three are missed by name.
     let terms = if count > 3 && count.is_multiple_of(3) {
         count / 3
@@ -108,6 +313,7 @@ fn dc_columns(ply: &Ply<'_>, element: &str) -> Result<DcColumns, DecodeError> {
         .collect::<Result<_, DecodeError>>()?;
     Ok(DcColumns {
         columns,
+        are_colors: false,
         weights: mean_weights(terms)?,
     })
 }
@@ -117,6 +323,7 @@ impl DcColumns {
         let terms = self.weights.len();
         let columns = &self.columns[channel * terms..(channel + 1) * terms];
         match columns {
+            [only] if self.are_colors => (only.share_of(row) - 0.5) / SH_BAND_0,
             [only] => only.f32_of(row),
             _ => columns
                 .iter()
@@ -303,145 +510,4 @@ pub(crate) fn mean_weights(terms: usize) -> Result<Vec<f64>, DecodeError> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A file of one splat with the given properties, all float.
-    fn file(properties: &[(&str, f32)]) -> Vec<u8> {
-        let mut bytes = b"ply\nformat binary_little_endian 1.0\nelement vertex 1\n".to_vec();
-        for (name, _) in properties {
-            bytes.extend_from_slice(format!("property float {name}\n").as_bytes());
-        }
-        bytes.extend_from_slice(b"end_header\n");
-        bytes.extend(properties.iter().flat_map(|(_, value)| value.to_le_bytes()));
-        bytes
-    }
-
-    const ONE: [(&str, f32); 15] = [
-        ("rot_3", 0.0),
-        ("rot_0", 2.0),
-        ("rot_2", 0.0),
-        ("rot_1", 0.0),
-        ("confidence", 9.0),
-        ("scale_1", 0.0),
-        ("scale_0", -1.0),
-        ("scale_2", 1.0),
-        ("opacity", f32::INFINITY),
-        ("f_dc_2", 0.3),
-        ("f_dc_0", 0.1),
-        ("f_dc_1", 0.2),
-        ("z", 3.0),
-        ("x", 1.0),
-        ("y", 2.0),
-    ];
-
-    #[test]
-    fn properties_are_found_by_name_in_any_order() {
-        let cloud = decode(&file(&ONE)).unwrap();
-        assert_eq!(cloud.means, [[1.0, 2.0, 3.0]]);
-        assert_eq!(cloud.rotations, [[1.0, 0.0, 0.0, 0.0]]);
-        assert_eq!(
-            cloud.scales,
-            [[(-1.0f64).exp() as f32, 1.0, std::f32::consts::E]]
-        );
-        assert_eq!(
-            (cloud.opacities[0], cloud.sh_dc[0], cloud.sh_degree),
-            (1.0, [0.1, 0.2, 0.3], 0)
-        );
-        assert_eq!(cloud.defect_of(0), None);
-    }
-
-    #[test]
-    fn a_missing_property_is_named() {
-        for (skipped, (name, _)) in ONE
-            .iter()
-            .enumerate()
-            .filter(|(_, (name, _))| *name != "confidence")
-        {
-            let rest: Vec<_> = ONE
-                .iter()
-                .enumerate()
-                .filter(|(i, _)| *i != skipped)
-                .map(|(_, property)| *property)
-                .collect();
-            assert!(decode(&file(&rest)).unwrap_err().to_string().contains(name));
-        }
-    }
-
-    #[test]
-    fn rest_coefficients_are_channel_major_and_counted() {
-        for (count, degree) in [(9usize, 1u8), (24, 2), (45, 3), (72, 3)] {
-            let names: Vec<String> = (0..count).map(|i| format!("f_rest_{i}")).collect();
-            let mut properties = ONE.to_vec();
-            properties.extend(
-                names
-                    .iter()
-                    .enumerate()
-                    .map(|(i, name)| (name.as_str(), i as f32)),
-            );
-            let cloud = decode(&file(&properties)).unwrap();
-            let stride = count / 3;
-            assert_eq!(
-                (cloud.sh_degree, cloud.sh_rest.len()),
-                (degree, stride.min(15))
-            );
-            assert_eq!(
-                cloud.rest_of(0)[1],
-                [1.0, (stride + 1) as f32, (2 * stride + 1) as f32]
-            );
-            properties.pop();
-            assert!(
-                decode(&file(&properties))
-                    .unwrap_err()
-                    .to_string()
-                    .contains("f_rest")
-            );
-        }
-    }
-
-    #[test]
-    fn a_splat_that_cannot_be_drawn_does_not_fail_the_file() {
-        use decouplegs_scene::SplatDefect;
-        for (name, value, defect) in [
-            ("x", f32::NAN, SplatDefect::Mean),
-            ("scale_2", f32::INFINITY, SplatDefect::Scale),
-            ("rot_0", 0.0, SplatDefect::Rotation),
-            ("opacity", f32::NAN, SplatDefect::Opacity),
-            ("f_dc_1", f32::NEG_INFINITY, SplatDefect::Color),
-        ] {
-            let changed = ONE.map(|property| {
-                if property.0 == name {
-                    (name, value)
-                } else {
-                    property
-                }
-            });
-            assert_eq!(
-                decode(&file(&changed)).unwrap().defect_of(0),
-                Some(defect),
-                "{name}"
-            );
-        }
-    }
-
-    #[test]
-    fn one_of_several_models_is_read_by_its_element() {
-        let bytes = String::from_utf8(file(&[("x", 0.0)]))
-            .unwrap()
-            .replace("element vertex", "element vertex_obj_007");
-        let error = decode(bytes.as_bytes()).unwrap_err().to_string();
-        assert!(error.contains("vertex_obj_007"), "{error}");
-        assert!(
-            decode_element(bytes.as_bytes(), "vertex_obj_007")
-                .unwrap_err()
-                .to_string()
-                .contains("'y'")
-        );
-    }
-
-    #[test]
-    fn an_empty_cloud_is_a_file() {
-        let cloud = SplatCloud::with_degree(2);
-        assert_eq!(decode(&encode(&cloud)).unwrap(), cloud);
-    }
-}
+mod tests;

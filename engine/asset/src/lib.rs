@@ -45,6 +45,7 @@ pub mod splat;
 pub mod spz;
 pub mod tracks;
 mod unfinished;
+mod unknown_keys;
 pub mod zip;
 
 #[doc(hidden)]
@@ -60,7 +61,7 @@ pub use maps::read_map;
 pub use obstacle_file::{read_obstacles, write_obstacles};
 pub use packed_scene::open_packed_scene;
 pub use probe::{probe_paths, read_probe};
-pub use read::{SplatFormat, read_splats};
+pub use read::{SplatFormat, read_placed_splats, read_splats};
 pub use scene_file::{
     AgentLabel, EditError, Layer, LoadedAgent, LoadedLight, LoadedRecording, LoadedScene,
     PlainAgent, SceneAgent, SceneFile, SceneLidar, SceneLight, SceneRecording, SceneSky, SeenFrom,

@@ -1,15 +1,17 @@
 //! Detection of the format of a splat file.
 
-use std::path::Path;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 
 use decouplegs_scene::{Invalid, SplatCloud};
+use glam::DVec3;
 
 use crate::error::read_bytes;
 use crate::ply::Ply;
 use crate::zip::Archive;
 use crate::{
-    AssetError, DecodeError, checkpoint, coded_asset, compressed_ply, inria_ply, khr_glb, sog,
-    splat, spz,
+    AssetError, DecodeError, checkpoint, coded_asset, compressed_ply, inria_ply, khr_glb, memory,
+    sog, splat, spz,
 };
 
 /// The formats that are read.
@@ -72,6 +74,12 @@ impl SplatFormat {
             _ if extension.eq_ignore_ascii_case("splat") => Ok(Self::Splat),
             _ if extension.eq_ignore_ascii_case("safetensors") => Ok(Self::CodedAsset),
             [] => Err("the file is empty".into()),
+            _ if extension.eq_ignore_ascii_case("gltf") => {
+                Err("a glTF of text with its data in other files; write it as one .glb file".into())
+            }
+            _ if extension.eq_ignore_ascii_case("ksplat") => {
+                Err("a .ksplat; convert it with splat-transform to .ply or .sog".into())
+            }
             _ => Err(Invalid::new(format!(
                 "neither its first bytes nor its extension '{extension}' tell a splat format"
             ))),
@@ -109,25 +117,129 @@ impl SplatFormat {
 /// # Errors
 /// [`AssetError::Read`], [`AssetError::Unrecognized`] or [`AssetError::Decode`].
 pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
+    let (cloud, origin) = read_placed_splats(path)?;
+    if origin != DVec3::ZERO {
+        log::warn!(
+            "{}: coordinates are large doubles; {origin} is taken off, and positions are relative to it",
+            path.display()
+        );
+    }
+    Ok(cloud)
+}
+
+/// Reads like [`read_splats`], and returns the origin that positions are relative to, world
+/// coordinates in meters: zero, but for a PLY of large doubles ([`inria_ply::decode_placed`]).
+///
+/// # Errors
+/// Returns the errors of [`read_splats`].
+pub fn read_placed_splats(path: &Path) -> Result<(SplatCloud, DVec3), AssetError> {
+    let at_zero = |cloud: SplatCloud| (cloud, DVec3::ZERO);
     let is_set = |folder: &Path| folder.join(sog::LOD_META).is_file();
     if path.is_dir() {
-        return if is_set(path) {
+        if let Some(file) = last_iteration(path) {
+            return placed_splats_of(&read_bytes(&file)?, &file);
+        }
+        let read = if is_set(path) {
             sog::read_set(path)
         } else {
             sog::read_folder(path)
         };
+        return read.map(at_zero);
     }
     if path.file_name().is_some_and(|name| name == sog::LOD_META) {
-        return sog::read_set(path.parent().unwrap_or(Path::new("")));
+        return sog::read_set(path.parent().unwrap_or(Path::new(""))).map(at_zero);
     }
     if path.file_name().is_some_and(|name| name == sog::META) {
-        return sog::read_folder(path.parent().unwrap_or(Path::new("")));
+        return sog::read_folder(path.parent().unwrap_or(Path::new(""))).map(at_zero);
     }
-    splats_of(&read_bytes(path)?, path)
+    warn_of_parts(path);
+    placed_splats_of(&read_bytes(path)?, path)
 }
 
-/// Reads the splats in the bytes of the file at `path`.
-pub(crate) fn splats_of(bytes: &[u8], path: &Path) -> Result<SplatCloud, AssetError> {
+/// The PLY of the last iteration in the folder of a model that the original 3DGS trained
+/// (`point_cloud/iteration_30000/point_cloud.ply`), or in its `point_cloud`; `None` if it is no
+/// such folder.
+fn last_iteration(folder: &Path) -> Option<PathBuf> {
+    let inner = folder.join("point_cloud");
+    let within = if inner.is_dir() {
+        inner
+    } else {
+        folder.to_owned()
+    };
+    let mut last: Option<(u64, PathBuf)> = None;
+    for entry in std::fs::read_dir(within).ok()?.flatten() {
+        let name = entry.file_name();
+        let number = name
+            .to_str()
+            .and_then(|name| name.strip_prefix("iteration_"));
+        let Some(number) = number.and_then(|number| number.parse().ok()) else {
+            continue;
+        };
+        let file = entry.path().join("point_cloud.ply");
+        if file.is_file() && last.as_ref().is_none_or(|(found, _)| *found < number) {
+            last = Some((number, file));
+        }
+    }
+    let (number, file) = last?;
+    log::warn!(
+        "{} is a trained model: its last iteration, {number}, is read",
+        folder.display()
+    );
+    Some(file)
+}
+
+/// Warns where `path` is one of several parts of a scene that lie side by side, as trainers on
+/// several devices write them: `splats_rank0.ply`, `splats_rank1.ply`.
+fn warn_of_parts(path: &Path) {
+    let name = path.file_name().and_then(|name| name.to_str());
+    let Some((start, end)) = name.and_then(part_of) else {
+        return;
+    };
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    let Ok(entries) = std::fs::read_dir(folder.unwrap_or(Path::new("."))) else {
+        return;
+    };
+    let is_part = |name: &str| part_of(name) == Some((start, end));
+    let parts = entries.flatten().filter(|entry| {
+        let name = entry.file_name();
+        name.to_str().is_some_and(is_part)
+    });
+    let count = parts.count();
+    if count > 1 {
+        log::warn!(
+            "{} is one of {count} parts of a scene that lie beside it, '{start}' to '{end}': only this one is read; join \
+             them where they were trained",
+            path.display()
+        );
+    }
+}
+
+/// Texts before and behind the number of a part in a file name.
+fn part_of(name: &str) -> Option<(&str, &str)> {
+    ["rank", "part", "shard", "chunk", "block"]
+        .into_iter()
+        .find_map(|word| {
+            let after = name.find(word)? + word.len();
+            let separator = usize::from(name[after..].starts_with(['_', '-']));
+            let digits = after + separator;
+            let end = name[digits..].find(|letter: char| !letter.is_ascii_digit())? + digits;
+            (end > digits).then(|| (&name[..digits], &name[end..]))
+        })
+}
+
+/// Reads the splats in the bytes of the file at `path`, and the origin that they are relative to.
+pub(crate) fn placed_splats_of(
+    bytes: &[u8],
+    path: &Path,
+) -> Result<(SplatCloud, DVec3), AssetError> {
+    let unzipped = gunzipped(bytes).map_err(|source| AssetError::Decode {
+        path: path.to_owned(),
+        format: "gzip",
+        source,
+    })?;
+    let bytes = unzipped.as_deref().unwrap_or(bytes);
     let extension = path.extension().unwrap_or_default().to_string_lossy();
     let format =
         SplatFormat::detect(bytes, &extension).map_err(|found| AssetError::Unrecognized {
@@ -135,11 +247,42 @@ pub(crate) fn splats_of(bytes: &[u8], path: &Path) -> Result<SplatCloud, AssetEr
             found: found.into(),
             expected: SplatFormat::EXTENSIONS,
         })?;
-    decode(bytes, format).map_err(|source| AssetError::Decode {
+    let decoded = match format {
+        SplatFormat::InriaPly => inria_ply::decode_placed(bytes),
+        _ => decode(bytes, format).map(|cloud| (cloud, DVec3::ZERO)),
+    };
+    decoded.map_err(|source| AssetError::Decode {
         path: path.to_owned(),
         format: format.name(),
         source,
     })
+}
+
+/// The content of a gzip file that is no SPZ; `None` for other files. It grows with what is there,
+/// up to what the file may decode to.
+fn gunzipped(bytes: &[u8]) -> Result<Option<Vec<u8>>, DecodeError> {
+    if !bytes.starts_with(&[0x1f, 0x8b]) {
+        return Ok(None);
+    }
+    let mut content = flate2::read::MultiGzDecoder::new(bytes);
+    let mut start = [0; 4];
+    // What is broken so early, or an SPZ, is the SPZ reader's to explain.
+    if content.read_exact(&mut start).is_err() || start == *b"NGSP" {
+        return Ok(None);
+    }
+    let most = memory::decoded_bytes_max(bytes.len());
+    let mut unzipped = start.to_vec();
+    content
+        .take(most)
+        .read_to_end(&mut unzipped)
+        .map_err(|error| DecodeError::Malformed(format!("the gzip stream: {error}")))?;
+    if unzipped.len() as u64 > most {
+        return Err(DecodeError::Malformed(format!(
+            "more than {most} bytes are in {} bytes of gzip; unpack it with gunzip",
+            bytes.len()
+        )));
+    }
+    Ok(Some(unzipped))
 }
 
 fn decode(bytes: &[u8], format: SplatFormat) -> Result<SplatCloud, DecodeError> {
@@ -196,6 +339,72 @@ mod tests {
                 .reason()
                 .contains("'txt'")
         );
+    }
+
+    #[test]
+    fn gzip_files_and_folders_of_models_are_opened() {
+        let cloud = SplatCloud {
+            means: vec![[1.0, 2.0, 3.0]],
+            scales: vec![[1.0; 3]],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacities: vec![0.5],
+            sh_degree: 0,
+            sh_dc: vec![[0.0; 3]],
+            sh_rest: Vec::new(),
+        };
+        let directory = tempfile::tempdir().unwrap();
+        let write = |name: &str, bytes: &[u8]| {
+            let path = directory.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(&path, bytes).unwrap();
+            path
+        };
+        let zipped = |bytes: &[u8]| {
+            let mut gzip = flate2::read::GzEncoder::new(bytes, flate2::Compression::fast());
+            let mut zipped = Vec::new();
+            gzip.read_to_end(&mut zipped).unwrap();
+            zipped
+        };
+        let ply = inria_ply::encode(&cloud);
+        let path = write("a.ply.gz", &zipped(&ply));
+        assert_eq!(read_splats(&path).unwrap(), cloud);
+        let bomb = write("b.ply.gz", &zipped(&vec![b'p'; 100 << 20]));
+        let message = format!("{:?}", read_splats(&bomb).unwrap_err());
+        assert!(message.contains("gunzip"), "{message}");
+
+        let other = SplatCloud {
+            means: vec![[9.0; 3]],
+            ..cloud.clone()
+        };
+        let iteration = "model/point_cloud/iteration";
+        write(
+            &format!("{iteration}_7000/point_cloud.ply"),
+            &inria_ply::encode(&other),
+        );
+        write(&format!("{iteration}_30000/point_cloud.ply"), &ply);
+        write(&format!("{iteration}_x/point_cloud.ply"), b"ply");
+        for name in ["model", "model/point_cloud"] {
+            let read = read_splats(&directory.path().join(name)).unwrap();
+            assert_eq!(read, cloud, "{name}");
+        }
+        let message = SplatFormat::detect(b"{}", "gltf").unwrap_err().to_string();
+        assert!(message.contains(".glb"), "{message}");
+    }
+
+    #[test]
+    fn parts_of_a_scene_are_told_by_their_names() {
+        for (name, part) in [
+            ("splats_rank0.ply", Some(("splats_rank", ".ply"))),
+            (
+                "cloud_30000_rank_12_of_4.ply",
+                Some(("cloud_30000_rank_", "_of_4.ply")),
+            ),
+            ("part-3.ply", Some(("part-", ".ply"))),
+            ("frank.ply", None),
+            ("car_3.ply", None),
+        ] {
+            assert_eq!(part_of(name), part, "{name}");
+        }
     }
 
     #[test]

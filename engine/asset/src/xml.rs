@@ -8,13 +8,29 @@ use crate::DecodeError;
 /// The document that `bytes` hold.
 pub fn parse(bytes: &[u8]) -> Result<Document<'_>, DecodeError> {
     let text = std::str::from_utf8(bytes).map_err(|error| {
+        let found = match other_encoding(bytes) {
+            Some(name) => format!("the file is in {name}"),
+            None => error.to_string(),
+        };
         DecodeError::Malformed(format!(
-            "{error}; expected XML in UTF-8, without which it is not read"
+            "{found}; expected XML in UTF-8: convert it, for instance with `iconv -t UTF-8`, and change the \
+             encoding that its first line names"
         ))
     })?;
     check_attributes(bytes)?;
     Document::parse(text)
         .map_err(|error| DecodeError::Malformed(format!("not XML that is read here: {error}")))
+}
+
+/// Name of the encoding that `bytes` begin with, if that is not UTF-8.
+pub(crate) fn other_encoding(bytes: &[u8]) -> Option<&'static str> {
+    match bytes {
+        [0xff, 0xfe, 0, 0, ..] | [0, 0, 0xfe, 0xff, ..] => Some("UTF-32"),
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] | [0, b'<', 0, ..] | [b'<', 0, _, 0, ..] => {
+            Some("UTF-16")
+        }
+        _ => None,
+    }
 }
 
 /// Most attributes of one element. The parser compares each with all others, and maps have at most
@@ -128,6 +144,16 @@ impl<'a> Element<'a> {
     /// All elements in it.
     pub fn elements(self) -> impl Iterator<Item = Self> {
         self.0.children().filter(Node::is_element).map(Self)
+    }
+
+    /// The element that it is in; `None` for the root.
+    pub fn parent(self) -> Option<Self> {
+        self.0.parent_element().map(Self)
+    }
+
+    /// Number of the element in its document, which no other has.
+    pub fn key(self) -> u32 {
+        self.0.id().get()
     }
 
     /// The elements in it that have `name`.

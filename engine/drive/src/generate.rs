@@ -8,7 +8,8 @@
 //! - all vehicles can stop: behind the vehicle ahead if that brakes as hard as it can, with a
 //!   second to react; before a crossing where others go first; before the end of a road;
 //! - the ego's route is some 100 to 180 m, shorter where lanes end or allow less, and takes 13 s at
-//!   most on a free road;
+//!   most on a free road; where no such route is, as on car parks, it is driven at the limit of its
+//!   slowest lane, for 75 s at most;
 //! - from Medium on a slower vehicle drives 15 to 40 m ahead of the ego, so that keeping one's
 //!   speed is not enough.
 
@@ -77,7 +78,7 @@ pub enum GenerateError {
     NoAssets,
     /// The ego finds no way.
     #[error(
-        "scenario {name}: in {tries} tries no place was found where an ego can start and drive on for {least_m} m; expected longer {}",
+        "scenario {name}: in {tries} tries no place was found where an ego can start and drive on for {least_m} m at 3 km/h or more; expected longer {}",
         if *is_limited { "driving lanes along the views that the scene was seen from (`seen_from` in its [recording])" } else { "driving lanes" }
     )]
     NoRoute {
@@ -224,13 +225,13 @@ impl<'a> Generator<'a> {
         let rules = LevelRequirements::new(level, self.difficulty);
         let (least, most) = rules.near;
         let (mut found, mut routes) = (0, 0_u32);
-        for number in 0..TRIES {
+        // Places without a route at the speeds of towns are tried again at any speed.
+        for number in 0..2 * TRIES {
+            if number >= TRIES && routes > 0 {
+                break;
+            }
             let random = stream.split(FOR_TRIES).split(number);
-            let beside = number < TRIES_WITH_ALL && self.roads.has_lanes_beside;
-            let wishes = Wishes {
-                crossing: number < TRIES_BEFORE_CROSSING,
-                beside,
-            };
+            let wishes = self.wishes(number);
             let Some(start) =
                 ego_start::choose(&self.roads, self.area, &rules, &random.split(0), wishes)
             else {
@@ -297,8 +298,8 @@ impl<'a> Generator<'a> {
         Err(match routes {
             0 => GenerateError::NoRoute {
                 name,
-                tries: TRIES,
-                least_m: self.roads.route_m_min(),
+                tries: 2 * TRIES,
+                least_m: ego_start::route_m_min(self.seen.is_some()),
                 is_limited: self.seen.is_some(),
             },
             _ => GenerateError::NoRoom {
@@ -309,6 +310,16 @@ impl<'a> Generator<'a> {
                 tries: TRIES,
             },
         })
+    }
+
+    /// Wishes for a start of a number: fewer the more were tried.
+    fn wishes(&self, number: u64) -> Wishes {
+        let turn = number % TRIES;
+        Wishes {
+            crossing: turn < TRIES_BEFORE_CROSSING,
+            beside: turn < TRIES_WITH_ALL && self.roads.has_lanes_beside,
+            slow: number >= TRIES,
+        }
     }
 
     /// Removes agents that traffic does not accept, and lowers the speeds of others to those that

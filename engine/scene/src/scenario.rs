@@ -102,6 +102,8 @@ pub enum Place {
         probe: Option<PathBuf>,
         /// Stops by which the probe's light is made brighter, below zero darker.
         exposure_ev: f64,
+        /// File of obstacles, drawn as boxes, beside the houses that are generated.
+        obstacles: Option<PathBuf>,
         /// Splats of the static part.
         background: usize,
         /// Splats of each car.

@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use decouplegs_asset::{AssetError, SceneFile, coded_asset, read_coded, read_splats};
+use decouplegs_asset::{
+    AssetError, SceneFile, coded_asset, read_coded, read_placed_splats, read_splats,
+};
 use decouplegs_drive::register::grounding::set_on_ground;
 use decouplegs_drive::{Ground, GroundGuides, GroundOptions};
 use decouplegs_scene::{Invalid, TimedPose, Trajectory};
@@ -39,8 +41,8 @@ pub struct Grounded {
 /// # Errors
 /// Returns an error if the file cannot be read.
 pub fn ground_of(scene: &SceneFile, directory: &Path) -> Result<Ground, AssetError> {
-    let cloud = read_splats(&directory.join(&scene.background))?;
-    let ground = Ground::new(&cloud, scene.origin, &GroundOptions::default());
+    let (cloud, placed_at) = read_placed_splats(&directory.join(&scene.background))?;
+    let ground = Ground::new(&cloud, scene.origin + placed_at, &GroundOptions::default());
     Ok(match &scene.ego {
         Some(ego) => ground.guided(
             &cloud,

@@ -1,28 +1,35 @@
 //! Scenarios from OpenSCENARIO files.
 //!
-//! The ego is the entity named `Ego` or `Hero` (any case), otherwise the first vehicle; the planner
-//! drives it, so its own actions other than a route are skipped. Its route is the shortest way
-//! through the waypoints of its route, otherwise straight on, as far as it drives at
-//! its cruise speed until the file's stop time (20 s if it has none).
+//! The ego is the entity named `Ego` or `Hero` (any case), otherwise the one whose property `type`
+//! is `ego_vehicle`, otherwise the first vehicle; the planner drives it, so its own actions other
+//! than a route are skipped. Its route is the shortest way through the waypoints of its route that
+//! lie ahead of it, otherwise straight on, as far as it drives at its cruise speed until the file's
+//! stop time (20 s if it has none).
 //! Vehicles keep the speeds and lanes that the file gives them as far as traffic rules and other
 //! vehicles allow: they follow by IDM, yield at crossings and choose their ways there by the seed.
 
 mod actions;
 mod locate;
+#[cfg(test)]
+mod tests;
 
+use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use decouplegs_asset::maps::{MapFormat, open_drive};
 use decouplegs_asset::{AssetError, DecodeError, read_bytes, read_map};
 use decouplegs_drive::route::{LaneSpot, lanes_between, straight_on};
-use decouplegs_logs::open_scenario::{Action, Entity, OpenScenario, SignalPhases, TargetSpeed};
+use decouplegs_logs::open_scenario::{
+    Action, Entity, OpenScenario, SignalPhases, StoryEvent, TargetSpeed,
+};
 use decouplegs_logs::read_open_scenario;
 use decouplegs_logs::scenario_file::DURATION_S_MAX;
 use decouplegs_scene::scenario::{DriverKind, EgoTask, Place, TrafficAgent};
-use decouplegs_scene::{LaneMap, RoadUser, Scenario, TrafficLight};
+use decouplegs_scene::{LaneMap, Obstacle, ObstacleKind, RoadUser, Scenario, TrafficLight};
+use glam::DVec2;
 
-use self::locate::{Located, Locator};
+use self::locate::{Located, Locator, Place as Found};
 
 /// A scenario, and what of its file it does not express.
 #[derive(Clone, Debug)]
@@ -32,6 +39,14 @@ pub struct ImportedScenario {
     pub scenario: Scenario,
     /// Lanes of its map.
     pub map: LaneMap,
+    /// Objects of the file that stand, which are to be obstacles of the place.
+    pub obstacles: Vec<Obstacle>,
+    /// Name of the entity that the planner drives.
+    pub ego: String,
+    /// Number of the storyboard's events that are about others than the ego.
+    pub events: usize,
+    /// Number of those of which an action is driven.
+    pub events_driven: usize,
     /// Elements that are skipped or approximated, one sentence each.
     pub skipped: Vec<String>,
 }
@@ -45,34 +60,65 @@ const CRUISE_MPS_MIN: f64 = 1.0;
 const TIME_FACTOR: f64 = 1.5;
 const TIME_PLUS_S: f64 = 15.0;
 
-/// Reads the OpenSCENARIO file at `path` and its map, and makes a scenario of them.
+/// Reads the OpenSCENARIO file at `path` and its map, or `map` instead, and makes a scenario of
+/// them.
 ///
 /// # Errors
 /// [`AssetError::Read`], [`AssetError::Unrecognized`], or [`AssetError::Decode`] with the element
 /// at fault.
-pub fn import_open_scenario(path: &Path) -> Result<ImportedScenario, AssetError> {
+pub fn import_open_scenario(
+    path: &Path,
+    map: Option<&Path>,
+) -> Result<ImportedScenario, AssetError> {
     let file = read_open_scenario(path)?;
     let fault = |reason: String| AssetError::Decode {
         path: path.to_owned(),
         format: "OpenSCENARIO",
         source: DecodeError::Malformed(reason),
     };
-    let (map, roads) = read_network(&file.map)?;
+    let map_file = map
+        .or(file.map.as_deref())
+        .ok_or_else(|| fault("it names no map (<LogicFile>); give one with --map".into()))?;
+    if map.is_none() && !map_file.exists() {
+        return Err(fault(format!(
+            "its map {} is not there; give another with --map",
+            map_file.display()
+        )));
+    }
+    let (map, roads) = read_network(map_file)?;
     let name = names_of(path.file_stem().map_or("scenario".into(), |stem| {
         stem.to_string_lossy().into_owned()
     }));
     let locator = Locator::new(&map, roads.as_ref(), &file.entities);
-    let map_path = std::fs::canonicalize(&file.map).unwrap_or_else(|_| file.map.clone());
+    let map_path = std::fs::canonicalize(map_file).unwrap_or_else(|_| map_file.to_owned());
+    let mut by_event: HashMap<usize, Vec<(usize, usize)>> = HashMap::new();
+    for (index, entity) in file.entities.iter().enumerate() {
+        for (at, event) in entity.events.iter().enumerate() {
+            by_event.entry(event.number).or_default().push((index, at));
+        }
+    }
     let import = Import {
         file: &file,
         map: &map,
         located: locator.all(),
         locator,
+        by_event,
+        event_times_s: RefCell::default(),
+        events_driven: RefCell::default(),
     };
-    let (scenario, skipped) = import.scenario(name, &map_path).map_err(fault)?;
+    let ego = import.ego_index().map_err(&fault)?;
+    let (scenario, obstacles, skipped) = import.scenario(name, &map_path).map_err(fault)?;
+    let ego = file.entities[ego].name.clone();
+    let of_others = |event: &&StoryEvent| event.actors.iter().any(|actor| *actor != ego);
+    let events = file.events.iter().filter(of_others).count();
+    let events_driven = import.events_driven.take().len();
     Ok(ImportedScenario {
         scenario,
         map,
+        obstacles,
+        ego,
+        events,
+        events_driven,
         skipped,
     })
 }
@@ -98,11 +144,21 @@ struct Import<'a> {
     map: &'a LaneMap,
     locator: Locator<'a>,
     /// Places of the entities at the start, `None` where they are unknown.
-    located: Vec<Option<Located>>,
+    located: Vec<Found>,
+    /// Actions of each event: entities, and places among their events.
+    by_event: HashMap<usize, Vec<(usize, usize)>>,
+    /// Times at which events begin (false) and end (true), where times alone decide them, seconds.
+    event_times_s: RefCell<HashMap<(usize, bool), Option<f64>>>,
+    /// Numbers of events of which an action is driven.
+    events_driven: RefCell<HashSet<usize>>,
 }
 
 impl Import<'_> {
-    fn scenario(&self, name: String, map_path: &Path) -> Result<(Scenario, Vec<String>), String> {
+    fn scenario(
+        &self,
+        name: String,
+        map_path: &Path,
+    ) -> Result<(Scenario, Vec<Obstacle>, Vec<String>), String> {
         let mut skipped = self.file.skipped.clone();
         let ego = self.ego_index()?;
         let stop_s = self.file.stop_time_s.unwrap_or(Scenario::DURATION_S);
@@ -119,6 +175,7 @@ impl Import<'_> {
                 map: map_path.to_owned(),
                 probe: None,
                 exposure_ev: 0.0,
+                obstacles: None,
                 background: 1,
                 agent_splats: 1,
             },
@@ -128,42 +185,67 @@ impl Import<'_> {
             lights: self.lights(&mut skipped),
             signs: self.map.signs.clone(),
         };
+        let mut obstacles = Vec::new();
         let mut names = UniqueNames::default();
         let mut assets = [0; RoadUser::ALL.len()];
         for (index, entity) in self.file.entities.iter().enumerate() {
             if index == ego {
                 continue;
             }
-            let Some(located) = &self.located[index] else {
-                skipped.push(format!(
-                    "{}: it has no position that is on the map",
-                    entity.name
-                ));
+            let located = match &self.located[index] {
+                Ok(located) => located,
+                Err(reason) => {
+                    skipped.push(format!("{}: it is left out: {reason}", entity.name));
+                    continue;
+                }
+            };
+            let Some(kind) = entity.kind else {
+                if !entity.events.is_empty() {
+                    skipped.push(format!("{}: an object does not move", entity.name));
+                }
+                let ahead = DVec2::from_angle(located.heading_rad);
+                obstacles.push(Obstacle {
+                    kind: ObstacleKind::Captured,
+                    center_m: located.point_m + entity.center_m * ahead,
+                    yaw_rad: located.heading_rad,
+                    length_m: entity.size.length_m,
+                    width_m: entity.size.width_m,
+                });
                 continue;
             };
             let name = names.give(names_of(entity.name.clone()));
-            let asset = &mut assets[entity.kind as usize];
-            if entity.kind == RoadUser::Pedestrian {
-                let mut walker = self.pedestrian(index, ego, &mut skipped);
+            let asset = &mut assets[kind as usize];
+            if kind == RoadUser::Pedestrian {
+                let mut walker = self.pedestrian(index, *located, ego, &mut skipped);
                 (walker.name, walker.asset) = (name, *asset);
                 scenario.pedestrians.push(walker);
             } else if let Some(spot) = self.center(entity, located) {
-                let mut agent = self.vehicle(entity, spot);
+                if located.is_against(&self.locator.index) {
+                    skipped.push(format!(
+                        "{}: it heads against the direction of its lane; it drives along it",
+                        entity.name
+                    ));
+                }
+                let mut agent = self.vehicle(entity, kind, spot);
                 (agent.name, agent.asset) = (name, *asset);
                 agent.behaviors = self.behaviors(index, ego, &mut skipped);
                 scenario.agents.push(agent);
             } else {
-                skipped.push(format!("{}: it stands on no driving lane", entity.name));
+                skipped.push(format!(
+                    "{}: it is left out: it stands on no driving lane",
+                    entity.name
+                ));
                 continue;
             }
             *asset += 1;
         }
-        Ok((scenario, skipped))
+        Ok((scenario, obstacles, skipped))
     }
 
     fn ego_index(&self) -> Result<usize, String> {
         let entities = &self.file.entities;
-        let is_vehicle = |entity: &&Entity| entity.kind != RoadUser::Pedestrian;
+        let is_vehicle =
+            |entity: &&Entity| entity.kind.is_some_and(|kind| kind != RoadUser::Pedestrian);
         let named = |name: &str| {
             entities
                 .iter()
@@ -171,6 +253,10 @@ impl Import<'_> {
         };
         named("ego")
             .or_else(|| named("hero"))
+            .or_else(|| {
+                let mut entities = entities.iter();
+                entities.position(|entity| entity.is_ego && is_vehicle(&entity))
+            })
             .or_else(|| entities.iter().position(|entity| is_vehicle(&entity)))
             .ok_or_else(|| "it has no vehicle; expected one that the planner drives".into())
     }
@@ -192,19 +278,25 @@ impl Import<'_> {
         skipped: &mut Vec<String>,
     ) -> Result<EgoTask, String> {
         let entity = &self.file.entities[index];
-        let start = self.located[index]
+        let located = self.located[index]
             .as_ref()
-            .and_then(|located| self.center(entity, located))
-            .ok_or_else(|| {
-                format!(
-                    "{}: its position is on no driving lane of the map; `decouplegs map` lists the lanes",
-                    entity.name
-                )
-            })?;
+            .map_err(|reason| format!("{}: it cannot start: {reason}", entity.name))?;
+        let start = self.center(entity, located).ok_or_else(|| {
+            format!(
+                "{}: its position is on no driving lane of the map; `decouplegs map` lists the lanes",
+                entity.name
+            )
+        })?;
+        if located.is_against(&self.locator.index) {
+            skipped.push(format!(
+                "{}: it heads against the direction of its lane; it starts along it",
+                entity.name
+            ));
+        }
         let mut route = entity.route.as_slice();
         for event in &entity.events {
             match &event.action {
-                Action::Path(path) if route.is_empty() => route = path,
+                Action::Path { points, .. } if route.is_empty() => route = points,
                 _ => skipped.push(format!(
                     "line {}: the planner drives {}, so its action is skipped",
                     event.line, entity.name
@@ -220,12 +312,18 @@ impl Import<'_> {
         };
         let (mut lanes, mut end) = (vec![start.lane], start);
         for waypoint in route {
-            let spot = self
+            let place = self
                 .locator
                 .locate(waypoint, &self.located)
-                .and_then(|located| located.spot)
+                .map_err(|reason| format!("{}: a waypoint of its route: {reason}", entity.name))?;
+            let spot = place
+                .spot
                 .ok_or_else(|| format!("{}: a waypoint is on no driving lane", entity.name))?;
-            let onward = lanes_between(self.map, end, spot).ok_or_else(|| {
+            // A route may begin where the ego starts, or behind it.
+            if end == start && self.is_passed(start, spot) || spot == end {
+                continue;
+            }
+            let onward = self.way_to(end, spot).ok_or_else(|| {
                 let id = |spot: LaneSpot| &self.map.lanes[spot.lane].id;
                 format!(
                     "{}: no way leads from lane {} to its waypoint on lane {}",
@@ -234,10 +332,10 @@ impl Import<'_> {
                     id(spot)
                 )
             })?;
-            lanes.extend(onward.into_iter().skip(1));
-            end = spot;
+            lanes.extend(onward.0.into_iter().skip(1));
+            end = onward.1;
         }
-        if route.is_empty() {
+        if end == start {
             let travel_m = cruise_mps * stop_s;
             (lanes, end) = straight_on(self.map, start, travel_m);
         }
@@ -255,12 +353,51 @@ impl Import<'_> {
         })
     }
 
+    /// True if `spot` lies on the way that leads to `start`, nearer than any way from there.
+    fn is_passed(&self, start: LaneSpot, spot: LaneSpot) -> bool {
+        let length_m = |from: LaneSpot, to: LaneSpot| -> Option<f64> {
+            let lanes = lanes_between(self.map, from, to)?;
+            let before = lanes[..lanes.len() - 1].windows(1).zip(&lanes[1..]);
+            let lanes_m: f64 = before
+                .filter(|(lane, next)| self.map.lanes[lane[0]].successors.contains(next))
+                .map(|(lane, _)| self.locator.length_m(lane[0]))
+                .sum();
+            Some(lanes_m + to.at_m - from.at_m)
+        };
+        if spot.lane == start.lane && spot.at_m <= start.at_m {
+            return true;
+        }
+        match (length_m(spot, start), length_m(start, spot)) {
+            (Some(behind_m), Some(ahead_m)) => behind_m < ahead_m,
+            (behind_m, _) => behind_m.is_some(),
+        }
+    }
+
+    /// Lanes to `to`, and its place; to a lane beside it, also of the other direction, where no way
+    /// leads to its own.
+    fn way_to(&self, from: LaneSpot, to: LaneSpot) -> Option<(Vec<usize>, LaneSpot)> {
+        // A lane beside, changed to at once, leads no way back.
+        let leads = |lanes: &Vec<usize>, to: LaneSpot| {
+            let mut pairs = lanes.windows(2);
+            pairs.any(|pair| self.map.lanes[pair[0]].successors.contains(&pair[1]))
+                || to.at_m > from.at_m
+        };
+        let way = |to: LaneSpot| lanes_between(self.map, from, to).filter(|lanes| leads(lanes, to));
+        if let Some(lanes) = way(to) {
+            return Some((lanes, to));
+        }
+        let beside = self.locator.lanes_beside(to).into_iter();
+        beside
+            .filter_map(|spot| Some((way(spot)?, spot)))
+            .min_by_key(|(lanes, _)| lanes.len())
+    }
+
     /// A vehicle without name, asset and behaviors.
-    fn vehicle(&self, entity: &Entity, spot: LaneSpot) -> TrafficAgent {
+    fn vehicle(&self, entity: &Entity, kind: RoadUser, spot: LaneSpot) -> TrafficAgent {
         let speed_mps = self.speed_of(entity.speed.as_ref()).clamp(0.0, 70.0);
         TrafficAgent {
             name: String::new(),
-            kind: entity.kind,
+            kind,
             asset: 0,
             size: entity.size,
             lane: self.map.lanes[spot.lane].id.clone(),
@@ -359,7 +496,7 @@ impl UniqueNames {
 }
 
 #[cfg(test)]
-mod tests {
+mod names {
     use super::*;
 
     #[test]

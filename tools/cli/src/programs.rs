@@ -1,11 +1,52 @@
 //! The programs that `decouplegs` is made of. It runs the others by its own subcommands, as git and
 //! cargo do, so that a build of one waits for no other.
 
+use std::collections::HashSet;
 use std::io::Write;
 use std::process::ExitCode;
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::Result;
 use decouplegs_scene::explain::explain;
+
+/// Warnings that libraries log, each printed once.
+struct Warnings {
+    told: Mutex<HashSet<String>>,
+}
+
+/// Most warnings of libraries that are printed.
+const WARNINGS_MAX: usize = 100;
+
+impl log::Log for Warnings {
+    fn enabled(&self, metadata: &log::Metadata) -> bool {
+        metadata.level() <= log::Level::Warn && metadata.target().starts_with("decouplegs")
+    }
+
+    fn log(&self, record: &log::Record) {
+        if !self.enabled(record.metadata()) {
+            return;
+        }
+        let sentence = record.args().to_string();
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        if told.len() < WARNINGS_MAX && !told.contains(&sentence) {
+            crate::arguments::warn(&sentence);
+            told.insert(sentence);
+        }
+    }
+
+    fn flush(&self) {}
+}
+
+/// Prints what libraries warn of on standard error from now on.
+pub fn print_warnings() {
+    let warnings = Box::new(Warnings {
+        told: Mutex::default(),
+    });
+    // A second call changes nothing.
+    if log::set_boxed_logger(warnings).is_ok() {
+        log::set_max_level(log::LevelFilter::Warn);
+    }
+}
 
 /// A program with subcommands of the command line of `decouplegs`.
 #[derive(Debug, PartialEq, Eq)]

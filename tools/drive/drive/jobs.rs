@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use decouplegs::asset::maps::length_m;
-use decouplegs::asset::{probe_paths, write_atomically};
+use decouplegs::asset::{probe_paths, write_atomically, write_obstacles};
 use decouplegs::drive::generate::{Area, Difficulty, Generator, PlaceOptions, Sky};
 use decouplegs::episode::Site;
 use decouplegs::logs::{read_scenario, write_scenario};
@@ -24,16 +24,21 @@ use crate::progress;
 #[derive(clap::Args)]
 pub struct PlaceArguments {
     /// Drive on the roads of this map, rendered as asphalt and markings, instead of the synthetic
-    /// street
-    #[arg(long, value_name = "FILE", conflicts_with = "scenarios")]
+    /// street, or instead of the map that OpenSCENARIO files name
+    #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
     /// Light the roads of --map by the probes (.hdr, .exr) in this folder. Names with `night`,
     /// `dusk`, `dawn`, `sunset`, `sunrise`, `overcast` or `cloud` define the weather; all others
     /// count as clear days
-    #[arg(long, value_name = "DIR", requires = "map")]
+    #[arg(
+        long,
+        value_name = "DIR",
+        requires = "map",
+        conflicts_with = "scenarios"
+    )]
     probes: Option<PathBuf>,
     /// Drive in this captured scene (.toml), whose lanes are those of --map
-    #[arg(long, value_name = "FILE", requires = "map", conflicts_with = "probes")]
+    #[arg(long, value_name = "FILE", requires = "map", conflicts_with_all = ["probes", "scenarios"])]
     scene: Option<PathBuf>,
     /// Obstacles of --scene, instead of what its splats show beside the lanes. `map --obstacles`
     /// writes such a file
@@ -53,6 +58,9 @@ pub struct Job {
     pub scenario: Scenario,
     /// Base folder of the scenario's files.
     pub directory: PathBuf,
+    /// Sentence about events of its OpenSCENARIO file that are not driven, to stand beside its
+    /// score.
+    pub lost: Option<String>,
 }
 
 pub fn list(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
@@ -75,16 +83,28 @@ pub fn list(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
 }
 
 fn from_files(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
+    let is_open_scenario = |path: &PathBuf| {
+        path.extension()
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("xosc"))
+    };
+    if let Some(other) = arguments
+        .scenarios
+        .iter()
+        .find(|path| arguments.place.map.is_some() && !is_open_scenario(path))
+    {
+        bail!(
+            "--map stands for the map of OpenSCENARIO files (.xosc), and {} names its own",
+            other.display()
+        );
+    }
     let job = |path: &PathBuf| {
-        let is_open_scenario = path
-            .extension()
-            .is_some_and(|extension| extension.eq_ignore_ascii_case("xosc"));
-        if is_open_scenario {
+        if is_open_scenario(path) {
             return imported(path, arguments, folder);
         }
         Ok(Job {
             scenario: stepped(read_scenario(path)?, arguments),
             directory: path.parent().unwrap_or(Path::new("")).to_owned(),
+            lost: None,
         })
     };
     arguments.scenarios.iter().map(job).collect()
@@ -102,19 +122,33 @@ const SKIPPED_SHOWN: usize = 8;
 /// The scenario of an OpenSCENARIO file, written to the folder of the run beside a list of what was
 /// skipped.
 fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Job> {
-    let imported = import_open_scenario(path)?;
+    let imported = import_open_scenario(path, arguments.place.map.as_deref())?;
     let mut scenario = stepped(imported.scenario, arguments);
+    let written = folder.scenario(&scenario.name);
     if let Place::Roads {
         background,
         agent_splats,
+        obstacles,
         ..
     } = &mut scenario.place
     {
         let place = &arguments.place;
         *background = place.background_on(&imported.map, arguments.render.0 > 0);
         *agent_splats = place.agent_splats;
+        if !imported.obstacles.is_empty() {
+            let file = written.with_extension("obstacles.json");
+            write_obstacles(&file, &imported.obstacles)?;
+            *obstacles = Some(std::path::absolute(file)?);
+        }
     }
-    let written = folder.scenario(&scenario.name);
+    let _ = writeln!(
+        std::io::stderr(),
+        "{}: the planner drives {}; {} of {} events of others are driven",
+        path.display(),
+        imported.ego,
+        imported.events_driven,
+        imported.events
+    );
     write_scenario(&written, &scenario)?;
     let list = written.with_extension("skipped.txt");
     let mut text = imported.skipped.join("\n");
@@ -128,9 +162,16 @@ fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Jo
         let more = skipped.len() - SKIPPED_SHOWN;
         warn(&format!("and {more} more: all are in {}", list.display()));
     }
+    let lost = (imported.events_driven < imported.events).then(|| {
+        format!(
+            "{}: {} of {} events of others are driven, so its score is not that of the whole file",
+            scenario.name, imported.events_driven, imported.events
+        )
+    });
     Ok(Job {
         scenario,
         directory: PathBuf::new(),
+        lost,
     })
 }
 
@@ -194,6 +235,7 @@ fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
         jobs.push(Job {
             scenario,
             directory: PathBuf::new(),
+            lost: None,
         });
         bar.inc(1);
     }
@@ -330,6 +372,7 @@ impl PlaceArguments {
                 map,
                 probe: None,
                 exposure_ev: 0.0,
+                obstacles: None,
                 background: 0,
                 agent_splats: 0,
             },

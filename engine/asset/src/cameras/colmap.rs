@@ -17,7 +17,7 @@ use crate::{AssetError, DecodeError};
 /// Folders of a dataset in which a model is looked for, the given one first.
 const FOLDERS: [&str; 4] = ["", "sparse/0", "0", "sparse"];
 /// Names of the camera models by their numbers in binary files, and the number of their parameters.
-const MODELS: [(&str, usize); 11] = [
+const MODELS: [(&str, usize); 18] = [
     ("SIMPLE_PINHOLE", 3),
     ("PINHOLE", 4),
     ("SIMPLE_RADIAL", 4),
@@ -29,6 +29,13 @@ const MODELS: [(&str, usize); 11] = [
     ("SIMPLE_RADIAL_FISHEYE", 4),
     ("RADIAL_FISHEYE", 5),
     ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
 ];
 /// Bytes of a point in a binary image: x, y, number.
 const POINT_BYTES: u64 = 24;
@@ -101,8 +108,9 @@ fn decode_images(
     }
 }
 
-/// Intrinsics by the number of the camera.
-type Lenses = HashMap<u32, Intrinsics>;
+/// Intrinsics by the number of the camera, or a sentence that says why they are not drawn: it
+/// counts only if an image uses the camera.
+type Lenses = HashMap<u32, Result<Intrinsics, String>>;
 
 /// Reads `cameras.txt`.
 fn lenses_of_text(bytes: &[u8]) -> Result<Lenses, DecodeError> {
@@ -122,10 +130,8 @@ fn lenses_of_text(bytes: &[u8]) -> Result<Lenses, DecodeError> {
                 "expected whole numbers for id, width and height, and numbers behind them",
             ));
         };
-        lenses.insert(
-            id,
-            intrinsics(model, [width, height], &parameters).map_err(|reason| fault(&reason))?,
-        );
+        let lens = intrinsics(model, [width, height], &parameters);
+        lenses.insert(id, lens.map_err(|reason| fault(&reason).to_string()));
     }
     Ok(lenses)
 }
@@ -148,8 +154,7 @@ fn lenses_of_binary(bytes: &[u8]) -> Result<Lenses, DecodeError> {
         let parameters = (0..*count)
             .map(|_| reader.f64())
             .collect::<Result<Vec<f64>, _>>()?;
-        let of_camera = |reason| DecodeError::Malformed(format!("camera {id}: {reason}"));
-        lenses.insert(id, intrinsics(name, size, &parameters).map_err(of_camera)?);
+        lenses.insert(id, intrinsics(name, size, &parameters));
     }
     Ok(lenses)
 }
@@ -232,6 +237,8 @@ fn intrinsics(
         ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => {
             with([f, f], [cx, cy], fisheye([k1, k2, 0.0, 0.0]))
         }
+        ("SIMPLE_FISHEYE", &[f, cx, cy]) => with([f, f], [cx, cy], fisheye([0.0; 4])),
+        ("FISHEYE", &[fx, fy, cx, cy]) => with([fx, fy], [cx, cy], fisheye([0.0; 4])),
         _ => Err(format!(
             "camera model {model} is not drawn: undistort the images first (colmap image_undistorter)"
         )),
@@ -247,7 +254,15 @@ fn images_of_text(bytes: &[u8], lenses: &Lenses) -> Result<Vec<Camera>, DecodeEr
             continue;
         }
         let fault = |reason: String| DecodeError::Malformed(format!("line {number}: {reason}"));
-        let words: Vec<&str> = line.splitn(10, ' ').collect();
+        // Any white space parts the columns; the name is the rest of the line, blanks within.
+        let (mut words, mut rest) = (Vec::new(), line);
+        while words.len() < 9
+            && let Some((word, more)) = rest.split_once(|letter: char| letter.is_ascii_whitespace())
+        {
+            words.push(word);
+            rest = more.trim_start();
+        }
+        words.push(rest);
         let [_, pose @ .., lens, name] = words.as_slice() else {
             return Err(fault("expected ten columns".into()));
         };
@@ -297,9 +312,11 @@ fn camera(
     lens: u32,
     lenses: &Lenses,
 ) -> Result<Camera, String> {
-    let intrinsics = *lenses
+    let intrinsics = lenses
         .get(&lens)
-        .ok_or_else(|| format!("image '{name:.60}': there is no camera {lens}"))?;
+        .ok_or_else(|| format!("image '{name:.60}': there is no camera {lens}"))?
+        .clone()
+        .map_err(|reason| format!("image '{name:.60}': camera {lens}: {reason}"))?;
     let (rotation, translation) = (DQuat::from_xyzw(x, y, z, w), DVec3::from_array(t));
     let no_motion = || format!("image '{name:.60}': its pose is no rigid motion");
     if !(translation.is_finite() && (1e-12..1e12).contains(&rotation.length_squared())) {

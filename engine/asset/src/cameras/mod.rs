@@ -73,9 +73,14 @@ pub fn read_cameras(path: &Path, options: &CameraOptions<'_>) -> Result<Vec<Came
 /// # Errors
 /// A [`DecodeError`] that names the line or the camera at fault.
 pub fn decode(bytes: &[u8], size_px: Option<[u32; 2]>) -> Result<Vec<Camera>, DecodeError> {
+    // A mark of the encoding, as some editors write it.
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let cameras = match bytes.iter().find(|byte| !byte.is_ascii_whitespace()) {
         Some(b'[') => inria::decode(bytes)?,
-        Some(b'{') => nerfstudio::decode(bytes, size_px)?,
+        Some(b'{') => match inria::decode_wrapped(bytes) {
+            Some(cameras) => cameras?,
+            None => nerfstudio::decode(bytes, size_px)?,
+        },
         _ => {
             return Err(DecodeError::Malformed(
                 "expected JSON: an array (INRIA cameras.json) or an object (nerfstudio transforms.json)".into(),

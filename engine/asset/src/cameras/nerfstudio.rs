@@ -6,16 +6,20 @@
 //! nerfstudio trained has other ones, see [`super::dataparser`]. NeRF-synthetic files have an angle
 //! of view and no size: it is given, or read from the first image.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use decouplegs_scene::lens::{Fisheye, OpenCv};
 use decouplegs_scene::{Camera, Intrinsics, Lens as Distortion, Motion};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
+use serde_json::Value;
 
 use super::dataparser::Applied;
+use super::inria::is_nothing;
 use super::{json_error, pose_of};
 use crate::DecodeError;
+use crate::unknown_keys::UnknownKeys;
 
 #[derive(Deserialize)]
 struct File {
@@ -24,6 +28,8 @@ struct File {
     applied_scale: Option<f64>,
     #[serde(flatten)]
     shared: Lens,
+    #[serde(flatten)]
+    others: BTreeMap<String, Value>,
 }
 
 #[derive(Deserialize)]
@@ -33,6 +39,101 @@ struct Frame {
     transform_matrix: Vec<[f64; 4]>,
     #[serde(flatten)]
     own: Lens,
+    #[serde(flatten)]
+    others: BTreeMap<String, Value>,
+}
+
+/// Keys of the top and of frames that change no camera here: scales and boxes of a radiance field,
+/// which are not undone, names of other files, and the focal length again.
+const HARMLESS: [&str; 48] = [
+    "aabb",
+    "aabb_scale",
+    "scale",
+    "offset",
+    "up",
+    "from_na",
+    "sharpness",
+    "sharpen",
+    "white_transparent",
+    "black_transparent",
+    "mask_color",
+    "enable_depth_loading",
+    "integer_depth_scale",
+    "ply_file_path",
+    "orientation_override",
+    "auto_scale_poses_override",
+    "train_filenames",
+    "val_filenames",
+    "test_filenames",
+    "applied_transform",
+    "applied_scale",
+    "coordinates",
+    "frames",
+    "file_path",
+    "transform_matrix",
+    "mask_path",
+    "depth_file_path",
+    "depth_path",
+    "normal_file_path",
+    "semantic_path",
+    "timestamp",
+    "time",
+    "colmap_im_id",
+    "camera_id",
+    "cam_id",
+    "camera_index",
+    "frame_index",
+    "frame_id",
+    "sequence",
+    "split",
+    "rotation",
+    "name",
+    "id",
+    "url",
+    "bounds",
+    "near",
+    "far",
+    "n_images",
+];
+
+/// Keys of another lens, shutter or image, refused unless they say that there is none.
+const REFUSED: [&str; 15] = [
+    "is_latlong",
+    "latlong",
+    "is_equirectangular",
+    "equirectangular",
+    "lens",
+    "lens_mode",
+    "rolling_shutter",
+    "rolling_shutter_time",
+    "skew",
+    "flip_x",
+    "flip_y",
+    "fisheye_mask_radius",
+    "s1",
+    "s2",
+    "s3",
+];
+
+/// Refuses keys that mean another lens, and counts those that nobody knows.
+fn check_keys(
+    others: &BTreeMap<String, Value>,
+    unknown: &mut UnknownKeys,
+) -> Result<(), DecodeError> {
+    for (key, value) in others {
+        let is_refused = REFUSED.contains(&key.as_str()) || key.starts_with("ftheta");
+        if is_refused && !is_nothing(value) {
+            return Err(DecodeError::Unsupported(format!(
+                "'{key}' is {}: this lens or shutter is not drawn from transforms.json; undistort first, or \
+                 write the camera as a scene file, which has f-theta lenses and rolling shutters",
+                crate::xml::excerpt(&value.to_string())
+            )));
+        }
+        if !is_refused && !HARMLESS.contains(&key.as_str()) {
+            unknown.add(key);
+        }
+    }
+    Ok(())
 }
 
 /// Lens fields at the top of the file and in each frame.
@@ -46,6 +147,9 @@ struct Lens {
     cy: Option<f64>,
     camera_angle_x: Option<f64>,
     camera_angle_y: Option<f64>,
+    x_fov: Option<f64>,
+    y_fov: Option<f64>,
+    is_fisheye: Option<bool>,
     camera_model: Option<String>,
     k1: Option<f64>,
     k2: Option<f64>,
@@ -69,6 +173,9 @@ impl Lens {
             cy: self.cy.or(shared.cy),
             camera_angle_x: self.camera_angle_x.or(shared.camera_angle_x),
             camera_angle_y: self.camera_angle_y.or(shared.camera_angle_y),
+            x_fov: self.x_fov.or(shared.x_fov),
+            y_fov: self.y_fov.or(shared.y_fov),
+            is_fisheye: self.is_fisheye.or(shared.is_fisheye),
             camera_model: self
                 .camera_model
                 .clone()
@@ -94,7 +201,16 @@ impl Lens {
         let [k1, k2, k3, k4, k5, k6] =
             [self.k1, self.k2, self.k3, self.k4, self.k5, self.k6].map(of);
         let tangential = [of(self.p1), of(self.p2)];
-        match self.camera_model.as_deref() {
+        // instant-ngp names no model, and some write it in lower case.
+        let model = self
+            .camera_model
+            .as_ref()
+            .map(|name| name.to_ascii_uppercase());
+        let model = match (model.as_deref(), self.is_fisheye) {
+            (None | Some("OPENCV" | "PINHOLE"), Some(true)) => Some("OPENCV_FISHEYE"),
+            (model, _) => model,
+        };
+        match model {
             Some("OPENCV_FISHEYE") => {
                 let radial = [k1, k2, k3, k4];
                 return Ok(Distortion::Fisheye(Fisheye {
@@ -106,12 +222,12 @@ impl Lens {
             None
             | Some(
                 "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL"
-                | "perspective",
+                | "PERSPECTIVE",
             ) if [k4, k5, k6] == [0.0; 3] => {}
             None
             | Some(
                 "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL"
-                | "perspective",
+                | "PERSPECTIVE",
             ) => {
                 return Err(format!(
                     "distortion k4 = {k4}, k5 = {k5}, k6 = {k6} of a model that has none of these"
@@ -144,14 +260,26 @@ impl Lens {
             )),
         };
         let (width_px, height_px) = (size(self.w, "w")?, size(self.h, "h")?);
-        let focal_px = |length: Option<f64>, angle_rad: Option<f64>, side_px: u32| {
-            length.or_else(|| {
-                angle_rad.map(|angle_rad| 0.5 * f64::from(side_px) / (0.5 * angle_rad).tan())
-            })
+        // Lengths win over angles in radians, and those over angles in degrees, as in instant-ngp;
+        // where one axis has none, pixels are square.
+        let focal_px =
+            |length: Option<f64>, rad: Option<f64>, degrees: Option<f64>, side_px: u32| {
+                let angle_rad = rad.or(degrees.map(f64::to_radians));
+                length.or_else(|| {
+                    angle_rad.map(|angle_rad| 0.5 * f64::from(side_px) / (0.5 * angle_rad).tan())
+                })
+            };
+        let along_x = focal_px(self.fl_x, self.camera_angle_x, self.x_fov, width_px);
+        let along_y = focal_px(self.fl_y, self.camera_angle_y, self.y_fov, height_px);
+        let (fx_px, fy_px) = match (along_x, along_y) {
+            (Some(fx_px), Some(fy_px)) => (fx_px, fy_px),
+            (Some(focal_px), None) | (None, Some(focal_px)) => (focal_px, focal_px),
+            (None, None) => {
+                return Err(
+                    "no focal length is given; expected 'fl_x', 'camera_angle_x' or 'x_fov', or one of y".into(),
+                );
+            }
         };
-        let fx_px = focal_px(self.fl_x, self.camera_angle_x, width_px)
-            .ok_or("neither 'fl_x' nor 'camera_angle_x' is given")?;
-        let fy_px = focal_px(self.fl_y, self.camera_angle_y, height_px).unwrap_or(fx_px);
         let center_px = [
             self.cx.unwrap_or(0.5 * f64::from(width_px)),
             self.cy.unwrap_or(0.5 * f64::from(height_px)),
@@ -167,8 +295,17 @@ impl Lens {
 /// Reads the cameras. `size_px` is the size of images where neither the top nor the frame has one.
 pub(super) fn decode(bytes: &[u8], size_px: Option<[u32; 2]>) -> Result<Vec<Camera>, DecodeError> {
     let File {
-        frames, mut shared, ..
+        frames,
+        mut shared,
+        others,
+        ..
     } = serde_json::from_slice(bytes).map_err(|error| json_error(&error))?;
+    let mut unknown = UnknownKeys::default();
+    check_keys(&others, &mut unknown)?;
+    for frame in &frames {
+        check_keys(&frame.others, &mut unknown)?;
+    }
+    unknown.warn("keys of transforms.json");
     if let (None, None, Some([width_px, height_px])) = (shared.w, shared.h, size_px) {
         (shared.w, shared.h) = (Some(width_px.into()), Some(height_px.into()));
     }
@@ -179,15 +316,49 @@ pub(super) fn decode(bytes: &[u8], size_px: Option<[u32; 2]>) -> Result<Vec<Came
         .collect()
 }
 
-/// Size of the first frame's image, a PNG beside the file in `folder`. None where there is none.
+/// Size of the first frame's image, a PNG or JPEG beside the file in `folder`. None where there is
+/// none.
 pub(super) fn size_of_first_image(bytes: &[u8], folder: &Path) -> Option<[u32; 2]> {
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let file: File = serde_json::from_slice(bytes).ok()?;
-    let named = folder.join(&file.frames.first()?.file_path);
+    let named = folder.join(file.frames.first()?.file_path.replace('\\', "/"));
     // NeRF-synthetic leaves the ending out.
     let path = [named.clone(), named.with_extension("png")]
         .into_iter()
         .find(|path| path.is_file())?;
-    image::image_dimensions(path).ok().map(<[u32; 2]>::from)
+    match image::image_dimensions(&path) {
+        Ok(size_px) => Some(size_px.into()),
+        Err(_) => jpeg_size(&std::fs::read(path).ok()?),
+    }
+}
+
+/// Width and height in the header of a JPEG.
+fn jpeg_size(bytes: &[u8]) -> Option<[u32; 2]> {
+    let mut rest = bytes.strip_prefix(&[0xff, 0xd8])?;
+    loop {
+        let [0xff, marker, more @ ..] = rest else {
+            return None;
+        };
+        match marker {
+            // Fill, and markers without a segment.
+            0xff => rest = &rest[1..],
+            0x01 | 0xd0..=0xd7 => rest = more,
+            // Starts of frames; the others in the range are tables.
+            0xc0..=0xcf if !matches!(marker, 0xc4 | 0xc8 | 0xcc) => {
+                let [_, _, _, h1, h0, w1, w0, ..] = more else {
+                    return None;
+                };
+                let side = |high: u8, low: u8| u32::from(u16::from_be_bytes([high, low]));
+                return Some([side(*w1, *w0), side(*h1, *h0)]);
+            }
+            _ => {
+                let [high, low, ..] = more else {
+                    return None;
+                };
+                rest = more.get(usize::from(u16::from_be_bytes([*high, *low])).max(2)..)?;
+            }
+        }
+    }
 }
 
 /// The motion that was applied to the dataset before its cameras were written.
@@ -255,152 +426,4 @@ fn camera(index: usize, frame: Frame, shared: &Lens) -> Result<Camera, DecodeErr
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::decode;
-    use decouplegs_scene::Lens;
-    use decouplegs_scene::lens::{Fisheye, OpenCv};
-    use glam::DVec3;
-
-    const FILE: &str = r#"{"camera_model": "OPENCV", "w": 640, "h": 480.0, "fl_x": 500, "fl_y": 510, "cx": 321, "cy": 239, "k1": 0.0,
-        "frames": [
-        {"file_path": "./images/frame_00001.png", "transform_matrix": [[1,0,0,4],[0,1,0,5],[0,0,1,6],[0,0,0,1]]},
-        {"file_path": "images/frame_00001.jpg", "fl_x": 250, "k2": 0, "transform_matrix": [[1,0,0,4],[0,1,0,5],[0,0,1,6],[0,0,0,1]]}]}"#;
-
-    #[test]
-    fn opengl_axes_become_opencv_axes() {
-        let cameras = decode(FILE.as_bytes(), None).unwrap();
-        let position = cameras[0].world_from_camera;
-        assert!((position.transform(DVec3::ZERO) - DVec3::new(4.0, 5.0, 6.0)).length() < 1e-12);
-        assert!((position.rotation * DVec3::X - DVec3::X).length() < 1e-12);
-        assert!((position.rotation * DVec3::Y + DVec3::Y).length() < 1e-12);
-        assert!(
-            (position.rotation * DVec3::Z + DVec3::Z).length() < 1e-12,
-            "an OpenGL camera looks along -z"
-        );
-    }
-
-    #[test]
-    fn a_frames_own_intrinsics_win_and_names_are_unique() {
-        let cameras = decode(FILE.as_bytes(), None).unwrap();
-        let focal_px: Vec<_> = cameras
-            .iter()
-            .map(|camera| (camera.intrinsics.fx_px, camera.intrinsics.fy_px))
-            .collect();
-        assert_eq!(focal_px, [(500.0, 510.0), (250.0, 510.0)]);
-        assert_eq!(
-            [cameras[0].name.as_str(), cameras[1].name.as_str()],
-            ["images_frame_00001", "images_frame_00001_2"]
-        );
-        assert_eq!(
-            (cameras[0].intrinsics.cx_px, cameras[0].intrinsics.height_px),
-            (321.0, 480)
-        );
-    }
-
-    #[test]
-    fn the_angle_stands_in_for_the_focal_length() {
-        let file = FILE.replace(
-            "\"fl_x\": 500, \"fl_y\": 510, \"cx\": 321, \"cy\": 239,",
-            "\"camera_angle_x\": 1.5707963267948966,",
-        );
-        let camera = &decode(file.as_bytes(), None).unwrap()[0];
-        assert!(
-            (camera.intrinsics.fx_px - 320.0).abs() < 1e-9
-                && (camera.intrinsics.fy_px - 320.0).abs() < 1e-9
-        );
-        assert_eq!(
-            (camera.intrinsics.cx_px, camera.intrinsics.cy_px),
-            (320.0, 240.0)
-        );
-    }
-
-    #[test]
-    fn a_size_that_the_file_has_not_is_given_or_read_from_an_image() {
-        let file = FILE.replace("\"w\": 640, \"h\": 480.0, ", "").replace(
-            "\"fl_x\": 500, \"fl_y\": 510, \"cx\": 321, \"cy\": 239,",
-            "\"camera_angle_x\": 0.8,",
-        );
-        assert!(
-            decode(file.as_bytes(), None)
-                .unwrap_err()
-                .to_string()
-                .contains("--size")
-        );
-        let camera = &decode(file.as_bytes(), Some([160, 90])).unwrap()[0];
-        assert_eq!(
-            (camera.intrinsics.width_px, camera.intrinsics.cy_px),
-            (160, 45.0)
-        );
-        assert_eq!(
-            decode(FILE.as_bytes(), Some([160, 90])).unwrap()[0]
-                .intrinsics
-                .width_px,
-            640,
-            "the file's own size wins"
-        );
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::create_dir(folder.path().join("images")).unwrap();
-        image::RgbImage::new(12, 7)
-            .save(folder.path().join("images/frame_00001.png"))
-            .unwrap();
-        assert_eq!(
-            super::size_of_first_image(file.as_bytes(), folder.path()),
-            Some([12, 7])
-        );
-        assert_eq!(
-            super::size_of_first_image(file.as_bytes(), &folder.path().join("images")),
-            None
-        );
-    }
-
-    #[test]
-    fn distortion_becomes_a_lens() {
-        let decoded =
-            |from: &str, to: &str| decode(FILE.replacen(from, to, 1).as_bytes(), None).unwrap();
-        assert!(
-            decoded("", "")
-                .iter()
-                .all(|camera| camera.intrinsics.lens == Lens::Pinhole),
-            "zeros are none"
-        );
-        let file = decoded("\"k1\": 0.0", "\"k1\": 0.01, \"p2\": -0.001");
-        let expected = OpenCv {
-            radial: [0.01, 0.0, 0.0, 0.0, 0.0, 0.0],
-            tangential: [0.0, -0.001],
-            ..OpenCv::default()
-        };
-        assert_eq!(file[0].intrinsics.lens, Lens::OpenCv(expected));
-        let file = decoded(
-            "\"OPENCV\", \"w\": 640",
-            "\"OPENCV_FISHEYE\", \"k4\": 0.002, \"w\": 640",
-        );
-        let expected = Fisheye {
-            radial: [0.0, 0.0, 0.0, 0.002],
-            ..Fisheye::default()
-        };
-        assert_eq!(file[1].intrinsics.lens, Lens::Fisheye(expected));
-        let file = decoded(
-            "\"OPENCV\", \"w\": 640",
-            "\"FULL_OPENCV\", \"k4\": 0.002, \"w\": 640",
-        );
-        assert!(matches!(file[0].intrinsics.lens, Lens::OpenCv(lens) if lens.radial[3] == 0.002));
-    }
-
-    #[test]
-    fn distortion_and_missing_sizes_are_refused_with_advice() {
-        for (from, to, part) in [
-            ("\"k1\": 0.0", "\"k4\": 0.01", "undistort"),
-            ("\"k2\": 0", "\"k2\": -200", "folds"),
-            ("OPENCV", "FOV", "FOV"),
-            ("\"w\": 640,", "", "'w' is missing"),
-            ("480.0", "480.5", "whole"),
-            ("[[1,0,0,4],[0,1,0,5]", "[[2,0,0,4],[0,2,0,5]", "rigid"),
-            (",[0,0,1,6],[0,0,0,1]]", "]", "2 rows"),
-        ] {
-            let error = decode(FILE.replacen(from, to, 1).as_bytes(), None)
-                .unwrap_err()
-                .to_string();
-            assert!(error.contains(part), "{to}: {error}");
-        }
-    }
-}
+mod tests;

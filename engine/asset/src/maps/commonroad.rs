@@ -3,24 +3,27 @@
 //! A lanelet's kind is its `laneletType` (2020a; 2018b knows only roads). Its speed limit is its
 //! `speedLimit` (2018b) or that of the signs that it refers to (2020a), meters per second.
 //! Neighbors are kept where they run the same way. Traffic lights (2020a) have their cycles
-//! (`lights`). The road users of a scenario are
+//! (`lights`), and stop and yield signs stand at stop lines. The road users of a scenario are
 //! [`crate::tracks::commonroad`]'s.
 
 mod lights;
 
 use std::collections::HashMap;
 
-use decouplegs_scene::{Lane, LaneKind, LaneMap};
+use decouplegs_scene::{Lane, LaneKind, LaneMap, SignKind, StopLine, TrafficSign};
 use glam::DVec3;
 
 use super::links::{LaneIndices, join};
 use super::polyline::{between, cleaned};
+use super::speed;
 use crate::DecodeError;
 use crate::xml::{Element, excerpt, parse};
 
-/// Signs that limit the speed, of Germany (and CommonRoad's own country), the United States and
-/// Spain.
-const SPEED_LIMIT_SIGNS: [&str; 3] = ["274", "R2-1", "r301"];
+/// Signs that limit the speed, also in a zone: of Germany (and CommonRoad's own country), the
+/// United States, Spain, France, Belgium, Russia, Croatia and Greece.
+const SPEED_LIMIT_SIGNS: [&str; 9] = [
+    "274", "274.1", "R2-1", "r301", "B14", "C43", "3.24", "B31", "R32",
+];
 
 /// The scenario that a document is, of a version that is read.
 pub(crate) fn scenario<'a>(
@@ -47,7 +50,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     let root = scenario(&document)?;
     let mut sign_limits = HashMap::new();
     for sign in root.all("trafficSign") {
-        if let Some(limit_mps) = sign_limit_mps(sign)? {
+        if let Some(limit_mps) = sign_limit_mps(sign) {
             sign_limits.insert(sign.needed_attribute("id")?, limit_mps);
         }
     }
@@ -80,8 +83,10 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
             (beside("adjacentLeft"), beside("adjacentRight"));
     }
     let lights = lights::lights(root, &elements, &lanes)?;
+    let signs = signs(root, &elements, &lanes)?;
     Ok(LaneMap {
         lights,
+        signs,
         ..super::finished(lanes, DVec3::ZERO)?
     })
 }
@@ -139,19 +144,71 @@ fn bound(element: Element) -> Result<(Vec<DVec3>, bool), DecodeError> {
     }
 }
 
+/// Stop and yield signs of driving lanes, at their stop lines: Germany's (and CommonRoad's own) and
+/// those of the United States.
+fn signs(
+    root: Element,
+    lanelets: &[Element],
+    lanes: &[Lane],
+) -> Result<Vec<TrafficSign>, DecodeError> {
+    let mut kinds = HashMap::new();
+    for sign in root.all("trafficSign") {
+        let ids = sign
+            .all("trafficSignElement")
+            .filter_map(|part| part.first("trafficSignID"));
+        let kind = ids
+            .filter_map(|id| match id.text() {
+                "206" | "R1-1" => Some(SignKind::Stop),
+                "205" | "R1-2" => Some(SignKind::Yield),
+                _ => None,
+            })
+            .next();
+        if let (Some(kind), Some(id)) = (kind, sign.attribute("id")) {
+            kinds.insert(id, kind);
+        }
+    }
+    let mut signs = Vec::new();
+    let driven = lanelets.iter().zip(lanes);
+    for (lanelet, lane) in driven.filter(|(_, lane)| lane.kind == LaneKind::Driving) {
+        let of_line = lanelet.first("stopLine");
+        let of_line = of_line.iter().flat_map(|line| line.all("trafficSignRef"));
+        let mut named = lanelet.all("trafficSignRef").chain(of_line);
+        let kind = named.find_map(|sign| kinds.get(sign.attribute("ref")?).copied());
+        if let Some(kind) = kind {
+            signs.push(TrafficSign {
+                kind,
+                line: StopLine {
+                    lane: lane.id.clone(),
+                    at_m: lights::stop_at_m(*lanelet, lane)?,
+                },
+            });
+        }
+    }
+    Ok(signs)
+}
+
 /// The least limit that the elements of a sign set, if they set one.
-fn sign_limit_mps(sign: Element) -> Result<Option<f64>, DecodeError> {
+fn sign_limit_mps(sign: Element) -> Option<f64> {
     let mut least_mps: Option<f64> = None;
     for part in sign.all("trafficSignElement") {
         let is_limit = part
             .first("trafficSignID")
             .is_some_and(|id| SPEED_LIMIT_SIGNS.contains(&id.text()));
         if let Some(value) = part.first("additionalValue").filter(|_| is_limit) {
-            let limit_mps = value.text_number()?;
+            // Meters a second, unless a converter wrote a unit.
+            let Some((number, factor)) = speed::with_unit(value.text()) else {
+                log::warn!(
+                    "line {}: the speed limit '{}' is no speed; it is left out",
+                    value.line(),
+                    excerpt(value.text())
+                );
+                continue;
+            };
+            let limit_mps = number * factor.unwrap_or(1.0);
             least_mps = Some(least_mps.map_or(limit_mps, |least| least.min(limit_mps)));
         }
     }
-    Ok(least_mps)
+    least_mps
 }
 
 fn kind(element: Element) -> LaneKind {

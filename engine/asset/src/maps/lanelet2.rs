@@ -7,7 +7,9 @@
 //! first node of the first lanelet, see [`UtmZone::for_position`]. Height is the tag `ele`, known
 //! to a lanelet if all its nodes have it. A lanelet continues in those that start at the two nodes
 //! where it ends; neighbors share a way and its direction. A lanelet for both directions (`one_way`
-//! = no) is read in that of its file alone.
+//! = no) is read in that of its file alone. No tag is mandatory: a lanelet without a subtype is a
+//! road, and where tags `participant:` name who takes part, they alone count (Lanelet2's
+//! LaneletAndAreaTagging). Limits that a country sets without a tag are not known.
 //!
 //! Of regulatory elements, traffic lights (`lights`) and rights of way (`signs`) are read. Not
 //! read: areas, other regulatory elements, speed limits other than the tag `speed_limit`.
@@ -24,6 +26,7 @@ use super::budget::Budget;
 use super::links::{LaneIndices, join};
 use super::polyline::{between, cleaned, halfway, is_left_of};
 use super::projection::UtmZone;
+use super::speed;
 use crate::DecodeError;
 use crate::xml::{Element, excerpt, finite, parse};
 
@@ -36,6 +39,13 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     let document = parse(bytes)?;
     let root = Element::root(&document, "osm")?;
     let file = File::read(root)?;
+    if file.lanelets.is_empty() && file.has_roads {
+        return Err(DecodeError::Unsupported(
+            "the roads of a plain OpenStreetMap file, without lanelets; make lanes of them first, for instance with SUMO's \
+             netconvert (to OpenDRIVE) or with CommonRoad's scenario designer"
+                .into(),
+        ));
+    }
     let plane = file.plane()?;
     let mut budget = Budget::whole();
     let lanelets = file
@@ -79,6 +89,8 @@ struct File<'a> {
     rights: Vec<Element<'a>>,
     /// Ways that are stop signs.
     stop_signs: HashSet<&'a str>,
+    /// True if a way is a road of OpenStreetMap.
+    has_roads: bool,
 }
 
 /// Rule by which nodes become points.
@@ -124,6 +136,7 @@ impl<'a> File<'a> {
             lights: Vec::new(),
             rights: Vec::new(),
             stop_signs: HashSet::new(),
+            has_roads: false,
         };
         // JOSM keeps what was deleted until it is uploaded.
         for element in root
@@ -142,6 +155,7 @@ impl<'a> File<'a> {
                         .collect::<Result<_, _>>()?;
                     let id = element.needed_attribute("id")?;
                     file.ways.insert(id, nodes);
+                    file.has_roads |= tag(element, "highway").is_some();
                     if signs::is_stop_sign(element) {
                         file.stop_signs.insert(id);
                     }
@@ -357,60 +371,78 @@ impl<'a> Lanelet<'a> {
             left,
             right,
             has_height,
-            speed_limit_mps: tag(self.element, "speed_limit")
-                .map(|text| self.speed_mps(text))
-                .transpose()?,
+            speed_limit_mps: self.speed_limit_mps(),
             ..Lane::default()
         })
     }
 
-    /// Kind of the lane by its subtype, unless tags say that no vehicle takes part.
+    /// Kind of the lane by who takes part in its traffic: those that tags name, and no others; else
+    /// those of its subtype, which is a road where none is given.
     fn kind(&self) -> LaneKind {
-        let takes_part = |who: &str| {
-            let mut tags = self
-                .element
-                .all("tag")
-                .filter(|tag| tag.attribute("v") == Some("yes"));
-            tags.any(|tag| {
-                tag.attribute("k")
-                    .is_some_and(|key| key.starts_with(&format!("participant:{who}")))
-            })
-        };
-        match tag(self.element, "subtype").unwrap_or_default() {
+        let subtype = tag(self.element, "subtype").unwrap_or_default();
+        let by_subtype = match subtype {
             "walkway" | "shared_walkway" | "crosswalk" | "stairs" => LaneKind::Walking,
             "bicycle_lane" => LaneKind::Bicycle,
-            "parking" => LaneKind::Parking,
-            "road" | "highway" | "play_street" | "bus_lane" | "exit" => match takes_part("vehicle")
-            {
-                false if takes_part("pedestrian") => LaneKind::Walking,
-                false if takes_part("bicycle") => LaneKind::Bicycle,
-                _ => LaneKind::Driving,
-            },
+            "" | "road" | "lane" | "highway" | "play_street" | "bus_lane" | "exit" => {
+                LaneKind::Driving
+            }
+            "emergency_lane" => LaneKind::Other,
+            // Subtypes of others, and of areas, keep their meaning, no matter who takes part.
+            "parking" => return LaneKind::Parking,
+            _ => return LaneKind::Other,
+        };
+        let named = self.element.all("tag").filter_map(|tag| {
+            let who = tag.attribute("k")?.strip_prefix("participant:")?;
+            Some((who, tag.attribute("v") == Some("yes")))
+        });
+        let (mut is_named, mut who) = (false, [false; 3]);
+        for (name, takes_part) in named {
+            is_named = true;
+            // Emergency vehicles alone make no lane that traffic drives on.
+            let is_vehicle =
+                name == "vehicle" || name.starts_with("vehicle:") && name != "vehicle:emergency";
+            who[0] |= takes_part && is_vehicle;
+            who[1] |= takes_part && name == "pedestrian";
+            who[2] |= takes_part && name == "bicycle";
+        }
+        match who {
+            _ if !is_named => by_subtype,
+            [true, ..] => LaneKind::Driving,
+            [_, true, _] => LaneKind::Walking,
+            [.., true] => LaneKind::Bicycle,
             _ => LaneKind::Other,
         }
     }
 
-    /// A speed with its unit, kilometers an hour where it has none.
-    fn speed_mps(&self, text: &str) -> Result<f64, DecodeError> {
-        let digits = text
-            .find(|c: char| !(c.is_ascii_digit() || c == '.'))
-            .unwrap_or(text.len());
-        let factor = match text[digits..].trim() {
-            "" | "km/h" | "kmh" | "kph" => Some(1.0 / 3.6),
-            "mph" => Some(0.447_04),
-            "m/s" | "mps" => Some(1.0),
-            _ => None,
-        };
-        let speed_mps = finite(&text[..digits])
-            .zip(factor)
-            .map(|(number, factor)| number * factor);
-        speed_mps.ok_or_else(|| {
-            self.element.fault(format!(
-                "speed_limit = '{}'; expected a speed such as '50 km/h'",
-                excerpt(text)
-            ))
-        })
+    /// The limit for cars: the finest tag that holds for them. A text that is no speed is no limit,
+    /// and is warned of.
+    fn speed_limit_mps(&self) -> Option<f64> {
+        let keys = [
+            "speed_limit:vehicle:car",
+            "speed_limit:vehicle",
+            "speed_limit",
+        ];
+        let text = keys.into_iter().find_map(|key| tag(self.element, key))?;
+        match text.trim().to_ascii_lowercase().as_str() {
+            "" | "none" | "no" | "unlimited" | "inf" => None,
+            text => {
+                let speed_mps = speed_mps(text);
+                if speed_mps.is_none() {
+                    log::warn!(
+                        "lanelet {}: speed_limit = '{}' is no speed such as '50 km/h'; it has no limit",
+                        excerpt(self.id),
+                        excerpt(text)
+                    );
+                }
+                speed_mps
+            }
+        }
     }
+}
+
+/// A speed with its unit in lower case, kilometers an hour where it has none.
+fn speed_mps(text: &str) -> Option<f64> {
+    speed::with_unit(text).map(|(number, factor)| number * factor.unwrap_or(1.0 / 3.6))
 }
 
 impl Side<'_> {

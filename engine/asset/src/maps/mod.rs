@@ -16,6 +16,7 @@ mod links;
 pub mod open_drive;
 mod polyline;
 pub mod projection;
+mod speed;
 
 use std::path::Path;
 
@@ -63,6 +64,9 @@ impl MapFormat {
     /// # Errors
     /// A sentence on what was found.
     pub fn detect(bytes: &[u8]) -> Result<Self, Invalid> {
+        if let Some(name) = crate::xml::other_encoding(bytes) {
+            return Err(format!("a text in {name}; convert it to UTF-8").into());
+        }
         let text = bytes
             .strip_prefix(b"\xef\xbb\xbf")
             .unwrap_or(bytes)
@@ -76,6 +80,8 @@ impl MapFormat {
                 };
                 let roots = [
                     ("<OpenDRIVE", Self::OpenDrive),
+                    // With the prefix of a namespace.
+                    (":OpenDRIVE", Self::OpenDrive),
                     ("<osm", Self::Lanelet2),
                     ("<commonRoad", Self::CommonRoad),
                 ];
@@ -189,11 +195,24 @@ mod tests {
             ("{\"lanes\": []}", Ok(MapFormat::LaneJson)),
             ("{broken", Ok(MapFormat::LaneJson)),
             ("<html>", Err("XML of another kind".into())),
+            (
+                "<od:OpenDRIVE xmlns:od='http://x'>",
+                Ok(MapFormat::OpenDrive),
+            ),
             ("[1]", Err("neither XML nor a JSON object".into())),
             ("", Err("the file is empty".into())),
         ] {
             assert_eq!(MapFormat::detect(text.as_bytes()), expected, "{text}");
         }
+        let utf16: Vec<u8> = "\u{feff}<OpenDRIVE/>"
+            .encode_utf16()
+            .flat_map(u16::to_le_bytes)
+            .collect();
+        let message = MapFormat::detect(&utf16).unwrap_err().to_string();
+        assert!(
+            message.contains("UTF-16") && message.contains("UTF-8"),
+            "{message}"
+        );
     }
 
     #[test]

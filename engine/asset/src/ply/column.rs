@@ -61,6 +61,26 @@ impl Column {
         }
     }
 
+    /// The property's value in `row` as f64; all types keep their number.
+    pub(crate) fn f64_of(self, row: &[u8]) -> f64 {
+        match self.scalar {
+            Scalar::F64 => f64::from_le_bytes(self.bytes_of(row)),
+            Scalar::I32 => f64::from(i32::from_le_bytes(self.bytes_of(row))),
+            Scalar::U32 => f64::from(u32::from_le_bytes(self.bytes_of(row))),
+            _ => f64::from(self.f32_of(row)),
+        }
+    }
+
+    /// The property's value in `row` as a color: integers as shares of their largest value.
+    pub(crate) fn share_of(self, row: &[u8]) -> f32 {
+        let most = match self.scalar {
+            Scalar::U8 => f32::from(u8::MAX),
+            Scalar::U16 => f32::from(u16::MAX),
+            _ => 1.0,
+        };
+        self.f32_of(row) / most
+    }
+
     /// The bits of a four-byte property.
     pub(crate) fn u32_of(self, row: &[u8]) -> u32 {
         debug_assert_eq!(self.scalar.bytes(), 4);

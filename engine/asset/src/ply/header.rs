@@ -29,8 +29,17 @@ impl Element {
     }
 }
 
-/// Reads the header of `bytes`: its elements, and the byte at which the body starts.
-pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<Element>, usize), DecodeError> {
+/// A header.
+pub(super) struct Header {
+    pub(super) elements: Vec<Element>,
+    /// Byte at which the body starts.
+    pub(super) body_at: usize,
+    /// True if the body is text.
+    pub(super) is_ascii: bool,
+}
+
+/// Reads the header of `bytes`.
+pub(super) fn parse(bytes: &[u8]) -> Result<Header, DecodeError> {
     let mut lines = HeaderLines { bytes, next: 0 };
     let magic = lines.next_line()?;
     if magic != "ply" {
@@ -40,7 +49,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<Element>, usize), DecodeError> 
         )));
     }
     let mut elements: Vec<Element> = Vec::new();
-    let mut has_format = false;
+    let mut format_is_ascii = None;
     loop {
         let line = lines.next_line()?;
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
@@ -48,8 +57,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<Element>, usize), DecodeError> 
             ["end_header"] => break,
             [] | ["comment" | "obj_info", ..] => {}
             ["format", format, _version] => {
-                require_little_endian(format)?;
-                has_format = true;
+                format_is_ascii = Some(is_ascii(format)?);
             }
             ["element", name, count] => elements.push(parse_element(name, count)?),
             ["property", rest @ ..] => match elements.last_mut() {
@@ -69,12 +77,16 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<Element>, usize), DecodeError> 
             }
         }
     }
-    if !has_format {
+    let Some(is_ascii) = format_is_ascii else {
         return Err(DecodeError::Malformed(
             "the header has no 'format' line".into(),
         ));
-    }
-    Ok((elements, lines.next))
+    };
+    Ok(Header {
+        elements,
+        body_at: lines.next,
+        is_ascii,
+    })
 }
 
 /// Walks over header lines; a line ends with LF, before which a CR is dropped.
@@ -101,11 +113,13 @@ impl<'a> HeaderLines<'a> {
     }
 }
 
-fn require_little_endian(format: &str) -> Result<(), DecodeError> {
+/// True for a body of text, false for a little-endian one.
+fn is_ascii(format: &str) -> Result<bool, DecodeError> {
     match format {
-        "binary_little_endian" => Ok(()),
-        "ascii" | "binary_big_endian" => Err(DecodeError::Unsupported(format!(
-            "the body is {format}; only binary_little_endian is read: convert the file, for example with the PLY tool that wrote it"
+        "binary_little_endian" => Ok(false),
+        "ascii" => Ok(true),
+        "binary_big_endian" => Err(DecodeError::Unsupported(format!(
+            "the body is {format}; binary_little_endian and ascii are read: convert the file, for example with the PLY tool that wrote it"
         ))),
         _ => Err(DecodeError::Malformed(format!(
             "'{}' is no PLY format",

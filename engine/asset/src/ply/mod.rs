@@ -1,11 +1,14 @@
 //! The PLY container: a text header that names elements and properties, then rows of fixed stride.
 //!
-//! Reads binary little-endian bodies. Nothing is allocated by what a header claims: every element's
-//! extent is checked against the bytes that are there before a row is touched.
+//! Reads binary little-endian bodies, and small ones of text (`ascii`). Nothing is allocated by
+//! what a header claims: every element's extent is checked against the bytes that are there before
+//! a row is touched.
 
+mod ascii;
 mod column;
 mod header;
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use crate::DecodeError;
@@ -20,7 +23,7 @@ const NAMES_SHOWN_MAX: usize = 20;
 #[derive(Clone, Debug)]
 pub(crate) struct Ply<'a> {
     elements: Vec<Element>,
-    body: &'a [u8],
+    body: Cow<'a, [u8]>,
 }
 
 /// The rows of one element.
@@ -37,11 +40,18 @@ pub(crate) struct Rows<'a> {
 impl<'a> Ply<'a> {
     /// Parses the header of `bytes`.
     pub(crate) fn parse(bytes: &'a [u8]) -> Result<Self, DecodeError> {
-        let (elements, body_at) = header::parse(bytes)?;
-        Ok(Self {
-            elements,
-            body: &bytes[body_at..],
-        })
+        let header::Header {
+            mut elements,
+            body_at,
+            is_ascii,
+        } = header::parse(bytes)?;
+        let body = &bytes[body_at..];
+        let body = if is_ascii {
+            Cow::Owned(ascii::packed(&mut elements, body)?)
+        } else {
+            Cow::Borrowed(body)
+        };
+        Ok(Self { elements, body })
     }
 
     /// True if there is an element called `name`.
@@ -73,13 +83,27 @@ impl<'a> Ply<'a> {
         })
     }
 
+    /// Advice about an element without a column that splats have.
+    fn advice(&self, element: &str) -> &'static str {
+        let is_splat = |name: &str| {
+            let starts = ["scale_", "rot_", "f_dc_", "opacity"];
+            starts.iter().any(|start| name.starts_with(start))
+        };
+        if self.property_names(element).any(is_splat) {
+            "these are Gaussian splats of a trainer that leaves it out: export them with all of x y z, f_dc_0 to 2, \
+             opacity, scale_0 to 2 and rot_0 to 3"
+        } else {
+            "if these are points or a mesh, export the Gaussian splats that were trained from them"
+        }
+    }
+
     /// The column of a scalar property.
     pub(crate) fn column(&self, element: &str, property: &str) -> Result<Column, DecodeError> {
         self.column_if_present(element, property).ok_or_else(|| {
             DecodeError::Malformed(format!(
-                "element '{element}' has no scalar property '{property}', only: {}; if these are points or a mesh, export the \
-                 Gaussian splats that were trained from them",
-                listed(self.property_names(element))
+                "element '{element}' has no scalar property '{property}', only: {}; {}",
+                listed(self.property_names(element)),
+                self.advice(element)
             ))
         })
     }
@@ -98,7 +122,7 @@ impl<'a> Ply<'a> {
     }
 
     /// The rows of `name`, all of them there.
-    pub(crate) fn rows(&self, name: &str) -> Result<Rows<'a>, DecodeError> {
+    pub(crate) fn rows(&self, name: &str) -> Result<Rows<'_>, DecodeError> {
         let mut start: u64 = 0;
         for element in &self.elements {
             let Some(stride) = element.stride() else {
@@ -149,7 +173,7 @@ impl<'a> Ply<'a> {
         stride: usize,
         count: u64,
         name: &str,
-    ) -> Result<Rows<'a>, DecodeError> {
+    ) -> Result<Rows<'_>, DecodeError> {
         // Rows without properties take no bytes, so the bytes do not bound their number; equal
         // depths and buffers are indexed with 32 bits.
         let count = u32::try_from(count).map_err(|_| {
@@ -191,6 +215,40 @@ mod tests {
     }
 
     #[test]
+    fn text_is_read_like_bytes() {
+        let header = "element face 2\nproperty list uchar int corners\nproperty uchar flag\nelement vertex 2\n\
+                      property float x\nproperty uchar red\nproperty double y\nelement none 5\n";
+        let text =
+            |body: &str| format!("ply\nformat ascii 1.0\n{header}end_header\n{body}").into_bytes();
+        let bytes = text("3 0 1 2 7\n0 9\n1.5 255 -2.25\n nan\t0\r\n1e9\n");
+        let ply = Ply::parse(&bytes).unwrap();
+        let rows = ply.rows("vertex").unwrap();
+        assert_eq!((rows.count, rows.stride, rows.bytes.len()), (2, 13, 26));
+        let value = |name: &str, row: usize| {
+            let column = ply.column("vertex", name).unwrap();
+            column.f64_of(&rows.bytes[row * 13..][..13])
+        };
+        assert_eq!(
+            (value("x", 0), value("red", 0), value("y", 0)),
+            (1.5, 255.0, -2.25)
+        );
+        assert!(value("x", 1).is_nan() && value("y", 1) == 1e9);
+        for (body, part) in [
+            ("3 0 1 2 7 0 9 1.5 255", "the text ends in row 0"),
+            ("3 0 1 2 7 0 9 1.5 256 0", "'red': '256' is no number"),
+            ("3 0 1 2 7 0 9 x 1 0", "'x': 'x' is no number"),
+            ("99999999 0 1", "element 'face' has 2 rows"),
+        ] {
+            let message = Ply::parse(&text(body)).unwrap_err().to_string();
+            assert!(message.contains(part), "{body}: {message}");
+        }
+        let claim = b"ply\nformat ascii 1.0\nelement vertex 18446744073709551615\nproperty float x\nend_header\n1 2\n";
+        assert!(Ply::parse(claim).unwrap_err().to_string().contains("row 2"));
+        let nothing = b"ply\nformat ascii 1.0\nelement vertex 18446744073709551615\nend_header\n";
+        assert!(Ply::parse(nothing).is_ok());
+    }
+
+    #[test]
     fn every_type_is_read_at_its_offset() {
         let header = "element vertex 1\nproperty char a\nproperty uchar b\nproperty short c\nproperty ushort d\n\
                       property int e\nproperty uint f\nproperty float g\nproperty double h\n";
@@ -229,7 +287,7 @@ mod tests {
                 .unwrap_err()
                 .to_string()
         };
-        assert!(error(b"ply\nformat ascii 1.0\nend_header\n").contains("ascii"));
+        assert!(error(b"ply\nformat binary_big_endian 1.0\nend_header\n").contains("ascii"));
         assert!(error(b"ply\nformat binary_big_endian 1.0\nend_header\n").contains("big_endian"));
         assert!(error(b"ply\nend_header\n").contains("format"));
         assert!(

@@ -18,8 +18,10 @@ use glam::DVec3;
 use super::{LoadedRecording, SceneAgent, SceneFile, SceneSky, is_scene_file};
 use crate::memory::{self, SPLATS_MAX, cloud_bytes};
 use crate::packed_scene::{is_package, open_packed_scene};
-use crate::read::splats_of;
-use crate::{AssetError, coded_asset, light_transfer_file, read_bytes, read_splats, sky_file};
+use crate::read::placed_splats_of;
+use crate::{
+    AssetError, coded_asset, light_transfer_file, read_bytes, read_placed_splats, sky_file,
+};
 
 /// A scene, ready to be drawn: what stands still at one moment, and what is moved from frame to
 /// frame.
@@ -303,9 +305,10 @@ impl SceneFile {
         files: &dyn SceneFiles,
         time_s: f64,
     ) -> Result<LoadedScene, AssetError> {
-        let background = files.splats(&self.background)?.in_spatial_order();
+        let (background, placed_at) = files.placed_splats(&self.background)?;
+        let background = background.in_spatial_order();
         let mut scene = LoadedScene::of_world(SplatScene {
-            origin: self.origin,
+            origin: self.origin + placed_at,
             sky: self.sky,
             sky_map: self
                 .sky_map
@@ -387,9 +390,14 @@ pub(crate) trait SceneFiles {
     /// The place of `file`, for messages.
     fn path(&self, file: &Path) -> PathBuf;
 
-    /// The splats in `file`.
+    /// The splats in `file`, and the origin that they are relative to.
+    fn placed_splats(&self, file: &Path) -> Result<(SplatCloud, DVec3), AssetError> {
+        placed_splats_of(&self.bytes(file)?, &self.path(file))
+    }
+
+    /// The splats of an asset in `file`.
     fn splats(&self, file: &Path) -> Result<SplatCloud, AssetError> {
-        splats_of(&self.bytes(file)?, &self.path(file))
+        Ok(self.placed_splats(file)?.0)
     }
 }
 
@@ -406,8 +414,8 @@ impl SceneFiles for Folder<'_> {
     }
 
     // A SOG may be a folder.
-    fn splats(&self, file: &Path) -> Result<SplatCloud, AssetError> {
-        read_splats(&self.path(file))
+    fn placed_splats(&self, file: &Path) -> Result<(SplatCloud, DVec3), AssetError> {
+        read_placed_splats(&self.path(file))
     }
 }
 
@@ -508,8 +516,8 @@ impl AgentLoader<'_> {
 }
 
 /// Opens what a user calls a scene: a scene file (`.toml`) or a package of one (`.usdz`), loaded as
-/// at `time_s`, or a splat file, which becomes a world of background only, its origin at zero,
-/// without cameras.
+/// at `time_s`, or a splat file, which becomes a world of background only without cameras, its
+/// origin at zero unless its coordinates are large doubles.
 ///
 /// # Errors
 /// [`AssetError`] of the file at fault.
@@ -521,6 +529,9 @@ pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     if is_package(path) {
         return open_packed_scene(path, time_s);
     }
-    let splats = read_splats(path)?.in_spatial_order();
-    Ok(LoadedScene::of_world(SplatScene::from_splats(splats)))
+    let (splats, origin) = read_placed_splats(path)?;
+    Ok(LoadedScene::of_world(SplatScene {
+        origin,
+        ..SplatScene::from_splats(splats.in_spatial_order())
+    }))
 }

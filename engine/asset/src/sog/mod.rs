@@ -13,6 +13,7 @@
 mod codebook;
 mod lod;
 mod meta;
+mod palette;
 mod pixels;
 mod texture;
 mod write;

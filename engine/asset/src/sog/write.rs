@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::codebook::{fit, nearest};
 use super::meta::{Coded, Means, Meta, PALETTE_MAX, Plain, Rest};
+use super::palette::{self, Palette};
 use super::pixels::{FIRST_TAG, PALETTE_COLUMNS};
 use super::{META, NAME, texture};
 use crate::activation::{log_of_scale, normalized};
@@ -20,8 +21,7 @@ const LOG_SCALE_MIN: f32 = -30.0;
 /// `cloud` as the bytes of a bundle. The order of the splats stays.
 ///
 /// # Errors
-/// Returns an error if a splat is defective ([`SplatCloud::defect_of`]), when there is none, or
-/// when splats with view-dependent color are more than the 65,536 that the palette has entries for.
+/// Returns an error if a splat is defective ([`SplatCloud::defect_of`]) or when there is none.
 pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
     if cloud.is_empty() {
         return Err(EncodeError("there is no splat to write".into()));
@@ -64,9 +64,7 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
         .zip(&cloud.opacities)
         .for_each(|(pixel, opacity)| pixel[3] = (opacity * 255.0).round() as u8);
     files.push(("sh0.webp", colors, width));
-    let rest = (cloud.sh_degree > 0)
-        .then(|| palette(cloud, width, &mut files))
-        .transpose()?;
+    let rest = (cloud.sh_degree > 0).then(|| rest(cloud, width, &mut files));
     let one = |name: &str| [name.to_owned()];
     let meta = Meta {
         version: 2,
@@ -177,34 +175,29 @@ fn indices(codebook: &[f32], values: &[[f32; 3]]) -> Vec<[u8; 4]> {
     values.par_iter().map(pixel).collect()
 }
 
-/// Adds the images of the coefficients after DC: a palette with an entry for each splat.
-fn palette(
-    cloud: &SplatCloud,
-    width: usize,
-    files: &mut Vec<(&str, Vec<[u8; 4]>, usize)>,
-) -> Result<Rest, EncodeError> {
-    let count = cloud.len();
-    if count as u64 > PALETTE_MAX {
-        return Err(EncodeError(format!(
-            "{count} splats have view-dependent color; a SOG's palette has {PALETTE_MAX} entries: write --degree 0, or another format"
-        )));
-    }
-    let codebook = fit(cloud.sh_rest.as_flattened().iter().copied());
+/// Adds the images of the coefficients after DC: a palette with an entry for each splat, or for
+/// splats that are alike where there are more than it has entries.
+fn rest(cloud: &SplatCloud, width: usize, files: &mut Vec<(&str, Vec<[u8; 4]>, usize)>) -> Rest {
+    let values = cloud.sh_rest.as_flattened();
+    let Palette { entries, labels } =
+        palette::fit(values, 3 * cloud.rest_stride(), PALETTE_MAX as usize);
+    let count = entries.len() / (3 * cloud.rest_stride());
+    let codebook = fit(entries.iter().copied());
     files.push((
         "shN_centroids.webp",
-        indices(&codebook, &cloud.sh_rest),
+        indices(&codebook, entries.as_chunks().0),
         PALETTE_COLUMNS * cloud.rest_stride(),
     ));
-    let label = |splat: usize| {
-        let [low, high] = (splat as u16).to_le_bytes();
+    let label = |label: &u16| {
+        let [low, high] = label.to_le_bytes();
         [low, high, 0, 255]
     };
-    files.push(("shN_labels.webp", (0..count).map(label).collect(), width));
+    files.push(("shN_labels.webp", labels.iter().map(label).collect(), width));
     let names = ["shN_centroids.webp", "shN_labels.webp"].map(String::from);
-    Ok(Rest {
+    Rest {
         count: count as u64,
         bands: cloud.sh_degree,
         codebook,
         files: names,
-    })
+    }
 }

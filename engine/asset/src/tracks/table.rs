@@ -3,17 +3,19 @@
 //! | column | also | what |
 //! |---|---|---|
 //! | `t` | `time_s`, `time` | the moment, seconds |
-//! | `id` | `track_id` | names the road user |
-//! | `class` | `type` | its kind; `unknown` where absent |
+//! | `id` | `track_id`, `trackId` | names the road user |
+//! | `class` | `type`, `agent_type`, `category`, `object_type` | its kind; `unknown` where absent |
 //! | `x`, `y` | `x_m`, `y_m` | its center, world coordinates in meters |
 //! | `z` | `z_m` | height of its center, where known |
 //! | `yaw` | `yaw_rad` | heading from x towards y, where known |
 //! | `qw`, `qx`, `qy`, `qz` | | or its rotation as a quaternion, of which the heading is kept |
-//! | `l`, `w`, `h` | `length_m`, `width_m`, `height_m` | its size, where known |
+//! | `l`, `w`, `h` | `length`, `width`, `height`, also with `_m` | its size, where known |
 //!
 //! Names are those of the CSV's first line or of the keys in a JSON array of objects; case does not
-//! count, others are ignored. Empty cells and `null` are absent values. A road user has the class
-//! and the size of its first row that tells them.
+//! count, others are warned of. Names with another unit (`yaw_deg`, `timestamp_us`) are refused,
+//! and so are headings beyond two turns and times of more than a day, which are of another unit
+//! too. Empty cells and `null` are absent values. A road user has the class and the size of its
+//! first row that tells them.
 
 use std::collections::HashMap;
 
@@ -23,6 +25,7 @@ use serde_json::{Map, Value};
 
 use super::{finished, nominal_height_m};
 use crate::DecodeError;
+use crate::unknown_keys::UnknownKeys;
 use crate::xml::{excerpt, finite};
 
 /// Content of a column; the index of its names in [`NAMES`].
@@ -48,8 +51,8 @@ const COLUMNS: usize = 14;
 
 const NAMES: [&[&str]; COLUMNS] = [
     &["t", "time_s", "time"],
-    &["id", "track_id"],
-    &["class", "type"],
+    &["id", "track_id", "trackid"],
+    &["class", "type", "agent_type", "category", "object_type"],
     &["x", "x_m"],
     &["y", "y_m"],
     &["z", "z_m"],
@@ -58,9 +61,9 @@ const NAMES: [&[&str]; COLUMNS] = [
     &["qx"],
     &["qy"],
     &["qz"],
-    &["l", "length_m"],
-    &["w", "width_m"],
-    &["h", "height_m"],
+    &["l", "length_m", "length"],
+    &["w", "width_m", "width"],
+    &["h", "height_m", "height"],
 ];
 
 /// The column of a name.
@@ -70,6 +73,67 @@ fn column(name: &str) -> Option<usize> {
         .iter()
         .position(|names| names.contains(&name.as_str()))
 }
+
+/// The column of a name; `None` for those that are not read, which are counted.
+///
+/// # Errors
+/// An error for a known value in another unit.
+fn known(name: &str, unknown: &mut UnknownKeys) -> Result<Option<usize>, DecodeError> {
+    let found = column(name);
+    if found.is_some() {
+        return Ok(found);
+    }
+    let lower = name.trim().to_lowercase();
+    let start = lower.split(['_', '[', '(', ' ']).next().unwrap_or_default();
+    let units = [
+        ("deg", "radians"),
+        ("ms", "seconds"),
+        ("us", "seconds"),
+        ("ns", "seconds"),
+        ("ft", "meters"),
+        ("cm", "meters"),
+        ("mm", "meters"),
+        ("feet", "meters"),
+    ];
+    let unit = lower
+        .rsplit(['_', '[', '(', ' '])
+        .next()
+        .unwrap_or_default();
+    let other = units
+        .into_iter()
+        .find(|(other, _)| unit.trim_end_matches([')', ']']) == *other);
+    let is_measured = matches!(
+        start,
+        "t" | "time"
+            | "timestamp"
+            | "x"
+            | "y"
+            | "z"
+            | "yaw"
+            | "heading"
+            | "l"
+            | "w"
+            | "h"
+            | "length"
+            | "width"
+            | "height"
+    );
+    if let Some((other, expected)) = other.filter(|_| is_measured) {
+        return Err(DecodeError::Malformed(format!(
+            "the column '{}' is in {other}; expected {expected}: convert it, and name it as in the table of columns",
+            excerpt(name)
+        )));
+    }
+    unknown.add(name.trim());
+    Ok(None)
+}
+
+/// Headings beyond a turn are named; beyond two, which unwrapped ones of a log may have, they are
+/// none, radians.
+const YAW_RAD_NAMED: f64 = std::f64::consts::TAU + 0.01;
+const YAW_RAD_MAX: f64 = 2.0 * YAW_RAD_NAMED;
+/// Longest time between rows of a table, seconds.
+const SPAN_S_MAX: f64 = 86_400.0;
 
 /// A value of a row.
 #[derive(Clone, Copy, Default)]
@@ -96,16 +160,19 @@ pub fn decode_csv(bytes: &[u8]) -> Result<Vec<Track>, DecodeError> {
         .trim(csv::Trim::All)
         .from_reader(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes));
     let mut fields: [Option<usize>; COLUMNS] = [None; COLUMNS];
+    let mut unknown = UnknownKeys::default();
     for (field, name) in reader.headers().map_err(malformed)?.iter().enumerate() {
-        if let Some(at) = column(name)
-            && fields[at].replace(field).is_some()
-        {
+        let Some(at) = known(name, &mut unknown)? else {
+            continue;
+        };
+        if fields[at].replace(field).is_some() {
             let name = NAMES[at].join("' or '");
             return Err(DecodeError::Malformed(format!(
                 "line 1: two columns are '{name}'; expected one"
             )));
         }
     }
+    unknown.warn("columns");
     for needed in [Column::Time, Column::Id, Column::X, Column::Y] {
         if fields[needed as usize].is_none() {
             let names = NAMES[needed as usize].join("' or '");
@@ -139,11 +206,14 @@ pub fn decode_json(bytes: &[u8]) -> Result<Vec<Track>, DecodeError> {
     let rows: Vec<Map<String, Value>> =
         serde_json::from_slice(bytes).map_err(|error| DecodeError::Malformed(error.to_string()))?;
     let mut tracks = Tracks::default();
+    let mut unknown = UnknownKeys::default();
     for (at, object) in rows.iter().enumerate() {
         let position = format!("row {}", at + 1);
         let mut cells = [Cell::Absent; COLUMNS];
         for (name, value) in object {
-            let Some(at) = column(name) else { continue };
+            let Some(at) = known(name, &mut unknown)? else {
+                continue;
+            };
             let cell = match value {
                 Value::Null => continue,
                 Value::String(text) => Cell::Text(text),
@@ -166,6 +236,7 @@ pub fn decode_json(bytes: &[u8]) -> Result<Vec<Track>, DecodeError> {
             cells,
         })?;
     }
+    unknown.warn("keys of rows");
     tracks.finish()
 }
 
@@ -225,6 +296,12 @@ impl Row<'_> {
     /// The heading as such, or that of the quaternion.
     fn yaw_rad(&self) -> Result<Option<f64>, DecodeError> {
         if let Some(yaw_rad) = self.number(Column::Yaw)? {
+            if yaw_rad.abs() > YAW_RAD_MAX {
+                return Err(self.fault(
+                    Column::Yaw,
+                    &format!("{yaw_rad} is more than two turns; expected radians, not degrees"),
+                ));
+            }
             return Ok(Some(yaw_rad));
         }
         let Some(w) = self.number(Column::Qw)? else {
@@ -298,6 +375,25 @@ impl Tracks {
     }
 
     fn finish(mut self) -> Result<Vec<Track>, DecodeError> {
+        let times = || self.tracks.iter().flat_map(|track| &track.points);
+        let first_s = times()
+            .map(|point| point.time_s)
+            .fold(f64::INFINITY, f64::min);
+        let last_s = times()
+            .map(|point| point.time_s)
+            .fold(f64::NEG_INFINITY, f64::max);
+        let turned =
+            times().filter(|point| point.yaw_rad.is_some_and(|rad| rad.abs() > YAW_RAD_NAMED));
+        let turned = turned.count();
+        if turned > 0 {
+            log::warn!("{turned} headings are more than a turn: they are taken for radians");
+        }
+        if last_s - first_s > SPAN_S_MAX {
+            return Err(DecodeError::Malformed(format!(
+                "times run from {first_s} to {last_s}, more than a day; expected seconds, not milli-, micro- or \
+                 nanoseconds"
+            )));
+        }
         for track in &mut self.tracks {
             track.points.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
             if let Some(pair) = track
@@ -321,6 +417,32 @@ impl Tracks {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sizes_by_any_name_and_units_that_are_others() {
+        let table = |names: &str, row: &str| {
+            decode_csv(format!("{names}\n{row}\n").as_bytes()).map(|tracks| tracks[0].clone())
+        };
+        let track = table(
+            "t,trackId,x,y,length,Width,height,agent_type,color",
+            "0,7,1,2,8,2.5,3.2,truck,red",
+        );
+        let track = track.unwrap();
+        assert_eq!(
+            (track.dims_m, track.class.as_str()),
+            (Some([8.0, 2.5, 3.2]), "truck")
+        );
+        assert!(table("t,id,x,y,yaw", "0,7,1,2,6.28").is_ok());
+        for (names, row, part) in [
+            ("t,id,x,y,yaw", "0,7,1,2,90", "radians, not degrees"),
+            ("t,id,x,y,yaw_deg", "0,7,1,2,9", "'yaw_deg' is in deg"),
+            ("t,id,x,y,timestamp_us", "0,7,1,2,9", "expected seconds"),
+            ("t,id,x,y", "0,7,1,2\n1.7e15,8,1,2", "more than a day"),
+        ] {
+            let message = table(names, row).unwrap_err().to_string();
+            assert!(message.contains(part), "{names}: {message}");
+        }
+    }
 
     #[test]
     fn columns_come_in_any_order_and_rows_in_any_time() {

@@ -117,7 +117,6 @@ fn lanelets_are_turned_joined_and_projected() {
             "degrees from the middle of UTM zone 32",
         ),
         ("lat=\"49.0000\"", "lat=\"91\"", "UTM reaches"),
-        ("50 km/h", "fast", "speed_limit = 'fast'"),
     ] {
         let error = lanelet2::decode(text.replace(from, to).as_bytes())
             .unwrap_err()

@@ -2,6 +2,7 @@
 
 #[path = "../files/data.rs"]
 mod data;
+mod field;
 mod formats;
 mod hostile;
 mod open_drive;

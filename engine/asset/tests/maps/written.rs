@@ -61,9 +61,20 @@ fn maps_of_all_formats_are_the_same_as_open_drive() {
         for (number, lane) in expected.lanes.iter().enumerate() {
             let found = &found.lanes[places[number]];
             assert_same_lane(found, lane);
-            let mut links: Vec<usize> = lane.successors.iter().map(|next| places[*next]).collect();
-            links.sort_unstable();
-            assert_eq!(sorted(&found.successors), links, "{name}, lane {}", lane.id);
+            // Links over a gap are not believed.
+            let meets = |next: &&usize| {
+                let end = lane.centerline[lane.centerline.len() - 1];
+                let start = expected.lanes[**next].centerline[0];
+                end.truncate().distance(start.truncate()) < 4.0
+            };
+            let next = lane.successors.iter().filter(meets);
+            let links: Vec<usize> = next.map(|next| places[*next]).collect();
+            assert_eq!(
+                sorted(&found.successors),
+                sorted(&links),
+                "{name}, lane {}",
+                lane.id
+            );
         }
     }
 }

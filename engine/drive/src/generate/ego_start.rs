@@ -15,19 +15,45 @@ use crate::route::Route;
 pub(super) const EGO: VehicleSize = VehicleSize::CAR;
 /// Range of requested route lengths, meters.
 const ROUTE_M: (f64, f64) = (100.0, 180.0);
-/// A route that has to be shorter than this is none, meters; and where a captured place was seen
-/// on a short stretch alone.
-pub(super) const ROUTE_M_MIN: f64 = 60.0;
-pub(super) const SEEN_ROUTE_M_MIN: f64 = 15.0;
-/// A route is so short that it can be driven in this time where nothing is in the way: it leaves a
-/// third of an episode to wait for others, seconds.
-const FREE_TIME_S: f64 = 13.0;
+/// Bounds of a route.
+struct Bounds {
+    /// A route that has to be shorter than this is none, meters.
+    length_m_min: f64,
+    /// A route is so short that it can be driven in this time where nothing is in the way, seconds.
+    free_time_s: f64,
+    /// Least speed of the ego, m/s.
+    cruise_mps_min: f64,
+}
+
+/// Bounds where roads are as fast as in towns: the time leaves a third of an episode to wait for
+/// others, and the least speed is that of a bicycle.
+const IN_TOWN: Bounds = Bounds {
+    length_m_min: 60.0,
+    free_time_s: 13.0,
+    cruise_mps_min: 4.0,
+};
+/// Bounds on car parks and campuses, where the slowest lane allows no more than a walk.
+const SLOW: Bounds = Bounds {
+    length_m_min: 30.0,
+    free_time_s: 75.0,
+    cruise_mps_min: 0.8,
+};
+/// Least length of a route where a captured place was seen on a short stretch alone, meters.
+const SEEN_ROUTE_M_MIN: f64 = 15.0;
+
+/// Length below which no route is taken at any speed, meters; `is_limited` where routes stay where
+/// the place was seen from.
+pub(super) fn route_m_min(is_limited: bool) -> f64 {
+    if is_limited {
+        SEEN_ROUTE_M_MIN
+    } else {
+        SLOW.length_m_min
+    }
+}
 /// A route is over no more lanes than this: lanes of a meter are short, shorter ones a mistake.
 const LANES_MAX: usize = 300;
 /// The ego is never asked to be faster than is allowed in towns.
 const CRUISE_MPS_MAX: f64 = 50.0 / 3.6;
-/// Least speed of the ego, that of a bicycle: lanes that allow less are none to test on.
-const CRUISE_MPS_MIN: f64 = 4.0;
 /// Share of routes that lead straight on where they can.
 const STRAIGHT_SHARE: f64 = 0.65;
 /// A lane that turns by less leads straight on, radians.
@@ -97,6 +123,8 @@ pub(super) struct Wishes {
     pub crossing: bool,
     /// A lane beside the ego's to cut in from.
     pub beside: bool,
+    /// A route of any speed, however long it takes.
+    pub slow: bool,
 }
 
 /// A start and a route; none where the random place was none for either.
@@ -126,18 +154,26 @@ pub(super) fn choose(
     }
     let led: Vec<usize> = lanes.iter().map(|spot| spot.lane).collect();
     let mut length_m = draw.between(ROUTE_M);
+    let bounds = if wishes.slow { SLOW } else { IN_TOWN };
+    let bounds = match roads.is_limited() {
+        true => Bounds {
+            length_m_min: SEEN_ROUTE_M_MIN,
+            ..bounds
+        },
+        false => bounds,
+    };
     // Each time too long is made shorter; the same turns are taken.
     for _ in 0..6 {
-        let (lanes, end_m) = onward(roads, spot, &led, length_m, random.split(1))?;
+        let (lanes, end_m) = onward(roads, spot, &led, (length_m, &bounds), random.split(1))?;
         let end = Spot {
             lane: *lanes.last()?,
             at_m: end_m,
         };
-        let start = task(roads, spot, lanes, end_m)?;
+        let start = task(roads, spot, lanes, end_m, &bounds)?;
         let time_s = reference::free_s(&start.route, start.task.cruise_mps);
         let seen_m = roads.seen_m(&start.route);
         let is_seen = start.route.length_m() <= seen_m;
-        if time_s <= FREE_TIME_S && inside(end) && is_seen {
+        if time_s <= bounds.free_time_s && inside(end) && is_seen {
             if !roads.hold(&start.route, &EGO) {
                 return None;
             }
@@ -153,18 +189,18 @@ pub(super) fn choose(
         }
         if !is_seen {
             length_m = seen_m;
-            if length_m < roads.route_m_min() {
+            if length_m < bounds.length_m_min {
                 return None;
             }
             continue;
         }
         let shorter = if inside(end) {
-            0.97 * FREE_TIME_S / time_s
+            0.97 * bounds.free_time_s / time_s
         } else {
             0.9
         };
         length_m = start.route.length_m() * shorter;
-        if length_m < roads.route_m_min() {
+        if length_m < bounds.length_m_min {
             return None;
         }
     }
@@ -200,7 +236,7 @@ fn onward(
     roads: &Roads,
     spot: Spot,
     led: &[usize],
-    length_m: f64,
+    (length_m, bounds): (f64, &Bounds),
     mut random: Stream,
 ) -> Option<(Vec<usize>, f64)> {
     let (mut lanes, mut end_m) = (vec![spot.lane], spot.at_m + length_m);
@@ -249,10 +285,16 @@ fn onward(
     let end_m = to_centimeter(end_m.min(roads.length_m(*lanes.last()?) - 0.01));
     let driven_m: f64 = lanes.iter().map(|&lane| roads.length_m(lane)).sum::<f64>() - spot.at_m;
     let rest_m = roads.length_m(*lanes.last()?) - end_m;
-    (end_m > 0.0 && driven_m - rest_m >= roads.route_m_min()).then_some((lanes, end_m))
+    (end_m > 0.0 && driven_m - rest_m >= bounds.length_m_min).then_some((lanes, end_m))
 }
 
-fn task(roads: &Roads, spot: Spot, lanes: Vec<usize>, end_m: f64) -> Option<EgoStart> {
+fn task(
+    roads: &Roads,
+    spot: Spot,
+    lanes: Vec<usize>,
+    end_m: f64,
+    bounds: &Bounds,
+) -> Option<EgoStart> {
     let limit_mps = lanes
         .iter()
         .map(|&lane| roads.speed_limit_mps(lane))
@@ -271,7 +313,7 @@ fn task(roads: &Roads, spot: Spot, lanes: Vec<usize>, end_m: f64) -> Option<EgoS
     };
     let route = Route::new(roads.map, &task)
         .ok()
-        .filter(|_| task.cruise_mps >= CRUISE_MPS_MIN)?;
+        .filter(|_| task.cruise_mps >= bounds.cruise_mps_min)?;
     let crossed = |lane: &&usize| {
         roads
             .graph

@@ -101,6 +101,7 @@ impl PlaceOptions {
                     map,
                     probe,
                     exposure_ev,
+                    obstacles: None,
                     background,
                     agent_splats,
                 }

@@ -6,7 +6,6 @@ use std::sync::Arc;
 use decouplegs_scene::{LaneMap, VehicleSize, VehicleState};
 use glam::DVec2;
 
-use super::ego_start::{ROUTE_M_MIN, SEEN_ROUTE_M_MIN};
 use super::random::Stream;
 use crate::lane_index::LaneIndex;
 use crate::oriented_box::OrientedBox;
@@ -156,12 +155,9 @@ impl<'a> Roads<'a> {
         self.seen = Some((support, spots));
     }
 
-    /// Least length of a route, meters.
-    pub fn route_m_min(&self) -> f64 {
-        match self.seen {
-            Some(_) => SEEN_ROUTE_M_MIN,
-            None => ROUTE_M_MIN,
-        }
+    /// True if routes stay where the place was seen from.
+    pub fn is_limited(&self) -> bool {
+        self.seen.is_some()
     }
 
     /// Distance along `route` up to which it leads where the place was seen from, meters; infinite

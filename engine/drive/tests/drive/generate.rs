@@ -575,6 +575,29 @@ fn straight(length_m: f64) -> LaneMap {
 }
 
 #[test]
+fn slow_places_are_driven_at_their_limits() {
+    let place = street().place;
+    for limit_kmh in [3.0, 5.0, 10.0, 15.0, 30.0] {
+        let mut map = straight(160.0);
+        map.lanes[0].speed_limit_mps = Some(limit_kmh / 3.6);
+        let generator = Generator::new(&map, place.clone(), &[VehicleSize::CAR]).unwrap();
+        for index in 0..5 {
+            let scenario = generator.scenario(Level::Easy, 1, index).unwrap();
+            let (task, length_m) = (&scenario.ego, scenario.ego.end_m - scenario.ego.start_m);
+            assert!(task.cruise_mps <= limit_kmh / 3.6 && task.cruise_mps > limit_kmh / 3.6 - 0.11);
+            assert!(length_m >= 29.0, "{length_m}");
+            // The time limit follows from the drive.
+            let least_s = length_m / task.cruise_mps;
+            assert!(scenario.duration_s > least_s, "{limit_kmh}: {least_s} s");
+            assert!(
+                scenario.duration_s < 3.0 * least_s + 30.0,
+                "{limit_kmh}: {least_s} s"
+            );
+        }
+    }
+}
+
+#[test]
 fn maps_that_are_too_small_say_what_they_have_room_for() {
     let place = street().place;
     let generate = |map: &LaneMap, sizes: &[VehicleSize], level| {
@@ -601,9 +624,9 @@ fn maps_that_are_too_small_say_what_they_have_room_for() {
         "{why}"
     );
     assert!(generate(&straight(300.0), &cars, Level::Easy).is_ok());
-    let why = generate(&straight(40.0), &cars, Level::Easy).unwrap_err();
+    let why = generate(&straight(30.0), &cars, Level::Easy).unwrap_err();
     assert!(
-        matches!(why, GenerateError::NoRoute { .. }) && why.to_string().contains("60 m"),
+        matches!(why, GenerateError::NoRoute { .. }) && why.to_string().contains("30 m"),
         "{why}"
     );
     assert!(matches!(

@@ -1,24 +1,21 @@
-//! Vehicles and pedestrians, and the catalogs that describe them.
+//! Vehicles, pedestrians and other objects, in the file and in catalogs.
 
 use std::collections::HashSet;
-use std::path::{Path, PathBuf};
 
+use decouplegs_asset::DecodeError;
+use decouplegs_asset::xml;
 use decouplegs_scene::{RoadUser, VehicleSize};
 
+use super::catalogs::Catalogs;
+use super::parameters::Node;
 use super::{Entity, Skipped};
-use decouplegs_asset::DecodeError;
-use decouplegs_asset::xml::{self, Element};
 
 /// Reads the entities of a scenario.
 pub(super) fn read(
-    root: Element,
-    read_file: &impl Fn(&Path) -> Option<Vec<u8>>,
+    root: Node,
+    catalogs: &Catalogs,
     skipped: &mut Skipped,
 ) -> Result<Vec<Entity>, DecodeError> {
-    let catalogs = Catalogs {
-        locations: locations(root)?,
-        read_file,
-    };
     let mut entities = Vec::new();
     let mut names = HashSet::new();
     for object in root.needed("Entities")?.elements() {
@@ -26,34 +23,36 @@ pub(super) fn read(
             skipped.add(object, "only objects by name are read");
             continue;
         }
-        let name = object.needed_attribute("name")?;
-        if !names.insert(name) {
+        let name = object.needed_attribute("name")?.into_owned();
+        if !names.insert(name.clone()) {
             return Err(object.fault(format!(
                 "a second object with the name {}; expected one",
-                xml::excerpt(name)
+                xml::excerpt(&name)
             )));
         }
         let described = match object.first("CatalogReference") {
-            Some(reference) => catalogs.described(reference, skipped)?,
-            None => match description(object) {
+            Some(reference) => from_catalog(reference, catalogs, skipped)?,
+            None => match object
+                .elements()
+                .find(|element| KINDS.contains(&element.name()))
+            {
                 Some(element) => Body::read(element, skipped)?,
                 None => None,
             },
         };
-        let Some(Body {
-            kind,
-            size,
-            center_m,
-        }) = described
-        else {
-            skipped.add(object, "it is neither a vehicle nor a pedestrian");
+        let Some(body) = described else {
+            skipped.add(
+                object,
+                "it is neither a vehicle, a pedestrian nor an object",
+            );
             continue;
         };
         entities.push(Entity {
-            name: name.to_owned(),
-            kind,
-            size,
-            center_m,
+            name,
+            kind: body.kind,
+            size: body.size,
+            center_m: body.center_m,
+            is_ego: body.is_ego,
             position: None,
             speed: None,
             route: Vec::new(),
@@ -63,145 +62,134 @@ pub(super) fn read(
     Ok(entities)
 }
 
-/// Description of an object in a scenario or catalog.
-fn description(parent: Element) -> Option<Element> {
-    ["Vehicle", "Pedestrian"]
-        .into_iter()
-        .find_map(|name| parent.first(name))
-}
+/// Elements that describe an object.
+const KINDS: [&str; 3] = ["Vehicle", "Pedestrian", "MiscObject"];
 
-/// Folders of catalogs with vehicles and pedestrians.
-fn locations(root: Element) -> Result<Vec<PathBuf>, DecodeError> {
-    let Some(list) = root.first("CatalogLocations") else {
-        return Ok(Vec::new());
-    };
-    let kinds = ["VehicleCatalog", "PedestrianCatalog"];
-    let directories = list
-        .elements()
-        .filter(|element| kinds.contains(&element.name()))
-        .filter_map(|element| element.first("Directory"));
-    directories
-        .map(|directory| {
-            Ok(directory
-                .needed_attribute("path")?
-                .replace('\\', "/")
-                .into())
-        })
-        .collect()
-}
-
-/// Catalogs that a scenario refers to.
-struct Catalogs<'a, F> {
-    locations: Vec<PathBuf>,
-    read_file: &'a F,
-}
-
-impl<F: Fn(&Path) -> Option<Vec<u8>>> Catalogs<'_, F> {
-    /// Body of the entry that `reference` names; a car of usual size if the catalog is missing.
-    fn described(
-        &self,
-        reference: Element,
-        skipped: &mut Skipped,
-    ) -> Result<Option<Body>, DecodeError> {
-        let (catalog, entry) = (
-            reference.needed_attribute("catalogName")?,
-            reference.needed_attribute("entryName")?,
-        );
-        let file = format!("{catalog}.xosc");
-        // A name, not a path: a reference does not lead out of the catalogs' folders.
-        let is_name = !catalog.contains(['/', '\\']);
-        let found = self
-            .locations
-            .iter()
-            .filter(|_| is_name)
-            .find_map(|folder| (self.read_file)(&folder.join(&file)));
-        let Some(bytes) = found else {
-            let (file, entry) = (xml::excerpt(&file), xml::excerpt(entry));
-            skipped.add(
-                reference,
-                &format!("the catalog {file} was not found: {entry} is a car of 4.5 m"),
-            );
-            return Ok(Some(Body::CAR));
-        };
-        let within = |error: DecodeError| {
-            reference.fault(format!("in the catalog {}: {error}", xml::excerpt(&file)))
-        };
-        let text = super::parameters::substituted(&bytes).map_err(within)?;
-        let document = xml::parse(text.as_bytes()).map_err(within)?;
-        let catalog = Element::root(&document, "OpenSCENARIO")
-            .and_then(|root| root.needed("Catalog"))
-            .map_err(within)?;
-        let described = catalog
-            .elements()
-            .find(|element| element.attribute("name") == Some(entry))
-            .ok_or_else(|| {
-                reference.fault(format!(
-                    "the catalog {} has no entry {}",
-                    xml::excerpt(&file),
-                    xml::excerpt(entry)
-                ))
-            })?;
-        match described.name() {
-            "Vehicle" | "Pedestrian" => Body::read(described, skipped).map_err(within),
-            _ => Ok(None),
+/// Body of the entry that `reference` names; a car of usual size if the catalog is missing.
+fn from_catalog(
+    reference: Node,
+    catalogs: &Catalogs,
+    skipped: &mut Skipped,
+) -> Result<Option<Body>, DecodeError> {
+    let read = catalogs.with_entry(reference, skipped, |entry, skipped| {
+        if KINDS.contains(&entry.name()) {
+            Body::read(entry, skipped)
+        } else {
+            Ok(None)
         }
+    })?;
+    if let Some(body) = read {
+        return Ok(body);
     }
+    let file = format!("{}.xosc", reference.needed_attribute("catalogName")?);
+    let entry = reference.needed_attribute("entryName")?;
+    skipped.add(
+        reference,
+        &format!(
+            "the catalog {} was not found: {} is a car of 4.5 m",
+            xml::excerpt(&file),
+            xml::excerpt(&entry)
+        ),
+    );
+    Ok(Some(Body::CAR))
 }
 
 /// Kind and box of an object.
 struct Body {
-    kind: RoadUser,
+    kind: Option<RoadUser>,
     size: VehicleSize,
     center_m: f64,
+    is_ego: bool,
 }
 
 impl Body {
     const CAR: Self = Self {
-        kind: RoadUser::Car,
+        kind: Some(RoadUser::Car),
         size: VehicleSize::CAR,
         center_m: 1.4,
+        is_ego: false,
     };
 
-    /// Reads a `<Vehicle>` or `<Pedestrian>`; `None` for vehicles that do not drive on roads.
-    fn read(element: Element, skipped: &mut Skipped) -> Result<Option<Self>, DecodeError> {
-        let kind = if element.name() == "Pedestrian" {
-            match element.attribute("pedestrianCategory") {
-                None | Some("pedestrian") => RoadUser::Pedestrian,
+    /// Reads a `<Vehicle>`, `<Pedestrian>` or `<MiscObject>`; `None` for vehicles that do not drive
+    /// on roads.
+    fn read(element: Node, skipped: &mut Skipped) -> Result<Option<Self>, DecodeError> {
+        let category = element
+            .attribute("vehicleCategory")?
+            .unwrap_or("car".into());
+        let (kind, usual) = match element.name() {
+            "Pedestrian" => match element.attribute("pedestrianCategory")?.as_deref() {
+                None | Some("pedestrian" | "wheelchair") => {
+                    (Some(RoadUser::Pedestrian), VehicleSize::PEDESTRIAN)
+                }
                 Some(_) => return Ok(None),
-            }
-        } else {
-            match element.attribute("vehicleCategory").unwrap_or("car") {
-                "car" | "van" => RoadUser::Car,
-                "truck" | "semitrailer" => RoadUser::Truck,
-                "bus" => RoadUser::Bus,
-                "bicycle" | "motorbike" => RoadUser::Cyclist,
+            },
+            "MiscObject" => (None, VehicleSize::from_array([1.0, 1.0, 1.0])),
+            _ => match &*category {
+                "car" | "van" => (Some(RoadUser::Car), VehicleSize::CAR),
+                "truck" | "semitrailer" => (
+                    Some(RoadUser::Truck),
+                    VehicleSize::from_array([8.0, 2.5, 3.4]),
+                ),
+                "bus" => (
+                    Some(RoadUser::Bus),
+                    VehicleSize::from_array([12.0, 2.55, 3.1]),
+                ),
+                "bicycle" | "motorbike" => (
+                    Some(RoadUser::Cyclist),
+                    VehicleSize::from_array([1.8, 0.7, 1.75]),
+                ),
                 _ => return Ok(None),
-            }
+            },
         };
-        if element.attribute("vehicleCategory") == Some("motorbike") {
+        if category == "motorbike" {
             skipped.add(element, "a motorbike drives like a cyclist");
         }
         if element.first("Trailer").is_some() {
             skipped.add(element, "its trailer is not read");
         }
-        let outline = element.needed("BoundingBox")?;
-        let dimensions = outline.needed("Dimensions")?;
-        let side = |name: &str| {
-            let side_m = dimensions.number(name)?;
-            if (0.1..=100.0).contains(&side_m) {
-                return Ok(side_m);
+        let outline = element.first("BoundingBox");
+        let dimensions = outline.and_then(|outline| outline.first("Dimensions"));
+        let mut size = usual.to_array();
+        // A size decorates: one that is none does not keep a file from being driven.
+        let mut faults = Vec::new();
+        for (side_m, name) in size.iter_mut().zip(["length", "width", "height"]) {
+            match dimensions.map(|dimensions| dimensions.number(name)) {
+                Some(Ok(found_m)) if (0.1..=100.0).contains(&found_m) => *side_m = found_m,
+                Some(Ok(found_m)) if kind.is_none() && found_m > 0.0 => {
+                    *side_m = found_m.clamp(0.1, 1000.0);
+                }
+                Some(Ok(found_m)) => faults.push(format!("{name} is {found_m}, not 0.1 to 100 m")),
+                Some(Err(_)) => faults.push(format!("{name} is no finite number")),
+                None => faults.push(format!("{name} is missing")),
             }
-            Err(dimensions.fault(format!("{name} is {side_m}; expected 0.1 to 100 m")))
+        }
+        if !faults.is_empty() {
+            let [length_m, width_m, height_m] = size;
+            let about = dimensions.unwrap_or(element);
+            skipped.add(
+                about,
+                &format!(
+                    "{}: its size is {length_m} x {width_m} x {height_m} m",
+                    faults.join(", ")
+                ),
+            );
+        }
+        let center = outline.and_then(|outline| outline.first("Center"));
+        let center_m = match center.map(|center| center.number_or("x", 0.0)) {
+            Some(Ok(center_m)) => center_m.clamp(-50.0, 50.0),
+            _ => 0.0,
         };
-        let size = [side("length")?, side("width")?, side("height")?];
-        let center_m = match outline.first("Center") {
-            Some(center) => center.number_or("x", 0.0)?.clamp(-50.0, 50.0),
-            None => 0.0,
-        };
+        let properties = element.first("Properties");
+        let is_ego = properties
+            .iter()
+            .flat_map(|list| list.all("Property"))
+            .filter(|property| property.element().attribute("name") == Some("type"))
+            .any(|property| property.element().attribute("value") == Some("ego_vehicle"));
         Ok(Some(Self {
             kind,
             size: VehicleSize::from_array(size),
             center_m,
+            is_ego,
         }))
     }
 }

@@ -1,11 +1,12 @@
 //! ASAM OpenSCENARIO XML (`.xosc`, versions 1.0 to 1.3): the part of a file that scenarios here can
 //! express.
 //!
-//! Read are parameters with their default values, the road network's file, phases of traffic
-//! signals, vehicles and pedestrians with their boxes (also from catalogs), and from the
-//! storyboard: positions, speeds, routes, trajectories of pedestrians, changes of speed and lane,
-//! and triggers by time or by the distance of two entities. Everything else is listed in
-//! [`OpenScenario::skipped`], one sentence per element, with its line.
+//! Read are parameters, expressions and catalogs, the road network's file, phases of traffic
+//! signals, vehicles, pedestrians and other objects with their boxes, and from the storyboard:
+//! positions, speeds, routes, trajectories, changes of speed and lane, and triggers. A value is
+//! evaluated when it is needed: one that nobody reads cannot refuse a file. Everything else is
+//! listed in [`OpenScenario::skipped`], one sentence per element, with its line; an event at fault
+//! is listed there too.
 //!
 //! The reader is our own: the crate `openscenario-rs` is under the GPL, which this project is not.
 //!
@@ -13,9 +14,13 @@
 //! entity is the center of its rear axle; [`Entity::center_m`] is the way from there to the middle
 //! of its box.
 
+mod catalogs;
+mod conditions;
 mod entities;
+mod expression;
 mod parameters;
 mod positions;
+mod routes;
 mod signals;
 mod story;
 
@@ -27,19 +32,25 @@ use decouplegs_asset::read_bytes;
 use decouplegs_asset::xml::{self, Element};
 use decouplegs_asset::{AssetError, DecodeError};
 
-pub use positions::Position;
+use catalogs::Catalogs;
+use parameters::{Assignments, Node, Parameters};
+
+pub use conditions::{Condition, Direction, EventTrigger, Measure, Rule, Stage, Target};
+pub use positions::{Along, Heading, Position};
 
 /// Content of an OpenSCENARIO file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OpenScenario {
-    /// File of the road network.
-    pub map: PathBuf,
-    /// Vehicles and pedestrians, in the order of the file.
+    /// File of the road network; `None` if the file names none.
+    pub map: Option<PathBuf>,
+    /// Vehicles, pedestrians and other objects, in the order of the file.
     pub entities: Vec<Entity>,
     /// Phases of the map's traffic signals.
     pub signals: Vec<SignalPhases>,
     /// Time at which the storyboard stops, seconds.
     pub stop_time_s: Option<f64>,
+    /// Events of the storyboard, in the order of the file.
+    pub events: Vec<StoryEvent>,
     /// Elements that were not read or could not be expressed, one sentence each.
     pub skipped: Vec<String>,
 }
@@ -55,17 +66,30 @@ pub struct SignalPhases {
     pub offset_s: f64,
 }
 
-/// A vehicle or pedestrian.
+/// An event of the storyboard, its actions read or not.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoryEvent {
+    /// Line in the file, or in its catalog, from 1.
+    pub line: u32,
+    /// Name in the file.
+    pub name: String,
+    /// Names of the entities that it is about.
+    pub actors: Vec<String>,
+}
+
+/// A vehicle, a pedestrian or another object.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entity {
     /// Name in the file.
     pub name: String,
-    /// Kind of road user.
-    pub kind: RoadUser,
+    /// Kind of road user; `None` for an object that stands.
+    pub kind: Option<RoadUser>,
     /// Size of the box.
     pub size: VehicleSize,
     /// Offset from the reference point to the middle of the box, meters forward.
     pub center_m: f64,
+    /// True if a property `type` of the value `ego_vehicle` says that it is the ego.
+    pub is_ego: bool,
     /// Position at the start; `None` if the file gives none.
     pub position: Option<Position>,
     /// Speed at the start; `None` if the file gives none.
@@ -81,26 +105,14 @@ pub struct Entity {
 pub struct Event {
     /// Line of the action in the file, from 1.
     pub line: u32,
-    /// Condition that starts it.
+    /// Number of its event in [`OpenScenario::events`].
+    pub number: usize,
+    /// Conditions that start it.
     pub trigger: EventTrigger,
     /// Action of the entity.
     pub action: Action,
-}
-
-/// Condition that starts an action.
-#[derive(Clone, Debug, PartialEq)]
-pub enum EventTrigger {
-    /// Time after the start, seconds.
-    Time(f64),
-    /// Two entities are close to each other.
-    Distance {
-        /// Names of the two.
-        entities: [String; 2],
-        /// Largest distance, meters.
-        distance_m: f64,
-        /// True if the distance is between their boxes, not their reference points.
-        between_boxes: bool,
-    },
+    /// Duration of the action, seconds, where the file gives one.
+    pub duration_s: Option<f64>,
 }
 
 /// A speed.
@@ -159,7 +171,12 @@ pub enum Action {
     /// Changes lanes.
     ChangeLane(TargetLane),
     /// Goes along a route or trajectory.
-    Path(Vec<Position>),
+    Path {
+        /// Positions in its order.
+        points: Vec<Position>,
+        /// Times of a trajectory's points, seconds.
+        times_s: Option<Vec<f64>>,
+    },
 }
 
 /// Reads the OpenSCENARIO file at `path`, and the catalogs that it refers to.
@@ -175,7 +192,7 @@ pub fn read_open_scenario(path: &Path) -> Result<OpenScenario, AssetError> {
         format: "OpenSCENARIO",
         source,
     })?;
-    scenario.map = folder.join(scenario.map);
+    scenario.map = scenario.map.map(|map| folder.join(map));
     Ok(scenario)
 }
 
@@ -188,9 +205,10 @@ pub fn decode(
     bytes: &[u8],
     read: impl Fn(&Path) -> Option<Vec<u8>>,
 ) -> Result<OpenScenario, DecodeError> {
-    let text = parameters::substituted(bytes)?;
-    let document = xml::parse(text.as_bytes())?;
+    let document = xml::parse(bytes)?;
     let root = Element::root(&document, "OpenSCENARIO")?;
+    let parameters = Parameters::new(root, Assignments::new());
+    let root = Node::new(root, &parameters);
     if let Some(header) = root.first("FileHeader") {
         let major = header.number_or("revMajor", 1.0)?;
         if major != 1.0 {
@@ -198,17 +216,31 @@ pub fn decode(
         }
     }
     let mut skipped = Skipped::default();
-    let network = root.needed("RoadNetwork")?;
-    let logic = network.needed("LogicFile")?;
-    let map = PathBuf::from(logic.needed_attribute("filepath")?.replace('\\', "/"));
-    let signals = signals::read(network, &mut skipped)?;
-    let mut entities = entities::read(root, &read, &mut skipped)?;
-    let stop_time_s = story::read(root.needed("Storyboard")?, &mut entities, &mut skipped)?;
+    let catalogs = Catalogs::new(root, &read)?;
+    let network = root.first("RoadNetwork");
+    let map = match network.and_then(|network| network.first("LogicFile")) {
+        Some(logic) => Some(
+            logic
+                .needed_attribute("filepath")?
+                .replace('\\', "/")
+                .into(),
+        ),
+        None => None,
+    };
+    let map = map.filter(|map: &PathBuf| !map.as_os_str().is_empty());
+    let signals = match network {
+        Some(network) => signals::read(network, &mut skipped)?,
+        None => Vec::new(),
+    };
+    let mut entities = entities::read(root, &catalogs, &mut skipped)?;
+    let storyboard = root.needed("Storyboard")?;
+    let story = story::read(storyboard, &mut entities, &catalogs, &mut skipped)?;
     Ok(OpenScenario {
         map,
         entities,
         signals,
-        stop_time_s,
+        stop_time_s: story.stop_time_s,
+        events: story.events,
         skipped: skipped.sentences(),
     })
 }
@@ -221,17 +253,45 @@ const SKIPPED_MAX: usize = 1000;
 struct Skipped {
     sentences: Vec<String>,
     count: usize,
+    /// The catalog that is read, if one is.
+    catalog: Option<String>,
+    /// Nesting of positions on routes.
+    nesting: u32,
+    /// Points of routes and trajectories that were read.
+    points: usize,
 }
 
 impl Skipped {
     /// Adds a sentence about an element.
-    fn add(&mut self, element: Element, reason: &str) {
+    fn add(&mut self, element: Node, reason: &str) {
+        let (line, name) = (element.line(), xml::excerpt(element.name()));
+        self.push(format!("line {line}, <{name}>: {reason}"));
+    }
+
+    /// Adds a fault that ends what `element` says, not the reading of the file.
+    fn fault(&mut self, element: Node, fault: &DecodeError) {
+        self.add(element, &format!("it is lost: {fault}"));
+    }
+
+    fn push(&mut self, sentence: String) {
         self.count += 1;
         if self.sentences.len() < SKIPPED_MAX {
-            let (line, name) = (element.line(), xml::excerpt(element.name()));
-            self.sentences
-                .push(format!("line {line}, <{name}>: {reason}"));
+            self.sentences.push(match &self.catalog {
+                Some(catalog) => format!("in the catalog {catalog}, {sentence}"),
+                None => sentence,
+            });
         }
+    }
+
+    /// Says that what follows is in a catalog, or not. Returns what was said before.
+    fn within(&mut self, catalog: Option<String>) -> Option<String> {
+        std::mem::replace(&mut self.catalog, catalog)
+    }
+
+    /// Counts points of routes; false if there are more than `most` now.
+    fn counts_points(&mut self, count: usize, most: usize) -> bool {
+        self.points += count;
+        self.points <= most
     }
 
     fn sentences(mut self) -> Vec<String> {

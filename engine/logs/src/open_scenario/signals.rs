@@ -4,23 +4,20 @@ use std::collections::HashMap;
 
 use decouplegs_scene::{LightColor, LightPhase};
 
+use super::parameters::Node;
 use super::{SignalPhases, Skipped};
 use decouplegs_asset::DecodeError;
-use decouplegs_asset::xml::Element;
 
 /// Phases of all signals of the road network.
-pub(super) fn read(
-    network: Element,
-    skipped: &mut Skipped,
-) -> Result<Vec<SignalPhases>, DecodeError> {
+pub(super) fn read(network: Node, skipped: &mut Skipped) -> Result<Vec<SignalPhases>, DecodeError> {
     let mut signals: Vec<SignalPhases> = Vec::new();
-    let mut by_id: HashMap<&str, usize> = HashMap::new();
+    let mut by_id: HashMap<String, usize> = HashMap::new();
     let controllers = network.first("TrafficSignals");
     for controller in controllers
         .iter()
         .flat_map(|list| list.all("TrafficSignalController"))
     {
-        if controller.attribute("reference").is_some() {
+        if controller.element().attribute("reference").is_some() {
             skipped.add(
                 controller,
                 "it starts after another controller: only `delay` of its own is read",
@@ -33,7 +30,7 @@ pub(super) fn read(
             let duration_s = phase.number("duration")?;
             for state in phase.all("TrafficSignalState") {
                 let signal = state.needed_attribute("trafficSignalId")?;
-                let Some(color) = color_of(state.needed_attribute("state")?) else {
+                let Some(color) = color_of(&state.needed_attribute("state")?) else {
                     skipped.add(
                         state,
                         "the state is unknown; expected red, yellow or green, or three lamps as on;off;off",
@@ -41,10 +38,10 @@ pub(super) fn read(
                     continue;
                 };
                 let next = LightPhase { color, duration_s };
-                let index = *by_id.entry(signal).or_insert(signals.len());
+                let index = *by_id.entry(signal.to_string()).or_insert(signals.len());
                 if index == signals.len() {
                     signals.push(SignalPhases {
-                        signal: signal.to_owned(),
+                        signal: signal.into_owned(),
                         phases: Vec::new(),
                         offset_s,
                     });

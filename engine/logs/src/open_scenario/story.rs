@@ -1,149 +1,353 @@
 //! The storyboard: what entities do at the start, and actions with their triggers.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
-use super::{
-    Action, Entity, Event, EventTrigger, Skipped, TargetLane, TargetSpeed, Transition, positions,
-};
 use decouplegs_asset::DecodeError;
-use decouplegs_asset::xml::Element;
 
-/// Entities by name.
-struct Cast<'a> {
-    entities: &'a mut [Entity],
-    by_name: HashMap<String, usize>,
+use super::catalogs::Catalogs;
+use super::conditions::{self, Measure, Rule, StateReference};
+use super::parameters::Node;
+use super::{
+    Action, Entity, Event, Position, Skipped, StoryEvent, TargetLane, TargetSpeed, Transition,
+    positions, routes,
+};
+
+/// Content of the storyboard, the events of its entities left out.
+pub(super) struct Story {
+    /// Time at which it stops, seconds.
+    pub stop_time_s: Option<f64>,
+    /// Events of the storyboard.
+    pub events: Vec<StoryEvent>,
 }
 
-impl Cast<'_> {
+/// Reads the storyboard into `entities`.
+pub(super) fn read(
+    storyboard: Node,
+    entities: &mut [Entity],
+    catalogs: &Catalogs,
+    skipped: &mut Skipped,
+) -> Result<Story, DecodeError> {
+    let names = entities.iter().enumerate();
+    let by_name = names
+        .map(|(index, entity)| (entity.name.clone(), index))
+        .collect();
+    let mut reader = Reader {
+        entities,
+        by_name,
+        catalogs,
+        events: Vec::new(),
+        parts: HashMap::new(),
+    };
+    if let Some(actions) = storyboard.needed("Init")?.first("Actions") {
+        reader.init(actions, skipped)?;
+    }
+    // Conditions may be about events that come later: their parts are known first.
+    for story in storyboard.all("Story") {
+        for act in story.all("Act") {
+            for group in act.all("ManeuverGroup") {
+                reader.list(&[story, act, group], skipped)?;
+            }
+        }
+    }
+    let parts: HashMap<(String, String), Arc<[usize]>> = std::mem::take(&mut reader.parts)
+        .into_iter()
+        .map(|(part, events)| (part, Arc::from(events)))
+        .collect();
+    let states = |reference: &StateReference| {
+        // A name may be qualified by those of the parts that it is in.
+        let name = reference.name.rsplit("::").next().unwrap_or_default();
+        parts
+            .get(&(reference.kind.clone(), name.to_owned()))
+            .cloned()
+    };
+    let mut next = 0;
+    for act in storyboard.all("Story").flat_map(|story| story.all("Act")) {
+        for group in act.all("ManeuverGroup") {
+            reader.group(act, group, &mut next, &states, skipped)?;
+        }
+    }
+    let Some(stop) = storyboard.first("StopTrigger") else {
+        return Ok(Story {
+            stop_time_s: None,
+            events: reader.events,
+        });
+    };
+    let read = conditions::read(&[stop], "", catalogs, &states, skipped);
+    let stages = recovered(stop, read, skipped).map_or_else(Vec::new, |read| read.stages);
+    let mut stop_time_s: Option<f64> = None;
+    for group in stages.iter().flatten() {
+        match group.as_slice() {
+            [one] if one.measure == Measure::Time && one.rule == Rule::Above => {
+                let at_s = one.value + one.delay_s;
+                if at_s > 0.0 {
+                    stop_time_s = Some(stop_time_s.map_or(at_s, |found| found.min(at_s)));
+                }
+            }
+            _ => skipped.add(stop, "only a time stops an episode"),
+        }
+    }
+    Ok(Story {
+        stop_time_s,
+        events: reader.events,
+    })
+}
+
+/// The value that was read, or `None` with a sentence: a fault of one event does not keep a file
+/// from being driven.
+fn recovered<T>(
+    node: Node,
+    read: Result<Option<T>, DecodeError>,
+    skipped: &mut Skipped,
+) -> Option<T> {
+    read.unwrap_or_else(|fault| {
+        skipped.fault(node, &fault);
+        None
+    })
+}
+
+struct Reader<'a, 'r> {
+    entities: &'a mut [Entity],
+    by_name: HashMap<String, usize>,
+    catalogs: &'a Catalogs<'r>,
+    events: Vec<StoryEvent>,
+    /// Events of each part of the storyboard, by its kind and name.
+    parts: HashMap<(String, String), Vec<usize>>,
+}
+
+impl Reader<'_, '_> {
     fn named(&mut self, name: &str) -> Option<&mut Entity> {
         self.by_name
             .get(name)
             .map(|&index| &mut self.entities[index])
     }
-}
 
-/// Reads the storyboard into `entities`. Returns the time at which it stops.
-pub(super) fn read(
-    storyboard: Element,
-    entities: &mut [Entity],
-    skipped: &mut Skipped,
-) -> Result<Option<f64>, DecodeError> {
-    let names = entities.iter().enumerate();
-    let by_name = names
-        .map(|(index, entity)| (entity.name.clone(), index))
-        .collect();
-    let mut cast = Cast { entities, by_name };
-    if let Some(actions) = storyboard.needed("Init")?.first("Actions") {
-        read_init(actions, &mut cast, skipped)?;
-    }
-    for act in storyboard.all("Story").flat_map(|story| story.all("Act")) {
-        for group in act.all("ManeuverGroup") {
-            read_group(act, group, &mut cast, skipped)?;
-        }
-    }
-    let Some(stop) = storyboard.first("StopTrigger") else {
-        return Ok(None);
-    };
-    match conditions(&[stop], "", skipped)? {
-        Some(EventTrigger::Time(time_s)) if time_s > 0.0 => Ok(Some(time_s)),
-        Some(EventTrigger::Distance { .. }) => {
-            skipped.add(stop, "only a time stops an episode");
-            Ok(None)
-        }
-        _ => Ok(None),
-    }
-}
-
-fn read_init(actions: Element, cast: &mut Cast, skipped: &mut Skipped) -> Result<(), DecodeError> {
-    for private in actions.elements() {
-        if private.name() != "Private" {
-            skipped.add(private, "only actions of entities are read");
-            continue;
-        }
-        let Some(entity) = cast.named(private.needed_attribute("entityRef")?) else {
-            skipped.add(private, "its entity is not read");
-            continue;
-        };
-        for action in private.all("PrivateAction") {
-            if let Some(teleport) = action.first("TeleportAction") {
-                entity.position = positions::read(teleport.needed("Position")?, skipped)?;
+    fn init(&mut self, actions: Node, skipped: &mut Skipped) -> Result<(), DecodeError> {
+        let catalogs = self.catalogs;
+        for private in actions.elements() {
+            if private.name() != "Private" {
+                skipped.add(private, "only actions of entities are read");
                 continue;
             }
-            match read_action(action, skipped)? {
-                Some(Action::Speed { target, .. }) => entity.speed = Some(target),
-                Some(Action::Path(route)) => entity.route = route,
-                Some(Action::ChangeLane(_)) => {
-                    skipped.add(action, "a lane change at the start is not read");
+            let name = private.needed_attribute("entityRef")?;
+            let Some(entity) = self.named(&name) else {
+                skipped.add(private, "its entity is not read");
+                continue;
+            };
+            for action in private.all("PrivateAction") {
+                if let Some(teleport) = action.first("TeleportAction") {
+                    let place = teleport.needed("Position")?;
+                    let Some(position) = positions::read(place, catalogs, skipped)? else {
+                        continue;
+                    };
+                    // A place relative to where it is already turns or moves it.
+                    match (position.other() == Some(&*name), entity.position.take()) {
+                        (true, Some(before)) => {
+                            entity.position = Some(moved(before, position, teleport, skipped));
+                        }
+                        _ => entity.position = Some(position),
+                    }
+                    continue;
                 }
-                None => {}
+                match read_action(action, catalogs, skipped)? {
+                    Some(Action::Speed { target, .. }) => entity.speed = Some(target),
+                    Some(Action::Path { points, .. }) => entity.route = points,
+                    Some(Action::ChangeLane(_)) => {
+                        skipped.add(action, "a lane change at the start is not read");
+                    }
+                    None => {}
+                }
             }
         }
+        Ok(())
     }
-    Ok(())
-}
 
-fn read_group(
-    act: Element,
-    group: Element,
-    cast: &mut Cast,
-    skipped: &mut Skipped,
-) -> Result<(), DecodeError> {
-    if group.number_or("maximumExecutionCount", 1.0)? > 1.0 {
-        skipped.add(group, "it is executed once");
-    }
-    for reference in group.all("CatalogReference") {
-        skipped.add(reference, "maneuvers of catalogs are not read");
-    }
-    let actors = group.needed("Actors")?;
-    let actors: Vec<&str> = actors
-        .all("EntityRef")
-        .map(|actor| actor.needed_attribute("entityRef"))
-        .collect::<Result<_, _>>()?;
-    for event in group
-        .all("Maneuver")
-        .flat_map(|maneuver| maneuver.all("Event"))
-    {
-        if actors.is_empty() {
-            skipped.add(event, "it has no actor by name");
+    /// Lists the events of a maneuver group, by the parts that they are in: story, act and group.
+    fn list(&mut self, within: &[Node; 3], skipped: &mut Skipped) -> Result<(), DecodeError> {
+        let group = within[2];
+        let mut actors = Vec::new();
+        for actor in group.needed("Actors")?.all("EntityRef") {
+            actors.push(actor.needed_attribute("entityRef")?.into_owned());
         }
-        let triggers: Vec<Element> = [act, event]
-            .into_iter()
-            .filter_map(|element| element.first("StartTrigger"))
-            .collect();
-        for action in event.all("Action") {
-            let Some(private) = action.first("PrivateAction") else {
-                skipped.add(action, "only actions of entities are read");
-                continue;
-            };
-            let Some(read) = read_action(private, skipped)? else {
-                continue;
-            };
-            for &actor in &actors {
-                let Some(trigger) = conditions(&triggers, actor, skipped)? else {
-                    continue;
-                };
-                let Some(entity) = cast.named(actor) else {
-                    skipped.add(action, "its actor is not read");
-                    continue;
-                };
-                entity.events.push(Event {
-                    line: action.line(),
-                    trigger,
-                    action: read.clone(),
+        let kinds = ["story", "act", "maneuverGroup", "maneuver"];
+        let mut names = Vec::new();
+        for part in within {
+            names.push(part.attribute("name")?.unwrap_or_default().into_owned());
+        }
+        let catalogs = self.catalogs;
+        each_maneuver(group, catalogs, skipped, |maneuver, _| {
+            names.truncate(3);
+            names.push(maneuver.attribute("name")?.unwrap_or_default().into_owned());
+            for event in maneuver.all("Event") {
+                let number = self.events.len();
+                let name = event.attribute("name")?.unwrap_or_default().into_owned();
+                let mut parts: Vec<(&str, String)> = kinds
+                    .into_iter()
+                    .zip(names.iter().cloned())
+                    .chain([("event", name.clone())])
+                    .collect();
+                for action in event.all("Action") {
+                    parts.push((
+                        "action",
+                        action.attribute("name")?.unwrap_or_default().into(),
+                    ));
+                }
+                for (kind, name) in parts {
+                    self.parts
+                        .entry((kind.to_owned(), name))
+                        .or_default()
+                        .push(number);
+                }
+                self.events.push(StoryEvent {
+                    line: event.line(),
+                    name,
+                    actors: actors.clone(),
                 });
             }
+            Ok(())
+        })
+    }
+
+    /// Reads the actions of a maneuver group. `next` is the number of its first event.
+    fn group(
+        &mut self,
+        act: Node,
+        group: Node,
+        next: &mut usize,
+        states: &dyn Fn(&StateReference) -> Option<Arc<[usize]>>,
+        skipped: &mut Skipped,
+    ) -> Result<(), DecodeError> {
+        let is_repeated = matches!(
+            group.number_or("maximumExecutionCount", 1.0),
+            Ok(count) if count > 1.0
+        );
+        if is_repeated {
+            skipped.add(group, "it is executed once");
         }
+        for reference in group.all("CatalogReference") {
+            let found = self
+                .catalogs
+                .with_entry(reference, skipped, |_, _| Ok(()))?;
+            if found.is_none() {
+                skipped.add(reference, "the catalog of its maneuver was not found");
+            }
+        }
+        let catalogs = self.catalogs;
+        each_maneuver(group, catalogs, skipped, |maneuver, skipped| {
+            for event in maneuver.all("Event") {
+                let number = *next;
+                *next += 1;
+                if self.events[number].actors.is_empty() {
+                    skipped.add(event, "it has no actor by name");
+                }
+                let triggers: Vec<Node> = [act, event]
+                    .into_iter()
+                    .filter_map(|part| part.first("StartTrigger"))
+                    .collect();
+                for action in event.all("Action") {
+                    let read = self.action(action, number, &triggers, states, skipped);
+                    if let Err(fault) = read {
+                        skipped.fault(action, &fault);
+                    }
+                }
+            }
+            Ok(())
+        })
+    }
+
+    fn action(
+        &mut self,
+        action: Node,
+        number: usize,
+        triggers: &[Node],
+        states: &dyn Fn(&StateReference) -> Option<Arc<[usize]>>,
+        skipped: &mut Skipped,
+    ) -> Result<(), DecodeError> {
+        let Some(private) = action.first("PrivateAction") else {
+            skipped.add(action, "only actions of entities are read");
+            return Ok(());
+        };
+        let Some(read) = read_action(private, self.catalogs, skipped)? else {
+            return Ok(());
+        };
+        let duration_s = duration_s(private, &read)?;
+        for actor in self.events[number].actors.clone() {
+            let found = conditions::read(triggers, &actor, self.catalogs, states, skipped)?;
+            let Some(trigger) = found else { continue };
+            let Some(entity) = self.named(&actor) else {
+                skipped.add(action, "its actor is not read");
+                continue;
+            };
+            entity.events.push(Event {
+                line: action.line(),
+                number,
+                trigger,
+                action: read.clone(),
+                duration_s,
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Calls `read` with each maneuver of a group, in the order of the file: its own, then those of
+/// catalogs.
+fn each_maneuver(
+    group: Node,
+    catalogs: &Catalogs,
+    skipped: &mut Skipped,
+    mut read: impl FnMut(Node, &mut Skipped) -> Result<(), DecodeError>,
+) -> Result<(), DecodeError> {
+    for maneuver in group.all("Maneuver") {
+        read(maneuver, skipped)?;
+    }
+    for reference in group.all("CatalogReference") {
+        catalogs.with_entry(reference, skipped, &mut read)?;
     }
     Ok(())
+}
+
+/// `before`, moved by `by`, a position relative to the entity itself.
+fn moved(before: Position, by: Position, teleport: Node, skipped: &mut Skipped) -> Position {
+    let turns_only = match &by {
+        Position::RelativeLane {
+            lanes,
+            along: positions::Along::Road(along_m) | positions::Along::Lane(along_m),
+            offset_m,
+            ..
+        } => *lanes == 0 && *along_m == 0.0 && *offset_m == 0.0,
+        Position::RelativeRoad { ds_m, dt_m, .. } => *ds_m == 0.0 && *dt_m == 0.0,
+        Position::RelativeEntity { offset_m, .. } => offset_m.length() == 0.0,
+        _ => false,
+    };
+    if matches!(before, Position::After { .. }) {
+        skipped.add(teleport, "only the first place relative to itself is read");
+        return before;
+    }
+    if !turns_only {
+        return Position::After {
+            before: Box::new(before),
+            by: Box::new(by),
+        };
+    }
+    skipped.add(
+        teleport,
+        "it turns the entity where it stands: its heading is that of its lane",
+    );
+    before
 }
 
 /// The action in a `<PrivateAction>`; `None` if it is of a kind that is not read.
-fn read_action(private: Element, skipped: &mut Skipped) -> Result<Option<Action>, DecodeError> {
+fn read_action(
+    private: Node,
+    catalogs: &Catalogs,
+    skipped: &mut Skipped,
+) -> Result<Option<Action>, DecodeError> {
     let Some(kind) = private.elements().next() else {
         return Err(private.fault("it is empty; expected an action"));
     };
     let inner = kind.elements().next();
-    match (kind.name(), inner.map(Element::name), inner) {
+    match (kind.name(), inner.map(Node::name), inner) {
         ("LongitudinalAction", Some("SpeedAction"), Some(speed)) => {
             let Some(target) = speed_of(speed.needed("SpeedActionTarget")?)? else {
                 skipped.add(speed, "the target speed is of a kind that is not read");
@@ -155,17 +359,17 @@ fn read_action(private: Element, skipped: &mut Skipped) -> Result<Option<Action>
         ("LateralAction", Some("LaneChangeAction"), Some(change)) => {
             let target = change.needed("LaneChangeTarget")?;
             let lane = if let Some(absolute) = target.first("AbsoluteTargetLane") {
-                TargetLane::Absolute(absolute.number("value")?.clamp(-1000.0, 1000.0) as i64)
+                TargetLane::Absolute(positions::lanes(absolute.number("value")?))
             } else {
                 let relative = target.needed("RelativeTargetLane")?;
                 TargetLane::Relative {
-                    entity: relative.needed_attribute("entityRef")?.to_owned(),
-                    lanes: relative.number("value")?.clamp(-1000.0, 1000.0) as i64,
+                    entity: relative.needed_attribute("entityRef")?.into_owned(),
+                    lanes: positions::lanes(relative.number("value")?),
                 }
             };
             Ok(Some(Action::ChangeLane(lane)))
         }
-        ("RoutingAction", Some(_), Some(routing)) => path(routing, skipped),
+        ("RoutingAction", Some(_), Some(routing)) => path(routing, catalogs, skipped),
         _ => {
             skipped.add(inner.unwrap_or(kind), "actions of this kind are not read");
             Ok(None)
@@ -173,7 +377,29 @@ fn read_action(private: Element, skipped: &mut Skipped) -> Result<Option<Action>
     }
 }
 
-fn speed_of(target: Element) -> Result<Option<TargetSpeed>, DecodeError> {
+/// Duration of `action`, the one in `private`, where its dynamics or its trajectory give it.
+fn duration_s(private: Node, action: &Action) -> Result<Option<f64>, DecodeError> {
+    let of = |transition: Transition| match transition {
+        Transition::Step => Some(0.0),
+        Transition::Time(time_s) => Some(time_s),
+        Transition::Rate(_) | Transition::Distance(_) => None,
+    };
+    Ok(match action {
+        Action::Speed { transition, .. } => of(*transition),
+        Action::ChangeLane(_) => {
+            let change = private
+                .first("LateralAction")
+                .and_then(|lateral| lateral.first("LaneChangeAction"));
+            let dynamics = change.and_then(|change| change.first("LaneChangeActionDynamics"));
+            of(transition(dynamics)?)
+        }
+        Action::Path { times_s, .. } => {
+            times_s.as_ref().and_then(|times_s| times_s.last().copied())
+        }
+    })
+}
+
+fn speed_of(target: Node) -> Result<Option<TargetSpeed>, DecodeError> {
     if let Some(absolute) = target.first("AbsoluteTargetSpeed") {
         return Ok(Some(TargetSpeed::Absolute(absolute.number("value")?)));
     }
@@ -181,23 +407,23 @@ fn speed_of(target: Element) -> Result<Option<TargetSpeed>, DecodeError> {
         return Ok(None);
     };
     let value = relative.number("value")?;
-    let is_factor = relative.attribute("speedTargetValueType") == Some("factor");
+    let is_factor = relative.is("speedTargetValueType", "factor")?;
     Ok(Some(TargetSpeed::Relative {
-        entity: relative.needed_attribute("entityRef")?.to_owned(),
+        entity: relative.needed_attribute("entityRef")?.into_owned(),
         factor: if is_factor { value } else { 1.0 },
         plus_mps: if is_factor { 0.0 } else { value },
     }))
 }
 
-fn transition(dynamics: Option<Element>) -> Result<Transition, DecodeError> {
+fn transition(dynamics: Option<Node>) -> Result<Transition, DecodeError> {
     let Some(dynamics) = dynamics else {
         return Ok(Transition::Step);
     };
-    if dynamics.attribute("dynamicsShape") == Some("step") {
+    if dynamics.is("dynamicsShape", "step")? {
         return Ok(Transition::Step);
     }
     let value = dynamics.number_or("value", 0.0)?;
-    Ok(match dynamics.attribute("dynamicsDimension") {
+    Ok(match dynamics.attribute("dynamicsDimension")?.as_deref() {
         _ if value <= 0.0 => Transition::Step,
         Some("rate") => Transition::Rate(value),
         Some("distance") => Transition::Distance(value),
@@ -206,128 +432,43 @@ fn transition(dynamics: Option<Element>) -> Result<Transition, DecodeError> {
 }
 
 /// Positions of a routing action.
-fn path(routing: Element, skipped: &mut Skipped) -> Result<Option<Action>, DecodeError> {
-    let positions: Vec<Element> = match routing.name() {
-        "AcquirePositionAction" => routing.all("Position").collect(),
-        "AssignRouteAction" => match routing.first("Route") {
-            Some(route) => route
-                .all("Waypoint")
-                .filter_map(|waypoint| waypoint.first("Position"))
-                .collect(),
-            None => Vec::new(),
-        },
-        "FollowTrajectoryAction" => {
-            let trajectory = routing
-                .first("TrajectoryRef")
-                .unwrap_or(routing)
-                .first("Trajectory");
-            let line = trajectory
-                .and_then(|trajectory| trajectory.first("Shape"))
-                .and_then(|shape| shape.first("Polyline"));
-            match line {
-                Some(line) => line
-                    .all("Vertex")
-                    .filter_map(|vertex| vertex.first("Position"))
-                    .collect(),
-                None => Vec::new(),
-            }
-        }
-        _ => Vec::new(),
-    };
-    if positions.is_empty() {
-        skipped.add(routing, "it has no positions that are read");
-        return Ok(None);
-    }
-    let mut read = Vec::new();
-    for position in positions {
-        match positions::read(position, skipped)? {
-            Some(position) => read.push(position),
-            None => return Ok(None),
-        }
-    }
-    Ok(Some(Action::Path(read)))
-}
-
-/// Single condition that `triggers` amount to, for an action of `actor`; `None` if they cannot be
-/// expressed.
-fn conditions(
-    triggers: &[Element],
-    actor: &str,
+fn path(
+    routing: Node,
+    catalogs: &Catalogs,
     skipped: &mut Skipped,
-) -> Result<Option<EventTrigger>, DecodeError> {
-    let mut time_s = 0.0f64;
-    let mut distance = None;
-    for trigger in triggers {
-        let mut groups = trigger.all("ConditionGroup");
-        let Some(group) = groups.next() else { continue };
-        if groups.next().is_some() {
-            skipped.add(*trigger, "only one group of conditions is read");
-            return Ok(None);
-        }
-        for condition in group.all("Condition") {
-            match read_condition(condition, actor)? {
-                Some(EventTrigger::Time(at_s)) => time_s = time_s.max(at_s),
-                Some(found) if distance.is_none() => distance = Some((condition, found)),
-                _ => {
-                    skipped.add(condition, "the condition cannot be expressed");
-                    return Ok(None);
+) -> Result<Option<Action>, DecodeError> {
+    let points = match routing.name() {
+        "AcquirePositionAction" => {
+            let mut points = Vec::new();
+            for place in routing.all("Position") {
+                match positions::read(place, catalogs, skipped)? {
+                    Some(position) => points.push(position),
+                    None => return Ok(None),
                 }
             }
+            Some(points)
         }
-    }
-    match distance {
-        Some((condition, _)) if time_s > 0.0 => {
-            skipped.add(
-                condition,
-                "a time and a distance together cannot be expressed",
-            );
-            Ok(None)
+        "AssignRouteAction" => routes::route(routing, catalogs, skipped)?,
+        "FollowTrajectoryAction" => {
+            let holder = routing.first("TrajectoryRef").unwrap_or(routing);
+            let Some(read) = routes::trajectory(holder, catalogs, skipped)? else {
+                return Ok(None);
+            };
+            let times_s: Option<Vec<f64>> = read.iter().map(|(_, time_s)| *time_s).collect();
+            return Ok(Some(Action::Path {
+                points: read.into_iter().map(|(position, _)| position).collect(),
+                times_s,
+            }));
         }
-        Some((_, found)) => Ok(Some(found)),
-        None => Ok(Some(EventTrigger::Time(time_s))),
-    }
-}
-
-/// A `<Condition>`; `None` if it is of a kind that is not read.
-fn read_condition(condition: Element, actor: &str) -> Result<Option<EventTrigger>, DecodeError> {
-    let delay_s = condition.number_or("delay", 0.0)?;
-    let by_value = condition.first("ByValueCondition");
-    if let Some(time) = by_value.and_then(|value| value.first("SimulationTimeCondition")) {
-        let is_from = matches!(
-            time.attribute("rule"),
-            Some("greaterThan" | "greaterOrEqual" | "equalTo")
-        );
-        let at_s = (time.number("value")? + delay_s).max(0.0);
-        return Ok(is_from.then_some(EventTrigger::Time(at_s)));
-    }
-    let Some(by_entity) = condition.first("ByEntityCondition") else {
-        return Ok(None);
+        _ => {
+            skipped.add(routing, "actions of this kind are not read");
+            None
+        }
     };
-    let mut triggering = by_entity
-        .needed("TriggeringEntities")?
-        .all("EntityRef")
-        .map(|entity| entity.needed_attribute("entityRef"));
-    let entity = triggering.next().transpose()?.unwrap_or(actor);
-    let kind = by_entity
-        .needed("EntityCondition")?
-        .first("RelativeDistanceCondition");
-    let (Some(kind), None, true) = (kind, triggering.next(), delay_s == 0.0) else {
-        return Ok(None);
-    };
-    let is_straight = matches!(
-        kind.attribute("relativeDistanceType"),
-        Some("cartesianDistance" | "euclidianDistance" | "euclideanDistance")
-    );
-    let is_less = matches!(kind.attribute("rule"), Some("lessThan" | "lessOrEqual"));
-    if !is_straight || !is_less {
-        return Ok(None);
-    }
-    Ok(Some(EventTrigger::Distance {
-        entities: [
-            entity.to_owned(),
-            kind.needed_attribute("entityRef")?.to_owned(),
-        ],
-        distance_m: kind.number("value")?.max(0.0),
-        between_boxes: kind.attribute("freespace") == Some("true"),
-    }))
+    Ok(points
+        .filter(|points| !points.is_empty())
+        .map(|points| Action::Path {
+            points,
+            times_s: None,
+        }))
 }

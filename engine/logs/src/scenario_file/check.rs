@@ -252,10 +252,14 @@ fn check_place(place: &Place) -> Result<(), Fault> {
             map,
             probe,
             exposure_ev,
+            obstacles,
             background,
             agent_splats,
         } => {
             check_path("map", map)?;
+            obstacles
+                .as_deref()
+                .map_or(Ok(()), |obstacles| check_path("obstacles", obstacles))?;
             probe
                 .as_deref()
                 .map_or(Ok(()), |probe| check_path("probe", probe))?;

@@ -74,6 +74,8 @@ pub(super) struct RoadsForm {
     pub(super) probe: Option<String>,
     #[serde(default)]
     pub(super) exposure_ev: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) obstacles: Option<String>,
     pub(super) background: usize,
     pub(super) agent_splats: usize,
 }
@@ -310,6 +312,7 @@ fn place(form: &PlaceForm) -> Result<Place, Fault> {
                 map,
                 probe,
                 exposure_ev,
+                obstacles,
                 background,
                 agent_splats,
             } = form.get_ref();
@@ -317,6 +320,7 @@ fn place(form: &PlaceForm) -> Result<Place, Fault> {
                 map: map.into(),
                 probe: probe.as_ref().map(Into::into),
                 exposure_ev: *exposure_ev,
+                obstacles: obstacles.as_ref().map(Into::into),
                 background: *background,
                 agent_splats: *agent_splats,
             }

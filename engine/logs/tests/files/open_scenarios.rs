@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use decouplegs_logs::open_scenario::{
-    Action, EventTrigger, OpenScenario, Position, TargetLane, TargetSpeed, Transition, decode,
+    Action, Along, Condition, Measure, OpenScenario, Position, Rule, Target, TargetLane,
+    TargetSpeed, Transition, decode,
 };
 use decouplegs_scene::{LightColor, RoadUser};
 use glam::DVec2;
@@ -23,6 +24,14 @@ fn read(text: &str) -> OpenScenario {
     decode(text.as_bytes(), catalog).unwrap()
 }
 
+/// Measures, rules and values of the conditions of `stages` that wait for something.
+fn conditions(stages: &[Vec<Vec<Condition>>]) -> Vec<(&Measure, Rule, f64)> {
+    let all = stages.iter().flatten().flatten();
+    all.map(|one| (&one.measure, one.rule, one.value))
+        .filter(|(measure, _, value)| **measure != Measure::Time || *value > 0.0)
+        .collect()
+}
+
 fn fault(from: &str, to: &str) -> String {
     assert!(SCENARIO.contains(from), "{from}");
     let text = SCENARIO.replace(from, to);
@@ -32,7 +41,7 @@ fn fault(from: &str, to: &str) -> String {
 #[test]
 fn entities_positions_and_actions_are_read() {
     let read = read(SCENARIO);
-    assert_eq!(read.map, Path::new("road.xodr"));
+    assert_eq!(read.map.as_deref(), Some(Path::new("road.xodr")));
     assert_eq!(read.stop_time_s, Some(30.0));
     let kinds: Vec<_> = read
         .entities
@@ -42,14 +51,15 @@ fn entities_positions_and_actions_are_read() {
     assert_eq!(
         kinds,
         [
-            ("Ego", RoadUser::Car),
-            ("Overtaker", RoadUser::Car),
-            ("Truck ahead", RoadUser::Truck),
-            ("walker", RoadUser::Pedestrian),
-            ("parked", RoadUser::Bus),
+            ("Ego", Some(RoadUser::Car)),
+            ("Overtaker", Some(RoadUser::Car)),
+            ("Truck ahead", Some(RoadUser::Truck)),
+            ("walker", Some(RoadUser::Pedestrian)),
+            ("parked", Some(RoadUser::Bus)),
+            ("cone", None),
         ]
     );
-    let [ego, overtaker, truck, walker, parked] = read.entities.as_slice() else {
+    let [ego, overtaker, truck, walker, parked, _] = read.entities.as_slice() else {
         panic!("{} entities", read.entities.len());
     };
     assert_eq!(ego.speed, Some(TargetSpeed::Absolute(20.0)));
@@ -65,7 +75,18 @@ fn entities_positions_and_actions_are_read() {
             plus_mps: 0.0
         })
     );
-    assert_eq!(overtaker.events[0].trigger, EventTrigger::Time(4.0));
+    assert_eq!(
+        conditions(&overtaker.events[0].trigger.stages),
+        [(&Measure::Time, Rule::Above, 3.0)]
+    );
+    assert_eq!(overtaker.events[0].trigger.stages[1][0][0].delay_s, 1.0);
+    assert!(matches!(
+        overtaker.position,
+        Some(Position::RelativeLane {
+            along: Along::Road(18.0),
+            ..
+        })
+    ));
     assert_eq!(
         overtaker.events[1].action,
         Action::Speed {
@@ -78,11 +99,22 @@ fn entities_positions_and_actions_are_read() {
         Action::ChangeLane(TargetLane::Absolute(-3))
     );
     assert_eq!(truck.events.len(), 1);
-    let EventTrigger::Distance { distance_m, .. } = &walker.events[0].trigger else {
-        panic!("{:?}", walker.events[0]);
-    };
-    assert_eq!(*distance_m, 60.0);
-    let Action::Path(path) = &walker.events[0].action else {
+    let measured = conditions(&walker.events[0].trigger.stages);
+    assert!(
+        matches!(
+            measured[..],
+            [(
+                Measure::Distance {
+                    to: Target::Entity(_),
+                    ..
+                },
+                Rule::Below,
+                60.0
+            )]
+        ),
+        "{measured:?}"
+    );
+    let Action::Path { points: path, .. } = &walker.events[0].action else {
         panic!("{:?}", walker.events[0]);
     };
     assert_eq!(
@@ -105,7 +137,7 @@ fn entities_positions_and_actions_are_read() {
 fn what_is_skipped_is_listed_with_its_line() {
     let read = read(SCENARIO);
     let names = [
-        "<ScenarioObject>",
+        "<MiscObject>",
         "<GlobalAction>",
         "<LongitudinalDistanceAction>",
     ];
@@ -135,19 +167,14 @@ fn faults_name_line_and_element() {
         ),
         (
             "value=\"$EgoSpeed\"",
-            "value=\"${2 * $EgoSpeed}\"",
-            ["line 49", "not evaluated"],
+            "value=\"${2 * $EgoSpeed / 0}\"",
+            ["line 49", "its value is inf"],
         ),
         ("s=\"50\"", "s=\"far\"", ["line 48", "no finite number"]),
         (
             "name=\"walker\">\n      <P",
             "name=\"Ego\">\n      <P",
             ["line 31", "a second object"],
-        ),
-        (
-            "length=\"9\"",
-            "length=\"900\"",
-            ["line 28", "0.1 to 100 m"],
         ),
         (
             "entryName=\"van\"",
@@ -158,11 +185,6 @@ fn faults_name_line_and_element() {
             "revMajor=\"1\"",
             "revMajor=\"2\"",
             ["line 3", "versions 1.0 to 1.3"],
-        ),
-        (
-            "<LogicFile filepath=\"road.xodr\"/>",
-            "",
-            ["line 10", "<LogicFile>"],
         ),
     ] {
         let message = fault(from, to);
@@ -198,21 +220,43 @@ fn large_files_take_linear_time() {
         })
         .collect();
     let text = SCENARIO.replace("</Entities>", &format!("{objects}</Entities>"));
-    assert_eq!(read(&text).entities.len(), 20_005);
-    // A short parameter that becomes a long text is refused before it is one.
+    assert_eq!(read(&text).entities.len(), 20_006);
+    // A long value that many elements name is evaluated once.
     let long = SCENARIO
-        .replace("value=\"20\"", &format!("value=\"{}\"", "1".repeat(1000)))
+        .replace(
+            "value=\"20\"",
+            &format!("value=\"${{{}20}}\"", "1 + ".repeat(240)),
+        )
         .replace(
             "</Entities>",
-            &format!("{}</Entities>", "<a b='$EgoSpeed'/>".repeat(80_000)),
+            &format!(
+                "{}</Entities>",
+                "<ScenarioObject name='$EgoSpeed'/>".repeat(80_000)
+            ),
         );
     let error = decode(long.as_bytes(), catalog).unwrap_err().to_string();
-    assert!(error.contains("parameters are replaced"), "{error}");
+    assert!(
+        error.contains("a second object with the name 260"),
+        "{error}"
+    );
     assert!(since.elapsed().as_secs_f64() < 10.0);
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(256))]
+
+    /// Any expression has a finite value or is an error with a sentence, at once.
+    #[test]
+    fn expressions_do_not_panic(inner in "([-+*/%^(), ]|[0-9.e]{1,4}|\\$EgoSpeed|pow|max|not|and|sqrt){0,60}") {
+        let text = SCENARIO.replace("value=\"$EgoSpeed\"", &format!("value=\"${{{inner}}}\""));
+        match decode(text.as_bytes(), catalog) {
+            Ok(read) => {
+                let speed = &read.entities[0].speed;
+                prop_assert!(matches!(speed, Some(TargetSpeed::Absolute(speed)) if speed.is_finite()));
+            }
+            Err(error) => prop_assert!(error.to_string().contains("line ")),
+        }
+    }
 
     /// Parts of the file removed, doubled or replaced give an error or a scenario, never a panic.
     #[test]
@@ -227,4 +271,120 @@ proptest! {
             let _ = decode(text.as_bytes(), |_: &Path| Some(text.clone().into_bytes()));
         }
     }
+}
+
+/// A file whose ego is at `s` and drives at `speed`, with more parameters and entities.
+fn small(parameters: &str, entities: &str, [s, speed]: [&str; 2]) -> String {
+    format!(
+        "<OpenSCENARIO><FileHeader revMajor='1' revMinor='1'/>
+        <ParameterDeclarations>{parameters}</ParameterDeclarations>
+        <CatalogLocations><VehicleCatalog><Directory path='catalogs'/></VehicleCatalog></CatalogLocations>
+        <RoadNetwork><LogicFile filepath='m.xodr'/></RoadNetwork>
+        <Entities><ScenarioObject name='Ego'><Vehicle vehicleCategory='car'><BoundingBox>
+        <Dimensions width='1.8' length='4.4' height='1.5'/></BoundingBox>
+        <Performance maxSpeed='${{250/}}' maxAcceleration='$none' maxDeceleration='many'/></Vehicle></ScenarioObject>
+        {entities}</Entities>
+        <Storyboard><Init><Actions><Private entityRef='Ego'><!-- it was \"$Old\" and ${{gone}} -->
+        <PrivateAction><TeleportAction><Position><LanePosition roadId='1' laneId='-1' s='{s}'/></Position></TeleportAction></PrivateAction>
+        <PrivateAction><LongitudinalAction><SpeedAction><SpeedActionTarget><AbsoluteTargetSpeed value='{speed}'/></SpeedActionTarget></SpeedAction></LongitudinalAction></PrivateAction>
+        </Private></Actions></Init></Storyboard></OpenSCENARIO>"
+    )
+}
+
+fn parameter(name: &str, value: &str) -> String {
+    format!("<ParameterDeclaration name='{name}' parameterType='double' value='{value}'/>")
+}
+
+#[test]
+fn expressions_are_evaluated_where_their_value_is_needed() {
+    let declared = [
+        ("V", "54"),
+        ("W", "${$V / 3.6}"),
+        ("Price", "$100"),
+        ("a", "$b"),
+        ("b", "$a"),
+    ]
+    .map(|(name, value)| parameter(name, value))
+    .concat();
+    let speed = |text: &str| {
+        decode(small(&declared, "", ["50", text]).as_bytes(), catalog).map(|read| {
+            match read.entities[0].speed {
+                Some(TargetSpeed::Absolute(speed_mps)) => speed_mps,
+                ref other => panic!("{other:?}"),
+            }
+        })
+    };
+    // What nobody reads - a performance, a comment, an unused parameter - refuses nothing.
+    assert_eq!(speed("${$V / 3.6}"), Ok(15.0));
+    assert_eq!(speed("${max($W, 3) ^ 2}"), Ok(225.0));
+    for (text, reason) in [
+        ("${$V / }", "ends where a value is expected"),
+        ("$a", "in a circle"),
+        ("$Old", "$Old is not declared"),
+        ("${$V", "does not end with }"),
+        ("$Price", "no finite number"),
+    ] {
+        let message = speed(text).unwrap_err().to_string();
+        assert!(
+            message.contains(reason) && message.contains("line 11"),
+            "{text}: {message}"
+        );
+    }
+}
+
+#[test]
+fn parameters_hold_where_they_are_declared_and_references_assign_them() {
+    let sized = "<OpenSCENARIO><Catalog name='sized'><Vehicle name='long' vehicleCategory='truck'>
+        <ParameterDeclarations><ParameterDeclaration name='len' value='6'/></ParameterDeclarations>
+        <BoundingBox><Dimensions width='2' length='$len' height='${$len / 2}'/></BoundingBox></Vehicle></Catalog></OpenSCENARIO>";
+    let read_file = |path: &Path| (path == Path::new("catalogs/sized.xosc")).then(|| sized.into());
+    let object = |assignments: &str| {
+        format!(
+            "<ScenarioObject name='T'><CatalogReference catalogName='sized' entryName='long'>
+            <ParameterAssignments>{assignments}</ParameterAssignments></CatalogReference></ScenarioObject>"
+        )
+    };
+    for (assignments, expected) in [
+        ("", [6.0, 3.0]),
+        (
+            "<ParameterAssignment parameterRef='len' value='9.0'/>",
+            [9.0, 4.5],
+        ),
+        (
+            "<ParameterAssignment parameterRef='$len' value='${$V / 6}'/>",
+            [9.0, 4.5],
+        ),
+    ] {
+        let text = small(&parameter("V", "54"), &object(assignments), ["50", "15"]);
+        let truck = &decode(text.as_bytes(), read_file).unwrap().entities[1];
+        assert_eq!(
+            [truck.size.length_m, truck.size.height_m],
+            expected,
+            "{assignments}"
+        );
+    }
+    // Those of the file do not hold in a catalog, nor those of an entry outside.
+    let text = small(&parameter("V", "54"), &object(""), ["50", "$len"]);
+    let message = decode(text.as_bytes(), read_file).unwrap_err().to_string();
+    assert!(message.contains("$len is not declared"), "{message}");
+}
+
+#[test]
+fn a_size_that_is_none_is_the_usual_one() {
+    let walker = "<ScenarioObject name='W'><Pedestrian pedestrianCategory='pedestrian'><BoundingBox>
+        <Dimensions width='0' length='0' height='$tall'/></BoundingBox></Pedestrian></ScenarioObject>";
+    let read = decode(small("", walker, ["50", "15"]).as_bytes(), catalog).unwrap();
+    assert_eq!(
+        read.entities[1].size,
+        decouplegs_scene::VehicleSize::PEDESTRIAN
+    );
+    let about = read
+        .skipped
+        .iter()
+        .find(|sentence| sentence.contains("length is 0"));
+    assert!(
+        about.is_some_and(|sentence| sentence.contains("0.5 x 0.6 x 1.75 m")),
+        "{:?}",
+        read.skipped
+    );
 }

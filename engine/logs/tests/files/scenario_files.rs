@@ -40,6 +40,7 @@ fn the_documented_example_means_what_it_says() {
         map: "maps/town.xodr".into(),
         probe: Some("probes/dusk.exr".into()),
         exposure_ev: -1.5,
+        obstacles: None,
         background: 400_000,
         agent_splats: 10_000,
     };

@@ -39,6 +39,7 @@ fn places() -> impl Strategy<Value = Place> {
                 map: map.into(),
                 probe: probe.map(Into::into),
                 exposure_ev,
+                obstacles: None,
                 background,
                 agent_splats,
             },

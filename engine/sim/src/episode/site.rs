@@ -146,21 +146,30 @@ impl Site {
                 map,
                 probe,
                 exposure_ev,
+                obstacles,
                 background,
                 agent_splats,
             } => {
+                let objects = match obstacles {
+                    Some(file) => read_obstacles(&directory.join(file))?,
+                    None => Vec::new(),
+                };
                 let lanes = read_map(&directory.join(map))?;
                 let cars = cars(
                     *agent_splats * usize::from(appearance.is_some()),
                     AssetLight::Neutral,
                 );
                 let Some(appearance) = appearance else {
-                    let obstacles = roads::obstacles(&lanes, RoadsOptions::default().seed);
+                    let mut obstacles = roads::obstacles(&lanes, RoadsOptions::default().seed);
+                    obstacles.extend(objects);
                     return Self::bare(lanes, obstacles, cars.sizes);
                 };
                 let read = |probe: &PathBuf| read_probe(&directory.join(probe));
                 let probe = probe.as_ref().map(read).transpose()?;
-                let options = RoadsOptions::new(*background, probe, *exposure_ev);
+                let options = RoadsOptions {
+                    objects,
+                    ..RoadsOptions::new(*background, probe, *exposure_ev)
+                };
                 let drawn = roads::generate(&lanes, &options);
                 let splat_scene = SplatScene {
                     origin: drawn.origin,

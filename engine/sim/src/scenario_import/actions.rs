@@ -1,6 +1,8 @@
 //! Actions of vehicles and pedestrians, as behaviors and paths.
 
-use decouplegs_logs::open_scenario::{Action, Event, EventTrigger, TargetLane, Transition};
+use decouplegs_logs::open_scenario::{
+    Action, Condition, Direction, Event, Measure, Rule, Stage, Target, TargetLane, Transition,
+};
 use decouplegs_scene::Pedestrian;
 use decouplegs_scene::scenario::{Behavior, LaneSide, Maneuver, Trigger};
 use glam::DVec2;
@@ -18,6 +20,9 @@ const STANDING_M: f64 = 0.02;
 const STANDING_MPS: f64 = 0.1;
 /// Lane changes of an action: no road has more lanes.
 const CHANGES_MAX: u64 = 16;
+/// Longest chain of events that wait for each other, and most events that a condition waits for.
+const CHAIN_MAX: u32 = 32;
+const EVENTS_MAX: usize = 16;
 /// Points closer than this are one point of a path, meters.
 const STEP_M_MIN: f64 = 0.05;
 
@@ -42,7 +47,7 @@ impl Import<'_> {
             let line = event.line;
             let Some(trigger) = self.trigger(event, index, ego) else {
                 skipped.push(format!(
-                    "line {line}: only the distance of {} and the ego triggers its actions",
+                    "line {line}: what triggers the action of {} cannot be expressed",
                     entity.name
                 ));
                 continue;
@@ -64,16 +69,20 @@ impl Import<'_> {
                         maneuver: cruise,
                     });
                     speed_mps = target_mps;
+                    self.events_driven.borrow_mut().insert(event.number);
                 }
                 Action::ChangeLane(target) => match self.lane_changes(target, index, ego) {
-                    Ok(changes) => behaviors.extend(
-                        changes
-                            .into_iter()
-                            .map(|maneuver| Behavior { trigger, maneuver }),
-                    ),
+                    Ok(changes) => {
+                        self.events_driven.borrow_mut().insert(event.number);
+                        behaviors.extend(
+                            changes
+                                .into_iter()
+                                .map(|maneuver| Behavior { trigger, maneuver }),
+                        );
+                    }
                     Err(reason) => skipped.push(format!("line {line}: {reason}")),
                 },
-                Action::Path(_) => skipped.push(format!(
+                Action::Path { .. } => skipped.push(format!(
                     "line {line}: routes and trajectories of vehicles other than the ego are skipped"
                 )),
             }
@@ -85,18 +94,18 @@ impl Import<'_> {
     pub(super) fn pedestrian(
         &self,
         index: usize,
+        from: Located,
         ego: usize,
         skipped: &mut Vec<String>,
     ) -> Pedestrian {
         let entity = &self.file.entities[index];
-        let from = self.located[index].expect("only located pedestrians are asked for");
         let mut speed_mps = self.speed_mps(index);
         let mut start = Trigger::Time { time_s: 0.0 };
         let mut route = entity.route.as_slice();
         for event in &entity.events {
             let Some(trigger) = self.trigger(event, index, ego) else {
                 skipped.push(format!(
-                    "line {}: only the distance of {} and the ego triggers its actions",
+                    "line {}: what triggers the action of {} cannot be expressed",
                     event.line, entity.name
                 ));
                 continue;
@@ -104,8 +113,12 @@ impl Import<'_> {
             match &event.action {
                 Action::Speed { target, .. } if speed_mps <= 0.0 => {
                     (speed_mps, start) = (self.speed_of(Some(target)), trigger);
+                    self.events_driven.borrow_mut().insert(event.number);
                 }
-                Action::Path(path) if route.is_empty() => (route, start) = (path, trigger),
+                Action::Path { points, .. } if route.is_empty() => {
+                    (route, start) = (points, trigger);
+                    self.events_driven.borrow_mut().insert(event.number);
+                }
                 _ => skipped.push(format!(
                     "line {}: {} walks one path at one speed",
                     event.line, entity.name
@@ -115,13 +128,13 @@ impl Import<'_> {
         let mut path_m = vec![from.point_m];
         for position in route {
             match self.locator.locate(position, &self.located) {
-                Some(Located { point_m, .. }) => {
+                Ok(Located { point_m, .. }) => {
                     if point_m.distance(path_m[path_m.len() - 1]) >= STEP_M_MIN {
                         path_m.push(point_m);
                     }
                 }
-                None => skipped.push(format!(
-                    "{}: a point of its path is off the map",
+                Err(reason) => skipped.push(format!(
+                    "{}: a point of its path is left out: {reason}",
                     entity.name
                 )),
             }
@@ -142,34 +155,134 @@ impl Import<'_> {
         }
     }
 
-    /// The trigger of an event of an entity; `None` if it is not about it and the ego.
+    /// The trigger of an event of an entity; `None` if it cannot be expressed.
     fn trigger(&self, event: &Event, index: usize, ego: usize) -> Option<Trigger> {
-        match &event.trigger {
-            EventTrigger::Time(time_s) => Some(Trigger::Time {
+        let mut time_s: f64 = 0.0;
+        let mut near_ego = None;
+        for stage in &event.trigger.stages {
+            if let Some(reached_s) = self.stage_s(stage, CHAIN_MAX) {
+                time_s = time_s.max(reached_s);
+                continue;
+            }
+            let [group] = stage.as_slice() else {
+                return None;
+            };
+            let [condition] = group.as_slice() else {
+                return None;
+            };
+            near_ego = Some(self.near_ego(condition, [index, ego])?);
+        }
+        match near_ego {
+            Some(_) if time_s > 0.0 => None,
+            Some(trigger) => Some(trigger),
+            None => Some(Trigger::Time {
                 time_s: time_s.min(decouplegs_logs::scenario_file::DURATION_S_MAX),
             }),
-            EventTrigger::Distance {
-                entities,
-                distance_m,
-                between_boxes,
-            } => {
-                let mut pair = [
-                    self.locator.find(&entities[0])?,
-                    self.locator.find(&entities[1])?,
-                ];
-                pair.sort_unstable();
-                let mut own = [index, ego];
-                own.sort_unstable();
-                let lengths_m = own
-                    .map(|entity| self.file.entities[entity].size.length_m)
-                    .iter()
-                    .sum::<f64>();
-                let boxes_m = if *between_boxes { 0.5 * lengths_m } else { 0.0 };
-                (pair == own).then_some(Trigger::NearEgo {
-                    distance_m: (distance_m + boxes_m).min(10_000.0),
-                })
-            }
         }
+    }
+
+    /// Time at which a stage is reached, seconds, if times alone decide it: that of the first of
+    /// its groups, whose last condition counts.
+    fn stage_s(&self, stage: &Stage, depth: u32) -> Option<f64> {
+        let mut first_s: Option<f64> = None;
+        for group in stage {
+            let mut last_s: f64 = 0.0;
+            for condition in group {
+                last_s = last_s.max(self.condition_s(condition, depth)?);
+            }
+            first_s = Some(first_s.map_or(last_s, |first_s| first_s.min(last_s)));
+        }
+        Some(first_s.unwrap_or(0.0))
+    }
+
+    /// Time from which a condition holds, if times alone decide it: its own, or that of the events
+    /// that it waits for.
+    fn condition_s(&self, condition: &Condition, depth: u32) -> Option<f64> {
+        if condition.rule != Rule::Above {
+            return None;
+        }
+        let at_s = match &condition.measure {
+            Measure::Time => condition.value,
+            Measure::Event { events, has_ended } => {
+                let depth = depth.checked_sub(1)?;
+                if events.len() > EVENTS_MAX {
+                    return None;
+                }
+                let mut times_s = Vec::new();
+                for &number in events.iter() {
+                    times_s.push(self.event_s(number, *has_ended, depth)?);
+                }
+                let times_s = times_s.into_iter();
+                match has_ended {
+                    true => times_s.reduce(f64::max)?,
+                    false => times_s.reduce(f64::min)?,
+                }
+            }
+            _ => return None,
+        };
+        Some(at_s + condition.delay_s)
+    }
+
+    /// Time at which an event begins or ends, if times alone decide it.
+    fn event_s(&self, number: usize, has_ended: bool, depth: u32) -> Option<f64> {
+        // Each is found once; while it is, one that waits for itself has no time.
+        let known = self
+            .event_times_s
+            .borrow()
+            .get(&(number, has_ended))
+            .copied();
+        if let Some(known) = known {
+            return known;
+        }
+        self.event_times_s
+            .borrow_mut()
+            .insert((number, has_ended), None);
+        let found = self.unknown_event_s(number, has_ended, depth);
+        self.event_times_s
+            .borrow_mut()
+            .insert((number, has_ended), found);
+        found
+    }
+
+    fn unknown_event_s(&self, number: usize, has_ended: bool, depth: u32) -> Option<f64> {
+        let mut last_s: Option<f64> = None;
+        for &(entity, at) in self.by_event.get(&number)? {
+            let event = &self.file.entities[entity].events[at];
+            let mut begin_s: f64 = 0.0;
+            for stage in &event.trigger.stages {
+                begin_s = begin_s.max(self.stage_s(stage, depth)?);
+            }
+            let at_s = begin_s + if has_ended { event.duration_s? } else { 0.0 };
+            last_s = Some(last_s.map_or(at_s, |last_s| last_s.max(at_s)));
+        }
+        last_s
+    }
+
+    /// The distance of two entities below which a condition holds, if it is about `own`.
+    fn near_ego(&self, condition: &Condition, mut own: [usize; 2]) -> Option<Trigger> {
+        let Measure::Distance {
+            of,
+            to: Target::Entity(to),
+            direction: Direction::Straight,
+            between_boxes,
+        } = &condition.measure
+        else {
+            return None;
+        };
+        if condition.rule != Rule::Below || condition.delay_s > 0.0 {
+            return None;
+        }
+        let mut pair = [self.locator.find(of)?, self.locator.find(to)?];
+        pair.sort_unstable();
+        own.sort_unstable();
+        let lengths_m: f64 = own
+            .iter()
+            .map(|&entity| self.file.entities[entity].size.length_m)
+            .sum();
+        let boxes_m = if *between_boxes { 0.5 * lengths_m } else { 0.0 };
+        (pair == own).then_some(Trigger::NearEgo {
+            distance_m: (condition.value.max(0.0) + boxes_m).min(10_000.0),
+        })
     }
 
     /// Lane changes that lead to a lane, one after the other. Other entities are on the lanes of
@@ -199,15 +312,12 @@ impl Import<'_> {
             }
         }
         let unknown = || "the lane of its target is unknown".to_owned();
-        let own = self.located[index]
-            .and_then(|located| located.spot)
-            .ok_or_else(unknown)?;
+        let spot_of = |entity: usize| self.located[entity].as_ref().ok()?.spot;
+        let own = spot_of(index).ok_or_else(unknown)?;
         let wanted = match target {
             TargetLane::Relative { entity, lanes } => {
                 let other = self.locator.find(entity).ok_or_else(unknown)?;
-                let mut spot = self.located[other]
-                    .and_then(|located| located.spot)
-                    .ok_or_else(unknown)?;
+                let mut spot = spot_of(other).ok_or_else(unknown)?;
                 for _ in 0..lanes.unsigned_abs() {
                     spot = self.locator.beside(spot, *lanes > 0).ok_or_else(unknown)?;
                 }

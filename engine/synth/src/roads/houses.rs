@@ -208,7 +208,7 @@ pub(super) fn walls(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
 }
 
 /// A rectangle of discs, colored by where they are along and up, meters.
-fn tiles(
+pub(super) fn tiles(
     canvas: &mut Canvas,
     (start, along, up): (Vec3, Vec3, Vec3),
     patch_m: f32,

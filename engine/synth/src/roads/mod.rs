@@ -10,6 +10,7 @@ mod dome;
 mod houses;
 mod illumination;
 mod land;
+mod objects;
 mod paint;
 mod pavement;
 mod relief;
@@ -45,6 +46,8 @@ pub struct RoadsOptions {
     /// Points of the way that cameras take, world coordinates in meters: splats are the smaller the
     /// nearer to it. Empty: roads are alike everywhere.
     pub way_m: Vec<DVec3>,
+    /// Obstacles that are drawn as boxes a meter high, world coordinates.
+    pub objects: Vec<Obstacle>,
 }
 
 impl Default for RoadsOptions {
@@ -57,6 +60,7 @@ impl Default for RoadsOptions {
             sh_degree: 2,
             seed: 1,
             way_m: Vec::new(),
+            objects: Vec::new(),
         }
     }
 }
@@ -83,7 +87,8 @@ pub struct RoadsScene {
     pub origin: DVec3,
     /// Seen where splats let light through: the sky above the horizon, display-referred RGB.
     pub sky: [f32; 3],
-    /// Boxes of the houses, world coordinates: those of [`obstacles`].
+    /// Boxes of the houses, world coordinates, those of [`obstacles`], then the objects that were
+    /// asked for.
     pub obstacles: Vec<Obstacle>,
 }
 
@@ -108,7 +113,7 @@ pub fn generate(map: &LaneMap, options: &RoadsOptions) -> RoadsScene {
         .iter()
         .map(|point| (*point - origin).as_vec3())
         .collect();
-    let place = Drawn::new(strips, way, options);
+    let place = Drawn::new(strips, origin, way, options);
     let target = (options.splats as f64 * (1.0 - DOME_SHARE)) as usize;
     let mut canvas = place.fitted(target);
     let dome_splats = options.splats - canvas.len();
@@ -124,7 +129,10 @@ pub fn generate(map: &LaneMap, options: &RoadsOptions) -> RoadsScene {
         background: canvas.into_cloud(sh_degree, &place.light),
         origin,
         sky: place.light.horizon(),
-        obstacles: boxes(&place.houses, origin),
+        obstacles: boxes(&place.houses, origin)
+            .into_iter()
+            .chain(options.objects.iter().copied())
+            .collect(),
     }
 }
 
@@ -149,14 +157,16 @@ struct Drawn {
     light: Illumination,
     way: Vec<Vec3>,
     houses: Vec<houses::House>,
+    objects: Vec<objects::Object>,
     seed: u64,
 }
 
 impl Drawn {
-    fn new(strips: Vec<Strip>, way: Vec<Vec3>, options: &RoadsOptions) -> Self {
+    fn new(strips: Vec<Strip>, origin: DVec3, way: Vec<Vec3>, options: &RoadsOptions) -> Self {
         let index = StripIndex::new(strips);
         let relief = Relief::new(&index);
         let houses = houses::houses(&index, &relief, options.seed);
+        let objects = objects::objects(&options.objects, origin, &relief);
         let light = Illumination::new(options.probe.as_ref(), options.exposure_ev);
         // Noise adds to its seed, which must leave room.
         let seed = (options.seed ^ (options.seed >> 32)) & 0xffff_ffff;
@@ -166,6 +176,7 @@ impl Drawn {
             light,
             way,
             houses,
+            objects,
             seed,
         }
     }
@@ -207,6 +218,7 @@ impl Drawn {
         pavement::pavement(&mut canvas, self, spacing_m);
         land::land(&mut canvas, self, spacing_m);
         houses::walls(&mut canvas, self, spacing_m);
+        objects::draw(&mut canvas, self);
         canvas
     }
 

@@ -51,7 +51,7 @@ fn map() -> LaneMap {
 }
 
 fn drawn(options: &RoadsOptions) -> Drawn {
-    Drawn::new(strips(&map()).0, vec![], options)
+    Drawn::new(strips(&map()).0, glam::DVec3::ZERO, vec![], options)
 }
 
 #[test]

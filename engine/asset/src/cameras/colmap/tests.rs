@@ -1,4 +1,4 @@
-//! Models of two cameras, as text and binary.
+//! Models as text and binary, their faults, and their folders.
 
 use super::*;
 
@@ -68,6 +68,54 @@ fn text_and_binary_are_the_same_cameras() {
     );
     assert!(
         matches!(b.intrinsics.lens, Lens::OpenCv(lens) if lens.radial[0] == 0.1 && lens.tangential[1] == -0.001)
+    );
+}
+
+#[test]
+fn any_white_space_parts_columns_and_only_cameras_in_use_count() {
+    let lenses = |text: &str| lenses_of_text(text.as_bytes()).unwrap();
+    let expected = images_of_text(IMAGES.as_bytes(), &lenses(CAMERAS)).unwrap();
+    let spaced = IMAGES
+        .replace("0 0 5 1 a.jpg", "0\t0  5\t1 \t a.jpg  ")
+        .replace("2 0 0 1", "  2\t0  0 1");
+    assert_eq!(
+        images_of_text(spaced.as_bytes(), &lenses(CAMERAS)).unwrap(),
+        expected
+    );
+    // A lens that is not drawn is a fault of the image that uses it.
+    let more = format!("{CAMERAS}8 FOV 640 480 1 1 1 1 1\n9 EQUIRECTANGULAR 640 320 640 320\n");
+    assert_eq!(
+        images_of_text(IMAGES.as_bytes(), &lenses(&more)).unwrap(),
+        expected
+    );
+    let used = IMAGES.replace("0 0 5 1 a.jpg", "0 0 5 9 a.jpg");
+    let message = images_of_text(used.as_bytes(), &lenses(&more))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        message.contains("a.jpg") && message.contains("EQUIRECTANGULAR"),
+        "{message}"
+    );
+    // In binary files the number tells the model, and so how long it is.
+    let (mut cameras, images) = binary();
+    cameras[0] = 4;
+    for (id, model, count) in [(3u32, 11u32, 16), (4, 14, 3)] {
+        cameras.extend([id.to_le_bytes(), model.to_le_bytes()].concat());
+        cameras.extend([640u64.to_le_bytes(), 480u64.to_le_bytes()].concat());
+        cameras.extend(
+            [100.0f64, 320.0, 240.0]
+                .iter()
+                .flat_map(|number| number.to_le_bytes()),
+        );
+        cameras.extend(vec![0; 8 * (count - 3)]);
+    }
+    let lenses = lenses_of_binary(&cameras).unwrap();
+    assert_eq!(images_of_binary(&images, &lenses).unwrap(), expected);
+    let simple = lenses[&4].as_ref().unwrap();
+    assert!(matches!(simple.lens, Lens::Fisheye(lens) if lens.radial == [0.0; 4]));
+    assert_eq!(
+        (simple.fx_px, simple.fy_px, simple.cx_px),
+        (100.0, 100.0, 320.0)
     );
 }
 
@@ -154,9 +202,11 @@ fn cut_and_wrong_files_are_errors() {
         ("640 480 500", "640 -1 500", "whole numbers"),
         ("640 480 500", "99999999999 480 500", "pixels a side"),
     ] {
-        let message = lenses_of_text(CAMERAS.replacen(from, to, 1).as_bytes())
-            .unwrap_err()
-            .to_string();
+        let read = lenses_of_text(CAMERAS.replacen(from, to, 1).as_bytes());
+        let message = match read.and_then(|lenses| images_of_text(IMAGES.as_bytes(), &lenses)) {
+            Err(error) => error.to_string(),
+            Ok(_) => panic!("{to} is read"),
+        };
         assert!(
             message.contains(part) && message.contains("line 2"),
             "{to}: {message}"

@@ -45,16 +45,7 @@ pub(super) fn lights(
         if named.is_empty() {
             continue;
         }
-        let ends = line.into_iter().flat_map(|line| line.all("point"));
-        let ends = ends.map(|point| {
-            let (x, y) = (point.needed("x")?, point.needed("y")?);
-            Ok(DVec3::new(x.text_number()?, y.text_number()?, 0.0))
-        });
-        let ends: Vec<DVec3> = ends.collect::<Result<_, DecodeError>>()?;
-        let at_m = match ends.len() {
-            0 => plan_length_m(&lane.centerline),
-            count => foot_m(&lane.centerline, ends.iter().sum::<DVec3>() / count as f64),
-        };
+        let at_m = stop_at_m(*lanelet, lane)?;
         for light in named {
             lights[light].stop_lines.push(StopLine {
                 lane: lane.id.clone(),
@@ -63,6 +54,21 @@ pub(super) fn lights(
         }
     }
     traffic_light_form::checked(lights)
+}
+
+/// Place of the stop line of a lanelet, meters along its lane; its end without one.
+pub(super) fn stop_at_m(lanelet: Element, lane: &Lane) -> Result<f64, DecodeError> {
+    let line = lanelet.first("stopLine");
+    let ends = line.into_iter().flat_map(|line| line.all("point"));
+    let ends = ends.map(|point| {
+        let (x, y) = (point.needed("x")?, point.needed("y")?);
+        Ok(DVec3::new(x.text_number()?, y.text_number()?, 0.0))
+    });
+    let ends: Vec<DVec3> = ends.collect::<Result<_, DecodeError>>()?;
+    Ok(match ends.len() {
+        0 => plan_length_m(&lane.centerline),
+        count => foot_m(&lane.centerline, ends.iter().sum::<DVec3>() / count as f64),
+    })
 }
 
 /// A light, `None` where it is out of order.

@@ -65,6 +65,14 @@ impl Profile {
         cubics.collect::<Result<_, _>>().map(Self::new)
     }
 
+    /// True if its first polynomial starts after `from_m`: before, it is continued backwards.
+    pub(super) fn begins_after(&self, from_m: f64) -> bool {
+        const ROUNDING_M: f64 = 0.01;
+        self.0
+            .first()
+            .is_some_and(|first| first.start_m > from_m + ROUNDING_M)
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -105,6 +113,7 @@ mod tests {
         assert_eq!(profile.piece(-1.0), cubic(0.0, 3.0));
         assert_eq!(profile.starts_within(0.0, 20.0).collect::<Vec<_>>(), [10.0]);
         assert_eq!(profile.starts_within(0.0, 10.0).count(), 0);
+        assert!(!profile.begins_after(0.0) && profile.begins_after(-1.0));
         assert_eq!(Profile::default().piece(3.0).at(3.0), 0.0);
         assert_eq!(slope(&[9.0, 1.0, 0.5, 0.25], 2.0), 1.0 + 2.0 + 3.0);
     }

@@ -5,7 +5,9 @@
 //! sections, widths or borders, types, directions, speed limits, and the links of lanes, roads and
 //! junctions. Lanes are sampled at 2 m or less, so that no border leaves its line by 2 cm. A lane's
 //! id is `road/section/lane`, sections counted from 0; each section of a road has lanes of its own.
-//! The speed limit is the lane's or, where it has none, the road's where the section starts.
+//! The speed limit is the lane's or, where it has none, the road's. Where it changes within a
+//! section, the section is divided: its parts are `3`, `3.1`, `3.2`.
+//! Links are believed where the ends of lanes meet within 2 m (`junctions`).
 //! Coordinates are those of the file: `geoReference` and the header's `offset` are not applied.
 //!
 //! Lanes that taper to nothing beside the lane that follows are bent onto it (`tapers`).
@@ -34,7 +36,7 @@ use self::cubic::Profile;
 use self::junctions::{Network, RoadLanes};
 use self::lanes::{Section, SectionLane};
 use self::plan_view::Geometry;
-pub use self::road_positions::RoadPositions;
+pub use self::road_positions::{RoadPlace, RoadPositions};
 pub use self::write::encode;
 use super::budget::Budget;
 use crate::DecodeError;
@@ -48,6 +50,13 @@ enum Contact {
 }
 
 impl Contact {
+    fn other(self) -> Self {
+        match self {
+            Self::Start => Self::End,
+            Self::End => Self::Start,
+        }
+    }
+
     fn read(text: Option<&str>) -> Self {
         if text == Some("end") {
             Self::End
@@ -109,6 +118,7 @@ pub fn decode_with_positions(bytes: &[u8]) -> Result<(LaneMap, RoadPositions), D
         roads.push(road);
         signals.push(signals::read(element)?);
     }
+    warn_of_late_profiles(&roads);
     let mut lanes: Vec<Lane> = Vec::new();
     let mut indices = Vec::with_capacity(roads.len());
     let mut budget = Budget::whole();
@@ -120,11 +130,13 @@ pub fn decode_with_positions(bytes: &[u8]) -> Result<(LaneMap, RoadPositions), D
         indices: &indices,
         by_id: &by_id,
         lanes: &mut lanes,
+        dropped: Vec::new(),
     };
     network.join_lanes();
     for junction in root.all("junction") {
         network.join_junction(junction)?;
     }
+    network.report();
     tapers::join_smoothly(&mut lanes);
     let lights = signals::lights(&signals, &roads, &indices, &lanes)?;
     let map = LaneMap {
@@ -132,6 +144,30 @@ pub fn decode_with_positions(bytes: &[u8]) -> Result<(LaneMap, RoadPositions), D
         ..super::finished(lanes, DVec3::ZERO)?
     };
     Ok((map, RoadPositions::new(roads, indices, by_id)))
+}
+
+/// Warns of profiles without a polynomial where they begin. By the letter they are zero there; like
+/// other readers, this one continues the first polynomial backwards.
+fn warn_of_late_profiles(roads: &[Road]) {
+    let is_late = |road: &&Road| {
+        let of_section = |section: &Section| {
+            let mut lanes = section.left.iter().chain(&section.right);
+            lanes.any(|lane| lane.widths.begins_after(section.start_m))
+        };
+        // Parts of a divided section begin later than the widths of the whole.
+        road.elevation.begins_after(0.0)
+            || road.lane_offset.begins_after(0.0)
+            || road.sections.iter().any(of_section)
+    };
+    let mut late = roads.iter().filter(is_late);
+    if let Some(first) = late.next() {
+        log::warn!(
+            "{} roads, of which the first is {}, have an elevation, lane offset or width that begins after its road or \
+             section: it is continued backwards",
+            1 + late.count(),
+            excerpt(&first.id)
+        );
+    }
 }
 
 impl Road {
@@ -144,18 +180,14 @@ impl Road {
         let target = |name: &str| link.and_then(|link| link.first(name)).and_then(link_target);
         let mut speed_limits = Vec::new();
         for kind in element.all("type") {
-            let limit = kind
-                .first("speed")
-                .map(lanes::speed_mps)
-                .transpose()?
-                .flatten();
+            let limit = kind.first("speed").and_then(lanes::speed_mps);
             speed_limits.push((kind.number_or("s", 0.0)?, limit));
         }
         speed_limits.sort_by(|a, b| a.0.total_cmp(&b.0));
         let elevation = Profile::read(element.first("elevationProfile"), "elevation", "s", 0.0)?;
         Ok(Self {
             id: element.needed_attribute("id")?.to_owned(),
-            sections: lanes::read(element, length_m)?,
+            sections: lanes::divided(lanes::read(element, length_m)?, &speed_limits),
             lane_offset: Profile::read(element.first("lanes"), "laneOffset", "s", 0.0)?,
             has_height: !elevation.is_empty(),
             elevation,
@@ -209,12 +241,7 @@ impl Road {
     }
 
     fn speed_limit_mps(&self, s_m: f64) -> Option<f64> {
-        let started = self
-            .speed_limits
-            .partition_point(|(start_m, _)| *start_m <= s_m);
-        self.speed_limits[..started]
-            .last()
-            .and_then(|(_, limit)| *limit)
+        lanes::limit_at(&self.speed_limits, s_m)
     }
 
     /// Adds its lanes to `all`, with their neighbors.
@@ -224,8 +251,8 @@ impl Road {
         budget: &mut Budget,
     ) -> Result<RoadLanes, DecodeError> {
         let mut indices = RoadLanes::default();
-        for (section_at, section) in self.sections.iter().enumerate() {
-            let prefix = format!("{}/{section_at}", self.id);
+        for section in &self.sections {
+            let prefix = format!("{}/{}", self.id, section.label);
             let sampled = sampling::lanes(self, section, &prefix, budget)?;
             let listed = section.left.iter().chain(&section.right);
             let mut by_id = HashMap::new();

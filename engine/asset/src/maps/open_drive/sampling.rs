@@ -84,7 +84,7 @@ pub(super) fn lanes(
             right,
             has_height: road.has_height,
             speed_limit_mps: lane
-                .speed_limit_mps
+                .speed_limit_mps(section.start_m)
                 .or_else(|| road.speed_limit_mps(section.start_m)),
             ..Lane::default()
         }
