@@ -188,6 +188,7 @@ fn recorded(arguments: &Arguments, folder: &RunFolder) -> Result<Job> {
     Ok(Job {
         scenario,
         directory: PathBuf::new(),
+        lost: None,
     })
 }
 
