@@ -371,6 +371,12 @@ pub(super) async fn lens(target: &mut Target, lens: CameraParam) -> Judged {
     );
     let shift_px = right_px.abs().max(down_px.abs());
     if shift_px > SHIFT_MAX_PX || difference > LENS_DIFFERENCE_MAX {
+        // Splats right before a camera have other footprints behind another lens.
+        if !target.has_trajectory {
+            return Err(Stop::Skipped(format!(
+                "{figure}: without a trajectory the view is from the origin, which may be too near to splats to tell"
+            )));
+        }
         return failed(format!(
             "{figure}; at most {SHIFT_MAX_PX} px and {LENS_DIFFERENCE_MAX} are expected"
         ));

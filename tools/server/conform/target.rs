@@ -65,6 +65,9 @@ pub(super) struct Target {
     /// Pose of the rig in the middle of its trajectory, and the time there.
     pub(super) local_from_rig: Pose,
     pub(super) time_us: u64,
+    /// True if that pose is on a trajectory: without one the view is from the origin, where nobody
+    /// may ever have looked.
+    pub(super) has_trajectory: bool,
 }
 
 impl Target {
@@ -94,7 +97,8 @@ impl Target {
             }
         };
         let camera = first_camera(&mut client, &scene, options.camera.as_deref()).await?;
-        let (local_from_rig, time_us) = middle(&mut client, &scene).await;
+        let middle = middle(&mut client, &scene).await;
+        let (local_from_rig, time_us) = middle.unwrap_or((Pose::IDENTITY, 0));
         Ok(Self {
             client,
             channel,
@@ -104,6 +108,7 @@ impl Target {
             package: options.package.clone(),
             local_from_rig,
             time_us,
+            has_trajectory: middle.is_some(),
         })
     }
 
@@ -261,8 +266,8 @@ async fn first_camera(
     })
 }
 
-/// Middle of the first trajectory; the origin at time 0 where the server has none.
-async fn middle(client: &mut Client, scene: &str) -> (Pose, u64) {
+/// Middle of the first trajectory; `None` where the server has none.
+async fn middle(client: &mut Client, scene: &str) -> Option<(Pose, u64)> {
     let asked = AvailableTrajectoriesRequest {
         scene_id: scene.to_owned(),
     };
@@ -279,8 +284,7 @@ async fn middle(client: &mut Client, scene: &str) -> (Pose, u64) {
         .and_then(|available| available.trajectory)
         .map(|trajectory| trajectory.poses)
         .unwrap_or_default();
-    let middle = poses.get(poses.len() / 2);
-    let pose = middle.and_then(|timed| pose_of(timed.pose.as_ref(), "trajectory").ok());
-    let time_us = middle.map_or(0, |timed| timed.timestamp_us);
-    (pose.unwrap_or(Pose::IDENTITY), time_us)
+    let middle = poses.get(poses.len() / 2)?;
+    let pose = pose_of(middle.pose.as_ref(), "trajectory").ok()?;
+    Some((pose, middle.timestamp_us))
 }

@@ -453,15 +453,9 @@ async fn this_server_conforms_and_faults_are_found_where_they_are() {
     assert_eq!(report.results.len(), Check::ALL.len());
     assert_eq!(direct.results.len(), 1);
     for (fault, expected) in Fault::ALL {
-        // Without a trajectory the view is from the origin, on the ground among coarse splats, where
-        // lenses cannot be compared.
-        let checks: &[Check] = match fault {
-            Fault::HasNoTrajectories => &[Check::Trajectories, Check::Png, Check::Repeatable],
-            _ => &Check::ALL,
-        };
         let report = judged(
             serve_faulty(good.clone(), &answers, Some(fault)).await,
-            checks,
+            &Check::ALL,
         )
         .await;
         let details: Vec<_> = report

@@ -253,3 +253,36 @@ async fn light_lands_where_poses_say() {
     }
     running.stop().await.unwrap();
 }
+
+/// AlpaSim lists no agent that its package calls static (`alpasim_runtime/events/camera.py:22` at
+/// 3032e0c), and NuRec draws them all the same.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_stands_is_seen_where_a_request_does_not_list_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let running = serve(&options(vec![marked(folder.path())])).await;
+    let mut client = client(&running).await;
+    let camera = cameras(&mut client, "marked").await.remove(0);
+    let size = [160, 100];
+    // Six meters behind the lamp, which is ahead then.
+    let place = Pose::from_yaw(0.0, DVec3::new(-6.0, 0.0, 0.5));
+    let asked = request("marked", &camera, &place, ImageFormat::RgbUint8Planar);
+    let sensor = asked.sensor_pose.unwrap().start_pose.unwrap();
+    assert!(asked.dynamic_objects.is_empty());
+    let image = client.render_rgb(asked.clone()).await.unwrap().into_inner();
+    assert_near(
+        middle_of_light(&image.image_bytes, size, 1),
+        projected(&camera, size, &sensor, GREEN),
+        "not listed",
+    );
+    // One that is listed is where the list says, and nowhere else.
+    let aside = Pose::from_yaw(0.3, DVec3::new(4.0, 2.0, 0.3));
+    let mut listed = asked;
+    listed.dynamic_objects = vec![object("lamp", &aside, &aside)];
+    let image = client.render_rgb(listed).await.unwrap().into_inner();
+    assert_near(
+        middle_of_light(&image.image_bytes, size, 1),
+        projected(&camera, size, &sensor, aside.transform(GREEN)),
+        "listed",
+    );
+    running.stop().await.unwrap();
+}
