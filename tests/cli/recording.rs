@@ -1,4 +1,4 @@
-//! From a recording to a drive: `import`, `drive --follow-recording`, and what was seen.
+//! The way from a recording to a drive: `import`, `drive --follow-recording`, and what was seen.
 
 use decouplegs::asset::{SceneFile, SeenFrom};
 use decouplegs::logs::read_episode_log;

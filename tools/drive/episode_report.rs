@@ -36,7 +36,7 @@ pub struct Scored {
     pub log: PathBuf,
     /// Folder of its images, if there are any.
     pub images: PathBuf,
-    /// What was seen of a captured place.
+    /// Record of what was seen of a captured place.
     pub seen: Seen,
     /// Times of its steps; none if it was driven before.
     pub times: Option<Vec<StepTime>>,
@@ -281,7 +281,7 @@ pub fn write(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
 /// Episodes with a warning about what was seen that are named on the console.
 const UNSEEN_SHOWN_MAX: usize = 3;
 
-/// How many episodes show a captured place where it was not seen from, and the first of them.
+/// Number of episodes that show a captured place badly, and the first of them.
 fn unseen(scored: &[Scored]) -> String {
     let warned = scored
         .iter()

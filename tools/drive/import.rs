@@ -1,4 +1,4 @@
-//! `decouplegs import`: a scene to drive in from a recording and the splats that were trained on it.
+//! `decouplegs import`: a scene to drive in, from a recording and splats that were trained on it.
 
 mod kitti;
 mod lanes;
@@ -180,7 +180,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     print(&report(&recording, &scene, &check, lanes.is_some(), out))
 }
 
-/// What the splats say of the way.
+/// Answer of the splats about the way.
 struct Check {
     /// Median height of the ego's poses above the ground of the splats, where they show one.
     height_m: Option<f64>,

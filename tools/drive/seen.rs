@@ -1,5 +1,5 @@
-//! How well a captured place was seen from where an episode went: support of its views, and
-//! opacity of its images, step by step, in a file beside the log.
+//! Support of the views of a captured place and opacity of its images, step by step of an episode,
+//! in a file beside the log.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -11,13 +11,13 @@ use decouplegs::drive::ViewSupport;
 use decouplegs::planner::{Reading, images};
 use decouplegs::scene::VehicleState;
 
-/// A step whose image is less opaque than this in its lower half shows holes.
+/// Opacity of the lower half of an image below which it shows holes.
 pub const OPACITY_MIN: f32 = 0.9;
 
 /// First line of a file.
 const HEADER: &str = "time_s,seen,opacity,camera";
 
-/// What was seen at a step.
+/// Support and opacity at a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenStep {
     /// Time of the observation, seconds.
@@ -104,7 +104,7 @@ fn lower_opacity(rgba: &[u8], height_px: u32) -> f32 {
     (sum as f64 / (255.0 * pixels as f64)) as f32
 }
 
-/// What was seen over an episode.
+/// Support and opacity over an episode.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Seen {
     /// Steps in their order; none where the place is not captured.
@@ -112,7 +112,7 @@ pub struct Seen {
 }
 
 impl Seen {
-    /// What the file beside `log` says; nothing where there is none.
+    /// Reads the file beside `log`; nothing where there is none.
     pub fn beside(log: &Path) -> Result<Self> {
         let path = path_beside(log);
         let text = match std::fs::read_to_string(&path) {

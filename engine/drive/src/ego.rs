@@ -23,7 +23,7 @@ use speed::SpeedProfile;
 /// Longest part of a step, seconds. The controls are set anew at each part: steps of 0.1 s and 0.01
 /// s then agree.
 const PART_S: f64 = 0.01;
-/// Below this speed the turn of a moved ego says nothing about its wheels.
+/// Speed below which the turn of a moved ego says nothing about its wheels, m/s.
 const STEERED_MPS_MIN: f64 = 0.1;
 /// Longest step, seconds.
 const STEP_S_MAX: f64 = 60.0;

@@ -118,11 +118,11 @@ fn spread(cloud: &SplatCloud, splat: usize) -> (Vec<DVec3>, f64) {
     axes.sort_by(|a, b| b.0.total_cmp(&a.0));
     let area_m2 = std::f64::consts::TAU * axes[0].0 * axes[1].0;
     let steps = |(sigma_m, axis): (f64, DVec3)| {
-        let reach_m = match length > 0.0 && sigma_m > SPREAD_M_MIN {
+        let arm_m = match length > 0.0 && sigma_m > SPREAD_M_MIN {
             true => rotation.normalize() * axis * (SPREAD_SIGMAS * sigma_m),
             false => return vec![DVec3::ZERO],
         };
-        vec![-reach_m, DVec3::ZERO, reach_m]
+        vec![-arm_m, DVec3::ZERO, arm_m]
     };
     let (along, across) = (steps(axes[0]), steps(axes[1]));
     let places = along

@@ -1,5 +1,4 @@
-//! Where a captured scene can be driven in: near the views that it was seen from, in their
-//! directions.
+//! Support of a captured scene: places near the views that it was seen from, in their directions.
 
 use std::collections::HashMap;
 

@@ -1,5 +1,6 @@
 //! The closed loop: [`episode`] moves the world and renders it, [`planner`] drives the ego,
-//! [`recorded`] takes the ego along the way of a recording, [`footing`] sets agents of scene files on the ground.
+//! [`recorded`] takes the ego along the way of a recording, [`footing`] sets agents of scene files
+//! on the ground.
 #![forbid(unsafe_code)]
 
 pub mod episode;

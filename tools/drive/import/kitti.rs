@@ -83,8 +83,38 @@ pub fn read(
         .iter()
         .map(|(frame, _, pose)| (*frame, *pose))
         .collect();
+    let ego = world_from_imu.iter().map(|(_, time_s, pose)| TimedPose {
+        time_s: *time_s,
+        pose: pose.then(&imu_from_middle),
+    });
+    Ok(Recording {
+        lidars: vec![SceneLidar {
+            name: "velodyne".into(),
+            sensor: "hdl64e_kitti".into(),
+            rig_from_lidar: middle_from_imu.then(&drive.imu_from_lidar),
+        }],
+        ego: way_of(ego.collect())?,
+        ego_height_m: 0.5 * vehicle.height_m,
+        vehicle,
+        views: views_of(&drive, &rig_cameras, &by_frame),
+        rig: Rig::from_iter(rig_cameras),
+        tracks: tracks_of(&drive, &by_frame),
+        level_from_world: drive.level_from_world,
+        origin: format!(
+            "the IMU of the first frame; the middle of the vehicle is {:.2}, {:.2}, {:.2} m forward, left and up from the IMU",
+            middle_m.x, middle_m.y, middle_m.z
+        ),
+    })
+}
+
+/// Cameras of all images whose frames have a pose.
+fn views_of(
+    drive: &KittiDrive,
+    rig_cameras: &[RigCamera],
+    by_frame: &HashMap<usize, Pose>,
+) -> Vec<Camera> {
     let mut views = Vec::new();
-    for (camera, own) in drive.cameras.iter().zip(&rig_cameras) {
+    for (camera, own) in drive.cameras.iter().zip(rig_cameras) {
         for image in &camera.images {
             let Some(pose) = by_frame.get(&image.frame) else {
                 continue;
@@ -97,10 +127,11 @@ pub fn read(
             });
         }
     }
-    let ego = world_from_imu.iter().map(|(_, time_s, pose)| TimedPose {
-        time_s: *time_s,
-        pose: pose.then(&imu_from_middle),
-    });
+    views
+}
+
+/// Labeled boxes at the frames that have a pose.
+fn tracks_of(drive: &KittiDrive, by_frame: &HashMap<usize, Pose>) -> Vec<PoseRow> {
     let mut tracks = Vec::new();
     for (index, tracklet) in drive.tracklets.iter().enumerate() {
         let [.., height_m] = tracklet.dims_m;
@@ -124,24 +155,7 @@ pub fn read(
             });
         }
     }
-    Ok(Recording {
-        rig: Rig::from_iter(rig_cameras),
-        lidars: vec![SceneLidar {
-            name: "velodyne".into(),
-            sensor: "hdl64e".into(),
-            rig_from_lidar: middle_from_imu.then(&drive.imu_from_lidar),
-        }],
-        ego: way_of(ego.collect())?,
-        ego_height_m: 0.5 * vehicle.height_m,
-        vehicle,
-        views,
-        tracks,
-        level_from_world: drive.level_from_world,
-        origin: format!(
-            "the IMU of the first frame; the middle of the vehicle is {:.2}, {:.2}, {:.2} m forward, left and up from the IMU",
-            middle_m.x, middle_m.y, middle_m.z
-        ),
-    })
+    tracks
 }
 
 /// Name of a camera on the vehicle.

@@ -1,4 +1,4 @@
-//! What all forms of recordings become.
+//! Common form of all recordings.
 
 use decouplegs::asset::SceneLidar;
 use decouplegs::asset::tracks::PoseRow;

@@ -57,7 +57,7 @@ pub struct KittiDrive {
 /// A rectified camera.
 #[derive(Clone, Debug)]
 pub struct KittiCamera {
-    /// Its number, 0 to 3; 2 and 3 are in color, 1 and 3 to the right.
+    /// Number of the camera, 0 to 3; 2 and 3 are in color, 1 and 3 to the right.
     pub number: u32,
     /// Rectified pinhole.
     pub intrinsics: Intrinsics,
@@ -77,8 +77,8 @@ pub struct KittiImage {
 }
 
 impl KittiDrive {
-    /// Reads the drive in `folder` (`2011_09_26_drive_0009_sync`), whose calibration lies in it or in
-    /// the folder above, as KITTI unpacks it.
+    /// Reads the drive in `folder` (`2011_09_26_drive_0009_sync`), whose calibration lies in it or
+    /// in the folder above, as KITTI unpacks it.
     ///
     /// # Errors
     /// [`AssetError::Read`] or [`AssetError::Decode`] of the file at fault.
@@ -158,7 +158,7 @@ fn calibration_bytes(folder: &Path, name: &str) -> Result<(Vec<u8>, PathBuf), As
     Ok((read_bytes(&path)?, path))
 }
 
-/// Those of `numbers` that have images.
+/// Cameras of `numbers` that have images.
 fn cameras_in(
     folder: &Path,
     numbers: &[u32],

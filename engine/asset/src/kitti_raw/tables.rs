@@ -51,8 +51,8 @@ impl Calibration {
         self.lidar_from_imu.inverse()
     }
 
-    /// Rectified pinhole of a camera, and IMU from camera. Principal points count from the corner of
-    /// the image, where KITTI counts from the middle of the first pixel.
+    /// Rectified pinhole of a camera, and IMU from camera. Principal points count from the corner
+    /// of the image, where KITTI counts from the middle of the first pixel.
     ///
     /// # Errors
     /// A [`DecodeError`] that names the value that is missing or makes no camera.

@@ -32,10 +32,14 @@ use crate::{AssetError, DecodeError};
 
 /// Models that come with the program: name and text. `engine/asset/sensors` tells where the tables
 /// are from.
-const BUILT_IN: [(&str, &str); 7] = [
+const BUILT_IN: [(&str, &str); 8] = [
     ("at128", include_str!("../../sensors/at128.toml")),
     ("hdl32e", include_str!("../../sensors/hdl32e.toml")),
     ("hdl64e", include_str!("../../sensors/hdl64e.toml")),
+    (
+        "hdl64e_kitti",
+        include_str!("../../sensors/hdl64e_kitti.toml"),
+    ),
     ("pandar128", include_str!("../../sensors/pandar128.toml")),
     ("pandar64", include_str!("../../sensors/pandar64.toml")),
     ("vlp32c", include_str!("../../sensors/vlp32c.toml")),
@@ -44,7 +48,7 @@ const BUILT_IN: [(&str, &str); 7] = [
 
 /// Names of the models that come with the program.
 #[must_use]
-pub fn lidar_names() -> [&'static str; 7] {
+pub fn lidar_names() -> [&'static str; 8] {
     BUILT_IN.map(|(name, _)| name)
 }
 

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use decouplegs_asset::{AssetError, SceneFile, inria_ply, open_scene, write_coded};
-use decouplegs_scene::{Lens, Pose, Rules, ShFrame, SplatScene};
+use decouplegs_asset::{AssetError, SceneFile, SeenFrom, inria_ply, open_scene, write_coded};
+use decouplegs_scene::{CapturedViews, Lens, Pose, Rules, ShFrame, SplatScene};
 use glam::{DQuat, DVec3};
 
 use crate::sample::{cloud, coded_cone};
@@ -16,6 +16,15 @@ pub fn example() -> String {
     let from = page.find("```toml\n").expect("the page has an example") + "```toml\n".len();
     let length = page[from..].find("```").expect("the example ends");
     page[from..from + length].to_owned()
+}
+
+/// Writes the cameras that the example was seen from: one, 10 m along x, that looks along y.
+pub fn write_views(directory: &Path) {
+    let cameras = serde_json::json!([{
+        "id": 0, "img_name": "a", "width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "position": [10.0, 0.0, 1.0],
+        "rotation": [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]],
+    }]);
+    std::fs::write(directory.join("cameras.json"), cameras.to_string()).unwrap();
 }
 
 #[test]
@@ -52,6 +61,8 @@ fn the_documented_example_means_what_it_says() {
         "image down is vehicle down"
     );
     assert_eq!(scene.ego_height_m, Some(0.8));
+    let seen_from = scene.recording.seen_from;
+    assert_eq!(seen_from, Some(SeenFrom::Cameras("cameras.json".into())));
     let ego = scene.ego.unwrap();
     assert!((ego.at(1.0).translation.x - 458_010.0).abs() < 1e-9);
     assert!(
@@ -159,6 +170,18 @@ fn complaints_name_file_line_and_key() {
             "0 to 10 meters",
         ),
         (
+            "vehicle_size_m = [4.8,",
+            "vehicle_size_m = [-4.8,",
+            "recording.vehicle_size_m",
+            "0.1 to 30 meters",
+        ),
+        (
+            "seen_from = \"cameras.json\"",
+            "seen_from = \"\"",
+            "recording.seen_from",
+            "everywhere",
+        ),
+        (
             "name = \"oncoming\"",
             "name = \"\"",
             "agent[1].name",
@@ -256,6 +279,7 @@ fn a_pose_is_given_once() {
 #[test]
 fn a_scene_is_loaded_with_its_agents_where_they_are() {
     let directory = tempfile::tempdir().unwrap();
+    write_views(directory.path());
     let (background, car) = (cloud(400, 1), cloud(30, 2));
     inria_ply::write(&directory.path().join("street.ply"), &background).unwrap();
     inria_ply::write(&directory.path().join("car.ply"), &car).unwrap();
@@ -271,6 +295,11 @@ fn a_scene_is_loaded_with_its_agents_where_they_are() {
         ),
         (460, 2, 3)
     );
+    let Some(CapturedViews::From(views)) = &early.recording.views else {
+        panic!("{:?}", early.recording)
+    };
+    assert_eq!(views[0].position_m, DVec3::new(10.0, 0.0, 1.0));
+    assert!((views[0].ahead - DVec3::Y).length() < 1e-9, "{views:?}");
     let lidar = early.rig.lidars().next().unwrap();
     assert_eq!((&*lidar.name, lidar.model.rings()), ("roof", 32));
     let names: Vec<&str> = early
@@ -368,6 +397,7 @@ fn example_with_asset(agent: &str, asset: &str) -> String {
 #[test]
 fn agents_of_coded_assets_are_kept_apart_with_the_ids_of_their_place() {
     let directory = tempfile::tempdir().unwrap();
+    write_views(directory.path());
     inria_ply::write(&directory.path().join("street.ply"), &cloud(400, 1)).unwrap();
     inria_ply::write(&directory.path().join("car.ply"), &cloud(30, 2)).unwrap();
     write_coded(&directory.path().join("cone.safetensors"), &coded_cone()).unwrap();
@@ -434,6 +464,7 @@ fn agents_of_coded_assets_are_kept_apart_with_the_ids_of_their_place() {
 #[test]
 fn an_asset_is_read_once_and_its_frame_of_colors_holds_unless_the_scene_says_otherwise() {
     let directory = tempfile::tempdir().unwrap();
+    write_views(directory.path());
     inria_ply::write(&directory.path().join("street.ply"), &cloud(40, 1)).unwrap();
     write_coded(&directory.path().join("cone.safetensors"), &coded_cone()).unwrap();
     let path = directory.path().join("scene.toml");

@@ -11,7 +11,7 @@ use decouplegs_scene::{AmbientDescriptor, LightTransfer, SplatScene};
 use glam::DVec3;
 
 use crate::sample::{cloud, coded_cone};
-use crate::scene_files::example;
+use crate::scene_files::{example, write_views};
 
 /// The example of the page with the light that it shows.
 pub fn lit_example() -> String {
@@ -114,6 +114,7 @@ fn casting_lights_are_read_and_faults_named() {
 #[test]
 fn a_lit_scene_is_baked_in_its_light() {
     let directory = tempfile::tempdir().unwrap();
+    write_views(directory.path());
     let mut ground = cloud(400, 1);
     for (splat, mean) in ground.means.iter_mut().enumerate() {
         *mean = [

@@ -8,6 +8,7 @@ mod faults;
 mod generate;
 mod generated_difficulty;
 mod generated_lights;
+mod generated_views;
 mod ground;
 mod grounding;
 mod guided_ground;

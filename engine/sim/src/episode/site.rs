@@ -1,6 +1,7 @@
 //! Places made ready: what an episode needs of where it takes place.
 
 mod assets;
+mod views;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -20,8 +21,8 @@ use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
-    CapturedViews, LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind,
-    SplatScene, Trajectory, VehicleSize, VehicleState, Weather,
+    LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind, SplatScene,
+    Trajectory, VehicleSize, VehicleState, Weather,
 };
 use decouplegs_session::{Session, SessionError, SessionScene};
 use decouplegs_synth::roads::{self, RoadsOptions};
@@ -33,7 +34,9 @@ use rayon::prelude::*;
 
 use self::assets::{
     ALL_CARS, Cars, ROAD_USER_SPLATS, cars, coded, road_users, road_users_coded, size_of,
+    street_cars,
 };
+use self::views::support_of;
 
 /// Reason why a site cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -322,14 +325,7 @@ impl Site {
         let mut sizes: Vec<VehicleSize> = dims_m.into_iter().map(size_of).collect();
         if sizes.is_empty() {
             // A scene without agents of its own is driven in among the cars of the street.
-            let splats = ROAD_USER_SPLATS * usize::from(appearance.is_some());
-            let cars = cars(splats, AssetLight::Neutral);
-            let assets = cars.clouds.par_iter().zip(&cars.sizes);
-            let assets = assets.map(|(cloud, size)| coded(cloud, size));
-            if appearance.is_some() {
-                loaded.assets = assets.collect::<Result<_, _>>()?;
-            }
-            sizes = cars.sizes;
+            (loaded.assets, sizes) = street_cars(appearance.is_some())?;
         }
         if appearance.is_some_and(|appearance| !appearance.only_cars) {
             let coded = road_users_coded(ROAD_USER_SPLATS, AssetLight::Neutral)?;
@@ -536,15 +532,6 @@ pub fn rig_of(place: &Place, directory: &Path) -> Result<Rig, SiteError> {
     match place {
         Place::Scene { scene, .. } => Ok(SceneFile::read(&directory.join(scene))?.rig),
         Place::Street { .. } | Place::Roads { .. } => Ok(cars(0, AssetLight::Neutral).rig),
-    }
-}
-
-/// Support of the views that a scene file names, else of the way of its ego.
-fn support_of(loaded: &LoadedScene) -> Option<ViewSupport> {
-    let of_way = || CapturedViews::from_way(&loaded.ego);
-    match loaded.recording.views.clone().or_else(of_way)? {
-        CapturedViews::Everywhere => None,
-        CapturedViews::From(views) => ViewSupport::from_views(&views),
     }
 }
 

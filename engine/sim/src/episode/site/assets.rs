@@ -88,3 +88,20 @@ pub(super) fn coded(cloud: &SplatCloud, size: &VehicleSize) -> Result<CodedCloud
     coded.dims_m = size.to_array().map(|side_m| side_m as f32);
     Ok(coded)
 }
+
+/// Cars of the street, and their boxes; boxes alone where nothing `is_drawn`.
+///
+/// # Errors
+/// Returns an error if a car cannot be compressed.
+pub(super) fn street_cars(
+    is_drawn: bool,
+) -> Result<(Vec<CodedCloud>, Vec<VehicleSize>), SiteError> {
+    let splats = ROAD_USER_SPLATS * usize::from(is_drawn);
+    let cars = cars(splats, AssetLight::Neutral);
+    if !is_drawn {
+        return Ok((Vec::new(), cars.sizes));
+    }
+    let assets = cars.clouds.par_iter().zip(&cars.sizes);
+    let assets: Result<_, _> = assets.map(|(cloud, size)| coded(cloud, size)).collect();
+    Ok((assets?, cars.sizes))
+}
