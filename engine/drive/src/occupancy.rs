@@ -229,14 +229,14 @@ mod tests {
     #[test]
     fn what_stands_beside_the_lanes_at_the_height_of_a_vehicle_is_an_obstacle() {
         let all = [
-            ([20.3, 5.4, 1.0], 0.9, 0.1),  // a post
-            ([30.3, 0.5, 1.0], 0.9, 0.1),  // on the lane
-            ([40.3, 5.4, 0.1], 0.9, 0.1),  // a kerb
-            ([50.3, 5.4, 3.0], 0.9, 0.1),  // a crown
-            ([60.3, 5.4, 1.0], 0.04, 0.3), // haze
-            ([70.3, 5.4, 1.0], 0.9, 3.0),  // a backdrop
-            ([65.3, 5.4, 1.0], 0.2, 0.05), // a few faint specks
-            ([35.3, 19.4, 1.0], 0.9, 0.1), // far from the road
+            ([20.3, 5.4, 1.0], 0.9, 0.095), // a post
+            ([30.3, 0.5, 1.0], 0.9, 0.1),   // on the lane
+            ([40.3, 5.4, 0.1], 0.9, 0.1),   // a kerb
+            ([50.3, 5.4, 3.0], 0.9, 0.1),   // a crown
+            ([60.3, 5.4, 1.0], 0.04, 0.3),  // haze
+            ([70.3, 5.4, 1.0], 0.9, 3.0),   // a backdrop
+            ([65.3, 5.4, 1.0], 0.2, 0.05),  // a few faint specks
+            ([35.3, 19.4, 1.0], 0.9, 0.1),  // far from the road
         ];
         let found = found(&all);
         assert_eq!(found.len(), 1, "{found:?}");
