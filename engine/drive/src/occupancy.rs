@@ -30,6 +30,8 @@ const FILLED_M2: f64 = 0.35;
 /// a wall is wider than the cell of its mean.
 const SPREAD_M_MIN: f64 = 0.1;
 const SPREAD_SIGMAS: f64 = 1.2;
+/// Least side of an obstacle, meters: a wall of one flat splat has none.
+const SIDE_M_MIN: f64 = 0.1;
 
 /// Contents of a cell.
 #[derive(Clone, Copy, Debug)]
@@ -92,7 +94,7 @@ pub fn obstacles(
         .collect();
     filled.sort_unstable_by_key(|(key, _)| *key);
     let boxed = |(_, cell): ((i64, i64), Cell)| {
-        let size_m = cell.high_m - cell.low_m;
+        let size_m = (cell.high_m - cell.low_m).max(DVec2::splat(SIDE_M_MIN));
         Obstacle {
             kind: ObstacleKind::Captured,
             center_m: 0.5 * (cell.low_m + cell.high_m),
@@ -246,7 +248,10 @@ mod tests {
             post.center_m.distance(DVec2::new(20.37, 5.4)) < 0.02,
             "{post:?}"
         );
-        assert!(post.length_m < 0.2 && post.width_m < 0.01, "{post:?}");
+        assert!(
+            post.length_m < 0.2 && post.width_m == SIDE_M_MIN,
+            "{post:?}"
+        );
     }
 
     #[test]

@@ -105,8 +105,8 @@ pub fn read(
 /// Images by camera, and then by the number in their names: the longest one, which counts frames.
 fn by_camera(views: &[Camera]) -> BTreeMap<String, BTreeMap<usize, &Camera>> {
     let mut groups: BTreeMap<String, BTreeMap<usize, &Camera>> = BTreeMap::new();
-    for (index, camera) in views.iter().enumerate() {
-        let (key, frame) = split(&camera.name).unwrap_or_else(|| ("images".into(), index));
+    for camera in views {
+        let (key, frame) = split(&camera.name).unwrap_or_else(|| (camera.name.clone(), 0));
         groups.entry(key).or_default().insert(frame, camera);
     }
     groups
