@@ -24,7 +24,7 @@ use crate::{AssetError, DecodeError, memory, write_atomically};
 const VERSION: u32 = 1;
 /// Most boxes of a file.
 const OBSTACLES_MAX: usize = 1_000_000;
-/// Most squares of [`SQUARE_M`] that the boxes of a file reach over, each box counted by itself:
+/// Most squares of 4 m that the boxes of a file reach over, each box counted by itself:
 /// programs list the boxes of each square. A million posts on corners of squares have half of that.
 pub const SQUARES_MAX: u64 = 8_000_000;
 /// Side of a square, meters.
