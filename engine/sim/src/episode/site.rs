@@ -346,11 +346,9 @@ impl Site {
             occupancy::obstacles(&splat_scene.splats, splat_scene.origin, &lanes, &ground)
         });
         let view_support = support_of(&loaded).map(Arc::new);
-        let site = Self::new(loaded, (lanes, obstacles), sizes, Some(ground))?;
-        Ok(Self {
-            view_support,
-            ..site
-        })
+        let mut site = Self::new(loaded, (lanes, obstacles), sizes, Some(ground))?;
+        site.view_support = view_support;
+        Ok(site)
     }
 
     fn new(
