@@ -13,11 +13,10 @@ use decouplegs::asset::maps::lane_json;
 use decouplegs::asset::scene_file::path_from;
 use decouplegs::asset::tracks::write_poses;
 use decouplegs::asset::{
-    SceneFile, SceneRecording, SeenFrom, inria_ply, read_splats, write_atomically,
+    SceneFile, SceneRecording, SeenFrom, inria_ply, read_placed_splats, write_atomically,
 };
-use decouplegs::drive::{Ground, GroundOptions};
-use decouplegs::footing::ground_of;
-use decouplegs::scene::{Pose, Trajectory, VehicleSize};
+use decouplegs::drive::{Ground, GroundGuides, GroundOptions};
+use decouplegs::scene::{Pose, SplatCloud, Trajectory, VehicleSize};
 use decouplegs_cli::street_files::transforms;
 use glam::{DQuat, DVec3};
 use std::io::Write as _;
@@ -123,7 +122,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     };
     let reading = progress::spinner(format!("reading {}", arguments.splats.display()));
-    let mut splats = read_splats(&arguments.splats)?;
+    let (mut splats, mut origin) = read_placed_splats(&arguments.splats)?;
     reading.finish_and_clear();
     std::fs::create_dir_all(out).with_context(|| format!("{} cannot be made", out.display()))?;
     let tilt_deg = recording
@@ -133,6 +132,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let background = if arguments.level {
         let level = Pose::new(recording.level_from_world, DVec3::ZERO);
         splats = splats.placed(&level, true);
+        origin = level.transform(origin);
         recording.turn(&level);
         let file = PathBuf::from("background.ply");
         inria_ply::write(&out.join(&file), &splats)?;
@@ -143,6 +143,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let ego_height_m = recording.ego_height_m;
     let scene = SceneFile {
+        // A file that was not written anew has its own origin.
+        origin: if arguments.level { origin } else { DVec3::ZERO },
         rig: recording.rig.clone(),
         lidars: recording.lidars.clone(),
         ego: Some(recording.ego.clone()),
@@ -167,7 +169,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // Last: when it is there, all that it names is.
     scene.write(&out.join("scene.toml"))?;
     let looking = progress::spinner("measuring the ground".into());
-    let check = checked(&scene, out, &recording)?;
+    let check = checked(&splats, origin, &recording);
     looking.finish_and_clear();
     for sentence in &check.warnings {
         warn(sentence);
@@ -188,9 +190,9 @@ struct Check {
     warnings: Vec<String>,
 }
 
-fn checked(scene: &SceneFile, out: &Path, recording: &Recording) -> Result<Check> {
-    let cloud = read_splats(&out.join(&scene.background))?;
-    let ground = Ground::new(&cloud, scene.origin, &GroundOptions::default());
+/// Measures the way of `recording` against `splats`, whose means are relative to `origin`.
+fn checked(splats: &SplatCloud, origin: DVec3, recording: &Recording) -> Check {
+    let ground = Ground::new(splats, origin, &GroundOptions::default());
     let places = along(&recording.ego);
     let mut heights_m: Vec<f64> = places
         .iter()
@@ -215,13 +217,14 @@ fn checked(scene: &SceneFile, out: &Path, recording: &Recording) -> Result<Check
             "no ground was found below the way: are the splats in the coordinates of the recording?".into(),
         ),
     }
-    let quality = ground_of(scene, out)?;
-    warnings.extend(quality.quality().and_then(|quality| quality.warning()));
-    Ok(Check {
+    let guides = GroundGuides::for_way(recording.ego.poses(), Some(recording.ego_height_m));
+    let guided = ground.guided(splats, guides);
+    warnings.extend(guided.quality().and_then(|quality| quality.warning()));
+    Check {
         height_m,
         places: heights_m.len(),
         warnings,
-    })
+    }
 }
 
 /// Places along a way.

@@ -236,7 +236,7 @@ const REFUSED: [(&str, &str); 7] = [
     ),
 ];
 
-/// Refuses files whose splats mean something else, and warns of properties that nobody here knows.
+/// Refuses files with another kind of splat, and warns of unknown properties.
 fn check_properties(ply: &Ply<'_>, element: &str) -> Result<(), DecodeError> {
     let mut unknown = UnknownKeys::default();
     for name in ply.property_names(element) {

@@ -94,8 +94,8 @@ impl UnfinishedFolder {
     }
 }
 
-/// Removes the unfinished folders in `parent` that nobody writes. What cannot be removed does no
-/// harm.
+/// Removes the unfinished folders in `parent` that no running program writes to. Folders that
+/// cannot be removed are left there.
 fn sweep(parent: &Path) {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
         let is_ours = entry

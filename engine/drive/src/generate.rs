@@ -115,7 +115,6 @@ pub struct Generator<'a> {
     roads: Roads<'a>,
     place: PlaceOptions,
     area: Option<Area>,
-    seen: Option<Arc<ViewSupport>>,
     assets: Assets,
     has_lights: bool,
     difficulty: Difficulty,
@@ -148,7 +147,6 @@ impl<'a> Generator<'a> {
             roads,
             place,
             area,
-            seen: None,
             assets: Assets::cars(assets),
             has_lights: true,
             difficulty: Difficulty::default(),
@@ -168,8 +166,7 @@ impl<'a> Generator<'a> {
     /// Limits routes to places and headings from which a captured scene was seen.
     #[must_use]
     pub fn seen_from(mut self, support: Arc<ViewSupport>) -> Self {
-        self.roads.limit_to(support.clone());
-        self.seen = Some(support);
+        self.roads.limit_to(support);
         self
     }
 
@@ -189,9 +186,10 @@ impl<'a> Generator<'a> {
         self.assets.mixed(assets, obstacles);
         let largest = largest(self.assets.vehicle_sizes());
         let has_lights = self.has_lights;
+        let support = self.roads.support();
         self.roads = Roads::new(self.roads.map, largest).map_err(GenerateError::Roads)?;
-        if let Some(support) = &self.seen {
-            self.roads.limit_to(support.clone());
+        if let Some(support) = support {
+            self.roads.limit_to(support);
         }
         if !has_lights {
             self.roads.ignore_lights();
@@ -299,8 +297,8 @@ impl<'a> Generator<'a> {
             0 => GenerateError::NoRoute {
                 name,
                 tries: 2 * TRIES,
-                least_m: ego_start::route_m_min(self.seen.is_some()),
-                is_limited: self.seen.is_some(),
+                least_m: ego_start::route_m_min(self.roads.is_limited()),
+                is_limited: self.roads.is_limited(),
             },
             _ => GenerateError::NoRoom {
                 name,

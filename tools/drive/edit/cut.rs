@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::{SceneAgent, SceneFile, inria_ply, read_splats};
+use decouplegs::asset::{SceneAgent, SceneFile, inria_ply, read_placed_splats};
 use decouplegs::scene::{Pose, Presence, ShFrame, SplatCloud, Trajectory};
 use glam::DVec3;
 
@@ -20,7 +20,9 @@ const SQUARE_M: f64 = 0.5;
 /// and the background without them are written there. Lines that tell what was done.
 pub fn cut(scene: &mut SceneFile, boxes: &[CutBox], folder: &Path) -> Result<String> {
     let path = folder.join(&scene.background);
-    let cloud = read_splats(&path)?;
+    let (cloud, placed_at) = read_placed_splats(&path)?;
+    // What is written is relative to it.
+    scene.origin += placed_at;
     let mut is_left = vec![true; cloud.len()];
     let mut files: Vec<(PathBuf, SplatCloud)> = Vec::new();
     let mut report = String::new();

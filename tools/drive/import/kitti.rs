@@ -63,11 +63,12 @@ pub fn read(
         };
         world_from_imu.extend(pose.map(|pose| (frame, time_s, pose)));
     }
-    if let (Some(trained), Some(path)) = (&trained, folder.to_str()) {
+    if let Some(trained) = &trained {
         ensure!(
             !world_from_imu.is_empty(),
-            "none of the {} cameras of --poses is an image of {path}: expected names that hold the number of the frame and of the camera, such as 000004_2.png",
-            trained.len()
+            "none of the {} cameras of --poses is an image of {}: expected names that hold the number of the frame and of the camera, such as 000004_2.png",
+            trained.len(),
+            folder.display()
         );
         // Principal points and focal lengths are those that the splats were trained with.
         for (own, camera) in rig_cameras.iter_mut().zip(&drive.cameras) {

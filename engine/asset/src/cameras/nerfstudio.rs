@@ -115,7 +115,7 @@ const REFUSED: [&str; 15] = [
     "s3",
 ];
 
-/// Refuses keys that mean another lens, and counts those that nobody knows.
+/// Refuses keys of lens models that are not drawn, and counts unknown keys.
 fn check_keys(
     others: &BTreeMap<String, Value>,
     unknown: &mut UnknownKeys,

@@ -23,6 +23,9 @@ pub use tracklets::{Tracklet, decode_tracklets};
 /// Frames of a drive at most: a day at 10 Hz.
 const FRAMES_MAX: usize = 864_000;
 
+/// File of the calibration of the cameras.
+const CAMERAS_FILE: &str = "calib_cam_to_cam.txt";
+
 /// Box of KITTI's car, a VW Passat B6 estate without mirrors.
 pub const CAR: VehicleSize = VehicleSize {
     length_m: 4.774,
@@ -83,12 +86,13 @@ impl KittiDrive {
     /// # Errors
     /// [`AssetError::Read`] or [`AssetError::Decode`] of the file at fault.
     pub fn read(folder: &Path) -> Result<Self, AssetError> {
+        let read = |name: &str| read_bytes(&calibration_path(folder, name));
         let calibration = decode_calibration(
-            &calibration_bytes(folder, "calib_imu_to_velo.txt")?.0,
-            &calibration_bytes(folder, "calib_velo_to_cam.txt")?.0,
-            &calibration_bytes(folder, "calib_cam_to_cam.txt")?.0,
+            &read("calib_imu_to_velo.txt")?,
+            &read("calib_velo_to_cam.txt")?,
+            &read(CAMERAS_FILE)?,
         )
-        .map_err(|source| fault(&folder.join("calib_cam_to_cam.txt"), source))?;
+        .map_err(|source| fault(&calibration_path(folder, CAMERAS_FILE), source))?;
         let colored = cameras_in(folder, &[2, 3], &calibration)?;
         let cameras = match colored.is_empty() {
             true => cameras_in(folder, &[0, 1], &calibration)?,
@@ -147,15 +151,13 @@ fn fault(path: &Path, source: DecodeError) -> AssetError {
     }
 }
 
-/// A file of the calibration, in the folder of the drive or above it.
-fn calibration_bytes(folder: &Path, name: &str) -> Result<(Vec<u8>, PathBuf), AssetError> {
+/// Path of a file of the calibration: in the folder of the drive, or above it.
+fn calibration_path(folder: &Path, name: &str) -> PathBuf {
     let own = folder.join(name);
-    let above = folder.join("..").join(name);
-    let path = match own.exists() {
+    match own.exists() {
         true => own,
-        false => above,
-    };
-    Ok((read_bytes(&path)?, path))
+        false => folder.join("..").join(name),
+    }
 }
 
 /// Cameras of `numbers` that have images.
@@ -172,7 +174,7 @@ fn cameras_in(
         }
         let (intrinsics, imu_from_camera) = calibration
             .camera(number)
-            .map_err(|source| fault(&folder.join("calib_cam_to_cam.txt"), source))?;
+            .map_err(|source| fault(&calibration_path(folder, CAMERAS_FILE), source))?;
         cameras.push(KittiCamera {
             number,
             intrinsics,

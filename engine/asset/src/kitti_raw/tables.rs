@@ -78,7 +78,7 @@ impl Calibration {
             cy_px: projection[6] + 0.5,
             ..Intrinsics::from_horizontal_fov(size_px[0] as u32, size_px[1] as u32, 1.0)
         };
-        // P = K [1 | t]: the camera stands at -t of the first.
+        // P = K [I | t]: the center of the camera is at -t in the frame of camera 0.
         let t_z = projection[11];
         let shift = DVec3::new(
             (projection[3] - projection[2] * t_z) / fx,

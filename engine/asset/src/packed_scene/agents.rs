@@ -100,8 +100,8 @@ fn sampled(scene: &SceneFile, agent: &SceneAgent, span_s: (f64, f64)) -> Vec<(u6
         .collect()
 }
 
-/// True for an agent of a way and presence that stands at one place all the time. Packages call
-/// it STATIC: AlpaSim lists it in no request, because NuRec draws it as a part of the street
+/// True if an agent with this trajectory and presence stands at one place all the time. Packages
+/// call it STATIC: AlpaSim lists it in no request, because NuRec draws it as a part of the street
 /// (`src/runtime/alpasim_runtime/events/camera.py:22`, `unbound_rollout.py:236`).
 #[must_use]
 pub fn stands(way: &Trajectory, present: &Presence) -> bool {

@@ -25,7 +25,7 @@ const START_BYTES: u64 = 1 << 16;
 /// The rig of a package.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PackedRig {
-    /// Program that wrote the package, with its version; empty where it is not told.
+    /// Name and version of the program that wrote the package; empty if unknown.
     pub version: String,
     /// Origin of the rig in the vehicle frame (from the middle of the box), meters; zero where the
     /// package does not tell the box.

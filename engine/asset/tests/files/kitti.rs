@@ -6,6 +6,7 @@ use std::path::Path;
 use decouplegs_asset::kitti_raw::{
     KittiDrive, decode_calibration, decode_packet, decode_times, decode_tracklets,
 };
+use decouplegs_scene::explain::explain;
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
 
@@ -94,7 +95,7 @@ fn a_drive_is_read() {
 fn what_a_drive_lacks_is_said() {
     let root = tempfile::tempdir().unwrap();
     let drive = write_drive(root.path());
-    let why = |drive: &Path| KittiDrive::read(drive).unwrap_err().explain();
+    let why = |drive: &Path| explain(&KittiDrive::read(drive).unwrap_err());
     let lose = |name: &str, part: &str| {
         let path = drive.join(name);
         let kept = path.with_extension("kept");
@@ -110,17 +111,6 @@ fn what_a_drive_lacks_is_said() {
         fs::remove_dir_all(drive.join(camera).join("data")).unwrap();
     }
     assert!(why(&drive).contains("image_02/data"));
-}
-
-/// Chain of causes, as programs print it.
-trait Explain {
-    fn explain(&self) -> String;
-}
-
-impl<E: std::error::Error + 'static> Explain for E {
-    fn explain(&self) -> String {
-        decouplegs_scene::explain::explain(self)
-    }
 }
 
 #[test]

@@ -155,6 +155,11 @@ impl<'a> Roads<'a> {
         self.seen = Some((support, spots));
     }
 
+    /// Support of the views that routes are limited to.
+    pub fn support(&self) -> Option<Arc<ViewSupport>> {
+        Some(self.seen.as_ref()?.0.clone())
+    }
+
     /// True if routes stay where the place was seen from.
     pub fn is_limited(&self) -> bool {
         self.seen.is_some()

@@ -15,7 +15,7 @@ use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
 
 /// Weights of the time to collision and of comfort.
-pub(super) const WEIGHTS: [f64; 2] = [5.0, 2.0];
+const WEIGHTS: [f64; 2] = [5.0, 2.0];
 /// Moments at which the boxes of the ego and of others are compared, seconds from now.
 pub(super) const AHEAD_S: [f64; 2] = [0.5, 1.0];
 /// An ego slower than this is on no course for a collision, meters per second.
@@ -23,7 +23,7 @@ const STANDING_MPS: f64 = 0.005;
 /// Time over which rates are differences, half of it before and half of it after a moment, seconds.
 const WINDOW_S: f64 = 0.5;
 /// Bounds of comfort (nuPlan): acceleration ahead, m/s^2.
-const AHEAD_MPS2: [f64; 2] = [-4.05, 2.40];
+pub(super) const AHEAD_MPS2: [f64; 2] = [-4.05, 2.40];
 /// Greatest acceleration across, m/s^2.
 const ACROSS_MPS2: f64 = 4.89;
 /// Greatest jerk ahead, m/s^3.
@@ -31,9 +31,9 @@ const AHEAD_MPS3: f64 = 4.13;
 /// Greatest jerk, m/s^3.
 const JERK_MPS3: f64 = 8.37;
 /// Greatest yaw rate, rad/s.
-const YAW_RADPS: f64 = 0.95;
+pub(super) const YAW_RADPS: f64 = 0.95;
 /// Greatest yaw acceleration, rad/s^2.
-const YAW_RADPS2: f64 = 1.93;
+pub(super) const YAW_RADPS2: f64 = 1.93;
 
 /// HD-Score of an episode, with the means of its terms; all from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,7 +59,7 @@ impl HdScore {
         let ticks: Vec<&EpisodeTick> = episode.instants().collect();
         let comfort = comfortable(&ticks);
         let hits_obstacle = matches!(episode.end, EpisodeEnd::Obstacle { .. });
-        let mut sums = [0.0; 5];
+        let mut sums = TermSums::default();
         for (index, tick) in ticks.iter().enumerate() {
             let is_last = index + 1 == ticks.len();
             let collides = touches(episode, tick, 0.0) || hits_obstacle && is_last;
@@ -67,22 +67,45 @@ impl HdScore {
                 || !AHEAD_S
                     .iter()
                     .any(|ahead_s| touches(episode, tick, *ahead_s));
-            let terms = [!collides, tick.on_road, is_off_course, comfort[index]].map(f64::from);
-            let [nc, dac, ttc, c] = terms;
-            let mean = (WEIGHTS[0] * ttc + WEIGHTS[1] * c) / (WEIGHTS[0] + WEIGHTS[1]);
-            for (sum, term) in sums.iter_mut().zip([nc, dac, ttc, c, nc * dac * mean]) {
-                *sum += term;
-            }
+            sums.add([!collides, tick.on_road, is_off_course, comfort[index]]);
         }
+        sums.score(route_completion(episode))
+    }
+}
+
+/// Sums of the terms over moments or frames, and of their product.
+#[derive(Default)]
+pub(super) struct TermSums {
+    sums: [f64; 5],
+    count: f64,
+}
+
+impl TermSums {
+    /// Adds a moment: no collision, drivable area, time to collision, comfort.
+    pub(super) fn add(&mut self, terms: [bool; 4]) {
+        let [nc, dac, ttc, c] = terms.map(f64::from);
+        let mean = (WEIGHTS[0] * ttc + WEIGHTS[1] * c) / (WEIGHTS[0] + WEIGHTS[1]);
+        for (sum, term) in self.sums.iter_mut().zip([nc, dac, ttc, c, nc * dac * mean]) {
+            *sum += term;
+        }
+        self.count += 1.0;
+    }
+
+    /// True if no moment was added.
+    pub(super) fn is_empty(&self) -> bool {
+        self.count == 0.0
+    }
+
+    /// The score of an episode with these means.
+    pub(super) fn score(&self, route_completion: f64) -> HdScore {
         let [
             no_collision,
             drivable_area,
             time_to_collision,
             comfort,
             mean,
-        ] = sums.map(|sum| sum / ticks.len() as f64);
-        let route_completion = route_completion(episode);
-        Self {
+        ] = self.sums.map(|sum| sum / self.count);
+        HdScore {
             route_completion,
             no_collision,
             drivable_area,

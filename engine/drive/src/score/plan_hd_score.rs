@@ -13,7 +13,7 @@ use decouplegs_scene::VehicleState;
 use decouplegs_scene::episode::{Episode, EpisodeTick};
 use glam::DVec2;
 
-use super::hd_score::{AHEAD_S, HdScore, WEIGHTS};
+use super::hd_score::{AHEAD_MPS2, AHEAD_S, HdScore, TermSums, YAW_RADPS, YAW_RADPS2};
 use super::progress::route_completion;
 use crate::oriented_box::OrientedBox;
 
@@ -31,14 +31,8 @@ const CELLS: usize = 2;
 const PLACES: usize = 5;
 /// Share of cells with road below which a plan leaves it.
 const CELLS_SHARE: f64 = 0.3;
-/// Bounds of `score_calculator.py:20`: acceleration ahead, m/s^2.
-const AHEAD_MPS2: [f64; 2] = [-4.05, 2.40];
-/// Greatest jerk ahead, m/s^3.
+/// Greatest jerk ahead, m/s^3 (`score_calculator.py:20`, whose other bounds are those of nuPlan).
 const AHEAD_MPS3: f64 = 8.37;
-/// Greatest yaw rate, rad/s.
-const YAW_RADPS: f64 = 0.95;
-/// Greatest yaw acceleration, rad/s^2.
-const YAW_RADPS2: f64 = 1.93;
 
 /// A pose of a plan, world coordinates.
 #[derive(Clone, Copy, Debug)]
@@ -61,7 +55,7 @@ impl HdScore {
             half_length_m: 0.5 * size.length_m,
             half_width_m: 0.5 * size.width_m,
         };
-        let (mut frames, mut sums) = (0.0, [0.0; 5]);
+        let mut sums = TermSums::default();
         for step in &episode.steps {
             let Some(after) = step.instants.last() else {
                 continue;
@@ -95,38 +89,11 @@ impl HdScore {
                 .any(|ahead_s| collides(&|index| velocity(index) * *ahead_s));
             let keeps_road = is_road
                 .is_none_or(|is_road| poses.iter().all(|pose| is_on_road(&outline(pose), is_road)));
-            let terms = [
-                no_collision,
-                keeps_road,
-                keeps_distance,
-                is_comfortable(&poses),
-            ];
-            let [nc, dac, ttc, c] = terms.map(f64::from);
-            let mean = (WEIGHTS[0] * ttc + WEIGHTS[1] * c) / (WEIGHTS[0] + WEIGHTS[1]);
-            for (sum, term) in sums.iter_mut().zip([nc, dac, ttc, c, nc * dac * mean]) {
-                *sum += term;
-            }
-            frames += 1.0;
+            let comfort = is_comfortable(&poses);
+            sums.add([no_collision, keeps_road, keeps_distance, comfort]);
         }
-        if frames == 0.0 {
-            return None;
-        }
-        let [
-            no_collision,
-            drivable_area,
-            time_to_collision,
-            comfort,
-            mean,
-        ] = sums.map(|sum| sum / frames);
         let route_completion = (route_completion(episode) / ROUTE_SHARE).min(1.0);
-        Some(Self {
-            route_completion,
-            no_collision,
-            drivable_area,
-            time_to_collision,
-            comfort,
-            hd_score: route_completion * mean,
-        })
+        (!sums.is_empty()).then(|| sums.score(route_completion))
     }
 }
 

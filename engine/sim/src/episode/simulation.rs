@@ -200,8 +200,13 @@ impl Simulation {
     /// one.
     #[must_use]
     pub fn time_s(&self) -> f64 {
+        self.time_at(self.substep)
+    }
+
+    /// Time of the end of a sub-step, seconds.
+    fn time_at(&self, substep: u32) -> f64 {
         let (per_step, _) = self.scenario.substeps();
-        f64::from(self.substep) * self.scenario.step_s / f64::from(per_step)
+        f64::from(substep) * self.scenario.step_s / f64::from(per_step)
     }
 
     /// Reason of the end, if it has ended.
@@ -257,10 +262,8 @@ impl Simulation {
             match &self.recorded {
                 None => self.ego.step(substep_s),
                 Some(way) => {
-                    let (per_step, _) = self.scenario.substeps();
-                    let time_s =
-                        f64::from(self.substep + 1) * self.scenario.step_s / f64::from(per_step);
-                    let (state, yaw_rate_radps) = recorded_state(way, time_s);
+                    let (state, yaw_rate_radps) =
+                        recorded_state(way, self.time_at(self.substep + 1));
                     self.ego.move_to(state, yaw_rate_radps);
                 }
             }
