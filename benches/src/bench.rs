@@ -2,6 +2,7 @@
 //! it is.
 
 mod kernels;
+mod lidar;
 mod report;
 mod trace;
 mod trial;
@@ -96,6 +97,14 @@ pub struct Arguments {
     /// reference takes seconds to minutes for each
     #[arg(long, value_name = "N", default_value_t = 0)]
     error_cameras: usize,
+    /// Time sweeps of this LiDAR on the ego instead of frames: one of the scene, a model of the
+    /// program, or a file
+    #[arg(long, value_name = "NAME|FILE")]
+    lidar: Option<String>,
+    /// Measure the error in N beams of the sweep, evenly chosen from all: the f64 definition takes
+    /// a second for a few
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "lidar")]
+    error_beams: usize,
     /// Print what the driver says of each kernel: registers, shared memory, and the workgroups that
     /// fit a multiprocessor of 48 KB of shared memory
     #[arg(long)]
@@ -250,6 +259,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         arguments.error_cameras
     );
 
+    if let Some(name) = &arguments.lidar {
+        return lidar::run(name, &scene, arguments);
+    }
     if !arguments.trial.is_empty() {
         let figures = trial::run(&scene, arguments)?;
         return match &arguments.json {

@@ -24,6 +24,21 @@ pub struct Trial {
     folder: PathBuf,
 }
 
+impl Trial {
+    /// Name for a table.
+    pub fn label(&self) -> &str {
+        &self.label
+    }
+
+    /// The kernels of the folder.
+    ///
+    /// # Errors
+    /// Returns an error if a file cannot be read or is no kernel.
+    pub fn kernels(&self) -> Result<KernelTrial> {
+        Ok(KernelTrial::from_folder(&self.folder)?)
+    }
+}
+
 impl FromStr for Trial {
     type Err = String;
 
@@ -42,7 +57,7 @@ impl FromStr for Trial {
 }
 
 /// Name of the program's own kernels in tables.
-const PROGRAM: &str = "program";
+pub const PROGRAM: &str = "program";
 
 /// Times frames by the program's kernels and by those of each trial, in turn, and compares their
 /// images.
@@ -50,10 +65,7 @@ pub fn run(scene: &Scene, arguments: &Arguments) -> Result<Value> {
     let own = (PROGRAM.to_owned(), KernelTrial::default());
     let mut candidates = vec![own];
     for trial in &arguments.trial {
-        candidates.push((
-            trial.label.clone(),
-            KernelTrial::from_folder(&trial.folder)?,
-        ));
+        candidates.push((trial.label.clone(), trial.kernels()?));
     }
     let mut program_image = None;
     let mut rows: Vec<Value> = Vec::new();

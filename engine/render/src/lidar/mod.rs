@@ -11,7 +11,7 @@ mod traced;
 use std::sync::{Arc, OnceLock};
 
 use bytemuck::Pod;
-use decouplegs_gpu::{Buffer, DeviceKind, Gpu, GpuError, QueueRole, Recorder, Ticket};
+use decouplegs_gpu::{Buffer, DeviceKind, Gpu, GpuError, QueueRole, Recorder, StageTime, Ticket};
 use decouplegs_scene::lidar::{Beam, LidarCells, ReturnMode};
 use decouplegs_scene::{Lidar, LidarModel, Rules};
 use rayon::prelude::*;
@@ -91,6 +91,7 @@ pub struct LidarRenderer {
     buffers: Vec<(LidarRoom, LidarBuffers)>,
     /// Buffers that the host writes; `None` before the first sweep.
     written: Option<Written>,
+    stages_timed: bool,
 }
 
 /// Buffers that the host writes for a sweep.
@@ -103,6 +104,28 @@ struct Written {
 struct Walked {
     states: Vec<BeamState>,
     echoes: Vec<BeamEchoes>,
+}
+
+/// Time on the device that a sweep took.
+struct SweepTimes {
+    gpu_time_ns: u64,
+    /// Empty unless stages are timed.
+    stages: Vec<StageTime>,
+}
+
+impl SweepTimes {
+    /// Times of submissions, one after the other.
+    fn from_tickets(tickets: [&Ticket; 2]) -> Result<Self, GpuError> {
+        let mut times = Self {
+            gpu_time_ns: 0,
+            stages: Vec::new(),
+        };
+        for ticket in tickets {
+            times.gpu_time_ns += ticket.gpu_time_ns()?;
+            times.stages.extend(ticket.stage_times()?);
+        }
+        Ok(times)
+    }
 }
 
 /// Cell of each beam, where `beam_of_cell` says which beam a cell has. A beam without a cell has
@@ -147,6 +170,21 @@ impl LidarRenderer {
             capacity: None,
             buffers: Vec::new(),
             written: None,
+            stages_timed: false,
+        }
+    }
+
+    /// Times every stage of the sweeps from here on. Stages that are timed do not overlap.
+    pub fn time_stages(&mut self, timed: bool) {
+        self.stages_timed = timed;
+    }
+
+    /// A recorder for a part of a sweep.
+    fn recorder(&self) -> Recorder {
+        let recorder = self.gpu.record(QueueRole::Main);
+        match self.stages_timed {
+            true => recorder.time_stages(),
+            false => recorder,
         }
     }
 
@@ -214,14 +252,15 @@ impl LidarRenderer {
         let cell_of_beam = grid
             .cell_of_beam
             .get_or_init(|| cells_of_beams(&cut.beam_of_cell, grid.beams.len()));
-        let (walked, required, gpu_time_ns) = self.run(&input, cell_of_beam)?;
+        let (walked, required, times) = self.run(&input, cell_of_beam)?;
         Ok(TracedSweep {
             lidar: lidar.clone(),
             beams: grid.beams.clone(),
             states: walked.states,
             echoes: walked.echoes,
             required,
-            gpu_time_ns,
+            gpu_time_ns: times.gpu_time_ns,
+            stages: times.stages,
         })
     }
 
@@ -290,7 +329,7 @@ impl LidarRenderer {
         &mut self,
         input: &SweepInput<'_>,
         cell_of_beam: &[u32],
-    ) -> Result<(Walked, RequiredCounts, u64), RenderError> {
+    ) -> Result<(Walked, RequiredCounts, SweepTimes), RenderError> {
         self.build(input.variant)?;
         let splats = input.scene.gpu_scene.finest_clusters * CLUSTER_SPLATS
             + input.agents.as_ref().map_or(0, |list| list.splats);
@@ -307,11 +346,8 @@ impl LidarRenderer {
                 self.capacity = Some(capacity);
                 let (walked, walk) = self.walk(input, &buffers, &required, cell_of_beam)?;
                 self.buffers.push((room, buffers));
-                return Ok((
-                    walked,
-                    required,
-                    listed.gpu_time_ns()? + walk.gpu_time_ns()?,
-                ));
+                let times = SweepTimes::from_tickets([&listed, &walk])?;
+                return Ok((walked, required, times));
             }
             capacity = capacity.grown_to(&required, 0.25);
         }
@@ -354,7 +390,7 @@ impl LidarRenderer {
             counts: list.counts,
             static_lists: lists,
         });
-        let mut recorder = self.gpu.record(QueueRole::Main);
+        let mut recorder = self.recorder();
         recorder.stage("begin", |r| {
             sectors.copy(r);
             if let Some(list) = &input.agents {
@@ -423,7 +459,7 @@ impl LidarRenderer {
             DeviceKind::Cpu => ENTRIES_MAX_IN_SOFTWARE,
             _ => u32::MAX,
         };
-        let mut recorder = self.gpu.record(QueueRole::Main);
+        let mut recorder = self.recorder();
         recorder.stage("trace lidar", |r| {
             for window in 0..required.longest.div_ceil(entries_max).max(1) {
                 let first = window * entries_max;

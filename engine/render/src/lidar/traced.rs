@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use decouplegs_gpu::StageTime;
 use decouplegs_scene::lidar::{Beam, Echo, LidarReturn, ReturnMode, ReturnOptions};
 use decouplegs_scene::{Lidar, LidarSweep, random};
 
@@ -22,6 +23,9 @@ pub struct TracedSweep {
     pub required: RequiredCounts,
     /// Time on the device, nanoseconds.
     pub gpu_time_ns: u64,
+    /// Start and end of each stage; empty unless [`crate::LidarRenderer::time_stages`] asked for
+    /// them.
+    pub stages: Vec<StageTime>,
 }
 
 impl TracedSweep {
