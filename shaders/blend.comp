@@ -77,6 +77,7 @@ layout(set = 0, binding = 16, scalar) buffer partial_tiles_block { PartialTiles 
 
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; uint tiles_max; float contribution_scale; uint image_pixels; };
 
+#include "bit_list.glsl"
 #include "batch.glsl"
 #include "partial.glsl"
 #include "lane_pixels.glsl"
@@ -159,7 +160,7 @@ bool blend_share(inout LanePixels pixels, uint first_index, uint first, uint bat
         uint candidates = subgroupBroadcast(before, LANES - 1u);
         before -= count;
         for (uint done = 0u; done < candidates && open; done += ROUND) {
-            uint entry = 32u * first_word + record_of_rank(done + lane, bits, before);
+            uint entry = 32u * first_word + entry_of_rank(done + lane, bits, before);
             bool some = lane < ROUND && done + lane < candidates;
             Staged own = read_record(records[first + (some ? entry : 0u)], coarse_origin + tile_offset, mean_shift);
             own.tones.y = some ? own.tones.y : -1e3; // log2 of an alpha far below 1/255

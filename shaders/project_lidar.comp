@@ -46,6 +46,21 @@ layout(push_constant, scalar) uniform push_block {
 #include "sh_coding.glsl"
 #include "stored_dc.glsl"
 
+// Sectors with beams that may meet the cluster, as bits.
+shared uint reached_sectors;
+
+// Finds them, a thread each. Every thread of the workgroup calls it.
+void find_sectors(Cluster cluster, uint thread) {
+    if (thread == 0u) {
+        reached_sectors = 0u;
+    }
+    clear_words(thread);
+    if (thread < camera_count && any_cell(cluster_cells(cluster, cameras[thread], sectors[thread], 0.0))) {
+        atomicOr(reached_sectors, 1u << thread);
+    }
+    barrier();
+}
+
 int visible_rank(uint first_word, uint bit) {
     VISIBLE_RANK(visible_words, first_word, bit);
 }
@@ -82,19 +97,17 @@ void main() {
         }
         return;
     }
-    clear_words(thread);
-    Cluster cluster = clusters[cluster_index];
-    for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
-        Camera camera = cameras[camera_index];
-        Sector sector = sectors[camera_index];
-        if (splat_index >= splat_count || !any_cell(cluster_cells(cluster, camera, sector, 0.0))) {
-            continue;
-        }
+    find_sectors(clusters[cluster_index], thread);
+    if (splat_index < splat_count) {
+        vec3 mean_m = means_m[splat_index];
         float opacity;
         mat3 axes = load_axes(splat_index, opacity);
-        LidarSplat seen;
-        if (any_cell(see_from_lidar(camera, sector, means_m[splat_index], axes, opacity, vec3(0.0), seen))) {
-            set_visible(camera_index, thread);
+        for (uint sectors_left = reached_sectors; sectors_left != 0u; sectors_left &= sectors_left - 1u) {
+            uint camera_index = uint(findLSB(sectors_left));
+            LidarSplat seen;
+            if (any_cell(see_from_lidar(cameras[camera_index], sectors[camera_index], mean_m, axes, opacity, vec3(0.0), seen))) {
+                set_visible(camera_index, thread);
+            }
         }
     }
     store_words(cluster_index, thread);

@@ -39,6 +39,31 @@ layout(push_constant, scalar) uniform push_block {
 
 #include "visible_words.glsl"
 
+// Sectors with beams that may meet the cluster, as bits.
+shared uint reached_sectors;
+
+bool reaches_sector(Agent agent, uint agent_index, uint own_cluster, uint camera_index) {
+    Cluster cluster = asset_clusters[agent.first_bounds + own_cluster];
+    Camera camera = agent_cameras[agent_index * camera_count + camera_index];
+    float farthest_m = length(cluster.center_m) + length(cluster.half_extent_m);
+    float speed_mps = length(camera.frame_velocity_mps) + length(camera.frame_turn_rad_per_s) * farthest_m;
+    return any_cell(cluster_cells(cluster, camera, sectors[camera_index], speed_mps));
+}
+
+// Finds them, a thread each. Every thread of the workgroup calls it. Clusters behind the agent's
+// end only fill up their number: no box, no splats.
+void find_sectors(Agent agent, uint agent_index, uint own_cluster, uint thread) {
+    if (thread == 0u) {
+        reached_sectors = 0u;
+    }
+    clear_words(thread);
+    bool seen = thread < camera_count && (agent.cameras >> thread & 1u) != 0u && own_cluster * CLUSTER_SPLATS < agent.splat_count;
+    if (seen && reaches_sector(agent, agent_index, own_cluster, thread)) {
+        atomicOr(reached_sectors, 1u << thread);
+    }
+    barrier();
+}
+
 int visible_rank(uint first_word, uint bit) {
     VISIBLE_RANK(visible_words, first_word, bit);
 }
@@ -78,29 +103,18 @@ void main() {
         }
         return;
     }
-    clear_words(thread);
-    // Clusters behind the last agent's end only fill up their number: no box, no splats.
-    if (own_cluster * CLUSTER_SPLATS >= agent.splat_count) {
-        store_words(cluster_index, thread);
-        return;
-    }
-    Cluster cluster = asset_clusters[agent.first_bounds + own_cluster];
-    for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
-        if (own_splat >= agent.splat_count || (agent.cameras >> camera_index & 1u) == 0u) {
-            continue;
-        }
-        Camera camera = agent_cameras[agent_index * camera_count + camera_index];
-        Sector sector = sectors[camera_index];
-        float farthest_m = length(cluster.center_m) + length(cluster.half_extent_m);
-        float speed_mps = length(camera.frame_velocity_mps) + length(camera.frame_turn_rad_per_s) * farthest_m;
-        if (!any_cell(cluster_cells(cluster, camera, sector, speed_mps))) {
-            continue;
-        }
+    find_sectors(agent, agent_index, own_cluster, thread);
+    if (own_splat < agent.splat_count) {
         CodedSplat coded = unpack_splat(coded_splats[agent.first_splat + own_splat], agent);
-        LidarSplat seen;
-        vec3 turning_mps = cross(camera.frame_turn_rad_per_s, coded.mean_m);
-        if (any_cell(see_from_lidar(camera, sector, coded.mean_m, axes_of(agent, coded), coded.opacity, turning_mps, seen))) {
-            set_visible(camera_index, thread);
+        mat3 axes = axes_of(agent, coded);
+        for (uint sectors_left = reached_sectors; sectors_left != 0u; sectors_left &= sectors_left - 1u) {
+            uint camera_index = uint(findLSB(sectors_left));
+            Camera camera = agent_cameras[agent_index * camera_count + camera_index];
+            LidarSplat seen;
+            vec3 turning_mps = cross(camera.frame_turn_rad_per_s, coded.mean_m);
+            if (any_cell(see_from_lidar(camera, sectors[camera_index], coded.mean_m, axes, coded.opacity, turning_mps, seen))) {
+                set_visible(camera_index, thread);
+            }
         }
     }
     store_words(cluster_index, thread);

@@ -1,22 +1,34 @@
 #version 460
 // Beams of a LiDAR through their sorted splats: alpha compositing along exact rays.
 //
-// One workgroup per tile of 8 x 8 beams, one thread per beam. It walks the list of its coarse tile
-// in batches: each thread looks at the cells of one record, those that reach the tile are listed in
-// order, and each beam meets these. Long lists are walked in several dispatches: the state of each
-// beam is kept in between.
+// BEAM_LANES workgroups per fine tile of 8 x 8 beams, as many threads per beam. Subgroups work by
+// themselves. Their lanes look at the records whose bits list_lidar.comp has set for the tile, and
+// queue those that reach beams of the subgroup that have not ended. A full round of these is read,
+// a record a lane, and placed in shared memory. Ballots of the columns and rows that the records
+// reach tell each lane which of them may meet its beam. The lanes of a beam take these in turns,
+// and each of them adds up what all of them have met, in order. Long lists are walked in several
+// dispatches: the state of each beam is kept in between.
+//
+// What takes long is not the arithmetic but the longest list, which is walked one round after the
+// other: so many candidates are looked at together, and few beams share a subgroup.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_KHR_memory_scope_semantics : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+#extension GL_KHR_shader_subgroup_vote : require
 #include "frame.glsl"
 #include "footprint.glsl"
 #include "projection.glsl"
 
-const uint WORKGROUP_THREADS = 64u;
+const uint THREADS = 64u;
 layout(local_size_x = 64) in;
-#include "block.glsl"
 
+layout(constant_id = 5) const uint LANES = 32u;     // of a subgroup: 4 to 64
+layout(constant_id = 6) const uint BEAM_LANES = 1u; // of a beam: 1, 2, 4 or 8, and no more than LANES
 layout(constant_id = 2) const float ALPHA_MAX = 0.99;
 layout(constant_id = 21) const bool MOVING = false;
 layout(constant_id = 22) const bool ECHOES = false; // found for dual returns
@@ -25,6 +37,7 @@ layout(constant_id = 22) const bool ECHOES = false; // found for dual returns
 struct LidarBeam {
     vec3 direction; // sector axes at its time of firing; zero where the cell has no beam
     uint firing;    // index of its time of firing
+    uint index;     // among the beams of the sensor
 };
 
 // Sensor at a time of firing, relative to the middle of the sector.
@@ -62,7 +75,7 @@ struct BeamEchoes {
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first pair and length
-layout(set = 0, binding = 2, scalar) readonly buffer sorted_records_block { uint sorted_records[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer pairs_block { uvec2 pairs[]; }; // record and cells of each
 layout(set = 0, binding = 3, std430) readonly buffer footprints_block { uvec4 footprints[]; };
 layout(set = 0, binding = 4, scalar) readonly buffer looks_block { vec3 looks[]; };
 layout(set = 0, binding = 5, std430) readonly buffer lidar_shapes_block { vec4 lidar_shapes[]; };
@@ -70,7 +83,11 @@ layout(set = 0, binding = 6, scalar) readonly buffer beams_block { LidarBeam bea
 layout(set = 0, binding = 7, scalar) readonly buffer firings_block { Firing firings[]; };
 layout(set = 0, binding = 8, scalar) buffer states_block { BeamState states[]; };
 layout(set = 0, binding = 9, scalar) buffer echoes_block { BeamEchoes echoes[]; };
+layout(set = 0, binding = 10, scalar) readonly buffer tile_words_block { uint tile_words[]; };
+layout(set = 0, binding = 11, scalar) readonly buffer required_block { RequiredCounts required; };
 #include "camera_of_bin.glsl"
+#include "lidar_words.glsl"
+#include "bit_list.glsl"
 
 layout(push_constant, scalar) uniform push_block {
     uint camera_count;
@@ -78,6 +95,8 @@ layout(push_constant, scalar) uniform push_block {
     uint first_entry; // of each list that this dispatch walks
     uint entries_max;
     float range_min_m;
+    uint records_max;
+    uint pairs_max;
 };
 
 // A beam that has this little left ends.
@@ -86,7 +105,33 @@ const float TRANSMITTANCE_END = 1e-4;
 const float ECHO_SEPARATION_M = 0.6;
 const float ECHO_WEIGHT_MIN = 0.1;
 
-shared uint shared_records[WORKGROUP_THREADS];
+// Entries of a list after which it is looked whether a beam has ended. What a beam meets between its
+// end and that place is less than that; that the place is the same for every order of work keeps
+// sweeps the same.
+const uint BATCH = 64u;
+
+const uint ROUND = LANES < 32u ? LANES : 32u; // records that a subgroup meets together
+
+// Records that a subgroup's lanes have read, a place each: direction and distance of the mean; the
+// inverse factor and the velocity; log2 opacity, intensity, instance.
+shared vec4 place_toward[THREADS];
+shared vec4 place_x[THREADS];
+shared vec4 place_y[THREADS];
+shared vec4 place_look[THREADS];
+
+// Candidates that a lane looks at together: their reads overlap.
+const uint AHEAD = 4u;
+
+// Pairs whose records a subgroup meets next: less than a round that is left over, and those that
+// come.
+const uint QUEUE = ROUND + AHEAD * LANES;
+shared uint queue[THREADS / LANES * QUEUE];
+
+// What the subgroup's lanes have written to shared memory is seen by all of them. Reads of buffers
+// need not have come back.
+void wait_for_subgroup() {
+    controlBarrier(gl_ScopeSubgroup, gl_ScopeSubgroup, gl_StorageSemanticsShared, gl_SemanticsAcquireRelease);
+}
 
 // Adds a splat to the echoes of its beam.
 void add_to_echo(float weight, float range_m, float intensity, uint instance, inout BeamEchoes found) {
@@ -111,11 +156,19 @@ void add_to_echo(float weight, float range_m, float intensity, uint instance, in
     }
 }
 
-// Adds a splat to the beam with direction `direction`, fired at `firing`.
-void meet(uint record, vec3 direction, Firing firing, inout BeamState state, inout BeamEchoes found) {
-    vec4 toward = uintBitsToFloat(footprints[2u * record + 1u]);
-    vec4 x = lidar_shapes[3u * record];
-    vec4 y = lidar_shapes[3u * record + 1u];
+// What a beam meets of a splat; nothing where alpha is 0.
+struct Met {
+    float alpha;
+    float range_m;
+    vec2 look; // intensity, bits of the instance
+};
+
+// A placed splat, met by the beam with direction `direction`, fired at `firing`.
+Met meet(uint place, vec3 direction, Firing firing) {
+    vec4 toward = place_toward[place];
+    vec4 x = place_x[place];
+    vec4 y = place_y[place];
+    vec4 look = place_look[place];
     // Whitening: the inverse W of the triangular factor. W toward is W direction less the whitened
     // difference of the two, which is formed before it is whitened.
     mat3 whiten = mat3(x.x, x.y, x.z, 0.0, y.x, y.y, 0.0, 0.0, y.z);
@@ -125,45 +178,147 @@ void meet(uint record, vec3 direction, Firing firing, inout BeamState state, ino
     vec3 h = toward.w * a;
     vec3 across = toward.w * cross(a, b);
     if (MOVING) {
-        vec3 drift_mps = vec3(x.w, y.w, lidar_shapes[3u * record + 2u].x);
+        vec3 drift_mps = vec3(x.w, y.w, look.w);
         vec3 moved = whiten * (firing.time_s * drift_mps - firing.offset_m);
         h += moved;
         across += cross(moved, e);
     }
     float square = dot(e, e);
     float range_m = dot(e, h) / square;
-    vec3 look = looks[record];
     float exponent = look.x - HALF_LOG2_E * dot(across, across) / square;
-    if (!(exponent >= -LOG2_255) || !(range_m > range_min_m)) {
-        return;
+    bool met = exponent >= -LOG2_255 && range_m > range_min_m;
+    return Met(met ? min(exp2(exponent), ALPHA_MAX) : 0.0, met ? range_m : 0.0, look.yz);
+}
+
+// What lane `lane` of the subgroup has met, which is the splat at `place`.
+Met of_lane(Met mine, uint lane, uint place) {
+    if (BEAM_LANES == 1u) {
+        return mine;
     }
-    float alpha = min(exp2(exponent), ALPHA_MAX);
-    float weight = state.transmittance * alpha;
-    state.transmittance *= 1.0 - alpha;
-    state.range_sum_m += weight * range_m;
-    state.intensity_sum += weight * look.y;
-    uint instance = floatBitsToUint(look.z);
+    return Met(subgroupShuffle(mine.alpha, lane), subgroupShuffle(mine.range_m, lane), place_look[place].yz);
+}
+
+// Adds what was met to the beam.
+void add(Met met, inout BeamState state, inout BeamEchoes found) {
+    float intensity = met.look.x;
+    uint instance = floatBitsToUint(met.look.y);
+    float weight = state.transmittance * met.alpha;
+    state.transmittance *= 1.0 - met.alpha;
+    state.range_sum_m += weight * met.range_m;
+    state.intensity_sum += weight * intensity;
     if (state.median_m == 0.0 && state.transmittance <= 0.5) {
-        state.median_m = range_m;
+        state.median_m = met.range_m;
         state.instances = state.instances & 0xffff0000u | instance;
     }
     if (weight > state.strongest_weight) {
         state.strongest_weight = weight;
-        state.strongest_m = range_m;
+        state.strongest_m = met.range_m;
         state.instances = state.instances & 0xffffu | instance << 16u;
     }
-    if (ECHOES) {
-        add_to_echo(weight, range_m, look.y, instance, found);
+    if (ECHOES && met.alpha > 0.0) {
+        add_to_echo(weight, met.range_m, intensity, instance, found);
     }
+}
+
+// Beams of a subgroup, at most 8 in a row of the tile.
+const uint BEAMS = LANES / BEAM_LANES;
+const uint COLUMNS = BEAMS < FINE_TILE_PX ? BEAMS : FINE_TILE_PX;
+const uint ROWS = BEAMS < FINE_TILE_PX ? 1u : BEAMS / FINE_TILE_PX;
+
+// The beam of a lane, and what is known of those of its subgroup.
+struct Walk {
+    vec3 direction;
+    Firing firing;
+    BeamState state;
+    BeamEchoes found;
+    uvec2 beam;        // of the lane, from the subgroup's first column and row on
+    bool alive;        // the beam had not ended when the last batch began
+    uint last_batch;   // of the list, of the last record that was met
+    // Columns and rows of beams that had not ended when that batch began, and of those that have
+    // not ended now, as bits.
+    uvec2 alive_columns;
+    uvec2 alive_rows;
+};
+
+// Columns of beams that have not ended when the last batch began, and now; then rows.
+void find_alive(inout Walk walk) {
+    bool goes_on = walk.alive && walk.state.transmittance > TRANSMITTANCE_END;
+    walk.alive_columns = uvec2(subgroupOr(walk.alive ? 1u << walk.beam.x : 0u), subgroupOr(goes_on ? 1u << walk.beam.x : 0u));
+    walk.alive_rows = uvec2(subgroupOr(walk.alive ? 1u << walk.beam.y : 0u), subgroupOr(goes_on ? 1u << walk.beam.y : 0u));
+}
+
+// Bits of the numbers `first` to `last` that lie from `begin` on, less that, and below `count`.
+uint span(uint first, uint last, uint begin, uint count) {
+    int low = max(int(first) - int(begin), 0);
+    int high = min(int(last) - int(begin), int(count) - 1);
+    return low <= high ? (2u << high) - (1u << low) : 0u;
+}
+
+// Meets the records of `count` pairs of the queue from place `first` on, at most a round.
+// `in_coarse` is the subgroup's first beam in the coarse tile. Every lane calls it.
+void meet_queued(uint first, uint count, uint first_pair, uint first_place, uvec2 in_coarse, inout Walk walk) {
+    uint lane = gl_SubgroupInvocationID;
+    bool some = lane < count;
+    uint pair = queue[first + (some ? lane : 0u)];
+    uint batch = (pair - first_pair) / BATCH;
+    uvec2 queued = pairs[pair];
+    if (some) {
+        uint record = queued.x;
+        place_toward[first_place + lane] = uintBitsToFloat(footprints[2u * record + 1u]);
+        place_x[first_place + lane] = lidar_shapes[3u * record];
+        place_y[first_place + lane] = lidar_shapes[3u * record + 1u];
+        place_look[first_place + lane] = vec4(looks[record], MOVING ? lidar_shapes[3u * record + 2u].x : 0.0);
+    }
+    uvec4 cells = unpack_cells(queued.y);
+    uint own_columns = some ? span(cells.x, cells.y, in_coarse.x, COLUMNS) : 0u;
+    uint own_rows = some ? span(cells.z, cells.w, in_coarse.y, ROWS) : 0u;
+    uint columns = 0u;
+    [[unroll]] for (uint column = 0u; column < COLUMNS; ++column) {
+        uint bits = subgroupBallot((own_columns >> column & 1u) != 0u).x;
+        columns = walk.beam.x == column ? bits : columns;
+    }
+    uint rows = 0u;
+    [[unroll]] for (uint row = 0u; row < ROWS; ++row) {
+        uint bits = subgroupBallot((own_rows >> row & 1u) != 0u).x;
+        rows = walk.beam.y == row ? bits : rows;
+    }
+    // Records that are the first of their batch.
+    uint batch_before = subgroupShuffle(batch, max(lane, 1u) - 1u);
+    uint starts = subgroupBallot(some && batch != (lane == 0u ? walk.last_batch : batch_before)).x;
+    walk.last_batch = subgroupShuffle(batch, count - 1u);
+    wait_for_subgroup(); // the records are placed
+    uint meets = walk.alive ? columns & rows : 0u;
+    while (subgroupAny(meets != 0u)) {
+        uint own = meets;
+        for (uint skipped = 0u; skipped < lane % BEAM_LANES; ++skipped) {
+            own &= own - 1u;
+        }
+        Met mine = meet(first_place + (own != 0u ? uint(findLSB(own)) : 0u), walk.direction, walk.firing);
+        [[unroll]] for (uint turn = 0u; turn < BEAM_LANES; ++turn) {
+            bool has = meets != 0u;
+            uint at = has ? uint(findLSB(meets)) : 0u;
+            meets &= meets - 1u;
+            Met met = of_lane(mine, lane / BEAM_LANES * BEAM_LANES + turn, first_place + at);
+            uint passed = has ? starts & ((2u << at) - 1u) : 0u;
+            starts &= ~passed;
+            walk.alive = passed != 0u ? walk.state.transmittance > TRANSMITTANCE_END : walk.alive;
+            met.alpha = has && walk.alive ? met.alpha : 0.0;
+            add(met, walk.state, walk.found);
+        }
+        meets = walk.alive ? meets : 0u;
+    }
+    walk.alive = starts != 0u ? walk.alive && walk.state.transmittance > TRANSMITTANCE_END : walk.alive;
+    find_alive(walk);
+    wait_for_subgroup(); // they are read, and places may be written again
 }
 
 void main() {
     const uint TILES = COARSE_COLUMNS * COARSE_ROWS;
-    uint bin = group_index() / TILES;
-    if (bin >= bin_count) {
+    uint bin = group_index() / (TILES * BEAM_LANES);
+    if (bin >= bin_count || !lists_have_room(records_max, pairs_max)) {
         return;
     }
-    uint tile = group_index() % TILES;
+    uint tile = group_index() / BEAM_LANES % TILES;
     Camera camera = cameras[camera_of_bin(bin, camera_count)];
     uint coarse = bin - camera.first_bin;
     uvec2 corner = uvec2(coarse % camera.coarse_tiles.x, coarse / camera.coarse_tiles.x) * uvec2(COARSE_WIDTH_PX, COARSE_HEIGHT_PX)
@@ -171,64 +326,102 @@ void main() {
     if (any(greaterThanEqual(corner, camera.size_px))) {
         return;
     }
-    uint thread = block_thread();
-    uvec2 cell = corner + uvec2(thread % FINE_TILE_PX, thread / FINE_TILE_PX);
-    bool inside = all(lessThan(cell, camera.size_px));
-    uint index = camera.first_pixel + cell.y * camera.size_px.x + cell.x;
-    LidarBeam beam = LidarBeam(vec3(0.0), 0u);
-    BeamState state = BeamState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0u);
-    const Echo NONE = Echo(0.0, 0.0, 0.0, 0u);
-    BeamEchoes found = BeamEchoes(NONE, 0.0, NONE, NONE);
-    if (inside) {
-        beam = beams[index];
-        if (first_entry > 0u) {
-            state = states[index];
-            if (ECHOES) {
-                found = echoes[index];
-            }
-        } else {
-            state.transmittance = 1.0;
-        }
+    uint lane = gl_SubgroupInvocationID;
+    uint first_place = gl_SubgroupID * LANES;
+    uint first_index = group_index() % BEAM_LANES * (THREADS / BEAM_LANES) + first_place / BEAM_LANES;
+    uvec2 first_beam = uvec2(first_index % FINE_TILE_PX, first_index / FINE_TILE_PX); // of the subgroup, in the tile
+    uvec2 own_beam = uvec2(lane / BEAM_LANES % COLUMNS, lane / BEAM_LANES / COLUMNS);
+    uvec2 cell = corner + first_beam + own_beam;
+    LidarBeam beam = LidarBeam(vec3(0.0), 0u, 0u);
+    if (all(lessThan(cell, camera.size_px))) {
+        beam = beams[camera.first_pixel + cell.y * camera.size_px.x + cell.x];
     }
     bool real = beam.direction != vec3(0.0);
-    Firing firing = Firing(vec3(0.0), 0.0);
-    if (MOVING && real) {
-        firing = firings[beam.firing];
-    }
-    uvec2 list = tile_lists[bin];
-    uint end_entry = min(list.y, first_entry + entries_max);
-    vec4 tile_cells = vec4(corner.x, corner.x + FINE_TILE_PX - 1u, corner.y, corner.y + FINE_TILE_PX - 1u);
-    for (uint first = first_entry; first < end_entry; first += WORKGROUP_THREADS) {
-        uint record = 0u;
-        bool reached = false;
-        if (first + thread < end_entry) {
-            record = sorted_records[list.x + first + thread];
-            vec4 cells = uintBitsToFloat(footprints[2u * record]);
-            reached = cells.x <= tile_cells.y && cells.y >= tile_cells.x && cells.z <= tile_cells.w && cells.w >= tile_cells.z;
+    const Echo NONE = Echo(0.0, 0.0, 0.0, 0u);
+    Walk walk = Walk(beam.direction, Firing(vec3(0.0), 0.0), BeamState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0u), BeamEchoes(NONE, 0.0, NONE, NONE),
+                     own_beam, false, 0u, uvec2(0u), uvec2(0u));
+    if (real) {
+        if (MOVING) {
+            walk.firing = firings[beam.firing];
         }
-        bool alive = real && state.transmittance > TRANSMITTANCE_END;
-        // One sum for both: records in the low half, beams that go on in the high half.
-        uint total;
-        uint before = block_exclusive_sum((reached ? 1u : 0u) + (alive ? 0x10000u : 0u), total) & 0xffffu;
-        if (total >> 16u == 0u) {
-            break;
-        }
-        if (reached) {
-            shared_records[before] = record;
-        }
-        barrier();
-        uint count = total & 0xffffu;
-        for (uint i = 0u; i < count; ++i) {
-            if (alive) {
-                meet(shared_records[i], beam.direction, firing, state, found);
+        walk.state.transmittance = 1.0;
+        if (first_entry > 0u) {
+            walk.state = states[beam.index];
+            if (ECHOES) {
+                walk.found = echoes[beam.index];
             }
         }
-        barrier(); // the list is read to its end
+        walk.alive = walk.state.transmittance > TRANSMITTANCE_END;
     }
-    if (inside) {
-        states[index] = state;
+    find_alive(walk);
+    uvec2 in_coarse = uvec2(tile % COARSE_COLUMNS, tile / COARSE_COLUMNS) * FINE_TILE_PX + first_beam;
+    uvec2 list = tile_lists[bin];
+    uint first_pair = list.x + min(first_entry, list.y);
+    uint end_pair = first_pair + min(list.x + list.y - first_pair, entries_max);
+    uint end_word = (end_pair + 31u) / 32u;
+    uint first_queued = first_place / LANES * QUEUE;
+    uint queued = 0u;
+    bool open = walk.alive_columns.x != 0u;
+    for (uint first_word = first_pair / 32u; first_word < end_word && open; first_word += LANES) {
+        uint word = first_word + lane;
+        uint bits = word < end_word ? tile_words[place_of_word(word, bin, list, pairs_max) + tile] : 0u;
+        // Pairs of this window.
+        bits &= 32u * word < first_pair ? 0xffffffffu << (first_pair - 32u * word) : 0xffffffffu;
+        bits &= 32u * word + 32u > end_pair ? (1u << (end_pair - 32u * word)) - 1u : 0xffffffffu;
+        uint count = uint(bitCount(bits));
+        uint before = subgroupInclusiveAdd(count);
+        uint candidates = subgroupBroadcast(before, LANES - 1u);
+        before -= count;
+        for (uint done = 0u; done < candidates && open; done += AHEAD * LANES) {
+            uint found[AHEAD];
+            uint cells_of[AHEAD];
+            [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
+                uint rank = done + next * LANES + lane;
+                found[next] = 32u * first_word + entry_of_rank(rank < candidates ? rank : 0u, bits, before);
+                cells_of[next] = pairs[found[next]].y;
+            }
+            [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
+                uvec4 cells = unpack_cells(cells_of[next]);
+                bool later = (found[next] - first_pair) / BATCH != walk.last_batch;
+                uint columns = span(cells.x, cells.y, in_coarse.x, COLUMNS) & (later ? walk.alive_columns.y : walk.alive_columns.x);
+                uint rows = span(cells.z, cells.w, in_coarse.y, ROWS) & (later ? walk.alive_rows.y : walk.alive_rows.x);
+                bool needed = done + next * LANES + lane < candidates && columns != 0u && rows != 0u;
+                uvec4 all = subgroupBallot(needed);
+                if (needed) {
+                    queue[first_queued + queued + subgroupBallotExclusiveBitCount(all)] = found[next];
+                }
+                queued += subgroupBallotBitCount(all);
+            }
+            wait_for_subgroup(); // the queue is written
+            uint met = 0u;
+            for (; queued - met >= ROUND; met += ROUND) {
+                meet_queued(first_queued + met, ROUND, first_pair, first_place, in_coarse, walk);
+            }
+            // The rest moves to the front.
+            queued -= met;
+            if (met > 0u && lane < queued) {
+                queue[first_queued + lane] = queue[first_queued + met + lane];
+            }
+            wait_for_subgroup();
+            // What comes belongs to the batch of the last candidate or to later ones, and there
+            // only beams that have not ended go on.
+            uint last = min(candidates - done, AHEAD * LANES) - 1u;
+            uint last_pair = subgroupShuffle(found[0], last % LANES);
+            [[unroll]] for (uint next = 1u; next < AHEAD; ++next) {
+                uint pair = subgroupShuffle(found[next], last % LANES);
+                last_pair = last / LANES == next ? pair : last_pair;
+            }
+            bool same_batch = (last_pair - first_pair) / BATCH == walk.last_batch;
+            open = (same_batch ? walk.alive_columns.x : walk.alive_columns.y) != 0u;
+        }
+    }
+    if (queued > 0u) {
+        meet_queued(first_queued, queued, first_pair, first_place, in_coarse, walk);
+    }
+    if (real && lane % BEAM_LANES == 0u) {
+        states[beam.index] = walk.state;
         if (ECHOES) {
-            echoes[index] = found;
+            echoes[beam.index] = walk.found;
         }
     }
 }

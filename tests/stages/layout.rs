@@ -176,7 +176,11 @@ fn records_of_lidars() -> Vec<Record> {
             first_column,
             first_row
         }),
-        record!(BeamRecord { direction, firing }),
+        record!(BeamRecord {
+            direction,
+            firing,
+            index
+        }),
         record!(FiringRecord { offset_m, time_s }),
         record!(BeamState {
             transmittance,

@@ -6,11 +6,11 @@ use decouplegs::render::capacity::Capacity;
 use decouplegs::render::layout::{
     BeamEchoes, BeamState, COARSE_HEIGHT_PX, COARSE_WIDTH_PX, RequiredCounts, View,
 };
-use decouplegs::render::lidar::Sectors;
+use decouplegs::render::lidar::{SectorPlan, Sectors};
 use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
 use decouplegs::render::stages::{
-    LidarBuffers, LidarPass, LidarRoom, LidarVariant, ProjectLidar, Records, Scan, SectorBuffers,
-    TileSort, TraceLidar,
+    LidarBuffers, LidarPass, LidarRoom, LidarVariant, ListLidar, ProjectLidar, Records, Scan,
+    SectorBuffers, TileSort, TraceLidar,
 };
 use decouplegs::render::twins::lidar::{
     Cells, LidarConstants, LidarSplat, NO_CELLS, SLOPE_SLACK, SectorView, TwinBeam, meet,
@@ -43,6 +43,9 @@ struct Listed {
     shapes: Vec<[f32; 4]>,
     tile_lists: Vec<[u32; 2]>,
     sorted: Vec<u32>,
+    tile_words: Vec<u32>,
+    /// Room for pairs.
+    pairs_max: usize,
     states: Vec<BeamState>,
     echoes: Vec<BeamEchoes>,
     /// Splats as the device has them.
@@ -58,7 +61,8 @@ impl Listed {
 
     fn stored(gpu: &Validated, world: &SplatScene, lidar: &Lidar, storage: Storage) -> Self {
         let beams = lidar.model.beams();
-        let cut = Sectors::new(lidar, &beams, &lidar.model.cells(), 8);
+        let cells = lidar.model.cells();
+        let cut = Sectors::new(lidar, &beams, &cells, &SectorPlan::new(&beams, &cells, 8));
         let view = View::new(&cut.cameras, world.origin, 1e3).unwrap();
         let scene = GpuScene::upload(gpu, world, storage).unwrap();
         let mut sectors = SectorBuffers::new(gpu).unwrap();
@@ -70,7 +74,7 @@ impl Listed {
             tiles: 1,
         };
         let clusters = scene.cluster_count();
-        let room = LidarRoom::new(capacity, clusters, &view, true);
+        let room = LidarRoom::new(capacity, clusters, &view, beams.len(), true);
         let buffers = LidarBuffers::new(gpu, &room).unwrap();
         let variant = LidarVariant {
             instances: false,
@@ -78,10 +82,11 @@ impl Listed {
             dilation_rad: LIDAR_DILATION_RAD as f32,
             echoes: true,
             storage,
+            beam_lanes: 1,
         };
         let project = ProjectLidar::new(gpu, &world.rules, variant).unwrap();
         let (scan, tile_sort) = (Scan::new(gpu).unwrap(), TileSort::for_lidar(gpu).unwrap());
-        let trace = TraceLidar::new(gpu, &world.rules, variant).unwrap();
+        let list = ListLidar::new(gpu).unwrap();
         let mut recorder = gpu.record(QueueRole::Main);
         sectors.copy(&mut recorder);
         let (counters, lists) = (&buffers.counters, &buffers.lists);
@@ -112,13 +117,31 @@ impl Listed {
         gpu.submit(recorder, &[]).unwrap().wait().unwrap();
         let required: RequiredCounts = gpu.read(&counters.required).unwrap()[0];
         assert!(capacity.holds(&required), "{required:?}");
+        run(gpu, |r| list.record(r, &sectors, &buffers));
+        let longest = gpu.read(&counters.required).unwrap()[0].longest;
+        let tile_lists = gpu.read(&lists.tile_lists).unwrap();
+        assert_eq!(tile_lists.iter().map(|list| list[1]).max(), Some(longest));
         let range_min_m = lidar.model.range_m[0] as f32;
-        run(gpu, |r| {
-            // Two windows: the state between them is kept.
-            let cut = required.longest / 3;
-            trace.record(r, &sectors, &buffers, 0..cut, range_min_m);
-            trace.record(r, &sectors, &buffers, cut..u32::MAX, range_min_m);
-        });
+        let walk = |beam_lanes| {
+            let variant = LidarVariant {
+                beam_lanes,
+                ..variant
+            };
+            let trace = TraceLidar::new(gpu, &world.rules, variant).unwrap();
+            run(gpu, |r| {
+                // Two windows: the state between them is kept.
+                let cut = longest / 3;
+                trace.record(r, &sectors, &buffers, 0..cut, range_min_m);
+                trace.record(r, &sectors, &buffers, cut..u32::MAX, range_min_m);
+            });
+            let states = gpu.read(&buffers.states).unwrap();
+            (states, gpu.read(&buffers.echoes).unwrap())
+        };
+        let (states, echoes) = walk(1);
+        for beam_lanes in [2, 4] {
+            let same = walk(beam_lanes) == (states.clone(), echoes.clone());
+            assert!(same, "{beam_lanes} lanes of a beam find something else");
+        }
         let words = gpu.read(&buffers.visible.words).unwrap();
         let (mut splat_of_record, mut sector_of_record) = (vec![], vec![]);
         for sector in 0..sectors.count {
@@ -152,10 +175,12 @@ impl Listed {
             footprints: gpu.read(&buffers.projected.footprints).unwrap(),
             looks: gpu.read(&buffers.looks).unwrap(),
             shapes: gpu.read(&buffers.shapes).unwrap(),
-            tile_lists: gpu.read(&lists.tile_lists).unwrap(),
+            tile_lists,
             sorted: gpu.read(&lists.sorted_records).unwrap(),
-            states: gpu.read(&buffers.states).unwrap(),
-            echoes: gpu.read(&buffers.echoes).unwrap(),
+            tile_words: gpu.read(&buffers.tile_words).unwrap(),
+            pairs_max: capacity.pairs,
+            states,
+            echoes,
             beams,
             cut,
             view,
@@ -205,9 +230,9 @@ impl Listed {
             let [columns, rows] = camera.size_px.map(|size| size as usize);
             for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |c| (row, c))) {
                 let index = camera.first_pixel as usize + row * columns + column;
-                let beam = self.cut.beam_of_cell[index];
-                if let Some(found) = cells.get_mut(beam as usize) {
-                    *found = [sector, column, row, index];
+                let beam = self.cut.tables.beams[index];
+                if beam.direction != [0.0; 3] {
+                    cells[beam.index as usize] = [sector, column, row, index];
                 }
             }
         }
@@ -331,6 +356,50 @@ fn records_are_those_of_the_twin() {
 }
 
 #[test]
+fn words_of_fine_tiles_are_those_that_the_records_reach() {
+    let gpu = open();
+    let world = surroundings(1500, 14);
+    for (what, model) in models() {
+        let listed = Listed::new(&gpu, &world, &lidar_at(model, DVec3::ZERO, Motion::REST));
+        let (mut shared_words, mut set, mut unset) = (0, 0, 0);
+        for camera in &listed.view.cameras {
+            let [columns, rows] = camera.coarse_tiles;
+            for coarse in 0..columns * rows {
+                let bin = (camera.first_bin + coarse) as usize;
+                let [first, count] = listed.tile_lists[bin].map(|value| value as usize);
+                let corner = [
+                    coarse % columns * COARSE_WIDTH_PX,
+                    coarse / columns * COARSE_HEIGHT_PX,
+                ];
+                for pair in first..first + count {
+                    let word = pair / 32;
+                    let whole = 32 * word + 31 < first + count;
+                    shared_words += usize::from(32 * word < first || !whole);
+                    let place = match whole {
+                        true => word,
+                        false => listed.pairs_max.div_ceil(32) + bin,
+                    };
+                    let [left, right, top, bottom] = listed.cells(listed.sorted[pair] as usize);
+                    for tile in 0..32 {
+                        let [x, y] = [corner[0] + tile % 8 * 8, corner[1] + tile / 8 * 8]
+                            .map(|corner| corner as i32);
+                        let reaches = left <= x + 7 && right >= x && top <= y + 7 && bottom >= y;
+                        let bits = listed.tile_words[32 * place + tile as usize];
+                        let found = bits >> (pair % 32) & 1 == 1;
+                        assert_eq!(found, reaches, "{what}: pair {pair}, tile {tile} of {bin}");
+                        (set, unset) = (set + usize::from(found), unset + usize::from(!found));
+                    }
+                }
+            }
+        }
+        assert!(
+            shared_words > 0 && set > 1000 && unset > 1000,
+            "{what}: {shared_words} pairs in shared words, {set} bits set, {unset} not"
+        );
+    }
+}
+
+#[test]
 fn beams_meet_their_lists_as_the_twin_does() {
     let gpu = open();
     for motion in [Motion::REST, driving()] {
@@ -368,7 +437,7 @@ fn beams_meet_their_lists_as_the_twin_does() {
                     let look = (intensity, instance.to_bits());
                     meet(&splat, look, &traced, (&mut twin, &mut echoes));
                 }
-                let kernel = listed.states[cell[3]];
+                let kernel = listed.states[beam.index as usize];
                 let near = |a: f32, b: f32| (a - b).abs() <= 1e-3 + 1e-4 * b.abs();
                 assert!(
                     near(kernel.transmittance, twin.transmittance)
@@ -379,7 +448,7 @@ fn beams_meet_their_lists_as_the_twin_does() {
                     "{what}, cell {cell:?}: {kernel:?}, the twin {twin:?}"
                 );
                 medians += usize::from(twin.median_m > 0.0);
-                let of_kernel = listed.echoes[cell[3]];
+                let of_kernel = listed.echoes[beam.index as usize];
                 let records = |found: &BeamEchoes| [found.open, found.strongest, found.last];
                 for (a, b) in records(&of_kernel).into_iter().zip(records(&echoes)) {
                     assert!(

@@ -12,6 +12,7 @@ const KERNELS_OF_A_STAGE: &[(&str, &str)] = &[
     ("project_agents", "agents"),
     ("project_lidar", "lidar"),
     ("project_lidar_agents", "lidar"),
+    ("list_lidar", "lidar"),
     ("trace_lidar", "lidar"),
     ("plan_lists", "tile_sort"),
     ("count_pairs", "tile_sort"),

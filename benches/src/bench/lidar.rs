@@ -242,11 +242,7 @@ fn truth(scene: &Scene, subject: &Subject, beams: &[Beam]) -> Vec<BeamHit64> {
         },
         motion: Motion::REST,
     };
-    let decoded: Vec<_> = loaded
-        .assets
-        .iter()
-        .map(|asset| asset.decoded(0))
-        .collect();
+    let decoded: Vec<_> = loaded.assets.iter().map(|asset| asset.decoded(0)).collect();
     let agents = loaded.agents.iter().filter_map(|agent| {
         Some(SplatGroup {
             splats: &decoded[agent.asset],

@@ -27,6 +27,8 @@ pub struct BeamRecord {
     pub direction: [f32; 3],
     /// Index of the time of firing.
     pub firing: u32,
+    /// Index among the beams of the sensor.
+    pub index: u32,
 }
 
 /// `Firing` of `trace_lidar.comp`.

@@ -8,7 +8,8 @@
 mod sectors;
 mod traced;
 
-use std::sync::{Arc, OnceLock};
+use std::ops::Range;
+use std::sync::Arc;
 
 use bytemuck::Pod;
 use decouplegs_gpu::{Buffer, DeviceKind, Gpu, GpuError, QueueRole, Recorder, StageTime, Ticket};
@@ -22,12 +23,12 @@ use crate::capacity::Capacity;
 use crate::layout::{BeamEchoes, BeamState, CAMERAS_MAX, CLUSTER_SPLATS, RequiredCounts, View};
 use crate::staged_agents::StagedAgents;
 use crate::stages::{
-    AgentBuffers, LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ProjectLidar,
-    ProjectLidarAgents, Records, Scan, SectorBuffers, SectorTables, TileSort, TileSortBuffers,
-    TraceLidar,
+    AgentBuffers, LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ListLidar,
+    ProjectLidar, ProjectLidarAgents, Records, Scan, SectorBuffers, SectorTables, TileSort,
+    TileSortBuffers, TraceLidar, beam_lanes,
 };
 
-pub use sectors::Sectors;
+pub use sectors::{SectorPlan, Sectors};
 pub use traced::TracedSweep;
 
 /// Sweeps that may outgrow their buffers in a row.
@@ -68,8 +69,7 @@ struct Grid {
     model: Arc<LidarModel>,
     beams: Arc<[Beam]>,
     cells: LidarCells,
-    /// Cell of each beam in the order of the sectors, known from the first sweep on.
-    cell_of_beam: OnceLock<Vec<u32>>,
+    plan: SectorPlan,
 }
 
 /// Models whose grids a renderer keeps.
@@ -84,7 +84,7 @@ pub struct LidarRenderer {
     gpu: Gpu,
     options: LidarOptions,
     stages: Vec<LidarStages>,
-    common: Option<(Scan, TileSort)>,
+    common: Option<(Scan, TileSort, ListLidar)>,
     grids: Vec<Arc<Grid>>,
     capacity: Option<Capacity>,
     /// Buffers of earlier sweeps, the last ones last.
@@ -115,7 +115,7 @@ struct SweepTimes {
 
 impl SweepTimes {
     /// Times of submissions, one after the other.
-    fn from_tickets(tickets: [&Ticket; 2]) -> Result<Self, GpuError> {
+    fn from_tickets(tickets: &[Ticket]) -> Result<Self, GpuError> {
         let mut times = Self {
             gpu_time_ns: 0,
             stages: Vec::new(),
@@ -128,29 +128,16 @@ impl SweepTimes {
     }
 }
 
-/// Cell of each beam, where `beam_of_cell` says which beam a cell has. A beam without a cell has
-/// one that is not there.
-fn cells_of_beams(beam_of_cell: &[u32], beams: usize) -> Vec<u32> {
-    let mut cells = vec![u32::MAX; beams];
-    for (cell, &beam) in (0_u32..).zip(beam_of_cell) {
-        if let Some(of_beam) = cells.get_mut(beam as usize) {
-            *of_beam = cell;
-        }
-    }
-    cells
-}
-
-/// Values by beam of a buffer that has them by cell.
-fn by_beam<T: Pod + Default + Send + Sync>(values: &Buffer<T>, cell_of_beam: &[u32]) -> Vec<T> {
-    values.with_host(values.len(), |values| {
-        let of_beam = |&cell: &u32| values.get(cell as usize).copied().unwrap_or_default();
-        cell_of_beam.par_iter().map(of_beam).collect()
-    })
+/// Values of a buffer of the host, copied on all threads: most of a copy of this size is the
+/// system's handing out of memory.
+fn read<T: Pod + Send + Sync>(values: &Buffer<T>) -> Vec<T> {
+    values.with_host(values.len(), |values| values.par_iter().copied().collect())
 }
 
 /// A sweep that is being traced.
 struct SweepInput<'a> {
     scene: Scene<'a>,
+    beams: usize,
     view: View,
     agents: Option<AgentList>,
     variant: LidarVariant,
@@ -220,8 +207,7 @@ impl LidarRenderer {
             agent.motion.check().map_err(of_agent)?;
         }
         let grid = self.grid_of(&lidar.model);
-        let count = self.options.sectors.clamp(1, CAMERAS_MAX);
-        let cut = Sectors::new(lidar, &grid.beams, &grid.cells, count);
+        let cut = Sectors::new(lidar, &grid.beams, &grid.cells, &grid.plan);
         let origin = scene.gpu_scene.origin;
         let from_origin = |camera: &decouplegs_scene::Camera| {
             (camera.world_from_camera.translation - origin).length()
@@ -240,19 +226,18 @@ impl LidarRenderer {
             dilation_rad: self.options.rules.lidar_dilation_rad as f32,
             echoes: mode == ReturnMode::Dual,
             storage: scene.gpu_scene.storage,
+            beam_lanes: beam_lanes(&self.gpu, grid.beams.len()),
         };
         self.write(&view, &cut.tables, list.as_ref())?;
         let input = SweepInput {
+            beams: grid.beams.len(),
             agents: list,
             variant,
             range_min_m: lidar.model.range_m[0] as f32,
             scene,
             view,
         };
-        let cell_of_beam = grid
-            .cell_of_beam
-            .get_or_init(|| cells_of_beams(&cut.beam_of_cell, grid.beams.len()));
-        let (walked, required, times) = self.run(&input, cell_of_beam)?;
+        let (walked, required, times) = self.run(&input)?;
         Ok(TracedSweep {
             lidar: lidar.clone(),
             beams: grid.beams.clone(),
@@ -270,11 +255,13 @@ impl LidarRenderer {
         if let Some(grid) = kept.find(|grid| Arc::ptr_eq(&grid.model, model)) {
             return grid.clone();
         }
+        let (beams, cells) = (model.beams(), model.cells());
+        let count = self.options.sectors.clamp(1, CAMERAS_MAX);
         let grid = Arc::new(Grid {
             model: model.clone(),
-            beams: model.beams().into(),
-            cells: model.cells(),
-            cell_of_beam: OnceLock::new(),
+            plan: SectorPlan::new(&beams, &cells, count),
+            beams: beams.into(),
+            cells,
         });
         if self.grids.len() >= GRIDS_MAX {
             self.grids.remove(0);
@@ -311,7 +298,8 @@ impl LidarRenderer {
     fn build(&mut self, variant: LidarVariant) -> Result<(), RenderError> {
         let (gpu, rules) = (&self.gpu, &self.options.rules);
         if self.common.is_none() {
-            self.common = Some((Scan::new(gpu)?, TileSort::for_lidar(gpu)?));
+            let lists = TileSort::for_lidar(gpu)?;
+            self.common = Some((Scan::new(gpu)?, lists, ListLidar::new(gpu)?));
         }
         if !self.stages.iter().any(|built| built.variant == variant) {
             self.stages.push(LidarStages {
@@ -328,7 +316,6 @@ impl LidarRenderer {
     fn run(
         &mut self,
         input: &SweepInput<'_>,
-        cell_of_beam: &[u32],
     ) -> Result<(Walked, RequiredCounts, SweepTimes), RenderError> {
         self.build(input.variant)?;
         let splats = input.scene.gpu_scene.finest_clusters * CLUSTER_SPLATS
@@ -339,14 +326,22 @@ impl LidarRenderer {
             None => Capacity::guess(splats, input.view.cameras.len()),
         };
         for _ in 0..ATTEMPTS_MAX {
-            let room = LidarRoom::new(capacity, clusters, &input.view, input.variant.echoes);
+            let echoes = input.variant.echoes;
+            let room = LidarRoom::new(capacity, clusters, &input.view, input.beams, echoes);
             let buffers = self.buffers_of(&room)?;
-            let (listed, required) = self.list(input, &buffers)?;
+            let tickets = self.submit(input, &buffers)?;
+            let times = SweepTimes::from_tickets(&tickets)?;
+            let required = buffers.found_required.read_host()[0];
             if capacity.holds(&required) {
                 self.capacity = Some(capacity);
-                let (walked, walk) = self.walk(input, &buffers, &required, cell_of_beam)?;
+                let walked = Walked {
+                    states: read(&buffers.found_states),
+                    echoes: match echoes {
+                        true => read(&buffers.found_echoes),
+                        false => Vec::new(),
+                    },
+                };
                 self.buffers.push((room, buffers));
-                let times = SweepTimes::from_tickets([&listed, &walk])?;
                 return Ok((walked, required, times));
             }
             capacity = capacity.grown_to(&required, 0.25);
@@ -355,6 +350,36 @@ impl LidarRenderer {
             attempts: ATTEMPTS_MAX,
             required: format!("{capacity:?}"),
         })
+    }
+
+    /// Submits the sweep and waits for it. Without room nothing is walked. Lists are walked in one
+    /// dispatch with them, but on a software device, where their lengths have to be known before.
+    fn submit(
+        &self,
+        input: &SweepInput<'_>,
+        buffers: &LidarBuffers,
+    ) -> Result<Vec<Ticket>, RenderError> {
+        let mut recorder = self.recorder();
+        self.list(&mut recorder, input, buffers);
+        let mut tickets = Vec::new();
+        let mut window = u32::MAX;
+        let mut longest = 1;
+        if self.gpu.info().kind == DeviceKind::Cpu {
+            tickets.push(self.gpu.submit(recorder, &self.added(input))?);
+            tickets[0].wait()?;
+            longest = buffers.found_required.read_host()[0].longest;
+            window = ENTRIES_MAX_IN_SOFTWARE;
+            recorder = self.recorder();
+        }
+        let windows: Vec<Range<u32>> = (0..longest.max(1))
+            .step_by(window as usize)
+            .map(|first| first..first.saturating_add(window))
+            .collect();
+        self.walk(&mut recorder, input, buffers, &windows);
+        let walked = self.gpu.submit(recorder, &self.added(input))?;
+        walked.wait()?;
+        tickets.push(walked);
+        Ok(tickets)
     }
 
     /// Buffers of `room`: those of an earlier sweep, or new ones in place of the oldest.
@@ -371,13 +396,9 @@ impl LidarRenderer {
         LidarBuffers::new(&self.gpu, room)
     }
 
-    /// Makes the sorted lists of coarse tiles; returns what they needed.
-    fn list(
-        &self,
-        input: &SweepInput<'_>,
-        buffers: &LidarBuffers,
-    ) -> Result<(Ticket, RequiredCounts), RenderError> {
-        let (Some((scan, tile_sort)), Some(stages), Some(written)) =
+    /// Records the sorted lists of coarse and fine tiles, and the copy of what they needed.
+    fn list(&self, recorder: &mut Recorder, input: &SweepInput<'_>, buffers: &LidarBuffers) {
+        let (Some((scan, tile_sort, list_lidar)), Some(stages), Some(written)) =
             (&self.common, self.stages_of(input.variant), &self.written)
         else {
             unreachable!("build and write were called")
@@ -390,7 +411,6 @@ impl LidarRenderer {
             counts: list.counts,
             static_lists: lists,
         });
-        let mut recorder = self.recorder();
         recorder.stage("begin", |r| {
             sectors.copy(r);
             if let Some(list) = &input.agents {
@@ -431,58 +451,35 @@ impl LidarRenderer {
             other_keys: &buffers.projected.keys,
         };
         let counters = &buffers.counters;
-        tile_sort.record(
-            &mut recorder,
-            counters,
-            records,
-            &buffers.lists,
-            sectors.bins,
-        );
+        tile_sort.record(recorder, counters, records, &buffers.lists, sectors.bins);
+        recorder.stage("list lidar", |r| list_lidar.record(r, sectors, buffers));
         recorder.copy(&counters.required, 0, &buffers.found_required, 0, 1);
-        let ticket = self.gpu.submit(recorder, &self.added(input))?;
-        ticket.wait()?;
-        Ok((ticket, buffers.found_required.read_host()[0]))
     }
 
-    /// Walks the lists; returns what each beam found.
+    /// Records the walk over `windows` of the lists, and the copies of what beams found.
     fn walk(
         &self,
+        recorder: &mut Recorder,
         input: &SweepInput<'_>,
         buffers: &LidarBuffers,
-        required: &RequiredCounts,
-        cell_of_beam: &[u32],
-    ) -> Result<(Walked, Ticket), RenderError> {
+        windows: &[Range<u32>],
+    ) {
         let (Some(stages), Some(written)) = (self.stages_of(input.variant), &self.written) else {
             unreachable!("build and write were called")
         };
-        let entries_max = match self.gpu.info().kind {
-            DeviceKind::Cpu => ENTRIES_MAX_IN_SOFTWARE,
-            _ => u32::MAX,
-        };
-        let mut recorder = self.recorder();
         recorder.stage("trace lidar", |r| {
-            for window in 0..required.longest.div_ceil(entries_max).max(1) {
-                let first = window * entries_max;
-                let entries = first..first.saturating_add(entries_max);
+            for entries in windows {
                 let (sectors, trace) = (&written.sectors, &stages.trace);
-                trace.record(r, sectors, buffers, entries, input.range_min_m);
+                trace.record(r, sectors, buffers, entries.clone(), input.range_min_m);
             }
         });
-        let cells = buffers.states.len();
-        recorder.copy(&buffers.states, 0, &buffers.found_states, 0, cells);
-        if input.variant.echoes {
-            recorder.copy(&buffers.echoes, 0, &buffers.found_echoes, 0, cells);
-        }
-        let ticket = self.gpu.submit(recorder, &[])?;
-        ticket.wait()?;
-        let walked = Walked {
-            states: by_beam(&buffers.found_states, cell_of_beam),
-            echoes: match input.variant.echoes {
-                true => by_beam(&buffers.found_echoes, cell_of_beam),
-                false => Vec::new(),
-            },
-        };
-        Ok((walked, ticket))
+        let beams = buffers.states.len();
+        recorder.stage("copy lidar", |r| {
+            r.copy(&buffers.states, 0, &buffers.found_states, 0, beams);
+            if input.variant.echoes {
+                r.copy(&buffers.echoes, 0, &buffers.found_echoes, 0, beams);
+            }
+        });
     }
 
     fn stages_of(&self, variant: LidarVariant) -> Option<&LidarStages> {

@@ -19,37 +19,34 @@ const SPAN_MAX_RAD: f64 = 5.5;
 /// Rounding of the way of the sensor, at most, meters.
 const ROUNDING_M: f64 = 1e-5;
 
-/// Sectors of one sweep.
+/// What the sectors of all sweeps of a model have in common.
 #[derive(Clone, Debug)]
-pub struct Sectors {
-    /// A camera per sector, whose pose is the sector's axes in the middle of its time, and whose
-    /// image is its grid.
-    pub cameras: Vec<Camera>,
-    /// Middle of each sector's time after the start of the sweep, seconds.
-    pub times_s: Vec<f64>,
-    /// Tables of the kernels.
-    pub tables: SectorTables,
-    /// Beam of each cell, in the order of [`SectorTables::beams`].
-    pub beam_of_cell: Vec<u32>,
+pub struct SectorPlan {
+    sectors: Vec<PlannedSector>,
 }
 
-/// One sector by itself.
-struct Sector {
-    camera: Camera,
-    time_s: f64,
-    record: SectorRecord,
-    column_bounds: Vec<[f32; 2]>,
-    row_bounds: Vec<[f32; 2]>,
-    beams: Vec<BeamRecord>,
-    firings: Vec<FiringRecord>,
-    beam_of_cell: Vec<u32>,
+/// One sector of a plan.
+#[derive(Clone, Debug)]
+struct PlannedSector {
+    /// Columns of the grid.
+    columns: Range<usize>,
+    /// First and last time of firing, seconds after the start of the sweep.
+    time_s: [f64; 2],
+    /// Lowest and highest azimuth, radians.
+    azimuth_rad: [f64; 2],
+    /// Times of firing, each once.
+    times_s: Vec<f64>,
+    /// Times of firing of the sectors before.
+    first_firing: u32,
+    /// Index in `times_s` of each cell, `[column][row]`; [`NO_BEAM`] where it has no beam.
+    firings: Vec<u32>,
 }
 
-impl Sectors {
-    /// Cuts the sweep of `lidar`, whose beams and grid are given, into `count` sectors or fewer.
-    /// Explicit rays always become as many sectors as a sweep can have.
+impl SectorPlan {
+    /// The grid `cells` of `beams`, cut into `count` sectors or fewer. Explicit rays always become
+    /// as many sectors as a sweep can have.
     #[must_use]
-    pub fn new(lidar: &Lidar, beams: &[Beam], cells: &LidarCells, count: usize) -> Self {
+    pub fn new(beams: &[Beam], cells: &LidarCells, count: usize) -> Self {
         let blocks = cells.blocks.len();
         let pieces = match blocks {
             1 => count,
@@ -63,17 +60,98 @@ impl Sectors {
             (0..pieces).map(move |piece| at(piece)..at(piece + 1))
         };
         let pieces: Vec<Range<usize>> = cells.blocks.iter().zip(ends).flat_map(cut).collect();
-        let sector = |columns: &Range<usize>| Sector::new(lidar, beams, cells, columns.clone());
-        let sectors: Vec<Sector> = pieces.par_iter().filter_map(sector).collect();
+        let sector = |columns: &Range<usize>| PlannedSector::new(beams, cells, columns.clone());
+        let mut sectors: Vec<PlannedSector> = pieces.par_iter().filter_map(sector).collect();
+        let mut first_firing = 0;
+        for sector in &mut sectors {
+            sector.first_firing = first_firing;
+            first_firing += sector.times_s.len() as u32;
+        }
+        Self { sectors }
+    }
+}
+
+impl PlannedSector {
+    /// The sector of `columns`; `None` where they have no beam.
+    fn new(beams: &[Beam], cells: &LidarCells, columns: Range<usize>) -> Option<Self> {
+        let by_column = &cells.beams[columns.start * cells.rows..columns.end * cells.rows];
+        let of_cell = |cell: u32| (cell != NO_BEAM).then(|| &beams[cell as usize]);
+        let filled = || by_column.iter().filter_map(|&cell| of_cell(cell));
+        let first = *filled().next()?;
+        let mut known: HashMap<u64, u32> = HashMap::new();
+        let mut times_s = Vec::new();
+        let mut firing = |beam: &Beam| {
+            *known.entry(beam.time_s.to_bits()).or_insert_with(|| {
+                times_s.push(beam.time_s);
+                times_s.len() as u32 - 1
+            })
+        };
+        let firings = by_column
+            .iter()
+            .map(|&cell| of_cell(cell).map_or(NO_BEAM, &mut firing))
+            .collect();
+        Some(Self {
+            columns,
+            time_s: [
+                times_s.iter().copied().fold(f64::INFINITY, f64::min),
+                times_s.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+            ],
+            azimuth_rad: azimuths(&first, filled()),
+            times_s,
+            first_firing: 0,
+            firings,
+        })
+    }
+}
+
+/// Sectors of one sweep.
+#[derive(Clone, Debug)]
+pub struct Sectors {
+    /// A camera per sector, whose pose is the sector's axes in the middle of its time, and whose
+    /// image is its grid.
+    pub cameras: Vec<Camera>,
+    /// Middle of each sector's time after the start of the sweep, seconds.
+    pub times_s: Vec<f64>,
+    /// Tables of the kernels.
+    pub tables: SectorTables,
+}
+
+/// One sector by itself.
+struct Sector {
+    camera: Camera,
+    time_s: f64,
+    record: SectorRecord,
+    column_bounds: Vec<[f32; 2]>,
+    row_bounds: Vec<[f32; 2]>,
+    firings: Vec<FiringRecord>,
+}
+
+impl Sectors {
+    /// The sectors of the sweep of `lidar`, whose beams, grid and plan are given.
+    #[must_use]
+    pub fn new(lidar: &Lidar, beams: &[Beam], cells: &LidarCells, plan: &SectorPlan) -> Self {
+        let sizes = || {
+            let sectors = plan.sectors.iter();
+            sectors.map(|sector| sector.firings.len())
+        };
+        let mut records = vec![BeamRecord::default(); sizes().sum()];
+        let mut rest = &mut records[..];
+        let of_sectors: Vec<&mut [BeamRecord]> = sizes()
+            .map(|size| rest.split_off_mut(..size).expect("sizes add up"))
+            .collect();
+        let sectors: Vec<Sector> = (plan.sectors.par_iter().zip(of_sectors))
+            .map(|(planned, records)| Sector::new(lidar, beams, cells, planned, records))
+            .collect();
         let mut all = Self {
             cameras: Vec::new(),
             times_s: Vec::new(),
-            tables: SectorTables::default(),
-            beam_of_cell: Vec::new(),
+            tables: SectorTables {
+                beams: records,
+                ..SectorTables::default()
+            },
         };
         for sector in sectors {
             let tables = &mut all.tables;
-            let first_firing = tables.firings.len() as u32;
             tables.sectors.push(SectorRecord {
                 first_column: tables.column_bounds.len() as u32,
                 first_row: tables.row_bounds.len() as u32,
@@ -82,13 +160,6 @@ impl Sectors {
             tables.column_bounds.extend(sector.column_bounds);
             tables.row_bounds.extend(sector.row_bounds);
             tables.firings.extend(sector.firings);
-            tables
-                .beams
-                .extend(sector.beams.iter().map(|beam| BeamRecord {
-                    firing: beam.firing + first_firing,
-                    ..*beam
-                }));
-            all.beam_of_cell.extend(sector.beam_of_cell);
             all.cameras.push(sector.camera);
             all.times_s.push(sector.time_s);
         }
@@ -97,25 +168,19 @@ impl Sectors {
 }
 
 impl Sector {
-    /// The sector of `columns` of the grid; `None` where they have no beam.
+    /// The sector `planned`, whose beams become `records`, row by row.
     fn new(
         lidar: &Lidar,
         beams: &[Beam],
         cells: &LidarCells,
-        columns: Range<usize>,
-    ) -> Option<Self> {
-        let (width, rows) = (columns.len(), cells.rows);
-        let by_column = &cells.beams[columns.start * rows..columns.end * rows];
-        let of_cell = |cell: u32| (cell != NO_BEAM).then(|| &beams[cell as usize]);
-        let filled = || by_column.iter().filter_map(|&cell| of_cell(cell));
-        let first = *filled().next()?;
-        let times = || filled().map(|beam| beam.time_s);
-        let (start_s, end_s) = (
-            times().fold(f64::INFINITY, f64::min),
-            times().fold(f64::NEG_INFINITY, f64::max),
-        );
+        planned: &PlannedSector,
+        records: &mut [BeamRecord],
+    ) -> Self {
+        let (columns, rows) = (&planned.columns, cells.rows);
+        let width = columns.len();
+        let [start_s, end_s] = planned.time_s;
         let time_s = 0.5 * (start_s + end_s);
-        let [low_rad, high_rad] = azimuths(&first, filled());
+        let [low_rad, high_rad] = planned.azimuth_rad;
         let is_wide = high_rad - low_rad > SPAN_MAX_RAD;
         let middle_rad = 0.5 * (low_rad + high_rad);
         let sensor_from_sector = Pose::new(DQuat::from_rotation_z(middle_rad), DVec3::ZERO);
@@ -129,38 +194,37 @@ impl Sector {
             true => (way.offset(end_s) - way.offset(start_s)) / (end_s - start_s),
             false => DVec3::ZERO,
         };
-        let mut fired = Fired::new(&way, velocity);
-        let mut records = vec![BeamRecord::default(); width * rows];
-        let mut beam_of_cell = vec![NO_BEAM; width * rows];
-        let mut column_bounds = vec![[f32::INFINITY, f32::NEG_INFINITY]; width];
+        let fired = Fired::new(&way, velocity, &planned.times_s);
+        let by_column = &cells.beams[columns.start * rows..columns.end * rows];
         let mut row_bounds = vec![[f32::INFINITY, f32::NEG_INFINITY]; rows];
-        for (at, &cell) in by_column.iter().enumerate() {
-            let Some(beam) = of_cell(cell) else {
-                continue;
-            };
-            let (column, row) = (at / rows, at % rows);
-            let firing = fired.at(beam.time_s);
-            let turn = fired.turns[firing as usize];
-            let direction = (turn * beam.direction).as_vec3();
-            let index = row * width + column;
-            records[index] = BeamRecord {
-                direction: direction.to_array(),
-                firing,
-            };
-            beam_of_cell[index] = cell;
-            widen(&mut column_bounds[column], around(direction.x, direction.y));
-            let slope = direction.z / direction.truncate().length();
-            widen(&mut row_bounds[row], slope);
-        }
-        if is_wide {
-            column_bounds.fill([-4.0, 4.0]);
-        }
+        let of_rows = records.par_chunks_mut(width).zip(&mut row_bounds);
+        of_rows.enumerate().for_each(|(row, (records, bounds))| {
+            for (column, record) in records.iter_mut().enumerate() {
+                let cell = column * rows + row;
+                let (beam, firing) = (by_column[cell], planned.firings[cell]);
+                if firing == NO_BEAM {
+                    continue;
+                }
+                let direction = fired.turns[firing as usize] * beams[beam as usize].direction;
+                let direction = direction.as_vec3();
+                *record = BeamRecord {
+                    direction: direction.to_array(),
+                    firing: planned.first_firing + firing,
+                    index: beam,
+                };
+                widen(bounds, direction.z / direction.truncate().length());
+            }
+        });
+        let mut column_bounds = match is_wide {
+            true => vec![[-4.0, 4.0]; width],
+            false => column_bounds(records, width, &planned.firings),
+        };
         make_rise(&mut column_bounds);
         row_bounds.reverse();
         make_rise(&mut row_bounds);
         row_bounds.reverse();
         let intrinsics = Intrinsics::from_horizontal_fov(width as u32, rows as u32, 1.0);
-        Some(Self {
+        Self {
             camera: Camera {
                 name: format!(
                     "{}, columns {} to {}",
@@ -179,11 +243,24 @@ impl Sector {
             },
             column_bounds,
             row_bounds,
-            beams: records,
             firings: fired.firings,
-            beam_of_cell,
-        })
+        }
     }
+}
+
+/// Lowest and highest azimuth of the beams of each column, as [`around`] orders them. `firings`
+/// tells which cells have one, `[column][row]`.
+fn column_bounds(records: &[BeamRecord], width: usize, firings: &[u32]) -> Vec<[f32; 2]> {
+    let rows = firings.len() / width;
+    let of_column = |column: usize| {
+        let mut bounds = [f32::INFINITY, f32::NEG_INFINITY];
+        for row in (0..rows).filter(|row| firings[column * rows + row] != NO_BEAM) {
+            let [x, y, _] = records[row * width + column].direction;
+            widen(&mut bounds, around(x, y));
+        }
+        bounds
+    };
+    (0..width).into_par_iter().map(of_column).collect()
 }
 
 /// Lowest and highest azimuth of `beams`, radians. They are counted from that of `first`, so that
@@ -223,44 +300,32 @@ impl Way<'_> {
     }
 }
 
-/// Times of firing of a sector, each once.
-struct Fired<'a> {
-    way: &'a Way<'a>,
-    velocity: DVec3,
-    known: HashMap<u64, u32>,
+/// The sensor at the times of firing of a sector.
+struct Fired {
     firings: Vec<FiringRecord>,
     turns: Vec<DQuat>,
+    /// Longest distance of the sensor from where its mean velocity has it.
     residual_m: f64,
 }
 
-impl<'a> Fired<'a> {
-    fn new(way: &'a Way<'a>, velocity: DVec3) -> Self {
-        Self {
-            way,
-            velocity,
-            known: HashMap::new(),
-            firings: Vec::new(),
-            turns: Vec::new(),
+impl Fired {
+    fn new(way: &Way<'_>, velocity: DVec3, times_s: &[f64]) -> Self {
+        let mut fired = Self {
+            firings: Vec::with_capacity(times_s.len()),
+            turns: Vec::with_capacity(times_s.len()),
             residual_m: 0.0,
+        };
+        for &time_s in times_s {
+            let (offset, since_s) = (way.offset(time_s), time_s - way.time_s);
+            let residual_m = (offset - velocity * since_s).length();
+            fired.residual_m = fired.residual_m.max(residual_m);
+            fired.firings.push(FiringRecord {
+                offset_m: offset.as_vec3().to_array(),
+                time_s: since_s as f32,
+            });
+            fired.turns.push(way.turn(time_s));
         }
-    }
-
-    /// Index of a time of firing.
-    fn at(&mut self, time_s: f64) -> u32 {
-        if let Some(&firing) = self.known.get(&time_s.to_bits()) {
-            return firing;
-        }
-        let (offset, since_s) = (self.way.offset(time_s), time_s - self.way.time_s);
-        let residual_m = (offset - self.velocity * since_s).length();
-        self.residual_m = self.residual_m.max(residual_m);
-        self.firings.push(FiringRecord {
-            offset_m: offset.as_vec3().to_array(),
-            time_s: since_s as f32,
-        });
-        self.turns.push(self.way.turn(time_s));
-        let firing = self.firings.len() as u32 - 1;
-        self.known.insert(time_s.to_bits(), firing);
-        firing
+        fired
     }
 }
 

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Constant, DeviceKind, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::Rules;
 
 use super::{
@@ -32,6 +32,23 @@ pub struct LidarVariant {
     pub echoes: bool,
     /// Storage of the splats of the background.
     pub storage: Storage,
+    /// Lanes of a subgroup that share a beam: [`beam_lanes`].
+    pub beam_lanes: u32,
+}
+
+/// Beams up to which four lanes share a beam. A device is full with them, and then two are faster
+/// (`benches/README.md`).
+const BEAMS_OF_FOUR_LANES: usize = 250_000;
+
+/// Lanes of a subgroup that share each of `beams` beams on the device. The result does not depend
+/// on them.
+#[must_use]
+pub fn beam_lanes(gpu: &Gpu, beams: usize) -> u32 {
+    match gpu.info().kind {
+        DeviceKind::Cpu => 1,
+        _ if beams <= BEAMS_OF_FOUR_LANES => 4,
+        _ => 2,
+    }
 }
 
 impl LidarVariant {
@@ -135,22 +152,29 @@ pub struct LidarRoom {
     pub sectors: usize,
     /// Coarse tiles of all sectors.
     pub bins: u32,
-    /// Cells of all sectors.
-    pub cells: usize,
+    /// Beams of the sensor.
+    pub beams: usize,
     /// True if echoes are found.
     pub echoes: bool,
 }
 
 impl LidarRoom {
-    /// Room for lists of `capacity` over a background of `clusters`, and for the sectors of `view`.
+    /// Room for lists of `capacity` over a background of `clusters`, and for `beams` in the sectors of
+    /// `view`.
     #[must_use]
-    pub fn new(capacity: Capacity, clusters: usize, view: &View, echoes: bool) -> Self {
+    pub fn new(
+        capacity: Capacity,
+        clusters: usize,
+        view: &View,
+        beams: usize,
+        echoes: bool,
+    ) -> Self {
         Self {
             capacity,
             clusters,
             sectors: view.cameras.len(),
             bins: view.bins,
-            cells: view.pixels,
+            beams,
             echoes,
         }
     }
@@ -172,9 +196,11 @@ pub struct LidarBuffers {
     pub shapes: Buffer<[f32; 4]>,
     /// Sorted lists of coarse tiles.
     pub lists: TileSortBuffers,
-    /// States of beams by cell.
+    /// Which fine tiles their records reach, a word of 32 pairs per fine tile.
+    pub tile_words: Buffer<u32>,
+    /// States of beams.
     pub states: Buffer<BeamState>,
-    /// Echoes of beams by cell, where they are found.
+    /// Echoes of beams, where they are found.
     pub echoes: Buffer<BeamEchoes>,
     /// Counts of the sweep on the host.
     pub found_required: Buffer<RequiredCounts>,
@@ -197,10 +223,10 @@ impl LidarBuffers {
             clusters,
             sectors,
             bins,
-            cells,
+            beams,
             echoes,
         } = *room;
-        let cells_of_echoes = if echoes { cells } else { 1 };
+        let beams_of_echoes = if echoes { beams } else { 1 };
         let (device, host) = (MemoryKind::Device, MemoryKind::Readback);
         Ok(Self {
             counters: FrameCounters::new(gpu)?,
@@ -215,11 +241,17 @@ impl LidarBuffers {
             looks: gpu.buffer("looks", PURPOSE, capacity.records, device)?,
             shapes: gpu.buffer("lidar_shapes", PURPOSE, 3 * capacity.records, device)?,
             lists: TileSortBuffers::new(gpu, &capacity, bins)?,
-            states: gpu.buffer("beam_states", PURPOSE, cells, device)?,
-            echoes: gpu.buffer("beam_echoes", PURPOSE, cells_of_echoes, device)?,
+            tile_words: gpu.buffer(
+                "tile_words",
+                PURPOSE,
+                FINE_TILES * (capacity.pairs.div_ceil(32) + bins as usize),
+                device,
+            )?,
+            states: gpu.buffer("beam_states", PURPOSE, beams, device)?,
+            echoes: gpu.buffer("beam_echoes", PURPOSE, beams_of_echoes, device)?,
             found_required: gpu.buffer("found_required", PURPOSE, 1, host)?,
-            found_states: gpu.buffer("found_states", PURPOSE, cells, host)?,
-            found_echoes: gpu.buffer("found_echoes", PURPOSE, cells_of_echoes, host)?,
+            found_states: gpu.buffer("found_states", PURPOSE, beams, host)?,
+            found_echoes: gpu.buffer("found_echoes", PURPOSE, beams_of_echoes, host)?,
             no_agents: gpu.upload("agent_offsets", PURPOSE, &[0u32; CAMERAS_MAX + 1])?,
         })
     }
@@ -407,18 +439,74 @@ impl ProjectLidarAgents {
 }
 
 push_constants! {
+    struct ListPush {
+        camera_count: u32,
+        bin_count: u32,
+        records_max: u32,
+        pairs_max: u32,
+    }
+}
+
+/// Workgroups of the list of a coarse tile; `LIST_GROUPS` in the kernel.
+const LIST_GROUPS: usize = 32;
+
+/// `list_lidar.comp`.
+pub struct ListLidar {
+    kernel: Kernel,
+}
+
+impl ListLidar {
+    /// The stage.
+    ///
+    /// # Errors
+    /// Returns an error if the driver refuses the kernel.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        let constants = [("LANES", Constant::U32(gpu.limits().subgroup_size))];
+        let shader = &decouplegs_shaders::LIST_LIDAR;
+        Ok(Self {
+            kernel: kernel::<ListPush>(gpu, shader, &constants)?,
+        })
+    }
+
+    /// Records the lists of fine tiles, of the sorted lists of all coarse tiles. The buffer of pairs
+    /// then has records and their cells.
+    pub fn record(&self, recorder: &mut Recorder, sectors: &SectorBuffers, buffers: &LidarBuffers) {
+        let push = ListPush {
+            camera_count: sectors.count as u32,
+            bin_count: sectors.bins,
+            records_max: buffers.projected.room() as u32,
+            pairs_max: buffers.lists.pairs.len() as u32,
+        };
+        let bound = [
+            ("cameras", sectors.cameras.binding()),
+            ("tile_lists", buffers.lists.tile_lists.binding()),
+            ("sorted_records", buffers.lists.sorted_records.binding()),
+            ("footprints", buffers.projected.footprints.binding()),
+            ("tile_words", buffers.tile_words.binding()),
+            ("pairs", buffers.lists.pairs.binding()),
+            ("required", buffers.counters.required.binding()),
+        ];
+        let groups = groups_for(sectors.bins as usize * LIST_GROUPS);
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups);
+    }
+}
+
+push_constants! {
     struct TracePush {
         camera_count: u32,
         bin_count: u32,
         first_entry: u32,
         entries_max: u32,
         range_min_m: f32,
+        records_max: u32,
+        pairs_max: u32,
     }
 }
 
 /// `trace_lidar.comp`.
 pub struct TraceLidar {
     kernel: Kernel,
+    beam_lanes: usize,
 }
 
 impl TraceLidar {
@@ -428,6 +516,8 @@ impl TraceLidar {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, variant: LidarVariant) -> Result<Self, GpuError> {
         let constants = [
+            ("LANES", Constant::U32(gpu.limits().subgroup_size)),
+            ("BEAM_LANES", Constant::U32(variant.beam_lanes)),
             ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
             ("MOVING", Constant::Bool(variant.moving)),
             ("ECHOES", Constant::Bool(variant.echoes)),
@@ -435,10 +525,11 @@ impl TraceLidar {
         let shader = &decouplegs_shaders::TRACE_LIDAR;
         Ok(Self {
             kernel: kernel::<TracePush>(gpu, shader, &constants)?,
+            beam_lanes: variant.beam_lanes as usize,
         })
     }
 
-    /// Records the walk over `entries` of all lists. Splats nearer than `range_min_m` are passed
+    /// Records the walk over `entries` of all lists, whose fine tiles [`ListLidar`] has listed. Splats nearer than `range_min_m` are passed
     /// through.
     pub fn record(
         &self,
@@ -454,11 +545,13 @@ impl TraceLidar {
             first_entry: entries.start,
             entries_max: entries.end - entries.start,
             range_min_m,
+            records_max: buffers.projected.room() as u32,
+            pairs_max: buffers.lists.pairs.len() as u32,
         };
         let bound = [
             ("cameras", sectors.cameras.binding()),
             ("tile_lists", buffers.lists.tile_lists.binding()),
-            ("sorted_records", buffers.lists.sorted_records.binding()),
+            ("pairs", buffers.lists.pairs.binding()),
             ("footprints", buffers.projected.footprints.binding()),
             ("looks", buffers.looks.binding()),
             ("lidar_shapes", buffers.shapes.binding()),
@@ -466,8 +559,10 @@ impl TraceLidar {
             ("firings", sectors.firings.binding()),
             ("states", buffers.states.binding()),
             ("echoes", buffers.echoes.binding()),
+            ("tile_words", buffers.tile_words.binding()),
+            ("required", buffers.counters.required.binding()),
         ];
-        let groups = groups_for(sectors.bins as usize * FINE_TILES);
+        let groups = groups_for(sectors.bins as usize * FINE_TILES * self.beam_lanes);
         recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups);
     }
 }

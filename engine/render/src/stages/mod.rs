@@ -35,8 +35,8 @@ pub use cull::{Cull, Visible};
 pub use cull_shadows::{CullShadows, ShadowBuffers, words_for};
 pub use key_splats::{KeptKeys, KeySplats, WantedKeys};
 pub use lidar::{
-    LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ProjectLidar,
-    ProjectLidarAgents, SectorBuffers, SectorTables, TraceLidar,
+    LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ListLidar, ProjectLidar,
+    ProjectLidarAgents, SectorBuffers, SectorTables, TraceLidar, beam_lanes,
 };
 pub use merge_lists::{DrawnAlone, MergeBuffers, MergeLists};
 pub use plan_segments::{Plan, PlanSegments, TileLists};
