@@ -21,7 +21,6 @@ use decouplegs::planner::{Cameras, Planner, Timeouts};
 use decouplegs::scene::episode::{Episode, EpisodeEnd};
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Level, Sensor};
-use decouplegs::session::BatchRenderer;
 use indicatif::ProgressBar;
 use serde_json::json;
 
@@ -366,7 +365,7 @@ impl Run<'_> {
 struct Worker<'a> {
     run: &'a Run<'a>,
     planner: Option<Box<dyn Planner>>,
-    renderer: Option<BatchRenderer>,
+    renderer: Option<ObservationRenderer>,
 }
 
 impl Worker<'_> {
@@ -424,8 +423,6 @@ impl Worker<'_> {
         let mut images = EpisodeImages::new(log, image_writer, seen);
         let driven = match (run.sites.session(), &ready.scene) {
             (Some(session), Some(scene)) => {
-                let renderer = self.renderer.take();
-                let renderer = renderer.unwrap_or_else(|| session.batch_renderer());
                 let at_least = if run.arguments.all_cameras {
                     Cameras::All
                 } else {
@@ -444,8 +441,11 @@ impl Worker<'_> {
                     "the planner wants sweeps, and the scene has no LiDARs: add a [[lidar]] to the scene file, or name a model with --lidar"
                 );
                 rig.sensors.extend(lidars.into_iter().map(Sensor::Lidar));
-                let mut renderer =
-                    ObservationRenderer::new(renderer, scene, rig, run.arguments.render.0);
+                let every = run.arguments.render.0;
+                let mut renderer = match self.renderer.take() {
+                    Some(renderer) => renderer.restarted(scene, rig, every),
+                    None => ObservationRenderer::new(session.batch_renderer(), scene, rig, every),
+                };
                 let (name, options) = (&run.arguments.planner, &run.arguments.driver);
                 renderer = name.fit(renderer, options)?;
                 let driven = drive(
@@ -455,7 +455,7 @@ impl Worker<'_> {
                     planner.as_mut(),
                     &mut images,
                 )?;
-                self.renderer = Some(renderer.into_renderer());
+                self.renderer = Some(renderer);
                 driven
             }
             _ => drive(

@@ -126,45 +126,30 @@ impl<T: Pod> Buffer<T> {
     /// must be done.
     ///
     /// # Panics
-    /// Panics if the buffer lives on the device or `data` does not fit.
+    /// Panics if the buffer is not for uploads or `data` does not fit.
     pub fn write_host(&self, first: usize, data: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         let range = self.byte_range(first, data.len());
         self.memory
-            .with_host_bytes(|host| host[range].copy_from_slice(bytes));
+            .write_host_bytes(|host| host[range].copy_from_slice(bytes));
     }
 
     /// Elements as the host sees them. Submitted work that writes them must be done.
     ///
     /// # Panics
-    /// Panics if the buffer lives on the device.
+    /// Panics if the buffer is not for reading back.
     #[must_use]
     pub fn read_host(&self) -> Vec<T> {
-        let mut data = vec![T::zeroed(); self.len];
-        self.read_host_into(0, &mut data);
-        data
+        self.as_host(self.len).to_vec()
     }
 
-    /// Shows `see` its first `count` values where they lie, for those who copy on several threads.
-    /// Submitted work that writes them must be done.
+    /// The first `count` elements where they lie. Submitted work that writes them must be done.
     ///
     /// # Panics
-    /// Panics if the buffer lives on the device or has fewer values.
-    pub fn with_host<R>(&self, count: usize, see: impl FnOnce(&[T]) -> R) -> R {
-        let range = self.byte_range(0, count);
-        self.memory
-            .with_host_bytes(|host| see(bytemuck::cast_slice(&host[range])))
-    }
-
-    /// The values from element `first` on, into `data`.
-    ///
-    /// # Panics
-    /// Panics if the buffer lives on the device or has fewer values.
-    pub fn read_host_into(&self, first: usize, data: &mut [T]) {
-        let range = self.byte_range(first, data.len());
-        let bytes: &mut [u8] = bytemuck::cast_slice_mut(data);
-        self.memory
-            .with_host_bytes(|host| bytes.copy_from_slice(&host[range]));
+    /// Panics if the buffer is not for reading back or has fewer elements.
+    #[must_use]
+    pub fn as_host(&self, count: usize) -> &[T] {
+        bytemuck::cast_slice(&self.memory.host_bytes()[self.byte_range(0, count)])
     }
 
     /// # Panics

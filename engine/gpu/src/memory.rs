@@ -109,14 +109,14 @@ impl BufferMemory {
         })
     }
 
-    /// Runs `body` on the buffer's bytes as the host sees them.
+    /// Runs `body` on the buffer's bytes as the host writes them.
     ///
     /// # Panics
-    /// For a buffer with [`MemoryKind::Device`] or [`MemoryKind::Exported`].
-    pub(crate) fn with_host_bytes<R>(&self, body: impl FnOnce(&mut [u8]) -> R) -> R {
+    /// For a buffer that is not [`MemoryKind::Upload`].
+    pub(crate) fn write_host_bytes(&self, body: impl FnOnce(&mut [u8])) {
         assert!(
-            !matches!(self.memory_kind, MemoryKind::Device | MemoryKind::Exported),
-            "buffer {}: lives on the device; the host reaches it through the Gpu only",
+            self.memory_kind == MemoryKind::Upload,
+            "buffer {}: the host does not write memory of this kind",
             self.name
         );
         let mut allocation = self
@@ -129,7 +129,32 @@ impl BufferMemory {
         let bytes = allocation
             .mapped_slice_mut()
             .expect("host-visible memory is mapped while it lives");
-        body(&mut bytes[..self.byte_len as usize])
+        body(&mut bytes[..self.byte_len as usize]);
+    }
+
+    /// The buffer's bytes as the host reads them.
+    ///
+    /// # Panics
+    /// For a buffer that is not [`MemoryKind::Readback`].
+    pub(crate) fn host_bytes(&self) -> &[u8] {
+        assert!(
+            self.memory_kind == MemoryKind::Readback,
+            "buffer {}: the host reads memory of this kind through the Gpu only",
+            self.name
+        );
+        let allocation = self
+            .allocation
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let Some(Held::Allocated(allocation)) = allocation.as_ref() else {
+            unreachable!("only device memory is exported")
+        };
+        let bytes = allocation
+            .mapped_slice()
+            .expect("host-visible memory is mapped while it lives");
+        // SAFETY: the allocation is mapped at the same place until this memory is dropped, and no
+        // code of the host writes memory of this kind.
+        unsafe { std::slice::from_raw_parts(bytes.as_ptr(), self.byte_len as usize) }
     }
 
     /// # Panics

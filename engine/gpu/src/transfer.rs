@@ -80,7 +80,7 @@ fn read_piece(
         piece.len() as u64,
     );
     gpu.submit(recorder, &[])?.wait()?;
-    staging.read_host_into(0, piece);
+    piece.copy_from_slice(staging.as_host(piece.len()));
     Ok(())
 }
 

@@ -1,23 +1,18 @@
 //! Images as bytes on the host: what a planner or an encoder takes, without a detour over floats.
 
 use decouplegs_gpu::{Buffer, MemoryKind, QueueRole};
-use rayon::prelude::*;
 
 use crate::output::{ColorFormat, PURPOSE};
 use crate::{RenderError, Renderer};
 
-/// Pixels that a thread copies at once: a megabyte.
-const COPY_PIXELS: usize = 1 << 18;
-
 /// The images of a frame, four bytes per pixel: red, green, blue, alpha.
 #[derive(Default)]
 pub struct ImageBytes {
-    words: Vec<u32>,
     /// First pixel, width and height of each.
     ranges: Vec<(usize, [u32; 2])>,
-    /// Memory that the device writes and the host reads, kept from frame to frame: to make it takes
-    /// longer than a copy.
-    staging: Option<Buffer<u32>>,
+    /// The images: memory that the device writes and the host reads, kept from frame to frame. To
+    /// make it takes longer than a copy.
+    pixels: Option<Buffer<u32>>,
 }
 
 impl ImageBytes {
@@ -48,7 +43,10 @@ impl ImageBytes {
     #[must_use]
     pub fn rgba(&self, index: usize) -> &[u8] {
         let (first, [width, height]) = self.ranges[index];
-        bytemuck::cast_slice(&self.words[first..first + width as usize * height as usize])
+        let end = first + width as usize * height as usize;
+        let pixels = self.pixels.as_ref();
+        let pixels = pixels.map_or(&[][..], |pixels| pixels.as_host(end));
+        bytemuck::cast_slice(&pixels[first..end])
     }
 }
 
@@ -70,31 +68,18 @@ impl Renderer {
         let Some((view, buffers)) = self.shown_images() else {
             return Ok(());
         };
-        if bytes
-            .staging
-            .as_ref()
-            .is_none_or(|staging| staging.len() < view.pixels)
-        {
-            bytes.staging = Some(self.gpu().buffer(
-                "staged_images",
-                PURPOSE,
-                view.pixels,
-                MemoryKind::Readback,
-            )?);
-        }
-        if let Some(staging) = &bytes.staging {
-            let mut recorder = self.gpu().record(QueueRole::Main);
-            recorder.copy(&buffers.images_u8, 0, staging, 0, view.pixels);
-            self.gpu().submit(recorder, &[])?.wait()?;
-            bytes.words.resize(view.pixels, 0);
-            // One thread alone copies tens of megabytes in milliseconds.
-            let pieces = bytes.words.par_chunks_mut(COPY_PIXELS);
-            staging.with_host(view.pixels, |host| {
-                pieces
-                    .zip(host.par_chunks(COPY_PIXELS))
-                    .for_each(|(to, from)| to.copy_from_slice(from));
-            });
-        }
+        let has_room = |pixels: &Buffer<u32>| pixels.len() >= view.pixels;
+        let pixels = match bytes.pixels.take().filter(has_room) {
+            Some(pixels) => pixels,
+            None => {
+                let (gpu, kind) = (self.gpu(), MemoryKind::Readback);
+                gpu.buffer("staged_images", PURPOSE, view.pixels, kind)?
+            }
+        };
+        let mut recorder = self.gpu().record(QueueRole::Main);
+        recorder.copy(&buffers.images_u8, 0, &pixels, 0, view.pixels);
+        self.gpu().submit(recorder, &[])?.wait()?;
+        bytes.pixels = Some(pixels);
         bytes.ranges = view.ranges();
         Ok(())
     }

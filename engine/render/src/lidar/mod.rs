@@ -131,7 +131,7 @@ impl SweepTimes {
 /// Values of a buffer of the host, copied on all threads: most of a copy of this size is the
 /// system's handing out of memory.
 fn read<T: Pod + Send + Sync>(values: &Buffer<T>) -> Vec<T> {
-    values.with_host(values.len(), |values| values.par_iter().copied().collect())
+    values.as_host(values.len()).par_iter().copied().collect()
 }
 
 /// A sweep that is being traced.

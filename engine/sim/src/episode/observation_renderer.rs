@@ -140,10 +140,14 @@ impl ObservationRenderer {
         &self.rig
     }
 
-    /// Converts into the renderer, for another episode.
+    /// The sensors of `rig` in `scene`, for another episode, in the memory of this one: images in
+    /// new memory take several times as long to copy.
     #[must_use]
-    pub fn into_renderer(self) -> BatchRenderer {
-        self.renderer
+    pub fn restarted(self, scene: &Arc<SessionScene>, rig: Rig, every: u32) -> Self {
+        Self {
+            images: self.images,
+            ..Self::new(self.renderer, scene, rig, every)
+        }
     }
 
     /// Record of the renderer for a log.
