@@ -10,7 +10,7 @@
 // dispatches: the state of each beam is kept in between.
 //
 // What takes long is not the arithmetic but the longest list, which is walked one round after the
-// other: so many candidates are looked at together, and few beams share a subgroup.
+// other: so many candidates are examined together, and few beams share a subgroup.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -105,9 +105,8 @@ const float TRANSMITTANCE_END = 1e-4;
 const float ECHO_SEPARATION_M = 0.6;
 const float ECHO_WEIGHT_MIN = 0.1;
 
-// Entries of a list after which it is looked whether a beam has ended. What a beam meets between its
-// end and that place is less than that; that the place is the same for every order of work keeps
-// sweeps the same.
+// Entries of a list after which it is asked whether a beam has ended. The place does not depend on
+// the order of work, so that sweeps are the same.
 const uint BATCH = 64u;
 
 const uint ROUND = LANES < 32u ? LANES : 32u; // records that a subgroup meets together

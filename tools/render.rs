@@ -320,7 +320,7 @@ fn render_on_gpu(
         ImageFileFormat::Png if !writer.transparent && arguments.exposure.is_none() => {
             ColorFormat::U8
         }
-        ImageFileFormat::Png | ImageFileFormat::Exr | ImageFileFormat::Npy => ColorFormat::F32,
+        _ => ColorFormat::F32,
     };
     let outputs = Outputs {
         color,

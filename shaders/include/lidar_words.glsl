@@ -9,10 +9,10 @@ bool lists_have_room(uint records_max, uint pairs_max) {
     return required.records <= records_max && wanted_pairs(required) <= pairs_max;
 }
 
-// Place of the word of 32 pairs from pair 32 `word` on, of the first fine tile of coarse tile `bin`;
-// those of the others follow. A word may hold pairs of several lists. The list with the last of
-// its pairs has it there. Of the others it is the end, and each has that at a place of its own,
-// behind the words of the `pairs_max` pairs.
+// Place of the word of 32 pairs from pair 32 `word` on, of the first fine tile of coarse tile
+// `bin`; those of the others follow. A word may hold pairs of several lists. The list with the
+// last of its pairs has it there. Of the others it is the end, and each has that at a place of its
+// own, behind the words of the `pairs_max` pairs.
 uint place_of_word(uint word, uint bin, uvec2 list, uint pairs_max) {
     return 32u * (32u * word + 31u < list.x + list.y ? word : (pairs_max + 31u) / 32u + bin);
 }

@@ -18,6 +18,7 @@ mod interfaces;
 mod lidar;
 mod map;
 mod programs;
+mod realism;
 mod recording;
 mod register;
 mod rendering;

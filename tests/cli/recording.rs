@@ -10,7 +10,7 @@ use super::*;
 
 /// Images of two cameras along the first meters of the ego's way of the street in `folder`, as a
 /// file of nerfstudio: names with a frame and a camera, one image each 0.5 m.
-fn write_recording(folder: &Path, frames: u32) -> std::path::PathBuf {
+pub fn write_recording(folder: &Path, frames: u32) -> std::path::PathBuf {
     let scene = SceneFile::read(&folder.join("scene.toml")).unwrap();
     let way = scene.ego.unwrap();
     let speed_mps = way.motion_at(way.start_s() + 0.1).velocity_mps.length();

@@ -1,6 +1,8 @@
 //! `decouplegs lidar`: sweeps of a LiDAR through a scene.
 
 pub mod previews;
+pub mod scan_comparison;
+pub mod scan_file;
 
 use std::collections::{BTreeSet, HashSet};
 use std::fs;
@@ -11,7 +13,8 @@ use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{LoadedScene, lidar_names, open_scene, write_atomically};
 use decouplegs::episode::chosen_lidars;
-use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer};
+use decouplegs::render::rendered_image::ImageFileFormat;
+use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer, Scene};
 use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions};
 use decouplegs::scene::{LidarSweep, Motion, Rig, RigLidar, Rules};
 use decouplegs::session::LiveScene;
@@ -19,10 +22,12 @@ use decouplegs_recording::point_cloud::{McapSweeps, PointFormat, write_points};
 use glam::{DQuat, DVec3};
 use serde_json::json;
 
-use crate::arguments::{finite, print, three_numbers};
+use crate::arguments::{finite, print, three_numbers, write_image};
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
+use scan_comparison::ScanComparison;
+use scan_file::ScanFile;
 
 /// Sweep a scene with a LiDAR: one file of points per sweep, listed as they are written
 #[derive(clap::Args)]
@@ -71,6 +76,11 @@ pub struct Arguments {
     /// Seed of the noise of ranges, for sensors that have some
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
+    /// Compare ranges with those of this scan (.bin of KITTI, .pcd.bin of nuScenes, .npy, .npz)
+    /// instead, beam by beam: a table, and NAME_compared.json and .png in the folder. Where the
+    /// file does not tell its pose, it is that of the scene's first LiDAR at SECONDS
+    #[arg(long, value_name = "FILE[@SECONDS]", conflicts_with_all = ["sensor", "sweeps", "frame", "mount", "mount_yaw", "previews", "seed"])]
+    compare: Option<ScanFile>,
     /// Write previews of each sweep too: from above, as an image of ranges, and over the images of
     /// the scene's cameras
     #[arg(long)]
@@ -141,10 +151,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let reading = progress::spinner(format!("reading {}", arguments.scene.display()));
     let loaded = open_scene(&arguments.scene, arguments.time.unwrap_or(0.0))?;
     reading.finish_and_clear();
-    let mounted = mounted(arguments, &loaded.rig)?;
-    let model = &mounted.model;
-    let asked = arguments.returns.as_deref().and_then(ReturnMode::by_name);
-    let mode = asked.unwrap_or(model.returns);
     let start_s = arguments.time.unwrap_or(loaded.ego.start_s());
     let gpu = arguments.device.open()?;
     let mut stored = RenderOptions::default();
@@ -161,8 +167,22 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     fs::create_dir_all(&arguments.out)
         .with_context(|| format!("{} cannot be made", arguments.out.display()))?;
-    let mut writer = SweepWriter::new(arguments, &mounted.name, mode, start_s)?;
     let mut lidars = LidarRenderer::new(&gpu, options);
+    if let Some(file) = &arguments.compare {
+        compare(
+            file,
+            &arguments.out,
+            &loaded,
+            live.with(&live.at(start_s)),
+            &mut lidars,
+        )?;
+        return check_validation(&gpu);
+    }
+    let mounted = mounted(arguments, &loaded.rig)?;
+    let model = &mounted.model;
+    let asked = arguments.returns.as_deref().and_then(ReturnMode::by_name);
+    let mode = asked.unwrap_or(model.returns);
+    let mut writer = SweepWriter::new(arguments, &mounted.name, mode, start_s)?;
     let mut previews = arguments
         .previews
         .then(|| previews::Previews::new(renderer, &live, &loaded));
@@ -200,6 +220,29 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     );
     writer.finish()?;
     check_validation(&gpu)
+}
+
+/// Compares the scan in `file` with the same beams through `scene`.
+fn compare<'a>(
+    file: &ScanFile,
+    out: &Path,
+    loaded: &LoadedScene,
+    scene: impl Into<Scene<'a>>,
+    lidars: &mut LidarRenderer,
+) -> Result<()> {
+    let (scan, pose) = file.read(loaded)?;
+    let comparison = ScanComparison::new(lidars, scene, &scan, pose)?;
+    let path = |ending: &str| out.join(format!("{}_compared.{ending}", file.name()));
+    write_atomically(&path("json"), |file| {
+        writeln!(file, "{:#}", comparison.to_json())
+    })?;
+    write_image(&path("png"), &comparison.image(), ImageFileFormat::Png)?;
+    print(&comparison.to_text())?;
+    print(&format!(
+        "{}\n{}\n",
+        path("json").display(),
+        path("png").display()
+    ))
 }
 
 /// The LiDAR that is asked for, on the vehicle. Its name names files.

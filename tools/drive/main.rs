@@ -16,6 +16,7 @@ mod lidar;
 mod map;
 mod open_loop;
 mod pack;
+mod realism;
 mod register;
 mod replay;
 mod score;
@@ -48,6 +49,7 @@ enum Command {
     Drive(Box<drive::Arguments>),
     Replay(replay::Arguments),
     OpenLoop(open_loop::Arguments),
+    Realism(realism::Arguments),
     Score(score::Arguments),
     Export(export::Arguments),
 }
@@ -65,6 +67,7 @@ fn main() -> ExitCode {
         Command::Drive(arguments) => drive::run(arguments),
         Command::Replay(arguments) => replay::run(arguments),
         Command::OpenLoop(arguments) => open_loop::run(arguments),
+        Command::Realism(arguments) => realism::run(arguments),
         Command::Score(arguments) => score::run(arguments),
         Command::Export(arguments) => export::run(arguments),
     })

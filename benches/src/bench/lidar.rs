@@ -229,7 +229,7 @@ fn error(traced: &TracedSweep, scene: &Scene, subject: &Subject, count: usize) -
     })
 }
 
-/// What `beams` meet, by the f64 definition.
+/// Hits of `beams`, by the f64 definition.
 fn truth(scene: &Scene, subject: &Subject, beams: &[Beam]) -> Vec<BeamHit64> {
     let (loaded, time_s) = (&scene.loaded, subject.time_s);
     let background = SplatGroup {

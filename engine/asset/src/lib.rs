@@ -26,6 +26,7 @@ pub mod cameras;
 pub mod checkpoint;
 pub mod coded_asset;
 pub mod compressed_ply;
+mod extent;
 pub mod inria_ply;
 pub mod khr_glb;
 pub mod kitti_raw;
@@ -37,6 +38,7 @@ pub mod memory;
 pub mod obstacle_file;
 pub mod packed_scene;
 pub mod probe;
+pub mod scan;
 pub mod scene_file;
 pub mod scene_import;
 pub mod sky_file;
@@ -54,6 +56,7 @@ pub use atomic::{Replaces, TEMPORARY_PREFIX, check_writable, write_atomically, w
 pub use cameras::{CameraOptions, read_cameras};
 pub use coded_asset::{CodedAsset, CodedSummary, Provenance, read_coded, write_coded};
 pub use error::{AssetError, DecodeError, EncodeError, SceneError, read_bytes};
+pub use extent::SplatExtent;
 pub use lidar_file::{lidar_names, read_lidar};
 pub use light_transfer_file::{LightTransferFile, read_light_transfer, write_light_transfer};
 pub use loss::{AttributeLoss, LossReport};
@@ -62,6 +65,7 @@ pub use obstacle_file::{read_obstacles, write_obstacles};
 pub use packed_scene::open_packed_scene;
 pub use probe::{probe_paths, read_probe};
 pub use read::{SplatFormat, read_placed_splats, read_splats};
+pub use scan::{Scan, ScanFormat, read_scan};
 pub use scene_file::{
     AgentLabel, EditError, Layer, LoadedAgent, LoadedLight, LoadedRecording, LoadedScene,
     PlainAgent, SceneAgent, SceneFile, SceneLidar, SceneLight, SceneRecording, SceneSky, SeenFrom,

@@ -6,6 +6,8 @@ use decouplegs_scene::{Bounds, SplatCloud, SplatDefect};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::SplatExtent;
+
 /// Counts of values in equal steps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Histogram {
@@ -75,6 +77,8 @@ pub struct SplatSummary {
     pub sh_degree: u8,
     /// The box around the finite means; none without any.
     pub bounds: Option<SummaryBounds>,
+    /// Extent of most of them, and what is far or lonely; none without finite means.
+    pub extent: Option<SplatExtent>,
     /// log10 of the standard deviations in meters, three a splat, in steps of a quarter decade.
     /// Zero counts as below.
     pub scale_log10_m: Histogram,
@@ -115,6 +119,7 @@ impl SplatSummary {
             splats: cloud.len() as u64,
             sh_degree: cloud.sh_degree,
             bounds,
+            extent: SplatExtent::new(cloud),
             scale_log10_m: Histogram::new(
                 cloud.scales.iter().flatten().map(|&scale| log10(scale)),
                 -6.0,

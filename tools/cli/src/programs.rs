@@ -110,6 +110,10 @@ pub const DRIVE: Program = Program {
              plans",
         ),
         (
+            "realism",
+            "Measure how far a scene is from the recording that it was made of",
+        ),
+        (
             "score",
             "Score episodes again from their logs, without rendering",
         ),

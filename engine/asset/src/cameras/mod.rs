@@ -8,6 +8,8 @@ mod colmap;
 mod dataparser;
 mod inria;
 mod names;
+
+pub use names::file_safe;
 mod nerfstudio;
 
 use std::path::Path;

@@ -31,9 +31,11 @@ pub(super) fn made_unique(mut cameras: Vec<Camera>) -> Vec<Camera> {
     cameras
 }
 
-/// `name` without the extension of an image, its other characters letters, digits, `-`, `_` or an
-/// inner `.`.
-fn file_safe(name: &str) -> String {
+/// Name of the camera of an image that a camera file calls `name`, unless others have it too:
+/// without the extension of an image, its other characters letters, digits, `-`, `_` or an inner
+/// `.`.
+#[must_use]
+pub fn file_safe(name: &str) -> String {
     let name = name.trim_start_matches(['.', '/', '\\']);
     let stem = match name.rsplit_once('.') {
         Some((stem, extension)) if is_image_extension(extension) => stem,

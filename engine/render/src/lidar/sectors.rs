@@ -19,7 +19,7 @@ const SPAN_MAX_RAD: f64 = 5.5;
 /// Rounding of the way of the sensor, at most, meters.
 const ROUNDING_M: f64 = 1e-5;
 
-/// What the sectors of all sweeps of a model have in common.
+/// Cut of a model's grid into sectors, which all of its sweeps have in common.
 #[derive(Clone, Debug)]
 pub struct SectorPlan {
     sectors: Vec<PlannedSector>,

@@ -8,12 +8,14 @@ mod false_color;
 mod flip;
 mod flips;
 mod masked;
+mod photograph;
 mod ssim;
 
 pub use false_color::difference_image;
 pub use flip::PIXELS_PER_DEGREE;
 pub use flips::{FLIP_MIN, Flips, WORST_PIXELS};
 pub use masked::{MaskedDifference, MaskedErrors, Peak};
+pub use photograph::PhotographDifference;
 
 use serde::{Serialize, Serializer};
 

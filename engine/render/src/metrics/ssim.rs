@@ -14,10 +14,21 @@ const C2: f64 = 0.03 * 0.03;
 
 /// Mean over R, G and B and over all windows that lie inside the image; `None` where none does.
 pub fn mean_ssim(a: &Image, b: &Image) -> Option<f64> {
+    mean_ssim_where(a, b, None)
+}
+
+/// [`mean_ssim`], over windows all of whose pixels count.
+pub fn mean_ssim_where(a: &Image, b: &Image, counts: Option<&[bool]>) -> Option<f64> {
     let (width, height) = (a.width as usize, a.height as usize);
     if width <= 2 * RADIUS_PX || height <= 2 * RADIUS_PX {
         return None;
     }
+    // Windows that hold a pixel that does not count.
+    let left_out = counts.map(|counts| {
+        let left_out: Vec<f64> = counts.iter().map(|counts| f64::from(!counts)).collect();
+        windowed_mean(&left_out, width)
+    });
+    let is_left_out = |at: usize| left_out.as_ref().is_some_and(|of| of[at] > 0.0);
     let of_channel = |channel| {
         let (x, y) = (clamped_channel(a, channel), clamped_channel(b, channel));
         let local_mean = |value: fn(f64, f64) -> f64| {
@@ -30,8 +41,9 @@ pub fn mean_ssim(a: &Image, b: &Image) -> Option<f64> {
             local_mean(|_, y| y * y),
             local_mean(|x, y| x * y),
         );
-        let mut sum = 0.0;
-        for at in 0..mean_x.len() {
+        let (mut sum, mut windows) = (0.0, 0_u64);
+        for at in (0..mean_x.len()).filter(|at| !is_left_out(*at)) {
+            windows += 1;
             let (mx, my) = (mean_x[at], mean_y[at]);
             let (variance_x, variance_y, covariance) = (
                 mean_xx[at] - mx * mx,
@@ -41,9 +53,10 @@ pub fn mean_ssim(a: &Image, b: &Image) -> Option<f64> {
             sum += (2.0 * mx * my + C1) * (2.0 * covariance + C2)
                 / ((mx * mx + my * my + C1) * (variance_x + variance_y + C2));
         }
-        sum / mean_x.len() as f64
+        (windows > 0).then(|| sum / windows as f64)
     };
-    Some((0..3).map(of_channel).sum::<f64>() / 3.0)
+    let channels: Option<Vec<f64>> = (0..3).map(of_channel).collect();
+    Some(channels?.iter().sum::<f64>() / 3.0)
 }
 
 /// The Gaussian mean of every window that lies inside, row-major.

@@ -1,4 +1,4 @@
-//! PNG and OpenEXR.
+//! PNG, OpenEXR and JPEG.
 
 use std::io::Cursor;
 
@@ -15,13 +15,17 @@ const DEFLATE_RATIO_MAX: u64 = 1032;
 /// larger than a small image.
 const BLOCK_BYTES_FREE: usize = 1 << 22;
 
+/// Most pixels that one byte of a JPEG file is believed to stand for: a gray block of 16 by 16
+/// takes more than a byte, unless a progressive file leaves thousands of blocks empty.
+const JPEG_PIXELS_PER_BYTE_MAX: u64 = 1024;
+
 /// Most pixels that one byte of a file can stand for: one bit each in PNG, three 16-bit channels in
 /// OpenEXR.
 fn pixels_per_byte_max(format: ImageFileFormat) -> u64 {
-    if format == ImageFileFormat::Png {
-        DEFLATE_RATIO_MAX * 8
-    } else {
-        DEFLATE_RATIO_MAX / 6
+    match format {
+        ImageFileFormat::Png => DEFLATE_RATIO_MAX * 8,
+        ImageFileFormat::Jpeg => JPEG_PIXELS_PER_BYTE_MAX,
+        _ => DEFLATE_RATIO_MAX / 6,
     }
 }
 
@@ -30,10 +34,10 @@ pub fn decode(format: ImageFileFormat, bytes: &[u8]) -> Result<Image, ImageError
         check_exr_sizes(bytes)?;
     }
     let refused = |error: image::ImageError| format.malformed(error.to_string());
-    let kind = if format == ImageFileFormat::Png {
-        ImageFormat::Png
-    } else {
-        ImageFormat::OpenExr
+    let kind = match format {
+        ImageFileFormat::Png => ImageFormat::Png,
+        ImageFileFormat::Jpeg => ImageFormat::Jpeg,
+        _ => ImageFormat::OpenExr,
     };
     let mut reader = ImageReader::with_format(Cursor::new(bytes), kind);
     let mut limits = Limits::default();
@@ -201,6 +205,43 @@ mod tests {
         }
         bytes[29..33].copy_from_slice(&(!crc).to_be_bytes());
         bytes
+    }
+
+    /// A gray JPEG of 8 by 8 pixels.
+    fn jpeg() -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        let gray = image::GrayImage::from_pixel(8, 8, image::Luma([100]));
+        gray.write_to(&mut bytes, ImageFormat::Jpeg).unwrap();
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn photographs_are_read_and_damaged_ones_refused() {
+        let bytes = jpeg();
+        let image = decode(ImageFileFormat::Jpeg, &bytes).unwrap();
+        assert_eq!((image.width, image.height, image.alpha[0]), (8, 8, 1.0));
+        let is_gray = |rgb: &[f32; 3]| rgb.iter().all(|value| (value - 100.0 / 255.0).abs() < 0.01);
+        assert!(image.rgb.iter().all(is_gray), "{:?}", image.rgb[0]);
+        // Whatever is cut off or changed, it answers.
+        for length in 0..bytes.len() {
+            let _ = decode(ImageFileFormat::Jpeg, &bytes[..length]);
+            let mut damaged = bytes.clone();
+            damaged[length] ^= 0x55;
+            let _ = decode(ImageFileFormat::Jpeg, &damaged);
+        }
+        // Height and width behind the length and the depth of the frame's header.
+        let mut boastful = bytes;
+        let frame = boastful
+            .windows(2)
+            .position(|pair| pair == [0xff, 0xc0])
+            .unwrap();
+        boastful[frame + 5..frame + 9].fill(0xff);
+        let error = decode(ImageFileFormat::Jpeg, &boastful)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("65535x65535"), "{error}");
+        let written = image.encode(ImageFileFormat::Jpeg).unwrap_err().to_string();
+        assert!(written.contains("read and not written"), "{written}");
     }
 
     #[test]

@@ -45,6 +45,8 @@ pub enum ImageFileFormat {
     Exr,
     /// NumPy: little-endian float32 `[height, width, 4]` in C order, RGB and alpha.
     Npy,
+    /// JPEG, 8 bits: photographs, which are read and not written.
+    Jpeg,
 }
 
 /// Reason why an image could not be read or encoded.
@@ -59,7 +61,7 @@ pub enum ImageError {
         source: std::io::Error,
     },
     /// The name tells no format.
-    #[error("{}: expected an image named *.png, *.exr or *.npy", path.display())]
+    #[error("{}: expected an image named *.png, *.jpg, *.exr or *.npy", path.display())]
     Extension {
         /// The file.
         path: PathBuf,
@@ -95,11 +97,20 @@ pub enum ImageError {
 }
 
 impl ImageFileFormat {
-    /// The format that a file's name tells by its extension, in any case of letters.
+    /// The format of an image that is written, by its name's extension in any case of letters.
     #[must_use]
     pub fn of_path(path: &Path) -> Option<Self> {
+        Self::of_image(path).filter(|format| *format != Self::Jpeg)
+    }
+
+    /// The format of an image that is read, likewise.
+    #[must_use]
+    pub fn of_image(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
-        [Self::Png, Self::Exr, Self::Npy]
+        if extension == "jpeg" {
+            return Some(Self::Jpeg);
+        }
+        [Self::Png, Self::Exr, Self::Npy, Self::Jpeg]
             .into_iter()
             .find(|format| format.extension() == extension)
     }
@@ -111,6 +122,7 @@ impl ImageFileFormat {
             Self::Png => "png",
             Self::Exr => "exr",
             Self::Npy => "npy",
+            Self::Jpeg => "jpg",
         }
     }
 
@@ -148,7 +160,7 @@ impl Image {
     /// Returns an error if the file cannot be read, its name tells no format, or its bytes are not
     /// such an image.
     pub fn read(path: &Path) -> Result<Self, ImageError> {
-        let format = ImageFileFormat::of_path(path)
+        let format = ImageFileFormat::of_image(path)
             .ok_or_else(|| ImageError::Extension { path: path.into() })?;
         let unreadable = |source| ImageError::Unreadable {
             path: path.into(),
@@ -172,7 +184,9 @@ impl Image {
     /// Returns an error if the bytes are not an image of that format.
     pub fn decode(format: ImageFileFormat, bytes: &[u8]) -> Result<Self, ImageError> {
         match format {
-            ImageFileFormat::Png | ImageFileFormat::Exr => image_files::decode(format, bytes),
+            ImageFileFormat::Png | ImageFileFormat::Exr | ImageFileFormat::Jpeg => {
+                image_files::decode(format, bytes)
+            }
             ImageFileFormat::Npy => npy::decode(bytes),
         }
     }
@@ -180,12 +194,18 @@ impl Image {
     /// The bytes of a file of that format.
     ///
     /// # Errors
-    /// Returns an error if the encoder refuses the image's size.
+    /// Returns an error if the encoder refuses the image's size, or the format is only read.
     pub fn encode(&self, format: ImageFileFormat) -> Result<Vec<u8>, ImageError> {
         match format {
             ImageFileFormat::Png => image_files::encode_png(self),
             ImageFileFormat::Exr => image_files::encode_exr(self),
             ImageFileFormat::Npy => Ok(npy::encode(self)),
+            ImageFileFormat::Jpeg => Err(ImageError::Encoding {
+                format,
+                width: self.width,
+                height: self.height,
+                message: "JPEG is read and not written".into(),
+            }),
         }
     }
 
@@ -198,7 +218,7 @@ impl Image {
     pub fn encode_with_alpha(&self, format: ImageFileFormat) -> Result<Vec<u8>, ImageError> {
         match format {
             ImageFileFormat::Png => image_files::encode_png_with_alpha(self),
-            ImageFileFormat::Exr | ImageFileFormat::Npy => self.encode(format),
+            _ => self.encode(format),
         }
     }
 

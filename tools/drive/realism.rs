@@ -1,0 +1,27 @@
+//! `decouplegs realism`: how far scenes are from what they were made of.
+
+mod detections;
+mod page;
+mod photographs;
+mod scene;
+
+use anyhow::Result;
+use clap::Subcommand;
+
+/// Measure how far a scene is from the recording that it was made of
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Subcommand)]
+enum What {
+    Scene(Box<scene::Arguments>),
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    match &arguments.what {
+        What::Scene(arguments) => scene::run(arguments),
+    }
+}
