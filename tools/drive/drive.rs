@@ -347,17 +347,55 @@ impl Run<'_> {
             }
             Ok(())
         };
+        let done = AtomicBool::new(false);
         std::thread::scope(|scope| {
             let workers: Vec<_> = (0..self.arguments.workers)
                 .map(|_| scope.spawn(work))
                 .collect();
-            workers
-                .into_iter()
-                .try_for_each(|worker| worker.join().expect("a worker does not panic"))
+            scope.spawn(|| self.prepare_places(jobs, &next, &done));
+            let mut ends = workers.into_iter();
+            let end = ends.try_for_each(|worker| worker.join().expect("a worker does not panic"));
+            done.store(true, Ordering::Relaxed);
+            end
         })?;
         Ok(scored
             .into_inner()
             .unwrap_or_else(std::sync::PoisonError::into_inner))
+    }
+}
+
+/// Time between looks at how far the workers are.
+const PREPARE_EVERY: Duration = Duration::from_millis(20);
+
+impl Run<'_> {
+    /// Makes the places of `jobs`, each when the first episode at the place before it has begun:
+    /// one place ahead of the workers, who would wait for it otherwise. `next` is the job that a
+    /// worker takes next. Ends when `done` is set.
+    fn prepare_places(&self, jobs: &[Job], next: &AtomicUsize, done: &AtomicBool) {
+        let is_driven = |job: &Job| !self.folder.log(&job.scenario.name).exists();
+        let mut places: Vec<(usize, &Job)> = Vec::new();
+        for (index, job) in jobs.iter().enumerate().filter(|(_, job)| is_driven(job)) {
+            let same = |(_, other): &(usize, &Job)| {
+                other.scenario.place == job.scenario.place && other.directory == job.directory
+            };
+            if !places.iter().any(same) {
+                places.push((index, job));
+            }
+        }
+        for pair in places.windows(2) {
+            let ((before, _), (_, job)) = (pair[0], pair[1]);
+            while next.load(Ordering::Relaxed) <= before {
+                if done.load(Ordering::Relaxed) {
+                    return;
+                }
+                std::thread::sleep(PREPARE_EVERY);
+            }
+            if done.load(Ordering::Relaxed) {
+                return;
+            }
+            // A place that cannot be had is the fault of its episodes, which ask for it again.
+            let _ = self.sites.get(&job.scenario.place, &job.directory);
+        }
     }
 }
 

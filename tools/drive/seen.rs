@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 use decouplegs::asset::write_atomically;
 use decouplegs::drive::ViewSupport;
 use decouplegs::planner::{Reading, images};
+use decouplegs::render::lower_half_opacity;
 use decouplegs::scene::VehicleState;
 
 /// Opacity of the lower half of an image below which it shows holes.
@@ -66,8 +67,8 @@ impl SeenWatch {
         let is_supported =
             support.is_none_or(|support| support.holds(self.ego.position_m, self.ego.yaw_rad));
         let opacities = images(readings).map(|frame| {
-            let opacity = lower_opacity(frame.rgba, frame.camera.intrinsics.height_px);
-            (opacity, frame.camera.name.clone())
+            let opacity = lower_half_opacity(frame.rgba, frame.camera.intrinsics.height_px);
+            (opacity as f32, frame.camera.name.clone())
         });
         self.steps.push(SeenStep {
             time_s: self.time_s,
@@ -93,15 +94,6 @@ impl SeenWatch {
         })?;
         Ok(())
     }
-}
-
-/// Mean opacity of the lower half of an image, 0 to 1.
-fn lower_opacity(rgba: &[u8], height_px: u32) -> f32 {
-    let row = rgba.len() / height_px.max(1) as usize;
-    let lower = &rgba[row * (height_px / 2) as usize..];
-    let sum: u64 = lower.chunks_exact(4).map(|pixel| u64::from(pixel[3])).sum();
-    let pixels = (lower.len() / 4).max(1);
-    (sum as f64 / (255.0 * pixels as f64)) as f32
 }
 
 /// Support and opacity over an episode.

@@ -23,11 +23,14 @@ pub struct Ready {
     pub scene: Option<Arc<SessionScene>>,
 }
 
+/// A place that is there, or is being made by one thread while others wait for it.
+type Making = Arc<Mutex<Option<Arc<Ready>>>>;
+
 /// Places by what describes them.
 pub struct Sites {
     session: Option<Session>,
     appearance: Appearance,
-    kept: Mutex<Vec<(Place, PathBuf, Arc<Ready>)>>,
+    kept: Mutex<Vec<(Place, PathBuf, Making)>>,
     lanes: Mutex<Vec<(Place, PathBuf, Vec<Lane>)>>,
 }
 
@@ -53,22 +56,33 @@ impl Sites {
         self.session.as_ref()
     }
 
-    /// `place`, its files relative to `directory`. Others wait while it is made: it may be theirs
-    /// too.
+    /// `place`, its files relative to `directory`. Who asks for a place that another thread makes
+    /// waits for it, and nobody else does.
     pub fn get(&self, place: &Place, directory: &Path) -> Result<Arc<Ready>> {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((.., ready)) = kept
-            .iter()
-            .find(|(other, base, _)| other == place && base == directory)
-        {
+        let making = self.making(place, directory);
+        let mut ready = making.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(ready) = &*ready {
             return Ok(ready.clone());
+        }
+        let made = Arc::new(self.make(place, directory)?);
+        Ok(ready.insert(made).clone())
+    }
+
+    /// The entry of `place`, made if there is none.
+    fn making(&self, place: &Place, directory: &Path) -> Making {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = kept.iter();
+        if let Some((.., making)) =
+            known.find(|(other, base, _)| other == place && base == directory)
+        {
+            return making.clone();
         }
         if kept.len() >= KEPT_MAX {
             kept.remove(0);
         }
-        let ready = Arc::new(self.make(place, directory)?);
-        kept.push((place.clone(), directory.to_owned(), ready.clone()));
-        Ok(ready)
+        let making = Making::default();
+        kept.push((place.clone(), directory.to_owned(), making.clone()));
+        making
     }
 
     fn make(&self, place: &Place, directory: &Path) -> Result<Ready> {

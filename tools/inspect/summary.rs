@@ -55,15 +55,13 @@ pub fn splats_to_text(summary: &SplatSummary) -> String {
     }
     if let Some(extent) = &summary.extent {
         let SummaryBounds { min, max } = extent.middle;
-        let along = |axis: usize| format!("{:.1} to {:.1}", min[axis], max[axis]);
+        let along = |axis: usize| format!("{:.3} to {:.3}", min[axis], max[axis]);
         lines.line(
             "98 % of them",
             &format!("x {}, y {}, z {} m", along(0), along(1), along(2)),
         );
         lines.line("far away", &format!("{}, a sky or astray", extent.far));
         lines.line("floaters", &format!("{}, opaque and alone", extent.lonely));
-        let unclear = "unclear: flat splats lie across no axis more than across others";
-        lines.line("up", extent.up.unwrap_or(unclear));
     }
     let kinds: Vec<String> = summary
         .defects

@@ -1,6 +1,7 @@
 //! Images as bytes on the host: what a planner or an encoder takes, without a detour over floats.
 
 use decouplegs_gpu::{Buffer, MemoryKind, QueueRole};
+use rayon::prelude::*;
 
 use crate::output::{ColorFormat, PURPOSE};
 use crate::{RenderError, Renderer};
@@ -50,6 +51,30 @@ impl ImageBytes {
     }
 }
 
+/// Bytes that a thread adds up at once.
+const SUMMED_BYTES: usize = 1 << 18;
+
+/// Mean opacity of the lower half of an image of four bytes per pixel, 0 to 1.
+///
+/// # Panics
+/// Panics if the image has no whole number of rows.
+#[must_use]
+pub fn lower_half_opacity(rgba: &[u8], height_px: u32) -> f64 {
+    let rows = height_px.max(1) as usize;
+    assert!(
+        rgba.len().is_multiple_of(4 * rows),
+        "no whole number of rows"
+    );
+    let lower = &rgba[rgba.len() / rows * (rows / 2)..];
+    let sum_of = |piece: &[u8]| -> u64 {
+        let (pixels, _) = piece.as_chunks::<4>();
+        let sum: u32 = pixels.iter().map(|pixel| u32::from(pixel[3])).sum();
+        u64::from(sum)
+    };
+    let sum: u64 = lower.par_chunks(SUMMED_BYTES).map(sum_of).sum();
+    sum as f64 / (255.0 * (lower.len() / 4).max(1) as f64)
+}
+
 impl Renderer {
     /// Reads the images of the frame that was finished last into `bytes`, in the order of its
     /// cameras. None before the first frame.
@@ -82,5 +107,22 @@ impl Renderer {
         bytes.pixels = Some(pixels);
         bytes.ranges = view.ranges();
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_lower_half_alone_tells_its_opacity() {
+        // Two columns and five rows: the last three count.
+        let mut rgba = vec![255; 4 * 2 * 5];
+        for (pixel, bytes) in rgba.chunks_exact_mut(4).enumerate() {
+            bytes[3] = if pixel < 4 { 0 } else { 51 * (pixel as u8 % 2) };
+        }
+        assert!((lower_half_opacity(&rgba, 5) - 0.1).abs() < 1e-12);
+        let large = vec![255; 4 * 1000 * 700];
+        assert_eq!(lower_half_opacity(&large, 700), 1.0);
     }
 }

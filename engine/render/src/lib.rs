@@ -45,7 +45,7 @@ pub use agents::{Agent, Scene};
 pub use asset_pool::{AssetId, AssetPool, PoolBuffers, SHAPE_WORDS, stored_shape};
 pub use capacity::Capacity;
 pub use error::RenderError;
-pub use image_bytes::ImageBytes;
+pub use image_bytes::{ImageBytes, lower_half_opacity};
 pub use kept_lists::ListSource;
 pub use keys::KeySource;
 pub use lidar::{LidarOptions, LidarRenderer, TracedSweep};

@@ -431,7 +431,7 @@ mod tests {
             "{message}"
         );
         assert!(
-            Image::read(&folder.join("a.jpeg"))
+            Image::read(&folder.join("a.tiff"))
                 .unwrap_err()
                 .to_string()
                 .contains("*.png")
