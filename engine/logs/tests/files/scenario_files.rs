@@ -415,7 +415,7 @@ fn complaints_name_line_key_and_reason() {
         (
             "amplitude_m = 0.8",
             "amplitude_m = 80.0",
-            "agent[0].behavior[2].amplitude_m: 80 is out of range",
+            "agent[0].behavior[3].amplitude_m: 80 is out of range",
         ),
     ];
     check_complaints(&cases);
