@@ -28,6 +28,7 @@ mod pedestrian;
 mod random;
 mod signals;
 mod start;
+mod watch;
 
 use std::sync::Arc;
 
@@ -76,6 +77,8 @@ pub struct Traffic {
     waiting: Vec<u32>,
     accelerations: Vec<(f64, bool)>,
     outsiders: Outsiders,
+    /// State of the ego, for triggers.
+    ego: Option<VehicleState>,
     pedestrians: Vec<Walker>,
     time_s: f64,
     steps: u64,
@@ -133,6 +136,7 @@ impl Traffic {
             "a step of {dt_s} s"
         );
         let walks_mps = self.decide_walks(dt_s, ego);
+        self.ego = ego.map(|(state, _)| *state);
         let walkers = self.pedestrians.iter();
         self.outsiders = Outsiders {
             ego: ego.and_then(|(state, size)| Outsider::ego(&self.graph, state, size)),
@@ -196,10 +200,10 @@ impl Traffic {
         let vehicles: Vec<Vehicle> = here
             .chain(ego.map(|(state, size)| vehicle(state, size)))
             .collect();
-        let ego_m = ego.map(|(state, _)| state.position_m);
+        let ego = ego.map(|(state, _)| state);
         let walkers = self.pedestrians.iter_mut();
         walkers
-            .map(|walker| walker.decide((self.time_s, dt_s), ego_m, &vehicles))
+            .map(|walker| walker.decide((self.time_s, dt_s), ego, &vehicles))
             .collect()
     }
 

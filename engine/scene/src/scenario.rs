@@ -187,6 +187,87 @@ pub enum Trigger {
         /// Distance to the ego, meters.
         distance_m: f64,
     },
+    /// Comparison of a measured value, first met.
+    Measured(Measured),
+}
+
+/// Road user whose value is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Party {
+    /// Ego vehicle.
+    Ego,
+    /// Agent that waits for the trigger.
+    Agent,
+}
+
+impl Party {
+    /// Both, by the names that they have in files.
+    pub const NAMED: [(&str, Self); 2] = [("ego", Self::Ego), ("agent", Self::Agent)];
+}
+
+/// Comparison of a measured value with a limit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measured {
+    /// Road user whose value it is; the other one is the other end of distances.
+    pub of: Party,
+    /// Measured value.
+    pub measure: Measure,
+    /// Length that is taken off distances, so that they are between boxes, meters.
+    pub less_m: f64,
+    /// True if values from the limit on hold, false for those up to it.
+    pub is_above: bool,
+    /// Limit, in the unit of the measure.
+    pub value: f64,
+    /// Time from which it is compared, seconds.
+    pub from_s: f64,
+    /// Time that passes once it holds, seconds.
+    pub delay_s: f64,
+}
+
+/// Value that a trigger measures, of one party and towards the other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Measure {
+    /// Speed, m/s.
+    Speed,
+    /// Acceleration, m/s^2.
+    Acceleration,
+    /// Speed minus that of the other, m/s.
+    RelativeSpeed,
+    /// Way since the start, meters.
+    Traveled,
+    /// Time for which it stands, seconds.
+    Standing,
+    /// Distance to a point, meters.
+    DistanceTo {
+        /// World coordinates, meters.
+        point_m: DVec2,
+    },
+    /// Distance of the middles of both boxes, meters.
+    Distance,
+    /// Part of that distance along the heading, meters, never below zero.
+    Longitudinal,
+    /// Part of that distance across the heading, meters, never below zero.
+    Lateral,
+    /// Longitudinal distance over the speed, seconds; none while the other is behind.
+    Headway,
+    /// Distance over the speed at which it shrinks, seconds; infinite while it grows.
+    TimeToCollision,
+}
+
+impl Measure {
+    /// All but the distance to a point, by the names that they have in files.
+    pub const NAMED: [(&str, Self); 10] = [
+        ("speed", Self::Speed),
+        ("acceleration", Self::Acceleration),
+        ("relative_speed", Self::RelativeSpeed),
+        ("traveled", Self::Traveled),
+        ("standing", Self::Standing),
+        ("distance", Self::Distance),
+        ("longitudinal", Self::Longitudinal),
+        ("lateral", Self::Lateral),
+        ("headway", Self::Headway),
+        ("time_to_collision", Self::TimeToCollision),
+    ];
 }
 
 /// Maneuver of an agent that a model of good driving excludes.

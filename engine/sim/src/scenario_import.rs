@@ -10,6 +10,7 @@
 
 mod actions;
 mod locate;
+mod measured;
 #[cfg(test)]
 mod tests;
 

@@ -8,6 +8,7 @@ use super::following::PathPosition;
 use super::idm::{IdmParameters, advance, stopping_m};
 use super::random;
 use super::signals::{NextLight, NextSign};
+use super::watch::Watch;
 use crate::polyline::wrapped;
 use crate::road_graph::{RoadGraph, length_of, position_on};
 
@@ -57,7 +58,8 @@ pub(super) enum AsideKind {
 /// Phase of a behavior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Phase {
-    Waiting,
+    /// The trigger has not come.
+    Waiting(Watch),
     /// The behavior has begun, and is tried until `until_s`, seconds.
     Trying {
         until_s: f64,

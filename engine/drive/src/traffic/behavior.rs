@@ -8,6 +8,7 @@ use super::agent::{Aside, AsideKind, Phase, swerve_bend_m};
 use super::following::ASIDE_MPS2;
 use super::idm::BRAKING_MPS2;
 use super::lane_order::Entry;
+use super::watch::Watch;
 use crate::oriented_box::OrientedBox;
 
 /// Least length of a swerve for each meter to the side, meters: vehicles do not slide.
@@ -46,11 +47,13 @@ impl Traffic {
             agent.brake = agent.brake.filter(|(_, until_s)| *until_s > self.time_s);
             for which in 0..self.behaviors[number].len() {
                 let behavior = self.behaviors[number][which];
-                if self.agents[number].phases[which] == Phase::Waiting
-                    && self.is_due(number, behavior.trigger)
-                {
+                if let Phase::Waiting(mut watch) = self.agents[number].phases[which] {
+                    let is_due = self.is_due(number, behavior.trigger, &mut watch);
                     let until_s = self.time_s + patience_s(&behavior.maneuver);
-                    self.agents[number].phases[which] = Phase::Trying { until_s };
+                    self.agents[number].phases[which] = match is_due {
+                        true => Phase::Trying { until_s },
+                        false => Phase::Waiting(watch),
+                    };
                 }
                 if let Phase::Trying { until_s } = self.agents[number].phases[which] {
                     let over = self.attempt(number, behavior.maneuver) || self.time_s >= until_s;
@@ -62,7 +65,7 @@ impl Traffic {
         }
     }
 
-    fn is_due(&self, number: usize, trigger: Trigger) -> bool {
+    fn is_due(&self, number: usize, trigger: Trigger, watch: &mut Watch) -> bool {
         match trigger {
             Trigger::Time { time_s } => self.time_s >= time_s,
             Trigger::NearEgo { distance_m } => {
@@ -71,6 +74,8 @@ impl Traffic {
                     ego.position_m.distance(state.position_m) <= distance_m
                 })
             }
+            Trigger::Measured(measured) => self.states[number]
+                .is_some_and(|own| watch.is_due(&measured, self.time_s, &own, self.ego.as_ref())),
         }
     }
 

@@ -7,9 +7,9 @@
 
 use decouplegs_scene::scenario::Trigger;
 use decouplegs_scene::{Pedestrian, VehicleSize, VehicleState};
-use glam::DVec2;
 
 use super::outsider::Outsider;
+use super::watch::Watch;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::{Polyline, wrapped};
 use crate::road_graph::RoadGraph;
@@ -43,6 +43,7 @@ pub(super) struct Walker {
     walk_mps: f64,
     start: Trigger,
     waits_for_gap: bool,
+    watch: Watch,
     has_started: bool,
     /// True while walking back to the side of the road.
     returns: bool,
@@ -72,6 +73,7 @@ impl Walker {
             walk_mps: pedestrian.speed_mps,
             start: pedestrian.start,
             waits_for_gap: pedestrian.waits_for_gap,
+            watch: Watch::default(),
             has_started: false,
             returns: false,
             arc_m: 0.0,
@@ -151,18 +153,22 @@ impl Walker {
         Outsider::pedestrian(graph, &self.outline_at(self.arc_m).extended(walks_m))
     }
 
-    /// Speed after a step among `vehicles`, m/s. `ego_m` is the position of the ego.
+    /// Speed after a step among `vehicles`, m/s. `ego` is the ego.
     pub(super) fn decide(
         &mut self,
         (time_s, dt_s): (f64, f64),
-        ego_m: Option<DVec2>,
+        ego: Option<&VehicleState>,
         vehicles: &[Vehicle],
     ) -> f64 {
         let at_m = self.line.at(self.arc_m).truncate();
         self.has_started |= match self.start {
             Trigger::Time { time_s: start_s } => time_s >= start_s,
             Trigger::NearEgo { distance_m } => {
-                ego_m.is_some_and(|ego_m| ego_m.distance(at_m) <= distance_m)
+                ego.is_some_and(|ego| ego.position_m.distance(at_m) <= distance_m)
+            }
+            Trigger::Measured(measured) => {
+                let own = self.state();
+                self.watch.is_due(&measured, time_s, &own, ego)
             }
         };
         if !self.has_started {

@@ -13,6 +13,7 @@ use super::following::{GAP_M, each_ahead};
 use super::idm::stopping_m;
 use super::lane_order::LaneOrder;
 use super::outsider::Outsiders;
+use super::watch::Watch;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
 use crate::road_graph::{RoadGraph, length_of};
@@ -107,6 +108,7 @@ impl Traffic {
             waiting: Vec::new(),
             accelerations: Vec::new(),
             outsiders: Outsiders::default(),
+            ego: None,
             pedestrians: Vec::new(),
             time_s: 0.0,
             steps: 0,
@@ -366,7 +368,7 @@ fn place(
     );
     placed.changes_lanes = agent.changes_lanes;
     placed.cruise_mps = agent.cruise_mps;
-    placed.phases = vec![Phase::Waiting; agent.behaviors.len()];
+    placed.phases = vec![Phase::Waiting(Watch::default()); agent.behaviors.len()];
     // Its rear may be on the lane before: the one that bends least.
     let mut behind_m = agent.at_m;
     while behind_m < placed.half_m + 2.0 {

@@ -5,7 +5,9 @@ use std::fmt::{self, Display};
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-use decouplegs_scene::scenario::{Behavior, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{
+    Behavior, EgoTask, Maneuver, Measure, Measured, Place, TrafficAgent, Trigger,
+};
 use decouplegs_scene::{Pedestrian, RoadUser, Scenario, TrafficLight, TrafficSign, VehicleSize};
 
 use decouplegs_asset::traffic_light_form::{self, LIGHTS_MAX};
@@ -29,6 +31,11 @@ const LANE_BYTES_MAX: usize = 1000;
 
 /// Lanes of a route.
 const ROUTE_LANES_MAX: usize = 10_000;
+
+/// Limits of measured values, their points and what is taken off distances.
+const LIMITS: RangeInclusive<f64> = -1e6..=1e6;
+const POINT_M: RangeInclusive<f64> = -1e7..=1e7;
+const LESS_M: RangeInclusive<f64> = 0.0..=1000.0;
 
 /// Behaviors of an agent.
 const BEHAVIORS_MAX: usize = 100;
@@ -358,6 +365,32 @@ fn check_trigger(table: Table, trigger: Trigger) -> Result<(), Fault> {
     match trigger {
         Trigger::Time { time_s } => within(table, "at_time_s", time_s, &(0.0..=DURATION_S_MAX)),
         Trigger::NearEgo { distance_m } => within(table, "near_ego_m", distance_m, &NEAR_EGO_M),
+        Trigger::Measured(measured) => check_measured(table, &measured),
+    }
+}
+
+fn check_measured(table: Table, measured: &Measured) -> Result<(), Fault> {
+    let times_s = 0.0..=DURATION_S_MAX;
+    let limit = if measured.is_above { "above" } else { "below" };
+    let mut values = vec![
+        ("from_s", measured.from_s, &times_s),
+        ("delay_s", measured.delay_s, &times_s),
+        ("less_m", measured.less_m, &LESS_M),
+        (limit, measured.value, &LIMITS),
+    ];
+    if let Measure::DistanceTo { point_m } = measured.measure {
+        values.extend(point_m.to_array().map(|value| ("point_m", value, &POINT_M)));
+    }
+    match values
+        .iter()
+        .find(|(_, value, range)| !range.contains(value))
+    {
+        Some((key, value, range)) => {
+            let (least, most) = (range.start(), range.end());
+            let reason = format!("{key} {value} is out of range; expected {least} to {most}");
+            Err(Fault::new(table, "when", reason))
+        }
+        None => Ok(()),
     }
 }
 

@@ -11,6 +11,7 @@ use toml::Spanned;
 use super::VERSION;
 use super::check::{Fault, Table, check};
 use super::seed::Seed;
+use super::when::WhenForm;
 use decouplegs_asset::SceneError;
 use decouplegs_asset::toml_text::{Checker, syntax_error};
 use decouplegs_asset::traffic_light_form::LightForm;
@@ -155,6 +156,8 @@ pub(super) struct PedestrianForm {
     pub(super) near_ego_m: Option<f64>,
     #[serde(default = "default_waits_for_gap")]
     pub(super) waits_for_gap: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) when: Option<WhenForm>,
 }
 
 fn default_pedestrian_size_m() -> [f64; 3] {
@@ -185,6 +188,8 @@ pub(super) struct BehaviorForm {
     pub(super) duration_s: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) speed_mps: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) when: Option<WhenForm>,
 }
 
 /// Reads and checks `text`.
@@ -390,28 +395,31 @@ fn pedestrian(at: usize, form: &PedestrianForm) -> Result<Pedestrian, Fault> {
         size: VehicleSize::from_array(form.size_m),
         path_m: form.path_m.iter().copied().map(DVec2::from_array).collect(),
         speed_mps: form.speed_mps,
-        start: trigger(form.at_time_s, form.near_ego_m, Table::Pedestrian(at))?,
+        start: trigger(
+            (form.at_time_s, form.near_ego_m, form.when.as_ref()),
+            Table::Pedestrian(at),
+        )?,
         waits_for_gap: form.waits_for_gap,
     })
 }
 
 fn trigger(
-    at_time_s: Option<f64>,
-    near_ego_m: Option<f64>,
+    keys: (Option<f64>, Option<f64>, Option<&WhenForm>),
     table: Table,
 ) -> Result<Trigger, Fault> {
-    match (at_time_s, near_ego_m) {
-        (Some(time_s), None) => Ok(Trigger::Time { time_s }),
-        (None, Some(distance_m)) => Ok(Trigger::NearEgo { distance_m }),
+    match keys {
+        (Some(time_s), None, None) => Ok(Trigger::Time { time_s }),
+        (None, Some(distance_m), None) => Ok(Trigger::NearEgo { distance_m }),
+        (None, None, Some(form)) => form.trigger(table),
         _ => {
-            let reason = "give either 'at_time_s' or 'near_ego_m'".into();
+            let reason = "give one of 'at_time_s', 'near_ego_m' and 'when'".into();
             Err(Fault::new(table, "at_time_s", reason))
         }
     }
 }
 
 fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
-    let trigger = trigger(form.at_time_s, form.near_ego_m, table)?;
+    let trigger = trigger((form.at_time_s, form.near_ego_m, form.when.as_ref()), table)?;
     let name = form.maneuver.as_str();
     let needed = |field: &'static str, value: Option<f64>| {
         value.ok_or_else(|| Fault::new(table, field, format!("a maneuver '{name}' needs it")))

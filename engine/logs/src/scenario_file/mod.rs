@@ -5,6 +5,7 @@
 mod check;
 mod form;
 mod seed;
+mod when;
 mod write;
 
 use std::io::Write;

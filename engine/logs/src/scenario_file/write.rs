@@ -16,6 +16,7 @@ use super::form::{
     SceneForm, StreetForm,
 };
 use super::seed::Seed;
+use super::when::WhenForm;
 use decouplegs_asset::EncodeError;
 use decouplegs_asset::traffic_light_form::LightForm;
 use decouplegs_asset::traffic_sign_form::SignForm;
@@ -153,7 +154,7 @@ fn agent_form(agent: &TrafficAgent) -> AgentForm {
 }
 
 fn pedestrian_form(walker: &Pedestrian) -> PedestrianForm {
-    let (at_time_s, near_ego_m) = trigger_form(walker.start);
+    let (at_time_s, near_ego_m, when) = trigger_form(walker.start);
     PedestrianForm {
         name: walker.name.clone(),
         asset: walker.asset,
@@ -163,22 +164,25 @@ fn pedestrian_form(walker: &Pedestrian) -> PedestrianForm {
         at_time_s,
         near_ego_m,
         waits_for_gap: walker.waits_for_gap,
+        when,
     }
 }
 
-/// `at_time_s` and `near_ego_m`.
-fn trigger_form(trigger: Trigger) -> (Option<f64>, Option<f64>) {
+/// `at_time_s`, `near_ego_m` and `when`.
+fn trigger_form(trigger: Trigger) -> (Option<f64>, Option<f64>, Option<WhenForm>) {
     match trigger {
-        Trigger::Time { time_s } => (Some(time_s), None),
-        Trigger::NearEgo { distance_m } => (None, Some(distance_m)),
+        Trigger::Time { time_s } => (Some(time_s), None, None),
+        Trigger::NearEgo { distance_m } => (None, Some(distance_m), None),
+        Trigger::Measured(measured) => (None, None, Some(WhenForm::new(&measured))),
     }
 }
 
 fn behavior_form(behavior: &Behavior) -> BehaviorForm {
-    let (at_time_s, near_ego_m) = trigger_form(behavior.trigger);
+    let (at_time_s, near_ego_m, when) = trigger_form(behavior.trigger);
     let form = BehaviorForm {
         at_time_s,
         near_ego_m,
+        when,
         ..BehaviorForm::default()
     };
     match behavior.maneuver {

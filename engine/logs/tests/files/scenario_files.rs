@@ -4,7 +4,9 @@ use std::path::Path;
 
 use decouplegs_logs::scenario_file::{self, AGENTS_MAX};
 use decouplegs_logs::{read_scenario, write_scenario};
-use decouplegs_scene::scenario::{Behavior, DriverKind, LaneSide, Maneuver, Place, Trigger};
+use decouplegs_scene::scenario::{
+    Behavior, DriverKind, LaneSide, Maneuver, Measure, Measured, Party, Place, Trigger,
+};
 use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
 use proptest::prelude::*;
 
@@ -81,6 +83,18 @@ fn the_documented_example_means_what_it_says() {
                 deceleration_mps2: 7.0,
                 duration_s: 1.5,
             },
+        },
+        Behavior {
+            trigger: Trigger::Measured(Measured {
+                of: Party::Ego,
+                measure: Measure::Headway,
+                less_m: 4.5,
+                is_above: false,
+                value: 2.0,
+                from_s: 3.0,
+                delay_s: 0.5,
+            }),
+            maneuver: Maneuver::Cruise { speed_mps: 4.0 },
         },
         Behavior {
             trigger: Trigger::Time { time_s: 12.0 },
@@ -195,6 +209,42 @@ fn check_complaints(cases: &[(&str, &str, &str)]) {
 }
 
 #[test]
+fn complaints_about_measured_triggers_name_line_key_and_reason() {
+    check_complaints(&[
+        (
+            "from_s = 3.0",
+            "from_s = -3.0",
+            "behavior[2].when: from_s -3 is out of range",
+        ),
+        (
+            "delay_s = 0.5",
+            "delay_s = 1e308",
+            "behavior[2].when: delay_s 1",
+        ),
+        (
+            "below = 2.0",
+            "below = inf",
+            "behavior[2].when: below inf is out of range",
+        ),
+        (
+            "below = 2.0",
+            "below = 2.0, above = 1.0",
+            "behavior[2].when: give either 'below' or 'above'",
+        ),
+        (
+            "\"headway\"",
+            "\"luck\"",
+            "behavior[2].when: the measure 'luck' is unknown",
+        ),
+        (
+            "\"headway\"",
+            "\"distance_to\"",
+            "behavior[2].when: 'distance_to' needs point_m",
+        ),
+    ]);
+}
+
+#[test]
 fn complaints_about_road_users_name_line_key_and_reason() {
     check_complaints(&[
         (
@@ -230,7 +280,7 @@ fn complaints_about_road_users_name_line_key_and_reason() {
         (
             "near_ego_m = 40.0",
             "at_time_s = 1.0\nnear_ego_m = 40.0",
-            "pedestrian[0].at_time_s: give either",
+            "pedestrian[0].at_time_s: give one of",
         ),
         (
             "name = \"walker\"",
@@ -355,7 +405,7 @@ fn complaints_name_line_key_and_reason() {
         (
             "at_time_s = 9.5",
             "near_ego_m = 1.0\nat_time_s = 9.5",
-            "agent[0].behavior[1].at_time_s: give either",
+            "agent[0].behavior[1].at_time_s: give one of",
         ),
         (
             "deceleration_mps2 = 7.0",
@@ -365,7 +415,7 @@ fn complaints_name_line_key_and_reason() {
         (
             "amplitude_m = 0.8",
             "amplitude_m = 80.0",
-            "agent[0].behavior[2].amplitude_m: 80 is out of range",
+            "agent[0].behavior[3].amplitude_m: 80 is out of range",
         ),
     ];
     check_complaints(&cases);

@@ -1,7 +1,8 @@
 //! Generated scenarios, of which no number is rounder than it has to be.
 
 use decouplegs_scene::scenario::{
-    Behavior, DriverKind, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
+    Behavior, DriverKind, EgoTask, LaneSide, Maneuver, Measure, Measured, Party, Place,
+    TrafficAgent, Trigger,
 };
 use decouplegs_scene::{
     Level, LightColor, LightPhase, Pedestrian, RoadUser, Scenario, SignKind, StopLine,
@@ -78,10 +79,37 @@ fn egos() -> impl Strategy<Value = EgoTask> {
         )
 }
 
+fn measured() -> impl Strategy<Value = Trigger> {
+    let point = (-1e7f64..=1e7, -1e7f64..=1e7);
+    let point = point.prop_map(|(x, y)| Measure::DistanceTo {
+        point_m: DVec2::new(x, y),
+    });
+    let named = (0..Measure::NAMED.len()).prop_map(|at| Measure::NAMED[at].1);
+    (
+        prop_oneof![point, named],
+        (any::<bool>(), any::<bool>()),
+        -1e6f64..=1e6,
+        0.0f64..=1000.0,
+        (0.0f64..=3600.0, 0.0f64..=3600.0),
+    )
+        .prop_map(|(measure, (is_ego, is_above), value, less_m, times_s)| {
+            Trigger::Measured(Measured {
+                of: if is_ego { Party::Ego } else { Party::Agent },
+                measure,
+                less_m,
+                is_above,
+                value,
+                from_s: times_s.0,
+                delay_s: times_s.1,
+            })
+        })
+}
+
 fn triggers() -> impl Strategy<Value = Trigger> {
     prop_oneof![
         (0.0f64..=3600.0).prop_map(|time_s| Trigger::Time { time_s }),
         (0.0f64..=10_000.0).prop_map(|distance_m| Trigger::NearEgo { distance_m }),
+        measured(),
     ]
 }
 

@@ -158,9 +158,13 @@ impl Import<'_> {
     /// The trigger of an event of an entity; `None` if it cannot be expressed.
     fn trigger(&self, event: &Event, index: usize, ego: usize) -> Option<Trigger> {
         let mut time_s: f64 = 0.0;
-        let mut near_ego = None;
+        let mut measured = None;
         for stage in &event.trigger.stages {
             if let Some(reached_s) = self.stage_s(stage, CHAIN_MAX) {
+                // Times after a measured value count from when it was met, not before it.
+                if measured.is_some() && reached_s > time_s {
+                    return None;
+                }
                 time_s = time_s.max(reached_s);
                 continue;
             }
@@ -170,11 +174,16 @@ impl Import<'_> {
             let [condition] = group.as_slice() else {
                 return None;
             };
-            near_ego = Some(self.near_ego(condition, [index, ego])?);
+            // One place holds one comparison: two that wait for each other are not expressed.
+            if measured.replace(condition).is_some() {
+                return None;
+            }
         }
-        match near_ego {
-            Some(_) if time_s > 0.0 => None,
-            Some(trigger) => Some(trigger),
+        match measured {
+            Some(condition) if time_s == 0.0 => self
+                .near_ego(condition, [index, ego])
+                .or_else(|| self.measured(condition, time_s, [index, ego])),
+            Some(condition) => self.measured(condition, time_s, [index, ego]),
             None => Some(Trigger::Time {
                 time_s: time_s.min(decouplegs_logs::scenario_file::DURATION_S_MAX),
             }),

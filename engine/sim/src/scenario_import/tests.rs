@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use decouplegs_scene::scenario::{Measure, Measured, Party, Trigger};
+
 use super::*;
 
 const ROAD: &str = "<OpenDRIVE><road id='1' length='400' junction='-1'>
@@ -304,7 +306,7 @@ fn events_wait_for_times_and_for_each_other() {
         .iter()
         .map(|behavior| behavior.trigger)
         .collect();
-    let time = |time_s: f64| decouplegs_scene::scenario::Trigger::Time { time_s };
+    let time = |time_s: f64| Trigger::Time { time_s };
     assert_eq!(begins, [time(6.5), time(3.5), time(5.0)]);
     assert_eq!((read.events, read.events_driven), (5, 3));
     assert!(
@@ -378,5 +380,73 @@ fn the_ego_the_map_and_objects_are_found() {
         let error = try_import(&text, true).unwrap_err();
         let message = format!("{error:?}");
         assert!(message.contains(reason), "{message}");
+    }
+}
+
+/// Trigger of an event of T with `condition`, whose act begins after 1 s.
+fn trigger_of(condition: &str) -> Option<Trigger> {
+    let condition = format!(
+        "<ByEntityCondition><TriggeringEntities triggeringEntitiesRule='any'><EntityRef entityRef='Ego'/></TriggeringEntities><EntityCondition>{condition}</EntityCondition></ByEntityCondition>"
+    );
+    let begins = "<ByValueCondition><SimulationTimeCondition value='1' rule='greaterThan'/></ByValueCondition>";
+    let trigger = |condition: &str, delay: f64| {
+        format!(
+            "<StartTrigger><ConditionGroup><Condition delay='{delay}'>{condition}</Condition></ConditionGroup></StartTrigger>"
+        )
+    };
+    let story = format!(
+        "<Story name='s'><Act name='a'><ManeuverGroup maximumExecutionCount='1' name='g'><Actors selectTriggeringEntities='false'><EntityRef entityRef='T'/></Actors><Maneuver name='m'><Event name='e' priority='overwrite'><Action name='x'>{}</Action>{}</Event></Maneuver></ManeuverGroup>{}</Act></Story>",
+        speed("9"),
+        trigger(&condition, 0.5),
+        trigger(begins, 0.0)
+    );
+    let entities = vehicle("Ego", "") + &vehicle("T", "");
+    let place = "<LanePosition roadId='1' laneId='-1' s='100'/>";
+    let actions = init("Ego", &teleport(AT_50)) + &init("T", &(teleport(place) + &speed("9")));
+    let read = import(&file(&entities, &actions, &story));
+    let behavior = read.scenario.agents[0].behaviors.first();
+    assert_eq!(read.events_driven, usize::from(behavior.is_some()));
+    behavior.map(|behavior| behavior.trigger)
+}
+
+#[test]
+fn conditions_of_actor_and_ego_are_asked_while_driving() {
+    let less = "rule='lessThan' value='2'";
+    let more = "rule='greaterThan' value='2'";
+    let point_m = DVec2::new(80.0, -1.75);
+    let cases = [
+        (format!("<SpeedCondition {more}/>"), Measure::Speed, 0.0, true),
+        (format!("<AccelerationCondition {less}/>"), Measure::Acceleration, 0.0, false),
+        (format!("<RelativeSpeedCondition entityRef='T' {less}/>"), Measure::RelativeSpeed, 0.0, false),
+        ("<TraveledDistanceCondition value='2'/>".into(), Measure::Traveled, 0.0, true),
+        ("<StandStillCondition duration='2'/>".into(), Measure::Standing, 0.0, true),
+        ("<ReachPositionCondition tolerance='2'><Position><WorldPosition x='80' y='-1.75'/></Position></ReachPositionCondition>".into(), Measure::DistanceTo { point_m }, 0.0, false),
+        (format!("<RelativeDistanceCondition entityRef='T' freespace='false' relativeDistanceType='longitudinal' {less}/>"), Measure::Longitudinal, 0.0, false),
+        (format!("<RelativeDistanceCondition entityRef='T' freespace='false' relativeDistanceType='lateral' {more}/>"), Measure::Lateral, 0.0, true),
+        (format!("<RelativeDistanceCondition entityRef='T' freespace='true' relativeDistanceType='euclidianDistance' {less}/>"), Measure::Distance, 4.4, false),
+        (format!("<TimeHeadwayCondition entityRef='T' freespace='true' alongRoute='true' {less}/>"), Measure::Headway, 4.4, false),
+        (format!("<TimeToCollisionCondition freespace='false' {less}><TimeToCollisionConditionTarget><EntityRef entityRef='T'/></TimeToCollisionConditionTarget></TimeToCollisionCondition>"), Measure::TimeToCollision, 0.0, false),
+    ];
+    for (condition, measure, less_m, is_above) in cases {
+        let expected = Measured {
+            of: Party::Ego,
+            measure,
+            less_m,
+            is_above,
+            value: 2.0,
+            from_s: 1.0,
+            delay_s: 0.5,
+        };
+        let found = trigger_of(&condition);
+        assert_eq!(found, Some(Trigger::Measured(expected)), "{condition}");
+    }
+    // Entities that the file does not have, and equality, are listed instead.
+    for condition in [
+        format!(
+            "<TimeHeadwayCondition entityRef='nobody' freespace='true' alongRoute='true' {less}/>"
+        ),
+        "<SpeedCondition rule='equalTo' value='2'/>".into(),
+    ] {
+        assert_eq!(trigger_of(&condition), None, "{condition}");
     }
 }
