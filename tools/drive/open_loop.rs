@@ -36,7 +36,7 @@ pub struct Arguments {
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerName,
     /// Reference images: a folder of CAMERA_STEP.png, as `drive --images all` writes them
-    /// (front_0000.png), or `rendered`
+    /// (front_0000.png), or .jpg; or `rendered`
     #[arg(long, value_name = "DIR|rendered", default_value = "rendered")]
     reference: PathBuf,
     /// Images to compare with: a folder, or `rendered`
@@ -179,8 +179,17 @@ fn rig_of_folder(
     Ok(rig)
 }
 
+/// Endings of images in a folder.
+const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
+
+/// The image of a camera at a step; with the first ending where there is none.
 fn path_of(folder: &Path, camera: &str, step: u32) -> PathBuf {
-    folder.join(format!("{camera}_{step:04}.png"))
+    let path = |ending: &str| folder.join(format!("{camera}_{step:04}.{ending}"));
+    let there = ENDINGS
+        .iter()
+        .map(|ending| path(ending))
+        .find(|path| path.is_file());
+    there.unwrap_or_else(|| path(ENDINGS[0]))
 }
 
 fn read_images(folder: &Path, rig: &Rig, step: u32) -> Result<Images> {

@@ -109,16 +109,28 @@ impl BufferMemory {
         })
     }
 
+    /// # Panics
+    /// For memory that is not of the kind `wanted`, one that the host sees.
+    fn require(&self, wanted: MemoryKind) {
+        assert!(
+            !matches!(self.memory_kind, MemoryKind::Device | MemoryKind::Exported),
+            "buffer {}: lives on the device; the host reaches it through the Gpu only",
+            self.name
+        );
+        assert!(
+            self.memory_kind == wanted,
+            "buffer {}: made as {:?}, and used as {wanted:?}",
+            self.name,
+            self.memory_kind
+        );
+    }
+
     /// Runs `body` on the buffer's bytes as the host writes them.
     ///
     /// # Panics
     /// For a buffer that is not [`MemoryKind::Upload`].
     pub(crate) fn write_host_bytes(&self, body: impl FnOnce(&mut [u8])) {
-        assert!(
-            self.memory_kind == MemoryKind::Upload,
-            "buffer {}: the host does not write memory of this kind",
-            self.name
-        );
+        self.require(MemoryKind::Upload);
         let mut allocation = self
             .allocation
             .lock()
@@ -137,11 +149,7 @@ impl BufferMemory {
     /// # Panics
     /// For a buffer that is not [`MemoryKind::Readback`].
     pub(crate) fn host_bytes(&self) -> &[u8] {
-        assert!(
-            self.memory_kind == MemoryKind::Readback,
-            "buffer {}: the host reads memory of this kind through the Gpu only",
-            self.name
-        );
+        self.require(MemoryKind::Readback);
         let allocation = self
             .allocation
             .lock()

@@ -1,5 +1,6 @@
 //! A sweep of a real LiDAR beside the same beams through a scene.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
@@ -20,6 +21,14 @@ const DISTANCES_M: [f64; 5] = [0.0, 10.0, 20.0, 40.0, 80.0];
 /// A range within this of the real one counts as right, meters.
 const RIGHT_M: f64 = 0.2;
 
+/// Side of the cells in which the lowest points are searched, meters.
+const GROUND_CELL_M: f64 = 2.0;
+/// Height of a point of the ground above the lowest point of its cell and those around it, at most,
+/// meters.
+const GROUND_ABOVE_M: f64 = 0.25;
+/// Depth of the ground below the sensor, at least, meters: sensors stand on vehicles.
+const GROUND_BELOW_M: f64 = 1.0;
+
 /// Sizes of the image, pixels: columns around, and rows of each of its three parts.
 const IMAGE_PX: [u32; 2] = [1024, 80];
 /// An error that is drawn in full color, meters.
@@ -34,6 +43,8 @@ pub struct Met {
     pub real_m: f64,
     /// Range in the scene, meters; `None` where the beam meets nothing.
     pub rendered_m: Option<f64>,
+    /// True if the scan's point is of the ground.
+    pub is_ground: bool,
 }
 
 /// The beams of a scan.
@@ -144,10 +155,12 @@ impl ScanComparison {
     fn of_sweep(points: &[DVec3], traced: &TracedSweep) -> Self {
         let mut met: Vec<Met> = points
             .iter()
-            .map(|point| Met {
+            .zip(of_ground(points))
+            .map(|(point, is_ground)| Met {
                 direction: point.normalize(),
                 real_m: point.length(),
                 rendered_m: None,
+                is_ground,
             })
             .collect();
         let sweep = traced.returns(&ReturnOptions::for_model(&traced.lidar.model));
@@ -174,7 +187,41 @@ impl ScanComparison {
         bins.filter_map(of_bin).collect()
     }
 
+    /// Errors by class: of points of the ground, and of all others.
+    pub fn by_class(&self) -> Vec<(&'static str, RangeErrors)> {
+        let of = |is_ground: bool| {
+            let own = self
+                .met
+                .iter()
+                .filter(move |met| met.is_ground == is_ground);
+            RangeErrors::from_met(own)
+        };
+        let classes = [("ground", of(true)), ("all else", of(false))];
+        classes
+            .into_iter()
+            .filter_map(|(name, errors)| Some((name, errors?)))
+            .collect()
+    }
+
+    /// Median distance of the scene's ground from the scan's across the beams' heights, meters;
+    /// `None` without returns of the ground.
+    pub fn ground_height_error_m(&self) -> Option<f64> {
+        let error = |met: &Met| {
+            let range_error_m = met.rendered_m? - met.real_m;
+            met.is_ground
+                .then(|| (range_error_m * met.direction.z).abs())
+        };
+        let mut errors_m: Vec<f64> = self.met.iter().filter_map(error).collect();
+        errors_m.sort_by(f64::total_cmp);
+        errors_m.get(errors_m.len() / 2).copied()
+    }
+
     pub fn to_json(&self) -> Value {
+        let class = |(name, errors): (&str, RangeErrors)| {
+            let mut value = errors.to_json();
+            value["class"] = json!(name);
+            value
+        };
         let bin = |([from_m, to_m], errors): ([f64; 2], RangeErrors)| {
             let mut value = errors.to_json();
             value["from_m"] = json!(from_m);
@@ -184,6 +231,8 @@ impl ScanComparison {
         json!({
             "all": self.all().map(RangeErrors::to_json),
             "by_distance": self.by_distance().into_iter().map(bin).collect::<Vec<_>>(),
+            "by_class": self.by_class().into_iter().map(class).collect::<Vec<_>>(),
+            "ground_height_error_m": self.ground_height_error_m(),
         })
     }
 
@@ -207,8 +256,14 @@ impl ScanComparison {
         for ([from_m, to_m], errors) in &self.by_distance() {
             text += &line(&format!("{from_m:.0} to {to_m:.0} m"), errors);
         }
+        for (name, errors) in &self.by_class() {
+            text += &line(name, errors);
+        }
         if let Some(errors) = self.all() {
             text += &line("all", &errors);
+        }
+        if let Some(error_m) = self.ground_height_error_m() {
+            text += &format!("height of the ground: {error_m:.3} m off (median)\n");
         }
         text
     }
@@ -250,6 +305,23 @@ impl ScanComparison {
     }
 }
 
+/// Points of the ground: near the lowest ones around them, and well below the sensor.
+fn of_ground(points: &[DVec3]) -> Vec<bool> {
+    let cell = |point: &DVec3| [point.x, point.y].map(|at| (at / GROUND_CELL_M).floor() as i32);
+    let mut lowest: HashMap<[i32; 2], f64> = HashMap::new();
+    for point in points {
+        let low = lowest.entry(cell(point)).or_insert(f64::INFINITY);
+        *low = low.min(point.z);
+    }
+    let is_ground = |point: &DVec3| {
+        let [x, y] = cell(point);
+        let around = (0..9).filter_map(|at| lowest.get(&[x + at % 3 - 1, y + at / 3 - 1]));
+        let low_m = around.copied().fold(f64::INFINITY, f64::min);
+        point.z <= -GROUND_BELOW_M && point.z <= low_m + GROUND_ABOVE_M
+    };
+    points.iter().map(is_ground).collect()
+}
+
 /// Red above zero, blue below, dark where small.
 fn error_color(error_m: f32) -> [f32; 3] {
     let share = (error_m / ERROR_SHOWN_M).clamp(-1.0, 1.0);
@@ -266,7 +338,33 @@ mod tests {
             direction: DVec3::X,
             real_m,
             rendered_m,
+            is_ground: false,
         }
+    }
+
+    #[test]
+    fn the_ground_is_low_and_told_apart() {
+        // A flat road 1.7 m below the sensor, a kerb's wall on it, and a sign.
+        let mut points: Vec<DVec3> = (0..40).map(|at| DVec3::new(at as f64, 1.0, -1.7)).collect();
+        points.extend([DVec3::new(5.0, 1.0, -1.2), DVec3::new(6.0, 1.0, 0.5)]);
+        let ground = of_ground(&points);
+        assert!(ground[..40].iter().all(|is_ground| *is_ground));
+        assert_eq!(ground[40..], [false, false]);
+        let down = DVec3::new(0.8, 0.0, -0.6);
+        let road = Met {
+            direction: down,
+            is_ground: true,
+            ..met(10.0, Some(10.5))
+        };
+        let comparison = ScanComparison {
+            met: vec![road, met(3.0, Some(4.0))],
+        };
+        assert!((comparison.ground_height_error_m().unwrap() - 0.3).abs() < 1e-9);
+        let classes = comparison.by_class();
+        assert_eq!(
+            (classes[0].0, classes[0].1.beams, classes[1].1.beams),
+            ("ground", 1, 1)
+        );
     }
 
     #[test]

@@ -48,7 +48,7 @@ pub fn page(realism: &Realism) -> Result<String> {
         let caption = "Ranges of the scan, of the scene, and their difference: red is too far, blue too near, white without a return";
         page.row([Figure::image(caption, &scan.comparison.image())?]);
         let mut table = Table::new([
-            "range, m",
+            "range, m, or class",
             "beams",
             "missing",
             "bias, m",
@@ -56,9 +56,14 @@ pub fn page(realism: &Realism) -> Result<String> {
             "95 %, m",
             "within 0.2 m",
         ]);
-        for ([from_m, to_m], errors) in scan.comparison.by_distance() {
+        let bins = scan.comparison.by_distance().into_iter();
+        let bins =
+            bins.map(|([from_m, to_m], errors)| (format!("{from_m:.0} to {to_m:.0}"), errors));
+        let classes = scan.comparison.by_class().into_iter();
+        let classes = classes.map(|(name, errors)| (name.to_owned(), errors));
+        for (name, errors) in bins.chain(classes) {
             table.row([
-                format!("{from_m:.0} to {to_m:.0}"),
+                name,
                 errors.beams.to_string(),
                 format!("{:.1} %", 100.0 * errors.missing),
                 format!("{:.3}", errors.bias_m),
@@ -94,6 +99,10 @@ fn gaps(realism: &Realism) -> Table {
                 format!("median error of ranges, scan {}, m", scan.name),
                 format!("{:.3}", all.median_m),
             ]);
+            if let Some(error_m) = scan.comparison.ground_height_error_m() {
+                let name = format!("median error of the ground's height, scan {}, m", scan.name);
+                table.row([name, format!("{error_m:.3}")]);
+            }
             table.row([
                 format!("beams without a return, scan {}", scan.name),
                 format!("{:.1} %", 100.0 * all.missing),
