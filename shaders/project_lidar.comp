@@ -23,7 +23,7 @@ layout(set = 0, binding = 1, scalar) readonly buffer means_block { vec3 means_m[
 layout(set = 0, binding = 2, scalar) readonly buffer shapes_block { uvec4 shapes[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer rotations_block { uvec4 rotations[]; };
 layout(set = 0, binding = 4, scalar) buffer visible_words_block { uint visible_words[]; };
-layout(set = 0, binding = 5, scalar) writeonly buffer visible_counts_block { uint visible_counts[]; };
+layout(set = 0, binding = 5, scalar) buffer visible_counts_block { uint visible_counts[]; };
 layout(set = 0, binding = 6, scalar) readonly buffer offsets_block { uint offsets[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer clusters_block { Cluster clusters[]; };
 layout(set = 0, binding = 8, scalar) readonly buffer sh_dc_block { uint sh_dc[]; };
@@ -42,14 +42,13 @@ layout(push_constant, scalar) uniform push_block {
 };
 
 #include "visible_words.glsl"
+#include "reached_sectors.glsl"
 #include "stored_splat.glsl"
 #include "sh_coding.glsl"
 #include "stored_dc.glsl"
 
-// Sectors with beams that may meet the cluster, as bits.
-shared uint reached_sectors;
-
-// Finds them, a thread each. Every thread of the workgroup calls it.
+// Finds the sectors whose beams may meet the cluster, a thread each. Every thread of the workgroup
+// calls it.
 void find_sectors(Cluster cluster, uint thread) {
     if (thread == 0u) {
         reached_sectors = 0u;
@@ -66,7 +65,8 @@ int visible_rank(uint first_word, uint bit) {
 }
 
 void write_records(uint cluster_index, uint splat_index) {
-    for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
+    for (uint sectors_left = reached_sectors; sectors_left != 0u; sectors_left &= sectors_left - 1u) {
+        uint camera_index = uint(findLSB(sectors_left));
         uint list = camera_index * cluster_count + cluster_index;
         int rank = visible_rank(list * CLUSTER_WORDS, gl_LocalInvocationIndex);
         uint slot = offsets[list] + uint(rank);
@@ -92,6 +92,7 @@ void main() {
     uint thread = gl_LocalInvocationIndex;
     uint splat_index = cluster_index * CLUSTER_SPLATS + thread;
     if (WRITE) {
+        find_marked_sectors(cluster_index, thread);
         if (splat_index < splat_count) {
             write_records(cluster_index, splat_index);
         }

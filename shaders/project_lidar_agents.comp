@@ -18,7 +18,7 @@ layout(local_size_x = 256) in;
 layout(constant_id = 2) const bool WRITE = false; // the second run
 
 layout(set = 0, binding = 4, scalar) buffer visible_words_block { uint visible_words[]; };
-layout(set = 0, binding = 5, scalar) writeonly buffer visible_counts_block { uint visible_counts[]; };
+layout(set = 0, binding = 5, scalar) buffer visible_counts_block { uint visible_counts[]; };
 layout(set = 0, binding = 6, scalar) readonly buffer offsets_block { uint offsets[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer asset_clusters_block { Cluster asset_clusters[]; };
 layout(set = 0, binding = 8, scalar) readonly buffer coded_dc_block { vec3 coded_dc[]; };
@@ -38,9 +38,7 @@ layout(push_constant, scalar) uniform push_block {
 };
 
 #include "visible_words.glsl"
-
-// Sectors with beams that may meet the cluster, as bits.
-shared uint reached_sectors;
+#include "reached_sectors.glsl"
 
 bool reaches_sector(Agent agent, uint agent_index, uint own_cluster, uint camera_index) {
     Cluster cluster = asset_clusters[agent.first_bounds + own_cluster];
@@ -50,8 +48,8 @@ bool reaches_sector(Agent agent, uint agent_index, uint own_cluster, uint camera
     return any_cell(cluster_cells(cluster, camera, sectors[camera_index], speed_mps));
 }
 
-// Finds them, a thread each. Every thread of the workgroup calls it. Clusters behind the agent's
-// end only fill up their number: no box, no splats.
+// Finds the sectors whose beams may meet the cluster, a thread each. Every thread of the workgroup
+// calls it. Clusters behind the agent's end only fill up their number: no box, no splats.
 void find_sectors(Agent agent, uint agent_index, uint own_cluster, uint thread) {
     if (thread == 0u) {
         reached_sectors = 0u;
@@ -69,7 +67,8 @@ int visible_rank(uint first_word, uint bit) {
 }
 
 void write_records(Agent agent, uint agent_index, uint cluster_index, uint own_splat) {
-    for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
+    for (uint sectors_left = reached_sectors; sectors_left != 0u; sectors_left &= sectors_left - 1u) {
+        uint camera_index = uint(findLSB(sectors_left));
         uint list = camera_index * cluster_count + cluster_index;
         int rank = visible_rank(list * CLUSTER_WORDS, gl_LocalInvocationIndex);
         uint slot = static_offsets[static_lists] + offsets[list] + uint(rank);
@@ -98,6 +97,7 @@ void main() {
     uint own_cluster = cluster_index - agent.first_cluster;
     uint own_splat = own_cluster * CLUSTER_SPLATS + thread;
     if (WRITE) {
+        find_marked_sectors(cluster_index, thread);
         if (own_splat < agent.splat_count) {
             write_records(agent, agent_index, cluster_index, own_splat);
         }
