@@ -10,7 +10,7 @@ const COEFFICIENTS: usize = 6;
 /// Angles at which the polynomial is fitted.
 const SAMPLES: usize = 64;
 /// F-theta calibrations count pixels from the center of the first one, this engine from its corner.
-const FTHETA_ORIGIN_PX: f64 = 0.5;
+pub(super) const FTHETA_ORIGIN_PX: f64 = 0.5;
 
 /// A camera as a package says it is: a pinhole becomes f-theta, which all readers of packages know
 /// and AlpaSim's rectifier demands (`src/driver/src/alpasim_driver/rectification.py:485`); others

@@ -1,4 +1,4 @@
-//! Scenes read from packages. Nothing is unpacked to the disk: entries are read from the bytes of
+//! Scenes read from packages, of this program and of NuRec. Nothing is unpacked to the disk: entries are read from the bytes of
 //! the package.
 
 use std::borrow::Cow;
@@ -7,10 +7,12 @@ use std::path::{Path, PathBuf};
 
 use crate::error::read_bytes;
 use crate::scene_file::SceneFiles;
+use crate::scene_import::{ImportedScene, nurec};
 use crate::toml_text::text_of;
 use crate::zip::Archive;
-use crate::{AssetError, DecodeError, LoadedScene, SceneFile};
-use decouplegs_scene::SplatCloud;
+use crate::{AssetError, DecodeError, LoadedScene, SceneFile, SceneSky};
+use decouplegs_scene::{SkyMap, SplatCloud};
+use glam::DVec3;
 
 use super::{OURS, SCENE};
 
@@ -32,14 +34,25 @@ pub fn is_package(path: &Path) -> bool {
 /// package is refused.
 pub fn open_packed_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     let package = PackedScene::open(path)?;
+    for note in package.notes() {
+        log::warn!("{}: {note}", path.display());
+    }
     package.load(&package.file, time_s)
 }
 
 /// A package that is open: its scene file, and the files that it names.
 pub struct PackedScene {
     path: PathBuf,
-    bytes: Vec<u8>,
+    content: Content,
     file: SceneFile,
+}
+
+/// Content of a package.
+enum Content {
+    /// One of this program: the bytes of the package, which hold the files.
+    Own(Vec<u8>),
+    /// One of NuRec, read.
+    NuRec(Box<ImportedScene>),
 }
 
 impl PackedScene {
@@ -51,9 +64,23 @@ impl PackedScene {
         let bytes = read_bytes(path)?;
         let file = {
             let package = Package::new(path, &bytes)?;
+            if !package.archive.has(SCENE) && nurec::is_package(&package.archive) {
+                let scene = nurec::scene(&package.archive);
+                let scene = scene.map_err(|source| AssetError::Decode {
+                    path: path.to_owned(),
+                    format: nurec::NAME,
+                    source,
+                })?;
+                let file = scene.scene_file();
+                return Ok(Self {
+                    path: path.to_owned(),
+                    content: Content::NuRec(Box::new(scene)),
+                    file,
+                });
+            }
             if !package.archive.has(SCENE) {
                 let message = format!(
-                    "it has no '{SCENE}': packages of other programs hold no scene that is read here"
+                    "it has neither '{SCENE}' nor a 'volume.nurec': it is no package of this program or of NuRec"
                 );
                 return Err(package.error(DecodeError::Unsupported(message)));
             }
@@ -68,7 +95,7 @@ impl PackedScene {
         };
         Ok(Self {
             path: path.to_owned(),
-            bytes,
+            content: Content::Own(bytes),
             file,
         })
     }
@@ -84,7 +111,25 @@ impl PackedScene {
     /// # Errors
     /// [`AssetError`] of the entry at fault.
     pub fn load(&self, scene: &SceneFile, time_s: f64) -> Result<LoadedScene, AssetError> {
-        scene.load_from(&Package::new(&self.path, &self.bytes)?, time_s)
+        match &self.content {
+            Content::Own(bytes) => scene.load_from(&Package::new(&self.path, bytes)?, time_s),
+            Content::NuRec(imported) => scene.load_from(
+                &Imported {
+                    path: &self.path,
+                    scene: imported,
+                },
+                time_s,
+            ),
+        }
+    }
+
+    /// Omissions and interpretations of a package of another program, one sentence each.
+    #[must_use]
+    pub fn notes(&self) -> &[String] {
+        match &self.content {
+            Content::Own(_) => &[],
+            Content::NuRec(imported) => &imported.notes,
+        }
     }
 
     /// The splats in `file`, a path as the scene file names it.
@@ -92,7 +137,49 @@ impl PackedScene {
     /// # Errors
     /// [`AssetError`] of the entry.
     pub fn splats(&self, file: &Path) -> Result<SplatCloud, AssetError> {
-        Package::new(&self.path, &self.bytes)?.splats(file)
+        match &self.content {
+            Content::Own(bytes) => Package::new(&self.path, bytes)?.splats(file),
+            Content::NuRec(scene) => {
+                let path = &self.path;
+                Imported { path, scene }.splats(file)
+            }
+        }
+    }
+}
+
+/// The files of a scene that was imported, which are nowhere but in memory.
+struct Imported<'a> {
+    path: &'a Path,
+    scene: &'a ImportedScene,
+}
+
+impl Imported<'_> {
+    fn unknown(&self, file: &Path) -> AssetError {
+        AssetError::Placement(format!(
+            "{} is not in the package",
+            self.path(file).display()
+        ))
+    }
+}
+
+impl SceneFiles for Imported<'_> {
+    fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError> {
+        Err(self.unknown(file))
+    }
+
+    fn path(&self, file: &Path) -> PathBuf {
+        self.path.join(file)
+    }
+
+    fn placed_splats(&self, file: &Path) -> Result<(SplatCloud, DVec3), AssetError> {
+        let splats = self.scene.splats(file).cloned();
+        let splats = splats.ok_or_else(|| self.unknown(file))?;
+        Ok((splats, DVec3::ZERO))
+    }
+
+    fn sky(&self, sky: &SceneSky) -> Result<SkyMap, AssetError> {
+        let map = self.scene.sky.clone();
+        map.ok_or_else(|| self.unknown(&sky.file))
     }
 }
 

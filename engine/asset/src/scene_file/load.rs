@@ -313,8 +313,9 @@ impl SceneFile {
             sky_map: self
                 .sky_map
                 .as_ref()
-                .map(|sky| loaded_sky(sky, files))
-                .transpose()?,
+                .map(|sky| files.sky(sky))
+                .transpose()?
+                .map(Arc::new),
             photometry: self.photometry,
             fog: self.fog,
             rules: self.rules,
@@ -371,17 +372,6 @@ impl SceneFile {
     }
 }
 
-fn loaded_sky(sky: &SceneSky, files: &dyn SceneFiles) -> Result<Arc<SkyMap>, AssetError> {
-    let decoded = sky_file::decode(&files.bytes(&sky.file)?, sky.kind, sky.world_from_sky);
-    let mut map = decoded.map_err(|source| AssetError::Decode {
-        path: files.path(&sky.file),
-        format: "sky",
-        source,
-    })?;
-    (map.clamps, map.clamps_splats) = (sky.clamps, sky.clamps_splats);
-    Ok(Arc::new(map))
-}
-
 /// The files that a scene names.
 pub(crate) trait SceneFiles {
     /// The content of `file`, a path as the scene file names it.
@@ -393,6 +383,18 @@ pub(crate) trait SceneFiles {
     /// The splats in `file`, and the origin that they are relative to.
     fn placed_splats(&self, file: &Path) -> Result<(SplatCloud, DVec3), AssetError> {
         placed_splats_of(&self.bytes(file)?, &self.path(file))
+    }
+
+    /// The sky of the scene.
+    fn sky(&self, sky: &SceneSky) -> Result<SkyMap, AssetError> {
+        let decoded = sky_file::decode(&self.bytes(&sky.file)?, sky.kind, sky.world_from_sky);
+        let mut map = decoded.map_err(|source| AssetError::Decode {
+            path: self.path(&sky.file),
+            format: "sky",
+            source,
+        })?;
+        (map.clamps, map.clamps_splats) = (sky.clamps, sky.clamps_splats);
+        Ok(map)
     }
 
     /// The splats of an asset in `file`.

@@ -5,11 +5,12 @@
 //! |---|---|
 //! | drivestudio, OmniRe (`checkpoint_*.pth`): `Background` and `RigidNodes` | in the checkpoint, one pose a frame; frames have no times, so a rate is asked for |
 //! | HUGSIM (a folder with `scene.pth`) | in its `meta_data.json`, with cameras and the path of the ego |
+//! | NuRec (a `.usdz` with `volume.nurec` or `checkpoint.ckpt`): see [`nurec`] | in the package, with cameras and the path of the ego |
 //! | Street Gaussians (`.pth`, or the `.ply` with an element for each model): `background` and `obj_*` | in the data set alone: the checkpoint holds corrections; given beside it, or actors are written and not placed |
 //!
 //! Actors are in the frame of their boxes, x forward, y left, z up, origin in the middle. All
-//! trainers evaluate spherical harmonics in the directions of the world and do not turn them, so
-//! every actor's `sh_frame` is `world`.
+//! trainers but NuRec evaluate spherical harmonics in the directions of the world and do not turn
+//! them, so every actor's `sh_frame` is `world`.
 //!
 //! Left out, with a line in [`ImportedScene::notes`] each: what deforms or walks
 //! (`DeformableNodes`, `SMPLNodes`), corrections of camera poses. An actor is present
@@ -21,23 +22,33 @@
 mod colors;
 mod drivestudio;
 mod hugsim;
+pub(crate) mod nurec;
 mod sky;
 mod street_gaussians;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use decouplegs_scene::{
     LaneMap, Photometry, Presence, Rig, Rules, ShFrame, SkyMap, SplatCloud, Trajectory,
 };
 
+use glam::DVec3;
+
 use crate::checkpoint::{self, Checkpoint};
 use crate::error::read_bytes;
 use crate::maps::lane_json;
+use crate::packed_scene::is_package;
 use crate::ply::Ply;
 use crate::sky_file::write_cube;
+use crate::zip::Archive;
 use crate::{AssetError, DecodeError, SceneAgent, SceneFile, SceneSky, SkyKind, inria_ply};
 
 pub use hugsim::{HugsimFault, HugsimFiles, decode as decode_hugsim};
+
+/// Background of a written scene.
+const BACKGROUND: &str = "background.ply";
+/// Sky of a written scene.
+const SKY: &str = "sky.exr";
 
 /// Interpretation of data that the files do not define.
 #[derive(Clone, Debug, PartialEq)]
@@ -67,8 +78,12 @@ impl Default for ImportOptions {
 pub struct ImportedScene {
     /// Trainer that wrote the scene.
     pub source: &'static str,
+    /// World coordinates of the point that the background's means are relative to, meters.
+    pub origin: DVec3,
     /// Static splats, z up.
     pub background: SplatCloud,
+    /// Frame of the actors' colors.
+    pub actor_frame: ShFrame,
     /// Moving actors.
     pub actors: Vec<ImportedActor>,
     /// Sky behind the splats.
@@ -81,6 +96,8 @@ pub struct ImportedScene {
     pub rig: Rig,
     /// Trajectory of the ego vehicle during the recording.
     pub ego: Option<Trajectory>,
+    /// Height of the ego's poses above the road, meters, where the source tells.
+    pub ego_height_m: Option<f64>,
     /// A lane along the recording.
     pub lanes: Option<LaneMap>,
     /// Omissions and interpretations, one sentence each.
@@ -90,7 +107,7 @@ pub struct ImportedScene {
 /// Something that moves as a whole.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportedActor {
-    /// Names it; unique in its scene, and fit for a file name.
+    /// Names it; unique in its scene.
     pub name: String,
     /// Class of what it shows; `None` where the source does not tell.
     pub class: Option<String>,
@@ -117,6 +134,10 @@ pub fn read_scene(
     }
     let bytes = read_bytes(path)?;
     let (format, decoded) = match bytes.as_slice() {
+        [b'P', b'K', 3, 4, ..] if is_package(path) => match nurec_scene(&bytes) {
+            Some(decoded) => (nurec::NAME, decoded.map(Some)),
+            None => return Ok(None),
+        },
         [b'P', b'K', 3, 4, ..] if is_checkpoint(&bytes) => {
             (checkpoint::NAME, decode_checkpoint(&bytes, options))
         }
@@ -132,8 +153,15 @@ pub fn read_scene(
     })
 }
 
+/// The scene of a NuRec package; `None` for other archives.
+fn nurec_scene(bytes: &[u8]) -> Option<Result<ImportedScene, DecodeError>> {
+    let archive = Archive::parse(bytes).ok();
+    let archive = archive.filter(nurec::is_package)?;
+    Some(nurec::scene(&archive))
+}
+
 fn is_checkpoint(bytes: &[u8]) -> bool {
-    crate::zip::Archive::parse(bytes).is_ok_and(|archive| checkpoint::is_checkpoint(&archive))
+    Archive::parse(bytes).is_ok_and(|archive| checkpoint::is_checkpoint(&archive))
 }
 
 /// Reads the scene of a checkpoint. None where it is one of splats alone.
@@ -181,16 +209,60 @@ impl ImportedScene {
     fn empty(source: &'static str) -> Self {
         Self {
             source,
+            origin: DVec3::ZERO,
             background: SplatCloud::with_degree(0),
+            actor_frame: ShFrame::World,
             actors: Vec::new(),
             sky: None,
             photometry: Photometry::IDENTITY,
             rules: Rules::DEFAULT,
             rig: Rig::default(),
             ego: None,
+            ego_height_m: None,
             lanes: None,
             notes: Vec::new(),
         }
+    }
+
+    /// The scene file of this scene, whose files have the names that [`ImportedScene::write`] gives
+    /// them. Actors without a trajectory are not named in it.
+    pub(crate) fn scene_file(&self) -> SceneFile {
+        let agent = |(index, actor): (usize, &ImportedActor)| {
+            actor.trajectory.as_ref().map(|trajectory| SceneAgent {
+                name: actor.name.clone(),
+                class: actor.class.clone(),
+                asset: asset_path(index, &actor.name),
+                sh_frame: Some(self.actor_frame),
+                trajectory: trajectory.clone(),
+                present: actor.present.clone(),
+            })
+        };
+        SceneFile {
+            origin: self.origin,
+            photometry: self.photometry,
+            rules: self.rules,
+            rig: self.rig.clone(),
+            ego: self.ego.clone(),
+            ego_height_m: self.ego_height_m,
+            agents: self.actors.iter().enumerate().filter_map(agent).collect(),
+            sky_map: self.sky.as_ref().map(|sky| SceneSky {
+                world_from_sky: sky.sky_from_world().transpose(),
+                clamps: sky.clamps,
+                clamps_splats: sky.clamps_splats,
+                ..SceneSky::new(SKY, SkyKind::Cube)
+            }),
+            ..SceneFile::of_background(BACKGROUND)
+        }
+    }
+
+    /// The splats in `file`, a path of [`ImportedScene::scene_file`].
+    pub(crate) fn splats(&self, file: &Path) -> Option<&SplatCloud> {
+        if file == Path::new(BACKGROUND) {
+            return Some(&self.background);
+        }
+        let mut actors = self.actors.iter().enumerate();
+        let found = actors.find(|(index, actor)| asset_path(*index, &actor.name) == file);
+        found.map(|(_, actor)| &actor.splats)
     }
 
     /// Writes `scene.toml`, `background.ply`, `assets/*.ply` and, where there are such, `sky.exr`
@@ -206,43 +278,33 @@ impl ImportedScene {
             path: assets.clone(),
             source,
         })?;
-        inria_ply::write(&folder.join("background.ply"), &self.background)?;
-        let mut scene = SceneFile {
-            photometry: self.photometry,
-            rules: self.rules,
-            rig: self.rig.clone(),
-            ego: self.ego.clone(),
-            ..SceneFile::of_background("background.ply")
-        };
-        for actor in &self.actors {
-            let asset = Path::new("assets").join(format!("{}.ply", actor.name));
-            inria_ply::write(&folder.join(&asset), &actor.splats)?;
-            if let Some(trajectory) = &actor.trajectory {
-                scene.agents.push(SceneAgent {
-                    name: actor.name.clone(),
-                    class: actor.class.clone(),
-                    asset,
-                    sh_frame: Some(ShFrame::World),
-                    trajectory: trajectory.clone(),
-                    present: actor.present.clone(),
-                });
-            }
+        inria_ply::write(&folder.join(BACKGROUND), &self.background)?;
+        for (index, actor) in self.actors.iter().enumerate() {
+            let asset = asset_path(index, &actor.name);
+            inria_ply::write(&folder.join(asset), &actor.splats)?;
         }
         if let Some(sky) = &self.sky {
-            let file = "sky.exr";
-            write_cube(&folder.join(file), sky.face_texels(), &sky.texels())?;
-            scene.sky_map = Some(SceneSky {
-                world_from_sky: sky.sky_from_world().transpose(),
-                clamps: sky.clamps,
-                clamps_splats: sky.clamps_splats,
-                ..SceneSky::new(file, SkyKind::Cube)
-            });
+            write_cube(&folder.join(SKY), sky.face_texels(), &sky.texels())?;
         }
         if let Some(lanes) = &self.lanes {
             lane_json::write(&folder.join("lanes.json"), lanes)?;
         }
         // Last: a scene that is found is complete.
+        let scene = self.scene_file();
         scene.write(&folder.join("scene.toml"))?;
         Ok(scene)
     }
+}
+
+/// Path of the splats of the actor `name`: by its name where a file may be called so, else by its
+/// `index`.
+fn asset_path(index: usize, name: &str) -> PathBuf {
+    let fits = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-');
+    let is_fit = !name.is_empty() && name.len() <= 100 && name.chars().all(fits);
+    let stem = match is_fit {
+        true => name.to_owned(),
+        // A dot, which no name that fits has: the two never meet.
+        false => format!("{index:04}.agent"),
+    };
+    Path::new("assets").join(format!("{stem}.ply"))
 }

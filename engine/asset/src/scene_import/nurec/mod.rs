@@ -1,0 +1,270 @@
+//! NuRec's packages: USDZ with the splats of a drive, its rig and tracks.
+//!
+//! What is read, and what public readers and writers of the form say of it (3dgrut's
+//! `threedgrut/export` at a37ef72, AlpaSim's `src/utils/alpasim_utils` at 3032e0cf, ppisp):
+//!
+//! | entry | what is read |
+//! |---|---|
+//! | `volume.nurec`, else `checkpoint.ckpt` | layers of splats: those with `gaussian_cuboid_ids` are agents, in the frames of their boxes; the others are the background |
+//! | the same, `background.textures` | the sky, six faces in OpenGL's order |
+//! | `rig_trajectories.json` | cameras, way of the ego, `world_to_nre`: the frame of the splats |
+//! | `sequence_tracks.json` | classes and ways of the agents |
+//! | `datasource_summary.json` | both of the above, in older packages |
+//!
+//! **World** is the one of rig and tracks. The splats' own frame is near its origin; where it is
+//! only moved against the world, its origin becomes that of the scene, and else the splats and
+//! their colors are turned. **Times** are seconds from the first pose of the rig. **Poses** of the
+//! ego are those of the middle of its box, where the package has one.
+//!
+//! Rendering there is 3DGUT: unscented transform and evaluation along rays. Here splats are drawn
+//! as all others, by EWA.
+
+mod layers;
+mod rig;
+mod state;
+mod tracks;
+mod value;
+
+use std::collections::{HashMap, HashSet};
+
+use decouplegs_scene::{Pose, Rules, ShFrame, SkyMap, SplatCloud};
+use glam::{DMat3, DVec3};
+
+use super::{ImportedActor, ImportedScene};
+use crate::DecodeError;
+use crate::zip::Archive;
+use layers::Layer;
+use rig::{PackageRig, RIG};
+use state::State;
+use tracks::{BoxTrack, TRACKS};
+
+/// Name of the format in messages.
+pub(crate) const NAME: &str = "NuRec package";
+/// Entries that hold splats, in the order in which they are tried.
+const VOLUMES: [&str; 2] = ["volume.nurec", "checkpoint.ckpt"];
+/// Rig and tracks in one file, in older packages.
+const SUMMARY: &str = "datasource_summary.json";
+/// Most bytes of a text entry.
+const TEXT_BYTES_MAX: u64 = 256 << 20;
+/// A frame is turned against the world if a corner of a 1 km square moves by a millimeter.
+const TURNED_RAD: f64 = 1e-6;
+
+/// True if an archive is a package of this kind.
+pub(crate) fn is_package(archive: &Archive<'_>) -> bool {
+    VOLUMES.iter().any(|name| archive.has(name))
+}
+
+/// Reads a package.
+///
+/// # Errors
+/// A sentence that names the entry and the array or key at fault.
+pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError> {
+    let mut scene = ImportedScene {
+        rules: Rules::DEFAULT,
+        actor_frame: ShFrame::Canonical,
+        ..ImportedScene::empty("NuRec")
+    };
+    let rig = read_rig(archive)?;
+    if rig.is_none() {
+        let note = format!("there is no {RIG}: the scene has no cameras and no way of an ego");
+        scene.notes.push(note);
+    }
+    let nre_from_world = rig
+        .as_ref()
+        .map_or(Pose::IDENTITY, |rig| rig.nre_from_world);
+    let world_from_nre = nre_from_world.inverse();
+    let mut tracks = read_tracks(archive, rig.as_ref())?;
+    let state = read_state(archive)?;
+    if state.layers().is_empty() {
+        return Err(DecodeError::Malformed(
+            "the volume has no layer with positions of splats".into(),
+        ));
+    }
+    note_unread(&state, &mut scene.notes);
+    scene.sky = sky(&state, nre_from_world)?;
+    let mut background: Option<SplatCloud> = None;
+    let mut drawn = HashSet::new();
+    for name in state.layers() {
+        let layer = layers::layer(&state, &name)?;
+        note_layer(&layer, &mut scene.notes);
+        if layer.tracks.is_empty() {
+            match &mut background {
+                Some(background) => background.append(&layer.cloud),
+                None => background = Some(layer.cloud),
+            }
+            continue;
+        }
+        let ids = state.tracks_of(&name);
+        let unplaced = add_actors(&mut scene, &layer, ids, &mut tracks, &mut drawn)?;
+        if unplaced > 0 {
+            scene.notes.push(format!(
+                "layer {name}: {unplaced} splats belong to tracks that {TRACKS} does not have, and stand nowhere"
+            ));
+        }
+    }
+    let background = background.unwrap_or_else(|| SplatCloud::with_degree(0));
+    scene.origin = world_from_nre.translation;
+    let turn = Pose::new(world_from_nre.rotation, DVec3::ZERO);
+    let is_turned = turn.rotation.angle_between(glam::DQuat::IDENTITY) > TURNED_RAD;
+    scene.background = match is_turned {
+        true => background.placed(&turn, true),
+        false => background,
+    };
+    if let Some(rig) = rig {
+        scene.notes.extend(rig.notes);
+        (scene.rig, scene.ego) = (rig.rig, Some(rig.ego));
+        scene.ego_height_m = rig.ego_height_m;
+    }
+    if tracks.is_empty() {
+        return Ok(scene);
+    }
+    let count = tracks.len();
+    scene.notes.push(format!(
+        "{count} tracks have no splats of their own: they are not drawn"
+    ));
+    Ok(scene)
+}
+
+fn read_state(archive: &Archive<'_>) -> Result<State, DecodeError> {
+    let [volume, checkpoint] = VOLUMES;
+    if archive.has(volume) {
+        return State::from_volume(archive.stored(volume)?);
+    }
+    State::from_checkpoint(archive.stored(checkpoint)?)
+}
+
+/// The entry `name`, else that part of the older summary which is called like it.
+fn text(archive: &Archive<'_>, name: &str) -> Result<Option<Vec<u8>>, DecodeError> {
+    if archive.has(name) {
+        return Ok(Some(archive.checked(name, TEXT_BYTES_MAX)?.into_owned()));
+    }
+    if !archive.has(SUMMARY) {
+        return Ok(None);
+    }
+    let summary = archive.checked(SUMMARY, TEXT_BYTES_MAX)?;
+    let summary: serde_json::Value = serde_json::from_slice(&summary)
+        .map_err(|error| DecodeError::Malformed(format!("{SUMMARY}: {error}")))?;
+    let stem = name.trim_end_matches(".json");
+    let part = summary.get(stem).or_else(|| {
+        // The two objects may also stand in one another's place, by their keys.
+        let has_rig = summary
+            .get("rig_trajectories")
+            .is_some_and(serde_json::Value::is_array);
+        (name == RIG && has_rig).then_some(&summary)
+    });
+    Ok(part.map(|part| part.to_string().into_bytes()))
+}
+
+fn read_rig(archive: &Archive<'_>) -> Result<Option<PackageRig>, DecodeError> {
+    let text = text(archive, RIG)?;
+    text.map(|text| rig::read(&text)).transpose()
+}
+
+fn read_tracks(
+    archive: &Archive<'_>,
+    rig: Option<&PackageRig>,
+) -> Result<HashMap<String, BoxTrack>, DecodeError> {
+    let Some(text) = text(archive, TRACKS)? else {
+        return Ok(HashMap::new());
+    };
+    let start_us = rig.map_or(0, |rig| rig.start_us);
+    let end_s = rig.map_or(0.0, |rig| rig.ego.end_s());
+    tracks::read(&text, start_us, end_s)
+}
+
+/// Adds an actor for each track that splats of `layer` belong to; returns the splats whose track is
+/// not known. A track of several layers is one actor of all its splats.
+fn add_actors(
+    scene: &mut ImportedScene,
+    layer: &Layer,
+    ids: &[String],
+    tracks: &mut HashMap<String, BoxTrack>,
+    drawn: &mut HashSet<String>,
+) -> Result<usize, DecodeError> {
+    let mut unplaced = 0;
+    for (index, cloud) in layer.parts() {
+        let id = &ids[index];
+        if drawn.contains(id) {
+            let actor = scene.actors.iter_mut().find(|actor| actor.name == *id);
+            if let Some(actor) = actor {
+                actor.splats.append(&cloud);
+            }
+            continue;
+        }
+        let Some(track) = tracks.remove(id) else {
+            unplaced += cloud.len();
+            continue;
+        };
+        drawn.insert(id.clone());
+        scene.actors.push(ImportedActor {
+            name: id.clone(),
+            class: track.class,
+            splats: cloud,
+            trajectory: Some(track.trajectory),
+            present: track.present,
+        });
+    }
+    Ok(unplaced)
+}
+
+/// Sky of the volume: the six faces of OpenGL, looked up at (-y, z, -x) of a direction in the frame
+/// of the splats.
+fn sky(state: &State, nre_from_world: Pose) -> Result<Option<SkyMap>, DecodeError> {
+    let name = "background.textures";
+    let Some(textures) = state.get(name) else {
+        return Ok(None);
+    };
+    let shape = textures.shape();
+    let is_cube = matches!(*shape, [1, 6, rows, columns, 3] if rows == columns);
+    if !is_cube {
+        return Err(DecodeError::Malformed(format!(
+            "'{name}' has the shape {shape:?}, expected [1, 6, S, S, 3]"
+        )));
+    }
+    let side = shape[2];
+    let texels: Vec<[f32; 3]> = textures.columns(6 * side * side, 3, 0);
+    let clamp = |rgb: [f32; 3]| rgb.map(|value| value.clamp(0.0, 1.0));
+    let texels: Vec<[f32; 3]> = texels.into_iter().map(clamp).collect();
+    let gl_from_nre = DMat3::from_cols(-DVec3::Z, -DVec3::X, DVec3::Y);
+    let sky_from_world = gl_from_nre * DMat3::from_quat(nre_from_world.rotation);
+    let sky = SkyMap::new(side, &texels, sky_from_world.transpose());
+    sky.map(Some)
+        .map_err(|reason| DecodeError::Malformed(format!("'{name}': {reason}")))
+}
+
+fn note_layer(layer: &Layer, notes: &mut Vec<String>) {
+    let Layer {
+        name,
+        cloud,
+        color_times,
+        ..
+    } = layer;
+    let count = cloud.len();
+    if *color_times > 1 {
+        notes.push(format!(
+            "layer {name}: {count} splats have {color_times} colors over time; the constant one is drawn"
+        ));
+    }
+    if name.contains("deformable") {
+        notes.push(format!(
+            "layer {name}: {count} splats deform; they are drawn as rigid parts of their boxes"
+        ));
+    }
+}
+
+/// Notes on what a volume has and is not drawn.
+fn note_unread(state: &State, notes: &mut Vec<String>) {
+    let has = |part: &str| state.names().any(|name| name.contains(part));
+    if has("tracks_delta_") {
+        notes.push(
+            "corrections of the tracks (tracks_calib) are left out: agents may stand some centimeters off"
+                .into(),
+        );
+    }
+    if has("ppisp.") {
+        notes.push(
+            "the photometry of the cameras (PPISP: exposure, vignetting, color and response) is left out: images have the colors of the splats"
+                .into(),
+        );
+    }
+}

@@ -1,0 +1,207 @@
+//! Cameras and way of the ego: `rig_trajectories.json`.
+
+use std::collections::BTreeMap;
+
+use decouplegs_scene::{Pose, Rig, RigCamera, Shutter, ShutterDirection, TimedPose, Trajectory};
+use glam::{DMat3, DQuat, DVec3};
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::tracks::seconds;
+use crate::DecodeError;
+use crate::packed_scene::read_camera_model;
+
+/// Name of the entry.
+pub(super) const RIG: &str = "rig_trajectories.json";
+/// Largest difference from a rotation that the rounding of a file explains.
+const ROTATION_ERROR_MAX: f64 = 1e-3;
+
+/// The ego of a package.
+#[derive(Clone, Debug)]
+pub(super) struct PackageRig {
+    /// Frame of the splats from the world.
+    pub(super) nre_from_world: Pose,
+    /// Cameras on the vehicle; their poses are from the middle of its box.
+    pub(super) rig: Rig,
+    /// Way of the middle of the box, world coordinates, seconds from the first pose.
+    pub(super) ego: Trajectory,
+    /// Height of the middle of the box above the ground, meters, where the package has a box.
+    pub(super) ego_height_m: Option<f64>,
+    /// First pose, microseconds of the package.
+    pub(super) start_us: i64,
+    /// Names of the cameras with a number of their own, in the order of these numbers.
+    pub(super) notes: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct File {
+    world_to_nre: Option<Matrix>,
+    #[serde(default)]
+    camera_calibrations: BTreeMap<String, Calibration>,
+    #[serde(default)]
+    lidar_calibrations: BTreeMap<String, Value>,
+    rig_trajectories: Vec<Way>,
+}
+
+#[derive(Deserialize)]
+struct Matrix {
+    matrix: [[f64; 4]; 4],
+}
+
+#[derive(Deserialize)]
+struct Calibration {
+    logical_sensor_name: String,
+    #[serde(default)]
+    unique_sensor_idx: u64,
+    #[serde(rename = "T_sensor_rig")]
+    rig_from_sensor: [[f64; 4]; 4],
+    camera_model: Value,
+}
+
+#[derive(Deserialize)]
+struct Way {
+    #[serde(rename = "T_rig_world_timestamps_us")]
+    times_us: Vec<i64>,
+    #[serde(rename = "T_rig_worlds")]
+    worlds: Vec<[[f64; 4]; 4]>,
+    #[serde(default)]
+    cameras_frame_timestamps_us: BTreeMap<String, Vec<Vec<i64>>>,
+    rig_bbox: Option<RigBox>,
+}
+
+#[derive(Deserialize)]
+struct RigBox {
+    centroid: [f64; 3],
+}
+
+/// Reads the rig.
+///
+/// # Errors
+/// A sentence that names the key at fault.
+pub(super) fn read(text: &[u8]) -> Result<PackageRig, DecodeError> {
+    let malformed = |reason: String| DecodeError::Malformed(format!("{RIG}: {reason}"));
+    let file: File = serde_json::from_slice(text).map_err(|error| malformed(error.to_string()))?;
+    let mut notes = Vec::new();
+    let Some(way) = file.rig_trajectories.first() else {
+        return Err(malformed("'rig_trajectories' is empty".into()));
+    };
+    if file.rig_trajectories.len() > 1 {
+        let count = file.rig_trajectories.len();
+        notes.push(format!("the first of {count} rig trajectories is driven"));
+    }
+    if !file.lidar_calibrations.is_empty() {
+        let count = file.lidar_calibrations.len();
+        notes.push(format!(
+            "{count} LiDARs of the recording are left out; `lidar --sensor` traces with models of our own"
+        ));
+    }
+    if way.times_us.len() != way.worlds.len() || way.worlds.is_empty() {
+        return Err(malformed(format!(
+            "{} times for {} poses of the rig",
+            way.times_us.len(),
+            way.worlds.len()
+        )));
+    }
+    let nre_from_world = match &file.world_to_nre {
+        Some(matrix) => pose(&matrix.matrix, "world_to_nre").map_err(malformed)?,
+        None => Pose::IDENTITY,
+    };
+    let centroid = way.rig_bbox.as_ref().map(|found| found.centroid);
+    let middle = DVec3::from_array(centroid.unwrap_or_default());
+    if !middle.is_finite() {
+        return Err(malformed("rig_bbox.centroid is not finite".into()));
+    }
+    let start_us = way.times_us[0];
+    let mut knots = Vec::with_capacity(way.worlds.len());
+    for (&time_us, rows) in way.times_us.iter().zip(&way.worlds) {
+        let rig = pose(rows, "T_rig_worlds").map_err(malformed)?;
+        knots.push(TimedPose {
+            time_s: seconds(time_us, start_us),
+            pose: Pose::new(rig.rotation, rig.transform(middle)),
+        });
+    }
+    let ego = Trajectory::new(knots).map_err(|reason| malformed(reason.to_string()))?;
+    let mut cameras: Vec<(u64, RigCamera)> = Vec::new();
+    for (key, calibration) in &file.camera_calibrations {
+        let frames = way.cameras_frame_timestamps_us.get(key);
+        let camera = camera(calibration, middle, frames.map_or(&[], Vec::as_slice))
+            .map_err(|reason| malformed(format!("camera {key}: {reason}")))?;
+        cameras.push((calibration.unique_sensor_idx, camera));
+    }
+    cameras.sort_by_key(|(index, _)| *index);
+    let mut names = std::collections::HashSet::new();
+    if let Some((_, twice)) = cameras
+        .iter()
+        .find(|(_, camera)| !names.insert(&camera.name))
+    {
+        return Err(malformed(format!(
+            "two cameras are called {:?}",
+            twice.name
+        )));
+    }
+    Ok(PackageRig {
+        nre_from_world,
+        rig: cameras.into_iter().map(|(_, camera)| camera).collect(),
+        ego,
+        ego_height_m: centroid.map(|[_, _, z]| z).filter(|z| *z > 0.0),
+        start_us,
+        notes,
+    })
+}
+
+fn camera(
+    calibration: &Calibration,
+    middle: DVec3,
+    frames: &[Vec<i64>],
+) -> Result<RigCamera, String> {
+    let (mut intrinsics, direction) = read_camera_model(&calibration.camera_model)?;
+    if direction != ShutterDirection::Global {
+        let readout_s = readout_s(frames).ok_or_else(|| {
+            format!(
+                "its shutter is {}, and no frame has a start and an end",
+                direction.name()
+            )
+        })?;
+        let size_px = [intrinsics.width_px, intrinsics.height_px];
+        intrinsics.shutter = Shutter::new(direction, readout_s, size_px);
+    }
+    intrinsics.check().map_err(|reason| reason.to_string())?;
+    let rig_from_camera = pose(&calibration.rig_from_sensor, "T_sensor_rig")?;
+    Ok(RigCamera {
+        name: calibration.logical_sensor_name.clone(),
+        intrinsics,
+        rig_from_camera: Pose {
+            translation: rig_from_camera.translation - middle,
+            ..rig_from_camera
+        },
+    })
+}
+
+/// Median time between start and end of a frame, seconds.
+fn readout_s(frames: &[Vec<i64>]) -> Option<f64> {
+    let duration = |frame: &Vec<i64>| match frame[..] {
+        [start_us, end_us] if end_us > start_us => Some(end_us - start_us),
+        _ => None,
+    };
+    let mut durations: Vec<i64> = frames.iter().filter_map(duration).collect();
+    durations.sort_unstable();
+    let median = durations.get(durations.len() / 2)?;
+    Some(*median as f64 * 1e-6)
+}
+
+/// The pose in the rows of a matrix.
+fn pose(rows: &[[f64; 4]; 4], name: &str) -> Result<Pose, String> {
+    let [x, y, z, _] = rows.map(|[a, b, c, _]| DVec3::new(a, b, c));
+    let rotation = DMat3::from_cols(x, y, z).transpose();
+    let error = (rotation * rotation.transpose() - DMat3::IDENTITY).to_cols_array();
+    let is_rotation =
+        error.iter().all(|value| value.abs() <= ROTATION_ERROR_MAX) && rotation.determinant() > 0.0;
+    let translation = DVec3::new(rows[0][3], rows[1][3], rows[2][3]);
+    if !is_rotation || !translation.is_finite() {
+        return Err(format!("{name} is no rotation and translation"));
+    }
+    Ok(Pose::new(
+        DQuat::from_mat3(&rotation).normalize(),
+        translation,
+    ))
+}
