@@ -183,7 +183,7 @@ fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
     unfinished.finish()?;
     let mut notes = scene.notes.clone();
     let placed = format!(
-        "{} of {} actors stand in the scene, their colors in the world's frame",
+        "{} of {} actors stand in the scene",
         agents,
         scene.actors.len()
     );

@@ -7,6 +7,8 @@ use serde_json::{Value, json};
 
 /// Coefficients of a polynomial, the constant first.
 const COEFFICIENTS: usize = 6;
+/// Largest difference between two readings of one polynomial, pixels.
+const SAME_PX: f64 = 1e-4;
 /// Angles at which the polynomial is fitted.
 const SAMPLES: usize = 64;
 /// F-theta calibrations count pixels from the center of the first one, this engine from its corner.
@@ -124,6 +126,40 @@ fn fitted(intrinsics: &Intrinsics) -> FTheta {
         // Pixels are as wide as fx says where the polynomial says fy.
         linear_cde: [fx_px / fy_px, 0.0, 0.0],
     }
+}
+
+/// The pinhole that [`packed_intrinsics`] made `f_theta` of, if it did: splats near a camera are
+/// drawn otherwise through a polynomial.
+pub(super) fn pinhole_of(f_theta: &Intrinsics) -> Option<Intrinsics> {
+    let Lens::FTheta(lens) = f_theta.lens else {
+        return None;
+    };
+    let [aspect, skew_x, skew_y] = lens.linear_cde;
+    if !(aspect > 0.0 && skew_x == 0.0 && skew_y == 0.0) {
+        return None;
+    }
+    let farthest = |center: f64, size: u32| center.abs().max((f64::from(size) - center).abs());
+    let x_px = farthest(f_theta.cx_px, f_theta.width_px) / aspect;
+    let y_px = farthest(f_theta.cy_px, f_theta.height_px);
+    let fy_px = x_px.hypot(y_px) / lens.max_angle_rad.tan();
+    let pinhole = Intrinsics {
+        fx_px: aspect * fy_px,
+        fy_px,
+        lens: Lens::Pinhole,
+        ..*f_theta
+    };
+    pinhole.check().ok()?;
+    let again = fitted(&pinhole);
+    let radius_px = |polynomial: &[f64; COEFFICIENTS], angle: f64| {
+        polynomial.iter().rev().fold(0.0, |sum, c| sum * angle + c)
+    };
+    let is_same = (0..=SAMPLES).all(|step| {
+        let angle = again.max_angle_rad * step as f64 / SAMPLES as f64;
+        let [there, here] =
+            [&lens, &again].map(|lens| radius_px(&lens.angle_to_pixel_distance, angle));
+        (there - here).abs() < SAME_PX
+    });
+    (is_same && lens.reference == again.reference).then_some(pinhole)
 }
 
 /// The polynomial without a constant that is nearest to `to` at `from`, least squares.

@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use super::read::{NAME, is_package};
 use crate::error::read_bytes;
-use crate::zip::{Archive, first_stored};
+use crate::zip::{Archive, first_stored, stored_in};
 use crate::{AssetError, DecodeError};
 
 /// Entry of the rig.
@@ -81,17 +81,21 @@ pub fn read_packed_rig(path: &Path) -> Result<PackedRig, AssetError> {
     })
 }
 
-/// Id by which clients ask for the package at `path`, as its `metadata.yaml` says. `None` where
-/// that is not at its start.
+/// Id by which clients ask for the package at `path`, as its `metadata.yaml` says; `None` where it
+/// has none. Only its start, and else its directory and that entry, are read.
 #[must_use]
 pub fn packed_scene_id(path: &Path) -> Option<String> {
     if !is_package(path) {
         return None;
     }
     let mut start = Vec::new();
-    let file = File::open(path).ok()?;
-    file.take(START_BYTES).read_to_end(&mut start).ok()?;
-    let id = value_of(first_stored(&start, METADATA)?, "scene_id")?;
+    let mut file = File::open(path).ok()?;
+    (&file).take(START_BYTES).read_to_end(&mut start).ok()?;
+    let metadata = match first_stored(&start, METADATA) {
+        Some(metadata) => metadata.to_vec(),
+        None => stored_in(&mut file, METADATA, START_BYTES)?,
+    };
+    let id = value_of(&metadata, "scene_id")?;
     Some(id).filter(|id| !id.is_empty())
 }
 
@@ -167,5 +171,7 @@ fn value_of(yaml: &[u8], key: &str) -> Option<String> {
     let value = text
         .lines()
         .find_map(|line| line.strip_prefix(key)?.strip_prefix(": "))?;
-    serde_json::from_str(value).ok()
+    // Others write texts as YAML does, mostly without quotes.
+    let plain = || value.trim().trim_matches('\'').to_owned();
+    Some(serde_json::from_str(value).unwrap_or_else(|_| plain()))
 }

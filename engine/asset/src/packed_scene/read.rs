@@ -34,9 +34,6 @@ pub fn is_package(path: &Path) -> bool {
 /// package is refused.
 pub fn open_packed_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     let package = PackedScene::open(path)?;
-    for note in package.notes() {
-        log::warn!("{}: {note}", path.display());
-    }
     package.load(&package.file, time_s)
 }
 
@@ -71,6 +68,9 @@ impl PackedScene {
                     format: nurec::NAME,
                     source,
                 })?;
+                for note in &scene.notes {
+                    log::warn!("{}: {note}", path.display());
+                }
                 let file = scene.scene_file();
                 return Ok(Self {
                     path: path.to_owned(),
@@ -120,15 +120,6 @@ impl PackedScene {
                 },
                 time_s,
             ),
-        }
-    }
-
-    /// Omissions and interpretations of a package of another program, one sentence each.
-    #[must_use]
-    pub fn notes(&self) -> &[String] {
-        match &self.content {
-            Content::Own(_) => &[],
-            Content::NuRec(imported) => &imported.notes,
         }
     }
 

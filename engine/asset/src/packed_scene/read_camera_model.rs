@@ -9,7 +9,7 @@ use decouplegs_scene::{Intrinsics, ShutterDirection};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::camera_model::FTHETA_ORIGIN_PX;
+use super::camera_model::{FTHETA_ORIGIN_PX, pinhole_of};
 
 #[derive(Deserialize)]
 struct Model {
@@ -80,10 +80,11 @@ pub(crate) fn read_camera_model(model: &Value) -> Result<(Intrinsics, ShutterDir
         "ftheta" => {
             let lens = f_theta(read(&parameters, "parameters")?)?;
             let center_px = center_px.map(|center| center + FTHETA_ORIGIN_PX);
-            Intrinsics {
+            let f_theta = Intrinsics {
                 lens: Lens::FTheta(lens),
                 ..Intrinsics::pinhole(size_px, lens.center_focal_px(), center_px)
-            }
+            };
+            pinhole_of(&f_theta).unwrap_or(f_theta)
         }
         "opencv-pinhole" => {
             let own: OpenCvParameters = read(&parameters, "parameters")?;
@@ -240,9 +241,27 @@ mod tests {
                 let (mut read, found) = read_camera_model(&model(&intrinsics)).unwrap();
                 assert_eq!(found, direction);
                 read.shutter = intrinsics.shutter;
-                assert_eq!(read, packed_intrinsics(&intrinsics), "{lens:?}");
+                if lens == Lens::Pinhole {
+                    assert_eq!(read.lens, Lens::Pinhole);
+                    assert!((read.fx_px - intrinsics.fx_px).abs() < 1e-6);
+                    (read.fx_px, read.fy_px) = (intrinsics.fx_px, intrinsics.fy_px);
+                }
+                assert_eq!(read, intrinsics, "{lens:?}");
             }
         }
+    }
+
+    #[test]
+    fn a_lens_that_is_nearly_a_pinhole_stays_what_it_is() {
+        let intrinsics = Intrinsics::from_horizontal_fov(1600, 900, 1.0);
+        let mut value = model(&intrinsics);
+        let polynomial = &mut value["parameters"]["angle_to_pixeldist_poly"];
+        polynomial[2] = (polynomial[2].as_f64().unwrap() + 0.1).into();
+        let (read, _) = read_camera_model(&value).unwrap();
+        assert!(matches!(read.lens, Lens::FTheta(_)));
+        let wide = packed_intrinsics(&intrinsics);
+        let f_theta = read_camera_model(&model(&wide)).unwrap().0;
+        assert_eq!(f_theta.lens, Lens::Pinhole, "of a pinhole");
     }
 
     #[test]

@@ -134,10 +134,7 @@ pub fn read_scene(
     }
     let bytes = read_bytes(path)?;
     let (format, decoded) = match bytes.as_slice() {
-        [b'P', b'K', 3, 4, ..] if is_package(path) => match nurec_scene(&bytes) {
-            Some(decoded) => (nurec::NAME, decoded.map(Some)),
-            None => return Ok(None),
-        },
+        [b'P', b'K', 3, 4, ..] if is_package(path) => (nurec::NAME, decode_nurec(&bytes)),
         [b'P', b'K', 3, 4, ..] if is_checkpoint(&bytes) => {
             (checkpoint::NAME, decode_checkpoint(&bytes, options))
         }
@@ -153,11 +150,15 @@ pub fn read_scene(
     })
 }
 
-/// The scene of a NuRec package; `None` for other archives.
-fn nurec_scene(bytes: &[u8]) -> Option<Result<ImportedScene, DecodeError>> {
-    let archive = Archive::parse(bytes).ok();
-    let archive = archive.filter(nurec::is_package)?;
-    Some(nurec::scene(&archive))
+/// Reads the scene of a NuRec package, a USDZ with its `volume.nurec` or `checkpoint.ckpt`. `None`
+/// for other archives.
+///
+/// # Errors
+/// A [`DecodeError`] that names the entry and the array or key at fault.
+pub fn decode_nurec(bytes: &[u8]) -> Result<Option<ImportedScene>, DecodeError> {
+    // A broken zip is the package reader's to explain.
+    let archive = Archive::parse(bytes).ok().filter(nurec::is_package);
+    archive.map(|archive| nurec::scene(&archive)).transpose()
 }
 
 fn is_checkpoint(bytes: &[u8]) -> bool {

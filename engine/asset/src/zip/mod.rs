@@ -6,9 +6,11 @@
 //! ready to hold. Names that lead out of a folder are refused.
 
 mod read;
+mod seek;
 mod write;
 
 pub(crate) use read::{Archive, first_stored};
+pub(crate) use seek::stored_in;
 pub use write::{ALIGNMENT, StoredZip};
 
 /// Signature of local entries.

@@ -188,6 +188,40 @@ pub(crate) fn first_stored<'a>(start: &'a [u8], name: &str) -> Option<&'a [u8]> 
     }
 }
 
+/// Start and size of the directory that the `end` of a file of `file_bytes` tells. `None` where it
+/// tells none, or one with the 64-bit extension.
+pub(super) fn directory_span(end: &[u8], file_bytes: u64) -> Option<(u64, u64)> {
+    let at = (0..=end.len().checked_sub(END_BYTES)?)
+        .rev()
+        .find(|&at| is_end(end, at))?;
+    let [size, start] = [12, 16].map(|part| u64::from(u32_at(end, at + part)));
+    let is_inside = start.checked_add(size)? <= file_bytes;
+    (is_inside && start != u64::from(u32::MAX)).then_some((start, size))
+}
+
+/// Place of the local header and size of the stored entry `name` in the bytes of a directory.
+pub(super) fn stored_in_directory(directory: &[u8], name: &str) -> Option<(u64, u64)> {
+    let mut at = 0;
+    while at < directory.len() {
+        let (entry, next) = central_entry(directory, at)?;
+        let entry = entry.ok()?;
+        if entry.name == name {
+            let is_stored = entry.method == Method::Stored;
+            return is_stored.then_some((entry.header_at, entry.bytes));
+        }
+        at = next;
+    }
+    None
+}
+
+/// Bytes of a local entry before its content, as its `header` says.
+pub(super) fn bytes_before_content(header: &[u8; LOCAL_BYTES]) -> Option<u64> {
+    let after = u64::from(u16_at(header, 26)) + u64::from(u16_at(header, 28));
+    header
+        .starts_with(&LOCAL)
+        .then_some(LOCAL_BYTES as u64 + after)
+}
+
 fn inflated(packed: &[u8], entry: &Entry<'_>) -> Result<Vec<u8>, DecodeError> {
     let mut content = Vec::new();
     // One byte more than is claimed tells a claim that is too small.

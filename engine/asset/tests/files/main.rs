@@ -12,6 +12,7 @@ mod hugsim;
 mod kitti;
 mod lidar;
 mod light_transfer;
+mod nurec;
 mod properties;
 mod real;
 mod sample;

@@ -11,9 +11,9 @@
 //! | `sequence_tracks.json` | classes and ways of the agents |
 //! | `datasource_summary.json` | both of the above, in older packages |
 //!
-//! **World** is the one of rig and tracks. The splats' own frame is near its origin; where it is
-//! only moved against the world, its origin becomes that of the scene, and else the splats and
-//! their colors are turned. **Times** are seconds from the first pose of the rig. **Poses** of the
+//! **World** is the one of rig and tracks: splats and their colors are turned into it. Where it is
+//! farther than 20 km from the frame of the splats, that frame's origin becomes the scene's.
+//! **Times** are seconds from the first pose of the rig. **Poses** of the
 //! ego are those of the middle of its box, where the package has one.
 //!
 //! Rendering there is 3DGUT: unscented transform and evaluation along rays. Here splats are drawn
@@ -46,15 +46,16 @@ const VOLUMES: [&str; 2] = ["volume.nurec", "checkpoint.ckpt"];
 const SUMMARY: &str = "datasource_summary.json";
 /// Most bytes of a text entry.
 const TEXT_BYTES_MAX: u64 = 256 << 20;
-/// A frame is turned against the world if a corner of a 1 km square moves by a millimeter.
-const TURNED_RAD: f64 = 1e-6;
+/// Farthest origin of the splats' frame, meters, up to which their means are numbers of 32 bits in
+/// the world: the clients of servers have such numbers too.
+const FAR_M: f64 = 20_000.0;
 
 /// True if an archive is a package of this kind.
 pub(crate) fn is_package(archive: &Archive<'_>) -> bool {
     VOLUMES.iter().any(|name| archive.has(name))
 }
 
-/// Reads a package.
+/// Reads the scene of a package, with all of its splats.
 ///
 /// # Errors
 /// A sentence that names the entry and the array or key at fault.
@@ -103,12 +104,14 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
         }
     }
     let background = background.unwrap_or_else(|| SplatCloud::with_degree(0));
-    scene.origin = world_from_nre.translation;
-    let turn = Pose::new(world_from_nre.rotation, DVec3::ZERO);
-    let is_turned = turn.rotation.angle_between(glam::DQuat::IDENTITY) > TURNED_RAD;
-    scene.background = match is_turned {
-        true => background.placed(&turn, true),
-        false => background,
+    scene.background = if world_from_nre == Pose::IDENTITY {
+        background
+    } else if world_from_nre.translation.length() <= FAR_M {
+        background.placed(&world_from_nre, true)
+    } else {
+        scene.origin = world_from_nre.translation;
+        let turn = Pose::new(world_from_nre.rotation, DVec3::ZERO);
+        background.placed(&turn, true)
     };
     if let Some(rig) = rig {
         scene.notes.extend(rig.notes);
