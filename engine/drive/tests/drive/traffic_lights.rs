@@ -29,6 +29,7 @@ pub fn light(name: &str, lines: &[(&str, f64)], offset_s: f64) -> TrafficLight {
             .map(|&(lane, at_m)| StopLine {
                 lane: lane.into(),
                 at_m,
+                ..StopLine::default()
             })
             .collect(),
         phases: PHASES
