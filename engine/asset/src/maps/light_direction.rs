@@ -41,8 +41,11 @@ pub(super) fn stop_line(
     at_m: f64,
     directions: Directions,
 ) -> Option<StopLine> {
-    let all = &lanes[at].successors;
-    let mut towards: Vec<usize> = all.clone();
+    // Links are tidied later: files name them at both ends.
+    let mut all = lanes[at].successors.clone();
+    all.sort_unstable();
+    all.dedup();
+    let mut towards = all.clone();
     if directions != Directions::ALL {
         towards.retain(|&next| ways(lanes, at, next).meets(directions));
     }

@@ -238,7 +238,7 @@ impl Simulation {
             time_s: self.time_s(),
             on_road: self.site.surface.holds_box(
                 &OrientedBox::for_vehicle(&ego, &self.scenario.ego.size),
-                RoadSurface::SLACK_M,
+                RoadSurface::EDGE_M,
             ),
             ego,
             steer_rad: self.ego.steer_rad(),
