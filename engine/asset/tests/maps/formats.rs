@@ -479,7 +479,7 @@ fn lights_of_commonroad_bind_the_successors_in_their_direction() {
         let links = "<successor ref=\"2\"/><successor ref=\"3\"/><successor ref=\"4\"/>\
                      <trafficLightRef ref=\"8\"/><trafficLightRef ref=\"9\"/>";
         let text = format!(
-            "<commonRoad timeStepSize=\"1\">{}{}{}{}{}{}</commonRoad>",
+            "<commonRoad commonRoadVersion=\"2020a\" timeStepSize=\"1\">{}{}{}{}{}{}</commonRoad>",
             lanelet(1, [[0.0, 0.0], [10.0, 0.0], [20.0, 0.0]], links),
             // Turns over a short straight lane count, too.
             lanelet(2, [[20.0, 0.0], [30.0, 0.0], [30.0, 40.0]], ""),
