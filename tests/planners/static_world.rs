@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use decouplegs::drive::generate::{Generator, PlaceOptions};
 use decouplegs::drive::score::{EpisodeScore, OBSTACLE_FACTOR};
-use decouplegs::drive::{Obstacles, Polyline};
+use decouplegs::drive::{Obstacles, OrientedBox, Polyline};
 use decouplegs::episode::{Site, drive, replay};
 use decouplegs::planner::{
     ConstantVelocity, EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError,
@@ -131,6 +131,35 @@ fn who_leaves_the_road_for_good_or_its_route_ends_the_episode() {
         .map(|seed| driven(&alone(&site, seed), &site, &mut ConstantVelocity).end)
         .collect();
     assert!(ends.contains(&EpisodeEnd::OffRoute), "{ends:?}");
+}
+
+#[test]
+fn the_road_ends_thirty_centimeters_beyond_its_edge() {
+    let mut site = site();
+    site.obstacles = Arc::new(Obstacles::default());
+    let site = Arc::new(site);
+    let scenario = alone(&site, 1);
+    let (mut within, mut beyond) = (0, 0);
+    for step in 0..40 {
+        let mut planner = Beside {
+            right_m: 0.1 * f64::from(step),
+        };
+        let episode = driven(&scenario, &site, &mut planner);
+        for instant in episode.instants() {
+            let outline = OrientedBox::for_vehicle(&instant.ego, &scenario.ego.size);
+            let held = |slack_m: f64| site.surface.holds_box(&outline, slack_m);
+            within += u32::from(instant.on_road && !held(0.2));
+            beyond += u32::from(!instant.on_road);
+            assert!(
+                !held(0.29) || instant.on_road,
+                "{} s, {} m to the right",
+                instant.time_s,
+                planner.right_m
+            );
+            assert!(held(0.31) || !instant.on_road, "{} s", instant.time_s);
+        }
+    }
+    assert!(within > 0 && beyond > 0, "{within} within, {beyond} beyond");
 }
 
 #[test]

@@ -10,6 +10,8 @@ use crate::xml::excerpt;
 pub const LIGHTS_MAX: usize = 10_000;
 const LINES_MAX: usize = 1_000;
 const PHASES_MAX: usize = 100;
+/// Most successors that a stop line names.
+const TOWARDS_MAX: usize = 100;
 /// Shortest and longest phase, seconds.
 const PHASE_S: std::ops::RangeInclusive<f64> = 0.1..=3600.0;
 /// Largest distance along a lane, meters, and offset, seconds.
@@ -19,11 +21,40 @@ const OFFSET_S_MAX: f64 = 1e6;
 const NAME_BYTES_MAX: usize = 1000;
 
 #[derive(Deserialize, Serialize)]
+#[serde(untagged)]
+enum LineForm {
+    All(String, f64),
+    Towards(String, f64, Vec<String>),
+}
+
+impl LineForm {
+    fn from_line(line: &StopLine) -> Self {
+        let lane = line.lane.clone();
+        match &line.towards[..] {
+            [] => Self::All(lane, line.at_m),
+            towards => Self::Towards(lane, line.at_m, towards.to_vec()),
+        }
+    }
+
+    fn line(&self) -> StopLine {
+        let (lane, at_m, towards) = match self {
+            Self::All(lane, at_m) => (lane, at_m, Vec::new()),
+            Self::Towards(lane, at_m, towards) => (lane, at_m, towards.clone()),
+        };
+        StopLine {
+            lane: lane.clone(),
+            at_m: *at_m,
+            towards,
+        }
+    }
+}
+
+#[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct LightForm {
     name: String,
-    /// Lane and meters along it.
-    stop_lines: Vec<(String, f64)>,
+    /// Lane, meters along it, and the successors that it is for where it is not for all.
+    stop_lines: Vec<LineForm>,
     /// Color and seconds.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     phases: Vec<(String, f64)>,
@@ -33,11 +64,10 @@ pub struct LightForm {
 
 impl LightForm {
     pub fn from_light(light: &TrafficLight) -> Self {
-        let line = |line: &StopLine| (line.lane.clone(), line.at_m);
         let phase = |phase: &LightPhase| (phase.color.name().to_owned(), phase.duration_s);
         Self {
             name: light.name.clone(),
-            stop_lines: light.stop_lines.iter().map(line).collect(),
+            stop_lines: light.stop_lines.iter().map(LineForm::from_line).collect(),
             phases: light.phases.iter().map(phase).collect(),
             offset_s: light.offset_s,
         }
@@ -58,13 +88,9 @@ impl LightForm {
                 duration_s: *duration_s,
             })
         };
-        let line = |(lane, at_m): &(String, f64)| StopLine {
-            lane: lane.clone(),
-            at_m: *at_m,
-        };
         Ok(TrafficLight {
             name: self.name.clone(),
-            stop_lines: self.stop_lines.iter().map(line).collect(),
+            stop_lines: self.stop_lines.iter().map(LineForm::line).collect(),
             phases: self.phases.iter().map(phase).collect::<Result<_, _>>()?,
             offset_s: self.offset_s,
         })
@@ -151,11 +177,22 @@ pub fn check_line(line: &StopLine) -> Result<(), String> {
             "a line {at_m} m along; expected 0 to {ALONG_M_MAX}"
         ));
     }
-    let bytes = line.lane.len();
-    if !(1..=NAME_BYTES_MAX).contains(&bytes) {
+    if line.towards.len() > TOWARDS_MAX {
         return Err(format!(
-            "a lane's id of {bytes} bytes; expected 1 to {NAME_BYTES_MAX}"
+            "a line towards {} lanes; expected at most {TOWARDS_MAX}",
+            line.towards.len()
         ));
+    }
+    for bytes in [&line.lane]
+        .into_iter()
+        .chain(&line.towards)
+        .map(String::len)
+    {
+        if !(1..=NAME_BYTES_MAX).contains(&bytes) {
+            return Err(format!(
+                "a lane's id of {bytes} bytes; expected 1 to {NAME_BYTES_MAX}"
+            ));
+        }
     }
     Ok(())
 }

@@ -37,6 +37,7 @@ impl SignForm {
         let line = StopLine {
             lane: self.lane.clone(),
             at_m: self.at_m,
+            ..StopLine::default()
         };
         Ok(TrafficSign { kind, line })
     }

@@ -13,7 +13,7 @@ const HALF_LANE_M: f64 = 1.75;
 const BEYOND_M: f64 = 0.5;
 
 /// Stop line on a lane.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LaneStopLine {
     /// Index of the lane in [`LaneMap::lanes`].
     pub lane: usize,
@@ -21,6 +21,8 @@ pub struct LaneStopLine {
     pub at_m: f64,
     /// The line on the plane, and the index of its light or sign.
     pub record: StopLineRecord,
+    /// Successors of the lane that it is for, indices in the map; none: all of them.
+    pub towards: Vec<usize>,
 }
 
 impl LaneStopLine {
@@ -50,7 +52,37 @@ impl LaneStopLine {
         let at_m = line.at_m.min(length_m);
         let ends_m = ends(map, lane, &road.line, at_m);
         let record = StopLineRecord { index, ends_m };
-        Ok(Self { lane, at_m, record })
+        let mut towards = Vec::with_capacity(line.towards.len());
+        for next in &line.towards {
+            let index = graph.find(next);
+            let follows = index.filter(|index| map.lanes[lane].successors.contains(index));
+            towards.push(follows.ok_or_else(|| {
+                Invalid::new(format!(
+                    "a stop line of lane {id} towards lane {next}; expected lanes that follow it"
+                ))
+            })?);
+        }
+        Ok(Self {
+            lane,
+            at_m,
+            record,
+            towards,
+        })
+    }
+
+    /// True if a vehicle that goes on to lane `next` obeys it. One whose way ends or is not known
+    /// obeys the lines alone that are for all ways.
+    #[must_use]
+    pub fn binds(&self, next: Option<usize>) -> bool {
+        self.towards.is_empty() || next.is_some_and(|next| self.towards.contains(&next))
+    }
+
+    /// True if it is for a vehicle on a route over `lanes`, in order, wherever that leaves them: a
+    /// line of a lane that the route does not pass towards a successor is.
+    #[must_use]
+    pub fn concerns(&self, lanes: &[usize]) -> bool {
+        let at = lanes.iter().position(|&lane| lane == self.lane);
+        at.is_none_or(|at| self.binds(lanes.get(at + 1).copied()))
     }
 
     /// Stop lines on `lane` among `lines`, which are sorted by lane.

@@ -30,8 +30,12 @@ pub struct RoadSurface {
 }
 
 impl RoadSurface {
-    /// Largest distance of a wheel beyond the borders of the lanes, meters: markings are as wide.
+    /// Largest distance of a wheel beyond the borders of the lanes on a generated route, meters:
+    /// markings are as wide.
     pub const SLACK_M: f64 = 0.15;
+    /// Largest distance of a corner beyond the borders of the lanes at which the ego is still on
+    /// the road, meters: that of nuPlan (drivable area compliance; Karnchanachari et al., 2024).
+    pub const EDGE_M: f64 = 0.3;
 
     /// The surface of `map`. Where a border is missing, the lane reaches 1.75 m from its
     /// centerline; lanes without a line have no area.

@@ -48,8 +48,9 @@ impl DrawnBy {
     }
 }
 
-/// Version of logs that this program writes. Vehicles of other versions moved by other rules.
-pub const LOG_VERSION: u32 = 2;
+/// Version of logs that this program writes. Vehicles of other versions moved, or were on the road,
+/// by other rules.
+pub const LOG_VERSION: u32 = 3;
 
 /// Line of a traffic light or sign on the plane.
 #[derive(Clone, Copy, Debug, PartialEq)]

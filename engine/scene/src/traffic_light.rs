@@ -42,12 +42,14 @@ pub struct LightPhase {
 }
 
 /// Position on a lane before which vehicles stop.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct StopLine {
     /// Lane, by id.
     pub lane: String,
     /// Position on the lane, meters along it.
     pub at_m: f64,
+    /// Successors of the lane, by id, towards which vehicles stop; none: towards all of them.
+    pub towards: Vec<String>,
 }
 
 /// Traffic light, or a group of lights that always show the same color.

@@ -180,6 +180,7 @@ fn signs(
                 line: StopLine {
                     lane: lane.id.clone(),
                     at_m: lights::stop_at_m(*lanelet, lane)?,
+                    ..StopLine::default()
                 },
             });
         }

@@ -10,7 +10,8 @@
 //! ```
 //!
 //! Beside `lanes` a file may have `lights`, the traffic lights: each has a `name`, `stop_lines` as
-//! pairs of lane and meters along it, and, where they are known, `phases` as pairs of color (green,
+//! pairs of lane and meters along it (and a list of the successors that it is for, where it is not
+//! for all), and, where they are known, `phases` as pairs of color (green,
 //! yellow, red) and seconds, and `offset_s`, its position in the cycle at time 0. It may have
 //! `signs`, each with a `kind` (stop, yield), its `lane` and `at_m`, its position along the lane.
 //!

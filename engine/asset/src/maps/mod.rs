@@ -12,6 +12,7 @@ mod budget;
 pub mod commonroad;
 pub mod lane_json;
 pub mod lanelet2;
+mod light_direction;
 mod links;
 pub mod open_drive;
 mod polyline;

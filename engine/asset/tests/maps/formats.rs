@@ -446,3 +446,81 @@ fn lights_of_open_drive_are_on_the_lanes_that_they_are_for() {
     };
     assert!(id == "1/0/1" && (along_m - 25.0).abs() < 0.8, "{along_m}");
 }
+
+/// A lanelet over `points`, the middle line; `links` are its other elements.
+fn lanelet(id: usize, points: [[f64; 2]; 3], links: &str) -> String {
+    let bound = |name: &str, left_m: f64| {
+        let point = |[x, y]: [f64; 2]| {
+            // Moved in y alone; the last leg of a turn, which runs along y, in x.
+            let turns = (y - points[0][1]).signum() * f64::from(u8::from(y != points[0][1]));
+            let (x, y) = (
+                x - turns * left_m,
+                y + left_m * f64::from(u8::from(turns == 0.0)),
+            );
+            format!("<point><x>{x}</x><y>{y}</y></point>")
+        };
+        let points: String = points.map(point).concat();
+        format!("<{name}>{points}</{name}>")
+    };
+    let bounds = bound("leftBound", 1.5) + &bound("rightBound", -1.5);
+    format!("<lanelet id=\"{id}\">{bounds}{links}<laneletType>urban</laneletType></lanelet>")
+}
+
+#[test]
+fn lights_of_commonroad_bind_the_successors_in_their_direction() {
+    let map = |first: &str, second: &str| {
+        let light = |id: usize, direction: &str| {
+            format!(
+                "<trafficLight id=\"{id}\"><cycle><cycleElement><duration>20</duration>\
+                 <color>red</color></cycleElement></cycle>\
+                 <direction>{direction}</direction></trafficLight>"
+            )
+        };
+        let links = "<successor ref=\"2\"/><successor ref=\"3\"/><successor ref=\"4\"/>\
+                     <trafficLightRef ref=\"8\"/><trafficLightRef ref=\"9\"/>";
+        let text = format!(
+            "<commonRoad commonRoadVersion=\"2020a\" timeStepSize=\"1\">{}{}{}{}{}{}</commonRoad>",
+            lanelet(1, [[0.0, 0.0], [10.0, 0.0], [20.0, 0.0]], links),
+            // Turns over a short straight lane count, too.
+            lanelet(2, [[20.0, 0.0], [30.0, 0.0], [30.0, 40.0]], ""),
+            lanelet(3, [[20.0, 0.0], [40.0, 0.0], [60.0, 0.0]], ""),
+            lanelet(4, [[20.0, 0.0], [30.0, 0.0], [30.0, -40.0]], ""),
+            light(8, first),
+            light(9, second),
+        );
+        commonroad::decode(text.as_bytes())
+    };
+    let towards = |first: &str, second: &str| -> Vec<(String, Vec<String>)> {
+        let map = map(first, second).unwrap();
+        let lines = |light: &decouplegs_scene::TrafficLight| {
+            let lines = light.stop_lines.iter().map(|line| line.towards.clone());
+            (light.name.clone(), lines.collect::<Vec<_>>().concat())
+        };
+        map.lights.iter().map(lines).collect()
+    };
+    let expected = |first: &[&str], second: &[&str]| {
+        let owned = |ids: &[&str]| ids.iter().map(|&id| id.to_owned()).collect();
+        vec![
+            ("8".to_owned(), owned(first)),
+            ("9".to_owned(), owned(second)),
+        ]
+    };
+    assert_eq!(
+        towards("left", "straightRight"),
+        expected(&["2"], &["3", "4"])
+    );
+    assert_eq!(
+        towards("leftStraight", "right"),
+        expected(&["2", "3"], &["4"])
+    );
+    assert_eq!(
+        towards("straight", "leftRight"),
+        expected(&["3"], &["2", "4"])
+    );
+    assert_eq!(towards("all", "left"), expected(&[], &["2"]));
+    let error = map("upwards", "left").unwrap_err().to_string();
+    assert!(
+        error.contains("the direction 'upwards'; expected left"),
+        "{error}"
+    );
+}

@@ -58,8 +58,8 @@ const CRUISE_MPS_MAX: f64 = 50.0 / 3.6;
 const STRAIGHT_SHARE: f64 = 0.65;
 /// A lane that turns by less leads straight on, radians.
 const STRAIGHT_RAD: f64 = 0.35;
-/// Least distance of a route's end from the end of a lane that leads nowhere, meters: the ego needs
-/// somewhere to go.
+/// Least distance of a route's end from the end of a lane that leads nowhere, meters: the ego's
+/// front stays on the map, and it has somewhere to go.
 const DEAD_END_M: f64 = 5.0;
 /// Area in which routes may start and end: a circle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -282,7 +282,10 @@ fn onward(
         end_m -= own_m;
         lanes.push(next);
     }
-    let end_m = to_centimeter(end_m.min(roads.length_m(*lanes.last()?) - 0.01));
+    let last = *lanes.last()?;
+    let leads_on = !roads.graph.lane(last)?.successors.is_empty();
+    let rest_m = if leads_on { 0.01 } else { DEAD_END_M };
+    let end_m = to_centimeter(end_m.min(roads.length_m(last) - rest_m));
     let driven_m: f64 = lanes.iter().map(|&lane| roads.length_m(lane)).sum::<f64>() - spot.at_m;
     let rest_m = roads.length_m(*lanes.last()?) - end_m;
     (end_m > 0.0 && driven_m - rest_m >= bounds.length_m_min).then_some((lanes, end_m))

@@ -37,7 +37,7 @@ pub(super) fn programs(map: &LaneMap, graph: &RoadGraph, random: &mut Stream) ->
     let untold = map.lights.iter().filter(|light| light.phases.is_empty());
     let approaches: Vec<Approach> = untold
         .flat_map(|light| &light.stop_lines)
-        .filter_map(|line| Approach::new(graph, line))
+        .filter_map(|line| Approach::new(map, graph, line))
         .collect();
     for (number, crossing) in crossings(graph, &approaches).iter().enumerate() {
         lights.extend(light_crossing(number, crossing));
@@ -55,7 +55,7 @@ pub(super) fn programs(map: &LaneMap, graph: &RoadGraph, random: &mut Stream) ->
 
 impl<'a> Approach<'a> {
     /// `None` where the line is on no driving lane.
-    fn new(graph: &RoadGraph, line: &'a StopLine) -> Option<Self> {
+    fn new(map: &LaneMap, graph: &RoadGraph, line: &'a StopLine) -> Option<Self> {
         let lane = graph.find(&line.lane)?;
         let road = graph.lane(lane)?;
         let mut ahead = vec![lane];
@@ -64,7 +64,12 @@ impl<'a> Approach<'a> {
             let Some(road) = graph.lane(at) else { continue };
             let end_m = begin_m + road.line.length_m();
             for &next in &road.successors {
-                if end_m < CROSSING_M && ahead.len() < LANES_MAX && !ahead.contains(&next) {
+                let leads = at != lane || line.towards.is_empty() || {
+                    let id = &map.lanes[next].id;
+                    line.towards.contains(id)
+                };
+                if leads && end_m < CROSSING_M && ahead.len() < LANES_MAX && !ahead.contains(&next)
+                {
                     ahead.push(next);
                     open.push((next, end_m));
                 }

@@ -56,10 +56,16 @@ fn lines<'a>(
 ) -> Vec<(f64, &'a TrafficLight)> {
     let mut lines = Vec::new();
     let mut begin_m = -start.task.start_m;
-    for &lane in &start.lanes {
+    for (at, &lane) in start.lanes.iter().enumerate() {
         let id = &roads.map.lanes[lane].id;
+        let onward = start.lanes.get(at + 1);
+        let onward = onward.map(|&next| &roads.map.lanes[next].id);
         for light in lights {
-            let on_lane = light.stop_lines.iter().filter(|line| line.lane == *id);
+            let on_lane = light.stop_lines.iter().filter(|line| {
+                line.lane == *id
+                    && (line.towards.is_empty()
+                        || onward.is_some_and(|next| line.towards.contains(next)))
+            });
             lines.extend(on_lane.map(|line| (begin_m + line.at_m, light)));
         }
         begin_m += roads.length_m(lane);

@@ -412,8 +412,8 @@ impl Traffic {
     /// True if a vehicle on the other lane of a conflict, or on its way to it, arrives within
     /// `within_s`.
     fn somebody_comes(&self, agent: &Agent, conflict: &Conflict, within_s: f64) -> bool {
-        let mut open = vec![(conflict.other, 0.0_f64)];
-        while let Some((lane, start_m)) = open.pop() {
+        let mut open = vec![(conflict.other, None, 0.0_f64)];
+        while let Some((lane, onward, start_m)) = open.pop() {
             let entries = self.order.on(lane);
             let last =
                 entries.partition_point(|entry| entry.middle_m + start_m < conflict.other_to_m);
@@ -428,7 +428,7 @@ impl Traffic {
             };
             // Vehicles before a red light do not come.
             let red_m = self
-                .red_line(lane)
+                .red_line(lane, onward)
                 .filter(|red_m| red_m + start_m < conflict.other_to_m);
             let others = entries[..last].iter().rev().filter(|entry| {
                 entry.agent as usize != agent.number
@@ -451,11 +451,10 @@ impl Traffic {
             }
             if red_m.is_none() && conflict.other_from_m - start_m < GIVE_WAY_M && open.len() < 16 {
                 let before = &self.graph.road(lane).predecessors;
-                open.extend(
-                    before
-                        .iter()
-                        .map(|&before| (before, start_m - length_of(self.graph.lanes(), before))),
-                );
+                open.extend(before.iter().map(|&before| {
+                    let length_m = length_of(self.graph.lanes(), before);
+                    (before, Some(lane), start_m - length_m)
+                }));
             }
         }
         false

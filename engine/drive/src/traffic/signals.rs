@@ -55,10 +55,11 @@ impl Traffic {
         let seen_m = front_m + SEEN_M + SEEN_S * agent.speed_mps;
         let mut next: Option<NextLight> = None;
         let mut start_m = 0.0;
-        for &lane in &agent.path[agent.here..] {
+        for (at, &lane) in agent.path.iter().enumerate().skip(agent.here) {
+            let onward = agent.path.get(at + 1).copied();
             for line in self.lights.on(lane) {
                 let line_m = start_m + line.at_m;
-                if line_m < front_m {
+                if line_m < front_m || !line.binds(onward) {
                     continue;
                 }
                 let next = next.get_or_insert(NextLight {
@@ -136,11 +137,14 @@ impl Traffic {
         }
     }
 
-    /// The last stop line on a lane whose light is red, meters along the lane.
-    pub(super) fn red_line(&self, lane: usize) -> Option<f64> {
+    /// The last stop line on a lane whose light is red for vehicles that go on to `onward`, meters
+    /// along the lane.
+    pub(super) fn red_line(&self, lane: usize, onward: Option<usize>) -> Option<f64> {
         let mut lines = self.lights.on(lane).iter().rev();
-        let red = lines
-            .find(|line| self.lights.color_at(line.record.index, self.time_s) == LightColor::Red);
+        let red = lines.find(|line| {
+            line.binds(onward)
+                && self.lights.color_at(line.record.index, self.time_s) == LightColor::Red
+        });
         red.map(|line| line.at_m)
     }
 }

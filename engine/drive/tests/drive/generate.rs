@@ -332,6 +332,16 @@ fn check(grounds: &Grounds, scenario: &Scenario, level: Level, what: &str) {
             "{what}: the route leaves the road after {meter} m"
         );
     }
+    // The front of the ego stays on the map where the route ends.
+    let last = lane_of(map, scenario.ego.route.last().unwrap()).1;
+    if last.successors.is_empty() {
+        let rest_m = line_of(last).length_m() - scenario.ego.end_m;
+        let least_m = 0.5 * scenario.ego.size.length_m + 2.0;
+        assert!(
+            rest_m >= least_m,
+            "{what}: the route ends {rest_m} m before the map"
+        );
+    }
     if let Place::Street { weather, .. } = scenario.place {
         assert!(weathers(level).contains(&weather), "{what}: {weather:?}");
     }

@@ -29,6 +29,7 @@ pub fn light(name: &str, lines: &[(&str, f64)], offset_s: f64) -> TrafficLight {
             .map(|&(lane, at_m)| StopLine {
                 lane: lane.into(),
                 at_m,
+                ..StopLine::default()
             })
             .collect(),
         phases: PHASES
@@ -197,4 +198,61 @@ fn stop_lines_are_on_lanes_of_the_map() {
     let (before_m, is_within) = record.locate(DVec2::new(-15.0, -1.0));
     assert!((before_m + 1.0).abs() < 1e-9 && is_within);
     assert!(!record.locate(DVec2::new(-13.0, 1.0)).1);
+}
+
+#[test]
+fn a_light_towards_one_way_holds_those_alone_that_take_it() {
+    let map = crossing_map();
+    let always = |name: &str, towards: &[&str], color| {
+        let mut light = light(name, &[("in-0", 106.0)], 0.0);
+        light.stop_lines[0].towards = towards.iter().map(|&lane| lane.into()).collect();
+        light.phases = vec![LightPhase {
+            color,
+            duration_s: 10.0,
+        }];
+        light
+    };
+    // Lanes to the left are red for ever, the others green.
+    let lights = [
+        always("left", &["left-0"], LightColor::Red),
+        always("others", &["straight-0", "right-0"], LightColor::Green),
+    ];
+    let (graph, lights) = on(&map, &lights);
+    let (mut held, mut passed) = (0, 0);
+    for seed in 0..24 {
+        let agents = [agent("a", "in-0", 30.0, 8.0)];
+        let traffic = Traffic::new(graph.clone(), &agents, seed).unwrap();
+        let mut free = traffic.clone();
+        let mut obeying = traffic.with_lights(lights.clone());
+        let mut takes_left = false;
+        for _ in 0..250 {
+            free.step(0.1, None);
+            obeying.step(0.1, None);
+            let position = free.lane_positions().next().flatten();
+            takes_left |= position.is_some_and(|at| map.lanes[at.lane].id == "left-0");
+        }
+        let stands = obeying.states()[0].is_some_and(|state| state.speed_mps < 0.1);
+        assert_eq!(stands, takes_left, "seed {seed}");
+        (held, passed) = (held + u32::from(stands), passed + u32::from(!stands));
+    }
+    assert!(held > 2 && passed > 2, "{held} held, {passed} passed");
+    let [in_0, left, straight] = ["in-0", "left-0", "straight-0"]
+        .map(|id| map.lanes.iter().position(|lane| lane.id == id).unwrap());
+    let concerned = |lanes: &[usize]| -> Vec<bool> {
+        lights
+            .lines()
+            .iter()
+            .map(|line| line.concerns(lanes))
+            .collect()
+    };
+    assert_eq!(concerned(&[in_0, left]), [true, false]);
+    assert_eq!(concerned(&[in_0, straight]), [false, true]);
+    let mut wrong = light("a", &[("in-0", 106.0)], 0.0);
+    wrong.stop_lines[0].towards = vec!["out-2".into()];
+    let refused = TrafficLights::new(&map, &graph, &[wrong]).unwrap_err();
+    assert_eq!(
+        refused.to_string(),
+        "traffic light a: a stop line of lane in-0 towards lane out-2; expected lanes that follow \
+         it"
+    );
 }

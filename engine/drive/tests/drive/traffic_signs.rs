@@ -22,7 +22,11 @@ fn signs(kinds: [Option<SignKind>; 4]) -> (Arc<RoadGraph>, Arc<TrafficSigns>) {
     let signs: Vec<TrafficSign> = sides
         .filter_map(|(side, kind)| {
             let lane = format!("in-{side}");
-            let line = StopLine { lane, at_m: 106.0 };
+            let line = StopLine {
+                lane,
+                at_m: 106.0,
+                ..StopLine::default()
+            };
             Some(TrafficSign { kind: kind?, line })
         })
         .collect();
@@ -163,6 +167,7 @@ fn signs_are_on_lanes_of_the_map() {
         let line = StopLine {
             lane: lane.into(),
             at_m,
+            ..StopLine::default()
         };
         let kind = SignKind::Stop;
         TrafficSigns::new(&map, &graph, &[TrafficSign { kind, line }])

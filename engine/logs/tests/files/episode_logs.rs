@@ -399,13 +399,13 @@ fn records_that_do_not_hold_together_are_refused_though_their_checksums_are_good
             0,
             "decouplegs-episode",
             "decouplegs",
-            "line 1: is of format \"decouplegs\", version 2",
+            "line 1: is of format \"decouplegs\", version 3",
         ),
         (
             0,
-            "\"version\":2",
-            "\"version\":3,\"more\":0",
-            "line 1: is of format \"decouplegs-episode\", version 3",
+            "\"version\":3",
+            "\"version\":4,\"more\":0",
+            "line 1: is of format \"decouplegs-episode\", version 4",
         ),
         (
             0,

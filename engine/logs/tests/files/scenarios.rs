@@ -261,13 +261,23 @@ fn signs() -> impl Strategy<Value = Vec<TrafficSign>> {
     let sign = (select(SignKind::ALL.to_vec()), "\\PC{1,9}", 0.0f64..=1e6);
     let sign = sign.prop_map(|(kind, lane, at_m)| TrafficSign {
         kind,
-        line: StopLine { lane, at_m },
+        line: StopLine {
+            lane,
+            at_m,
+            ..StopLine::default()
+        },
     });
     prop::collection::vec(sign, 0..3)
 }
 
 fn lights() -> impl Strategy<Value = Vec<TrafficLight>> {
-    let line = ("\\PC{1,9}", 0.0f64..=1e6).prop_map(|(lane, at_m)| StopLine { lane, at_m });
+    let towards = prop::collection::vec("\\PC{1,9}", 0..3);
+    let line = ("\\PC{1,9}", 0.0f64..=1e6, towards);
+    let line = line.prop_map(|(lane, at_m, towards)| StopLine {
+        lane,
+        at_m,
+        towards,
+    });
     let phase = (select(LightColor::ALL.to_vec()), 0.1f64..=3600.0)
         .prop_map(|(color, duration_s)| LightPhase { color, duration_s });
     let light = (

@@ -48,12 +48,7 @@ impl Rollout {
             drawn_by: metadata.drawn_by,
             route_m: simulation.route_m(),
             agent_sizes: simulation.agent_sizes().to_vec(),
-            stop_lines: simulation
-                .lights()
-                .lines()
-                .iter()
-                .map(|line| line.record)
-                .collect(),
+            stop_lines: simulation.stop_lines().copied().collect(),
             sign_lines: simulation
                 .signs()
                 .lines()

@@ -10,7 +10,7 @@ use decouplegs_drive::polyline::wrapped;
 use decouplegs_drive::score::RouteProgress;
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{Ego, EgoOptions, OrientedBox, RoadSurface, Route, Traffic};
-use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick};
+use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick, StopLineRecord};
 use decouplegs_scene::{
     Motion, Plan, Pose, Scenario, SignKind, Trajectory, VehicleSize, VehicleState,
 };
@@ -172,6 +172,16 @@ impl Simulation {
         &self.lights
     }
 
+    /// Stop lines of the lights that are for the ego's way, among all: not those towards
+    /// successors that its route does not take.
+    pub fn stop_lines(&self) -> impl Iterator<Item = &StopLineRecord> {
+        let lanes: Vec<usize> = self.route.lanes().iter().map(|&(_, lane)| lane).collect();
+        let lines = self.lights.lines().iter();
+        lines
+            .filter(move |line| line.concerns(&lanes))
+            .map(|line| &line.record)
+    }
+
     /// Stop and yield signs on the lanes of the site.
     #[must_use]
     pub fn signs(&self) -> &TrafficSigns {
@@ -228,7 +238,7 @@ impl Simulation {
             time_s: self.time_s(),
             on_road: self.site.surface.holds_box(
                 &OrientedBox::for_vehicle(&ego, &self.scenario.ego.size),
-                RoadSurface::SLACK_M,
+                RoadSurface::EDGE_M,
             ),
             ego,
             steer_rad: self.ego.steer_rad(),

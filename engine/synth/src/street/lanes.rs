@@ -202,6 +202,7 @@ fn lights() -> Vec<TrafficLight> {
             let line = |heading: Heading, number: usize| StopLine {
                 lane: format!("{}/{number}/before", heading.name()),
                 at_m: -heading.ends_m().0 - STOP_LINE_M,
+                ..StopLine::default()
             };
             TrafficLight {
                 name: name.into(),

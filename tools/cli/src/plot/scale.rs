@@ -3,6 +3,10 @@
 /// Number of ticks on an axis, about.
 const TICKS: f64 = 6.0;
 
+/// Range of a linear axis, in shares of its values and at least of 1, below which they are all the
+/// same: what differs by rounding is a flat line.
+const FLAT: f64 = 1e-9;
+
 /// One axis of a plot.
 #[derive(Clone, Copy, Default)]
 pub struct Axis<'a> {
@@ -64,10 +68,13 @@ impl Scale {
     }
 
     fn linear(min: f64, max: f64) -> Self {
-        let max = if max > min {
-            max
+        let size = min.abs().max(max.abs()).max(1.0);
+        let (min, max) = if max - min > FLAT * size {
+            (min, max)
         } else {
-            min + min.abs().max(1.0)
+            // Values of nothing but rounding are zero.
+            let min = if min.abs() > FLAT { min } else { 0.0 };
+            (min, min + size)
         };
         let rough = (max - min) / TICKS;
         let power = 10f64.powf(rough.log10().floor());
@@ -162,6 +169,15 @@ mod tests {
         );
         let one = Scale::linear(5.0, 5.0);
         assert!(one.min <= 5.0 && one.max > one.min && one.ticks.len() < 20);
+        for (values, expected) in [
+            ([-1.5e-15, 2e-15], (0.0, 1.0)),
+            ([5.0, 5.0 + 1e-14], (5.0, 10.0)),
+        ] {
+            let flat = Scale::over(values.into_iter(), Axis::linear("steering"));
+            assert_eq!((flat.min, flat.max), expected, "{values:?}");
+        }
+        let small = Scale::linear(0.0, 2e-6);
+        assert!(small.max < 3e-6, "small values are no rounding");
         let one = Scale::logarithmic(10.0, 10.0);
         assert!(one.min <= 10.0 && one.max > one.min);
     }

@@ -1,10 +1,12 @@
-//! Traffic lights of a scenario, with their cycles and the stop lines of lanelets.
+//! Traffic lights of a scenario, with their cycles, their directions and the stop lines of
+//! lanelets.
 
 use std::collections::HashMap;
 
-use decouplegs_scene::{Lane, LaneKind, LightColor, LightPhase, StopLine, TrafficLight};
+use decouplegs_scene::{Lane, LaneKind, LightColor, LightPhase, TrafficLight};
 use glam::DVec3;
 
+use super::super::light_direction::{self, Directions};
 use super::super::polyline::{foot_m, plan_length_m};
 use crate::DecodeError;
 use crate::traffic_light_form;
@@ -21,16 +23,17 @@ pub(super) fn lights(
     lanes: &[Lane],
 ) -> Result<Vec<TrafficLight>, DecodeError> {
     let step_s = root.number_or("timeStepSize", STEP_S)?;
-    let mut lights = Vec::new();
+    let (mut lights, mut all_directions) = (Vec::new(), Vec::new());
     let mut indices = HashMap::new();
     for element in root.all("trafficLight") {
         if let Some(light) = light(element, step_s)? {
             indices.insert(element.needed_attribute("id")?, lights.len());
             lights.push(light);
+            all_directions.push(directions(element)?);
         }
     }
-    let driven = lanelets.iter().zip(lanes);
-    for (lanelet, lane) in driven.filter(|(_, lane)| lane.kind == LaneKind::Driving) {
+    let driven = lanelets.iter().zip(lanes).enumerate();
+    for (at, (lanelet, lane)) in driven.filter(|(_, (_, lane))| lane.kind == LaneKind::Driving) {
         let line = lanelet.first("stopLine");
         let of_line = line
             .into_iter()
@@ -47,10 +50,8 @@ pub(super) fn lights(
         }
         let at_m = stop_at_m(*lanelet, lane)?;
         for light in named {
-            lights[light].stop_lines.push(StopLine {
-                lane: lane.id.clone(),
-                at_m,
-            });
+            let line = light_direction::stop_line(lanes, at, at_m, all_directions[light]);
+            lights[light].stop_lines.extend(line);
         }
     }
     traffic_light_form::checked(lights)
@@ -68,6 +69,30 @@ pub(super) fn stop_at_m(lanelet: Element, lane: &Lane) -> Result<f64, DecodeErro
     Ok(match ends.len() {
         0 => plan_length_m(&lane.centerline),
         count => foot_m(&lane.centerline, ends.iter().sum::<DVec3>() / count as f64),
+    })
+}
+
+/// Directions that a light is for: all of them where the file tells none.
+fn directions(light: Element) -> Result<Directions, DecodeError> {
+    let Some(direction) = light.first("direction") else {
+        return Ok(Directions::ALL);
+    };
+    let (left, straight, right) = (Directions::LEFT, Directions::STRAIGHT, Directions::RIGHT);
+    Ok(match direction.text() {
+        "left" => left,
+        "straight" => straight,
+        "right" => right,
+        "leftStraight" => left.and(straight),
+        "straightRight" => straight.and(right),
+        "leftRight" => left.and(right),
+        "all" => Directions::ALL,
+        other => {
+            return Err(direction.fault(format!(
+                "the direction '{}'; expected left, straight, right, leftStraight, \
+                 straightRight, leftRight or all",
+                excerpt(other)
+            )));
+        }
     })
 }
 

@@ -51,6 +51,7 @@ pub(super) fn lights(
             lights[light].stop_lines.push(StopLine {
                 lane: lane.id.clone(),
                 at_m,
+                ..StopLine::default()
             });
         }
     }

@@ -63,7 +63,11 @@ pub(super) fn signs(
                 budget,
             )?;
             let lane = lanes[at].id.clone();
-            let line = StopLine { lane, at_m };
+            let line = StopLine {
+                lane,
+                at_m,
+                ..StopLine::default()
+            };
             let sign = TrafficSign { kind, line };
             match sign_of.get(&at) {
                 Some(&known) if kind == SignKind::Stop => signs[known] = sign,

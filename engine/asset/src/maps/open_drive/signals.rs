@@ -5,6 +5,7 @@ use std::collections::HashMap;
 
 use decouplegs_scene::{Lane, LaneKind, StopLine, TrafficLight};
 
+use super::super::light_direction::{self, Directions};
 use super::Road;
 use super::junctions::RoadLanes;
 use super::road_positions::along_m;
@@ -18,6 +19,25 @@ const LIGHT_TYPES: [&str; 6] = [
     "1000001", "1000009", "1000010", "1000011", "1000012", "1000020",
 ];
 
+/// Types of them whose subtypes tell the direction of the arrows.
+const ARROW_TYPES: [&str; 3] = ["1000010", "1000011", "1000012"];
+
+/// Directions of the arrows of a light: all of them where it has none.
+fn directions(kind: Option<&str>, subtype: Option<&str>) -> Directions {
+    let (left, straight, right) = (Directions::LEFT, Directions::STRAIGHT, Directions::RIGHT);
+    if !kind.is_some_and(|kind| ARROW_TYPES.contains(&kind)) {
+        return Directions::ALL;
+    }
+    match subtype {
+        Some("10") => left,
+        Some("20") => right,
+        Some("30") => straight,
+        Some("40") => left.and(straight),
+        Some("50") => straight.and(right),
+        _ => Directions::ALL,
+    }
+}
+
 /// Place on a road at which a light stops vehicles.
 pub(super) struct RoadSignal {
     light: String,
@@ -26,6 +46,7 @@ pub(super) struct RoadSignal {
     is_forward: Option<bool>,
     /// Ranges of lane ids, none: all.
     validity: Vec<(f64, f64)>,
+    directions: Directions,
     is_reference: bool,
 }
 
@@ -57,6 +78,7 @@ pub(super) fn read(road: Element) -> Result<Vec<RoadSignal>, DecodeError> {
                 _ => None,
             },
             validity: ranges.collect::<Result<_, DecodeError>>()?,
+            directions: directions(element.attribute("type"), element.attribute("subtype")),
             is_reference,
         });
     }
@@ -71,7 +93,7 @@ pub(super) fn lights(
     lanes: &[Lane],
 ) -> Result<Vec<TrafficLight>, DecodeError> {
     let mut by_id = HashMap::new();
-    let mut lights: Vec<TrafficLight> = Vec::new();
+    let (mut lights, mut directions) = (Vec::<TrafficLight>::new(), Vec::new());
     for signal in signals
         .iter()
         .flatten()
@@ -82,15 +104,19 @@ pub(super) fn lights(
                 name: signal.light.clone(),
                 ..TrafficLight::default()
             });
+            directions.push(signal.directions);
             lights.len() - 1
         });
     }
     for ((signals, road), indices) in signals.iter().zip(roads).zip(indices) {
         for signal in signals {
             if let Some(&light) = by_id.get(signal.light.as_str()) {
-                lights[light]
-                    .stop_lines
-                    .extend(signal.lines(road, indices, lanes));
+                lights[light].stop_lines.extend(signal.lines(
+                    road,
+                    indices,
+                    lanes,
+                    directions[light],
+                ));
             }
         }
     }
@@ -98,7 +124,13 @@ pub(super) fn lights(
 }
 
 impl RoadSignal {
-    fn lines(&self, road: &Road, indices: &RoadLanes, lanes: &[Lane]) -> Vec<StopLine> {
+    fn lines(
+        &self,
+        road: &Road,
+        indices: &RoadLanes,
+        lanes: &[Lane],
+        directions: Directions,
+    ) -> Vec<StopLine> {
         let (section, share) = road.section_at(self.s_m);
         let Some(by_id) = indices.sections.get(section) else {
             return Vec::new();
@@ -120,10 +152,7 @@ impl RoadSignal {
             .map(|(_, &(lane, is_forward))| (lane, along_m(&lanes[lane], share, is_forward)))
             .collect();
         lines.sort_by_key(|(lane, _)| *lane);
-        let line = |(lane, at_m): (usize, f64)| StopLine {
-            lane: lanes[lane].id.clone(),
-            at_m,
-        };
-        lines.into_iter().map(line).collect()
+        let line = |(lane, at_m)| light_direction::stop_line(lanes, lane, at_m, directions);
+        lines.into_iter().filter_map(line).collect()
     }
 }

@@ -110,13 +110,8 @@ impl Simulation {
                 })
                 .collect(),
             stop_lines: self
-                .lights
-                .lines()
-                .iter()
-                .map(|line| {
-                    let color = self.lights.color_at(line.record.index, self.time_s());
-                    (line.record, color)
-                })
+                .stop_lines()
+                .map(|&line| (line, self.lights.color_at(line.index, self.time_s())))
                 .collect(),
             signs: self
                 .signs
