@@ -24,7 +24,7 @@ use report::Report;
 ///
 /// The formats that are written are listed under --to. What was written is read back and compared,
 /// splat by splat. A checkpoint of drivestudio (OmniRe) or Street Gaussians, or a folder of HUGSIM
-/// with its scene.pth, becomes a folder with a scene file.
+/// with its scene.pth, or a NuRec package, becomes a folder with a scene file.
 #[derive(clap::Args)]
 pub struct Arguments {
     #[arg(help = format!(

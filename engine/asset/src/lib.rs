@@ -22,6 +22,7 @@ pub mod traffic_sign_form;
 #[doc(hidden)]
 pub mod xml;
 
+mod camera_model;
 pub mod cameras;
 pub mod checkpoint;
 pub mod coded_asset;

@@ -30,19 +30,16 @@
 //! far apart.
 
 mod agents;
-mod camera_model;
 mod packed_rig;
 mod read;
-mod read_camera_model;
 mod rig;
 mod write;
 
+pub use crate::camera_model::packed_intrinsics;
 pub use agents::stands;
-pub use camera_model::packed_intrinsics;
 pub use packed_rig::{PackedRig, packed_scene_id, read_packed_rig};
 pub use read::is_package;
 pub use read::{PackedScene, open_packed_scene};
-pub(crate) use read_camera_model::read_camera_model;
 pub use write::{PackSummary, pack};
 
 use decouplegs_scene::VehicleSize;

@@ -1,5 +1,5 @@
-//! Scenes read from packages, of this program and of NuRec. Nothing is unpacked to the disk: entries are read from the bytes of
-//! the package.
+//! Scenes read from packages, of this program and of NuRec. Nothing is unpacked to the disk:
+//! entries are read from the bytes of the package.
 
 use std::borrow::Cow;
 use std::cell::Cell;

@@ -4,11 +4,11 @@ use decouplegs_scene::{Intrinsics, Pose, ShutterDirection, Trajectory};
 use glam::{DMat4, DVec3};
 use serde_json::{Map, Value, json};
 
-use super::camera_model::model;
 use super::{
     BEFORE_FRAMES_S, DURATION_MAX_S, EXPOSURE_S, PackOptions, SAMPLES_HZ, STANDING_S, START_S,
 };
 use crate::SceneFile;
+use crate::camera_model::model;
 
 /// First and last moment of a scene, seconds.
 pub(super) fn span_of(scene: &SceneFile) -> Result<(f64, f64), String> {

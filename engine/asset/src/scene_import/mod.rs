@@ -37,7 +37,6 @@ use glam::DVec3;
 use crate::checkpoint::{self, Checkpoint};
 use crate::error::read_bytes;
 use crate::maps::lane_json;
-use crate::packed_scene::is_package;
 use crate::ply::Ply;
 use crate::sky_file::write_cube;
 use crate::zip::Archive;
@@ -134,7 +133,7 @@ pub fn read_scene(
     }
     let bytes = read_bytes(path)?;
     let (format, decoded) = match bytes.as_slice() {
-        [b'P', b'K', 3, 4, ..] if is_package(path) => (nurec::NAME, decode_nurec(&bytes)),
+        [b'P', b'K', 3, 4, ..] if is_nurec(&bytes) => (nurec::NAME, decode_nurec(&bytes)),
         [b'P', b'K', 3, 4, ..] if is_checkpoint(&bytes) => {
             (checkpoint::NAME, decode_checkpoint(&bytes, options))
         }
@@ -159,6 +158,10 @@ pub fn decode_nurec(bytes: &[u8]) -> Result<Option<ImportedScene>, DecodeError> 
     // A broken zip is the package reader's to explain.
     let archive = Archive::parse(bytes).ok().filter(nurec::is_package);
     archive.map(|archive| nurec::scene(&archive)).transpose()
+}
+
+fn is_nurec(bytes: &[u8]) -> bool {
+    Archive::parse(bytes).is_ok_and(|archive| nurec::is_package(&archive))
 }
 
 fn is_checkpoint(bytes: &[u8]) -> bool {

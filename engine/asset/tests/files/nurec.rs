@@ -146,7 +146,7 @@ fn rows(pose: &Pose) -> serde_json::Value {
     json!(matrix.to_cols_array_2d())
 }
 
-/// Where the rig and the tracks begin, microseconds.
+/// First pose of the rig and of the tracks, microseconds.
 const START_US: u64 = 1_700_000_000_000_000;
 
 fn rig(nre_from_world: &Pose) -> Vec<u8> {

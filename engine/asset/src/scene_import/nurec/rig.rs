@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::tracks::seconds;
 use crate::DecodeError;
-use crate::packed_scene::read_camera_model;
+use crate::camera_model::read_camera_model;
 
 /// Name of the entry.
 pub(super) const RIG: &str = "rig_trajectories.json";

@@ -1,6 +1,10 @@
 //! Cameras in the vocabulary of USDZ packages (NVIDIA NCore, `docs/data/sensor_models.rst`):
 //! `ftheta`, `opencv-pinhole`, `opencv-fisheye`.
 
+mod read;
+
+pub(crate) use read::read_camera_model;
+
 use decouplegs_scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
 use decouplegs_scene::{Intrinsics, Lens, ShutterDirection};
 use serde_json::{Value, json};
@@ -12,7 +16,7 @@ const SAME_PX: f64 = 1e-4;
 /// Angles at which the polynomial is fitted.
 const SAMPLES: usize = 64;
 /// F-theta calibrations count pixels from the center of the first one, this engine from its corner.
-pub(super) const FTHETA_ORIGIN_PX: f64 = 0.5;
+const FTHETA_ORIGIN_PX: f64 = 0.5;
 
 /// A camera as a package says it is: a pinhole becomes f-theta, which all readers of packages know
 /// and AlpaSim's rectifier demands (`src/driver/src/alpasim_driver/rectification.py:485`); others
@@ -35,7 +39,7 @@ pub fn packed_intrinsics(intrinsics: &Intrinsics) -> Intrinsics {
 }
 
 /// The model of a camera, that of [`packed_intrinsics`].
-pub(super) fn model(intrinsics: &Intrinsics) -> Value {
+pub(crate) fn model(intrinsics: &Intrinsics) -> Value {
     let principal_point = [intrinsics.cx_px, intrinsics.cy_px];
     let focal_length = [intrinsics.fx_px, intrinsics.fy_px];
     let (name, own) = match &intrinsics.lens {
@@ -130,7 +134,7 @@ fn fitted(intrinsics: &Intrinsics) -> FTheta {
 
 /// The pinhole that [`packed_intrinsics`] made `f_theta` of, if it did: splats near a camera are
 /// drawn otherwise through a polynomial.
-pub(super) fn pinhole_of(f_theta: &Intrinsics) -> Option<Intrinsics> {
+fn pinhole_of(f_theta: &Intrinsics) -> Option<Intrinsics> {
     let Lens::FTheta(lens) = f_theta.lens else {
         return None;
     };

@@ -1,4 +1,4 @@
-//! Camera models of packages, read: the inverse of [`super::camera_model`].
+//! Camera models of packages, read.
 
 use decouplegs_scene::lens::windshield::angle_polynomial;
 use decouplegs_scene::lens::{
@@ -9,7 +9,7 @@ use decouplegs_scene::{Intrinsics, ShutterDirection};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::camera_model::{FTHETA_ORIGIN_PX, pinhole_of};
+use super::{FTHETA_ORIGIN_PX, pinhole_of};
 
 #[derive(Deserialize)]
 struct Model {
@@ -211,8 +211,7 @@ fn padded<const N: usize>(values: &[f64], field: &str) -> Result<[f64; N], Strin
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::packed_scene::camera_model::model;
-    use crate::packed_scene::packed_intrinsics;
+    use crate::camera_model::{model, packed_intrinsics};
     use decouplegs_scene::Shutter;
 
     #[test]
