@@ -220,7 +220,7 @@ fn cameras_of_a_rig_are_chosen_by_name_and_a_scene_is_no_scenario() {
     let said = succeed(&[&render(&some)[..], &["--cameras", names]].concat());
     assert_eq!(said.lines().count(), 2, "{said}");
     for name in ["front.png", "back.png"] {
-        let bytes = |out: &std::path::Path| fs::read(out.join(name)).unwrap();
+        let bytes = |out: &Path| fs::read(out.join(name)).unwrap();
         assert!(bytes(&all) == bytes(&some), "{name}");
     }
     let unknown = fail(1, &[&render(&none)[..], &["--cameras", "roof"]].concat());
