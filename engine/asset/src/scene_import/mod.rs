@@ -5,7 +5,7 @@
 //! |---|---|
 //! | drivestudio, OmniRe (`checkpoint_*.pth`): `Background` and `RigidNodes` | in the checkpoint, one pose a frame; frames have no times, so a rate is asked for |
 //! | HUGSIM (a folder with `scene.pth`) | in its `meta_data.json`, with cameras and the path of the ego |
-//! | NuRec (a `.usdz` with `volume.nurec` or `checkpoint.ckpt`): see [`nurec`] | in the package, with cameras and the path of the ego |
+//! | NuRec (a `.usdz` with `volume.nurec` or `checkpoint.ckpt`): `nurec` says what is read | in the package, with cameras and the path of the ego |
 //! | Street Gaussians (`.pth`, or the `.ply` with an element for each model): `background` and `obj_*` | in the data set alone: the checkpoint holds corrections; given beside it, or actors are written and not placed |
 //!
 //! Actors are in the frame of their boxes, x forward, y left, z up, origin in the middle. All
