@@ -142,7 +142,7 @@ fn the_road_ends_thirty_centimeters_beyond_its_edge() {
     let (mut within, mut beyond) = (0, 0);
     for step in 0..40 {
         let mut planner = Beside {
-            right_m: 0.1 * f64::from(step),
+            right_m: 0.2 * f64::from(step),
         };
         let episode = driven(&scenario, &site, &mut planner);
         for instant in episode.instants() {
