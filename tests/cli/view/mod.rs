@@ -88,6 +88,8 @@ impl Viewer {
     fn connect_with_facts(&self) -> (Page, Value) {
         let stream = TcpStream::connect(&self.host).expect("it listens");
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        // As browsers do: the test's own messages do not wait for each other.
+        stream.set_nodelay(true).unwrap();
         let url = format!("ws://{}/socket{}", self.host, self.query);
         let (socket, _) = tungstenite::client(url, stream).expect("it upgrades");
         let mut page = Page {
