@@ -11,7 +11,7 @@ use decouplegs_asset::scene_import::{ImportOptions, ImportedScene, read_scene};
 use decouplegs_asset::{
     LossReport, SplatFormat, UnfinishedFolder, khr_glb, read_bytes, read_splats, read_tracks,
 };
-use decouplegs_scene::SplatCloud;
+use decouplegs_scene::{ShFrame, SplatCloud};
 
 use crate::arguments::print;
 use crate::progress;
@@ -183,9 +183,13 @@ fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
     unfinished.finish()?;
     let mut notes = scene.notes.clone();
     let placed = format!(
-        "{} of {} actors stand in the scene",
+        "{} of {} actors stand in the scene, their colors in {}",
         agents,
-        scene.actors.len()
+        scene.actors.len(),
+        match scene.actor_frame {
+            ShFrame::World => "the world's frame",
+            ShFrame::Canonical => "frames of their own",
+        }
     );
     notes.insert(0, placed);
     let splats: usize = scene.background.len()

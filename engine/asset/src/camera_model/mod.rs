@@ -103,21 +103,9 @@ fn f_theta(intrinsics: &Intrinsics, lens: &FTheta) -> Value {
 /// A pinhole as f-theta: distance from the principal point against the angle from the axis, and
 /// back, as polynomials of the fifth degree up to the farthest corner.
 fn fitted(intrinsics: &Intrinsics) -> FTheta {
-    let Intrinsics {
-        width_px,
-        height_px,
-        fx_px,
-        fy_px,
-        cx_px,
-        cy_px,
-        ..
-    } = *intrinsics;
-    let farthest = |center: f64, size: u32| center.abs().max((f64::from(size) - center).abs());
-    let (x, y) = (
-        farthest(cx_px, width_px) / fx_px,
-        farthest(cy_px, height_px) / fy_px,
-    );
-    let max_angle_rad = x.hypot(y).atan();
+    let Intrinsics { fx_px, fy_px, .. } = *intrinsics;
+    let [x_px, y_px] = farthest_px(intrinsics);
+    let max_angle_rad = (x_px / fx_px).hypot(y_px / fy_px).atan();
     let angles: Vec<f64> = (0..SAMPLES)
         .map(|i| max_angle_rad * (i as f64 + 0.5) / SAMPLES as f64)
         .collect();
@@ -132,6 +120,15 @@ fn fitted(intrinsics: &Intrinsics) -> FTheta {
     }
 }
 
+/// Distances along x and y from the principal point to the farthest corner of the image, pixels.
+fn farthest_px(intrinsics: &Intrinsics) -> [f64; 2] {
+    let farthest = |center: f64, size: u32| center.abs().max((f64::from(size) - center).abs());
+    [
+        farthest(intrinsics.cx_px, intrinsics.width_px),
+        farthest(intrinsics.cy_px, intrinsics.height_px),
+    ]
+}
+
 /// The pinhole that [`packed_intrinsics`] made `f_theta` of, if it did: splats near a camera are
 /// drawn otherwise through a polynomial.
 fn pinhole_of(f_theta: &Intrinsics) -> Option<Intrinsics> {
@@ -142,10 +139,8 @@ fn pinhole_of(f_theta: &Intrinsics) -> Option<Intrinsics> {
     if !(aspect > 0.0 && skew_x == 0.0 && skew_y == 0.0) {
         return None;
     }
-    let farthest = |center: f64, size: u32| center.abs().max((f64::from(size) - center).abs());
-    let x_px = farthest(f_theta.cx_px, f_theta.width_px) / aspect;
-    let y_px = farthest(f_theta.cy_px, f_theta.height_px);
-    let fy_px = x_px.hypot(y_px) / lens.max_angle_rad.tan();
+    let [x_px, y_px] = farthest_px(f_theta);
+    let fy_px = (x_px / aspect).hypot(y_px) / lens.max_angle_rad.tan();
     let pinhole = Intrinsics {
         fx_px: aspect * fy_px,
         fy_px,

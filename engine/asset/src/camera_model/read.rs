@@ -122,7 +122,6 @@ pub(crate) fn read_camera_model(model: &Value) -> Result<(Intrinsics, ShutterDir
     };
     let distortion = common.external_distortion_parameters;
     let windshield = distortion
-        .filter(|distortion| !distortion.is_null())
         .map(|distortion| windshield(&distortion))
         .transpose()?;
     let direction = match common.shutter_type.as_deref() {

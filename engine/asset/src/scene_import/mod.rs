@@ -31,7 +31,6 @@ use std::path::{Path, PathBuf};
 use decouplegs_scene::{
     LaneMap, Photometry, Presence, Rig, Rules, ShFrame, SkyMap, SplatCloud, Trajectory,
 };
-
 use glam::DVec3;
 
 use crate::checkpoint::{self, Checkpoint};
@@ -133,10 +132,15 @@ pub fn read_scene(
     }
     let bytes = read_bytes(path)?;
     let (format, decoded) = match bytes.as_slice() {
-        [b'P', b'K', 3, 4, ..] if is_nurec(&bytes) => (nurec::NAME, decode_nurec(&bytes)),
-        [b'P', b'K', 3, 4, ..] if is_checkpoint(&bytes) => {
-            (checkpoint::NAME, decode_checkpoint(&bytes, options))
-        }
+        [b'P', b'K', 3, 4, ..] => match Archive::parse(&bytes) {
+            Ok(archive) if nurec::is_package(&archive) => {
+                (nurec::NAME, nurec::scene(&archive).map(Some))
+            }
+            Ok(archive) if checkpoint::is_checkpoint(&archive) => {
+                (checkpoint::NAME, decode_checkpoint(&bytes, options))
+            }
+            _ => return Ok(None),
+        },
         [b'p', b'l', b'y', b'\n' | b'\r', ..] => {
             ("PLY of several models", decode_ply(&bytes, options))
         }
@@ -158,14 +162,6 @@ pub fn decode_nurec(bytes: &[u8]) -> Result<Option<ImportedScene>, DecodeError> 
     // A broken zip is the package reader's to explain.
     let archive = Archive::parse(bytes).ok().filter(nurec::is_package);
     archive.map(|archive| nurec::scene(&archive)).transpose()
-}
-
-fn is_nurec(bytes: &[u8]) -> bool {
-    Archive::parse(bytes).is_ok_and(|archive| nurec::is_package(&archive))
-}
-
-fn is_checkpoint(bytes: &[u8]) -> bool {
-    Archive::parse(bytes).is_ok_and(|archive| checkpoint::is_checkpoint(&archive))
 }
 
 /// Reads the scene of a checkpoint. None where it is one of splats alone.

@@ -1,6 +1,6 @@
 //! NuRec's packages: USDZ with the splats of a drive, its rig and tracks.
 //!
-//! What is read, and what public readers and writers of the form say of it (3dgrut's
+//! Entries that are read, after public readers and writers of the form (3dgrut's
 //! `threedgrut/export` at a37ef72, AlpaSim's `src/utils/alpasim_utils` at 3032e0cf, ppisp):
 //!
 //! | entry | what is read |
@@ -27,7 +27,7 @@ mod value;
 
 use std::collections::{HashMap, HashSet};
 
-use decouplegs_scene::{Pose, Rules, ShFrame, SkyMap, SplatCloud};
+use decouplegs_scene::{Pose, ShFrame, SkyMap, SplatCloud};
 use glam::{DMat3, DVec3};
 
 use super::{ImportedActor, ImportedScene};
@@ -61,7 +61,6 @@ pub(crate) fn is_package(archive: &Archive<'_>) -> bool {
 /// A sentence that names the entry and the array or key at fault.
 pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError> {
     let mut scene = ImportedScene {
-        rules: Rules::DEFAULT,
         actor_frame: ShFrame::Canonical,
         ..ImportedScene::empty("NuRec")
     };

@@ -29,7 +29,7 @@ pub(super) struct PackageRig {
     pub(super) ego_height_m: Option<f64>,
     /// First pose, microseconds of the package.
     pub(super) start_us: i64,
-    /// Names of the cameras with a number of their own, in the order of these numbers.
+    /// Omissions, one sentence each.
     pub(super) notes: Vec<String>,
 }
 

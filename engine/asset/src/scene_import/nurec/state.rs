@@ -1,6 +1,6 @@
 //! Arrays of a volume, out of `volume.nurec` or of `checkpoint.ckpt`.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::io::Read;
 
 use flate2::read::MultiGzDecoder;
@@ -330,10 +330,5 @@ fn settings_of(data: &Value) -> HashMap<String, LayerSettings> {
         };
         (name.clone(), settings)
     };
-    layers
-        .iter()
-        .map(of_layer)
-        .collect::<BTreeMap<_, _>>()
-        .into_iter()
-        .collect()
+    layers.iter().map(of_layer).collect()
 }

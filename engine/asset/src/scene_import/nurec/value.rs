@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::fmt;
 use std::io::Read;
 
-use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use crate::DecodeError;
 
@@ -166,8 +166,9 @@ impl<'de> Visitor<'de> for Node<'_> {
 
     // Extension types, which hold nothing that is read here.
     fn visit_newtype_struct<D: Deserializer<'de>>(self, decoder: D) -> Result<Value, D::Error> {
-        serde::de::IgnoredAny::deserialize_ignored(decoder)?;
-        Ok(Value::None)
+        decoder
+            .deserialize_ignored_any(IgnoredAny)
+            .map(|_| Value::None)
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<Value, A::Error> {
@@ -192,17 +193,6 @@ impl<'de> Visitor<'de> for Node<'_> {
             pairs.push((key, map.next_value_seed(inner)?));
         }
         Ok(Value::Map(pairs))
-    }
-}
-
-/// Reads over a value without keeping it.
-trait Ignored<'de>: Sized {
-    fn deserialize_ignored<D: Deserializer<'de>>(decoder: D) -> Result<(), D::Error>;
-}
-
-impl<'de> Ignored<'de> for serde::de::IgnoredAny {
-    fn deserialize_ignored<D: Deserializer<'de>>(decoder: D) -> Result<(), D::Error> {
-        decoder.deserialize_ignored_any(Self).map(|_| ())
     }
 }
 
