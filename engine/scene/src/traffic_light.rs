@@ -52,6 +52,16 @@ pub struct StopLine {
     pub towards: Vec<String>,
 }
 
+impl StopLine {
+    /// True if it stops a vehicle that goes on to the lane `next`. One whose way ends is stopped by
+    /// the lines alone that are towards all lanes.
+    #[must_use]
+    pub fn binds(&self, next: Option<&str>) -> bool {
+        let is_named = |next| self.towards.iter().any(|lane| lane == next);
+        self.towards.is_empty() || next.is_some_and(is_named)
+    }
+}
+
 /// Traffic light, or a group of lights that always show the same color.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TrafficLight {

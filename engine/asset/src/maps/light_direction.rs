@@ -1,7 +1,7 @@
 //! Directions of traffic lights: arrows bind the successors of a lane that lead their way.
 
 use decouplegs_scene::{Lane, StopLine};
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::polyline::plan_length_m;
 
@@ -81,17 +81,17 @@ fn ways(lanes: &[Lane], from: usize, next: usize) -> Directions {
             open.extend(lane.successors.iter().map(|&next| (next, end_m)));
             continue;
         }
-        found = found.and(turn(ahead.extend(0.0), &lane.centerline));
+        found = found.and(turn(ahead, &lane.centerline));
     }
     found
 }
 
 /// Direction of the end of a line, seen from a vehicle that comes along `ahead`.
-fn turn(ahead: DVec3, line: &[DVec3]) -> Directions {
+fn turn(ahead: DVec2, line: &[DVec3]) -> Directions {
     let [.., before, end] = *line else {
         return Directions::ALL;
     };
-    let turn_rad = ahead.truncate().angle_to((end - before).truncate());
+    let turn_rad = ahead.angle_to((end - before).truncate());
     match turn_rad {
         turn_rad if turn_rad > TURN_RAD => Directions::LEFT,
         turn_rad if turn_rad < -TURN_RAD => Directions::RIGHT,

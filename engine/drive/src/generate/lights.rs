@@ -64,10 +64,7 @@ impl<'a> Approach<'a> {
             let Some(road) = graph.lane(at) else { continue };
             let end_m = begin_m + road.line.length_m();
             for &next in &road.successors {
-                let leads = at != lane || line.towards.is_empty() || {
-                    let id = &map.lanes[next].id;
-                    line.towards.contains(id)
-                };
+                let leads = at != lane || line.binds(Some(&map.lanes[next].id));
                 if leads && end_m < CROSSING_M && ahead.len() < LANES_MAX && !ahead.contains(&next)
                 {
                     ahead.push(next);

@@ -59,13 +59,10 @@ fn lines<'a>(
     for (at, &lane) in start.lanes.iter().enumerate() {
         let id = &roads.map.lanes[lane].id;
         let onward = start.lanes.get(at + 1);
-        let onward = onward.map(|&next| &roads.map.lanes[next].id);
+        let onward = onward.map(|&next| roads.map.lanes[next].id.as_str());
         for light in lights {
-            let on_lane = light.stop_lines.iter().filter(|line| {
-                line.lane == *id
-                    && (line.towards.is_empty()
-                        || onward.is_some_and(|next| line.towards.contains(next)))
-            });
+            let lines_here = light.stop_lines.iter();
+            let on_lane = lines_here.filter(|line| line.lane == *id && line.binds(onward));
             lines.extend(on_lane.map(|line| (begin_m + line.at_m, light)));
         }
         begin_m += roads.length_m(lane);
