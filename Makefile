@@ -51,8 +51,8 @@ PROGRAMS := tools tools/drive tools/view tools/server benches
 demo: NEEDS := $(NEEDS_RUN)
 demo: packages
 	cargo build --package decouplegs-tools
-	$(DECOUPLEGS) synth street --background 400000 --agents 8 --agent-splats 8000 --degree 1 --seed 7 --size 800x450 --movable --out $(DEMO)/street
-	$(DECOUPLEGS) render $(DEMO)/street/scene.toml --out $(DEMO) --contact-sheet $(DEMO)/contact-sheet.png
+	$(DECOUPLEGS) synth street --background 400000 --agents 8 --agent-splats 8000 --degree 1 --seed 7 --size 800x450 --movable --force --out $(DEMO)/street
+	$(DECOUPLEGS) render $(DEMO)/street/scene.toml --force --out $(DEMO) --contact-sheet $(DEMO)/contact-sheet.png
 	@echo "The six images are in $(DEMO), side by side in $(DEMO)/contact-sheet.png."
 	@echo "To look around in the street:  cargo run --package decouplegs-view -- view"
 

@@ -8,9 +8,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use decouplegs_asset::{
-    CodedAsset, Provenance, SplatFormat, check_writable, read_bytes, read_splats, write_coded,
-};
+use decouplegs_asset::{CodedAsset, Provenance, SplatFormat, read_bytes, read_splats, write_coded};
 use decouplegs_scene::codebook::{COLORS_MAX, SHAPES_MAX};
 use decouplegs_scene::{ShFrame, SplatCloud};
 use decouplegs_train::compress::{
@@ -20,6 +18,7 @@ use indicatif::ProgressBar;
 
 use crate::arguments::print;
 use crate::device::{DeviceArguments, check_validation};
+use crate::outputs::Force;
 use crate::visibility::VIEW_PX_MAX;
 use crate::{progress, views, visibility};
 
@@ -41,41 +40,48 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", value_parser = asset_path)]
     out: PathBuf,
     /// Share of the most important splats to keep, above 0 and at most 1 (default: by --tau)
-    #[arg(long, value_name = "SHARE", conflicts_with = "tau", value_parser = keep_ratio)]
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true, conflicts_with = "tau", value_parser = keep_ratio)]
     keep: Option<f32>,
     /// Least importance to keep, 0 to 1; a value above 0 removes splats that no view shows
-    #[arg(long, value_name = "SHARE", default_value_t = THRESHOLD, value_parser = importance)]
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true, default_value_t = THRESHOLD, value_parser = importance)]
     tau: f32,
     /// Number of entries of the color codebook
-    #[arg(long, value_name = "N", default_value_t = COLORS_MAX as u64,
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = COLORS_MAX as u64,
         value_parser = clap::value_parser!(u64).range(1..=COLORS_MAX as u64))]
     colors: u64,
     /// Number of entries of the shape codebook
-    #[arg(long, value_name = "N", default_value_t = SHAPES_MAX as u64,
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = SHAPES_MAX as u64,
         value_parser = clap::value_parser!(u64).range(1..=SHAPES_MAX as u64))]
     shapes: u64,
     /// Seed of all randomness: the same seed gives the same bytes
-    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    #[arg(
+        long,
+        value_name = "SEED",
+        allow_negative_numbers = true,
+        default_value_t = 1
+    )]
     seed: u64,
     /// Frame of colors that change with the viewing direction
     #[arg(long, value_name = "FRAME", value_enum, default_value_t = Frame::Canonical)]
     sh_frame: Frame,
     /// Number of views around the asset that measure the visibility of its splats
-    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
     views: u32,
     /// Side of these views, pixels
-    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=VIEW_PX_MAX as i64))]
+    #[arg(long, value_name = "PIXELS", allow_negative_numbers = true, default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=VIEW_PX_MAX as i64))]
     view_size: u32,
     /// Measure the loss, with other settings too, and write report.html and report.json to this
     /// folder; takes minutes
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     /// Distance of the report's street cameras, meters: ten is for cars
-    #[arg(long, value_name = "METERS", default_value_t = 10.0, value_parser = distance)]
+    #[arg(long, value_name = "METERS", allow_negative_numbers = true, default_value_t = 10.0, value_parser = distance)]
     report_distance: f64,
     /// Cameras of each kind in the report (default: 4 on the street, 2 close by, 7 all around)
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..=64))]
     report_views: Option<u32>,
+    #[command(flatten)]
+    force: Force,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -175,15 +181,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Refuses, before minutes of work, what could not be written after them.
 fn check_outputs(arguments: &Arguments) -> Result<()> {
-    check_writable(&arguments.out)?;
-    if let Some(report) = &arguments.report {
-        ensure!(
-            report.is_dir() || !report.exists(),
-            "--report {}: it is a file; expected a folder",
-            report.display()
-        );
+    let mut outputs = arguments.force.outputs(&[&arguments.file]);
+    outputs.file(&arguments.out)?;
+    match &arguments.report {
+        Some(report) => outputs.folder(report),
+        None => Ok(()),
     }
-    Ok(())
 }
 
 fn options(arguments: &Arguments) -> CompressOptions {

@@ -14,6 +14,7 @@ use decouplegs_asset::{
 use decouplegs_scene::{ShFrame, SplatCloud};
 
 use crate::arguments::print;
+use crate::outputs::Force;
 use crate::progress;
 use format::Format;
 use report::Report;
@@ -37,13 +38,13 @@ pub struct Arguments {
     #[arg(long, value_name = "FORMAT", value_enum)]
     to: Option<Format>,
     /// Highest degree of spherical harmonics to write (default: all)
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: Option<u8>,
     /// Write the loss to this JSON file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
     /// Frames per second of a checkpoint whose frames have no times
-    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate)]
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true, default_value_t = 10.0, value_parser = rate)]
     frame_rate: f64,
     /// Trajectories of actors, for a checkpoint without tracks: a table of tracks whose ids are the
     /// models' names or numbers
@@ -51,8 +52,10 @@ pub struct Arguments {
     tracks: Option<PathBuf>,
     /// Training image, or camera, whose color correction is taken, counted from 0 (default: the
     /// mean of all)
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     image: Option<usize>,
+    #[command(flatten)]
+    force: Force,
 }
 
 fn rate(text: &str) -> Result<f64, String> {
@@ -64,6 +67,16 @@ fn rate(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    let mut inputs = vec![arguments.input.as_path()];
+    inputs.extend(arguments.tracks.as_deref());
+    let outputs = arguments.force.outputs(&inputs);
+    // What becomes a scene, in a folder, is known only when it was read.
+    if arguments.output.is_file() {
+        outputs.file(&arguments.output)?;
+    }
+    if let Some(report) = &arguments.report {
+        outputs.file(report)?;
+    }
     let tracks = arguments
         .tracks
         .as_deref()
@@ -90,6 +103,8 @@ fn write_splats(arguments: &Arguments) -> Result<()> {
         Some(format) => format,
         None => Format::of_path(&arguments.output)?,
     };
+    let outputs = arguments.force.outputs(&[&arguments.input]);
+    outputs.file(&arguments.output)?;
     let reading = progress::spinner(format!("reading {}", arguments.input.display()));
     let before = read_splats(&arguments.input)?;
     reading.finish_and_clear();
@@ -171,13 +186,7 @@ fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
             format.name()
         );
     }
-    let is_taken =
-        out.is_file() || fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
-    ensure!(
-        !is_taken,
-        "{} is there already; give a folder that is empty or not there",
-        out.display()
-    );
+    arguments.force.outputs(&[]).whole_folder(out)?;
     let unfinished = UnfinishedFolder::begin(out)?;
     let agents = scene.write(unfinished.path())?.agents.len();
     unfinished.finish()?;

@@ -6,6 +6,7 @@ use anyhow::{Result, ensure};
 use decouplegs_asset::{inria_ply, read_coded};
 
 use crate::arguments::print;
+use crate::outputs::Force;
 
 /// Convert a compressed asset back to a PLY of splats
 #[derive(clap::Args)]
@@ -15,6 +16,8 @@ pub struct Arguments {
     /// INRIA PLY to write
     #[arg(long, value_name = "FILE", value_parser = ply_path)]
     out: PathBuf,
+    #[command(flatten)]
+    force: Force,
     /// Level of detail; 0 is the finest
     #[arg(long, default_value_t = 0)]
     level: usize,
@@ -35,6 +38,8 @@ fn ply_path(text: &str) -> Result<PathBuf, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    let outputs = arguments.force.outputs(&[&arguments.file]);
+    outputs.file(&arguments.out)?;
     let cloud = read_coded(&arguments.file)?.cloud;
     let levels = cloud.levels.len();
     ensure!(

@@ -9,6 +9,7 @@ use std::collections::HashSet;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
@@ -31,6 +32,7 @@ use crate::arguments::{
 };
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
+use crate::outputs::Force;
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
 
@@ -51,7 +53,7 @@ pub struct Arguments {
     layer: LayerName,
     /// Render agents at the coarsest level of detail whose splats are at most this many pixels
     /// apart (default: always the finest)
-    #[arg(long, value_name = "PIXELS", conflicts_with = "reference", value_parser = pixels)]
+    #[arg(long, value_name = "PIXELS", allow_negative_numbers = true, conflicts_with = "reference", value_parser = pixels)]
     level_pitch: Option<f64>,
     /// Write these planes beside each image too, as NAME.PLANE.npy with one or more values per
     /// pixel, float32 where nothing else is said. depth: expected depth along the camera's z,
@@ -68,7 +70,7 @@ pub struct Arguments {
     #[arg(long, requires = "planes")]
     plane_previews: bool,
     /// Interval of optical flow, seconds: the camera and agents go on with their motion
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.1, value_parser = seconds_above_zero)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 0.1, value_parser = seconds_above_zero)]
     flow_interval: f64,
     /// Write boxes.json too: for each image the 3D, amodal and tight boxes of its agents, their
     /// visible pixels, and the shares of them that are visible and beyond the edges of the image
@@ -76,10 +78,10 @@ pub struct Arguments {
     boxes: bool,
     /// Blur what moves: expose each pixel for this time, seconds, around that of its sharp image.
     /// Planes and boxes stay those of the sharp image
-    #[arg(long, value_name = "SECONDS", value_parser = seconds_above_zero)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = seconds_above_zero)]
     exposure: Option<f64>,
     /// Sharp images whose light is averaged for one exposure
-    #[arg(long, value_name = "N", requires = "exposure", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, requires = "exposure", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1024))]
     sub_exposures: u32,
     #[command(flatten)]
     background: BackgroundArguments,
@@ -91,6 +93,8 @@ pub struct Arguments {
     /// Write all images side by side to this file too, which ends with .png
     #[arg(long, value_name = "FILE", value_parser = png_path)]
     contact_sheet: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
 }
 
 fn png_path(text: &str) -> Result<PathBuf, String> {
@@ -154,11 +158,19 @@ const SHEET_COLUMNS: u32 = 3;
 /// About the memory that the reference takes for each pixel.
 const REFERENCE_PIXEL_BYTES: u64 = 96;
 
+/// Time that images may take before files of them are seen.
+const FIRST_SEEN: Duration = Duration::from_secs(1);
+
 /// Cameras whose images are held at once. A rig has fewer; a file of training cameras has hundreds,
 /// whose images no device holds.
 const CAMERAS_AT_ONCE: usize = 8;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    let mut outputs = arguments.force.outputs(&[]);
+    outputs.folder(&arguments.out)?;
+    if let Some(sheet) = &arguments.contact_sheet {
+        outputs.file(sheet)?;
+    }
     let mut scene = Scene::open(&arguments.scene)?;
     check_names(&scene.cameras)?;
     if arguments.layer == LayerName::Agents {
@@ -350,7 +362,11 @@ fn render_on_gpu(
     copying.finish_and_clear();
     let mut world = World::new(&on_device);
     let mut renderer = session.batch_renderer();
-    for cameras in scene.cameras.chunks(CAMERAS_AT_ONCE) {
+    let (mut left, mut count) = (scene.cameras.as_slice(), 1);
+    while !left.is_empty() {
+        let begun = Instant::now();
+        let (cameras, rest) = left.split_at(count.min(left.len()));
+        left = rest;
         let images = exposed(scene, arguments, cameras, |later_s, cameras| {
             world.set_time(scene.time_s + later_s);
             let view = WorldView {
@@ -364,9 +380,17 @@ fn render_on_gpu(
             writer.add(camera, image)?;
             bar.inc(1);
         }
+        count = cameras_next(cameras.len(), begun.elapsed());
     }
     bar.finish_and_clear();
     check_validation(gpu)
+}
+
+/// Cameras that are drawn at once after `count`, which took `time`: fewer on slow devices, so that
+/// images are there to see before all are drawn.
+fn cameras_next(count: usize, time: Duration) -> usize {
+    let per_second = FIRST_SEEN.as_secs_f64() * count as f64 / time.as_secs_f64().max(1e-9);
+    (per_second as usize).clamp(1, CAMERAS_AT_ONCE)
 }
 
 fn render_by_definition(
@@ -491,6 +515,13 @@ mod tests {
                 .to_string()
                 .contains("replace")
         );
+    }
+
+    #[test]
+    fn slow_devices_show_views_one_by_one() {
+        let after = |count, time_s| cameras_next(count, Duration::from_secs_f64(time_s));
+        assert_eq!((after(1, 7.0), after(1, 0.4), after(1, 0.0)), (1, 2, 8));
+        assert_eq!((after(8, 16.0), after(8, 0.1)), (1, 8));
     }
 
     #[test]

@@ -8,6 +8,7 @@ use decouplegs_asset::memory::{self, cloud_bytes};
 use decouplegs_synth::street::{AssetLight, Capture, Street, StreetOptions, Weather};
 
 use crate::arguments::{Size, print};
+use crate::outputs::Force;
 use crate::progress;
 use crate::street_files::{Cars, Content, write_street};
 
@@ -52,19 +53,39 @@ impl WeatherName {
 #[derive(clap::Args)]
 struct StreetArguments {
     /// Splats of the street without its traffic
-    #[arg(long, value_name = "N", default_value_t = 200_000)]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 200_000
+    )]
     background: usize,
     /// Cars that drive
-    #[arg(long, value_name = "N", default_value_t = 10)]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 10
+    )]
     agents: usize,
     /// Splats of each car
-    #[arg(long, value_name = "N", default_value_t = 10_000)]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 10_000
+    )]
     agent_splats: usize,
     /// Degree of the spherical harmonics
-    #[arg(long, value_name = "DEGREE", default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, value_name = "DEGREE", allow_negative_numbers = true, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: u8,
     /// Seed of all randomness: the same seed gives the same bytes
-    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    #[arg(
+        long,
+        value_name = "SEED",
+        allow_negative_numbers = true,
+        default_value_t = 1
+    )]
     seed: u64,
     /// The light over the street
     #[arg(long, value_name = "WEATHER", value_enum, default_value = "clear")]
@@ -76,7 +97,12 @@ struct StreetArguments {
     #[arg(long)]
     all_lanes: bool,
     /// Size of the cameras' images
-    #[arg(long, value_name = "WxH", default_value = "1600x900")]
+    #[arg(
+        long,
+        value_name = "WxH",
+        allow_hyphen_values = true,
+        default_value = "1600x900"
+    )]
     size: Size,
     /// Compress the cars (.safetensors), so that they move when the scene is played, at some loss.
     /// Plain cars (.ply) stand still in one frame, without loss
@@ -96,10 +122,13 @@ struct StreetArguments {
     /// Folder for the files; created if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    #[command(flatten)]
+    force: Force,
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let SyntheticScene::Street(arguments) = &arguments.scene;
+    arguments.force.outputs(&[]).folder(&arguments.out)?;
     check_size(arguments)?;
     let working = progress::spinner(format!("{} splats", arguments.background));
     let mut street = Street::generate(&StreetOptions {

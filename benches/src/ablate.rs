@@ -54,44 +54,54 @@ pub struct Arguments {
     #[arg(long, value_name = "WEATHER", value_delimiter = ',', default_value = "clear,overcast,dusk,night", value_parser = weather)]
     weather: Vec<Weather>,
     /// Splats of the street without its traffic
-    #[arg(long, value_name = "N", default_value_t = 300_000, value_parser = at_least_one)]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 300_000, value_parser = at_least_one)]
     background: usize,
     /// Cars that drive
-    #[arg(long, value_name = "N", default_value_t = 6, value_parser = at_least_one)]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 6, value_parser = at_least_one)]
     agents: usize,
     /// Splats of each car
-    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = at_least_one)]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 20_000, value_parser = at_least_one)]
     agent_splats: usize,
     /// Number of the six cameras to render, from the first
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=6))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=6))]
     cameras_used: u32,
     /// Size of every image
-    #[arg(long, value_name = "WxH", default_value = "800x450")]
+    #[arg(
+        long,
+        value_name = "WxH",
+        allow_hyphen_values = true,
+        default_value = "800x450"
+    )]
     size: Size,
     /// Number of moments at which images are compared with the ground truth: one per part of the
     /// drive, the one with most cars in sight
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     moments: u32,
     /// Number of timed frames, 0.1 s apart
-    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: u32,
     /// Seed of all randomness: the street, the codebooks, the drift of tracks
-    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    #[arg(
+        long,
+        value_name = "SEED",
+        allow_negative_numbers = true,
+        default_value_t = 1
+    )]
     seed: u64,
     /// Shift of each track, each in a random direction, meters
-    #[arg(long, value_name = "METERS", default_value_t = 0.5, value_parser = not_negative)]
+    #[arg(long, value_name = "METERS", allow_negative_numbers = true, default_value_t = 0.5, value_parser = not_negative)]
     drift_m: f64,
     /// Turn of each track about its middle, left or right, degrees
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.4, value_parser = not_negative)]
+    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, default_value_t = 0.4, value_parser = not_negative)]
     drift_deg: f64,
     /// Standard deviation of each position along each axis, meters
-    #[arg(long, value_name = "METERS", default_value_t = 0.05, value_parser = not_negative)]
+    #[arg(long, value_name = "METERS", allow_negative_numbers = true, default_value_t = 0.05, value_parser = not_negative)]
     noise_m: f64,
     /// Length of a color, as a vector of at most 1.73, below which hue is ignored
     #[arg(long, value_name = "LENGTH", default_value_t = 0.05, value_parser = not_negative)]
     floor: f64,
     /// Number of views around a car that measure the visibility of its splats for compression
-    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
     views: u32,
     #[command(flatten)]
     device: DeviceArguments,

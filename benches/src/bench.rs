@@ -45,7 +45,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(..=1_000_000))]
     warm_up: u32,
     /// Number of cameras to render in one submission, from the first (default: all)
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     cameras_used: Option<usize>,
     /// Storage format of color
     #[arg(long, value_enum, default_value_t = Color::Rgba8)]
@@ -63,20 +63,20 @@ pub struct Arguments {
     keep_lists: bool,
     /// Render agents at the coarsest level of detail whose splats are at most this many pixels
     /// apart (default: always the finest)
-    #[arg(long, value_name = "PIXELS", value_parser = pixels)]
+    #[arg(long, value_name = "PIXELS", allow_negative_numbers = true, value_parser = pixels)]
     level_pitch: Option<f64>,
     #[command(flatten)]
     background: BackgroundArguments,
     /// Time step between frames, in which the ego and the agents move, seconds (default: they stand
     /// still)
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = finite)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 0.0, value_parser = finite)]
     step: f64,
     /// Frames in which the ego, and with it every camera, stands while the agents go on, warm-up
     /// included; with no value, in all
     #[arg(long, value_name = "FROM..TO", num_args = 0..=1, default_missing_value = "0..", requires = "step")]
     ego_stands: Option<EgoStands>,
     /// Frames in flight: with 2, a frame is submitted before the previous one has finished
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     in_flight: u8,
     /// Run the agents' part of a frame on the main queue instead of the update queue
     #[arg(long)]
@@ -91,11 +91,21 @@ pub struct Arguments {
     device: DeviceArguments,
     /// Size of the window in the middle of the first camera's image whose error is measured, in f32
     /// for any --color
-    #[arg(long, value_name = "WxH", default_value = "160x90")]
+    #[arg(
+        long,
+        value_name = "WxH",
+        allow_hyphen_values = true,
+        default_value = "160x90"
+    )]
     error_window: Size,
     /// Measure the error in the whole images of N cameras too, evenly chosen from all: the f64
     /// reference takes seconds to minutes for each
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 0
+    )]
     error_cameras: usize,
     /// Time sweeps of this LiDAR on the ego instead of frames: one of the scene, a model of the
     /// program, or a file
@@ -103,7 +113,13 @@ pub struct Arguments {
     lidar: Option<String>,
     /// Measure the error in N beams of the sweep, evenly chosen from all: the f64 definition takes
     /// a second for a few
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "lidar")]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 0,
+        requires = "lidar"
+    )]
     error_beams: usize,
     /// Print what the driver says of each kernel: registers, shared memory, and the workgroups that
     /// fit a multiprocessor of 48 KB of shared memory
@@ -114,7 +130,13 @@ pub struct Arguments {
     #[arg(long, value_name = "FOLDER", hide = true)]
     trial: Vec<trial::Trial>,
     /// Number of times that all trials are timed
-    #[arg(long, value_name = "N", default_value_t = 2, hide = true)]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 2,
+        hide = true
+    )]
     trial_rounds: u32,
     /// Write all figures to this JSON file
     #[arg(long, value_name = "FILE")]

@@ -65,23 +65,23 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
     /// Number of cameras to render in one submission, from the first (default: all)
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     cameras_used: Option<usize>,
     /// Render every image at this size, with its field of view (default: the camera's own)
-    #[arg(long, value_name = "WxH")]
+    #[arg(long, value_name = "WxH", allow_hyphen_values = true)]
     size: Option<Size>,
     /// Number of timed frames
-    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
     /// Least number of frames before them that are not timed
     ///
     /// They are the first frames of the drive backwards, so that the timed ones begin at --time in
     /// any case. A GPU warms up for at least 0.5 s, until its clocks have risen, and by the whole
     /// drive where that has at most 240 frames. A software device draws exactly N.
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     warm_up: u32,
     /// Time from one frame to the next, in which the ego and the agents drive on, seconds
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.1, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 0.1, value_parser = seconds)]
     step: f64,
     /// Time of the first timed frame, seconds (default: the start of the ego's trajectory)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
@@ -102,15 +102,15 @@ pub struct Arguments {
     #[arg(long, verbatim_doc_comment, value_name = "MODE,...", value_delimiter = ',', default_value = mode::DEFAULT_MODES)]
     modes: Vec<Mode>,
     /// Number of moments at which images are compared with vanilla's
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
     samples: u32,
     /// Limit of device memory, such as 2GiB or 500MiB; a mode that needs more is reported as out of
     /// memory
-    #[arg(long, value_name = "BYTES")]
+    #[arg(long, value_name = "BYTES", allow_negative_numbers = true)]
     memory_limit: Option<ByteSize>,
     /// Views all around an asset from which its splats' visibility is measured, where it is to be
     /// compressed
-    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
     views: u32,
     #[command(flatten)]
     device: DeviceArguments,
@@ -134,17 +134,22 @@ struct StreetArguments {
     )]
     background: usize,
     /// Splats of each car
-    #[arg(long, value_name = "N", default_value_t = 10_000, conflicts_with = "scene", value_parser = at_least_one)]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 10_000, conflicts_with = "scene", value_parser = at_least_one)]
     agent_splats: usize,
     /// Distinct cars
-    #[arg(long, value_name = "N", default_value_t = 12, conflicts_with = "scene", value_parser = at_least_one)]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 12, conflicts_with = "scene", value_parser = at_least_one)]
     assets: usize,
     /// Degree of the spherical harmonics
-    #[arg(long, value_name = "DEGREE", default_value_t = 3, conflicts_with = "scene",
+    #[arg(long, value_name = "DEGREE", allow_negative_numbers = true, default_value_t = 3, conflicts_with = "scene",
         value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: u8,
     /// Seed of all randomness, the codebooks of compressed assets too
-    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    #[arg(
+        long,
+        value_name = "SEED",
+        allow_negative_numbers = true,
+        default_value_t = 1
+    )]
     seed: u64,
 }
 

@@ -282,6 +282,19 @@ fn what_cannot_be_driven_is_said_before_anything_is() {
         .contains("extreme")
     );
     assert!(fail(2, &["drive", "--planner", "vision", "--out", "a"]).contains("SCENARIO"));
+    let negative = fail(
+        2,
+        &[
+            "drive",
+            "--planner",
+            "vision",
+            "--episodes",
+            "-1",
+            "--out",
+            "a",
+        ],
+    );
+    assert!(negative.contains("invalid value '-1'"), "{negative}");
     let unseen = [
         "drive",
         "--level",

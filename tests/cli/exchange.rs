@@ -33,6 +33,7 @@ fn a_ply_is_converted_to_every_format_and_says_what_it_lost() {
             "convert",
             text(&source),
             text(&out),
+            "--force",
             "--report",
             text(&report),
         ]);
@@ -58,7 +59,7 @@ fn a_ply_is_converted_to_every_format_and_says_what_it_lost() {
         assert_eq!(read_splats(&out).unwrap().len(), 12);
         // And back.
         let back = folder.path().join("back.ply");
-        succeed(&["convert", text(&out), text(&back)]);
+        succeed(&["convert", text(&out), text(&back), "--force"]);
         assert_eq!(json(&["inspect", text(&back), "--json"])["splats"], 12);
     }
     assert_eq!(
@@ -165,7 +166,7 @@ fn a_checkpoint_with_actors_becomes_a_scene() {
     assert_eq!(listed["splats"], 18);
     assert_eq!(scene.agents[1].present.intervals_s(), [[0.1, 0.5]]);
     assert!(scene.sky_map.is_some() && out.join("sky.exr").exists());
-    assert!(fail(1, &["convert", text(&checkpoint), text(&out)]).contains("is there already"));
+    assert!(fail(1, &["convert", text(&checkpoint), text(&out)]).contains("exists already"));
     assert!(
         fail(
             1,
@@ -390,5 +391,50 @@ with open(sys.argv[1], "rb") as file, zipfile.ZipFile(file) as archive:
     assert!(
         (first[6].abs() - pose.rotation.w.abs()).abs() < 1e-12,
         "the quaternion's w comes last"
+    );
+}
+
+#[test]
+fn an_output_that_exists_is_left_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::copy(seed("inria_ply/cone.ply"), at("in.ply")).unwrap();
+    fs::write(at("old.ply"), "old").unwrap();
+    let [input, old] = [at("in.ply"), at("old.ply")];
+    let before = fs::read(&input).unwrap();
+    for force in [&[][..], &["--force"]] {
+        let in_place = [
+            &["convert", text(&input), text(&input), "--degree", "0"],
+            force,
+        ]
+        .concat();
+        assert!(fail(1, &in_place).contains("is read"));
+    }
+    assert_eq!(fs::read(&input).unwrap(), before);
+    assert!(fail(1, &["convert", text(&input), text(&old)]).contains("--force"));
+    assert_eq!(fs::read(&old).unwrap(), b"old");
+    succeed(&["convert", text(&input), text(&old), "--force"]);
+    // Before the scene is read: there is none.
+    let render = |out: &str| fail(1, &["render", "absent.toml", "--out", text(&at(out))]);
+    assert!(render("old.ply").contains("is a file"));
+    assert!(render("images.png").contains("name of a file"));
+    let synth = ["synth", "street", "--out", text(folder.path())];
+    assert!(fail(1, &synth).contains("--force"));
+    let lidar = ["lidar", "absent.toml", "--out", text(folder.path())];
+    assert!(fail(1, &lidar).contains("--force"));
+    let pose = [
+        "register",
+        "--map",
+        "absent.xodr",
+        "--tracks",
+        "absent.csv",
+        "--out",
+    ];
+    fs::write(at("poses.csv"), "old").unwrap();
+    assert!(fail(1, &[&pose[..], &[text(&at("poses.csv"))]].concat()).contains("--force"));
+    assert_eq!(
+        fs::read_dir(folder.path()).unwrap().count(),
+        3,
+        "nothing is left"
     );
 }

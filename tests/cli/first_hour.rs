@@ -68,7 +68,8 @@ fn a_size_of_another_shape_is_warned_of() {
     small_street(folder.path());
     let (scene, out) = (folder.path().join("scene.toml"), folder.path().join("out"));
     let warned = |size: &str| {
-        let output = decouplegs(&["render", text(&scene), "--size", size, "--out", text(&out)]);
+        let render = ["render", text(&scene), "--size", size, "--force"];
+        let output = decouplegs(&[&render[..], &["--out", text(&out)]].concat());
         assert_eq!(output.status.code(), Some(0));
         String::from_utf8_lossy(&output.stderr).contains("squeezed")
     };
@@ -205,4 +206,42 @@ fn lanes_are_exported_and_drawn_with_their_ids() {
     let map: Value = serde_json::from_slice(&fs::read(&again).unwrap()).unwrap();
     let id = map["lanes"][0]["id"].as_str().unwrap();
     assert!(fs::read_to_string(&svg).unwrap().contains(id));
+}
+
+#[test]
+fn cameras_of_a_rig_are_chosen_by_name_and_a_scene_is_no_scenario() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    let scene = folder.path().join("scene.toml");
+    let [all, some, none] = ["all", "some", "none"].map(|name| folder.path().join(name));
+    let render = |out| ["render", text(&scene), "--out", text(out)];
+    succeed(&render(&all));
+    let names = "back,front";
+    let said = succeed(&[&render(&some)[..], &["--cameras", names]].concat());
+    assert_eq!(said.lines().count(), 2, "{said}");
+    for name in ["front.png", "back.png"] {
+        let bytes = |out: &Path| fs::read(out.join(name)).unwrap();
+        assert!(bytes(&all) == bytes(&some), "{name}");
+    }
+    let unknown = fail(1, &[&render(&none)[..], &["--cameras", "roof"]].concat());
+    assert!(
+        unknown.contains("--cameras roof") && unknown.contains("front"),
+        "{unknown}"
+    );
+    assert!(!none.exists());
+    let drive = [
+        "drive",
+        text(&scene),
+        "--planner",
+        "lane-follow",
+        "--out",
+        text(&none),
+    ];
+    let said = fail(1, &drive);
+    assert!(
+        said.contains("is a scene") && said.contains("--level easy"),
+        "{said}"
+    );
+    let size = fail(2, &[&render(&none)[..], &["--size", "-5x10"]].concat());
+    assert!(size.contains("expected WIDTHxHEIGHT"), "{size}");
 }

@@ -79,7 +79,7 @@ fn sweeps_are_written_in_every_format() {
     .unwrap();
     for (sensor, reason) in [
         (Some(text(&bad)), "row_elevations_deg or columns is missing"),
-        (Some("no_such_sensor"), "no_such_sensor"),
+        (Some("no_such_sensor"), "no model (at128, "),
         (None, "has no LiDAR: name a model with --sensor"),
     ] {
         let arguments = ["lidar", text(&scene), "--out", "out"];

@@ -144,7 +144,8 @@ fn a_scan_of_the_scene_has_no_errors_and_a_moved_one_has() {
     ];
     succeed(&sweep);
     let scan = out.join("small_000000.bin");
-    let compare = ["lidar", text(&background), "--out", text(&out), "--compare"];
+    let out_of = ["--force", "--out", text(&out), "--compare"];
+    let compare = [&["lidar", text(&background)][..], &out_of].concat();
     let said = fail(1, &[&compare[..], &[text(&scan)]].concat());
     assert!(
         said.contains("does not tell where its sensor was"),

@@ -42,7 +42,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Degree of the spherical harmonics (default: the highest among the assets)
-    #[arg(long, value_name = "DEGREE", value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, value_name = "DEGREE", allow_negative_numbers = true, value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: Option<u8>,
     /// Ridge strength: pull of the weights to those of a pure brightness change, above 0 (default:
     /// the least error on probes left out)
@@ -52,16 +52,21 @@ pub struct Arguments {
     #[arg(long, value_name = "QUANTITY", value_enum, default_value_t = ObjectiveName::Seen)]
     objective: ObjectiveName,
     /// Number of turns of each probe about the vertical
-    #[arg(long, value_name = "N", default_value_t = 6, value_parser = clap::value_parser!(u64).range(1..=64))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 6, value_parser = clap::value_parser!(u64).range(1..=64))]
     rotations: u64,
     /// Number of sampled splats, shared by the assets
-    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 4096, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
     samples: u64,
     /// Linear albedo of the reference ground, above 0, at most 1
     #[arg(long, value_name = "ALBEDO", default_value_t = Surroundings::default().albedo)]
     ground_albedo: f64,
     /// Seed of all randomness: the same seed gives the same bytes
-    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    #[arg(
+        long,
+        value_name = "SEED",
+        allow_negative_numbers = true,
+        default_value_t = 1
+    )]
     seed: u64,
     /// Write an HTML page with the measurements and images of the first asset
     #[arg(long, value_name = "FILE")]

@@ -72,10 +72,15 @@ pub struct Arguments {
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerName,
     /// Number of episodes per level
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     episodes: u32,
     /// Seed of the generated scenarios
-    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    #[arg(
+        long,
+        value_name = "SEED",
+        allow_negative_numbers = true,
+        default_value_t = 1
+    )]
     seed: u64,
     /// Folder of the run; created if it does not exist
     #[arg(long, value_name = "DIR")]
@@ -98,13 +103,18 @@ pub struct Arguments {
     #[command(flatten)]
     place: jobs::PlaceArguments,
     /// Time from one plan to the next [default: that of the scenario, 0.1 for a driver of AlpaSim]
-    #[arg(long, value_name = "SECONDS", value_parser = step)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = step)]
     step: Option<f64>,
     /// Render every N-th step, or `off` for none
     #[arg(long, value_name = "N|off", default_value = "1")]
     render: Every,
     /// Size of the images
-    #[arg(long, value_name = "WxH", default_value = "320x180")]
+    #[arg(
+        long,
+        value_name = "WxH",
+        allow_hyphen_values = true,
+        default_value = "320x180"
+    )]
     size: Size,
     /// Render all cameras of the rig for a planner that requests none, instead of the front one
     #[arg(long)]
@@ -118,7 +128,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
     /// Number of parallel workers. One device gains little beyond two
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
     workers: u32,
     /// Images to keep
     #[arg(long, value_enum, default_value_t = Images::Key)]
@@ -127,7 +137,7 @@ pub struct Arguments {
     #[arg(long)]
     video: bool,
     /// Time limit for an answer of an external planner: a later answer ends its episode
-    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 10.0, value_parser = seconds)]
     planner_timeout: f64,
     #[command(flatten)]
     background: BackgroundArguments,
@@ -287,6 +297,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     scored.sort_by(|a, b| (a.level(), a.name()).cmp(&(b.level(), b.name())));
     let text = episode_report::write(&scored, &sites, &arguments.out)?;
     print(&text)?;
+    if scored.iter().all(|scored| scored.times.is_none()) {
+        print("nothing was left to drive: all episodes were in the folder already\n")?;
+    }
     let lost = jobs.iter().filter_map(|job| job.lost.as_ref());
     for sentence in lost {
         print(&format!("{sentence}\n"))?;

@@ -12,6 +12,7 @@ use decouplegs::footing::{Footing, dims_of};
 use decouplegs::scene::{Pose, Presence, Trajectory};
 
 use crate::arguments::{print, warn};
+use crate::outputs::Force;
 use crate::progress;
 use change::{Addition, CutBox, Move, Shift, Swap, Times};
 
@@ -74,6 +75,8 @@ pub struct Arguments {
     /// Place the wheels of every added, swapped, moved or shifted agent on the captured ground
     #[arg(long)]
     ground: bool,
+    #[command(flatten)]
+    force: Force,
 }
 
 fn scene_path(text: &str) -> Result<PathBuf, String> {
@@ -91,17 +94,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = SceneFile::read(&arguments.scene)?;
     let [from, to] =
         [&arguments.scene, &arguments.out].map(|file| file.parent().unwrap_or(Path::new("")));
-    let is_itself = arguments.out.canonicalize().is_ok_and(|out| {
-        arguments
-            .scene
-            .canonicalize()
-            .is_ok_and(|scene| scene == out)
-    });
-    ensure!(
-        !is_itself,
-        "{} is the scene itself, which is left as it is; give --out another name",
-        arguments.out.display()
-    );
+    let outputs = arguments.force.outputs(&[&arguments.scene]);
+    outputs.file(&arguments.out)?;
     let mut edited = scene.moved_to_folder(from, to).with_context(|| {
         format!(
             "{} cannot be written: its folder cannot be reached",

@@ -22,6 +22,7 @@ use decouplegs_cli::png_bytes;
 use self::sensed::{LabeledImage, Renderers, Sensed};
 use crate::arguments::{Size, print, transfer_in};
 use crate::device::{DeviceArguments, check_validation};
+use crate::outputs::Force;
 use crate::progress;
 
 /// Write an episode as a data set: images, LiDAR sweeps and boxes of all road users, at each step
@@ -35,14 +36,14 @@ pub struct Arguments {
     /// Format of the data set
     #[arg(long = "as", value_name = "FORMAT", value_enum)]
     format: Format,
-    /// Folder to write; it must not exist
+    /// Folder to write; it must not exist, or be empty
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Cameras, by name [default: those whose images the planner got, otherwise all]
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     cameras: Vec<String>,
     /// Size of the images [default: that of the log, otherwise the cameras' own]
-    #[arg(long, value_name = "WxH")]
+    #[arg(long, value_name = "WxH", allow_hyphen_values = true)]
     size: Option<Size>,
     /// LiDAR: one of the scene, or a model (see `lidar --help`) on the roof of the ego
     #[arg(long, value_name = "NAME|FILE")]
@@ -83,11 +84,7 @@ trait DataSet {
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let out = &arguments.out;
-    ensure!(
-        !out.exists(),
-        "{} exists already and is left as it is: name a new folder",
-        out.display()
-    );
+    Force::default().outputs(&[]).whole_folder(out)?;
     let episode = read_episode_log(&arguments.log)?;
     let base = arguments.base.as_deref().or(arguments.log.parent());
     let appearance = Appearance {

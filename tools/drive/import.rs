@@ -66,7 +66,7 @@ pub struct Arguments {
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_hyphen_values = true)]
     middle: Option<[f64; 3]>,
     /// Images per second of a recording without times
-    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate)]
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true, default_value_t = 10.0, value_parser = rate)]
     rate: f64,
     /// Turn the scene until its z axis is up, with its splats, which are written as background.ply
     #[arg(long)]

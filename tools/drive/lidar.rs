@@ -11,7 +11,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::{LoadedScene, lidar_names, open_scene, write_atomically};
+use decouplegs::asset::{
+    LoadedScene, SceneFile, is_scene_file, lidar_names, open_scene, write_atomically,
+};
 use decouplegs::episode::chosen_lidars;
 use decouplegs::render::rendered_image::ImageFileFormat;
 use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer, Scene};
@@ -25,6 +27,7 @@ use serde_json::json;
 use crate::arguments::{finite, print, three_numbers, write_image};
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
+use crate::outputs::Force;
 use crate::progress;
 use scan_comparison::ScanComparison;
 use scan_file::ScanFile;
@@ -46,7 +49,7 @@ pub struct Arguments {
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
     /// Number of sweeps, one after the other
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     sweeps: u32,
     /// Frame of the points: of the sensor at each firing (raw), at the start or at the end of the
     /// sweep, of the vehicle at its end (ego), or of the world (default: end; ego for av2)
@@ -66,15 +69,20 @@ pub struct Arguments {
     #[arg(long, value_name = "MODE", value_parser = ReturnMode::NAMED.map(|(name, _)| name))]
     returns: Option<String>,
     /// Share of a beam that splats have to take for a return
-    #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = share)]
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true, default_value_t = 0.5, value_parser = share)]
     opacity_min: f32,
     /// Standard deviation that is added to splats across the beams, radians: what the images that
     /// the scene was trained on have. sqrt(0.3) pixels over their focal length (default: that of
     /// the scene, otherwise 0.0005)
-    #[arg(long, value_name = "RADIANS", value_parser = dilation)]
+    #[arg(long, value_name = "RADIANS", allow_negative_numbers = true, value_parser = dilation)]
     dilation: Option<f64>,
     /// Seed of the noise of ranges, for sensors that have some
-    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    #[arg(
+        long,
+        value_name = "SEED",
+        allow_negative_numbers = true,
+        default_value_t = 0
+    )]
     seed: u64,
     /// Compare ranges with those of this scan (.bin of KITTI, .pcd.bin of nuScenes, .npy, .npz)
     /// instead, beam by beam: a table, and NAME_compared.json and .png in the folder. Where the
@@ -87,6 +95,8 @@ pub struct Arguments {
     previews: bool,
     #[command(flatten)]
     background: BackgroundArguments,
+    #[command(flatten)]
+    force: Force,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -148,6 +158,8 @@ fn dilation(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    arguments.force.outputs(&[]).folder(&arguments.out)?;
+    check_sensor(arguments)?;
     let reading = progress::spinner(format!("reading {}", arguments.scene.display()));
     let loaded = open_scene(&arguments.scene, arguments.time.unwrap_or(0.0))?;
     reading.finish_and_clear();
@@ -243,6 +255,37 @@ fn compare<'a>(
         path("json").display(),
         path("png").display()
     ))
+}
+
+/// Refuses a LiDAR that nothing knows before the scene is loaded. Those in a package are known only
+/// then.
+fn check_sensor(arguments: &Arguments) -> Result<()> {
+    let Some(sensor) = &arguments.sensor else {
+        return Ok(());
+    };
+    if lidar_names().contains(&sensor.as_str()) || Path::new(sensor).exists() {
+        return Ok(());
+    }
+    let own: Vec<String> = match SceneFile::read(&arguments.scene) {
+        Ok(scene) => scene.lidars.into_iter().map(|lidar| lidar.name).collect(),
+        Err(_) if is_scene_file(&arguments.scene) => return Ok(()),
+        Err(_) => vec![],
+    };
+    let is_package = arguments
+        .scene
+        .extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("usdz"));
+    ensure!(
+        is_package || own.contains(sensor),
+        "--sensor {sensor}: no LiDAR of the scene ({}), no model ({}) and no file has this name",
+        if own.is_empty() {
+            "it has none".to_owned()
+        } else {
+            own.join(", ")
+        },
+        lidar_names().join(", ")
+    );
+    Ok(())
 }
 
 /// The LiDAR that is asked for, on the vehicle. Its name names files.

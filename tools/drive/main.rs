@@ -27,7 +27,9 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use decouplegs_cli::programs::{exit_code, print_warnings};
-use decouplegs_cli::{arguments, background, device, page, plot, progress, thumbnail, views};
+use decouplegs_cli::{
+    arguments, background, device, outputs, page, plot, progress, thumbnail, views,
+};
 
 /// Drives, scores and exports episodes; moves agents, reads maps, sweeps LiDARs.
 #[derive(Parser)]

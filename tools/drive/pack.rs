@@ -14,6 +14,7 @@ use decouplegs::scene::VehicleSize;
 use glam::DVec3;
 
 use crate::arguments::{print, three_numbers};
+use crate::outputs::Force;
 
 /// Pack a scene into one USDZ that AlpaSim's runtime and CARLA's NuRec scripts read
 ///
@@ -48,6 +49,8 @@ pub struct Arguments {
     /// Omit the ground, whose search takes seconds
     #[arg(long)]
     no_ground: bool,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// Three numbers, written `4.5,1.8,1.5`.
@@ -93,6 +96,9 @@ fn package_path(text: &str) -> Result<PathBuf, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    let mut inputs = vec![arguments.scene.as_path()];
+    inputs.extend(arguments.map.as_deref());
+    arguments.force.outputs(&inputs).file(&arguments.usdz)?;
     let scene = SceneFile::read(&arguments.scene)?;
     let directory = arguments.scene.parent().unwrap_or(Path::new(""));
     let Triple(dims_m) = arguments.vehicle;

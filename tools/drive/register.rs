@@ -19,6 +19,7 @@ use decouplegs::drive::{
 use decouplegs::scene::{LaneMap, SplatScene};
 
 use crate::arguments::{print, warn};
+use crate::outputs::Force;
 use crate::progress;
 use measure::Measured;
 
@@ -61,18 +62,20 @@ pub struct Arguments {
     report: Option<PathBuf>,
     /// Standard deviation of the log's noise, meters; 0 disables smoothing (default: estimated per
     /// track)
-    #[arg(long, value_name = "METERS", value_parser = not_negative)]
+    #[arg(long, value_name = "METERS", allow_negative_numbers = true, value_parser = not_negative)]
     sigma: Option<f64>,
     /// Move all tracks together or none: for a log that drifts as a whole
     #[arg(long)]
     shared: bool,
     /// Deviation of drivers from the middle of their lane, meters; tracks are moved one by one only
     /// for more. 0: tracks belong on the middle
-    #[arg(long, value_name = "METERS", default_value_t = 0.3, value_parser = not_negative)]
+    #[arg(long, value_name = "METERS", allow_negative_numbers = true, default_value_t = 0.3, value_parser = not_negative)]
     habit: f64,
     /// Corners that are deeper below the ground have penetrated it, meters
-    #[arg(long, value_name = "METERS", default_value_t = 0.02, value_parser = not_negative)]
+    #[arg(long, value_name = "METERS", allow_negative_numbers = true, default_value_t = 0.02, value_parser = not_negative)]
     tolerance: f64,
+    #[command(flatten)]
+    force: Force,
 }
 
 fn pose_path(text: &str) -> Result<PathBuf, String> {
@@ -98,6 +101,17 @@ fn not_negative(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    let mut inputs = vec![arguments.map.as_path(), &arguments.tracks];
+    inputs.extend(
+        [&arguments.scene, &arguments.truth, &arguments.ground_truth]
+            .into_iter()
+            .filter_map(|path| path.as_deref()),
+    );
+    let outputs = arguments.force.outputs(&inputs);
+    outputs.file(&arguments.out)?;
+    if let Some(report) = &arguments.report {
+        outputs.file(report)?;
+    }
     let map = read_map(&arguments.map)?;
     let tracks = read_tracks(&arguments.tracks)?;
     let truth = arguments.truth.as_deref().map(read_tracks).transpose()?;

@@ -41,10 +41,15 @@ pub struct BenchOptions {
     #[arg(long, value_name = "SCENE.toml")]
     pub scene: PathBuf,
     /// Cameras of each request, the first of the rig
-    #[arg(long, value_name = "N", default_value_t = 2)]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 2
+    )]
     pub cameras: usize,
     /// Size of the images; that of the rig without it
-    #[arg(long, value_name = "WxH", value_parser = size, default_value = "512x320")]
+    #[arg(long, value_name = "WxH", allow_hyphen_values = true, value_parser = size, default_value = "512x320")]
     pub size: [u32; 2],
     /// Image file format
     #[arg(long, value_enum, default_value = "jpeg")]
@@ -61,10 +66,20 @@ pub struct BenchOptions {
     )]
     pub seconds: f64,
     /// Number of concurrent rollouts
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 1
+    )]
     pub clients: usize,
     /// Time step of the scene between requests, seconds
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.1)]
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        allow_negative_numbers = true,
+        default_value_t = 0.1
+    )]
     pub step: f64,
     /// Device to render on: an index, a part of its name or its UUID
     #[arg(long, value_name = "DEVICE", default_value = "auto")]

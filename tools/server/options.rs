@@ -22,10 +22,15 @@ pub struct ServerOptions {
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     pub host: IpAddr,
     /// Port to listen on; 0 takes a free one and prints it on standard output
-    #[arg(long, value_name = "PORT", default_value_t = 8080)]
+    #[arg(
+        long,
+        value_name = "PORT",
+        allow_negative_numbers = true,
+        default_value_t = 8080
+    )]
     pub port: u16,
     /// Port of the Prometheus metrics, on the same address; none without it
-    #[arg(long, value_name = "PORT")]
+    #[arg(long, value_name = "PORT", allow_negative_numbers = true)]
     pub metrics_port: Option<u16>,
     /// Device to render on: an index, a part of its name or its UUID, as `decouplegs devices` lists
     /// them
@@ -37,7 +42,7 @@ pub struct ServerOptions {
     pub storage: Storage,
     /// Render backgrounds with fewer splats where they lie at most this many pixels apart (default:
     /// always the finest, which is exact)
-    #[arg(long, value_name = "PIXELS", value_parser = pixels)]
+    #[arg(long, value_name = "PIXELS", allow_negative_numbers = true, value_parser = pixels)]
     pub background_pitch: Option<f64>,
     /// Origin of the clients' rig, in the scenes' vehicle frame (meters, x forward, y left, z up),
     /// instead of the origin that a package was made with, and of the center of the box for scene
@@ -76,7 +81,7 @@ pub struct NurecFlags {
     egocar_hood_dir: Option<PathBuf>,
     #[arg(long, hide = true, value_name = "DIR")]
     download_cache_dir: Option<PathBuf>,
-    #[arg(long, hide = true, value_name = "N")]
+    #[arg(long, hide = true, value_name = "N", allow_negative_numbers = true)]
     max_backends_per_scene: Option<u32>,
     #[arg(long, hide = true)]
     enable_nrend: bool,
@@ -165,55 +170,70 @@ pub enum LogForm {
 #[derive(Args, Clone, Debug)]
 pub struct Limits {
     /// Largest message that is sent, bytes
-    #[arg(long, value_name = "BYTES", default_value_t = 64 << 20, value_parser = message_bytes)]
+    #[arg(long, value_name = "BYTES", allow_negative_numbers = true, default_value_t = 64 << 20, value_parser = message_bytes)]
     pub message_bytes: usize,
     /// Largest message that is received, bytes; requests are far smaller than images
-    #[arg(long, value_name = "BYTES", default_value_t = 16 << 20, value_parser = message_bytes)]
+    #[arg(long, value_name = "BYTES", allow_negative_numbers = true, default_value_t = 16 << 20, value_parser = message_bytes)]
     pub request_bytes: usize,
     /// Concurrent requests; further ones are refused with RESOURCE_EXHAUSTED
-    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub requests: u32,
     /// Concurrent connections; further ones are closed
-    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub connections: u32,
     /// Concurrent connections from one address; further ones are closed
-    #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub address_connections: u32,
     /// Time without a request after which a connection is closed, seconds. Clients connect again by
     /// themselves
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 60.0, value_parser = seconds)]
     pub idle: f64,
     /// Pixels of one image
-    #[arg(long, value_name = "N", default_value_t = 3840 * 2160)]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 3840 * 2160)]
     pub image_pixels: u64,
     /// Pixels of all images of one request
-    #[arg(long, value_name = "N", default_value_t = 8 * 3840 * 2160)]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 8 * 3840 * 2160)]
     pub pixels: u64,
     /// Cameras of one request
-    #[arg(long, value_name = "N", default_value_t = 16)]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 16
+    )]
     pub cameras: usize,
     /// Objects per camera of a request
-    #[arg(long, value_name = "N", default_value_t = 4096)]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 4096
+    )]
     pub objects: usize,
     /// Time limit of a request, seconds
-    #[arg(long, value_name = "SECONDS", default_value_t = 300.0, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 300.0, value_parser = seconds)]
     pub deadline: f64,
     /// Time limit for the first bytes of a connection, seconds
-    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 10.0, value_parser = seconds)]
     pub handshake: f64,
     /// Longest time that requests may take to finish after SIGTERM or SIGINT, seconds. Then
     /// connections are closed and the server exits, as soon as the frame that is being drawn is
     /// done
-    #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 30.0, value_parser = seconds)]
     pub grace: f64,
     /// Number of scenes that are kept on the device
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub cache_size: u32,
     /// Device memory that scenes in the cache may take, bytes
-    #[arg(long, value_name = "BYTES", default_value_t = 32 << 30)]
+    #[arg(long, value_name = "BYTES", allow_negative_numbers = true, default_value_t = 32 << 30)]
     pub cache_bytes: u64,
     /// Threads that encode images; 0: as many as there are processors
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 0
+    )]
     pub max_workers: usize,
 }
 

@@ -285,7 +285,13 @@ pub fn save(path: PathBuf, own: &mut Vec<PathBuf>, text: &[u8]) -> Result<String
     };
     let written = write_in_folder(&path, replaces, |file| file.write_all(text));
     written.map_err(|error| explain(&error))?;
-    let said = format!("saved as {}", path.display());
+    let said = match is_own {
+        true => format!(
+            "saved as {}, in place of what was saved before",
+            path.display()
+        ),
+        false => format!("saved as {}", path.display()),
+    };
     if !is_own {
         own.push(path);
     }

@@ -167,7 +167,7 @@ pub struct DriverOptions {
     pub driver_padding: Padding,
     /// Time since the start in which the driver may answer without a plan: the ego then follows its
     /// route at its speed, and the log and the score say so. Later, it stands
-    #[arg(long, value_name = "SECONDS", default_value_t = WARM_UP_S, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = WARM_UP_S, value_parser = seconds)]
     pub driver_warm_up: f64,
     /// Tell the driver the name of the scenario
     #[arg(long)]

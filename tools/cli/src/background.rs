@@ -13,7 +13,7 @@ pub struct BackgroundArguments {
     storage: StorageName,
     /// Render the background with fewer splats where they lie at most this many pixels apart. They
     /// are merged when the scene is opened (default: always the finest, which is exact)
-    #[arg(long, value_name = "PIXELS", value_parser = pixels)]
+    #[arg(long, value_name = "PIXELS", allow_negative_numbers = true, value_parser = pixels)]
     background_pitch: Option<f64>,
 }
 

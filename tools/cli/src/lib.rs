@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `programs` | the programs, their subcommands and their exit codes |
 //! | `arguments`, `device`, `scene_source`, `orbit`, `background` | arguments of several subcommands, and what they open |
+//! | `outputs` | files and folders that are written, checked before work begins |
 //! | `progress` | progress lines and durations |
 //! | `jpeg`, `png_bytes`, `video` | images as bytes of a file, and as a video |
 //! | `page`, `plot`, `thumbnail` | pages of reports: their text, tables and images, and plots as SVG |
@@ -24,6 +25,8 @@ pub mod image_quality;
 pub mod jpeg;
 #[doc(hidden)]
 pub mod orbit;
+#[doc(hidden)]
+pub mod outputs;
 #[doc(hidden)]
 pub mod page;
 #[doc(hidden)]

@@ -32,18 +32,18 @@ const FILLED: f64 = 0.8;
 pub struct OrbitArguments {
     /// Place N cameras in a circle around the scene (default: 8, if the scene has no cameras and no
     /// file names some)
-    #[arg(long, value_name = "N", conflicts_with = "cameras", value_parser = clap::value_parser!(u32).range(1..=3600))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, conflicts_with = "cameras", value_parser = clap::value_parser!(u32).range(1..=3600))]
     orbit: Option<u32>,
     /// Target of the circle's cameras, in the scene's coordinates (default: the middle of the
     /// splats)
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     look_at: Option<Place>,
     /// Distance of the circle's cameras from the target (default: the splats fill the image)
-    #[arg(long, value_name = "METERS", value_parser = positive)]
+    #[arg(long, value_name = "METERS", allow_negative_numbers = true, value_parser = positive)]
     distance: Option<f64>,
     /// Up direction in the images of the circle: x, y, z, -x, -y or -z (default: z for
-    /// scenes, y for .glb, -y for other splat files, which are mostly trained from COLMAP's
-    /// coordinates)
+    /// scenes, -y for splat files, which are mostly trained from COLMAP's coordinates; a .glb is
+    /// turned to these when it is read)
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     up: Option<Axis>,
 }
@@ -143,7 +143,6 @@ fn usual_up(path: &Path) -> DVec3 {
         .to_lowercase();
     match extension.as_str() {
         "toml" | "usdz" | "safetensors" => DVec3::Z,
-        "glb" => DVec3::Y,
         _ => DVec3::NEG_Y,
     }
 }

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use decouplegs_asset::{CameraOptions, LoadedScene, SplatFormat, open_scene, read_cameras};
-use decouplegs_scene::{Camera, Intrinsics, Rules, SplatScene};
+use decouplegs_scene::{Camera, Intrinsics, Rig, Rules, Sensor, SplatScene};
 
 use crate::arguments::{RulesName, Size, finite, warn};
 use crate::orbit::OrbitArguments;
@@ -22,10 +22,10 @@ pub struct SceneArguments {
 /// Choice of cameras, time and rules for a scene.
 #[derive(clap::Args)]
 pub struct SceneOptions {
-    /// Cameras: INRIA cameras.json, nerfstudio or NeRF-synthetic transforms.json, or the folder of
-    /// a COLMAP model (default: the scene's own rig, or a circle of views around splats that have
-    /// none)
-    #[arg(long, value_name = "FILE|DIR")]
+    /// Cameras: INRIA cameras.json, nerfstudio or NeRF-synthetic transforms.json, the folder of a
+    /// COLMAP model, or names of cameras of the scene's rig, with commas between them (default: the
+    /// scene's own rig, or a circle of views around splats that have none)
+    #[arg(long, value_name = "FILE|DIR|NAME,...")]
     cameras: Option<PathBuf>,
     /// nerfstudio's dataparser_transforms.json, with --cameras transforms.json: for splats that
     /// `ns-export` wrote
@@ -38,7 +38,7 @@ pub struct SceneOptions {
     time: Option<f64>,
     /// Render every image at this size, with its horizontal and its vertical field of view
     /// (default: the camera's own)
-    #[arg(long, value_name = "WxH")]
+    #[arg(long, value_name = "WxH", allow_hyphen_values = true)]
     size: Option<Size>,
     /// Image formation rules (default: the scene's own)
     #[arg(long, value_enum)]
@@ -106,6 +106,25 @@ fn resized(name: &str, intrinsics: &Intrinsics, size_px: Option<[u32; 2]>) -> In
     intrinsics.resized(width_px, height_px)
 }
 
+/// Leaves the cameras of `rig` whose names are in `names`, with commas between them.
+fn choose(rig: &mut Rig, names: &Path) -> Result<()> {
+    let names = names.to_string_lossy();
+    let names: Vec<&str> = names.split(',').collect();
+    let known: Vec<String> = rig.cameras().map(|camera| camera.name.clone()).collect();
+    for name in &names {
+        ensure!(
+            known.iter().any(|known| known == name),
+            "--cameras {name}: it is no file, and no camera of the scene: those are {}",
+            known.join(", ")
+        );
+    }
+    rig.sensors.retain(|sensor| match sensor {
+        Sensor::Camera(camera) => names.contains(&camera.name.as_str()),
+        Sensor::Lidar(_) => true,
+    });
+    Ok(())
+}
+
 impl Scene {
     pub fn open(arguments: &SceneArguments) -> Result<Self> {
         Self::with_options(&arguments.scene, &arguments.options)
@@ -129,11 +148,16 @@ impl Scene {
         for camera in loaded.rig.cameras_mut() {
             camera.intrinsics = resized(&camera.name, &camera.intrinsics, size_px);
         }
-        let drives = arguments.cameras.is_none()
+        let chosen = arguments.cameras.as_deref().filter(|file| !file.exists());
+        if let Some(names) = chosen.filter(|_| loaded.rig.cameras().next().is_some()) {
+            choose(&mut loaded.rig, names)?;
+        }
+        let is_chosen = chosen.is_some() && loaded.rig.cameras().next().is_some();
+        let drives = (arguments.cameras.is_none() || is_chosen)
             && !arguments.orbit.is_asked()
             && loaded.rig.cameras().next().is_some();
         let cameras = match &arguments.cameras {
-            Some(file) => {
+            Some(file) if !is_chosen => {
                 let options = CameraOptions {
                     size_px,
                     dataparser: arguments.dataparser.as_deref(),
@@ -144,8 +168,8 @@ impl Scene {
                 });
                 cameras
             }
-            None if drives => loaded.rig.driving(&loaded.ego, time_s),
-            None => {
+            _ if drives => loaded.rig.driving(&loaded.ego, time_s),
+            _ => {
                 let (splats, origin) = (&loaded.splat_scene.splats, loaded.splat_scene.origin);
                 let around = arguments.orbit.cameras(splats, origin, path, size_px);
                 around

@@ -3,9 +3,9 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use decouplegs::asset::maps::length_m;
-use decouplegs::asset::{probe_paths, write_atomically, write_obstacles};
+use decouplegs::asset::{SceneFile, probe_paths, write_atomically, write_obstacles};
 use decouplegs::drive::generate::{Area, Difficulty, Generator, PlaceOptions, Sky};
 use decouplegs::episode::Site;
 use decouplegs::logs::{read_scenario, write_scenario};
@@ -46,10 +46,15 @@ pub struct PlaceArguments {
     obstacles: Option<PathBuf>,
     /// Number of background splats of a synthetic place [default: 200000, on a map at least 8 per
     /// square meter of its lanes]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     background: Option<usize>,
     /// Number of splats of each car of a synthetic place
-    #[arg(long, value_name = "N", default_value_t = 4_000)]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        default_value_t = 4_000
+    )]
     agent_splats: usize,
 }
 
@@ -102,12 +107,28 @@ fn from_files(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
             return imported(path, arguments, folder);
         }
         Ok(Job {
-            scenario: stepped(read_scenario(path)?, arguments),
+            scenario: stepped(
+                read_scenario(path).map_err(|error| explained(error, path))?,
+                arguments,
+            ),
             directory: path.parent().unwrap_or(Path::new("")).to_owned(),
             lost: None,
         })
     };
     arguments.scenarios.iter().map(job).collect()
+}
+
+/// `error` of a scenario, or a sentence on what to type where the file at `path` is a scene.
+fn explained(error: impl Into<anyhow::Error>, path: &Path) -> anyhow::Error {
+    if SceneFile::read(path).is_err() {
+        return error.into();
+    }
+    let folder = path.parent().unwrap_or(Path::new(""));
+    anyhow!(
+        "{scene} is a scene; expected a scenario. To generate scenarios in it, type: decouplegs drive --scene {scene} --map {} --level easy --planner lane-follow --out run",
+        folder.join("lanes.json").display(),
+        scene = path.display()
+    )
 }
 
 /// `scenario` with the time between plans that was asked for, if any.

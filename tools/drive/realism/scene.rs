@@ -27,6 +27,7 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{score, spread};
 use crate::lidar::scan_comparison::ScanComparison;
 use crate::lidar::scan_file::ScanFile;
+use crate::outputs::Force;
 use crate::progress;
 
 /// Compare a scene with photographs at their own poses, and with scans of a LiDAR: one number per
@@ -235,11 +236,7 @@ impl Realism {
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let out = &arguments.out;
-    ensure!(
-        !out.exists(),
-        "{} exists already and is left as it is: name a new folder",
-        out.display()
-    );
+    Force::default().outputs(&[]).whole_folder(out)?;
     let views = views(arguments)?;
     let chosen = arguments.held_out.as_deref().map(photographs::names_in);
     let found = photographs::find(

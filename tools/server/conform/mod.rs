@@ -59,7 +59,7 @@ pub struct ConformOptions {
     #[arg(long, value_name = "FILE")]
     pub ca_cert: Option<PathBuf>,
     /// Longest wait for one answer, seconds. The first image may wait for the scene to load
-    #[arg(long, value_name = "SECONDS", default_value_t = 300.0, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 300.0, value_parser = seconds)]
     pub timeout: f64,
     /// Write the results to this JSON file
     #[arg(long, value_name = "FILE")]

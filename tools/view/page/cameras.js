@@ -76,10 +76,19 @@ export function shift(camera, right, up) {
   camera[key] = geometry.add(camera[key], by);
 }
 
+/** Nearest distance of a camera to the point that it circles around, meters. */
+const FAR_MIN_M = 1e-3;
+
+/** Changes the distance to the focus by a factor; without a focus, flies as far from 10 m. */
+export function zoom(camera, factor) {
+  if (camera.focus) camera.far = Math.max(FAR_MIN_M, camera.far * factor);
+  else approach(camera, -10 * Math.log(factor));
+}
+
 /** Moves toward the focus, meters. */
 export function approach(camera, by_m) {
   if (camera.focus) {
-    camera.far = Math.max(0.3, camera.far - by_m);
+    camera.far = Math.max(FAR_MIN_M, camera.far - by_m);
     return;
   }
   const forward = geometry.direction(camera.axes, camera.yaw, camera.pitch);

@@ -30,19 +30,26 @@ export async function ask(command, fields) {
   try {
     const result = await state.connection.request(command, fields);
     if (result?.said) notice(result.said);
+    else if (isRefusal) notice("");
     return result ?? {};
   } catch (error) {
     notice(error.message, true);
+    isRefusal = true;
     return null;
   }
 }
 
 let noticeTimer = 0;
+/** True while the notice is the reason why a command was refused. */
+let isRefusal = false;
 
-/** Shows a sentence: faults until the next image, others for a while. */
+/** Shows a sentence: faults until the next image or accepted command, others for a while. */
 export function notice(text, fault = false) {
   clearTimeout(noticeTimer);
-  $("notice").textContent = text;
+  isRefusal = false;
+  const close = make("button", { className: "close", onclick: () => notice("") });
+  close.setAttribute("aria-label", "Close");
+  $("notice").replaceChildren(text, ...(text ? [close] : []));
   $("notice").hidden = !text;
   $("notice").classList.toggle("fault", fault);
   if (text && !fault) noticeTimer = setTimeout(() => notice(""), 8000);

@@ -1,5 +1,5 @@
 // Views: panes and their images, what they ask for, and the mouse over them.
-import { approach, cameraChoices, cameraRequest, newCamera, shift, turn } from "./cameras.js";
+import { approach, cameraChoices, cameraRequest, newCamera, shift, turn, zoom } from "./cameras.js";
 import { describe, showBoth } from "./compare.js";
 import * as geometry from "./geometry.js";
 import { drawOverlay } from "./overlays.js";
@@ -291,7 +291,7 @@ async function circle(pane, place) {
   choose(pane, "orbit", null);
   const far = geometry.length(geometry.subtract(picked.position_m, from));
   const { yaw, pitch } = geometry.anglesOf(pane.camera.axes, rotation);
-  Object.assign(pane.camera, { focus: picked.position_m, far: Math.max(1, Math.min(far, 60)), yaw, pitch });
+  Object.assign(pane.camera, { focus: picked.position_m, far, yaw, pitch });
   share(pane);
   look();
 }
@@ -307,20 +307,55 @@ function drag({ place }, at, free, done) {
   ask("drag", fields);
 }
 
+/** Middle of two fingers and the distance between them, pixels of the page. */
+function pinchOf([a, b]) {
+  return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, apart: Math.max(1, Math.hypot(a.x - b.x, a.y - b.y)) };
+}
+
+/** Two fingers on a view: they zoom by their distance, and move the camera by their middle. */
+function pinch(pane, before, now) {
+  const camera = movable(pane);
+  if (!camera) return;
+  zoom(camera, before.apart / now.apart);
+  move(pane, camera, now.x - before.x, now.y - before.y);
+  share(pane);
+  look(true);
+}
+
+/** Moves by a drag: one across the height of the view moves by that height, at the camera's focus. */
+function move({ box }, camera, dx, dy) {
+  const height = box.getBoundingClientRect().height;
+  const extent = 2 * (camera.far ?? 10) * Math.tan((camera.fov * Math.PI) / 360);
+  shift(camera, (-dx * extent) / height, (dy * extent) / height);
+}
+
 function steer(pane) {
   const { box } = pane;
   let press = null;
+  const fingers = new Map();
+  const lift = (event) => fingers.delete(event.pointerId);
   box.addEventListener("contextmenu", (event) => event.preventDefault());
   box.addEventListener("pointerdown", (event) => {
+    box.setPointerCapture(event.pointerId);
+    fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    if (fingers.size > 1) {
+      press = null;
+      return;
+    }
     const place = state.frame && under(pane, event);
     const drags = event.button === 0 && !event.shiftKey && place && onSelected(place);
     press = {
       x: event.clientX, y: event.clientY, moves: event.button === 2 || event.shiftKey,
       place, drags, far: 0, button: event.button,
     };
-    box.setPointerCapture(event.pointerId);
   });
   box.addEventListener("pointermove", (event) => {
+    if (fingers.size === 2 && fingers.has(event.pointerId)) {
+      const before = pinchOf([...fingers.values()]);
+      fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+      pinch(pane, before, pinchOf([...fingers.values()]));
+      return;
+    }
     if (!press) return;
     const [dx, dy] = [event.clientX - press.x, event.clientY - press.y];
     press.far += Math.hypot(dx, dy);
@@ -333,16 +368,15 @@ function steer(pane) {
     }
     const camera = movable(pane);
     if (!camera) return;
-    // A drag across the height of the view moves by that height, at the camera's focus.
     const height = box.getBoundingClientRect().height;
-    const extent = 2 * (camera.far ?? 10) * Math.tan((camera.fov * Math.PI) / 360);
     const above = camera.focus && camera.pitch < -1.5;
-    if (press.moves || above) shift(camera, (-dx * extent) / height, (dy * extent) / height);
+    if (press.moves || above) move(pane, camera, dx, dy);
     else turn(camera, (dx * 2) / height, (dy * 2) / height);
     share(pane);
     look(true);
   });
   box.addEventListener("pointerup", (event) => {
+    lift(event);
     const ended = press;
     press = null;
     if (!ended?.place) return;
@@ -353,7 +387,10 @@ function steer(pane) {
       drag(ended, (to?.view === ended.place.view ? to : ended.place).at, event.altKey, true);
     }
   });
-  box.addEventListener("pointercancel", () => (press = null));
+  box.addEventListener("pointercancel", (event) => {
+    lift(event);
+    press = null;
+  });
   box.addEventListener("dblclick", (event) => {
     const place = state.frame && under(pane, event);
     if (place) circle(pane, place);
@@ -364,8 +401,7 @@ function steer(pane) {
       event.preventDefault();
       const camera = movable(pane);
       if (!camera) return;
-      if (camera.focus) camera.far = Math.max(0.3, camera.far * Math.exp(event.deltaY * 0.001));
-      else approach(camera, -event.deltaY * 0.01);
+      zoom(camera, Math.exp(event.deltaY * 0.001));
       share(pane);
       look(true);
     },

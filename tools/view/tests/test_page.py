@@ -397,7 +397,7 @@ def test_an_episode_compared_with_itself_is_the_same(episode, open_page):
 
 
 def test_overlays_lie_on_what_the_renderer_shows(street, tmp_path, open_page):
-    run("render", street / "scene.toml", "--time", "0", "--boxes", "--out", tmp_path)
+    run("render", street / "scene.toml", "--time", "0", "--boxes", "--force", "--out", tmp_path)
     boxes = json.loads((tmp_path / "boxes.json").read_text())
     with Viewer(street, "scene.toml") as viewer:
         page = open_page(viewer)
@@ -479,3 +479,37 @@ def test_memory_stays_flat(street, open_page):
         print(f"{first} KiB, after {seconds:.0f} s {last} KiB")
         assert last < (1.05 if seconds > 600 else 1.15) * first
         assert all(page.faults == [] for page in pages)
+
+
+def test_two_fingers_zoom_and_a_refusal_goes(street, open_page):
+    with Viewer(street, "scene.toml") as viewer:
+        page = open_page(viewer, has_touch=True)
+        page.choose("Camera of view 1", "orbit")
+        camera = lambda: page.page.evaluate("() => window.viewer.state.panes[0].camera")
+        box = page.page.query_selector(".view").bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        before = camera()
+        session = page.page.context.new_cdp_session(page.page)
+
+        def touch(kind, *apart):
+            points = [{"x": x + sign * half, "y": y, "id": sign + 1} for half in apart for sign in (-1, 1)]
+            session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+        touch("touchStart", 40)
+        for half in (50, 60, 70, 80):
+            touch("touchMove", half)
+        touch("touchEnd")
+        after = camera()
+        assert abs(after["far"] / before["far"] - 0.5) < 0.02
+        assert (after["yaw"], after["pitch"]) == (before["yaw"], before["pitch"])
+        page.page.fill("#save-name", "../bad.toml")
+        page.page.click("#save")
+        page.page.wait_for_selector("#notice.fault:not([hidden])")
+        page.page.click("#notice .close")
+        assert page.page.is_hidden("#notice")
+        page.page.click("#save")
+        page.page.wait_for_selector("#notice.fault:not([hidden])")
+        page.page.fill("#save-name", "good.toml")
+        page.page.click("#save")
+        page.page.wait_for_selector("#notice:not(.fault):not([hidden])")
+        assert "good.toml" in page.notice()

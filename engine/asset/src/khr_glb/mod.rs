@@ -11,8 +11,9 @@
 //! scale below zero, which logarithms of all splats smaller than a meter are, is taken for such a
 //! draft as a whole.
 //!
-//! **Axes** are the file's own: glTF says y is up. What is written has the coordinates of the
-//! cloud.
+//! **Axes.** glTF says y is up. Clouds have the axes of COLMAP, as in a PLY: y is down. Half a turn
+//! about z is between them, when a file is read and when it is written. It changes signs alone, so
+//! a cloud that is written reads back to the bit.
 //!
 //! **Colors** are as stored. A file that says `lin_rec709_display` means light, which should be
 //! blended as such and turned to display values afterwards; it is drawn too dark here, and
@@ -43,6 +44,8 @@ const EXTENSION_SPZ: &str = "KHR_gaussian_splatting_compression_spz_2";
 const HEADER_BYTES: usize = 12;
 /// Bytes before each chunk.
 const CHUNK_HEADER_BYTES: usize = 8;
+/// Signs of the axes of a cloud in the axes of a file, and of a file in those of a cloud.
+const HALF_TURN: [f32; 3] = [-1.0, -1.0, 1.0];
 const CHUNK_JSON: u32 = u32::from_le_bytes(*b"JSON");
 const CHUNK_BINARY: u32 = u32::from_le_bytes(*b"BIN\0");
 

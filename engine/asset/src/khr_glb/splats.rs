@@ -2,14 +2,15 @@
 
 use decouplegs_scene::{SplatCloud, sh};
 
-use super::EXTENSION;
 use super::accessor::{rows, view_bytes};
 use super::document::{Document, Primitive};
 use super::nodes::shown_meshes;
 use super::place::place;
+use super::{EXTENSION, HALF_TURN};
+use crate::DecodeError;
 use crate::activation::{normalized, scale_of_log};
 use crate::memory::{DECODED_BYTES_PER_FILE_BYTE, cloud_bytes};
-use crate::{DecodeError, spz};
+use crate::spz::{self, flip};
 
 /// A primitive's splats in its own frame. Scales are as stored.
 struct Stored {
@@ -71,6 +72,7 @@ pub(super) fn gather(
         place(&mut stored.cloud, &world);
         all.append(&stored.cloud);
     }
+    flip(&mut all, HALF_TURN);
     Ok(all)
 }
 

@@ -6,7 +6,8 @@ use std::path::Path;
 use decouplegs_scene::SplatCloud;
 use serde_json::{Map, Value, json};
 
-use super::{CHUNK_BINARY, CHUNK_JSON, EXTENSION, HEADER_BYTES, NAME};
+use super::{CHUNK_BINARY, CHUNK_JSON, EXTENSION, HALF_TURN, HEADER_BYTES, NAME};
+use crate::spz::flip;
 use crate::{AssetError, EncodeError, write_atomically};
 
 /// glTF's code of 32-bit floats.
@@ -71,6 +72,9 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
             "splat {first} is not finite or has no rotation; drop such splats before writing"
         )));
     }
+    let mut turned = cloud.clone();
+    flip(&mut turned, HALF_TURN);
+    let cloud = &turned;
     let mut pieces = Pieces::default();
     let named = |name: &str| format!("{EXTENSION}:{name}");
     pieces.add("POSITION", cloud.means.iter().copied());

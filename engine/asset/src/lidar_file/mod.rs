@@ -60,6 +60,13 @@ pub fn lidar_names() -> [&'static str; 8] {
 pub fn read_lidar(name: &Path) -> Result<LidarModel, AssetError> {
     match built_in(name) {
         Some(text) => read_from(text.as_bytes(), name),
+        None if !name.exists() => Err(AssetError::Read {
+            path: name.to_owned(),
+            source: std::io::Error::other(format!(
+                "there is no such file, and no model of this name: those are {}",
+                lidar_names().join(", ")
+            )),
+        }),
         None => read_from(&read_bytes(name)?, name),
     }
 }

@@ -145,6 +145,27 @@ fn a_glb_reads_back_to_the_bit() {
     }
 }
 
+#[test]
+fn a_glb_has_y_up() {
+    let original = cloud(7, 3);
+    let file = khr_glb::encode(&original).unwrap();
+    let text = String::from_utf8_lossy(&file).into_owned();
+    assert!(
+        text.contains("\"nodes\":[{\"mesh\":0}]"),
+        "no node turns it back"
+    );
+    // Positions are the first rows of the binary chunk, behind the text.
+    let length = u32::from_le_bytes(file[12..16].try_into().unwrap()) as usize;
+    let positions = &file[20 + length + 8..];
+    for (splat, [x, y, z]) in original.means.iter().enumerate() {
+        let stored = [0, 1, 2].map(|axis| {
+            let at = 12 * splat + 4 * axis;
+            f32::from_le_bytes(positions[at..at + 4].try_into().unwrap())
+        });
+        assert_eq!(stored, [-x, -y, *z], "y is down in a cloud");
+    }
+}
+
 /// A file whose text says `to` where it said `from`, lengths to match.
 fn glb_with(file: &[u8], from: &str, to: &str) -> Vec<u8> {
     let length = u32::from_le_bytes(file[12..16].try_into().unwrap()) as usize;
@@ -206,8 +227,9 @@ fn nodes_place_what_they_show_as_often_as_they_show_it() {
     for splat in 0..5 {
         let [x, y, z] = original.means[splat];
         let [moved, turned] = [placed.means[splat], placed.means[splat + 5]];
-        assert!((moved[0] - x - 1.0).abs() < 1e-5 && moved[1] == y && moved[2] == z);
-        let expected = [1.0 - 2.0 * y, 2.0 * x, 2.0 * z];
+        // One meter and half a turn of the file's axes are -1 m in those of the cloud.
+        assert!((moved[0] - x + 1.0).abs() < 1e-5 && moved[1] == y && moved[2] == z);
+        let expected = [-1.0 - 2.0 * y, 2.0 * x, 2.0 * z];
         assert!(
             (0..3).all(|axis| (turned[axis] - expected[axis]).abs() < 1e-4),
             "{turned:?} {expected:?}"
@@ -289,7 +311,8 @@ fn real_files_of_others_are_read() {
         let bytes = std::fs::read(&path).unwrap();
         let cloud = khr_glb::decode(&bytes).unwrap();
         assert_eq!((cloud.len(), cloud.sh_degree), (15, 3));
-        assert!(cloud.means.iter().all(|mean| *mean == [1.0, 2.0, 3.0]));
+        // Half a turn about z: y is up in the file, and down in a cloud.
+        assert!(cloud.means.iter().all(|mean| *mean == [-1.0, -2.0, 3.0]));
         // A draft: scales are logarithms, whole or normalized integers.
         let scale = |splat: usize| cloud.scales[splat].map(|scale| f64::from(scale).ln());
         let close = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-3);
@@ -303,7 +326,7 @@ fn real_files_of_others_are_read() {
                 && (cloud.opacities[8] - 0.75).abs() < 1e-6
         );
         // x first: half a turn about x.
-        assert_eq!(cloud.rotations[0], [0.0, 1.0, 0.0, 0.0]);
+        assert_eq!(cloud.rotations[0], [0.0, -1.0, 0.0, 0.0]);
         assert!(
             cloud.rest_of(14).iter().any(|c| *c != [0.0; 3])
                 && cloud.rest_of(0).iter().all(|c| *c == [0.0; 3])
