@@ -173,7 +173,7 @@ fn what_cannot_be_compressed_is_refused_and_nothing_is_left_behind() {
             1,
             &small_compression(&car, &out, &["--report", text(&clear)])
         )
-        .contains("expected a folder")
+        .contains("expected the name of a folder")
     );
     assert!(
         fail(2, &small_compression(&car, &out, &["--keep", "2"]))

@@ -68,13 +68,13 @@ fn an_agent_is_cut_out_of_the_background() {
         off(&whole, &stays)
     );
     // Nothing that exists is replaced, and a box without splats is no agent.
-    assert!(
-        fail(
-            1,
-            &["edit", text(&baked), "--out", text(&new), "--cut", &cut]
-        )
-        .contains("car.ply exists")
-    );
+    let again = new.with_file_name("again.toml");
+    for (out, taken) in [(&new, text(&new)), (&again, "car.ply")] {
+        let words = ["edit", text(&baked), "--out", text(out), "--cut", &cut];
+        let said = fail(1, &words);
+        assert!(said.contains(&format!("{taken} exists")), "{said}");
+    }
+    assert!(!again.exists());
     let empty = folder.path().join("edited/empty.toml");
     let nowhere = "car=0,0,500,0,4,2,2";
     let said = fail(
@@ -275,7 +275,7 @@ fn an_edit_that_cannot_be_is_told_and_nothing_is_written() {
         ],
     );
     assert!(
-        said.contains("the scene itself") && fs::read(&scene).unwrap() == before,
+        said.contains("is read and would be replaced") && fs::read(&scene).unwrap() == before,
         "{said}"
     );
     let nowhere = folder.path().join("absent/new.toml");

@@ -244,6 +244,7 @@ fn a_packed_scene_is_a_zip_that_others_read_and_opens_as_the_scene() {
         "--map",
         text(&lanes),
         "--no-ground",
+        "--force",
     ]);
     assert!(
         said.contains("OpenDRIVE is written of") && !said.contains("geoReference"),
@@ -266,6 +267,7 @@ fn a_packed_scene_is_a_zip_that_others_read_and_opens_as_the_scene() {
             "--usdz",
             text(&package),
             "--no-ground",
+            "--force",
             "--camera",
         ];
         words
@@ -303,6 +305,7 @@ fn a_packed_scene_is_a_zip_that_others_read_and_opens_as_the_scene() {
                 text(&scene),
                 "--usdz",
                 text(&package),
+                "--force",
                 "--scene-id",
                 "a/b"
             ]

@@ -50,6 +50,7 @@ fn splats_without_cameras_are_drawn_from_all_sides() {
     let said = succeed(&[
         "render",
         text(&world),
+        "--force",
         "--orbit",
         "2",
         "--look-at",
@@ -134,6 +135,7 @@ fn cameras_of_colmap_and_of_nerf_synthetic_are_read() {
         text(&world),
         "--cameras",
         text(&synthetic),
+        "--force",
         "--out",
         text(&out),
     ];

@@ -21,6 +21,7 @@ fn planes_of_geometry_are_written_beside_the_images() {
             "96x54",
             "--time",
             "1",
+            "--force",
             "--out",
             text(&out),
         ];
@@ -60,6 +61,7 @@ fn planes_of_geometry_are_written_beside_the_images() {
         "--reference",
         "--planes",
         "normal",
+        "--force",
         "--out",
         text(&out),
     ];
@@ -87,6 +89,7 @@ fn rolling_shutters_of_scene_files_are_rendered() {
             "96x54",
             "--time",
             "2",
+            "--force",
             "--out",
             text(&out),
         ];
@@ -129,6 +132,7 @@ fn boxes_of_agents_are_written_beside_the_images() {
             "--boxes",
             "--size",
             "192x108",
+            "--force",
             "--out",
             text(&out),
         ];

@@ -17,6 +17,7 @@ fn sweeps_are_written_in_every_format() {
             text(&scene),
             "--sensor",
             text(&sensor),
+            "--force",
             "--out",
             text(&out),
         ];
@@ -66,6 +67,7 @@ fn sweeps_are_written_in_every_format() {
         text(&equipped),
         "--out",
         text(&out),
+        "--force",
         "--format",
         "npy",
     ]);

@@ -179,7 +179,7 @@ fn a_failure_exits_with_one_and_names_the_file() {
             "render",
             text(&absent),
             "--out",
-            text(folder.path()),
+            text(&folder.path().join("out")),
             "--reference",
         ],
     );
@@ -270,6 +270,7 @@ fn weather_changes_the_street_and_neutral_light_the_cars_only() {
             "1",
             "--agent-splats",
             "200",
+            "--force",
             "--out",
             text(&out),
         ];

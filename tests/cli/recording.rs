@@ -140,6 +140,7 @@ fn a_recording_becomes_a_scene_that_is_driven_as_it_was_recorded() {
             text(&scene_file),
             "--time",
             time,
+            "--force",
             "--out",
             text(&images),
         ]);

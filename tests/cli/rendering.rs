@@ -142,6 +142,7 @@ fn png_and_exr_hold_the_same_image_and_nothing_is_drawn_on_what_is_no_terminal()
             text(&scene),
             "--format",
             format,
+            "--force",
             "--out",
             text(&out),
         ]);
