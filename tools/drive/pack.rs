@@ -39,7 +39,8 @@ pub struct Arguments {
     #[arg(long, value_name = "L,W,H", default_value = "4.5,1.8,1.5")]
     vehicle: Triple,
     /// Origin of the clients' rig, meters forward, left and up from the center of the vehicle's box
-    /// (default: 1.35 m behind it, on the ground)
+    /// (default: 1.35 m behind it, on the ground that is found below the ego's way, else at the
+    /// bottom of the box)
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     rig_origin: Option<Triple>,
     /// Another name of a camera in the package, such as front=camera_front_wide_120fov; may be
@@ -52,6 +53,10 @@ pub struct Arguments {
     #[command(flatten)]
     force: Force,
 }
+
+/// Farthest that the ground may be from the bottom of the vehicle's box, meters, for the rig to be
+/// put on it.
+const RIG_SHIFT_MAX_M: f64 = 0.5;
 
 /// Three numbers, written `4.5,1.8,1.5`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,9 +114,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut options = PackOptions::new(scene_id(arguments)?);
     options.vehicle = VehicleSize::from_array(dims_m);
     let below = DVec3::new(options.rig_origin_m.x, 0.0, -0.5 * dims_m[2]);
-    options.rig_origin_m = arguments
-        .rig_origin
-        .map_or(below, |Triple(origin)| DVec3::from_array(origin));
+    let asked = arguments.rig_origin;
+    options.rig_origin_m = asked.map_or(below, |Triple(origin)| DVec3::from_array(origin));
     options.camera_names.clone_from(&arguments.camera);
     let mut notes = Vec::new();
     if let Some(map) = &arguments.map {
@@ -133,21 +137,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         });
     }
     if !arguments.no_ground {
-        let mesh = ground::mesh_of(&scene, directory, dims_m[2])?;
-        if mesh.triangles.is_empty() {
-            notes.push(
-                "no ground was found along the ego's way: the package has no mesh_ground.ply"
-                    .to_owned(),
-            );
-        } else {
-            notes.push(format!(
-                "ground: {} vertices, {} triangles, {} m apart",
-                mesh.vertices.len(),
-                mesh.triangles.len(),
-                mesh.step_m
-            ));
-            options.ground_mesh = Some(ground_mesh_ply(&mesh.vertices, &mesh.triangles));
-        }
+        notes.extend(add_ground(
+            &scene,
+            directory,
+            asked.is_none(),
+            &mut options,
+        )?);
     }
     let summary = pack(&scene, directory, &options, &arguments.usdz)?;
     if options.map.is_some() && !summary.is_georeferenced {
@@ -175,6 +170,46 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .iter()
         .for_each(|note| text.push_str(&format!("  {note}\n")));
     print(&text)
+}
+
+/// Adds the ground to `options`, and puts the rig's origin on it where `moves_rig` says so: notes on
+/// what was found.
+fn add_ground(
+    scene: &SceneFile,
+    directory: &Path,
+    moves_rig: bool,
+    options: &mut PackOptions,
+) -> Result<Vec<String>> {
+    let height_m = options.vehicle.height_m;
+    let found = ground::ground_about(scene, directory, height_m, options.rig_origin_m.x)?;
+    let mesh = found.mesh;
+    if mesh.triangles.is_empty() {
+        return Ok(vec![
+            "no ground was found along the ego's way: the package has no mesh_ground.ply"
+                .to_owned(),
+        ]);
+    }
+    let mut notes = vec![format!(
+        "ground: {} vertices, {} triangles, {} m apart",
+        mesh.vertices.len(),
+        mesh.triangles.len(),
+        mesh.step_m
+    )];
+    options.ground_mesh = Some(ground_mesh_ply(&mesh.vertices, &mesh.triangles));
+    if let Some(ego_height_m) = found.ego_height_m.filter(|_| moves_rig) {
+        if (ego_height_m - 0.5 * height_m).abs() <= RIG_SHIFT_MAX_M {
+            options.rig_origin_m.z = -ego_height_m;
+            notes.push(format!(
+                "the rig's origin is on the ground, {ego_height_m:.3} m below the middle of the vehicle"
+            ));
+        } else {
+            notes.push(format!(
+                "the ground is {ego_height_m:.3} m below the middle of the vehicle, whose box is {height_m} m high: the rig's origin \
+                 stays at the bottom of the box; give --vehicle or --rig-origin"
+            ));
+        }
+    }
+    Ok(notes)
 }
 
 /// The id asked for, or the name of the folder that the scene is in.

@@ -58,7 +58,7 @@ fn main() -> ExitCode {
 }
 
 fn serve(options: &ServerOptions) -> Result<()> {
-    log(options.log, "info");
+    log(options.log, options.log_level.name());
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()

@@ -67,14 +67,23 @@ pub struct ServerOptions {
     /// Form of the log on standard error
     #[arg(long, value_name = "FORM", value_enum, default_value = "text")]
     pub log: LogForm,
+    /// Least level of the events in the log; the environment variable RUST_LOG overrides it
+    #[arg(
+        long,
+        value_name = "LEVEL",
+        value_enum,
+        ignore_case = true,
+        default_value = "info"
+    )]
+    pub log_level: LogLevel,
     /// Flags of another renderer
     #[command(flatten)]
     pub of_nurec: NurecFlags,
 }
 
-/// Flags that AlpaSim gives the NuRec renderer (`services.renderer.command` of
-/// `src/wizard/configs/base_config.yaml` at 3032e0c) and that say nothing to this server: taken, so
-/// that it starts in that renderer's place, and named in a warning.
+/// Flags that AlpaSim gives the NuRec renderer and its physics service (`services.renderer.command`
+/// and `services.physics.command` of `src/wizard/configs/base_config.yaml` at 3032e0c) and that say
+/// nothing to this server: taken, so that it starts in their place, and named in a warning.
 #[derive(Args, Clone, Debug, Default)]
 pub struct NurecFlags {
     #[arg(long, hide = true, value_name = "DIR")]
@@ -91,6 +100,10 @@ pub struct NurecFlags {
     enable_editing_actors: bool,
     #[arg(long, hide = true)]
     enable_timing: bool,
+    #[arg(long, hide = true, value_name = "BOOL")]
+    use_ground_mesh: Option<String>,
+    #[arg(long, hide = true, value_name = "BOOL")]
+    visualize: Option<String>,
 }
 
 impl NurecFlags {
@@ -108,6 +121,8 @@ impl NurecFlags {
             ("--no-enable-nrend", self.no_enable_nrend),
             ("--enable-editing-actors", self.enable_editing_actors),
             ("--enable-timing", self.enable_timing),
+            ("--use-ground-mesh", self.use_ground_mesh.is_some()),
+            ("--visualize", self.visualize.is_some()),
         ];
         all.into_iter()
             .filter_map(|(name, is_given)| is_given.then_some(name))
@@ -164,6 +179,34 @@ pub enum LogForm {
     Text,
     /// One JSON object per line
     Json,
+}
+
+/// Least level of the events in the log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum LogLevel {
+    /// Each step of the server
+    Debug,
+    /// Starts, ends, and what became of scenes
+    Info,
+    /// What a person should look at
+    #[value(alias = "warning")]
+    Warn,
+    /// What failed
+    #[value(alias = "critical")]
+    Error,
+}
+
+impl LogLevel {
+    /// The level as `RUST_LOG` calls it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Debug => "debug",
+            Self::Info => "info",
+            Self::Warn => "warn",
+            Self::Error => "error",
+        }
+    }
 }
 
 /// Limits of the server.
@@ -306,7 +349,7 @@ mod tests {
     /// The command of `services.renderer` in AlpaSim's `src/wizard/configs/base_config.yaml:155` at
     /// 3032e0c, its references resolved, behind the name of the program.
     #[test]
-    fn the_command_line_of_alpasim_is_taken() {
+    fn the_command_lines_of_alpasim_are_taken() {
         let options = parsed(&[
             "--port=6005",
             "--host=0.0.0.0",
@@ -330,6 +373,18 @@ mod tests {
         ];
         assert_eq!(options.of_nurec.given(), ignored);
         assert!(parsed(&["scene.toml"]).unwrap().of_nurec.given().is_empty());
+        // `services.physics.command` of the same file, line 193.
+        let options = parsed(&[
+            "--host=0.0.0.0",
+            "--port=6006",
+            "--artifact-glob=/mnt/nre-data/./**/*.usdz",
+            "--use-ground-mesh=true",
+            "--cache-size=16",
+            "--log-level=WARNING",
+        ])
+        .unwrap();
+        assert_eq!(options.log_level, LogLevel::Warn);
+        assert_eq!(options.of_nurec.given(), ["--use-ground-mesh"]);
         assert!(parsed(&["--egocar-hood"]).is_err(), "a typing error is one");
     }
 }

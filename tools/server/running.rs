@@ -103,7 +103,7 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
     let ignored = options.of_nurec.given();
     if !ignored.is_empty() {
         tracing::warn!(
-            "without effect, as they are for the NuRec renderer: {}",
+            "without effect, as they are for the NuRec renderer or AlpaSim's physics: {}",
             ignored.join(", ")
         );
     }

@@ -27,25 +27,56 @@ pub struct Mesh {
     pub step_m: f64,
 }
 
-/// The ground of `scene` about its ego's way; the ego's middle is half of `height_m` above it.
-pub fn mesh_of(scene: &SceneFile, directory: &Path, height_m: f64) -> Result<Mesh> {
+/// The ground of a scene about its ego's way.
+pub struct FoundGround {
+    pub mesh: Mesh,
+    /// Median height of the ego's middle above the ground below its rear axle, meters; `None` where
+    /// no ground is.
+    pub ego_height_m: Option<f64>,
+}
+
+/// The ground of `scene` about its ego's way. The ego's middle is expected half of `height_m` above
+/// it, and its rear axle at `axle_m` meters forward of the middle.
+pub fn ground_about(
+    scene: &SceneFile,
+    directory: &Path,
+    height_m: f64,
+    axle_m: f64,
+) -> Result<FoundGround> {
     let finding = progress::spinner("finding the ground".into());
     let ground = ground_of(scene, directory)?;
     let standing = Trajectory::standing(Pose {
         translation: scene.origin,
         ..Pose::IDENTITY
     });
-    let way: Vec<DVec3> = scene
-        .ego
-        .as_ref()
-        .unwrap_or(&standing)
-        .poses()
+    let poses = scene.ego.as_ref().unwrap_or(&standing).poses();
+    let way: Vec<DVec3> = poses.iter().map(|timed| timed.pose.translation).collect();
+    let axles: Vec<DVec3> = poses
         .iter()
-        .map(|timed| timed.pose.translation)
+        .map(|timed| timed.pose.transform(DVec3::X * axle_m))
         .collect();
-    let mesh = Grid::about(&way, height_m).mesh(&ground, scene.origin);
+    let found = FoundGround {
+        mesh: Grid::about(&way, height_m).mesh(&ground, scene.origin),
+        ego_height_m: height_above(&ground, &axles, height_m),
+    };
     finding.finish_and_clear();
-    Ok(mesh)
+    Ok(found)
+}
+
+/// Median height of `points` above the ground that is expected half of `height_m` below them.
+fn height_above(ground: &Ground, points: &[DVec3], height_m: f64) -> Option<f64> {
+    let queries: Vec<(DVec2, Option<f64>)> = points
+        .iter()
+        .map(|point| (point.truncate(), Some(point.z - 0.5 * height_m)))
+        .collect();
+    let heights = ground.heights_at(&queries);
+    let mut heights_m: Vec<f64> = points
+        .iter()
+        .zip(heights)
+        .filter_map(|(point, height)| Some(point.z - height?.z_m))
+        .collect();
+    heights_m.sort_by(f64::total_cmp);
+    heights_m.get(heights_m.len() / 2).copied()
 }
 
 /// Positions on a grid, and where ground is expected there.
@@ -162,7 +193,12 @@ mod tests {
         };
         let origin = DVec3::new(500.0, 800.0, 90.0);
         let ground = Ground::new(&cloud, origin, &GroundOptions::default());
-        let mesh = Grid::about(&[origin + DVec3::Z * 1.75], 1.5).mesh(&ground, origin);
+        let middle = origin + DVec3::Z * 1.85;
+        let mesh = Grid::about(&[middle], 1.5).mesh(&ground, origin);
+        let height_m = height_above(&ground, &[middle], 1.5).unwrap();
+        assert!((height_m - 0.85).abs() < 0.02, "{height_m} m");
+        let aside = height_above(&ground, &[middle + DVec3::Y * 500.0], 1.5);
+        assert_eq!(aside, None);
         assert!(
             mesh.triangles.len() > 300 && mesh.step_m == STEP_M,
             "{}",
