@@ -22,10 +22,14 @@ struct Photometry {
     vec3 offset;
     vec3 gamma;
     vec3 vignetting[3]; // coefficients of r^2, r^4 and r^6, each of red, green and blue
-    vec2 vignetting_center_px;
+    vec2 vignetting_center_px[3]; // of red, green and blue
     vec2 vignetting_scale; // r is 1 where a distance from the center times this is
     float gain;
+    vec3 balance[3];  // rows of the homography of red, green and their sum with blue
+    vec3 response[5]; // exponents below and above the center and of the whole, center, value there; each of red, green and blue
     uint has_gamma;
+    uint has_balance;
+    uint has_response;
 };
 
 layout(set = 0, binding = 4, scalar) readonly buffer photometry_block { Photometry photometry[]; }; // per camera
@@ -64,17 +68,41 @@ vec3 sky_color(vec3 direction) {
     return (clamps_sky != 0u ? clamp(color, 0.0, 1.0) : color) * fog.a + fog.rgb;
 }
 
+// Response of the sensor to light from 0 to 1: see `Response` in the engine.
+vec3 responded(Photometry own, vec3 light) {
+    vec3 toe = own.response[0];
+    vec3 shoulder = own.response[1];
+    vec3 center = own.response[3];
+    vec3 at_center = own.response[4];
+    vec3 below = at_center * pow(max(light / center, 1e-6), toe);
+    vec3 above = 1.0 - (1.0 - at_center) * pow(max((1.0 - light) / (1.0 - center), 1e-6), shoulder);
+    vec3 joined = mix(above, below, lessThanEqual(light, center));
+    return pow(max(joined, 1e-6), own.response[2]);
+}
+
 // Color of the image at `center_px` of a color of the scene.
 vec3 calibrated(vec3 color, vec2 center_px) {
     Photometry own = photometry[camera];
-    vec2 at = (center_px - own.vignetting_center_px) * own.vignetting_scale;
-    float r2 = dot(at, at);
+    vec3 r2;
+    for (uint channel = 0u; channel < 3u; ++channel) {
+        vec2 at = (center_px - own.vignetting_center_px[channel]) * own.vignetting_scale;
+        r2[channel] = dot(at, at);
+    }
     vec3 through = clamp(1.0 + r2 * (own.vignetting[0] + r2 * (own.vignetting[1] + r2 * own.vignetting[2])), 0.0, 1.0);
     vec3 exposed = own.gain * color * through;
+    if (own.has_balance != 0u) {
+        float sum = exposed.r + exposed.g + exposed.b;
+        vec3 of = vec3(exposed.rg, sum);
+        vec3 turned = vec3(dot(own.balance[0], of), dot(own.balance[1], of), dot(own.balance[2], of));
+        float divisor = turned.b + 1e-5;
+        turned *= divisor > 0.0 ? sum / divisor : 0.0;
+        exposed = vec3(turned.rg, turned.b - turned.r - turned.g);
+    }
     vec3 mixed = vec3(dot(own.matrix[0], exposed), dot(own.matrix[1], exposed), dot(own.matrix[2], exposed)) + own.offset;
     // An exponent of 1 leaves what is negative.
     bvec3 is_curved = notEqual(own.gamma, vec3(1.0));
-    return own.has_gamma != 0u ? mix(mixed, pow(max(mixed, 0.0), own.gamma), is_curved) : mixed;
+    vec3 curved = own.has_gamma != 0u ? mix(mixed, pow(max(mixed, 0.0), own.gamma), is_curved) : mixed;
+    return own.has_response != 0u ? responded(own, clamp(curved, 0.0, 1.0)) : curved;
 }
 
 void main() {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use decouplegs::asset::SkyKind;
 use decouplegs::asset::sky_file;
 use decouplegs::render::{ColorFormat, Image, Outputs, RenderOptions, Renderer, reference};
-use decouplegs::scene::photometry::{ColorCurve, Vignetting};
+use decouplegs::scene::photometry::{ColorCurve, Response, Vignetting};
 use decouplegs::scene::{Camera, Photometry, Pose, Rules, SkyMap, SplatScene};
 use glam::{DMat3, DQuat, DVec3};
 
@@ -30,16 +30,34 @@ pub fn some_photometry(gamma: f64) -> Photometry {
         exposure_ev: 0.4,
         curve: ColorCurve::Display,
         vignetting: Some(Vignetting {
-            center_px: [45.0, 30.0],
+            center_px: [[45.0, 30.0], [44.0, 31.0], [47.0, 28.0]],
             radius_px: [60.0, 60.0],
             rgb: [[-0.3, 0.05, 0.01], [-0.25, 0.0, -0.02], [-0.2, 0.0, 0.0]],
         }),
+        balance: None,
         matrix: [
             [0.9, 0.1, -0.05, 0.02],
             [0.05, 1.05, 0.0, -0.01],
             [-0.1, 0.2, 0.8, 0.03],
         ],
         gamma: [gamma, 1.0, gamma],
+        response: None,
+    }
+}
+
+/// The calibration of a camera as PPISP has it: vignetting, balance and response.
+pub fn ppisp_photometry() -> Photometry {
+    Photometry {
+        balance: Some([[1.05, -0.02, 0.01], [0.03, 0.96, 0.0], [0.04, -0.03, 1.0]]),
+        response: Some(Response {
+            toe: [1.2, 1.0, 0.9],
+            shoulder: [1.1, 1.3, 1.0],
+            gamma: [0.9, 0.7, 1.1],
+            center: [0.4, 0.5, 0.6],
+        }),
+        matrix: Photometry::IDENTITY.matrix,
+        gamma: [1.0; 3],
+        ..some_photometry(1.0)
     }
 }
 
@@ -229,6 +247,11 @@ fn calibrated_cameras_give_the_colors_of_the_definition() {
     let turned = DMat3::from_rotation_x(0.5);
     let under = world_under(noise(6, turned));
     assert_exact(&under, &calibrated(around()), Rules::DEFAULT);
+    let mut seen_by_ppisp = around();
+    for camera in &mut seen_by_ppisp {
+        camera.intrinsics.photometry = ppisp_photometry();
+    }
+    assert_exact(&under, &seen_by_ppisp, Rules::DEFAULT);
     let bare = SplatScene {
         sky_map: None,
         sky: [0.3, 0.5, 0.9],

@@ -43,7 +43,11 @@ fn records() -> Vec<Record> {
         vignetting_center_px,
         vignetting_scale,
         gain,
-        has_gamma
+        balance,
+        response,
+        has_gamma,
+        has_balance,
+        has_response
     }));
     records
 }

@@ -12,7 +12,7 @@ use glam::{DMat3, DVec3, Mat3, Vec2, Vec3};
 use super::scenes::rig;
 use super::{ROUNDOFF, Random, open, run, upload};
 use crate::device::Validated;
-use crate::frames::sky::{noise, some_photometry};
+use crate::frames::sky::{noise, ppisp_photometry, some_photometry};
 
 /// Rounded operations between a ray and its color: 2 for the ray, 5 for its turn to the cube, 4 for
 /// the position on a face, where a texel is up to 2^3 of the coordinate's unit, and 6 to
@@ -143,6 +143,7 @@ fn every_pixel_has_the_sky_of_its_ray_and_the_color_of_its_camera() {
         (Some(&clamped), plain),
         (None, own),
         (Some(&open_sky), own),
+        (Some(&open_sky), [ppisp_photometry(), some_photometry(0.6)]),
     ] {
         let case = Case::new(photometry);
         let twin = case.twin(sky);

@@ -82,14 +82,23 @@ pub struct PhotometryRecord {
     pub gamma: [f32; 3],
     /// Coefficients of r^2, r^4 and r^6, each of red, green and blue.
     pub vignetting: [[f32; 3]; 3],
-    /// Center of the vignetting, pixels.
-    pub vignetting_center_px: [f32; 2],
+    /// Centers of the vignetting of red, green and blue, pixels.
+    pub vignetting_center_px: [[f32; 2]; 3],
     /// One over the distances at which r is 1, per pixel.
     pub vignetting_scale: [f32; 2],
     /// Factor of the exposure.
     pub gain: f32,
+    /// Rows of the homography of red, green and their sum with blue.
+    pub balance: [[f32; 3]; 3],
+    /// Exponents below the center, above it and of the whole, the center, and the value there, each
+    /// of red, green and blue.
+    pub response: [[f32; 3]; 5],
     /// 1 where exponents are applied.
     pub has_gamma: u32,
+    /// 1 where colors are balanced.
+    pub has_balance: u32,
+    /// 1 where there is a response.
+    pub has_response: u32,
 }
 
 impl PhotometryRecord {
@@ -108,10 +117,28 @@ impl PhotometryRecord {
         if let Some(vignetting) = &photometry.vignetting {
             let power = |power: usize| vignetting.rgb.map(|channel| channel[power] as f32);
             record.vignetting = [power(0), power(1), power(2)];
-            record.vignetting_center_px = vignetting.center_px.map(|axis| axis as f32);
+            record.vignetting_center_px = vignetting
+                .center_px
+                .map(|center_px| center_px.map(|axis| axis as f32));
             record.vignetting_scale = vignetting
                 .radius_px
                 .map(|radius_px| (1.0 / radius_px) as f32);
+        }
+        if let Some(balance) = photometry.balance {
+            record.balance = balance.map(|row| row.map(|value| value as f32));
+            record.has_balance = 1;
+        }
+        if let Some(response) = photometry.response {
+            let at_center = [0, 1, 2].map(|channel| response.at_center(channel));
+            record.response = [
+                response.toe,
+                response.shoulder,
+                response.gamma,
+                response.center,
+                at_center,
+            ]
+            .map(|of| of.map(|value| value as f32));
+            record.has_response = 1;
         }
         record
     }

@@ -5,6 +5,11 @@ use crate::Invalid;
 /// Exponent of the display curve by which exposure acts on display-referred colors.
 pub const DISPLAY_GAMMA: f64 = 2.2;
 
+/// Sum of the light that is added where a color is scaled to its sum: the "PPISP" constant.
+const SUM_LEAST: f64 = 1e-5;
+/// Least base of a power in a response: the "PPISP" constant.
+const RESPONSE_LEAST: f64 = 1e-6;
+
 /// Largest exposure, stops.
 const EXPOSURE_EV_MAX: f64 = 32.0;
 
@@ -22,12 +27,27 @@ pub enum ColorCurve {
 /// to 1 ("PPISP", arXiv 2601.18336).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vignetting {
-    /// Center, pixels.
-    pub center_px: [f64; 2],
+    /// Centers of red, green and blue, pixels.
+    pub center_px: [[f64; 2]; 3],
     /// Distances along x and y at which r is 1, pixels.
     pub radius_px: [f64; 2],
     /// Coefficients a, b and c of red, green and blue.
     pub rgb: [[f64; 3]; 3],
+}
+
+/// Response of a sensor to light from 0 to 1, a curve per channel: below `center` the power `toe`,
+/// above it the mirrored power `shoulder`, joined there with one slope, and then the power `gamma`
+/// ("PPISP", arXiv 2601.18336). Light beyond 0 to 1 is clamped before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Response {
+    /// Exponents below the center, of red, green and blue.
+    pub toe: [f64; 3],
+    /// Exponents above the center.
+    pub shoulder: [f64; 3],
+    /// Exponents of the joined curve.
+    pub gamma: [f64; 3],
+    /// Light at which the parts meet, above 0 and below 1.
+    pub center: [f64; 3],
 }
 
 /// Photometric calibration of a camera. Its stages come in the order of its members, after the sky
@@ -40,10 +60,15 @@ pub struct Photometry {
     pub curve: ColorCurve,
     /// Loss of light towards the corners.
     pub vignetting: Option<Vignetting>,
+    /// Balance of colors: a homography of (red, green, sum of all three), rows first, after which
+    /// the color is scaled to the sum that it had ("PPISP", arXiv 2601.18336).
+    pub balance: Option<[[f64; 3]; 3]>,
     /// Rows of red, green and blue: three factors and an offset.
     pub matrix: [[f64; 4]; 3],
     /// Exponents of red, green and blue. Where one is not 1, negative values are 0.
     pub gamma: [f64; 3],
+    /// Response of the sensor.
+    pub response: Option<Response>,
 }
 
 impl Default for Photometry {
@@ -58,12 +83,14 @@ impl Photometry {
         exposure_ev: 0.0,
         curve: ColorCurve::Display,
         vignetting: None,
+        balance: None,
         matrix: [
             [1.0, 0.0, 0.0, 0.0],
             [0.0, 1.0, 0.0, 0.0],
             [0.0, 0.0, 1.0, 0.0],
         ],
         gamma: [1.0; 3],
+        response: None,
     };
 
     /// True if colors stay as they are.
@@ -101,15 +128,22 @@ impl Photometry {
             let factors = vignetting.factors(at_px);
             exposed = std::array::from_fn(|channel| exposed[channel] * factors[channel]);
         }
+        if let Some(balance) = &self.balance {
+            exposed = balanced(balance, exposed);
+        }
         let [red, green, blue] = exposed;
-        std::array::from_fn(|channel| {
+        let mixed: [f64; 3] = std::array::from_fn(|channel| {
             let [of_red, of_green, of_blue, offset] = self.matrix[channel];
             let value = of_red * red + of_green * green + of_blue * blue + offset;
             match self.gamma[channel] {
                 1.0 => value,
                 gamma => value.max(0.0).powf(gamma),
             }
-        })
+        });
+        match &self.response {
+            Some(response) => std::array::from_fn(|channel| response.of(channel, mixed[channel])),
+            None => mixed,
+        }
     }
 
     /// The calibration of the same camera whose image is scaled by `sx` and `sy`.
@@ -118,7 +152,7 @@ impl Photometry {
         let by = [sx, sy];
         let scaled = |of: [f64; 2]| [of[0] * by[0], of[1] * by[1]];
         let vignetting = |vignetting: Vignetting| Vignetting {
-            center_px: scaled(vignetting.center_px),
+            center_px: vignetting.center_px.map(scaled),
             radius_px: scaled(vignetting.radius_px),
             ..vignetting
         };
@@ -132,10 +166,7 @@ impl Photometry {
     #[must_use]
     pub fn cropped(&self, left_px: f64, top_px: f64) -> Self {
         let vignetting = |vignetting: Vignetting| Vignetting {
-            center_px: [
-                vignetting.center_px[0] - left_px,
-                vignetting.center_px[1] - top_px,
-            ],
+            center_px: vignetting.center_px.map(|[x, y]| [x - left_px, y - top_px]),
             ..vignetting
         };
         Self {
@@ -148,7 +179,7 @@ impl Photometry {
     ///
     /// # Errors
     /// Returns an error if the exposure is beyond 32 stops, a radius or an exponent is not
-    /// positive, or a number is not finite.
+    /// positive, the center of a response is not between 0 and 1, or a number is not finite.
     pub fn check(&self) -> Result<(), Invalid> {
         if self.exposure_ev.is_nan() || self.exposure_ev.abs() > EXPOSURE_EV_MAX {
             return Err(Invalid::new(format!(
@@ -162,8 +193,10 @@ impl Photometry {
             rgb,
         }) = &self.vignetting
         {
-            let finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
-            if !(finite(center_px) && finite(radius_px) && finite(rgb.as_flattened())) {
+            if !(finite(center_px.as_flattened())
+                && finite(radius_px)
+                && finite(rgb.as_flattened()))
+            {
                 return Err("a number of the vignetting is not finite".into());
             }
             if radius_px.iter().any(|radius_px| *radius_px <= 0.0) {
@@ -172,25 +205,83 @@ impl Photometry {
                 )));
             }
         }
-        if !self
-            .matrix
-            .as_flattened()
-            .iter()
-            .all(|value| value.is_finite())
+        if self
+            .balance
+            .is_some_and(|balance| !finite(balance.as_flattened()))
         {
+            return Err("a number of the balance is not finite".into());
+        }
+        if !finite(self.matrix.as_flattened()) {
             return Err("a number of the color matrix is not finite".into());
         }
-        if !self
-            .gamma
-            .iter()
-            .all(|gamma| gamma.is_finite() && *gamma > 0.0)
-        {
-            return Err(Invalid::new(format!(
-                "gamma is {:?}; expected three positive numbers",
-                self.gamma
-            )));
+        check_positive("gamma", self.gamma)?;
+        if let Some(response) = self.response {
+            check_positive("toe of the response", response.toe)?;
+            check_positive("shoulder of the response", response.shoulder)?;
+            check_positive("gamma of the response", response.gamma)?;
+            let center = response.center;
+            if !center.iter().all(|center| *center > 0.0 && *center < 1.0) {
+                return Err(Invalid::new(format!(
+                    "center of the response is {center:?}; expected three numbers between 0 and 1"
+                )));
+            }
         }
         Ok(())
+    }
+}
+
+fn finite(values: &[f64]) -> bool {
+    values.iter().all(|value| value.is_finite())
+}
+
+fn check_positive(name: &str, values: [f64; 3]) -> Result<(), Invalid> {
+    let is_positive = |value: &f64| value.is_finite() && *value > 0.0;
+    if values.iter().all(is_positive) {
+        Ok(())
+    } else {
+        Err(Invalid::new(format!(
+            "{name} is {values:?}; expected three positive numbers"
+        )))
+    }
+}
+
+/// The color `rgb` after the homography `balance` of its red, its green and its sum, at the sum
+/// that it had; black where the homography leaves no sum.
+fn balanced(balance: &[[f64; 3]; 3], [red, green, blue]: [f64; 3]) -> [f64; 3] {
+    let sum = red + green + blue;
+    let [red, green, of_sum] = balance.map(|[a, b, c]| a * red + b * green + c * sum);
+    let divisor = of_sum + SUM_LEAST;
+    if divisor <= 0.0 {
+        return [0.0; 3];
+    }
+    let scale = sum / divisor;
+    let (red, green) = (red * scale, green * scale);
+    [red, green, of_sum * scale - red - green]
+}
+
+impl Response {
+    /// Response of `channel` to `light`.
+    #[must_use]
+    pub fn of(&self, channel: usize, light: f64) -> f64 {
+        let (toe, shoulder) = (self.toe[channel], self.shoulder[channel]);
+        let center = self.center[channel];
+        let light = light.clamp(0.0, 1.0);
+        let at_center = self.at_center(channel);
+        let joined = if light <= center {
+            at_center * (light / center).max(RESPONSE_LEAST).powf(toe)
+        } else {
+            let from_white = (1.0 - light) / (1.0 - center);
+            1.0 - (1.0 - at_center) * from_white.max(RESPONSE_LEAST).powf(shoulder)
+        };
+        joined.max(RESPONSE_LEAST).powf(self.gamma[channel])
+    }
+
+    /// Value of the joined curve of `channel` at its center, which gives both parts one slope.
+    #[must_use]
+    pub fn at_center(&self, channel: usize) -> f64 {
+        let (toe, shoulder) = (self.toe[channel], self.shoulder[channel]);
+        let center = self.center[channel];
+        shoulder * center / (toe + center * (shoulder - toe))
     }
 }
 
@@ -198,10 +289,13 @@ impl Vignetting {
     /// Factors of red, green and blue at `at_px`, pixels.
     #[must_use]
     pub fn factors(&self, at_px: [f64; 2]) -> [f64; 3] {
-        let along = |axis: usize| (at_px[axis] - self.center_px[axis]) / self.radius_px[axis];
-        let r2 = along(0).powi(2) + along(1).powi(2);
-        self.rgb
-            .map(|[a, b, c]| (1.0 + r2 * (a + r2 * (b + r2 * c))).clamp(0.0, 1.0))
+        std::array::from_fn(|channel| {
+            let center_px = self.center_px[channel];
+            let along = |axis: usize| (at_px[axis] - center_px[axis]) / self.radius_px[axis];
+            let r2 = along(0).powi(2) + along(1).powi(2);
+            let [a, b, c] = self.rgb[channel];
+            (1.0 + r2 * (a + r2 * (b + r2 * c))).clamp(0.0, 1.0)
+        })
     }
 }
 
@@ -213,16 +307,18 @@ mod tests {
         exposure_ev: 1.0,
         curve: ColorCurve::Linear,
         vignetting: Some(Vignetting {
-            center_px: [10.0, 20.0],
+            center_px: [[10.0, 20.0]; 3],
             radius_px: [5.0, 10.0],
             rgb: [[-0.5, 0.0, 0.0], [0.0, -0.25, 0.0], [0.0, 0.0, 0.1]],
         }),
+        balance: None,
         matrix: [
             [1.0, 0.5, 0.0, 0.25],
             [0.0, 1.0, 0.0, 0.0],
             [0.0, 0.0, 0.5, -2.0],
         ],
         gamma: [1.0, 0.5, 2.0],
+        response: None,
     };
 
     #[test]
@@ -261,6 +357,63 @@ mod tests {
         assert!(Photometry::IDENTITY.is_identity() && !one_stop.is_identity());
     }
 
+    const RESPONSE: Response = Response {
+        toe: [1.0, 2.0, 1.4],
+        shoulder: [1.0, 0.5, 1.2],
+        gamma: [1.0, 1.0, 0.6],
+        center: [0.5, 0.5, 0.4],
+    };
+
+    #[test]
+    fn a_response_joins_its_parts_with_one_slope() {
+        // Exponents of 1 are the identity between 0 and 1, and clamp beyond it.
+        for (light, expected) in [(-0.5, 1e-6), (0.25, 0.25), (0.75, 0.75), (3.0, 1.0)] {
+            let found = RESPONSE.of(0, light);
+            assert!((found - expected).abs() < 1e-6, "{light}: {found}");
+        }
+        // toe 2, shoulder 0.5, center 0.5: the value there is 0.5 * 0.5 / (2 - 0.75) = 0.2.
+        assert!((RESPONSE.at_center(1) - 0.2).abs() < 1e-15);
+        assert!((RESPONSE.of(1, 0.25) - 0.2 * 0.25).abs() < 1e-15);
+        assert!((RESPONSE.of(1, 0.875) - (1.0 - 0.8 * 0.25f64.sqrt())).abs() < 1e-15);
+        for channel in 0..3 {
+            let at = |light: f64| RESPONSE.of(channel, light);
+            let center = RESPONSE.center[channel];
+            let slope = |from: f64, to: f64| (at(to) - at(from)) / (to - from);
+            let (below, above) = (slope(center - 1e-6, center), slope(center, center + 1e-6));
+            assert!((below - above).abs() < 1e-4, "{below} {above}");
+            let lights = (0..=100).map(|step| at(0.01 * f64::from(step)));
+            assert!(lights.is_sorted());
+        }
+    }
+
+    #[test]
+    fn a_balance_moves_chromaticity_and_keeps_the_sum() {
+        let identity = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let color = [0.2, 0.5, 0.3];
+        for (found, expected) in balanced(&identity, color).iter().zip(color) {
+            assert!((found - expected).abs() < 2e-5, "{found} {expected}");
+        }
+        // Red becomes 1.1 red + 0.05 of the sum; the sum itself 1 + 0.2 green of it.
+        let warm = [[1.1, 0.0, 0.05], [0.0, 1.0, 0.0], [0.0, 0.2, 1.0]];
+        let found = balanced(&warm, color);
+        let expected = [0.27 / 1.1, 0.5 / 1.1, 1.0 - 0.77 / 1.1];
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found - expected).abs() < 2e-5, "{found} {expected}");
+        }
+        assert_eq!(balanced(&warm, [0.0; 3]), [0.0; 3]);
+        assert_eq!(
+            balanced(&[[0.0; 3], [0.0; 3], [0.0, 0.0, -1.0]], color),
+            [0.0; 3]
+        );
+        // It acts before the matrix.
+        let all = Photometry {
+            balance: Some(warm),
+            matrix: [[2.0, 0.0, 0.0, 0.0], ALL.matrix[1], ALL.matrix[2]],
+            ..Photometry::IDENTITY
+        };
+        assert!((all.color(color, [0.0; 2])[0] - 2.0 * found[0]).abs() < 1e-12);
+    }
+
     #[test]
     fn numbers_that_cannot_be_used_are_refused() {
         let with = |change: fn(&mut Photometry)| {
@@ -273,6 +426,17 @@ mod tests {
         assert!(with(|all| all.exposure_ev = 40.0).contains("-32 to 32"));
         assert!(with(|all| all.gamma[1] = 0.0).contains("gamma"));
         assert!(with(|all| all.matrix[2][3] = f64::INFINITY).contains("matrix"));
+        assert!(with(|all| all.balance = Some([[f64::NAN; 3]; 3])).contains("balance"));
+        let response = |change: fn(&mut Response)| {
+            let mut changed = (ALL, RESPONSE);
+            change(&mut changed.1);
+            changed.0.response = Some(changed.1);
+            changed.0.check().unwrap_err().to_string()
+        };
+        assert!(response(|of| of.toe[0] = 0.0).contains("toe"));
+        assert!(response(|of| of.shoulder[1] = f64::NAN).contains("shoulder"));
+        assert!(response(|of| of.gamma[2] = -1.0).contains("gamma of the response"));
+        assert!(response(|of| of.center[2] = 1.0).contains("center"));
         let vignetting = |change: fn(&mut Vignetting)| {
             let mut changed = ALL;
             change(changed.vignetting.as_mut().unwrap());

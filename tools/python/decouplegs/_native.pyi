@@ -84,10 +84,12 @@ class Camera:
         exposure_ev: float = 0.0,
         curve: Literal["display", "linear"] = "display",
         vignetting: tuple[Sequence[float], Sequence[float], ArrayLike] | None = None,
+        balance: ArrayLike | None = None,
         matrix: ArrayLike | None = None,
         gamma: Sequence[float] | None = None,
+        response: ArrayLike | None = None,
     ) -> Camera:
-        """The same camera with a photometric calibration, whose stages come in this order: exposure in stops; vignetting: center [2] and radius [2], pixels, and coefficients of r^2, r^4 and r^6 [3, 3]; color matrix [3, 4]; exponents [3]."""
+        """The same camera with a photometric calibration, whose stages come in this order: exposure in stops; vignetting: center [2] and radius [2], pixels, and coefficients of r^2, r^4 and r^6 [3, 3]; balance [3, 3], a homography of red, green and the sum of all three; color matrix [3, 4]; exponents [3]; response [4, 3]: exponents below and above the center, exponents of the whole, and the center."""
 
 class RigCamera:
     """A camera fixed to a vehicle."""

@@ -1,6 +1,6 @@
 //! Cameras of Python.
 
-use decouplegs::scene::photometry::{ColorCurve, Vignetting};
+use decouplegs::scene::photometry::{ColorCurve, Response, Vignetting};
 use decouplegs::scene::{
     Camera as EngineCamera, Intrinsics, Motion, Photometry, Pose, RigCamera as EngineRigCamera,
     Shutter, ShutterDirection,
@@ -149,15 +149,20 @@ impl Camera {
     /// The same camera with a photometric calibration, whose stages come in this order: exposure in
     /// stops, with colors that are "display"-referred or "linear"; vignetting, three arrays: center
     /// [2] and radius [2], pixels, and coefficients of r^2, r^4 and r^6 [3, 3], a row per channel;
-    /// color matrix [3, 4], rows of three factors and an offset; exponents [3].
-    #[pyo3(signature = (*, exposure_ev = 0.0, curve = "display", vignetting = None, matrix = None, gamma = None))]
+    /// balance [3, 3], a homography of red, green and the sum of all three; color matrix [3, 4],
+    /// rows of three factors and an offset; exponents [3]; response [4, 3]: exponents below and
+    /// above the center, exponents of the whole, and the center, each of red, green and blue.
+    #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
+    #[pyo3(signature = (*, exposure_ev = 0.0, curve = "display", vignetting = None, balance = None, matrix = None, gamma = None, response = None))]
     fn with_photometry(
         &self,
         exposure_ev: f64,
         curve: &str,
         vignetting: Option<([f64; 2], [f64; 2], Bound<'_, PyAny>)>,
+        balance: Option<&Bound<'_, PyAny>>,
         matrix: Option<&Bound<'_, PyAny>>,
         gamma: Option<[f64; 3]>,
+        response: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let identity = Photometry::IDENTITY;
         let photometry = Photometry {
@@ -173,10 +178,14 @@ impl Camera {
             },
             vignetting: match vignetting {
                 Some((center_px, radius_px, rgb)) => Some(Vignetting {
-                    center_px,
+                    center_px: [center_px; 3],
                     radius_px,
                     rgb: array::matrix("vignetting", &rgb)?,
                 }),
+                None => None,
+            },
+            balance: match balance {
+                Some(balance) => Some(array::matrix("balance", balance)?),
                 None => None,
             },
             matrix: match matrix {
@@ -184,6 +193,18 @@ impl Camera {
                 None => identity.matrix,
             },
             gamma: gamma.unwrap_or(identity.gamma),
+            response: match response {
+                Some(response) => {
+                    let [toe, shoulder, gamma, center] = array::matrix("response", response)?;
+                    Some(Response {
+                        toe,
+                        shoulder,
+                        gamma,
+                        center,
+                    })
+                }
+                None => None,
+            },
         };
         photometry.check().map_err(value_error)?;
         let mut inner = self.inner.clone();

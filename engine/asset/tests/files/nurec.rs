@@ -341,6 +341,74 @@ fn what_is_not_drawn_is_said() {
     }
 }
 
+/// A package whose volume has arrays of PPISP for `cameras` cameras and three pictures.
+fn package_with_ppisp(cameras: usize, response: f32) -> Vec<u8> {
+    let mut state = state(&cloud(40, 3), &cloud(30, 1), &Pose::IDENTITY);
+    let name = |array: &str| format!(".post_processings.0.ppisp.{array}_params");
+    let of = |count: usize, value: f32| halves(vec![value; count]);
+    put(
+        &mut state,
+        &name("exposure"),
+        vec![3],
+        halves([0.5, 0.25, -0.25]),
+    );
+    put(&mut state, &name("color"), vec![3, 8], of(24, 0.0));
+    let vignetting = of(15 * cameras, 0.0);
+    put(
+        &mut state,
+        &name("vignetting"),
+        vec![cameras, 3, 5],
+        vignetting,
+    );
+    put(
+        &mut state,
+        &name("crf"),
+        vec![cameras, 3, 4],
+        of(12 * cameras, response),
+    );
+    let metadata = b"scene_id: a\nsensors:\n  camera_ids:\n  - other\n  - wide\n  lidar_ids: []\n";
+    zip(&[
+        ("volume.nurec", with_tracks(state)),
+        ("rig_trajectories.json", rig(&Pose::IDENTITY)),
+        ("sequence_tracks.json", tracks()),
+        ("metadata.yaml", metadata.to_vec()),
+    ])
+}
+
+#[test]
+fn cameras_have_the_photometry_of_the_package() {
+    let scene = read(&package_with_ppisp(2, 0.0));
+    let camera = scene.rig.cameras().next().unwrap();
+    let found = camera.intrinsics.photometry;
+    // The camera `wide` is the second of two, and which pictures are its own is not known: the mean
+    // of all.
+    assert!((found.exposure_ev - 0.5 / 3.0).abs() < 1e-3, "{found:?}");
+    let [toe, center] = [0.3 + 2f64.ln(), 0.5];
+    let response = found.response.unwrap();
+    assert!((response.toe[1] - toe).abs() < 1e-6, "{response:?}");
+    assert!((response.center[2] - center).abs() < 1e-6, "{response:?}");
+    assert_eq!(found.vignetting.unwrap().center_px, [[32.0, 24.0]; 3]);
+    assert!(
+        !scene.notes.iter().any(|note| note.contains("PPISP")),
+        "{:?}",
+        scene.notes
+    );
+    // Arrays for other cameras than there are: said, and not applied.
+    let scene = read(&package_with_ppisp(5, 0.0));
+    let camera = scene.rig.cameras().next().unwrap();
+    assert!(camera.intrinsics.photometry.is_identity());
+    assert!(
+        scene.notes.iter().any(|note| note.contains("PPISP")),
+        "{:?}",
+        scene.notes
+    );
+    // Numbers that are none get a sentence.
+    let said = decode_nurec(&package_with_ppisp(2, f32::NAN))
+        .unwrap_err()
+        .to_string();
+    assert!(said.contains("PPISP") && said.contains("wide"), "{said}");
+}
+
 fn saved(bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.usdz");

@@ -7,7 +7,7 @@ use decouplegs_asset::{
 use decouplegs_scene::light::{
     AmbientOptions, CastingLights, Lamps, RelightOptions, ShadowOptions, Sun,
 };
-use decouplegs_scene::photometry::{ColorCurve, Vignetting};
+use decouplegs_scene::photometry::{ColorCurve, Response, Vignetting};
 use decouplegs_scene::{
     Camera, Fog, Intrinsics, Lens, Photometry, Pose, Presence, RigCamera, Rules, ShFrame, Shutter,
     ShutterDirection, TimedPose, Trajectory, VehicleSize,
@@ -143,14 +143,26 @@ fn shutters() -> impl Strategy<Value = (ShutterDirection, f64)> {
 fn photometries() -> impl Strategy<Value = Photometry> {
     let three = || prop::array::uniform3(-2.0f64..2.0);
     let vignetting = (
-        prop::array::uniform2(-100.0f64..5000.0),
+        prop::array::uniform3(prop::array::uniform2(-100.0f64..5000.0)),
+        any::<bool>(),
         prop::array::uniform2(0.1f64..5000.0),
         prop::array::uniform3(three()),
     )
-        .prop_map(|(center_px, radius_px, rgb)| Vignetting {
-            center_px,
+        .prop_map(|(center_px, is_one, radius_px, rgb)| Vignetting {
+            center_px: if is_one { [center_px[0]; 3] } else { center_px },
             radius_px,
             rgb,
+        });
+    let positive = || prop::array::uniform3(0.01f64..5.0);
+    let centers = prop::array::uniform3(0.01f64..0.99);
+    let response =
+        (positive(), positive(), positive(), centers).prop_map(|(toe, shoulder, gamma, center)| {
+            Response {
+                toe,
+                shoulder,
+                gamma,
+                center,
+            }
         });
     (
         -32.0f64..=32.0,
@@ -158,9 +170,11 @@ fn photometries() -> impl Strategy<Value = Photometry> {
         prop::option::of(vignetting),
         prop::array::uniform3(prop::array::uniform4(-2.0f64..2.0)),
         prop::array::uniform3(0.01f64..5.0),
+        prop::option::of(prop::array::uniform3(three())),
+        prop::option::of(response),
     )
         .prop_map(
-            |(exposure_ev, is_linear, vignetting, matrix, gamma)| Photometry {
+            |(exposure_ev, is_linear, vignetting, matrix, gamma, balance, response)| Photometry {
                 exposure_ev,
                 curve: if is_linear {
                     ColorCurve::Linear
@@ -168,8 +182,10 @@ fn photometries() -> impl Strategy<Value = Photometry> {
                     ColorCurve::Display
                 },
                 vignetting,
+                balance,
                 matrix,
                 gamma,
+                response,
             },
         )
 }

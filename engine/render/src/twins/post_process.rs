@@ -43,21 +43,56 @@ pub fn sky_color(sky: &SkyMap, direction: Vec3) -> Vec3 {
 /// Color of the image at `center_px` of a color of the scene.
 #[must_use]
 pub fn calibrated(own: &PhotometryRecord, color: Vec3, center_px: Vec2) -> Vec3 {
-    let from_center_px = center_px - Vec2::from_array(own.vignetting_center_px);
-    let r2 = (from_center_px * Vec2::from_array(own.vignetting_scale)).length_squared();
+    let r2 = Vec3::from_array(own.vignetting_center_px.map(|own_center_px| {
+        let from_center_px = center_px - Vec2::from_array(own_center_px);
+        (from_center_px * Vec2::from_array(own.vignetting_scale)).length_squared()
+    }));
     let [a, b, c] = own.vignetting.map(Vec3::from_array);
     let through = (1.0 + r2 * (a + r2 * (b + r2 * c))).clamp(Vec3::ZERO, Vec3::ONE);
-    let exposed = own.gain * color * through;
+    let mut exposed = own.gain * color * through;
+    if own.has_balance != 0 {
+        exposed = balanced(own, exposed);
+    }
     let rows = own.matrix.map(|row| Vec3::from_array(row).dot(exposed));
     let mixed = Vec3::from_array(rows) + Vec3::from_array(own.offset);
-    if own.has_gamma == 0 {
-        return mixed;
-    }
     let curved = |channel: usize| match own.gamma[channel] {
         1.0 => mixed[channel],
         gamma => mixed[channel].max(0.0).powf(gamma),
     };
-    Vec3::from_array(std::array::from_fn(curved))
+    let curved: [f32; 3] = std::array::from_fn(curved);
+    if own.has_response == 0 {
+        return Vec3::from_array(curved);
+    }
+    Vec3::from_array(std::array::from_fn(|channel| {
+        response(own, channel, curved[channel])
+    }))
+}
+
+/// `color` after the homography of its red, its green and its sum, at the sum that it had.
+fn balanced(own: &PhotometryRecord, color: Vec3) -> Vec3 {
+    let sum = color.x + color.y + color.z;
+    let of = Vec3::new(color.x, color.y, sum);
+    let [red, green, of_sum] = own.balance.map(|row| Vec3::from_array(row).dot(of));
+    let divisor = of_sum + 1e-5;
+    if divisor <= 0.0 {
+        return Vec3::ZERO;
+    }
+    let scale = sum / divisor;
+    let (red, green) = (red * scale, green * scale);
+    Vec3::new(red, green, of_sum * scale - red - green)
+}
+
+/// Response of the sensor's `channel` to `light`.
+fn response(own: &PhotometryRecord, channel: usize, light: f32) -> f32 {
+    let [toe, shoulder, gamma, center, at_center] = own.response.map(|of| of[channel]);
+    let light = light.clamp(0.0, 1.0);
+    let joined = if light <= center {
+        at_center * (light / center).max(1e-6).powf(toe)
+    } else {
+        let from_white = (1.0 - light) / (1.0 - center);
+        1.0 - (1.0 - at_center) * from_white.max(1e-6).powf(shoulder)
+    };
+    joined.max(1e-6).powf(gamma)
 }
 
 /// Color and alpha of a pixel: `blended`, the color of its splats and alpha, over `sky` along

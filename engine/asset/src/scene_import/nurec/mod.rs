@@ -7,6 +7,7 @@
 //! |---|---|
 //! | `volume.nurec`, else `checkpoint.ckpt` | layers of splats: those with `gaussian_cuboid_ids` are agents, in the frames of their boxes; the others are the background |
 //! | the same, `background.textures` | the sky, six faces in OpenGL's order |
+//! | the same, `post_processings.0.ppisp` | photometry of the cameras, in the order of `camera_ids` of `metadata.yaml` |
 //! | `rig_trajectories.json` | cameras, way of the ego, `world_to_nre`: the frame of the splats |
 //! | `sequence_tracks.json` | classes and ways of the agents |
 //! | `datasource_summary.json` | both of the above, in older packages |
@@ -20,6 +21,7 @@
 //! as all others, by EWA.
 
 mod layers;
+mod ppisp;
 mod rig;
 mod state;
 mod tracks;
@@ -42,6 +44,8 @@ use tracks::{BoxTrack, TRACKS};
 pub(crate) const NAME: &str = "NuRec package";
 /// Entries that hold splats, in the order in which they are tried.
 const VOLUMES: [&str; 2] = ["volume.nurec", "checkpoint.ckpt"];
+/// Id and sensors.
+const METADATA: &str = "metadata.yaml";
 /// Rig and tracks in one file, in older packages.
 const SUMMARY: &str = "datasource_summary.json";
 /// Most bytes of a text entry.
@@ -64,7 +68,7 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
         actor_frame: ShFrame::Canonical,
         ..ImportedScene::empty("NuRec")
     };
-    let rig = read_rig(archive)?;
+    let mut rig = read_rig(archive)?;
     if rig.is_none() {
         let note = format!("there is no {RIG}: the scene has no cameras and no way of an ego");
         scene.notes.push(note);
@@ -81,6 +85,16 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
         ));
     }
     note_unread(&state, &mut scene.notes);
+    if let Some(rig) = &mut rig {
+        let order = camera_order(archive, rig)?;
+        let of = |name: &String| rig.rig.cameras().position(|camera| camera.name == *name);
+        let pictures: Vec<usize> = order
+            .iter()
+            .map_while(|name| Some(rig.pictures[of(name)?]))
+            .collect();
+        let notes = ppisp::calibrate(&mut rig.rig, &state, &order, &pictures)?;
+        scene.notes.extend(notes);
+    }
     scene.sky = sky(&state, nre_from_world)?;
     let mut background: Option<SplatCloud> = None;
     let mut drawn = HashSet::new();
@@ -155,6 +169,42 @@ fn text(archive: &Archive<'_>, name: &str) -> Result<Option<Vec<u8>>, DecodeErro
         (name == RIG && has_rig).then_some(&summary)
     });
     Ok(part.map(|part| part.to_string().into_bytes()))
+}
+
+/// Names of the cameras in the order of the volume's arrays: those of `metadata.yaml`, else those
+/// of the rig.
+fn camera_order(archive: &Archive<'_>, rig: &PackageRig) -> Result<Vec<String>, DecodeError> {
+    if archive.has(METADATA) {
+        let text = archive.checked(METADATA, TEXT_BYTES_MAX)?;
+        let names = list_of(&String::from_utf8_lossy(&text), "camera_ids");
+        if !names.is_empty() {
+            return Ok(names);
+        }
+    }
+    Ok(rig
+        .rig
+        .cameras()
+        .map(|camera| camera.name.clone())
+        .collect())
+}
+
+/// Items of the list `key` of a YAML file, in brackets or in lines of their own.
+fn list_of(yaml: &str, key: &str) -> Vec<String> {
+    let bare = |item: &str| item.trim().trim_matches(['"', '\'']).to_owned();
+    let mut lines = yaml.lines().map(str::trim);
+    let start = format!("{key}:");
+    let Some(first) = lines.find_map(|line| line.strip_prefix(&start)) else {
+        return Vec::new();
+    };
+    let first = first.trim();
+    if let Some(items) = first.strip_prefix('[') {
+        let items = items.trim_end_matches(']').split(',').map(bare);
+        return items.filter(|item| !item.is_empty()).collect();
+    }
+    lines
+        .map_while(|line| line.strip_prefix('-'))
+        .map(bare)
+        .collect()
 }
 
 fn read_rig(archive: &Archive<'_>) -> Result<Option<PackageRig>, DecodeError> {
@@ -260,12 +310,6 @@ fn note_unread(state: &State, notes: &mut Vec<String>) {
     if has("tracks_delta_") {
         notes.push(
             "corrections of the tracks (tracks_calib) are left out: agents may stand some centimeters off"
-                .into(),
-        );
-    }
-    if has("ppisp.") {
-        notes.push(
-            "the photometry of the cameras (PPISP: exposure, vignetting, color and response) is left out: images have the colors of the splats"
                 .into(),
         );
     }

@@ -23,6 +23,8 @@ pub(super) struct PackageRig {
     pub(super) nre_from_world: Pose,
     /// Cameras on the vehicle; their poses are from the middle of its box.
     pub(super) rig: Rig,
+    /// Pictures that the package has of each camera, in the order of the rig.
+    pub(super) pictures: Vec<usize>,
     /// Way of the middle of the box, world coordinates, seconds from the first pose.
     pub(super) ego: Trajectory,
     /// Height of the middle of the box above the ground, meters, where the package has a box.
@@ -121,18 +123,19 @@ pub(super) fn read(text: &[u8]) -> Result<PackageRig, DecodeError> {
         });
     }
     let ego = Trajectory::new(knots).map_err(|reason| malformed(reason.to_string()))?;
-    let mut cameras: Vec<(u64, RigCamera)> = Vec::new();
+    let mut cameras: Vec<(u64, RigCamera, usize)> = Vec::new();
     for (key, calibration) in &file.camera_calibrations {
         let frames = way.cameras_frame_timestamps_us.get(key);
-        let camera = camera(calibration, middle, frames.map_or(&[], Vec::as_slice))
+        let frames = frames.map_or(&[][..], Vec::as_slice);
+        let camera = camera(calibration, middle, frames)
             .map_err(|reason| malformed(format!("camera {key}: {reason}")))?;
-        cameras.push((calibration.unique_sensor_idx, camera));
+        cameras.push((calibration.unique_sensor_idx, camera, frames.len()));
     }
-    cameras.sort_by_key(|(index, _)| *index);
+    cameras.sort_by_key(|(index, ..)| *index);
     let mut names = std::collections::HashSet::new();
-    if let Some((_, twice)) = cameras
+    if let Some((_, twice, _)) = cameras
         .iter()
-        .find(|(_, camera)| !names.insert(&camera.name))
+        .find(|(_, camera, _)| !names.insert(&camera.name))
     {
         return Err(malformed(format!(
             "two cameras are called {:?}",
@@ -141,7 +144,8 @@ pub(super) fn read(text: &[u8]) -> Result<PackageRig, DecodeError> {
     }
     Ok(PackageRig {
         nre_from_world,
-        rig: cameras.into_iter().map(|(_, camera)| camera).collect(),
+        pictures: cameras.iter().map(|(.., pictures)| *pictures).collect(),
+        rig: cameras.into_iter().map(|(_, camera, _)| camera).collect(),
         ego,
         ego_height_m: centroid.map(|[_, _, z]| z).filter(|z| *z > 0.0),
         start_us,
