@@ -262,6 +262,10 @@ fn a_packed_scene_is_a_zip_that_others_read_and_opens_as_the_scene() {
             .any(|window| window == text.as_bytes())
     };
     assert!(holds("<OpenDRIVE>") && holds("<laneOffset s="));
+    // The map of a package is read wherever a map is.
+    let [own, packed] = [&lanes, &package].map(|map| json(&["map", text(map), "--json"]));
+    assert!(own["lanes"].as_u64() > Some(0), "{own}");
+    assert_eq!(own["lanes"], packed["lanes"], "{packed}");
     assert!(fail(2, &["pack", text(&scene), "--usdz", "a.zip"]).contains("a.zip"));
     // Cameras as a simulator's configuration calls them.
     let named = |camera: &str| -> Vec<String> {

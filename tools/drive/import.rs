@@ -150,6 +150,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         ego: Some(recording.ego.clone()),
         ego_height_m: Some(ego_height_m),
         recording: SceneRecording {
+            ground: None,
             seen_from: Some(SeenFrom::Cameras("cameras.json".into())),
             vehicle_size: Some(recording.vehicle),
         },

@@ -14,7 +14,7 @@ use decouplegs::asset::tracks::{PoseRow, write_poses};
 use decouplegs::asset::{open_scene, read_map, read_tracks, write_atomically};
 use decouplegs::drive::{
     Ground, GroundGuides, GroundOptions, GroundQuality, Outcome, RegisterOptions, Registration,
-    register,
+    Survey, register,
 };
 use decouplegs::scene::{LaneMap, SplatScene};
 
@@ -199,12 +199,13 @@ fn text_of(path: Option<&Path>) -> String {
 /// compared with itself.
 fn ground_of(path: &Path, map: Option<&LaneMap>) -> Result<Ground> {
     let reading = progress::spinner(format!("reading {}", path.display()));
-    let mut recorded = None;
+    let (mut recorded, mut survey) = (None, None);
     let (cloud, origin) = if path.extension().is_some_and(|extension| extension == "csv") {
         points::read(path)?
     } else {
         let loaded = open_scene(path, 0.0)?;
         recorded = Some((loaded.ego, loaded.ego_height_m));
+        survey = Survey::from_points(loaded.recording.ground_m);
         let SplatScene {
             splats,
             instance_from_splat,
@@ -224,6 +225,7 @@ fn ground_of(path: &Path, map: Option<&LaneMap>) -> Result<Ground> {
     if let (Some(_), Some((ego, height_m))) = (map, &recorded) {
         let guides = GroundGuides {
             map,
+            survey: survey.as_ref(),
             ..GroundGuides::for_way(ego.poses(), *height_m)
         };
         ground = ground.guided(&cloud, guides);

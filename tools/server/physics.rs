@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene, read_placed_splats};
 use decouplegs::drive::register::grounding::set_on_ground;
-use decouplegs::drive::{Ground, GroundGuides, GroundOptions};
+use decouplegs::drive::{Ground, GroundGuides, GroundOptions, Survey};
 use decouplegs::scene::{Pose, SplatCloud};
 use glam::DVec3;
 use tonic::{Request, Response, Status};
@@ -85,10 +85,22 @@ impl Physics {
         }
         let path = path.to_owned();
         let read = move || -> Result<(LocalGround, u64), AssetError> {
-            let Background { cloud, origin, way } = Background::open(&path)?;
+            let Background {
+                cloud,
+                origin,
+                way,
+                survey,
+            } = Background::open(&path)?;
             let mut ground = Ground::new(&cloud, origin, &GroundOptions::default());
-            if let Some((ego, height_m)) = &way {
-                ground = ground.guided(&cloud, GroundGuides::for_way(ego.poses(), *height_m));
+            let way = way.as_ref();
+            if way.is_some() || survey.is_some() {
+                let of_way =
+                    way.map(|(ego, height_m)| GroundGuides::for_way(ego.poses(), *height_m));
+                let guides = GroundGuides {
+                    survey: survey.as_ref(),
+                    ..of_way.unwrap_or_default()
+                };
+                ground = ground.guided(&cloud, guides);
             }
             Ok((
                 LocalGround { ground, origin },
@@ -116,6 +128,8 @@ struct Background {
     origin: DVec3,
     /// Way of the recorded ego, and its height above the road, meters, where that is known.
     way: Option<(decouplegs::scene::Trajectory, Option<f64>)>,
+    /// Points of the ground, where the scene has some.
+    survey: Option<Survey>,
 }
 
 impl Background {
@@ -124,7 +138,9 @@ impl Background {
             let file = SceneFile::read(path)?;
             let directory = path.parent().unwrap_or(std::path::Path::new(""));
             let (cloud, placed_at) = read_placed_splats(&directory.join(&file.background))?;
+            let survey = file.recording.read_ground(directory, file.origin)?;
             return Ok(Self {
+                survey: Survey::from_points(survey),
                 cloud,
                 origin: file.origin + placed_at,
                 way: file.ego.map(|ego| (ego, file.ego_height_m)),
@@ -132,6 +148,7 @@ impl Background {
         }
         let loaded = open_scene(path, 0.0)?;
         Ok(Self {
+            survey: Survey::from_points(loaded.recording.ground_m),
             cloud: loaded.splat_scene.splats,
             origin: loaded.splat_scene.origin,
             way: Some((loaded.ego, loaded.ego_height_m)),

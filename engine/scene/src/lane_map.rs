@@ -2,9 +2,9 @@
 
 use std::collections::HashSet;
 
-use crate::Invalid;
 use crate::traffic_light::TrafficLight;
 use crate::traffic_sign::TrafficSign;
+use crate::{Invalid, Pose};
 use glam::DVec3;
 
 /// Purpose of a lane.
@@ -94,6 +94,21 @@ pub struct LaneMap {
 }
 
 impl LaneMap {
+    /// The map moved by `world_from_map`. Lanes without heights keep none.
+    #[must_use]
+    pub fn placed(mut self, world_from_map: &Pose) -> Self {
+        for lane in &mut self.lanes {
+            let lines = [&mut lane.centerline, &mut lane.left, &mut lane.right];
+            for point in lines.into_iter().flatten() {
+                *point = world_from_map.transform(*point);
+                if !lane.has_height {
+                    point.z = 0.0;
+                }
+            }
+        }
+        self
+    }
+
     /// Checks the map and describes the first fault: lines too short, numbers that are not finite,
     /// links beyond the list.
     ///

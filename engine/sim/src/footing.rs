@@ -6,7 +6,7 @@ use decouplegs_asset::{
     AssetError, SceneFile, coded_asset, read_coded, read_placed_splats, read_splats,
 };
 use decouplegs_drive::register::grounding::set_on_ground;
-use decouplegs_drive::{Ground, GroundGuides, GroundOptions};
+use decouplegs_drive::{Ground, GroundGuides, GroundOptions, Survey};
 use decouplegs_scene::{Invalid, TimedPose, Trajectory};
 
 /// An asset that has no size.
@@ -35,21 +35,22 @@ pub struct Grounded {
     pub raised_max_m: f64,
 }
 
-/// The ground of the background of `scene`, whose paths are relative to `directory`, guided by the
-/// way of its ego.
+/// The ground of the background of `scene`, whose paths are relative to `directory`, guided by its
+/// survey and the way of its ego.
 ///
 /// # Errors
 /// Returns an error if the file cannot be read.
 pub fn ground_of(scene: &SceneFile, directory: &Path) -> Result<Ground, AssetError> {
     let (cloud, placed_at) = read_placed_splats(&directory.join(&scene.background))?;
     let ground = Ground::new(&cloud, scene.origin + placed_at, &GroundOptions::default());
-    Ok(match &scene.ego {
-        Some(ego) => ground.guided(
-            &cloud,
-            GroundGuides::for_way(ego.poses(), scene.ego_height_m),
-        ),
-        None => ground,
-    })
+    let survey = Survey::from_points(scene.recording.read_ground(directory, scene.origin)?);
+    let mut guides = match &scene.ego {
+        Some(ego) => GroundGuides::for_way(ego.poses(), scene.ego_height_m),
+        None if survey.is_some() => GroundGuides::default(),
+        None => return Ok(ground),
+    };
+    guides.survey = survey.as_ref();
+    Ok(ground.guided(&cloud, guides))
 }
 
 /// Length, width and height of the asset at `path`, meters: as a compressed one says, or of the box

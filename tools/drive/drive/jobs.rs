@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use decouplegs::asset::maps::length_m;
+use decouplegs::asset::packed_scene::is_package;
 use decouplegs::asset::{SceneFile, probe_paths, write_atomically, write_obstacles};
 use decouplegs::drive::generate::{Area, Difficulty, Generator, PlaceOptions, Sky};
 use decouplegs::episode::Site;
@@ -37,8 +38,9 @@ pub struct PlaceArguments {
         conflicts_with = "scenarios"
     )]
     probes: Option<PathBuf>,
-    /// Drive in this captured scene (.toml), whose lanes are those of --map
-    #[arg(long, value_name = "FILE", requires = "map", conflicts_with_all = ["probes", "scenarios"])]
+    /// Drive in this captured scene (.toml), whose lanes are those of --map, or in a package
+    /// (.usdz), which has lanes of its own
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["probes", "scenarios"])]
     scene: Option<PathBuf>,
     /// Obstacles of --scene, instead of what its splats show beside the lanes. `map --obstacles`
     /// writes such a file
@@ -329,7 +331,8 @@ impl PlaceArguments {
                 .with_context(|| format!("{} cannot be read: expected a file", path.display()))
         };
         let agent_splats = self.agent_splats;
-        Ok(match (&self.map, &self.scene) {
+        let map = self.lanes();
+        Ok(match (&map, &self.scene) {
             (Some(map), Some(scene)) => PlaceOptions::Scene {
                 scene: whole(scene)?,
                 map: whole(map)?,
@@ -356,7 +359,11 @@ impl PlaceArguments {
                     agent_splats,
                 }
             }
-            (None, _) => PlaceOptions::Street {
+            (None, Some(scene)) => bail!(
+                "{} has no lanes of its own: name their map with --map",
+                scene.display()
+            ),
+            (None, None) => PlaceOptions::Street {
                 background,
                 agent_splats,
                 seed: STREET_SEED,
@@ -382,9 +389,15 @@ impl PlaceArguments {
         }
     }
 
+    /// The map of the lanes: a package's own, if no other is named.
+    fn lanes(&self) -> Option<PathBuf> {
+        let of_package = self.scene.as_ref().filter(|scene| is_package(scene));
+        self.map.clone().or_else(|| of_package.cloned())
+    }
+
     /// The same place with nothing to see.
     fn bare(&self) -> Place {
-        match (self.map.clone(), self.scene.clone()) {
+        match (self.lanes(), self.scene.clone()) {
             (Some(map), Some(scene)) => Place::Scene {
                 scene,
                 map,
@@ -431,7 +444,7 @@ impl PlaceArguments {
     pub fn to_json(&self) -> Value {
         let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
         json!({
-            "map": path(&self.map),
+            "map": path(&self.lanes()),
             "probes": path(&self.probes),
             "scene": path(&self.scene),
             "obstacles": path(&self.obstacles),

@@ -25,6 +25,7 @@ use decouplegs_scene::{Invalid, Lane, LaneMap};
 use glam::DVec3;
 
 use crate::error::read_bytes;
+use crate::packed_scene::{is_package, packed_map};
 use crate::{AssetError, DecodeError};
 
 pub use polyline::length_m;
@@ -117,10 +118,17 @@ fn has_key(text: &[u8], key: &str) -> bool {
 /// [`AssetError::Read`], [`AssetError::Unrecognized`] or [`AssetError::Decode`].
 pub fn read_map(path: &Path) -> Result<LaneMap, AssetError> {
     let bytes = read_bytes(path)?;
+    if is_package(path) {
+        return packed_map::decode(&bytes).map_err(|source| AssetError::Decode {
+            path: path.to_owned(),
+            format: "package",
+            source,
+        });
+    }
     let format = MapFormat::detect(&bytes).map_err(|found| AssetError::Unrecognized {
         path: path.to_owned(),
         found: found.into(),
-        expected: "a map: OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad XML",
+        expected: "a map: OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, CommonRoad XML, or a package with a map (.usdz)",
     })?;
     decode(&bytes, format).map_err(|source| AssetError::Decode {
         path: path.to_owned(),

@@ -30,6 +30,7 @@
 //! far apart.
 
 mod agents;
+pub(crate) mod packed_map;
 mod packed_rig;
 mod read;
 mod rig;

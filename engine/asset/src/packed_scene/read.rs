@@ -168,6 +168,13 @@ impl SceneFiles for Imported<'_> {
         Ok((splats, DVec3::ZERO))
     }
 
+    fn ground(&self, file: &Path) -> Result<Vec<DVec3>, AssetError> {
+        if self.scene.ground.is_empty() {
+            return Err(self.unknown(file));
+        }
+        Ok(self.scene.ground.clone())
+    }
+
     fn sky(&self, sky: &SceneSky) -> Result<SkyMap, AssetError> {
         let map = self.scene.sky.clone();
         map.ok_or_else(|| self.unknown(&sky.file))

@@ -189,7 +189,7 @@ pub(super) fn geographic_origin(map: &[u8]) -> Option<(f64, f64)> {
 }
 
 /// Directions of east, north and up at a position on WGS 84, in Earth-centered coordinates, meters.
-fn earth_from_east_north_up(latitude_deg: f64, longitude_deg: f64) -> Pose {
+pub(super) fn earth_from_east_north_up(latitude_deg: f64, longitude_deg: f64) -> Pose {
     const EQUATOR_M: f64 = 6_378_137.0;
     const FLATTENING: f64 = 1.0 / 298.257_223_563;
     let (latitude, longitude) = (latitude_deg.to_radians(), longitude_deg.to_radians());

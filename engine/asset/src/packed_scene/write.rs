@@ -211,6 +211,9 @@ fn renamed(scene: &SceneFile) -> (SceneFile, Vec<(PathBuf, String)>) {
     if let Some(file) = seen_from.and_then(SeenFrom::file_mut) {
         take(file, "");
     }
+    if let Some(file) = &mut own.recording.ground {
+        take(file, "");
+    }
     if let Some(path) = own.light.as_mut().and_then(|light| light.transfer.as_mut()) {
         take(path, "");
     }

@@ -11,6 +11,8 @@ pub(super) struct Property {
     pub(super) name: String,
     /// `None` for a list, whose rows have no fixed stride.
     pub(super) column: Option<Column>,
+    /// Types of the count and of the items of a list.
+    pub(super) list: Option<[Scalar; 2]>,
 }
 
 #[derive(Clone, Debug)]
@@ -148,12 +150,12 @@ fn add_property(element: &mut Element, words: &[&str], line: &str) -> Result<(),
         || DecodeError::Malformed(format!("header line '{}' is no PLY property", shown(line)));
     let property = match *words {
         ["list", count, item, name] => {
-            Scalar::by_name(count)
-                .and(Scalar::by_name(item))
-                .ok_or_else(malformed)?;
+            let types = Scalar::by_name(count).zip(Scalar::by_name(item));
+            let (count, item) = types.ok_or_else(malformed)?;
             Property {
                 name: name.to_owned(),
                 column: None,
+                list: Some([count, item]),
             }
         }
         [scalar, name] => {
@@ -167,6 +169,7 @@ fn add_property(element: &mut Element, words: &[&str], line: &str) -> Result<(),
             Property {
                 name: name.to_owned(),
                 column: Some(Column { offset, scalar }),
+                list: None,
             }
         }
         _ => return Err(malformed()),

@@ -18,6 +18,8 @@ pub(crate) use column::{Column, Scalar};
 
 /// Names that a message lists; a file may have thousands.
 const NAMES_SHOWN_MAX: usize = 20;
+/// Element of the polygons of a mesh.
+const FACE: &str = "face";
 
 /// A parsed header over its body.
 #[derive(Clone, Debug)]
@@ -165,6 +167,69 @@ impl<'a> Ply<'a> {
             "there is no element '{name}', only: {}",
             self.element_names()
         )))
+    }
+
+    /// Triangles of a mesh: the polygons of the element `face` as fans of the vertices that its list
+    /// names. `None` without such an element; a text has none.
+    ///
+    /// # Errors
+    /// [`DecodeError`] if the list is cut or longer than the file.
+    pub(crate) fn triangles(&self) -> Result<Option<Vec<[u32; 3]>>, DecodeError> {
+        let Some(at) = self.elements.iter().position(|found| found.name == FACE) else {
+            return Ok(None);
+        };
+        let before = self.elements[..at].iter();
+        let start: u64 = before
+            .map(|element| {
+                element
+                    .stride()
+                    .map(|stride| (element.count, stride as u64))
+            })
+            .try_fold(0u64, |sum, of| {
+                let (count, stride) = of?;
+                count.checked_mul(stride)?.checked_add(sum)
+            })
+            .unwrap_or(u64::MAX);
+        let cut = || DecodeError::Truncated {
+            what: format!("element '{FACE}' of {} rows", self.elements[at].count),
+            expected_bytes: start.saturating_add(self.elements[at].count),
+            found_bytes: self.body.len() as u64,
+        };
+        let mut rest = usize::try_from(start)
+            .ok()
+            .and_then(|start| self.body.get(start..))
+            .ok_or_else(cut)?;
+        let mut take = |bytes: usize| -> Result<&[u8], DecodeError> {
+            let (taken, left) = rest.split_at_checked(bytes).ok_or_else(cut)?;
+            rest = left;
+            Ok(taken)
+        };
+        let mut triangles = Vec::new();
+        for _ in 0..self.elements[at].count {
+            for property in &self.elements[at].properties {
+                let Some([count, item]) = property.list else {
+                    take(property.column.map_or(0, |column| column.scalar.bytes()))?;
+                    continue;
+                };
+                let first = |scalar| Column { offset: 0, scalar };
+                let items = first(count).f64_of(take(count.bytes())?).max(0.0) as usize;
+                let bytes = items.checked_mul(item.bytes()).ok_or_else(cut)?;
+                let indices = take(bytes)?.chunks_exact(item.bytes());
+                if !property.name.starts_with("vert") {
+                    continue;
+                }
+                let indices: Vec<u32> = indices
+                    .map(|index| first(item).f64_of(index) as u32)
+                    .collect();
+                let fan = indices.windows(2).skip(1);
+                triangles.extend(fan.map(|pair| [indices[0], pair[0], pair[1]]));
+            }
+            // Rows without properties take no bytes, and their number is only claimed.
+            if self.elements[at].properties.is_empty() {
+                break;
+            }
+        }
+        Ok(Some(triangles))
     }
 
     fn rows_at(

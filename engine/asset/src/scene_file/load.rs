@@ -20,7 +20,8 @@ use crate::memory::{self, SPLATS_MAX, cloud_bytes};
 use crate::packed_scene::{is_package, open_packed_scene};
 use crate::read::placed_splats_of;
 use crate::{
-    AssetError, coded_asset, light_transfer_file, read_bytes, read_placed_splats, sky_file,
+    AssetError, coded_asset, ground_file, light_transfer_file, read_bytes, read_placed_splats,
+    sky_file,
 };
 
 /// A scene, ready to be drawn: what stands still at one moment, and what is moved from frame to
@@ -348,7 +349,7 @@ impl SceneFile {
         };
         scene.ego = self.ego.clone().unwrap_or_else(standing);
         scene.ego_height_m = self.ego_height_m;
-        scene.recording = self.recording.load(files)?;
+        scene.recording = self.recording.load(files, self.origin)?;
         if let Some(light) = &self.light {
             let read = |file: &PathBuf| {
                 light_transfer_file::read_from(&files.bytes(file)?, &files.path(file))
@@ -395,6 +396,15 @@ pub(crate) trait SceneFiles {
         })?;
         (map.clamps, map.clamps_splats) = (sky.clamps, sky.clamps_splats);
         Ok(map)
+    }
+
+    /// Points of the ground in `file`, about the origin of the scene.
+    fn ground(&self, file: &Path) -> Result<Vec<DVec3>, AssetError> {
+        ground_file::decode(&self.bytes(file)?).map_err(|source| AssetError::Decode {
+            path: self.path(file),
+            format: ground_file::NAME,
+            source,
+        })
     }
 
     /// The splats of an asset in `file`.

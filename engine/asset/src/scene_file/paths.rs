@@ -74,6 +74,9 @@ impl SceneFile {
         {
             *file = moved(file);
         }
+        if let Some(ground) = &mut scene.recording.ground {
+            *ground = moved(ground);
+        }
         if let Some(light) = &mut scene.light {
             light.transfer = light.transfer.as_ref().map(moved);
         }
@@ -84,7 +87,7 @@ impl SceneFile {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{SceneAgent, SceneLight};
+    use crate::{SceneAgent, SceneLight, SceneRecording};
     use decouplegs_scene::{Pose, Presence, Trajectory};
 
     #[test]
@@ -93,7 +96,12 @@ mod tests {
         let [near, far] = ["a/street", "b/edited/new"].map(|name| root.path().join(name));
         std::fs::create_dir_all(near.join("assets")).unwrap();
         std::fs::create_dir_all(&far).unwrap();
-        for file in ["street.ply", "assets/car.ply", "light.safetensors"] {
+        for file in [
+            "street.ply",
+            "assets/car.ply",
+            "light.safetensors",
+            "ground.ply",
+        ] {
             std::fs::write(near.join(file), file).unwrap();
         }
         let elsewhere = root.path().join("absolute.ply");
@@ -111,6 +119,10 @@ mod tests {
                 transfer: Some("light.safetensors".into()),
                 ..SceneLight::default()
             }),
+            recording: SceneRecording {
+                ground: Some("ground.ply".into()),
+                ..SceneRecording::default()
+            },
             ..SceneFile::of_background("street.ply")
         };
         let moved = scene.moved_to_folder(&near, &far).unwrap();
@@ -124,6 +136,7 @@ mod tests {
             text(moved.light.unwrap().transfer.as_ref().unwrap()),
             "light.safetensors"
         );
+        assert_eq!(text(moved.recording.ground.as_ref().unwrap()), "ground.ply");
         assert_eq!(moved.agents[1].asset, elsewhere);
         assert_eq!(scene.moved_to_folder(&near, &near).unwrap(), scene);
         assert_eq!(

@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use decouplegs_scene::{CapturedViews, VehicleSize};
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
 use super::load::SceneFiles;
 use crate::toml_text::Checker;
-use crate::{AssetError, SceneError, cameras};
+use crate::{AssetError, SceneError, cameras, read_ground};
 
 /// The drive on which a scene was recorded. All of it may be unknown.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -17,6 +18,9 @@ pub struct SceneRecording {
     pub seen_from: Option<SeenFrom>,
     /// Box of the vehicle that recorded; the ego's poses are those of its middle.
     pub vehicle_size: Option<VehicleSize>,
+    /// Surveyed ground, a mesh or points (PLY) about [`crate::SceneFile::origin`]. A path relative to
+    /// the scene file.
+    pub ground: Option<PathBuf>,
 }
 
 /// Views that a scene was captured from, as its file names them.
@@ -49,6 +53,8 @@ pub struct LoadedRecording {
     pub views: Option<CapturedViews>,
     /// Box of the vehicle that recorded; the ego's poses are those of its middle.
     pub vehicle_size: Option<VehicleSize>,
+    /// Points of the surveyed ground, world coordinates, meters; none where there is no survey.
+    pub ground_m: Vec<DVec3>,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -58,6 +64,8 @@ pub(super) struct RecordingForm {
     seen_from: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     vehicle_size_m: Option<[f64; 3]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    ground: Option<String>,
 }
 
 /// Lengths of the sides of a vehicle, meters.
@@ -81,10 +89,12 @@ impl RecordingForm {
             Some(SeenFrom::Cameras(file)) => Some(path(file)?),
         };
         let vehicle_size_m = recording.vehicle_size.map(|size| size.to_array());
-        let is_empty = seen_from.is_none() && vehicle_size_m.is_none();
+        let ground = recording.ground.as_deref().map(path).transpose()?;
+        let is_empty = seen_from.is_none() && vehicle_size_m.is_none() && ground.is_none();
         Ok((!is_empty).then_some(Self {
             seen_from,
             vehicle_size_m,
+            ground,
         }))
     }
 
@@ -111,7 +121,12 @@ impl RecordingForm {
             );
             return Err(error("vehicle_size_m", reason));
         }
+        if own.ground.as_deref() == Some("") {
+            let reason = "must be a file of points or a mesh (.ply)";
+            return Err(error("ground", reason.into()));
+        }
         Ok(SceneRecording {
+            ground: own.ground.as_ref().map(PathBuf::from),
             seen_from,
             vehicle_size: own.vehicle_size_m.map(VehicleSize::from_array),
         })
@@ -119,8 +134,25 @@ impl RecordingForm {
 }
 
 impl SceneRecording {
-    /// Reads the cameras from `files`.
-    pub(super) fn load(&self, files: &dyn SceneFiles) -> Result<LoadedRecording, AssetError> {
+    /// Points of the surveyed ground of a scene file in `directory` with `origin`, world coordinates,
+    /// meters; none where there is no survey.
+    ///
+    /// # Errors
+    /// [`AssetError`] of the file.
+    pub fn read_ground(&self, directory: &Path, origin: DVec3) -> Result<Vec<DVec3>, AssetError> {
+        let Some(file) = &self.ground else {
+            return Ok(Vec::new());
+        };
+        let points = read_ground(&directory.join(file))?;
+        Ok(points.into_iter().map(|point| point + origin).collect())
+    }
+
+    /// Reads the cameras and the ground, which is about `origin`, from `files`.
+    pub(super) fn load(
+        &self,
+        files: &dyn SceneFiles,
+        origin: DVec3,
+    ) -> Result<LoadedRecording, AssetError> {
         let views = match &self.seen_from {
             None => None,
             Some(SeenFrom::Everywhere) => Some(CapturedViews::Everywhere),
@@ -133,9 +165,12 @@ impl SceneRecording {
                 Some(CapturedViews::from_cameras(&cameras))
             }
         };
+        let ground = self.ground.as_ref().map(|file| files.ground(file));
+        let ground = ground.transpose()?.unwrap_or_default();
         Ok(LoadedRecording {
             views,
             vehicle_size: self.vehicle_size,
+            ground_m: ground.into_iter().map(|point| point + origin).collect(),
         })
     }
 }

@@ -39,7 +39,10 @@ use crate::maps::lane_json;
 use crate::ply::Ply;
 use crate::sky_file::write_cube;
 use crate::zip::Archive;
-use crate::{AssetError, DecodeError, SceneAgent, SceneFile, SceneSky, SkyKind, inria_ply};
+use crate::{
+    AssetError, DecodeError, SceneAgent, SceneFile, SceneRecording, SceneSky, SkyKind, inria_ply,
+    write_ground,
+};
 
 pub use hugsim::{HugsimFault, HugsimFiles, decode as decode_hugsim};
 
@@ -47,6 +50,8 @@ pub use hugsim::{HugsimFault, HugsimFiles, decode as decode_hugsim};
 const BACKGROUND: &str = "background.ply";
 /// Sky of a written scene.
 const SKY: &str = "sky.exr";
+/// Ground of a written scene.
+const GROUND: &str = "ground.ply";
 
 /// Interpretation of data that the files do not define.
 #[derive(Clone, Debug, PartialEq)]
@@ -98,6 +103,8 @@ pub struct ImportedScene {
     pub ego_height_m: Option<f64>,
     /// A lane along the recording.
     pub lanes: Option<LaneMap>,
+    /// Points of the surveyed ground about the origin, meters; none where there is no survey.
+    pub ground: Vec<DVec3>,
     /// Omissions and interpretations, one sentence each.
     pub notes: Vec<String>,
 }
@@ -220,6 +227,7 @@ impl ImportedScene {
             ego: None,
             ego_height_m: None,
             lanes: None,
+            ground: Vec::new(),
             notes: Vec::new(),
         }
     }
@@ -244,6 +252,10 @@ impl ImportedScene {
             rig: self.rig.clone(),
             ego: self.ego.clone(),
             ego_height_m: self.ego_height_m,
+            recording: SceneRecording {
+                ground: (!self.ground.is_empty()).then(|| GROUND.into()),
+                ..SceneRecording::default()
+            },
             agents: self.actors.iter().enumerate().filter_map(agent).collect(),
             sky_map: self.sky.as_ref().map(|sky| SceneSky {
                 world_from_sky: sky.sky_from_world().transpose(),
@@ -265,8 +277,8 @@ impl ImportedScene {
         found.map(|(_, actor)| &actor.splats)
     }
 
-    /// Writes `scene.toml`, `background.ply`, `assets/*.ply` and, where there are such, `sky.exr`
-    /// and `lanes.json` into `folder`, which exists.
+    /// Writes `scene.toml`, `background.ply`, `assets/*.ply` and, where there are such, `sky.exr`,
+    /// `ground.ply` and `lanes.json` into `folder`, which exists.
     ///
     /// Actors without a trajectory are written, and not named in the scene.
     ///
@@ -285,6 +297,9 @@ impl ImportedScene {
         }
         if let Some(sky) = &self.sky {
             write_cube(&folder.join(SKY), sky.face_texels(), &sky.texels())?;
+        }
+        if !self.ground.is_empty() {
+            write_ground(&folder.join(GROUND), &self.ground)?;
         }
         if let Some(lanes) = &self.lanes {
             lane_json::write(&folder.join("lanes.json"), lanes)?;

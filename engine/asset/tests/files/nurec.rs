@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::PathBuf;
 
-use decouplegs_asset::packed_scene::packed_scene_id;
+use decouplegs_asset::packed_scene::{ground_mesh_ply, packed_scene_id};
 use decouplegs_asset::scene_import::{ImportedScene, decode_nurec};
 use decouplegs_asset::zip::StoredZip;
 use decouplegs_asset::{SceneFile, open_scene};
@@ -338,6 +338,49 @@ fn what_is_not_drawn_is_said() {
     let notes = read(&package(&Pose::IDENTITY)).notes.join("\n");
     for expected in ["4 colors over time", "10 splats belong to tracks"] {
         assert!(notes.contains(expected), "{notes}");
+    }
+}
+
+#[test]
+fn vehicles_stand_on_the_mesh_of_the_package_else_on_its_road() {
+    let with = |entries: &[(&str, Vec<u8>)]| {
+        let nre_from_world = turned();
+        let state = state(&cloud(40, 3), &cloud(30, 1), &nre_from_world);
+        let own = [
+            ("volume.nurec", with_tracks(state)),
+            ("rig_trajectories.json", rig(&nre_from_world)),
+            ("sequence_tracks.json", tracks()),
+        ];
+        zip(&[&own[..], entries].concat())
+    };
+    let vertices = [[0.0, 0.0, 0.5], [1.0, 0.0, 0.5], [0.0, 1.0, 0.5]];
+    let mesh = ground_mesh_ply(&vertices, &[[0, 1, 2]]);
+    let bytes = with(&[("mesh_ground.ply", mesh)]);
+    let scene = read(&bytes);
+    assert!(scene.ground.len() > 8 && scene.ground.iter().all(|point| point.z == 0.5));
+    let (_directory, path) = saved(&bytes);
+    let loaded = open_scene(&path, 0.0).unwrap();
+    assert_eq!(loaded.recording.ground_m, scene.ground);
+    // Without a mesh, and with a broken one, the splats of the road, in the world.
+    for entries in [&[][..], &[("mesh_ground.ply", b"ply".to_vec())][..]] {
+        let scene = read(&with(entries));
+        let road = cloud(40, 3);
+        let nearest = |point: &DVec3| {
+            let means = road
+                .means
+                .iter()
+                .map(|mean| glam::Vec3::from_array(*mean).as_dvec3());
+            means
+                .map(|mean| mean.distance(*point))
+                .fold(f64::INFINITY, f64::min)
+        };
+        assert!(!scene.ground.is_empty());
+        assert!(scene.ground.iter().all(|point| nearest(point) < 0.06));
+        let is_said = scene
+            .notes
+            .iter()
+            .any(|note| note.contains("mesh_ground.ply"));
+        assert_eq!(is_said, !entries.is_empty());
     }
 }
 

@@ -307,6 +307,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                     lidars: lidars.into_iter().enumerate().map(scene_lidar).collect(),
                     ego_height_m: ego.is_some().then_some(readout_s),
                     recording: SceneRecording {
+                        ground: (agents.len() % 3 == 1).then(|| "ground.ply".into()),
                         // The name of a file may be the word for no file.
                         seen_from: match agents.len() % 4 {
                             0 => None,

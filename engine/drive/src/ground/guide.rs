@@ -272,6 +272,12 @@ fn survey_ground(survey: &Survey) -> SplatGround {
 }
 
 impl Survey {
+    /// The survey of `points_m`; `None` of none.
+    #[must_use]
+    pub fn from_points(points_m: Vec<DVec3>) -> Option<Self> {
+        (!points_m.is_empty()).then_some(Self { points_m })
+    }
+
     /// Radius of the ground that a point stands for, meters.
     const POINT_SIGMA_M: f32 = 0.1;
 

@@ -15,7 +15,8 @@ use decouplegs_drive::lights::{LaneStopLine, TrafficLights};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{
-    Ground, GroundGuides, GroundOptions, Obstacles, RoadGraph, RoadSurface, ViewSupport, occupancy,
+    Ground, GroundGuides, GroundOptions, Obstacles, RoadGraph, RoadSurface, Survey, ViewSupport,
+    occupancy,
 };
 use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions};
@@ -335,8 +336,10 @@ impl Site {
             band_m: GROUND_BAND_M,
             ..GroundOptions::default()
         };
+        let survey = Survey::from_points(std::mem::take(&mut loaded.recording.ground_m));
         let splat_scene = &loaded.splat_scene;
         let guides = GroundGuides {
+            survey: survey.as_ref(),
             map: Some(&lanes),
             ..GroundGuides::for_way(loaded.ego.poses(), loaded.ego_height_m)
         };

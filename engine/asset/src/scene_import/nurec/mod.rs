@@ -9,6 +9,7 @@
 //! | the same, `background.textures` | the sky, six faces in OpenGL's order |
 //! | the same, `post_processings.0.ppisp` | photometry of the cameras, in the order of `camera_ids` of `metadata.yaml` |
 //! | `rig_trajectories.json` | cameras, way of the ego, `world_to_nre`: the frame of the splats |
+//! | `mesh_ground.ply`, else the layer `road` | the ground that vehicles stand on |
 //! | `sequence_tracks.json` | classes and ways of the agents |
 //! | `datasource_summary.json` | both of the above, in older packages |
 //!
@@ -34,6 +35,7 @@ use glam::{DMat3, DVec3};
 
 use super::{ImportedActor, ImportedScene};
 use crate::DecodeError;
+use crate::ground_file::{self, points_of_road};
 use crate::zip::Archive;
 use layers::Layer;
 use rig::{PackageRig, RIG};
@@ -44,6 +46,10 @@ use tracks::{BoxTrack, TRACKS};
 pub(crate) const NAME: &str = "NuRec package";
 /// Entries that hold splats, in the order in which they are tried.
 const VOLUMES: [&str; 2] = ["volume.nurec", "checkpoint.ckpt"];
+/// The ground as a mesh, in the world of rig and tracks.
+const GROUND: &str = "mesh_ground.ply";
+/// Layer of the splats of the road.
+const ROAD: &str = "road";
 /// Id and sensors.
 const METADATA: &str = "metadata.yaml";
 /// Rig and tracks in one file, in older packages.
@@ -97,11 +103,15 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
     }
     scene.sky = sky(&state, nre_from_world)?;
     let mut background: Option<SplatCloud> = None;
+    let mut road = Vec::new();
     let mut drawn = HashSet::new();
     for name in state.layers() {
         let layer = layers::layer(&state, &name)?;
         note_layer(&layer, &mut scene.notes);
         if layer.tracks.is_empty() {
+            if name == ROAD {
+                road = points_of_road(&layer.cloud);
+            }
             match &mut background {
                 Some(background) => background.append(&layer.cloud),
                 None => background = Some(layer.cloud),
@@ -126,6 +136,10 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
         let turn = Pose::new(world_from_nre.rotation, DVec3::ZERO);
         background.placed(&turn, true)
     };
+    let road = road
+        .into_iter()
+        .map(|point| world_from_nre.transform(point) - scene.origin);
+    scene.ground = ground(archive, scene.origin, road, &mut scene.notes)?;
     if let Some(rig) = rig {
         scene.notes.extend(rig.notes);
         (scene.rig, scene.ego) = (rig.rig, Some(rig.ego));
@@ -282,6 +296,22 @@ fn sky(state: &State, nre_from_world: Pose) -> Result<Option<SkyMap>, DecodeErro
     let sky = SkyMap::new(side, &texels, sky_from_world.transpose());
     sky.map(Some)
         .map_err(|reason| DecodeError::Malformed(format!("'{name}': {reason}")))
+}
+
+/// Points of the ground about `origin`: those of the package's mesh, else those of its road.
+fn ground(
+    archive: &Archive<'_>,
+    origin: DVec3,
+    road: impl Iterator<Item = DVec3>,
+    notes: &mut Vec<String>,
+) -> Result<Vec<DVec3>, DecodeError> {
+    if archive.has(GROUND) {
+        match ground_file::decode(&archive.checked(GROUND, TEXT_BYTES_MAX)?) {
+            Ok(points) => return Ok(points.into_iter().map(|point| point - origin).collect()),
+            Err(reason) => notes.push(format!("{GROUND} is left out: {reason}")),
+        }
+    }
+    Ok(road.collect())
 }
 
 fn note_layer(layer: &Layer, notes: &mut Vec<String>) {
