@@ -92,6 +92,9 @@ pub struct NurecFlags {
     download_cache_dir: Option<PathBuf>,
     #[arg(long, hide = true, value_name = "N", allow_negative_numbers = true)]
     max_backends_per_scene: Option<u32>,
+    // Threads of its gRPC server, of which AlpaSim's default is 4: too few to encode large images.
+    #[arg(long, hide = true, value_name = "N", allow_negative_numbers = true)]
+    max_workers: Option<u32>,
     #[arg(long, hide = true)]
     enable_nrend: bool,
     #[arg(long, hide = true)]
@@ -117,6 +120,7 @@ impl NurecFlags {
                 "--max-backends-per-scene",
                 self.max_backends_per_scene.is_some(),
             ),
+            ("--max-workers", self.max_workers.is_some()),
             ("--enable-nrend", self.enable_nrend),
             ("--no-enable-nrend", self.no_enable_nrend),
             ("--enable-editing-actors", self.enable_editing_actors),
@@ -188,10 +192,10 @@ pub enum LogLevel {
     Debug,
     /// Starts, ends, and what became of scenes
     Info,
-    /// What a person should look at
+    /// Things that a person should look at
     #[value(alias = "warning")]
     Warn,
-    /// What failed
+    /// Failures
     #[value(alias = "critical")]
     Error,
 }
@@ -277,7 +281,7 @@ pub struct Limits {
         allow_negative_numbers = true,
         default_value_t = 0
     )]
-    pub max_workers: usize,
+    pub encoders: usize,
 }
 
 impl Limits {
@@ -368,6 +372,7 @@ mod tests {
         let ignored = [
             "--egocar-hood-dir",
             "--download-cache-dir",
+            "--max-workers",
             "--no-enable-nrend",
             "--enable-editing-actors",
         ];

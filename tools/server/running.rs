@@ -145,7 +145,7 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
         sensorsim: Sensorsim {
             registry: Arc::clone(&registry),
             render_queue: render_queue.clone(),
-            encoders: Encoders::new(limits.max_workers)?,
+            encoders: Encoders::new(limits.encoders)?,
             limits: Arc::clone(&limits),
             metrics: Arc::clone(&metrics),
         },

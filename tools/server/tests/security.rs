@@ -189,7 +189,7 @@ async fn what_has_begun_is_finished_when_the_server_is_told_to_stop() {
             "0",
             "--cache-size",
             "2",
-            "--max-workers",
+            "--encoders",
             "2",
             "--log",
             "json",
