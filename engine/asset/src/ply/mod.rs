@@ -169,8 +169,8 @@ impl<'a> Ply<'a> {
         )))
     }
 
-    /// Triangles of a mesh: the polygons of the element `face` as fans of the vertices that its list
-    /// names. `None` without such an element; a text has none.
+    /// Triangles of a mesh: the polygons of the element `face` as fans of the vertices that its
+    /// list names. `None` without such an element; a text has none.
     ///
     /// # Errors
     /// [`DecodeError`] if the list is cut or longer than the file.

@@ -18,8 +18,8 @@ pub struct SceneRecording {
     pub seen_from: Option<SeenFrom>,
     /// Box of the vehicle that recorded; the ego's poses are those of its middle.
     pub vehicle_size: Option<VehicleSize>,
-    /// Surveyed ground, a mesh or points (PLY) about [`crate::SceneFile::origin`]. A path relative to
-    /// the scene file.
+    /// Surveyed ground, a mesh or points (PLY) about [`crate::SceneFile::origin`]. A path relative
+    /// to the scene file.
     pub ground: Option<PathBuf>,
 }
 
@@ -134,8 +134,8 @@ impl RecordingForm {
 }
 
 impl SceneRecording {
-    /// Points of the surveyed ground of a scene file in `directory` with `origin`, world coordinates,
-    /// meters; none where there is no survey.
+    /// Points of the surveyed ground of a scene file in `directory` with `origin`, world
+    /// coordinates, meters; none where there is no survey.
     ///
     /// # Errors
     /// [`AssetError`] of the file.

@@ -101,8 +101,8 @@ fn rows<const N: usize>(array: &Array, name: &str) -> Result<Vec<[f64; N]>, Deco
     Ok(rows.into_iter().map(|row| row.map(f64::from)).collect())
 }
 
-/// Mean of those `rows` that are of the pictures of `camera`. All are where `pictures`, the counts of
-/// the cameras, do not add up to the rows, or the camera has none.
+/// Mean of those `rows` that are of the pictures of `camera`. All are where `pictures`, the counts
+/// of the cameras, do not add up to the rows, or the camera has none.
 fn mean<const N: usize>(rows: &[[f64; N]], pictures: &[usize], camera: usize) -> [f64; N] {
     let own = || {
         let is_known = pictures.iter().sum::<usize>() == rows.len();
