@@ -172,8 +172,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     print(&text)
 }
 
-/// Adds the ground to `options`, and puts the rig's origin on it where `moves_rig` says so: notes on
-/// what was found.
+/// Adds the ground to `options`, and puts the rig's origin on it where `moves_rig` says so: notes
+/// on what was found.
 fn add_ground(
     scene: &SceneFile,
     directory: &Path,

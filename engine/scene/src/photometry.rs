@@ -141,7 +141,9 @@ impl Photometry {
             }
         });
         match &self.response {
-            Some(response) => std::array::from_fn(|channel| response.of(channel, mixed[channel])),
+            Some(response) => {
+                std::array::from_fn(|channel| response.respond(channel, mixed[channel]))
+            }
             None => mixed,
         }
     }
@@ -262,7 +264,7 @@ fn balanced(balance: &[[f64; 3]; 3], [red, green, blue]: [f64; 3]) -> [f64; 3] {
 impl Response {
     /// Response of `channel` to `light`.
     #[must_use]
-    pub fn of(&self, channel: usize, light: f64) -> f64 {
+    pub fn respond(&self, channel: usize, light: f64) -> f64 {
         let (toe, shoulder) = (self.toe[channel], self.shoulder[channel]);
         let center = self.center[channel];
         let light = light.clamp(0.0, 1.0);
@@ -368,15 +370,15 @@ mod tests {
     fn a_response_joins_its_parts_with_one_slope() {
         // Exponents of 1 are the identity between 0 and 1, and clamp beyond it.
         for (light, expected) in [(-0.5, 1e-6), (0.25, 0.25), (0.75, 0.75), (3.0, 1.0)] {
-            let found = RESPONSE.of(0, light);
+            let found = RESPONSE.respond(0, light);
             assert!((found - expected).abs() < 1e-6, "{light}: {found}");
         }
         // toe 2, shoulder 0.5, center 0.5: the value there is 0.5 * 0.5 / (2 - 0.75) = 0.2.
         assert!((RESPONSE.at_center(1) - 0.2).abs() < 1e-15);
-        assert!((RESPONSE.of(1, 0.25) - 0.2 * 0.25).abs() < 1e-15);
-        assert!((RESPONSE.of(1, 0.875) - (1.0 - 0.8 * 0.25f64.sqrt())).abs() < 1e-15);
+        assert!((RESPONSE.respond(1, 0.25) - 0.2 * 0.25).abs() < 1e-15);
+        assert!((RESPONSE.respond(1, 0.875) - (1.0 - 0.8 * 0.25f64.sqrt())).abs() < 1e-15);
         for channel in 0..3 {
-            let at = |light: f64| RESPONSE.of(channel, light);
+            let at = |light: f64| RESPONSE.respond(channel, light);
             let center = RESPONSE.center[channel];
             let slope = |from: f64, to: f64| (at(to) - at(from)) / (to - from);
             let (below, above) = (slope(center - 1e-6, center), slope(center, center + 1e-6));

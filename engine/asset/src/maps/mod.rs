@@ -19,14 +19,10 @@ mod polyline;
 pub mod projection;
 mod speed;
 
-use std::path::Path;
-
 use decouplegs_scene::{Invalid, Lane, LaneMap};
 use glam::DVec3;
 
-use crate::error::read_bytes;
-use crate::packed_scene::{is_package, packed_map};
-use crate::{AssetError, DecodeError};
+use crate::DecodeError;
 
 pub use polyline::length_m;
 
@@ -110,31 +106,6 @@ const ROOT_WITHIN_BYTES: usize = 1 << 16;
 fn has_key(text: &[u8], key: &str) -> bool {
     type Object = std::collections::HashMap<String, serde::de::IgnoredAny>;
     serde_json::from_slice::<Object>(text).is_ok_and(|object| object.contains_key(key))
-}
-
-/// Reads the lanes of a map in any format, told by its content.
-///
-/// # Errors
-/// [`AssetError::Read`], [`AssetError::Unrecognized`] or [`AssetError::Decode`].
-pub fn read_map(path: &Path) -> Result<LaneMap, AssetError> {
-    let bytes = read_bytes(path)?;
-    if is_package(path) {
-        return packed_map::decode(&bytes).map_err(|source| AssetError::Decode {
-            path: path.to_owned(),
-            format: "package",
-            source,
-        });
-    }
-    let format = MapFormat::detect(&bytes).map_err(|found| AssetError::Unrecognized {
-        path: path.to_owned(),
-        found: found.into(),
-        expected: "a map: OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, CommonRoad XML, or a package with a map (.usdz)",
-    })?;
-    decode(&bytes, format).map_err(|source| AssetError::Decode {
-        path: path.to_owned(),
-        format: format.name(),
-        source,
-    })
 }
 
 /// Reads the lanes of a map from the bytes of its file.
@@ -221,25 +192,6 @@ mod tests {
         assert!(
             message.contains("UTF-16") && message.contains("UTF-8"),
             "{message}"
-        );
-    }
-
-    #[test]
-    fn errors_name_the_file_and_what_is_expected() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.xodr");
-        assert!(read_map(&path).unwrap_err().to_string().contains("a.xodr"));
-        std::fs::write(&path, "[]").unwrap();
-        let error = read_map(&path).unwrap_err().to_string();
-        assert!(
-            error.contains("a.xodr") && error.contains("OpenDRIVE (.xodr)"),
-            "{error}"
-        );
-        std::fs::write(&path, "<OpenDRIVE/>").unwrap();
-        let error = read_map(&path).unwrap_err().to_string();
-        assert!(
-            error.contains("not a readable OpenDRIVE file") && error.contains("no lane"),
-            "{error}"
         );
     }
 }

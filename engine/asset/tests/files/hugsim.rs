@@ -3,10 +3,10 @@
 
 use std::path::PathBuf;
 
+use decouplegs_asset::open_scene;
 use decouplegs_asset::scene_import::{
     HugsimFiles, ImportOptions, ImportedScene, decode_checkpoint, decode_hugsim, read_scene,
 };
-use decouplegs_asset::{maps, open_scene};
 use decouplegs_scene::{Pose, Rules, SplatCloud, sh};
 use glam::{DMat3, DQuat, DVec3};
 
@@ -209,7 +209,7 @@ fn a_hugsim_scene_is_written_and_opened_again() {
     scene(&ImportOptions::default()).write(out.path()).unwrap();
     let opened = open_scene(&out.path().join("scene.toml"), 0.5).unwrap();
     assert_eq!(opened.plain_agents.len(), 1);
-    let lanes = maps::read_map(&out.path().join("lanes.json")).unwrap();
+    let lanes = decouplegs_asset::read_map(&out.path().join("lanes.json")).unwrap();
     assert_eq!(lanes.lanes[0].id, "recorded");
 }
 

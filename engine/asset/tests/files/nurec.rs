@@ -384,7 +384,7 @@ fn vehicles_stand_on_the_mesh_of_the_package_else_on_its_road() {
     }
 }
 
-/// A package whose volume has arrays of PPISP for `cameras` cameras and three pictures.
+/// A package whose volume has arrays of PPISP for `cameras` cameras and three images.
 fn package_with_ppisp(cameras: usize, response: f32) -> Vec<u8> {
     let mut state = state(&cloud(40, 3), &cloud(30, 1), &Pose::IDENTITY);
     let name = |array: &str| format!(".post_processings.0.ppisp.{array}_params");
@@ -423,7 +423,7 @@ fn cameras_have_the_photometry_of_the_package() {
     let scene = read(&package_with_ppisp(2, 0.0));
     let camera = scene.rig.cameras().next().unwrap();
     let found = camera.intrinsics.photometry;
-    // The camera `wide` is the second of two, and which pictures are its own is not known: the mean
+    // The camera `wide` is the second of two, and which images are its own is not known: the mean
     // of all.
     assert!((found.exposure_ev - 0.5 / 3.0).abs() < 1e-3, "{found:?}");
     let [toe, center] = [0.3 + 2f64.ln(), 0.5];

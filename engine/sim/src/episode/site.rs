@@ -337,17 +337,15 @@ impl Site {
             ..GroundOptions::default()
         };
         let survey = Survey::from_points(std::mem::take(&mut loaded.recording.ground_m));
-        let splat_scene = &loaded.splat_scene;
         let guides = GroundGuides {
             survey: survey.as_ref(),
             map: Some(&lanes),
             ..GroundGuides::for_way(loaded.ego.poses(), loaded.ego_height_m)
         };
-        let ground = Ground::new(&splat_scene.splats, splat_scene.origin, &options)
-            .guided(&splat_scene.splats, guides);
-        let obstacles = obstacles.unwrap_or_else(|| {
-            occupancy::obstacles(&splat_scene.splats, splat_scene.origin, &lanes, &ground)
-        });
+        let (splats, origin) = (&loaded.splat_scene.splats, loaded.splat_scene.origin);
+        let ground = Ground::new(splats, origin, &options).guided(splats, guides);
+        let obstacles =
+            obstacles.unwrap_or_else(|| occupancy::obstacles(splats, origin, &lanes, &ground));
         let view_support = support_of(&loaded).map(Arc::new);
         let mut site = Self::new(loaded, (lanes, obstacles), sizes, Some(ground))?;
         site.view_support = view_support;

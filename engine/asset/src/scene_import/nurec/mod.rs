@@ -94,11 +94,11 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
     if let Some(rig) = &mut rig {
         let order = camera_order(archive, rig)?;
         let of = |name: &String| rig.rig.cameras().position(|camera| camera.name == *name);
-        let pictures: Vec<usize> = order
+        let images: Vec<usize> = order
             .iter()
-            .map_while(|name| Some(rig.pictures[of(name)?]))
+            .map_while(|name| Some(rig.images[of(name)?]))
             .collect();
-        let notes = ppisp::calibrate(&mut rig.rig, &state, &order, &pictures)?;
+        let notes = ppisp::calibrate(&mut rig.rig, &state, &order, &images)?;
         scene.notes.extend(notes);
     }
     scene.sky = sky(&state, nre_from_world)?;

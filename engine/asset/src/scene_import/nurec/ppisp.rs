@@ -1,8 +1,8 @@
-//! PPISP: what cameras and their pictures did to the colors of a recording (arXiv 2601.18336,
+//! PPISP: what cameras and their images did to the colors of a recording (arXiv 2601.18336,
 //! nv-tlabs/ppisp, `tests/torch_reference.py`), as photometry of the cameras.
 //!
-//! Vignetting and response belong to a camera. Exposure and color belong to a picture: a camera
-//! gets their means over its pictures.
+//! Vignetting and response belong to a camera. Exposure and color belong to a image: a camera
+//! gets their means over its images.
 
 use decouplegs_scene::photometry::{ColorCurve, Photometry, Response, Vignetting};
 use decouplegs_scene::{Intrinsics, Rig};
@@ -22,7 +22,7 @@ const OFFSETS: [DMat2; 4] = [
 ];
 
 /// Gives the cameras of `rig` the calibration that `state` holds. `order` names the cameras in the
-/// order of the arrays, and `pictures` counts those of each camera there, if they are known.
+/// order of the arrays, and `images` counts those of each camera there, if they are known.
 ///
 /// # Errors
 /// A sentence that names the array of a wrong shape, or the camera whose numbers cannot be used.
@@ -30,7 +30,7 @@ pub(super) fn calibrate(
     rig: &mut Rig,
     state: &State,
     order: &[String],
-    pictures: &[usize],
+    images: &[usize],
 ) -> Result<Vec<String>, DecodeError> {
     let find = |end: &str| {
         let name = state
@@ -69,7 +69,7 @@ pub(super) fn calibrate(
         let mut photometry = Photometry {
             exposure_ev: exposure
                 .as_deref()
-                .map_or(0.0, |of| mean(of, pictures, index)[0]),
+                .map_or(0.0, |of| mean(of, images, index)[0]),
             curve: ColorCurve::Linear,
             ..Photometry::IDENTITY
         };
@@ -78,7 +78,7 @@ pub(super) fn calibrate(
             .map(|of| vignetting_of(&of[index], &camera.intrinsics));
         photometry.balance = color
             .as_deref()
-            .map(|of| balance_of(&mean(of, pictures, index)));
+            .map(|of| balance_of(&mean(of, images, index)));
         photometry.response = response.as_ref().map(|of| response_of(&of[index]));
         photometry.check().map_err(|reason| {
             DecodeError::Malformed(format!(
@@ -101,13 +101,13 @@ fn rows<const N: usize>(array: &Array, name: &str) -> Result<Vec<[f64; N]>, Deco
     Ok(rows.into_iter().map(|row| row.map(f64::from)).collect())
 }
 
-/// Mean of those `rows` that are of the pictures of `camera`. All are where `pictures`, the counts
+/// Mean of those `rows` that are of the images of `camera`. All are where `images`, the counts
 /// of the cameras, do not add up to the rows, or the camera has none.
-fn mean<const N: usize>(rows: &[[f64; N]], pictures: &[usize], camera: usize) -> [f64; N] {
+fn mean<const N: usize>(rows: &[[f64; N]], images: &[usize], camera: usize) -> [f64; N] {
     let own = || {
-        let is_known = pictures.iter().sum::<usize>() == rows.len();
-        let first = pictures.get(..camera)?.iter().sum::<usize>();
-        let own = rows.get(first..first + pictures.get(camera)?)?;
+        let is_known = images.iter().sum::<usize>() == rows.len();
+        let first = images.get(..camera)?.iter().sum::<usize>();
+        let own = rows.get(first..first + images.get(camera)?)?;
         (is_known && !own.is_empty()).then_some(own)
     };
     let rows = own().unwrap_or(rows);
@@ -255,18 +255,18 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_has_the_mean_of_its_own_pictures() {
+    fn a_camera_has_the_mean_of_its_own_images() {
         let rows = [[1.0], [3.0], [8.0]];
-        let of = |pictures: &[usize], camera| mean(&rows, pictures, camera)[0];
+        let of = |images: &[usize], camera| mean(&rows, images, camera)[0];
         assert_eq!((of(&[2, 1], 0), of(&[2, 1], 1)), (2.0, 8.0));
         // Unknown, none of its own, and more or fewer than there are: the mean of all.
-        for (pictures, camera) in [
+        for (images, camera) in [
             (&[][..], 0),
             (&[0, 3][..], 0),
             (&[2, 9][..], 1),
             (&[1, 1][..], 0),
         ] {
-            assert_eq!(of(pictures, camera), 4.0);
+            assert_eq!(of(images, camera), 4.0);
         }
     }
 }

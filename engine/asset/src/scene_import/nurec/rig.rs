@@ -23,8 +23,8 @@ pub(super) struct PackageRig {
     pub(super) nre_from_world: Pose,
     /// Cameras on the vehicle; their poses are from the middle of its box.
     pub(super) rig: Rig,
-    /// Pictures that the package has of each camera, in the order of the rig.
-    pub(super) pictures: Vec<usize>,
+    /// Images that the package has of each camera, in the order of the rig.
+    pub(super) images: Vec<usize>,
     /// Way of the middle of the box, world coordinates, seconds from the first pose.
     pub(super) ego: Trajectory,
     /// Height of the middle of the box above the ground, meters, where the package has a box.
@@ -144,7 +144,7 @@ pub(super) fn read(text: &[u8]) -> Result<PackageRig, DecodeError> {
     }
     Ok(PackageRig {
         nre_from_world,
-        pictures: cameras.iter().map(|(.., pictures)| *pictures).collect(),
+        images: cameras.iter().map(|(.., images)| *images).collect(),
         rig: cameras.into_iter().map(|(_, camera, _)| camera).collect(),
         ego,
         ego_height_m: centroid.map(|[_, _, z]| z).filter(|z| *z > 0.0),
