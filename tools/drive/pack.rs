@@ -47,6 +47,10 @@ pub struct Arguments {
     /// repeated
     #[arg(long, value_name = "NAME=NEW", value_parser = new_name)]
     camera: Vec<(String, String)>,
+    /// Write the splats as NuRec's volume.nurec, for 3dgrut's importer and others that read that
+    /// form: numbers of 16 bits, at some loss
+    #[arg(long)]
+    nurec: bool,
     /// Omit the ground, whose search takes seconds
     #[arg(long)]
     no_ground: bool,
@@ -117,6 +121,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let asked = arguments.rig_origin;
     options.rig_origin_m = asked.map_or(below, |Triple(origin)| DVec3::from_array(origin));
     options.camera_names.clone_from(&arguments.camera);
+    options.as_nurec = arguments.nurec;
     let mut notes = Vec::new();
     if let Some(map) = &arguments.map {
         // Read as a map too: an empty or wrong file would only be found by those who open the
@@ -147,6 +152,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let summary = pack(&scene, directory, &options, &arguments.usdz)?;
     if options.map.is_some() && !summary.is_georeferenced {
         notes.push("the map has no geoReference with +lat_0 and +lon_0: AlpaSim cannot lay it under the scene".to_owned());
+    }
+    if let Some(step_m) = summary.position_step_m {
+        notes.push(format!(
+            "positions of splats are numbers of 16 bits: {:.1} cm apart at the edge of the scene",
+            100.0 * step_m
+        ));
     }
     let (start_s, end_s) = summary.span_s;
     if summary.offset_s != 0.0 {

@@ -192,6 +192,24 @@ impl SkyMap {
         faces.flat_map(inner).collect()
     }
 
+    /// Texels of all faces of the same sky in a cube of another frame, `face_texels` a side: those
+    /// of this one where nothing differs, else colors of the directions of their centers.
+    #[must_use]
+    pub fn texels_in_frame(&self, face_texels: usize, sky_from_world: DMat3) -> Vec<[f32; 3]> {
+        if face_texels == self.face_texels && sky_from_world == self.sky_from_world {
+            return self.texels();
+        }
+        let world_from_sky = sky_from_world.transpose();
+        let at = |index: usize| 2.0 * (index as f64 + 0.5) / face_texels as f64 - 1.0;
+        let texel = |index: usize| {
+            let (face, place) = (index / face_texels.pow(2), index % face_texels.pow(2));
+            let direction = direction_of(face, at(place % face_texels), at(place / face_texels));
+            self.color(world_from_sky * direction)
+                .map(|value| value as f32)
+        };
+        (0..6 * face_texels.pow(2)).map(texel).collect()
+    }
+
     /// Rotation or reflection from world directions to those of the cube.
     #[must_use]
     pub fn sky_from_world(&self) -> DMat3 {

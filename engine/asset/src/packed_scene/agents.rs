@@ -68,6 +68,13 @@ pub(super) fn sequence_tracks(
     Ok(Value::Object(sequences))
 }
 
+/// Names of the agents in `sequence_tracks.json`, in their order there.
+pub(super) fn track_ids(scene: &SceneFile, span_s: (f64, f64)) -> Vec<String> {
+    let agents = scene.agents.iter();
+    let there = agents.filter(|agent| !sampled(scene, agent, span_s).is_empty());
+    there.map(|agent| agent.name.clone()).collect()
+}
+
 /// Moments in microseconds of the package and local poses (x, y, z and a quaternion x, y, z, w):
 /// where the agent's own way is known, and over the whole scene for one that stands; from its first
 /// presence to its last. Tracks have no gaps: times of absence between are part of it. None for an

@@ -30,6 +30,7 @@
 //! far apart.
 
 mod agents;
+mod nurec_volume;
 pub(crate) mod packed_map;
 mod packed_rig;
 mod read;
@@ -83,6 +84,9 @@ pub struct PackOptions {
     pub map: Option<Vec<u8>>,
     /// The ground as triangles in the local frame, a PLY ([`ground_mesh_ply`]).
     pub ground_mesh: Option<Vec<u8>>,
+    /// True if the splats are written as NuRec's `volume.nurec`, numbers of 16 bits, instead of the
+    /// scene with its files.
+    pub as_nurec: bool,
 }
 
 impl PackOptions {
@@ -98,6 +102,7 @@ impl PackOptions {
             camera_names: Vec::new(),
             map: None,
             ground_mesh: None,
+            as_nurec: false,
         }
     }
 }

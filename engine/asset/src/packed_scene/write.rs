@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use super::agents::sequence_tracks;
+use super::agents::{sequence_tracks, track_ids};
+use super::nurec_volume;
 use super::rig::{geographic_origin, offset_of, package_us, rig_trajectories, span_of};
 use super::{OURS, PackOptions, SCENE};
 use crate::zip::StoredZip;
@@ -28,6 +29,9 @@ pub struct PackSummary {
     /// True if the map says where on Earth it is; without that AlpaSim cannot lay it under the
     /// scene.
     pub is_georeferenced: bool,
+    /// Largest step between two positions of splats of 16 bits, meters; `None` of a package that
+    /// holds the splats as they are.
+    pub position_step_m: Option<f32>,
 }
 
 /// Writes `scene`, whose paths are relative to `directory`, as a package to `out`, atomically.
@@ -82,20 +86,23 @@ pub fn pack(
             ("mesh.ply", mesh.clone()),
         ]);
     }
-    let (own, files) = renamed(scene);
-    let text = own.to_toml().map_err(|error| refused(error.into()))?;
-    texts.push((SCENE, text.into_bytes()));
-    for (path, _) in &files {
-        let path = directory.join(path);
-        if path.is_dir() {
-            return Err(refused(format!(
-                "{} is a folder; zip it to a .sog, or convert it",
-                path.display()
-            )));
-        }
-        // Here, so that the complaint names the file and not the package.
-        File::open(&path).map_err(|source| AssetError::Read { path, source })?;
-    }
+    let mut position_step_m = None;
+    let files = if options.as_nurec {
+        let tracks = track_ids(scene, span_s);
+        let volume = nurec_volume::volume(scene, directory, &tracks)?;
+        texts[0].1 = nurec_volume::STAGE.into();
+        let stage = nurec_volume::stage(volume.bounds_m).into_bytes();
+        texts.push((nurec_volume::VOLUME_STAGE, stage));
+        texts.push((nurec_volume::VOLUME, volume.bytes));
+        position_step_m = Some(volume.step_m);
+        Vec::new()
+    } else {
+        let (own, files) = renamed(scene);
+        let text = own.to_toml().map_err(|error| refused(error.into()))?;
+        texts.push((SCENE, text.into_bytes()));
+        files
+    };
+    check_files(directory, &files)?;
     let entries: Vec<String> = texts
         .iter()
         .map(|(name, _)| (*name).to_owned())
@@ -120,7 +127,24 @@ pub fn pack(
         span_s,
         offset_s: offset_of(span_s.0),
         is_georeferenced,
+        position_step_m,
     })
+}
+
+/// Checks that `files` of `directory` can be read: here, so that the complaint names the file and
+/// not the package.
+fn check_files(directory: &Path, files: &[(PathBuf, String)]) -> Result<(), AssetError> {
+    for (path, _) in files {
+        let path = directory.join(path);
+        if path.is_dir() {
+            return Err(AssetError::Placement(format!(
+                "{} is a folder; zip it to a .sog, or convert it",
+                path.display()
+            )));
+        }
+        File::open(&path).map_err(|source| AssetError::Read { path, source })?;
+    }
+    Ok(())
 }
 
 /// Checks that an id can name a scene in requests and files of others.

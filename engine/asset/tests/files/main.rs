@@ -13,6 +13,7 @@ mod kitti;
 mod lidar;
 mod light_transfer;
 mod nurec;
+mod nurec_parts;
 mod properties;
 mod real;
 mod sample;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::PathBuf;
 
-use decouplegs_asset::packed_scene::{ground_mesh_ply, packed_scene_id};
+use decouplegs_asset::packed_scene::packed_scene_id;
 use decouplegs_asset::scene_import::{ImportedScene, decode_nurec};
 use decouplegs_asset::zip::StoredZip;
 use decouplegs_asset::{SceneFile, open_scene};
@@ -20,7 +20,7 @@ use crate::sample::cloud;
 
 /// A value of MessagePack that tests write.
 #[derive(Clone)]
-enum Packed {
+pub enum Packed {
     Text(&'static str),
     Sizes(Vec<usize>),
     Bytes(Vec<u8>),
@@ -62,16 +62,16 @@ impl Packed {
 }
 
 /// Entries of a state dictionary.
-type State = BTreeMap<String, Packed>;
+pub type State = BTreeMap<String, Packed>;
 
-fn halves(values: impl IntoIterator<Item = f32>) -> Vec<u8> {
+pub fn halves(values: impl IntoIterator<Item = f32>) -> Vec<u8> {
     let values = values.into_iter();
     values
         .flat_map(|value| f16::from_f32(value).to_le_bytes())
         .collect()
 }
 
-fn put(state: &mut State, name: &str, shape: Vec<usize>, bytes: Vec<u8>) {
+pub fn put(state: &mut State, name: &str, shape: Vec<usize>, bytes: Vec<u8>) {
     state.insert(name.to_owned(), Packed::Bytes(bytes));
     state.insert(format!("{name}.shape"), Packed::Sizes(shape));
 }
@@ -131,7 +131,7 @@ fn gzip(bytes: &[u8]) -> Vec<u8> {
     zipped.finish().unwrap()
 }
 
-fn zip(entries: &[(&str, Vec<u8>)]) -> Vec<u8> {
+pub fn zip(entries: &[(&str, Vec<u8>)]) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut zip = StoredZip::new(&mut bytes);
     for (name, content) in entries {
@@ -149,7 +149,7 @@ fn rows(pose: &Pose) -> serde_json::Value {
 /// First pose of the rig and of the tracks, microseconds.
 const START_US: u64 = 1_700_000_000_000_000;
 
-fn rig(nre_from_world: &Pose) -> Vec<u8> {
+pub fn rig(nre_from_world: &Pose) -> Vec<u8> {
     let pose = |x: f64| rows(&Pose::new(DQuat::IDENTITY, DVec3::new(x, 2.0, 0.0)));
     json!({
         "world_to_nre": {"matrix": rows(nre_from_world)},
@@ -172,7 +172,7 @@ fn rig(nre_from_world: &Pose) -> Vec<u8> {
     .into_bytes()
 }
 
-fn tracks() -> Vec<u8> {
+pub fn tracks() -> Vec<u8> {
     let at = |x: f64| [x, -3.0, 0.8, 0.0, 0.0, 0.0, 1.0];
     json!({"drive": {"tracks_data": {
         "tracks_id": ["17", "absent/../x"],
@@ -188,7 +188,7 @@ fn tracks() -> Vec<u8> {
 }
 
 /// A background, a road and two agents; the splats of the agents are in the frames of their boxes.
-fn state(of_scene: &SplatCloud, of_agents: &SplatCloud, nre_from_world: &Pose) -> State {
+pub fn state(of_scene: &SplatCloud, of_agents: &SplatCloud, nre_from_world: &Pose) -> State {
     let mut state = State::new();
     let there = of_scene.placed(nre_from_world, true);
     let half: Vec<u32> = (0..there.len() as u32 / 2).collect();
@@ -206,7 +206,7 @@ fn state(of_scene: &SplatCloud, of_agents: &SplatCloud, nre_from_world: &Pose) -
 }
 
 /// A volume of `state` with the tracks of its agents.
-fn with_tracks(state: State) -> Vec<u8> {
+pub fn with_tracks(state: State) -> Vec<u8> {
     let data = Packed::Map(state.into_iter().collect());
     let mut bytes = Vec::new();
     // {"nre_data": {"state_dict": STATE and "_extra_state": {"obj_track_ids": {...}}}}
@@ -240,11 +240,11 @@ fn with_tracks(state: State) -> Vec<u8> {
     gzip(&bytes)
 }
 
-fn turned() -> Pose {
+pub fn turned() -> Pose {
     Pose::new(DQuat::from_rotation_z(0.3), DVec3::new(12.0, -7.5, 1.25))
 }
 
-fn package(nre_from_world: &Pose) -> Vec<u8> {
+pub fn package(nre_from_world: &Pose) -> Vec<u8> {
     let (scene, agents) = (cloud(40, 3), cloud(30, 1));
     zip(&[
         (
@@ -257,7 +257,7 @@ fn package(nre_from_world: &Pose) -> Vec<u8> {
     ])
 }
 
-fn read(bytes: &[u8]) -> ImportedScene {
+pub fn read(bytes: &[u8]) -> ImportedScene {
     decode_nurec(bytes).unwrap().expect("a NuRec package")
 }
 
@@ -341,118 +341,7 @@ fn what_is_not_drawn_is_said() {
     }
 }
 
-#[test]
-fn vehicles_stand_on_the_mesh_of_the_package_else_on_its_road() {
-    let with = |entries: &[(&str, Vec<u8>)]| {
-        let nre_from_world = turned();
-        let state = state(&cloud(40, 3), &cloud(30, 1), &nre_from_world);
-        let own = [
-            ("volume.nurec", with_tracks(state)),
-            ("rig_trajectories.json", rig(&nre_from_world)),
-            ("sequence_tracks.json", tracks()),
-        ];
-        zip(&[&own[..], entries].concat())
-    };
-    let vertices = [[0.0, 0.0, 0.5], [1.0, 0.0, 0.5], [0.0, 1.0, 0.5]];
-    let mesh = ground_mesh_ply(&vertices, &[[0, 1, 2]]);
-    let bytes = with(&[("mesh_ground.ply", mesh)]);
-    let scene = read(&bytes);
-    assert!(scene.ground.len() > 8 && scene.ground.iter().all(|point| point.z == 0.5));
-    let (_directory, path) = saved(&bytes);
-    let loaded = open_scene(&path, 0.0).unwrap();
-    assert_eq!(loaded.recording.ground_m, scene.ground);
-    // Without a mesh, and with a broken one, the splats of the road, in the world.
-    for entries in [&[][..], &[("mesh_ground.ply", b"ply".to_vec())][..]] {
-        let scene = read(&with(entries));
-        let road = cloud(40, 3);
-        let nearest = |point: &DVec3| {
-            let means = road
-                .means
-                .iter()
-                .map(|mean| glam::Vec3::from_array(*mean).as_dvec3());
-            means
-                .map(|mean| mean.distance(*point))
-                .fold(f64::INFINITY, f64::min)
-        };
-        assert!(!scene.ground.is_empty());
-        assert!(scene.ground.iter().all(|point| nearest(point) < 0.06));
-        let is_said = scene
-            .notes
-            .iter()
-            .any(|note| note.contains("mesh_ground.ply"));
-        assert_eq!(is_said, !entries.is_empty());
-    }
-}
-
-/// A package whose volume has arrays of PPISP for `cameras` cameras and three images.
-fn package_with_ppisp(cameras: usize, response: f32) -> Vec<u8> {
-    let mut state = state(&cloud(40, 3), &cloud(30, 1), &Pose::IDENTITY);
-    let name = |array: &str| format!(".post_processings.0.ppisp.{array}_params");
-    let of = |count: usize, value: f32| halves(vec![value; count]);
-    put(
-        &mut state,
-        &name("exposure"),
-        vec![3],
-        halves([0.5, 0.25, -0.25]),
-    );
-    put(&mut state, &name("color"), vec![3, 8], of(24, 0.0));
-    let vignetting = of(15 * cameras, 0.0);
-    put(
-        &mut state,
-        &name("vignetting"),
-        vec![cameras, 3, 5],
-        vignetting,
-    );
-    put(
-        &mut state,
-        &name("crf"),
-        vec![cameras, 3, 4],
-        of(12 * cameras, response),
-    );
-    let metadata = b"scene_id: a\nsensors:\n  camera_ids:\n  - other\n  - wide\n  lidar_ids: []\n";
-    zip(&[
-        ("volume.nurec", with_tracks(state)),
-        ("rig_trajectories.json", rig(&Pose::IDENTITY)),
-        ("sequence_tracks.json", tracks()),
-        ("metadata.yaml", metadata.to_vec()),
-    ])
-}
-
-#[test]
-fn cameras_have_the_photometry_of_the_package() {
-    let scene = read(&package_with_ppisp(2, 0.0));
-    let camera = scene.rig.cameras().next().unwrap();
-    let found = camera.intrinsics.photometry;
-    // The camera `wide` is the second of two, and which images are its own is not known: the mean
-    // of all.
-    assert!((found.exposure_ev - 0.5 / 3.0).abs() < 1e-3, "{found:?}");
-    let [toe, center] = [0.3 + 2f64.ln(), 0.5];
-    let response = found.response.unwrap();
-    assert!((response.toe[1] - toe).abs() < 1e-6, "{response:?}");
-    assert!((response.center[2] - center).abs() < 1e-6, "{response:?}");
-    assert_eq!(found.vignetting.unwrap().center_px, [[32.0, 24.0]; 3]);
-    assert!(
-        !scene.notes.iter().any(|note| note.contains("PPISP")),
-        "{:?}",
-        scene.notes
-    );
-    // Arrays for other cameras than there are: said, and not applied.
-    let scene = read(&package_with_ppisp(5, 0.0));
-    let camera = scene.rig.cameras().next().unwrap();
-    assert!(camera.intrinsics.photometry.is_identity());
-    assert!(
-        scene.notes.iter().any(|note| note.contains("PPISP")),
-        "{:?}",
-        scene.notes
-    );
-    // Numbers that are none get a sentence.
-    let said = decode_nurec(&package_with_ppisp(2, f32::NAN))
-        .unwrap_err()
-        .to_string();
-    assert!(said.contains("PPISP") && said.contains("wide"), "{said}");
-}
-
-fn saved(bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
+pub fn saved(bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.usdz");
     std::fs::write(&path, bytes).unwrap();

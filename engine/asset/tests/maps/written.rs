@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use decouplegs_asset::maps::{open_drive, read_map};
+use decouplegs_asset::maps::open_drive;
+use decouplegs_asset::read_map;
 use decouplegs_scene::{Lane, LaneMap};
 use glam::DVec3;
 
