@@ -353,7 +353,7 @@ impl Traffic {
         (acceleration_mps2, emergency)
     }
 
-    /// Adds the leaders on the lane that an agent is leaving.
+    /// Adds the leaders on the lane that an agent is leaving, but for those whom it passes.
     fn follow_left_lane(&self, agent: &Agent, from: usize, from_arc_m: f64, bounds: &mut Bounds) {
         let idm = agent.idm();
         let (front_m, stop_m) = (
@@ -373,6 +373,10 @@ impl Traffic {
             horizon_m,
             |seen| {
                 if seen.is_beside(front_m) {
+                    return true;
+                }
+                // Its rear comes no nearer, whatever it does: the change passes beside it.
+                if seen.rear_m > front_m + self.leaving_m(agent, seen) + GAP_M {
                     return true;
                 }
                 bounds.follow(&idm, agent.speed_mps, seen.rear_m - front_m, seen.speed_mps);

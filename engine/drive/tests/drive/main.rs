@@ -29,3 +29,4 @@ mod traffic_liveness;
 mod traffic_road_users;
 mod traffic_scenes;
 mod traffic_signs;
+mod traffic_standing;
