@@ -19,6 +19,7 @@ mod register;
 mod roads;
 mod route;
 mod score;
+mod score_rules;
 mod traffic;
 mod traffic_borders;
 mod traffic_comfort;
