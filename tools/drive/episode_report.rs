@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use decouplegs::asset::write_atomically;
 use decouplegs::drive::score::{
-    EpisodeScore, Infraction, InfractionKind, Moments, SetSummary, Summary,
+    EpisodeScore, Infraction, InfractionKind, Moments, PdmScore, SetSummary, Summary,
 };
 use decouplegs::episode::StepTime;
 use decouplegs::explain::one_line;
@@ -33,6 +33,7 @@ pub use hd_score::{HdScores, Hugsim};
 pub struct Scored {
     pub episode: Episode,
     pub score: EpisodeScore,
+    pub pdm: PdmScore,
     pub log: PathBuf,
     /// Folder of its images, if there are any.
     pub images: PathBuf,
@@ -49,8 +50,10 @@ impl Scored {
         images: PathBuf,
         times: Option<Vec<StepTime>>,
     ) -> Result<Self> {
+        let score = EpisodeScore::new(&episode);
         Ok(Self {
-            score: EpisodeScore::new(&episode),
+            pdm: PdmScore::new(&episode, &score),
+            score,
             seen: Seen::beside(&log)?,
             episode,
             log,
@@ -138,6 +141,21 @@ impl Scored {
         before
             .last()
             .map_or(start, |instant| instant.ego.position_m)
+    }
+
+    /// The PDM score as a product of its terms.
+    pub fn pdm_explained(&self) -> String {
+        let PdmScore {
+            no_collision,
+            drivable_area,
+            progress,
+            time_to_collision,
+            comfort,
+            pdm_score,
+        } = self.pdm;
+        format!(
+            "PDMS {pdm_score:.3} = NC {no_collision:.1} × DAC {drivable_area:.0} × (5 EP {progress:.3} + 5 TTC {time_to_collision:.0} + 2 C {comfort:.0}) / 12"
+        )
     }
 
     /// Time that was lost, by what; `None` where it is less than half a second.
@@ -464,6 +482,11 @@ fn episode_to_json(scored: &Scored) -> Value {
         "plan_ade_m": score.plan_ade_m,
         "warm_up_s": score.warm_up_s,
         "time_lost": time_lost_to_json(scored),
+        "pdm_score": scored.pdm.pdm_score,
+        "pdm_terms": json!({
+            "nc": scored.pdm.no_collision, "dac": scored.pdm.drivable_area, "ep": scored.pdm.progress,
+            "ttc": scored.pdm.time_to_collision, "c": scored.pdm.comfort,
+        }),
         "speed_compliance": score.speed_compliance,
         "braking_max_mps2": score.comfort.braking_max_mps2,
         "lateral_acceleration_max_mps2": score.comfort.lateral_acceleration_max_mps2,

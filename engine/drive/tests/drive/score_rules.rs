@@ -2,7 +2,7 @@
 //! that was lost.
 
 use decouplegs_drive::RoadSurface;
-use decouplegs_drive::score::{EpisodeScore, Infraction, InfractionKind, Summary};
+use decouplegs_drive::score::{EpisodeScore, Infraction, InfractionKind, PdmScore, Summary};
 use decouplegs_scene::episode::{LaneRecord, StopLineRecord};
 use decouplegs_scene::{
     Episode, EpisodeEnd, LaneMap, LightColor, LightPhase, StopLine, TrafficLight,
@@ -183,4 +183,40 @@ fn speeding_lowers_the_compliance_as_in_nuplan() {
     assert_eq!((made(None), made(Some(9.0))), (None, Some(1.0)));
     assert!((made(Some(8.0)).unwrap() - (1.0 - 1.0 / 2.23)).abs() < 1e-9);
     assert_eq!(made(Some(6.0)), Some(0.0));
+}
+
+#[test]
+fn the_pdm_score_is_navsims_formula() {
+    let pdm = |made: &Episode| PdmScore::new(made, &EpisodeScore::new(made));
+    let ego = straight(0.0, 0.0, 0.0, 9.0);
+    let whole = pdm(&episode(20, &ego, &[], EpisodeEnd::RouteDone));
+    assert_eq!(whole.pdm_score, 1.0);
+    // Half the route, at one speed, with nobody near.
+    let half = pdm(&episode(10, &ego, &[], EpisodeEnd::Time));
+    assert!((half.progress - 0.45).abs() < 1e-9);
+    assert!((half.pdm_score - (5.0 * 0.45 + 5.0 + 2.0) / 12.0).abs() < 1e-9);
+    // One that comes near from behind is not its concern, one ahead is.
+    let from_behind = [straight(-20.0, 0.0, 0.0, 12.0)];
+    let behind = pdm(&episode(8, &ego, &from_behind, EpisodeEnd::Time));
+    assert_eq!(behind.time_to_collision, 1.0);
+    let slow = [straight(30.0, 0.0, 0.0, 3.0)];
+    let ahead = pdm(&episode(7, &ego, &slow, EpisodeEnd::Time));
+    assert_eq!((ahead.time_to_collision, ahead.no_collision), (0.0, 1.0));
+    // Into it.
+    let hit = pdm(&episode(9, &ego, &slow, EpisodeEnd::Collision { agent: 0 }));
+    assert_eq!((hit.no_collision, hit.pdm_score), (0.0, 0.0));
+    // Off the road, and a turn on the spot.
+    let mut off = episode(20, &ego, &[], EpisodeEnd::RouteDone);
+    off.steps[3].instants[0].on_road = false;
+    assert_eq!((pdm(&off).drivable_area, pdm(&off).pdm_score), (0.0, 0.0));
+    let brakes: Motion = Box::new(|time_s| {
+        let (x, speed_mps) = if time_s < 3.05 {
+            (9.0 * time_s, 9.0)
+        } else {
+            (27.45, 0.0)
+        };
+        state(x, 0.0, 0.0, speed_mps)
+    });
+    let hard = pdm(&episode(10, &brakes, &[], EpisodeEnd::Time));
+    assert_eq!(hard.comfort, 0.0);
 }
