@@ -371,7 +371,7 @@ proptest! {
         let scores: Vec<EpisodeScore> = episodes.iter().map(EpisodeScore::new).collect();
         for (score, episode) in scores.iter().zip(&episodes) {
             prop_assert!(0.0 <= score.driving_score && score.driving_score <= score.counted_completion);
-            let others_fault = score.infractions.last().is_some_and(|last| !last.at_fault());
+            let others_fault = score.infractions.iter().any(|found| !found.at_fault());
             let counted = match score.ended_by_other() { true => 1.0, false => score.route_completion };
             prop_assert_eq!(score.counted_completion, counted);
             prop_assert!(!score.ended_by_other() || others_fault && !score.success);
