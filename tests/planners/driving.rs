@@ -106,6 +106,7 @@ fn recorded() -> Episode {
         ego: state(DVec2::new(2.5 * f64::from(half), 1.0), 0.0, 5.0),
         steer_rad: 0.0,
         on_road: true,
+        lanes: None,
         agents: vec![],
     };
     let place = Place::Street {

@@ -134,6 +134,26 @@ fn who_leaves_the_road_for_good_or_its_route_ends_the_episode() {
 }
 
 #[test]
+fn who_drives_in_the_oncoming_lane_is_charged_and_who_keeps_its_route_is_not() {
+    let mut site = site();
+    site.obstacles = Arc::new(Obstacles::default());
+    let site = Arc::new(site);
+    let mut charged = 0;
+    for seed in 0..8 {
+        let scenario = alone(&site, seed);
+        let on_route = driven(&scenario, &site, &mut Beside { right_m: 0.0 });
+        assert_eq!(EpisodeScore::new(&on_route).wrong_ways(), 0, "seed {seed}");
+        let episode = driven(&scenario, &site, &mut Beside { right_m: -7.0 });
+        let score = EpisodeScore::new(&episode);
+        charged += u32::from(score.wrong_ways() > 0);
+        assert!(score.wrong_ways() == 0 || score.driving_score <= 0.5);
+        let again = replay(&episode, &site, None, &mut ()).unwrap();
+        assert_eq!(again.moved_differently, None);
+    }
+    assert!(charged >= 4, "{charged} of 8");
+}
+
+#[test]
 fn the_road_ends_thirty_centimeters_beyond_its_edge() {
     let mut site = site();
     site.obstacles = Arc::new(Obstacles::default());

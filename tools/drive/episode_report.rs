@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use decouplegs::asset::write_atomically;
 use decouplegs::drive::score::{
-    EpisodeScore, Infraction, InfractionKind, Moments, SetSummary, Summary,
+    EpisodeScore, Infraction, InfractionKind, Moments, PdmScore, SetSummary, Summary,
 };
 use decouplegs::episode::StepTime;
 use decouplegs::explain::one_line;
@@ -33,6 +33,7 @@ pub use hd_score::{HdScores, Hugsim};
 pub struct Scored {
     pub episode: Episode,
     pub score: EpisodeScore,
+    pub pdm: PdmScore,
     pub log: PathBuf,
     /// Folder of its images, if there are any.
     pub images: PathBuf,
@@ -49,8 +50,10 @@ impl Scored {
         images: PathBuf,
         times: Option<Vec<StepTime>>,
     ) -> Result<Self> {
+        let score = EpisodeScore::new(&episode);
         Ok(Self {
-            score: EpisodeScore::new(&episode),
+            pdm: PdmScore::new(&episode, &score),
+            score,
             seen: Seen::beside(&log)?,
             episode,
             log,
@@ -140,6 +143,42 @@ impl Scored {
             .map_or(start, |instant| instant.ego.position_m)
     }
 
+    /// The PDM score as a product of its terms.
+    pub fn pdm_explained(&self) -> String {
+        let PdmScore {
+            no_collision,
+            drivable_area,
+            progress,
+            time_to_collision,
+            comfort,
+            pdm_score,
+        } = self.pdm;
+        format!(
+            "PDMS {pdm_score:.3} = NC {no_collision:.1} × DAC {drivable_area:.0} × (5 EP {progress:.3} + 5 TTC {time_to_collision:.0} + 2 C {comfort:.0}) / 12"
+        )
+    }
+
+    /// Time that was lost, by what; `None` where it is less than half a second.
+    pub fn time_lost(&self) -> Option<String> {
+        let lost = &self.score.time_lost;
+        let mut parts = Vec::new();
+        let mut add = |what: &str, lost_s: f64| {
+            if lost_s >= 0.05 {
+                parts.push(format!("{what} {lost_s:.1} s"));
+            }
+        };
+        add("red light", lost.light_s);
+        add("behind others", lost.behind_all_s());
+        if let Some((agent, behind_s)) = lost.longest_behind() {
+            let name = self.episode.head.scenario.agent(agent).0;
+            add(&format!("of it behind {name}"), behind_s);
+        }
+        add("yielding", lost.yielding_s);
+        add("other", lost.other_s);
+        let sum_s = lost.sum_s();
+        (sum_s >= 0.5).then(|| format!("{sum_s:.1} s lost: {}", parts.join(", ")))
+    }
+
     /// The driving score as a product, each factor with its infraction and its moment.
     pub fn explained(&self) -> String {
         let factor = |infraction: &Infraction| {
@@ -154,6 +193,9 @@ impl Scored {
         let lost = match &self.episode.end {
             EpisodeEnd::RouteDone => "",
             EpisodeEnd::Time => " (time over)",
+            EpisodeEnd::Collision { .. } if self.score.ended_by_other() => {
+                " (counts as 1.000: ended by a collision that was not its fault)"
+            }
             EpisodeEnd::Collision { .. } | EpisodeEnd::Obstacle { .. } => {
                 " (ended by the collision)"
             }
@@ -231,7 +273,7 @@ fn with_interval(mean: f64, interval: Option<[f64; 2]>, digits: usize) -> String
 /// The table of the paper, a line a level.
 pub fn text(scored: &[Scored]) -> Result<String> {
     let mut text = format!(
-        "means with their 95 % confidence intervals\n{:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8} {:>9}\n",
+        "means with their 95 % confidence intervals\n{:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8} {:>9} {:>9}\n",
         "level",
         "episodes",
         "DS",
@@ -242,11 +284,12 @@ pub fn text(scored: &[Scored]) -> Result<String> {
         "at fault",
         "static",
         "off-road",
+        "wrong way",
         "red/stop"
     );
     for (level, set) in rows(&summary(scored)?) {
         text.push_str(&format!(
-            "{level:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8} {:>9}\n",
+            "{level:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8} {:>9} {:>9}\n",
             set.count(),
             score(&set.driving_score),
             share(&set.success),
@@ -256,6 +299,7 @@ pub fn text(scored: &[Scored]) -> Result<String> {
             set.collisions_at_fault,
             set.obstacle_collisions,
             set.layout_infractions,
+            set.wrong_ways,
             format!("{}/{}", set.red_lights, set.stop_signs),
         ));
     }
@@ -375,8 +419,27 @@ fn set_to_json(set: &SetSummary) -> Value {
         "pedestrian_collisions": set.pedestrian_collisions,
         "obstacle_collisions": set.obstacle_collisions,
         "layout_infractions": set.layout_infractions,
+        "wrong_ways": set.wrong_ways,
+        "ended_by_others": set.ended_by_others,
+        "counted_completion": moments(&set.counted_completion),
         "red_lights": set.red_lights,
         "stop_signs": set.stop_signs,
+    })
+}
+
+fn time_lost_to_json(scored: &Scored) -> Value {
+    let lost = &scored.score.time_lost;
+    let name = |agent: usize| scored.episode.head.scenario.agent(agent).0.to_owned();
+    let behind = lost.behind_s.iter();
+    let behind: serde_json::Map<String, Value> = behind
+        .map(|(&agent, &behind_s)| (name(agent), json!(behind_s)))
+        .collect();
+    json!({
+        "red_light_s": lost.light_s,
+        "behind_s": behind,
+        "yielding_s": lost.yielding_s,
+        "other_s": lost.other_s,
+        "sum_s": lost.sum_s(),
     })
 }
 
@@ -395,6 +458,9 @@ fn episode_to_json(scored: &Scored) -> Value {
         InfractionKind::Layout => {
             json!({ "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "off_road", "at_fault": true })
         }
+        InfractionKind::WrongWay { is_far } => json!({
+            "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "wrong_way", "at_fault": true, "far": is_far,
+        }),
         InfractionKind::StopSign { sign } => json!({
             "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "stop_sign", "at_fault": true, "sign": sign,
         }),
@@ -409,11 +475,19 @@ fn episode_to_json(scored: &Scored) -> Value {
         "ending": scored.ending(),
         "driving_score": score.driving_score,
         "route_completion": score.route_completion,
+        "counted_completion": score.counted_completion,
         "success": score.success,
         "min_ttc_s": score.min_ttc_s(),
         "ttc_short_share": score.ttc_short_share,
         "plan_ade_m": score.plan_ade_m,
         "warm_up_s": score.warm_up_s,
+        "time_lost": time_lost_to_json(scored),
+        "pdm_score": scored.pdm.pdm_score,
+        "pdm_terms": json!({
+            "nc": scored.pdm.no_collision, "dac": scored.pdm.drivable_area, "ep": scored.pdm.progress,
+            "ttc": scored.pdm.time_to_collision, "c": scored.pdm.comfort,
+        }),
+        "speed_compliance": score.speed_compliance,
         "braking_max_mps2": score.comfort.braking_max_mps2,
         "lateral_acceleration_max_mps2": score.comfort.lateral_acceleration_max_mps2,
         "infractions": score.infractions.iter().map(infraction).collect::<Vec<_>>(),

@@ -303,6 +303,7 @@ mod tests {
                 },
                 steer_rad: 0.0,
                 on_road: true,
+                lanes: None,
                 agents: Vec::new(),
             })
             .collect();

@@ -15,19 +15,21 @@ pub struct LanePoint {
 }
 
 /// Centerlines of a map, to be searched.
+#[derive(Clone, Debug)]
 pub struct LaneIndex {
     lines: Vec<Option<Polyline>>,
     pieces: Vec<Piece>,
     nodes: Vec<Node>,
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Piece {
     lane: u32,
     segment: u32,
 }
 
 /// A box around pieces: a leaf's own, otherwise those of the node behind it and of `second`.
+#[derive(Clone, Debug)]
 struct Node {
     low: DVec2,
     high: DVec2,

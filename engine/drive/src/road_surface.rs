@@ -1,13 +1,16 @@
 //! Drivable area: the area of all driving lanes, and its height.
 
-use decouplegs_scene::{LaneKind, LaneMap};
+use decouplegs_scene::episode::LaneRecord;
+use decouplegs_scene::{LaneKind, LaneMap, VehicleState};
 use glam::{DVec2, DVec3};
 
 use crate::oriented_box::OrientedBox;
 
+mod directions;
 mod strip;
 mod tree;
 
+use directions::LaneDirections;
 use tree::TriangleTree;
 
 /// Half the width of a lane whose borders the map does not know, meters.
@@ -27,6 +30,7 @@ const HEIGHT_MAX_M: f64 = 3.0;
 #[derive(Clone, Debug)]
 pub struct RoadSurface {
     tree: TriangleTree,
+    directions: LaneDirections,
 }
 
 impl RoadSurface {
@@ -47,7 +51,14 @@ impl RoadSurface {
             .filter(|lane| lane.kind == LaneKind::Driving);
         Self {
             tree: TriangleTree::new(lanes.flat_map(strip::triangles).collect()),
+            directions: LaneDirections::new(map),
         }
+    }
+
+    /// Lanes below the middle of a vehicle; `None` where there are none.
+    #[must_use]
+    pub fn lanes_below(&self, state: &VehicleState) -> Option<LaneRecord> {
+        self.directions.below(state)
     }
 
     /// True if a position is on a driving lane.

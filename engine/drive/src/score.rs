@@ -3,9 +3,10 @@
 //!
 //! As CARLA's leaderboard has it (leaderboard.carla.org, "Evaluation criteria"), a driving score is
 //! the share of the route that was completed, times a factor for each infraction. Only collisions
-//! that are the ego's fault are penalized so; one that is not ends the episode and costs the rest
-//! of the route. Success is a completed route without any such infraction, so no set of episodes
-//! has more success than completion, nor a driving score above its completion: [`Summary::check`].
+//! that are the ego's fault are penalized so. One that is not ends the episode, and the route
+//! counts as completed in the driving score: what the ego could not drive is not taken from it.
+//! Success is a completed route without any such infraction, so no set of episodes has more success
+//! than completion, nor a driving score above the completion that counts: [`Summary::check`].
 
 use decouplegs_scene::{Episode, EpisodeEnd, Level, RoadUser};
 
@@ -13,19 +14,24 @@ mod comfort;
 mod fault;
 mod hd_score;
 mod infractions;
+mod pdm_score;
 mod plan_error;
 mod plan_hd_score;
 mod progress;
+mod speed_limit;
 mod summary;
+mod time_lost;
 mod time_to_collision;
 
 pub use comfort::{Comfort, lateral_accelerations};
 pub use fault::Fault;
 pub use hd_score::HdScore;
 pub use infractions::{Infraction, InfractionKind};
+pub use pdm_score::PdmScore;
 pub use plan_error::{plan_ade_m, plan_errors};
 pub use progress::RouteProgress;
 pub use summary::{Moments, SetSummary, Summary};
+pub use time_lost::TimeLost;
 pub use time_to_collision::{Closest, TTC_HORIZON_S, TTC_SHORT_S, times_to_collision};
 
 /// Factor on the driving score for each collision with a vehicle that is the ego's fault.
@@ -41,6 +47,18 @@ pub const RED_LIGHT_FACTOR: f64 = 0.70;
 pub const STOP_SIGN_FACTOR: f64 = 0.80;
 /// Factor on the driving score for each time the ego leaves the road.
 pub const LAYOUT_FACTOR: f64 = 0.65;
+/// Way against the direction of the lanes within a second beyond which it is an infraction, and
+/// beyond which it is a grave one, meters: nuPlan's driving direction compliance (Karnchanachari et
+/// al., Towards learning-based planning: the nuPlan benchmark for real-world autonomous driving,
+/// 2024).
+pub const WRONG_WAY_M: f64 = 2.0;
+/// See [`WRONG_WAY_M`].
+pub const WRONG_WAY_FAR_M: f64 = 6.0;
+/// Factor on the driving score for each time the ego drives more than [`WRONG_WAY_M`] against the
+/// lanes, as in nuPlan.
+pub const WRONG_WAY_FACTOR: f64 = 0.5;
+/// Factor on the driving score for more than [`WRONG_WAY_FAR_M`], as in nuPlan.
+pub const WRONG_WAY_FAR_FACTOR: f64 = 0.0;
 
 /// Score of an episode.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,9 +70,12 @@ pub struct EpisodeScore {
     /// Share of the route that was driven, 0 to 1; 1 exactly where the episode ended with the route
     /// done.
     pub route_completion: f64,
-    /// [`Self::route_completion`] times [`COLLISION_FACTOR`], [`PEDESTRIAN_FACTOR`],
-    /// [`OBSTACLE_FACTOR`], [`LAYOUT_FACTOR`], [`RED_LIGHT_FACTOR`] or
-    /// [`STOP_SIGN_FACTOR`] for each infraction.
+    /// Share of the route that counts in the driving score: 1 where a collision ended the episode
+    /// that was not the ego's fault, otherwise [`Self::route_completion`].
+    pub counted_completion: f64,
+    /// [`Self::counted_completion`] times [`COLLISION_FACTOR`], [`PEDESTRIAN_FACTOR`],
+    /// [`OBSTACLE_FACTOR`], [`LAYOUT_FACTOR`], [`WRONG_WAY_FACTOR`], [`WRONG_WAY_FAR_FACTOR`],
+    /// [`RED_LIGHT_FACTOR`] or [`STOP_SIGN_FACTOR`] for each infraction.
     pub driving_score: f64,
     /// True if the route was completed without an infraction of the ego.
     pub success: bool,
@@ -72,6 +93,10 @@ pub struct EpisodeScore {
     pub plan_ade_m: Option<f64>,
     /// Time in which the planner had no plan yet and the ego was kept on its route, seconds.
     pub warm_up_s: f64,
+    /// Time that was lost, and by what.
+    pub time_lost: TimeLost,
+    /// Compliance with speed limits, 0 to 1, as in nuPlan; `None` where the log tells no limit.
+    pub speed_compliance: Option<f64>,
 }
 
 impl EpisodeScore {
@@ -83,11 +108,16 @@ impl EpisodeScore {
         let infractions = infractions::infractions(episode);
         let factor: f64 = infractions.iter().map(Infraction::factor).product();
         let (closest, ttc_short_share) = time_to_collision::closest(episode);
+        let counted_completion = match ended_by_other(episode, &infractions) {
+            true => 1.0,
+            false => route_completion,
+        };
         Self {
             scenario: episode.head.scenario.name.clone(),
             level: episode.head.scenario.level,
             route_completion,
-            driving_score: route_completion * factor,
+            counted_completion,
+            driving_score: counted_completion * factor,
             success: done && infractions.iter().all(|infraction| !infraction.at_fault()),
             infractions,
             closest,
@@ -95,6 +125,8 @@ impl EpisodeScore {
             comfort: Comfort::new(episode),
             plan_ade_m: plan_error::episode_ade_m(episode),
             warm_up_s: warm_up_s(episode),
+            time_lost: TimeLost::new(episode),
+            speed_compliance: speed_limit::compliance(episode),
         }
     }
 
@@ -129,6 +161,18 @@ impl EpisodeScore {
         self.count(|kind| *kind == InfractionKind::Layout)
     }
 
+    /// Times that the ego drove against the direction of the lanes.
+    #[must_use]
+    pub fn wrong_ways(&self) -> usize {
+        self.count(|kind| matches!(kind, InfractionKind::WrongWay { .. }))
+    }
+
+    /// True if a collision ended the episode that was not the ego's fault.
+    #[must_use]
+    pub fn ended_by_other(&self) -> bool {
+        self.counted_completion > self.route_completion
+    }
+
     /// Stop signs that the ego passed without standing.
     #[must_use]
     pub fn stop_signs(&self) -> usize {
@@ -145,6 +189,16 @@ impl EpisodeScore {
         let counted = |infraction: &&Infraction| counts(&infraction.kind);
         self.infractions.iter().filter(counted).count()
     }
+}
+
+/// True if a collision ended the episode that was not the ego's fault.
+fn ended_by_other(episode: &Episode, infractions: &[Infraction]) -> bool {
+    let EpisodeEnd::Collision { agent } = episode.end else {
+        return false;
+    };
+    let ends = |infraction: &&Infraction| matches!(infraction.kind, InfractionKind::Collision { agent: other, .. } if other == agent);
+    let last = infractions.iter().rev().find(ends);
+    last.is_some_and(|infraction| !infraction.at_fault())
 }
 
 fn warm_up_s(episode: &Episode) -> f64 {

@@ -131,8 +131,20 @@ pub struct EpisodeTick {
     pub steer_rad: f64,
     /// True if all of its box is on the road.
     pub on_road: bool,
+    /// Lanes below its middle; `None` where there are none, and in logs before version 3.
+    pub lanes: Option<LaneRecord>,
     /// The agents, in the order of the scenario; `None` while one is off the map.
     pub agents: Vec<Option<VehicleState>>,
+}
+
+/// Lanes below the middle of the ego at one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LaneRecord {
+    /// Speed of the ego against the lane that is most in its direction, m/s: 0 where one leads its
+    /// way.
+    pub against_mps: f64,
+    /// Highest of the lanes' speed limits, m/s; `None` where the map tells none.
+    pub limit_mps: Option<f64>,
 }
 
 /// One step: what was seen, what was planned, what came of it.

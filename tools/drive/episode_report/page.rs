@@ -91,6 +91,7 @@ fn table(page: &mut Page, scored: &[Scored]) -> Result<()> {
         "pedestrians",
         "static",
         "off-road",
+        "wrong way",
         "red light",
         "stop sign",
     ]);
@@ -109,6 +110,7 @@ fn table(page: &mut Page, scored: &[Scored]) -> Result<()> {
             set.pedestrian_collisions.to_string(),
             set.obstacle_collisions.to_string(),
             set.layout_infractions.to_string(),
+            set.wrong_ways.to_string(),
             set.red_lights.to_string(),
             set.stop_signs.to_string(),
         ]);
@@ -116,9 +118,11 @@ fn table(page: &mut Page, scored: &[Scored]) -> Result<()> {
     page.table(&table);
     page.note(
         "Mean over episodes and its 95 % confidence interval. RC, route completion: share of the route that was driven. DS, driving score: \
-         RC times 0.60 for a collision at fault, 0.65 for one with something static, 0.65 for each time the ego left the road, 0.70 for \
+         RC times 0.60 for a collision at fault, 0.65 for one with something static, 0.65 for each time the ego left the road, 0.50 for \
+         more than 2 m within a second against the direction of the lane and 0 for more than 6 m (as in nuPlan), 0.70 for \
          each red light that it ran, 0.80 for each stop sign that it passed without standing, and 0.50 instead of 0.60 for a pedestrian. \
-         SR, success rate: share of episodes that came to the end of the route without any of them, so SR <= RC and DS <= RC. minTTC: \
+         A collision that was not the ego's fault takes nothing: the route counts as completed in DS. PDMS of an episode is NAVSIM's \
+         formula, taken from what was driven. SR, success rate: share of episodes that came to the end of the route without any of them, so SR <= RC. minTTC: \
          least time until the boxes of the ego and an agent would touch if both kept their velocities, within 10 s, over the episodes that \
          were on course for a collision at all, whose number is beside it.",
     );
@@ -158,6 +162,10 @@ fn lanes(scored: &Scored, sites: &Sites, out: &Path) -> Vec<Lane> {
 fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {
     page.subheading(&format!("{}: {}", scored.name(), scored.ending()));
     page.text(&scored.explained());
+    page.text(&scored.pdm_explained());
+    if let Some(lost) = scored.time_lost() {
+        page.text(&lost);
+    }
     let score = &scored.score;
     let time_s = scored.episode.instants().last();
     page.html(&format!(

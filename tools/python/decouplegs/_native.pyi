@@ -545,6 +545,6 @@ class Rollout:
     def scenario(self) -> str:
         """The scenario's name."""
     def score(self) -> dict[str, Any]:
-        """How it went so far: driving_score, route_completion, success, collisions, pedestrian_collisions, obstacle_collisions, layout_infractions, red_lights, stop_signs, min_ttc_s, ttc_short_share."""
+        """How it went so far: driving_score, route_completion, success, collisions, pedestrian_collisions, obstacle_collisions, layout_infractions, wrong_ways, red_lights, stop_signs, min_ttc_s, ttc_short_share."""
     def write_log(self, path: str | os.PathLike[str]) -> None:
         """Writes its log, which ``decouplegs replay`` and ``decouplegs score`` read."""

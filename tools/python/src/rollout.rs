@@ -305,7 +305,8 @@ impl Rollout {
     }
 
     /// Score so far: driving_score, route_completion, success, collisions, pedestrian_collisions,
-    /// obstacle_collisions, layout_infractions, red_lights, stop_signs, min_ttc_s, ttc_short_share.
+    /// obstacle_collisions, layout_infractions, wrong_ways, red_lights, stop_signs, min_ttc_s,
+    /// ttc_short_share.
     fn score<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let score = self.lock().score();
         to_dict(py, &score)
@@ -342,6 +343,7 @@ fn to_dict<'py>(py: Python<'py>, score: &EpisodeScore) -> PyResult<Bound<'py, Py
     dict.set_item("pedestrian_collisions", score.pedestrian_collisions())?;
     dict.set_item("obstacle_collisions", score.obstacle_collisions())?;
     dict.set_item("layout_infractions", score.layout_infractions())?;
+    dict.set_item("wrong_ways", score.wrong_ways())?;
     dict.set_item("red_lights", score.red_lights())?;
     dict.set_item("stop_signs", score.stop_signs())?;
     dict.set_item("min_ttc_s", score.min_ttc_s())?;

@@ -7,6 +7,7 @@
 //! NAVSIM's PDM score (Dauner et al., "NAVSIM: Data-Driven Non-Reactive Autonomous Vehicle
 //! Simulation and Benchmarking", 2024).
 
+use decouplegs_scene::VehicleState;
 use decouplegs_scene::episode::{Episode, EpisodeEnd, EpisodeTick};
 use glam::DVec2;
 
@@ -19,7 +20,7 @@ const WEIGHTS: [f64; 2] = [5.0, 2.0];
 /// Moments at which the boxes of the ego and of others are compared, seconds from now.
 pub(super) const AHEAD_S: [f64; 2] = [0.5, 1.0];
 /// An ego slower than this is on no course for a collision, meters per second.
-const STANDING_MPS: f64 = 0.005;
+pub(super) const STANDING_MPS: f64 = 0.005;
 /// Time over which rates are differences, half of it before and half of it after a moment, seconds.
 const WINDOW_S: f64 = 0.5;
 /// Bounds of comfort (nuPlan): acceleration ahead, m/s^2.
@@ -119,6 +120,23 @@ impl TermSums {
 /// True if the box of the ego overlaps that of an agent `ahead_s` after `tick`, all moving on at
 /// their velocities.
 fn touches(episode: &Episode, tick: &EpisodeTick, ahead_s: f64) -> bool {
+    touches_any(episode, tick, ahead_s, |_| true)
+}
+
+/// [`touches`] for agents whose middle is not behind the ego's rear.
+pub(super) fn touches_ahead(episode: &Episode, tick: &EpisodeTick, ahead_s: f64) -> bool {
+    let ego = OrientedBox::for_vehicle(&tick.ego, &episode.head.scenario.ego.size);
+    touches_any(episode, tick, ahead_s, |agent| {
+        ego.to_local(agent.position_m).x > -ego.half_length_m
+    })
+}
+
+fn touches_any(
+    episode: &Episode,
+    tick: &EpisodeTick,
+    ahead_s: f64,
+    counts: impl Fn(&VehicleState) -> bool,
+) -> bool {
     let moved = |outline: OrientedBox, velocity_mps: DVec2| OrientedBox {
         center_m: outline.center_m + velocity_mps * ahead_s,
         ..outline
@@ -128,13 +146,14 @@ fn touches(episode: &Episode, tick: &EpisodeTick, ahead_s: f64) -> bool {
     let agents = tick.agents.iter().zip(&episode.head.agent_sizes);
     agents
         .filter_map(|(state, size)| Some((state.as_ref()?, size)))
+        .filter(|(state, _)| counts(state))
         .any(|(state, size)| {
             moved(OrientedBox::for_vehicle(state, size), state.velocity()).overlaps(&ego)
         })
 }
 
 /// True for each of `ticks` at which the ego is within the bounds of comfort.
-fn comfortable(ticks: &[&EpisodeTick]) -> Vec<bool> {
+pub(super) fn comfortable(ticks: &[&EpisodeTick]) -> Vec<bool> {
     let times_s: Vec<f64> = ticks.iter().map(|tick| tick.time_s).collect();
     let speeds: Vec<f64> = ticks.iter().map(|tick| tick.ego.speed_mps).collect();
     let mut yaw_rad = 0.0;

@@ -1,5 +1,7 @@
 //! Infractions of an episode: collisions, excursions from the road, red lights and stop signs.
 
+use std::collections::VecDeque;
+
 use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, StopLineRecord};
 use decouplegs_scene::{Episode, EpisodeEnd, LightColor, ObstacleKind, RoadUser, SignKind};
 use glam::DVec2;
@@ -7,7 +9,7 @@ use glam::DVec2;
 use super::fault::{Fault, fault};
 use super::{
     COLLISION_FACTOR, LAYOUT_FACTOR, OBSTACLE_FACTOR, PEDESTRIAN_FACTOR, RED_LIGHT_FACTOR,
-    STOP_SIGN_FACTOR,
+    STOP_SIGN_FACTOR, WRONG_WAY_FACTOR, WRONG_WAY_FAR_FACTOR, WRONG_WAY_FAR_M, WRONG_WAY_M,
 };
 use crate::oriented_box::OrientedBox;
 
@@ -16,6 +18,8 @@ use crate::oriented_box::OrientedBox;
 const BACK_ON_ROAD_S: f64 = 1.0;
 /// Two contacts with the same agent are one where the boxes were apart for less, seconds.
 const APART_S: f64 = 1.0;
+/// Time within which the way against the lanes is added up, seconds (nuPlan).
+const WRONG_WAY_S: f64 = 1.0;
 /// The ego has stood at a sign where it was slower than this, nearer than this before the line, m/s
 /// and meters.
 const STANDING_MPS: f64 = 0.3;
@@ -49,6 +53,11 @@ pub enum InfractionKind {
     },
     /// The ego leaves the road.
     Layout,
+    /// The ego drives against the direction of the lanes below it.
+    WrongWay {
+        /// True beyond [`WRONG_WAY_FAR_M`](super::WRONG_WAY_FAR_M).
+        is_far: bool,
+    },
     /// The front of the ego passes the line of a stop sign without having stood before it.
     StopSign {
         /// Index of the sign in the scenario.
@@ -67,6 +76,10 @@ impl Infraction {
     pub fn describe(&self, head: &EpisodeHead) -> String {
         match self.kind {
             InfractionKind::Layout => "off the road".to_owned(),
+            InfractionKind::WrongWay { is_far } => {
+                let way_m = if is_far { WRONG_WAY_FAR_M } else { WRONG_WAY_M };
+                format!("more than {way_m} m in a second against the lane")
+            }
             InfractionKind::RedLight { light } => {
                 format!("red light {}", head.scenario.lights[light].name)
             }
@@ -88,6 +101,7 @@ impl Infraction {
             InfractionKind::Collision { fault, .. } => fault.at_fault(),
             InfractionKind::Obstacle { .. }
             | InfractionKind::Layout
+            | InfractionKind::WrongWay { .. }
             | InfractionKind::RedLight { .. }
             | InfractionKind::StopSign { .. } => true,
         }
@@ -104,6 +118,8 @@ impl Infraction {
             },
             InfractionKind::Obstacle { .. } => OBSTACLE_FACTOR,
             InfractionKind::Layout => LAYOUT_FACTOR,
+            InfractionKind::WrongWay { is_far: false } => WRONG_WAY_FACTOR,
+            InfractionKind::WrongWay { is_far: true } => WRONG_WAY_FAR_FACTOR,
             InfractionKind::RedLight { .. } => RED_LIGHT_FACTOR,
             InfractionKind::StopSign { .. } => STOP_SIGN_FACTOR,
         }
@@ -114,6 +130,7 @@ impl Infraction {
 pub(super) fn infractions(episode: &Episode) -> Vec<Infraction> {
     let instants: Vec<&EpisodeTick> = episode.instants().collect();
     let mut infractions = excursions(&instants);
+    infractions.extend(wrong_ways(&instants));
     infractions.extend(collisions(episode, &instants));
     infractions.extend(red_lights(episode, &instants));
     infractions.extend(stop_signs(episode, &instants));
@@ -147,6 +164,36 @@ fn excursions(instants: &[&EpisodeTick]) -> Vec<Infraction> {
         }
     }
     excursions
+}
+
+/// Drives against the lanes, each once: it is over when the ego has not driven against them for
+/// [`WRONG_WAY_S`]. Nothing is known of logs before version 3.
+fn wrong_ways(instants: &[&EpisodeTick]) -> Vec<Infraction> {
+    let mut found: Vec<Infraction> = Vec::new();
+    let mut is_over = true;
+    // Ways against the lanes within the last second, with the times of their ends.
+    let mut ways: VecDeque<(f64, f64)> = VecDeque::new();
+    for pair in instants.windows(2) {
+        let (from_s, to_s) = (pair[0].time_s, pair[1].time_s);
+        let against_mps = pair[1].lanes.map_or(0.0, |lanes| lanes.against_mps);
+        ways.push_back((to_s, against_mps * (to_s - from_s)));
+        while ways
+            .front()
+            .is_some_and(|way| way.0 <= to_s - WRONG_WAY_S + 1e-9)
+        {
+            ways.pop_front();
+        }
+        let way_m: f64 = ways.iter().map(|way| way.1).sum();
+        let is_far = way_m > WRONG_WAY_FAR_M;
+        let kind = InfractionKind::WrongWay { is_far };
+        if way_m > WRONG_WAY_M && is_over {
+            found.push(Infraction { time_s: to_s, kind });
+        } else if let Some(last) = found.last_mut().filter(|_| is_far) {
+            last.kind = kind;
+        }
+        is_over = way_m == 0.0 || is_over && way_m <= WRONG_WAY_M;
+    }
+    found
 }
 
 /// Passage of the middle of the ego's front over a line in driving direction, between two states.

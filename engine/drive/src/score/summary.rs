@@ -123,6 +123,8 @@ pub struct SetSummary {
     pub success: Moments,
     /// Route completion (RC), 0 to 1.
     pub route_completion: Moments,
+    /// Route completion that counts in the driving score, 0 to 1.
+    pub counted_completion: Moments,
     /// minTTC in seconds, over the episodes that have one.
     pub min_ttc_s: Option<Moments>,
     /// mADE in meters, over the episodes that have one.
@@ -137,6 +139,10 @@ pub struct SetSummary {
     pub pedestrian_collisions: usize,
     /// Collisions with static obstacles in all episodes.
     pub obstacle_collisions: usize,
+    /// Episodes that ended by a collision that was not the ego's fault.
+    pub ended_by_others: usize,
+    /// Drives against the direction of the lanes in all episodes.
+    pub wrong_ways: usize,
     /// Excursions from the road in all episodes.
     pub layout_infractions: usize,
     /// Red lights that were run in all episodes.
@@ -168,6 +174,7 @@ impl SetSummary {
             driving_score: moments(&|score| Some(score.driving_score))?,
             success: moments(&|score| Some(f64::from(u8::from(score.success))))?,
             route_completion: moments(&|score| Some(score.route_completion))?,
+            counted_completion: moments(&|score| Some(score.counted_completion))?,
             min_ttc_s: moments(&EpisodeScore::min_ttc_s),
             plan_ade_m: moments(&|score| score.plan_ade_m),
             ttc_short_share: moments(&|score| Some(score.ttc_short_share))?,
@@ -175,6 +182,8 @@ impl SetSummary {
             collisions_at_fault: count(&at_fault),
             pedestrian_collisions: count(&EpisodeScore::pedestrian_collisions),
             obstacle_collisions: count(&EpisodeScore::obstacle_collisions),
+            ended_by_others: count(&|score| usize::from(score.ended_by_other())),
+            wrong_ways: count(&EpisodeScore::wrong_ways),
             layout_infractions: count(&EpisodeScore::layout_infractions),
             red_lights: count(&EpisodeScore::red_lights),
             stop_signs: count(&EpisodeScore::stop_signs),
@@ -188,10 +197,17 @@ impl SetSummary {
     }
 
     fn check(&self, set: &str) -> Result<(), Invalid> {
-        let completion = self.route_completion.mean;
-        for (name, mean) in [
-            ("success rate", self.success.mean),
-            ("mean driving score", self.driving_score.mean),
+        for (name, mean, completion) in [
+            (
+                "success rate",
+                self.success.mean,
+                self.route_completion.mean,
+            ),
+            (
+                "mean driving score",
+                self.driving_score.mean,
+                self.counted_completion.mean,
+            ),
         ] {
             // Written so that what is no number fails.
             if !(0.0 <= mean && mean <= completion + ROUNDING && completion <= 1.0) {
@@ -232,7 +248,7 @@ impl Summary {
     }
 
     /// Holds what must be true of any set of episodes: no more success than completion, no driving
-    /// score above completion. Published tables break it.
+    /// score above the completion that counts. Published tables break it.
     ///
     /// # Errors
     /// A sentence with the set and its figures.

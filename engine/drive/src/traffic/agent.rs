@@ -16,6 +16,10 @@ use crate::road_graph::{RoadGraph, length_of, position_on};
 const PATH_AHEAD_M: f64 = 250.0;
 /// Lanes that lead on so far, meters, or half as far as any, are chosen from.
 const ONWARD_M: f64 = 500.0;
+/// Parts of a lane change at which its box is examined, and the gap beside another vehicle that it
+/// keeps, meters.
+const LEAVING_STEPS: u32 = 64;
+const LEAVING_MARGIN_M: f64 = 0.2;
 /// Number of lanes behind the vehicle that are remembered.
 const LANES_BEHIND: usize = 24;
 
@@ -36,6 +40,49 @@ pub(super) struct Aside {
     pub kind: AsideKind,
 }
 
+/// Room that a lane change needs on the lane that it leaves, meters of way from its start.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct LeavingRoom {
+    /// A vehicle whose rear is farther than this before the front is not touched.
+    pub passes_m: f64,
+    /// The vehicle is wholly off the lane after this way.
+    pub leaves_m: f64,
+}
+
+impl LeavingRoom {
+    /// Room of a vehicle of `size` that comes `aside_m` to a side within `length_m`, beside
+    /// vehicles of up to `width_m`.
+    pub(super) fn new(aside_m: f64, length_m: f64, size: &VehicleSize, width_m: f64) -> Self {
+        let (half_m, half_width_m) = (0.5 * size.length_m, 0.5 * size.width_m);
+        let mut room = Self::default();
+        for step in 0..LEAVING_STEPS {
+            let share = f64::from(step) / f64::from(LEAVING_STEPS);
+            let (rest, slope) = change_after(share);
+            let (sin, cos) = (slope * aside_m.abs() / length_m).atan().sin_cos();
+            let moved_m = aside_m.abs() * (1.0 - rest);
+            // The corners towards the lane that it leaves: its rear comes off it last.
+            for corner_m in [half_m, -half_m] {
+                let off_m = moved_m + corner_m * sin - half_width_m * cos;
+                if off_m < 0.5 * width_m + LEAVING_MARGIN_M {
+                    room.leaves_m = length_m * (share + 1.0 / f64::from(LEAVING_STEPS));
+                    let ahead_m = room.leaves_m + corner_m * cos - half_m;
+                    room.passes_m = room.passes_m.max(ahead_m);
+                }
+            }
+        }
+        room
+    }
+}
+
+/// Share of the offset of a lane change that is left after a share of its way, and how fast it
+/// falls.
+fn change_after(share: f64) -> (f64, f64) {
+    (
+        1.0 - share * share * (3.0 - 2.0 * share),
+        6.0 * share * (1.0 - share),
+    )
+}
+
 #[derive(Clone, Debug)]
 pub(super) enum AsideKind {
     /// Change from another lane, on which it still counts.
@@ -46,13 +93,24 @@ pub(super) enum AsideKind {
         /// Offset at its start from the agent's position on the new lane: along and to the left,
         /// meters.
         offset_m: DVec2,
+        /// Room that it needs on the other lane.
+        room: LeavingRoom,
     },
     /// Swerve out to a side and back.
     Swerve {
-        amplitude_m: f64,
+        shape: SwerveShape,
         /// Cells of other lanes that it takes up meanwhile.
         cells: Vec<u32>,
     },
+}
+
+/// Way of a swerve.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum SwerveShape {
+    /// Out to a side by as much, meters, and back.
+    OutAndBack { amplitude_m: f64 },
+    /// Back to the middle from an offset, meters, and a slope to the left there.
+    Back { offset_m: f64, slope: f64 },
 }
 
 /// Phase of a behavior.
@@ -253,14 +311,29 @@ impl Agent {
         wall_on(graph, &self.path[self.here..])
     }
 
-    /// The lane that it is leaving by a lane change, and where it is on that lane, meters.
+    /// The lane that it is leaving by a lane change, and where it is on that lane, meters; `None`
+    /// once no part of it is on that lane.
     pub(super) fn left_lane(&self) -> Option<(usize, f64)> {
-        match self.aside.as_ref()?.kind {
+        let aside = self.aside.as_ref()?;
+        match aside.kind {
             AsideKind::Change {
-                from, from_arc_m, ..
-            } => Some((from, from_arc_m)),
-            AsideKind::Swerve { .. } => None,
+                from,
+                from_arc_m,
+                room,
+                ..
+            } if aside.traveled_m < room.leaves_m => Some((from, from_arc_m)),
+            _ => None,
         }
+    }
+
+    /// Distance before its front beyond which its lane change touches no vehicle on the lane that
+    /// it is leaving, meters: below zero where its front is beside such a vehicle already.
+    pub(super) fn leaving_m(&self) -> f64 {
+        let aside = self.aside.as_ref();
+        aside.map_or(0.0, |aside| match aside.kind {
+            AsideKind::Change { room, .. } => room.passes_m - aside.traveled_m,
+            AsideKind::Swerve { .. } => 0.0,
+        })
     }
 
     /// One step on. Positions are counted from the new lane where it comes to one.
@@ -371,7 +444,12 @@ impl Aside {
     pub(super) fn speed_mps_max(&self, lateral_mps2: f64) -> f64 {
         let bend = match self.kind {
             AsideKind::Change { offset_m, .. } => 6.0 * offset_m.y.abs(),
-            AsideKind::Swerve { amplitude_m, .. } => swerve_bend_m(amplitude_m),
+            AsideKind::Swerve { shape, .. } => match shape {
+                SwerveShape::OutAndBack { amplitude_m } => swerve_bend_m(amplitude_m),
+                SwerveShape::Back { offset_m, slope } => {
+                    6.0 * offset_m.abs() + 4.0 * slope.abs() * self.length_m
+                }
+            },
         };
         self.length_m * (lateral_mps2 / bend.max(1e-6)).sqrt()
     }
@@ -386,15 +464,25 @@ impl Aside {
     pub(super) fn offset_after(&self, ahead_m: f64) -> (DVec2, f64) {
         let t = ((self.traveled_m + ahead_m) / self.length_m).clamp(0.0, 1.0);
         match self.kind {
-            AsideKind::Change { offset_m, .. } => (
-                offset_m * (1.0 - t * t * (3.0 - 2.0 * t)),
-                -offset_m.y * 6.0 * t * (1.0 - t) / self.length_m,
-            ),
-            AsideKind::Swerve { amplitude_m, .. } => {
-                let (sin, cos) = (std::f64::consts::PI * t).sin_cos();
-                let slope = 2.0 * std::f64::consts::PI * amplitude_m * sin * cos / self.length_m;
-                (DVec2::new(0.0, amplitude_m * sin * sin), slope)
+            AsideKind::Change { offset_m, .. } => {
+                let (rest, falls) = change_after(t);
+                (offset_m * rest, -offset_m.y * falls / self.length_m)
             }
+            AsideKind::Swerve { shape, .. } => match shape {
+                SwerveShape::OutAndBack { amplitude_m } => {
+                    let (sin, cos) = (std::f64::consts::PI * t).sin_cos();
+                    let slope =
+                        2.0 * std::f64::consts::PI * amplitude_m * sin * cos / self.length_m;
+                    (DVec2::new(0.0, amplitude_m * sin * sin), slope)
+                }
+                SwerveShape::Back { offset_m, slope } => {
+                    let (rest, falls) = change_after(t);
+                    let way_m = slope * self.length_m * t * (1.0 - t) * (1.0 - t);
+                    let turns = slope * (1.0 - t) * (1.0 - 3.0 * t);
+                    let left = offset_m * falls / self.length_m;
+                    (DVec2::new(0.0, offset_m * rest + way_m), turns - left)
+                }
+            },
         }
     }
 }

@@ -4,7 +4,7 @@
 use decouplegs_scene::scenario::{Maneuver, Trigger};
 
 use super::Traffic;
-use super::agent::{Aside, AsideKind, Phase, swerve_bend_m};
+use super::agent::{Agent, Aside, AsideKind, Phase, SwerveShape, swerve_bend_m};
 use super::following::ASIDE_MPS2;
 use super::idm::BRAKING_MPS2;
 use super::lane_order::Entry;
@@ -13,6 +13,8 @@ use crate::oriented_box::OrientedBox;
 
 /// Least length of a swerve for each meter to the side, meters: vehicles do not slide.
 const SWERVE_M_PER_M: f64 = 12.0;
+/// Length of the way back from a standing start for each meter to the side, meters.
+const BACK_M_PER_M: f64 = 5.0;
 /// Largest offset from the centerline of the own lane, meters.
 const SWERVE_M_MAX: f64 = 3.5;
 /// Distance between positions at which a swerve is examined, meters, and what its box is widened
@@ -45,6 +47,7 @@ impl Traffic {
                 continue;
             }
             agent.brake = agent.brake.filter(|(_, until_s)| *until_s > self.time_s);
+            self.give_up_swerve(number);
             for which in 0..self.behaviors[number].len() {
                 let behavior = self.behaviors[number][which];
                 if let Phase::Waiting(mut watch) = self.agents[number].phases[which] {
@@ -112,18 +115,20 @@ impl Traffic {
         crossing.is_some_and(|crossing| crossing.from_m < end_m)
     }
 
-    /// True if another vehicle swerves near an agent's swerve of `length_m`: neither leaves the
-    /// space between two lanes to the other.
-    fn meets_swerve(&self, number: usize, length_m: f64) -> bool {
+    /// True if another vehicle is in a maneuver that `counts` near an agent's one of `length_m`:
+    /// neither leaves the space between two lanes to the other.
+    pub(super) fn meets_aside(
+        &self,
+        number: usize,
+        length_m: f64,
+        counts: impl Fn(&AsideKind) -> bool,
+    ) -> bool {
         let Some(own) = self.states[number] else {
             return true;
         };
         self.agents.iter().zip(&self.states).any(|(other, state)| {
-            let swerves = other
-                .aside
-                .as_ref()
-                .filter(|aside| matches!(aside.kind, AsideKind::Swerve { .. }));
-            let (Some(aside), Some(state)) = (swerves, state) else {
+            let aside = other.aside.as_ref().filter(|aside| counts(&aside.kind));
+            let (Some(aside), Some(state)) = (aside, state) else {
                 return false;
             };
             let apart_m = state.position_m.distance(own.position_m);
@@ -144,8 +149,9 @@ impl Traffic {
             let length_m = (agent.speed_mps * duration_s)
                 .max(shortest_m)
                 .clamp(SWERVE_M_PER_M * amplitude_m.abs() + 5.0, 150.0);
+            let shape = SwerveShape::OutAndBack { amplitude_m };
             let kind = AsideKind::Swerve {
-                amplitude_m,
+                shape,
                 cells: Vec::new(),
             };
             let aside = Aside {
@@ -153,11 +159,12 @@ impl Traffic {
                 length_m,
                 kind,
             };
-            if self.meets_crossing(number, length_m) || self.meets_swerve(number, length_m) {
+            if self.meets_crossing(number, length_m) || self.meets_aside(number, length_m, |_| true)
+            {
                 continue;
             }
             if let Some(cells) = self.swerve_cells(number, &aside) {
-                let kind = AsideKind::Swerve { amplitude_m, cells };
+                let kind = AsideKind::Swerve { shape, cells };
                 self.agents[number].aside = Some(Aside { kind, ..aside });
                 self.claims.claim(&self.graph, &self.agents[number]);
                 return true;
@@ -166,10 +173,69 @@ impl Traffic {
         false
     }
 
+    /// Turns an agent that comes to a stand in a swerve back to the middle of its lane: it takes up
+    /// less of the lanes beside, for as long as it stands.
+    fn give_up_swerve(&mut self, number: usize) {
+        let agent = &self.agents[number];
+        let Some(swerve) = agent.aside.as_ref().filter(|_| agent.speed_mps == 0.0) else {
+            return;
+        };
+        let AsideKind::Swerve {
+            shape: SwerveShape::OutAndBack { .. },
+            cells: taken,
+        } = &swerve.kind
+        else {
+            return;
+        };
+        let (offset_m, slope) = swerve.offset_after(0.0);
+        let shape = SwerveShape::Back {
+            offset_m: offset_m.y,
+            slope,
+        };
+        let kind = |cells| AsideKind::Swerve { shape, cells };
+        let back = Aside {
+            traveled_m: 0.0,
+            length_m: BACK_M_PER_M * offset_m.y.abs() + 5.0,
+            kind: kind(Vec::new()),
+        };
+        let is_free = |&cell: &u32| taken.contains(&cell) || self.is_free_beside(number, cell);
+        let swept = self.swept_cells(agent, &back);
+        if let Some(cells) = swept.filter(|cells| cells.iter().all(is_free)) {
+            self.agents[number].aside = Some(Aside {
+                kind: kind(cells),
+                ..back
+            });
+        }
+    }
+
     /// Cells beside its path that a swerve touches, sorted; `None` where one of them, or one that
     /// conflicts with it, belongs to another.
     fn swerve_cells(&self, number: usize, aside: &Aside) -> Option<Vec<u32>> {
-        let agent = &self.agents[number];
+        let cells = self.swept_cells(&self.agents[number], aside)?;
+        let is_free = |&cell: &u32| self.is_free_beside(number, cell);
+        cells.iter().all(is_free).then_some(cells)
+    }
+
+    /// True if no other agent has a cell beside an agent's path, nor comes there soon: who would
+    /// have to brake hard for it leaves no room either.
+    fn is_free_beside(&self, number: usize, cell: u32) -> bool {
+        let (lane, stretch) = self.graph.cells().stretch_of(cell as usize);
+        let comes = |entry: &Entry| {
+            let ahead_m = entry.front_m + SWERVE_REACTION_S * entry.speed_mps;
+            entry.agent as usize != number
+                && entry.rear_m < stretch.to_m
+                && ahead_m > stretch.from_m
+        };
+        !self.claims.taken(cell as usize, number)
+            && !self
+                .claims
+                .is_kept(number, lane, stretch.from_m, stretch.to_m)
+            && !self.order.on(lane).iter().any(comes)
+    }
+
+    /// Cells beside its path that an agent's swerve touches, sorted; `None` where a static obstacle
+    /// stands.
+    fn swept_cells(&self, agent: &Agent, aside: &Aside) -> Option<Vec<u32>> {
         let (mut cells, mut touched) = (Vec::new(), Vec::new());
         let steps = (aside.length_m / SWERVE_STEP_M).ceil() as u32;
         for step in 0..=steps {
@@ -192,25 +258,15 @@ impl Traffic {
         cells.sort_unstable();
         cells.dedup();
         let rear = agent.here.saturating_sub(4);
+        // Vehicles on a fork follow each other as on one lane.
         let own = |cell: u32| {
-            agent.path[rear..].contains(&self.graph.cells().stretch_of(cell as usize).0)
+            let (lane, stretch) = self.graph.cells().stretch_of(cell as usize);
+            agent.path[rear..].iter().any(|&path| {
+                let mut forks = self.graph.road(path).forks.iter();
+                path == lane || forks.any(|fork| fork.other == lane && stretch.from_m < fork.to_m)
+            })
         };
         cells.retain(|&cell| !own(cell));
-        let free = |&cell: &u32| {
-            let (lane, stretch) = self.graph.cells().stretch_of(cell as usize);
-            // Who would have to brake hard for it leaves no room either.
-            let comes = |entry: &Entry| {
-                let ahead_m = entry.front_m + SWERVE_REACTION_S * entry.speed_mps;
-                entry.agent as usize != number
-                    && entry.rear_m < stretch.to_m
-                    && ahead_m > stretch.from_m
-            };
-            !self.claims.taken(cell as usize, number)
-                && !self
-                    .claims
-                    .is_kept(number, lane, stretch.from_m, stretch.to_m)
-                && !self.order.on(lane).iter().any(comes)
-        };
-        cells.iter().all(free).then_some(cells)
+        Some(cells)
     }
 }

@@ -61,8 +61,8 @@ pub(super) struct Claims {
     known: Vec<u32>,
     /// Parts of other lanes that swerves take up.
     pub blocks: Vec<Block>,
-    /// Room that is kept for agents whose crossing is granted: behind it, and on the lane that they
-    /// are leaving.
+    /// Room that is kept for agents behind a crossing that is granted to them, and on the lane that
+    /// they are leaving.
     pub rooms: Vec<Block>,
 }
 
@@ -114,32 +114,32 @@ impl Claims {
         if granted_m > f64::NEG_INFINITY {
             self.keep_room(graph, agent, granted_m);
         }
-        match agent.aside.as_ref().map(|aside| &aside.kind) {
-            Some(AsideKind::Change {
-                from, from_arc_m, ..
-            }) => {
-                let until_stop_m = agent.stop_m() - agent.arc_m;
-                for cell in
-                    graph
-                        .cells()
-                        .range(*from, from_arc_m - agent.half_m, from_arc_m + until_stop_m)
-                {
-                    self.take(cell, agent);
-                }
+        if let Some((from, from_arc_m)) = agent.left_lane() {
+            let (rear_m, front_m) = (from_arc_m - agent.half_m, from_arc_m + agent.half_m);
+            let stop_m = from_arc_m + agent.stop_m() - agent.arc_m;
+            for cell in graph.cells().range(from, rear_m, stop_m) {
+                self.take(cell, agent);
             }
-            Some(AsideKind::Swerve { cells, .. }) => {
-                for &cell in cells {
-                    let (lane, stretch) = graph.cells().stretch_of(cell as usize);
-                    self.blocks.push(Block {
-                        lane,
-                        from_m: stretch.from_m,
-                        to_m: stretch.to_m,
-                        agent: agent.number,
-                    });
-                    self.take(cell as usize, agent);
-                }
+            // Nobody comes into what its box sweeps of the lane.
+            self.rooms.push(Block {
+                lane: from,
+                from_m: rear_m,
+                to_m: front_m + agent.leaving_m().max(0.0),
+                agent: agent.number,
+            });
+        }
+        if let Some(AsideKind::Swerve { cells, .. }) = agent.aside.as_ref().map(|aside| &aside.kind)
+        {
+            for &cell in cells {
+                let (lane, stretch) = graph.cells().stretch_of(cell as usize);
+                self.blocks.push(Block {
+                    lane,
+                    from_m: stretch.from_m,
+                    to_m: stretch.to_m,
+                    agent: agent.number,
+                });
+                self.take(cell as usize, agent);
             }
-            None => {}
         }
     }
 
@@ -157,17 +157,8 @@ impl Claims {
         });
     }
 
-    /// Keeps room for an agent behind the crossing that ends at `out_m` on its path, and on the
-    /// lane that it is leaving.
+    /// Keeps room for an agent behind the crossing that ends at `out_m` on its path.
     fn keep_room(&mut self, graph: &RoadGraph, agent: &Agent, out_m: f64) {
-        if let (Some(aside), Some((lane, from_arc_m))) = (&agent.aside, agent.left_lane()) {
-            self.rooms.push(Block {
-                lane,
-                from_m: from_arc_m - agent.half_m,
-                to_m: from_arc_m + agent.half_m + aside.rest_m(),
-                agent: agent.number,
-            });
-        }
         let mut start_m = 0.0;
         let end_m = out_m + agent.clearance_m();
         for &lane in &agent.path[agent.here..] {

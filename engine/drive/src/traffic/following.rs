@@ -171,13 +171,11 @@ pub(super) fn behind(
 /// most [`JERK_MPS3`].
 fn comfortable(agent: &Agent, wished_mps2: f64, dt_s: f64) -> (f64, f64) {
     let step_mps2 = JERK_MPS3 * dt_s;
-    // Braking that ends step by step: v = dt step (1 + 2 + ... + count).
+    // Braking that ends step by step: v = dt step (1 + 2 + ... + count). A count between two whole
+    // ones is rounded up, and all steps are a little less.
     let count = 0.5 * ((1.0 + 8.0 * agent.speed_mps / (dt_s * step_mps2)).sqrt() - 1.0);
-    let to_stand_mps2 = if count < 1.0 {
-        agent.speed_mps / dt_s
-    } else {
-        step_mps2 * count
-    };
+    let count = (count - 1e-9).ceil().max(1.0);
+    let to_stand_mps2 = agent.speed_mps / (dt_s * count) + 0.5 * step_mps2 * (count - 1.0);
     let last_mps2 = agent.acceleration_mps2;
     let comfortable_mps2 = wished_mps2
         .max(-to_stand_mps2)
@@ -346,14 +344,15 @@ impl Traffic {
             urgent_mps2 = urgent_mps2.min(bounds.acceleration_mps2);
         }
         if let Some((braking_mps2, _)) = agent.brake {
-            urgent_mps2 = urgent_mps2.min(-braking_mps2);
+            // It ends as gently as other braking does.
+            urgent_mps2 = urgent_mps2.min(-braking_mps2.min(to_stand_mps2));
         }
         let acceleration_mps2 = comfortable_mps2.min(urgent_mps2).max(-BRAKING_MPS2);
         let emergency = urgent_mps2 < comfortable_mps2 || acceleration_mps2 < -to_stand_mps2;
         (acceleration_mps2, emergency)
     }
 
-    /// Adds the leaders on the lane that an agent is leaving.
+    /// Adds the leaders on the lane that an agent is leaving, but for those whom it passes.
     fn follow_left_lane(&self, agent: &Agent, from: usize, from_arc_m: f64, bounds: &mut Bounds) {
         let idm = agent.idm();
         let (front_m, stop_m) = (
@@ -373,6 +372,10 @@ impl Traffic {
             horizon_m,
             |seen| {
                 if seen.is_beside(front_m) {
+                    return true;
+                }
+                // Its rear comes no nearer, whatever it does: the change passes beside it.
+                if seen.rear_m > front_m + self.leaving_m(agent, seen) + GAP_M {
                     return true;
                 }
                 bounds.follow(&idm, agent.speed_mps, seen.rear_m - front_m, seen.speed_mps);

@@ -13,7 +13,7 @@
 //! is not held as long as a standing vehicle blocks it, which may wait for the same crossing.
 
 use super::Traffic;
-use super::agent::{Agent, Crossing};
+use super::agent::{Agent, Aside, Crossing};
 use super::claims::each_cell;
 use super::following::{PathPosition, each_ahead};
 use super::idm::stopping_m;
@@ -90,6 +90,7 @@ impl Traffic {
                 continue;
             }
             self.find_crossing(number);
+            self.give_back(number);
             let light = self.next_light(&self.agents[number]);
             let mut sign = self.next_stop_sign(&self.agents[number]);
             let agent = &mut self.agents[number];
@@ -137,6 +138,25 @@ impl Traffic {
         let (crossing, clear_m) = self.next_crossing(agent, stop_m);
         let agent = &mut self.agents[number];
         (agent.crossing, agent.clear_m) = (crossing, clear_m);
+    }
+
+    /// Gives back what is before an agent of a crossing that it stands in, where the ego or a
+    /// pedestrian is in its way.
+    ///
+    /// No vehicles come to wait for each other by that. A vehicle that is granted a crossing
+    /// meanwhile meets no box of those who gave theirs back, so that the last one to get a grant
+    /// can leave, and after it the one before.
+    fn give_back(&mut self, number: usize) {
+        let agent = &self.agents[number];
+        let Some(crossing) = agent.crossing.filter(|crossing| crossing.granted) else {
+            return;
+        };
+        let stands_in = agent.speed_mps == 0.0 && agent.front_m() > crossing.from_m;
+        if stands_in && self.outsider_crosses(agent, &crossing) {
+            let (rest, clear_m) = self.next_crossing(agent, agent.stop_m());
+            let agent = &mut self.agents[number];
+            (agent.crossing, agent.clear_m) = (rest, clear_m);
+        }
     }
 
     /// Conflicts nearer to each other than this are crossed as one, meters. It is the same for all
@@ -197,12 +217,13 @@ impl Traffic {
             return;
         };
         let patient = agent.waited_s < PATIENCE_S;
+        let is_blocked = self.outsider_crosses(agent, &crossing);
         let held = agent.hold_m().is_some_and(|hold_m| hold_m < crossing.to_m);
         let can_leave = self.can_leave(agent, &crossing);
         // A grant is taken back for the ego, pedestrians and lights alone: others rely on it.
         let granted = can_leave
             && !held
-            && !self.outsider_crosses(agent, &crossing)
+            && !is_blocked
             && (crossing.granted
                 || self.is_free(agent, &crossing)
                     && !(patient && self.gives_way(agent, &crossing)));
@@ -212,6 +233,7 @@ impl Traffic {
         }
         if !granted
             && !held
+            && !is_blocked
             && agent.waited_s > WANT_S
             && can_leave
             && !self.waits_for_standing(&self.agents[number])
@@ -309,7 +331,7 @@ impl Traffic {
     /// True if an agent that changes lanes will not have to wait for a vehicle on the lane that it
     /// is leaving. That vehicle may wait for the same crossing.
     fn can_leave_lane(&self, agent: &Agent) -> bool {
-        let (Some(aside), Some((from, from_arc_m))) = (&agent.aside, agent.left_lane()) else {
+        let Some((from, from_arc_m)) = agent.left_lane() else {
             return true;
         };
         let position = PathPosition {
@@ -319,11 +341,11 @@ impl Traffic {
             arc_m: from_arc_m,
         };
         let gap_m = agent.driver.idm.standstill_gap_m + CREEP_M;
-        let needed_m = from_arc_m + agent.half_m + aside.rest_m() + gap_m;
+        let front_m = from_arc_m + agent.half_m;
+        let horizon_m = agent.half_m + agent.aside.as_ref().map_or(0.0, Aside::rest_m) + gap_m;
         let mut free = true;
-        let horizon_m = needed_m - from_arc_m;
         each_ahead(&self.graph, &self.order, position, horizon_m, |seen| {
-            free &= seen.stop_rear_m > needed_m;
+            free &= seen.stop_rear_m > front_m + self.leaving_m(agent, seen) + gap_m;
             free
         });
         free

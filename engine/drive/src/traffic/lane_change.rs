@@ -5,8 +5,8 @@ use decouplegs_scene::scenario::LaneSide;
 use glam::DVec2;
 
 use super::Traffic;
-use super::agent::{Agent, Aside, AsideKind};
-use super::following::{GAP_M, PathPosition, behind, each_ahead};
+use super::agent::{Agent, Aside, AsideKind, LeavingRoom};
+use super::following::{GAP_M, PathPosition, Seen, behind, each_ahead};
 use super::idm::{IdmParameters, Leader, stopping_m};
 use super::lane_order::EGO;
 use super::mobil::{Change, Concerned, Side};
@@ -33,6 +33,13 @@ const PARALLEL_RAD: f64 = 0.1;
 const TURN_RAD: f64 = 0.3;
 /// Distance within which followers are considered, meters: the fastest can stop within it.
 const BEHIND_M: f64 = 120.0;
+/// Distance from the part of a lane that vehicles take up within which the ego is still in the
+/// middle of it, meters.
+const KEEPS_LANE_M: f64 = 0.1;
+/// Part of a queue that a vehicle takes up, meters.
+const QUEUE_M: f64 = 7.5;
+/// Time for which a driver who changes lanes expects those on his own lane to go on, seconds.
+const LEADER_S: f64 = 2.5;
 /// Bonus for a lane that goes on where the own lane ends within `MERGE_S`, m/s^2: only what is not
 /// safe keeps a vehicle from it.
 const MERGE_MPS2: f64 = 100.0;
@@ -79,6 +86,7 @@ impl Traffic {
             };
             if incentive > best.as_ref().map_or(0.0, |best| best.0)
                 && self.is_safe(agent, &target, true)
+                && (self.comes_in(agent, &target) || self.has_to_merge(agent))
             {
                 best = Some((incentive, target));
             }
@@ -117,11 +125,22 @@ impl Traffic {
         }
         let target = self
             .target(agent, lane, HASTY_DURATION_S)
-            .filter(|target| self.is_safe(agent, target, false));
+            .filter(|target| self.is_safe(agent, target, false))
+            .filter(|target| !self.ego_leads(agent, target));
         if let Some(target) = &target {
             self.begin_change(number, target);
         }
         Some(target.is_some())
+    }
+
+    /// True if the ego is ahead on the new lane, but not by a gap: an agent would stop beside it.
+    fn ego_leads(&self, agent: &Agent, target: &Target) -> bool {
+        let mut entries = self.order.on(target.lane).iter();
+        entries.any(|entry| {
+            entry.agent == EGO
+                && entry.middle_m > target.arc_m
+                && entry.rear_m < target.arc_m + agent.half_m + GAP_M
+        })
     }
 
     /// The position beside an agent on another lane, where both lanes run side by side, and no lane
@@ -271,7 +290,7 @@ impl Traffic {
             return false;
         }
         let counts = |number: u32| mind_ego || number != EGO;
-        let mut safe = true;
+        let mut safe = self.comes_out(agent, target);
         each_ahead(
             &self.graph,
             &self.order,
@@ -306,6 +325,93 @@ impl Traffic {
             })
     }
 
+    /// True if an agent comes past all vehicles on its own lane in a change of lanes, even if they
+    /// soon stand: else it might stand across two lanes for as long as they do. Those before a
+    /// vehicle that stands will stand behind it.
+    fn comes_out(&self, agent: &Agent, target: &Target) -> bool {
+        let swerves = |kind: &AsideKind| matches!(kind, AsideKind::Swerve { .. });
+        if self.meets_aside(agent.number, target.length_m, swerves) {
+            return false;
+        }
+        let room = self.change(agent, target).1;
+        let (mut comes_out, mut queue_m) = (true, 0.0);
+        each_ahead(
+            &self.graph,
+            &self.order,
+            agent.path_position(),
+            BEHIND_M,
+            |seen| {
+                let way_m = match self.keeps_lane(seen, agent.lane()) {
+                    true => room.passes_m,
+                    false => target.length_m,
+                };
+                let needed_m = agent.front_m() + way_m + GAP_M;
+                let goes_m = LEADER_S * seen.speed_mps;
+                comes_out &= seen.rear_m + goes_m > needed_m;
+                if seen.speed_mps < SPEED_MPS_MIN {
+                    comes_out &= seen.rear_m - queue_m > needed_m;
+                    return false;
+                }
+                queue_m += QUEUE_M;
+                comes_out
+            },
+        );
+        comes_out
+    }
+
+    /// True if a vehicle is in the middle of its lane: then a change of lanes may pass it.
+    fn keeps_lane(&self, seen: &Seen, lane: usize) -> bool {
+        if let Some(other) = self.agents.get(seen.agent as usize) {
+            return other.aside.is_none();
+        }
+        let ego = self.outsiders.ego.as_ref();
+        ego.filter(|_| seen.agent == EGO).is_some_and(|ego| {
+            let line = &self.graph.road(lane).line;
+            let mut corners = ego.outline.corners().into_iter();
+            let within_m = 0.5 * self.graph.vehicle().width_m + KEEPS_LANE_M;
+            corners.all(|corner| line.project(corner).distance_m < within_m)
+        })
+    }
+
+    /// Distance before its front beyond which an agent's lane change does not touch a vehicle on
+    /// the lane that it is leaving, meters.
+    pub(super) fn leaving_m(&self, agent: &Agent, seen: &Seen) -> f64 {
+        match &agent.aside {
+            Some(Aside {
+                kind: AsideKind::Change { from, .. },
+                ..
+            }) if self.keeps_lane(seen, *from) => agent.leaving_m(),
+            Some(aside) => aside.rest_m(),
+            None => 0.0,
+        }
+    }
+
+    /// True if an agent will be off its own lane before it comes near the vehicle ahead on the new
+    /// one, which keeps its speed.
+    fn comes_in(&self, agent: &Agent, target: &Target) -> bool {
+        let front_m = target.arc_m + agent.half_m;
+        let needed_m =
+            front_m + self.change(agent, target).1.leaves_m + agent.driver.idm.standstill_gap_m;
+        let duration_s = target.length_m / agent.speed_mps.max(1.0);
+        let mut comes_in = true;
+        each_ahead(
+            &self.graph,
+            &self.order,
+            PathPosition {
+                agent: agent.number,
+                path: &[target.lane],
+                here: 0,
+                arc_m: target.arc_m,
+            },
+            BEHIND_M,
+            |seen| {
+                comes_in = seen.rear_m + seen.speed_mps * duration_s > needed_m;
+                false
+            },
+        );
+        comes_in
+    }
+
     /// Changes into the neighboring lane on a side if that is safe. `None` if there is no such
     /// lane, otherwise true if the change began.
     pub(super) fn change_to(&mut self, number: usize, side: LaneSide) -> Option<bool> {
@@ -324,18 +430,39 @@ impl Traffic {
         Some(target.is_some())
     }
 
-    fn begin_change(&mut self, number: usize, target: &Target) {
-        let (graph, agent) = (&self.graph, &mut self.agents[number]);
+    /// Offset of an agent from a position on another lane, and the room that the change needs.
+    fn change(&self, agent: &Agent, target: &Target) -> (DVec2, LeavingRoom) {
+        let graph = &self.graph;
+        let beside = Agent::new(
+            agent.number,
+            agent.size,
+            agent.driver,
+            target.lane,
+            target.arc_m,
+        );
         let (position_m, _) = agent.pose_at(graph, 0.0, None);
+        let (on_lane_m, yaw_rad) = beside.pose_at(graph, 0.0, None);
+        let offset_m = DVec2::from_angle(-yaw_rad).rotate(position_m - on_lane_m);
+        let room = LeavingRoom::new(
+            offset_m.y,
+            target.length_m,
+            &agent.size,
+            graph.vehicle().width_m,
+        );
+        (offset_m, room)
+    }
+
+    fn begin_change(&mut self, number: usize, target: &Target) {
+        let (offset_m, room) = self.change(&self.agents[number], target);
+        let (graph, agent) = (&self.graph, &mut self.agents[number]);
         let (from, from_arc_m) = (agent.lane(), agent.arc_m);
         (agent.path, agent.here, agent.arc_m) = (vec![target.lane], 0, target.arc_m);
         agent.extend_path(graph, self.seed);
-        let (on_lane_m, yaw_rad) = agent.pose_at(graph, 0.0, None);
-        let offset_m = DVec2::from_angle(-yaw_rad).rotate(position_m - on_lane_m);
         let kind = AsideKind::Change {
             from,
             from_arc_m,
             offset_m,
+            room,
         };
         agent.aside = Some(Aside {
             traveled_m: 0.0,

@@ -20,6 +20,7 @@ const SPEED_MPS_MAX: f64 = 100.0;
 #[derive(Clone, Debug)]
 pub(super) struct Outsider {
     pub position_m: DVec2,
+    pub outline: OrientedBox,
     /// One for each lane whose corridor its box touches.
     pub entries: Vec<Entry>,
     /// Cells that it touches, or will soon; sorted.
@@ -64,6 +65,7 @@ impl Outsider {
             .touched(&outline.extended(stopping_m), &mut cells);
         Some(Self {
             position_m: state.position_m,
+            outline,
             entries,
             cells,
         })
@@ -76,6 +78,7 @@ impl Outsider {
         let entries = entries(graph, outline, DVec2::ZERO, &cells, PEDESTRIAN);
         (!cells.is_empty()).then_some(Self {
             position_m: outline.center_m,
+            outline: *outline,
             entries,
             cells,
         })

@@ -111,6 +111,7 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
         ego: ego(time_s),
         steer_rad: 0.0,
         on_road: true,
+        lanes: None,
         agents: agents.iter().map(|agent| Some(agent(time_s))).collect(),
     };
     let head = EpisodeHead {

@@ -43,11 +43,11 @@ fn fault_of(ego: &Motion, other: Motion) -> Fault {
         panic!("{infraction:?}")
     };
     assert_eq!((score.success, score.min_ttc_s()), (false, Some(0.0)));
-    let factor = if fault.at_fault() { 0.60 } else { 1.0 };
-    assert!(
-        (score.driving_score - factor * score.route_completion).abs() < 1e-12
-            && score.route_completion < 1.0
-    );
+    let expected = match fault.at_fault() {
+        true => 0.60 * score.route_completion,
+        false => 1.0,
+    };
+    assert!((score.driving_score - expected).abs() < 1e-12 && score.route_completion < 1.0);
     fault
 }
 

@@ -370,7 +370,11 @@ proptest! {
     fn scores_are_in_their_bounds(episodes in prop::collection::vec(any_episode(), 1..6)) {
         let scores: Vec<EpisodeScore> = episodes.iter().map(EpisodeScore::new).collect();
         for (score, episode) in scores.iter().zip(&episodes) {
-            prop_assert!(0.0 <= score.driving_score && score.driving_score <= score.route_completion);
+            prop_assert!(0.0 <= score.driving_score && score.driving_score <= score.counted_completion);
+            let others_fault = score.infractions.iter().any(|found| !found.at_fault());
+            let counted = match score.ended_by_other() { true => 1.0, false => score.route_completion };
+            prop_assert_eq!(score.counted_completion, counted);
+            prop_assert!(!score.ended_by_other() || others_fault && !score.success);
             prop_assert_eq!(score.route_completion == 1.0, episode.end == EpisodeEnd::RouteDone);
             prop_assert!(score.route_completion <= 1.0 && (!score.success || score.driving_score == 1.0));
             prop_assert_eq!(score.collisions() > 0, score.min_ttc_s() == Some(0.0) || matches!(episode.end, EpisodeEnd::Collision { .. }));

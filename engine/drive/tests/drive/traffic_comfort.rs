@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use decouplegs_drive::RoadGraph;
+use decouplegs_drive::{RoadGraph, Traffic};
+use decouplegs_scene::scenario::{Behavior, Maneuver, Trigger};
 use rayon::prelude::*;
 
-use crate::traffic_scenes::{random_traffic, roads, street};
+use crate::traffic_scenes::{agent, random_traffic, roads, state, straight, street};
 
 /// Largest jerk outside of emergencies, m/s^3, largest acceleration across, m/s^2, and the share of
 /// steps in which an agent brakes in an emergency.
@@ -68,5 +69,44 @@ fn agents_drive_comfortably() {
         assert!(jerk <= 10.0 + 1e-6, "{name}: {jerk} m/s^3");
         assert!(across <= 4.0, "{name}: {across} m/s^2");
         assert!(share < 0.02, "{name}: {share}");
+    }
+}
+
+#[test]
+fn scripted_braking_ends_gently() {
+    for deceleration_mps2 in [3.0, 5.5, 8.0] {
+        // To a stand, and while it still drives.
+        for duration_s in [0.8, 6.0] {
+            let mut braking = agent("a", "0", 100.0, 12.0);
+            braking.behaviors.push(Behavior {
+                trigger: Trigger::Time { time_s: 1.0 },
+                maneuver: Maneuver::Brake {
+                    deceleration_mps2,
+                    duration_s,
+                },
+            });
+            let graph = straight(2000.0, 1, 50.0 / 3.6);
+            let mut traffic = Traffic::new(graph, &[braking], 1).unwrap();
+            let (mut before, mut hardest_mps2, mut slowest_mps) = (0.0, 0.0_f64, f64::INFINITY);
+            for step in 0..120 {
+                traffic.step(0.1, None);
+                let (now, speed_mps) = (
+                    state(&traffic, 0).acceleration_mps2,
+                    state(&traffic, 0).speed_mps,
+                );
+                assert!(
+                    now - before <= 1.0 + 1e-6,
+                    "{deceleration_mps2} m/s^2 for {duration_s} s, step {step}: {before} to {now}"
+                );
+                hardest_mps2 = hardest_mps2.max(-now);
+                slowest_mps = slowest_mps.min(speed_mps);
+                before = now;
+            }
+            assert!(
+                (hardest_mps2 - deceleration_mps2).abs() < 0.1,
+                "{hardest_mps2}"
+            );
+            assert_eq!(slowest_mps == 0.0, duration_s > 5.0, "{slowest_mps}");
+        }
     }
 }

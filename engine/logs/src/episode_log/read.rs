@@ -103,7 +103,10 @@ fn record(chain: &mut Chain, line: &[u8], sequence: &mut Sequence) -> Result<Dec
     match Record::parse(payload)? {
         Record::Step(form) => {
             let step = form.into_step()?;
-            check_canonical(payload, &to_json(&StepForm::from_step(&step)))?;
+            check_canonical(
+                payload,
+                &to_json(&StepForm::from_step(&step, sequence.version())),
+            )?;
             sequence.step(&step)?;
             Ok(Decoded::Step(step))
         }

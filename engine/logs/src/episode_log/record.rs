@@ -2,7 +2,7 @@
 //! stands for.
 
 use decouplegs_scene::episode::{
-    DrawnBy, EpisodeTick, PlannerRecord, ReadingRecord, StopLineRecord,
+    DrawnBy, EpisodeTick, LaneRecord, PlannerRecord, ReadingRecord, StopLineRecord,
 };
 use decouplegs_scene::{
     EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint, VehicleSize,
@@ -18,7 +18,29 @@ use crate::scenario_file;
 type StateForm = [f64; 5];
 
 /// Time, ego, its steering, whether it is on the road, agents; null for those off the map.
-type InstantForm = (f64, StateForm, f64, bool, Vec<Option<StateForm>>);
+type InstantForm1 = (f64, StateForm, f64, bool, Vec<Option<StateForm>>);
+
+/// Instant with the lanes below the ego before the agents: its speed against them, and their speed
+/// limit.
+type InstantForm3 = (
+    f64,
+    StateForm,
+    f64,
+    bool,
+    Option<(f64, Option<f64>)>,
+    Vec<Option<StateForm>>,
+);
+
+/// First version of logs with lanes.
+pub(super) const LANES_VERSION: u32 = 3;
+
+/// An instant of any version.
+#[derive(Deserialize, Serialize)]
+#[serde(untagged)]
+enum InstantForm {
+    WithLanes(InstantForm3),
+    Bare(InstantForm1),
+}
 
 /// Index, right end and left end of a stop line.
 type LineForm = (usize, [f64; 2], [f64; 2]);
@@ -179,32 +201,41 @@ fn line((index, right_m, left_m): LineForm) -> StopLineRecord {
     }
 }
 
-fn instant_form(instant: &EpisodeTick) -> InstantForm {
+/// The form of `instant` in a log of `version`.
+fn instant_form(instant: &EpisodeTick, version: u32) -> InstantForm {
     let EpisodeTick {
         time_s,
         ego,
         steer_rad,
         on_road,
+        lanes,
         agents,
     } = instant;
-    (
-        *time_s,
-        state_form(ego),
-        *steer_rad,
-        *on_road,
-        agents
-            .iter()
-            .map(|agent| agent.as_ref().map(state_form))
-            .collect(),
-    )
+    let (ego, agents) = (state_form(ego), agents.iter());
+    let agents = agents.map(|agent| agent.as_ref().map(state_form)).collect();
+    if version < LANES_VERSION {
+        return InstantForm::Bare((*time_s, ego, *steer_rad, *on_road, agents));
+    }
+    let lanes = lanes.map(|lanes| (lanes.against_mps, lanes.limit_mps));
+    InstantForm::WithLanes((*time_s, ego, *steer_rad, *on_road, lanes, agents))
 }
 
-fn instant((time_s, ego, steer_rad, on_road, agents): InstantForm) -> EpisodeTick {
+fn instant(form: InstantForm) -> EpisodeTick {
+    let (time_s, ego, steer_rad, on_road, lanes, agents) = match form {
+        InstantForm::WithLanes(form) => form,
+        InstantForm::Bare((time_s, ego, steer_rad, on_road, agents)) => {
+            (time_s, ego, steer_rad, on_road, None, agents)
+        }
+    };
     EpisodeTick {
         time_s,
         ego: state(ego),
         steer_rad,
         on_road,
+        lanes: lanes.map(|(against_mps, limit_mps)| LaneRecord {
+            against_mps,
+            limit_mps,
+        }),
         agents: agents.into_iter().map(|agent| agent.map(state)).collect(),
     }
 }
@@ -264,13 +295,19 @@ impl HeadForm {
             agent_sizes_m: agent_sizes.iter().map(|size| size.to_array()).collect(),
             stop_lines: stop_lines.iter().map(line_form).collect(),
             sign_lines: sign_lines.iter().map(line_form).collect(),
-            start: instant_form(start),
+            start: instant_form(start, *log_version),
         })
     }
 
     /// # Errors
     /// A sentence, when its scenario is none.
     pub(super) fn into_head(self) -> Result<(EpisodeHead, EpisodeTick), String> {
+        if matches!(self.start, InstantForm::WithLanes(_)) != (self.version >= LANES_VERSION) {
+            return Err(format!(
+                "its start is not that of version {}: lanes are told from version {LANES_VERSION} on",
+                self.version
+            ));
+        }
         let scenario = scenario_file::parse(&self.scenario)
             .map_err(|error| format!("its scenario, {error}"))?;
         let PlannerForm {
@@ -321,7 +358,8 @@ impl HeadForm {
 }
 
 impl StepForm {
-    pub(super) fn from_step(step: &EpisodeStep) -> Self {
+    /// The form of `step` in a log of `version`.
+    pub(super) fn from_step(step: &EpisodeStep, version: u32) -> Self {
         let EpisodeStep {
             step,
             readings,
@@ -341,7 +379,10 @@ impl StepForm {
                 .map(|point| [point.time_s, point.position_m.x, point.position_m.y])
                 .collect(),
             warm_up: *warm_up,
-            instants: instants.iter().map(instant_form).collect(),
+            instants: instants
+                .iter()
+                .map(|instant| instant_form(instant, version))
+                .collect(),
         }
     }
 

@@ -4,10 +4,13 @@
 use decouplegs_scene::episode::EpisodeTick;
 use decouplegs_scene::{EpisodeEnd, EpisodeHead, EpisodeStep, VehicleState};
 
+use super::record::LANES_VERSION;
+
 /// Position in the sequence of records of a log. Writer and reader ask the same one, so that what
 /// is written can be read.
 #[derive(Clone, Debug)]
 pub(super) struct Sequence {
+    version: u32,
     agents: usize,
     next_step: u32,
     time_s: f64,
@@ -50,6 +53,7 @@ impl Sequence {
             }
         }
         let sequence = Self {
+            version: head.log_version,
             agents,
             next_step: 0,
             time_s: start.time_s,
@@ -58,6 +62,11 @@ impl Sequence {
             .check_instant(start)
             .map_err(|reason| format!("the start {reason}"))?;
         Ok(sequence)
+    }
+
+    /// Version of the log.
+    pub(super) fn version(&self) -> u32 {
+        self.version
     }
 
     /// Checks that `step` may follow.
@@ -109,6 +118,12 @@ impl Sequence {
     }
 
     fn check_instant(&self, instant: &EpisodeTick) -> Result<(), String> {
+        if instant.lanes.is_some() && self.version < LANES_VERSION {
+            return Err(format!(
+                "tells of lanes, which logs before version {LANES_VERSION} do not; this is version {}",
+                self.version
+            ));
+        }
         if instant.agents.len() != self.agents {
             return Err(format!(
                 "has {} agents; expected {}",
@@ -128,7 +143,10 @@ impl Sequence {
                     .into_iter()
                     .all(f64::is_finite)
         };
+        let lanes = instant.lanes.iter();
+        let lanes = lanes.flat_map(|lanes| [lanes.against_mps].into_iter().chain(lanes.limit_mps));
         let all_finite = instant.time_s.is_finite()
+            && lanes.into_iter().all(f64::is_finite)
             && instant.steer_rad.is_finite()
             && std::iter::once(&instant.ego)
                 .chain(instant.agents.iter().flatten())

@@ -32,7 +32,10 @@ impl Encoder {
 
     fn step(&mut self, step: &EpisodeStep) -> Result<String, EncodeError> {
         self.sequence.step(step).map_err(EncodeError)?;
-        Ok(self.chain.seal(&to_json(&StepForm::from_step(step))))
+        Ok(self.chain.seal(&to_json(&StepForm::from_step(
+            step,
+            self.sequence.version(),
+        ))))
     }
 
     fn end(&mut self, end: &EpisodeEnd) -> Result<String, EncodeError> {

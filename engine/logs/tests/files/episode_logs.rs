@@ -5,7 +5,7 @@ mod writing;
 use decouplegs_logs::episode_log::{VERSION, decode, encode};
 use decouplegs_logs::{EpisodeLog, read_episode_log};
 use decouplegs_scene::episode::{
-    DrawnBy, EpisodeTick, PlannerRecord, ReadingRecord, StopLineRecord,
+    DrawnBy, EpisodeTick, LaneRecord, PlannerRecord, ReadingRecord, StopLineRecord,
 };
 use decouplegs_scene::{
     Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint,
@@ -43,13 +43,18 @@ fn instants(agents: usize) -> impl Strategy<Value = EpisodeTick> {
         states(),
         numbers(),
         any::<bool>(),
+        prop::option::of((numbers(), prop::option::of(numbers()))),
         prop::collection::vec(prop::option::of(states()), agents),
     )
-        .prop_map(|(ego, steer_rad, on_road, agents)| EpisodeTick {
+        .prop_map(|(ego, steer_rad, on_road, lanes, agents)| EpisodeTick {
             time_s: 0.0,
             ego,
             steer_rad,
             on_road,
+            lanes: lanes.map(|(against_mps, limit_mps)| LaneRecord {
+                against_mps,
+                limit_mps,
+            }),
             agents,
         })
 }
@@ -207,6 +212,7 @@ fn small() -> Episode {
         ego: state(8.0 * time_s),
         steer_rad: 0.01,
         on_road: true,
+        lanes: None,
         agents: vec![Some(state(20.0 + time_s))],
     };
     let step = |step: u32| EpisodeStep {

@@ -240,6 +240,7 @@ impl Simulation {
                 &OrientedBox::for_vehicle(&ego, &self.scenario.ego.size),
                 RoadSurface::EDGE_M,
             ),
+            lanes: self.site.surface.lanes_below(&ego),
             ego,
             steer_rad: self.ego.steer_rad(),
             agents: self.traffic.states().to_vec(),
