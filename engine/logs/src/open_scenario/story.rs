@@ -38,6 +38,7 @@ pub(super) fn read(
         catalogs,
         events: Vec::new(),
         parts: HashMap::new(),
+        starts: HashMap::new(),
     };
     if let Some(actions) = storyboard.needed("Init")?.first("Actions") {
         reader.init(actions, skipped)?;
@@ -67,6 +68,7 @@ pub(super) fn read(
             reader.group(act, group, &mut next, &states, skipped)?;
         }
     }
+    reader.start_on_trajectories(skipped);
     let Some(stop) = storyboard.first("StopTrigger") else {
         return Ok(Story {
             stop_time_s: None,
@@ -113,6 +115,8 @@ struct Reader<'a, 'r> {
     events: Vec<StoryEvent>,
     /// Events of each part of the storyboard, by its kind and name.
     parts: HashMap<(String, String), Vec<usize>>,
+    /// First points of the first trajectories of entities, by entity.
+    starts: HashMap<usize, Position>,
 }
 
 impl Reader<'_, '_> {
@@ -120,6 +124,41 @@ impl Reader<'_, '_> {
         self.by_name
             .get(name)
             .map(|&index| &mut self.entities[index])
+    }
+
+    /// Remembers the first point of an entity's trajectory, if `action` is one.
+    fn note_start(&mut self, name: &str, private: Node, action: &Action) {
+        let Action::Path { points, .. } = action else {
+            return;
+        };
+        let follows = private
+            .first("RoutingAction")
+            .is_some_and(|routing| routing.first("FollowTrajectoryAction").is_some());
+        if let (true, Some(first), Some(&index)) = (follows, points.first(), self.by_name.get(name))
+        {
+            self.starts.entry(index).or_insert_with(|| first.clone());
+        }
+    }
+
+    /// Puts entities without a position at the first points of their trajectories, where these
+    /// count from no entity that has none.
+    fn start_on_trajectories(&mut self, skipped: &mut Skipped) {
+        for (index, entity) in self.entities.iter_mut().enumerate() {
+            if entity.position.is_some() {
+                continue;
+            }
+            let Some(start) = self.starts.remove(&index) else {
+                continue;
+            };
+            if start.other() == Some(&*entity.name) {
+                continue;
+            }
+            skipped.push(format!(
+                "{}: the file gives it no position; it starts at the first point of its trajectory",
+                entity.name
+            ));
+            entity.position = Some(start);
+        }
     }
 
     fn init(&mut self, actions: Node, skipped: &mut Skipped) -> Result<(), DecodeError> {
@@ -130,7 +169,7 @@ impl Reader<'_, '_> {
                 continue;
             }
             let name = private.needed_attribute("entityRef")?;
-            let Some(entity) = self.named(&name) else {
+            let Some(&index) = self.by_name.get(&*name) else {
                 skipped.add(private, "its entity is not read");
                 continue;
             };
@@ -140,6 +179,7 @@ impl Reader<'_, '_> {
                     let Some(position) = positions::read(place, catalogs, skipped)? else {
                         continue;
                     };
+                    let entity = &mut self.entities[index];
                     // A place relative to where it is already turns or moves it.
                     match (position.other() == Some(&*name), entity.position.take()) {
                         (true, Some(before)) => {
@@ -149,7 +189,12 @@ impl Reader<'_, '_> {
                     }
                     continue;
                 }
-                match read_action(action, catalogs, skipped)? {
+                let read = read_action(action, catalogs, skipped)?;
+                if let Some(read) = &read {
+                    self.note_start(&name, action, read);
+                }
+                let entity = &mut self.entities[index];
+                match read {
                     Some(Action::Speed { target, .. }) => entity.speed = Some(target),
                     Some(Action::Path { points, .. }) => entity.route = points,
                     Some(Action::ChangeLane(_)) => {
@@ -272,6 +317,7 @@ impl Reader<'_, '_> {
         };
         let duration_s = duration_s(private, &read)?;
         for actor in self.events[number].actors.clone() {
+            self.note_start(&actor, private, &read);
             let found = conditions::read(triggers, &actor, self.catalogs, states, skipped)?;
             let Some(trigger) = found else { continue };
             let Some(entity) = self.named(&actor) else {
