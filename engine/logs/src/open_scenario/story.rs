@@ -8,6 +8,7 @@ use decouplegs_asset::DecodeError;
 use super::catalogs::Catalogs;
 use super::conditions::{self, Measure, Rule, StateReference};
 use super::parameters::Node;
+use super::speed_profile::{self, Part};
 use super::{
     Action, Entity, Event, Position, Skipped, StoryEvent, TargetLane, TargetSpeed, Transition,
     positions, routes,
@@ -312,25 +313,37 @@ impl Reader<'_, '_> {
             skipped.add(action, "only actions of entities are read");
             return Ok(());
         };
-        let Some(read) = read_action(private, self.catalogs, skipped)? else {
-            return Ok(());
+        let parts = match speed_profile::read(private, skipped)? {
+            Some(parts) => parts,
+            None => {
+                let Some(action) = read_action(private, self.catalogs, skipped)? else {
+                    return Ok(());
+                };
+                let (begin_s, duration_s) = (0.0, duration_s(private, &action)?);
+                vec![Part {
+                    action,
+                    begin_s,
+                    duration_s,
+                }]
+            }
         };
-        let duration_s = duration_s(private, &read)?;
         for actor in self.events[number].actors.clone() {
-            self.note_start(&actor, private, &read);
+            for part in &parts {
+                self.note_start(&actor, private, &part.action);
+            }
             let found = conditions::read(triggers, &actor, self.catalogs, states, skipped)?;
             let Some(trigger) = found else { continue };
             let Some(entity) = self.named(&actor) else {
                 skipped.add(action, "its actor is not read");
                 continue;
             };
-            entity.events.push(Event {
+            entity.events.extend(parts.iter().map(|part| Event {
                 line: action.line(),
                 number,
-                trigger,
-                action: read.clone(),
-                duration_s,
-            });
+                trigger: speed_profile::later(&trigger, action.line(), part.begin_s),
+                action: part.action.clone(),
+                duration_s: part.duration_s,
+            }));
         }
         Ok(())
     }

@@ -397,7 +397,7 @@ struct Became {
     duration_s: Option<f64>,
 }
 
-/// What events have become, by their numbers.
+/// Behaviors of events, by the numbers of these.
 type Done = HashMap<usize, Became>;
 
 /// The wait for an event of the same agent, if `condition` is one.
