@@ -546,13 +546,13 @@ fn a_speed_profile_is_one_change_after_the_other() {
     let then = by_value(&state_of("p", "completeState"), 0.0);
     let read = with_story(&story_of(&[
         ("p", profile.into(), at),
-        ("q", speed("9"), then),
+        ("q", speed("15"), then),
     ]));
     let behaviors = read.scenario.agents[0].behaviors.iter();
     let found: Vec<_> = behaviors
         .map(|behavior| (behavior.trigger, behavior.maneuver))
         .collect();
-    let expected = [(1.0, 8.0), (3.0, 12.0), (6.0, 9.0)]
+    let expected = [(1.0, 8.0), (3.0, 12.0), (6.0, 15.0)]
         .map(|(time_s, speed_mps)| (Trigger::Time { time_s }, Maneuver::Cruise { speed_mps }));
     assert_eq!(found, expected);
     // Without times the limits of the vehicle would decide: it is listed.
