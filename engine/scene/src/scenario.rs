@@ -189,6 +189,22 @@ pub enum Trigger {
     },
     /// Comparison of a measured value, first met.
     Measured(Measured),
+    /// Another behavior of the same agent, begun or over.
+    After(After),
+}
+
+/// Wait for another behavior of the same agent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct After {
+    /// Index of that behavior among those of the agent.
+    pub behavior: usize,
+    /// True if it counts from the end of that behavior, false if from its begin. A behavior
+    /// without room for it ends when it is given up.
+    pub is_over: bool,
+    /// Time from which it counts at the earliest, seconds.
+    pub from_s: f64,
+    /// Time that passes then, seconds.
+    pub delay_s: f64,
 }
 
 /// Road user whose value is measured.

@@ -1,7 +1,7 @@
 //! Counts how many OpenSCENARIO files below a folder become scenarios, and how many of their events
 //! are driven: `cargo run -p decouplegs-sim --example count_open_scenarios -- DIR`.
 //!
-//! Prints a line for each file, then sums. Catalogs are left out.
+//! Prints a line for each file, then sums. Files without a storyboard are left out.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -19,9 +19,9 @@ fn main() -> ExitCode {
     files.sort();
     let (mut scenarios, mut read, mut events, mut driven, mut mostly) = (0, 0, 0, 0, 0);
     for file in files {
-        let is_catalog = std::fs::read_to_string(&file)
-            .is_ok_and(|text| text.contains("<Catalog ") && !text.contains("<Storyboard"));
-        if is_catalog {
+        let is_scenario =
+            std::fs::read_to_string(&file).is_ok_and(|text| text.contains("<Storyboard"));
+        if !is_scenario {
             continue;
         }
         scenarios += 1;

@@ -1,15 +1,16 @@
 //! Scenarios from OpenSCENARIO files.
 //!
 //! The ego is the entity named `Ego` or `Hero` (any case), otherwise the one whose property `type`
-//! is `ego_vehicle`, otherwise the first vehicle; the planner drives it, so its own actions other
-//! than a route are skipped. Its route is the shortest way through the waypoints of its route that
-//! lie ahead of it, otherwise straight on, as far as it drives at its cruise speed until the file's
-//! stop time (20 s if it has none).
+//! is `ego_vehicle`, otherwise the first vehicle on a driving lane; the planner drives it, so its
+//! own actions other than a route are skipped. Its route is the shortest way through the waypoints
+//! of its route that lie ahead of it, otherwise straight on, as far as it drives at its cruise
+//! speed until the file's stop time (20 s if it has none).
 //! Vehicles keep the speeds and lanes that the file gives them as far as traffic rules and other
 //! vehicles allow: they follow by IDM, yield at crossings and choose their ways there by the seed.
 
 mod actions;
 mod locate;
+mod map_search;
 mod measured;
 #[cfg(test)]
 mod tests;
@@ -80,12 +81,17 @@ pub fn import_open_scenario(
     let map_file = map
         .or(file.map.as_deref())
         .ok_or_else(|| fault("it names no map (<LogicFile>); give one with --map".into()))?;
-    if map.is_none() && !map_file.exists() {
-        return Err(fault(format!(
-            "its map {} is not there; give another with --map",
-            map_file.display()
-        )));
-    }
+    let found = match map {
+        None if !map_file.exists() => Some(map_search::above(path, map_file).ok_or_else(|| {
+            fault(format!(
+                "its map {} is not there; give another with --map",
+                map_file.display()
+            ))
+        })?),
+        _ => None,
+    };
+    let named_map = map_file;
+    let map_file = found.as_deref().unwrap_or(map_file);
     let (map, roads) = read_network(map_file)?;
     let name = names_of(path.file_stem().map_or("scenario".into(), |stem| {
         stem.to_string_lossy().into_owned()
@@ -108,7 +114,14 @@ pub fn import_open_scenario(
         events_driven: RefCell::default(),
     };
     let ego = import.ego_index().map_err(&fault)?;
-    let (scenario, obstacles, skipped) = import.scenario(name, &map_path).map_err(fault)?;
+    let (scenario, obstacles, mut skipped) = import.scenario(name, &map_path).map_err(fault)?;
+    if found.is_some() {
+        skipped.push(format!(
+            "its map {} is not there: {} is read instead",
+            named_map.display(),
+            map_path.display()
+        ));
+    }
     let ego = file.entities[ego].name.clone();
     let of_others = |event: &&StoryEvent| event.actors.iter().any(|actor| *actor != ego);
     let events = file.events.iter().filter(of_others).count();
@@ -257,6 +270,13 @@ impl Import<'_> {
             .or_else(|| {
                 let mut entities = entities.iter();
                 entities.position(|entity| entity.is_ego && is_vehicle(&entity))
+            })
+            .or_else(|| {
+                // The planner needs a lane: a vehicle beside the road is the last choice.
+                let mut placed = entities.iter().zip(&self.located);
+                placed.position(|(entity, located)| {
+                    is_vehicle(&entity) && located.as_ref().is_ok_and(|place| place.spot.is_some())
+                })
             })
             .or_else(|| entities.iter().position(|entity| is_vehicle(&entity)))
             .ok_or_else(|| "it has no vehicle; expected one that the planner drives".into())

@@ -1,7 +1,7 @@
 //! Misbehavior of agents that a model of good driving excludes: hard braking, cutting in, swerving.
 //! None of it reaches another agent.
 
-use decouplegs_scene::scenario::{Maneuver, Trigger};
+use decouplegs_scene::scenario::{After, Maneuver, Trigger};
 
 use super::Traffic;
 use super::agent::{Agent, Aside, AsideKind, Phase, SwerveShape, swerve_bend_m};
@@ -28,6 +28,9 @@ const CROSSING_M: f64 = 8.0;
 const SWERVE_REACTION_S: f64 = 2.0;
 /// Shares of the amplitude that are tried until there is room.
 const SWERVE_SHARES: [f64; 4] = [1.0, 0.75, 0.5, 0.25];
+
+/// Difference within which a cruise speed is reached, m/s.
+const REACHED_MPS: f64 = 0.5;
 
 /// Time for which a maneuver without room is tried, seconds.
 fn patience_s(maneuver: &Maneuver) -> f64 {
@@ -79,7 +82,35 @@ impl Traffic {
             }
             Trigger::Measured(measured) => self.states[number]
                 .is_some_and(|own| watch.is_due(&measured, self.time_s, &own, self.ego.as_ref())),
+            Trigger::After(after) => {
+                let holds = self.has_come(number, &after);
+                watch.is_past(holds, (after.from_s, after.delay_s), self.time_s)
+            }
         }
+    }
+
+    /// True if the behavior that another one of its agent waits for has begun, or is over.
+    fn has_come(&self, number: usize, after: &After) -> bool {
+        let agent = &self.agents[number];
+        let (Some(phase), Some(behavior)) = (
+            agent.phases.get(after.behavior),
+            self.behaviors[number].get(after.behavior),
+        ) else {
+            return false;
+        };
+        if *phase != Phase::Done {
+            return false;
+        }
+        !after.is_over
+            || match behavior.maneuver {
+                Maneuver::Brake { .. } => agent.brake.is_none(),
+                Maneuver::Cruise { speed_mps } => {
+                    (agent.speed_mps - speed_mps).abs() <= REACHED_MPS
+                }
+                Maneuver::CutIn | Maneuver::ChangeLane { .. } | Maneuver::Swerve { .. } => {
+                    agent.aside.is_none()
+                }
+            }
     }
 
     /// Begins a maneuver; whether there is nothing more to try.

@@ -170,6 +170,8 @@ impl Walker {
                 let own = self.state();
                 self.watch.is_due(&measured, time_s, &own, ego)
             }
+            // A pedestrian has no behaviors.
+            Trigger::After(_) => false,
         };
         if !self.has_started {
             return 0.0;

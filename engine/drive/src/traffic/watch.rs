@@ -48,6 +48,20 @@ impl Watch {
             .is_some_and(|met_s| time_s >= met_s + trigger.delay_s)
     }
 
+    /// True once `holds` has been true from a time on, and a delay has passed. It is asked at each
+    /// step until then.
+    pub(super) fn is_past(
+        &mut self,
+        holds: bool,
+        (from_s, delay_s): (f64, f64),
+        time_s: f64,
+    ) -> bool {
+        if self.met_s.is_none() && holds && time_s >= from_s {
+            self.met_s = Some(time_s);
+        }
+        self.met_s.is_some_and(|met_s| time_s >= met_s + delay_s)
+    }
+
     fn follow(&mut self, of: &VehicleState, time_s: f64) {
         if let Some(last_m) = self.last_m {
             self.traveled_m += of.position_m.distance(last_m);

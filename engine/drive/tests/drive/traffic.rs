@@ -6,7 +6,7 @@ use std::sync::Arc;
 use decouplegs_drive::idm::{IdmParameters, Leader, advance, stopping_m};
 use decouplegs_drive::obstacles::outline as outline_of;
 use decouplegs_drive::{Obstacles, OrientedBox, RoadGraph, Traffic, TrafficError};
-use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{After, Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
 use decouplegs_scene::{Obstacle, ObstacleKind, VehicleSize, VehicleState};
 use glam::DVec2;
 
@@ -200,6 +200,52 @@ fn waves_grow_and_fade_along_a_platoon_as_theory_says() {
             );
         }
     }
+}
+
+/// Time at which the second of two behaviors has begun: it waits 2 s after the first, which brakes
+/// from 1 s to 2 s and is never due where `first_s` is `None`.
+#[track_caller]
+fn cruises_from_s(is_over: bool, first_s: Option<f64>) -> Option<f64> {
+    let graph = straight(3000.0, 1, 50.0 / 3.6);
+    let brake = Behavior {
+        trigger: Trigger::Time {
+            time_s: first_s.unwrap_or(3600.0),
+        },
+        maneuver: Maneuver::Brake {
+            deceleration_mps2: 4.0,
+            duration_s: 1.0,
+        },
+    };
+    let stop = Behavior {
+        trigger: Trigger::After(After {
+            behavior: 0,
+            is_over,
+            from_s: 0.0,
+            delay_s: 2.0,
+        }),
+        maneuver: Maneuver::Brake {
+            deceleration_mps2: 8.0,
+            duration_s: 10.0,
+        },
+    };
+    let mut agents = vec![agent("0", "0", 100.0, 12.0)];
+    agents[0].behaviors = vec![brake, stop];
+    let mut traffic = traffic(&graph, &agents);
+    (0..120).find_map(|step| {
+        drive(&mut traffic, &agents, 1, None);
+        (state(&traffic, 0).acceleration_mps2 < -6.0).then_some(f64::from(step) * 0.1)
+    })
+}
+
+#[test]
+fn a_behavior_waits_for_the_begin_or_the_end_of_another() {
+    let near = |found: Option<f64>, expected_s: f64| {
+        let found_s = found.expect("it begins");
+        assert!((found_s - expected_s).abs() < 0.25, "{found_s} s");
+    };
+    near(cruises_from_s(false, Some(1.0)), 3.0);
+    near(cruises_from_s(true, Some(1.0)), 4.0);
+    assert_eq!(cruises_from_s(true, None), None);
 }
 
 #[test]

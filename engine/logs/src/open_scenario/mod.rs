@@ -22,6 +22,7 @@ mod parameters;
 mod positions;
 mod routes;
 mod signals;
+mod speed_profile;
 mod story;
 
 use std::path::{Path, PathBuf};

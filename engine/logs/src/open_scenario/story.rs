@@ -8,6 +8,7 @@ use decouplegs_asset::DecodeError;
 use super::catalogs::Catalogs;
 use super::conditions::{self, Measure, Rule, StateReference};
 use super::parameters::Node;
+use super::speed_profile::{self, Part};
 use super::{
     Action, Entity, Event, Position, Skipped, StoryEvent, TargetLane, TargetSpeed, Transition,
     positions, routes,
@@ -38,6 +39,7 @@ pub(super) fn read(
         catalogs,
         events: Vec::new(),
         parts: HashMap::new(),
+        starts: HashMap::new(),
     };
     if let Some(actions) = storyboard.needed("Init")?.first("Actions") {
         reader.init(actions, skipped)?;
@@ -67,6 +69,7 @@ pub(super) fn read(
             reader.group(act, group, &mut next, &states, skipped)?;
         }
     }
+    reader.start_on_trajectories(skipped);
     let Some(stop) = storyboard.first("StopTrigger") else {
         return Ok(Story {
             stop_time_s: None,
@@ -113,6 +116,8 @@ struct Reader<'a, 'r> {
     events: Vec<StoryEvent>,
     /// Events of each part of the storyboard, by its kind and name.
     parts: HashMap<(String, String), Vec<usize>>,
+    /// First points of the first trajectories of entities, by entity.
+    starts: HashMap<usize, Position>,
 }
 
 impl Reader<'_, '_> {
@@ -120,6 +125,41 @@ impl Reader<'_, '_> {
         self.by_name
             .get(name)
             .map(|&index| &mut self.entities[index])
+    }
+
+    /// Remembers the first point of an entity's trajectory, if `action` is one.
+    fn note_start(&mut self, name: &str, private: Node, action: &Action) {
+        let Action::Path { points, .. } = action else {
+            return;
+        };
+        let follows = private
+            .first("RoutingAction")
+            .is_some_and(|routing| routing.first("FollowTrajectoryAction").is_some());
+        if let (true, Some(first), Some(&index)) = (follows, points.first(), self.by_name.get(name))
+        {
+            self.starts.entry(index).or_insert_with(|| first.clone());
+        }
+    }
+
+    /// Puts entities without a position at the first points of their trajectories, where these
+    /// count from no entity that has none.
+    fn start_on_trajectories(&mut self, skipped: &mut Skipped) {
+        for (index, entity) in self.entities.iter_mut().enumerate() {
+            if entity.position.is_some() {
+                continue;
+            }
+            let Some(start) = self.starts.remove(&index) else {
+                continue;
+            };
+            if start.other() == Some(&*entity.name) {
+                continue;
+            }
+            skipped.push(format!(
+                "{}: the file gives it no position; it starts at the first point of its trajectory",
+                entity.name
+            ));
+            entity.position = Some(start);
+        }
     }
 
     fn init(&mut self, actions: Node, skipped: &mut Skipped) -> Result<(), DecodeError> {
@@ -130,7 +170,7 @@ impl Reader<'_, '_> {
                 continue;
             }
             let name = private.needed_attribute("entityRef")?;
-            let Some(entity) = self.named(&name) else {
+            let Some(&index) = self.by_name.get(&*name) else {
                 skipped.add(private, "its entity is not read");
                 continue;
             };
@@ -140,6 +180,7 @@ impl Reader<'_, '_> {
                     let Some(position) = positions::read(place, catalogs, skipped)? else {
                         continue;
                     };
+                    let entity = &mut self.entities[index];
                     // A place relative to where it is already turns or moves it.
                     match (position.other() == Some(&*name), entity.position.take()) {
                         (true, Some(before)) => {
@@ -149,7 +190,12 @@ impl Reader<'_, '_> {
                     }
                     continue;
                 }
-                match read_action(action, catalogs, skipped)? {
+                let read = read_action(action, catalogs, skipped)?;
+                if let Some(read) = &read {
+                    self.note_start(&name, action, read);
+                }
+                let entity = &mut self.entities[index];
+                match read {
                     Some(Action::Speed { target, .. }) => entity.speed = Some(target),
                     Some(Action::Path { points, .. }) => entity.route = points,
                     Some(Action::ChangeLane(_)) => {
@@ -267,24 +313,37 @@ impl Reader<'_, '_> {
             skipped.add(action, "only actions of entities are read");
             return Ok(());
         };
-        let Some(read) = read_action(private, self.catalogs, skipped)? else {
-            return Ok(());
+        let parts = match speed_profile::read(private, skipped)? {
+            Some(parts) => parts,
+            None => {
+                let Some(action) = read_action(private, self.catalogs, skipped)? else {
+                    return Ok(());
+                };
+                let (begin_s, duration_s) = (0.0, duration_s(private, &action)?);
+                vec![Part {
+                    action,
+                    begin_s,
+                    duration_s,
+                }]
+            }
         };
-        let duration_s = duration_s(private, &read)?;
         for actor in self.events[number].actors.clone() {
+            for part in &parts {
+                self.note_start(&actor, private, &part.action);
+            }
             let found = conditions::read(triggers, &actor, self.catalogs, states, skipped)?;
             let Some(trigger) = found else { continue };
             let Some(entity) = self.named(&actor) else {
                 skipped.add(action, "its actor is not read");
                 continue;
             };
-            entity.events.push(Event {
+            entity.events.extend(parts.iter().map(|part| Event {
                 line: action.line(),
                 number,
-                trigger,
-                action: read.clone(),
-                duration_s,
-            });
+                trigger: speed_profile::later(&trigger, action.line(), part.begin_s),
+                action: part.action.clone(),
+                duration_s: part.duration_s,
+            }));
         }
         Ok(())
     }

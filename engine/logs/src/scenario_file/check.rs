@@ -6,7 +6,7 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 
 use decouplegs_scene::scenario::{
-    Behavior, EgoTask, Maneuver, Measure, Measured, Place, TrafficAgent, Trigger,
+    After, Behavior, EgoTask, Maneuver, Measure, Measured, Place, TrafficAgent, Trigger,
 };
 use decouplegs_scene::{Pedestrian, RoadUser, Scenario, TrafficLight, TrafficSign, VehicleSize};
 
@@ -153,6 +153,14 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
         }
         for (at, behavior) in agent.behaviors.iter().enumerate() {
             check_behavior(Table::Behavior(index, at), behavior)?;
+            if let Trigger::After(after) = behavior.trigger {
+                check_after(
+                    Table::Behavior(index, at),
+                    at,
+                    &after,
+                    agent.behaviors.len(),
+                )?;
+            }
         }
     }
     for (index, walker) in scenario.pedestrians.iter().enumerate() {
@@ -358,7 +366,30 @@ fn check_pedestrian(table: Table, walker: &Pedestrian) -> Result<(), Fault> {
         }
     }
     within(table, "speed_mps", walker.speed_mps, &WALK_MPS)?;
+    if matches!(walker.start, Trigger::After(_)) {
+        let reason = "a pedestrian has no behaviors to wait for";
+        return Err(Fault::new(table, "at_time_s", reason.into()));
+    }
     check_trigger(table, walker.start)
+}
+
+/// Checks that behavior `at` waits for another one of the `count` that its agent has.
+fn check_after(table: Table, at: usize, after: &After, count: usize) -> Result<(), Fault> {
+    if after.behavior >= count || after.behavior == at {
+        let reason = format!(
+            "behavior {} of {count}; expected the number of another behavior of the agent, from 1",
+            after.behavior.saturating_add(1)
+        );
+        return Err(Fault::new(table, "after", reason));
+    }
+    let times_s = 0.0..=DURATION_S_MAX;
+    for (key, value) in [("from_s", after.from_s), ("delay_s", after.delay_s)] {
+        if !times_s.contains(&value) {
+            let reason = format!("{key} {value} is out of range; expected 0 to {DURATION_S_MAX}");
+            return Err(Fault::new(table, "after", reason));
+        }
+    }
+    Ok(())
 }
 
 fn check_trigger(table: Table, trigger: Trigger) -> Result<(), Fault> {
@@ -366,6 +397,8 @@ fn check_trigger(table: Table, trigger: Trigger) -> Result<(), Fault> {
         Trigger::Time { time_s } => within(table, "at_time_s", time_s, &(0.0..=DURATION_S_MAX)),
         Trigger::NearEgo { distance_m } => within(table, "near_ego_m", distance_m, &NEAR_EGO_M),
         Trigger::Measured(measured) => check_measured(table, &measured),
+        // Its behaviors are known to the agent alone.
+        Trigger::After(_) => Ok(()),
     }
 }
 

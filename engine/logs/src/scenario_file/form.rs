@@ -11,7 +11,7 @@ use toml::Spanned;
 use super::VERSION;
 use super::check::{Fault, Table, check};
 use super::seed::Seed;
-use super::when::WhenForm;
+use super::when::{AfterForm, WhenForm};
 use decouplegs_asset::SceneError;
 use decouplegs_asset::toml_text::{Checker, syntax_error};
 use decouplegs_asset::traffic_light_form::LightForm;
@@ -190,6 +190,8 @@ pub(super) struct BehaviorForm {
     pub(super) speed_mps: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) when: Option<WhenForm>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) after: Option<AfterForm>,
 }
 
 /// Reads and checks `text`.
@@ -419,7 +421,15 @@ fn trigger(
 }
 
 fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
-    let trigger = trigger((form.at_time_s, form.near_ego_m, form.when.as_ref()), table)?;
+    let keys = (form.at_time_s, form.near_ego_m, form.when.as_ref());
+    let trigger = match (&form.after, keys) {
+        (None, keys) => trigger(keys, table)?,
+        (Some(after), (None, None, None)) => after.trigger(table)?,
+        _ => {
+            let reason = "give one of 'at_time_s', 'near_ego_m', 'when' and 'after'".into();
+            return Err(Fault::new(table, "after", reason));
+        }
+    };
     let name = form.maneuver.as_str();
     let needed = |field: &'static str, value: Option<f64>| {
         value.ok_or_else(|| Fault::new(table, field, format!("a maneuver '{name}' needs it")))

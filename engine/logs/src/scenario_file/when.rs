@@ -1,6 +1,6 @@
-//! The table `when` of a trigger.
+//! The tables `when` and `after` of a trigger.
 
-use decouplegs_scene::scenario::{Measure, Measured, Party, Trigger};
+use decouplegs_scene::scenario::{After, Measure, Measured, Party, Trigger};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
@@ -84,6 +84,43 @@ impl WhenForm {
             less_m: self.less_m,
             is_above,
             value,
+            from_s: self.from_s,
+            delay_s: self.delay_s,
+        }))
+    }
+}
+
+#[derive(Clone, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct AfterForm {
+    /// Number of the behavior in the file, from 1.
+    behavior: usize,
+    #[serde(default)]
+    is_over: bool,
+    #[serde(default)]
+    from_s: f64,
+    #[serde(default)]
+    delay_s: f64,
+}
+
+impl AfterForm {
+    pub(super) fn new(after: &After) -> Self {
+        Self {
+            behavior: after.behavior + 1,
+            is_over: after.is_over,
+            from_s: after.from_s,
+            delay_s: after.delay_s,
+        }
+    }
+
+    pub(super) fn trigger(&self, table: Table) -> Result<Trigger, Fault> {
+        let Some(behavior) = self.behavior.checked_sub(1) else {
+            let reason = "behavior 0; behaviors of an agent count from 1";
+            return Err(Fault::new(table, "after", reason.into()));
+        };
+        Ok(Trigger::After(After {
+            behavior,
+            is_over: self.is_over,
             from_s: self.from_s,
             delay_s: self.delay_s,
         }))

@@ -16,7 +16,7 @@ use super::form::{
     SceneForm, StreetForm,
 };
 use super::seed::Seed;
-use super::when::WhenForm;
+use super::when::{AfterForm, WhenForm};
 use decouplegs_asset::EncodeError;
 use decouplegs_asset::traffic_light_form::LightForm;
 use decouplegs_asset::traffic_sign_form::SignForm;
@@ -174,6 +174,8 @@ fn trigger_form(trigger: Trigger) -> (Option<f64>, Option<f64>, Option<WhenForm>
         Trigger::Time { time_s } => (Some(time_s), None, None),
         Trigger::NearEgo { distance_m } => (None, Some(distance_m), None),
         Trigger::Measured(measured) => (None, None, Some(WhenForm::new(&measured))),
+        // Behaviors alone have it, in a table of its own.
+        Trigger::After(_) => (None, None, None),
     }
 }
 
@@ -183,6 +185,10 @@ fn behavior_form(behavior: &Behavior) -> BehaviorForm {
         at_time_s,
         near_ego_m,
         when,
+        after: match &behavior.trigger {
+            Trigger::After(after) => Some(AfterForm::new(after)),
+            _ => None,
+        },
         ..BehaviorForm::default()
     };
     match behavior.maneuver {

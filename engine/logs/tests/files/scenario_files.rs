@@ -5,7 +5,7 @@ use std::path::Path;
 use decouplegs_logs::scenario_file::{self, AGENTS_MAX};
 use decouplegs_logs::{read_scenario, write_scenario};
 use decouplegs_scene::scenario::{
-    Behavior, DriverKind, LaneSide, Maneuver, Measure, Measured, Party, Place, Trigger,
+    After, Behavior, DriverKind, LaneSide, Maneuver, Measure, Measured, Party, Place, Trigger,
 };
 use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
 use proptest::prelude::*;
@@ -59,19 +59,17 @@ fn the_documented_example_means_what_it_says() {
     let [taxi] = scenario.agents.as_slice() else {
         panic!("one agent")
     };
-    assert_eq!(
-        (
-            taxi.name.as_str(),
-            taxi.asset,
-            taxi.lane.as_str(),
-            taxi.at_m
-        ),
-        ("taxi", 3, "12/0/-2", 25.0)
-    );
+    let found = (&*taxi.name, taxi.asset, &*taxi.lane, taxi.at_m);
+    assert_eq!(found, ("taxi", 3, "12/0/-2", 25.0));
     assert_eq!(
         (taxi.driver, taxi.changes_lanes, taxi.size.to_array()),
         (DriverKind::Hurried, true, [4.8, 1.85, 1.5])
     );
+    let at = |time_s: f64, maneuver: Maneuver| Behavior {
+        trigger: Trigger::Time { time_s },
+        maneuver,
+    };
+    let change = |side: LaneSide| Maneuver::ChangeLane { side };
     let behaviors = [
         Behavior {
             trigger: Trigger::NearEgo { distance_m: 14.0 },
@@ -103,15 +101,16 @@ fn the_documented_example_means_what_it_says() {
                 duration_s: 3.0,
             },
         },
+        at(15.0, change(LaneSide::Left)),
+        at(18.0, Maneuver::Cruise { speed_mps: 6.0 }),
         Behavior {
-            trigger: Trigger::Time { time_s: 15.0 },
-            maneuver: Maneuver::ChangeLane {
-                side: LaneSide::Left,
-            },
-        },
-        Behavior {
-            trigger: Trigger::Time { time_s: 18.0 },
-            maneuver: Maneuver::Cruise { speed_mps: 6.0 },
+            trigger: Trigger::After(After {
+                behavior: 4,
+                is_over: true,
+                from_s: 16.0,
+                delay_s: 2.0,
+            }),
+            maneuver: change(LaneSide::Right),
         },
     ];
     assert_eq!(taxi.behaviors, behaviors);

@@ -1,10 +1,13 @@
 //! Actions of vehicles and pedestrians, as behaviors and paths.
 
+use std::collections::HashMap;
+
 use decouplegs_logs::open_scenario::{
     Action, Condition, Direction, Event, Measure, Rule, Stage, Target, TargetLane, Transition,
 };
+use decouplegs_logs::scenario_file::DURATION_S_MAX;
 use decouplegs_scene::Pedestrian;
-use decouplegs_scene::scenario::{Behavior, LaneSide, Maneuver, Trigger};
+use decouplegs_scene::scenario::{After, Behavior, LaneSide, Maneuver, Trigger};
 use glam::DVec2;
 
 use super::{Import, Located};
@@ -43,15 +46,19 @@ impl Import<'_> {
                 entity.name
             ));
         }
+        // Behaviors that the events before have become.
+        let mut done = Done::new();
         for event in &entity.events {
             let line = event.line;
-            let Some(trigger) = self.trigger(event, index, ego) else {
+            let Some(trigger) = self.trigger(event, [index, ego], &done) else {
                 skipped.push(format!(
                     "line {line}: what triggers the action of {} cannot be expressed",
                     entity.name
                 ));
                 continue;
             };
+            let first = behaviors.len();
+            let mut duration_s = event.duration_s;
             match &event.action {
                 Action::Speed { target, transition } => {
                     let target_mps = self.speed_of(Some(target)).clamp(0.0, 100.0);
@@ -68,6 +75,7 @@ impl Import<'_> {
                         trigger,
                         maneuver: cruise,
                     });
+                    duration_s = duration_s.or(change_s(speed_mps, target_mps, *transition));
                     speed_mps = target_mps;
                     self.events_driven.borrow_mut().insert(event.number);
                 }
@@ -86,6 +94,18 @@ impl Import<'_> {
                     "line {line}: routes and trajectories of vehicles other than the ego are skipped"
                 )),
             }
+            if behaviors.len() > first {
+                let known = done.entry(event.number).or_insert(Became {
+                    first,
+                    last: first,
+                    duration_s: Some(0.0),
+                });
+                known.last = behaviors.len() - 1;
+                known.duration_s = known
+                    .duration_s
+                    .zip(duration_s)
+                    .map(|(known_s, own_s)| known_s.max(own_s));
+            }
         }
         behaviors
     }
@@ -103,7 +123,7 @@ impl Import<'_> {
         let mut start = Trigger::Time { time_s: 0.0 };
         let mut route = entity.route.as_slice();
         for event in &entity.events {
-            let Some(trigger) = self.trigger(event, index, ego) else {
+            let Some(trigger) = self.trigger(event, [index, ego], &Done::new()) else {
                 skipped.push(format!(
                     "line {}: what triggers the action of {} cannot be expressed",
                     event.line, entity.name
@@ -155,8 +175,9 @@ impl Import<'_> {
         }
     }
 
-    /// The trigger of an event of an entity; `None` if it cannot be expressed.
-    fn trigger(&self, event: &Event, index: usize, ego: usize) -> Option<Trigger> {
+    /// The trigger of an event of an actor; `None` if it cannot be expressed. `done` are behaviors
+    /// that the actor has already.
+    fn trigger(&self, event: &Event, parties: [usize; 2], done: &Done) -> Option<Trigger> {
         let mut time_s: f64 = 0.0;
         let mut measured = None;
         for stage in &event.trigger.stages {
@@ -171,21 +192,26 @@ impl Import<'_> {
             let [group] = stage.as_slice() else {
                 return None;
             };
-            let [condition] = group.as_slice() else {
-                return None;
-            };
-            // One place holds one comparison: two that wait for each other are not expressed.
-            if measured.replace(condition).is_some() {
-                return None;
+            for condition in group {
+                if let Some(holds_s) = self.condition_s(condition, CHAIN_MAX) {
+                    time_s = time_s.max(holds_s);
+                } else if measured.replace(condition).is_some() {
+                    // One place holds one comparison: two that wait for each other are not
+                    // expressed.
+                    return None;
+                }
             }
         }
         match measured {
             Some(condition) if time_s == 0.0 => self
-                .near_ego(condition, [index, ego])
-                .or_else(|| self.measured(condition, time_s, [index, ego])),
-            Some(condition) => self.measured(condition, time_s, [index, ego]),
+                .near_ego(condition, parties)
+                .or_else(|| after(condition, time_s, done))
+                .or_else(|| self.measured(condition, time_s, parties)),
+            Some(condition) => {
+                after(condition, time_s, done).or_else(|| self.measured(condition, time_s, parties))
+            }
             None => Some(Trigger::Time {
-                time_s: time_s.min(decouplegs_logs::scenario_file::DURATION_S_MAX),
+                time_s: time_s.min(DURATION_S_MAX),
             }),
         }
     }
@@ -359,6 +385,55 @@ impl Import<'_> {
         }
         Err("its target is no lane beside the one where the vehicle starts".into())
     }
+}
+
+/// Behaviors that an event of an agent has become.
+struct Became {
+    /// Index of the first.
+    first: usize,
+    /// Index of the last.
+    last: usize,
+    /// Duration of the longest, seconds, where it is known.
+    duration_s: Option<f64>,
+}
+
+/// Behaviors of events, by the numbers of these.
+type Done = HashMap<usize, Became>;
+
+/// The wait for an event of the same agent, if `condition` is one.
+fn after(condition: &Condition, from_s: f64, done: &Done) -> Option<Trigger> {
+    let Measure::Event { events, has_ended } = &condition.measure else {
+        return None;
+    };
+    let [number] = events[..] else {
+        return None;
+    };
+    let became = done.get(&number)?;
+    // A known duration counts from the begin: the end is that of the file, whatever the traffic.
+    let (behavior, is_over, more_s) = match (has_ended, became.duration_s) {
+        (false, _) => (became.first, false, 0.0),
+        (true, Some(duration_s)) => (became.first, false, duration_s),
+        (true, None) => (became.last, true, 0.0),
+    };
+    let delay_s = condition.delay_s + more_s;
+    (delay_s <= DURATION_S_MAX && from_s <= DURATION_S_MAX).then_some(Trigger::After(After {
+        behavior,
+        is_over,
+        from_s,
+        delay_s,
+    }))
+}
+
+/// Duration of a change of speed, seconds; `None` if it never ends.
+fn change_s(from_mps: f64, to_mps: f64, transition: Transition) -> Option<f64> {
+    let change_mps = (to_mps - from_mps).abs();
+    let duration_s = match transition {
+        Transition::Step => 0.0,
+        Transition::Time(time_s) => time_s,
+        Transition::Rate(rate_mps2) => change_mps / rate_mps2,
+        Transition::Distance(distance_m) => 2.0 * distance_m / (from_mps + to_mps),
+    };
+    duration_s.is_finite().then_some(duration_s)
 }
 
 /// Braking that a change of speed needs beyond what a driver does by itself.
