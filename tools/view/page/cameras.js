@@ -4,6 +4,13 @@ import { state } from "./state.js";
 
 const BIRDS_EYE_FOV_DEG = 8;
 const FOV_DEG = 60;
+/** Distance that a camera goes by: of what is before it, where the size of the scene is not known. */
+const REACH_M = 10;
+/** Largest of it, in a scene of kilometers. */
+const REACH_MAX_M = 40;
+
+/** Distance that a camera in `source` goes by, meters. */
+const reachOf = ({ extent }) => (extent ? Math.min(REACH_MAX_M, Math.max(1e-6, extent.radius_m)) : REACH_M);
 
 /** Cameras that a source offers: [value, text]. */
 export function cameraChoices({ cameras, has_ego: hasEgo }) {
@@ -16,7 +23,11 @@ export function cameraChoices({ cameras, has_ego: hasEgo }) {
 }
 
 /** Start of a camera of the user. `rig` is a vehicle's name, "" for the ego, null for the world. */
-export function newCamera(kind, rig, first) {
+export function newCamera(kind, rig, source) {
+  return { ...started(kind, rig, source), reach: rig === null ? reachOf(source) : REACH_M };
+}
+
+function started(kind, rig, { first_camera: first, extent }) {
   const attached = rig !== null;
   const axes = attached ? geometry.axesOf([0, 0, 1]) : state.axes;
   if (kind === "driver") return { rig, axes, at: [0.9, 0.35, 1.3], yaw: 0, pitch: 0, fov: FOV_DEG };
@@ -25,12 +36,16 @@ export function newCamera(kind, rig, first) {
   }
   const { yaw, pitch } = geometry.anglesOf(axes, first.rotation);
   const ahead = geometry.direction(axes, yaw, pitch);
+  // A file of splats is looked at from a distance that shows all of it; a street from within.
+  const whole = (fov) => (1.1 * extent.radius_m) / Math.sin((fov * Math.PI) / 360);
+  const focus = extent ? extent.center_m : geometry.add(first.position_m, geometry.scale(ahead, REACH_M));
   if (kind === "birds-eye") {
-    const focus = attached ? [0, 0, 0] : geometry.add(first.position_m, geometry.scale(ahead, 10));
-    return { rig, axes, focus, far: 400, yaw: attached ? 0 : yaw, pitch: -Math.PI / 2, fov: BIRDS_EYE_FOV_DEG };
+    const far = extent && !attached ? whole(BIRDS_EYE_FOV_DEG) : 400;
+    const below = attached ? [0, 0, 0] : focus;
+    return { rig, axes, focus: below, far, yaw: attached ? 0 : yaw, pitch: -Math.PI / 2, fov: BIRDS_EYE_FOV_DEG };
   }
   if (kind === "orbit") {
-    return { rig, axes, focus: geometry.add(first.position_m, geometry.scale(ahead, 10)), far: 10, yaw, pitch, fov: FOV_DEG };
+    return { rig, axes, focus, far: extent ? whole(FOV_DEG) : REACH_M, yaw, pitch, fov: FOV_DEG };
   }
   return { rig, axes, at: first.position_m, yaw, pitch, fov: FOV_DEG };
 }
@@ -76,19 +91,19 @@ export function shift(camera, right, up) {
   camera[key] = geometry.add(camera[key], by);
 }
 
-/** Nearest distance of a camera to the point that it circles around, meters. */
-const FAR_MIN_M = 1e-3;
+/** Nearest that a camera comes to the point that it circles around, a share of its reach. */
+const FAR_MIN = 1e-4;
 
-/** Changes the distance to the focus by a factor; without a focus, flies as far from 10 m. */
+/** Changes the distance to the focus by a factor; without a focus, flies as far from its reach. */
 export function zoom(camera, factor) {
-  if (camera.focus) camera.far = Math.max(FAR_MIN_M, camera.far * factor);
-  else approach(camera, -10 * Math.log(factor));
+  if (camera.focus) camera.far = Math.max(FAR_MIN * camera.reach, camera.far * factor);
+  else approach(camera, -camera.reach * Math.log(factor));
 }
 
 /** Moves toward the focus, meters. */
 export function approach(camera, by_m) {
   if (camera.focus) {
-    camera.far = Math.max(FAR_MIN_M, camera.far - by_m);
+    camera.far = Math.max(FAR_MIN * camera.reach, camera.far - by_m);
     return;
   }
   const forward = geometry.direction(camera.axes, camera.yaw, camera.pitch);

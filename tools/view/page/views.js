@@ -126,7 +126,7 @@ export function choose(pane, choice, rig) {
   const source = sourceOf(pane);
   const own = choice === "rig" || choice.startsWith("named:");
   const follows = ["follow", "driver", "birds-eye"].includes(choice) && source.has_ego;
-  pane.camera = own ? null : newCamera(choice, rig ?? (follows ? "" : null), source.first_camera);
+  pane.camera = own ? null : newCamera(choice, rig ?? (follows ? "" : null), source);
   pane.select.value = [...pane.select.options].some((o) => o.value === choice) ? choice : "";
   layOut(pane);
   share(pane);
@@ -325,7 +325,7 @@ function pinch(pane, before, now) {
 /** Moves by a drag: one across the height of the view moves by that height, at the camera's focus. */
 function move({ box }, camera, dx, dy) {
   const height = box.getBoundingClientRect().height;
-  const extent = 2 * (camera.far ?? 10) * Math.tan((camera.fov * Math.PI) / 360);
+  const extent = 2 * (camera.far ?? camera.reach) * Math.tan((camera.fov * Math.PI) / 360);
   shift(camera, (-dx * extent) / height, (dy * extent) / height);
 }
 
@@ -440,7 +440,7 @@ function fly(now) {
   const pane = activePane();
   const camera = movable(pane);
   if (camera) {
-    const step = (held.has("shift") ? 30 : 8) * seconds;
+    const step = (held.has("shift") ? 3 : 0.8) * camera.reach * seconds;
     const sign = (plus, minus) => Number(held.has(plus)) - Number(held.has(minus));
     approach(camera, step * sign("w", "s"));
     shift(camera, step * sign("d", "a"), step * sign("e", "q"));

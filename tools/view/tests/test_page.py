@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+np = pytest.importorskip("numpy")
 playwright = pytest.importorskip("playwright.sync_api")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 if CHROMIUM is None:
@@ -479,6 +480,55 @@ def test_memory_stays_flat(street, open_page):
         print(f"{first} KiB, after {seconds:.0f} s {last} KiB")
         assert last < (1.05 if seconds > 600 else 1.15) * first
         assert all(page.faults == [] for page in pages)
+
+
+def scaled_car(street, folder, size):
+    """Name of a PLY in `folder` of a car of the street, `size` times as large."""
+    car = folder / "car.ply"
+    if not car.exists():
+        run("decompress", next((street / "assets").glob("*.safetensors")), "--out", car)
+    header, body = car.read_bytes().split(b"end_header\n", 1)
+    names = [line.split()[-1].decode() for line in header.splitlines() if line.startswith(b"property")]
+    rows = np.frombuffer(body, "<f4").reshape(-1, len(names)).copy()
+    rows[:, [names.index(axis) for axis in "xyz"]] *= size
+    rows[:, [names.index(f"scale_{axis}") for axis in range(3)]] += np.log(size)
+    scaled = folder / f"car_{size}.ply"
+    scaled.write_bytes(header + b"end_header\n" + rows.tobytes())
+    return scaled.name
+
+
+def test_a_splat_file_is_circled_and_flown_by_its_own_size(street, tmp_path, open_page):
+    """A thing of a few centimeters, and one of hundreds of meters: the same car, scaled."""
+    for size in (0.02, 1.0, 60.0):
+        with Viewer(tmp_path, scaled_car(street, tmp_path, size)) as viewer:
+            page = open_page(viewer)
+            page.choose("Camera of view 1", "orbit")
+            camera = lambda: page.page.evaluate("() => window.viewer.state.panes[0].camera")
+            first = camera()
+            assert 1.5 * size < first["far"] < 20 * size
+            assert max(abs(axis) for axis in first["focus"]) < 2 * size
+            box = page.page.query_selector(".view").bounding_box()
+            x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+            def drag():
+                page.page.mouse.move(x, y)
+                page.page.mouse.down()
+                page.page.mouse.move(x + 200, y)
+                page.page.mouse.up()
+
+            for act in (lambda: None, drag):
+                act()
+                page.at_rest()
+                width, height, rgba = page.pixels()
+                middle = 4 * (width * (height // 2) + width // 2)
+                assert max(rgba[middle : middle + 3]) > 16, "it stays in the middle of the image"
+            page.page.mouse.wheel(0, -100)
+            page.at_rest()
+            assert 0.8 < camera()["far"] / first["far"] < 1
+            page.page.keyboard.press("f")
+            page.at_rest()
+            assert camera()["far"] == first["far"]
+            assert page.faults == []
 
 
 def test_two_fingers_zoom_and_a_refusal_goes(street, open_page):
