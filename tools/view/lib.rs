@@ -16,6 +16,7 @@ mod demo;
 mod drawing;
 mod edits;
 mod events;
+mod extent;
 mod frame_state;
 mod history;
 mod image_header;

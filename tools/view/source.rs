@@ -2,14 +2,15 @@
 
 use std::sync::Arc;
 
-use decouplegs::asset::{LoadedScene, SplatExtent, lidar_names};
+use decouplegs::asset::{LoadedScene, lidar_names};
 use decouplegs::episode::chosen_lidars;
 use decouplegs::explain::explain;
 use decouplegs::scene::{Camera, CapturedViews, Intrinsics, Lidar, Motion, Pose};
 use decouplegs::session::{Session, SessionError, SessionScene, World};
-use glam::{DQuat, DVec3, Vec3};
+use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
 
+use crate::extent;
 use crate::played::Played;
 use crate::protocol::{CameraRequest, Edit, Pane, Pinhole};
 use crate::scenario_edits::ScenarioEditor;
@@ -412,22 +413,10 @@ impl Source {
             "background_splats": self.on_device.background_splats(),
             "assets": loaded.assets.len(),
             "first_camera": pose_json(&first),
-            "extent": if has_rig { Value::Null } else { self.extent() },
+            "extent": if has_rig { Value::Null } else { extent::facts(&loaded.splat_scene) },
             "lanes": lanes,
             "lidars": lidars,
         })
-    }
-
-    /// Center and radius of the box that holds nearly all splats, as JSON; null without a splat. One
-    /// far splat, or a sky, does not count.
-    fn extent(&self) -> Value {
-        let scene = &self.loaded().splat_scene;
-        let Some(extent) = SplatExtent::new(&scene.splats) else {
-            return Value::Null;
-        };
-        let [low, high] = [extent.middle.min, extent.middle.max].map(|end| Vec3::from_array(end).as_dvec3());
-        let center = scene.origin + 0.5 * (low + high);
-        json!({"center_m": center.to_array(), "radius_m": 0.5 * low.distance(high)})
     }
 
     /// Facts that change with edits and steps: counts, undo, score, as JSON.

@@ -5,12 +5,12 @@ import { state } from "./state.js";
 const BIRDS_EYE_FOV_DEG = 8;
 const FOV_DEG = 60;
 /** Distance that a camera goes by: of what is before it, where the size of the scene is not known. */
-const REACH_M = 10;
+const STRIDE_M = 10;
 /** Largest of it, in a scene of kilometers. */
-const REACH_MAX_M = 40;
+const STRIDE_MAX_M = 40;
 
 /** Distance that a camera in `source` goes by, meters. */
-const reachOf = ({ extent }) => (extent ? Math.min(REACH_MAX_M, Math.max(1e-6, extent.radius_m)) : REACH_M);
+const strideOf = ({ extent }) => (extent ? Math.min(STRIDE_MAX_M, Math.max(1e-6, extent.radius_m)) : STRIDE_M);
 
 /** Cameras that a source offers: [value, text]. */
 export function cameraChoices({ cameras, has_ego: hasEgo }) {
@@ -24,7 +24,7 @@ export function cameraChoices({ cameras, has_ego: hasEgo }) {
 
 /** Start of a camera of the user. `rig` is a vehicle's name, "" for the ego, null for the world. */
 export function newCamera(kind, rig, source) {
-  return { ...started(kind, rig, source), reach: rig === null ? reachOf(source) : REACH_M };
+  return { ...started(kind, rig, source), stride: rig === null ? strideOf(source) : STRIDE_M };
 }
 
 function started(kind, rig, { first_camera: first, extent }) {
@@ -36,16 +36,16 @@ function started(kind, rig, { first_camera: first, extent }) {
   }
   const { yaw, pitch } = geometry.anglesOf(axes, first.rotation);
   const ahead = geometry.direction(axes, yaw, pitch);
-  // A file of splats is looked at from a distance that shows all of it; a street from within.
+  // A file of splats is shown from a distance at which all of it is seen; a street from within.
   const whole = (fov) => (1.1 * extent.radius_m) / Math.sin((fov * Math.PI) / 360);
-  const focus = extent ? extent.center_m : geometry.add(first.position_m, geometry.scale(ahead, REACH_M));
+  const focus = extent ? extent.center_m : geometry.add(first.position_m, geometry.scale(ahead, STRIDE_M));
   if (kind === "birds-eye") {
     const far = extent && !attached ? whole(BIRDS_EYE_FOV_DEG) : 400;
     const below = attached ? [0, 0, 0] : focus;
     return { rig, axes, focus: below, far, yaw: attached ? 0 : yaw, pitch: -Math.PI / 2, fov: BIRDS_EYE_FOV_DEG };
   }
   if (kind === "orbit") {
-    return { rig, axes, focus, far: extent ? whole(FOV_DEG) : REACH_M, yaw, pitch, fov: FOV_DEG };
+    return { rig, axes, focus, far: extent ? whole(FOV_DEG) : STRIDE_M, yaw, pitch, fov: FOV_DEG };
   }
   return { rig, axes, at: first.position_m, yaw, pitch, fov: FOV_DEG };
 }
@@ -91,19 +91,19 @@ export function shift(camera, right, up) {
   camera[key] = geometry.add(camera[key], by);
 }
 
-/** Nearest that a camera comes to the point that it circles around, a share of its reach. */
+/** Nearest that a camera comes to the point that it circles around, a share of its stride. */
 const FAR_MIN = 1e-4;
 
-/** Changes the distance to the focus by a factor; without a focus, flies as far from its reach. */
+/** Changes the distance to the focus by a factor; without a focus, flies as far from its stride. */
 export function zoom(camera, factor) {
-  if (camera.focus) camera.far = Math.max(FAR_MIN * camera.reach, camera.far * factor);
-  else approach(camera, -camera.reach * Math.log(factor));
+  if (camera.focus) camera.far = Math.max(FAR_MIN * camera.stride, camera.far * factor);
+  else approach(camera, -camera.stride * Math.log(factor));
 }
 
 /** Moves toward the focus, meters. */
 export function approach(camera, by_m) {
   if (camera.focus) {
-    camera.far = Math.max(FAR_MIN * camera.reach, camera.far - by_m);
+    camera.far = Math.max(FAR_MIN * camera.stride, camera.far - by_m);
     return;
   }
   const forward = geometry.direction(camera.axes, camera.yaw, camera.pitch);

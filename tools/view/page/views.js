@@ -325,7 +325,7 @@ function pinch(pane, before, now) {
 /** Moves by a drag: one across the height of the view moves by that height, at the camera's focus. */
 function move({ box }, camera, dx, dy) {
   const height = box.getBoundingClientRect().height;
-  const extent = 2 * (camera.far ?? camera.reach) * Math.tan((camera.fov * Math.PI) / 360);
+  const extent = 2 * (camera.far ?? camera.stride) * Math.tan((camera.fov * Math.PI) / 360);
   shift(camera, (-dx * extent) / height, (dy * extent) / height);
 }
 
@@ -440,7 +440,7 @@ function fly(now) {
   const pane = activePane();
   const camera = movable(pane);
   if (camera) {
-    const step = (held.has("shift") ? 3 : 0.8) * camera.reach * seconds;
+    const step = (held.has("shift") ? 3 : 0.8) * camera.stride * seconds;
     const sign = (plus, minus) => Number(held.has(plus)) - Number(held.has(minus));
     approach(camera, step * sign("w", "s"));
     shift(camera, step * sign("d", "a"), step * sign("e", "q"));
