@@ -77,7 +77,7 @@ pub fn put(state: &mut State, name: &str, shape: Vec<usize>, bytes: Vec<u8>) {
 }
 
 /// Adds a layer with `times` colors over time, of which the first is the constant one.
-fn put_layer(state: &mut State, layer: &str, splats: &SplatCloud, times: usize) {
+pub fn put_layer(state: &mut State, layer: &str, splats: &SplatCloud, times: usize) {
     let n = splats.len();
     let name = |array: &str| format!(".gaussians_nodes.{layer}.{array}");
     let log = |scales: &[f32; 3]| scales.map(f32::ln);
@@ -113,7 +113,7 @@ fn put_layer(state: &mut State, layer: &str, splats: &SplatCloud, times: usize) 
     put(state, &name("n_active_features"), Vec::new(), active);
 }
 
-fn volume(state: State) -> Vec<u8> {
+pub fn volume(state: State) -> Vec<u8> {
     let state = Packed::Map(state.into_iter().collect());
     let data = vec![
         ("version".to_owned(), Packed::Text("0.2.576")),

@@ -3,12 +3,13 @@
 use decouplegs_asset::packed_scene::{PackOptions, ground_mesh_ply, pack};
 use decouplegs_asset::scene_import::decode_nurec;
 use decouplegs_asset::{SceneAgent, SceneFile, inria_ply, open_scene};
-use decouplegs_scene::{Pose, Presence, Trajectory};
+use decouplegs_scene::{Pose, Presence, SplatCloud, Trajectory};
 use glam::{DQuat, DVec3};
 
 use crate::errors::Errors;
 use crate::nurec::{
-    halves, package, put, read, rig, saved, state, tracks, turned, with_tracks, zip,
+    State, halves, package, put, put_layer, read, rig, saved, state, tracks, turned, volume,
+    with_tracks, zip,
 };
 use crate::sample::cloud;
 
@@ -53,6 +54,40 @@ fn vehicles_stand_on_the_mesh_of_the_package_else_on_its_road() {
             .any(|note| note.contains("mesh_ground.ply"));
         assert_eq!(is_said, !entries.is_empty());
     }
+}
+
+#[test]
+fn volumes_of_any_name_stand_where_their_stage_puts_them() {
+    let splats = cloud(40, 3);
+    let world_from_volume = turned();
+    let volume_of = |splats: &SplatCloud| {
+        let mut state = State::new();
+        put_layer(&mut state, "gaussians", splats, 1);
+        volume(state)
+    };
+    let there = splats.placed(&world_from_volume.inverse(), true);
+    let half = |at: std::ops::Range<u32>| volume_of(&there.select(&at.collect::<Vec<_>>()));
+    let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| world_from_volume.rotation * axis);
+    let t = world_from_volume.translation;
+    let rows = [(x, 0), (y, 0), (z, 0), (t, 1)]
+        .map(|(row, last)| format!("({}, {}, {}, {last})", row.x, row.y, row.z));
+    let stage = format!(
+        "#usda 1.0\ndef Volume \"gauss\"\n{{\n    custom bool omni:nurec:isNuRecVolume = 1\n    matrix4d xformOp:transform = ( {} )\n}}\n",
+        rows.join(", ")
+    );
+    let bytes = zip(&[
+        ("default.usda", b"#usda 1.0\n".to_vec()),
+        ("part_1.nurec", half(0..20)),
+        ("part_2.nurec", half(20..40)),
+        ("gauss.usda", stage.into_bytes()),
+    ]);
+    let found = read(&bytes);
+    let errors = Errors::between(&splats, &found.background);
+    assert!(errors.mean_m < 0.04 && errors.rest < 4e-3, "{errors:?}");
+    assert!(
+        errors.angle_rad < 5e-3 && errors.scale_ln < 5e-3,
+        "{errors:?}"
+    );
 }
 
 /// A package whose volume has arrays of PPISP for `cameras` cameras and three images.

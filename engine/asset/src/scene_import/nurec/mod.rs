@@ -5,9 +5,10 @@
 //!
 //! | entry | what is read |
 //! |---|---|
-//! | `volume.nurec`, else `checkpoint.ckpt` | layers of splats: those with `gaussian_cuboid_ids` are agents, in the frames of their boxes; the others are the background |
+//! | `volume.nurec`, else `checkpoint.ckpt`, else every `*.nurec` | layers of splats: those with `gaussian_cuboid_ids` are agents, in the frames of their boxes; the others are the background |
 //! | the same, `background.textures` | the sky, six faces in OpenGL's order |
 //! | the same, `post_processings.0.ppisp` | photometry of the cameras, in the order of `camera_ids` of `metadata.yaml` |
+//! | the `.usda` of the volume, where there is no rig | the frame of the splats: its transform |
 //! | `rig_trajectories.json` | cameras, way of the ego, `world_to_nre`: the frame of the splats |
 //! | `mesh_ground.ply`, else the layer `road` | the ground that vehicles stand on |
 //! | `sequence_tracks.json` | classes and ways of the agents |
@@ -24,6 +25,7 @@
 mod layers;
 mod ppisp;
 mod rig;
+mod stage;
 mod state;
 mod tracks;
 mod value;
@@ -62,7 +64,19 @@ const FAR_M: f64 = 20_000.0;
 
 /// True if an archive is a package of this kind.
 pub(crate) fn is_package(archive: &Archive<'_>) -> bool {
-    VOLUMES.iter().any(|name| archive.has(name))
+    !volumes(archive).is_empty()
+}
+
+/// Names of the entries that hold splats: one of [`VOLUMES`], else all that end with `.nurec`:
+/// 3dgrut calls one like its output, and writes one for each part of a scene.
+fn volumes<'a>(archive: &'a Archive<'_>) -> Vec<&'a str> {
+    if let Some(name) = VOLUMES.into_iter().find(|name| archive.has(name)) {
+        return vec![name];
+    }
+    let mut names: Vec<&str> = archive.names().collect();
+    names.retain(|name| name.ends_with(".nurec"));
+    names.sort_unstable();
+    names
 }
 
 /// Reads the scene of a package, with all of its splats.
@@ -79,18 +93,23 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
         let note = format!("there is no {RIG}: the scene has no cameras and no way of an ego");
         scene.notes.push(note);
     }
-    let nre_from_world = rig
-        .as_ref()
-        .map_or(Pose::IDENTITY, |rig| rig.nre_from_world);
+    let nre_from_world = match &rig {
+        Some(rig) => rig.nre_from_world,
+        None => stage::world_from_volume(archive, &mut scene.notes)?.inverse(),
+    };
     let world_from_nre = nre_from_world.inverse();
     let mut tracks = read_tracks(archive, rig.as_ref())?;
-    let state = read_state(archive)?;
-    if state.layers().is_empty() {
+    let states = volumes(archive)
+        .into_iter()
+        .map(|name| read_state(archive, name));
+    let states: Vec<State> = states.collect::<Result<_, _>>()?;
+    let state = &states[0];
+    if states.iter().all(|state| state.layers().is_empty()) {
         return Err(DecodeError::Malformed(
             "the volume has no layer with positions of splats".into(),
         ));
     }
-    note_unread(&state, &mut scene.notes);
+    note_unread(state, &mut scene.notes);
     if let Some(rig) = &mut rig {
         let order = camera_order(archive, rig)?;
         let of = |name: &String| rig.rig.cameras().position(|camera| camera.name == *name);
@@ -98,15 +117,19 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
             .iter()
             .map_while(|name| Some(rig.images[of(name)?]))
             .collect();
-        let notes = ppisp::calibrate(&mut rig.rig, &state, &order, &images)?;
+        let notes = ppisp::calibrate(&mut rig.rig, state, &order, &images)?;
         scene.notes.extend(notes);
     }
-    scene.sky = sky(&state, nre_from_world)?;
+    scene.sky = sky(state, nre_from_world)?;
     let mut background: Option<SplatCloud> = None;
     let mut road = Vec::new();
     let mut drawn = HashSet::new();
-    for name in state.layers() {
-        let layer = layers::layer(&state, &name)?;
+    let layers = states.iter().flat_map(|state| {
+        let names = state.layers().into_iter();
+        names.map(move |name| (state, name))
+    });
+    for (state, name) in layers {
+        let layer = layers::layer(state, &name)?;
         note_layer(&layer, &mut scene.notes);
         if layer.tracks.is_empty() {
             if name == ROAD {
@@ -155,12 +178,13 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
     Ok(scene)
 }
 
-fn read_state(archive: &Archive<'_>) -> Result<State, DecodeError> {
-    let [volume, checkpoint] = VOLUMES;
-    if archive.has(volume) {
-        return State::from_volume(archive.stored(volume)?);
+fn read_state(archive: &Archive<'_>, name: &str) -> Result<State, DecodeError> {
+    let bytes = archive.stored(name)?;
+    if name.ends_with(".nurec") {
+        State::from_volume(bytes)
+    } else {
+        State::from_checkpoint(bytes)
     }
-    State::from_checkpoint(archive.stored(checkpoint)?)
 }
 
 /// The entry `name`, else that part of the older summary which is called like it.
