@@ -28,6 +28,7 @@ mod pedestrian;
 mod random;
 mod signals;
 mod start;
+mod teleport;
 mod watch;
 
 use std::sync::Arc;

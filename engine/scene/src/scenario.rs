@@ -315,6 +315,11 @@ pub enum Maneuver {
         /// Direction of the change.
         side: LaneSide,
     },
+    /// Is put onto the lane at a point, at its speed, as soon as there is room.
+    Teleport {
+        /// World coordinates, meters.
+        point_m: DVec2,
+    },
 }
 
 /// Side of a lane, in driving direction.

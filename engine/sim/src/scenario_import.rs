@@ -13,6 +13,8 @@ mod locate;
 mod map_search;
 mod measured;
 #[cfg(test)]
+mod story_tests;
+#[cfg(test)]
 mod tests;
 
 use std::cell::RefCell;

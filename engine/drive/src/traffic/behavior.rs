@@ -36,7 +36,7 @@ const REACHED_MPS: f64 = 0.5;
 fn patience_s(maneuver: &Maneuver) -> f64 {
     match maneuver {
         Maneuver::Brake { .. } | Maneuver::Cruise { .. } => 0.0,
-        Maneuver::CutIn | Maneuver::ChangeLane { .. } => 10.0,
+        Maneuver::CutIn | Maneuver::ChangeLane { .. } | Maneuver::Teleport { .. } => 10.0,
         Maneuver::Swerve { .. } => 3.0,
     }
 }
@@ -107,6 +107,7 @@ impl Traffic {
                 Maneuver::Cruise { speed_mps } => {
                     (agent.speed_mps - speed_mps).abs() <= REACHED_MPS
                 }
+                Maneuver::Teleport { .. } => true,
                 Maneuver::CutIn | Maneuver::ChangeLane { .. } | Maneuver::Swerve { .. } => {
                     agent.aside.is_none()
                 }
@@ -126,6 +127,7 @@ impl Traffic {
             }
             Maneuver::CutIn => self.cut_in(number).unwrap_or(true),
             Maneuver::ChangeLane { side } => self.change_to(number, side).unwrap_or(true),
+            Maneuver::Teleport { point_m } => self.teleport(number, point_m).unwrap_or(true),
             Maneuver::Cruise { speed_mps } => {
                 self.agents[number].cruise_mps = Some(speed_mps);
                 true

@@ -50,10 +50,11 @@ const MERGE_M: f64 = 150.0;
 
 /// Position of an agent on another lane.
 #[derive(Clone, Debug)]
-struct Target {
-    lane: usize,
-    arc_m: f64,
-    length_m: f64,
+pub(super) struct Target {
+    pub lane: usize,
+    pub arc_m: f64,
+    /// Length of the change, meters.
+    pub length_m: f64,
 }
 
 impl Traffic {
@@ -279,7 +280,7 @@ impl Traffic {
 
     /// True if every vehicle on the new lane can stop behind its leader after the change, and none
     /// is beside.
-    fn is_safe(&self, agent: &Agent, target: &Target, mind_ego: bool) -> bool {
+    pub(super) fn is_safe(&self, agent: &Agent, target: &Target, mind_ego: bool) -> bool {
         let (front_m, rear_m) = (target.arc_m + agent.half_m, target.arc_m - agent.half_m);
         let own_stopping_m = stopping_m(agent.speed_mps);
         let stop_m = front_m + own_stopping_m;

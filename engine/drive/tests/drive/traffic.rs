@@ -249,6 +249,37 @@ fn a_behavior_waits_for_the_begin_or_the_end_of_another() {
 }
 
 #[test]
+fn a_teleport_waits_for_room() {
+    let graph = straight(3000.0, 1, 50.0 / 3.6);
+    let y_m = state(&traffic(&graph, &[agent("0", "0", 100.0, 12.0)]), 0)
+        .position_m
+        .y;
+    let to_500 = Behavior {
+        trigger: Trigger::Time { time_s: 1.0 },
+        maneuver: Maneuver::Teleport {
+            point_m: DVec2::new(500.0, y_m + 0.5),
+        },
+    };
+    // Far from the other, and where it drives by.
+    for (other_m, until_s) in [(1000.0, 1.2), (495.0, 9.0)] {
+        let mut agents = vec![agent("0", "0", 100.0, 12.0), agent("1", "0", other_m, 12.0)];
+        agents[0].behaviors = vec![to_500];
+        let mut traffic = traffic(&graph, &agents);
+        drive(&mut traffic, &agents, 9, None);
+        assert!(state(&traffic, 0).position_m.x < 115.0);
+        let found_s = (9..110).find_map(|step| {
+            drive(&mut traffic, &agents, 1, None);
+            let now = state(&traffic, 0);
+            (now.position_m.x >= 500.0).then_some((f64::from(step + 1) * 0.1, now))
+        });
+        let (found_s, now) = found_s.expect("it is put there");
+        assert!(now.position_m.x < 502.0 && now.speed_mps > 11.0, "{now:?}");
+        assert!(found_s <= until_s, "{found_s} s");
+        assert_eq!(found_s > 1.2, other_m < 500.0, "{found_s} s");
+    }
+}
+
+#[test]
 fn a_platoon_survives_a_leader_that_brakes_as_hard_as_tyres_hold() {
     let graph = straight(3000.0, 1, 50.0 / 3.6);
     for driver in DriverKind::ALL {

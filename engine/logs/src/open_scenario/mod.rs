@@ -171,6 +171,8 @@ pub enum Action {
     },
     /// Changes lanes.
     ChangeLane(TargetLane),
+    /// Is put to a position.
+    Teleport(Position),
     /// Goes along a route or trajectory.
     Path {
         /// Positions in its order.

@@ -198,6 +198,8 @@ impl Reader<'_, '_> {
                 match read {
                     Some(Action::Speed { target, .. }) => entity.speed = Some(target),
                     Some(Action::Path { points, .. }) => entity.route = points,
+                    // Positions at the start were read before.
+                    Some(Action::Teleport(_)) => {}
                     Some(Action::ChangeLane(_)) => {
                         skipped.add(action, "a lane change at the start is not read");
                     }
@@ -428,6 +430,9 @@ fn read_action(
             };
             Ok(Some(Action::ChangeLane(lane)))
         }
+        ("TeleportAction", _, Some(place)) if place.name() == "Position" => {
+            Ok(positions::read(place, catalogs, skipped)?.map(Action::Teleport))
+        }
         ("RoutingAction", Some(_), Some(routing)) => path(routing, catalogs, skipped),
         _ => {
             skipped.add(inner.unwrap_or(kind), "actions of this kind are not read");
@@ -445,6 +450,7 @@ fn duration_s(private: Node, action: &Action) -> Result<Option<f64>, DecodeError
     };
     Ok(match action {
         Action::Speed { transition, .. } => of(*transition),
+        Action::Teleport(_) => Some(0.0),
         Action::ChangeLane(_) => {
             let change = private
                 .first("LateralAction")

@@ -443,6 +443,10 @@ fn check_behavior(table: Table, behavior: &Behavior) -> Result<(), Fault> {
             within(table, "duration_s", duration_s, &MANEUVER_S)
         }
         Maneuver::CutIn | Maneuver::ChangeLane { .. } => Ok(()),
+        Maneuver::Teleport { point_m } => {
+            within(table, "point_m", point_m.x, &POINT_M)?;
+            within(table, "point_m", point_m.y, &POINT_M)
+        }
         Maneuver::Cruise { speed_mps } => within(table, "speed_mps", speed_mps, &SPEED_MPS),
         Maneuver::Swerve {
             amplitude_m,

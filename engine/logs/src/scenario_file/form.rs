@@ -189,6 +189,8 @@ pub(super) struct BehaviorForm {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) speed_mps: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) point_m: Option<[f64; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) when: Option<WhenForm>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) after: Option<AfterForm>,
@@ -445,6 +447,9 @@ fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
     if name != "cruise" {
         foreign("speed_mps", form.speed_mps)?;
     }
+    if name != "teleport" {
+        foreign("point_m", form.point_m.map(|[x_m, _]| x_m))?;
+    }
     let of_no_duration = || {
         foreign("amplitude_m", form.amplitude_m)?;
         foreign("deceleration_mps2", form.deceleration_mps2)?;
@@ -478,6 +483,16 @@ fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
                 speed_mps: needed("speed_mps", form.speed_mps)?,
             }
         }
+        "teleport" => {
+            of_no_duration()?;
+            let Some(point_m) = form.point_m else {
+                let reason = format!("a maneuver '{name}' needs it");
+                return Err(Fault::new(table, "point_m", reason));
+            };
+            Maneuver::Teleport {
+                point_m: DVec2::from_array(point_m),
+            }
+        }
         "swerve" => {
             foreign("deceleration_mps2", form.deceleration_mps2)?;
             let amplitude_m = needed("amplitude_m", form.amplitude_m)?;
@@ -491,7 +506,7 @@ fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
                 table,
                 "maneuver",
                 format!(
-                    "'{name}' is unknown; there are brake, cut_in, swerve, cruise, change_left, change_right"
+                    "'{name}' is unknown; there are brake, cut_in, swerve, cruise, change_left, change_right, teleport"
                 ),
             ));
         }

@@ -219,6 +219,11 @@ fn behavior_form(behavior: &Behavior) -> BehaviorForm {
             speed_mps: Some(speed_mps),
             ..form
         },
+        Maneuver::Teleport { point_m } => BehaviorForm {
+            maneuver: "teleport".into(),
+            point_m: Some(point_m.to_array()),
+            ..form
+        },
         Maneuver::ChangeLane { side } => BehaviorForm {
             maneuver: match side {
                 LaneSide::Left => "change_left".into(),

@@ -8,6 +8,7 @@ use decouplegs_scene::scenario::{
     After, Behavior, DriverKind, LaneSide, Maneuver, Measure, Measured, Party, Place, Trigger,
 };
 use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
+use glam::DVec2;
 use proptest::prelude::*;
 
 use crate::scenarios::scenarios;
@@ -69,6 +70,7 @@ fn the_documented_example_means_what_it_says() {
         trigger: Trigger::Time { time_s },
         maneuver,
     };
+    let point_m = DVec2::new(40.0, 1.75);
     let change = |side: LaneSide| Maneuver::ChangeLane { side };
     let behaviors = [
         Behavior {
@@ -103,6 +105,7 @@ fn the_documented_example_means_what_it_says() {
         },
         at(15.0, change(LaneSide::Left)),
         at(18.0, Maneuver::Cruise { speed_mps: 6.0 }),
+        at(19.0, Maneuver::Teleport { point_m }),
         Behavior {
             trigger: Trigger::After(After {
                 behavior: 4,

@@ -159,6 +159,9 @@ fn behaviors() -> impl Strategy<Value = Behavior> {
         (0.0f64..=100.0).prop_map(|speed_mps| Maneuver::Cruise { speed_mps }),
         select(vec![LaneSide::Left, LaneSide::Right])
             .prop_map(|side| Maneuver::ChangeLane { side }),
+        (-1e5f64..=1e5, -1e5f64..=1e5).prop_map(|(x, y)| Maneuver::Teleport {
+            point_m: DVec2::new(x, y),
+        }),
         (-20.0f64..=20.0, duration_s()).prop_map(|(amplitude_m, duration_s)| Maneuver::Swerve {
             amplitude_m,
             duration_s

@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 
 use decouplegs_logs::open_scenario::{
-    Action, Condition, Direction, Event, Measure, Rule, Stage, Target, TargetLane, Transition,
+    Action, Condition, Direction, Entity, Event, Measure, Position, Rule, Stage, Target,
+    TargetLane, Transition,
 };
 use decouplegs_logs::scenario_file::DURATION_S_MAX;
 use decouplegs_scene::Pedestrian;
@@ -90,6 +91,13 @@ impl Import<'_> {
                     }
                     Err(reason) => skipped.push(format!("line {line}: {reason}")),
                 },
+                Action::Teleport(place) => match self.teleport(place, entity) {
+                    Ok(maneuver) => {
+                        behaviors.push(Behavior { trigger, maneuver });
+                        self.events_driven.borrow_mut().insert(event.number);
+                    }
+                    Err(reason) => skipped.push(format!("line {line}: {reason}")),
+                },
                 Action::Path { .. } => skipped.push(format!(
                     "line {line}: routes and trajectories of vehicles other than the ego are skipped"
                 )),
@@ -108,6 +116,23 @@ impl Import<'_> {
             }
         }
         behaviors
+    }
+
+    /// The maneuver that puts `entity` to `place`.
+    ///
+    /// # Errors
+    /// A sentence that says why that is not known before the episode, or is on no lane.
+    fn teleport(&self, place: &Position, entity: &Entity) -> Result<Maneuver, String> {
+        if place.other().is_some() {
+            return Err("a position relative to an entity that drives is not read".into());
+        }
+        let found = self.locator.locate(place, &self.located)?;
+        let none = || "its position is on no driving lane of the map".to_owned();
+        let center = self.center(entity, &found).ok_or_else(none)?;
+        let line = self.locator.index.line(center.lane).ok_or_else(none)?;
+        Ok(Maneuver::Teleport {
+            point_m: line.at(center.at_m).truncate(),
+        })
     }
 
     /// Pedestrian without name and asset.
