@@ -261,21 +261,21 @@ fn a_teleport_waits_for_room() {
         },
     };
     // Far from the other, and where it drives by.
-    for (other_m, until_s) in [(1000.0, 1.2), (495.0, 9.0)] {
+    for (other_m, until) in [(1000.0, 12), (495.0, 90)] {
         let mut agents = vec![agent("0", "0", 100.0, 12.0), agent("1", "0", other_m, 12.0)];
         agents[0].behaviors = vec![to_500];
         let mut traffic = traffic(&graph, &agents);
         drive(&mut traffic, &agents, 9, None);
         assert!(state(&traffic, 0).position_m.x < 115.0);
-        let found_s = (9..110).find_map(|step| {
+        let found = (9..110).find_map(|step| {
             drive(&mut traffic, &agents, 1, None);
             let now = state(&traffic, 0);
-            (now.position_m.x >= 500.0).then_some((f64::from(step + 1) * 0.1, now))
+            (now.position_m.x >= 500.0).then_some((step + 1, now))
         });
-        let (found_s, now) = found_s.expect("it is put there");
+        let (steps, now) = found.expect("it is put there");
         assert!(now.position_m.x < 502.0 && now.speed_mps > 11.0, "{now:?}");
-        assert!(found_s <= until_s, "{found_s} s");
-        assert_eq!(found_s > 1.2, other_m < 500.0, "{found_s} s");
+        assert!(steps <= until, "{steps} steps");
+        assert_eq!(steps > 12, other_m < 500.0, "{steps} steps");
     }
 }
 
