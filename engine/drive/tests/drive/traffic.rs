@@ -261,7 +261,7 @@ fn a_teleport_waits_for_room() {
         },
     };
     // Far from the other, and where it drives by.
-    for (other_m, until) in [(1000.0, 12), (495.0, 90)] {
+    for (other_m, until) in [(1000.0, 12), (488.0, 90)] {
         let mut agents = vec![agent("0", "0", 100.0, 12.0), agent("1", "0", other_m, 12.0)];
         agents[0].behaviors = vec![to_500];
         let mut traffic = traffic(&graph, &agents);
