@@ -152,6 +152,8 @@ impl GpuScene {
             })
             .collect();
         let distance_m = |splat: &Prepared| Vec3::from_array(splat.mean_m).as_dvec3().length();
+        // Fog that dims nothing is none: kernels with fog may round otherwise.
+        let fog = splat_scene.fog.filter(|fog| fog.extinction_per_m > 0.0);
         Ok(Self {
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             distance_max_m: prepared
@@ -164,7 +166,7 @@ impl GpuScene {
             sh_degree: cloud.sh_degree,
             has_instances: !instance_from_splat.is_empty(),
             origin: splat_scene.origin,
-            sky: match (&splat_scene.sky_map, &splat_scene.fog) {
+            sky: match (&splat_scene.sky_map, &fog) {
                 (Some(_), _) => [0.0; 3],
                 (None, None) => splat_scene.sky,
                 (None, Some(fog)) => {
@@ -177,11 +179,11 @@ impl GpuScene {
                 .as_ref()
                 .map(|sky| SkyBuffers::upload(gpu, sky))
                 .transpose()?
-                .map(|sky| match &splat_scene.fog {
+                .map(|sky| match &fog {
                     Some(fog) => sky.behind(fog),
                     None => sky,
                 }),
-            fog: splat_scene.fog,
+            fog,
             photometry: splat_scene.photometry,
             finest_clusters: clusters.len(),
             nodes: gpu.upload("nodes", PURPOSE, nodes)?,
