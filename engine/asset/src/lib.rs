@@ -10,6 +10,7 @@ mod atomic;
 mod error;
 mod ply;
 mod read;
+mod rigid;
 mod summary;
 
 // Parts of readers that other crates of files are made of, too.

@@ -9,7 +9,8 @@ use crate::error::read_bytes;
 use crate::maps::{self, MapFormat};
 use crate::packed_scene::{is_package, packed_map};
 
-/// Reads the lanes of a map in any format, told by its content, or of a package (.usdz).
+/// Reads the lanes of a map. Its format is found from its content; the map of a package (.usdz) is
+/// read too.
 ///
 /// # Errors
 /// [`AssetError::Read`], [`AssetError::Unrecognized`] or [`AssetError::Decode`].

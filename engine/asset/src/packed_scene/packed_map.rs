@@ -1,13 +1,14 @@
 //! The lanes of a package, in the world of its scene.
 
-use decouplegs_scene::{LaneMap, Pose};
-use glam::{DMat3, DQuat, DVec3};
+use decouplegs_scene::LaneMap;
+use glam::DVec3;
 use serde::Deserialize;
 
 use super::SCENE;
 use super::rig::{earth_from_east_north_up, geographic_origin};
 use crate::DecodeError;
 use crate::maps::open_drive;
+use crate::rigid::pose_of_rows;
 use crate::zip::Archive;
 
 /// Entry of the map: OpenDRIVE.
@@ -52,7 +53,12 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         return Ok(lanes);
     };
     let earth_from_map = earth_from_east_north_up(latitude_deg, longitude_deg);
-    let world_from_map = pose(&rows)?.inverse().then(&earth_from_map);
+    let earth_from_world = pose_of_rows(&rows).ok_or_else(|| {
+        DecodeError::Malformed(format!(
+            "{RIG}: T_world_base is no rotation and translation"
+        ))
+    })?;
+    let world_from_map = earth_from_world.inverse().then(&earth_from_map);
     if (world_from_map.rotation * DVec3::Z).z < UPRIGHT_MIN {
         return Err(DecodeError::Malformed(format!(
             "the map's geoReference and T_world_base of {RIG} are far apart: its lanes would not lie flat; give a map of its own"
@@ -61,27 +67,12 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     Ok(lanes.placed(&world_from_map))
 }
 
-fn pose(rows: &[[f64; 4]; 4]) -> Result<Pose, DecodeError> {
-    let [x, y, z, _] = rows.map(|[a, b, c, _]| DVec3::new(a, b, c));
-    let rotation = DMat3::from_cols(x, y, z).transpose();
-    let error = (rotation * rotation.transpose() - DMat3::IDENTITY).to_cols_array();
-    let translation = DVec3::new(rows[0][3], rows[1][3], rows[2][3]);
-    let is_pose = error.iter().all(|value| value.abs() <= 1e-3)
-        && rotation.determinant() > 0.0
-        && translation.is_finite();
-    is_pose
-        .then(|| Pose::new(DQuat::from_mat3(&rotation).normalize(), translation))
-        .ok_or_else(|| {
-            DecodeError::Malformed(format!(
-                "{RIG}: T_world_base is no rotation and translation"
-            ))
-        })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::zip::StoredZip;
+    use decouplegs_scene::Pose;
+    use glam::DQuat;
 
     const ROAD: &str = r#"<OpenDRIVE><header><geoReference>+proj=tmerc +lat_0=49 +lon_0=8</geoReference></header>
         <road id="1" length="9"><planView><geometry s="0" x="0" y="0" hdg="0" length="9"><line/></geometry></planView>

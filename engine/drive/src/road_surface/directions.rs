@@ -14,7 +14,8 @@ const DISTANCE_M_MAX: f64 = 3.0;
 #[derive(Clone, Debug)]
 pub(super) struct LaneDirections {
     index: LaneIndex,
-    /// Speed limit of each lane, by its place in the map; `None` for those that nobody drives on.
+    /// Speed limit of each lane, by its place in the map; `None` for lanes that are not
+    /// for driving.
     limits_mps: Vec<Option<Option<f64>>>,
 }
 

@@ -120,7 +120,7 @@ impl Claims {
             for cell in graph.cells().range(from, rear_m, stop_m) {
                 self.take(cell, agent);
             }
-            // Nobody comes into what its box sweeps of the lane.
+            // No other vehicle enters the part of the lane that its box sweeps.
             self.rooms.push(Block {
                 lane: from,
                 from_m: rear_m,

@@ -140,8 +140,8 @@ impl Traffic {
         (agent.crossing, agent.clear_m) = (crossing, clear_m);
     }
 
-    /// Gives back what is before an agent of a crossing that it stands in, where the ego or a
-    /// pedestrian is in its way.
+    /// Releases the part of a crossing that is ahead of an agent which stands in it, where the ego
+    /// or a pedestrian is in its way.
     ///
     /// No vehicles come to wait for each other by that. A vehicle that is granted a crossing
     /// meanwhile meets no box of those who gave theirs back, so that the last one to get a grant

@@ -292,23 +292,12 @@ impl Traffic {
         }
         let counts = |number: u32| mind_ego || number != EGO;
         let mut safe = self.comes_out(agent, target);
-        each_ahead(
-            &self.graph,
-            &self.order,
-            PathPosition {
-                agent: agent.number,
-                path: &[target.lane],
-                here: 0,
-                arc_m: target.arc_m,
-            },
-            BEHIND_M,
-            |seen| {
-                let room = seen.rear_m - front_m >= GAP_M
-                    && seen.stop_rear_m - front_m - own_stopping_m >= GAP_M;
-                safe &= room || !counts(seen.agent);
-                safe && !seen.same_way
-            },
-        );
+        self.each_before(agent, target, |seen| {
+            let room = seen.rear_m - front_m >= GAP_M
+                && seen.stop_rear_m - front_m - own_stopping_m >= GAP_M;
+            safe &= room || !counts(seen.agent);
+            safe && !seen.same_way
+        });
         let behind = behind(
             &self.graph,
             &self.order,
@@ -387,6 +376,17 @@ impl Traffic {
         }
     }
 
+    /// Calls `see` for those ahead of `target` on its lane, nearest first, until it returns false.
+    fn each_before(&self, agent: &Agent, target: &Target, see: impl FnMut(&Seen) -> bool) {
+        let position = PathPosition {
+            agent: agent.number,
+            path: &[target.lane],
+            here: 0,
+            arc_m: target.arc_m,
+        };
+        each_ahead(&self.graph, &self.order, position, BEHIND_M, see);
+    }
+
     /// True if an agent will be off its own lane before it comes near the vehicle ahead on the new
     /// one, which keeps its speed.
     fn comes_in(&self, agent: &Agent, target: &Target) -> bool {
@@ -395,21 +395,10 @@ impl Traffic {
             front_m + self.change(agent, target).1.leaves_m + agent.driver.idm.standstill_gap_m;
         let duration_s = target.length_m / agent.speed_mps.max(1.0);
         let mut comes_in = true;
-        each_ahead(
-            &self.graph,
-            &self.order,
-            PathPosition {
-                agent: agent.number,
-                path: &[target.lane],
-                here: 0,
-                arc_m: target.arc_m,
-            },
-            BEHIND_M,
-            |seen| {
-                comes_in = seen.rear_m + seen.speed_mps * duration_s > needed_m;
-                false
-            },
-        );
+        self.each_before(agent, target, |seen| {
+            comes_in = seen.rear_m + seen.speed_mps * duration_s > needed_m;
+            false
+        });
         comes_in
     }
 

@@ -40,6 +40,9 @@ pub(super) fn calibrate(
         Some((state.get(&name)?, name))
     };
     let mut notes = Vec::new();
+    if !state.names().any(|name| name.contains(PART)) {
+        return Ok(notes);
+    }
     let vignetting = find("vignetting_params").map(|(array, name)| rows::<15>(array, &name));
     let response = find("crf_params").map(|(array, name)| rows::<12>(array, &name));
     let exposure = find("exposure_params").map(|(array, name)| rows::<1>(array, &name));

@@ -3,18 +3,17 @@
 use std::collections::BTreeMap;
 
 use decouplegs_scene::{Pose, Rig, RigCamera, Shutter, ShutterDirection, TimedPose, Trajectory};
-use glam::{DMat3, DQuat, DVec3};
+use glam::DVec3;
 use serde::Deserialize;
 use serde_json::Value;
 
 use super::tracks::seconds;
 use crate::DecodeError;
 use crate::camera_model::read_camera_model;
+use crate::rigid::pose_of_rows;
 
 /// Name of the entry.
 pub(super) const RIG: &str = "rig_trajectories.json";
-/// Largest difference from a rotation that the rounding of a file explains.
-const ROTATION_ERROR_MAX: f64 = 1e-3;
 
 /// The ego of a package.
 #[derive(Clone, Debug)]
@@ -193,19 +192,7 @@ fn readout_s(frames: &[Vec<i64>]) -> Option<f64> {
     Some(*median as f64 * 1e-6)
 }
 
-/// The pose in the rows of a matrix.
+/// The pose in the rows of the matrix `name`.
 fn pose(rows: &[[f64; 4]; 4], name: &str) -> Result<Pose, String> {
-    let [x, y, z, _] = rows.map(|[a, b, c, _]| DVec3::new(a, b, c));
-    let rotation = DMat3::from_cols(x, y, z).transpose();
-    let error = (rotation * rotation.transpose() - DMat3::IDENTITY).to_cols_array();
-    let is_rotation =
-        error.iter().all(|value| value.abs() <= ROTATION_ERROR_MAX) && rotation.determinant() > 0.0;
-    let translation = DVec3::new(rows[0][3], rows[1][3], rows[2][3]);
-    if !is_rotation || !translation.is_finite() {
-        return Err(format!("{name} is no rotation and translation"));
-    }
-    Ok(Pose::new(
-        DQuat::from_mat3(&rotation).normalize(),
-        translation,
-    ))
+    pose_of_rows(rows).ok_or_else(|| format!("{name} is no rotation and translation"))
 }

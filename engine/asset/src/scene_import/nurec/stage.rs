@@ -1,9 +1,10 @@
 //! The stage of a volume: where a package without a rig puts its splats.
 
 use decouplegs_scene::Pose;
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DVec3};
 
 use crate::DecodeError;
+use crate::rigid::rigid_pose;
 use crate::zip::Archive;
 
 /// Attribute of the volume in a stage.
@@ -12,8 +13,6 @@ const VOLUME: &str = "isNuRecVolume";
 const TRANSFORM: &str = "matrix4d xformOp:transform = ";
 /// Most bytes of a stage.
 const BYTES_MAX: u64 = 16 << 20;
-/// Largest difference from a rotation that the rounding of a file explains.
-const ROTATION_ERROR_MAX: f64 = 1e-3;
 
 /// Pose of the splats in the world of the stage: the identity where no text tells a volume's
 /// transform. Notes say what was left out.
@@ -56,12 +55,7 @@ fn pose_of(matrix: &str) -> Option<Pose> {
         Some(row)
     };
     let (x, y, z, translation) = (row()?, row()?, row()?, row()?);
-    let rotation = DMat3::from_cols(x, y, z);
-    let error = (rotation * rotation.transpose() - DMat3::IDENTITY).to_cols_array();
-    let is_pose = error.iter().all(|value| value.abs() <= ROTATION_ERROR_MAX)
-        && rotation.determinant() > 0.0
-        && translation.is_finite();
-    is_pose.then(|| Pose::new(DQuat::from_mat3(&rotation).normalize(), translation))
+    rigid_pose(DMat3::from_cols(x, y, z), translation)
 }
 
 #[cfg(test)]
