@@ -31,6 +31,7 @@ mod metrics_page;
 pub mod names;
 pub mod options;
 mod physics;
+mod reference_lens;
 mod render_queue;
 mod render_request;
 mod request_guard;

@@ -18,6 +18,11 @@ use decouplegs_alpasim::wire::lidar::{
 };
 use decouplegs_alpasim::wire::sensorsim::LidarRenderReturn;
 
+/// Largest number of points that are listed beside their buffers: 36 bytes each, in the 4 MiB that
+/// a client of gRPC takes by default. All points of a Pandar128 in lists and buffers would not fit
+/// the 10 MB that CARLA's client takes either.
+const LISTED_POINTS: usize = (4 << 20) / 40;
+
 impl Sensorsim {
     /// Points of the sweep that `request` asks for.
     async fn points(&self, request: SweepRequest) -> Result<Vec<LidarPoint>, Status> {
@@ -33,17 +38,23 @@ impl Sensorsim {
         let places = points
             .iter()
             .flat_map(|point| point.position_m.as_vec3().to_array());
-        let point_xyzs: Vec<f32> = places.collect();
         let intensities = points.iter().map(|point| point.measured.intensity);
-        let point_intensities: Vec<f32> = intensities.collect();
-        Ok(LidarRenderReturn {
+        let rings = points.iter().map(|point| point.beam.ring);
+        let buffers = LidarRenderReturn {
             num_points: points.len() as u32,
-            point_xyzs_buffer: floats(point_xyzs.iter().copied()),
-            point_intensities_buffer: floats(point_intensities.iter().copied()),
-            point_xyzs,
-            point_intensities,
-            point_ring_ids: points.iter().map(|point| point.beam.ring.into()).collect(),
-            point_ring_ids_buffer: words(points.iter().map(|point| point.beam.ring)),
+            point_xyzs_buffer: floats(places.clone()),
+            point_intensities_buffer: floats(intensities.clone()),
+            point_ring_ids_buffer: words(rings.clone()),
+            ..LidarRenderReturn::default()
+        };
+        if points.len() > LISTED_POINTS {
+            return Ok(buffers);
+        }
+        Ok(LidarRenderReturn {
+            point_xyzs: places.collect(),
+            point_intensities: intensities.collect(),
+            point_ring_ids: rings.map(u32::from).collect(),
+            ..buffers
         })
     }
 

@@ -1,12 +1,15 @@
 //! Options of the server: its address, its scenes, and its limits.
 
-use std::net::IpAddr;
+use std::net::{IpAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Parser, ValueEnum};
 use decouplegs::gpu::DeviceChoice;
 use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Storage};
+
+/// Pixels of one image by default: room for cameras of 3848x2168, of which NuRec's scenes are.
+const IMAGE_PIXELS: u64 = 4096 * 2304;
 
 /// Options of the server.
 #[derive(Args, Clone, Debug)]
@@ -18,8 +21,9 @@ pub struct ServerOptions {
     /// More scenes, found by a pattern such as '/data/**/scene.toml'
     #[arg(long, value_name = "GLOB")]
     pub artifact_glob: Vec<String>,
-    /// Address to listen on. Other machines reach it only if this is not the loopback
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    /// Address to listen on, or a name of this machine such as localhost. Other machines reach it
+    /// only if this is not the loopback
+    #[arg(long, value_name = "ADDRESS", value_parser = address, default_value = "127.0.0.1")]
     pub host: IpAddr,
     /// Port to listen on; 0 takes a free one and prints it on standard output
     #[arg(
@@ -50,7 +54,8 @@ pub struct ServerOptions {
     #[arg(long, value_name = "X,Y,Z", value_parser = meters, allow_hyphen_values = true)]
     pub rig_origin: Option<[f64; 3]>,
     /// Load all scenes into the cache at the start instead of at their first request
-    #[arg(long)]
+    // The other name is the one that CARLA's NuRec example gives the NuRec renderer.
+    #[arg(long, alias = "test-scenes-are-valid")]
     pub preload: bool,
     /// Limits of the server
     #[command(flatten)]
@@ -82,8 +87,10 @@ pub struct ServerOptions {
 }
 
 /// Flags that AlpaSim gives the NuRec renderer and its physics service (`services.renderer.command`
-/// and `services.physics.command` of `src/wizard/configs/base_config.yaml` at 3032e0c) and that say
-/// nothing to this server: taken, so that it starts in their place, and named in a warning.
+/// and `services.physics.command` of `src/wizard/configs/base_config.yaml` at 3032e0c), or CARLA's
+/// example the renderer (`PythonAPI/examples/nvidia/nurec/nurec_render_service.py` at cbf5435), and
+/// that say nothing to this server: taken, so that it starts in their place, and named in a
+/// warning.
 #[derive(Args, Clone, Debug, Default)]
 pub struct NurecFlags {
     #[arg(long, hide = true, value_name = "DIR")]
@@ -103,6 +110,10 @@ pub struct NurecFlags {
     enable_editing_actors: bool,
     #[arg(long, hide = true)]
     enable_timing: bool,
+    #[arg(long, hide = true)]
+    enable_harmonizer: bool,
+    #[arg(long, hide = true, value_name = "NAME")]
+    renderer: Option<String>,
     #[arg(long, hide = true, value_name = "BOOL")]
     use_ground_mesh: Option<String>,
     #[arg(long, hide = true, value_name = "BOOL")]
@@ -125,6 +136,8 @@ impl NurecFlags {
             ("--no-enable-nrend", self.no_enable_nrend),
             ("--enable-editing-actors", self.enable_editing_actors),
             ("--enable-timing", self.enable_timing),
+            ("--enable-harmonizer", self.enable_harmonizer),
+            ("--renderer", self.renderer.is_some()),
             ("--use-ground-mesh", self.use_ground_mesh.is_some()),
             ("--visualize", self.visualize.is_some()),
         ];
@@ -156,6 +169,26 @@ impl ServerOptions {
         options.scenes = scenes;
         options
     }
+}
+
+/// The address that `text` is, or that this machine knows for the name.
+fn address(text: &str) -> Result<IpAddr, String> {
+    if let Ok(address) = text.parse() {
+        return Ok(address);
+    }
+    let found: Vec<IpAddr> = (text, 0)
+        .to_socket_addrs()
+        .map_err(|error| {
+            format!("expected an address such as 127.0.0.1, or a name that has one: {error}")
+        })?
+        .map(|socket| socket.ip())
+        .collect();
+    // Clients that are given the name try IPv4 too, not all of them IPv6.
+    let preferred = found.iter().find(|address| address.is_ipv4());
+    preferred
+        .or(found.first())
+        .copied()
+        .ok_or_else(|| "no address has this name".to_owned())
 }
 
 fn storage(text: &str) -> Result<Storage, String> {
@@ -236,10 +269,10 @@ pub struct Limits {
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 60.0, value_parser = seconds)]
     pub idle: f64,
     /// Pixels of one image
-    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 3840 * 2160)]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = IMAGE_PIXELS)]
     pub image_pixels: u64,
     /// Pixels of all images of one request
-    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 8 * 3840 * 2160)]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 8 * IMAGE_PIXELS)]
     pub pixels: u64,
     /// Cameras of one request
     #[arg(
@@ -391,5 +424,36 @@ mod tests {
         assert_eq!(options.log_level, LogLevel::Warn);
         assert_eq!(options.of_nurec.given(), ["--use-ground-mesh"]);
         assert!(parsed(&["--egocar-hood"]).is_err(), "a typing error is one");
+    }
+
+    /// The command of `NuRecRenderService.start` in CARLA's example, with all that it may add.
+    #[test]
+    fn the_command_line_of_carla_is_taken() {
+        let options = parsed(&[
+            "--artifact-glob",
+            "/maps/scene.usdz",
+            "--port=46435",
+            "--host=localhost",
+            "--test-scenes-are-valid",
+            "--enable-editing-actors",
+            "--renderer=gsplat",
+            "--enable-harmonizer",
+        ])
+        .unwrap();
+        assert!(options.host.is_loopback() && options.preload);
+        assert_eq!(
+            options.of_nurec.given(),
+            [
+                "--enable-editing-actors",
+                "--enable-harmonizer",
+                "--renderer"
+            ]
+        );
+        let refused = parsed(&["--host=no.such.host.invalid"]).unwrap_err();
+        let sentence = refused.to_string();
+        assert!(
+            sentence.contains("expected an address such as 127.0.0.1"),
+            "{sentence}"
+        );
     }
 }

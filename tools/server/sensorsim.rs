@@ -14,6 +14,7 @@ use crate::image_memory::Images;
 use crate::metrics::Metrics;
 use crate::names::{CONTRACT_VERSION, check_name, no_scene};
 use crate::options::Limits;
+use crate::reference_lens::with_reference_lens;
 use crate::render_queue::RenderQueue;
 use crate::render_request::RenderRequest;
 use crate::scene_registry::{SceneMetadata, SceneRegistry};
@@ -80,6 +81,16 @@ pub async fn metadata_of(
 }
 
 impl Sensorsim {
+    /// The request in `field` of a message, complete and examined.
+    async fn checked(
+        &self,
+        request: RgbRenderRequest,
+        field: &str,
+    ) -> Result<RenderRequest, Status> {
+        let request = with_reference_lens(&self.registry, request).await?;
+        RenderRequest::from_request(request, field, &self.limits)
+    }
+
     /// Images of `requests`, in their order. All that are of one scene are drawn in one submission,
     /// with a view per list of objects.
     async fn images(
@@ -232,7 +243,7 @@ impl SensorsimService for Sensorsim {
         &self,
         request: Request<RgbRenderRequest>,
     ) -> Result<Response<RgbRenderReturn>, Status> {
-        let request = RenderRequest::from_request(request.into_inner(), "", &self.limits)?;
+        let request = self.checked(request.into_inner(), "").await?;
         let image_bytes = self.shot(vec![vec![request]]).await.remove(0)?;
         Ok(Response::new(RgbRenderReturn { image_bytes }))
     }
@@ -252,15 +263,11 @@ impl SensorsimService for Sensorsim {
         let request = request.into_inner();
         self.check_cameras(request.rgb_requests.len(), "rgb_requests")?;
         self.check_cameras(request.lidar_requests.len(), "lidar_requests")?;
-        let of = |(index, request)| {
-            RenderRequest::from_request(request, &format!("rgb_requests[{index}]"), &self.limits)
-        };
-        let requests: Vec<RenderRequest> = request
-            .rgb_requests
-            .into_iter()
-            .enumerate()
-            .map(of)
-            .collect::<Result<_, _>>()?;
+        let mut requests = Vec::with_capacity(request.rgb_requests.len());
+        for (index, request) in request.rgb_requests.into_iter().enumerate() {
+            let field = format!("rgb_requests[{index}]");
+            requests.push(self.checked(request, &field).await?);
+        }
         // All requests are examined before the first is drawn.
         let of = |(index, request)| {
             SweepRequest::from_request(request, &format!("lidar_requests[{index}]"), &self.limits)
@@ -305,11 +312,8 @@ impl SensorsimService for Sensorsim {
                 )));
             }
             let missing = || Status::invalid_argument(format!("{field}.request is missing"));
-            let request = RenderRequest::from_request(
-                item.request.ok_or_else(missing)?,
-                &format!("{field}.request"),
-                &self.limits,
-            );
+            let request = item.request.ok_or_else(missing)?;
+            let request = self.checked(request, &format!("{field}.request")).await;
             if !is_of_one_camera(&request) {
                 request.as_ref().map_err(Status::clone)?;
             }

@@ -7,6 +7,7 @@ use decouplegs::scene::{Motion, Pose, RigLidar};
 use decouplegs::session::{Session, SessionOptions, World};
 use decouplegs_alpasim::wire::lidar::lidar_client::LidarClient;
 use decouplegs_alpasim::wire::lidar::{AvailableLidarsRequest, SweepRequest};
+use decouplegs_alpasim::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
 use decouplegs_alpasim::wire::sensorsim::{
     AggregatedRenderRequest, LidarDeviceType, LidarRenderRequest, LidarSpec, PosePair,
 };
@@ -169,13 +170,11 @@ async fn by_kind(running: &Running, request: &SweepRequest) {
     let named = lidars.render_sweep(at128).await.unwrap().into_inner();
     assert!(alone.point_xyzs_buffer == named.point_xyzs_buffer);
     assert!(alone.point_ring_ids_buffer == named.point_ring_ids_buffer);
-    assert!(bytes(alone.point_xyzs.iter().map(|x| x.to_le_bytes())) == alone.point_xyzs_buffer);
-    let counts = [
-        alone.point_xyzs.len() / 3,
-        alone.point_intensities.len(),
-        alone.point_ring_ids.len(),
-    ];
-    assert_eq!(counts, [alone.num_points as usize; 3]);
+    // More points than lists and buffers together can hold in 4 MiB.
+    assert!(alone.num_points > 104_857, "{} points", alone.num_points);
+    assert!(alone.point_xyzs.is_empty() && alone.point_intensities.is_empty());
+    assert!(alone.point_ring_ids.is_empty());
+    listed_where_few(&mut sensorsim, &asked).await;
     let both = AggregatedRenderRequest {
         lidar_requests: vec![asked.clone(), asked],
         ..Default::default()
@@ -186,6 +185,27 @@ async fn by_kind(running: &Running, request: &SweepRequest) {
         .unwrap()
         .into_inner();
     assert!(both.lidar_returns == [alone.clone(), alone]);
+}
+
+/// Lists and buffers hold the same where there are few points: from a sensor high above the street.
+async fn listed_where_few(
+    sensorsim: &mut SensorsimServiceClient<Channel>,
+    asked: &LidarRenderRequest,
+) {
+    let above = Pose::from_yaw(0.0, DVec3::new(1.0, 0.5, 25.0));
+    let asked = LidarRenderRequest {
+        sensor_pose: Some(pair(&above, &above)),
+        ..asked.clone()
+    };
+    let few = sensorsim.render_lidar(asked).await.unwrap().into_inner();
+    let counts = [
+        few.point_xyzs.len() / 3,
+        few.point_intensities.len(),
+        few.point_ring_ids.len(),
+    ];
+    assert!(few.num_points > 100, "{} points", few.num_points);
+    assert_eq!(counts, [few.num_points as usize; 3]);
+    assert!(bytes(few.point_xyzs.iter().map(|x| x.to_le_bytes())) == few.point_xyzs_buffer);
 }
 
 async fn nonsense_is_refused(running: &Running, request: &SweepRequest) {
