@@ -31,6 +31,7 @@ Action: ``acc`` m/s2 and ``steer_rate`` rad/s, to the right where above zero, fo
 from __future__ import annotations
 
 import argparse
+import contextlib
 import errno
 import io
 import json
@@ -327,7 +328,11 @@ def run_pipes(env: HUGSimEnv, folder: Path, command: list[str], seed: int) -> di
             _send(pipes[0], (observation, info), planner)
             plan = _receive(pipes[1], planner)
             if plan is None:
-                break
+                # HUGSIM's own clients end by themselves after it, and read no "Done".
+                with contextlib.suppress(RuntimeError):
+                    _send(pipes[0], "Done", planner)
+                planner.wait(timeout=30)
+                return info
             observation, _, terminated, truncated, info = env.step_plan(plan)
             over = terminated or truncated
             print(f"\r{info['timestamp']:.2f} s, {100 * info['rc']:.0f} % of the route", end="", file=sys.stderr)

@@ -179,13 +179,17 @@ PLANNER = """
         plan = None if steps > 6 else np.column_stack([np.zeros(6), 2.0 * np.arange(1, 7)])
         with open(f"{folder}/plan_pipe", "wb") as pipe:
             pipe.write(pickle.dumps(plan))
+        if plan is None and ENDS_BY_ITSELF:
+            break
     open(f"{folder}/steps", "w").write(str(steps))
 """
 
 
-def test_a_planner_drives_through_pipes(env, tmp_path):
+# HUGSIM's own clients end by themselves after the plan None (VAD_SIM at 0c74967, tools/closeloop/e2e.py), others read "Done".
+@pytest.mark.parametrize("ends_by_itself", [False, True])
+def test_a_planner_drives_through_pipes(env, tmp_path, ends_by_itself):
     script = tmp_path / "planner.py"
-    script.write_text(textwrap.dedent(PLANNER))
+    script.write_text(textwrap.dedent(PLANNER).replace("ENDS_BY_ITSELF", str(ends_by_itself)))
     info = run_pipes(env, tmp_path / "loop", [sys.executable, str(script)], seed=3)
     assert info["timestamp"] == 1.5 and info["rc"] > 0.0
     assert (tmp_path / "loop" / "steps").read_text() == "7"

@@ -27,8 +27,9 @@ const SHORT_M: f64 = 1.0;
 const ROUTE_SHARE: f64 = 0.9;
 /// Cells along and across the ego's box in which there has to be road (`score_calculator.py:181`).
 const CELLS: usize = 2;
-/// Places along and across a cell at which road is looked for.
-const PLACES: usize = 5;
+/// Places of a cell at which road is looked for are no farther apart than this, meters: a strip of
+/// road along its edge counts there, too.
+const PLACES_M: f64 = 0.05;
 /// Share of cells with road below which a plan leaves it.
 const CELLS_SHARE: f64 = 0.3;
 /// Greatest jerk ahead, m/s^3 (`score_calculator.py:20`, whose other bounds are those of nuPlan).
@@ -147,18 +148,27 @@ fn boxes_at(
 /// True if there is road in enough cells of `outline`.
 fn is_on_road(outline: &OrientedBox, is_road: &dyn Fn(DVec2) -> bool) -> bool {
     let ahead = DVec2::from_angle(outline.yaw_rad);
+    let half_m = [outline.half_length_m, outline.half_width_m];
+    let places = half_m.map(|half_m| {
+        (2.0 * half_m / CELLS as f64 / PLACES_M)
+            .ceil()
+            .clamp(1.0, 200.0)
+    });
+    let places = places.map(|count| count as usize);
     let place = |cell: [usize; 2], within: [usize; 2]| {
         let share = |axis: usize| {
-            let in_cell = (within[axis] as f64 + 0.5) / PLACES as f64;
+            let in_cell = (within[axis] as f64 + 0.5) / places[axis] as f64;
             2.0 * (cell[axis] as f64 + in_cell) / CELLS as f64 - 1.0
         };
         outline.center_m
             + ahead * (outline.half_length_m * share(0))
             + ahead.perp() * (outline.half_width_m * share(1))
     };
-    let grid = |count: usize| (0..count * count).map(move |i| [i / count, i % count]);
-    let has_road = |cell: &[usize; 2]| grid(PLACES).any(|within| is_road(place(*cell, within)));
-    let cells = grid(CELLS).filter(has_road).count();
+    let grid = |[rows, columns]: [usize; 2]| {
+        (0..rows * columns).map(move |index| [index / columns, index % columns])
+    };
+    let has_road = |cell: &[usize; 2]| grid(places).any(|within| is_road(place(*cell, within)));
+    let cells = grid([CELLS; 2]).filter(has_road).count();
     cells as f64 / (CELLS * CELLS) as f64 >= CELLS_SHARE
 }
 

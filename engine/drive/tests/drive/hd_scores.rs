@@ -158,6 +158,8 @@ fn the_published_score_is_that_of_the_plans() {
         "{:?}",
         road(0.1)
     );
+    // A strip of 7 cm along the left side of the box is road as well.
+    assert_eq!(road(0.83).drivable_area, road(0.1).drivable_area);
 
     // A plan of 3 m/s^2 is no comfort (2.40), one with a jerk of 8 m/s^3 is (8.37).
     let hasty: Motion = Box::new(|time_s| VehicleState {
