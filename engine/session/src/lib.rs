@@ -127,6 +127,17 @@ pub enum SessionError {
     },
 }
 
+impl SessionError {
+    /// The fault of the device, if that is what it is.
+    #[must_use]
+    pub fn gpu(&self) -> Option<&GpuError> {
+        match self {
+            Self::Gpu(error) | Self::Render(RenderError::Gpu(error)) => Some(error),
+            _ => None,
+        }
+    }
+}
+
 /// Options of a session.
 #[derive(Clone, Debug)]
 pub struct SessionOptions {
