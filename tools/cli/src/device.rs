@@ -70,6 +70,9 @@ impl DevicesArguments {
             drill: drill(position),
             ..DeviceOptions::default()
         })?;
+        for (position, gpu) in opened.iter().enumerate() {
+            let _ = writeln!(std::io::stderr(), "device {position}: {}", gpu.info());
+        }
         Ok(Some(opened))
     }
 }

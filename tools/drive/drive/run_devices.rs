@@ -79,7 +79,7 @@ impl RunDevices {
         let reason = format!("{error:#}");
         if !self.is_out[position].swap(true, Ordering::Relaxed) {
             warn(&format!(
-                "device {position}, {}, draws no more in this run, and another drives its episode again: {reason}",
+                "device {position}, {}, draws no more in this run, and {episode} goes back to the queue: {reason}",
                 name_of(&self.gpus[position])
             ));
         }

@@ -112,24 +112,22 @@ impl<'a> Run<'a> {
         {
             let job = &self.jobs[index];
             let name = &job.scenario.name;
-            let done = worker
-                .job(job)
-                .with_context(|| format!("episode {name} was not driven"));
-            match (done, position) {
+            let not_driven = || format!("episode {name} was not driven");
+            match (worker.job(job), position) {
                 (Ok(done), _) => {
                     locked(&self.scored).push(done);
                     self.queue.finish();
                 }
                 (Err(error), Some(position)) if is_device_fault(&error) => {
                     let noted = self.devices.take_out(position, name, &error);
-                    *locked(&self.fault) = Some(error);
-                    // Only now may another worker take it: the line of the fault comes first.
+                    *locked(&self.fault) = Some(error.context(not_driven()));
+                    // The line of the fault comes before that of the worker who drives it.
                     self.queue.put_back(index);
                     return noted.inspect_err(|_| self.queue.stop());
                 }
                 (Err(error), _) => {
                     self.queue.stop();
-                    return Err(error);
+                    return Err(error.context(not_driven()));
                 }
             }
             self.bar.inc(1);
