@@ -264,6 +264,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         arguments.render.0 > 0 || arguments.lidar.is_empty(),
         "--lidar traces sweeps, and --render off draws nothing"
     );
+    ensure!(
+        arguments.render.0 > 0 || !arguments.devices.are_named(),
+        "--devices names what draws, and --render off draws nothing"
+    );
     let planner = arguments.planner()?;
     ensure!(
         arguments.render.0 > 0 || planner.sees().cameras == Cameras::None && !planner.sees().lidars,
@@ -310,10 +314,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// The devices that draw: those of --devices, or that of --device; none where nothing is drawn.
 fn opened(arguments: &Arguments) -> Result<RunDevices> {
-    ensure!(
-        arguments.render.0 > 0 || !arguments.devices.are_named(),
-        "--devices names what draws, and --render off draws nothing"
-    );
     if arguments.render.0 == 0 {
         return RunDevices::new(Vec::new(), None);
     }

@@ -8,7 +8,8 @@
 //! | `sensorsim`, `lidar`, `physics` | the services: messages in, messages out |
 //! | `render_request`, `sweep_request` | a checked request: cameras, LiDARs and agents |
 //! | `scene_registry` | scenes that are served, and their metadata |
-//! | `render_queue`, `scene_renderer` | the thread that draws, and a scene on the device |
+//! | `render_queue`, `placement` | the queue of requests, and the device that draws a scene |
+//! | `render_worker`, `scene_renderer` | a thread that draws, and a scene on its device |
 //! | [`conform`] | the client that judges any server of the contract |
 //! | [`running`] | the server as a whole, until it is stopped |
 //!
@@ -31,8 +32,10 @@ mod metrics_page;
 pub mod names;
 pub mod options;
 mod physics;
+mod placement;
 mod render_queue;
 mod render_request;
+mod render_worker;
 mod request_guard;
 pub mod running;
 mod scene_registry;

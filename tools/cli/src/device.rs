@@ -38,7 +38,7 @@ impl DeviceArguments {
 pub struct DevicesArguments {
     /// Devices to divide the work between: all, or a list such as 0,1 of what --device takes
     #[arg(long, value_name = "all|DEVICE,...", conflicts_with = "device")]
-    devices: Option<DeviceSet>,
+    pub devices: Option<DeviceSet>,
     /// Fault of one of the devices on purpose, such as 1:lost:40: after 40 submissions to the
     /// second one. To test recovery
     #[arg(
@@ -47,7 +47,7 @@ pub struct DevicesArguments {
         value_name = "POSITION:lost|full:N",
         requires = "devices"
     )]
-    drill: Vec<PlacedDrill>,
+    pub drill: Vec<PlacedDrill>,
 }
 
 impl DevicesArguments {
@@ -79,7 +79,7 @@ impl DevicesArguments {
 
 /// A drill of the device at a position in the list, counted from 0.
 #[derive(Clone, Copy, Debug)]
-struct PlacedDrill {
+pub struct PlacedDrill {
     position: usize,
     drill: Drill,
 }

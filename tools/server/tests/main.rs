@@ -3,6 +3,7 @@
 mod asking;
 mod conforming;
 mod contract;
+mod devices;
 mod hostile;
 mod lasting;
 mod lidar;
