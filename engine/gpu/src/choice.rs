@@ -49,8 +49,8 @@ impl Default for DeviceOptions {
 
 /// Selection of a device.
 ///
-/// From text: a decimal number is an index, `uuid:` and 32 hex digits or 32 hex digits alone
-/// (dashes allowed) are a UUID, an empty text or `auto` is automatic, and anything else is a part
+/// From text: a decimal number is an index, `uuid:` and 32 hex digits, or `GPU-` as CUDA writes it,
+/// or 32 hex digits alone (dashes allowed) are a UUID, an empty text or `auto` is automatic, and anything else is a part
 /// of a name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum DeviceChoice {
@@ -97,7 +97,9 @@ impl FromStr for DeviceChoice {
             return Ok(Self::Automatic);
         }
         // 32 decimal digits are a UUID, not an index: no machine has that many devices.
-        if let Some(uuid) = uuid_from_hex(text.strip_prefix("uuid:").unwrap_or(text)) {
+        let bare = text.strip_prefix("uuid:");
+        let bare = bare.or_else(|| text.strip_prefix("GPU-")).unwrap_or(text);
+        if let Some(uuid) = uuid_from_hex(bare) {
             return Ok(Self::Uuid(uuid));
         }
         let digits_only = text.bytes().all(|byte| byte.is_ascii_digit());
@@ -337,6 +339,10 @@ mod tests {
         ];
         assert_eq!(
             "6d657361-3232-2e33-2e36-2d00000000ff".parse(),
+            Ok(DeviceChoice::Uuid(uuid))
+        );
+        assert_eq!(
+            "GPU-6d657361-3232-2e33-2e36-2d00000000ff".parse(),
             Ok(DeviceChoice::Uuid(uuid))
         );
         assert_eq!(
