@@ -8,7 +8,7 @@
 //! | `sensorsim`, `lidar`, `physics` | the services: messages in, messages out |
 //! | `render_request`, `sweep_request` | a checked request: cameras, LiDARs and agents |
 //! | `scene_registry` | scenes that are served, and their metadata |
-//! | `render_queue`, `placement` | the queue of requests, and the device that draws a scene |
+//! | `render_queue`, `devices`, `placement` | requests, and the device that draws a scene |
 //! | `render_worker`, `scene_renderer` | a thread that draws, and a scene on its device |
 //! | [`conform`] | the client that judges any server of the contract |
 //! | [`running`] | the server as a whole, until it is stopped |
@@ -23,6 +23,7 @@
 pub mod bench;
 mod cache;
 pub mod conform;
+mod devices;
 mod image_memory;
 mod incoming;
 mod lidar;

@@ -64,8 +64,8 @@ impl Metrics {
         self.queue.fetch_add(more, Ordering::Relaxed);
     }
 
-    /// One submission to `device` drew so many images, and objects were asked for that the scene has
-    /// not.
+    /// One submission to `device` drew so many images, and objects were asked for that the scene
+    /// has not.
     pub fn drew(&self, device: usize, images: usize, unknown_objects: usize) {
         self.submissions.fetch_add(1, Ordering::Relaxed);
         lock(&self.devices)[device].images += images as u64;
@@ -216,7 +216,7 @@ impl Metrics {
     }
 }
 
-/// What each of several devices does.
+/// Writes the values of each of several devices.
 fn write_devices(text: &mut String, devices: &[OfDevice]) {
     type Value = fn(&OfDevice) -> u64;
     let values: [(&str, &str, &str, Value); 3] = [

@@ -80,7 +80,7 @@ impl Placement {
         };
         let mut state = self.state();
         if held(&state).is_none() && state.devices.len() > 1 {
-            // Files are looked at without the lock; meanwhile another request may have placed it.
+            // Sizes are found without the lock; meanwhile another request may have placed it.
             drop(state);
             let bytes = estimate();
             state = self.state();
@@ -170,7 +170,7 @@ mod tests {
             Some(0),
             "the other has two scenes already"
         );
-        // Whoever draws less gets the next one, and what has a place keeps it.
+        // The device with fewer requests gets the next one; a scene that has a place keeps it.
         let busy = placed(&placement, "large", 60);
         placement.left(0, "third");
         assert_eq!(device("fourth", 1), Some(1));

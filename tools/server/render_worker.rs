@@ -16,11 +16,11 @@ use tokio::sync::oneshot;
 use tonic::Status;
 
 use crate::cache::Cache;
+use crate::devices::{Asked, Devices, Job, Message, ToRead, caught};
 use crate::image_memory::ImageMemory;
 use crate::log_limit::LogLimit;
 use crate::names::no_scene;
 use crate::options::Limits;
-use crate::render_queue::{Asked, Devices, Job, Message, ToRead, caught};
 use crate::scene_renderer::{Drawn, SceneRenderer, is_lost, status_of};
 
 /// Unknown objects that are warned of, once each. Only hashes of their names are kept.

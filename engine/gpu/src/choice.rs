@@ -49,9 +49,9 @@ impl Default for DeviceOptions {
 
 /// Selection of a device.
 ///
-/// From text: a decimal number is an index, `uuid:` and 32 hex digits, or `GPU-` as CUDA writes it,
-/// or 32 hex digits alone (dashes allowed) are a UUID, an empty text or `auto` is automatic, and anything else is a part
-/// of a name.
+/// From text: a decimal number is an index. `uuid:` and 32 hex digits, or `GPU-` and these as CUDA
+/// writes it, or 32 hex digits alone (dashes allowed) are a UUID. An empty text or `auto` is
+/// automatic, and anything else is a part of a name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum DeviceChoice {
     /// The first that can do the work: discrete before integrated, virtual and CPU devices, then by
@@ -68,8 +68,8 @@ pub enum DeviceChoice {
 
 /// Devices that divide work between them.
 ///
-/// From text: `all`, or choices separated by commas, each as a [`DeviceChoice`] is written. A device
-/// that is named twice is opened twice.
+/// From text: `all`, or choices separated by commas, each as a [`DeviceChoice`] is written. A
+/// device that is named twice is opened twice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DeviceSet {
     /// Every device that can do the work. CPU devices count where there is no other.

@@ -14,8 +14,8 @@ use super::{BatchRenderer, HostImages, Session, SessionError, SessionScene, Worl
 /// are divided alike for any number between 8 and 40.
 const PIXELS_PER_BEAM: u64 = 16;
 
-/// A sweep to trace: the LiDAR, the time since the start of the sweep at which the world is as it is
-/// (see [`BatchRenderer::trace`]), and its returns.
+/// A sweep to trace: the LiDAR, the time of the world since the start of the sweep (see
+/// [`BatchRenderer::trace`]), and its returns.
 #[derive(Clone, Debug)]
 pub struct RigSweep {
     /// LiDAR and its way during the sweep.
@@ -69,8 +69,8 @@ impl RigRenderer {
         Ok(Self::new(sessions, scenes))
     }
 
-    /// A renderer on `sessions`, each with the scene of the same place in `scenes`. They have to show
-    /// the same.
+    /// A renderer on `sessions`, each with the scene of the same place in `scenes`. They have to
+    /// show the same.
     ///
     /// # Panics
     /// Panics if there is no session, or not one scene for each.
