@@ -151,6 +151,7 @@ def drill(options: argparse.Namespace, seed: int, step: int) -> None:
     """Dies like a process whose device is gone, in the middle of the episode of --drill, once."""
     mark = options.out / ".drill"
     if seed == options.drill and step == 2 and not mark.exists():
+        options.out.mkdir(parents=True, exist_ok=True)
         mark.touch()
         os._exit(1)
 
