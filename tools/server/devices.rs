@@ -38,6 +38,8 @@ pub struct Asked {
     pub job: Job,
     /// Devices that have no room for it.
     pub refused: Vec<usize>,
+    /// Number of devices that were lost while they worked for it.
+    pub lost: usize,
     /// Counts it as a load of the device.
     pub load: Option<Load>,
 }

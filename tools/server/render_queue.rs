@@ -125,6 +125,7 @@ impl RenderQueue {
         let asked = Asked {
             job,
             refused: Vec::new(),
+            lost: 0,
             load: None,
         };
         if self.devices.send(asked).is_err() {

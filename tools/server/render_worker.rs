@@ -26,6 +26,9 @@ use crate::scene_renderer::{Drawn, SceneRenderer, is_lost, status_of};
 /// Unknown objects that are warned of, once each. Only hashes of their names are kept.
 const WARNED_MAX: usize = 1000;
 
+/// Devices that one request may lose.
+const LOST_MAX: usize = 2;
+
 /// Reason why a request was not drawn.
 struct Failed {
     status: Status,
@@ -197,6 +200,9 @@ impl RenderWorker {
                 );
             }
             self.devices.placement.left(self.position, id);
+            if failed.fault == Some(Fault::Lost) {
+                self.leave();
+            }
             for asked in waiting {
                 self.fail(asked, &failed);
             }
@@ -211,7 +217,14 @@ impl RenderWorker {
     /// Answers a request that was not drawn, or passes it on where the fault is one of the device.
     fn fail(&mut self, mut asked: Asked, failed: &Failed) {
         match failed.fault {
-            Some(Fault::Lost) => self.leave(),
+            Some(Fault::Lost) => {
+                self.leave();
+                asked.lost += 1;
+                // It may be what devices are lost by.
+                if asked.lost >= LOST_MAX {
+                    return self.refuse(asked.job, failed.status.clone());
+                }
+            }
             Some(Fault::Full) => asked.refused.push(self.position),
             None => return self.refuse(asked.job, failed.status.clone()),
         }
@@ -293,7 +306,12 @@ impl RenderWorker {
         if asked.job.is_closed() {
             return self.devices.metrics.queued(-1);
         }
-        let Asked { job, refused, load } = asked;
+        let Asked {
+            job,
+            refused,
+            lost,
+            load,
+        } = asked;
         let (job, failed) = match job {
             Job::Images { views, answer } => {
                 let mut images = self.memory.take();
@@ -314,7 +332,13 @@ impl RenderWorker {
                 }
             }
         };
-        self.fail(Asked { job, refused, load }, &failed);
+        let asked = Asked {
+            job,
+            refused,
+            lost,
+            load,
+        };
+        self.fail(asked, &failed);
     }
 
     /// Result of `work` on the scene `id`, which draws `images` images.

@@ -101,6 +101,25 @@ async fn scenes_of_a_device_that_is_lost_or_full_are_drawn_by_the_other() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_request_that_loses_two_devices_does_not_lose_the_third() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenes = streets(folder.path());
+    let mut options = on_two(scenes, &["0:lost:0", "1:lost:0"]);
+    let Some(DeviceSet::Each(devices)) = &mut options.devices.devices else {
+        unreachable!("two devices were named")
+    };
+    devices.push(devices[0].clone());
+    let running = serve(&options).await;
+    let mut client = client(&running).await;
+    let asked = at(&mut client, "north", 0.0).await;
+    let status = client.render_rgb(asked.clone()).await.unwrap_err();
+    assert_eq!(status.code(), Code::Unavailable, "{status}");
+    client.render_rgb(asked).await.unwrap();
+    assert_eq!(running.images_by_device(), [0, 0, 1]);
+    running.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_server_ends_when_no_device_is_left() {
     let folder = tempfile::tempdir().unwrap();
     let scenes = streets(folder.path());
