@@ -156,7 +156,11 @@ fn a_run_whose_devices_are_all_gone_keeps_what_is_done() {
         .filter(|(name, _)| name.ends_with(".log"));
     let done: Vec<_> = done.collect();
     assert!(done.iter().all(|log| logs(&one).contains(log)));
-    on(&out, &["--devices", "0,0"]);
+    let said = on(&out, &["--devices", "0,0"]);
+    assert!(
+        !said.contains("out of the run"),
+        "the fault was before: {said}"
+    );
     assert_eq!(logs(&out), logs(&one));
 }
 

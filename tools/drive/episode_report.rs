@@ -320,13 +320,16 @@ pub fn write(
     let (json, html) = (out.join("report.json"), out.join("report.html"));
     let mut report = to_json(scored)?;
     if let Some(devices) = devices {
+        let by_episode = devices.by_episode();
         for (episode, scored) in report["episodes"]
             .as_array_mut()
             .into_iter()
             .flatten()
             .zip(scored)
         {
-            episode["device"] = devices.device_of(scored.name());
+            // Null if no line says so: the run was killed between the log and the line.
+            let device = by_episode.get(scored.name()).copied().cloned();
+            episode["device"] = device.unwrap_or_default();
         }
         report["device_use"] = devices.to_json(scored);
     }

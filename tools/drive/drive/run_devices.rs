@@ -35,6 +35,8 @@ struct DeviceLog {
     path: PathBuf,
     file: File,
     lines: Vec<Value>,
+    /// Number of the first lines, which are of runs before.
+    before: usize,
 }
 
 impl RunDevices {
@@ -95,6 +97,7 @@ impl RunDevices {
         Some(DeviceUse {
             devices: (0..self.gpus.len()).map(|at| self.to_json(at)).collect(),
             lines: log.lines.clone(),
+            before: log.before,
             took: self.began.get().map(Instant::elapsed).unwrap_or_default(),
         })
     }
@@ -143,10 +146,15 @@ impl DeviceLog {
             .lines()
             .enumerate()
             .map(parsed)
-            .collect::<Result<_>>()?;
+            .collect::<Result<Vec<_>>>()?;
         let open = OpenOptions::new().create(true).append(true).open(&path);
         let file = open.with_context(|| format!("{} cannot be written", path.display()))?;
-        Ok(Self { path, file, lines })
+        Ok(Self {
+            before: lines.len(),
+            path,
+            file,
+            lines,
+        })
     }
 
     fn add(&mut self, line: Value) -> Result<()> {

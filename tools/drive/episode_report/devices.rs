@@ -15,6 +15,8 @@ pub struct DeviceUse {
     /// Lines of `devices.jsonl`: episodes that were driven and faults, this run's and those of
     /// runs before that drove into the same folder.
     pub lines: Vec<Value>,
+    /// Number of the first lines, which are of runs before.
+    pub before: usize,
     /// Time from the first episode's start to now.
     pub took: Duration,
 }
@@ -43,7 +45,7 @@ impl Sums {
 
 impl DeviceUse {
     /// The device that drove each episode, by name.
-    fn by_episode(&self) -> HashMap<&str, &Value> {
+    pub fn by_episode(&self) -> HashMap<&str, &Value> {
         // A later line is of an episode that was driven again, as its log was damaged.
         let driven = self.lines.iter().filter(|line| line["fault"].is_null());
         driven
@@ -51,14 +53,8 @@ impl DeviceUse {
             .collect()
     }
 
-    /// The device that drove `episode`, or null if no line says so.
-    pub fn device_of(&self, episode: &str) -> Value {
-        let device = self.by_episode().get(episode).copied().cloned();
-        device.unwrap_or_default()
-    }
-
-    /// Each device, its sums over `scored`, and its fault if it has one: devices of this run, then
-    /// those of runs before.
+    /// Each device, its sums over `scored`, and its fault in this run if it has one: devices of
+    /// this run, then those of runs before.
     fn rows(&self, scored: &[Scored]) -> Vec<(Value, Sums, Value)> {
         let mut devices = self.devices.clone();
         for line in &self.lines {
@@ -74,7 +70,8 @@ impl DeviceUse {
                     sums.add(scored);
                 }
             }
-            let faults = self.lines.iter().filter(|line| line["device"] == device);
+            let faults = self.lines[self.before..].iter();
+            let faults = faults.filter(|line| line["device"] == device);
             let fault = faults
                 .map(|line| &line["fault"])
                 .find(|fault| !fault.is_null());
