@@ -130,7 +130,10 @@ def assigned() -> list[str]:
     if not visible:
         raise SystemExit("no GPU is assigned: CUDA_VISIBLE_DEVICES is not set; ask for some (--gres=gpu:2, num_gpus=1), or name devices")
     ask = ["nvidia-smi", "--query-gpu=uuid", "--format=csv,noheader"]
-    names = [name if name.startswith("GPU-") else subprocess.check_output([*ask, f"--id={name}"], text=True).strip() for name in visible]
+    try:
+        names = [name if name.startswith("GPU-") else subprocess.check_output([*ask, f"--id={name}"], text=True).strip() for name in visible]
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise SystemExit(f"nvidia-smi does not say which GPUs {','.join(visible)} are ({error}): name devices by their UUIDs") from error
     return ["uuid:" + name.removeprefix("GPU-").replace("-", "") for name in names]
 
 

@@ -74,6 +74,8 @@ def test_devices_are_those_that_slurm_assigned(tmp_path):
     environment = {key: value for key, value in os.environ.items() if key != "CUDA_VISIBLE_DEVICES"}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=600)
     assert done.returncode == 1 and "no GPU is assigned" in done.stderr
+    done = subprocess.run(command, capture_output=True, text=True, env=environment | {"PATH": path, "CUDA_VISIBLE_DEVICES": "5"}, timeout=600)
+    assert done.returncode == 1 and "does not say which GPUs 5 are" in done.stderr
 
 
 def test_the_slurm_script_drives_the_share_of_its_task(tmp_path):
