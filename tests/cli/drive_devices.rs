@@ -132,6 +132,20 @@ fn episodes_of_a_device_that_is_lost_or_full_are_driven_by_another() {
 }
 
 #[test]
+fn workers_of_a_device_that_is_lost_leave_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let [one, two] = ["one", "two"].map(|name| folder.path().join(name));
+    on(&one, &["--device", "0"]);
+    let drill = ["--devices", "0,0", "--workers", "3", "--drill", "0:lost:5"];
+    on(&two, &drill);
+    assert_eq!(logs(&two), logs(&one));
+    let (lost, driven): (Vec<_>, Vec<_>) =
+        lines(&two).into_iter().partition(|line| line.2.is_some());
+    assert!(driven.len() == 3 && driven.iter().all(|line| line.1 == 1));
+    assert!(lost.iter().all(|line| line.1 == 0), "{lost:?}");
+}
+
+#[test]
 fn a_run_whose_devices_are_all_gone_keeps_what_is_done() {
     let folder = tempfile::tempdir().unwrap();
     let [one, out] = ["one", "out"].map(|name| folder.path().join(name));

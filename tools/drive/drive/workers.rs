@@ -110,6 +110,11 @@ impl<'a> Run<'a> {
         while !is_out()
             && let Some(index) = self.queue.take()
         {
+            if is_out() {
+                // Another worker of the device met the fault while this one waited.
+                self.queue.put_back(index);
+                break;
+            }
             let job = &self.jobs[index];
             let name = &job.scenario.name;
             let not_driven = || format!("episode {name} was not driven");
