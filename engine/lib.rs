@@ -46,6 +46,6 @@ pub use decouplegs_synth as synth;
 pub use decouplegs_train as train;
 pub use scene::{Camera, Intrinsics, Pose, Rig, Rules, Scenario, SplatCloud, Trajectory};
 pub use session::{
-    BatchRenderer, HostImages, Session, SessionError, SessionOptions, SessionScene, World,
-    WorldView,
+    BatchRenderer, HostImages, RigRenderer, RigSweep, Session, SessionError, SessionOptions,
+    SessionScene, World, WorldView,
 };

@@ -6,6 +6,7 @@ mod compress;
 #[path = "../data.rs"]
 mod data;
 mod drive;
+mod drive_devices;
 mod drive_images;
 mod edit;
 mod exchange;

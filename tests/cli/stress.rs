@@ -155,10 +155,16 @@ fn modes_are_measured_against_agents_and_compared_with_vanilla() {
 
 /// Asserts that the page names no other resource, and holds no number that is none.
 pub fn assert_page_stands_alone(page: &str) {
+    // Bytes of images may spell anything.
+    let mut parts = page.split(";base64,");
+    let mut text = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        text.push_str(part.split_once('"').map_or("", |(_, after)| after));
+    }
     for outside in [
         "http", "src=\"/", "@import", "url(", "<script", "<link", "NaN", "inf\"",
     ] {
-        assert!(!page.contains(outside), "{outside} in the page");
+        assert!(!text.contains(outside), "{outside} in the page");
     }
 }
 

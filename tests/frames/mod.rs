@@ -18,11 +18,12 @@ mod light_on_demand;
 mod needles;
 mod outputs;
 mod presence;
+mod rig_devices;
 mod rolling_shutter;
 mod scenes;
 pub mod sky;
 mod storage;
-mod worlds;
+pub mod worlds;
 
 pub use agents::background;
 

@@ -20,7 +20,7 @@ use super::agents::{background, camera_towards, coded_car};
 use super::light::{shadow, some_transfer};
 use crate::device::Validated;
 
-fn cameras(shift: f64) -> Vec<Camera> {
+pub fn cameras(shift: f64) -> Vec<Camera> {
     let eye = DVec3::new(0.3 * shift, 0.2 * shift, 0.4);
     vec![
         camera_towards("ahead", eye, DVec3::new(10.0, 0.0, 0.0), (150, 90)),
@@ -149,7 +149,7 @@ fn cameras_see_the_agents_and_shadows_of_their_own_world() {
     );
 }
 
-fn loaded(seed: u64) -> LoadedScene {
+pub fn loaded(seed: u64) -> LoadedScene {
     let agent = |name: &str, asset: usize, instance: u16, x: f64| LoadedAgent {
         name: name.into(),
         asset,
@@ -172,7 +172,7 @@ fn loaded(seed: u64) -> LoadedScene {
     }
 }
 
-fn session(outputs: Outputs) -> Session {
+pub fn session(outputs: Outputs) -> Session {
     let mut options = SessionOptions {
         device: DeviceOptions {
             validation: true,
@@ -185,7 +185,7 @@ fn session(outputs: Outputs) -> Session {
     Session::open(&options).unwrap()
 }
 
-fn assert_silent(session: &Session) {
+pub fn assert_silent(session: &Session) {
     assert_eq!(
         session.gpu().take_validation_messages(),
         Vec::<String>::new()
@@ -193,7 +193,7 @@ fn assert_silent(session: &Session) {
 }
 
 /// World `index` over `scene`: its cars stand somewhere else in each.
-fn world(scene: &Arc<SessionScene>, index: usize) -> World {
+pub fn world(scene: &Arc<SessionScene>, index: usize) -> World {
     let mut world = World::new(scene);
     let x = 6.0 + 0.25 * index as f64;
     world

@@ -1,39 +1,32 @@
 //! `decouplegs drive`: episodes in closed loop.
 
+mod episode_queue;
 mod folder;
 mod image_writer;
 mod jobs;
+mod run_devices;
+mod workers;
 
-use std::fs;
 use std::path::PathBuf;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::AssetError;
-use decouplegs::episode::{
-    self, Appearance, Driven, ObservationRenderer, chosen, chosen_lidars, drive,
-};
-use decouplegs::logs::{read_episode_log, scenario_file};
+use decouplegs::episode::Appearance;
+use decouplegs::logs::scenario_file;
 use decouplegs::planner::{Cameras, Planner, Timeouts};
-use decouplegs::scene::episode::{Episode, EpisodeEnd};
-use decouplegs::scene::scenario::Place;
-use decouplegs::scene::{Level, Sensor};
-use indicatif::ProgressBar;
+use decouplegs::scene::Level;
+use decouplegs::scene::episode::EpisodeEnd;
 use serde_json::json;
 
 use self::folder::RunFolder;
-use self::image_writer::EpisodeImages;
 pub use self::image_writer::{ImageWriter, Images};
-use self::jobs::Job;
-use crate::arguments::{Size, print, seconds_within, transfer_in, warn};
+use self::run_devices::RunDevices;
+use self::workers::Run;
+use crate::arguments::{Size, print, seconds_within, transfer_in};
 use crate::background::BackgroundArguments;
-use crate::device::{DeviceArguments, check_validation};
+use crate::device::{DeviceArguments, DevicesArguments, check_validation};
 use crate::episode_report::{self, Scored};
-use crate::progress;
-use crate::seen::SeenWatch;
 use crate::sites::Sites;
 use decouplegs_alpasim::egodriver::DriverOptions;
 use decouplegs_alpasim::planner_name::PlannerName;
@@ -127,7 +120,7 @@ pub struct Arguments {
     /// Light transfer for the cars of a synthetic place, written by `calibrate-light`
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
-    /// Number of parallel workers. One device gains little beyond two
+    /// Number of parallel workers, on each of --devices. One device gains little beyond two
     #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
     workers: u32,
     /// Images to keep
@@ -143,6 +136,8 @@ pub struct Arguments {
     background: BackgroundArguments,
     #[command(flatten)]
     device: DeviceArguments,
+    #[command(flatten)]
+    devices: DevicesArguments,
     #[command(flatten)]
     driver: DriverOptions,
 }
@@ -269,6 +264,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         arguments.render.0 > 0 || arguments.lidar.is_empty(),
         "--lidar traces sweeps, and --render off draws nothing"
     );
+    ensure!(
+        arguments.render.0 > 0 || !arguments.devices.are_named(),
+        "--devices names what draws, and --render off draws nothing"
+    );
     let planner = arguments.planner()?;
     ensure!(
         arguments.render.0 > 0 || planner.sees().cameras == Cameras::None && !planner.sees().lidars,
@@ -278,24 +277,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     drop(planner);
     let folder = RunFolder::open(&arguments.out, &arguments.settings())?;
     let jobs = jobs::list(arguments, &folder)?;
-    let gpu = (arguments.render.0 > 0)
-        .then(|| arguments.device.open())
-        .transpose()?;
+    let devices = opened(arguments)?;
     let appearance = Appearance {
         transfer: transfer_in(arguments.light.as_deref())?,
         only_cars: jobs.iter().all(|job| job.scenario.has_only_cars()),
     };
-    let sites = Sites::new(gpu.as_ref(), arguments.background, appearance);
-    let run = Run {
-        arguments,
-        folder: &folder,
-        sites: &sites,
-        bar: progress::bar("episodes", jobs.len()),
-    };
-    let mut scored = run.all(&jobs)?;
-    run.bar.finish_and_clear();
+    let sites = Sites::new(devices.gpus(), arguments.background, appearance);
+    let run = Run::new(arguments, &folder, &sites, &devices, &jobs);
+    let mut scored = run.all()?;
     scored.sort_by(|a, b| (a.level(), a.name()).cmp(&(b.level(), b.name())));
-    let text = episode_report::write(&scored, &sites, &arguments.out)?;
+    let device_use = devices.report();
+    let text = episode_report::write(&scored, &sites, device_use.as_ref(), &arguments.out)?;
     print(&text)?;
     if scored.iter().all(|scored| scored.times.is_none()) {
         print("nothing was left to drive: all episodes were in the folder already\n")?;
@@ -304,7 +296,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     for sentence in lost {
         print(&format!("{sentence}\n"))?;
     }
-    gpu.as_ref().map_or(Ok(()), check_validation)?;
+    devices.gpus().iter().try_for_each(check_validation)?;
     // A planner that drove nothing at all is a fault of the run, not of an episode.
     let reason = |scored: &Scored| match &scored.episode.end {
         EpisodeEnd::Planner { reason } => Some(reason.clone()),
@@ -320,219 +312,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// State shared by workers.
-struct Run<'a> {
-    arguments: &'a Arguments,
-    folder: &'a RunFolder,
-    sites: &'a Sites,
-    bar: ProgressBar,
-}
-
-impl Run<'_> {
-    /// Every episode, those that were finished before as they are.
-    fn all(&self, jobs: &[Job]) -> Result<Vec<Scored>> {
-        let (next, failed) = (AtomicUsize::new(0), AtomicBool::new(false));
-        let scored = Mutex::new(Vec::with_capacity(jobs.len()));
-        let work = || -> Result<()> {
-            let mut worker = Worker {
-                run: self,
-                planner: None,
-                renderer: None,
-            };
-            while !failed.load(Ordering::Relaxed) {
-                let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) else {
-                    break;
-                };
-                let done = worker
-                    .job(job)
-                    .with_context(|| format!("episode {} was not driven", job.scenario.name));
-                match done {
-                    Ok(done) => scored
-                        .lock()
-                        .unwrap_or_else(std::sync::PoisonError::into_inner)
-                        .push(done),
-                    Err(error) => {
-                        failed.store(true, Ordering::Relaxed);
-                        return Err(error);
-                    }
-                }
-                self.bar.inc(1);
-            }
-            Ok(())
-        };
-        let done = AtomicBool::new(false);
-        std::thread::scope(|scope| {
-            let workers: Vec<_> = (0..self.arguments.workers)
-                .map(|_| scope.spawn(work))
-                .collect();
-            scope.spawn(|| self.prepare_places(jobs, &next, &done));
-            let mut ends = workers.into_iter();
-            let end = ends.try_for_each(|worker| worker.join().expect("a worker does not panic"));
-            done.store(true, Ordering::Relaxed);
-            end
-        })?;
-        Ok(scored
-            .into_inner()
-            .unwrap_or_else(std::sync::PoisonError::into_inner))
+/// The devices that draw: those of --devices, or that of --device; none where nothing is drawn.
+fn opened(arguments: &Arguments) -> Result<RunDevices> {
+    if arguments.render.0 == 0 {
+        return RunDevices::new(Vec::new(), None);
     }
-}
-
-/// Time between looks at how far the workers are.
-const PREPARE_EVERY: Duration = Duration::from_millis(20);
-
-impl Run<'_> {
-    /// Makes the places of `jobs`, each when the first episode at the place before it has begun:
-    /// one place ahead of the workers, who would wait for it otherwise. `next` is the job that a
-    /// worker takes next. Ends when `done` is set.
-    fn prepare_places(&self, jobs: &[Job], next: &AtomicUsize, done: &AtomicBool) {
-        let is_driven = |job: &Job| !self.folder.log(&job.scenario.name).exists();
-        let mut places: Vec<(usize, &Job)> = Vec::new();
-        for (index, job) in jobs.iter().enumerate().filter(|(_, job)| is_driven(job)) {
-            let same = |(_, other): &(usize, &Job)| {
-                other.scenario.place == job.scenario.place && other.directory == job.directory
-            };
-            if !places.iter().any(same) {
-                places.push((index, job));
-            }
-        }
-        for pair in places.windows(2) {
-            let ((before, _), (_, job)) = (pair[0], pair[1]);
-            while next.load(Ordering::Relaxed) <= before {
-                if done.load(Ordering::Relaxed) {
-                    return;
-                }
-                std::thread::sleep(PREPARE_EVERY);
-            }
-            if done.load(Ordering::Relaxed) {
-                return;
-            }
-            // A place that cannot be had is the fault of its episodes, which ask for it again.
-            let _ = self.sites.get(&job.scenario.place, &job.directory);
-        }
-    }
-}
-
-/// One of the threads that drive.
-struct Worker<'a> {
-    run: &'a Run<'a>,
-    planner: Option<Box<dyn Planner>>,
-    renderer: Option<ObservationRenderer>,
-}
-
-impl Worker<'_> {
-    fn job(&mut self, job: &Job) -> Result<Scored> {
-        let name = &job.scenario.name;
-        let path = self.run.folder.log(name);
-        if path.exists() {
-            match read_episode_log(&path) {
-                Ok(episode) => {
-                    ensure!(
-                        episode.head.scenario == job.scenario,
-                        "{} is of another scenario of the same name: remove it, or name another folder with --out",
-                        path.display()
-                    );
-                    return Scored::new(episode, path, self.run.folder.images(name), None);
-                }
-                // Kept under another name, and driven again.
-                Err(error @ AssetError::Decode { .. }) => {
-                    let damaged = path.with_extension("log.damaged");
-                    fs::rename(&path, &damaged)
-                        .with_context(|| format!("{} cannot be renamed", path.display()))?;
-                    warn(&format!(
-                        "{error}: it is kept as {}, and the episode is driven again",
-                        damaged.display()
-                    ));
-                }
-                Err(error) => return Err(error.into()),
-            }
-        }
-        let driven = self.drive(job)?;
-        if self.run.arguments.video {
-            self.videos(&driven.episode)?;
-        }
-        Scored::new(
-            driven.episode,
-            path,
-            self.run.folder.images(name),
-            Some(driven.times),
-        )
-    }
-
-    fn drive(&mut self, job: &Job) -> Result<Driven> {
-        let run = self.run;
-        let ready = run.sites.get(&job.scenario.place, &job.directory)?;
-        let planner = match &mut self.planner {
-            Some(planner) => planner,
-            none => none.insert(run.arguments.planner()?),
-        };
-        let name = &job.scenario.name;
-        let image_writer = ImageWriter::new(run.folder.images(name), run.arguments.keeps());
-        let log = run.folder.log(name);
-        // Synthetic places look right from everywhere.
-        let is_captured = matches!(job.scenario.place, Place::Scene { .. });
-        let seen = is_captured.then(|| SeenWatch::new(ready.site.view_support().cloned(), &log));
-        let mut images = EpisodeImages::new(log, image_writer, seen);
-        let driven = match (run.sites.session(), &ready.scene) {
-            (Some(session), Some(scene)) => {
-                let at_least = if run.arguments.all_cameras {
-                    Cameras::All
-                } else {
-                    Cameras::Front
-                };
-                let size = run.arguments.size;
-                let all = &ready.site.loaded.rig;
-                let mut rig = chosen(
-                    all,
-                    &episode::cameras_of(planner.as_ref(), at_least),
-                    Some([size.width_px, size.height_px]),
-                )?;
-                let lidars = chosen_lidars(all, planner.sees().lidars, &run.arguments.lidar)?;
-                ensure!(
-                    !(planner.sees().lidars && lidars.is_empty()),
-                    "the planner wants sweeps, and the scene has no LiDARs: add a [[lidar]] to the scene file, or name a model with --lidar"
-                );
-                rig.sensors.extend(lidars.into_iter().map(Sensor::Lidar));
-                let every = run.arguments.render.0;
-                let mut renderer = match self.renderer.take() {
-                    Some(renderer) => renderer.restarted(scene, rig, every),
-                    None => ObservationRenderer::new(session.batch_renderer(), scene, rig, every),
-                };
-                let (name, options) = (&run.arguments.planner, &run.arguments.driver);
-                renderer = name.fit(renderer, options)?;
-                let driven = drive(
-                    &job.scenario,
-                    &ready.site,
-                    Some(&mut renderer),
-                    planner.as_mut(),
-                    &mut images,
-                )?;
-                self.renderer = Some(renderer);
-                driven
-            }
-            _ => drive(
-                &job.scenario,
-                &ready.site,
-                None,
-                planner.as_mut(),
-                &mut images,
-            )?,
-        };
-        images.image_error.map_or(Ok(driven), Err)
-    }
-
-    fn videos(&self, episode: &Episode) -> Result<()> {
-        let name = &episode.head.scenario.name;
-        let folder = self.run.folder.images(name);
-        let every = f64::from(self.run.arguments.render.0);
-        for camera in &episode.head.planner.cameras {
-            let video = self.run.folder.images(name).join(format!("{camera}.mp4"));
-            video::encode(
-                &folder,
-                camera,
-                1.0 / (every * episode.head.scenario.step_s),
-                &video,
-            )?;
-        }
-        Ok(())
+    match arguments.devices.open()? {
+        Some(gpus) => RunDevices::new(gpus, Some(&arguments.out)),
+        None => RunDevices::new(vec![arguments.device.open()?], None),
     }
 }

@@ -3,6 +3,7 @@
 mod birds_eye;
 mod charts;
 mod comparison;
+mod devices;
 mod hd_score;
 mod page;
 mod timing;
@@ -27,6 +28,7 @@ use crate::seen::Seen;
 use crate::sites::Sites;
 
 pub use comparison::compare;
+pub use devices::DeviceUse;
 pub use hd_score::{HdScores, Hugsim};
 
 /// An episode and what it is worth.
@@ -306,16 +308,37 @@ pub fn text(scored: &[Scored]) -> Result<String> {
     Ok(text)
 }
 
-/// Writes report.json and report.html to `out`. The text of the table.
-pub fn write(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
+/// Writes report.json and report.html to `out`, with the use of `devices` that were named. The text
+/// of the table.
+pub fn write(
+    scored: &[Scored],
+    sites: &Sites,
+    devices: Option<&DeviceUse>,
+    out: &Path,
+) -> Result<String> {
     std::fs::create_dir_all(out).with_context(|| format!("{} cannot be made", out.display()))?;
     let (json, html) = (out.join("report.json"), out.join("report.html"));
-    let report = to_json(scored)?;
+    let mut report = to_json(scored)?;
+    if let Some(devices) = devices {
+        let by_episode = devices.by_episode();
+        for (episode, scored) in report["episodes"]
+            .as_array_mut()
+            .into_iter()
+            .flatten()
+            .zip(scored)
+        {
+            // Null if no line says so: the run was killed between the log and the line.
+            let device = by_episode.get(scored.name()).copied().cloned();
+            episode["device"] = device.unwrap_or_default();
+        }
+        report["device_use"] = devices.to_json(scored);
+    }
     write_atomically(&json, |file| writeln!(file, "{report:#}"))?;
-    let page = page::page(scored, sites, out)?;
+    let page = page::page(scored, sites, devices, out)?;
     write_atomically(&html, |file| file.write_all(page.as_bytes()))?;
     let mut text = text(scored)?;
     text.push_str(&timing::text(scored));
+    text.push_str(&devices.map_or(String::new(), |devices| devices.text(scored)));
     text.push_str(&unseen(scored));
     text.push_str(&failed_planners(scored));
     text.push_str(&format!("{}\n{}\n", json.display(), html.display()));

@@ -117,7 +117,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
         transfer: transfer_in(arguments.light.as_deref())?,
         only_cars: scenario.has_only_cars(),
     };
-    let sites = Sites::new(gpu.as_ref(), arguments.background, appearance);
+    let sites = Sites::new(gpu.as_slice(), arguments.background, appearance);
     let ready = sites.get(&scenario.place, base)?;
     let size_px = episode
         .head
@@ -125,8 +125,9 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
         .as_ref()
         .map(|by| [by.width_px, by.height_px]);
     let wanted = planner.sees().cameras;
-    let plans = match (sites.session(), &ready.scene) {
-        (Some(session), Some(scene)) => {
+    let plans = match sites.sessions().first() {
+        Some(session) => {
+            let scene = &sites.scene(&ready, 0)?;
             let rig = chosen(&ready.site.loaded.rig, &wanted, size_px)?;
             let renderer = ObservationRenderer::new(session.batch_renderer(), scene, rig, 1);
             let mut renderer = arguments.planner.fit(renderer, &arguments.driver)?;
@@ -143,7 +144,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
             };
             plans(episode, &ready.site, &rig, planner.as_mut(), drawn)?
         }
-        _ => {
+        None => {
             ensure!(
                 arguments.driver.driver_lens == SensorLens::Own,
                 "--driver-lens f-theta draws cameras anew, and {} has images already",

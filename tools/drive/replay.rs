@@ -18,7 +18,7 @@ use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::drive::{ImageWriter, Images};
 use crate::progress;
-use crate::sites::{Ready, Sites};
+use crate::sites::Sites;
 
 /// Repeat the plans of a log and compare: the motion of all vehicles and the score to the last bit,
 /// images by their hashes. Exits with 1 if something differs
@@ -76,18 +76,10 @@ fn drawn(
         transfer: transfer_in(arguments.light.as_deref())?,
         only_cars: scenario.has_only_cars(),
     };
-    let sites = Sites::new(Some(&gpu), arguments.background, appearance);
+    let sites = Sites::new(std::slice::from_ref(&gpu), arguments.background, appearance);
     let ready = sites.get(&scenario.place, base)?;
-    let (
-        Some(session),
-        Ready {
-            site,
-            scene: Some(scene),
-        },
-    ) = (sites.session(), ready.as_ref())
-    else {
-        bail!("the place has nothing to draw")
-    };
+    let (session, scene) = (&sites.sessions()[0], &sites.scene(&ready, 0)?);
+    let site = &ready.site;
     let mut cameras = Vec::new();
     for name in &episode.head.planner.cameras {
         let mut camera = camera_named(&site.loaded.rig, name)?.clone();

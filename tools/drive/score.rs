@@ -36,12 +36,12 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let scored = read(&arguments.logs)?;
     let out = arguments.out.as_deref();
-    let sites = Sites::new(None, BackgroundArguments::default(), Appearance::default());
+    let sites = Sites::new(&[], BackgroundArguments::default(), Appearance::default());
     let text = match out {
         _ if !arguments.against.is_empty() => {
             episode_report::compare(&scored, &read(&arguments.against)?, out)?
         }
-        Some(out) => episode_report::write(&scored, &sites, out)?,
+        Some(out) => episode_report::write(&scored, &sites, None, out)?,
         None => episode_report::text(&scored)?,
     };
     print(&text)?;

@@ -8,7 +8,7 @@ use decouplegs::episode::{Appearance, Site};
 use decouplegs::gpu::Gpu;
 use decouplegs::scene::Lane;
 use decouplegs::scene::scenario::Place;
-use decouplegs::session::{Session, SessionOptions, SessionScene};
+use decouplegs::session::{Session, SessionError, SessionOptions, SessionScene};
 
 use crate::arguments::warn;
 use crate::background::BackgroundArguments;
@@ -16,11 +16,11 @@ use crate::background::BackgroundArguments;
 /// Places that are kept: a street in four weathers and a few more.
 const KEPT_MAX: usize = 6;
 
-/// A place, and its scene on the device.
+/// A place, and its scene on each device that draws it.
 pub struct Ready {
     pub site: Arc<Site>,
-    /// None where nothing is drawn.
-    pub scene: Option<Arc<SessionScene>>,
+    /// Scenes by device; none where nothing is drawn yet.
+    scenes: Vec<Mutex<Option<Arc<SessionScene>>>>,
 }
 
 /// A place that is there, or is being made by one thread while others wait for it.
@@ -28,15 +28,16 @@ type Making = Arc<Mutex<Option<Arc<Ready>>>>;
 
 /// Places by what describes them.
 pub struct Sites {
-    session: Option<Session>,
+    /// One for each device.
+    sessions: Vec<Session>,
     appearance: Appearance,
     kept: Mutex<Vec<(Place, PathBuf, Making)>>,
     lanes: Mutex<Vec<(Place, PathBuf, Vec<Lane>)>>,
 }
 
 impl Sites {
-    /// Places whose scenes are kept on `gpu`; without a device nothing is rendered.
-    pub fn new(gpu: Option<&Gpu>, background: BackgroundArguments, appearance: Appearance) -> Self {
+    /// Places whose scenes are kept on `gpus`; without a device nothing is rendered.
+    pub fn new(gpus: &[Gpu], background: BackgroundArguments, appearance: Appearance) -> Self {
         // Episodes share scenes, and each must be drawn as if it were alone.
         let mut options = SessionOptions {
             bakes_light_on_demand: false,
@@ -44,16 +45,28 @@ impl Sites {
         };
         background.apply_to(&mut options.render);
         Self {
-            session: gpu.map(|gpu| Session::on(gpu, &options)),
+            sessions: gpus.iter().map(|gpu| Session::on(gpu, &options)).collect(),
             appearance,
             kept: Mutex::default(),
             lanes: Mutex::default(),
         }
     }
 
-    /// The session that renders; none without a device.
-    pub fn session(&self) -> Option<&Session> {
-        self.session.as_ref()
+    /// The sessions that render, one for each device.
+    pub fn sessions(&self) -> &[Session] {
+        &self.sessions
+    }
+
+    /// The scene of `ready` on the device at `position`, copied to it unless it is there already.
+    pub fn scene(&self, ready: &Ready, position: usize) -> Result<Arc<SessionScene>, SessionError> {
+        let mut scene = ready.scenes[position]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        if let Some(scene) = &*scene {
+            return Ok(scene.clone());
+        }
+        let added = ready.site.add_to(&self.sessions[position])?;
+        Ok(scene.insert(added).clone())
     }
 
     /// `place`, its files relative to `directory`. Who asks for a place that another thread makes
@@ -86,23 +99,15 @@ impl Sites {
     }
 
     fn make(&self, place: &Place, directory: &Path) -> Result<Ready> {
-        let site = Site::open(
-            place,
-            directory,
-            self.session.as_ref().map(|_| &self.appearance),
-        )
-        .context("the place of the scenario is not usable")?;
+        let appearance = (!self.sessions.is_empty()).then_some(&self.appearance);
+        let site = Site::open(place, directory, appearance)
+            .context("the place of the scenario is not usable")?;
         if let Some(warning) = site.ground_warning() {
             warn(&warning);
         }
-        let site = Arc::new(site);
-        let Some(session) = &self.session else {
-            return Ok(Ready { site, scene: None });
-        };
-        let scene = site.add_to(session)?;
         Ok(Ready {
-            site,
-            scene: Some(scene),
+            site: Arc::new(site),
+            scenes: self.sessions.iter().map(|_| Mutex::default()).collect(),
         })
     }
 

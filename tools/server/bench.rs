@@ -9,6 +9,7 @@ use clap::{Args, ValueEnum};
 use decouplegs::asset::{SceneFile, write_atomically};
 use decouplegs::gpu::DeviceChoice;
 use decouplegs::scene::{Pose, Trajectory};
+use decouplegs_cli::device::DevicesArguments;
 use glam::DVec3;
 use serde_json::json;
 use std::io::Write;
@@ -16,6 +17,7 @@ use tonic::transport::{Channel, Endpoint};
 
 use crate::options::ServerOptions;
 use crate::running;
+use crate::scene_registry::id_of;
 use decouplegs_alpasim::poses::{message_of, pose_of};
 use decouplegs_alpasim::wire::common::Empty;
 use decouplegs_alpasim::wire::sensorsim::available_cameras_return::AvailableCamera;
@@ -37,9 +39,9 @@ const WINDOW_BYTES: u32 = 64 << 20;
 /// Workload and duration.
 #[derive(Args, Clone, Debug)]
 pub struct BenchOptions {
-    /// Scene file
-    #[arg(long, value_name = "SCENE.toml")]
-    pub scene: PathBuf,
+    /// Scene file. May be repeated: each client drives through one of them in turn
+    #[arg(long, value_name = "SCENE.toml", required = true)]
+    pub scene: Vec<PathBuf>,
     /// Cameras of each request, the first of the rig
     #[arg(
         long,
@@ -84,6 +86,9 @@ pub struct BenchOptions {
     /// Device to render on: an index, a part of its name or its UUID
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
+    /// Devices that scenes are spread over
+    #[command(flatten)]
+    pub devices: DevicesArguments,
     /// Write the figures to a file
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
@@ -117,8 +122,9 @@ pub fn run(options: &BenchOptions, started: Instant) -> Result<()> {
 }
 
 async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
-    let mut server = ServerOptions::on_a_free_port(vec![options.scene.clone()]);
+    let mut server = ServerOptions::on_a_free_port(options.scene.clone());
     server.device = options.device.clone();
+    server.devices = options.devices.clone();
     let running = running::start(&server).await?;
     let listening = started.elapsed();
     let endpoint = Endpoint::from_shared(format!("http://{}", running.address))?.tcp_nodelay(true);
@@ -126,14 +132,18 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
     let endpoint = endpoint
         .initial_stream_window_size(WINDOW_BYTES)
         .initial_connection_window_size(WINDOW_BYTES);
-    let mut rollout = Rollout::begin(endpoint.connect().await?, options).await?;
-    rollout.ask(0).await?;
+    // Every scene is on its device before the clients begin.
+    for scene in &options.scene {
+        let mut rollout = Rollout::begin(endpoint.connect().await?, scene, options).await?;
+        rollout.ask(0).await?;
+    }
     let first_image = started.elapsed();
     let memory_start = memory_bytes();
     let mut clients = tokio::task::JoinSet::new();
     let until = Instant::now() + Duration::from_secs_f64(options.seconds);
     for client in 0..options.clients {
-        let mut rollout = Rollout::begin(endpoint.connect().await?, options).await?;
+        let scene = &options.scene[client % options.scene.len()];
+        let mut rollout = Rollout::begin(endpoint.connect().await?, scene, options).await?;
         clients.spawn(async move {
             let mut times = Vec::new();
             while Instant::now() < until {
@@ -149,7 +159,7 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
         times.extend_from_slice(&asked[WARM_UP.min(asked.len() / 2)..]);
     }
     let asked_for = asked_since.elapsed();
-    let submissions = running.submissions();
+    let (submissions, images_by_device) = (running.submissions(), running.images_by_device());
     running.stop().await?;
     ensure!(
         !times.is_empty(),
@@ -159,8 +169,13 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
     let at =
         |share: f64| times[((times.len() - 1) as f64 * share).round() as usize].as_secs_f64() * 1e3;
     let requests = times.len();
+    let scenes: Vec<String> = options
+        .scene
+        .iter()
+        .map(|path| path.display().to_string())
+        .collect();
     let figures = json!({
-        "scene": options.scene.display().to_string(),
+        "scene": scenes.join(", "),
         "cameras": options.cameras,
         "width_px": options.size[0],
         "height_px": options.size[1],
@@ -168,6 +183,7 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
         "clients": options.clients,
         "requests": requests,
         "submissions": submissions,
+        "images_by_device": images_by_device,
         "p50_ms": at(0.5),
         "p99_ms": at(0.99),
         "max_ms": at(1.0),
@@ -197,16 +213,11 @@ struct Rollout {
 }
 
 impl Rollout {
-    async fn begin(channel: Channel, options: &BenchOptions) -> Result<Self> {
-        let file = SceneFile::read(&options.scene)?;
+    async fn begin(channel: Channel, path: &Path, options: &BenchOptions) -> Result<Self> {
+        let file = SceneFile::read(path)?;
         let mut client = SensorsimServiceClient::new(channel).max_decoding_message_size(64 << 20);
         client.get_version(Empty {}).await?;
-        let scenes = client
-            .get_available_scenes(Empty {})
-            .await?
-            .into_inner()
-            .scene_ids;
-        let scene = scenes.first().cloned().context("the server has no scene")?;
+        let scene = id_of(path).context("the scene has no id")?;
         client.get_available_ego_masks(Empty {}).await?;
         let asked = AvailableCamerasRequest {
             scene_id: scene.clone(),

@@ -74,6 +74,13 @@ impl<T> Cache<T> {
         self.entries.retain(|entry| entry.name != name);
     }
 
+    /// Takes out all values; their names.
+    pub fn clear(&mut self) -> Vec<String> {
+        let names = self.names();
+        self.entries.clear();
+        names
+    }
+
     /// Adds a value for which there is room.
     pub fn insert(&mut self, name: String, value: T, bytes: u64) {
         self.remove(&name);

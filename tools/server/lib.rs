@@ -8,7 +8,8 @@
 //! | `sensorsim`, `lidar`, `physics` | the services: messages in, messages out |
 //! | `render_request`, `sweep_request` | a checked request: cameras, LiDARs and agents |
 //! | `scene_registry` | scenes that are served, and their metadata |
-//! | `render_queue`, `scene_renderer` | the thread that draws, and a scene on the device |
+//! | `render_queue`, `devices`, `placement` | requests, and the device that draws a scene |
+//! | `render_worker`, `scene_renderer` | a thread that draws, and a scene on its device |
 //! | [`conform`] | the client that judges any server of the contract |
 //! | [`running`] | the server as a whole, until it is stopped |
 //!
@@ -22,6 +23,7 @@
 pub mod bench;
 mod cache;
 pub mod conform;
+mod devices;
 mod image_memory;
 mod incoming;
 mod lidar;
@@ -32,8 +34,10 @@ pub mod names;
 pub mod options;
 mod physics;
 mod reference_lens;
+mod placement;
 mod render_queue;
 mod render_request;
+mod render_worker;
 mod request_guard;
 pub mod running;
 mod scene_registry;

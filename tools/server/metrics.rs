@@ -18,14 +18,20 @@ const BUCKETS_S: [f64; 16] = [
 #[derive(Default)]
 pub struct Metrics {
     methods: Mutex<BTreeMap<&'static str, Method>>,
-    scenes: Mutex<Vec<String>>,
-    cache_bytes: AtomicU64,
+    /// One for each device.
+    devices: Mutex<Vec<OfDevice>>,
     queue: AtomicI64,
-    images: AtomicU64,
     submissions: AtomicU64,
     unknown_objects: AtomicU64,
     connections: AtomicI64,
     connections_refused: AtomicU64,
+}
+
+#[derive(Clone, Default)]
+struct OfDevice {
+    scenes: Vec<String>,
+    cache_bytes: u64,
+    images: u64,
 }
 
 #[derive(Default)]
@@ -48,28 +54,43 @@ impl Metrics {
         }
     }
 
+    /// Says how many devices draw.
+    pub fn with_devices(&self, count: usize) {
+        lock(&self.devices).resize(count, OfDevice::default());
+    }
+
     /// Adds `more` to the number of queued jobs.
     pub fn queued(&self, more: i64) {
         self.queue.fetch_add(more, Ordering::Relaxed);
     }
 
-    /// One submission drew so many images, and objects were asked for that the scene has not.
-    pub fn drew(&self, images: usize, unknown_objects: usize) {
+    /// One submission to `device` drew so many images, and objects were asked for that the scene
+    /// has not.
+    pub fn drew(&self, device: usize, images: usize, unknown_objects: usize) {
         self.submissions.fetch_add(1, Ordering::Relaxed);
-        self.images.fetch_add(images as u64, Ordering::Relaxed);
+        lock(&self.devices)[device].images += images as u64;
         self.unknown_objects
             .fetch_add(unknown_objects as u64, Ordering::Relaxed);
     }
 
-    /// The scenes on the device, and their bytes.
-    pub fn cached(&self, scenes: Vec<String>, bytes: u64) {
-        *lock(&self.scenes) = scenes;
-        self.cache_bytes.store(bytes, Ordering::Relaxed);
+    /// The scenes on `device`, and their bytes.
+    pub fn cached(&self, device: usize, scenes: Vec<String>, bytes: u64) {
+        let of_device = &mut lock(&self.devices)[device];
+        of_device.scenes = scenes;
+        of_device.cache_bytes = bytes;
     }
 
-    /// The scenes on the device.
+    /// The scenes on all devices.
     pub fn scenes(&self) -> Vec<String> {
-        lock(&self.scenes).clone()
+        let devices = lock(&self.devices);
+        let scenes = devices.iter().flat_map(|device| &device.scenes);
+        scenes.cloned().collect()
+    }
+
+    /// Images that each device drew so far.
+    pub fn images(&self) -> Vec<u64> {
+        let devices = lock(&self.devices);
+        devices.iter().map(|device| device.images).collect()
     }
 
     /// Adds `more` to the number of open connections.
@@ -95,13 +116,15 @@ impl Metrics {
             |value: &AtomicI64| value.load(Ordering::Relaxed).max(0) as u64,
             |value: &AtomicU64| value.load(Ordering::Relaxed),
         );
-        let scenes = lock(&self.scenes).len() as u64;
+        let devices = lock(&self.devices).clone();
+        let sum = |of: fn(&OfDevice) -> u64| devices.iter().map(of).sum();
+        let scenes = sum(|device| device.scenes.len() as u64);
         for (name, kind, meaning, value) in [
             (
                 "images_total",
                 "counter",
                 "Images drawn.",
-                unsigned(&self.images),
+                sum(|device| device.images),
             ),
             (
                 "submissions_total",
@@ -126,7 +149,7 @@ impl Metrics {
                 "scene_cache_bytes",
                 "gauge",
                 "Device memory of the scenes in the cache.",
-                unsigned(&self.cache_bytes),
+                sum(|device| device.cache_bytes),
             ),
             (
                 "connections",
@@ -146,6 +169,9 @@ impl Metrics {
                 text,
                 "# HELP decouplegs_{name} {meaning}\n# TYPE decouplegs_{name} {kind}\ndecouplegs_{name} {value}\n"
             );
+        }
+        if devices.len() > 1 {
+            write_devices(&mut text, &devices);
         }
         text
     }
@@ -190,6 +216,41 @@ impl Metrics {
     }
 }
 
+/// Writes the values of each of several devices.
+fn write_devices(text: &mut String, devices: &[OfDevice]) {
+    type Value = fn(&OfDevice) -> u64;
+    let values: [(&str, &str, &str, Value); 3] = [
+        (
+            "images_total",
+            "counter",
+            "Images that a device drew.",
+            |device| device.images,
+        ),
+        ("scenes_cached", "gauge", "Scenes on a device.", |device| {
+            device.scenes.len() as u64
+        }),
+        (
+            "scene_cache_bytes",
+            "gauge",
+            "Memory of the scenes on a device.",
+            |device| device.cache_bytes,
+        ),
+    ];
+    for (name, kind, meaning, value) in values {
+        let _ = writeln!(
+            text,
+            "# HELP decouplegs_device_{name} {meaning}\n# TYPE decouplegs_device_{name} {kind}"
+        );
+        for (position, device) in devices.iter().enumerate() {
+            let value = value(device);
+            let _ = writeln!(
+                text,
+                "decouplegs_device_{name}{{device=\"{position}\"}} {value}"
+            );
+        }
+    }
+}
+
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -209,7 +270,9 @@ mod tests {
             Code::InvalidArgument,
             Duration::from_millis(1),
         );
-        metrics.drew(6, 2);
+        metrics.with_devices(2);
+        metrics.drew(0, 2, 2);
+        metrics.drew(1, 4, 0);
         let text = metrics.text();
         for line in [
             "decouplegs_requests_total{method=\"render_rgb\",status=\"Ok\"} 4",
@@ -218,6 +281,7 @@ mod tests {
             "decouplegs_request_seconds_bucket{method=\"render_rgb\",le=\"60\"} 4",
             "decouplegs_request_seconds_bucket{method=\"render_rgb\",le=\"+Inf\"} 5",
             "decouplegs_images_total 6",
+            "decouplegs_device_images_total{device=\"1\"} 4",
             "decouplegs_unknown_objects_total 2",
         ] {
             assert!(

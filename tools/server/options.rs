@@ -7,6 +7,7 @@ use std::time::Duration;
 use clap::{Args, Parser, ValueEnum};
 use decouplegs::gpu::DeviceChoice;
 use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Storage};
+use decouplegs_cli::device::DevicesArguments;
 
 /// Pixels of one image by default: room for cameras of 3848x2168, of which NuRec's scenes are.
 const IMAGE_PIXELS: u64 = 4096 * 2304;
@@ -40,6 +41,9 @@ pub struct ServerOptions {
     /// them
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
+    /// Devices that scenes are spread over
+    #[command(flatten)]
+    pub devices: DevicesArguments,
     /// Storage of the scenes' splats on the device: exact, 152 bytes per splat of degree 3, or
     /// compact, 120 bytes with an error of less than one step of an 8-bit image
     #[arg(long, value_name = "STORAGE", value_parser = storage, default_value = "exact")]
@@ -301,10 +305,10 @@ pub struct Limits {
     /// done
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 30.0, value_parser = seconds)]
     pub grace: f64,
-    /// Number of scenes that are kept on the device
+    /// Number of scenes that are kept on each device
     #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub cache_size: u32,
-    /// Device memory that scenes in the cache may take, bytes
+    /// Memory of each device that scenes in the cache may take, bytes
     #[arg(long, value_name = "BYTES", allow_negative_numbers = true, default_value_t = 32 << 30)]
     pub cache_bytes: u64,
     /// Threads that encode images; 0: as many as there are processors

@@ -67,6 +67,12 @@ impl Running {
         self.done.await.context("the server panicked")?
     }
 
+    /// Images that each device drew so far.
+    #[must_use]
+    pub fn images_by_device(&self) -> Vec<u64> {
+        self.metrics.images()
+    }
+
     /// Frames submitted to the device so far: one draws all cameras of a batch.
     #[must_use]
     pub fn submissions(&self) -> u64 {
@@ -112,17 +118,17 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
         Some(port) => Some(listen(SocketAddr::new(options.host, port)).await?),
         None => None,
     };
-    let gpu = Gpu::open(&DeviceOptions {
-        choice: options.device.clone(),
-        ..DeviceOptions::default()
-    })?;
-    tracing::info!(device = %gpu.info(), scenes = registry.ids().len(), "ready");
+    let gpus = opened(options)?;
+    let scenes = registry.ids().len();
+    for gpu in &gpus {
+        tracing::info!(device = %gpu.info(), scenes, "ready");
+    }
     let (limits, metrics) = (
         Arc::new(options.limits.clone()),
         Arc::new(Metrics::default()),
     );
     let (render_queue, painting) = RenderQueue::start(
-        gpu,
+        &gpus,
         options.render(),
         Arc::clone(&registry),
         &limits,
@@ -133,8 +139,7 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
             registry
                 .ids()
                 .into_iter()
-                .take(limits.cache_size as usize)
-                .collect(),
+                .take(limits.cache_size as usize * gpus.len()),
         );
     }
     let address = listener.local_addr()?;
@@ -164,9 +169,7 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
         let painted = timeout(FRAME_PATIENCE, painted)
             .await
             .context("the last frame does not end: it is given up")??;
-        painted
-            .map_err(|_| anyhow::anyhow!("the render_queue panicked"))?
-            .and(served)
+        painted.and(served)
     });
     Ok(Running {
         address,
@@ -175,6 +178,18 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
         done,
         metrics,
     })
+}
+
+/// The devices that are asked for: several, or one.
+fn opened(options: &ServerOptions) -> Result<Vec<Gpu>> {
+    if let Some(gpus) = options.devices.open()? {
+        return Ok(gpus);
+    }
+    let gpu = Gpu::open(&DeviceOptions {
+        choice: options.device.clone(),
+        ..DeviceOptions::default()
+    })?;
+    Ok(vec![gpu])
 }
 
 struct Services {

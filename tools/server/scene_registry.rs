@@ -1,6 +1,6 @@
 //! Registry of scenes, and their metadata without rendering.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -95,6 +95,25 @@ impl SceneRegistry {
     /// The file of a scene.
     pub fn path(&self, id: &str) -> Option<&Path> {
         self.paths.get(id).map(PathBuf::as_path)
+    }
+
+    /// About the size of the scene `id`: bytes of its file, or of the files of splats that a scene
+    /// file names. 0 where they cannot be read.
+    pub fn size_bytes(&self, id: &str) -> u64 {
+        let length = |path: &Path| std::fs::metadata(path).map_or(0, |found| found.len());
+        let Some(path) = self.path(id) else { return 0 };
+        if !is_scene_file(path) {
+            return length(path);
+        }
+        let Ok(file) = SceneFile::read(path) else {
+            return 0;
+        };
+        let directory = path.parent().unwrap_or(Path::new(""));
+        let assets = file.agents.iter().map(|agent| &agent.asset);
+        let assets: BTreeSet<&PathBuf> = assets.collect();
+        let files = assets.into_iter().chain([&file.background]);
+        let sizes = files.map(|file| length(&directory.join(file)));
+        sizes.fold(0, u64::saturating_add)
     }
 
     /// Metadata of the scene `id`; `None` if there is no such scene. Reads files the first time.
@@ -209,7 +228,7 @@ fn seen_by_clients(rig: Rig, way: Trajectory, rig_origin: DVec3) -> SceneMetadat
 
 /// The id in a package, the folder's name for `scene.toml`, and otherwise the file's without its
 /// ending.
-fn id_of(path: &Path) -> Option<String> {
+pub fn id_of(path: &Path) -> Option<String> {
     if let Some(id) = packed_scene_id(path) {
         return Some(id);
     }

@@ -219,10 +219,7 @@ pub fn status_of(error: &SessionError) -> Status {
 
 /// True if the device is lost for good.
 pub fn is_lost(error: &SessionError) -> bool {
-    let (SessionError::Render(RenderError::Gpu(error)) | SessionError::Gpu(error)) = error else {
-        return false;
-    };
-    matches!(error, GpuError::DeviceLost { .. } | GpuError::Hang { .. })
+    error.gpu().is_some_and(GpuError::is_lost)
 }
 
 #[cfg(test)]

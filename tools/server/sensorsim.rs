@@ -371,7 +371,7 @@ impl SensorsimService for Sensorsim {
         };
         Ok(Response::new(LoadedScenesReturn {
             scenes: self.metrics.scenes().into_iter().map(entry).collect(),
-            loaded_instance_capacity: self.limits.cache_size.into(),
+            loaded_instance_capacity: self.render_queue.scenes_max(),
         }))
     }
 

@@ -2,7 +2,7 @@
 
 use std::{convert::Infallible, fmt, str::FromStr, time::Duration};
 
-use crate::{DeviceInfo, DeviceKind, GpuError, KernelCache, KernelTrial};
+use crate::{DeviceInfo, DeviceKind, Drill, GpuError, KernelCache, KernelTrial};
 
 /// Options for opening a device.
 #[derive(Clone, Debug)]
@@ -25,6 +25,8 @@ pub struct DeviceOptions {
     pub trial: KernelTrial,
     /// Asks the driver about each kernel that is built ([`crate::Gpu::kernel_reports`]).
     pub reports_kernels: bool,
+    /// A fault on purpose. None by default.
+    pub drill: Option<Drill>,
 }
 
 impl Default for DeviceOptions {
@@ -40,15 +42,16 @@ impl Default for DeviceOptions {
             poll: Duration::from_millis(2),
             trial: KernelTrial::default(),
             reports_kernels: false,
+            drill: None,
         }
     }
 }
 
 /// Selection of a device.
 ///
-/// From text: a decimal number is an index, `uuid:` and 32 hex digits or 32 hex digits alone
-/// (dashes allowed) are a UUID, an empty text or `auto` is automatic, and anything else is a part
-/// of a name.
+/// From text: a decimal number is an index. `uuid:` and 32 hex digits, or `GPU-` and these as CUDA
+/// writes it, or 32 hex digits alone (dashes allowed) are a UUID. An empty text or `auto` is
+/// automatic, and anything else is a part of a name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum DeviceChoice {
     /// The first that can do the work: discrete before integrated, virtual and CPU devices, then by
@@ -61,6 +64,18 @@ pub enum DeviceChoice {
     Name(String),
     /// Device with this UUID of the driver, which stays the same when other devices come and go.
     Uuid([u8; 16]),
+}
+
+/// Devices that divide work between them.
+///
+/// From text: `all`, or choices separated by commas, each as a [`DeviceChoice`] is written. A
+/// device that is named twice is opened twice.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum DeviceSet {
+    /// Every device that can do the work. CPU devices count where there is no other.
+    All,
+    /// These, in this order.
+    Each(Vec<DeviceChoice>),
 }
 
 /// Use of queues.
@@ -82,7 +97,9 @@ impl FromStr for DeviceChoice {
             return Ok(Self::Automatic);
         }
         // 32 decimal digits are a UUID, not an index: no machine has that many devices.
-        if let Some(uuid) = uuid_from_hex(text.strip_prefix("uuid:").unwrap_or(text)) {
+        let bare = text.strip_prefix("uuid:");
+        let bare = bare.or_else(|| text.strip_prefix("GPU-")).unwrap_or(text);
+        if let Some(uuid) = uuid_from_hex(bare) {
             return Ok(Self::Uuid(uuid));
         }
         let digits_only = text.bytes().all(|byte| byte.is_ascii_digit());
@@ -90,6 +107,27 @@ impl FromStr for DeviceChoice {
             Ok(index) if digits_only => Self::Index(index),
             _ => Self::Name(text.to_owned()),
         })
+    }
+}
+
+impl FromStr for DeviceSet {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text.trim().eq_ignore_ascii_case("all") {
+            return Ok(Self::All);
+        }
+        let parts: Vec<&str> = text.split(',').map(str::trim).collect();
+        if parts.iter().any(|part| part.is_empty()) {
+            return Err(format!(
+                "expected all, or devices separated by commas, found {text:?}"
+            ));
+        }
+        let choice = |part: &str| {
+            part.parse()
+                .unwrap_or_else(|never: Infallible| match never {})
+        };
+        Ok(Self::Each(parts.into_iter().map(choice).collect()))
     }
 }
 
@@ -157,6 +195,23 @@ pub(crate) fn candidates(
         })
 }
 
+/// UUIDs of all of `devices` that [`DeviceSet::All`] stands for, each once.
+pub(crate) fn all_of(devices: &[DeviceInfo]) -> Vec<[u8; 16]> {
+    let is_hardware = |device: &&DeviceInfo| device.kind != DeviceKind::Cpu;
+    let hardware: Vec<&DeviceInfo> = devices.iter().filter(is_hardware).collect();
+    let counted = match hardware.is_empty() {
+        true => devices.iter().collect(),
+        false => hardware,
+    };
+    let mut uuids: Vec<[u8; 16]> = Vec::new();
+    for device in counted {
+        if !uuids.contains(&device.uuid) {
+            uuids.push(device.uuid);
+        }
+    }
+    uuids
+}
+
 fn rank(kind: DeviceKind) -> u8 {
     match kind {
         DeviceKind::Discrete => 0,
@@ -217,6 +272,25 @@ mod tests {
     }
 
     #[test]
+    fn all_devices_are_the_hardware_each_once() {
+        let mut devices = three();
+        devices.push(devices[1].clone());
+        assert_eq!(all_of(&devices), [[1; 16], [2; 16]]);
+        assert_eq!(
+            all_of(&devices[..1]),
+            [[0; 16]],
+            "software where there is no other"
+        );
+        let set = |text: &str| text.parse::<DeviceSet>();
+        assert_eq!(set(" ALL "), Ok(DeviceSet::All));
+        let named = vec![DeviceChoice::Index(0), DeviceChoice::Name("T4".into())];
+        assert_eq!(set("0, T4"), Ok(DeviceSet::Each(named)));
+        for text in ["", "0,,1", "0,"] {
+            assert!(set(text).unwrap_err().contains("all"), "{text}");
+        }
+    }
+
+    #[test]
     fn a_part_of_a_name_is_enough_whatever_its_case() {
         assert_eq!(
             candidates(&DeviceChoice::Name("LLVMPIPE".into()), &three()).unwrap(),
@@ -265,6 +339,10 @@ mod tests {
         ];
         assert_eq!(
             "6d657361-3232-2e33-2e36-2d00000000ff".parse(),
+            Ok(DeviceChoice::Uuid(uuid))
+        );
+        assert_eq!(
+            "GPU-6d657361-3232-2e33-2e36-2d00000000ff".parse(),
             Ok(DeviceChoice::Uuid(uuid))
         );
         assert_eq!(

@@ -18,6 +18,7 @@ use crate::{
     accounting::Accounting,
     choice,
     device::{self, Abilities, Families, Opened, Physical},
+    drill::DrillState,
     export::Exports,
     instance::Instance,
     kernel_cache::PipelineStore,
@@ -51,6 +52,8 @@ pub(crate) struct Context {
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
     pub(crate) accounting: Mutex<Accounting>,
     pub(crate) pipelines: PipelineStore,
+    /// Fault on purpose, if one was asked for.
+    pub(crate) drill: Option<DrillState>,
     physical: vk::PhysicalDevice,
     /// Dropped after the device, by field order and our `Drop`.
     instance: Instance,
@@ -130,6 +133,7 @@ impl Context {
             },
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
             accounting: Mutex::default(),
+            drill: options.drill.map(DrillState::new),
             pipelines: PipelineStore::open(&device, &properties, &options.kernels),
             physical: physical.raw,
             device,

@@ -130,6 +130,24 @@ pub enum GpuError {
     },
 }
 
+impl GpuError {
+    /// True if the device will never answer again.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        matches!(self, Self::DeviceLost { .. } | Self::Hang { .. })
+    }
+
+    /// True if the device has no memory left for the work.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        match self {
+            Self::OutOfMemory { .. } => true,
+            Self::Driver { code, .. } => code == "ERROR_OUT_OF_DEVICE_MEMORY",
+            _ => false,
+        }
+    }
+}
+
 /// Turns a result code of `call` into an error; for calls that can lose the device where no stage
 /// is known.
 pub(crate) fn failed(call: &'static str) -> impl FnOnce(vk::Result) -> GpuError {

@@ -7,9 +7,10 @@ use std::time::{Duration, Instant};
 use bytemuck::Pod;
 
 use crate::{
-    Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, KernelCounts, KernelReport,
-    Limits, MemoryKind, MemoryReport, QueueRole, Recorder, Ticket, context::Context, device,
-    instance::Instance, kernel::Kernels, memory::BufferMemory, queue::Queue, transfer,
+    Buffer, Constant, DeviceChoice, DeviceInfo, DeviceOptions, DeviceSet, GpuError, Kernel,
+    KernelCounts, KernelReport, Limits, MemoryKind, MemoryReport, QueueRole, Recorder, Ticket,
+    choice, context::Context, device, instance::Instance, kernel::Kernels, memory::BufferMemory,
+    queue::Queue, transfer,
 };
 
 /// One moment on the clocks of host and device.
@@ -82,6 +83,41 @@ impl Gpu {
             kernels: Kernels::default(),
             context,
         })))
+    }
+
+    /// Opens each of `devices`, by the options that `options` gives for its position but for their
+    /// choice. A device that lacks something is left out of [`DeviceSet::All`] if there is another.
+    ///
+    /// # Errors
+    /// Returns the errors of [`Gpu::open`].
+    pub fn open_all(
+        devices: &DeviceSet,
+        options: impl Fn(usize) -> DeviceOptions,
+    ) -> Result<Vec<Self>, GpuError> {
+        let open = |(position, choice): (usize, DeviceChoice)| {
+            Self::open(&DeviceOptions {
+                choice,
+                ..options(position)
+            })
+        };
+        let uuids = match devices {
+            DeviceSet::Each(choices) => {
+                return choices.iter().cloned().enumerate().map(open).collect();
+            }
+            DeviceSet::All => choice::all_of(&Self::list()?),
+        };
+        let (mut opened, mut refusal) = (Vec::new(), GpuError::NoDevice);
+        for uuid in uuids {
+            match open((opened.len(), DeviceChoice::Uuid(uuid))) {
+                Ok(gpu) => opened.push(gpu),
+                Err(error @ GpuError::MissingFeature { .. }) => refusal = error,
+                Err(error) => return Err(error),
+            }
+        }
+        if opened.is_empty() {
+            return Err(refusal);
+        }
+        Ok(opened)
     }
 
     /// The device.

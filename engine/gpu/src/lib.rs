@@ -27,6 +27,7 @@ mod choice;
 mod commands;
 mod context;
 mod device;
+mod drill;
 mod error;
 mod export;
 mod gpu;
@@ -44,7 +45,8 @@ mod transfer;
 mod trial;
 
 pub use buffer::{Bound, Buffer, MemoryKind};
-pub use choice::{DeviceChoice, DeviceOptions, QueueUse};
+pub use choice::{DeviceChoice, DeviceOptions, DeviceSet, QueueUse};
+pub use drill::{DeviceFault, Drill};
 pub use error::GpuError;
 pub use export::ExportedMemory;
 pub use gpu::{DeviceClock, Gpu};

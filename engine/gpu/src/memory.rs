@@ -12,7 +12,10 @@ use gpu_allocator::{
     vulkan::{Allocation, AllocationCreateDesc, AllocationScheme},
 };
 
-use crate::{ExportedMemory, GpuError, MemoryKind, context::Context, error::failed, export};
+use crate::{
+    ExportedMemory, GpuError, MemoryKind, context::Context, drill::DrillState, error::failed,
+    export,
+};
 
 /// Size from which a buffer has its own allocation, bytes: freed, it goes back to the driver at
 /// once, and capacities that grow leave no holes.
@@ -235,9 +238,9 @@ fn refuse_above_heap(
         .lock()
         .unwrap_or_else(PoisonError::into_inner)
         .device_local_bytes;
-    if matches!(memory_kind, MemoryKind::Device | MemoryKind::Exported)
-        && used.saturating_add(bytes) > context.limits.device_memory_bytes
-    {
+    let is_full = context.drill.as_ref().is_some_and(DrillState::is_full)
+        || used.saturating_add(bytes) > context.limits.device_memory_bytes;
+    if matches!(memory_kind, MemoryKind::Device | MemoryKind::Exported) && is_full {
         return Err(out_of_memory(context, name, purpose, bytes));
     }
     Ok(())

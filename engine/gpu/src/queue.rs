@@ -150,6 +150,9 @@ impl Queue {
         list: CommandList,
         after: &[&Ticket],
     ) -> Result<Ticket, GpuError> {
+        if let Some(drill) = &self.context.drill {
+            drill.submission()?;
+        }
         let (slot, repeated) = self.slot_for(list)?;
         let waits: Vec<vk::SemaphoreSubmitInfo<'_>> = after
             .iter()

@@ -37,6 +37,7 @@ mod batch;
 mod batch_renderer;
 mod live_scene;
 mod movable_scene;
+mod rig_renderer;
 mod world;
 
 use std::collections::{BTreeMap, HashMap};
@@ -52,6 +53,7 @@ use glam::DVec3;
 pub use batch_renderer::{BatchRenderer, HostImages, WorldView};
 pub use live_scene::{AgentInstance, LiveScene, SceneSnapshot};
 pub use movable_scene::{measure_movable_scene, open_movable_scene};
+pub use rig_renderer::{RigRenderer, RigSweep};
 pub use world::{World, WorldAgent};
 
 /// Probes of light that a scene keeps at most, about 110 bytes each: agents that are sent anywhere
@@ -125,6 +127,17 @@ pub enum SessionError {
         /// Submissions that wait.
         submissions: usize,
     },
+}
+
+impl SessionError {
+    /// The fault of the device, if that is what it is.
+    #[must_use]
+    pub fn gpu(&self) -> Option<&GpuError> {
+        match self {
+            Self::Gpu(error) | Self::Render(RenderError::Gpu(error)) => Some(error),
+            _ => None,
+        }
+    }
 }
 
 /// Options of a session.

@@ -56,6 +56,22 @@ impl World {
         }
     }
 
+    /// The same agents over `scene`, which shows what this world's scene shows, on another device.
+    ///
+    /// # Errors
+    /// Returns an error if `scene` lacks an asset that an agent shows.
+    pub fn over(&self, scene: &Arc<SessionScene>) -> Result<Self, SessionError> {
+        let count = scene.asset_count();
+        let assets = self.agents.iter().map(|agent| agent.placed.asset);
+        if let Some(asset) = assets.into_iter().find(|asset| *asset >= count) {
+            return Err(SessionError::NoAsset { asset, count });
+        }
+        Ok(Self {
+            agents: self.agents.clone(),
+            scene: scene.clone(),
+        })
+    }
+
     /// The scene that it is over.
     #[must_use]
     pub fn scene(&self) -> &Arc<SessionScene> {

@@ -1,9 +1,10 @@
-//! The device that a command draws on.
+//! The device that a command draws on, or several.
 
 use std::io::Write;
+use std::str::FromStr;
 
 use anyhow::{Result, bail};
-use decouplegs_gpu::{DeviceChoice, DeviceOptions, Gpu};
+use decouplegs_gpu::{DeviceChoice, DeviceOptions, DeviceSet, Drill, Gpu};
 
 /// The argument of every command that draws on a device.
 #[derive(clap::Args)]
@@ -30,6 +31,76 @@ impl DeviceArguments {
         let _ = writeln!(std::io::stderr(), "on {}", gpu.info());
         Ok(gpu)
     }
+}
+
+/// The arguments of a command that divides its work between devices.
+#[derive(clap::Args, Clone, Debug)]
+pub struct DevicesArguments {
+    /// Devices to divide the work between: all, or a list such as 0,1 of what --device takes
+    #[arg(long, value_name = "all|DEVICE,...", conflicts_with = "device")]
+    pub devices: Option<DeviceSet>,
+    /// Fault of one of the devices on purpose, such as 1:lost:40: after 40 submissions to the
+    /// second one. To test recovery
+    #[arg(
+        long,
+        hide = true,
+        value_name = "POSITION:lost|full:N",
+        requires = "devices"
+    )]
+    pub drill: Vec<PlacedDrill>,
+}
+
+impl DevicesArguments {
+    /// True if devices were named, one or several.
+    pub fn are_named(&self) -> bool {
+        self.devices.is_some()
+    }
+
+    /// The devices that were named, in this order; `None` if none were.
+    pub fn open(&self) -> Result<Option<Vec<Gpu>>> {
+        let Some(devices) = &self.devices else {
+            return Ok(None);
+        };
+        let drill = |position| {
+            let mut drills = self.drill.iter();
+            let placed = drills.find(|placed| placed.position == position);
+            placed.map(|placed| placed.drill)
+        };
+        let opened = Gpu::open_all(devices, |position| DeviceOptions {
+            drill: drill(position),
+            ..DeviceOptions::default()
+        })?;
+        for (position, gpu) in opened.iter().enumerate() {
+            let _ = writeln!(std::io::stderr(), "device {position}: {}", gpu.info());
+        }
+        Ok(Some(opened))
+    }
+}
+
+/// A drill of the device at a position in the list, counted from 0.
+#[derive(Clone, Copy, Debug)]
+pub struct PlacedDrill {
+    position: usize,
+    drill: Drill,
+}
+
+impl FromStr for PlacedDrill {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (position, drill) = text.split_once(':').unwrap_or((text, ""));
+        let position = position
+            .parse()
+            .map_err(|_| format!("expected the position of a device, found {position:?}"))?;
+        let drill = drill.parse()?;
+        Ok(Self { position, drill })
+    }
+}
+
+/// Name and UUID of a device, for people.
+pub fn name_of(gpu: &Gpu) -> String {
+    let info = gpu.info();
+    format!("{} ({})", info.name, DeviceChoice::Uuid(info.uuid))
 }
 
 /// Fails with what the validation layers reported, if they were on (`DECOUPLEGS_VALIDATION=1`) and

@@ -7,7 +7,7 @@ use anyhow::Result;
 use decouplegs::render::Image;
 use decouplegs::scene::Lane;
 
-use super::{Scored, birds_eye, charts, rows, score, share, spread, summary, timing};
+use super::{DeviceUse, Scored, birds_eye, charts, rows, score, share, spread, summary, timing};
 use crate::lidar::previews::{ABOVE, RANGES};
 use crate::page::{Figure, Page, Table, escaped};
 use crate::sites::Sites;
@@ -18,7 +18,12 @@ const SHOWN_MAX: usize = 24;
 /// Largest width of an image of the strip, pixels.
 const STRIP_WIDTH_PX: u32 = 240;
 
-pub fn page(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
+pub fn page(
+    scored: &[Scored],
+    sites: &Sites,
+    devices: Option<&DeviceUse>,
+    out: &Path,
+) -> Result<String> {
     let planner = scored
         .first()
         .map_or("", |scored| scored.episode.head.planner.name.as_str());
@@ -26,6 +31,9 @@ pub fn page(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
     page.text(&facts(scored));
     table(&mut page, scored)?;
     timing::part(&mut page, scored);
+    if let Some(devices) = devices {
+        devices.part(&mut page, scored);
+    }
     episodes(&mut page, scored, sites, out)?;
     Ok(page.finish())
 }

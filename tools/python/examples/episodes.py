@@ -2,17 +2,25 @@
 
     python episodes.py --out runs --episodes 20 --level medium            # all of them, here
     python episodes.py --out runs --episodes 1000 --share 3/100           # every hundredth, from the fourth on: a Slurm array task
+    python episodes.py --out runs --episodes 200 --devices all            # a process for each device of this machine
+    python episodes.py --out runs --episodes 200 --devices assigned       # for each that Slurm or Ray gave this process
 
 An episode whose result is there is not driven again, so that any share may be started again after whatever stopped it. Results
-are written under another name and renamed: a file that is there is whole. The seed of an episode is its number.
+are written under another name and renamed: a file that is there is whole. The seed of an episode is its number. The device that
+drove an episode is in its result. With --devices, an episode whose device fails goes back to the queue, and another one drives it.
 """
 
 import argparse
 import hashlib
 import json
+import multiprocessing
 import os
+import queue
+import subprocess
 import tempfile
+import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +113,94 @@ def write_result(path: Path, result: dict[str, Any]) -> None:
         raise
 
 
+def devices_of(text: str) -> list[str]:
+    """UUIDs of `all` devices of this machine but software ones (if there are others), of those that are `assigned` to this process, or as
+    they are listed."""
+    if text == "assigned":
+        return assigned()
+    if text != "all":
+        return text.split(",")
+    there = decouplegs.devices()
+    return [device.uuid for device in [device for device in there if device.kind != "cpu"] or there]
+
+
+def assigned() -> list[str]:
+    """UUIDs of the GPUs that Slurm or Ray gave this process. They name them as CUDA does, and Vulkan sees them all: their UUIDs are equal."""
+    visible = [name.strip() for name in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if name.strip()]
+    if not visible:
+        raise SystemExit("no GPU is assigned: CUDA_VISIBLE_DEVICES is not set; ask for some (--gres=gpu:2, num_gpus=1), or name devices")
+    ask = ["nvidia-smi", "--query-gpu=uuid", "--format=csv,noheader"]
+    try:
+        names = [name if name.startswith("GPU-") else subprocess.check_output([*ask, f"--id={name}"], text=True).strip() for name in visible]
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise SystemExit(f"nvidia-smi does not say which GPUs {','.join(visible)} are ({error}): name devices by their UUIDs") from error
+    return ["uuid:" + name.removeprefix("GPU-").replace("-", "") for name in names]
+
+
+_driver: Driver | None = None
+
+
+def _drive_here(options: argparse.Namespace, device: str, seed: int) -> str:
+    """Drives an episode in a process that has the device alone; a line about it."""
+    global _driver
+    if _driver is None:
+        _driver = Driver(options, device)
+    result = _driver.drive(seed, lambda step: drill(options, seed, step))
+    write_result(result_path(options, seed), result)
+    return report(result)
+
+
+def drill(options: argparse.Namespace, seed: int, step: int) -> None:
+    """Dies like a process whose device is gone, in the middle of the episode of --drill, once."""
+    mark = options.out / ".drill"
+    if seed == options.drill and step == 2 and not mark.exists():
+        options.out.mkdir(parents=True, exist_ok=True)
+        mark.touch()
+        os._exit(1)
+
+
+def report(result: dict[str, Any]) -> str:
+    """A line about an episode."""
+    return f"{result['seed']}: {result['end']} after {result['steps']} steps, {result['seconds']:.1f} s"
+
+
+def drive_on(options: argparse.Namespace, devices: list[str], seeds: list[int]) -> None:
+    """Drives the episodes by one process for each device, from one queue."""
+    waiting: queue.Queue[int] = queue.Queue()
+    for seed in seeds:
+        waiting.put(seed)
+    missing, changed = set(seeds), threading.Condition()
+
+    def work(device: str) -> None:
+        # A child of its own: a device that fails takes its process with it, and no other.
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
+            while True:
+                with changed:
+                    changed.wait_for(lambda: not missing or not waiting.empty())
+                    if not missing:
+                        return
+                    seed = waiting.get()
+                try:
+                    print(process.submit(_drive_here, options, device, seed).result(), flush=True)
+                except Exception as error:  # whatever it was, another device may do better
+                    print(f"{seed}: {device} is out: {type(error).__name__}: {error}", flush=True)
+                    with changed:
+                        waiting.put(seed)
+                        changed.notify_all()
+                    return
+                with changed:
+                    missing.discard(seed)
+                    changed.notify_all()
+
+    threads = [threading.Thread(target=work, args=[device]) for device in devices]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    if missing:
+        raise SystemExit(f"no device is left, and {len(missing)} episodes are missing: start the same command again to drive them")
+
+
 def share(text: str) -> tuple[int, int]:
     index, _, count = text.partition("/")
     if not (index.isdigit() and count.isdigit() and int(index) < int(count)):
@@ -115,16 +211,22 @@ def share(text: str) -> tuple[int, int]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_arguments(parser)
-    parser.add_argument("--device", help="which Vulkan device: a number, a part of its name or uuid:... (default: the best)")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--device", help="which Vulkan device: a number, a part of its name or uuid:... (default: the best)")
+    which.add_argument("--devices", help="all, assigned (by Slurm or Ray), or a list such as uuid:...,uuid:...: a process for each of them")
+    parser.add_argument("--drill", type=int, metavar="SEED", help="let the process of --devices that drives this episode die in the middle of it, once")
     parser.add_argument("--share", type=share, default=(0, 1), help="INDEX/COUNT: only every COUNTth episode, from INDEX on")
     options = parser.parse_args()
     index, count = options.share
     seeds = [seed for seed in range(index, options.episodes, count) if not result_path(options, seed).exists()]
+    if options.devices and seeds:
+        drive_on(options, devices_of(options.devices), seeds)
+        return
     driver = Driver(options, options.device) if seeds else None
     for seed in seeds:
         result = driver.drive(seed)
         write_result(result_path(options, seed), result)
-        print(f"{seed}: {result['end']} after {result['steps']} steps, {result['seconds']:.1f} s")
+        print(report(result))
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ mod asking;
 mod carla;
 mod conforming;
 mod contract;
+mod devices;
 mod hostile;
 mod lasting;
 mod lidar;

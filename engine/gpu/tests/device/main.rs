@@ -1,6 +1,7 @@
 //! The crate on a real Vulkan device (lavapipe will do), watched by the validation layer with
 //! synchronization validation.
 
+mod drills;
 mod kernels;
 mod memory;
 mod opening;
