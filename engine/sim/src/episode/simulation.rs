@@ -84,6 +84,7 @@ impl Simulation {
             .with_lights(lights.clone())
             .with_signs(signs.clone())
             .with_pedestrians(&scenario.pedestrians)
+            .and_then(|traffic| traffic.with_story(&scenario.story, &site.lanes))
             .map_err(|error| unfit(error.into()))?;
         let (start, heading_rad) = route.pose_at(0.0);
         let recorded = match (scenario.ego.follows_recording, site.recorded_way()) {

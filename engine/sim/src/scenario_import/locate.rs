@@ -23,14 +23,14 @@ pub(super) struct Located {
     /// Position on a driving lane; `None` beside the road.
     pub spot: Option<LaneSpot>,
     /// Position on a lane of any kind, as other positions are relative to it.
-    lane: Option<LaneSpot>,
+    pub lane: Option<LaneSpot>,
 }
 
 impl Located {
     /// True if it heads against the direction of its lane.
     pub(super) fn is_against(&self, lanes: &LaneIndex) -> bool {
         let line = self
-            .spot
+            .lane
             .and_then(|spot| Some((lanes.line(spot.lane)?, spot.at_m)));
         line.is_some_and(|(line, at_m)| {
             let turn_rad = wrapped(line.heading_at(at_m) - self.heading_rad);
@@ -66,6 +66,19 @@ impl<'a> Locator<'a> {
             by_name: numbered
                 .map(|(index, entity)| (entity.name.as_str(), index))
                 .collect(),
+        }
+    }
+
+    /// 1 if the left of a place is left of its road's reference line, otherwise -1.
+    pub(super) fn sign(&self, located: &Located) -> f64 {
+        let place = located
+            .lane
+            .and_then(|spot| self.roads?.place_of(self.map, spot.lane, spot.at_m));
+        let is_forward = place.is_none_or(|place| place.is_forward);
+        if is_forward == located.is_against(&self.index) {
+            -1.0
+        } else {
+            1.0
         }
     }
 

@@ -1,0 +1,1 @@
+//! Stories on a straight road: motion against closed forms.
