@@ -7,6 +7,8 @@
 //! speed until the file's stop time (20 s if it has none).
 //! The others do what the file says, and nothing else: they are the actors of a story.
 
+mod actions;
+mod cast;
 mod locate;
 mod map_search;
 mod story;
@@ -199,9 +201,10 @@ impl Import<'_> {
             if index == ego {
                 continue;
             }
-            let located = match &self.located[index] {
-                Ok(located) => located,
-                Err(reason) => {
+            let added = self.added(entity);
+            let located = match (&self.located[index], &added) {
+                (Ok(located), _) | (Err(_), Some(located)) => located,
+                (Err(reason), None) => {
                     skipped.push(format!("{}: it is left out: {reason}", entity.name));
                     continue;
                 }
@@ -222,6 +225,7 @@ impl Import<'_> {
             actors.push(Actor {
                 name: names.give(names_of(entity.name.clone())),
                 asset: *asset,
+                is_hidden: self.located[index].is_err(),
                 ..self.actor(index, kind, located)
             });
             *asset += 1;
@@ -229,6 +233,17 @@ impl Import<'_> {
         let (story, counts) = self.story(actors, &whos, &mut skipped);
         scenario.story = story;
         Ok((scenario, obstacles, skipped, counts))
+    }
+
+    /// The place where an entity without one at the start is added to the episode.
+    fn added(&self, entity: &Entity) -> Option<Located> {
+        let tasks = self.file.events.iter().flat_map(|event| &event.tasks);
+        let mut own = tasks.filter(|task| task.actor == entity.name);
+        let is_added = own.clone().any(|task| task.action == Action::Show(true));
+        own.find_map(|task| match &task.action {
+            Action::Teleport(place) if is_added => self.locator.locate(place, &self.located).ok(),
+            _ => None,
+        })
     }
 
     /// An actor without name and asset.
@@ -252,6 +267,7 @@ impl Import<'_> {
                 .lane
                 .map(|spot| self.map.lanes[spot.lane].id.clone()),
             speed_mps: if changes { 0.0 } else { self.speed_mps(index) },
+            is_hidden: false,
             limits: entity.limits,
         }
     }

@@ -47,7 +47,7 @@ pub(super) struct Course {
     pub ended_s: Option<f64>,
 }
 
-/// What conditions are about.
+/// Facts that conditions are about.
 pub(super) struct Facts<'a> {
     pub scene: Scene<'a>,
     pub past: &'a [Past],
@@ -259,8 +259,8 @@ fn value_of(who: Who, measure: &Measure, facts: &Facts) -> Option<f64> {
                     return false;
                 };
                 let boxes_m = 0.5 * (own.size.length_m + other.size.length_m);
-                let reach_m = if *between_boxes { boxes_m } else { 0.0 };
-                let is_along = (-behind_m - reach_m..=ahead_m + reach_m).contains(&found.x);
+                let apart_m = if *between_boxes { boxes_m } else { 0.0 };
+                let is_along = (-behind_m - apart_m..=ahead_m + apart_m).contains(&found.x);
                 let beside = scene.roads.lanes_to(&place, found.y);
                 is_along && beside.is_some_and(|beside| (lanes[0]..=lanes[1]).contains(&beside))
             });

@@ -23,9 +23,9 @@ const BESIDE_M: f64 = 0.5;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct OnLane {
     pub lane: usize,
-    /// Along the lane, meters.
+    /// Position along the lane, meters.
     pub at_m: f64,
-    /// To the left of the lane's direction, meters.
+    /// Offset to the left of the lane's direction, meters.
     pub left_m: f64,
     /// True if it goes against the direction of the lane.
     pub is_against: bool,
@@ -47,7 +47,7 @@ pub(super) struct Roads {
     sections: HashMap<String, Vec<usize>>,
 }
 
-/// What an id has before its last `/`, and the number after it.
+/// Part of an id before its last `/`, and the number after it.
 fn parts(id: &str) -> Option<(&str, i64)> {
     let (section, number) = id.rsplit_once('/')?;
     Some((section, number.parse().ok()?))

@@ -12,7 +12,7 @@ use crate::oriented_box::OrientedBox;
 pub(super) struct Seen {
     pub state: VehicleState,
     pub size: VehicleSize,
-    /// From its reference point to the middle of its box, meters.
+    /// Way from its reference point to the middle of its box, meters.
     pub center_m: f64,
     /// Speed, below zero backwards.
     pub speed_mps: f64,
@@ -147,7 +147,7 @@ impl Scene<'_> {
             false => (of.point_m(), point_m),
         };
         let apart_m = to_m - from_m;
-        let reach_m = |axis: DVec2| {
+        let half_m = |axis: DVec2| {
             let of_box = |seen: &Seen| {
                 let own = seen.state.ahead();
                 0.5 * (seen.size.length_m * own.dot(axis).abs()
@@ -163,7 +163,7 @@ impl Scene<'_> {
             let signed_m = apart_m.dot(axis);
             Gap {
                 signed_m,
-                boxes_m: reach_m(axis),
+                boxes_m: half_m(axis),
                 closing_mps: velocity_mps.dot(axis) * signed_m.signum(),
             }
         };
@@ -199,7 +199,7 @@ impl Scene<'_> {
                 });
                 Gap {
                     signed_m,
-                    boxes_m: reach_m(ahead),
+                    boxes_m: half_m(ahead),
                     closing_mps: (of.speed_mps - other_mps) * signed_m.signum(),
                 }
             }

@@ -6,7 +6,7 @@ use decouplegs_scene::story::{Change, Dynamics, Extent, Limits, Shape, Side};
 use super::catalogs::Catalogs;
 use super::parameters::Node;
 use super::positions::{self, Position};
-use super::{Skipped, routes};
+use super::{Skipped, global_actions, routes};
 
 /// Most entries of a speed profile that are read.
 const ENTRIES_MAX: usize = 256;
@@ -132,7 +132,7 @@ pub enum Action {
     },
     /// Follows a trajectory.
     Follow {
-        /// Its points.
+        /// Points of its line.
         points: Vec<Position>,
         /// Times at them, seconds; `None`: at its own speed.
         times_s: Option<Vec<f64>>,
@@ -147,7 +147,7 @@ pub enum Action {
     Show(bool),
     /// Gives a variable or parameter a value.
     Set {
-        /// Its name.
+        /// Name in the file.
         variable: String,
         /// The value.
         value: String,
@@ -158,13 +158,17 @@ pub enum Action {
     Unseen,
 }
 
-/// An action in a `<PrivateAction>`, `<GlobalAction>` or `<UserDefinedAction>`, with the entity
-/// that it names itself; `None` if it is of a kind that is not read.
+/// Actions that were read, each with the entity that it names itself; `None` if they are of a kind
+/// that is not read.
+pub(super) type Read = Option<Vec<(Option<String>, Action)>>;
+
+/// An action in a `<PrivateAction>`, `<GlobalAction>` or `<UserDefinedAction>`,; one that names
+/// its entity itself may be two.
 pub(super) fn read(
     holder: Node,
     catalogs: &Catalogs,
     skipped: &mut Skipped,
-) -> Result<Option<Vec<(Option<String>, Action)>>, DecodeError> {
+) -> Result<Read, DecodeError> {
     let one = |action: Action| Ok(Some(vec![(None, action)]));
     if holder.name() == "UserDefinedAction" {
         return one(Action::Unseen);
@@ -178,7 +182,7 @@ pub(super) fn read(
         Ok(None)
     };
     if holder.name() == "GlobalAction" {
-        return global(kind, inner, catalogs, skipped);
+        return global_actions::read(kind, inner, catalogs, skipped);
     }
     let read = match (kind.name(), inner) {
         ("LongitudinalAction", Some(inner)) => longitudinal(inner, skipped)?,
@@ -200,6 +204,9 @@ pub(super) fn read(
         ("ControllerAction", Some(inner)) if inner.name() == "OverrideControllerValueAction" => {
             Some(Action::Unseen)
         }
+        ("ControllerAction", _) | ("ActivateControllerAction", _) if hands_back(kind)? => {
+            Some(Action::Unseen)
+        }
         _ => return unknown(skipped),
     };
     match read {
@@ -208,79 +215,20 @@ pub(super) fn read(
     }
 }
 
-fn global(
-    kind: Node,
-    inner: Option<Node>,
-    catalogs: &Catalogs,
-    skipped: &mut Skipped,
-) -> Result<Option<Vec<(Option<String>, Action)>>, DecodeError> {
-    let unknown = |skipped: &mut Skipped| {
-        skipped.add(inner.unwrap_or(kind), "actions of this kind are not read");
-        Ok(None)
+/// True for a `<ControllerAction>` that only deactivates controllers: none is active here.
+fn hands_back(kind: Node) -> Result<bool, DecodeError> {
+    let mut actions = match kind.name() {
+        "ControllerAction" => kind.elements().collect(),
+        _ => vec![kind],
     };
-    let set = |inner: Node, variable: String| -> Result<Option<Action>, DecodeError> {
-        let value = |node: Node| node.needed_attribute("value").map(String::from);
-        Ok(match inner.name() {
-            "SetAction" => Some(Action::Set {
-                variable,
-                value: value(inner)?,
-                by: Change::Set,
-            }),
-            "ModifyAction" => {
-                let rule = inner.needed("Rule")?;
-                let by = rule.elements().next();
-                match by.map(|by| (by.name(), by)) {
-                    Some(("AddValue", by)) => Some(Action::Set {
-                        variable,
-                        value: value(by)?,
-                        by: Change::Add,
-                    }),
-                    Some(("MultiplyByValue", by)) => Some(Action::Set {
-                        variable,
-                        value: value(by)?,
-                        by: Change::Multiply,
-                    }),
-                    _ => None,
-                }
-            }
-            _ => None,
-        })
-    };
-    let named = |attribute: &str| -> Result<String, DecodeError> {
-        let element = kind.element();
-        Ok(element
-            .needed_attribute(attribute)?
-            .trim_start_matches('$')
-            .to_owned())
-    };
-    match (kind.name(), inner) {
-        ("ParameterAction" | "VariableAction", Some(inner)) => {
-            let attribute = match kind.name() {
-                "ParameterAction" => "parameterRef",
-                _ => "variableRef",
-            };
-            match set(inner, named(attribute)?)? {
-                Some(action) => Ok(Some(vec![(None, action)])),
-                None => unknown(skipped),
-            }
-        }
-        ("EntityAction", Some(inner)) => {
-            let entity = Some(kind.needed_attribute("entityRef")?.into_owned());
-            if inner.name() == "DeleteEntityAction" {
-                return Ok(Some(vec![(entity, Action::Show(false))]));
-            }
-            let place = match inner.first("Position") {
-                Some(place) => positions::read(place, catalogs, skipped)?,
-                None => None,
-            };
-            let Some(place) = place.filter(|_| inner.name() == "AddEntityAction") else {
-                return unknown(skipped);
-            };
-            let actions = [Action::Teleport(place), Action::Show(true)];
-            Ok(Some(actions.map(|action| (entity.clone(), action)).into()))
-        }
-        _ => unknown(skipped),
+    actions.retain(|action| action.name() != "CatalogReference");
+    let mut is_all = !actions.is_empty();
+    for action in actions {
+        is_all &= action.name() == "ActivateControllerAction"
+            && !action.truth("longitudinal")?
+            && !action.truth("lateral")?;
     }
+    Ok(is_all)
 }
 
 fn longitudinal(action: Node, skipped: &mut Skipped) -> Result<Option<Action>, DecodeError> {

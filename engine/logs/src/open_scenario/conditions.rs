@@ -27,7 +27,7 @@ pub struct Condition {
     pub edge: Edge,
     /// Time by which its truth counts later, seconds.
     pub delay_s: f64,
-    /// Statement.
+    /// Statement that holds or not.
     pub when: When,
 }
 
@@ -36,7 +36,7 @@ pub struct Condition {
 pub enum When {
     /// Time since the start.
     Time {
-        /// Comparison.
+        /// Comparison with the value.
         rule: Rule,
         /// Time, seconds.
         value_s: f64,
@@ -49,23 +49,23 @@ pub enum When {
         all: bool,
         /// Measured value.
         measure: Measure,
-        /// Comparison.
+        /// Comparison with the value.
         rule: Rule,
         /// Value that it is compared with.
         value: f64,
     },
     /// State of events.
     Events {
-        /// Their numbers in [`super::OpenScenario::events`].
+        /// Numbers of events in [`super::OpenScenario::events`].
         events: Arc<[usize]>,
-        /// State.
+        /// State that they are to have.
         state: State,
     },
     /// Value of a variable or parameter.
     Variable {
-        /// Its name.
+        /// Name in the file.
         variable: String,
-        /// Comparison.
+        /// Comparison with the value.
         rule: Rule,
         /// Value that it is compared with.
         value: String,
@@ -90,7 +90,7 @@ pub enum Measure {
     Speed,
     /// Acceleration, m/s^2.
     Acceleration,
-    /// Its speed minus that of another, m/s.
+    /// Speed minus that of another, m/s.
     RelativeSpeed {
         /// Name of the other.
         to: String,
@@ -167,7 +167,7 @@ pub(super) struct StateReference {
 /// Names of parts of the storyboard, and what their events are.
 pub(super) type Parts<'a> = &'a dyn Fn(&StateReference) -> Option<Arc<[usize]>>;
 
-/// What conditions are read with.
+/// Context in which conditions are read.
 #[derive(Clone, Copy)]
 pub(super) struct Context<'a, 'r> {
     pub catalogs: &'a Catalogs<'r>,

@@ -17,8 +17,10 @@
 mod actions;
 mod catalogs;
 mod conditions;
+mod curves;
 mod entities;
 mod expression;
+mod global_actions;
 mod parameters;
 mod positions;
 mod routes;
@@ -117,7 +119,7 @@ pub struct StoryTask {
     pub line: u32,
     /// Name of the entity; empty for actions that are about none.
     pub actor: String,
-    /// Action.
+    /// Action that is done.
     pub action: Action,
 }
 

@@ -18,7 +18,7 @@ pub(super) struct Story {
     pub stop_time_s: Option<f64>,
     /// Actions at the start that take time.
     pub init: Vec<StoryTask>,
-    /// Acts.
+    /// Acts of the storyboard.
     pub acts: Vec<StoryAct>,
     /// Events of the storyboard.
     pub events: Vec<StoryEvent>,

@@ -8,7 +8,7 @@ use super::{Limits, Who};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Shape {
-    /// At once.
+    /// Jump at the start.
     Step,
     /// Straight line.
     Linear,
@@ -36,9 +36,9 @@ pub enum Extent {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dynamics {
-    /// Shape.
+    /// Shape of the transition.
     pub shape: Shape,
-    /// Extent.
+    /// Extent of the transition.
     pub extent: Extent,
 }
 
@@ -50,7 +50,7 @@ impl Dynamics {
     };
 }
 
-/// Speed.
+/// Speed that is reached.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Speed {
@@ -60,7 +60,7 @@ pub enum Speed {
     Of {
         /// Road user whose speed counts.
         who: Who,
-        /// Factor.
+        /// Factor of that speed.
         factor: f64,
         /// Difference, m/s.
         plus_mps: f64,
@@ -133,7 +133,7 @@ pub enum Spot {
     },
 }
 
-/// Action.
+/// Action of an actor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Action {
@@ -211,7 +211,7 @@ pub enum Action {
     },
     /// Arrives at a place when another arrives at one.
     Arrive {
-        /// The other.
+        /// Road user with which it arrives.
         with: Who,
         /// Place of the actor.
         at: Spot,
@@ -230,8 +230,12 @@ pub enum Action {
     },
     /// Follows a line.
     Follow {
-        /// Points of the reference point's way, world coordinates, meters.
+        /// Points of the reference point's way, meters: world coordinates, or ahead and to the left
+        /// of `seen_from`.
         points_m: Vec<[f64; 2]>,
+        /// Road user from whose reference point they are seen when the action begins.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        seen_from: Option<Who>,
         /// Times at the points, seconds; empty: it keeps its own speed.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         times_s: Vec<f64>,

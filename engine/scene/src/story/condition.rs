@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Spot, Who};
 
-/// Condition.
+/// Condition of a trigger.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Condition {
@@ -14,7 +14,7 @@ pub struct Condition {
     /// Time by which its truth counts later, seconds.
     #[serde(default)]
     pub delay_s: f64,
-    /// Statement.
+    /// Statement that holds or not.
     pub when: When,
 }
 
@@ -22,26 +22,26 @@ pub struct Condition {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Edge {
-    /// It holds.
+    /// Truth without a change.
     #[default]
     None,
-    /// It begins to hold.
+    /// Begin of its truth.
     Rising,
-    /// It ceases to hold.
+    /// End of its truth.
     Falling,
-    /// It does one of both.
+    /// Begin or end of its truth.
     Either,
 }
 
-/// Comparison.
+/// Comparison of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rule {
-    /// Smaller.
+    /// Smaller than the value.
     Less,
     /// Smaller or equal.
     LessOrEqual,
-    /// Larger.
+    /// Larger than the value.
     Greater,
     /// Larger or equal.
     GreaterOrEqual,
@@ -73,7 +73,7 @@ pub enum State {
 pub enum When {
     /// Time since the start of the episode.
     Time {
-        /// Comparison.
+        /// Comparison with the value.
         rule: Rule,
         /// Time, seconds.
         value_s: f64,
@@ -86,7 +86,7 @@ pub enum When {
         all: bool,
         /// Measured value.
         measure: Measure,
-        /// Comparison.
+        /// Comparison with the value.
         rule: Rule,
         /// Value that it is compared with, in the unit of the measure.
         value: f64,
@@ -95,16 +95,16 @@ pub enum When {
     Events {
         /// Indices of the events.
         events: Vec<usize>,
-        /// State.
+        /// State that they are to have.
         state: State,
     },
     /// Value of a variable.
     Variable {
-        /// Name.
+        /// Name of the variable.
         variable: String,
-        /// Comparison.
+        /// Comparison with the value.
         rule: Rule,
-        /// Value.
+        /// Value that it is compared with.
         value: String,
     },
     /// Statement that is always true, or never.
@@ -121,13 +121,13 @@ pub enum Direction {
     /// Straight line.
     #[default]
     Straight,
-    /// Ahead of the road user, as it heads.
+    /// Direction in which the road user heads.
     Ahead,
-    /// Beside the road user, as it heads.
+    /// Direction across that in which the road user heads.
     Beside,
-    /// Along the lanes.
+    /// Way along the lanes.
     AlongLanes,
-    /// Across the lanes.
+    /// Way across the lanes.
     AcrossLanes,
 }
 
@@ -137,7 +137,7 @@ pub enum Direction {
 pub enum End {
     /// Road user.
     Who(Who),
-    /// Place.
+    /// Place of the map.
     At(Spot),
 }
 
@@ -151,7 +151,7 @@ pub enum Measure {
     Acceleration,
     /// Speed minus that of another, m/s.
     RelativeSpeed {
-        /// The other.
+        /// Road user whose speed is taken off.
         to: Who,
     },
     /// Way since the start, meters.
@@ -166,7 +166,7 @@ pub enum Measure {
     Distance {
         /// Other end.
         to: End,
-        /// Direction.
+        /// Direction of the distance.
         direction: Direction,
         /// True if it is between boxes.
         between_boxes: bool,
@@ -191,12 +191,12 @@ pub enum Measure {
     },
     /// Number of others that its box touches: of `with`, or of all if there are none.
     Touched {
-        /// Others.
+        /// Others that count.
         with: Vec<Who>,
     },
     /// Number of others in an area of lanes: of `with`, or of all if there are none.
     Near {
-        /// Others.
+        /// Others that count.
         with: Vec<Who>,
         /// Way ahead, meters.
         ahead_m: f64,

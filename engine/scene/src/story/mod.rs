@@ -43,7 +43,7 @@ pub struct Story {
     /// Acts, which events belong to.
     #[serde(default, rename = "act", skip_serializing_if = "Vec::is_empty")]
     pub acts: Vec<Act>,
-    /// Events.
+    /// Events in the order in which they are asked.
     #[serde(default, rename = "event", skip_serializing_if = "Vec::is_empty")]
     pub events: Vec<Event>,
 }
@@ -72,6 +72,9 @@ pub struct Actor {
     pub lane: Option<String>,
     /// Speed, m/s; below zero: backwards.
     pub speed_mps: f64,
+    /// True if it is hidden until an action shows it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_hidden: bool,
     /// Limits of its changes of speed.
     #[serde(default)]
     pub limits: Limits,
@@ -134,7 +137,7 @@ pub struct Event {
     /// Conditions of its begin.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub start: Trigger,
-    /// Actions.
+    /// Actions that begin with it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub actions: Vec<Task>,
 }
@@ -162,7 +165,7 @@ pub enum Priority {
 pub struct Task {
     /// Actor; the ego for actions that only take their time.
     pub of: Who,
-    /// Action.
+    /// Action that is done.
     pub action: Action,
 }
 
