@@ -424,8 +424,21 @@ impl Simulation {
     }
 
     /// Height of the lane below an agent, meters: vehicles that enter the map were nowhere before.
-    /// For a pedestrian, the height of the route nearby.
+    /// For a pedestrian, the height of the route nearby; for an actor, that of the lane nearby.
     fn lane_z_m(&self, agent: usize) -> f64 {
+        if let Some(Some(state)) = self.traffic.states().get(agent)
+            && agent >= self.scenario.agents.len() + self.scenario.pedestrians.len()
+        {
+            let points = self
+                .site
+                .lanes
+                .lanes
+                .iter()
+                .flat_map(|lane| &lane.centerline);
+            let apart_m = |point: &&DVec3| point.truncate().distance_squared(state.position_m);
+            let nearest = points.min_by(|a, b| apart_m(a).total_cmp(&apart_m(b)));
+            return nearest.map_or(0.0, |point| point.z);
+        }
         if let Some(Some(state)) = self.traffic.states().get(agent)
             && agent >= self.scenario.agents.len()
         {
