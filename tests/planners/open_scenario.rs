@@ -72,7 +72,7 @@ fn a_file_becomes_a_scenario_that_can_be_written() {
     );
     assert_eq!(
         (overtaker.point_m, overtaker.center_m),
-        ([68.0, -1.75], 1.5)
+        ([68.0, -1.75], 1.4)
     );
     assert_eq!(
         (truck.name.as_str(), truck.kind),
@@ -119,7 +119,7 @@ fn vehicles_do_what_the_file_says() {
     };
     // The sinusoidal change of lanes takes 3 s from 4 s on, the brake 2.2 s from 10 s on.
     assert_eq!(at(3.9, 0).speed_mps, 21.0);
-    assert!((at(3.9, 0).position_m.x - (69.5 + 3.9 * 21.0)).abs() < 1e-6);
+    assert!((at(3.9, 0).position_m.x - (69.4 + 3.9 * 21.0)).abs() < 1e-6);
     assert_eq!(at(3.9, 0).position_m.y, -1.75);
     assert!((at(5.5, 0).position_m.y + 3.5).abs() < 0.1);
     assert!((at(7.1, 0).position_m.y + 5.25).abs() < 1e-6);

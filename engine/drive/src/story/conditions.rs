@@ -71,8 +71,8 @@ struct Memory {
 #[derive(Clone, Debug)]
 pub(super) struct Watch {
     memory: Vec<Vec<Memory>>,
-    /// Time when it was asked first, seconds.
-    since_s: Option<f64>,
+    /// Time from which begins and ends of events count, seconds.
+    since_s: f64,
 }
 
 impl Watch {
@@ -82,22 +82,22 @@ impl Watch {
             .map(|group| vec![Memory::default(); group.len()]);
         Self {
             memory: memory.collect(),
-            since_s: None,
+            since_s: f64::NEG_INFINITY,
         }
     }
 
     /// Forgets what it has seen: events that happen again wait for new changes.
-    pub(super) fn reset(&mut self) {
+    pub(super) fn reset(&mut self, time_s: f64) {
         self.memory
             .iter_mut()
             .flatten()
             .for_each(|memory| *memory = Memory::default());
-        self.since_s = None;
+        self.since_s = time_s;
     }
 
     /// True if all conditions of a group hold. All are asked: they remember changes.
     pub(super) fn holds(&mut self, trigger: &Trigger, facts: &Facts) -> bool {
-        let since_s = *self.since_s.get_or_insert(facts.time_s);
+        let since_s = self.since_s;
         let mut any = trigger.is_empty();
         for (group, memory) in trigger.iter().zip(&mut self.memory) {
             let mut all = true;
@@ -195,7 +195,7 @@ fn compared(rule: Rule, found: f64, value: f64) -> bool {
 
 fn are(events: &[usize], state: State, facts: &Facts, since_s: f64) -> bool {
     let mut courses = events.iter().filter_map(|&event| facts.courses.get(event));
-    let after = |at_s: Option<f64>| at_s.is_some_and(|at_s| at_s >= since_s - SAME);
+    let after = |at_s: Option<f64>| at_s.is_some_and(|at_s| at_s > since_s);
     match state {
         State::Begun => courses.any(|course| after(course.begun_s)),
         State::Ended => courses.all(|course| after(course.ended_s) && !course.runs),

@@ -149,7 +149,10 @@ impl Stage {
     fn remember(&mut self, time_s: f64) {
         for (at, (seen, past)) in self.seen.iter().zip(&mut self.past).enumerate() {
             if let Some(seen) = seen {
-                let is_at_end = at > 0 && self.movers[at - 1].is_at_end;
+                let is_at_end = match at {
+                    0 => seen.place.is_some_and(|place| self.roads.ends_at(&place)),
+                    actor => self.movers[actor - 1].is_at_end,
+                };
                 let is_off = self.asks_off_road && self.roads.is_off(seen.point_m());
                 past.add(seen, is_at_end, is_off, time_s);
             }
@@ -298,7 +301,7 @@ impl Stage {
         if event.open.iter().any(|open| *open) {
             return;
         }
-        event.start.reset();
+        event.start.reset(time_s);
         let course = &mut self.courses[number];
         course.is_over = event.executions >= story.events[number].executions;
         (course.runs, course.ended_s) = (false, Some(time_s));
@@ -311,7 +314,7 @@ impl Stage {
         }
         let event = &mut self.events[number];
         event.open.fill(false);
-        event.start.reset();
+        event.start.reset(time_s);
         let course = &mut self.courses[number];
         if course.runs {
             (course.runs, course.ended_s) = (false, Some(time_s));

@@ -164,6 +164,16 @@ impl Roads {
             .filter(|&next| self.line(next).is_some())
     }
 
+    /// True for a place at the end of its lanes.
+    pub(super) fn ends_at(&self, place: &OnLane) -> bool {
+        let left_m = if place.is_against {
+            place.at_m
+        } else {
+            self.length_m(place.lane) - place.at_m
+        };
+        left_m < BESIDE_M && self.next(place.lane, place.is_against, &[]).is_none()
+    }
+
     /// Moves a place by `ahead_m` the way it goes. Returns false at the end of the lanes.
     pub(super) fn advance(&self, place: &mut OnLane, ahead_m: f64, route: &[usize]) -> bool {
         place.at_m += place.sign() * ahead_m;

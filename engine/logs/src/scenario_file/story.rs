@@ -125,70 +125,11 @@ mod tests {
     use crate::scenario_file::{parse, to_toml};
 
     /// A scenario whose story has an action and a condition of each kind.
-    const TEXT: &str = r#"
-version = VERSION
-name = "a"
-seed = 1
-[place.roads]
-map = "m.xodr"
-background = 9
-agent_splats = 8
-[ego]
-route = ["1"]
-start_m = 0
-end_m = 9
-speed_mps = 1
-cruise_mps = 2
-[story]
-ego_center_m = 1.4
-variables = [["n", "1"]]
-[[story.actor]]
-name = "b"
-kind = "bus"
-asset = 0
-size_m = [10.0, 2.5, 3.0]
-center_m = 3.0
-point_m = [1.0, 2.0]
-heading_rad = 0.5
-lane = "1"
-speed_mps = -1.0
-limits = { speed_mps = 30.0 }
-[[story.act]]
-stop = [[{ when = { time = { rule = "greater", value_s = 9.0 } } }]]
-[[story.event]]
-name = "first"
-act = 0
-maneuver = 1
-priority = "skip"
-executions = 2
-start = [
-  [{ edge = "rising", delay_s = 0.5, when = { value = { of = [0, 1], all = true, measure = "speed", rule = "less", value = 3.0 } } }],
-  [{ when = { value = { of = [1], all = false, measure = { distance = { to = { who = 0 }, direction = "along_lanes", between_boxes = true } }, rule = "equal", value = 3.0 } } },
-   { when = { events = { events = [0], state = "over" } } },
-   { when = { variable = { variable = "n", rule = "not_equal", value = "2" } } }],
-  [{ when = { always = { holds = false } } }],
-]
-actions = [
-  { of = 1, action = { speed = { target = { mps = 3.0 }, dynamics = { shape = "cubic", extent = { time_s = 2.0 } } } } },
-  { of = 1, action = { speed = { target = { of = { who = 0, factor = 1.0, plus_mps = 2.0, continuous = true } }, dynamics = { shape = "step", extent = { time_s = 0.0 } } } } },
-  { of = 1, action = { change_lane = { target = { beside = { who = 1, lanes = -1 } }, offset_m = 0.0, dynamics = { shape = "linear", extent = { distance_m = 9.0 } } } } },
-  { of = 1, action = { offset = { offset_m = 0.5, dynamics = { shape = "linear", extent = { lateral_mps2 = 1.0 } } } } },
-  { of = 1, action = { profile = { times_s = [1.0], speeds_mps = [2.0] } } },
-  { of = 1, action = { teleport = { to = { lane = { who = 0, lanes = 1, ahead_m = 3.0 } } } } },
-  { of = 1, action = { follow = { points_m = [[0.0, 0.0], [1.0, 2.0]], times_s = [0.0, 1.0] } } },
-  { of = 1, action = { show = { is_shown = false } } },
-  { of = 0, action = { set = { variable = "n", value = "3", by = "add" } } },
-  { of = 0, action = { wait = { duration_s = 3.0 } } },
-]
-"#;
-
-    fn text() -> String {
-        TEXT.replace("VERSION", &super::super::VERSION.to_string())
-    }
+    const TEXT: &str = include_str!("../../../asset/fuzz/seeds/scenario_file/story.toml");
 
     #[test]
     fn stories_are_read_and_written() {
-        let scenario: Scenario = parse(&text()).unwrap();
+        let scenario: Scenario = parse(TEXT).unwrap();
         let story = &scenario.story;
         assert_eq!((story.actors.len(), story.events[0].actions.len()), (1, 10));
         assert_eq!(scenario.agent(0).0, "b");
@@ -217,9 +158,8 @@ actions = [
             ),
             ("is_shown = false", "is_gone = false", "is_gone"),
         ] {
-            let text = text();
-            assert!(text.contains(from), "{from}");
-            let error = parse(&text.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(TEXT.contains(from), "{from}");
+            let error = parse(&TEXT.replacen(from, to, 1)).unwrap_err().to_string();
             assert!(error.contains(reason), "{to}: {error}");
         }
     }

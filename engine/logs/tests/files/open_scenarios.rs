@@ -117,7 +117,7 @@ fn entities_positions_and_actions_are_read() {
         continuous: true,
         limits: Limits::default(),
     };
-    assert_eq!(actions(3), [&gap, &gap]);
+    assert_eq!(actions(3), [&gap]);
     assert_eq!(read.events[3].start, Some(vec![]));
     let near = When::Value {
         of: vec!["Ego".into()],

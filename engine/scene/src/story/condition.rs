@@ -55,9 +55,9 @@ pub enum Rule {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// One of them has begun since the condition is asked.
+    /// One of them has begun, since the own event ended if it happens again.
     Begun,
-    /// All of them have ended since the condition is asked.
+    /// All of them have ended, since the own event ended if it happens again.
     Ended,
     /// One of them runs.
     Runs,
