@@ -56,7 +56,11 @@ fn compare(scenario: &Path, table: &Path) -> Result<(), Box<dyn std::error::Erro
             speed_mps: speed_mps.max(0.0),
             acceleration_mps2: (pair[1].3 - speed_mps) / dt_s,
         };
-        traffic.step(dt_s, Some((&state, &size)));
+        // The table may have gaps: steps are at most 0.1 s.
+        let parts = (dt_s / 0.1 - 1e-9).ceil().max(1.0);
+        for _ in 0..parts as u32 {
+            traffic.step(dt_s / parts, Some((&state, &size)));
+        }
         for ((actor, state), worst) in story.actors.iter().zip(traffic.states()).zip(&mut worst) {
             let (Some(track), Some(state)) = (tracks.get(&actor.name), state) else {
                 continue;

@@ -43,6 +43,7 @@ impl Past {
 pub(super) struct Course {
     pub runs: bool,
     pub is_over: bool,
+    pub act_has_begun: bool,
     pub begun_s: Option<f64>,
     pub ended_s: Option<f64>,
 }
@@ -202,6 +203,9 @@ fn are(events: &[usize], state: State, facts: &Facts, since_s: f64) -> bool {
         State::Runs => courses.any(|course| course.runs),
         State::Over => courses.all(|course| course.is_over),
         State::Waits => courses.all(|course| !course.runs && !course.is_over),
+        State::ActBegun => courses.any(|course| course.act_has_begun),
+        State::ActRuns => courses.any(|course| course.act_has_begun && !course.is_over),
+        State::ActWaits => courses.all(|course| !course.act_has_begun),
     }
 }
 

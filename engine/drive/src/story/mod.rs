@@ -185,6 +185,9 @@ impl Stage {
                 }
             }
         }
+        for (course, event) in self.courses.iter_mut().zip(&story.events) {
+            course.act_has_begun = self.acts.get(event.act).is_some_and(|act| act.has_begun);
+        }
         for (number, event) in story.events.iter().enumerate() {
             let Some(act) = self.acts.get(event.act) else {
                 continue;

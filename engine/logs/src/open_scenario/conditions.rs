@@ -330,12 +330,17 @@ fn state(kind: Node, context: Context, skipped: &mut Skipped) -> Result<Option<W
         kind: kind.needed_attribute("storyboardElementType")?.into_owned(),
         name: kind.needed_attribute("storyboardElementRef")?.into_owned(),
     };
+    // All but events and actions begin with their act, whenever their events do.
+    let is_event = matches!(reference.kind.as_str(), "event" | "action");
     let state = match &*kind.needed_attribute("state")? {
-        "startTransition" => State::Begun,
-        "runningState" => State::Runs,
+        "startTransition" if is_event => State::Begun,
+        "startTransition" => State::ActBegun,
+        "runningState" if is_event => State::Runs,
+        "runningState" => State::ActRuns,
         "endTransition" | "stopTransition" => State::Ended,
         "completeState" => State::Over,
-        "standbyState" => State::Waits,
+        "standbyState" if is_event => State::Waits,
+        "standbyState" => State::ActWaits,
         _ => {
             skipped.add(kind, "the state skipTransition is not read");
             return Ok(None);

@@ -65,6 +65,12 @@ pub enum State {
     Over,
     /// None of them runs, and one can begin.
     Waits,
+    /// The act of one of them has begun.
+    ActBegun,
+    /// The act of one of them has begun, and not all of them are over.
+    ActRuns,
+    /// No act of them has begun.
+    ActWaits,
 }
 
 /// Statement of a condition.

@@ -15,6 +15,9 @@ const SPEED_REACHED_MPS: f64 = 0.1;
 /// Pull of a gap that is to be reached, per meter, as a share of the largest acceleration.
 const GAP_PULL: f64 = 0.4;
 
+/// Largest change of speed for an arrival, m/s^2.
+const RATE_MPS2: f64 = 10.0;
+
 /// Change of the speed.
 #[derive(Clone, Debug)]
 pub(super) enum Along {
@@ -303,7 +306,7 @@ impl Mover {
                         time_s - if *steady_m > 0.0 { steady_s } else { 0.0 },
                     );
                     let rate_mps2 = arrival_mps2(self.speed_mps, final_mps, way_m, left_s);
-                    (self.speed_mps + rate_mps2 * dt_s).max(0.0)
+                    (self.speed_mps + rate_mps2.clamp(-RATE_MPS2, RATE_MPS2) * dt_s).max(0.0)
                 }
             }
         };

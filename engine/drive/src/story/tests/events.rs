@@ -224,6 +224,9 @@ fn edges_delays_groups_variables_and_other_events_decide() {
         (State::Ended, 3.0),
         (State::Over, 3.0),
         (State::Waits, 0.0),
+        // An act begins before its events do, also before the one that waits for it.
+        (State::ActBegun, 0.0),
+        (State::ActRuns, 0.0),
     ] {
         let events = vec![1];
         let trigger = when(When::Events { events, state });
