@@ -415,32 +415,14 @@ fn each_maneuver(
 
 /// `before`, moved by `by`, a position relative to the entity itself.
 fn moved(before: Position, by: Position, teleport: Node, skipped: &mut Skipped) -> Position {
-    let turns_only = match &by {
-        Position::RelativeLane {
-            lanes,
-            along: positions::Along::Road(along_m) | positions::Along::Lane(along_m),
-            offset_m,
-            ..
-        } => *lanes == 0 && *along_m == 0.0 && *offset_m == 0.0,
-        Position::RelativeRoad { ds_m, dt_m, .. } => *ds_m == 0.0 && *dt_m == 0.0,
-        Position::RelativeEntity { offset_m, .. } => offset_m.length() == 0.0,
-        _ => false,
-    };
     if matches!(before, Position::After { .. }) {
         skipped.add(teleport, "only the first place relative to itself is read");
         return before;
     }
-    if !turns_only {
-        return Position::After {
-            before: Box::new(before),
-            by: Box::new(by),
-        };
+    Position::After {
+        before: Box::new(before),
+        by: Box::new(by),
     }
-    skipped.add(
-        teleport,
-        "it turns the entity where it stands: its heading is that of its lane",
-    );
-    before
 }
 
 /// Most executions of an event.
