@@ -3,7 +3,7 @@
 mod across;
 mod along;
 
-use decouplegs_scene::story::{Action, Actor, Limits};
+use decouplegs_scene::story::{Action, Actor, Limits, Who};
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
@@ -152,21 +152,15 @@ impl Mover {
             Action::Follow {
                 points_m,
                 seen_from,
+                on_lanes,
                 times_s,
                 is_absolute,
             } => {
-                let points_m = points_m.iter().copied().map(DVec2::from_array);
-                let points_m: Vec<DVec2> = match seen_from.and_then(|who| scene.get(who)) {
-                    None => points_m.collect(),
-                    Some(seen) => {
-                        let (from_m, ahead) = (seen.point_m(), seen.state.ahead());
-                        points_m
-                            .map(|point_m| from_m + ahead.rotate(point_m))
-                            .collect()
-                    }
-                };
                 let from_s = if *is_absolute { 0.0 } else { time_s };
-                self.follow_line(number, points_m, times_s, from_s, ended);
+                match line_of(points_m, *seen_from, *on_lanes, scene) {
+                    Some(points_m) => self.follow_line(number, points_m, times_s, from_s, ended),
+                    None => ended.push(number),
+                }
             }
             Action::ChangeLane { .. } | Action::Offset { .. } | Action::KeepBeside { .. } => {
                 let found = self.aside(action, scene);
@@ -372,4 +366,31 @@ fn kept(turn_rad: f64) -> f64 {
     } else {
         turn_rad
     }
+}
+
+/// Points of a line in world coordinates; `None` where they are seen from nobody.
+fn line_of(
+    points_m: &[[f64; 2]],
+    seen_from: Option<Who>,
+    on_lanes: bool,
+    scene: &Scene,
+) -> Option<Vec<DVec2>> {
+    let points_m = points_m.iter().copied().map(DVec2::from_array);
+    let Some(who) = seen_from else {
+        return Some(points_m.collect());
+    };
+    let seen = scene.get(who)?;
+    if !on_lanes {
+        let (from_m, ahead) = (seen.point_m(), seen.state.ahead());
+        let turned = points_m.map(|point_m| from_m + ahead.rotate(point_m));
+        return Some(turned.collect());
+    }
+    let own = seen.place?;
+    let placed = points_m.map(|point_m| {
+        let mut place = own;
+        place.left_m = place.sign() * point_m.y;
+        scene.roads.advance(&mut place, point_m.x, &[]);
+        scene.roads.pose(&place).0
+    });
+    Some(placed.collect())
 }

@@ -385,6 +385,7 @@ fn lines_are_followed_at_their_times_or_at_the_actors_speed() {
             Some(_) => vec![[0.0, 0.0], [40.0, 0.0], [40.0, 40.0]],
         },
         seen_from,
+        on_lanes: false,
         times_s: times_s.to_vec(),
         is_absolute: false,
     };

@@ -236,6 +236,9 @@ pub enum Action {
         /// Road user from whose reference point they are seen when the action begins.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         seen_from: Option<Who>,
+        /// True if points count along the lanes of `seen_from`, and to the left of their middle.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        on_lanes: bool,
         /// Times at the points, seconds; empty: it keeps its own speed.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         times_s: Vec<f64>,

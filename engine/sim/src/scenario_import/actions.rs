@@ -1,6 +1,8 @@
 //! Actions of a file as those of its story.
 
-use decouplegs_logs::open_scenario::{self as file, Entity, Position, StoryTask, TargetSpeed};
+use decouplegs_logs::open_scenario::{
+    self as file, Along, Entity, Position, StoryTask, TargetSpeed,
+};
 use decouplegs_scene::story::{Action, Dynamics, Extent, Speed, TargetLane, Task, Who};
 use glam::DVec2;
 
@@ -114,15 +116,16 @@ impl Cast<'_, '_> {
                 points,
                 times_s,
                 is_absolute,
-            } => Action::Follow {
-                seen_from: self.seen_from(points)?.map(|(who, _)| who),
-                points_m: match self.seen_from(points)? {
-                    Some((_, points_m)) => points_m,
-                    None => self.points_m(points)?,
-                },
-                times_s: times_s.clone().unwrap_or_default(),
-                is_absolute: *is_absolute,
-            },
+            } => {
+                let (seen_from, on_lanes, points_m) = self.line(points)?;
+                Action::Follow {
+                    points_m,
+                    seen_from,
+                    on_lanes,
+                    times_s: times_s.clone().unwrap_or_default(),
+                    is_absolute: *is_absolute,
+                }
+            }
             file::Action::Route(points) => Action::Route {
                 points_m: self.points_m(points)?,
             },
@@ -193,20 +196,82 @@ impl Cast<'_, '_> {
         })
     }
 
-    /// The entity that all points are seen from, and where they are, meters ahead and to its left.
-    fn seen_from(&self, points: &[Position]) -> Lost<Option<(Who, Vec<[f64; 2]>)>> {
+    /// Points of a line, meters: the entity that all are seen from, and true if they count along its
+    /// lanes; otherwise in world coordinates.
+    fn line(&self, points: &[Position]) -> Lost<(Option<Who>, bool, Vec<[f64; 2]>)> {
+        let ahead =
+            |place: &Position| seen_from(place).map(|(name, at_m, _)| (name.to_owned(), at_m));
+        if let Some((who, points_m)) = self.all_from(points, ahead)? {
+            return Ok((Some(who), false, points_m));
+        }
+        if let Some((who, points_m)) = self.all_from(points, |place| self.along_lanes(place))? {
+            return Ok((Some(who), true, points_m));
+        }
+        if points.iter().any(|place| self.moves(place)) {
+            return Err("its points count from an entity in a way that is not read".into());
+        }
+        Ok((None, false, self.points_m(points)?))
+    }
+
+    /// The entity that all points are seen from, as `place_of` finds it, and where they are.
+    fn all_from(
+        &self,
+        points: &[Position],
+        place_of: impl Fn(&Position) -> Option<(String, DVec2)>,
+    ) -> Lost<Option<(Who, Vec<[f64; 2]>)>> {
         let (mut from, mut points_m) = (None, Vec::with_capacity(points.len()));
         for point in points {
-            let Some((name, at_m, _)) = seen_from(point) else {
+            let Some((name, at_m)) = place_of(point) else {
                 return Ok(None);
             };
-            if *from.get_or_insert(name) != name {
+            if *from.get_or_insert_with(|| name.clone()) != name {
                 return Ok(None);
             }
             points_m.push(at_m.to_array());
         }
-        let who = from.map(|name| self.who(name)).transpose()?;
+        let who = from.map(|name| self.who(&name)).transpose()?;
         Ok(who.map(|who| (who, points_m)))
+    }
+
+    /// The entity on whose lane a place is, the way along it and the offset to its left, meters.
+    fn along_lanes(&self, place: &Position) -> Option<(String, DVec2)> {
+        match place {
+            Position::RelativeLane {
+                entity,
+                lanes: 0,
+                along,
+                offset_m,
+                ..
+            } => {
+                let sign = self.sign(entity);
+                let at_m = match along {
+                    Along::Road(ds_m) => sign * DVec2::new(*ds_m, *offset_m),
+                    Along::Lane(ds_m) => DVec2::new(*ds_m, *offset_m),
+                };
+                Some((entity.clone(), at_m))
+            }
+            Position::Between { of, shares } => {
+                let (mut name, mut mean_m) = (None, DVec2::ZERO);
+                for (place, share) in of.iter().zip(shares) {
+                    let (entity, at_m) = self.along_lanes(place)?;
+                    if *name.get_or_insert_with(|| entity.clone()) != entity {
+                        return None;
+                    }
+                    mean_m += *share * at_m;
+                }
+                Some((name?, mean_m))
+            }
+            _ => None,
+        }
+    }
+
+    /// True for a place that counts from an entity that moves.
+    fn moves(&self, place: &Position) -> bool {
+        match place {
+            Position::Beside { of, .. } => self.moves(of),
+            Position::Between { of, .. } => of.iter().any(|place| self.moves(place)),
+            place => place.other().is_some_and(|name| self.who(name).is_ok()),
+        }
     }
 
     fn points_m(&self, points: &[Position]) -> Lost<Vec<[f64; 2]>> {
