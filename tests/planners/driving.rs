@@ -136,6 +136,7 @@ fn recorded() -> Episode {
         lights: vec![],
         pedestrians: vec![],
         signs: vec![],
+        story: Default::default(),
     };
     let head = EpisodeHead {
         log_version: LOG_VERSION,

@@ -8,7 +8,7 @@ use decouplegs::logs::{episode_log, scenario_file};
 use decouplegs::planner::LaneFollow;
 use decouplegs::scenario_import::{ImportedScenario, import_open_scenario};
 use decouplegs::scene::episode::Episode;
-use decouplegs::scene::scenario::{LaneSide, Maneuver, Trigger};
+use decouplegs::scene::story::Action;
 use decouplegs::scene::{RoadUser, Scenario};
 use tempfile::TempDir;
 
@@ -63,56 +63,38 @@ fn a_file_becomes_a_scenario_that_can_be_written() {
     assert_eq!(scenario.ego.route, ["1/0/-2"]);
     assert_eq!((scenario.ego.start_m, scenario.ego.end_m), (51.4, 651.4));
     assert_eq!((scenario.ego.speed_mps, scenario.duration_s), (20.0, 60.0));
-    let [overtaker, truck, parked] = scenario.agents.as_slice() else {
-        panic!("{:#?}", scenario.agents);
+    let [overtaker, truck, walker, parked] = scenario.story.actors.as_slice() else {
+        panic!("{:#?}", scenario.story.actors);
     };
     assert_eq!(
-        (overtaker.lane.as_str(), overtaker.speed_mps),
-        ("1/0/-1", 21.0)
-    );
-    assert!(
-        (overtaker.at_m - (51.4 + 18.0)).abs() < 1e-9,
-        "{}",
-        overtaker.at_m
-    );
-    let maneuvers: Vec<Maneuver> = overtaker
-        .behaviors
-        .iter()
-        .map(|behavior| behavior.maneuver)
-        .collect();
-    let brake = Maneuver::Brake {
-        deceleration_mps2: 5.0,
-        duration_s: 2.2,
-    };
-    assert_eq!(
-        maneuvers,
-        [Maneuver::CutIn, brake, Maneuver::Cruise { speed_mps: 10.0 }]
+        (overtaker.lane.as_deref(), overtaker.speed_mps),
+        (Some("1/0/-1"), 21.0)
     );
     assert_eq!(
-        overtaker.behaviors[0].trigger,
-        Trigger::Time { time_s: 4.0 }
+        (overtaker.point_m, overtaker.center_m),
+        ([68.0, -1.75], 1.4)
     );
     assert_eq!(
         (truck.name.as_str(), truck.kind),
         ("Truck_ahead", RoadUser::Truck)
     );
-    let right = Maneuver::ChangeLane {
-        side: LaneSide::Right,
-    };
-    assert_eq!(truck.behaviors[0].maneuver, right);
-    assert_eq!((parked.lane.as_str(), parked.at_m), ("1/0/-3", 700.0));
-    assert_eq!((parked.speed_mps, parked.cruise_mps), (0.0, Some(0.0)));
-    let walker = &scenario.pedestrians[0];
-    assert_eq!(walker.start, Trigger::NearEgo { distance_m: 60.0 });
-    assert_eq!((walker.path_m.len(), walker.speed_mps), (2, 1.5));
+    assert_eq!(
+        (walker.kind, walker.point_m),
+        (RoadUser::Pedestrian, [590.0, -12.0])
+    );
+    assert_eq!(
+        (parked.lane.as_deref(), parked.point_m),
+        (Some("1/0/-3"), [700.0, -8.75])
+    );
+    assert_eq!(parked.speed_mps, 0.0);
+    let actions = |event: usize| &scenario.story.events[event].actions;
+    assert_eq!(scenario.story.events.len(), 7);
+    assert!(matches!(actions(1)[0].action, Action::ChangeLane { .. }));
+    assert!(matches!(actions(2)[0].action, Action::Speed { .. }));
+    assert!(matches!(actions(5)[0].action, Action::Follow { .. }));
     assert_eq!(scenario.lights[0].stop_lines.len(), 3);
-    // The cone has neither a size nor a place; a gap to another vehicle is not kept.
-    let parts = [
-        "<MiscObject>",
-        "<GlobalAction>",
-        "<LongitudinalDistanceAction>",
-        "cone",
-    ];
+    // The cone has neither a size nor a place; the weather does not change.
+    let parts = ["<MiscObject>", "<EnvironmentAction>", "cone"];
     for part in parts {
         assert!(
             skipped.iter().any(|sentence| sentence.contains(part)),
@@ -135,33 +117,21 @@ fn vehicles_do_what_the_file_says() {
             .unwrap();
         instant.agents[agent].unwrap()
     };
-    // Faster than the usual limit of 50 km/h where the map has none.
-    assert!(
-        (at(3.9, 0).speed_mps - 21.0).abs() < 0.5,
-        "{:?}",
-        at(3.9, 0)
-    );
-    assert!((at(3.9, 0).position_m.y + 1.75).abs() < 0.1);
-    assert!(
-        (at(9.9, 0).position_m.y + 5.25).abs() < 0.1,
-        "{:?}",
-        at(9.9, 0)
-    );
-    assert!(
-        (at(20.0, 0).speed_mps - 10.0).abs() < 0.5,
-        "{:?}",
-        at(20.0, 0)
-    );
-    assert!(
-        (at(10.0, 1).position_m.y + 8.75).abs() < 0.1,
-        "{:?}",
-        at(10.0, 1)
-    );
-    assert_eq!(at(0.0, 2), at(20.0, 2));
-    let walked = at(0.0, 3).position_m.y;
+    // The sinusoidal change of lanes takes 3 s from 4 s on, the brake 2.2 s from 10 s on.
+    assert_eq!(at(3.9, 0).speed_mps, 21.0);
+    assert!((at(3.9, 0).position_m.x - (69.4 + 3.9 * 21.0)).abs() < 1e-6);
+    assert_eq!(at(3.9, 0).position_m.y, -1.75);
+    assert!((at(5.5, 0).position_m.y + 3.5).abs() < 0.1);
+    assert!((at(7.1, 0).position_m.y + 5.25).abs() < 1e-6);
+    assert!((at(11.0, 0).speed_mps - 16.0).abs() < 0.11);
+    assert_eq!(at(12.5, 0).speed_mps, 10.0);
+    // The truck is 20 m behind the ego at once, until it leaves the lane.
+    assert!((at(10.0, 1).position_m.y + 8.75).abs() < 1e-6);
+    assert_eq!(at(0.0, 3), at(20.0, 3));
+    let walked = at(0.0, 2).position_m.y;
     let last = episode.instants().last().unwrap();
-    assert!(walked < -11.9 && last.agents[3].unwrap().position_m.y > walked + 5.0);
-    // The log holds the scenario, its new maneuvers included.
+    assert!(walked < -11.9 && last.agents[2].unwrap().position_m.y > walked + 5.0);
+    // The log holds the scenario, its story included.
     let bytes = episode_log::encode(&episode).unwrap();
     assert_eq!(
         episode_log::decode(&bytes).unwrap().head.scenario,
@@ -176,14 +146,13 @@ fn what_cannot_be_placed_is_said() {
         message.contains("Ego") && message.contains("road 1 has no lane -9"),
         "{message}"
     );
-    let path = "<LanePosition roadId=\"1\" laneId=\"-4\"";
+    let path = "<LanePosition roadId=\"1\" laneId=\"-9\"";
     let (_folder, import) = imported(&[
         ("<RoadPosition roadId=\"1\"", path),
         ("t=\"-8.75\"", "offset=\"0\""),
     ]);
-    assert_eq!(import.scenario.agents.len(), 2);
-    let about =
-        |sentence: &String| sentence.contains("parked") && sentence.contains("no driving lane");
+    assert_eq!(import.scenario.story.actors.len(), 3);
+    let about = |sentence: &String| sentence.contains("parked") && sentence.contains("no lane -9");
     assert!(import.skipped.iter().any(about), "{:#?}", import.skipped);
     // A position relative to itself is none, and does not hang.
     let message = refused(&[(

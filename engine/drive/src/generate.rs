@@ -29,7 +29,7 @@ use std::sync::Arc;
 
 use decouplegs_scene::scenario::{EgoTask, TrafficAgent};
 use decouplegs_scene::{
-    LaneMap, Level, Scenario, TrafficLight, TrafficSign, VehicleSize, VehicleState,
+    LaneMap, Level, Scenario, Story, TrafficLight, TrafficSign, VehicleSize, VehicleState,
 };
 use glam::DVec2;
 
@@ -286,6 +286,7 @@ impl<'a> Generator<'a> {
                     &mut stream.split(FOR_PEDESTRIANS),
                 ),
                 signs: self.signs(&lights),
+                story: Story::default(),
                 lights,
                 ego: EgoTask {
                     speed_mps: vehicles[0].speed_mps,

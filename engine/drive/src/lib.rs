@@ -23,6 +23,7 @@ pub mod road_surface;
 pub mod route;
 pub mod score;
 pub mod signs;
+mod story;
 pub mod traffic;
 pub mod view_support;
 

@@ -34,7 +34,7 @@ mod watch;
 use std::sync::Arc;
 
 use decouplegs_scene::scenario::{Behavior, Scenario};
-use decouplegs_scene::{Invalid, Pedestrian, VehicleSize, VehicleState};
+use decouplegs_scene::{Invalid, LaneMap, Pedestrian, Story, VehicleSize, VehicleState};
 use glam::DVec2;
 
 use crate::lights::TrafficLights;
@@ -42,6 +42,7 @@ use crate::obstacles::Obstacles;
 use crate::oriented_box::OrientedBox;
 use crate::road_graph::RoadGraph;
 use crate::signs::TrafficSigns;
+use crate::story::Stage;
 use agent::{Agent, AsideKind};
 use claims::Claims;
 use lane_order::LaneOrder;
@@ -81,6 +82,8 @@ pub struct Traffic {
     /// State of the ego, for triggers.
     ego: Option<VehicleState>,
     pedestrians: Vec<Walker>,
+    /// Actors, if there are any.
+    stage: Option<Stage>,
     time_s: f64,
     steps: u64,
     seed: u64,
@@ -126,6 +129,20 @@ impl Traffic {
         Ok(self)
     }
 
+    /// Adds the actors of a story, whose states follow those of the pedestrians. `map` holds its
+    /// lanes.
+    ///
+    /// # Errors
+    /// Returns an error if an actor's lane is not on the map.
+    pub fn with_story(mut self, story: &Story, map: &LaneMap) -> Result<Self, Invalid> {
+        if !story.actors.is_empty() {
+            let stage = Stage::new(story, map)?;
+            self.states.extend(stage.states());
+            self.stage = Some(stage);
+        }
+        Ok(self)
+    }
+
     /// One step of `dt_s` seconds, above 0 and at most [`Scenario::SUBSTEP_S_MAX`]; `ego` is where
     /// the ego is at its beginning.
     ///
@@ -139,11 +156,12 @@ impl Traffic {
         let walks_mps = self.decide_walks(dt_s, ego);
         self.ego = ego.map(|(state, _)| *state);
         let walkers = self.pedestrians.iter();
+        let walkers = walkers.filter_map(|walker| walker.seen(&self.graph));
+        let actors = self.stage.iter().flat_map(Stage::shown);
+        let actors = actors.filter_map(|(state, size)| Outsider::actor(&self.graph, &state, &size));
         self.outsiders = Outsiders {
             ego: ego.and_then(|(state, size)| Outsider::ego(&self.graph, state, size)),
-            pedestrians: walkers
-                .filter_map(|walker| walker.seen(&self.graph))
-                .collect(),
+            pedestrians: walkers.chain(actors).collect(),
         };
         self.order.build(&self.graph, &self.agents, &self.outsiders);
         self.claims
@@ -182,6 +200,13 @@ impl Traffic {
             walker.advance(speed_mps, dt_s);
             *state = Some(walker.state());
         }
+        if let Some(stage) = &mut self.stage {
+            stage.step(self.time_s, dt_s, ego);
+            let first = self.agents.len() + self.pedestrians.len();
+            for (state, moved) in self.states[first..].iter_mut().zip(stage.states()) {
+                *state = moved;
+            }
+        }
         self.time_s += dt_s;
         self.leave(dt_s);
         self.steps += 1;
@@ -198,7 +223,9 @@ impl Traffic {
         };
         let agents = self.agents.iter().zip(&self.states);
         let here = agents.filter_map(|(agent, state)| Some(vehicle(state.as_ref()?, &agent.size)));
+        let actors = self.stage.iter().flat_map(Stage::shown);
         let vehicles: Vec<Vehicle> = here
+            .chain(actors.map(|(state, size)| vehicle(&state, &size)))
             .chain(ego.map(|(state, size)| vehicle(state, size)))
             .collect();
         let ego = ego.map(|(state, _)| state);
@@ -208,8 +235,8 @@ impl Traffic {
             .collect()
     }
 
-    /// States of all agents, in the order of the scenario, pedestrians last; `None` while one is
-    /// off the map.
+    /// States of all agents, in the order of the scenario, after vehicles pedestrians and actors;
+    /// `None` while one is off the map or hidden.
     #[must_use]
     pub fn states(&self) -> &[Option<VehicleState>] {
         &self.states

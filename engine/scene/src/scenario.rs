@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use glam::DVec2;
 
 use crate::road_user::RoadUser;
+use crate::story::{Actor, Story};
 use crate::traffic_light::TrafficLight;
 use crate::traffic_sign::TrafficSign;
 use crate::vehicle::VehicleSize;
@@ -414,6 +415,9 @@ pub struct Scenario {
     pub lights: Vec<TrafficLight>,
     /// Stop and yield signs that all vehicles are to obey.
     pub signs: Vec<TrafficSign>,
+    /// Agents with a script, and their script. Wherever agents have an index, theirs follow those
+    /// of the pedestrians.
+    pub story: Story,
 }
 
 impl Scenario {
@@ -437,18 +441,19 @@ impl Scenario {
         (self.duration_s / self.step_s - 1e-9).ceil().max(1.0) as u32
     }
 
-    /// Number of vehicles and pedestrians.
+    /// Number of vehicles, pedestrians and actors.
     #[must_use]
     pub fn agent_count(&self) -> usize {
-        self.agents.len() + self.pedestrians.len()
+        self.agents.len() + self.pedestrians.len() + self.story.actors.len()
     }
 
-    /// Boxes of vehicles and pedestrians, in the order of their indices.
+    /// Boxes of vehicles, pedestrians and actors, in the order of their indices.
     #[must_use]
     pub fn agent_sizes(&self) -> Vec<VehicleSize> {
         let vehicles = self.agents.iter().map(|agent| agent.size);
         let pedestrians = self.pedestrians.iter().map(|walker| walker.size);
-        vehicles.chain(pedestrians).collect()
+        let actors = self.story.actors.iter().map(Actor::size);
+        vehicles.chain(pedestrians).chain(actors).collect()
     }
 
     /// True if no agent is a truck, bus, cyclist or pedestrian.
@@ -457,18 +462,20 @@ impl Scenario {
         (0..self.agent_count()).all(|index| self.agent(index).1 == RoadUser::Car)
     }
 
-    /// Name, kind and asset of a vehicle or pedestrian.
+    /// Name, kind and asset of a vehicle, pedestrian or actor.
     ///
     /// # Panics
     /// Panics if there is no such agent.
     #[must_use]
     pub fn agent(&self, index: usize) -> (&str, RoadUser, usize) {
-        match self.agents.get(index) {
-            Some(agent) => (&agent.name, agent.kind, agent.asset),
-            None => {
-                let walker = &self.pedestrians[index - self.agents.len()];
-                (&walker.name, RoadUser::Pedestrian, walker.asset)
-            }
+        if let Some(agent) = self.agents.get(index) {
+            return (&agent.name, agent.kind, agent.asset);
         }
+        let index = index - self.agents.len();
+        if let Some(walker) = self.pedestrians.get(index) {
+            return (&walker.name, RoadUser::Pedestrian, walker.asset);
+        }
+        let actor = &self.story.actors[index - self.pedestrians.len()];
+        (&actor.name, actor.kind, actor.asset)
     }
 }

@@ -1,7 +1,9 @@
 //! Counts how many OpenSCENARIO files below a folder become scenarios, and how many of their events
-//! are driven: `cargo run -p decouplegs-sim --example count_open_scenarios -- DIR`.
+//! are driven: `cargo run -p decouplegs-sim --example count_open_scenarios -- DIR [--why]`.
 //!
-//! Prints a line for each file, then sums. Files without a storyboard are left out.
+//! Prints a line for each file, with `--why` also what is lost of it, then sums. Files without a
+//! storyboard are left out. An event counts as driven if each of its actions is; events of the ego,
+//! and those that do nothing which is shown here (lamps, pedals), are not counted.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -14,10 +16,12 @@ fn main() -> ExitCode {
         eprintln!("expected a folder with .xosc files");
         return ExitCode::from(2);
     };
+    let says_why = std::env::args_os().any(|argument| argument == "--why");
     let mut files = Vec::new();
     find(Path::new(&folder), &mut files);
     files.sort();
-    let (mut scenarios, mut read, mut events, mut driven, mut mostly) = (0, 0, 0, 0, 0);
+    let (mut scenarios, mut read, mut mostly) = (0, 0, 0);
+    let (mut events, mut driven, mut unseen) = (0, 0, 0);
     for file in files {
         let is_scenario =
             std::fs::read_to_string(&file).is_ok_and(|text| text.contains("<Storyboard"));
@@ -30,6 +34,7 @@ fn main() -> ExitCode {
                 read += 1;
                 events += imported.events;
                 driven += imported.events_driven;
+                unseen += imported.events_unseen;
                 let most = 5 * imported.events_driven >= 4 * imported.events;
                 mostly += usize::from(most);
                 println!(
@@ -38,6 +43,11 @@ fn main() -> ExitCode {
                     imported.events_driven,
                     imported.events
                 );
+                if says_why && imported.events_driven < imported.events {
+                    for sentence in &imported.skipped {
+                        println!("    {sentence}");
+                    }
+                }
             }
             Err(error) => println!(
                 "{}: refused: {}",
@@ -47,8 +57,8 @@ fn main() -> ExitCode {
         }
     }
     println!(
-        "{read} of {scenarios} files are read; {driven} of {events} events of others are driven; {mostly} files with 80 % of \
-         them or more"
+        "{read} of {scenarios} files are read; {driven} of {events} events of others are driven; {mostly} files \
+         with 80 % of them or more; {unseen} events of others do nothing that is shown here"
     );
     ExitCode::SUCCESS
 }

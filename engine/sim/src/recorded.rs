@@ -4,7 +4,7 @@ use decouplegs_drive::polyline::wrapped;
 use decouplegs_drive::route::{LaneSpot, lanes_between};
 use decouplegs_drive::{LaneIndex, Route};
 use decouplegs_scene::scenario::{EgoTask, Place};
-use decouplegs_scene::{Invalid, LaneKind, Scenario, Trajectory, VehicleSize};
+use decouplegs_scene::{Invalid, LaneKind, Scenario, Story, Trajectory, VehicleSize};
 use glam::DVec3;
 
 use crate::episode::Site;
@@ -57,6 +57,7 @@ pub fn recorded_scenario(site: &Site, place: Place) -> Result<Scenario, Invalid>
         pedestrians: Vec::new(),
         lights: Vec::new(),
         signs: Vec::new(),
+        story: Story::default(),
     })
 }
 

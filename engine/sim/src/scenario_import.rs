@@ -5,19 +5,18 @@
 //! own actions other than a route are skipped. Its route is the shortest way through the waypoints
 //! of its route that lie ahead of it, otherwise straight on, as far as it drives at its cruise
 //! speed until the file's stop time (20 s if it has none).
-//! Vehicles keep the speeds and lanes that the file gives them as far as traffic rules and other
-//! vehicles allow: they follow by IDM, yield at crossings and choose their ways there by the seed.
+//! The others do what the file says, and nothing else: they are the actors of a story.
 
 mod actions;
+mod cast;
 mod locate;
 mod map_search;
-mod measured;
+mod story;
 #[cfg(test)]
 mod story_tests;
 #[cfg(test)]
 mod tests;
 
-use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
@@ -25,15 +24,17 @@ use decouplegs_asset::maps::{MapFormat, open_drive};
 use decouplegs_asset::{AssetError, DecodeError, read_bytes, read_map};
 use decouplegs_drive::route::{LaneSpot, lanes_between, straight_on};
 use decouplegs_logs::open_scenario::{
-    Action, Entity, OpenScenario, SignalPhases, StoryEvent, TargetSpeed,
+    Action, Entity, OpenScenario, Position, SignalPhases, TargetSpeed,
 };
 use decouplegs_logs::read_open_scenario;
 use decouplegs_logs::scenario_file::DURATION_S_MAX;
-use decouplegs_scene::scenario::{DriverKind, EgoTask, Place, TrafficAgent};
-use decouplegs_scene::{LaneMap, Obstacle, ObstacleKind, RoadUser, Scenario, TrafficLight};
+use decouplegs_scene::scenario::{EgoTask, Place};
+use decouplegs_scene::story::{Actor, Dynamics, Who};
+use decouplegs_scene::{LaneMap, Obstacle, ObstacleKind, RoadUser, Scenario, Story, TrafficLight};
 use glam::DVec2;
 
 use self::locate::{Located, Locator, Place as Found};
+use self::story::Counts;
 
 /// A scenario, and what of its file it does not express.
 #[derive(Clone, Debug)]
@@ -47,10 +48,13 @@ pub struct ImportedScenario {
     pub obstacles: Vec<Obstacle>,
     /// Name of the entity that the planner drives.
     pub ego: String,
-    /// Number of the storyboard's events that are about others than the ego.
+    /// Number of the storyboard's events that are about others than the ego, and have an effect
+    /// here.
     pub events: usize,
-    /// Number of those of which an action is driven.
+    /// Number of those of which each action is driven.
     pub events_driven: usize,
+    /// Number of events about others that do nothing which is shown here, as lamps.
+    pub events_unseen: usize,
     /// Elements that are skipped or approximated, one sentence each.
     pub skipped: Vec<String>,
 }
@@ -100,23 +104,16 @@ pub fn import_open_scenario(
     }));
     let locator = Locator::new(&map, roads.as_ref(), &file.entities);
     let map_path = std::fs::canonicalize(map_file).unwrap_or_else(|_| map_file.to_owned());
-    let mut by_event: HashMap<usize, Vec<(usize, usize)>> = HashMap::new();
-    for (index, entity) in file.entities.iter().enumerate() {
-        for (at, event) in entity.events.iter().enumerate() {
-            by_event.entry(event.number).or_default().push((index, at));
-        }
-    }
+    let located = locator.all();
     let import = Import {
         file: &file,
         map: &map,
-        located: locator.all(),
+        ego: ego_index(&file.entities, &located).map_err(&fault)?,
+        located,
         locator,
-        by_event,
-        event_times_s: RefCell::default(),
-        events_driven: RefCell::default(),
     };
-    let ego = import.ego_index().map_err(&fault)?;
-    let (scenario, obstacles, mut skipped) = import.scenario(name, &map_path).map_err(fault)?;
+    let read = import.scenario(name, &map_path).map_err(fault)?;
+    let (scenario, obstacles, mut skipped, counts) = read;
     if found.is_some() {
         skipped.push(format!(
             "its map {} is not there: {} is read instead",
@@ -124,17 +121,15 @@ pub fn import_open_scenario(
             map_path.display()
         ));
     }
-    let ego = file.entities[ego].name.clone();
-    let of_others = |event: &&StoryEvent| event.actors.iter().any(|actor| *actor != ego);
-    let events = file.events.iter().filter(of_others).count();
-    let events_driven = import.events_driven.take().len();
+    let ego = file.entities[import.ego].name.clone();
     Ok(ImportedScenario {
         scenario,
         map,
         obstacles,
         ego,
-        events,
-        events_driven,
+        events: counts.events,
+        events_driven: counts.driven,
+        events_unseen: counts.unseen,
         skipped,
     })
 }
@@ -161,12 +156,8 @@ struct Import<'a> {
     locator: Locator<'a>,
     /// Places of the entities at the start, `None` where they are unknown.
     located: Vec<Found>,
-    /// Actions of each event: entities, and places among their events.
-    by_event: HashMap<usize, Vec<(usize, usize)>>,
-    /// Times at which events begin (false) and end (true), where times alone decide them, seconds.
-    event_times_s: RefCell<HashMap<(usize, bool), Option<f64>>>,
-    /// Numbers of events of which an action is driven.
-    events_driven: RefCell<HashSet<usize>>,
+    /// Index of the entity that the planner drives.
+    ego: usize,
 }
 
 impl Import<'_> {
@@ -174,9 +165,9 @@ impl Import<'_> {
         &self,
         name: String,
         map_path: &Path,
-    ) -> Result<(Scenario, Vec<Obstacle>, Vec<String>), String> {
+    ) -> Result<(Scenario, Vec<Obstacle>, Vec<String>, Counts), String> {
         let mut skipped = self.file.skipped.clone();
-        let ego = self.ego_index()?;
+        let ego = self.ego;
         let stop_s = self.file.stop_time_s.unwrap_or(Scenario::DURATION_S);
         let stop_s = stop_s.clamp(1.0, DURATION_S_MAX);
         let task = self.ego_task(ego, stop_s, &mut skipped)?;
@@ -200,25 +191,25 @@ impl Import<'_> {
             pedestrians: Vec::new(),
             lights: self.lights(&mut skipped),
             signs: self.map.signs.clone(),
+            story: Story::default(),
         };
         let mut obstacles = Vec::new();
         let mut names = UniqueNames::default();
         let mut assets = [0; RoadUser::ALL.len()];
+        let (mut actors, mut whos) = (Vec::new(), HashMap::from([(ego, Who::EGO)]));
         for (index, entity) in self.file.entities.iter().enumerate() {
             if index == ego {
                 continue;
             }
-            let located = match &self.located[index] {
-                Ok(located) => located,
-                Err(reason) => {
+            let added = self.added(entity);
+            let located = match (&self.located[index], &added) {
+                (Ok(located), _) | (Err(_), Some(located)) => located,
+                (Err(reason), None) => {
                     skipped.push(format!("{}: it is left out: {reason}", entity.name));
                     continue;
                 }
             };
             let Some(kind) = entity.kind else {
-                if !entity.events.is_empty() {
-                    skipped.push(format!("{}: an object does not move", entity.name));
-                }
                 let ahead = DVec2::from_angle(located.heading_rad);
                 obstacles.push(Obstacle {
                     kind: ObstacleKind::Captured,
@@ -229,59 +220,56 @@ impl Import<'_> {
                 });
                 continue;
             };
-            let name = names.give(names_of(entity.name.clone()));
             let asset = &mut assets[kind as usize];
-            if kind == RoadUser::Pedestrian {
-                let mut walker = self.pedestrian(index, *located, ego, &mut skipped);
-                (walker.name, walker.asset) = (name, *asset);
-                scenario.pedestrians.push(walker);
-            } else if let Some(spot) = self.center(entity, located) {
-                if located.is_against(&self.locator.index) {
-                    skipped.push(format!(
-                        "{}: it heads against the direction of its lane; it drives along it",
-                        entity.name
-                    ));
-                }
-                let mut agent = self.vehicle(entity, kind, spot);
-                (agent.name, agent.asset) = (name, *asset);
-                agent.behaviors = self.behaviors(index, ego, &mut skipped);
-                scenario.agents.push(agent);
-            } else {
-                skipped.push(format!(
-                    "{}: it is left out: it stands on no driving lane",
-                    entity.name
-                ));
-                continue;
-            }
+            whos.insert(index, Who(actors.len() + 1));
+            actors.push(Actor {
+                name: names.give(names_of(entity.name.clone())),
+                asset: *asset,
+                is_hidden: self.located[index].is_err(),
+                ..self.actor(index, kind, located)
+            });
             *asset += 1;
         }
-        Ok((scenario, obstacles, skipped))
+        let (story, counts) = self.story(actors, &whos, &mut skipped);
+        scenario.story = story;
+        Ok((scenario, obstacles, skipped, counts))
     }
 
-    fn ego_index(&self) -> Result<usize, String> {
-        let entities = &self.file.entities;
-        let is_vehicle =
-            |entity: &&Entity| entity.kind.is_some_and(|kind| kind != RoadUser::Pedestrian);
-        let named = |name: &str| {
-            entities
-                .iter()
-                .position(|entity| entity.name.eq_ignore_ascii_case(name) && is_vehicle(&entity))
-        };
-        named("ego")
-            .or_else(|| named("hero"))
-            .or_else(|| {
-                let mut entities = entities.iter();
-                entities.position(|entity| entity.is_ego && is_vehicle(&entity))
-            })
-            .or_else(|| {
-                // The planner needs a lane: a vehicle beside the road is the last choice.
-                let mut placed = entities.iter().zip(&self.located);
-                placed.position(|(entity, located)| {
-                    is_vehicle(&entity) && located.as_ref().is_ok_and(|place| place.spot.is_some())
-                })
-            })
-            .or_else(|| entities.iter().position(|entity| is_vehicle(&entity)))
-            .ok_or_else(|| "it has no vehicle; expected one that the planner drives".into())
+    /// The place where an entity without one at the start is added to the episode.
+    fn added(&self, entity: &Entity) -> Option<Located> {
+        let tasks = self.file.events.iter().flat_map(|event| &event.tasks);
+        let mut own = tasks.filter(|task| task.actor == entity.name);
+        let is_added = own.clone().any(|task| task.action == Action::Show(true));
+        own.find_map(|task| match &task.action {
+            Action::Teleport(place) if is_added => self.locator.locate(place, &self.located).ok(),
+            _ => None,
+        })
+    }
+
+    /// An actor without name and asset.
+    fn actor(&self, index: usize, kind: RoadUser, located: &Located) -> Actor {
+        let entity = &self.file.entities[index];
+        // A change of speed at the start begins from a stand.
+        let changes = self.file.init.iter().any(|task| {
+            let is_change = |dynamics: &Dynamics| *dynamics != Dynamics::STEP;
+            task.actor == entity.name
+                && matches!(&task.action, Action::Speed { dynamics, .. } if is_change(dynamics))
+        });
+        Actor {
+            name: String::new(),
+            kind,
+            asset: 0,
+            size_m: entity.size.to_array(),
+            center_m: entity.center_m,
+            point_m: located.point_m.to_array(),
+            heading_rad: located.heading_rad,
+            lane: located
+                .lane
+                .map(|spot| self.map.lanes[spot.lane].id.clone()),
+            speed_mps: if changes { 0.0 } else { self.speed_mps(index) },
+            is_hidden: false,
+            limits: entity.limits,
+        }
     }
 
     /// Middle of a vehicle's box on its lane, or on the lanes after it.
@@ -316,16 +304,7 @@ impl Import<'_> {
                 entity.name
             ));
         }
-        let mut route = entity.route.as_slice();
-        for event in &entity.events {
-            match &event.action {
-                Action::Path { points, .. } if route.is_empty() => route = points,
-                _ => skipped.push(format!(
-                    "line {}: the planner drives {}, so its action is skipped",
-                    event.line, entity.name
-                )),
-            }
-        }
+        let route = self.ego_route(entity, skipped);
         let speed_mps = self.speed_mps(index).clamp(0.0, 100.0);
         let cruise_mps = if speed_mps >= CRUISE_MPS_MIN {
             speed_mps
@@ -339,9 +318,13 @@ impl Import<'_> {
                 .locator
                 .locate(waypoint, &self.located)
                 .map_err(|reason| format!("{}: a waypoint of its route: {reason}", entity.name))?;
-            let spot = place
-                .spot
-                .ok_or_else(|| format!("{}: a waypoint is on no driving lane", entity.name))?;
+            let Some(spot) = place.spot else {
+                skipped.push(format!(
+                    "{}: a waypoint of its route is on no driving lane; it is left out",
+                    entity.name
+                ));
+                continue;
+            };
             // A route may begin where the ego starts, or behind it.
             if end == start && self.is_passed(start, spot) || spot == end {
                 continue;
@@ -374,6 +357,25 @@ impl Import<'_> {
             size: entity.size,
             follows_recording: false,
         })
+    }
+
+    /// Waypoints of the ego: those that it has at the start, or the first that it gets.
+    fn ego_route(&self, ego: &Entity, skipped: &mut Vec<String>) -> &[Position] {
+        let mut route: &[Position] = &self.file.entities[self.ego].route;
+        for task in self.file.events.iter().flat_map(|event| &event.tasks) {
+            match &task.action {
+                _ if task.actor != ego.name => {}
+                Action::Route(points) | Action::Follow { points, .. } if route.is_empty() => {
+                    route = points;
+                }
+                Action::Unseen => {}
+                _ => skipped.push(format!(
+                    "line {}: the planner drives {}, so its action is skipped",
+                    task.line, ego.name
+                )),
+            }
+        }
+        route
     }
 
     /// True if `spot` lies on the way that leads to `start`, nearer than any way from there.
@@ -415,24 +417,6 @@ impl Import<'_> {
             .min_by_key(|(lanes, _)| lanes.len())
     }
 
-    /// A vehicle without name, asset and behaviors.
-    fn vehicle(&self, entity: &Entity, kind: RoadUser, spot: LaneSpot) -> TrafficAgent {
-        let speed_mps = self.speed_of(entity.speed.as_ref()).clamp(0.0, 70.0);
-        TrafficAgent {
-            name: String::new(),
-            kind,
-            asset: 0,
-            size: entity.size,
-            lane: self.map.lanes[spot.lane].id.clone(),
-            at_m: spot.at_m,
-            speed_mps,
-            cruise_mps: Some(speed_mps),
-            driver: DriverKind::Normal,
-            changes_lanes: false,
-            behaviors: Vec::new(),
-        }
-    }
-
     /// Speed of an entity at the start, m/s.
     fn speed_mps(&self, index: usize) -> f64 {
         self.speed_of(self.file.entities[index].speed.as_ref())
@@ -447,6 +431,7 @@ impl Import<'_> {
                 entity,
                 factor,
                 plus_mps,
+                ..
             }) => {
                 let other = self.locator.find(entity);
                 match other.and_then(|other| self.file.entities[other].speed.as_ref()) {
@@ -481,6 +466,32 @@ impl Import<'_> {
         lights.retain(|light| !light.stop_lines.is_empty());
         lights
     }
+}
+
+/// Index of the entity that the planner drives.
+fn ego_index(entities: &[Entity], located: &[Found]) -> Result<usize, String> {
+    let is_vehicle =
+        |entity: &&Entity| entity.kind.is_some_and(|kind| kind != RoadUser::Pedestrian);
+    let named = |name: &str| {
+        entities
+            .iter()
+            .position(|entity| entity.name.eq_ignore_ascii_case(name) && is_vehicle(&entity))
+    };
+    named("ego")
+        .or_else(|| named("hero"))
+        .or_else(|| {
+            let mut entities = entities.iter();
+            entities.position(|entity| entity.is_ego && is_vehicle(&entity))
+        })
+        .or_else(|| {
+            // The planner needs a lane: a vehicle beside the road is the last choice.
+            let mut placed = entities.iter().zip(located);
+            placed.position(|(entity, located)| {
+                is_vehicle(&entity) && located.as_ref().is_ok_and(|place| place.spot.is_some())
+            })
+        })
+        .or_else(|| entities.iter().position(|entity| is_vehicle(&entity)))
+        .ok_or_else(|| "it has no vehicle; expected one that the planner drives".into())
 }
 
 /// Letters of a name that scenarios can have.

@@ -31,7 +31,7 @@ pub(super) struct Outsider {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Outsiders {
     pub ego: Option<Outsider>,
-    /// Pedestrians on the road, or about to step on it.
+    /// Pedestrians on the road, or about to step on it, and actors of a story.
     pub pedestrians: Vec<Outsider>,
 }
 
@@ -44,6 +44,24 @@ impl Outsiders {
 impl Outsider {
     /// The ego; `None` where its numbers are not finite.
     pub(super) fn ego(graph: &RoadGraph, state: &VehicleState, size: &VehicleSize) -> Option<Self> {
+        Self::vehicle(graph, state, size, EGO)
+    }
+
+    /// An actor of a story, which follows its script; `None` off the road.
+    pub(super) fn actor(
+        graph: &RoadGraph,
+        state: &VehicleState,
+        size: &VehicleSize,
+    ) -> Option<Self> {
+        Self::vehicle(graph, state, size, PEDESTRIAN).filter(|seen| !seen.cells.is_empty())
+    }
+
+    fn vehicle(
+        graph: &RoadGraph,
+        state: &VehicleState,
+        size: &VehicleSize,
+        agent: u32,
+    ) -> Option<Self> {
         let numbers = [state.yaw_rad, state.speed_mps, size.length_m, size.width_m];
         if !state.position_m.is_finite() || !numbers.iter().all(|number| number.is_finite()) {
             return None;
@@ -57,7 +75,7 @@ impl Outsider {
         let outline = OrientedBox::for_vehicle(state, &size);
         let mut cells = Vec::new();
         graph.cells().touched(&outline, &mut cells);
-        let entries = entries(graph, &outline, state.ahead() * speed_mps, &cells, EGO);
+        let entries = entries(graph, &outline, state.ahead() * speed_mps, &cells, agent);
         // It may go straight on and then stop.
         let stopping_m = speed_mps * REACTION_S + speed_mps * speed_mps / (2.0 * BRAKING_MPS2);
         graph

@@ -110,6 +110,7 @@ impl Traffic {
             outsiders: Outsiders::default(),
             ego: None,
             pedestrians: Vec::new(),
+            stage: None,
             time_s: 0.0,
             steps: 0,
             seed,

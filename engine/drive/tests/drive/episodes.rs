@@ -101,6 +101,7 @@ fn scenario(agents: usize) -> Scenario {
         lights: vec![],
         pedestrians: vec![],
         signs: vec![],
+        story: Default::default(),
     }
 }
 

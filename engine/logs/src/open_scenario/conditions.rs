@@ -3,62 +3,75 @@
 use std::sync::Arc;
 
 use decouplegs_asset::DecodeError;
-use decouplegs_asset::xml::{excerpt, finite};
+use decouplegs_asset::xml::excerpt;
+use decouplegs_scene::story::{Direction, Edge, Rule, State};
 
 use super::Skipped;
 use super::catalogs::Catalogs;
 use super::parameters::Node;
 use super::positions::{self, Position};
 
-/// Most groups that alternatives of a trigger lead to, and most conditions of a group.
+/// Most groups of a trigger, most conditions of a group, and most entities of a condition.
 const GROUPS_MAX: usize = 64;
 
-/// Trigger of an event: stages that are reached one after the other, of acts first. A stage
-/// without groups is reached at once.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct EventTrigger {
-    /// The stages.
-    pub stages: Vec<Stage>,
-}
+/// Conditions in groups: it is met when all conditions of one of them hold. Without groups it is
+/// met at once.
+pub type Trigger = Vec<Vec<Condition>>;
 
-/// Groups of conditions: it is reached when all conditions of one of them hold.
-pub type Stage = Vec<Vec<Condition>>;
-
-/// A condition: a measured value is below or above another.
+/// A condition.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Condition {
     /// Line in the file, from 1.
     pub line: u32,
-    /// The measured value.
-    pub measure: Measure,
-    /// Comparison with the value.
-    pub rule: Rule,
-    /// Value that it is compared with, in the unit of the measure.
-    pub value: f64,
-    /// Time that passes from then on, seconds.
+    /// Change of its truth that counts.
+    pub edge: Edge,
+    /// Time by which its truth counts later, seconds.
     pub delay_s: f64,
+    /// Statement that holds or not.
+    pub when: When,
 }
 
-/// Comparison of a measured value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Rule {
-    /// Values up to it hold.
-    Below,
-    /// Values from it on hold.
-    Above,
-    /// Values like it hold, within what a step changes.
-    Equal,
-}
-
-/// Direction in which a distance is measured.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Direction {
-    /// Straight line.
-    Straight,
-    /// Part along the entity's heading, or along its lane.
-    Longitudinal,
-    /// Part across it.
-    Lateral,
+/// Statement of a condition.
+#[derive(Clone, Debug, PartialEq)]
+pub enum When {
+    /// Time since the start.
+    Time {
+        /// Comparison with the value.
+        rule: Rule,
+        /// Time, seconds.
+        value_s: f64,
+    },
+    /// Value of entities.
+    Value {
+        /// Names of the entities.
+        of: Vec<String>,
+        /// True if it is to hold for all of them.
+        all: bool,
+        /// Measured value.
+        measure: Measure,
+        /// Comparison with the value.
+        rule: Rule,
+        /// Value that it is compared with.
+        value: f64,
+    },
+    /// State of events.
+    Events {
+        /// Numbers of events in [`super::OpenScenario::events`].
+        events: Arc<[usize]>,
+        /// State that they are to have.
+        state: State,
+    },
+    /// Value of a variable or parameter.
+    Variable {
+        /// Name in the file.
+        variable: String,
+        /// Comparison with the value.
+        rule: Rule,
+        /// Value that it is compared with.
+        value: String,
+    },
+    /// A statement that is always true, or never.
+    Always(bool),
 }
 
 /// Other end of a distance.
@@ -70,42 +83,28 @@ pub enum Target {
     Place(Position),
 }
 
-/// A value that conditions are about.
+/// A value of an entity.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Measure {
-    /// Time since the start, seconds.
-    Time,
-    /// Speed of an entity, m/s.
-    Speed {
-        /// Name of the entity.
-        of: String,
-    },
-    /// Acceleration of an entity, m/s^2.
-    Acceleration {
-        /// Name of the entity.
-        of: String,
-    },
-    /// Difference of the speeds of two entities, m/s.
+    /// Speed, m/s.
+    Speed,
+    /// Acceleration, m/s^2.
+    Acceleration,
+    /// Speed minus that of another, m/s.
     RelativeSpeed {
-        /// Name of the entity.
-        of: String,
-        /// Name of the one that is subtracted.
+        /// Name of the other.
         to: String,
     },
-    /// Way that an entity has gone since the start, meters.
-    Traveled {
-        /// Name of the entity.
-        of: String,
-    },
-    /// Time for which an entity stands, seconds.
-    Standing {
-        /// Name of the entity.
-        of: String,
-    },
+    /// Way since the start, meters.
+    Traveled,
+    /// Time for which it stands, seconds.
+    Standing,
+    /// Time for which it is at the end of the road, seconds.
+    AtEnd,
+    /// Time for which it is off the road, seconds.
+    OffRoad,
     /// Distance, meters.
     Distance {
-        /// Name of the entity that it is measured from.
-        of: String,
         /// Other end.
         to: Target,
         /// Direction in which it is measured.
@@ -113,30 +112,48 @@ pub enum Measure {
         /// True if it is measured between boxes, not reference points.
         between_boxes: bool,
     },
-    /// Distance over the speed of the entity, seconds.
+    /// Distance ahead over its speed, seconds.
     Headway {
-        /// Name of the entity that is behind.
-        of: String,
         /// Name of the one ahead.
         to: String,
+        /// Direction in which the distance is measured.
+        direction: Direction,
         /// True if the distance is measured between boxes.
         between_boxes: bool,
     },
     /// Distance over the speed at which it shrinks, seconds.
     TimeToCollision {
-        /// Name of the entity.
-        of: String,
         /// Entity or place that it would collide with.
         to: Target,
+        /// Direction in which the distance is measured.
+        direction: Direction,
         /// True if the distance is measured between boxes.
         between_boxes: bool,
     },
-    /// Time since the first of events began, or since all are over, seconds.
-    Event {
-        /// Numbers of the events in [`super::OpenScenario::events`].
-        events: Arc<[usize]>,
-        /// True if it counts from their end.
-        has_ended: bool,
+    /// Number of others that it touches: of those named, or of all.
+    Touched {
+        /// Names of the others.
+        with: Vec<String>,
+    },
+    /// Number of others in an area of lanes: of those named, or of all.
+    Near {
+        /// Names of the others.
+        with: Vec<String>,
+        /// Way ahead, meters.
+        ahead_m: f64,
+        /// Way behind, meters.
+        behind_m: f64,
+        /// First and last lane to the left of its own.
+        lanes: [i64; 2],
+        /// True if the distance is between boxes.
+        between_boxes: bool,
+    },
+    /// Angle between its heading and one, radians, without sign.
+    Turn {
+        /// Heading, radians.
+        heading_rad: f64,
+        /// True if it counts from the direction of the lane.
+        is_relative: bool,
     },
 }
 
@@ -147,188 +164,99 @@ pub(super) struct StateReference {
     pub name: String,
 }
 
-/// A condition as it is read.
-pub(super) enum Read {
-    /// One that can be met.
-    Condition(Condition),
-    /// A condition about the state of a part of the storyboard.
-    State(StateReference, Condition),
-    /// One that is met or not from the start.
-    Constant(bool),
+/// Names of parts of the storyboard, and what their events are.
+pub(super) type Parts<'a> = &'a dyn Fn(&StateReference) -> Option<Arc<[usize]>>;
+
+/// Context in which conditions are read.
+#[derive(Clone, Copy)]
+pub(super) struct Context<'a, 'r> {
+    pub catalogs: &'a Catalogs<'r>,
+    pub parts: Parts<'a>,
+    /// Names of the entities of an event, for conditions that name none.
+    pub actors: &'a [String],
 }
 
-/// Makes a trigger of elements that hold one group or more each. `None` if it cannot be expressed:
-/// `skipped` says why.
+/// The trigger in `holder`, or one that is met at once if there is none. `None` if it cannot be
+/// expressed: `skipped` says why.
 pub(super) fn read(
-    triggers: &[Node],
-    actor: &str,
-    catalogs: &Catalogs,
-    states: &dyn Fn(&StateReference) -> Option<Arc<[usize]>>,
+    holder: Option<Node>,
+    context: Context,
     skipped: &mut Skipped,
-) -> Result<Option<EventTrigger>, DecodeError> {
-    let mut stages = Vec::new();
-    for trigger in triggers {
-        match stage(*trigger, actor, catalogs, states, skipped)? {
-            Some(stage) if stage.is_empty() => {}
-            Some(stage) => stages.push(stage),
-            None => return Ok(None),
-        }
-    }
-    Ok(Some(EventTrigger { stages }))
-}
-
-fn stage(
-    trigger: Node,
-    actor: &str,
-    catalogs: &Catalogs,
-    states: &dyn Fn(&StateReference) -> Option<Arc<[usize]>>,
-    skipped: &mut Skipped,
-) -> Result<Option<Stage>, DecodeError> {
-    let mut stage: Stage = Vec::new();
-    let (mut has_groups, mut has_lost) = (false, false);
-    for group in trigger.all("ConditionGroup") {
-        has_groups = true;
-        let mut alternatives: Stage = vec![Vec::new()];
-        let mut is_possible = true;
+) -> Result<Option<Trigger>, DecodeError> {
+    let Some(holder) = holder else {
+        return Ok(Some(Trigger::new()));
+    };
+    let mut trigger = Trigger::new();
+    let (mut groups, mut has_lost) = (0, false);
+    for group in holder.all("ConditionGroup") {
+        groups += 1;
+        let mut conditions = Vec::new();
         for condition in group.all("Condition") {
-            let Some(read) = read_condition(condition, actor, catalogs, skipped)? else {
-                is_possible = false;
-                has_lost = true;
-                break;
-            };
-            let mut next: Stage = Vec::new();
-            for all in read {
-                let mut conditions = Vec::new();
-                let mut holds = true;
-                for one in all {
-                    match one {
-                        Read::Condition(condition) => conditions.push(condition),
-                        Read::Constant(is_met) => holds &= is_met,
-                        Read::State(reference, mut one) => {
-                            let Some(found) = states(&reference) else {
-                                skipped.add(
-                                    condition,
-                                    &format!(
-                                        "the storyboard has no {} {} with events",
-                                        reference.kind,
-                                        excerpt(&reference.name)
-                                    ),
-                                );
-                                (is_possible, has_lost) = (false, true);
-                                continue;
-                            };
-                            if let Measure::Event { events, .. } = &mut one.measure {
-                                *events = found;
-                            }
-                            conditions.push(one);
-                        }
-                    }
-                }
-                if !holds {
-                    continue;
-                }
-                for before in &alternatives {
-                    let joined = before.iter().chain(&conditions).cloned().collect();
-                    next.push(joined);
-                }
-            }
-            if next.len() > GROUPS_MAX || next.iter().any(|all| all.len() > GROUPS_MAX) {
-                skipped.add(
-                    group,
-                    &format!("more than {GROUPS_MAX} alternatives or conditions are not read"),
-                );
-                return Ok(None);
-            }
-            alternatives = next;
+            conditions.push(read_condition(condition, context, skipped)?);
         }
-        if !is_possible {
-            continue;
+        if groups > GROUPS_MAX || conditions.len() > GROUPS_MAX {
+            skipped.add(
+                group,
+                &format!("more than {GROUPS_MAX} groups or conditions are not read"),
+            );
+            return Ok(None);
         }
-        if alternatives.iter().any(Vec::is_empty) {
-            // Nothing has to happen: the stage is reached at once.
-            return Ok(Some(Vec::new()));
+        match conditions.into_iter().collect::<Option<Vec<Condition>>>() {
+            // Nothing has to happen: it is met at once.
+            Some(conditions) if conditions.is_empty() => return Ok(Some(Trigger::new())),
+            Some(conditions) => trigger.push(conditions),
+            None => has_lost = true,
         }
-        stage.extend(alternatives);
     }
-    if stage.len() > GROUPS_MAX {
-        skipped.add(
-            trigger,
-            &format!("more than {GROUPS_MAX} groups are not read"),
-        );
-        return Ok(None);
-    }
-    if has_groups && stage.is_empty() {
-        if !has_lost {
-            skipped.add(trigger, "its conditions are never met");
-        }
-        return Ok(None);
-    }
-    Ok(Some(stage))
+    Ok((!has_lost || !trigger.is_empty()).then_some(trigger))
 }
 
-/// Alternatives of a `<Condition>`, each a list of conditions that hold together; `None` if it is
-/// of a kind that is not read.
+/// A `<Condition>`; `None` if it is of a kind that is not read.
 fn read_condition(
     condition: Node,
-    actor: &str,
-    catalogs: &Catalogs,
+    context: Context,
     skipped: &mut Skipped,
-) -> Result<Option<Vec<Vec<Read>>>, DecodeError> {
-    if condition.is("conditionEdge", "falling")? {
-        skipped.add(condition, "a condition that ceases to hold is not read");
-        return Ok(None);
-    }
+) -> Result<Option<Condition>, DecodeError> {
+    let edge = match condition.attribute("conditionEdge")?.as_deref() {
+        Some("rising") => Edge::Rising,
+        Some("falling") => Edge::Falling,
+        Some("risingOrFalling") => Edge::Either,
+        _ => Edge::None,
+    };
     let delay_s = condition.number_or("delay", 0.0)?.max(0.0);
-    let simple = |measure: Measure, rule: Rule, value: f64| {
-        Read::Condition(Condition {
-            line: condition.line(),
-            measure,
-            rule,
-            value,
-            delay_s,
-        })
-    };
-    let unknown = |skipped: &mut Skipped, kind: Node| {
-        skipped.add(kind, "conditions of this kind are not read");
-        Ok(None)
-    };
-    if let Some(by_value) = condition.first("ByValueCondition") {
+    let when = if let Some(by_value) = condition.first("ByValueCondition") {
         let Some(kind) = by_value.elements().next() else {
             return Err(by_value.fault("it is empty; expected a condition"));
         };
-        return match kind.name() {
-            "SimulationTimeCondition" => {
-                let at_s = kind.number("value")?;
-                let rule = match rule(kind)? {
-                    // Time passes every value once.
-                    Some(Rule::Equal) => Some(Rule::Above),
-                    rule => rule,
-                };
-                match rule {
-                    Some(rule) => Ok(Some(vec![vec![simple(Measure::Time, rule, at_s)]])),
-                    None => unknown(skipped, kind),
-                }
-            }
-            "StoryboardElementStateCondition" => state(kind, condition.line(), delay_s, skipped),
-            "ParameterCondition" => {
-                let is_met = parameter_condition(kind)?;
-                Ok(Some(vec![vec![Read::Constant(is_met)]]))
-            }
-            _ => unknown(skipped, kind),
-        };
-    }
-    let Some(by_entity) = condition.first("ByEntityCondition") else {
+        by_value_kind(kind, context, skipped)?
+    } else if let Some(by_entity) = condition.first("ByEntityCondition") {
+        of_entities(by_entity, context, skipped)?
+    } else {
         return Err(condition.fault("it is empty; expected a condition"));
     };
+    let line = condition.line();
+    Ok(when.map(|when| Condition {
+        line,
+        edge,
+        delay_s,
+        when,
+    }))
+}
+
+fn of_entities(
+    by_entity: Node,
+    context: Context,
+    skipped: &mut Skipped,
+) -> Result<Option<When>, DecodeError> {
     let triggering = by_entity.needed("TriggeringEntities")?;
-    let mut entities: Vec<String> = Vec::new();
+    let mut of: Vec<String> = Vec::new();
     for entity in triggering.all("EntityRef") {
-        entities.push(entity.needed_attribute("entityRef")?.into_owned());
+        of.push(entity.needed_attribute("entityRef")?.into_owned());
     }
-    if entities.is_empty() {
-        entities.push(actor.to_owned());
+    if of.is_empty() {
+        of = context.actors.to_vec();
     }
-    if entities.len() > GROUPS_MAX {
+    if of.len() > GROUPS_MAX {
         skipped.add(
             triggering,
             &format!("more than {GROUPS_MAX} entities are not read"),
@@ -339,127 +267,149 @@ fn read_condition(
     let Some(kind) = holder.elements().next() else {
         return Err(holder.fault("it is empty; expected a condition"));
     };
-    let mut all = Vec::new();
-    for entity in entities {
-        let Some((measure, rule, value)) = by_entity_kind(kind, &entity, catalogs, skipped)? else {
-            return Ok(None);
-        };
-        all.push(simple(measure, rule, value));
-    }
-    let is_any = !triggering.is("triggeringEntitiesRule", "all")?;
-    Ok(Some(if is_any {
-        all.into_iter().map(|one| vec![one]).collect()
-    } else {
-        vec![all]
+    let Some((measure, rule, value)) = by_entity_kind(kind, context.catalogs, skipped)? else {
+        return Ok(None);
+    };
+    let all = triggering.is("triggeringEntitiesRule", "all")?;
+    Ok(Some(When::Value {
+        of,
+        all,
+        measure,
+        rule,
+        value,
     }))
 }
 
-/// True if a `<ParameterCondition>` is met: parameters do not change.
-fn parameter_condition(kind: Node) -> Result<bool, DecodeError> {
-    let found = kind.parameter(kind.element().needed_attribute("parameterRef")?)?;
-    let value = kind.needed_attribute("value")?;
-    let is_met = match (finite(found.trim()), finite(value.trim())) {
-        (Some(found), Some(value)) => match rule(kind)? {
-            Some(Rule::Below) => found < value || kind.is("rule", "lessOrEqual")? && found == value,
-            Some(Rule::Above) => {
-                found > value || kind.is("rule", "greaterOrEqual")? && found == value
+fn by_value_kind(
+    kind: Node,
+    context: Context,
+    skipped: &mut Skipped,
+) -> Result<Option<When>, DecodeError> {
+    match kind.name() {
+        "SimulationTimeCondition" => Ok(Some(When::Time {
+            rule: rule(kind)?,
+            value_s: kind.number("value")?,
+        })),
+        "StoryboardElementStateCondition" => state(kind, context, skipped),
+        "ParameterCondition" | "VariableCondition" => {
+            let attribute = match kind.name() {
+                "ParameterCondition" => "parameterRef",
+                _ => "variableRef",
+            };
+            let name = kind
+                .element()
+                .needed_attribute(attribute)?
+                .trim_start_matches('$');
+            let name = name.to_owned();
+            if kind.name() == "ParameterCondition" {
+                let value = kind.parameter(&name)?;
+                skipped.variables.entry(name.clone()).or_insert(value);
             }
-            Some(Rule::Equal) => found == value,
-            None => found != value,
-        },
-        _ => (found.trim() == value.trim()) != kind.is("rule", "notEqualTo")?,
-    };
-    Ok(is_met)
+            if !skipped.variables.contains_key(&name) {
+                skipped.add(
+                    kind,
+                    &format!("the variable {} is not declared", excerpt(&name)),
+                );
+                return Ok(None);
+            }
+            Ok(Some(When::Variable {
+                variable: name,
+                rule: rule(kind)?,
+                value: kind.needed_attribute("value")?.into_owned(),
+            }))
+        }
+        _ => {
+            skipped.add(kind, "conditions of this kind are not read");
+            Ok(None)
+        }
+    }
 }
 
-fn state(
-    kind: Node,
-    line: u32,
-    delay_s: f64,
-    skipped: &mut Skipped,
-) -> Result<Option<Vec<Vec<Read>>>, DecodeError> {
+fn state(kind: Node, context: Context, skipped: &mut Skipped) -> Result<Option<When>, DecodeError> {
     let reference = StateReference {
         kind: kind.needed_attribute("storyboardElementType")?.into_owned(),
         name: kind.needed_attribute("storyboardElementRef")?.into_owned(),
     };
-    let has_ended = match &*kind.needed_attribute("state")? {
-        "startTransition" | "runningState" => false,
-        "endTransition" | "completeState" => true,
-        "standbyState" => return Ok(Some(vec![vec![Read::Constant(true)]])),
+    // All but events and actions begin with their act, whenever their events do.
+    let is_event = matches!(reference.kind.as_str(), "event" | "action");
+    let state = match &*kind.needed_attribute("state")? {
+        "startTransition" if is_event => State::Begun,
+        "startTransition" => State::ActBegun,
+        "runningState" if is_event => State::Runs,
+        "runningState" => State::ActRuns,
+        "endTransition" | "stopTransition" => State::Ended,
+        "completeState" => State::Over,
+        "standbyState" if is_event => State::Waits,
+        "standbyState" => State::ActWaits,
         _ => {
-            skipped.add(
-                kind,
-                "the states stopTransition and skipTransition are not read",
-            );
+            skipped.add(kind, "the state skipTransition is not read");
             return Ok(None);
         }
     };
-    let condition = Condition {
-        line,
-        measure: Measure::Event {
-            events: Arc::from([]),
-            has_ended,
-        },
-        rule: Rule::Above,
-        value: 0.0,
-        delay_s,
+    let Some(events) = (context.parts)(&reference) else {
+        let StateReference { kind: part, name } = &reference;
+        skipped.add(
+            kind,
+            &format!("the storyboard has no {part} {} with events", excerpt(name)),
+        );
+        return Ok(None);
     };
-    Ok(Some(vec![vec![Read::State(reference, condition)]]))
+    Ok(Some(When::Events { events, state }))
 }
 
-/// Measure, rule and value of an entity condition about `of`; `None` if it is of a kind that is not
-/// read.
+/// Measure, rule and value of an entity condition; `None` if it is of a kind that is not read.
 fn by_entity_kind(
     kind: Node,
-    of: &str,
     catalogs: &Catalogs,
     skipped: &mut Skipped,
 ) -> Result<Option<(Measure, Rule, f64)>, DecodeError> {
-    let of = of.to_owned();
     let other = || kind.needed_attribute("entityRef").map(String::from);
     let between_boxes = || kind.truth("freespace");
-    let above = |measure: Measure, value: f64| Ok(Some((measure, Rule::Above, value)));
+    let from = |measure: Measure, value: f64| Ok(Some((measure, Rule::GreaterOrEqual, value)));
     // Those without a rule.
     match kind.name() {
         "TraveledDistanceCondition" => {
-            return above(Measure::Traveled { of }, kind.number("value")?);
+            return from(Measure::Traveled, kind.number("value")?);
         }
         "StandStillCondition" => {
-            return above(Measure::Standing { of }, kind.number("duration")?);
+            return from(Measure::Standing, kind.number("duration")?);
+        }
+        "EndOfRoadCondition" => return from(Measure::AtEnd, kind.number("duration")?),
+        "OffroadCondition" => return from(Measure::OffRoad, kind.number("duration")?),
+        "RelativeClearanceCondition" => return clearance(kind).map(Some),
+        "AngleCondition" | "RelativeAngleCondition" => {
+            return turn(kind, skipped);
         }
         "ReachPositionCondition" => {
             let Some(place) = positions::read(kind.needed("Position")?, catalogs, skipped)? else {
                 return Ok(None);
             };
             let measure = Measure::Distance {
-                of,
                 to: Target::Place(place),
                 direction: Direction::Straight,
                 between_boxes: false,
             };
-            return Ok(Some((measure, Rule::Below, kind.number("tolerance")?)));
+            return Ok(Some((
+                measure,
+                Rule::LessOrEqual,
+                kind.number("tolerance")?,
+            )));
         }
         "CollisionCondition" => {
-            let Some(to) = kind.first("EntityRef") else {
-                skipped.add(kind, "only a collision with an entity by name is read");
-                return Ok(None);
-            };
-            let measure = Measure::Distance {
-                of,
-                to: Target::Entity(to.needed_attribute("entityRef")?.into_owned()),
-                direction: Direction::Straight,
-                between_boxes: true,
-            };
-            return Ok(Some((measure, Rule::Below, 0.0)));
+            let mut with = Vec::new();
+            for entity in kind.all("EntityRef") {
+                with.push(entity.needed_attribute("entityRef")?.into_owned());
+            }
+            // A kind of others counts as all of them.
+            return from(Measure::Touched { with }, 1.0);
         }
         _ => {}
     }
     let measure = match kind.name() {
-        "SpeedCondition" => Measure::Speed { of },
-        "AccelerationCondition" => Measure::Acceleration { of },
-        "RelativeSpeedCondition" => Measure::RelativeSpeed { of, to: other()? },
+        "SpeedCondition" => Measure::Speed,
+        "AccelerationCondition" => Measure::Acceleration,
+        "RelativeSpeedCondition" => Measure::RelativeSpeed { to: other()? },
         "RelativeDistanceCondition" => Measure::Distance {
-            of,
             to: Target::Entity(other()?),
             direction: direction(kind)?,
             between_boxes: between_boxes()?,
@@ -469,15 +419,14 @@ fn by_entity_kind(
                 return Ok(None);
             };
             Measure::Distance {
-                of,
                 to: Target::Place(place),
                 direction: direction(kind)?,
                 between_boxes: between_boxes()?,
             }
         }
         "TimeHeadwayCondition" => Measure::Headway {
-            of,
             to: other()?,
+            direction: ahead(direction(kind)?),
             between_boxes: between_boxes()?,
         },
         "TimeToCollisionCondition" => {
@@ -485,8 +434,8 @@ fn by_entity_kind(
                 return Ok(None);
             };
             Measure::TimeToCollision {
-                of,
                 to,
+                direction: direction(kind)?,
                 between_boxes: between_boxes()?,
             }
         }
@@ -495,11 +444,7 @@ fn by_entity_kind(
             return Ok(None);
         }
     };
-    let Some(rule) = rule(kind)? else {
-        skipped.add(kind, "the rule notEqualTo is not read");
-        return Ok(None);
-    };
-    Ok(Some((measure, rule, kind.number("value")?)))
+    Ok(Some((measure, rule(kind)?, kind.number("value")?)))
 }
 
 /// Entity or place of a `<TimeToCollisionCondition>`; `None` for a place that is not read.
@@ -517,13 +462,58 @@ fn collision_target(
     Ok(place.map(Target::Place))
 }
 
-/// Rule of a condition; `None` for `notEqualTo`.
-fn rule(kind: Node) -> Result<Option<Rule>, DecodeError> {
+/// An `<RelativeClearanceCondition>`: no other is in the area.
+fn clearance(kind: Node) -> Result<(Measure, Rule, f64), DecodeError> {
+    let mut with = Vec::new();
+    for entity in kind.all("EntityRef") {
+        with.push(entity.needed_attribute("entityRef")?.into_owned());
+    }
+    let lanes = match kind.first("RelativeLaneRange") {
+        Some(range) => [
+            positions::lanes(range.number_or("from", -100.0)?),
+            positions::lanes(range.number_or("to", 100.0)?),
+        ],
+        None => [0, 0],
+    };
+    let measure = Measure::Near {
+        with,
+        ahead_m: kind.number_or("distanceForward", 0.0)?,
+        behind_m: kind.number_or("distanceBackward", 0.0)?,
+        lanes,
+        between_boxes: kind.truth("freeSpace")? || kind.truth("freespace")?,
+    };
+    Ok((measure, Rule::Less, 1.0))
+}
+
+/// An `<AngleCondition>` about a heading.
+fn turn(kind: Node, skipped: &mut Skipped) -> Result<Option<(Measure, Rule, f64)>, DecodeError> {
+    let is_heading = kind
+        .attribute("angleType")?
+        .is_none_or(|angle| angle == "heading");
+    if !is_heading || kind.name() != "AngleCondition" {
+        skipped.add(kind, "only angles of headings are read");
+        return Ok(None);
+    }
+    let measure = Measure::Turn {
+        heading_rad: kind.number("angle")?,
+        is_relative: !kind.is("coordinateSystem", "world")?,
+    };
+    Ok(Some((
+        measure,
+        Rule::LessOrEqual,
+        kind.number("angleTolerance")?,
+    )))
+}
+
+/// Rule of a condition.
+fn rule(kind: Node) -> Result<Rule, DecodeError> {
     Ok(match kind.needed_attribute("rule")?.as_ref() {
-        "lessThan" | "lessOrEqual" => Some(Rule::Below),
-        "greaterThan" | "greaterOrEqual" => Some(Rule::Above),
-        "equalTo" => Some(Rule::Equal),
-        "notEqualTo" => None,
+        "lessThan" => Rule::Less,
+        "lessOrEqual" => Rule::LessOrEqual,
+        "greaterThan" => Rule::Greater,
+        "greaterOrEqual" => Rule::GreaterOrEqual,
+        "equalTo" => Rule::Equal,
+        "notEqualTo" => Rule::NotEqual,
         other => {
             return Err(kind.fault(format!(
                 "the rule {} is unknown; expected lessThan, lessOrEqual, greaterThan, greaterOrEqual, equalTo or \
@@ -535,10 +525,22 @@ fn rule(kind: Node) -> Result<Option<Rule>, DecodeError> {
 }
 
 fn direction(kind: Node) -> Result<Direction, DecodeError> {
+    let system = kind.attribute("coordinateSystem")?;
+    let on_lanes = matches!(system.as_deref(), Some("lane" | "road" | "trajectory"));
     Ok(match kind.attribute("relativeDistanceType")?.as_deref() {
-        Some("longitudinal") => Direction::Longitudinal,
-        Some("lateral") => Direction::Lateral,
-        _ if kind.truth("alongRoute")? => Direction::Longitudinal,
+        Some("longitudinal") if on_lanes => Direction::AlongLanes,
+        Some("longitudinal") => Direction::Ahead,
+        Some("lateral") if on_lanes => Direction::AcrossLanes,
+        Some("lateral") => Direction::Beside,
+        _ if kind.truth("alongRoute")? => Direction::AlongLanes,
         _ => Direction::Straight,
     })
+}
+
+/// Direction of a headway, which is never that of a straight line.
+fn ahead(direction: Direction) -> Direction {
+    match direction {
+        Direction::Straight => Direction::Ahead,
+        direction => direction,
+    }
 }

@@ -4,6 +4,7 @@ use std::collections::HashSet;
 
 use decouplegs_asset::DecodeError;
 use decouplegs_asset::xml;
+use decouplegs_scene::story::Limits;
 use decouplegs_scene::{RoadUser, VehicleSize};
 
 use super::catalogs::Catalogs;
@@ -56,7 +57,7 @@ pub(super) fn read(
             position: None,
             speed: None,
             route: Vec::new(),
-            events: Vec::new(),
+            limits: body.limits,
         });
     }
     Ok(entities)
@@ -100,6 +101,7 @@ struct Body {
     size: VehicleSize,
     center_m: f64,
     is_ego: bool,
+    limits: Limits,
 }
 
 impl Body {
@@ -108,6 +110,11 @@ impl Body {
         size: VehicleSize::CAR,
         center_m: 1.4,
         is_ego: false,
+        limits: Limits {
+            speed_mps: None,
+            acceleration_mps2: None,
+            deceleration_mps2: None,
+        },
     };
 
     /// Reads a `<Vehicle>`, `<Pedestrian>` or `<MiscObject>`; `None` for vehicles that do not drive
@@ -190,6 +197,21 @@ impl Body {
             size: VehicleSize::from_array(size),
             center_m,
             is_ego,
+            limits: limits(element),
         }))
+    }
+}
+
+/// Limits in the `<Performance>` of a vehicle; what is no number above zero is none.
+fn limits(vehicle: Node) -> Limits {
+    let performance = vehicle.first("Performance");
+    let of = |name: &str| {
+        let found = performance?.number(name).ok()?;
+        (found > 0.0).then_some(found)
+    };
+    Limits {
+        speed_mps: of("maxSpeed"),
+        acceleration_mps2: of("maxAcceleration"),
+        deceleration_mps2: of("maxDeceleration"),
     }
 }

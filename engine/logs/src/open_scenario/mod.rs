@@ -14,19 +14,23 @@
 //! entity is the center of its rear axle; [`Entity::center_m`] is the way from there to the middle
 //! of its box.
 
+mod actions;
 mod catalogs;
 mod conditions;
+mod curves;
 mod entities;
 mod expression;
+mod global_actions;
 mod parameters;
 mod positions;
 mod routes;
 mod signals;
-mod speed_profile;
 mod story;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use decouplegs_scene::story::{Limits, Priority};
 use decouplegs_scene::{LightPhase, RoadUser, VehicleSize};
 
 use decouplegs_asset::read_bytes;
@@ -36,7 +40,8 @@ use decouplegs_asset::{AssetError, DecodeError};
 use catalogs::Catalogs;
 use parameters::{Assignments, Node, Parameters};
 
-pub use conditions::{Condition, Direction, EventTrigger, Measure, Rule, Stage, Target};
+pub use actions::{Action, TargetLane, TargetSpeed};
+pub use conditions::{Condition, Measure, Target, Trigger, When};
 pub use positions::{Along, Heading, Position};
 
 /// Content of an OpenSCENARIO file.
@@ -50,8 +55,14 @@ pub struct OpenScenario {
     pub signals: Vec<SignalPhases>,
     /// Time at which the storyboard stops, seconds.
     pub stop_time_s: Option<f64>,
+    /// Actions at the start, besides positions.
+    pub init: Vec<StoryTask>,
+    /// Acts of the storyboard, in the order of the file.
+    pub acts: Vec<StoryAct>,
     /// Events of the storyboard, in the order of the file.
     pub events: Vec<StoryEvent>,
+    /// Variables, and parameters that conditions ask for, with their values at the start.
+    pub variables: Vec<(String, String)>,
     /// Elements that were not read or could not be expressed, one sentence each.
     pub skipped: Vec<String>,
 }
@@ -67,6 +78,15 @@ pub struct SignalPhases {
     pub offset_s: f64,
 }
 
+/// An act of the storyboard.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoryAct {
+    /// Conditions of its begin; `None` if they cannot be expressed.
+    pub start: Option<Trigger>,
+    /// Conditions of its end; it stops for none if there are none.
+    pub stop: Trigger,
+}
+
 /// An event of the storyboard, its actions read or not.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoryEvent {
@@ -76,6 +96,31 @@ pub struct StoryEvent {
     pub name: String,
     /// Names of the entities that it is about.
     pub actors: Vec<String>,
+    /// Index of its act.
+    pub act: usize,
+    /// Number of its maneuver.
+    pub maneuver: usize,
+    /// Treatment of the other events of its maneuver.
+    pub priority: Priority,
+    /// Number of times that it can happen.
+    pub executions: u32,
+    /// Conditions of its begin; `None` if they cannot be expressed.
+    pub start: Option<Trigger>,
+    /// Actions that are read, one for each entity.
+    pub tasks: Vec<StoryTask>,
+    /// Number of actions that are not read.
+    pub lost: usize,
+}
+
+/// An action of an entity.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoryTask {
+    /// Line in the file, from 1.
+    pub line: u32,
+    /// Name of the entity; empty for actions that are about none.
+    pub actor: String,
+    /// Action that is done.
+    pub action: Action,
 }
 
 /// A vehicle, a pedestrian or another object.
@@ -97,89 +142,8 @@ pub struct Entity {
     pub speed: Option<TargetSpeed>,
     /// Waypoints of its route, the start not included; empty if the file gives none.
     pub route: Vec<Position>,
-    /// Actions of the storyboard, in the order of the file.
-    pub events: Vec<Event>,
-}
-
-/// An action and its trigger.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Event {
-    /// Line of the action in the file, from 1.
-    pub line: u32,
-    /// Number of its event in [`OpenScenario::events`].
-    pub number: usize,
-    /// Conditions that start it.
-    pub trigger: EventTrigger,
-    /// Action of the entity.
-    pub action: Action,
-    /// Duration of the action, seconds, where the file gives one.
-    pub duration_s: Option<f64>,
-}
-
-/// A speed.
-#[derive(Clone, Debug, PartialEq)]
-pub enum TargetSpeed {
-    /// Speed, m/s.
-    Absolute(f64),
-    /// The speed of another entity, times a factor, plus a difference.
-    Relative {
-        /// Name of the other entity.
-        entity: String,
-        /// Factor of that speed.
-        factor: f64,
-        /// Difference, m/s.
-        plus_mps: f64,
-    },
-}
-
-/// Lane that a vehicle changes to.
-#[derive(Clone, Debug, PartialEq)]
-pub enum TargetLane {
-    /// Id of the OpenDRIVE lane.
-    Absolute(i64),
-    /// Lanes to the left of an entity, negative to the right.
-    Relative {
-        /// Name of the entity.
-        entity: String,
-        /// Lanes to its left.
-        lanes: i64,
-    },
-}
-
-/// Duration of a change of speed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Transition {
-    /// Change at once.
-    Step,
-    /// Duration, seconds.
-    Time(f64),
-    /// Change per second, m/s^2.
-    Rate(f64),
-    /// Distance driven meanwhile, meters.
-    Distance(f64),
-}
-
-/// Action of an entity.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Action {
-    /// Has another speed from then on.
-    Speed {
-        /// The new speed.
-        target: TargetSpeed,
-        /// Duration of the change.
-        transition: Transition,
-    },
-    /// Changes lanes.
-    ChangeLane(TargetLane),
-    /// Is put to a position.
-    Teleport(Position),
-    /// Goes along a route or trajectory.
-    Path {
-        /// Positions in its order.
-        points: Vec<Position>,
-        /// Times of a trajectory's points, seconds.
-        times_s: Option<Vec<f64>>,
-    },
+    /// Limits of its changes of speed.
+    pub limits: Limits,
 }
 
 /// Reads the OpenSCENARIO file at `path`, and the catalogs that it refers to.
@@ -235,6 +199,18 @@ pub fn decode(
         Some(network) => signals::read(network, &mut skipped)?,
         None => Vec::new(),
     };
+    let declared = root.first("VariableDeclarations");
+    let declared = declared
+        .iter()
+        .flat_map(|list| list.all("VariableDeclaration"));
+    for variable in declared {
+        let name = variable.element().needed_attribute("name")?.to_owned();
+        let value = variable
+            .attribute("value")?
+            .unwrap_or_default()
+            .into_owned();
+        skipped.variables.insert(name, value);
+    }
     let mut entities = entities::read(root, &catalogs, &mut skipped)?;
     let storyboard = root.needed("Storyboard")?;
     let story = story::read(storyboard, &mut entities, &catalogs, &mut skipped)?;
@@ -243,7 +219,10 @@ pub fn decode(
         entities,
         signals,
         stop_time_s: story.stop_time_s,
+        init: story.init,
+        acts: story.acts,
         events: story.events,
+        variables: std::mem::take(&mut skipped.variables).into_iter().collect(),
         skipped: skipped.sentences(),
     })
 }
@@ -262,6 +241,8 @@ struct Skipped {
     nesting: u32,
     /// Points of routes and trajectories that were read.
     points: usize,
+    /// Values of variables, and of parameters that conditions ask for, by name.
+    variables: BTreeMap<String, String>,
 }
 
 impl Skipped {

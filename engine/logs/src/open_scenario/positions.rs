@@ -119,6 +119,20 @@ pub enum Position {
         /// A position relative to the entity itself.
         by: Box<Position>,
     },
+    /// Place seen from another, whose heading counts.
+    Beside {
+        /// Place that it is seen from.
+        of: Box<Position>,
+        /// Offset ahead and to the left, meters.
+        offset_m: DVec2,
+    },
+    /// Mean of places.
+    Between {
+        /// The places.
+        of: Vec<Position>,
+        /// Shares of them, 1 together.
+        shares: Vec<f64>,
+    },
     /// Position along a trajectory.
     Trajectory {
         /// Points of the trajectory.

@@ -2,13 +2,13 @@
 
 use decouplegs_asset::DecodeError;
 
-use super::Skipped;
 use super::catalogs::Catalogs;
 use super::parameters::Node;
 use super::positions::{self, Position};
+use super::{Skipped, curves};
 
 /// Most points of a route or trajectory, all positions that it leads to counted.
-const POINTS_MAX: usize = 100_000;
+pub(super) const POINTS_MAX: usize = 100_000;
 
 /// Points of a trajectory and their times, seconds, where it gives them.
 pub(super) type TimedPoints = Vec<(Position, Option<f64>)>;
@@ -89,8 +89,11 @@ fn points(
 ) -> Result<Option<TimedPoints>, DecodeError> {
     let shape = trajectory.first("Shape").unwrap_or(trajectory);
     let Some(line) = shape.first("Polyline") else {
-        skipped.add(shape, "only a polyline is read");
-        return Ok(None);
+        let read = curves::read(shape, catalogs, skipped)?;
+        if read.is_none() {
+            skipped.add(shape, "its shape is not read");
+        }
+        return Ok(read);
     };
     let mut times_s = Vec::new();
     for vertex in line.all("Vertex") {

@@ -4,25 +4,27 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use decouplegs_asset::DecodeError;
+use decouplegs_scene::story::Priority;
 
+use super::actions::{self, Action};
 use super::catalogs::Catalogs;
-use super::conditions::{self, Measure, Rule, StateReference};
+use super::conditions::{self, Context, StateReference, Trigger, When};
 use super::parameters::Node;
-use super::speed_profile::{self, Part};
-use super::{
-    Action, Entity, Event, Position, Skipped, StoryEvent, TargetLane, TargetSpeed, Transition,
-    positions, routes,
-};
+use super::{Entity, Position, Skipped, StoryAct, StoryEvent, StoryTask, positions};
 
-/// Content of the storyboard, the events of its entities left out.
+/// Content of the storyboard.
 pub(super) struct Story {
     /// Time at which it stops, seconds.
     pub stop_time_s: Option<f64>,
+    /// Actions at the start that take time.
+    pub init: Vec<StoryTask>,
+    /// Acts of the storyboard.
+    pub acts: Vec<StoryAct>,
     /// Events of the storyboard.
     pub events: Vec<StoryEvent>,
 }
 
-/// Reads the storyboard into `entities`.
+/// Reads the storyboard; positions, speeds and routes at the start into `entities`.
 pub(super) fn read(
     storyboard: Node,
     entities: &mut [Entity],
@@ -37,19 +39,23 @@ pub(super) fn read(
         entities,
         by_name,
         catalogs,
+        init: Vec::new(),
         events: Vec::new(),
         parts: HashMap::new(),
         starts: HashMap::new(),
+        maneuvers: 0,
     };
     if let Some(actions) = storyboard.needed("Init")?.first("Actions") {
         reader.init(actions, skipped)?;
     }
     // Conditions may be about events that come later: their parts are known first.
+    let mut acts = 0;
     for story in storyboard.all("Story") {
         for act in story.all("Act") {
             for group in act.all("ManeuverGroup") {
-                reader.list(&[story, act, group], skipped)?;
+                reader.list(&[story, act, group], acts, skipped)?;
             }
+            acts += 1;
         }
     }
     let parts: HashMap<(String, String), Arc<[usize]>> = std::mem::take(&mut reader.parts)
@@ -63,37 +69,62 @@ pub(super) fn read(
             .get(&(reference.kind.clone(), name.to_owned()))
             .cloned()
     };
-    let mut next = 0;
+    let context = Context {
+        catalogs,
+        parts: &states,
+        actors: &[],
+    };
+    let (mut next, mut acts) = (0, Vec::new());
     for act in storyboard.all("Story").flat_map(|story| story.all("Act")) {
+        let start = conditions::read(act.first("StartTrigger"), context, skipped);
+        let stop = match act.first("StopTrigger") {
+            Some(stop) => recovered(
+                stop,
+                conditions::read(Some(stop), context, skipped),
+                skipped,
+            ),
+            None => None,
+        };
+        acts.push(StoryAct {
+            start: recovered(act, start, skipped),
+            stop: stop.unwrap_or_default(),
+        });
         for group in act.all("ManeuverGroup") {
-            reader.group(act, group, &mut next, &states, skipped)?;
+            reader.group(group, &mut next, context, skipped)?;
         }
     }
     reader.start_on_trajectories(skipped);
-    let Some(stop) = storyboard.first("StopTrigger") else {
-        return Ok(Story {
-            stop_time_s: None,
-            events: reader.events,
-        });
-    };
-    let read = conditions::read(&[stop], "", catalogs, &states, skipped);
-    let stages = recovered(stop, read, skipped).map_or_else(Vec::new, |read| read.stages);
-    let mut stop_time_s: Option<f64> = None;
-    for group in stages.iter().flatten() {
+    let Reader { init, events, .. } = reader;
+    let stop_time_s = stop_time_s(storyboard, context, skipped);
+    Ok(Story {
+        stop_time_s,
+        init,
+        acts,
+        events,
+    })
+}
+
+/// Time at which the storyboard stops, seconds.
+fn stop_time_s(storyboard: Node, context: Context, skipped: &mut Skipped) -> Option<f64> {
+    let stop = storyboard.first("StopTrigger")?;
+    let read = conditions::read(Some(stop), context, skipped);
+    let trigger: Trigger = recovered(stop, read, skipped).unwrap_or_default();
+    let mut first_s: Option<f64> = None;
+    for group in &trigger {
         match group.as_slice() {
-            [one] if one.measure == Measure::Time && one.rule == Rule::Above => {
-                let at_s = one.value + one.delay_s;
+            [one] if matches!(one.when, When::Time { .. }) => {
+                let When::Time { value_s, .. } = one.when else {
+                    continue;
+                };
+                let at_s = value_s + one.delay_s;
                 if at_s > 0.0 {
-                    stop_time_s = Some(stop_time_s.map_or(at_s, |found| found.min(at_s)));
+                    first_s = Some(first_s.map_or(at_s, |found_s| found_s.min(at_s)));
                 }
             }
             _ => skipped.add(stop, "only a time stops an episode"),
         }
     }
-    Ok(Story {
-        stop_time_s,
-        events: reader.events,
-    })
+    first_s
 }
 
 /// The value that was read, or `None` with a sentence: a fault of one event does not keep a file
@@ -113,30 +144,23 @@ struct Reader<'a, 'r> {
     entities: &'a mut [Entity],
     by_name: HashMap<String, usize>,
     catalogs: &'a Catalogs<'r>,
+    init: Vec<StoryTask>,
     events: Vec<StoryEvent>,
     /// Events of each part of the storyboard, by its kind and name.
     parts: HashMap<(String, String), Vec<usize>>,
     /// First points of the first trajectories of entities, by entity.
     starts: HashMap<usize, Position>,
+    /// Number of maneuvers so far.
+    maneuvers: usize,
 }
 
 impl Reader<'_, '_> {
-    fn named(&mut self, name: &str) -> Option<&mut Entity> {
-        self.by_name
-            .get(name)
-            .map(|&index| &mut self.entities[index])
-    }
-
     /// Remembers the first point of an entity's trajectory, if `action` is one.
-    fn note_start(&mut self, name: &str, private: Node, action: &Action) {
-        let Action::Path { points, .. } = action else {
+    fn note_start(&mut self, name: &str, action: &Action) {
+        let Action::Follow { points, .. } = action else {
             return;
         };
-        let follows = private
-            .first("RoutingAction")
-            .is_some_and(|routing| routing.first("FollowTrajectoryAction").is_some());
-        if let (true, Some(first), Some(&index)) = (follows, points.first(), self.by_name.get(name))
-        {
+        if let (Some(first), Some(&index)) = (points.first(), self.by_name.get(name)) {
             self.starts.entry(index).or_insert_with(|| first.clone());
         }
     }
@@ -164,17 +188,22 @@ impl Reader<'_, '_> {
 
     fn init(&mut self, actions: Node, skipped: &mut Skipped) -> Result<(), DecodeError> {
         let catalogs = self.catalogs;
-        for private in actions.elements() {
-            if private.name() != "Private" {
-                skipped.add(private, "only actions of entities are read");
+        for holder in actions.elements() {
+            if holder.name() == "GlobalAction" {
+                let read = actions::read(holder, catalogs, skipped)?;
+                self.add_init(holder, "", read.unwrap_or_default());
                 continue;
             }
-            let name = private.needed_attribute("entityRef")?;
+            if holder.name() != "Private" {
+                skipped.add(holder, "only actions of entities are read");
+                continue;
+            }
+            let name = holder.needed_attribute("entityRef")?;
             let Some(&index) = self.by_name.get(&*name) else {
-                skipped.add(private, "its entity is not read");
+                skipped.add(holder, "its entity is not read");
                 continue;
             };
-            for action in private.all("PrivateAction") {
+            for action in holder.all("PrivateAction") {
                 if let Some(teleport) = action.first("TeleportAction") {
                     let place = teleport.needed("Position")?;
                     let Some(position) = positions::read(place, catalogs, skipped)? else {
@@ -190,28 +219,47 @@ impl Reader<'_, '_> {
                     }
                     continue;
                 }
-                let read = read_action(action, catalogs, skipped)?;
-                if let Some(read) = &read {
-                    self.note_start(&name, action, read);
-                }
+                let Some(read) = actions::read(action, catalogs, skipped)? else {
+                    continue;
+                };
                 let entity = &mut self.entities[index];
-                match read {
-                    Some(Action::Speed { target, .. }) => entity.speed = Some(target),
-                    Some(Action::Path { points, .. }) => entity.route = points,
-                    // Positions at the start were read before.
-                    Some(Action::Teleport(_)) => {}
-                    Some(Action::ChangeLane(_)) => {
-                        skipped.add(action, "a lane change at the start is not read");
+                for (_, one) in &read {
+                    match one {
+                        // The speed at the start is also that of who does not follow its change.
+                        Action::Speed { target, .. } => entity.speed = Some(target.clone()),
+                        Action::Route(points) => entity.route.clone_from(points),
+                        Action::Follow { points, .. } if entity.route.is_empty() => {
+                            entity.route.clone_from(points);
+                        }
+                        _ => {}
                     }
-                    None => {}
                 }
+                self.add_init(action, &name, read);
             }
         }
         Ok(())
     }
 
+    fn add_init(&mut self, holder: Node, name: &str, read: Vec<(Option<String>, Action)>) {
+        for (of, action) in read {
+            let actor = of.unwrap_or_else(|| name.to_owned());
+            self.note_start(&actor, &action);
+            let line = holder.line();
+            self.init.push(StoryTask {
+                line,
+                actor,
+                action,
+            });
+        }
+    }
+
     /// Lists the events of a maneuver group, by the parts that they are in: story, act and group.
-    fn list(&mut self, within: &[Node; 3], skipped: &mut Skipped) -> Result<(), DecodeError> {
+    fn list(
+        &mut self,
+        within: &[Node; 3],
+        act: usize,
+        skipped: &mut Skipped,
+    ) -> Result<(), DecodeError> {
         let group = within[2];
         let mut actors = Vec::new();
         for actor in group.needed("Actors")?.all("EntityRef") {
@@ -223,7 +271,9 @@ impl Reader<'_, '_> {
             names.push(part.attribute("name")?.unwrap_or_default().into_owned());
         }
         let catalogs = self.catalogs;
+        let executions = count(group);
         each_maneuver(group, catalogs, skipped, |maneuver, _| {
+            self.maneuvers += 1;
             names.truncate(3);
             names.push(maneuver.attribute("name")?.unwrap_or_default().into_owned());
             for event in maneuver.all("Event") {
@@ -250,28 +300,32 @@ impl Reader<'_, '_> {
                     line: event.line(),
                     name,
                     actors: actors.clone(),
+                    act,
+                    maneuver: self.maneuvers,
+                    priority: match event.attribute("priority")?.as_deref() {
+                        Some("skip") => Priority::Skip,
+                        Some("parallel") => Priority::Parallel,
+                        _ => Priority::Override,
+                    },
+                    // A group that is executed again does its events again.
+                    executions: executions.saturating_mul(count(event)),
+                    start: None,
+                    tasks: Vec::new(),
+                    lost: 0,
                 });
             }
             Ok(())
         })
     }
 
-    /// Reads the actions of a maneuver group. `next` is the number of its first event.
+    /// Reads the triggers and actions of a maneuver group. `next` is the number of its first event.
     fn group(
         &mut self,
-        act: Node,
         group: Node,
         next: &mut usize,
-        states: &dyn Fn(&StateReference) -> Option<Arc<[usize]>>,
+        context: Context,
         skipped: &mut Skipped,
     ) -> Result<(), DecodeError> {
-        let is_repeated = matches!(
-            group.number_or("maximumExecutionCount", 1.0),
-            Ok(count) if count > 1.0
-        );
-        if is_repeated {
-            skipped.add(group, "it is executed once");
-        }
         for reference in group.all("CatalogReference") {
             let found = self
                 .catalogs
@@ -285,17 +339,20 @@ impl Reader<'_, '_> {
             for event in maneuver.all("Event") {
                 let number = *next;
                 *next += 1;
-                if self.events[number].actors.is_empty() {
-                    skipped.add(event, "it has no actor by name");
-                }
-                let triggers: Vec<Node> = [act, event]
-                    .into_iter()
-                    .filter_map(|part| part.first("StartTrigger"))
-                    .collect();
+                let actors = self.events[number].actors.clone();
+                let context = Context {
+                    actors: &actors,
+                    ..context
+                };
+                let trigger = conditions::read(event.first("StartTrigger"), context, skipped);
+                self.events[number].start = recovered(event, trigger, skipped);
                 for action in event.all("Action") {
-                    let read = self.action(action, number, &triggers, states, skipped);
-                    if let Err(fault) = read {
-                        skipped.fault(action, &fault);
+                    let read = self.action(action, number, &actors, skipped);
+                    if let Err(fault) = &read {
+                        skipped.fault(action, fault);
+                    }
+                    if !matches!(read, Ok(true)) {
+                        self.events[number].lost += 1;
                     }
                 }
             }
@@ -303,51 +360,39 @@ impl Reader<'_, '_> {
         })
     }
 
+    /// Adds an action to an event; false if it is of a kind that is not read.
     fn action(
         &mut self,
         action: Node,
         number: usize,
-        triggers: &[Node],
-        states: &dyn Fn(&StateReference) -> Option<Arc<[usize]>>,
+        actors: &[String],
         skipped: &mut Skipped,
-    ) -> Result<(), DecodeError> {
-        let Some(private) = action.first("PrivateAction") else {
-            skipped.add(action, "only actions of entities are read");
-            return Ok(());
+    ) -> Result<bool, DecodeError> {
+        let kinds = ["PrivateAction", "GlobalAction", "UserDefinedAction"];
+        let Some(holder) = kinds.into_iter().find_map(|kind| action.first(kind)) else {
+            return Err(action.fault("it is empty; expected an action"));
         };
-        let parts = match speed_profile::read(private, skipped)? {
-            Some(parts) => parts,
-            None => {
-                let Some(action) = read_action(private, self.catalogs, skipped)? else {
-                    return Ok(());
-                };
-                let (begin_s, duration_s) = (0.0, duration_s(private, &action)?);
-                vec![Part {
-                    action,
-                    begin_s,
-                    duration_s,
-                }]
-            }
+        let Some(read) = actions::read(holder, self.catalogs, skipped)? else {
+            return Ok(false);
         };
-        for actor in self.events[number].actors.clone() {
-            for part in &parts {
-                self.note_start(&actor, private, &part.action);
-            }
-            let found = conditions::read(triggers, &actor, self.catalogs, states, skipped)?;
-            let Some(trigger) = found else { continue };
-            let Some(entity) = self.named(&actor) else {
-                skipped.add(action, "its actor is not read");
-                continue;
+        let line = action.line();
+        for (of, action) in read {
+            let of: Vec<String> = match of {
+                Some(of) => vec![of],
+                None if holder.name() == "PrivateAction" => actors.to_vec(),
+                None => vec![String::new()],
             };
-            entity.events.extend(parts.iter().map(|part| Event {
-                line: action.line(),
-                number,
-                trigger: speed_profile::later(&trigger, action.line(), part.begin_s),
-                action: part.action.clone(),
-                duration_s: part.duration_s,
-            }));
+            for actor in of {
+                self.note_start(&actor, &action);
+                let action = action.clone();
+                self.events[number].tasks.push(StoryTask {
+                    line,
+                    actor,
+                    action,
+                });
+            }
         }
-        Ok(())
+        Ok(true)
     }
 }
 
@@ -370,170 +415,21 @@ fn each_maneuver(
 
 /// `before`, moved by `by`, a position relative to the entity itself.
 fn moved(before: Position, by: Position, teleport: Node, skipped: &mut Skipped) -> Position {
-    let turns_only = match &by {
-        Position::RelativeLane {
-            lanes,
-            along: positions::Along::Road(along_m) | positions::Along::Lane(along_m),
-            offset_m,
-            ..
-        } => *lanes == 0 && *along_m == 0.0 && *offset_m == 0.0,
-        Position::RelativeRoad { ds_m, dt_m, .. } => *ds_m == 0.0 && *dt_m == 0.0,
-        Position::RelativeEntity { offset_m, .. } => offset_m.length() == 0.0,
-        _ => false,
-    };
     if matches!(before, Position::After { .. }) {
         skipped.add(teleport, "only the first place relative to itself is read");
         return before;
     }
-    if !turns_only {
-        return Position::After {
-            before: Box::new(before),
-            by: Box::new(by),
-        };
-    }
-    skipped.add(
-        teleport,
-        "it turns the entity where it stands: its heading is that of its lane",
-    );
-    before
-}
-
-/// The action in a `<PrivateAction>`; `None` if it is of a kind that is not read.
-fn read_action(
-    private: Node,
-    catalogs: &Catalogs,
-    skipped: &mut Skipped,
-) -> Result<Option<Action>, DecodeError> {
-    let Some(kind) = private.elements().next() else {
-        return Err(private.fault("it is empty; expected an action"));
-    };
-    let inner = kind.elements().next();
-    match (kind.name(), inner.map(Node::name), inner) {
-        ("LongitudinalAction", Some("SpeedAction"), Some(speed)) => {
-            let Some(target) = speed_of(speed.needed("SpeedActionTarget")?)? else {
-                skipped.add(speed, "the target speed is of a kind that is not read");
-                return Ok(None);
-            };
-            let transition = transition(speed.first("SpeedActionDynamics"))?;
-            Ok(Some(Action::Speed { target, transition }))
-        }
-        ("LateralAction", Some("LaneChangeAction"), Some(change)) => {
-            let target = change.needed("LaneChangeTarget")?;
-            let lane = if let Some(absolute) = target.first("AbsoluteTargetLane") {
-                TargetLane::Absolute(positions::lanes(absolute.number("value")?))
-            } else {
-                let relative = target.needed("RelativeTargetLane")?;
-                TargetLane::Relative {
-                    entity: relative.needed_attribute("entityRef")?.into_owned(),
-                    lanes: positions::lanes(relative.number("value")?),
-                }
-            };
-            Ok(Some(Action::ChangeLane(lane)))
-        }
-        ("TeleportAction", _, Some(place)) if place.name() == "Position" => {
-            Ok(positions::read(place, catalogs, skipped)?.map(Action::Teleport))
-        }
-        ("RoutingAction", Some(_), Some(routing)) => path(routing, catalogs, skipped),
-        _ => {
-            skipped.add(inner.unwrap_or(kind), "actions of this kind are not read");
-            Ok(None)
-        }
+    Position::After {
+        before: Box::new(before),
+        by: Box::new(by),
     }
 }
 
-/// Duration of `action`, the one in `private`, where its dynamics or its trajectory give it.
-fn duration_s(private: Node, action: &Action) -> Result<Option<f64>, DecodeError> {
-    let of = |transition: Transition| match transition {
-        Transition::Step => Some(0.0),
-        Transition::Time(time_s) => Some(time_s),
-        Transition::Rate(_) | Transition::Distance(_) => None,
-    };
-    Ok(match action {
-        Action::Speed { transition, .. } => of(*transition),
-        Action::Teleport(_) => Some(0.0),
-        Action::ChangeLane(_) => {
-            let change = private
-                .first("LateralAction")
-                .and_then(|lateral| lateral.first("LaneChangeAction"));
-            let dynamics = change.and_then(|change| change.first("LaneChangeActionDynamics"));
-            of(transition(dynamics)?)
-        }
-        Action::Path { times_s, .. } => {
-            times_s.as_ref().and_then(|times_s| times_s.last().copied())
-        }
-    })
-}
+/// Most executions of an event.
+const EXECUTIONS_MAX: f64 = 1e6;
 
-fn speed_of(target: Node) -> Result<Option<TargetSpeed>, DecodeError> {
-    if let Some(absolute) = target.first("AbsoluteTargetSpeed") {
-        return Ok(Some(TargetSpeed::Absolute(absolute.number("value")?)));
-    }
-    let Some(relative) = target.first("RelativeTargetSpeed") else {
-        return Ok(None);
-    };
-    let value = relative.number("value")?;
-    let is_factor = relative.is("speedTargetValueType", "factor")?;
-    Ok(Some(TargetSpeed::Relative {
-        entity: relative.needed_attribute("entityRef")?.into_owned(),
-        factor: if is_factor { value } else { 1.0 },
-        plus_mps: if is_factor { 0.0 } else { value },
-    }))
-}
-
-fn transition(dynamics: Option<Node>) -> Result<Transition, DecodeError> {
-    let Some(dynamics) = dynamics else {
-        return Ok(Transition::Step);
-    };
-    if dynamics.is("dynamicsShape", "step")? {
-        return Ok(Transition::Step);
-    }
-    let value = dynamics.number_or("value", 0.0)?;
-    Ok(match dynamics.attribute("dynamicsDimension")?.as_deref() {
-        _ if value <= 0.0 => Transition::Step,
-        Some("rate") => Transition::Rate(value),
-        Some("distance") => Transition::Distance(value),
-        _ => Transition::Time(value),
-    })
-}
-
-/// Positions of a routing action.
-fn path(
-    routing: Node,
-    catalogs: &Catalogs,
-    skipped: &mut Skipped,
-) -> Result<Option<Action>, DecodeError> {
-    let points = match routing.name() {
-        "AcquirePositionAction" => {
-            let mut points = Vec::new();
-            for place in routing.all("Position") {
-                match positions::read(place, catalogs, skipped)? {
-                    Some(position) => points.push(position),
-                    None => return Ok(None),
-                }
-            }
-            Some(points)
-        }
-        "AssignRouteAction" => routes::route(routing, catalogs, skipped)?,
-        "FollowTrajectoryAction" => {
-            let holder = routing.first("TrajectoryRef").unwrap_or(routing);
-            let Some(read) = routes::trajectory(holder, catalogs, skipped)? else {
-                return Ok(None);
-            };
-            let times_s: Option<Vec<f64>> = read.iter().map(|(_, time_s)| *time_s).collect();
-            return Ok(Some(Action::Path {
-                points: read.into_iter().map(|(position, _)| position).collect(),
-                times_s,
-            }));
-        }
-        _ => {
-            skipped.add(routing, "actions of this kind are not read");
-            None
-        }
-    };
-    Ok(points
-        .filter(|points| !points.is_empty())
-        .map(|points| Action::Path {
-            points,
-            times_s: None,
-        }))
+/// Number of times that a group or an event is executed.
+fn count(part: Node) -> u32 {
+    let found = part.number_or("maximumExecutionCount", 1.0);
+    found.map_or(1, |count| count.clamp(1.0, EXECUTIONS_MAX) as u32)
 }

@@ -10,6 +10,7 @@ use decouplegs_scene::scenario::{
 };
 use decouplegs_scene::{Pedestrian, RoadUser, Scenario, TrafficLight, TrafficSign, VehicleSize};
 
+use super::story::check_story;
 use decouplegs_asset::traffic_light_form::{self, LIGHTS_MAX};
 use decouplegs_asset::traffic_sign_form::{self, SIGNS_MAX};
 
@@ -72,6 +73,7 @@ pub(super) enum Table {
     Behavior(usize, usize),
     Pedestrian(usize),
     Sign(usize),
+    Story,
 }
 
 impl Display for Table {
@@ -83,6 +85,7 @@ impl Display for Table {
             Self::Light(light) => write!(formatter, "light[{light}]"),
             Self::Sign(sign) => write!(formatter, "sign[{sign}]"),
             Self::Pedestrian(walker) => write!(formatter, "pedestrian[{walker}]"),
+            Self::Story => formatter.write_str("story"),
             Self::Agent(agent) => write!(formatter, "agent[{agent}]"),
             Self::Behavior(agent, behavior) => {
                 write!(formatter, "agent[{agent}].behavior[{behavior}]")
@@ -129,7 +132,10 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
         );
         let table = match scenario.agents.len() {
             vehicles if vehicles > AGENTS_MAX => Table::Agent(AGENTS_MAX),
-            vehicles => Table::Pedestrian(AGENTS_MAX - vehicles),
+            vehicles if vehicles + scenario.pedestrians.len() > AGENTS_MAX => {
+                Table::Pedestrian(AGENTS_MAX - vehicles)
+            }
+            _ => Table::Story,
         };
         return Err(Fault::new(table, "name", reason));
     }
@@ -171,6 +177,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
             return Err(Fault::new(table, "name", reason));
         }
     }
+    check_story(&scenario.story, &mut names)?;
     check_lights(&scenario.lights)?;
     check_signs(&scenario.signs)
 }
@@ -219,7 +226,7 @@ fn within<T: PartialOrd + Display>(
     Err(Fault::new(table, field, reason))
 }
 
-fn check_name(table: Table, name: &str) -> Result<(), Fault> {
+pub(super) fn check_name(table: Table, name: &str) -> Result<(), Fault> {
     let is_safe = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_';
     if (1..=NAME_BYTES_MAX).contains(&name.len()) && name.bytes().all(is_safe) {
         return Ok(());
@@ -295,7 +302,7 @@ fn check_place(place: &Place) -> Result<(), Fault> {
     }
 }
 
-fn check_size(table: Table, size: VehicleSize) -> Result<(), Fault> {
+pub(super) fn check_size(table: Table, size: VehicleSize) -> Result<(), Fault> {
     size.to_array()
         .into_iter()
         .try_for_each(|side_m| within(table, "size_m", side_m, &SIDE_M))

@@ -3,7 +3,7 @@
 use decouplegs_scene::scenario::{
     Behavior, DriverKind, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
 };
-use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario, VehicleSize, Weather};
+use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario, Story, VehicleSize, Weather};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
@@ -40,6 +40,8 @@ pub(super) struct ScenarioForm {
     pub(super) pedestrian: Vec<Spanned<PedestrianForm>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) sign: Vec<Spanned<SignForm>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) story: Option<Story>,
 }
 
 fn default_duration_s() -> f64 {
@@ -201,7 +203,7 @@ pub(super) fn parse(text: &str) -> Result<Scenario, SceneError> {
     let form: ScenarioForm = toml::from_str(text).map_err(|error| syntax_error(text, &error))?;
     let complaint = |fault: Fault| {
         let start = match fault.table {
-            Table::Top => 0..0,
+            Table::Top | Table::Story => 0..0,
             Table::Place => match &form.place {
                 PlaceForm::Street(street) => street.span(),
                 PlaceForm::Roads(roads) => roads.span(),
@@ -278,6 +280,7 @@ fn scenario(form: &ScenarioForm) -> Result<Scenario, Fault> {
             .enumerate()
             .map(|(at, form)| pedestrian(at, form.get_ref()))
             .collect::<Result<_, _>>()?,
+        story: form.story.clone().unwrap_or_default(),
     })
 }
 

@@ -5,6 +5,7 @@
 mod check;
 mod form;
 mod seed;
+mod story;
 mod when;
 mod write;
 

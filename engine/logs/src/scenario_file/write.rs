@@ -62,6 +62,7 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
             .iter()
             .map(|walker| spanless(pedestrian_form(walker)))
             .collect(),
+        story: (!scenario.story.actors.is_empty()).then(|| scenario.story.clone()),
     };
     let body = toml::to_string(&form).map_err(|error| EncodeError(error.to_string()))?;
     Ok(format!("{HEADING}{body}"))

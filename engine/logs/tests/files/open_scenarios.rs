@@ -3,8 +3,11 @@
 use std::path::Path;
 
 use decouplegs_logs::open_scenario::{
-    Action, Along, Condition, Measure, OpenScenario, Position, Rule, Target, TargetLane,
-    TargetSpeed, Transition, decode,
+    Action, Along, Condition, Measure, OpenScenario, Position, Target, TargetLane, TargetSpeed,
+    When, decode,
+};
+use decouplegs_scene::story::{
+    Direction, Dynamics, Edge, Extent, Limits, Priority, Rule, Shape, Side, State,
 };
 use decouplegs_scene::{LightColor, RoadUser};
 use glam::DVec2;
@@ -24,12 +27,12 @@ fn read(text: &str) -> OpenScenario {
     decode(text.as_bytes(), catalog).unwrap()
 }
 
-/// Measures, rules and values of the conditions of `stages` that wait for something.
-fn conditions(stages: &[Vec<Vec<Condition>>]) -> Vec<(&Measure, Rule, f64)> {
-    let all = stages.iter().flatten().flatten();
-    all.map(|one| (&one.measure, one.rule, one.value))
-        .filter(|(measure, _, value)| **measure != Measure::Time || *value > 0.0)
-        .collect()
+/// The only condition of an event.
+fn condition(read: &OpenScenario, event: usize) -> &Condition {
+    match read.events[event].start.as_deref() {
+        Some([group]) if group.len() == 1 => &group[0],
+        start => panic!("{start:?}"),
+    }
 }
 
 fn fault(from: &str, to: &str) -> String {
@@ -72,14 +75,14 @@ fn entities_positions_and_actions_are_read() {
         Some(TargetSpeed::Relative {
             entity: "Ego".into(),
             factor: 1.05,
-            plus_mps: 0.0
+            plus_mps: 0.0,
+            continuous: false
         })
     );
-    assert_eq!(
-        conditions(&overtaker.events[0].trigger.stages),
-        [(&Measure::Time, Rule::Above, 3.0)]
-    );
-    assert_eq!(overtaker.events[0].trigger.stages[1][0][0].delay_s, 1.0);
+    let begin = condition(&read, 0);
+    assert_eq!((begin.delay_s, begin.edge), (1.0, Edge::Rising));
+    let (rule, value_s) = (Rule::Greater, 3.0);
+    assert_eq!(begin.when, When::Time { rule, value_s });
     assert!(matches!(
         overtaker.position,
         Some(Position::RelativeLane {
@@ -87,42 +90,82 @@ fn entities_positions_and_actions_are_read() {
             ..
         })
     ));
-    assert_eq!(
-        overtaker.events[1].action,
-        Action::Speed {
-            target: TargetSpeed::Absolute(10.0),
-            transition: Transition::Rate(5.0)
-        }
-    );
-    assert_eq!(
-        truck.events[0].action,
-        Action::ChangeLane(TargetLane::Absolute(-3))
-    );
-    assert_eq!(truck.events.len(), 1);
-    let measured = conditions(&walker.events[0].trigger.stages);
-    assert!(
-        matches!(
-            measured[..],
-            [(
-                Measure::Distance {
-                    to: Target::Entity(_),
-                    ..
-                },
-                Rule::Below,
-                60.0
-            )]
-        ),
-        "{measured:?}"
-    );
-    let Action::Path { points: path, .. } = &walker.events[0].action else {
-        panic!("{:?}", walker.events[0]);
+    let actions = |event: usize| -> Vec<&Action> {
+        let tasks = read.events[event].tasks.iter();
+        tasks.map(|task| &task.action).collect()
+    };
+    let brake = Action::Speed {
+        target: TargetSpeed::Absolute(10.0),
+        dynamics: Dynamics {
+            shape: Shape::Linear,
+            extent: Extent::RatePerS(5.0),
+        },
+    };
+    assert_eq!(actions(1), [&brake]);
+    let right = Action::ChangeLane {
+        target: TargetLane::Absolute(-3),
+        offset_m: 0.0,
+        dynamics: Dynamics::STEP,
+    };
+    assert_eq!(actions(2), [&right]);
+    let gap = Action::KeepGap {
+        to: "Ego".into(),
+        gap: 20.0,
+        is_time: false,
+        between_boxes: true,
+        side: Side::LeftOrBehind,
+        continuous: true,
+        limits: Limits::default(),
+    };
+    assert_eq!(actions(3), [&gap]);
+    assert_eq!(read.events[3].start, Some(vec![]));
+    let near = When::Value {
+        of: vec!["Ego".into()],
+        all: false,
+        measure: Measure::Distance {
+            to: Target::Entity("walker".into()),
+            direction: Direction::Straight,
+            between_boxes: false,
+        },
+        rule: Rule::Less,
+        value: 60.0,
+    };
+    assert_eq!(condition(&read, 4).when, near);
+    let [
+        Action::Follow {
+            points,
+            times_s: None,
+            ..
+        },
+    ] = actions(4)[..]
+    else {
+        panic!("{:?}", actions(4));
     };
     assert_eq!(
-        path[1],
+        points[1],
         Position::World {
             at_m: DVec2::new(590.0, 12.0),
             heading_rad: 0.0
         }
+    );
+    let about: Vec<_> = read
+        .events
+        .iter()
+        .map(|event| {
+            (
+                event.act,
+                event.maneuver,
+                event.actors[0].as_str(),
+                event.lost,
+            )
+        })
+        .collect();
+    assert_eq!(about[1], (0, 1, "Overtaker", 0));
+    assert_eq!(about[2], (0, 2, "Truck ahead", 0));
+    assert_eq!(about[5], (0, 3, "walker", 0));
+    assert_eq!(
+        (truck.position.is_some(), walker.position.is_some()),
+        (true, true)
     );
     assert_eq!(parked.speed, None);
     let [light] = read.signals.as_slice() else {
@@ -136,11 +179,7 @@ fn entities_positions_and_actions_are_read() {
 #[test]
 fn what_is_skipped_is_listed_with_its_line() {
     let read = read(SCENARIO);
-    let names = [
-        "<MiscObject>",
-        "<GlobalAction>",
-        "<LongitudinalDistanceAction>",
-    ];
+    let names = ["<MiscObject>", "<EnvironmentAction>"];
     assert_eq!(read.skipped.len(), names.len(), "{:#?}", read.skipped);
     for (sentence, name) in read.skipped.iter().zip(names) {
         assert!(
@@ -387,4 +426,146 @@ fn a_size_that_is_none_is_the_usual_one() {
         "{:?}",
         read.skipped
     );
+}
+
+/// A file with a condition and an action of each kind, in events of one maneuver.
+fn each_kind() -> OpenScenario {
+    let entity = |inner: &str| {
+        format!(
+            "<ByEntityCondition><TriggeringEntities triggeringEntitiesRule='all'><EntityRef entityRef='T'/></TriggeringEntities><EntityCondition>{inner}</EntityCondition></ByEntityCondition>"
+        )
+    };
+    let value = |inner: &str| format!("<ByValueCondition>{inner}</ByValueCondition>");
+    let speed = "<PrivateAction><LongitudinalAction><SpeedAction><SpeedActionDynamics dynamicsShape='cubic' dynamicsDimension='distance' value='9'/><SpeedActionTarget><RelativeTargetSpeed entityRef='Ego' value='-2' speedTargetValueType='delta' continuous='true'/></SpeedActionTarget></SpeedAction></LongitudinalAction></PrivateAction>";
+    let event = |name: &str, condition: &str, action: &str| {
+        format!(
+            "<Event name='{name}' priority='skip' maximumExecutionCount='3'><Action name='a'>{action}</Action><StartTrigger><ConditionGroup><Condition delay='0.5' conditionEdge='falling'>{condition}</Condition></ConditionGroup></StartTrigger></Event>"
+        )
+    };
+    let clearance = "<RelativeClearanceCondition distanceForward='20' distanceBackward='10' freeSpace='true' oppositeLanes='false'><RelativeLaneRange from='-1' to='1'/></RelativeClearanceCondition>";
+    let lane_less = "entityRef='Ego' relativeDistanceType='longitudinal' coordinateSystem='lane' freespace='true' value='7' rule='lessThan'";
+    let events = [
+        event("end", &entity("<EndOfRoadCondition duration='2'/>"), speed),
+        event("off", &entity("<OffroadCondition duration='2'/>"), "<PrivateAction><VisibilityAction graphics='false' sensors='false' traffic='true'/></PrivateAction>"),
+        event("free", &entity(clearance), "<GlobalAction><EntityAction entityRef='T'><DeleteEntityAction/></EntityAction></GlobalAction>"),
+        event("hit", &entity("<CollisionCondition><EntityRef entityRef='Ego'/></CollisionCondition>"), "<PrivateAction><AppearanceAction/></PrivateAction>"),
+        event("near", &entity(&format!("<RelativeDistanceCondition {lane_less}/>")), "<GlobalAction><VariableAction variableRef='v'><ModifyAction><Rule><AddValue value='2'/></Rule></ModifyAction></VariableAction></GlobalAction>"),
+        event("v", &value("<VariableCondition variableRef='v' rule='notEqualTo' value='3'/>"), "<PrivateAction><LateralAction><LaneOffsetAction continuous='false'><LaneOffsetActionDynamics dynamicsShape='sinusoidal' maxLateralAcc='2'/><LaneOffsetTarget><AbsoluteTargetLaneOffset value='0.4'/></LaneOffsetTarget></LaneOffsetAction></LateralAction></PrivateAction>"),
+        event("state", &value("<StoryboardElementStateCondition storyboardElementType='maneuver' storyboardElementRef='m' state='completeState'/>"), "<PrivateAction><TrailerAction/></PrivateAction>"),
+        event("lost", &value("<TrafficSignalCondition name='s' state='green'/>"), speed),
+    ]
+    .concat();
+    let story = format!(
+        "<Story name='s'><Act name='a'><ManeuverGroup name='g' maximumExecutionCount='2'><Actors selectTriggeringEntities='false'><EntityRef entityRef='T'/></Actors><Maneuver name='m'>{events}</Maneuver></ManeuverGroup><StopTrigger><ConditionGroup><Condition delay='0'>{}</Condition></ConditionGroup></StopTrigger></Act></Story>",
+        value("<SimulationTimeCondition value='8' rule='greaterOrEqual'/>")
+    );
+    let vehicle = "<ScenarioObject name='T'><Vehicle vehicleCategory='car'><Performance maxSpeed='40' maxAcceleration='3' maxDeceleration='9'/></Vehicle></ScenarioObject>";
+    let text = small("", vehicle, ["50", "15"])
+        .replace("<CatalogLocations>", "<VariableDeclarations><VariableDeclaration name='v' variableType='integer' value='1'/></VariableDeclarations><CatalogLocations>")
+        .replace("</Storyboard>", &format!("{story}</Storyboard>"));
+    decode(text.as_bytes(), catalog).unwrap()
+}
+
+#[test]
+fn conditions_of_each_kind_are_read() {
+    let read = each_kind();
+    assert_eq!(read.variables, [("v".to_owned(), "1".to_owned())]);
+    assert_eq!(read.entities[1].limits.acceleration_mps2, Some(3.0));
+    assert_eq!(read.acts[0].stop.len(), 1);
+    let of = vec!["T".to_owned()];
+    let measured = |measure: Measure, rule: Rule, value: f64| When::Value {
+        of: of.clone(),
+        all: true,
+        measure,
+        rule,
+        value,
+    };
+    let near = Measure::Near {
+        with: vec![],
+        ahead_m: 20.0,
+        behind_m: 10.0,
+        lanes: [-1, 1],
+        between_boxes: true,
+    };
+    let gap = Measure::Distance {
+        to: Target::Entity("Ego".into()),
+        direction: Direction::AlongLanes,
+        between_boxes: true,
+    };
+    let touched = Measure::Touched {
+        with: vec!["Ego".into()],
+    };
+    let expected = [
+        measured(Measure::AtEnd, Rule::GreaterOrEqual, 2.0),
+        measured(Measure::OffRoad, Rule::GreaterOrEqual, 2.0),
+        measured(near, Rule::Less, 1.0),
+        measured(touched, Rule::GreaterOrEqual, 1.0),
+        measured(gap, Rule::Less, 7.0),
+        When::Variable {
+            variable: "v".into(),
+            rule: Rule::NotEqual,
+            value: "3".into(),
+        },
+        When::Events {
+            events: (0..8).collect(),
+            state: State::Over,
+        },
+    ];
+    for (number, when) in expected.iter().enumerate() {
+        let found = condition(&read, number);
+        assert_eq!(
+            (&found.when, found.delay_s, found.edge),
+            (when, 0.5, Edge::Falling)
+        );
+        let event = &read.events[number];
+        assert_eq!((event.priority, event.executions), (Priority::Skip, 6));
+    }
+    assert_eq!(read.events[7].start, None);
+}
+
+#[test]
+fn actions_of_each_kind_are_read() {
+    let read = each_kind();
+    let lost: Vec<usize> = read.events.iter().map(|event| event.lost).collect();
+    assert_eq!(lost, [0, 0, 0, 0, 0, 0, 1, 0]);
+    let tasks = |number: usize| -> Vec<(&str, &Action)> {
+        let tasks = read.events[number].tasks.iter();
+        tasks
+            .map(|task| (task.actor.as_str(), &task.action))
+            .collect()
+    };
+    let (shape, extent) = (Shape::Cubic, Extent::DistanceM(9.0));
+    let slower = TargetSpeed::Relative {
+        entity: "Ego".into(),
+        factor: 1.0,
+        plus_mps: -2.0,
+        continuous: true,
+    };
+    let dynamics = Dynamics { shape, extent };
+    assert_eq!(
+        tasks(0),
+        [(
+            "T",
+            &Action::Speed {
+                target: slower,
+                dynamics
+            }
+        )]
+    );
+    assert_eq!(tasks(1), [("T", &Action::Show(false))]);
+    assert_eq!(tasks(2), [("T", &Action::Show(false))]);
+    assert_eq!(tasks(3), [("T", &Action::Unseen)]);
+    assert!(
+        matches!(tasks(4)[..], [("", Action::Set { .. })]),
+        "{:?}",
+        tasks(4)
+    );
+    let (shape, extent) = (Shape::Sinusoidal, Extent::LateralMps2(2.0));
+    let aside = Action::Offset {
+        offset_m: 0.4,
+        from: None,
+        dynamics: Dynamics { shape, extent },
+        continuous: false,
+    };
+    assert_eq!(tasks(5), [("T", &aside)]);
 }

@@ -421,11 +421,10 @@ fn complaints_name_line_key_and_reason() {
         ),
     ];
     check_complaints(&cases);
-    let twice = format!(
-        "{}{}",
-        example(),
-        &example()[example().find("\n[[agent]]\n").unwrap()..]
-    );
+    let whole = example();
+    let tables = &whole[..whole.find("\n[story]\n").unwrap()];
+    let from_agent = &tables[tables.find("\n[[agent]]\n").unwrap()..];
+    let twice = format!("{tables}{from_agent}");
     let error = scenario_file::parse(&twice).unwrap_err();
     assert!(
         error.key == "agent[1].name" && error.reason.contains("'taxi' is taken"),

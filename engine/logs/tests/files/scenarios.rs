@@ -255,6 +255,7 @@ pub fn scenarios() -> impl Strategy<Value = Scenario> {
                     lights,
                     pedestrians,
                     signs,
+                    story: Default::default(),
                 }
             },
         )

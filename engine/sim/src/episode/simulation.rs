@@ -84,6 +84,7 @@ impl Simulation {
             .with_lights(lights.clone())
             .with_signs(signs.clone())
             .with_pedestrians(&scenario.pedestrians)
+            .and_then(|traffic| traffic.with_story(&scenario.story, &site.lanes))
             .map_err(|error| unfit(error.into()))?;
         let (start, heading_rad) = route.pose_at(0.0);
         let recorded = match (scenario.ego.follows_recording, site.recorded_way()) {
@@ -423,8 +424,21 @@ impl Simulation {
     }
 
     /// Height of the lane below an agent, meters: vehicles that enter the map were nowhere before.
-    /// For a pedestrian, the height of the route nearby.
+    /// For a pedestrian, the height of the route nearby; for an actor, that of the lane nearby.
     fn lane_z_m(&self, agent: usize) -> f64 {
+        if let Some(Some(state)) = self.traffic.states().get(agent)
+            && agent >= self.scenario.agents.len() + self.scenario.pedestrians.len()
+        {
+            let points = self
+                .site
+                .lanes
+                .lanes
+                .iter()
+                .flat_map(|lane| &lane.centerline);
+            let apart_m = |point: &&DVec3| point.truncate().distance_squared(state.position_m);
+            let nearest = points.min_by(|a, b| apart_m(a).total_cmp(&apart_m(b)));
+            return nearest.map_or(0.0, |point| point.z);
+        }
         if let Some(Some(state)) = self.traffic.states().get(agent)
             && agent >= self.scenario.agents.len()
         {

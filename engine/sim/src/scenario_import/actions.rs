@@ -1,483 +1,343 @@
-//! Actions of vehicles and pedestrians, as behaviors and paths.
-
-use std::collections::HashMap;
+//! Actions of a file as those of its story.
 
 use decouplegs_logs::open_scenario::{
-    Action, Condition, Direction, Entity, Event, Measure, Position, Rule, Stage, Target,
-    TargetLane, Transition,
+    self as file, Along, Entity, Position, StoryTask, TargetSpeed,
 };
-use decouplegs_logs::scenario_file::DURATION_S_MAX;
-use decouplegs_scene::Pedestrian;
-use decouplegs_scene::scenario::{After, Behavior, LaneSide, Maneuver, Trigger};
+use decouplegs_scene::story::{Action, Dynamics, Extent, Speed, TargetLane, Task, Who};
 use glam::DVec2;
 
-use super::{Import, Located};
+use super::cast::{Cast, Lost};
 
-/// Deceleration that drivers choose by themselves, m/s^2. Harder braking is a behavior.
-const COMFORT_MPS2: f64 = 3.0;
-/// Largest deceleration of a vehicle, m/s^2.
-const BRAKING_MPS2: f64 = 8.0;
-/// Way of a pedestrian with a speed but no path, meters.
-const WALK_M: f64 = 30.0;
-/// Way and speed of a pedestrian who stands: a path has a length.
-const STANDING_M: f64 = 0.02;
-const STANDING_MPS: f64 = 0.1;
-/// Lane changes of an action: no road has more lanes.
-const CHANGES_MAX: u64 = 16;
-/// Longest chain of events that wait for each other, and most events that a condition waits for.
-const CHAIN_MAX: u32 = 32;
-const EVENTS_MAX: usize = 16;
-/// Points closer than this are one point of a path, meters.
-const STEP_M_MIN: f64 = 0.05;
+/// Usual width of a lane, meters.
+const LANE_M: f64 = 3.5;
 
-impl Import<'_> {
-    /// Behaviors of a vehicle, from its events.
-    pub(super) fn behaviors(
-        &self,
-        index: usize,
-        ego: usize,
-        skipped: &mut Vec<String>,
-    ) -> Vec<Behavior> {
-        let entity = &self.file.entities[index];
-        let mut behaviors = Vec::new();
-        let mut speed_mps = self.speed_mps(index);
-        if !entity.route.is_empty() {
-            skipped.push(format!(
-                "{}: its route is skipped; it chooses its way at crossings by the seed",
-                entity.name
-            ));
-        }
-        // Behaviors that the events before have become.
-        let mut done = Done::new();
-        for event in &entity.events {
-            let line = event.line;
-            let Some(trigger) = self.trigger(event, [index, ego], &done) else {
-                skipped.push(format!(
-                    "line {line}: what triggers the action of {} cannot be expressed",
-                    entity.name
-                ));
-                continue;
-            };
-            let first = behaviors.len();
-            let mut duration_s = event.duration_s;
-            match &event.action {
-                Action::Speed { target, transition } => {
-                    let target_mps = self.speed_of(Some(target)).clamp(0.0, 100.0);
-                    if let Some(brake) = brake(speed_mps, target_mps, *transition) {
-                        behaviors.push(Behavior {
-                            trigger,
-                            maneuver: brake,
-                        });
-                    }
-                    let cruise = Maneuver::Cruise {
-                        speed_mps: target_mps,
-                    };
-                    behaviors.push(Behavior {
-                        trigger,
-                        maneuver: cruise,
-                    });
-                    duration_s = duration_s.or(change_s(speed_mps, target_mps, *transition));
-                    speed_mps = target_mps;
-                    self.events_driven.borrow_mut().insert(event.number);
-                }
-                Action::ChangeLane(target) => match self.lane_changes(target, index, ego) {
-                    Ok(changes) => {
-                        self.events_driven.borrow_mut().insert(event.number);
-                        behaviors.extend(
-                            changes
-                                .into_iter()
-                                .map(|maneuver| Behavior { trigger, maneuver }),
-                        );
-                    }
-                    Err(reason) => skipped.push(format!("line {line}: {reason}")),
-                },
-                Action::Teleport(place) => match self.teleport(place, entity) {
-                    Ok(maneuver) => {
-                        behaviors.push(Behavior { trigger, maneuver });
-                        self.events_driven.borrow_mut().insert(event.number);
-                    }
-                    Err(reason) => skipped.push(format!("line {line}: {reason}")),
-                },
-                Action::Path { .. } => skipped.push(format!(
-                    "line {line}: routes and trajectories of vehicles other than the ego are skipped"
-                )),
-            }
-            if behaviors.len() > first {
-                let known = done.entry(event.number).or_insert(Became {
-                    first,
-                    last: first,
-                    duration_s: Some(0.0),
-                });
-                known.last = behaviors.len() - 1;
-                known.duration_s = known
-                    .duration_s
-                    .zip(duration_s)
-                    .map(|(known_s, own_s)| known_s.max(own_s));
-            }
-        }
-        behaviors
-    }
-
-    /// The maneuver that puts `entity` to `place`.
-    ///
-    /// # Errors
-    /// A sentence that says why that is not known before the episode, or is on no lane.
-    fn teleport(&self, place: &Position, entity: &Entity) -> Result<Maneuver, String> {
-        if place.other().is_some() {
-            return Err("a position relative to an entity that drives is not read".into());
-        }
-        let found = self.locator.locate(place, &self.located)?;
-        let none = || "its position is on no driving lane of the map".to_owned();
-        let center = self.center(entity, &found).ok_or_else(none)?;
-        let line = self.locator.index.line(center.lane).ok_or_else(none)?;
-        Ok(Maneuver::Teleport {
-            point_m: line.at(center.at_m).truncate(),
+impl Cast<'_, '_> {
+    fn speed(&self, speed: &TargetSpeed) -> Lost<Speed> {
+        Ok(match speed {
+            TargetSpeed::Absolute(mps) => Speed::Mps(*mps),
+            TargetSpeed::Relative {
+                entity,
+                factor,
+                plus_mps,
+                continuous,
+            } => Speed::Of {
+                who: self.who(entity)?,
+                factor: *factor,
+                plus_mps: *plus_mps,
+                continuous: *continuous,
+            },
         })
     }
 
-    /// Pedestrian without name and asset.
-    pub(super) fn pedestrian(
-        &self,
-        index: usize,
-        from: Located,
-        ego: usize,
-        skipped: &mut Vec<String>,
-    ) -> Pedestrian {
-        let entity = &self.file.entities[index];
-        let mut speed_mps = self.speed_mps(index);
-        let mut start = Trigger::Time { time_s: 0.0 };
-        let mut route = entity.route.as_slice();
-        for event in &entity.events {
-            let Some(trigger) = self.trigger(event, [index, ego], &Done::new()) else {
-                skipped.push(format!(
-                    "line {}: what triggers the action of {} cannot be expressed",
-                    event.line, entity.name
-                ));
-                continue;
+    /// The action of a task; of the ego, its duration alone. `None` if nothing is to be done.
+    pub(super) fn task(&self, task: &StoryTask, ego_mps: &mut f64) -> Lost<Option<Task>> {
+        if let file::Action::Set {
+            variable,
+            value,
+            by,
+        } = &task.action
+        {
+            let (variable, value, by) = (variable.clone(), value.clone(), *by);
+            let action = Action::Set {
+                variable,
+                value,
+                by,
             };
-            match &event.action {
-                Action::Speed { target, .. } if speed_mps <= 0.0 => {
-                    (speed_mps, start) = (self.speed_of(Some(target)), trigger);
-                    self.events_driven.borrow_mut().insert(event.number);
-                }
-                Action::Path { points, .. } if route.is_empty() => {
-                    (route, start) = (points, trigger);
-                    self.events_driven.borrow_mut().insert(event.number);
-                }
-                _ => skipped.push(format!(
-                    "line {}: {} walks one path at one speed",
-                    event.line, entity.name
-                )),
-            }
+            return Ok(Some(Task {
+                of: Who::EGO,
+                action,
+            }));
         }
-        let mut path_m = vec![from.point_m];
-        for position in route {
-            match self.locator.locate(position, &self.located) {
-                Ok(Located { point_m, .. }) => {
-                    if point_m.distance(path_m[path_m.len() - 1]) >= STEP_M_MIN {
-                        path_m.push(point_m);
-                    }
-                }
-                Err(reason) => skipped.push(format!(
-                    "{}: a point of its path is left out: {reason}",
-                    entity.name
-                )),
-            }
+        if task.action == file::Action::Unseen {
+            return Ok(None);
         }
-        let ahead = DVec2::from_angle(from.heading_rad);
-        if path_m.len() == 1 {
-            let walks = speed_mps > 0.0;
-            path_m.push(from.point_m + ahead * if walks { WALK_M } else { STANDING_M });
+        let index = self.index(&task.actor)?;
+        if index == self.import.ego {
+            let duration_s = self.duration_s(&task.action, ego_mps);
+            let action = Action::Wait { duration_s };
+            return Ok(Some(Task {
+                of: Who::EGO,
+                action,
+            }));
         }
-        Pedestrian {
-            name: String::new(),
-            asset: 0,
-            size: entity.size,
-            path_m,
-            speed_mps: speed_mps.clamp(STANDING_MPS, 8.0),
-            start,
-            waits_for_gap: false,
-        }
+        let of = self.who(&task.actor)?;
+        let action = self.action(&task.action, &self.import.file.entities[index])?;
+        Ok(Some(Task { of, action }))
     }
 
-    /// The trigger of an event of an actor; `None` if it cannot be expressed. `done` are behaviors
-    /// that the actor has already.
-    fn trigger(&self, event: &Event, parties: [usize; 2], done: &Done) -> Option<Trigger> {
-        let mut time_s: f64 = 0.0;
-        let mut measured = None;
-        for stage in &event.trigger.stages {
-            if let Some(reached_s) = self.stage_s(stage, CHAIN_MAX) {
-                // Times after a measured value count from when it was met, not before it.
-                if measured.is_some() && reached_s > time_s {
-                    return None;
-                }
-                time_s = time_s.max(reached_s);
-                continue;
-            }
-            let [group] = stage.as_slice() else {
-                return None;
-            };
-            for condition in group {
-                if let Some(holds_s) = self.condition_s(condition, CHAIN_MAX) {
-                    time_s = time_s.max(holds_s);
-                } else if measured.replace(condition).is_some() {
-                    // One place holds one comparison: two that wait for each other are not
-                    // expressed.
-                    return None;
-                }
-            }
-        }
-        match measured {
-            Some(condition) if time_s == 0.0 => self
-                .near_ego(condition, parties)
-                .or_else(|| after(condition, time_s, done))
-                .or_else(|| self.measured(condition, time_s, parties)),
-            Some(condition) => {
-                after(condition, time_s, done).or_else(|| self.measured(condition, time_s, parties))
-            }
-            None => Some(Trigger::Time {
-                time_s: time_s.min(DURATION_S_MAX),
-            }),
-        }
-    }
-
-    /// Time at which a stage is reached, seconds, if times alone decide it: that of the first of
-    /// its groups, whose last condition counts.
-    fn stage_s(&self, stage: &Stage, depth: u32) -> Option<f64> {
-        let mut first_s: Option<f64> = None;
-        for group in stage {
-            let mut last_s: f64 = 0.0;
-            for condition in group {
-                last_s = last_s.max(self.condition_s(condition, depth)?);
-            }
-            first_s = Some(first_s.map_or(last_s, |first_s| first_s.min(last_s)));
-        }
-        Some(first_s.unwrap_or(0.0))
-    }
-
-    /// Time from which a condition holds, if times alone decide it: its own, or that of the events
-    /// that it waits for.
-    fn condition_s(&self, condition: &Condition, depth: u32) -> Option<f64> {
-        if condition.rule != Rule::Above {
-            return None;
-        }
-        let at_s = match &condition.measure {
-            Measure::Time => condition.value,
-            Measure::Event { events, has_ended } => {
-                let depth = depth.checked_sub(1)?;
-                if events.len() > EVENTS_MAX {
-                    return None;
-                }
-                let mut times_s = Vec::new();
-                for &number in events.iter() {
-                    times_s.push(self.event_s(number, *has_ended, depth)?);
-                }
-                let times_s = times_s.into_iter();
-                match has_ended {
-                    true => times_s.reduce(f64::max)?,
-                    false => times_s.reduce(f64::min)?,
-                }
-            }
-            _ => return None,
-        };
-        Some(at_s + condition.delay_s)
-    }
-
-    /// Time at which an event begins or ends, if times alone decide it.
-    fn event_s(&self, number: usize, has_ended: bool, depth: u32) -> Option<f64> {
-        // Each is found once; while it is, one that waits for itself has no time.
-        let known = self
-            .event_times_s
-            .borrow()
-            .get(&(number, has_ended))
-            .copied();
-        if let Some(known) = known {
-            return known;
-        }
-        self.event_times_s
-            .borrow_mut()
-            .insert((number, has_ended), None);
-        let found = self.unknown_event_s(number, has_ended, depth);
-        self.event_times_s
-            .borrow_mut()
-            .insert((number, has_ended), found);
-        found
-    }
-
-    fn unknown_event_s(&self, number: usize, has_ended: bool, depth: u32) -> Option<f64> {
-        let mut last_s: Option<f64> = None;
-        for &(entity, at) in self.by_event.get(&number)? {
-            let event = &self.file.entities[entity].events[at];
-            let mut begin_s: f64 = 0.0;
-            for stage in &event.trigger.stages {
-                begin_s = begin_s.max(self.stage_s(stage, depth)?);
-            }
-            let at_s = begin_s + if has_ended { event.duration_s? } else { 0.0 };
-            last_s = Some(last_s.map_or(at_s, |last_s| last_s.max(at_s)));
-        }
-        last_s
-    }
-
-    /// The distance of two entities below which a condition holds, if it is about `own`.
-    fn near_ego(&self, condition: &Condition, mut own: [usize; 2]) -> Option<Trigger> {
-        let Measure::Distance {
-            of,
-            to: Target::Entity(to),
-            direction: Direction::Straight,
-            between_boxes,
-        } = &condition.measure
-        else {
-            return None;
-        };
-        if condition.rule != Rule::Below || condition.delay_s > 0.0 {
-            return None;
-        }
-        let mut pair = [self.locator.find(of)?, self.locator.find(to)?];
-        pair.sort_unstable();
-        own.sort_unstable();
-        let lengths_m: f64 = own
-            .iter()
-            .map(|&entity| self.file.entities[entity].size.length_m)
-            .sum();
-        let boxes_m = if *between_boxes { 0.5 * lengths_m } else { 0.0 };
-        (pair == own).then_some(Trigger::NearEgo {
-            distance_m: (condition.value.max(0.0) + boxes_m).min(10_000.0),
-        })
-    }
-
-    /// Lane changes that lead to a lane, one after the other. Other entities are on the lanes of
-    /// their start.
-    fn lane_changes(
-        &self,
-        target: &TargetLane,
-        index: usize,
-        ego: usize,
-    ) -> Result<Vec<Maneuver>, String> {
-        let change = |side: LaneSide| Maneuver::ChangeLane { side };
-        if let TargetLane::Relative { entity, lanes } = target {
-            let other = self.locator.find(entity);
-            if other == Some(ego) && *lanes == 0 {
-                return Ok(vec![Maneuver::CutIn]);
-            }
-            if other == Some(index) {
-                let side = if *lanes > 0 {
-                    LaneSide::Left
+    fn action(&self, action: &file::Action, entity: &Entity) -> Lost<Action> {
+        let sign = self.sign(&entity.name);
+        Ok(match action {
+            file::Action::Speed { target, dynamics } => Action::Speed {
+                target: self.speed(target)?,
+                dynamics: *dynamics,
+            },
+            file::Action::Profile {
+                times_s,
+                speeds_mps,
+            } => Action::Profile {
+                times_s: times_s.clone(),
+                speeds_mps: speeds_mps.clone(),
+            },
+            file::Action::ChangeLane {
+                target,
+                offset_m,
+                dynamics,
+            } => Action::ChangeLane {
+                target: match target {
+                    file::TargetLane::Absolute(id) => TargetLane::Id(*id),
+                    file::TargetLane::Relative { entity, lanes } => TargetLane::Beside {
+                        who: self.who(entity)?,
+                        lanes: *lanes,
+                    },
+                },
+                offset_m: sign * offset_m,
+                dynamics: *dynamics,
+            },
+            file::Action::Offset {
+                offset_m,
+                from,
+                dynamics,
+                continuous,
+            } => Action::Offset {
+                offset_m: if from.is_some() {
+                    *offset_m
                 } else {
-                    LaneSide::Right
+                    sign * offset_m
+                },
+                from: from.as_ref().map(|name| self.who(name)).transpose()?,
+                dynamics: *dynamics,
+                continuous: *continuous,
+            },
+            file::Action::KeepGap { .. }
+            | file::Action::KeepBeside { .. }
+            | file::Action::Arrive { .. } => self.beside_another(action)?,
+            file::Action::Follow {
+                points,
+                times_s,
+                is_absolute,
+            } => {
+                let (seen_from, on_lanes, points_m) = self.line(points)?;
+                Action::Follow {
+                    points_m,
+                    seen_from,
+                    on_lanes,
+                    times_s: times_s.clone().unwrap_or_default(),
+                    is_absolute: *is_absolute,
+                }
+            }
+            file::Action::Route(points) => Action::Route {
+                points_m: self.points_m(points)?,
+            },
+            file::Action::Teleport(place) => Action::Teleport {
+                to: self.spot(place)?,
+            },
+            file::Action::Show(is_shown) => Action::Show {
+                is_shown: *is_shown,
+            },
+            file::Action::Set { .. } | file::Action::Unseen => {
+                return Err("the action is about no entity".into());
+            }
+        })
+    }
+
+    /// An action whose motion depends on that of another.
+    fn beside_another(&self, action: &file::Action) -> Lost<Action> {
+        Ok(match action {
+            file::Action::KeepGap {
+                to,
+                gap,
+                is_time,
+                between_boxes,
+                side,
+                continuous,
+                limits,
+            } => Action::KeepGap {
+                to: self.who(to)?,
+                gap: *gap,
+                is_time: *is_time,
+                between_boxes: *between_boxes,
+                side: *side,
+                continuous: *continuous,
+                limits: *limits,
+            },
+            file::Action::KeepBeside {
+                to,
+                distance_m,
+                between_boxes,
+                side,
+                continuous,
+                limits,
+            } => Action::KeepBeside {
+                to: self.who(to)?,
+                distance_m: *distance_m,
+                between_boxes: *between_boxes,
+                side: *side,
+                continuous: *continuous,
+                limits: *limits,
+            },
+            file::Action::Arrive {
+                with,
+                at,
+                other_at,
+                tolerances_m,
+                speed,
+                steady_m,
+            } => Action::Arrive {
+                with: self.who(with)?,
+                at: self.spot(at)?,
+                other_at: self.spot(other_at)?,
+                tolerance_m: tolerances_m[0],
+                other_tolerance_m: tolerances_m[1],
+                speed: speed.as_ref().map(|speed| self.speed(speed)).transpose()?,
+                steady_m: *steady_m,
+            },
+            _ => return Err("the action counts from no entity".into()),
+        })
+    }
+
+    /// Points of a line, meters: the entity that all are seen from, and true if they count along its
+    /// lanes; otherwise in world coordinates.
+    fn line(&self, points: &[Position]) -> Lost<(Option<Who>, bool, Vec<[f64; 2]>)> {
+        let ahead =
+            |place: &Position| seen_from(place).map(|(name, at_m, _)| (name.to_owned(), at_m));
+        if let Some((who, points_m)) = self.all_from(points, ahead)? {
+            return Ok((Some(who), false, points_m));
+        }
+        if let Some((who, points_m)) = self.all_from(points, |place| self.along_lanes(place))? {
+            return Ok((Some(who), true, points_m));
+        }
+        if points.iter().any(|place| self.moves(place)) {
+            return Err("its points count from an entity in a way that is not read".into());
+        }
+        Ok((None, false, self.points_m(points)?))
+    }
+
+    /// The entity that all points are seen from, as `place_of` finds it, and where they are.
+    fn all_from(
+        &self,
+        points: &[Position],
+        place_of: impl Fn(&Position) -> Option<(String, DVec2)>,
+    ) -> Lost<Option<(Who, Vec<[f64; 2]>)>> {
+        let (mut from, mut points_m) = (None, Vec::with_capacity(points.len()));
+        for point in points {
+            let Some((name, at_m)) = place_of(point) else {
+                return Ok(None);
+            };
+            if *from.get_or_insert_with(|| name.clone()) != name {
+                return Ok(None);
+            }
+            points_m.push(at_m.to_array());
+        }
+        let who = from.map(|name| self.who(&name)).transpose()?;
+        Ok(who.map(|who| (who, points_m)))
+    }
+
+    /// The entity on whose lane a place is, the way along it and the offset to its left, meters.
+    fn along_lanes(&self, place: &Position) -> Option<(String, DVec2)> {
+        match place {
+            Position::RelativeLane {
+                entity,
+                lanes: 0,
+                along,
+                offset_m,
+                ..
+            } => {
+                let sign = self.sign(entity);
+                let at_m = match along {
+                    Along::Road(ds_m) => sign * DVec2::new(*ds_m, *offset_m),
+                    Along::Lane(ds_m) => DVec2::new(*ds_m, *offset_m),
                 };
-                return Ok(vec![
-                    change(side);
-                    lanes.unsigned_abs().min(CHANGES_MAX) as usize
-                ]);
+                Some((entity.clone(), at_m))
             }
-        }
-        let unknown = || "the lane of its target is unknown".to_owned();
-        let spot_of = |entity: usize| self.located[entity].as_ref().ok()?.spot;
-        let own = spot_of(index).ok_or_else(unknown)?;
-        let wanted = match target {
-            TargetLane::Relative { entity, lanes } => {
-                let other = self.locator.find(entity).ok_or_else(unknown)?;
-                let mut spot = spot_of(other).ok_or_else(unknown)?;
-                for _ in 0..lanes.unsigned_abs() {
-                    spot = self.locator.beside(spot, *lanes > 0).ok_or_else(unknown)?;
-                }
-                spot.lane
-            }
-            TargetLane::Absolute(id) => {
-                let listed = &self.map.lanes[own.lane].id;
-                let road = listed.rsplit_once('/').ok_or_else(unknown)?.0;
-                let wanted = format!("{road}/{id}");
-                let mut lanes = self.map.lanes.iter();
-                lanes
-                    .position(|lane| lane.id == wanted)
-                    .ok_or_else(unknown)?
-            }
-        };
-        for side in [LaneSide::Left, LaneSide::Right] {
-            let (mut spot, mut sides) = (own, Vec::new());
-            while spot.lane != wanted {
-                match self.locator.beside(spot, side == LaneSide::Left) {
-                    Some(next) if sides.len() < CHANGES_MAX as usize => {
-                        spot = next;
-                        sides.push(change(side));
+            Position::Between { of, shares } => {
+                let (mut name, mut mean_m) = (None, DVec2::ZERO);
+                for (place, share) in of.iter().zip(shares) {
+                    let (entity, at_m) = self.along_lanes(place)?;
+                    if *name.get_or_insert_with(|| entity.clone()) != entity {
+                        return None;
                     }
-                    _ => break,
+                    mean_m += *share * at_m;
                 }
+                Some((name?, mean_m))
             }
-            if spot.lane == wanted {
-                return Ok(sides);
-            }
-        }
-        Err("its target is no lane beside the one where the vehicle starts".into())
-    }
-}
-
-/// Behaviors that an event of an agent has become.
-struct Became {
-    /// Index of the first.
-    first: usize,
-    /// Index of the last.
-    last: usize,
-    /// Duration of the longest, seconds, where it is known.
-    duration_s: Option<f64>,
-}
-
-/// Behaviors of events, by the numbers of these.
-type Done = HashMap<usize, Became>;
-
-/// The wait for an event of the same agent, if `condition` is one.
-fn after(condition: &Condition, from_s: f64, done: &Done) -> Option<Trigger> {
-    let Measure::Event { events, has_ended } = &condition.measure else {
-        return None;
-    };
-    let [number] = events[..] else {
-        return None;
-    };
-    let became = done.get(&number)?;
-    // A known duration counts from the begin: the end is that of the file, whatever the traffic.
-    let (behavior, is_over, more_s) = match (has_ended, became.duration_s) {
-        (false, _) => (became.first, false, 0.0),
-        (true, Some(duration_s)) => (became.first, false, duration_s),
-        (true, None) => (became.last, true, 0.0),
-    };
-    let delay_s = condition.delay_s + more_s;
-    (delay_s <= DURATION_S_MAX && from_s <= DURATION_S_MAX).then_some(Trigger::After(After {
-        behavior,
-        is_over,
-        from_s,
-        delay_s,
-    }))
-}
-
-/// Duration of a change of speed, seconds; `None` if it never ends.
-fn change_s(from_mps: f64, to_mps: f64, transition: Transition) -> Option<f64> {
-    let change_mps = (to_mps - from_mps).abs();
-    let duration_s = match transition {
-        Transition::Step => 0.0,
-        Transition::Time(time_s) => time_s,
-        Transition::Rate(rate_mps2) => change_mps / rate_mps2,
-        Transition::Distance(distance_m) => 2.0 * distance_m / (from_mps + to_mps),
-    };
-    duration_s.is_finite().then_some(duration_s)
-}
-
-/// Braking that a change of speed needs beyond what a driver does by itself.
-fn brake(from_mps: f64, to_mps: f64, transition: Transition) -> Option<Maneuver> {
-    let less_mps = from_mps - to_mps;
-    if less_mps <= 0.0 {
-        return None;
-    }
-    let deceleration_mps2 = match transition {
-        Transition::Step => BRAKING_MPS2,
-        Transition::Time(time_s) => less_mps / time_s,
-        Transition::Rate(rate_mps2) => rate_mps2,
-        Transition::Distance(distance_m) => {
-            (from_mps * from_mps - to_mps * to_mps) / (2.0 * distance_m)
+            _ => None,
         }
     }
-    .min(BRAKING_MPS2);
-    (deceleration_mps2 > COMFORT_MPS2).then_some(Maneuver::Brake {
-        deceleration_mps2,
-        duration_s: (less_mps / deceleration_mps2).max(0.01),
-    })
+
+    /// True for a place that counts from an entity that moves.
+    fn moves(&self, place: &Position) -> bool {
+        match place {
+            Position::Beside { of, .. } => self.moves(of),
+            Position::Between { of, .. } => of.iter().any(|place| self.moves(place)),
+            place => place.other().is_some_and(|name| self.who(name).is_ok()),
+        }
+    }
+
+    fn points_m(&self, points: &[Position]) -> Lost<Vec<[f64; 2]>> {
+        let import = self.import;
+        let located = points
+            .iter()
+            .map(|point| import.locator.locate(point, &import.located));
+        located.map(|place| Ok(place?.point_m.to_array())).collect()
+    }
+
+    /// Duration of an action of the ego, which drives otherwise; it is that which the file gives.
+    fn duration_s(&self, action: &file::Action, ego_mps: &mut f64) -> f64 {
+        let of = |dynamics: &Dynamics, change: f64, speed_mps: f64| match dynamics.extent {
+            _ if *dynamics == Dynamics::STEP => 0.0,
+            Extent::TimeS(time_s) => time_s,
+            Extent::RatePerS(rate) => change.abs() / rate,
+            Extent::DistanceM(way_m) => way_m / speed_mps,
+            Extent::LateralMps2(most) => (6.0 * change.abs() / most).sqrt(),
+        };
+        let duration_s = match action {
+            file::Action::Speed { target, dynamics } => {
+                let to_mps = self.import.speed_of(Some(target));
+                let from_mps = std::mem::replace(ego_mps, to_mps);
+                of(dynamics, to_mps - from_mps, 0.5 * (from_mps + to_mps))
+            }
+            file::Action::Profile { times_s, .. } => times_s.iter().sum(),
+            file::Action::ChangeLane { dynamics, .. } => of(dynamics, LANE_M, *ego_mps),
+            file::Action::Offset {
+                dynamics, offset_m, ..
+            } => of(dynamics, *offset_m, *ego_mps),
+            file::Action::Follow {
+                times_s: Some(times_s),
+                ..
+            } => times_s.last().copied().unwrap_or(0.0),
+            _ => 0.0,
+        };
+        if duration_s.is_finite() {
+            duration_s.max(0.0)
+        } else {
+            0.0
+        }
+    }
+}
+
+/// The entity that a place is seen from, the offset ahead and to its left, meters, and the turn of
+/// the place, radians; `None` if it is seen from none.
+fn seen_from(place: &Position) -> Option<(&str, DVec2, f64)> {
+    match place {
+        Position::RelativeEntity {
+            entity,
+            offset_m,
+            is_in_its_frame: true,
+            heading,
+        } => match heading {
+            Some(heading) if !heading.is_relative => None,
+            heading => Some((
+                entity,
+                *offset_m,
+                heading.map_or(0.0, |heading| heading.rad),
+            )),
+        },
+        Position::Beside { of, offset_m } => {
+            let (entity, at_m, turn_rad) = seen_from(of)?;
+            let offset_m = DVec2::from_angle(turn_rad).rotate(*offset_m);
+            Some((entity, at_m + offset_m, turn_rad))
+        }
+        _ => None,
+    }
 }

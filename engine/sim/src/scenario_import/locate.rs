@@ -1,11 +1,13 @@
 //! Places of positions on the lanes of a map.
 
+mod paths;
+
 use std::collections::HashMap;
 
 use decouplegs_asset::maps::open_drive::RoadPositions;
 use decouplegs_drive::LaneIndex;
 use decouplegs_drive::polyline::{Polyline, wrapped};
-use decouplegs_drive::route::{LaneSpot, lanes_between, straight_on};
+use decouplegs_drive::route::{LaneSpot, straight_on};
 use decouplegs_logs::open_scenario::{Along, Entity, Heading, Position};
 use decouplegs_scene::{LaneKind, LaneMap};
 use glam::DVec2;
@@ -23,14 +25,14 @@ pub(super) struct Located {
     /// Position on a driving lane; `None` beside the road.
     pub spot: Option<LaneSpot>,
     /// Position on a lane of any kind, as other positions are relative to it.
-    lane: Option<LaneSpot>,
+    pub lane: Option<LaneSpot>,
 }
 
 impl Located {
     /// True if it heads against the direction of its lane.
     pub(super) fn is_against(&self, lanes: &LaneIndex) -> bool {
         let line = self
-            .spot
+            .lane
             .and_then(|spot| Some((lanes.line(spot.lane)?, spot.at_m)));
         line.is_some_and(|(line, at_m)| {
             let turn_rad = wrapped(line.heading_at(at_m) - self.heading_rad);
@@ -66,6 +68,19 @@ impl<'a> Locator<'a> {
             by_name: numbered
                 .map(|(index, entity)| (entity.name.as_str(), index))
                 .collect(),
+        }
+    }
+
+    /// 1 if the left of a place is left of its road's reference line, otherwise -1.
+    pub(super) fn sign(&self, located: &Located) -> f64 {
+        let place = located
+            .lane
+            .and_then(|spot| self.roads?.place_of(self.map, spot.lane, spot.at_m));
+        let is_forward = place.is_none_or(|place| place.is_forward);
+        if is_forward == located.is_against(&self.index) {
+            -1.0
+        } else {
+            1.0
         }
     }
 
@@ -169,23 +184,22 @@ impl<'a> Locator<'a> {
                 offset_m,
                 is_in_its_frame,
                 heading,
-            } => {
-                let from = other(entity)?;
-                let offset_m = match is_in_its_frame {
-                    true => DVec2::from_angle(from.heading_rad).rotate(*offset_m),
-                    false => *offset_m,
-                };
-                let heading_rad = match heading {
-                    Some(heading) if !heading.is_relative => heading.rad,
-                    Some(heading) => from.heading_rad + heading.rad,
-                    None => from.heading_rad,
-                };
-                Ok(self.at(from.point_m + offset_m, Some(heading_rad)))
-            }
+            } => Ok(self.seen_from(&other(entity)?, *offset_m, *is_in_its_frame, *heading)),
             Position::After { before, by } => {
                 let before = self.locate(before, located)?;
                 let own = by.other().and_then(|name| self.find(name));
                 self.locate_after(by, located, own.map(|own| (own, before)))
+            }
+            Position::Beside { of, offset_m } => {
+                let of = self.locate_after(of, located, moved)?;
+                Ok(self.seen_from(&of, *offset_m, true, None))
+            }
+            Position::Between { of, shares } => {
+                let mut mean_m = DVec2::ZERO;
+                for (place, share) in of.iter().zip(shares) {
+                    mean_m += *share * self.locate_after(place, located, moved)?.point_m;
+                }
+                Ok(self.at(mean_m, None))
             }
             Position::Route {
                 waypoints,
@@ -203,28 +217,24 @@ impl<'a> Locator<'a> {
         }
     }
 
-    /// The place `path_m` along a trajectory and `offset_m` to its left.
-    fn on_trajectory(
+    /// The place at an offset from an entity: ahead and to its left, or in coordinates of the map.
+    fn seen_from(
         &self,
-        points: &[Position],
-        [path_m, offset_m]: [f64; 2],
+        from: &Located,
+        offset_m: DVec2,
+        is_in_its_frame: bool,
         heading: Option<Heading>,
-        located: &[Place],
-    ) -> Place {
-        let mut line = Vec::new();
-        for point in points {
-            line.push(self.locate(point, located)?.point_m.extend(0.0));
-        }
-        let line = Polyline::new(line).ok_or("its trajectory has no length")?;
-        let heading_rad = line.heading_at(path_m);
-        let left = DVec2::from_angle(heading_rad).perp();
-        let point_m = line.at(path_m).truncate() + offset_m * left;
+    ) -> Located {
+        let offset_m = match is_in_its_frame {
+            true => DVec2::from_angle(from.heading_rad).rotate(offset_m),
+            false => offset_m,
+        };
         let heading_rad = match heading {
             Some(heading) if !heading.is_relative => heading.rad,
-            Some(heading) => heading_rad + heading.rad,
-            None => heading_rad,
+            Some(heading) => from.heading_rad + heading.rad,
+            None => from.heading_rad,
         };
-        Ok(self.at(point_m, Some(heading_rad)))
+        self.at(from.point_m + offset_m, Some(heading_rad))
     }
 
     fn roads(&self) -> Result<&RoadPositions, String> {
@@ -349,69 +359,6 @@ impl<'a> Locator<'a> {
             self.beside_line(&on.road, on.s_m, beside_m)?
         };
         Ok(turned(self.at(point_m, None), heading))
-    }
-
-    /// The place `path_m` along the route through `waypoints`.
-    fn on_route(
-        &self,
-        waypoints: &[Position],
-        path_m: f64,
-        lane: Option<i64>,
-        offset_m: f64,
-        heading: Option<Heading>,
-        located: &[Place],
-    ) -> Place {
-        let spot_of = |waypoint: &Position| -> Result<LaneSpot, String> {
-            let place = self.locate(waypoint, located)?;
-            place
-                .spot
-                .ok_or_else(|| "a waypoint of its route is on no driving lane".into())
-        };
-        let mut waypoints = waypoints.iter();
-        let first = spot_of(waypoints.next().ok_or("its route has no waypoint")?)?;
-        let (mut lanes, mut end) = (vec![first.lane], first);
-        for waypoint in waypoints {
-            let spot = spot_of(waypoint)?;
-            if let Some(onward) = lanes_between(self.map, end, spot) {
-                lanes.extend(onward.into_iter().skip(1));
-                end = spot;
-            } else if end.lane != spot.lane {
-                return Err("no way leads along the waypoints of its route".into());
-            }
-        }
-        let mut left_m = first.at_m + path_m;
-        let mut spot = first;
-        for (at, &lane) in lanes.iter().enumerate() {
-            let length_m = self.length_m(lane);
-            let is_change =
-                at + 1 < lanes.len() && !self.map.lanes[lane].successors.contains(&lanes[at + 1]);
-            spot = LaneSpot {
-                lane,
-                at_m: left_m.clamp(0.0, length_m),
-            };
-            if left_m <= length_m && !is_change {
-                break;
-            }
-            if is_change {
-                continue;
-            }
-            left_m -= length_m;
-        }
-        let Some(roads) = self.roads else {
-            return self
-                .on_lane(spot, offset_m)
-                .ok_or_else(|| "its lane has no length".into());
-        };
-        let place = roads
-            .place_of(self.map, spot.lane, spot.at_m)
-            .ok_or("its route is on no road")?;
-        match lane {
-            Some(lane) => self.on_road_lane(&place.road, lane, place.s_m, offset_m, heading),
-            None => {
-                let point_m = self.beside_line(&place.road, place.s_m, offset_m)?;
-                Ok(turned(self.at(point_m, None), heading))
-            }
-        }
     }
 
     /// Places on the other driving lanes of the road at `spot`, of either direction.

@@ -1,9 +1,11 @@
 //! Events of stories, on the road of `tests`.
 
-use decouplegs_scene::scenario::{After, Maneuver, Trigger};
+use decouplegs_scene::story::{
+    Action, Dynamics, Extent, Shape, Speed, Spot, State, TargetLane, Task, When,
+};
 
 use super::tests::{AT_50, file, import, init, speed, teleport, vehicle};
-use super::*;
+use super::{ImportedScenario, Who};
 
 /// A story of events of T: names, actions and conditions.
 fn story_of(events: &[(&str, String, String)]) -> String {
@@ -40,85 +42,138 @@ fn with_story(story: &str) -> ImportedScenario {
     import(&file(&entities, &actions, story))
 }
 
-#[test]
-fn events_wait_for_measured_events_of_their_actor() {
-    let traveled = "<Condition delay='0'><ByEntityCondition><TriggeringEntities triggeringEntitiesRule='any'><EntityRef entityRef='T'/></TriggeringEntities><EntityCondition><TraveledDistanceCondition value='40'/></EntityCondition></ByEntityCondition></Condition>";
-    let dynamics =
-        "<SpeedActionDynamics dynamicsShape='linear' dynamicsDimension='rate' value='2'/>";
-    let slower = speed("7").replace("<SpeedAction>", &format!("<SpeedAction>{dynamics}"));
-    let right = "<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape='sinusoidal' dynamicsDimension='distance' value='30'/><LaneChangeTarget><RelativeTargetLane entityRef='T' value='-1'/></LaneChangeTarget></LaneChangeAction></LateralAction></PrivateAction>";
-    let later = "<SimulationTimeCondition value='9' rule='greaterThan'/>";
-    let read = with_story(&story_of(&[
-        ("slower", slower, traveled.into()),
-        (
-            "change",
-            right.into(),
-            by_value(&state_of("slower", "completeState"), 0.5),
-        ),
-        (
-            "faster",
-            speed("12"),
-            by_value(&state_of("change", "completeState"), 1.0),
-        ),
-        (
-            "both",
-            speed("13"),
-            by_value(&state_of("faster", "startTransition"), 0.0) + &by_value(later, 0.0),
-        ),
-    ]));
-    let found: Vec<_> = read.scenario.agents[0]
-        .behaviors
-        .iter()
-        .skip(1)
-        .map(|behavior| behavior.trigger)
-        .collect();
-    let after = |behavior: usize, is_over: bool, from_s: f64, delay_s: f64| {
-        Trigger::After(After {
-            behavior,
-            is_over,
-            from_s,
-            delay_s,
-        })
-    };
-    // 10 to 7 m/s at 2 m/s^2 take 1.5 s; the end of a lane change over a way is seen.
-    let expected = [
-        after(0, false, 0.0, 2.0),
-        after(1, true, 0.0, 1.0),
-        after(2, false, 9.0, 0.0),
-    ];
-    assert_eq!(found, expected);
-    assert_eq!((read.events, read.events_driven), (4, 4));
+/// Actions of the events of a story, without that of the start.
+fn actions_of(read: &ImportedScenario) -> Vec<Vec<Task>> {
+    let events = read.scenario.story.events.iter().skip(1);
+    events.map(|event| event.actions.clone()).collect()
+}
+
+fn at(time_s: u32) -> String {
+    let time = format!("<SimulationTimeCondition value='{time_s}' rule='greaterThan'/>");
+    by_value(&time, 0.0)
+}
+
+fn private(inner: &str) -> String {
+    format!("<PrivateAction>{inner}</PrivateAction>")
 }
 
 #[test]
-fn a_speed_profile_is_one_change_after_the_other() {
-    let profile = "<PrivateAction><LongitudinalAction><SpeedProfileAction followingMode='position'><SpeedProfileEntry speed='8' time='2'/><SpeedProfileEntry speed='12' time='3'/></SpeedProfileAction></LongitudinalAction></PrivateAction>";
-    let at = by_value(
-        "<SimulationTimeCondition value='1' rule='greaterThan'/>",
-        0.0,
+fn actions_are_those_of_the_file() {
+    let dynamics =
+        "<SpeedActionDynamics dynamicsShape='linear' dynamicsDimension='rate' value='2'/>";
+    let slower = speed("7").replace("<SpeedAction>", &format!("<SpeedAction>{dynamics}"));
+    let right = private(
+        "<LateralAction><LaneChangeAction targetLaneOffset='0.2'><LaneChangeActionDynamics dynamicsShape='sinusoidal' dynamicsDimension='distance' value='30'/><LaneChangeTarget><RelativeTargetLane entityRef='Ego' value='-1'/></LaneChangeTarget></LaneChangeAction></LateralAction>",
     );
-    let then = by_value(&state_of("p", "completeState"), 0.0);
-    let read = with_story(&story_of(&[
-        ("p", profile.into(), at),
-        ("q", speed("15"), then),
-    ]));
-    let behaviors = read.scenario.agents[0].behaviors.iter();
-    let found: Vec<_> = behaviors
-        .map(|behavior| (behavior.trigger, behavior.maneuver))
-        .collect();
-    let expected = [(1.0, 8.0), (3.0, 12.0), (6.0, 15.0)]
-        .map(|(time_s, speed_mps)| (Trigger::Time { time_s }, Maneuver::Cruise { speed_mps }));
-    assert_eq!(found, expected);
+    let profile = private(
+        "<LongitudinalAction><SpeedProfileAction followingMode='position'><SpeedProfileEntry speed='8' time='2'/><SpeedProfileEntry speed='12' time='3'/></SpeedProfileAction></LongitudinalAction>",
+    );
     // Without times the limits of the vehicle would decide: it is listed.
-    let profile = profile.replace(" time='3'", "");
-    let at = by_value(
-        "<SimulationTimeCondition value='1' rule='greaterThan'/>",
-        0.0,
-    );
-    let read = with_story(&story_of(&[("p", profile, at)]));
-    assert_eq!(read.events_driven, 0);
+    let untimed = profile.replace(" time='3'", "");
+    let lamps = private("<AppearanceAction/>");
+    let begun = by_value(&state_of("slower", "startTransition"), 0.0);
+    let read = with_story(&story_of(&[
+        ("slower", slower, at(1)),
+        ("right", right, begun),
+        ("profile", profile, at(5)),
+        ("untimed", untimed, at(9)),
+        ("lamps", lamps, at(9)),
+    ]));
+    assert_eq!((read.events, read.events_driven), (4, 3));
+    assert_eq!(read.events_unseen, 1);
+    let of_t = |action: Action| vec![Task { of: Who(1), action }];
+    let expected = [
+        of_t(Action::Speed {
+            target: Speed::Mps(7.0),
+            dynamics: Dynamics {
+                shape: Shape::Linear,
+                extent: Extent::RatePerS(2.0),
+            },
+        }),
+        of_t(Action::ChangeLane {
+            target: TargetLane::Beside {
+                who: Who::EGO,
+                lanes: -1,
+            },
+            offset_m: 0.2,
+            dynamics: Dynamics {
+                shape: Shape::Sinusoidal,
+                extent: Extent::DistanceM(30.0),
+            },
+        }),
+        of_t(Action::Profile {
+            times_s: vec![2.0, 3.0],
+            speeds_mps: vec![8.0, 12.0],
+        }),
+        vec![],
+        vec![],
+    ];
+    assert_eq!(actions_of(&read), expected);
+    let when = When::Events {
+        events: vec![1],
+        state: State::Begun,
+    };
+    assert_eq!(read.scenario.story.events[2].start[0][0].when, when);
     let skipped = read.skipped.join("\n");
-    assert!(skipped.contains("a profile without times"), "{skipped}");
+    for reason in ["a profile without times", "the event untimed is lost"] {
+        assert!(skipped.contains(reason), "{skipped}");
+    }
+}
+
+#[test]
+fn events_of_the_ego_take_their_time_for_others() {
+    let dynamics =
+        "<SpeedActionDynamics dynamicsShape='linear' dynamicsDimension='rate' value='2'/>";
+    let faster = speed("6").replace("<SpeedAction>", &format!("<SpeedAction>{dynamics}"));
+    let story = story_of(&[("faster", faster, at(1))]).replace("entityRef='T'", "entityRef='Ego'");
+    let read = with_story(&story);
+    // From a stand to 6 m/s.
+    let action = Action::Wait { duration_s: 3.0 };
+    let of = Who::EGO;
+    assert_eq!(actions_of(&read), [[Task { of, action }]]);
+    assert_eq!((read.events, read.events_driven), (0, 0));
+}
+
+#[test]
+fn what_takes_time_at_the_start_is_the_first_event() {
+    let dynamics =
+        "<SpeedActionDynamics dynamicsShape='cubic' dynamicsDimension='time' value='3'/>";
+    let faster = speed("9").replace("<SpeedAction>", &format!("<SpeedAction>{dynamics}"));
+    let entities = vehicle("Ego", "") + &vehicle("T", "") + &vehicle("Later", "");
+    let place = "<LanePosition roadId='1' laneId='-1' s='100'/>";
+    let actions = init("Ego", &teleport(AT_50)) + &init("T", &(teleport(place) + &faster));
+    let add = format!(
+        "<GlobalAction><EntityAction entityRef='Later'><AddEntityAction><Position>{}</Position></AddEntityAction></EntityAction></GlobalAction>",
+        "<LanePosition roadId='1' laneId='-2' s='200'/>"
+    );
+    let read = import(&file(
+        &entities,
+        &actions,
+        &story_of(&[("add", add, at(2))]),
+    ));
+    let story = &read.scenario.story;
+    assert!(matches!(
+        story.events[0].actions[..],
+        [Task {
+            of: Who(1),
+            action: Action::Speed {
+                target: Speed::Mps(9.0),
+                ..
+            }
+        }]
+    ));
+    assert_eq!(story.actors[0].speed_mps, 0.0);
+    let later = &story.actors[1];
+    assert_eq!((later.is_hidden, later.point_m), (true, [200.0, -5.25]));
+    let shown = Action::Show { is_shown: true };
+    assert_eq!(
+        story.events[1].actions[1],
+        Task {
+            of: Who(2),
+            action: shown
+        }
+    );
+    assert_eq!((read.events, read.events_driven), (1, 1));
 }
 
 #[test]
@@ -141,34 +196,56 @@ fn who_has_no_position_starts_on_its_trajectory() {
 }
 
 #[test]
-fn a_teleport_while_driving_is_to_the_middle_of_the_box() {
-    let at = |time_s: u32| {
-        let time = format!("<SimulationTimeCondition value='{time_s}' rule='greaterThan'/>");
-        by_value(&time, 0.0)
-    };
-    let lane = teleport("<LanePosition roadId='1' laneId='-2' s='200'/>");
-    let relative = teleport("<RelativeLanePosition entityRef='Ego' dLane='0' ds='10' offset='0'/>");
-    let then = by_value(&state_of("lane", "completeState"), 1.0);
+fn places_of_actions_may_count_from_others_that_drive() {
+    let lane = teleport("<LanePosition roadId='1' laneId='1' s='200'/>");
+    let relative =
+        teleport("<RelativeLanePosition entityRef='Ego' dLane='-1' ds='10' offset='0.5'/>");
+    let beside = teleport("<RelativeObjectPosition entityRef='Ego' dx='3' dy='4'/>");
+    let along = teleport("<RelativeRoadPosition entityRef='Ego' ds='3' dt='0'/>");
     let read = with_story(&story_of(&[
         ("lane", lane, at(2)),
         ("relative", relative, at(3)),
-        ("nowhere", teleport("<WorldPosition x='50' y='80'/>"), at(3)),
-        ("faster", speed("12"), then),
+        ("beside", beside, at(3)),
+        ("along", along, at(3)),
+        (
+            "nowhere",
+            teleport("<LanePosition roadId='9' laneId='1' s='2'/>"),
+            at(3),
+        ),
     ]));
-    let behaviors = &read.scenario.agents[0].behaviors;
-    let Maneuver::Teleport { point_m } = behaviors[0].maneuver else {
-        panic!("{behaviors:?}");
-    };
-    // The middle of the box is 1.4 m ahead of the axle.
-    assert!(
-        point_m.distance(DVec2::new(201.4, -5.25)) < 1e-6,
-        "{point_m}"
-    );
-    let begins: Vec<_> = behaviors.iter().map(|behavior| behavior.trigger).collect();
-    assert_eq!(begins, [2.0, 3.0].map(|time_s| Trigger::Time { time_s }));
-    assert_eq!((read.events, read.events_driven), (4, 2));
-    let skipped = read.skipped.join("\n");
-    for reason in ["relative to an entity that drives", "on no driving lane"] {
-        assert!(skipped.contains(reason), "{skipped}");
-    }
+    assert_eq!((read.events, read.events_driven), (5, 4));
+    let who = Who::EGO;
+    let expected = [
+        // Traffic on lane 1 runs to the west.
+        Spot::Point {
+            at_m: [200.0, 1.75],
+            heading_rad: Some(std::f64::consts::PI),
+        },
+        Spot::Lane {
+            who,
+            lanes: -1,
+            ahead_m: 10.0,
+            left_m: Some(0.5),
+        },
+        Spot::From {
+            who,
+            offset_m: [3.0, 4.0],
+            turns: true,
+        },
+        Spot::Lane {
+            who,
+            lanes: 0,
+            ahead_m: 3.0,
+            left_m: None,
+        },
+    ];
+    let places: Vec<Spot> = actions_of(&read)
+        .iter()
+        .flatten()
+        .map(|task| match task.action {
+            Action::Teleport { to } => to,
+            ref action => panic!("{action:?}"),
+        })
+        .collect();
+    assert_eq!(places, expected);
 }

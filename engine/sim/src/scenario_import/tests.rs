@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
-use decouplegs_scene::scenario::{Measure, Measured, Party, Trigger};
+use decouplegs_scene::story::{
+    Condition, Direction, Edge, End, Measure, Rule, Spot, State, Trigger, When,
+};
 
 use super::*;
 
@@ -87,10 +89,23 @@ fn other_at(place: &str) -> Result<(String, f64), String> {
     let entities = vehicle("Ego", "") + &vehicle("T", "");
     let actions = init("Ego", &(teleport(AT_50) + &speed("15"))) + &init("T", &teleport(place));
     let read = import(&file(&entities, &actions, ""));
-    match read.scenario.agents.first() {
-        Some(agent) => Ok((agent.lane.clone(), (agent.at_m * 1e6).round() / 1e6)),
+    match read.scenario.story.actors.first() {
+        Some(actor) => Ok(middle_of(actor)),
         None => Err(read.skipped.join("\n")),
     }
+}
+
+/// Lane of an actor, and the place of the middle of its box along it.
+fn middle_of(actor: &Actor) -> (String, f64) {
+    let lane = actor.lane.clone().unwrap();
+    let middle_x_m = actor.point_m[0] + actor.center_m * actor.heading_rad.cos();
+    let is_west = lane == "1/0/1";
+    let at_m = if is_west {
+        400.0 - middle_x_m
+    } else {
+        middle_x_m
+    };
+    (lane, (at_m * 1e6).round() / 1e6)
 }
 
 #[test]
@@ -182,6 +197,11 @@ fn positions_are_those_of_the_class_model() {
             "<LanePosition roadId='1' laneId='-1' s='100' offset='-3.5'/>",
             at("-2", 101.4),
         ),
+        // Beside all lanes it follows its own.
+        (
+            "<LanePosition roadId='1' laneId='-1' s='100' offset='9'/>",
+            at("-1", 101.4),
+        ),
     ] {
         assert_eq!(other_at(place), Ok(expected), "{place}");
     }
@@ -202,10 +222,6 @@ fn positions_are_those_of_the_class_model() {
             "<GeoPosition latitudeDeg='1' longitudeDeg='1'/>",
             "latitude and longitude",
         ),
-        (
-            "<LanePosition roadId='1' laneId='-1' s='100' offset='9'/>",
-            "on no driving lane",
-        ),
     ] {
         let message = other_at(place).unwrap_err();
         assert!(message.contains(reason), "{place}: {message}");
@@ -215,8 +231,7 @@ fn positions_are_those_of_the_class_model() {
         let entities = vehicle("Ego", "") + &vehicle("T", "");
         let start = "<LanePosition roadId='1' laneId='1' s='200'/>";
         let actions = init("Ego", &teleport(start)) + &init("T", &teleport(place));
-        let agent = &import(&file(&entities, &actions, "")).scenario.agents[0];
-        (agent.lane.clone(), (agent.at_m * 1e6).round() / 1e6)
+        middle_of(&import(&file(&entities, &actions, "")).scenario.story.actors[0])
     };
     assert_eq!(
         west("<RelativeLanePosition entityRef='Ego' dLane='0' ds='40'/>"),
@@ -301,14 +316,34 @@ fn events_wait_for_times_and_for_each_other() {
     let place = "<LanePosition roadId='1' laneId='-1' s='100'/>";
     let actions = init("Ego", &teleport(AT_50)) + &init("T", &(teleport(place) + &speed("10")));
     let read = import(&file(&entities, &actions, &story));
-    let begins: Vec<_> = read.scenario.agents[0]
-        .behaviors
-        .iter()
-        .map(|behavior| behavior.trigger)
-        .collect();
-    let time = |time_s: f64| Trigger::Time { time_s };
-    assert_eq!(begins, [time(6.5), time(3.5), time(5.0)]);
-    assert_eq!((read.events, read.events_driven), (5, 3));
+    let story = &read.scenario.story;
+    let condition = |delay_s: f64, when: When| Condition {
+        edge: Edge::None,
+        delay_s,
+        when,
+    };
+    let time = |value_s: f64| When::Time {
+        rule: Rule::Greater,
+        value_s,
+    };
+    // The first event is that of the start.
+    let second = |state: State| When::Events {
+        events: vec![2],
+        state,
+    };
+    let begins: Vec<&Trigger> = story.events.iter().map(|event| &event.start).collect();
+    assert_eq!(begins[0], &Trigger::new());
+    assert_eq!(begins[1], &vec![vec![condition(1.0, second(State::Over))]]);
+    assert_eq!(begins[2], &vec![vec![condition(0.5, time(3.0))]]);
+    let both = vec![
+        condition(0.0, second(State::Begun)),
+        condition(0.0, time(5.0)),
+    ];
+    assert_eq!(begins[3], &vec![vec![condition(0.0, time(9.0))], both]);
+    let never = When::Always { holds: false };
+    assert_eq!(begins[5], &vec![vec![condition(0.0, never)]]);
+    assert_eq!(story.acts[0].start, vec![vec![condition(0.0, time(1.0))]]);
+    assert_eq!((read.events, read.events_driven), (5, 4));
     assert!(
         read.skipped
             .iter()
@@ -344,7 +379,10 @@ fn the_ego_the_map_and_objects_are_found() {
     let text = file(&entities, &actions, &story);
     let read = import(&text);
     assert_eq!(
-        (read.ego.as_str(), read.scenario.agents[0].name.as_str()),
+        (
+            read.ego.as_str(),
+            read.scenario.story.actors[0].name.as_str()
+        ),
         ("Mine", "Target")
     );
     // An event at fault is lost and listed; the others are driven.
@@ -383,70 +421,77 @@ fn the_ego_the_map_and_objects_are_found() {
     }
 }
 
-/// Trigger of an event of T with `condition`, whose act begins after 1 s.
-fn trigger_of(condition: &str) -> Option<Trigger> {
+/// Condition of an event of T, about U, beside the ego and a cone.
+fn condition_of(condition: &str) -> Option<When> {
     let condition = format!(
-        "<ByEntityCondition><TriggeringEntities triggeringEntitiesRule='any'><EntityRef entityRef='Ego'/></TriggeringEntities><EntityCondition>{condition}</EntityCondition></ByEntityCondition>"
+        "<ByEntityCondition><TriggeringEntities triggeringEntitiesRule='any'><EntityRef entityRef='U'/></TriggeringEntities><EntityCondition>{condition}</EntityCondition></ByEntityCondition>"
     );
-    let begins = "<ByValueCondition><SimulationTimeCondition value='1' rule='greaterThan'/></ByValueCondition>";
-    let trigger = |condition: &str, delay: f64| {
-        format!(
-            "<StartTrigger><ConditionGroup><Condition delay='{delay}'>{condition}</Condition></ConditionGroup></StartTrigger>"
-        )
-    };
     let story = format!(
-        "<Story name='s'><Act name='a'><ManeuverGroup maximumExecutionCount='1' name='g'><Actors selectTriggeringEntities='false'><EntityRef entityRef='T'/></Actors><Maneuver name='m'><Event name='e' priority='overwrite'><Action name='x'>{}</Action>{}</Event></Maneuver></ManeuverGroup>{}</Act></Story>",
+        "<Story name='s'><Act name='a'><ManeuverGroup maximumExecutionCount='1' name='g'><Actors selectTriggeringEntities='false'><EntityRef entityRef='T'/></Actors><Maneuver name='m'><Event name='e' priority='overwrite'><Action name='x'>{}</Action><StartTrigger><ConditionGroup><Condition delay='0'>{condition}</Condition></ConditionGroup></StartTrigger></Event></Maneuver></ManeuverGroup></Act></Story>",
         speed("9"),
-        trigger(&condition, 0.5),
-        trigger(begins, 0.0)
     );
-    let entities = vehicle("Ego", "") + &vehicle("T", "");
-    let place = "<LanePosition roadId='1' laneId='-1' s='100'/>";
-    let actions = init("Ego", &teleport(AT_50)) + &init("T", &(teleport(place) + &speed("9")));
+    let cone = "<ScenarioObject name='Cone'><CatalogReference catalogName='cones' entryName='cone'/></ScenarioObject>";
+    let entities = vehicle("Ego", "") + cone + &vehicle("T", "") + &vehicle("U", "");
+    let place = |s: u32| format!("<LanePosition roadId='1' laneId='-1' s='{s}'/>");
+    let actions = init("Ego", &teleport(AT_50))
+        + &init("Cone", &teleport(&place(300)))
+        + &init("T", &teleport(&place(100)))
+        + &init("U", &teleport(&place(150)));
     let read = import(&file(&entities, &actions, &story));
-    let behavior = read.scenario.agents[0].behaviors.first();
-    assert_eq!(read.events_driven, usize::from(behavior.is_some()));
-    behavior.map(|behavior| behavior.trigger)
+    let start = read.scenario.story.events[1].start.clone();
+    let is_driven = read.events_driven == 1;
+    let when = start[0][0].when.clone();
+    assert_eq!(is_driven, when != When::Always { holds: false });
+    is_driven.then_some(when)
 }
 
 #[test]
-fn conditions_of_actor_and_ego_are_asked_while_driving() {
-    let less = "rule='lessThan' value='2'";
-    let more = "rule='greaterThan' value='2'";
-    let point_m = DVec2::new(80.0, -1.75);
-    let cases = [
-        (format!("<SpeedCondition {more}/>"), Measure::Speed, 0.0, true),
-        (format!("<AccelerationCondition {less}/>"), Measure::Acceleration, 0.0, false),
-        (format!("<RelativeSpeedCondition entityRef='T' {less}/>"), Measure::RelativeSpeed, 0.0, false),
-        ("<TraveledDistanceCondition value='2'/>".into(), Measure::Traveled, 0.0, true),
-        ("<StandStillCondition duration='2'/>".into(), Measure::Standing, 0.0, true),
-        ("<ReachPositionCondition tolerance='2'><Position><WorldPosition x='80' y='-1.75'/></Position></ReachPositionCondition>".into(), Measure::DistanceTo { point_m }, 0.0, false),
-        (format!("<RelativeDistanceCondition entityRef='T' freespace='false' relativeDistanceType='longitudinal' {less}/>"), Measure::Longitudinal, 0.0, false),
-        (format!("<RelativeDistanceCondition entityRef='T' freespace='false' relativeDistanceType='lateral' {more}/>"), Measure::Lateral, 0.0, true),
-        (format!("<RelativeDistanceCondition entityRef='T' freespace='true' relativeDistanceType='euclidianDistance' {less}/>"), Measure::Distance, 4.4, false),
-        (format!("<TimeHeadwayCondition entityRef='T' freespace='true' alongRoute='true' {less}/>"), Measure::Headway, 4.4, false),
-        (format!("<TimeToCollisionCondition freespace='false' {less}><TimeToCollisionConditionTarget><EntityRef entityRef='T'/></TimeToCollisionConditionTarget></TimeToCollisionCondition>"), Measure::TimeToCollision, 0.0, false),
-    ];
-    for (condition, measure, less_m, is_above) in cases {
-        let expected = Measured {
-            of: Party::Ego,
-            measure,
-            less_m,
-            is_above,
-            value: 2.0,
-            from_s: 1.0,
-            delay_s: 0.5,
-        };
-        let found = trigger_of(&condition);
-        assert_eq!(found, Some(Trigger::Measured(expected)), "{condition}");
-    }
-    // Entities that the file does not have, and equality, are listed instead.
-    for condition in [
-        format!(
-            "<TimeHeadwayCondition entityRef='nobody' freespace='true' alongRoute='true' {less}/>"
+fn conditions_are_about_any_entity_and_about_places() {
+    let distance = |to: End| Measure::Distance {
+        to,
+        direction: Direction::Straight,
+        between_boxes: false,
+    };
+    let less = "freespace='false' rule='lessThan' value='2'";
+    let point = |at_m: [f64; 2]| {
+        End::At(Spot::Point {
+            at_m,
+            heading_rad: Some(0.0),
+        })
+    };
+    let beside = End::At(Spot::Lane {
+        who: Who(1),
+        lanes: -1,
+        ahead_m: 30.0,
+        left_m: Some(0.0),
+    });
+    let relative = |to: &str| format!("<RelativeDistanceCondition entityRef='{to}' {less}/>");
+    let place = |inner: &str| {
+        format!("<DistanceCondition {less}><Position>{inner}</Position></DistanceCondition>")
+    };
+    for (condition, to) in [
+        (relative("Ego"), End::Who(Who::EGO)),
+        (relative("T"), End::Who(Who(1))),
+        // What never moves is a place.
+        (relative("Cone"), point([300.0, -1.75])),
+        (
+            place("<WorldPosition x='80' y='-1.75'/>"),
+            point([80.0, -1.75]),
         ),
-        "<SpeedCondition rule='equalTo' value='2'/>".into(),
+        (
+            place("<RelativeLanePosition entityRef='T' dLane='-1' ds='30'/>"),
+            beside,
+        ),
     ] {
-        assert_eq!(trigger_of(&condition), None, "{condition}");
+        let expected = When::Value {
+            of: vec![Who(2)],
+            all: false,
+            measure: distance(to),
+            rule: Rule::Less,
+            value: 2.0,
+        };
+        assert_eq!(condition_of(&condition), Some(expected), "{condition}");
     }
+    // Entities that the file does not have are listed instead.
+    assert_eq!(condition_of(&relative("nobody")), None);
 }

@@ -1,0 +1,166 @@
+//! Checks of the story of a scenario.
+
+use std::collections::HashSet;
+
+use decouplegs_scene::story::{Action, Story, Trigger, When, Who};
+use toml::Value;
+
+use super::check::{Fault, Table, check_name, check_size};
+
+/// Events, acts, actions, conditions, variables, and points of a story.
+const PARTS_MAX: usize = 10_000;
+const POINTS_MAX: usize = 200_000;
+/// Numbers and letters of a story.
+const NUMBER_MAX: f64 = 1e9;
+const TEXT_BYTES_MAX: usize = 1000;
+
+fn fault(field: &'static str, reason: String) -> Fault {
+    Fault::new(Table::Story, field, reason)
+}
+
+/// First fault of a story, if any. `names` are those of the other agents.
+pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) -> Result<(), Fault> {
+    for actor in &story.actors {
+        check_name(Table::Story, &actor.name)?;
+        check_size(Table::Story, actor.size())?;
+        if !names.insert(actor.name.as_str()) {
+            let reason = format!("'{}' is taken; names must differ", actor.name);
+            return Err(fault("name", reason));
+        }
+    }
+    let acts = story.acts.iter().flat_map(|act| [&act.start, &act.stop]);
+    let triggers: Vec<&Trigger> = acts
+        .chain(story.events.iter().map(|event| &event.start))
+        .collect();
+    let conditions = triggers.iter().flat_map(|trigger| trigger.iter());
+    let tasks = story.events.iter().flat_map(|event| &event.actions);
+    for (field, count, most) in [
+        ("act", story.acts.len(), PARTS_MAX),
+        ("event", story.events.len(), PARTS_MAX),
+        ("actions", tasks.clone().count(), PARTS_MAX),
+        ("start", conditions.clone().map(Vec::len).sum(), PARTS_MAX),
+        ("variables", story.variables.len(), PARTS_MAX),
+        (
+            "points_m",
+            tasks.clone().map(|task| points(&task.action)).sum(),
+            POINTS_MAX,
+        ),
+    ] {
+        if count > most {
+            return Err(fault(
+                field,
+                format!("{count} of them; expected at most {most}"),
+            ));
+        }
+    }
+    let is_known = |who: Who| who.0 <= story.actors.len();
+    for task in tasks {
+        if !is_known(task.of) {
+            return Err(fault("of", format!("there is no actor {}", task.of.0)));
+        }
+        if let Action::Profile {
+            times_s,
+            speeds_mps,
+        } = &task.action
+            && times_s.len() != speeds_mps.len()
+        {
+            return Err(fault("times_s", "expected as many times as speeds".into()));
+        }
+    }
+    if let Some(event) = story
+        .events
+        .iter()
+        .find(|event| event.act >= story.acts.len())
+    {
+        return Err(fault("act", format!("there is no act {}", event.act)));
+    }
+    for condition in conditions.flatten() {
+        match &condition.when {
+            When::Events { events, .. } => {
+                if let Some(event) = events.iter().find(|event| **event >= story.events.len()) {
+                    return Err(fault("events", format!("there is no event {event}")));
+                }
+            }
+            When::Value { of, .. } => {
+                if let Some(who) = of.iter().find(|who| !is_known(**who)) {
+                    return Err(fault("of", format!("there is no actor {}", who.0)));
+                }
+            }
+            _ => {}
+        }
+    }
+    let values = Value::try_from(story).map_err(|error| fault("story", error.to_string()))?;
+    check_values(&values)
+}
+
+fn points(action: &Action) -> usize {
+    match action {
+        Action::Follow { points_m, .. } | Action::Route { points_m } => points_m.len(),
+        Action::Profile { times_s, .. } => times_s.len(),
+        _ => 0,
+    }
+}
+
+/// Numbers that have a meaning, and texts of a usual length.
+fn check_values(values: &Value) -> Result<(), Fault> {
+    match values {
+        Value::Float(number) if number.is_nan() || number.abs() > NUMBER_MAX => {
+            let reason = format!("a number of {number}; expected -1e9 to 1e9");
+            Err(fault("story", reason))
+        }
+        Value::String(text) if text.len() > TEXT_BYTES_MAX => {
+            let reason = format!("a text of {} bytes; expected at most 1000", text.len());
+            Err(fault("story", reason))
+        }
+        Value::Array(list) => list.iter().try_for_each(check_values),
+        Value::Table(table) => table.values().try_for_each(check_values),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use decouplegs_scene::Scenario;
+
+    use crate::scenario_file::{parse, to_toml};
+
+    /// A scenario whose story has an action and a condition of each kind.
+    const TEXT: &str = include_str!("../../../asset/fuzz/seeds/scenario_file/story.toml");
+
+    #[test]
+    fn stories_are_read_and_written() {
+        let scenario: Scenario = parse(TEXT).unwrap();
+        let story = &scenario.story;
+        assert_eq!((story.actors.len(), story.events[0].actions.len()), (1, 10));
+        assert_eq!(scenario.agent(0).0, "b");
+        assert_eq!(parse(&to_toml(&scenario).unwrap()).unwrap(), scenario);
+    }
+
+    #[test]
+    fn stories_without_a_meaning_are_refused() {
+        for (from, to, reason) in [
+            ("name = \"b\"", "name = \"b c\"", "names files"),
+            ("kind = \"bus\"", "kind = \"ship\"", "'ship' is unknown"),
+            ("speed_mps = -1.0", "speed_mps = nan", "a number of NaN"),
+            ("size_m = [10.0", "size_m = [-1.0", "size_m"),
+            ("of = [0, 1]", "of = [0, 2]", "no actor 2"),
+            ("events = [0]", "events = [7]", "no event 7"),
+            ("act = 0", "act = 4", "no act 4"),
+            (
+                "{ of = 1, action = { show",
+                "{ of = 9, action = { show",
+                "no actor 9",
+            ),
+            (
+                "speeds_mps = [2.0]",
+                "speeds_mps = []",
+                "as many times as speeds",
+            ),
+            ("is_shown = false", "is_gone = false", "is_gone"),
+        ] {
+            assert!(TEXT.contains(from), "{from}");
+            let error = parse(&TEXT.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(error.contains(reason), "{to}: {error}");
+        }
+    }
+}
