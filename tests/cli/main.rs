@@ -15,6 +15,7 @@ mod first_hour;
 mod ground_truth;
 mod hd_scores;
 mod hostile;
+mod hugsim_scenarios;
 mod interfaces;
 mod lidar;
 mod map;

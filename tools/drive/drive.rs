@@ -50,7 +50,8 @@ enum RoadUsers {
 /// react. Finished episodes stay in --out; the same command resumes a stopped run
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Scenarios (.toml) or OpenSCENARIO files (.xosc) to drive, one episode each
+    /// Scenarios (.toml), OpenSCENARIO files (.xosc), or scenarios of HUGSIM (.yaml, in --scene) to
+    /// drive, one episode each
     #[arg(required_unless_present_any = ["level", "follow_recording"], value_name = "SCENARIO")]
     scenarios: Vec<PathBuf>,
     /// Generate scenarios of these levels: easy, medium, hard, extreme or all

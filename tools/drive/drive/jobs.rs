@@ -9,7 +9,8 @@ use decouplegs::asset::packed_scene::is_package;
 use decouplegs::asset::{SceneFile, probe_paths, write_atomically, write_obstacles};
 use decouplegs::drive::generate::{Area, Difficulty, Generator, PlaceOptions, Sky};
 use decouplegs::episode::Site;
-use decouplegs::logs::{read_scenario, write_scenario};
+use decouplegs::hugsim_import::import_hugsim_scenario;
+use decouplegs::logs::{read_hugsim_scenario, read_scenario, write_scenario};
 use decouplegs::recorded::recorded_scenario;
 use decouplegs::scenario_import::import_open_scenario;
 use decouplegs::scene::scenario::Place;
@@ -39,8 +40,8 @@ pub struct PlaceArguments {
     )]
     probes: Option<PathBuf>,
     /// Drive in this captured scene (.toml), whose lanes are those of --map, or in a package
-    /// (.usdz), which has lanes of its own
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["probes", "scenarios"])]
+    /// (.usdz), which has lanes of its own. Scenarios of HUGSIM (.yaml) are driven here
+    #[arg(long, value_name = "FILE", conflicts_with = "probes")]
     scene: Option<PathBuf>,
     /// Obstacles of --scene, instead of what its splats show beside the lanes. `map --obstacles`
     /// writes such a file
@@ -90,21 +91,37 @@ pub fn list(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
 }
 
 fn from_files(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
-    let is_open_scenario = |path: &PathBuf| {
-        path.extension()
-            .is_some_and(|extension| extension.eq_ignore_ascii_case("xosc"))
+    let ends_with = |path: &PathBuf, ends: &[&str]| {
+        let extension = path
+            .extension()
+            .map(|extension| extension.to_ascii_lowercase());
+        extension.is_some_and(|extension| ends.iter().any(|end| extension == *end))
     };
-    if let Some(other) = arguments
-        .scenarios
-        .iter()
-        .find(|path| arguments.place.map.is_some() && !is_open_scenario(path))
-    {
-        bail!(
-            "--map stands for the map of OpenSCENARIO files (.xosc), and {} names its own",
-            other.display()
-        );
+    let is_open_scenario = |path: &PathBuf| ends_with(path, &["xosc"]);
+    let is_hugsim = |path: &PathBuf| ends_with(path, &["yaml", "yml"]);
+    let place = &arguments.place;
+    for path in &arguments.scenarios {
+        let path_shown = path.display();
+        if is_hugsim(path) {
+            if place.scene.is_none() {
+                bail!(
+                    "{path_shown} is a scenario of HUGSIM: name the scene that it was made for with --scene, and its lanes with --map"
+                );
+            }
+        } else if place.scene.is_some() {
+            bail!(
+                "--scene is the place of scenarios of HUGSIM (.yaml), and {path_shown} names its own"
+            );
+        } else if place.map.is_some() && !is_open_scenario(path) {
+            bail!(
+                "--map stands for the map of OpenSCENARIO files (.xosc), and {path_shown} names its own"
+            );
+        }
     }
     let job = |path: &PathBuf| {
+        if is_hugsim(path) {
+            return hugsim(path, arguments, folder);
+        }
         if is_open_scenario(path) {
             return imported(path, arguments, folder);
         }
@@ -195,6 +212,39 @@ fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Jo
         scenario,
         directory: PathBuf::new(),
         lost,
+    })
+}
+
+/// The scenario of a file of HUGSIM in the scene that is named, written to the folder of the run.
+fn hugsim(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Job> {
+    let file = read_hugsim_scenario(path)?;
+    let site = Site::open(&arguments.place.bare(), Path::new(""), None)
+        .with_context(|| format!("{} cannot be driven here", path.display()))?;
+    let scene = arguments
+        .place
+        .scene
+        .as_ref()
+        .filter(|scene| !is_package(scene));
+    let agents = match scene {
+        Some(scene) => SceneFile::read(scene)?.agents,
+        None => Vec::new(),
+    };
+    let tracks: Vec<_> = agents
+        .into_iter()
+        .map(|agent| (agent.name, agent.trajectory))
+        .collect();
+    let place = arguments.place.whole()?;
+    let (scenario, notes) = import_hugsim_scenario(&file, &site, place, &tracks)
+        .map_err(|error| anyhow!("{}: {error}", path.display()))?;
+    for sentence in notes {
+        warn(&format!("{}: {sentence}", path.display()));
+    }
+    let scenario = stepped(scenario, arguments);
+    write_scenario(&folder.scenario(&scenario.name), &scenario)?;
+    Ok(Job {
+        scenario,
+        directory: PathBuf::new(),
+        lost: None,
     })
 }
 

@@ -2,6 +2,7 @@
 
 mod across;
 mod along;
+mod attack;
 
 use decouplegs_scene::story::{Action, Actor, Limits, Who};
 use decouplegs_scene::{VehicleSize, VehicleState};
@@ -9,6 +10,7 @@ use glam::DVec2;
 
 use self::across::Across;
 use self::along::Along;
+use self::attack::Attack;
 use super::roads::{OnLane, Roads};
 use super::seen::{Scene, Seen};
 use crate::polyline::{Polyline, wrapped};
@@ -66,6 +68,7 @@ pub(super) struct Mover {
     along: Option<Job<Along>>,
     across: Option<Job<Across>>,
     follow: Option<Job<Option<Timed>>>,
+    attack: Option<Attack>,
 }
 impl Mover {
     pub(super) fn new(roads: &Roads, actor: &Actor) -> Self {
@@ -93,6 +96,7 @@ impl Mover {
             along: None,
             across: None,
             follow: None,
+            attack: None,
         }
     }
 
@@ -190,6 +194,22 @@ impl Mover {
                 self.is_shown = *is_shown;
                 ended.push(number);
             }
+            Action::Attack {
+                ahead_s,
+                every_s,
+                best,
+            } => {
+                self.stop_following(ended);
+                ended.extend(self.along.take().map(|old| old.number));
+                ended.extend(self.across.take().map(|old| old.number));
+                self.attack = Some(Attack {
+                    number,
+                    ahead_s: *ahead_s,
+                    every_s: *every_s,
+                    best: *best as usize,
+                    next_s: time_s,
+                });
+            }
             // Those that are no motion of an actor.
             Action::Set { .. } | Action::Wait { .. } => ended.push(number),
         }
@@ -249,6 +269,7 @@ impl Mover {
         (scene, time_s, dt_s): (&Scene, f64, f64),
         ended: &mut Vec<Number>,
     ) {
+        self.attack_on(scene, time_s);
         if self.advance_timed(scene.roads, time_s + dt_s, dt_s, ended) {
             return;
         }
@@ -348,6 +369,7 @@ impl Mover {
         {
             (self.across, self.left_mps) = (None, 0.0);
         }
+        self.attack = self.attack.filter(|attack| attack.number.0 != event);
         if self
             .follow
             .as_ref()

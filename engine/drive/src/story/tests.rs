@@ -6,7 +6,7 @@ use decouplegs_scene::story::{
     Act, Action, Actor, Condition, Dynamics, Edge, Event, Extent, Limits, Priority, Rule, Shape,
     Side, Speed, Spot, Story, TargetLane, Task, Trigger, When, Who,
 };
-use decouplegs_scene::{Lane, LaneKind, LaneMap, RoadUser};
+use decouplegs_scene::{Lane, LaneKind, LaneMap, RoadUser, VehicleSize, VehicleState};
 use glam::{DVec2, DVec3};
 
 use super::Stage;
@@ -429,4 +429,52 @@ fn teleports_and_hiding_happen_at_once() {
     }
     assert!(stage.states().all(|state| state.is_none()));
     assert_eq!(stage.shown().count(), 0);
+}
+
+/// The ego drives east at 8 m/s beside the actor, which is 20 m behind on the next lane.
+#[test]
+fn an_attack_meets_an_ego_that_keeps_its_speed() {
+    let attack = Action::Attack {
+        ahead_s: 2.0,
+        every_s: 0.5,
+        best: 1,
+    };
+    let mut own = actor("a", 80.0, 2, 10.0);
+    own.lane = None;
+    own.center_m = 0.0;
+    let attacked = story(&[own.clone()], &[event(Trigger::new(), &[(A, attack)])]);
+    let nearest = |story: &Story| {
+        let mut stage = Stage::new(story, &road()).unwrap();
+        let mut nearest_m = f64::INFINITY;
+        let mut before = (DVec2::new(80.0, -5.25), 10.0);
+        for step in 0..80 {
+            let ego = VehicleState {
+                position_m: DVec2::new(100.0 + 0.8 * f64::from(step), -1.75),
+                speed_mps: 8.0,
+                ..VehicleState::default()
+            };
+            stage.step(f64::from(step) * 0.1, 0.1, Some((&ego, &VehicleSize::CAR)));
+            let state = stage.states().next().unwrap().unwrap();
+            // It drives as a vehicle can: no leap, and no more than 6 m/s^2 of change.
+            let way_m = state.position_m.distance(before.0);
+            assert!(
+                (way_m - 0.1 * state.speed_mps).abs() < 0.2,
+                "{step}: {way_m} m"
+            );
+            before = (state.position_m, state.speed_mps);
+            nearest_m = state.position_m.distance(ego.position_m).min(nearest_m);
+        }
+        nearest_m
+    };
+    let attacks_m = nearest(&attacked);
+    let passes_m = nearest(&story(&[own], &[]));
+    assert!(
+        attacks_m < 1.0 && passes_m > 3.0,
+        "{attacks_m} m and {passes_m} m"
+    );
+    assert_eq!(
+        nearest(&attacked).to_bits(),
+        attacks_m.to_bits(),
+        "it repeats"
+    );
 }

@@ -67,6 +67,22 @@ pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) ->
             return Err(fault("times_s", "expected as many times as speeds".into()));
         }
     }
+    for task in story.events.iter().flat_map(|event| &event.actions) {
+        if let Action::Attack {
+            ahead_s,
+            every_s,
+            best,
+        } = task.action
+        {
+            let is_sound =
+                (0.1..=60.0).contains(&ahead_s) && (0.02..=ahead_s).contains(&every_s) && best > 0;
+            if !is_sound {
+                let reason =
+                    "expected ahead_s of 0.1 to 60, every_s of 0.02 to ahead_s, best of 1 or more";
+                return Err(fault("attack", reason.into()));
+            }
+        }
+    }
     if let Some(event) = story
         .events
         .iter()
@@ -131,7 +147,7 @@ mod tests {
     fn stories_are_read_and_written() {
         let scenario: Scenario = parse(TEXT).unwrap();
         let story = &scenario.story;
-        assert_eq!((story.actors.len(), story.events[0].actions.len()), (1, 10));
+        assert_eq!((story.actors.len(), story.events[0].actions.len()), (1, 11));
         assert_eq!(scenario.agent(0).0, "b");
         assert_eq!(parse(&to_toml(&scenario).unwrap()).unwrap(), scenario);
     }
@@ -157,6 +173,11 @@ mod tests {
                 "as many times as speeds",
             ),
             ("is_shown = false", "is_gone = false", "is_gone"),
+            (
+                "every_s = 0.5",
+                "every_s = 5.0",
+                "every_s of 0.02 to ahead_s",
+            ),
         ] {
             assert!(TEXT.contains(from), "{from}");
             let error = parse(&TEXT.replacen(from, to, 1)).unwrap_err().to_string();

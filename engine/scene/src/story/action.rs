@@ -246,6 +246,15 @@ pub enum Action {
         #[serde(default)]
         is_absolute: bool,
     },
+    /// Takes, again and again, the way that leads nearest to where the ego will be, without end.
+    Attack {
+        /// Length of a way, seconds, at most 60.
+        ahead_s: f64,
+        /// Time between plans, seconds, at most `ahead_s`.
+        every_s: f64,
+        /// Number of best ways of which it takes one, from 1.
+        best: u32,
+    },
     /// Goes along the lanes that lead through points.
     Route {
         /// Points, world coordinates, meters.
