@@ -421,10 +421,11 @@ fn complaints_name_line_key_and_reason() {
         ),
     ];
     check_complaints(&cases);
-    let whole = example();
-    let tables = &whole[..whole.find("\n[story]\n").unwrap()];
-    let from_agent = &tables[tables.find("\n[[agent]]\n").unwrap()..];
-    let twice = format!("{tables}{from_agent}");
+    let twice = format!(
+        "{}{}",
+        example(),
+        &example()[example().find("\n[[agent]]\n").unwrap()..]
+    );
     let error = scenario_file::parse(&twice).unwrap_err();
     assert!(
         error.key == "agent[1].name" && error.reason.contains("'taxi' is taken"),

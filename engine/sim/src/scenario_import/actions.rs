@@ -196,8 +196,8 @@ impl Cast<'_, '_> {
         })
     }
 
-    /// Points of a line, meters: the entity that all are seen from, and true if they count along its
-    /// lanes; otherwise in world coordinates.
+    /// Points of a line, meters, after the entity that all are seen from, and true if they count
+    /// along its lanes; without one, in world coordinates.
     fn line(&self, points: &[Position]) -> Lost<(Option<Who>, bool, Vec<[f64; 2]>)> {
         let ahead =
             |place: &Position| seen_from(place).map(|(name, at_m, _)| (name.to_owned(), at_m));
