@@ -122,10 +122,10 @@ fn what_is_missing_is_named() {
         folder.path().join("lanes.json"),
     );
     let scenario = folder.path().join("a.yaml");
-    let run = folder.path().join("run");
     let drive = |more: &[&str]| {
+        let run = tempfile::tempdir_in(folder.path()).unwrap();
         let mut arguments = vec!["drive", text(&scenario), "--planner", "lane-follow"];
-        arguments.extend(["--render", "off", "--out", text(&run)]);
+        arguments.extend(["--render", "off", "--out", text(run.path())]);
         arguments.extend(more);
         fail(1, &arguments)
     };

@@ -8,7 +8,8 @@ use decouplegs::scene::{LidarModel, RigLidar};
 use tonic::{Request, Response, Status};
 
 use crate::names::check_name;
-use crate::sensorsim::{Sensorsim, metadata_of};
+use crate::scene_registry::metadata_of;
+use crate::sensorsim::Sensorsim;
 use crate::sweep_request::{SweepRequest, models};
 use decouplegs_alpasim::poses::message_of;
 use decouplegs_alpasim::wire::lidar::lidar_server::Lidar;

@@ -4,8 +4,7 @@ use std::sync::Arc;
 
 use tonic::Status;
 
-use crate::scene_registry::SceneRegistry;
-use crate::sensorsim::metadata_of;
+use crate::scene_registry::{SceneRegistry, metadata_of};
 use decouplegs_alpasim::camera_spec::spec_of;
 use decouplegs_alpasim::wire::sensorsim::camera_spec::CameraParam;
 use decouplegs_alpasim::wire::sensorsim::{CameraSpec, FthetaCameraParam, RgbRenderRequest};

@@ -11,6 +11,9 @@ use decouplegs::asset::packed_scene::{
 use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene};
 use decouplegs::scene::{Pose, Rig, RigCamera, RigLidar, TimedPose, Trajectory};
 use glam::DVec3;
+use tonic::Status;
+
+use crate::names::{check_name, no_scene};
 
 /// Control step of AlpaSim's defaults, seconds, for which it asks before the first pose
 /// (`src/wizard/configs/base_config.yaml`).
@@ -242,6 +245,19 @@ pub fn id_of(path: &Path) -> Option<String> {
         absolute.file_stem()
     };
     named.and_then(|name| name.to_str()).map(str::to_owned)
+}
+
+/// Metadata of the scene `id`; files are read on a blocking thread.
+pub async fn metadata_of(
+    registry: &Arc<SceneRegistry>,
+    id: String,
+) -> Result<Arc<SceneMetadata>, Status> {
+    check_name(&id, "scene_id")?;
+    let (registry, asked) = (Arc::clone(registry), id.clone());
+    let read = tokio::task::spawn_blocking(move || registry.metadata(&asked)).await;
+    let metadata = read.map_err(|error| Status::internal(error.to_string()))?;
+    let metadata = metadata.map_err(|error| Status::failed_precondition(error.to_string()))?;
+    metadata.ok_or_else(|| no_scene(&id))
 }
 
 #[cfg(test)]

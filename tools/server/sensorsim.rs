@@ -12,12 +12,12 @@ use tonic::{Code, Request, Response, Status};
 
 use crate::image_memory::Images;
 use crate::metrics::Metrics;
-use crate::names::{CONTRACT_VERSION, check_name, no_scene};
+use crate::names::{CONTRACT_VERSION, check_name};
 use crate::options::Limits;
 use crate::reference_lens::with_reference_lens;
 use crate::render_queue::RenderQueue;
 use crate::render_request::RenderRequest;
-use crate::scene_registry::{SceneMetadata, SceneRegistry};
+use crate::scene_registry::{SceneRegistry, metadata_of};
 use crate::sweep_request::SweepRequest;
 use decouplegs_alpasim::camera_spec::spec_of;
 use decouplegs_alpasim::encoding::{Encoders, encode};
@@ -65,19 +65,6 @@ pub fn version() -> VersionId {
             patch,
         }),
     }
-}
-
-/// Metadata of the scene `id`; files are read on a blocking thread.
-pub async fn metadata_of(
-    registry: &Arc<SceneRegistry>,
-    id: String,
-) -> Result<Arc<SceneMetadata>, Status> {
-    check_name(&id, "scene_id")?;
-    let (registry, asked) = (Arc::clone(registry), id.clone());
-    let read = tokio::task::spawn_blocking(move || registry.metadata(&asked)).await;
-    let metadata = read.map_err(|error| Status::internal(error.to_string()))?;
-    let metadata = metadata.map_err(|error| Status::failed_precondition(error.to_string()))?;
-    metadata.ok_or_else(|| no_scene(&id))
 }
 
 impl Sensorsim {

@@ -54,7 +54,7 @@ pub struct HugsimAgent {
     pub state: HugsimState,
     /// Name of its model among those of 3DRealCar.
     pub model: String,
-    /// What drives it.
+    /// Planner that drives it.
     pub planner: HugsimPlanner,
 }
 
@@ -259,7 +259,7 @@ mod tests {
     use super::*;
 
     /// Entries in the form of its benchmark; the values are our own.
-    const TEXT: &str = "mode: extreme_00\nplan_list:\n- - 2.5 # right\n  - 12.0\n  - -0.3\n  - 0.1\n  - 3\n  - \"car_a\"\n  - ConstantPlanner\n  - {}\n- [0.0, -15.0, -0.3, 0, 4.0, car_b, AttackPlanner, {pred_steps: 20, ATTACK_FREQ: 10, best_k: 2}]\n- [0, 0, 0, 0, 0, car_c, UnicyclePlanner, {uc_id: 6e29, speed: 0.5}]\n- [1, 2, 0, 0, 5, car_d, IDM, {v0: 8}]\nload_HD_map: false\nstart_euler: [0.0, 90.0, 0.0]\nstart_ab: [1.0, 2.0]\nstart_velo: 1\nstart_steer: 0\nscene_name: scene-0383\niteration: 30000";
+    const TEXT: &str = include_str!("../../asset/fuzz/seeds/hugsim_scenario/four.yaml");
 
     #[test]
     fn entries_are_read() {
@@ -294,7 +294,7 @@ mod tests {
             best: 2,
         };
         let recorded = HugsimPlanner::Recorded {
-            track: "6e29".into(),
+            track: "6e298f45".into(),
             rate: 0.5,
         };
         assert_eq!(
@@ -314,7 +314,7 @@ mod tests {
             ),
             ("best_k: 2", "best_k: 0.5", "plan_list[1]: best_k is 0.5"),
             ("speed: 0.5", "speed: 0", "plan_list[2]: speed is 0"),
-            ("uc_id: 6e29, ", "", "plan_list[2]: uc_id"),
+            ("uc_id: 6e298f45, ", "", "plan_list[2]: uc_id"),
             ("  - 12.0\n", "", "plan_list[0]: expected 8 values"),
             ("12.0", "twelve", "plan_list[0]: expected a number"),
             (

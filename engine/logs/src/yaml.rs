@@ -118,7 +118,7 @@ mod tests {
 
     #[test]
     fn hostile_documents_are_refused() {
-        let deep = "[".repeat(10_000);
+        let (deep, deeper) = ("[".repeat(100), "[".repeat(100_000));
         let many = format!("[{}]", "1,".repeat(VALUES_MAX + 1));
         for (text, reason) in [
             ("", "no value"),
@@ -127,6 +127,7 @@ mod tests {
             ("? [1]\n: 2", "a key is a collection"),
             ("a: [1", "line"),
             (&deep, "deeper than 64"),
+            (&deeper, "line 1"),
             (&many, "more than 100000"),
         ] {
             let sentence = parse(text).unwrap_err().to_string();

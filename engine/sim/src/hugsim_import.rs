@@ -10,7 +10,7 @@ use decouplegs_drive::polyline::wrapped;
 use decouplegs_logs::hugsim_scenario::{HugsimAgent, HugsimPlanner, HugsimScenario, HugsimState};
 use decouplegs_scene::scenario::{DriverKind, EgoTask, Level, Place, TrafficAgent};
 use decouplegs_scene::story::{Act, Action, Actor, Event, Limits, Priority, Task, Who};
-use decouplegs_scene::{Invalid, RoadUser, Scenario, Trajectory, VehicleSize};
+use decouplegs_scene::{Invalid, RoadUser, Scenario, TimedPose, Trajectory, VehicleSize};
 use glam::{DVec2, DVec3};
 
 use crate::episode::Site;
@@ -95,6 +95,21 @@ fn first_camera(site: &Site) -> (DVec2, f64) {
             let ahead = (rig.rotation * DVec3::X).truncate();
             (rig.translation.truncate(), ahead.to_angle())
         }
+    }
+}
+
+/// Action of a vehicle that goes `way` at `rate` times its speed, from the start on.
+fn followed(way: &Trajectory, rate: f64) -> Action {
+    let poses = way.poses().iter();
+    let place = |timed: &TimedPose| timed.pose.translation.truncate().to_array();
+    Action::Follow {
+        points_m: poses.clone().map(place).collect(),
+        seen_from: None,
+        on_lanes: false,
+        times_s: poses
+            .map(|timed| (timed.time_s - way.start_s()) / rate)
+            .collect(),
+        is_absolute: true,
     }
 }
 
@@ -201,21 +216,7 @@ impl Import<'_> {
                 actor.point_m = first.translation.truncate().to_array();
                 let ahead = (first.rotation * DVec3::X).truncate();
                 actor.heading_rad = ahead.to_angle();
-                let poses = way.poses();
-                let place = |at: DVec3| at.truncate().to_array();
-                Some(Action::Follow {
-                    points_m: poses
-                        .iter()
-                        .map(|timed| place(timed.pose.translation))
-                        .collect(),
-                    seen_from: None,
-                    on_lanes: false,
-                    times_s: poses
-                        .iter()
-                        .map(|timed| (timed.time_s - way.start_s()) / rate)
-                        .collect(),
-                    is_absolute: true,
-                })
+                Some(followed(way, *rate))
             }
             HugsimPlanner::Idm { speed_mps } => {
                 let lane = self.lane_at((at_m, heading_rad)).filter(|_| has_map);

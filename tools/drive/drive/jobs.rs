@@ -183,11 +183,15 @@ fn imported(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result<Jo
     }
     let _ = writeln!(
         std::io::stderr(),
-        "{}: the planner drives {}; {} of {} events of others are driven",
+        "{}: the planner drives {}; {} of {} events of others are driven{}",
         path.display(),
         imported.ego,
         imported.events_driven,
-        imported.events
+        imported.events,
+        match imported.events_unseen {
+            0 => String::new(),
+            unseen => format!("; {unseen} more change nothing that is shown here"),
+        }
     );
     write_scenario(&written, &scenario)?;
     let list = written.with_extension("skipped.txt");

@@ -2,10 +2,10 @@
 //! ego will be.
 //!
 //! The ways are those of HUGSIM's `AttackPlanner` (hyzhou404/HUGSIM at 62c690d,
-//! `sim/utils/agent_controller.py`, `submodules/Pplan/Sampling/spline_planner.py`): cubics to places
-//! 1.5 m apart across, by ten accelerations and three headings, of which those are left that a
-//! vehicle can drive. The ego is foreseen straight on at its speed. A place among the best ways is
-//! drawn from the time, so that runs repeat.
+//! `sim/utils/agent_controller.py`, `submodules/Pplan/Sampling/spline_planner.py`): cubics to
+//! places 1.5 m apart across, by ten accelerations and three headings, of which those are left that
+//! a vehicle can drive. The ego is foreseen straight on at its speed. A place among the best ways
+//! is drawn from the time, so that runs repeat.
 
 use std::f64::consts::FRAC_PI_6;
 
