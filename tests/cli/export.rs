@@ -2,6 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use decouplegs::asset::SceneFile;
+use decouplegs::logs::read_episode_log;
+use decouplegs::render::metrics::Difference;
+
 use super::*;
 
 /// An episode with images of two cameras of a camera rig, on a small street.
@@ -376,4 +380,70 @@ fn images_that_are_not_those_of_the_log_are_refused() {
     assert!(!coco.exists());
     succeed(&[&export[..], &["--unchecked"]].concat());
     assert!(coco.join("annotations.json").exists());
+}
+
+#[test]
+fn an_episode_becomes_a_scene_that_shows_what_it_showed() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = episode(folder.path());
+    let (scene, images) = (folder.path().join("scene"), folder.path().join("images"));
+    let export = ["export", text(&log), "--as", "scene", "--out", text(&scene)];
+    let said = succeed(&export);
+    assert!(said.contains("scene.toml with "), "{said}");
+    let scene_file = scene.join("scene.toml");
+    let file = SceneFile::read(&scene_file).unwrap();
+    let episode = read_episode_log(&log).unwrap();
+    let (mut compared, mut ways) = (0, 0);
+    for (index, agent) in episode.head.scenario.agents.iter().enumerate() {
+        let Some(shown) = file.agents.iter().find(|one| one.name == agent.name) else {
+            continue;
+        };
+        assert_eq!(shown.class.as_deref(), Some(agent.kind.name()));
+        ways += 1;
+        for tick in episode.instants() {
+            let there = shown.present.includes(tick.time_s);
+            if let Some(state) = tick.agents[index].as_ref().filter(|_| there) {
+                let at = shown.trajectory.at(tick.time_s).translation.truncate();
+                let off_m = at.distance(state.position_m);
+                assert!(
+                    off_m < 1e-6,
+                    "{} at {} s: {off_m} m",
+                    agent.name,
+                    tick.time_s
+                );
+                compared += 1;
+            }
+        }
+    }
+    assert!(
+        ways > 5 && compared > 100,
+        "{ways} agents, {compared} places"
+    );
+    let way = file.ego.unwrap();
+    for tick in episode.instants() {
+        let at = way.at(tick.time_s).translation.truncate();
+        assert!(at.distance(tick.ego.position_m) < 1e-6);
+    }
+    // An image of the episode, and the scene's at that time.
+    succeed(&["replay", text(&log), "--images", text(&images)]);
+    let rendered = folder.path().join("rendered");
+    succeed(&[
+        "render",
+        text(&scene_file),
+        "--cameras",
+        "front",
+        "--size",
+        "96x54",
+        "--time",
+        "1",
+        "--out",
+        text(&rendered),
+    ]);
+    let (shown, again) = (images.join("front_0002.png"), rendered.join("front.png"));
+    let [shown, again] = [shown, again].map(|path| Image::read(&path).unwrap());
+    let error = Difference::between(&shown, &again).unwrap().psnr_db;
+    assert!(error > 40.0, "{error} dB");
+    // It is packed and driven like any other.
+    let package = folder.path().join("scene.usdz");
+    succeed(&["pack", text(&scene_file), "--usdz", text(&package)]);
 }

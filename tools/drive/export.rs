@@ -1,9 +1,11 @@
-//! `decouplegs export`: an episode as a data set of detectors, rendered again from its log.
+//! `decouplegs export`: an episode as a data set of detectors, rendered again from its log, or as a
+//! scene.
 
 mod coco;
 mod kitti;
 mod mcap;
 mod nuscenes;
+mod scene;
 mod sensed;
 
 use std::io::Write;
@@ -25,7 +27,8 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::outputs::Force;
 use crate::progress;
 
-/// Write an episode as a data set: images, LiDAR sweeps and boxes of all road users, at each step
+/// Write an episode as a data set: images, LiDAR sweeps and boxes of all road users, at each step;
+/// or as a scene
 ///
 /// Images are rendered again from the log. Those that the log has hashes of are compared with them:
 /// where one differs nothing is written, and the exit code is 1
@@ -71,6 +74,9 @@ enum Format {
     Coco,
     /// ROS 2 messages in episode.mcap: images, camera_info, points, transforms and boxes as markers
     Mcap,
+    /// A scene: the place with all road users on their ways, the ego's way with its cameras, and
+    /// the lanes. Nothing is rendered. `view`, `render`, `drive --scene` and `pack` take it
+    Scene,
 }
 
 /// Writer of a data set.
@@ -96,6 +102,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let place = &episode.head.scenario.place;
     let site = Site::open(place, base.unwrap_or(Path::new("")), Some(&appearance));
     let site = Arc::new(site.context("the place of the log is not usable")?);
+    if arguments.format == Format::Scene {
+        let part = UnfinishedFolder::begin(out)?;
+        let files = (base.unwrap_or(Path::new("")), arguments.light.as_deref());
+        let said = scene::write(&gpu, &episode, &site, files, part.path())?;
+        opening.finish_and_clear();
+        part.finish()?;
+        print(&format!("{}: {said}\n", out.display()))?;
+        return check_validation(&gpu);
+    }
     let rig = rig_of(arguments, &episode, &site.loaded.rig)?;
     let mut renderers = Renderers::new(&gpu, &site)?;
     let moments = Moments::from_episode(&episode, &site, renderers.scene())?;
@@ -133,6 +148,7 @@ fn write(
         Format::Kitti => Box::new(kitti::Folders::new(folder, rig)?),
         Format::Coco => Box::new(coco::Annotations::new(folder)?),
         Format::Mcap => Box::new(mcap::Messages::new(folder, rig)?),
+        Format::Scene => bail!("a scene has no images"),
     };
     let begun = moments.as_slice().iter().filter(|m| m.step.is_some());
     let bar = progress::bar("steps", episode.steps.len());
