@@ -120,7 +120,7 @@ pub const DRIVE: Program = Program {
         (
             "export",
             "Write an episode as a data set: images, LiDAR sweeps and boxes of all road users, at \
-             each step",
+             each step; or as a scene",
         ),
     ],
 };
