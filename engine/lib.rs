@@ -41,7 +41,9 @@ pub use decouplegs_session::{
     self as session, AgentInstance, LiveScene, SceneSnapshot, measure_movable_scene,
     open_movable_scene,
 };
-pub use decouplegs_sim::{episode, footing, hugsim_import, planner, recorded, scenario_import};
+pub use decouplegs_sim::{
+    episode, footing, hugsim_import, names, planner, recorded, scenario_import,
+};
 pub use decouplegs_synth as synth;
 pub use decouplegs_train as train;
 pub use scene::{Camera, Intrinsics, Pose, Rig, Rules, Scenario, SplatCloud, Trajectory};

@@ -19,6 +19,7 @@ use decouplegs::episode::{Appearance, Moments, Site, camera_named, chosen_lidars
 use decouplegs::logs::read_episode_log;
 use decouplegs::scene::episode::{DrawnBy, Episode};
 use decouplegs::scene::{Camera, Rig, RigCamera, RigLidar, RoadUser, Sensor};
+use decouplegs::session::SessionScene;
 use decouplegs_cli::png_bytes;
 
 use self::sensed::{LabeledImage, Renderers, Sensed};
@@ -102,32 +103,43 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let place = &episode.head.scenario.place;
     let site = Site::open(place, base.unwrap_or(Path::new("")), Some(&appearance));
     let site = Arc::new(site.context("the place of the log is not usable")?);
-    if arguments.format == Format::Scene {
-        let part = UnfinishedFolder::begin(out)?;
+    let part = UnfinishedFolder::begin(out)?;
+    let said = if arguments.format == Format::Scene {
         let files = (base.unwrap_or(Path::new("")), arguments.light.as_deref());
         let said = scene::write(&gpu, &episode, &site, files, part.path())?;
         opening.finish_and_clear();
-        part.finish()?;
-        print(&format!("{}: {said}\n", out.display()))?;
-        return check_validation(&gpu);
-    }
-    let rig = rig_of(arguments, &episode, &site.loaded.rig)?;
-    let mut renderers = Renderers::new(&gpu, &site)?;
-    let moments = Moments::from_episode(&episode, &site, renderers.scene())?;
-    opening.finish_and_clear();
-
-    let part = UnfinishedFolder::begin(out)?;
-    let said = write(
-        arguments,
-        &episode,
-        &rig,
-        &mut renderers,
-        &moments,
-        part.path(),
-    )?;
+        said
+    } else {
+        let rig = rig_of(arguments, &episode, &site.loaded.rig)?;
+        let mut renderers = Renderers::new(&gpu, &site)?;
+        let moments = moments_of(&episode, &site, renderers.scene())?;
+        opening.finish_and_clear();
+        write(
+            arguments,
+            &episode,
+            &rig,
+            &mut renderers,
+            &moments,
+            part.path(),
+        )?
+    };
     part.finish()?;
     print(&format!("{}: {said}\n", out.display()))?;
     check_validation(&gpu)
+}
+
+/// The moments of `episode` in `site`, whose copy on a device is `scene`.
+///
+/// # Errors
+/// Returns an error where vehicles move otherwise than in the log.
+fn moments_of(episode: &Episode, site: &Arc<Site>, scene: &Arc<SessionScene>) -> Result<Moments> {
+    let moments = Moments::from_episode(episode, site, scene)?;
+    if let Some(time_s) = moments.departs_s() {
+        bail!(
+            "from {time_s:.1} s on vehicles move differently than in the log: its place or the program has changed"
+        );
+    }
+    Ok(moments)
 }
 
 fn write(
@@ -138,11 +150,6 @@ fn write(
     moments: &Moments,
     folder: &Path,
 ) -> Result<String> {
-    if let Some(time_s) = moments.departs_s() {
-        bail!(
-            "from {time_s:.1} s on vehicles move differently than in the log: its place or the program has changed"
-        );
-    }
     let mut data_set: Box<dyn DataSet> = match arguments.format {
         Format::Nuscenes => Box::new(nuscenes::Tables::new(folder, episode, rig)?),
         Format::Kitti => Box::new(kitti::Folders::new(folder, rig)?),

@@ -23,7 +23,7 @@ pub async fn with_reference_lens(
     let Some(spec) = &mut request.camera_intrinsics else {
         return Ok(request);
     };
-    let (width_px, logical_id) = (spec.resolution_w, spec.logical_id.clone());
+    let width_px = spec.resolution_w;
     let Some(CameraParam::FthetaParam(lens)) = &mut spec.camera_param else {
         return Ok(request);
     };
@@ -34,7 +34,7 @@ pub async fn with_reference_lens(
     let named = metadata
         .rig
         .cameras()
-        .find(|camera| camera.name == logical_id);
+        .find(|camera| camera.name == spec.logical_id);
     if let Some(camera) = named {
         complete(lens, width_px, &spec_of(&camera.intrinsics, &camera.name));
     }

@@ -60,8 +60,8 @@ impl DrillState {
         }
     }
 
-    /// Counts a submission, which nobody has made yet. Fails if the device is lost by now. What
-    /// was submitted before is done as ever, so that its memory can be freed safely.
+    /// Counts a submission before it is made. Fails if the device is lost by then. Earlier
+    /// submissions are carried out, so that their memory can be freed safely.
     pub(crate) fn submission(&self) -> Result<(), GpuError> {
         let before = self.asked.fetch_add(1, Ordering::Relaxed);
         if self.drill.fault == DeviceFault::Lost && before >= self.drill.submissions {

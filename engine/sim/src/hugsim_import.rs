@@ -7,6 +7,7 @@
 
 use decouplegs_drive::LaneIndex;
 use decouplegs_drive::polyline::wrapped;
+use decouplegs_drive::route::LaneSpot;
 use decouplegs_logs::hugsim_scenario::{HugsimAgent, HugsimPlanner, HugsimScenario, HugsimState};
 use decouplegs_scene::scenario::{DriverKind, EgoTask, Level, Place, TrafficAgent};
 use decouplegs_scene::story::{Act, Action, Actor, Event, Limits, Priority, Task, Who};
@@ -14,7 +15,8 @@ use decouplegs_scene::{Invalid, RoadUser, Scenario, TimedPose, Trajectory, Vehic
 use glam::{DVec2, DVec3};
 
 use crate::episode::Site;
-use crate::recorded::recorded_scenario;
+use crate::names::scenario_name;
+use crate::recorded::{lane_along, recorded_scenario};
 
 /// Step of HUGSIM's simulation, seconds (`configs/sim/kinematic.yaml`), and its steps at most
 /// (`closed_loop.py`).
@@ -26,7 +28,7 @@ const PLAN_STEP_S: f64 = 0.1;
 const ON_LANE_M: f64 = 3.0;
 /// A lane that leads farther aside is not a vehicle's own, radians.
 const ALONG_RAD: f64 = 0.8;
-/// A heading of the ego at the start that differs by more from its lane's is told, radians.
+/// Difference of the ego's heading from its lane's above which a sentence says so, radians.
 const TURNED_RAD: f64 = 0.1;
 
 /// The scenario of `file` at `place`, made ready as `site`, and sentences on what differs from it.
@@ -49,7 +51,7 @@ pub fn import_hugsim_scenario(
         tracks,
         notes: Vec::new(),
         scenario: Scenario {
-            name: named(&format!("{}-{}", file.scene, file.mode)),
+            name: scenario_name(&format!("{}-{}", file.scene, file.mode)),
             level: file.mode.split('_').next().and_then(Level::by_name),
             duration_s: STEP_S * STEPS_MAX,
             step_s: STEP_S,
@@ -69,14 +71,6 @@ pub fn import_hugsim_scenario(
         scenario.story.acts.push(Act::default());
     }
     Ok((scenario, notes))
-}
-
-/// `name` with what no name of a scenario may have replaced.
-fn named(name: &str) -> String {
-    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_".contains(letter);
-    name.chars()
-        .map(|letter| if plain(letter) { letter } else { '_' })
-        .collect()
 }
 
 /// Place of the front camera at the start of the recording, seen from above, and its heading.
@@ -131,20 +125,20 @@ impl Import<'_> {
         (at_m, wrapped(heading_rad + state.yaw_rad))
     }
 
-    /// The lane at a place that leads along a heading: its index, and meters along it.
-    fn lane_at(&self, (at_m, heading_rad): (DVec2, f64)) -> Option<(usize, f64)> {
-        let near = self.index.lanes_near(at_m, ON_LANE_M);
-        near.into_iter().find_map(|point| {
-            let line = self.index.line(point.lane)?;
-            let aside_rad = wrapped(line.heading_at(point.foot.arc_m) - heading_rad);
-            (aside_rad.abs() <= ALONG_RAD).then_some((point.lane, point.foot.arc_m))
-        })
+    /// The driving lane of a vehicle, and how far along it is.
+    fn lane_at(&self, placed: (DVec2, f64)) -> Option<LaneSpot> {
+        lane_along(
+            &self.site.lanes,
+            &self.index,
+            placed,
+            (ON_LANE_M, ALONG_RAD),
+        )
     }
 
     /// Sets the ego where the file has it, on its route.
     fn start(&mut self, state: &HugsimState) {
         let placed = self.placed(state);
-        let found = self.lane_at(placed).and_then(|(lane, at_m)| {
+        let found = self.lane_at(placed).and_then(|LaneSpot { lane, at_m }| {
             let id = &self.site.lanes.lanes[lane].id;
             let on_route = self.scenario.ego.route.iter().position(|own| own == id)?;
             let is_last = on_route + 1 == self.scenario.ego.route.len();
@@ -220,7 +214,7 @@ impl Import<'_> {
             }
             HugsimPlanner::Idm { speed_mps } => {
                 let lane = self.lane_at((at_m, heading_rad)).filter(|_| has_map);
-                if let Some((lane, lane_m)) = lane {
+                if let Some(LaneSpot { lane, at_m: lane_m }) = lane {
                     self.scenario.agents.push(TrafficAgent {
                         name,
                         kind: RoadUser::Car,

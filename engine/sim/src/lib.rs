@@ -6,6 +6,7 @@
 pub mod episode;
 pub mod footing;
 pub mod hugsim_import;
+pub mod names;
 pub mod planner;
 pub mod recorded;
 pub mod scenario_import;

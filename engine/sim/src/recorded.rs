@@ -4,8 +4,8 @@ use decouplegs_drive::polyline::wrapped;
 use decouplegs_drive::route::{LaneSpot, lanes_between};
 use decouplegs_drive::{LaneIndex, Route};
 use decouplegs_scene::scenario::{EgoTask, Place};
-use decouplegs_scene::{Invalid, LaneKind, Scenario, Story, Trajectory, VehicleSize};
-use glam::DVec3;
+use decouplegs_scene::{Invalid, LaneKind, LaneMap, Scenario, Story, Trajectory, VehicleSize};
+use glam::{DVec2, DVec3};
 
 use crate::episode::Site;
 
@@ -78,21 +78,33 @@ fn places(way: &Trajectory) -> Vec<(DVec3, f64)> {
     places
 }
 
+/// The nearest driving lane within `within_m` of a place that leads no more than `along_rad` aside
+/// of its heading.
+pub(crate) fn lane_along(
+    lanes: &LaneMap,
+    index: &LaneIndex,
+    (at_m, heading_rad): (DVec2, f64),
+    (within_m, along_rad): (f64, f64),
+) -> Option<LaneSpot> {
+    let near = index.lanes_near(at_m, within_m);
+    let along = near.into_iter().find(|point| {
+        let is_driven = lanes.lanes[point.lane].kind == LaneKind::Driving;
+        let line = index.line(point.lane);
+        let lane_rad = line.map(|line| line.heading_at(point.foot.arc_m));
+        is_driven && lane_rad.is_some_and(|rad| wrapped(rad - heading_rad).abs() <= along_rad)
+    })?;
+    Some(LaneSpot {
+        lane: along.lane,
+        at_m: along.foot.arc_m,
+    })
+}
+
 /// `task` with the lanes below the way: over all places, otherwise between the first and the last.
 fn routed(site: &Site, way: &Trajectory, task: &EgoTask) -> Option<EgoTask> {
     let index = LaneIndex::new(&site.lanes);
-    let spot_at = |(at, yaw_rad): &(DVec3, f64)| {
-        let near = index.lanes_near(at.truncate(), ON_LANE_M);
-        let along = near.into_iter().find(|point| {
-            let is_driven = site.lanes.lanes[point.lane].kind == LaneKind::Driving;
-            let line = index.line(point.lane);
-            let heading = line.map(|line| line.heading_at(point.foot.arc_m));
-            is_driven && heading.is_some_and(|rad| wrapped(rad - yaw_rad).abs() <= ALONG_RAD)
-        })?;
-        Some(LaneSpot {
-            lane: along.lane,
-            at_m: along.foot.arc_m,
-        })
+    let spot_at = |&(at, yaw_rad): &(DVec3, f64)| {
+        let place = (at.truncate(), yaw_rad);
+        lane_along(&site.lanes, &index, place, (ON_LANE_M, ALONG_RAD))
     };
     let spots: Vec<LaneSpot> = places(way).iter().filter_map(spot_at).collect();
     let (&first, &last) = (spots.first()?, spots.last()?);

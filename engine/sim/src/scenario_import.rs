@@ -17,7 +17,7 @@ mod story_tests;
 #[cfg(test)]
 mod tests;
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::path::Path;
 
 use decouplegs_asset::maps::{MapFormat, open_drive};
@@ -35,6 +35,7 @@ use glam::DVec2;
 
 use self::locate::{Located, Locator, Place as Found};
 use self::story::Counts;
+use crate::names::{UniqueNames, scenario_name};
 
 /// A scenario, and what of its file it does not express.
 #[derive(Clone, Debug)]
@@ -99,7 +100,7 @@ pub fn import_open_scenario(
     let named_map = map_file;
     let map_file = found.as_deref().unwrap_or(map_file);
     let (map, roads) = read_network(map_file)?;
-    let name = names_of(path.file_stem().map_or("scenario".into(), |stem| {
+    let name = scenario_name(&path.file_stem().map_or("scenario".into(), |stem| {
         stem.to_string_lossy().into_owned()
     }));
     let locator = Locator::new(&map, roads.as_ref(), &file.entities);
@@ -223,7 +224,7 @@ impl Import<'_> {
             let asset = &mut assets[kind as usize];
             whos.insert(index, Who(actors.len() + 1));
             actors.push(Actor {
-                name: names.give(names_of(entity.name.clone())),
+                name: names.give(scenario_name(&entity.name)),
                 asset: *asset,
                 is_hidden: self.located[index].is_err(),
                 ..self.actor(index, kind, located)
@@ -492,54 +493,4 @@ fn ego_index(entities: &[Entity], located: &[Found]) -> Result<usize, String> {
         })
         .or_else(|| entities.iter().position(|entity| is_vehicle(&entity)))
         .ok_or_else(|| "it has no vehicle; expected one that the planner drives".into())
-}
-
-/// Letters of a name that scenarios can have.
-fn names_of(text: String) -> String {
-    let letter = |letter: char| match letter {
-        'a'..='z' | 'A'..='Z' | '0'..='9' | '-' | '_' => letter,
-        _ => '_',
-    };
-    let name: String = text.chars().map(letter).take(80).collect();
-    if name.is_empty() { "_".into() } else { name }
-}
-
-/// Names of which no two are the same.
-#[derive(Default)]
-struct UniqueNames {
-    taken: HashSet<String>,
-    /// Number that the next equal name tries first: many equal names take linear time.
-    next_number: HashMap<String, u32>,
-}
-
-impl UniqueNames {
-    /// `name`, with a number where it is taken.
-    fn give(&mut self, name: String) -> String {
-        let number = self.next_number.entry(name.clone()).or_insert(1);
-        loop {
-            let candidate = match *number {
-                1 => name.clone(),
-                number => format!("{name}_{number}"),
-            };
-            *number += 1;
-            if self.taken.insert(candidate.clone()) {
-                return candidate;
-            }
-        }
-    }
-}
-
-#[cfg(test)]
-mod names {
-    use super::*;
-
-    #[test]
-    fn equal_names_get_numbers_in_linear_time() {
-        let mut names = UniqueNames::default();
-        let given = ["a", "a_2", "a", "a", "b"].map(|name| names.give(name.into()));
-        assert_eq!(given, ["a", "a_2", "a_3", "a_4", "b"]);
-        // Trying all numbers for each name would take hours.
-        let last = (0..300_000).map(|_| names.give("c".into())).last();
-        assert_eq!(last.as_deref(), Some("c_300000"));
-    }
 }

@@ -13,6 +13,7 @@ use decouplegs::asset::{
 };
 use decouplegs::episode::{Moments, Site};
 use decouplegs::gpu::Gpu;
+use decouplegs::names::UniqueNames;
 use decouplegs::scene::episode::Episode;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Pose, Presence, Scenario, ShFrame, TimedPose, Trajectory};
@@ -44,12 +45,7 @@ pub fn write(
     folder: &Path,
 ) -> Result<String> {
     let session = Session::on(gpu, &SessionOptions::default());
-    let moments = Moments::from_episode(episode, site, &site.add_to(&session)?)?;
-    if let Some(time_s) = moments.departs_s() {
-        bail!(
-            "from {time_s:.1} s on vehicles move differently than in the log: its place or the program has changed"
-        );
-    }
+    let moments = super::moments_of(episode, site, &site.add_to(&session)?)?;
     let scenario = &episode.head.scenario;
     let shown = shown(scenario, &moments);
     let mut scene = place(scenario, site, base, folder)?;
@@ -161,16 +157,10 @@ fn shown(scenario: &Scenario, moments: &Moments) -> Vec<Shown> {
             });
         }
     }
-    // Names of scenes are unique, and names of files: those that come again are counted.
-    let mut times: HashMap<String, usize> = HashMap::new();
+    // Names of scenes are unique, and those of files.
+    let mut names = UniqueNames::default();
     for one in &mut all {
-        let plain = one.name.replace('/', "_");
-        let count = times.entry(plain.clone()).or_insert(0);
-        *count += 1;
-        one.name = match *count {
-            1 => plain,
-            more => format!("{plain}_{more}"),
-        };
+        one.name = names.give(one.name.replace('/', "_"));
     }
     all
 }

@@ -390,7 +390,8 @@ fn kept(turn_rad: f64) -> f64 {
     }
 }
 
-/// Points of a line in world coordinates; `None` where they are seen from nobody.
+/// Points of a line in world coordinates; `None` where the road user that they count from is not
+/// there.
 fn line_of(
     points_m: &[[f64; 2]],
     seen_from: Option<Who>,

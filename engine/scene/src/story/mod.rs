@@ -48,7 +48,7 @@ pub struct Story {
     pub events: Vec<Event>,
 }
 
-/// Road user with a script, as it stands at the start.
+/// Road user with a script, and its state at the start.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Actor {
