@@ -24,6 +24,7 @@ mod realism;
 mod recording;
 mod register;
 mod rendering;
+mod scanned_street;
 mod stress;
 mod view;
 

@@ -2,14 +2,16 @@
 
 mod change;
 mod cut;
+mod haze;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::scene_file::path_from;
-use decouplegs::asset::{SceneAgent, SceneFile, is_scene_file};
+use decouplegs::asset::{SceneAgent, SceneFile, is_scene_file, write_ground};
 use decouplegs::footing::{Footing, dims_of};
 use decouplegs::scene::{Pose, Presence, Trajectory};
+use glam::DVec3;
 
 use crate::arguments::{print, warn};
 use crate::outputs::Force;
@@ -18,7 +20,7 @@ use change::{Addition, CutBox, Move, Shift, Swap, Times};
 
 /// Move, swap, remove, add and time agents of a scene, and write it as a new scene file
 ///
-/// Whatever the order on the command line: agents are cut out first, then removed, then added,
+/// Whatever the order on the command line: agents are cut out first, then haze is removed, then agents are removed, then added,
 /// swapped, moved and shifted. Positions are world coordinates of the middle of an agent's box,
 /// meters; angles are degrees, counted from x towards y. Files that the scene names stay where they
 /// are: their paths are rewritten if the new file lies in another folder. Comments of the old file
@@ -41,6 +43,17 @@ pub struct Arguments {
         allow_hyphen_values = true
     )]
     cut: Vec<CutBox>,
+    /// Remove splats that hover above the road within METERS of the way on which the scene was
+    /// recorded: they veil the wheels of cars that are put there, and no shadow falls on them.
+    /// Images of the road lose some sharpness: `realism scene` tells how much
+    #[arg(
+        long,
+        value_name = "METERS",
+        num_args = 0..=1,
+        default_missing_value = "2",
+        value_parser = beside
+    )]
+    remove_haze: Option<f64>,
     /// Add an agent at a fixed pose
     #[arg(
         long,
@@ -79,6 +92,16 @@ pub struct Arguments {
     force: Force,
 }
 
+/// Farthest from the way that haze is removed, meters.
+const BESIDE_M_MAX: f64 = 20.0;
+
+fn beside(text: &str) -> Result<f64, String> {
+    let meters: Option<f64> = text.parse().ok();
+    meters
+        .filter(|meters| *meters > 0.0 && *meters <= BESIDE_M_MAX)
+        .ok_or_else(|| format!("expected up to {BESIDE_M_MAX} m from the way, found {text:?}"))
+}
+
 fn scene_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     if is_scene_file(&path) {
@@ -108,6 +131,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         report = cut::cut(&mut edited, &arguments.cut, to)?;
         cutting.finish_and_clear();
     }
+    if let Some(beside_m) = arguments.remove_haze {
+        let clearing = progress::spinner("clearing the road of haze".into());
+        report.push_str(&haze::remove(&mut edited, beside_m, to)?);
+        clearing.finish_and_clear();
+    }
     let touched = change(&mut edited, arguments, to)?;
     if arguments.ground {
         let background = to.join(&edited.background);
@@ -128,6 +156,28 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         edited.agents.len(),
         scene.agents.len()
     ))
+}
+
+/// Makes `background`, which was written to `folder` with means relative to where the splats of
+/// `scene` were `placed_at`, its background. A surveyed ground, which is about the same origin, is
+/// written anew where that moves.
+fn replace_background(
+    scene: &mut SceneFile,
+    background: PathBuf,
+    placed_at: DVec3,
+    folder: &Path,
+) -> Result<()> {
+    if placed_at != DVec3::ZERO && scene.recording.ground.is_some() {
+        let points = scene.recording.read_ground(folder, scene.origin)?;
+        let origin = scene.origin + placed_at;
+        let about: Vec<DVec3> = points.iter().map(|point| *point - origin).collect();
+        let file = background.with_extension("ground.ply");
+        write_ground(&folder.join(&file), &about)?;
+        scene.recording.ground = Some(file);
+    }
+    scene.origin += placed_at;
+    scene.background = background;
+    Ok(())
 }
 
 /// Edits `scene`, whose paths are relative to `folder`; returns the agents whose feet may have left

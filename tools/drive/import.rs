@@ -4,6 +4,7 @@ mod kitti;
 mod lanes;
 mod posed_images;
 mod recording;
+mod scans;
 
 use std::path::{Path, PathBuf};
 
@@ -14,14 +15,16 @@ use decouplegs::asset::scene_file::path_from;
 use decouplegs::asset::tracks::write_poses;
 use decouplegs::asset::{
     SceneFile, SceneRecording, SeenFrom, inria_ply, read_placed_splats, write_atomically,
+    write_ground, write_obstacles,
 };
-use decouplegs::drive::{Ground, GroundGuides, GroundOptions};
+use decouplegs::drive::{Ground, GroundGuides, GroundOptions, Survey};
 use decouplegs::scene::{Pose, SplatCloud, Trajectory, VehicleSize};
 use decouplegs_cli::street_files::transforms;
 use glam::{DQuat, DVec3};
 use std::io::Write as _;
 
 use self::recording::Recording;
+use self::scans::Surveyed;
 use crate::arguments::{print, warn};
 use crate::progress;
 
@@ -40,7 +43,8 @@ enum Form {
 /// rig, the way of the vehicle, views, lanes along the way and labeled boxes
 ///
 /// The new folder holds scene.toml, cameras.json, lanes.json and, where boxes are labeled,
-/// tracks.csv. The splats stay where they are, unless --level turns them.
+/// tracks.csv. Where there are scans of a LiDAR, ground.ply and obstacles.json are made of them.
+/// The splats stay where they are, unless --level turns them.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Form of the recording
@@ -124,16 +128,22 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let reading = progress::spinner(format!("reading {}", arguments.splats.display()));
     let (mut splats, mut origin) = read_placed_splats(&arguments.splats)?;
     reading.finish_and_clear();
-    std::fs::create_dir_all(out).with_context(|| format!("{} cannot be made", out.display()))?;
     let tilt_deg = recording
         .level_from_world
         .angle_between(DQuat::IDENTITY)
         .to_degrees();
-    let background = if arguments.level {
+    if arguments.level {
         let level = Pose::new(recording.level_from_world, DVec3::ZERO);
         splats = splats.placed(&level, true);
         origin = level.transform(origin);
         recording.turn(&level);
+    }
+    let surveyed = scans::survey(&recording)?;
+    if let Some(middle_m) = surveyed.as_ref().and_then(|surveyed| surveyed.middle_m) {
+        recording.ego_height_m = middle_m;
+    }
+    std::fs::create_dir_all(out).with_context(|| format!("{} cannot be made", out.display()))?;
+    let background = if arguments.level {
         let file = PathBuf::from("background.ply");
         inria_ply::write(&out.join(&file), &splats)?;
         file
@@ -150,7 +160,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         ego: Some(recording.ego.clone()),
         ego_height_m: Some(ego_height_m),
         recording: SceneRecording {
-            ground: None,
+            ground: surveyed.as_ref().map(|_| "ground.ply".into()),
+            obstacles: surveyed.as_ref().map(|_| "obstacles.json".into()),
             seen_from: Some(SeenFrom::Cameras("cameras.json".into())),
             vehicle_size: Some(recording.vehicle),
         },
@@ -160,6 +171,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     write_atomically(&out.join("cameras.json"), |file| {
         writeln!(file, "{cameras:#}")
     })?;
+    if let Some(surveyed) = &surveyed {
+        let points = surveyed.ground.points_m();
+        let about: Vec<DVec3> = points.iter().map(|at| *at - scene.origin).collect();
+        write_ground(&out.join("ground.ply"), &about)?;
+        write_obstacles(&out.join("obstacles.json"), &surveyed.obstacles)?;
+    }
     let lanes = lanes::along(&recording.ego, ego_height_m);
     if let Some(lanes) = &lanes {
         lane_json::write(&out.join("lanes.json"), lanes)?;
@@ -170,7 +187,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // Last: when it is there, all that it names is.
     scene.write(&out.join("scene.toml"))?;
     let looking = progress::spinner("measuring the ground".into());
-    let check = checked(&splats, origin, &recording);
+    let check = checked(&splats, origin, &recording, surveyed.as_ref());
     looking.finish_and_clear();
     for sentence in &check.warnings {
         warn(sentence);
@@ -180,7 +197,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             "the world is tilted by {tilt_deg:.1} degrees against the vertical: --level turns it, with its splats"
         ));
     }
-    print(&report(&recording, &scene, &check, lanes.is_some(), out))
+    let lines = report(&recording, &scene, &check, surveyed.as_ref());
+    print(&closed(lines, lanes.is_some(), out))
 }
 
 /// Answer of the splats about the way.
@@ -192,7 +210,12 @@ struct Check {
 }
 
 /// Measures the way of `recording` against `splats`, whose means are relative to `origin`.
-fn checked(splats: &SplatCloud, origin: DVec3, recording: &Recording) -> Check {
+fn checked(
+    splats: &SplatCloud,
+    origin: DVec3,
+    recording: &Recording,
+    surveyed: Option<&Surveyed>,
+) -> Check {
     let ground = Ground::new(splats, origin, &GroundOptions::default());
     let places = along(&recording.ego);
     let mut heights_m: Vec<f64> = places
@@ -218,7 +241,14 @@ fn checked(splats: &SplatCloud, origin: DVec3, recording: &Recording) -> Check {
             "no ground was found below the way: are the splats in the coordinates of the recording?".into(),
         ),
     }
-    let guides = GroundGuides::for_way(recording.ego.poses(), Some(recording.ego_height_m));
+    if recording.scans.is_some() && surveyed.is_none() {
+        warnings.push("the scans show no ground below the way: are the poses and --middle those of the recording?".into());
+    }
+    let survey = surveyed.and_then(|surveyed| Survey::from_points(surveyed.ground.points_m()));
+    let guides = GroundGuides {
+        survey: survey.as_ref(),
+        ..GroundGuides::for_way(recording.ego.poses(), Some(recording.ego_height_m))
+    };
     let guided = ground.guided(splats, guides);
     warnings.extend(guided.quality().and_then(|quality| quality.warning()));
     Check {
@@ -242,9 +272,8 @@ fn report(
     recording: &Recording,
     scene: &SceneFile,
     check: &Check,
-    has_lanes: bool,
-    out: &Path,
-) -> String {
+    surveyed: Option<&Surveyed>,
+) -> Vec<String> {
     let way: Vec<DVec3> = along(&recording.ego);
     let length_m: f64 = way.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
     let span_s = recording.ego.end_s() - recording.ego.start_s();
@@ -278,6 +307,19 @@ fn report(
             recording.tracks.iter().map(|row| row.id.as_str()).collect();
         lines.push(format!("tracks     {} labeled road users", ids.len()));
     }
+    if let Some(surveyed) = surveyed {
+        lines.push(format!(
+            "scans      {}: ground at {} places, {} obstacles beside the way",
+            surveyed.scans,
+            surveyed.ground.points_m().len(),
+            surveyed.obstacles.len()
+        ));
+    }
+    lines
+}
+
+/// `lines`, and what was written and comes next.
+fn closed(mut lines: Vec<String>, has_lanes: bool, out: &Path) -> String {
     lines.push(match has_lanes {
         true => "lanes      one along the way, as no map is there".into(),
         false => "lanes      none: the vehicle stood".into(),

@@ -39,6 +39,15 @@ impl OrientedBox {
         }
     }
 
+    /// True if `point` is on the rectangle.
+    #[must_use]
+    pub fn contains(&self, point: DVec2) -> bool {
+        let ahead = DVec2::from_angle(self.yaw_rad);
+        let offset = point - self.center_m;
+        offset.dot(ahead).abs() <= self.half_length_m
+            && offset.dot(ahead.perp()).abs() <= self.half_width_m
+    }
+
     /// Corners: front left, rear left, rear right, front right; counter-clockwise, world
     /// coordinates, meters.
     #[must_use]

@@ -43,7 +43,8 @@ pub struct PlaceArguments {
     /// (.usdz), which has lanes of its own. Scenarios of HUGSIM (.yaml) are driven here
     #[arg(long, value_name = "FILE", conflicts_with = "probes")]
     scene: Option<PathBuf>,
-    /// Obstacles of --scene, instead of what its splats show beside the lanes. `map --obstacles`
+    /// Obstacles of --scene, instead of those of its recording, or of what its splats show beside
+    /// the lanes. `map --obstacles`
     /// writes such a file
     #[arg(long, value_name = "FILE", requires = "scene")]
     obstacles: Option<PathBuf>,

@@ -8,6 +8,7 @@ use decouplegs::scene::{Pose, Presence, ShFrame, SplatCloud, Trajectory};
 use glam::DVec3;
 
 use super::change::CutBox;
+use super::replace_background;
 
 /// Splats this far above the bottom of a box are still those of the ground, meters.
 const GROUND_M: f64 = 0.05;
@@ -21,14 +22,13 @@ const SQUARE_M: f64 = 0.5;
 pub fn cut(scene: &mut SceneFile, boxes: &[CutBox], folder: &Path) -> Result<String> {
     let path = folder.join(&scene.background);
     let (cloud, placed_at) = read_placed_splats(&path)?;
-    // What is written is relative to it.
-    scene.origin += placed_at;
+    let origin = scene.origin + placed_at;
     let mut is_left = vec![true; cloud.len()];
     let mut files: Vec<(PathBuf, SplatCloud)> = Vec::new();
     let mut report = String::new();
     for own in boxes {
         let agent_from_world = own.pose.inverse();
-        let local = |splat: usize| agent_from_world.transform(scene.origin + cloud.mean_m(splat));
+        let local = |splat: usize| agent_from_world.transform(origin + cloud.mean_m(splat));
         let half_m = 0.5 * own.dims_m;
         let inside: Vec<u32> = (0..cloud.len())
             .filter(|&splat| {
@@ -50,7 +50,7 @@ pub fn cut(scene: &mut SceneFile, boxes: &[CutBox], folder: &Path) -> Result<Str
         // The asset has the agent's frame, and its colors turn with it.
         let to_agent = Pose::new(
             agent_from_world.rotation,
-            agent_from_world.transform(scene.origin),
+            agent_from_world.transform(origin),
         );
         let asset = cloud.select(&inside).placed(&to_agent, true);
         let file = PathBuf::from(format!("{}.ply", own.name));
@@ -62,7 +62,7 @@ pub fn cut(scene: &mut SceneFile, boxes: &[CutBox], folder: &Path) -> Result<Str
             trajectory: Trajectory::standing(own.pose),
             present: Presence::ALWAYS,
         })?;
-        let bare = bare_share(&cloud, &is_left, own, scene.origin);
+        let bare = bare_share(&cloud, &is_left, own, origin);
         report.push_str(&format!(
             "{}: {} splats; {:.0} % of the ground below it was never seen and stays a hole\n",
             own.name,
@@ -88,7 +88,7 @@ pub fn cut(scene: &mut SceneFile, boxes: &[CutBox], folder: &Path) -> Result<Str
     for (file, cloud) in &files {
         inria_ply::write(&folder.join(file), cloud)?;
     }
-    scene.background = background;
+    replace_background(scene, background, placed_at, folder)?;
     Ok(report)
 }
 

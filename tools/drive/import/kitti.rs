@@ -1,7 +1,7 @@
 //! Recordings of KITTI's raw data.
 
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
 use decouplegs::asset::kitti_raw::{CAR, IMU_TO_MIDDLE_M, KittiDrive};
@@ -11,7 +11,11 @@ use decouplegs::scene::{Camera, Motion, Pose, Rig, RigCamera, TimedPose, Vehicle
 use glam::{DQuat, DVec3};
 
 use super::recording::Recording;
+use super::scans::{Scans, Turn};
 use super::way_of;
+
+/// Time of a turn of KITTI's LiDAR, seconds.
+const SCAN_PERIOD_S: f64 = 0.1034;
 
 /// Classes of KITTI as perception names them.
 const CLASSES: [(&str, &str); 7] = [
@@ -97,6 +101,7 @@ pub fn read(
         ego: way_of(ego.collect())?,
         ego_height_m: 0.5 * vehicle.height_m,
         vehicle,
+        scans: scans_of(&drive, middle_from_imu.then(&drive.imu_from_lidar)),
         views: views_of(&drive, &rig_cameras, &by_frame),
         rig: Rig::from_iter(rig_cameras),
         tracks: tracks_of(&drive, &by_frame),
@@ -105,6 +110,22 @@ pub fn read(
             "the IMU of the first frame; the middle of the vehicle is {:.2}, {:.2}, {:.2} m forward, left and up from the IMU",
             middle_m.x, middle_m.y, middle_m.z
         ),
+    })
+}
+
+/// Scans of a drive, taken by `rig_from_lidar`; `None` where there are none.
+fn scans_of(drive: &KittiDrive, rig_from_lidar: Pose) -> Option<Scans> {
+    let timed = drive.scans.iter().filter_map(|(frame, path)| {
+        let time_s = drive.times_s.get(*frame)?;
+        Some((*time_s, path.clone()))
+    });
+    let files: Vec<(f64, PathBuf)> = timed.collect();
+    (!files.is_empty()).then_some(Scans {
+        files,
+        rig_from_lidar,
+        turn: Some(Turn {
+            period_s: SCAN_PERIOD_S,
+        }),
     })
 }
 

@@ -89,6 +89,7 @@ pub fn read(
     Ok(Recording {
         rig: Rig::from_iter(rig),
         lidars: Vec::new(),
+        scans: None,
         ego,
         ego_height_m: 0.5 * vehicle.height_m,
         vehicle,

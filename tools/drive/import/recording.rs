@@ -5,6 +5,8 @@ use decouplegs::asset::tracks::PoseRow;
 use decouplegs::scene::{Camera, Pose, Rig, TimedPose, Trajectory, VehicleSize};
 use glam::DQuat;
 
+use super::scans::Scans;
+
 /// A recording in the coordinates of its splats.
 pub struct Recording {
     /// Cameras on the vehicle.
@@ -17,6 +19,8 @@ pub struct Recording {
     pub vehicle: VehicleSize,
     /// Cameras of all images.
     pub views: Vec<Camera>,
+    /// Scans of the vehicle's LiDAR, where there are some.
+    pub scans: Option<Scans>,
     /// Labeled boxes.
     pub tracks: Vec<PoseRow>,
     /// Rotation that makes the world's z axis vertical.

@@ -53,6 +53,8 @@ pub struct KittiDrive {
     pub imu_from_lidar: Pose,
     /// Labeled boxes; none where the drive has no `tracklet_labels.xml`.
     pub tracklets: Vec<Tracklet>,
+    /// Scans of the LiDAR: indices of their frames, and their files.
+    pub scans: Vec<(usize, PathBuf)>,
     /// Times of all frames, since the first with an image, seconds.
     pub times_s: Vec<f64>,
 }
@@ -137,6 +139,7 @@ impl KittiDrive {
             level_from_world,
             cameras,
             imu_from_lidar: calibration.imu_from_lidar(),
+            scans: numbered(&folder.join("velodyne_points").join("data"), &["bin"]),
             tracklets,
             times_s,
         })
@@ -187,21 +190,28 @@ fn cameras_in(
 
 /// Images of a folder in the order of their frames; none where there is no such folder.
 fn images_in(folder: &Path) -> Vec<KittiImage> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let image = |entry: std::fs::DirEntry| {
-        let path = entry.path();
-        let is_image = path.extension().is_some_and(|end| {
-            ["png", "jpg", "jpeg"]
-                .iter()
-                .any(|own| end.eq_ignore_ascii_case(own))
-        });
-        let frame = path.file_stem()?.to_str()?.parse().ok()?;
-        (is_image && frame < FRAMES_MAX).then_some(KittiImage { frame, path })
-    };
-    let mut images: Vec<KittiImage> = entries.filter_map(image).collect();
-    images.sort_by(|a, b| a.frame.cmp(&b.frame).then(a.path.cmp(&b.path)));
-    images.dedup_by_key(|image| image.frame);
+    let images = numbered(folder, &["png", "jpg", "jpeg"]).into_iter();
     images
+        .map(|(frame, path)| KittiImage { frame, path })
+        .collect()
+}
+
+/// Files of a folder that are named by their frames and end in one of `endings`, in the order of
+/// frames; none where there is no such folder.
+fn numbered(folder: &Path, endings: &[&str]) -> Vec<(usize, PathBuf)> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let file = |entry: std::fs::DirEntry| {
+        let path = entry.path();
+        let ends = path
+            .extension()
+            .is_some_and(|end| endings.iter().any(|own| end.eq_ignore_ascii_case(own)));
+        let frame = path.file_stem()?.to_str()?.parse().ok()?;
+        (ends && frame < FRAMES_MAX).then_some((frame, path))
+    };
+    let mut files: Vec<(usize, PathBuf)> = entries.filter_map(file).collect();
+    files.sort();
+    files.dedup_by_key(|(frame, _)| *frame);
+    files
 }
 
 /// Poses of the IMU at `frames`, world coordinates, and the rotation that levels the world.

@@ -77,6 +77,9 @@ impl SceneFile {
         if let Some(ground) = &mut scene.recording.ground {
             *ground = moved(ground);
         }
+        if let Some(obstacles) = &mut scene.recording.obstacles {
+            *obstacles = moved(obstacles);
+        }
         if let Some(light) = &mut scene.light {
             light.transfer = light.transfer.as_ref().map(moved);
         }
@@ -101,6 +104,7 @@ mod tests {
             "assets/car.ply",
             "light.safetensors",
             "ground.ply",
+            "obstacles.json",
         ] {
             std::fs::write(near.join(file), file).unwrap();
         }
@@ -121,6 +125,7 @@ mod tests {
             }),
             recording: SceneRecording {
                 ground: Some("ground.ply".into()),
+                obstacles: Some("obstacles.json".into()),
                 ..SceneRecording::default()
             },
             ..SceneFile::of_background("street.ply")
@@ -137,6 +142,10 @@ mod tests {
             "light.safetensors"
         );
         assert_eq!(text(moved.recording.ground.as_ref().unwrap()), "ground.ply");
+        assert_eq!(
+            text(moved.recording.obstacles.as_ref().unwrap()),
+            "obstacles.json"
+        );
         assert_eq!(moved.agents[1].asset, elsewhere);
         assert_eq!(scene.moved_to_folder(&near, &near).unwrap(), scene);
         assert_eq!(

@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use decouplegs_scene::{CapturedViews, VehicleSize};
+use decouplegs_scene::{CapturedViews, Obstacle, VehicleSize};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
 use super::load::SceneFiles;
 use crate::toml_text::Checker;
-use crate::{AssetError, SceneError, cameras, read_ground};
+use crate::{AssetError, SceneError, cameras, obstacle_file, read_ground};
 
 /// The drive on which a scene was recorded. All of it may be unknown.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -21,6 +21,9 @@ pub struct SceneRecording {
     /// Surveyed ground, a mesh or points (PLY) about [`crate::SceneFile::origin`]. A path relative
     /// to the scene file.
     pub ground: Option<PathBuf>,
+    /// File of what stands beside the way, world coordinates ([`crate::read_obstacles`]). A path
+    /// relative to the scene file.
+    pub obstacles: Option<PathBuf>,
 }
 
 /// Views that a scene was captured from, as its file names them.
@@ -55,6 +58,8 @@ pub struct LoadedRecording {
     pub vehicle_size: Option<VehicleSize>,
     /// Points of the surveyed ground, world coordinates, meters; none where there is no survey.
     pub ground_m: Vec<DVec3>,
+    /// What stands beside the way, world coordinates; `None` where the file tells nothing of it.
+    pub obstacles: Option<Vec<Obstacle>>,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -66,6 +71,8 @@ pub(super) struct RecordingForm {
     vehicle_size_m: Option<[f64; 3]>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     ground: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    obstacles: Option<String>,
 }
 
 /// Lengths of the sides of a vehicle, meters.
@@ -89,12 +96,17 @@ impl RecordingForm {
             Some(SeenFrom::Cameras(file)) => Some(path(file)?),
         };
         let vehicle_size_m = recording.vehicle_size.map(|size| size.to_array());
-        let ground = recording.ground.as_deref().map(path).transpose()?;
-        let is_empty = seen_from.is_none() && vehicle_size_m.is_none() && ground.is_none();
+        let ground = recording.ground.as_deref().map(&path).transpose()?;
+        let obstacles = recording.obstacles.as_deref().map(path).transpose()?;
+        let is_empty = seen_from.is_none()
+            && vehicle_size_m.is_none()
+            && ground.is_none()
+            && obstacles.is_none();
         Ok((!is_empty).then_some(Self {
             seen_from,
             vehicle_size_m,
             ground,
+            obstacles,
         }))
     }
 
@@ -125,7 +137,12 @@ impl RecordingForm {
             let reason = "must be a file of points or a mesh (.ply)";
             return Err(error("ground", reason.into()));
         }
+        if own.obstacles.as_deref() == Some("") {
+            let reason = "must be a file of obstacles (.json)";
+            return Err(error("obstacles", reason.into()));
+        }
         Ok(SceneRecording {
+            obstacles: own.obstacles.as_ref().map(PathBuf::from),
             ground: own.ground.as_ref().map(PathBuf::from),
             seen_from,
             vehicle_size: own.vehicle_size_m.map(VehicleSize::from_array),
@@ -147,7 +164,7 @@ impl SceneRecording {
         Ok(points.into_iter().map(|point| point + origin).collect())
     }
 
-    /// Reads the cameras and the ground, which is about `origin`, from `files`.
+    /// Reads the cameras, the ground, which is about `origin`, and the obstacles from `files`.
     pub(super) fn load(
         &self,
         files: &dyn SceneFiles,
@@ -167,7 +184,15 @@ impl SceneRecording {
         };
         let ground = self.ground.as_ref().map(|file| files.ground(file));
         let ground = ground.transpose()?.unwrap_or_default();
+        let obstacles = self.obstacles.as_ref().map(|file| {
+            obstacle_file::decode(&files.bytes(file)?).map_err(|source| AssetError::Decode {
+                path: files.path(file),
+                format: "obstacle",
+                source,
+            })
+        });
         Ok(LoadedRecording {
+            obstacles: obstacles.transpose()?,
             views,
             vehicle_size: self.vehicle_size,
             ground_m: ground.into_iter().map(|point| point + origin).collect(),

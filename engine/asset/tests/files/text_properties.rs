@@ -308,6 +308,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                     ego_height_m: ego.is_some().then_some(readout_s),
                     recording: SceneRecording {
                         ground: (agents.len() % 3 == 1).then(|| "ground.ply".into()),
+                        obstacles: (agents.len() % 3 == 2).then(|| "obstacles.json".into()),
                         // The name of a file may be the word for no file.
                         seen_from: match agents.len() % 4 {
                             0 => None,

@@ -6,6 +6,8 @@ use decouplegs_gpu::StageTime;
 use decouplegs_scene::lidar::{Beam, Echo, LidarReturn, ReturnMode, ReturnOptions};
 use decouplegs_scene::{Lidar, LidarSweep, random};
 
+use rayon::prelude::*;
+
 use crate::layout::{BeamEchoes, BeamState, RequiredCounts};
 
 /// States of the beams of a sweep.
@@ -84,9 +86,26 @@ impl TracedSweep {
         LidarSweep {
             lidar: self.lidar.clone(),
             beams: self.beams.clone(),
-            returns: self.states.iter().enumerate().flat_map(found).collect(),
+            returns: in_order(&self.states, found),
         }
     }
+}
+
+/// Beams that a thread is given at once.
+const BEAMS_AT_ONCE: usize = 4096;
+
+/// Returns that `found` makes of each beam, in the order of beams, on all threads.
+fn in_order<I: Iterator<Item = LidarReturn>>(
+    states: &[BeamState],
+    found: impl Fn((usize, &BeamState)) -> I + Sync,
+) -> Vec<LidarReturn> {
+    let of_some = |(piece, some): (usize, &[BeamState])| -> Vec<LidarReturn> {
+        let beams = piece * BEAMS_AT_ONCE..;
+        beams.zip(some).flat_map(&found).collect()
+    };
+    let pieces = states.par_chunks(BEAMS_AT_ONCE).enumerate();
+    let returns: Vec<Vec<LidarReturn>> = pieces.map(of_some).collect();
+    returns.concat()
 }
 
 /// A normally distributed number of mean 0 and variance 1 (Box and Muller, 1958).

@@ -70,6 +70,11 @@ impl PointFrame {
     }
 }
 
+/// Bytes of a return in [`LidarSweep::bytes`].
+const RETURN_BYTES: usize = 16;
+/// Fewest returns that a thread is given.
+const RETURNS_AT_ONCE: usize = 4096;
+
 /// Point of a sweep with all that is known of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LidarPoint {
@@ -86,7 +91,9 @@ impl LidarSweep {
     /// (f32), instance (u16), number and count of returns of the beam (u8).
     #[must_use]
     pub fn bytes(&self) -> Vec<u8> {
-        let of_return = |found: &LidarReturn| {
+        let mut all = vec![0; RETURN_BYTES * self.returns.len()];
+        let records = all.par_chunks_exact_mut(RETURN_BYTES);
+        let of_return = |(bytes, found): (&mut [u8], &LidarReturn)| {
             let LidarReturn {
                 beam,
                 range_m,
@@ -95,15 +102,15 @@ impl LidarSweep {
                 number,
                 count,
             } = *found;
-            let mut bytes = [0; 16];
             bytes[..4].copy_from_slice(&beam.to_le_bytes());
             bytes[4..8].copy_from_slice(&range_m.to_le_bytes());
             bytes[8..12].copy_from_slice(&intensity.to_le_bytes());
             bytes[12..14].copy_from_slice(&instance.to_le_bytes());
             bytes[14..].copy_from_slice(&[number, count]);
-            bytes
         };
-        self.returns.iter().flat_map(of_return).collect()
+        let some = records.zip(&self.returns).with_min_len(RETURNS_AT_ONCE);
+        some.for_each(of_return);
+        all
     }
 
     /// Points of the returns in `frame`.
@@ -138,5 +145,57 @@ impl LidarSweep {
             }
         };
         self.returns.par_iter().map_init(|| None, point).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Motion;
+    use crate::lidar::{LidarModel, LidarPattern, ReturnMode};
+
+    #[test]
+    fn returns_become_bytes_in_their_order() {
+        let returns: Vec<LidarReturn> = (0..9001)
+            .map(|beam| LidarReturn {
+                beam,
+                range_m: 0.5 + beam as f32,
+                intensity: 0.25,
+                instance: (beam % 7) as u16,
+                number: 1,
+                count: 2,
+            })
+            .collect();
+        let sweep = LidarSweep {
+            lidar: Lidar {
+                name: "top".into(),
+                model: Arc::new(LidarModel {
+                    name: "any".into(),
+                    pattern: LidarPattern::Rays(Vec::new()),
+                    sweep_s: 0.1,
+                    range_m: [0.3, 1e5],
+                    returns: ReturnMode::Dual,
+                    range_noise_m: 0.0,
+                }),
+                world_from_rig: Pose::IDENTITY,
+                rig_from_lidar: Pose::IDENTITY,
+                motion: Motion::REST,
+            },
+            beams: Arc::new([]),
+            returns,
+        };
+        let bytes = sweep.bytes();
+        assert_eq!(bytes.len(), 16 * 9001);
+        for (found, expected) in bytes.chunks_exact(16).zip(&sweep.returns) {
+            let word = |at: usize| [found[at], found[at + 1], found[at + 2], found[at + 3]];
+            assert_eq!(u32::from_le_bytes(word(0)), expected.beam);
+            assert_eq!(f32::from_le_bytes(word(4)), expected.range_m);
+            assert_eq!(f32::from_le_bytes(word(8)), expected.intensity);
+            assert_eq!(
+                u16::from_le_bytes([found[12], found[13]]),
+                expected.instance
+            );
+            assert_eq!(found[14..], [1, 2]);
+        }
     }
 }

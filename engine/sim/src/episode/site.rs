@@ -344,8 +344,9 @@ impl Site {
         };
         let (splats, origin) = (&loaded.splat_scene.splats, loaded.splat_scene.origin);
         let ground = Ground::new(splats, origin, &options).guided(splats, guides);
-        let obstacles =
-            obstacles.unwrap_or_else(|| occupancy::obstacles(splats, origin, &lanes, &ground));
+        let obstacles = obstacles
+            .or_else(|| loaded.recording.obstacles.clone())
+            .unwrap_or_else(|| occupancy::obstacles(splats, origin, &lanes, &ground));
         let view_support = support_of(&loaded).map(Arc::new);
         let mut site = Self::new(loaded, (lanes, obstacles), sizes, Some(ground))?;
         site.view_support = view_support;
