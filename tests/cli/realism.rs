@@ -26,7 +26,7 @@ fn photographed(folder: &Path) -> [std::path::PathBuf; 3] {
 fn gap(report: &Value, name: &str) -> f64 {
     let gaps = report["gaps"].as_array().unwrap();
     let found = gaps.iter().find(|gap| gap["name"] == name);
-    found.unwrap()["mean"].as_f64().unwrap()
+    found.unwrap()["value"].as_f64().unwrap()
 }
 
 #[test]

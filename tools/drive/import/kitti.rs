@@ -98,6 +98,7 @@ pub fn read(
         ego_height_m: 0.5 * vehicle.height_m,
         vehicle,
         views: views_of(&drive, &rig_cameras, &by_frame),
+        held_out: Vec::new(),
         rig: Rig::from_iter(rig_cameras),
         tracks: tracks_of(&drive, &by_frame),
         level_from_world: drive.level_from_world,

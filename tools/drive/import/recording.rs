@@ -17,6 +17,8 @@ pub struct Recording {
     pub vehicle: VehicleSize,
     /// Cameras of all images.
     pub views: Vec<Camera>,
+    /// Names of the views to hold out of training, where that is asked for.
+    pub held_out: Vec<String>,
     /// Labeled boxes.
     pub tracks: Vec<PoseRow>,
     /// Rotation that makes the world's z axis vertical.

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use decouplegs::render::metrics::difference_image;
 
-use super::scene::{Compared, GAPS, Realism};
+use super::report::{Compared, Realism};
 use crate::page::{Figure, Page, Table};
 use crate::plot::{Axis, Plot, Series};
 use crate::thumbnail::thumbnail;
@@ -32,6 +32,10 @@ pub fn page(realism: &Realism) -> Result<String> {
             .iter()
             .map(|sentence| format!("Not measured: {sentence}")),
     );
+    let detector = realism.detections.as_ref();
+    if let Some(name) = detector.and_then(|found| found.detector.as_ref()) {
+        page.note(&format!("Detector: {name}."));
+    }
     page.heading("Photographs");
     if realism.compared.len() > 1 {
         page.row([Figure::flexible_svg(&chart(realism))]);
@@ -84,30 +88,12 @@ pub fn page(realism: &Realism) -> Result<String> {
     Ok(page.finish())
 }
 
-/// Mean of each gap and its interval.
+/// Figure of each gap and its interval.
 fn gaps(realism: &Realism) -> Table {
-    let mut table = Table::new(["gap", "mean and 95 % confidence interval"]);
-    for gap in &GAPS {
-        table.row([gap.name.to_owned(), realism.mean(gap)]);
-    }
-    for (name, value) in realism.detection_lines() {
-        table.row([name.to_owned(), value]);
-    }
-    for scan in &realism.scans {
-        if let Some(all) = scan.comparison.all() {
-            table.row([
-                format!("median error of ranges, scan {}, m", scan.name),
-                format!("{:.3}", all.median_m),
-            ]);
-            if let Some(error_m) = scan.comparison.ground_height_error_m() {
-                let name = format!("median error of the ground's height, scan {}, m", scan.name);
-                table.row([name, format!("{error_m:.3}")]);
-            }
-            table.row([
-                format!("beams without a return, scan {}", scan.name),
-                format!("{:.1} %", 100.0 * all.missing),
-            ]);
-        }
+    let mut table = Table::new(["gap", "figure and 95 % confidence interval"]);
+    for gap in realism.gaps() {
+        let text = gap.text();
+        table.row([gap.name, text]);
     }
     table
 }

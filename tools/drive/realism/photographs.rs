@@ -22,6 +22,22 @@ pub struct Photograph {
     pub counts: Vec<bool>,
 }
 
+impl Photograph {
+    /// Share of the pixels in `rectangle` (left, top, width, height) that count.
+    pub fn counted(&self, [left, top, width, height]: &[f64; 4]) -> f64 {
+        let range = |from: f64, length: f64, side: u32| {
+            let end = (from + length).ceil().clamp(0.0, f64::from(side)) as usize;
+            (from.floor().max(0.0) as usize).min(end)..end
+        };
+        let columns = range(*left, *width, self.image.width);
+        let rows = range(*top, *height, self.image.height);
+        let pixels = rows.len() * columns.len();
+        let row = |row: usize| &self.counts[row * self.image.width as usize..][columns.clone()];
+        let counted = rows.flat_map(row).filter(|counts| **counts).count();
+        counted as f64 / pixels.max(1) as f64
+    }
+}
+
 /// A photograph that is not read yet.
 pub struct Found {
     pub name: String,

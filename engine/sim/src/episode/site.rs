@@ -424,6 +424,19 @@ impl Site {
         self.asset_sizes.len() + LightColor::ALL.len() + kind as usize
     }
 
+    /// Height of the captured ground at `at`, otherwise of the lanes, meters; `None` where there is
+    /// neither.
+    ///
+    /// `near_z_m` is a height nearby, which tells decks apart.
+    #[must_use]
+    pub fn height_at(&self, at: DVec2, near_z_m: f64) -> Option<f64> {
+        let lane_z_m = self.surface.height_at(at, near_z_m);
+        let expected_z_m = lane_z_m.unwrap_or(near_z_m);
+        let ground = self.ground.as_ref();
+        let captured = ground.and_then(|ground| ground.height_at(at, Some(expected_z_m)));
+        captured.map(|height| height.z_m).or(lane_z_m)
+    }
+
     /// Pose of a vehicle on the ground: wheels at the height of the captured ground, otherwise of
     /// the lanes.
     ///
@@ -431,15 +444,7 @@ impl Site {
     #[must_use]
     pub fn pose_of(&self, state: &VehicleState, size: &VehicleSize, near_z_m: f64) -> Pose {
         let dims_m = size.to_array();
-        let height_at = |local| {
-            let at = state.to_world(local);
-            let lane_z_m = self.surface.height_at(at, near_z_m);
-            let captured = self
-                .ground
-                .as_ref()
-                .and_then(|ground| ground.height_at(at, Some(lane_z_m.unwrap_or(near_z_m))));
-            captured.map(|height| height.z_m).or(lane_z_m)
-        };
+        let height_at = |local| self.height_at(state.to_world(local), near_z_m);
         let corners = corners(dims_m);
         match plane(&corners, &corners.map(height_at)) {
             Some((plane, _)) => pose_on(&plane, state.position_m, state.yaw_rad, size.height_m),
