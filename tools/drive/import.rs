@@ -44,7 +44,8 @@ enum Form {
 /// rig, the way of the vehicle, views, lanes along the way and labeled boxes
 ///
 /// The new folder holds scene.toml, cameras.json, lanes.json and, where boxes are labeled,
-/// tracks.csv; with --hold-out, held_out.txt. The splats stay where they are, unless --level turns them.
+/// tracks.csv; with --hold-out, held_out.txt. The splats stay where they are, unless --level turns
+/// them.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Form of the recording
@@ -71,7 +72,8 @@ pub struct Arguments {
     /// -0.3,0,-0.75]
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_hyphen_values = true)]
     middle: Option<[f64; 3]>,
-    /// Scene of nuScenes: its name, or its place in the table counted from 0 [default: the only one]
+    /// Scene of nuScenes: its name, or its place in the table counted from 0 [default: the only
+    /// one]
     #[arg(long, value_name = "NAME|NUMBER")]
     scene: Option<String>,
     /// Place of the splats' origin in the coordinates of the recording, meters: for splats in a
@@ -120,35 +122,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             out.display()
         );
     }
-    let vehicle = arguments.vehicle.map(VehicleSize::from_array);
-    let middle_m = arguments.middle.map(DVec3::from_array);
-    let path = &arguments.recording;
-    ensure!(
-        arguments.poses.is_none() || arguments.form == Form::Kitti,
-        "--poses belongs to a KITTI drive: other recordings have their own"
-    );
-    ensure!(
-        (arguments.scene.is_none() && arguments.hold_out.is_none())
-            || arguments.form == Form::Nuscenes,
-        "--scene and --hold-out belong to nuScenes"
-    );
-    let mut recording = match arguments.form {
-        Form::Kitti => kitti::read(path, arguments.poses.as_deref(), vehicle, middle_m)?,
-        Form::Nuscenes => nuscenes::read(
-            path,
-            arguments.scene.as_deref(),
-            vehicle,
-            middle_m,
-            arguments.hold_out.map(|every| every as usize),
-        )?,
-        Form::Nerfstudio | Form::Colmap => {
-            let file = match arguments.form {
-                Form::Nerfstudio if path.is_dir() => path.join("transforms.json"),
-                _ => path.clone(),
-            };
-            posed_images::read(&file, vehicle, middle_m, arguments.rate)?
-        }
-    };
+    let mut recording = recorded(arguments)?;
     let reading = progress::spinner(format!("reading {}", arguments.splats.display()));
     let (mut splats, mut origin) = read_placed_splats(&arguments.splats)?;
     reading.finish_and_clear();
@@ -217,6 +191,39 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         ));
     }
     print(&report(&recording, &scene, &check, lanes.is_some(), out))
+}
+
+/// Reads the recording.
+fn recorded(arguments: &Arguments) -> Result<Recording> {
+    let vehicle = arguments.vehicle.map(VehicleSize::from_array);
+    let middle_m = arguments.middle.map(DVec3::from_array);
+    let path = &arguments.recording;
+    ensure!(
+        arguments.poses.is_none() || arguments.form == Form::Kitti,
+        "--poses belongs to a KITTI drive: other recordings have their own"
+    );
+    ensure!(
+        (arguments.scene.is_none() && arguments.hold_out.is_none())
+            || arguments.form == Form::Nuscenes,
+        "--scene and --hold-out belong to nuScenes"
+    );
+    Ok(match arguments.form {
+        Form::Kitti => kitti::read(path, arguments.poses.as_deref(), vehicle, middle_m)?,
+        Form::Nuscenes => nuscenes::read(
+            path,
+            arguments.scene.as_deref(),
+            vehicle,
+            middle_m,
+            arguments.hold_out.map(|every| every as usize),
+        )?,
+        Form::Nerfstudio | Form::Colmap => {
+            let file = match arguments.form {
+                Form::Nerfstudio if path.is_dir() => path.join("transforms.json"),
+                _ => path.clone(),
+            };
+            posed_images::read(&file, vehicle, middle_m, arguments.rate)?
+        }
+    })
 }
 
 /// Answer of the splats about the way.

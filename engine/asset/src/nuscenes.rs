@@ -269,7 +269,7 @@ pub fn decode(tables: &Tables, scene: Option<&str>) -> Result<NuscenesScene, Dec
             "the readings of sample_data.json are no way: {reason}"
         ))
     })?;
-    let sensors = Sensors::of(tables)?;
+    let sensors = Sensors::from_tables(tables)?;
     let mut cameras: Vec<(&str, NuscenesCamera)> = Vec::new();
     let mut ego_from_lidar = None;
     for (reading, pose) in readings.iter().zip(&poses) {
@@ -347,7 +347,7 @@ struct Sensors<'a> {
 }
 
 impl<'a> Sensors<'a> {
-    fn of(tables: &Tables<'a>) -> Result<Self, DecodeError> {
+    fn from_tables(tables: &Tables<'a>) -> Result<Self, DecodeError> {
         let calibrated: Vec<Calibrated> =
             annotated::rows(tables.calibrated, "calibrated_sensor.json")?;
         let sensors: Vec<Sensor> = annotated::rows(tables.sensors, "sensor.json")?;

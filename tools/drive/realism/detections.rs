@@ -64,7 +64,7 @@ impl Detections {
         Ok(())
     }
 
-    /// Those whose image and rectangle (left, top, width, height) `counts`.
+    /// Keeps those whose image and rectangle (left, top, width, height) `counts`.
     pub fn filtered(mut self, counts: impl Fn(&str, &[f64; 4]) -> bool) -> Self {
         for ((image, _), list) in &mut self.0 {
             list.retain(|one| counts(image, &one.rectangle));
@@ -72,7 +72,7 @@ impl Detections {
         self
     }
 
-    /// Those of an image `factor` times as large.
+    /// Detections in an image `factor` times as large.
     pub fn enlarged(mut self, factor: f64) -> Self {
         for one in self.0.values_mut().flatten() {
             one.rectangle = one.rectangle.map(|value| factor * value);
@@ -128,7 +128,7 @@ impl Agreement {
         agreement
     }
 
-    /// Pairs.
+    /// Number of pairs.
     pub fn matched(&self) -> usize {
         self.ious.len()
     }

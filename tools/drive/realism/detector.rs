@@ -20,7 +20,7 @@ const ANSWER_BYTES_MAX: u64 = 1 << 26;
 /// Colors and numbers that a model is given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum DetectorInput {
-    /// As models of its layout mostly want it
+    /// Usual input of models of its layout
     #[default]
     Auto,
     /// Red, green, blue from 0 to 1

@@ -98,7 +98,7 @@ impl Gap {
         }
     }
 
-    /// The same with an interval that ends at `low` and `high` at most.
+    /// The gap with an interval that ends at `low` and `high` at most.
     pub fn within(mut self, low: f64, high: f64) -> Self {
         self.interval = self
             .interval

@@ -9,6 +9,8 @@ use decouplegs::asset::cameras::file_safe;
 use decouplegs::render::rendered_image::{Image, ImageFileFormat};
 use decouplegs::scene::Camera;
 
+use crate::thumbnail::thumbnail;
+
 /// Shapes that differ by less count as one.
 const SHAPE_TOLERANCE: f64 = 0.01;
 
@@ -23,6 +25,11 @@ pub struct Photograph {
 }
 
 impl Photograph {
+    /// The photograph at half the size.
+    pub fn half_size(&self) -> Image {
+        thumbnail(&self.image, self.image.width.div_ceil(2))
+    }
+
     /// Share of the pixels in `rectangle` (left, top, width, height) that count.
     pub fn counted(&self, [left, top, width, height]: &[f64; 4]) -> f64 {
         let range = |from: f64, length: f64, side: u32| {

@@ -33,40 +33,88 @@ const CRUISE_MPS_MIN: f64 = 1.0;
 /// Time from which the rate of the speed is found, seconds.
 const ACCELERATION_S: f64 = 0.2;
 
-/// How far apart two plans for one moment are.
+/// Distances of plans for one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanPair {
     /// Photograph of the first camera.
     pub name: String,
-    /// Mean distance of the plans over [`COMPARED_S`], meters.
+    /// Plan for the scene and plan for the photograph.
+    pub rendered: Apart,
+    /// Plan for the photograph at half the size, as a control, and plan for the photograph.
+    pub half_size: Apart,
+}
+
+/// Distance of two plans.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Apart {
+    /// Mean over [`COMPARED_S`], meters.
     pub ade_m: f64,
-    /// Distance of their last points, meters.
+    /// That of their last points, meters.
     pub fde_m: f64,
+}
+
+impl Apart {
+    fn between(a: &Plan, b: &Plan) -> Self {
+        let apart_m = COMPARED_S.map(|at| a.at(at).distance(b.at(at)));
+        Self {
+            ade_m: apart_m.iter().sum::<f64>() / apart_m.len() as f64,
+            fde_m: apart_m[apart_m.len() - 1],
+        }
+    }
+
+    fn to_json(self) -> Value {
+        json!({ "ade_m": self.ade_m, "fde_m": self.fde_m })
+    }
 }
 
 /// Plans from photographs and from rendered images.
 pub struct ComparedPlans {
     pub planner: String,
     pub pairs: Vec<PlanPair>,
-    /// Moments for which the planner had no answer to one of the two.
+    /// Moments for which the planner had no answer to one of them.
     pub unanswered: usize,
 }
 
 impl ComparedPlans {
     pub fn gaps(&self) -> Vec<Gap> {
-        let mean = |name: &str, value: fn(&PlanPair) -> f64| {
+        let planner = &self.planner;
+        let gap = |statistic, name: &str, value: fn(&PlanPair) -> f64| {
             let values: Vec<f64> = self.pairs.iter().map(value).collect();
-            let name = format!("{name} of plans by {}, m", self.planner);
-            Gap::new(name, Statistic::Mean, &values, 3).within(0.0, f64::INFINITY)
+            Gap::new(name, statistic, &values, 3).within(0.0, f64::INFINITY)
         };
+        let named = |what: &str| format!("plans by {planner}, {what}, m");
         vec![
-            mean("mean distance over 3 s (ADE)", |pair| pair.ade_m),
-            mean("distance after 3 s (FDE)", |pair| pair.fde_m),
+            gap(
+                Statistic::Mean,
+                &named("mean distance over 3 s (ADE)"),
+                |pair| pair.rendered.ade_m,
+            ),
+            gap(
+                Statistic::Median,
+                &named("median of those distances"),
+                |pair| pair.rendered.ade_m,
+            ),
+            gap(
+                Statistic::Mean,
+                &named("distance after 3 s (FDE)"),
+                |pair| pair.rendered.fde_m,
+            ),
+            gap(
+                Statistic::Mean,
+                &named("ADE of half-size photographs"),
+                |pair| pair.half_size.ade_m,
+            ),
         ]
     }
 
     pub fn to_json(&self) -> Value {
-        let pair = |pair: &PlanPair| json!({ "photograph": pair.name, "ade_m": pair.ade_m, "fde_m": pair.fde_m });
+        let pair = |pair: &PlanPair| {
+            json!({
+                "photograph": pair.name,
+                "rendered": pair.rendered.to_json(),
+                "half_size_photograph": pair.half_size.to_json(),
+            })
+        };
         json!({
             "planner": self.planner,
             "unanswered": self.unanswered,
@@ -160,22 +208,20 @@ pub fn compare(
     for moment in moments {
         let views: Vec<&Placed> = moment.iter().map(|&index| &placed[index]).collect();
         let told = Told::at(way, &views[0].world_from_rig, views[0].time_s, size);
-        let mut answer = |image: fn(&Compared) -> &Image| {
+        let mut answer = |image: fn(&Compared) -> Image| {
             answer(planner.as_mut(), &cameras, &views, &told, image)
         };
         let plans = (
-            answer(|one| &one.photograph.image),
-            answer(|one| &one.rendered),
+            answer(|one| one.photograph.image.clone()),
+            answer(|one| one.rendered.clone()),
+            answer(|one| one.photograph.half_size()),
         );
         match plans {
-            (Some(real), Some(rendered)) => {
-                let apart_m = COMPARED_S.map(|at| real.at(at).distance(rendered.at(at)));
-                found.pairs.push(PlanPair {
-                    name: views[0].compared.photograph.name.clone(),
-                    ade_m: apart_m.iter().sum::<f64>() / apart_m.len() as f64,
-                    fde_m: apart_m[apart_m.len() - 1],
-                });
-            }
+            (Some(real), Some(rendered), Some(half_size)) => found.pairs.push(PlanPair {
+                name: views[0].compared.photograph.name.clone(),
+                rendered: Apart::between(&rendered, &real),
+                half_size: Apart::between(&half_size, &real),
+            }),
             _ => found.unanswered += 1,
         }
     }
@@ -316,13 +362,14 @@ fn answer(
     cameras: &[RigCamera],
     views: &[&Placed],
     told: &Told,
-    image: fn(&Compared) -> &Image,
+    image: fn(&Compared) -> Image,
 ) -> Option<Plan> {
-    let sized = |(camera, view): (&RigCamera, &&Placed)| RigCamera {
-        intrinsics: view.compared.photograph.camera.intrinsics,
+    let images: Vec<Image> = views.iter().map(|view| image(view.compared)).collect();
+    let sized = |((camera, view), image): ((&RigCamera, &&Placed), &Image)| RigCamera {
+        intrinsics: (view.compared.photograph.camera.intrinsics).resized(image.width, image.height),
         ..camera.clone()
     };
-    let cameras: Vec<RigCamera> = cameras.iter().zip(views).map(sized).collect();
+    let cameras: Vec<RigCamera> = cameras.iter().zip(views).zip(&images).map(sized).collect();
     let info = EpisodeInfo {
         sensors: cameras
             .iter()
@@ -331,10 +378,7 @@ fn answer(
             .collect(),
         ..told.info.clone()
     };
-    let images: Vec<Vec<u8>> = views
-        .iter()
-        .map(|view| bytes(image(view.compared)))
-        .collect();
+    let images: Vec<Vec<u8>> = images.iter().map(bytes).collect();
     let readings: Vec<Reading> = cameras
         .iter()
         .zip(&images)

@@ -1,4 +1,4 @@
-//! What was found of a scene: gaps, one number each, and the details behind them.
+//! Results of comparing a scene: gaps, one number each, and the details behind them.
 
 use std::path::PathBuf;
 
@@ -31,7 +31,7 @@ pub struct ComparedDetections {
     /// The detector, where the program ran it.
     pub detector: Option<String>,
     pub rendered: Agreement,
-    /// Those in photographs of half the size, as a control.
+    /// Detections in photographs of half the size, as a control.
     pub half_size: Option<Agreement>,
 }
 

@@ -140,8 +140,8 @@ impl ComparedRoad {
             self.found.push(f64::from(u8::from(found)));
         }
         for one in obstacles.iter().filter(|one| is_beside(one.center_m)) {
-            let reach_m = 0.5 * one.length_m.hypot(one.width_m) + REAL_M;
-            let near = points.standing_near(one.center_m, reach_m);
+            let radius_m = 0.5 * one.length_m.hypot(one.width_m) + REAL_M;
+            let near = points.standing_near(one.center_m, radius_m);
             let real = near.filter(|at| distance_m(one, *at) <= REAL_M);
             let is_real = real.take(REAL_POINTS).count() == REAL_POINTS;
             if is_real || points.ground_points_at(one.center_m) >= FREE_POINTS {

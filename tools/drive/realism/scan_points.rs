@@ -105,9 +105,9 @@ impl ScanPoints {
     }
 
     /// Points of things near `at`, from above.
-    pub fn standing_near(&self, at: DVec2, reach_m: f64) -> impl Iterator<Item = DVec2> + '_ {
+    pub fn standing_near(&self, at: DVec2, radius_m: f64) -> impl Iterator<Item = DVec2> + '_ {
         let ground_m = self.ground_below(at);
-        let cells = (reach_m / CELL_M).ceil() as i64;
+        let cells = (radius_m / CELL_M).ceil() as i64;
         around(&self.others, at, cells)
             .filter(move |point| ground_m.is_none_or(|ground_m| point.z - ground_m > THING_M))
             .map(|point| point.truncate())
@@ -122,7 +122,7 @@ impl ScanPoints {
     }
 }
 
-/// Points of the ground in a cell whose middle is looked at, at least.
+/// Points of the ground in a cell whose middle is examined, at least.
 const FEW: usize = 4;
 
 /// Points in the cell of `at` and those around it.

@@ -34,7 +34,6 @@ use crate::lidar::scan_comparison::ScanComparison;
 use crate::lidar::scan_file::ScanFile;
 use crate::outputs::Force;
 use crate::progress;
-use crate::thumbnail::thumbnail;
 
 /// Compare a scene with photographs at their own poses, and with scans of a LiDAR: one number per
 /// gap with its interval, as a table, JSON and a page. Agents are left out
@@ -244,7 +243,7 @@ fn detected(detector: &mut Detector, compared: &[Compared]) -> Result<ComparedDe
     let mut found: [Detections; 3] = Default::default();
     for one in compared {
         let photograph = &one.photograph;
-        let half = thumbnail(&photograph.image, photograph.image.width.div_ceil(2));
+        let half = photograph.half_size();
         let images = [&photograph.image, &one.rendered, &half];
         for (found, image) in found.iter_mut().zip(images) {
             let list = detector.detect(image)?;

@@ -132,7 +132,7 @@ pub fn decode(tables: &Tables, scene: Option<&str>) -> Result<Vec<Track>, Decode
 /// Tracks of a scene, as [`decode`] reads them; none where nothing is annotated.
 ///
 /// # Errors
-/// Those of [`decode`].
+/// Errors of [`decode`].
 pub(crate) fn decode_annotated(
     tables: &Tables,
     scene: Option<&str>,
