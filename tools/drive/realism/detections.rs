@@ -80,6 +80,12 @@ impl Detections {
         self
     }
 
+    /// Rectangles (left, top, width, height) in an image, pixels.
+    pub fn in_image(&self, image: &str) -> impl Iterator<Item = [f64; 4]> {
+        let own = self.0.iter().filter(move |((of, _), _)| of == image);
+        own.flat_map(|(_, list)| list.iter().map(|one| one.rectangle))
+    }
+
     fn count(&self) -> usize {
         self.0.values().map(Vec::len).sum()
     }

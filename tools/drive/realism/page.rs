@@ -2,8 +2,10 @@
 
 use anyhow::Result;
 use decouplegs::render::metrics::difference_image;
+use decouplegs::render::rendered_image::Image;
 
-use super::report::{Compared, Realism};
+use super::detections::Detections;
+use super::report::{Compared, ComparedDetections, Realism};
 use crate::page::{Figure, Page, Table};
 use crate::plot::{Axis, Plot, Series};
 use crate::thumbnail::thumbnail;
@@ -11,6 +13,8 @@ use crate::thumbnail::thumbnail;
 /// Photographs that are shown, at most: more would make the page tens of megabytes.
 const SHOWN_MAX: usize = 8;
 const WIDTH_PX: u32 = 420;
+/// Color of boxes.
+const BOX_RGB: [f32; 3] = [1.0, 0.1, 0.1];
 /// Amplification of shown differences.
 const DIFFERENCE_GAIN: f32 = 4.0;
 
@@ -34,14 +38,14 @@ pub fn page(realism: &Realism) -> Result<String> {
     );
     let detector = realism.detections.as_ref();
     if let Some(name) = detector.and_then(|found| found.detector.as_ref()) {
-        page.note(&format!("Detector: {name}."));
+        page.note(&format!("Detector: {name}. Its boxes are drawn in red."));
     }
     page.heading("Photographs");
     if realism.compared.len() > 1 {
         page.row([Figure::flexible_svg(&chart(realism))]);
     }
     for one in shown(realism) {
-        images(&mut page, one)?;
+        images(&mut page, one, realism.detections.as_ref())?;
     }
     page.table(&by_image(realism));
     if !realism.scans.is_empty() {
@@ -129,16 +133,21 @@ fn shown(realism: &Realism) -> impl Iterator<Item = &Compared> {
     (0..count).map(move |place| &realism.compared[place * realism.compared.len() / count])
 }
 
-fn images(page: &mut Page, one: &Compared) -> Result<()> {
+fn images(page: &mut Page, one: &Compared, found: Option<&ComparedDetections>) -> Result<()> {
+    let name = &one.photograph.name;
+    let boxes = |detections: fn(&ComparedDetections) -> &Detections| {
+        let rectangles = found.map(|found| detections(found).in_image(name));
+        rectangles.into_iter().flatten().collect::<Vec<_>>()
+    };
     let difference = difference_image(&one.photograph.image, &one.rendered, DIFFERENCE_GAIN)?;
     let figures = [
         (
             format!("{}: photograph", one.photograph.name),
-            &one.photograph.image,
+            &with_boxes(&one.photograph.image, &boxes(|found| &found.in_photographs)),
         ),
         (
             format!("scene, {:.2} dB", one.difference.psnr_db),
-            &one.rendered,
+            &with_boxes(&one.rendered, &boxes(|found| &found.in_rendered)),
         ),
         (format!("difference, times {DIFFERENCE_GAIN}"), &difference),
     ];
@@ -146,6 +155,32 @@ fn images(page: &mut Page, one: &Compared) -> Result<()> {
         figures.map(|(caption, image)| Figure::image(&caption, &thumbnail(image, WIDTH_PX)));
     page.row(figures.into_iter().collect::<Result<Vec<_>>>()?);
     Ok(())
+}
+
+/// `image` with the outlines of rectangles (left, top, width, height), as thick as a thumbnail
+/// shows.
+fn with_boxes(image: &Image, rectangles: &[[f64; 4]]) -> Image {
+    let mut image = image.clone();
+    let thick_px = f64::from(image.width.div_ceil(WIDTH_PX));
+    let (width, height) = (image.width as usize, image.height as usize);
+    for [left, top, wide, high] in rectangles {
+        let range = |from: f64, to: f64, side: usize| {
+            (from.max(0.0) as usize).min(side)..(to.max(0.0).ceil() as usize).min(side)
+        };
+        let (right, bottom) = (left + wide, top + high);
+        for [from_x, to_x, from_y, to_y] in [
+            [*left, right, *top, top + thick_px],
+            [*left, right, bottom - thick_px, bottom],
+            [*left, left + thick_px, *top, bottom],
+            [right - thick_px, right, *top, bottom],
+        ] {
+            for row in range(from_y, to_y, height) {
+                let pixels = range(from_x, to_x, width);
+                image.rgb[row * width..][pixels].fill(BOX_RGB);
+            }
+        }
+    }
+    image
 }
 
 fn by_image(realism: &Realism) -> Table {
@@ -175,4 +210,21 @@ fn by_image(realism: &Realism) -> Table {
         ]);
     }
     table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_are_outlines_inside_the_image() {
+        let image = Image::filled(40, 20, [0.0; 3]);
+        let drawn = with_boxes(&image, &[[10.0, 5.0, 8.0, 6.0], [-5.0, -5.0, 100.0, 1e9]]);
+        let at = |column: usize, row: usize| drawn.rgb[row * 40 + column];
+        for (column, row) in [(10, 5), (17, 5), (10, 10), (17, 10)] {
+            assert_eq!(at(column, row), BOX_RGB);
+        }
+        assert_eq!([at(11, 6), at(18, 5), at(9, 5)], [[0.0; 3]; 3]);
+        assert_eq!(drawn.rgb.iter().filter(|rgb| **rgb == BOX_RGB).count(), 24);
+    }
 }

@@ -6,7 +6,7 @@ use decouplegs::render::metrics::PhotographDifference;
 use decouplegs::render::rendered_image::Image;
 use serde_json::{Value, json};
 
-use super::detections::Agreement;
+use super::detections::{Agreement, Detections};
 use super::gap::{Gap, Statistic};
 use super::photographs::Photograph;
 use super::plans::ComparedPlans;
@@ -30,6 +30,8 @@ pub struct ComparedScan {
 pub struct ComparedDetections {
     /// The detector, where the program ran it.
     pub detector: Option<String>,
+    pub in_photographs: Detections,
+    pub in_rendered: Detections,
     pub rendered: Agreement,
     /// Detections in photographs of half the size, as a control.
     pub half_size: Option<Agreement>,

@@ -123,6 +123,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             detector: None,
             rendered: Agreement::between(&photographs, &rendered),
             half_size: None,
+            in_photographs: photographs,
+            in_rendered: rendered,
         }),
         (None, None) => None,
     };
@@ -259,13 +261,14 @@ fn detected(detector: &mut Detector, compared: &[Compared]) -> Result<ComparedDe
         photograph.is_none_or(|photograph| photograph.counted(rectangle) > 0.5)
     };
     let photographs = photographs.filtered(counts);
+    let rendered = rendered.filtered(counts);
+    let half = half.enlarged(2.0).filtered(counts);
     Ok(ComparedDetections {
         detector: Some(detector.name()),
-        rendered: Agreement::between(&photographs, &rendered.filtered(counts)),
-        half_size: Some(Agreement::between(
-            &photographs,
-            &half.enlarged(2.0).filtered(counts),
-        )),
+        rendered: Agreement::between(&photographs, &rendered),
+        half_size: Some(Agreement::between(&photographs, &half)),
+        in_photographs: photographs,
+        in_rendered: rendered,
     })
 }
 
