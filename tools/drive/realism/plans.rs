@@ -394,7 +394,9 @@ fn answer(
         localization: planner.sees().localization.then_some(&told.localization),
         privileged: None,
     };
-    planner.plan(&observation).ok()
+    // A plan before the planner has seen enough is not its own.
+    let plan = planner.plan(&observation).ok()?;
+    (!planner.is_warming_up()).then_some(plan)
 }
 
 /// Four bytes per pixel, opaque.

@@ -161,8 +161,8 @@ impl Realism {
     }
 
     /// Gaps that were not measured, and why; a sentence each.
-    pub fn not_measured(&self) -> Vec<&'static str> {
-        let mut sentences = Vec::new();
+    pub fn not_measured(&self) -> Vec<String> {
+        let mut sentences: Vec<&str> = Vec::new();
         if self.scans.is_empty() {
             sentences.push("ranges of a LiDAR: no --scan was given");
         }
@@ -180,6 +180,14 @@ impl Realism {
         sentences.push(
             "LPIPS: it needs the weights of AlexNet or VGG that ImageNet was learned with, which are not part of the program",
         );
+        let mut sentences: Vec<String> = sentences.into_iter().map(str::to_owned).collect();
+        let unanswered = self.plans.as_ref().filter(|plans| plans.unanswered > 0);
+        sentences.extend(unanswered.map(|plans| {
+            format!(
+                "plans at {} moments: {} had no plan of its own at the first step of an episode",
+                plans.unanswered, plans.planner
+            )
+        }));
         sentences
     }
 
