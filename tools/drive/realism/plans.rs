@@ -253,7 +253,7 @@ fn place<'a>(one: &'a Compared, cameras: &[RigCamera], way: &Trajectory) -> Opti
 }
 
 /// Time at which `way` comes nearest to `at_m`.
-fn nearest_s(way: &Trajectory, at_m: DVec3) -> f64 {
+pub fn nearest_s(way: &Trajectory, at_m: DVec3) -> f64 {
     let apart = |time_s: &f64| way.at(*time_s).translation.distance_squared(at_m);
     let nearest =
         |times: &mut dyn Iterator<Item = f64>| times.min_by(|a, b| apart(a).total_cmp(&apart(b)));

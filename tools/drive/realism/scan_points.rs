@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use decouplegs::scene::Pose;
+use decouplegs::drive::OrientedBox;
+use decouplegs::drive::polyline::wrapped;
+use decouplegs::scene::{Pose, Track};
 use glam::{DVec2, DVec3};
 
 use crate::lidar::scan_comparison::ScanComparison;
@@ -28,6 +30,13 @@ const BELOW_CELLS: i64 = 2;
 /// Least height of points of things, meters.
 const THING_M: f64 = 0.2;
 
+/// A road user that comes no farther from its first place stands, meters.
+const MOVES_M: f64 = 1.0;
+/// Room around the boxes of those that move, meters: they move on while a scan is taken.
+const AROUND_BOX_M: f64 = 0.4;
+/// A track that ended or begins within this is still there, seconds.
+const NEAR_S: f64 = 0.2;
+
 type Key = (i64, i64);
 
 /// Points of some scans, by cells.
@@ -43,13 +52,17 @@ fn key(at: DVec2) -> Key {
 }
 
 impl ScanPoints {
-    /// Adds the points of a scan that was taken at `world_from_lidar`.
-    pub fn add(&mut self, scan: &ScanComparison, world_from_lidar: &Pose) {
+    /// Adds the points of a scan that was taken at `world_from_lidar`, but for those inside the
+    /// boxes `moving`.
+    pub fn add(&mut self, scan: &ScanComparison, world_from_lidar: &Pose, moving: &[OrientedBox]) {
         for met in &scan.met {
             if !(OWN_VEHICLE_M..=FAR_M).contains(&met.real_m) {
                 continue;
             }
             let at_m = world_from_lidar.transform(met.real_m * met.direction);
+            if moving.iter().any(|one| holds(one, at_m.truncate())) {
+                continue;
+            }
             let points = match met.is_ground {
                 true => &mut self.ground,
                 false => &mut self.others,
@@ -122,6 +135,41 @@ impl ScanPoints {
     }
 }
 
+/// True if `at` is inside a box from above, or almost.
+fn holds(one: &OrientedBox, at: DVec2) -> bool {
+    let local = DVec2::from_angle(-one.yaw_rad).rotate(at - one.center_m);
+    let half_m = DVec2::new(one.half_length_m, one.half_width_m) + AROUND_BOX_M;
+    local.abs().cmple(half_m).all()
+}
+
+/// Boxes at `time_s` of the tracks that move.
+pub fn moving_boxes(tracks: &[Track], time_s: f64) -> Vec<OrientedBox> {
+    let moves = |track: &&Track| {
+        let first = track.points.first().map(|point| point.position_m);
+        let apart_m = track.points.iter().zip(first.into_iter().cycle());
+        apart_m
+            .into_iter()
+            .any(|(point, first)| point.position_m.distance(first) > MOVES_M)
+    };
+    let box_of = |track: &Track| {
+        let [length_m, width_m, _] = track.dims_m?;
+        let after = track.points.partition_point(|point| point.time_s < time_s);
+        let ends = [after.saturating_sub(1), after.min(track.points.len() - 1)];
+        let [from, to] = ends.map(|index| &track.points[index]);
+        let beyond_s = (from.time_s - time_s).max(time_s - to.time_s);
+        let share = (time_s - from.time_s) / (to.time_s - from.time_s).max(1e-9);
+        let share = share.clamp(0.0, 1.0);
+        let turned_rad = wrapped(to.yaw_rad? - from.yaw_rad?);
+        (beyond_s <= NEAR_S).then_some(OrientedBox {
+            center_m: from.position_m.lerp(to.position_m, share),
+            yaw_rad: from.yaw_rad? + share * turned_rad,
+            half_length_m: 0.5 * length_m,
+            half_width_m: 0.5 * width_m,
+        })
+    };
+    tracks.iter().filter(moves).filter_map(box_of).collect()
+}
+
 /// Points of the ground in a cell whose middle is examined, at least.
 const FEW: usize = 4;
 
@@ -185,6 +233,7 @@ fn plane_through(points: &[DVec3], at: DVec2) -> Option<Plane> {
 mod tests {
     use super::*;
     use crate::lidar::scan_comparison::Met;
+    use decouplegs::scene::TrackPoint;
 
     fn scan(points: &[(DVec3, bool)]) -> ScanComparison {
         let met = |&(point, is_ground): &(DVec3, bool)| Met {
@@ -213,7 +262,7 @@ mod tests {
         }));
         let mut scans = ScanPoints::default();
         let pose = Pose::from_yaw(0.0, DVec3::new(100.0, 0.0, 1.7));
-        scans.add(&scan(&points), &pose);
+        scans.add(&scan(&points), &pose, &[]);
         let height_m = scans.ground_at(DVec2::new(110.0, 0.3)).unwrap();
         assert!((height_m - (0.4 - 0.006)).abs() < 1e-9, "{height_m}");
         assert_eq!(scans.ground_at(DVec2::new(140.0, 0.0)), None);
@@ -226,6 +275,36 @@ mod tests {
         assert!(near.count() > 10);
         assert!(scans.ground_points_at(DVec2::new(110.4, 0.4)) >= 4);
         assert!(scans.ground_cells().count() > 150);
+    }
+
+    #[test]
+    fn what_moves_is_left_out() {
+        let point = |time_s: f64, x: f64| TrackPoint {
+            time_s,
+            position_m: DVec2::new(x, 3.0),
+            z_m: None,
+            yaw_rad: Some(0.0),
+        };
+        let track = |id: &str, end_m: f64| Track {
+            id: id.into(),
+            class: "car".into(),
+            dims_m: Some([4.0, 2.0, 1.5]),
+            points: vec![point(1.0, 10.0), point(2.0, end_m)],
+        };
+        let tracks = [track("moves", 16.0), track("stands", 10.2)];
+        let boxes = moving_boxes(&tracks, 1.5);
+        assert_eq!(boxes.len(), 1);
+        assert!(boxes[0].center_m.distance(DVec2::new(13.0, 3.0)) < 1e-9);
+        assert!(moving_boxes(&tracks, 0.7).is_empty() && moving_boxes(&tracks, 2.3).is_empty());
+        assert_eq!(moving_boxes(&tracks, 2.1)[0].center_m.x, 16.0);
+        // A point on its side, and one beyond.
+        let points = [
+            (DVec3::new(13.0, 4.2, 0.3), false),
+            (DVec3::new(16.0, 3.0, 0.3), false),
+        ];
+        let mut scans = ScanPoints::default();
+        scans.add(&scan(&points), &Pose::IDENTITY, &boxes);
+        assert_eq!(scans.others.values().flatten().count(), 1);
     }
 
     #[test]

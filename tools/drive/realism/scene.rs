@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::{
     CameraOptions, LoadedScene, SceneFile, SeenFrom, is_scene_file, open_scene, read_cameras,
-    write_atomically,
+    read_tracks, write_atomically,
 };
 use decouplegs::episode::Site;
 use decouplegs::gpu::Gpu;
@@ -26,7 +26,7 @@ use super::photographs::{self, Found, Photograph};
 use super::plans;
 use super::report::{Compared, ComparedDetections, ComparedScan, Realism};
 use super::road::ComparedRoad;
-use super::scan_points::ScanPoints;
+use super::scan_points::{ScanPoints, moving_boxes};
 use crate::arguments::{print, write_image};
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
@@ -74,6 +74,10 @@ pub struct Arguments {
     /// compared with the points of the scans
     #[arg(long, value_name = "FILE", requires = "scan")]
     map: Option<PathBuf>,
+    /// Labeled road users, as `import` writes them: points of scans on those that move are no
+    /// obstacles of the scene
+    #[arg(long, value_name = "FILE", requires = "map")]
+    tracks: Option<PathBuf>,
     /// New folder for realism.html, realism.json and the rendered images
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -105,6 +109,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     reading.finish_and_clear();
     let scans = arguments.scan.iter().map(|scan| scan.read(&loaded));
     let scans = scans.collect::<Result<Vec<_>>>()?;
+    let tracks = arguments.tracks.as_deref().map(read_tracks).transpose()?;
+    let tracks = tracks.unwrap_or_default();
     let site = arguments.map.as_ref();
     let site = site.map(|map| site_on(&arguments.scene, map)).transpose()?;
     loaded.agents.clear();
@@ -137,7 +143,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     for (file, (scan, pose)) in arguments.scan.iter().zip(&scans) {
         let still = live.at(0.0);
         let comparison = ScanComparison::new(&mut lidars, live.with(&still), scan, *pose)?;
-        points.add(&comparison, pose);
+        let passed_s = || plans::nearest_s(&loaded.ego, pose.translation);
+        let moving = moving_boxes(&tracks, file.time_s.unwrap_or_else(passed_s));
+        points.add(&comparison, pose, &moving);
         let name = file.name();
         compared_scans.push(ComparedScan { name, comparison });
     }
