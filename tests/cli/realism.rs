@@ -297,6 +297,17 @@ fn a_scene_is_told_whole() {
     if detector.is_some() {
         assert_eq!(gap(&night, "detections in photographs"), 0.0, "{printed}");
     }
+    // A model that is none is refused before anything is drawn.
+    let none = folder.path().join("none.onnx");
+    fs::write(&none, "no model").unwrap();
+    if detector.is_some() {
+        let out = folder.path().join("no");
+        let photographs = ["--photographs", text(&images), "--out", text(&out)];
+        let what = ["realism", "scene", text(&file), "--detector", text(&none)];
+        let said = fail(1, &[&what[..], &photographs].concat());
+        assert!(said.contains("no model that onnxruntime runs"), "{said}");
+        assert!(!out.exists());
+    }
     let said = fail(
         1,
         &[

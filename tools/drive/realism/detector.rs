@@ -41,7 +41,6 @@ pub enum DetectorInput {
 
 /// A detector to run on images.
 #[derive(clap::Args, Clone, Debug)]
-#[command(next_help_heading = "Detectors")]
 pub struct DetectorArguments {
     /// Run this detector on photographs, on rendered images, and as a control on photographs of
     /// half the size: outputs as those of YOLOv5, YOLOv8, YOLOv10, YOLOX, DETR or SSD. Needs a

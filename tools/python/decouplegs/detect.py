@@ -24,7 +24,13 @@ import json
 import sys
 from typing import Any, BinaryIO
 
-import numpy as np
+try:
+    import numpy as np
+except ImportError:
+    if __name__ != "__main__":
+        raise
+    print(json.dumps({"error": f"{sys.executable} has no NumPy: pip install onnxruntime numpy, or name a Python that has them in DECOUPLEGS_PYTHON"}))
+    sys.exit(1)
 
 INPUTS = ("rgb-1", "rgb-255", "bgr-1", "bgr-255", "rgb-imagenet")
 # Boxes of one class that overlap by more are of one object.
@@ -35,6 +41,8 @@ CANDIDATES_MAX = 1000
 SIDE_MAX = 1 << 14
 GRAY = 114.0
 STRIDES = (8, 16, 32)
+# Side of the image that tells the layout of a model for images of any size.
+PROBE = 320
 
 
 class DetectorError(Exception):
@@ -218,7 +226,6 @@ class Detector:
         self.inputs = self.session.get_inputs()
         self.names = [output.name for output in self.session.get_outputs()]
         self.least, self.kind = least, kind
-        self.layout: str | None = None
         image = self.inputs[0]
         if len(image.shape) != 4:
             raise DetectorError(f"input {image.name} is {image.shape}; expected an image, [1, 3, H, W] or [1, H, W, 3]")
@@ -226,6 +233,9 @@ class Detector:
         self.bytes = "uint8" in image.type
         sides = image.shape[1:3] if self.last else image.shape[2:4]
         self.sides = [side if isinstance(side, int) and side > 0 else None for side in sides]
+        # What the outputs look like does not depend on the values of the input.
+        gray = np.full((self.sides[0] or PROBE, self.sides[1] or PROBE, 3), GRAY, np.uint8)
+        self.layout = layout_of(self.names, self.run(gray, "YOLOv5")[0], self.size_for(gray))
 
     def size_for(self, image: np.ndarray) -> tuple[int, int]:
         """Rows and columns of the input: those of the model, otherwise the image's, up to whole strides."""
@@ -268,9 +278,6 @@ class Detector:
     def __call__(self, image: np.ndarray) -> list[dict[str, Any]]:
         """Detections in ``image``, uint8 [H, W, 3]."""
         size = self.size_for(image)
-        if self.layout is None:
-            # What the outputs look like does not depend on the values of the input.
-            self.layout = layout_of(self.names, self.run(image, "YOLOv5")[0], size)
         outputs, place = self.run(image, self.layout)
         boxes, scores, classes = detections(self.layout, self.names, outputs, size, self.least)
         boxes = (boxes - place[[2, 3, 2, 3]]) / place[[0, 1, 0, 1]]
