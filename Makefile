@@ -30,7 +30,7 @@ NEEDS = $(NEEDS_TEST)
 # drive episodes on a cluster of this machine. A test whose package cannot be installed says that it is skipped.
 PYTHON_PACKAGES := safetensors numpy maturin pytest pytest-xdist gymnasium matplotlib grpcio protobuf
 PYTHON_PACKAGES_OPTIONAL := ray playwright axe-core-python grpcio-tools hugsim-client requests tenacity mcap mcap-ros2-support \
-	carla-driver-interface pycocotools
+	carla-driver-interface pycocotools onnxruntime onnx
 # Without their own dependencies: torch and NumPy are the system's.
 NCORE_PACKAGES := nvidia-ncore==19.8.3 dataclasses_json marshmallow typing_inspect mypy_extensions 'zarr<3' numcodecs asciitree fasteners cbor2 'scipy<1.13' \
 	pillow universal_pathlib fsspec pathlib_abc packaging typing_extensions
@@ -100,7 +100,7 @@ wheel-test: packages
 
 # Without a network the test that needs it says that it is skipped.
 python: packages
-	@if $(PYTHON)/bin/python -c 'import safetensors, numpy, maturin, pytest, xdist, gymnasium, matplotlib, grpc, playwright, hugsim_client, mcap_ros2, grpc_tools, carla_driver_interface, pycocotools' 2>/dev/null; then exit 0; fi; \
+	@if $(PYTHON)/bin/python -c 'import safetensors, numpy, maturin, pytest, xdist, gymnasium, matplotlib, grpc, playwright, hugsim_client, mcap_ros2, grpc_tools, carla_driver_interface, pycocotools, onnxruntime, onnx' 2>/dev/null; then exit 0; fi; \
 	python3 -m venv $(PYTHON) && $(PYTHON)/bin/pip install --quiet --disable-pip-version-check $(PYTHON_PACKAGES) \
 		|| { rm -rf $(PYTHON); echo "$(PYTHON_PACKAGES) cannot be installed for Python: the tests that need them are skipped."; exit 0; }; \
 	for package in $(PYTHON_PACKAGES_OPTIONAL); do \

@@ -113,6 +113,73 @@ fn steps_between_keyframes_are_sweeps_of_nuscenes() {
                 .any(|sample| sample["token"] == annotation["sample_token"])
         );
     }
+    check_imported(&out, &log, folder.path(), table("sample_annotation").len());
+}
+
+/// Checks that the data set in `out` is imported with the poses, the camera and the boxes of `log`.
+fn check_imported(out: &Path, log: &Path, folder: &Path, boxes: usize) {
+    let (street, imported) = (folder.join("street"), folder.join("imported"));
+    small_street(&street);
+    let episode = read_episode_log(log).unwrap();
+    let scenario = &episode.head.scenario;
+    let middle = format!("0,0,{}", 0.5 * scenario.ego.size.height_m);
+    let splats = street.join("background.ply");
+    let what = ["import", "nuscenes", text(out), "--splats", text(&splats)];
+    let how = [
+        "--middle",
+        &middle,
+        "--hold-out",
+        "2",
+        "--origin",
+        "100,0,0",
+    ];
+    let to = ["--out", text(&imported)];
+    let printed = succeed(&[&what[..], &how, &to].concat());
+    assert!(printed.contains("around 100.000"), "{printed}");
+    let scene = SceneFile::read(&imported.join("scene.toml")).unwrap();
+    assert_eq!(scene.origin, glam::DVec3::X * 100.0);
+    let way = scene.ego.unwrap();
+    let mut checked = 0;
+    for tick in episode.instants() {
+        if let Some(timed) = way
+            .poses()
+            .iter()
+            .find(|timed| (timed.time_s - tick.time_s).abs() < 1e-5)
+        {
+            let apart_m = timed
+                .pose
+                .translation
+                .truncate()
+                .distance(tick.ego.position_m);
+            assert!(apart_m < 1e-6, "{apart_m} m at {} s", tick.time_s);
+            checked += 1;
+        }
+    }
+    assert_eq!(checked, way.poses().len());
+    let rig = decouplegs::episode::rig_of(&scenario.place, Path::new("")).unwrap();
+    let own = rig.cameras().find(|camera| camera.name == "front").unwrap();
+    let camera = scene.rig.cameras().next().unwrap();
+    assert_eq!(camera.name, "front");
+    assert!((camera.intrinsics.cx_px - 24.0).abs() < 1e-9);
+    let (on_rig, found) = (own.rig_from_camera, camera.rig_from_camera);
+    assert!(on_rig.translation.distance(found.translation) < 1e-9);
+    assert!(on_rig.rotation.angle_between(found.rotation) < 1e-6);
+    let views = read(&imported.join("cameras.json"));
+    let views = views["frames"].as_array().unwrap().len();
+    let held_out = fs::read_to_string(imported.join("held_out.txt")).unwrap();
+    assert!(views > 3 && (1..views).contains(&held_out.lines().count()));
+    let tracks = fs::read_to_string(imported.join("tracks.csv")).unwrap();
+    assert_eq!(tracks.lines().count(), 1 + boxes);
+    let said = fail(
+        1,
+        &[
+            &what[..],
+            &["--scene", "none"],
+            &["--out", text(&folder.join("no"))],
+        ]
+        .concat(),
+    );
+    assert!(said.contains("expected the name of one"), "{said}");
 }
 
 /// Checks that each token that a row names is that of a row, and that lists are linked both ways.

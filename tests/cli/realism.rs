@@ -1,5 +1,6 @@
 //! `realism scene` and `lidar --compare`: scenes beside what they were made of.
 
+use decouplegs::asset::SceneFile;
 use decouplegs::asset::zip::StoredZip;
 use serde_json::json;
 
@@ -26,7 +27,8 @@ fn photographed(folder: &Path) -> [std::path::PathBuf; 3] {
 fn gap(report: &Value, name: &str) -> f64 {
     let gaps = report["gaps"].as_array().unwrap();
     let found = gaps.iter().find(|gap| gap["name"] == name);
-    found.unwrap()["mean"].as_f64().unwrap()
+    let value = found.and_then(|gap| gap["value"].as_f64());
+    value.unwrap_or_else(|| panic!("no value of {name}: {gaps:#?}"))
 }
 
 #[test]
@@ -121,6 +123,208 @@ fn photographs_are_found_again_and_a_gain_is_told() {
     refused(&views, "its mask leaves no pixel");
 }
 
+/// Writes `points` (x, y, z and a fourth number of each, f32) as a scan taken at `at_m`.
+fn write_scan(path: &Path, points: &[u8], at_m: glam::DVec3) {
+    let header = |descr: &str, shape: &str| {
+        let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
+        let length = (text.len() as u16).to_le_bytes();
+        [&b"\x93NUMPY\x01\x00"[..], &length, text.as_bytes()].concat()
+    };
+    let shape = format!("({}, 4)", points.len() / 16);
+    let glam::DVec3 { x, y, z } = at_m;
+    let pose = [
+        1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, y, 0.0, 0.0, 1.0, z, 0.0, 0.0, 0.0, 1.0,
+    ];
+    let pose: Vec<u8> = pose
+        .iter()
+        .flat_map(|value: &f64| value.to_le_bytes())
+        .collect();
+    let mut bytes = Vec::new();
+    let mut zip = StoredZip::new(&mut bytes);
+    zip.add(
+        "points.npy",
+        &[header("<f4", &shape), points.to_vec()].concat(),
+    )
+    .unwrap();
+    zip.add(
+        "world_from_lidar.npy",
+        &[header("<f8", "(4, 4)"), pose].concat(),
+    )
+    .unwrap();
+    zip.finish().unwrap();
+    fs::write(path, bytes).unwrap();
+}
+
+/// Points of a sensor's rings on a plane that lies `z_m` above the sensor, four f32 each.
+fn rings_on(z_m: f64) -> Vec<u8> {
+    let rings = (3..26).flat_map(|ring| (0..360).map(move |column| (ring, column)));
+    let point = |(ring, column): (i32, i32)| {
+        let around = f64::from(column).to_radians();
+        let range_m = -z_m / f64::from(ring).to_radians().tan();
+        [range_m * around.cos(), range_m * around.sin(), z_m, 0.0].map(|value| value as f32)
+    };
+    rings.flat_map(point).flat_map(f32::to_le_bytes).collect()
+}
+
+/// A detector of bright cells of 8 pixels, written by a Python that has onnx and onnxruntime; its
+/// path, or `None` where there is no such Python.
+fn bright_cells(folder: &Path) -> Option<std::path::PathBuf> {
+    let script = r#"
+import sys
+import numpy as np, onnx, onnxruntime
+from onnx import helper, numpy_helper
+weights = {"gray": np.full((1, 3, 1, 1), 20.0, np.float32), "bias": np.array([-20.0], np.float32)}
+grid = np.mgrid[:8, :12][::-1].reshape(2, -1) * 8.0 + 4.0
+weights["boxes"] = np.concatenate([grid, np.full((2, 96), 8.0)])[None].astype(np.float32)
+weights["shape"] = np.array([1, 1, 96])
+nodes = [
+    helper.make_node("AveragePool", ["images"], ["cells"], kernel_shape=[8, 8], strides=[8, 8]),
+    helper.make_node("Conv", ["cells", "gray", "bias"], ["light"]),
+    helper.make_node("Sigmoid", ["light"], ["score"]),
+    helper.make_node("Reshape", ["score", "shape"], ["scores"]),
+    helper.make_node("Concat", ["boxes", "scores"], ["output0"], axis=1),
+]
+value = lambda name, shape: helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)
+parts = [numpy_helper.from_array(array, name) for name, array in weights.items()]
+graph = helper.make_graph(nodes, "bright", [value("images", [1, 3, 64, 96])], [value("output0", [1, 5, 96])], parts)
+onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8), sys.argv[1])
+"#;
+    let python = std::env::var("DECOUPLEGS_PYTHON").unwrap_or_else(|_| "python3".into());
+    let model = folder.join("bright.onnx");
+    let ran = Command::new(&python)
+        .args(["-c", script, text(&model)])
+        .output();
+    let is_written = ran.is_ok_and(|output| output.status.success());
+    if !is_written {
+        println!(
+            "skipped: {python} has no onnx and onnxruntime; set DECOUPLEGS_PYTHON to one that has"
+        );
+    }
+    is_written.then_some(model)
+}
+
+#[test]
+fn a_scene_is_told_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = recording::imported(folder.path(), 50);
+    let [file, lanes, views] =
+        ["scene.toml", "lanes.json", "cameras.json"].map(|name| scene.join(name));
+    let images = folder.path().join("images");
+    let few = folder.path().join("few.json");
+    let mut cameras: Value = serde_json::from_str(&fs::read_to_string(&views).unwrap()).unwrap();
+    cameras["frames"].as_array_mut().unwrap().truncate(6);
+    fs::write(&few, cameras.to_string()).unwrap();
+    let render = [
+        "render",
+        text(&file),
+        "--cameras",
+        text(&few),
+        "--out",
+        text(&images),
+    ];
+    succeed(&render);
+    let recorded = SceneFile::read(&file).unwrap();
+    let at_m = recorded.ego.as_ref().unwrap().at(1.0).translation + glam::DVec3::Z;
+    let road_z_m = at_m.z - 1.0 - recorded.ego_height_m.unwrap();
+    let scan = folder.path().join("scan.npz");
+    write_scan(&scan, &rings_on(road_z_m - at_m.z), at_m);
+    let realism = |out: &str, more: &[&str]| {
+        let out = folder.path().join(out);
+        let what = [
+            "realism",
+            "scene",
+            text(&file),
+            "--photographs",
+            text(&images),
+        ];
+        let how = [
+            "--planner",
+            "vision",
+            "--map",
+            text(&lanes),
+            "--scan",
+            text(&scan),
+        ];
+        let printed = succeed(&[&what[..], &how, more, &["--out", text(&out)]].concat());
+        let report = fs::read_to_string(out.join("realism.json")).unwrap();
+        (serde_json::from_str::<Value>(&report).unwrap(), printed)
+    };
+    let detector = bright_cells(folder.path());
+    let asked = match &detector {
+        Some(model) => vec!["--detector", text(model)],
+        None => Vec::new(),
+    };
+    let (same, printed) = realism("same", &asked);
+    let distance = "plans by vision, distance after 3 s (FDE), m";
+    assert_eq!(gap(&same, distance), 0.0, "{printed}");
+    assert_eq!(same["plans"]["pairs"].as_array().unwrap().len(), 3);
+    let corners_m = |report: &Value| {
+        let errors = report["road"]["corners_m"].as_array().unwrap();
+        let sum: f64 = errors.iter().map(|error| error.as_f64().unwrap()).sum();
+        assert!(errors.len() >= 8, "{report:#}");
+        sum / errors.len() as f64
+    };
+    let right_m = corners_m(&same);
+    assert!(right_m.abs() < 0.15, "{right_m} {printed}");
+    let roll = gap(&same, "roll of the vehicle, RMS error, degrees");
+    assert!(roll < 2.0, "{printed}");
+    assert!(!printed.contains("not measured: the ground"), "{printed}");
+    let found = "detections in photographs found in rendered images";
+    if detector.is_some() {
+        assert!(gap(&same, "detections in photographs") > 0.0, "{printed}");
+        assert_eq!(gap(&same, found), 1.0, "{printed}");
+        assert!(
+            gap(
+                &same,
+                "detections in photographs found in half-size photographs"
+            ) > 0.5
+        );
+    }
+
+    // Photographs of a night: nothing is found, and the planner sees no road. The scan of a road
+    // that lies 0.3 m lower.
+    for entry in fs::read_dir(&images).unwrap() {
+        let path = entry.unwrap().path();
+        let mut photograph = image::open(&path).unwrap().into_rgb8();
+        photograph.iter_mut().for_each(|value| *value /= 8);
+        photograph.save(&path).unwrap();
+    }
+    write_scan(&scan, &rings_on(road_z_m - 0.3 - at_m.z), at_m);
+    let (night, printed) = realism("night", &asked);
+    assert!(gap(&night, distance) > 0.0, "{printed}");
+    let lower_m = corners_m(&night) - right_m;
+    assert!((lower_m - 0.3).abs() < 0.02, "{lower_m} {printed}");
+    if detector.is_some() {
+        assert_eq!(gap(&night, "detections in photographs"), 0.0, "{printed}");
+    }
+    // A model that is none is refused before anything is drawn.
+    let none = folder.path().join("none.onnx");
+    fs::write(&none, "no model").unwrap();
+    if detector.is_some() {
+        let out = folder.path().join("no");
+        let photographs = ["--photographs", text(&images), "--out", text(&out)];
+        let what = ["realism", "scene", text(&file), "--detector", text(&none)];
+        let said = fail(1, &[&what[..], &photographs].concat());
+        assert!(said.contains("no model that onnxruntime runs"), "{said}");
+        assert!(!out.exists());
+    }
+    let said = fail(
+        1,
+        &[
+            "realism",
+            "scene",
+            text(&file),
+            "--photographs",
+            text(&images),
+            "--planner",
+            "lane-follow",
+            "--out",
+            text(&folder.path().join("no")),
+        ],
+    );
+    assert!(said.contains("asks for more than images"), "{said}");
+}
+
 #[test]
 fn a_scan_of_the_scene_has_no_errors_and_a_moved_one_has() {
     let folder = tempfile::tempdir().unwrap();
@@ -154,35 +358,8 @@ fn a_scan_of_the_scene_has_no_errors_and_a_moved_one_has() {
 
     let points = fs::read(&scan).unwrap();
     let archive = |name: &str, z_m: f64| {
-        let header = |descr: &str, shape: &str| {
-            let text =
-                format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
-            let length = (text.len() as u16).to_le_bytes();
-            [&b"\x93NUMPY\x01\x00"[..], &length, text.as_bytes()].concat()
-        };
-        let shape = format!("({}, 4)", points.len() / 16);
-        let pose = [
-            1.0, 0.0, 0.0, 2.0, 0.0, 1.0, 0.0, 0.5, 0.0, 0.0, 1.0, z_m, 0.0, 0.0, 0.0, 1.0,
-        ];
-        let pose: Vec<u8> = pose
-            .iter()
-            .flat_map(|value: &f64| value.to_le_bytes())
-            .collect();
-        let mut bytes = Vec::new();
-        let mut zip = StoredZip::new(&mut bytes);
-        zip.add(
-            "points.npy",
-            &[header("<f4", &shape), points.clone()].concat(),
-        )
-        .unwrap();
-        zip.add(
-            "world_from_lidar.npy",
-            &[header("<f8", "(4, 4)"), pose].concat(),
-        )
-        .unwrap();
-        zip.finish().unwrap();
         let path = folder.path().join(name);
-        fs::write(&path, bytes).unwrap();
+        write_scan(&path, &points, glam::DVec3::new(2.0, 0.5, z_m));
         path
     };
     let compared = |scan: &Path| {

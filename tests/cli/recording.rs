@@ -57,7 +57,7 @@ pub fn write_recording(folder: &Path, frames: u32) -> std::path::PathBuf {
 }
 
 /// Imports the recording of a small street; the folder of the new scene.
-fn imported(folder: &Path, frames: u32) -> std::path::PathBuf {
+pub fn imported(folder: &Path, frames: u32) -> std::path::PathBuf {
     small_street(folder);
     let recording = write_recording(folder, frames);
     let out = folder.join("imported");

@@ -20,11 +20,11 @@ use change::{Addition, CutBox, Move, Shift, Swap, Times};
 
 /// Move, swap, remove, add and time agents of a scene, and write it as a new scene file
 ///
-/// Whatever the order on the command line: agents are cut out first, then haze is removed, then agents are removed, then added,
-/// swapped, moved and shifted. Positions are world coordinates of the middle of an agent's box,
-/// meters; angles are degrees, counted from x towards y. Files that the scene names stay where they
-/// are: their paths are rewritten if the new file lies in another folder. Comments of the old file
-/// are lost.
+/// Whatever the order on the command line: agents are cut out first, then haze is removed, then
+/// agents are removed, added, swapped, moved and shifted. Positions are world coordinates of the
+/// middle of an agent's box, meters; angles are degrees, counted from x towards y. Files that the
+/// scene names stay where they are: their paths are rewritten if the new file lies in another
+/// folder. Comments of the old file are lost.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Scene (.toml); it is not changed

@@ -2,6 +2,7 @@
 
 mod kitti;
 mod lanes;
+mod nuscenes;
 mod posed_images;
 mod recording;
 mod scans;
@@ -33,6 +34,9 @@ use crate::progress;
 enum Form {
     /// A drive of KITTI's raw data, synced and rectified
     Kitti,
+    /// A scene of nuScenes: the folder with maps, samples, sweeps and v1.0-mini, or that of the
+    /// tables
+    Nuscenes,
     /// transforms.json of nerfstudio or instant-ngp, or its folder
     Nerfstudio,
     /// Folder with a COLMAP model
@@ -43,8 +47,8 @@ enum Form {
 /// rig, the way of the vehicle, views, lanes along the way and labeled boxes
 ///
 /// The new folder holds scene.toml, cameras.json, lanes.json and, where boxes are labeled,
-/// tracks.csv. Where there are scans of a LiDAR, ground.ply and obstacles.json are made of them.
-/// The splats stay where they are, unless --level turns them.
+/// tracks.csv; with --hold-out, held_out.txt. Where a KITTI drive has scans, ground.ply and
+/// obstacles.json are made of them. The splats stay where they are, unless --level turns them.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Form of the recording
@@ -61,14 +65,27 @@ pub struct Arguments {
     /// transforms.json whose names hold frame and camera, such as 000004_2.png
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
-    /// Box of the vehicle that recorded, meters [default: that of KITTI's car, else 4.5,1.8,1.5]
+    /// Box of the vehicle that recorded, meters [default: those of KITTI's and nuScenes' cars,
+    /// else 4.5,1.8,1.5]
     #[arg(long, value_name = "LENGTH,WIDTH,HEIGHT", value_parser = triple)]
     vehicle: Option<[f64; 3]>,
     /// Middle of the vehicle's box from the origin of the recorded poses, meters forward, left and
-    /// up: from the IMU of a KITTI drive, else from the front camera [default: 1.23,-0.32,-0.17 for
-    /// KITTI, else -0.3,0,-0.75]
+    /// up: from the IMU of a KITTI drive, from the rear axle on the ground of nuScenes, else from
+    /// the front camera [default: 1.23,-0.32,-0.17 for KITTI, 1.386,0,0.781 for nuScenes, else
+    /// -0.3,0,-0.75]
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_hyphen_values = true)]
     middle: Option<[f64; 3]>,
+    /// Scene of nuScenes: its name, or its place in the table counted from 0 [default: the only
+    /// one]
+    #[arg(long, value_name = "NAME|NUMBER")]
+    scene: Option<String>,
+    /// Place of the splats' origin in the coordinates of the recording, meters: for splats in a
+    /// local frame with the same axes [default: 0,0,0]
+    #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_hyphen_values = true)]
+    origin: Option<[f64; 3]>,
+    /// Name every N-th keyframe of each camera of nuScenes in held_out.txt, to hold out of training
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
+    hold_out: Option<u32>,
     /// Images per second of a recording without times
     #[arg(long, value_name = "HZ", allow_negative_numbers = true, default_value_t = 10.0, value_parser = rate)]
     rate: f64,
@@ -108,26 +125,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             out.display()
         );
     }
-    let vehicle = arguments.vehicle.map(VehicleSize::from_array);
-    let middle_m = arguments.middle.map(DVec3::from_array);
-    let path = &arguments.recording;
-    ensure!(
-        arguments.poses.is_none() || arguments.form == Form::Kitti,
-        "--poses belongs to a KITTI drive: a file of cameras has its own"
-    );
-    let mut recording = match arguments.form {
-        Form::Kitti => kitti::read(path, arguments.poses.as_deref(), vehicle, middle_m)?,
-        Form::Nerfstudio | Form::Colmap => {
-            let file = match arguments.form {
-                Form::Nerfstudio if path.is_dir() => path.join("transforms.json"),
-                _ => path.clone(),
-            };
-            posed_images::read(&file, vehicle, middle_m, arguments.rate)?
-        }
-    };
+    let mut recording = recorded(arguments)?;
     let reading = progress::spinner(format!("reading {}", arguments.splats.display()));
     let (mut splats, mut origin) = read_placed_splats(&arguments.splats)?;
     reading.finish_and_clear();
+    // In f64: coordinates of a city have no millimeters in f32.
+    let offset_m = arguments.origin.map_or(DVec3::ZERO, DVec3::from_array);
+    origin += offset_m;
     let tilt_deg = recording
         .level_from_world
         .angle_between(DQuat::IDENTITY)
@@ -154,7 +158,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let ego_height_m = recording.ego_height_m;
     let scene = SceneFile {
         // A file that was not written anew has its own origin.
-        origin: if arguments.level { origin } else { DVec3::ZERO },
+        origin: if arguments.level { origin } else { offset_m },
         rig: recording.rig.clone(),
         lidars: recording.lidars.clone(),
         ego: Some(recording.ego.clone()),
@@ -171,18 +175,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     write_atomically(&out.join("cameras.json"), |file| {
         writeln!(file, "{cameras:#}")
     })?;
-    if let Some(surveyed) = &surveyed {
-        let points = surveyed.ground.points_m();
-        let about: Vec<DVec3> = points.iter().map(|at| *at - scene.origin).collect();
-        write_ground(&out.join("ground.ply"), &about)?;
-        write_obstacles(&out.join("obstacles.json"), &surveyed.obstacles)?;
-    }
+    write_lists(out, &recording, surveyed.as_ref(), scene.origin)?;
     let lanes = lanes::along(&recording.ego, ego_height_m);
     if let Some(lanes) = &lanes {
         lane_json::write(&out.join("lanes.json"), lanes)?;
-    }
-    if !recording.tracks.is_empty() {
-        write_poses(&out.join("tracks.csv"), &recording.tracks)?;
     }
     // Last: when it is there, all that it names is.
     scene.write(&out.join("scene.toml"))?;
@@ -199,6 +195,64 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let lines = report(&recording, &scene, &check, surveyed.as_ref());
     print(&closed(lines, lanes.is_some(), out))
+}
+
+/// Writes what the scene names beside its cameras and lanes: ground and obstacles, which the file
+/// has about `origin`, labels, and views that are held out.
+fn write_lists(
+    out: &Path,
+    recording: &Recording,
+    surveyed: Option<&Surveyed>,
+    origin: DVec3,
+) -> Result<()> {
+    if let Some(surveyed) = surveyed {
+        let points = surveyed.ground.points_m();
+        let about: Vec<DVec3> = points.iter().map(|at| *at - origin).collect();
+        write_ground(&out.join("ground.ply"), &about)?;
+        write_obstacles(&out.join("obstacles.json"), &surveyed.obstacles)?;
+    }
+    if !recording.held_out.is_empty() {
+        write_atomically(&out.join("held_out.txt"), |file| {
+            writeln!(file, "{}", recording.held_out.join("\n"))
+        })?;
+    }
+    if !recording.tracks.is_empty() {
+        write_poses(&out.join("tracks.csv"), &recording.tracks)?;
+    }
+    Ok(())
+}
+
+/// Reads the recording.
+fn recorded(arguments: &Arguments) -> Result<Recording> {
+    let vehicle = arguments.vehicle.map(VehicleSize::from_array);
+    let middle_m = arguments.middle.map(DVec3::from_array);
+    let path = &arguments.recording;
+    ensure!(
+        arguments.poses.is_none() || arguments.form == Form::Kitti,
+        "--poses belongs to a KITTI drive: other recordings have their own"
+    );
+    ensure!(
+        (arguments.scene.is_none() && arguments.hold_out.is_none())
+            || arguments.form == Form::Nuscenes,
+        "--scene and --hold-out belong to nuScenes"
+    );
+    Ok(match arguments.form {
+        Form::Kitti => kitti::read(path, arguments.poses.as_deref(), vehicle, middle_m)?,
+        Form::Nuscenes => nuscenes::read(
+            path,
+            arguments.scene.as_deref(),
+            vehicle,
+            middle_m,
+            arguments.hold_out.map(|every| every as usize),
+        )?,
+        Form::Nerfstudio | Form::Colmap => {
+            let file = match arguments.form {
+                Form::Nerfstudio if path.is_dir() => path.join("transforms.json"),
+                _ => path.clone(),
+            };
+            posed_images::read(&file, vehicle, middle_m, arguments.rate)?
+        }
+    })
 }
 
 /// Answer of the splats about the way.
@@ -238,7 +292,7 @@ fn checked(
         }
         Some(_) => {}
         None => warnings.push(
-            "no ground was found below the way: are the splats in the coordinates of the recording?".into(),
+            "no ground was found below the way: are the splats in the coordinates of the recording? Those in a local frame need --origin".into(),
         ),
     }
     if recording.scans.is_some() && surveyed.is_none() {
@@ -302,6 +356,18 @@ fn report(
             recording.views.len()
         ),
     ];
+    if scene.origin != DVec3::ZERO {
+        let [x, y, z] = scene.origin.to_array();
+        lines.push(format!(
+            "splats     around {x:.3}, {y:.3}, {z:.3} m, which are taken off in f64"
+        ));
+    }
+    if !recording.held_out.is_empty() {
+        lines.push(format!(
+            "held out   {} views, in held_out.txt",
+            recording.held_out.len()
+        ));
+    }
     if !recording.tracks.is_empty() {
         let ids: std::collections::HashSet<&str> =
             recording.tracks.iter().map(|row| row.id.as_str()).collect();

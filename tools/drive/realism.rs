@@ -1,8 +1,14 @@
 //! `decouplegs realism`: how far scenes are from what they were made of.
 
 mod detections;
+mod detector;
+mod gap;
 mod page;
 mod photographs;
+mod plans;
+mod report;
+mod road;
+mod scan_points;
 mod scene;
 
 use anyhow::Result;

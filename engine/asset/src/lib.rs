@@ -39,6 +39,7 @@ pub mod loss;
 mod map_file;
 pub mod maps;
 pub mod memory;
+pub mod nuscenes;
 pub mod obstacle_file;
 pub mod packed_scene;
 pub mod probe;

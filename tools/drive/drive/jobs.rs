@@ -44,8 +44,7 @@ pub struct PlaceArguments {
     #[arg(long, value_name = "FILE", conflicts_with = "probes")]
     scene: Option<PathBuf>,
     /// Obstacles of --scene, instead of those of its recording, or of what its splats show beside
-    /// the lanes. `map --obstacles`
-    /// writes such a file
+    /// the lanes. `map --obstacles` writes such a file
     #[arg(long, value_name = "FILE", requires = "scene")]
     obstacles: Option<PathBuf>,
     /// Number of background splats of a synthetic place [default: 200000, on a map at least 8 per

@@ -102,7 +102,8 @@ pub fn read(
         ego_height_m: 0.5 * vehicle.height_m,
         vehicle,
         scans: scans_of(&drive, middle_from_imu.then(&drive.imu_from_lidar)),
-        views: views_of(&drive, &rig_cameras, &by_frame),
+        views: views_of(&drive, &rig_cameras, &by_frame, trained.as_ref()),
+        held_out: Vec::new(),
         rig: Rig::from_iter(rig_cameras),
         tracks: tracks_of(&drive, &by_frame),
         level_from_world: drive.level_from_world,
@@ -129,11 +130,13 @@ fn scans_of(drive: &KittiDrive, rig_from_lidar: Pose) -> Option<Scans> {
     })
 }
 
-/// Cameras of all images whose frames have a pose.
+/// Cameras of all images whose frames have a pose: those that splats were trained with, otherwise
+/// those of the rig, named as their files in the drive.
 fn views_of(
     drive: &KittiDrive,
     rig_cameras: &[RigCamera],
     by_frame: &HashMap<usize, Pose>,
+    trained: Option<&HashMap<(usize, u32), Camera>>,
 ) -> Vec<Camera> {
     let mut views = Vec::new();
     for (camera, own) in drive.cameras.iter().zip(rig_cameras) {
@@ -141,12 +144,13 @@ fn views_of(
             let Some(pose) = by_frame.get(&image.frame) else {
                 continue;
             };
-            views.push(Camera {
-                name: format!("{}_{:06}", own.name, image.frame),
+            let named = trained.and_then(|trained| trained.get(&(image.frame, camera.number)));
+            views.push(named.cloned().unwrap_or_else(|| Camera {
+                name: format!("image_{:02}_data_{:010}", camera.number, image.frame),
                 intrinsics: own.intrinsics,
                 world_from_camera: pose.then(&camera.imu_from_camera),
                 motion: Motion::REST,
-            });
+            }));
         }
     }
     views

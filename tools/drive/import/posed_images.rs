@@ -100,6 +100,7 @@ pub fn read(
             front_key, middle_m.x, middle_m.y, middle_m.z
         ),
         views,
+        held_out: Vec::new(),
     })
 }
 

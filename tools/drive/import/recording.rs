@@ -21,6 +21,8 @@ pub struct Recording {
     pub views: Vec<Camera>,
     /// Scans of the vehicle's LiDAR, where there are some.
     pub scans: Option<Scans>,
+    /// Names of the views to hold out of training, where that is asked for.
+    pub held_out: Vec<String>,
     /// Labeled boxes.
     pub tracks: Vec<PoseRow>,
     /// Rotation that makes the world's z axis vertical.

@@ -2,8 +2,10 @@
 
 use anyhow::Result;
 use decouplegs::render::metrics::difference_image;
+use decouplegs::render::rendered_image::Image;
 
-use super::scene::{Compared, GAPS, Realism};
+use super::detections::Detections;
+use super::report::{Compared, ComparedDetections, Realism};
 use crate::page::{Figure, Page, Table};
 use crate::plot::{Axis, Plot, Series};
 use crate::thumbnail::thumbnail;
@@ -11,6 +13,8 @@ use crate::thumbnail::thumbnail;
 /// Photographs that are shown, at most: more would make the page tens of megabytes.
 const SHOWN_MAX: usize = 8;
 const WIDTH_PX: u32 = 420;
+/// Color of boxes.
+const BOX_RGB: [f32; 3] = [1.0, 0.1, 0.1];
 /// Amplification of shown differences.
 const DIFFERENCE_GAIN: f32 = 4.0;
 
@@ -32,12 +36,16 @@ pub fn page(realism: &Realism) -> Result<String> {
             .iter()
             .map(|sentence| format!("Not measured: {sentence}")),
     );
+    let detector = realism.detections.as_ref();
+    if let Some(name) = detector.and_then(|found| found.detector.as_ref()) {
+        page.note(&format!("Detector: {name}. Its boxes are drawn in red."));
+    }
     page.heading("Photographs");
     if realism.compared.len() > 1 {
         page.row([Figure::flexible_svg(&chart(realism))]);
     }
     for one in shown(realism) {
-        images(&mut page, one)?;
+        images(&mut page, one, realism.detections.as_ref())?;
     }
     page.table(&by_image(realism));
     if !realism.scans.is_empty() {
@@ -84,30 +92,12 @@ pub fn page(realism: &Realism) -> Result<String> {
     Ok(page.finish())
 }
 
-/// Mean of each gap and its interval.
+/// Figure of each gap and its interval.
 fn gaps(realism: &Realism) -> Table {
-    let mut table = Table::new(["gap", "mean and 95 % confidence interval"]);
-    for gap in &GAPS {
-        table.row([gap.name.to_owned(), realism.mean(gap)]);
-    }
-    for (name, value) in realism.detection_lines() {
-        table.row([name.to_owned(), value]);
-    }
-    for scan in &realism.scans {
-        if let Some(all) = scan.comparison.all() {
-            table.row([
-                format!("median error of ranges, scan {}, m", scan.name),
-                format!("{:.3}", all.median_m),
-            ]);
-            if let Some(error_m) = scan.comparison.ground_height_error_m() {
-                let name = format!("median error of the ground's height, scan {}, m", scan.name);
-                table.row([name, format!("{error_m:.3}")]);
-            }
-            table.row([
-                format!("beams without a return, scan {}", scan.name),
-                format!("{:.1} %", 100.0 * all.missing),
-            ]);
-        }
+    let mut table = Table::new(["gap", "figure and 95 % confidence interval"]);
+    for gap in realism.gaps() {
+        let text = gap.text();
+        table.row([gap.name, text]);
     }
     table
 }
@@ -143,16 +133,21 @@ fn shown(realism: &Realism) -> impl Iterator<Item = &Compared> {
     (0..count).map(move |place| &realism.compared[place * realism.compared.len() / count])
 }
 
-fn images(page: &mut Page, one: &Compared) -> Result<()> {
+fn images(page: &mut Page, one: &Compared, found: Option<&ComparedDetections>) -> Result<()> {
+    let name = &one.photograph.name;
+    let boxes = |detections: fn(&ComparedDetections) -> &Detections| {
+        let rectangles = found.map(|found| detections(found).in_image(name));
+        rectangles.into_iter().flatten().collect::<Vec<_>>()
+    };
     let difference = difference_image(&one.photograph.image, &one.rendered, DIFFERENCE_GAIN)?;
     let figures = [
         (
             format!("{}: photograph", one.photograph.name),
-            &one.photograph.image,
+            &with_boxes(&one.photograph.image, &boxes(|found| &found.in_photographs)),
         ),
         (
             format!("scene, {:.2} dB", one.difference.psnr_db),
-            &one.rendered,
+            &with_boxes(&one.rendered, &boxes(|found| &found.in_rendered)),
         ),
         (format!("difference, times {DIFFERENCE_GAIN}"), &difference),
     ];
@@ -160,6 +155,32 @@ fn images(page: &mut Page, one: &Compared) -> Result<()> {
         figures.map(|(caption, image)| Figure::image(&caption, &thumbnail(image, WIDTH_PX)));
     page.row(figures.into_iter().collect::<Result<Vec<_>>>()?);
     Ok(())
+}
+
+/// `image` with the outlines of rectangles (left, top, width, height), as thick as a thumbnail
+/// shows.
+fn with_boxes(image: &Image, rectangles: &[[f64; 4]]) -> Image {
+    let mut image = image.clone();
+    let thick_px = f64::from(image.width.div_ceil(WIDTH_PX));
+    let (width, height) = (image.width as usize, image.height as usize);
+    for [left, top, wide, high] in rectangles {
+        let range = |from: f64, to: f64, side: usize| {
+            (from.max(0.0) as usize).min(side)..(to.max(0.0).ceil() as usize).min(side)
+        };
+        let (right, bottom) = (left + wide, top + high);
+        for [from_x, to_x, from_y, to_y] in [
+            [*left, right, *top, top + thick_px],
+            [*left, right, bottom - thick_px, bottom],
+            [*left, left + thick_px, *top, bottom],
+            [right - thick_px, right, *top, bottom],
+        ] {
+            for row in range(from_y, to_y, height) {
+                let pixels = range(from_x, to_x, width);
+                image.rgb[row * width..][pixels].fill(BOX_RGB);
+            }
+        }
+    }
+    image
 }
 
 fn by_image(realism: &Realism) -> Table {
@@ -189,4 +210,21 @@ fn by_image(realism: &Realism) -> Table {
         ]);
     }
     table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_are_outlines_inside_the_image() {
+        let image = Image::filled(40, 20, [0.0; 3]);
+        let drawn = with_boxes(&image, &[[10.0, 5.0, 8.0, 6.0], [-5.0, -5.0, 100.0, 1e9]]);
+        let at = |column: usize, row: usize| drawn.rgb[row * 40 + column];
+        for (column, row) in [(10, 5), (17, 5), (10, 10), (17, 10)] {
+            assert_eq!(at(column, row), BOX_RGB);
+        }
+        assert_eq!([at(11, 6), at(18, 5), at(9, 5)], [[0.0; 3]; 3]);
+        assert_eq!(drawn.rgb.iter().filter(|rgb| **rgb == BOX_RGB).count(), 24);
+    }
 }

@@ -9,6 +9,8 @@ use decouplegs::asset::cameras::file_safe;
 use decouplegs::render::rendered_image::{Image, ImageFileFormat};
 use decouplegs::scene::Camera;
 
+use crate::thumbnail::thumbnail;
+
 /// Shapes that differ by less count as one.
 const SHAPE_TOLERANCE: f64 = 0.01;
 
@@ -20,6 +22,27 @@ pub struct Photograph {
     pub image: Image,
     /// True for pixels that count.
     pub counts: Vec<bool>,
+}
+
+impl Photograph {
+    /// The photograph at half the size.
+    pub fn half_size(&self) -> Image {
+        thumbnail(&self.image, self.image.width.div_ceil(2))
+    }
+
+    /// Share of the pixels in `rectangle` (left, top, width, height) that count.
+    pub fn counted(&self, [left, top, width, height]: &[f64; 4]) -> f64 {
+        let range = |from: f64, length: f64, side: u32| {
+            let end = (from + length).ceil().clamp(0.0, f64::from(side)) as usize;
+            (from.floor().max(0.0) as usize).min(end)..end
+        };
+        let columns = range(*left, *width, self.image.width);
+        let rows = range(*top, *height, self.image.height);
+        let pixels = rows.len() * columns.len();
+        let row = |row: usize| &self.counts[row * self.image.width as usize..][columns.clone()];
+        let counted = rows.flat_map(row).filter(|counts| **counts).count();
+        counted as f64 / pixels.max(1) as f64
+    }
 }
 
 /// A photograph that is not read yet.

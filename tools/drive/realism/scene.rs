@@ -7,24 +7,29 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::{
     CameraOptions, LoadedScene, SceneFile, SeenFrom, is_scene_file, open_scene, read_cameras,
-    write_atomically,
+    read_tracks, write_atomically,
 };
-use decouplegs::drive::score::Moments;
+use decouplegs::episode::Site;
 use decouplegs::gpu::Gpu;
+use decouplegs::planner::PlannerChoice;
 use decouplegs::render::metrics::PhotographDifference;
-use decouplegs::render::rendered_image::{Image, ImageFileFormat};
+use decouplegs::render::rendered_image::ImageFileFormat;
 use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer};
 use decouplegs::scene::Camera;
+use decouplegs::scene::scenario::Place;
 use decouplegs::session::LiveScene;
-use serde_json::{Value, json};
 
-use super::detections::Agreement;
+use super::detections::{Agreement, Detections};
+use super::detector::{Detector, DetectorArguments};
 use super::page;
-use super::photographs::{self, Photograph};
+use super::photographs::{self, Found, Photograph};
+use super::plans;
+use super::report::{Compared, ComparedDetections, ComparedScan, Realism};
+use super::road::ComparedRoad;
+use super::scan_points::{ScanPoints, moving_boxes};
 use crate::arguments::{print, write_image};
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
-use crate::episode_report::{score, spread};
 use crate::lidar::scan_comparison::ScanComparison;
 use crate::lidar::scan_file::ScanFile;
 use crate::outputs::Force;
@@ -59,6 +64,20 @@ pub struct Arguments {
     /// Detections of the same detector in the rendered images, which are written to DIR/rendered
     #[arg(long, value_name = "FILE.json", requires = "detections")]
     detections_rendered: Option<PathBuf>,
+    #[command(flatten)]
+    detector: DetectorArguments,
+    /// Planner that sees the photographs and the scene from the same poses, by its name in `drive`:
+    /// how far its plans differ. Needs the rig and the [[ego]] poses of a scene file
+    #[arg(long, value_name = "PLANNER")]
+    planner: Option<PlannerChoice>,
+    /// Lanes on the scene: with --scan, the ground and the obstacles that `drive` finds there are
+    /// compared with the points of the scans
+    #[arg(long, value_name = "FILE", requires = "scan")]
+    map: Option<PathBuf>,
+    /// Labeled road users, as `import` writes them: points of scans on those that move are no
+    /// obstacles of the scene
+    #[arg(long, value_name = "FILE", requires = "map")]
+    tracks: Option<PathBuf>,
     /// New folder for realism.html, realism.json and the rendered images
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -66,172 +85,6 @@ pub struct Arguments {
     background: BackgroundArguments,
     #[command(flatten)]
     device: DeviceArguments,
-}
-
-/// A photograph and the image of the scene from the same view.
-pub struct Compared {
-    pub photograph: Photograph,
-    pub rendered: Image,
-    pub difference: PhotographDifference,
-}
-
-/// A scan and its name.
-pub struct ComparedScan {
-    pub name: String,
-    pub comparison: ScanComparison,
-}
-
-/// Everything that was found.
-pub struct Realism {
-    pub scene: PathBuf,
-    pub device: String,
-    pub views: usize,
-    pub compared: Vec<Compared>,
-    pub scans: Vec<ComparedScan>,
-    pub detections: Option<Agreement>,
-}
-
-/// A gap between photographs and the scene: its name and unit, and its value in each image.
-pub struct Gap {
-    pub name: &'static str,
-    /// True for values from 0 to 1.
-    is_share: bool,
-    pub value: fn(&PhotographDifference) -> Option<f64>,
-}
-
-/// Gaps that every photograph has.
-pub const GAPS: [Gap; 5] = [
-    Gap {
-        name: "PSNR, dB",
-        is_share: false,
-        value: |found| Some(found.psnr_db),
-    },
-    Gap {
-        name: "PSNR after one gain per image and channel, dB",
-        is_share: false,
-        value: |found| Some(found.gained_psnr_db),
-    },
-    Gap {
-        name: "SSIM",
-        is_share: true,
-        value: |found| found.ssim,
-    },
-    Gap {
-        name: "SSIM after the gain",
-        is_share: true,
-        value: |found| found.gained_ssim,
-    },
-    Gap {
-        name: "opacity of the lower half",
-        is_share: true,
-        value: |found| Some(found.lower_half_opacity),
-    },
-];
-
-impl Realism {
-    /// Mean of a gap over the photographs.
-    fn moments(&self, gap: &Gap) -> Option<Moments> {
-        let values = self
-            .compared
-            .iter()
-            .filter_map(|one| (gap.value)(&one.difference));
-        // Equal images have no finite ratio.
-        let values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
-        Moments::from_values(&values)
-    }
-
-    /// Mean of a gap and its 95 % confidence interval.
-    pub fn mean(&self, gap: &Gap) -> String {
-        match self.moments(gap) {
-            Some(moments) if gap.is_share => score(&moments),
-            moments => spread(moments.as_ref(), 2),
-        }
-    }
-
-    /// Gaps that were not measured, and why; a sentence each.
-    pub fn not_measured(&self) -> Vec<&'static str> {
-        let mut sentences = Vec::new();
-        if self.scans.is_empty() {
-            sentences.push("ranges of a LiDAR: no --scan was given");
-        }
-        if self.detections.is_none() {
-            sentences.push(
-                "detections: run a detector on the photographs and on the images in the folder `rendered`, and give both results with --detections and --detections-rendered",
-            );
-        }
-        sentences.push("LPIPS: its weights are not part of the program");
-        sentences
-    }
-
-    fn to_json(&self) -> Value {
-        let gap = |gap: &Gap| {
-            let moments = self.moments(gap);
-            json!({
-                "name": gap.name,
-                "mean": moments.map(|moments| moments.mean),
-                "interval_95": moments.and_then(|moments| moments.interval()),
-                "images": moments.map_or(0, |moments| moments.count),
-            })
-        };
-        let image =
-            |one: &Compared| json!({ "name": one.photograph.name, "difference": one.difference });
-        let scan =
-            |scan: &ComparedScan| json!({ "name": scan.name, "ranges": scan.comparison.to_json() });
-        json!({
-            "version": env!("CARGO_PKG_VERSION"),
-            "scene": self.scene,
-            "device": self.device,
-            "views": self.views,
-            "photographs": self.compared.len(),
-            "gaps": GAPS.iter().map(gap).collect::<Vec<_>>(),
-            "images": self.compared.iter().map(image).collect::<Vec<_>>(),
-            "scans": self.scans.iter().map(scan).collect::<Vec<_>>(),
-            "detections": self.detections.as_ref().map(Agreement::to_json),
-            "not_measured": self.not_measured(),
-        })
-    }
-
-    fn to_text(&self) -> String {
-        let mut text = format!(
-            "{} photographs of {} views, and the scene at their poses; means with their 95 % confidence intervals\n",
-            self.compared.len(),
-            self.views
-        );
-        for gap in &GAPS {
-            text += &format!("  {:<48} {}\n", gap.name, self.mean(gap));
-        }
-        for line in self.detection_lines() {
-            text += &format!("  {:<48} {}\n", line.0, line.1);
-        }
-        for scan in &self.scans {
-            text += &format!("scan {}\n{}", scan.name, scan.comparison.to_text());
-        }
-        for sentence in self.not_measured() {
-            text += &format!("not measured: {sentence}\n");
-        }
-        text
-    }
-
-    /// Names and values of the gaps of detections.
-    pub fn detection_lines(&self) -> Vec<(&'static str, String)> {
-        let Some(found) = &self.detections else {
-            return Vec::new();
-        };
-        let share = |share: Option<f64>| share.map_or("-".into(), |share| format!("{share:.3}"));
-        vec![
-            ("detections in photographs", found.wanted.to_string()),
-            ("detections in rendered images", found.found.to_string()),
-            (
-                "of those in photographs, found in rendered",
-                share(found.recall()),
-            ),
-            (
-                "score of those, rendered less photograph",
-                format!("{:+.3}", found.score_shift),
-            ),
-            ("overlap of those (IoU)", format!("{:.3}", found.iou)),
-        ]
-    }
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -244,15 +97,22 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         &views,
         chosen.transpose()?.as_deref(),
     )?;
-    let detections = match (&arguments.detections, &arguments.detections_rendered) {
-        (Some(photographs), Some(rendered)) => Some(Agreement::between(photographs, rendered)?),
+    let files = match (&arguments.detections, &arguments.detections_rendered) {
+        (Some(photographs), Some(rendered)) => {
+            Some([Detections::read(photographs)?, Detections::read(rendered)?])
+        }
         _ => None,
     };
+    let mut detector = arguments.detector.start()?;
     let reading = progress::spinner(format!("reading {}", arguments.scene.display()));
     let mut loaded = open_scene(&arguments.scene, 0.0)?;
     reading.finish_and_clear();
     let scans = arguments.scan.iter().map(|scan| scan.read(&loaded));
     let scans = scans.collect::<Result<Vec<_>>>()?;
+    let tracks = arguments.tracks.as_deref().map(read_tracks).transpose()?;
+    let tracks = tracks.unwrap_or_default();
+    let site = arguments.map.as_ref();
+    let site = site.map(|map| site_on(&arguments.scene, map)).transpose()?;
     loaded.agents.clear();
     let gpu = arguments.device.open()?;
     let mut options = RenderOptions {
@@ -262,42 +122,77 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.background.apply_to(&mut options);
     let mut renderer = Renderer::new(&gpu, options);
     let live = LiveScene::new(&renderer, &loaded)?;
-    let rendered_folder = out.join("rendered");
-    fs::create_dir_all(&rendered_folder)
-        .with_context(|| format!("{} cannot be made", rendered_folder.display()))?;
+    let compared = compare_all(&found, &mut renderer, &live, &out.join("rendered"))?;
+    let detections = match (&mut detector, files) {
+        (Some(detector), _) => Some(detected(detector, &compared)?),
+        (None, Some([photographs, rendered])) => Some(ComparedDetections {
+            detector: None,
+            rendered: Agreement::between(&photographs, &rendered),
+            half_size: None,
+            in_photographs: photographs,
+            in_rendered: rendered,
+        }),
+        (None, None) => None,
+    };
+    let plans = arguments.planner.as_ref();
+    let plans = plans.map(|planner| plans::compare(planner, &loaded, &compared));
+    let plans = plans.transpose()?;
+    let mut points = ScanPoints::default();
+    let mut lidars = lidars(&gpu, &loaded);
+    let mut compared_scans = Vec::new();
+    for (file, (scan, pose)) in arguments.scan.iter().zip(&scans) {
+        let still = live.at(0.0);
+        let comparison = ScanComparison::new(&mut lidars, live.with(&still), scan, *pose)?;
+        let passed_s = || plans::nearest_s(&loaded.ego, pose.translation);
+        let moving = moving_boxes(&tracks, file.time_s.unwrap_or_else(passed_s));
+        points.add(&comparison, pose, &moving);
+        let name = file.name();
+        compared_scans.push(ComparedScan { name, comparison });
+    }
+    let road = site.map(|site| ComparedRoad::new(&site, &views, &points));
+    check_validation(&gpu)?;
+    write(
+        out,
+        &Realism {
+            scene: arguments.scene.clone(),
+            device: gpu.info().to_string(),
+            views: views.len(),
+            compared,
+            scans: compared_scans,
+            detections,
+            plans,
+            road,
+        },
+    )
+}
+
+/// Draws the scene from the views of the photographs, into the new folder `folder`.
+fn compare_all(
+    found: &[Found],
+    renderer: &mut Renderer,
+    live: &LiveScene,
+    folder: &Path,
+) -> Result<Vec<Compared>> {
+    fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
     let mut compared = Vec::new();
     let bar = progress::bar("photographs", found.len());
-    for found in &found {
-        let one = compare(found.read()?, &mut renderer, &live)?;
-        let file = rendered_folder.join(format!("{}.png", one.photograph.name));
+    for found in found {
+        let one = compare(found.read()?, renderer, live)?;
+        let file = folder.join(format!("{}.png", one.photograph.name));
         write_image(&file, &one.rendered, ImageFileFormat::Png)?;
         compared.push(one);
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let named = arguments.scan.iter().zip(&scans);
-    let scans = named
-        .map(|(file, (scan, pose))| {
-            let mut lidars = lidars(&gpu, &loaded);
-            let comparison =
-                ScanComparison::new(&mut lidars, live.with(&live.at(0.0)), scan, *pose)?;
-            let name = file.name();
-            Ok(ComparedScan { name, comparison })
-        })
-        .collect::<Result<Vec<_>>>()?;
-    check_validation(&gpu)?;
-    let realism = Realism {
-        scene: arguments.scene.clone(),
-        device: gpu.info().to_string(),
-        views: views.len(),
-        compared,
-        scans,
-        detections,
-    };
+    Ok(compared)
+}
+
+/// Writes the report and prints it.
+fn write(out: &Path, realism: &Realism) -> Result<()> {
     write_atomically(&out.join("realism.json"), |file| {
         writeln!(file, "{:#}", realism.to_json())
     })?;
-    let page = page::page(&realism)?;
+    let page = page::page(realism)?;
     let file = out.join("realism.html");
     write_atomically(&file, |written| written.write_all(page.as_bytes()))?;
     print(&realism.to_text())?;
@@ -330,6 +225,58 @@ fn compare(photograph: Photograph, renderer: &mut Renderer, live: &LiveScene) ->
         photograph,
         rendered,
         difference,
+    })
+}
+
+/// The scene with the lanes of `map`, as `drive` has it without images.
+fn site_on(scene: &Path, map: &Path) -> Result<Site> {
+    ensure!(
+        is_scene_file(scene),
+        "{} is no scene file: the ground needs its [[ego]] poses",
+        scene.display()
+    );
+    let place = Place::Scene {
+        scene: scene.to_owned(),
+        map: map.to_owned(),
+        obstacles: None,
+    };
+    let reading = progress::spinner("reading the ground and the obstacles".into());
+    let site = Site::open(&place, Path::new(""), None)?;
+    reading.finish_and_clear();
+    Ok(site)
+}
+
+/// Detections in photographs, in the images of the scene, and in photographs of half the size. What
+/// masks leave out for the most part does not count: it moves, and the scene does not have it.
+fn detected(detector: &mut Detector, compared: &[Compared]) -> Result<ComparedDetections> {
+    let bar = progress::bar("detecting", compared.len());
+    let mut found: [Detections; 3] = Default::default();
+    for one in compared {
+        let photograph = &one.photograph;
+        let half = photograph.half_size();
+        let images = [&photograph.image, &one.rendered, &half];
+        for (found, image) in found.iter_mut().zip(images) {
+            let list = detector.detect(image)?;
+            found.add(&list, |_| Some(photograph.name.clone()))?;
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let [photographs, rendered, half] = found;
+    let counts = |name: &str, rectangle: &[f64; 4]| {
+        let mut photographs = compared.iter().map(|one| &one.photograph);
+        let photograph = photographs.find(|photograph| photograph.name == name);
+        photograph.is_none_or(|photograph| photograph.counted(rectangle) > 0.5)
+    };
+    let photographs = photographs.filtered(counts);
+    let rendered = rendered.filtered(counts);
+    let half = half.enlarged(2.0).filtered(counts);
+    Ok(ComparedDetections {
+        detector: Some(detector.name()),
+        rendered: Agreement::between(&photographs, &rendered),
+        half_size: Some(Agreement::between(&photographs, &half)),
+        in_photographs: photographs,
+        in_rendered: rendered,
     })
 }
 

@@ -21,7 +21,7 @@ pub struct SceneRecording {
     /// Surveyed ground, a mesh or points (PLY) about [`crate::SceneFile::origin`]. A path relative
     /// to the scene file.
     pub ground: Option<PathBuf>,
-    /// File of what stands beside the way, world coordinates ([`crate::read_obstacles`]). A path
+    /// File of the obstacles beside the way, world coordinates ([`crate::read_obstacles`]). A path
     /// relative to the scene file.
     pub obstacles: Option<PathBuf>,
 }
@@ -58,7 +58,7 @@ pub struct LoadedRecording {
     pub vehicle_size: Option<VehicleSize>,
     /// Points of the surveyed ground, world coordinates, meters; none where there is no survey.
     pub ground_m: Vec<DVec3>,
-    /// What stands beside the way, world coordinates; `None` where the file tells nothing of it.
+    /// Obstacles beside the way, world coordinates; `None` where the file tells nothing of them.
     pub obstacles: Option<Vec<Obstacle>>,
 }
 

@@ -25,22 +25,24 @@ const ANNOTATIONS: &str = "sample_annotation.json";
 /// Scenes that an error names.
 const SHOWN_SCENES: usize = 8;
 
+/// Row of `scene.json`.
 #[derive(Deserialize)]
-struct Scene<'a> {
+pub(crate) struct Scene<'a> {
     #[serde(borrow)]
-    token: Cow<'a, str>,
+    pub(crate) token: Cow<'a, str>,
     #[serde(borrow)]
-    name: Cow<'a, str>,
+    pub(crate) name: Cow<'a, str>,
 }
 
+/// Row of `sample.json`.
 #[derive(Deserialize)]
-struct Sample<'a> {
+pub(crate) struct Sample<'a> {
     #[serde(borrow)]
-    token: Cow<'a, str>,
+    pub(crate) token: Cow<'a, str>,
     #[serde(borrow)]
-    scene_token: Cow<'a, str>,
+    pub(crate) scene_token: Cow<'a, str>,
     /// Time of the sample, microseconds.
-    timestamp: i64,
+    pub(crate) timestamp: i64,
 }
 
 #[derive(Deserialize)]
@@ -124,6 +126,25 @@ pub struct Tables<'a> {
 /// # Errors
 /// A [`DecodeError`] that names the table and line, or the token, at fault.
 pub fn decode(tables: &Tables, scene: Option<&str>) -> Result<Vec<Track>, DecodeError> {
+    finished(boxes_of(tables, scene)?)
+}
+
+/// Tracks of a scene, as [`decode`] reads them; none where nothing is annotated.
+///
+/// # Errors
+/// Errors of [`decode`].
+pub(crate) fn decode_annotated(
+    tables: &Tables,
+    scene: Option<&str>,
+) -> Result<Vec<Track>, DecodeError> {
+    let tracks = boxes_of(tables, scene)?;
+    match tracks.is_empty() {
+        true => Ok(tracks),
+        false => finished(tracks),
+    }
+}
+
+fn boxes_of(tables: &Tables, scene: Option<&str>) -> Result<Vec<Track>, DecodeError> {
     let scenes: Vec<Scene> = rows(tables.scenes, "scene.json")?;
     let scene = chosen(&scenes, scene)?;
     let samples: Vec<Sample> = rows(tables.samples, "sample.json")?;
@@ -182,13 +203,20 @@ pub fn decode(tables: &Tables, scene: Option<&str>) -> Result<Vec<Track>, Decode
     for track in &mut tracks {
         track.points.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     }
-    finished(tracks)
+    Ok(tracks)
 }
 
-/// The scene with a name, or the only one.
-fn chosen<'a>(scenes: &'a [Scene<'a>], name: Option<&str>) -> Result<&'a Scene<'a>, DecodeError> {
+/// The scene with a name or, counted from 0, at a place of the table; or the only one.
+pub(crate) fn chosen<'a>(
+    scenes: &'a [Scene<'a>],
+    name: Option<&str>,
+) -> Result<&'a Scene<'a>, DecodeError> {
     let found = match (name, scenes) {
-        (Some(name), _) => scenes.iter().find(|scene| scene.name == name),
+        (Some(name), _) => {
+            let named = scenes.iter().find(|scene| scene.name == name);
+            let counted = || scenes.get(name.parse::<usize>().ok()?);
+            named.or_else(counted)
+        }
         (None, [only]) => Some(only),
         (None, _) => None,
     };
@@ -199,7 +227,7 @@ fn chosen<'a>(scenes: &'a [Scene<'a>], name: Option<&str>) -> Result<&'a Scene<'
             .map(|scene| excerpt(&scene.name))
             .collect();
         DecodeError::Malformed(format!(
-            "{} scenes ({}{}); expected FOLDER/SCENE with the name of one",
+            "{} scenes ({}{}); expected the name of one, or its place counted from 0",
             scenes.len(),
             names.join(", "),
             if scenes.len() > SHOWN_SCENES {
@@ -211,7 +239,11 @@ fn chosen<'a>(scenes: &'a [Scene<'a>], name: Option<&str>) -> Result<&'a Scene<'
     })
 }
 
-fn rows<'a, T: Deserialize<'a>>(bytes: &'a [u8], table: &str) -> Result<Vec<T>, DecodeError> {
+/// Rows of a table.
+pub(crate) fn rows<'a, T: Deserialize<'a>>(
+    bytes: &'a [u8],
+    table: &str,
+) -> Result<Vec<T>, DecodeError> {
     serde_json::from_slice(bytes)
         .map_err(|error| DecodeError::Malformed(format!("{table}: {error}")))
 }
@@ -283,7 +315,7 @@ mod tests {
         let fault = |boxes: &str, scene| decode(&tables(boxes), scene).unwrap_err().to_string();
         for (boxes, scene, part) in [
             (BOXES, None, "2 scenes (scene-0001, scene-0002)"),
-            (BOXES, Some("scene-0009"), "expected FOLDER/SCENE"),
+            (BOXES, Some("scene-0009"), "expected the name of one"),
             (
                 "[{}]",
                 Some("scene-0001"),

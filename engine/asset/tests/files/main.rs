@@ -14,6 +14,7 @@ mod lidar;
 mod light_transfer;
 mod nurec;
 mod nurec_parts;
+mod nuscenes;
 mod properties;
 mod real;
 mod sample;

@@ -21,10 +21,11 @@ const GROUND_M: f64 = 0.12;
 const POINTS_MIN: u32 = 4;
 /// Fewest scans that must have seen something, where there are three times as many.
 const SCANS_MIN: u32 = 3;
-/// What stood in a cell has left it, if the cell's ground was seen in so many times as many scans.
+/// Ratio of scans that saw the ground of a cell to those that saw something in it, from which on
+/// that has left.
 const LEFT: u32 = 3;
-/// What stands is seen for so long, seconds, or for this share of all scans' time: a vehicle that
-/// drives behind the LiDAR, where nothing is labeled, is gone before.
+/// Time for which anything that stands is seen, seconds, and as a share of the time of all scans. A
+/// vehicle that drives behind the LiDAR, where nothing is labeled, is gone before.
 const SEEN_S_MIN: f64 = 1.2;
 const SEEN_SHARE: f64 = 0.3;
 /// Margin around boxes of what moves, meters.
@@ -114,8 +115,8 @@ impl<'a> ObstacleScanner<'a> {
         }
     }
 
-    /// What stood all the time and is not touched by `driven`, the boxes of the vehicle on its way:
-    /// boxes of at most a meter, in an order that is always the same.
+    /// Boxes of at most a meter of all that stood and is not touched by `driven`, the boxes of the
+    /// vehicle on its way. Their order is always the same.
     #[must_use]
     pub fn obstacles(self, driven: &[OrientedBox]) -> Vec<Obstacle> {
         let scans_min = SCANS_MIN.min(self.scans.div_ceil(3)).max(1);

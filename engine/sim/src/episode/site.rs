@@ -1,6 +1,7 @@
 //! Places made ready: what an episode needs of where it takes place.
 
 mod assets;
+mod standing;
 mod views;
 
 use std::path::{Path, PathBuf};
@@ -12,7 +13,6 @@ use decouplegs_asset::{
 };
 use decouplegs_drive::generate::RoadUserAsset;
 use decouplegs_drive::lights::{LaneStopLine, TrafficLights};
-use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{
     Ground, GroundGuides, GroundOptions, Obstacles, RoadGraph, RoadSurface, Survey, ViewSupport,
@@ -23,7 +23,7 @@ use decouplegs_scene::light::{AmbientOptions, CastingLights, RelightOptions, Sha
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
     LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind, SplatScene,
-    Trajectory, VehicleSize, VehicleState, Weather,
+    Trajectory, VehicleSize, Weather,
 };
 use decouplegs_session::{Session, SessionError, SessionScene};
 use decouplegs_synth::roads::{self, RoadsOptions};
@@ -376,12 +376,6 @@ impl Site {
         })
     }
 
-    /// A sentence where heights of the ground may be wrong, because splats show the road poorly.
-    #[must_use]
-    pub fn ground_warning(&self) -> Option<String> {
-        self.ground.as_ref()?.quality()?.warning()
-    }
-
     /// Places and headings that the place was seen from: elsewhere its images are no good. `None`
     /// where it looks right from everywhere, or nobody knows.
     #[must_use]
@@ -423,32 +417,6 @@ impl Site {
     /// Index in the scene of the asset of a sign.
     pub(super) fn sign_asset(&self, kind: SignKind) -> usize {
         self.asset_sizes.len() + LightColor::ALL.len() + kind as usize
-    }
-
-    /// Pose of a vehicle on the ground: wheels at the height of the captured ground, otherwise of
-    /// the lanes.
-    ///
-    /// `near_z_m` is the height at which it was last, which tells decks apart.
-    #[must_use]
-    pub fn pose_of(&self, state: &VehicleState, size: &VehicleSize, near_z_m: f64) -> Pose {
-        let dims_m = size.to_array();
-        let height_at = |local| {
-            let at = state.to_world(local);
-            let lane_z_m = self.surface.height_at(at, near_z_m);
-            let captured = self
-                .ground
-                .as_ref()
-                .and_then(|ground| ground.height_at(at, Some(lane_z_m.unwrap_or(near_z_m))));
-            captured.map(|height| height.z_m).or(lane_z_m)
-        };
-        let corners = corners(dims_m);
-        match plane(&corners, &corners.map(height_at)) {
-            Some((plane, _)) => pose_on(&plane, state.position_m, state.yaw_rad, size.height_m),
-            None => Pose::from_yaw(
-                state.yaw_rad,
-                state.position_m.extend(near_z_m + 0.5 * size.height_m),
-            ),
-        }
     }
 
     /// Poses of the assets that show traffic lights, with the index of each one's light.
