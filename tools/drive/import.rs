@@ -2,6 +2,7 @@
 
 mod kitti;
 mod lanes;
+mod ncore;
 mod posed_images;
 mod recording;
 
@@ -13,12 +14,13 @@ use decouplegs::asset::maps::lane_json;
 use decouplegs::asset::scene_file::path_from;
 use decouplegs::asset::tracks::write_poses;
 use decouplegs::asset::{
-    SceneFile, SceneRecording, SeenFrom, inria_ply, read_placed_splats, write_atomically,
+    SceneFile, SceneRecording, SceneSky, SeenFrom, SkyKind, inria_ply, read_placed_splats,
+    write_atomically, write_ground,
 };
 use decouplegs::drive::{Ground, GroundGuides, GroundOptions};
 use decouplegs::scene::{Pose, SplatCloud, Trajectory, VehicleSize};
 use decouplegs_cli::street_files::transforms;
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use std::io::Write as _;
 
 use self::recording::Recording;
@@ -34,13 +36,16 @@ enum Form {
     Nerfstudio,
     /// Folder with a COLMAP model
     Colmap,
+    /// Sequence of NVIDIA NCore, version 4: its JSON file, or the folder that it lies in
+    Ncore,
 }
 
 /// Make a scene to drive in from a recording and the splats that were trained on its images: the
 /// rig, the way of the vehicle, views, lanes along the way and labeled boxes
 ///
 /// The new folder holds scene.toml, cameras.json, lanes.json and, where boxes are labeled,
-/// tracks.csv. The splats stay where they are, unless --level turns them.
+/// tracks.csv. The splats stay where they are, unless --level turns them. A sky of Instant NuRec
+/// beside them (X.sky.npz) is named in the scene.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Form of the recording
@@ -61,13 +66,17 @@ pub struct Arguments {
     #[arg(long, value_name = "LENGTH,WIDTH,HEIGHT", value_parser = triple)]
     vehicle: Option<[f64; 3]>,
     /// Middle of the vehicle's box from the origin of the recorded poses, meters forward, left and
-    /// up: from the IMU of a KITTI drive, else from the front camera [default: 1.23,-0.32,-0.17 for
-    /// KITTI, else -0.3,0,-0.75]
+    /// up: from the IMU of a KITTI drive, the rig of NCore, else from the front camera [default:
+    /// 1.23,-0.32,-0.17 for KITTI, 1.35,0 and half of the height for NCore, else -0.3,0,-0.75]
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_hyphen_values = true)]
     middle: Option<[f64; 3]>,
     /// Images per second of a recording without times
     #[arg(long, value_name = "HZ", allow_negative_numbers = true, default_value_t = 10.0, value_parser = rate)]
     rate: f64,
+    /// Write the images of an NCore sequence into the folder images, as they were encoded; images.csv
+    /// names their cameras and times
+    #[arg(long)]
+    images: bool,
     /// Turn the scene until its z axis is up, with its splats, which are written as background.ply
     #[arg(long)]
     level: bool,
@@ -92,6 +101,8 @@ fn rate(text: &str) -> Result<f64, String> {
 const TILT_DEG_MAX: f64 = 1.0;
 /// Poses that are farther from where they should be above the ground are worth a word, meters.
 const HEIGHT_OFF_M_MAX: f64 = 0.15;
+/// Points of splats that are labeled road, where they are turned.
+const GROUND: &str = "ground.ply";
 /// Places along the way at which the ground is asked for.
 const PLACES: usize = 200;
 
@@ -111,7 +122,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         arguments.poses.is_none() || arguments.form == Form::Kitti,
         "--poses belongs to a KITTI drive: a file of cameras has its own"
     );
+    ensure!(
+        !arguments.images || arguments.form == Form::Ncore,
+        "--images belongs to an NCore sequence: the images of other recordings are files already"
+    );
+    let mut sequence = None;
     let mut recording = match arguments.form {
+        Form::Ncore => {
+            let (recording, read) = ncore::read(path, vehicle, middle_m)?;
+            sequence = Some(read);
+            recording
+        }
         Form::Kitti => kitti::read(path, arguments.poses.as_deref(), vehicle, middle_m)?,
         Form::Nerfstudio | Form::Colmap => {
             let file = match arguments.form {
@@ -122,13 +143,19 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     };
     let reading = progress::spinner(format!("reading {}", arguments.splats.display()));
-    let (mut splats, mut origin) = read_placed_splats(&arguments.splats)?;
+    let placed = read_placed_splats(&arguments.splats)?;
+    let road_m: Vec<DVec3> = placed.road_points_m();
+    let (mut splats, mut origin) = (placed.cloud, placed.origin);
     reading.finish_and_clear();
     std::fs::create_dir_all(out).with_context(|| format!("{} cannot be made", out.display()))?;
     let tilt_deg = recording
         .level_from_world
         .angle_between(DQuat::IDENTITY)
         .to_degrees();
+    let turned = match arguments.level {
+        true => recording.level_from_world,
+        false => DQuat::IDENTITY,
+    };
     let background = if arguments.level {
         let level = Pose::new(recording.level_from_world, DVec3::ZERO);
         splats = splats.placed(&level, true);
@@ -136,6 +163,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         recording.turn(&level);
         let file = PathBuf::from("background.ply");
         inria_ply::write(&out.join(&file), &splats)?;
+        // The file has no labels.
+        if !road_m.is_empty() {
+            let road_m: Vec<DVec3> = road_m.iter().map(|point| turned * *point).collect();
+            write_ground(&out.join(GROUND), &road_m)?;
+        }
         file
     } else {
         path_from(out, &arguments.splats)
@@ -150,12 +182,24 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         ego: Some(recording.ego.clone()),
         ego_height_m: Some(ego_height_m),
         recording: SceneRecording {
-            ground: None,
+            ground: (arguments.level && !road_m.is_empty()).then(|| GROUND.into()),
             seen_from: Some(SeenFrom::Cameras("cameras.json".into())),
             vehicle_size: Some(recording.vehicle),
         },
+        sky_map: sky_beside(&arguments.splats, out, turned)?,
         ..SceneFile::of_background(background)
     };
+    for file in &recording.files {
+        write_atomically(&out.join(&file.path), |to| to.write_all(&file.content))?;
+    }
+    for sentence in sequence.iter().flat_map(|sequence| &sequence.notes) {
+        warn(sentence);
+    }
+    if let Some(sequence) = sequence.filter(|_| arguments.images) {
+        let writing = progress::spinner("writing images".into());
+        ncore::write_images(&sequence, out)?;
+        writing.finish_and_clear();
+    }
     let cameras = transforms(&recording.views);
     write_atomically(&out.join("cameras.json"), |file| {
         writeln!(file, "{cameras:#}")
@@ -181,6 +225,21 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         ));
     }
     print(&report(&recording, &scene, &check, lanes.is_some(), out))
+}
+
+/// Sky of Instant NuRec beside the splats at `path`, as a scene in `out` names it that is turned by
+/// `turned`.
+fn sky_beside(path: &Path, out: &Path, turned: DQuat) -> Result<Option<SceneSky>> {
+    let sky = path.with_extension("sky.npz");
+    if !sky.is_file() {
+        return Ok(None);
+    }
+    let named = path_from(out, &sky);
+    let named = named.with_context(|| format!("{} cannot be named", sky.display()))?;
+    Ok(Some(SceneSky {
+        world_from_sky: DMat3::from_quat(turned),
+        ..SceneSky::new(named, SkyKind::Npz)
+    }))
 }
 
 /// Answer of the splats about the way.

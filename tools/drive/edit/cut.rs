@@ -20,7 +20,8 @@ const SQUARE_M: f64 = 0.5;
 /// and the background without them are written there. Lines that tell what was done.
 pub fn cut(scene: &mut SceneFile, boxes: &[CutBox], folder: &Path) -> Result<String> {
     let path = folder.join(&scene.background);
-    let (cloud, placed_at) = read_placed_splats(&path)?;
+    let placed = read_placed_splats(&path)?;
+    let (cloud, placed_at) = (placed.cloud, placed.origin);
     // What is written is relative to it.
     scene.origin += placed_at;
     let mut is_left = vec![true; cloud.len()];

@@ -9,6 +9,18 @@ use decouplegs_scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
 use decouplegs_scene::{Intrinsics, Lens, ShutterDirection};
 use serde_json::{Value, json};
 
+/// Median time between start and end of an image, seconds, of `frames_us`, microseconds; `None` where
+/// no image has such a time.
+pub(crate) fn readout_s<'a>(frames_us: impl IntoIterator<Item = &'a [i64; 2]>) -> Option<f64> {
+    let durations = frames_us
+        .into_iter()
+        .map(|[start_us, end_us]| end_us.saturating_sub(*start_us));
+    let mut durations: Vec<i64> = durations.filter(|duration_us| *duration_us > 0).collect();
+    durations.sort_unstable();
+    let median = durations.get(durations.len() / 2)?;
+    Some(*median as f64 * 1e-6)
+}
+
 /// Coefficients of a polynomial, the constant first.
 const COEFFICIENTS: usize = 6;
 /// Largest difference between two readings of one polynomial, pixels.

@@ -10,8 +10,8 @@ use decouplegs_scene::light::{
     ShadowOptions, bake_shadows,
 };
 use decouplegs_scene::{
-    CodedCloud, GroundShadow, LightTransfer, Motion, Pose, Presence, Rig, Sensor, ShFrame, SkyMap,
-    SplatCloud, SplatScene, Trajectory,
+    CodedCloud, GroundShadow, LightTransfer, Motion, Photometry, Pose, Presence, Rig, Sensor,
+    ShFrame, SplatCloud, SplatScene, Trajectory,
 };
 use glam::DVec3;
 
@@ -19,9 +19,10 @@ use super::{LoadedRecording, SceneAgent, SceneFile, SceneSky, is_scene_file};
 use crate::memory::{self, SPLATS_MAX, cloud_bytes};
 use crate::packed_scene::{is_package, open_packed_scene};
 use crate::read::placed_splats_of;
+use crate::sky_bundle::{self, SkyBundle};
 use crate::{
-    AssetError, coded_asset, ground_file, light_transfer_file, read_bytes, read_placed_splats,
-    sky_file,
+    AssetError, PlacedSplats, SkyKind, coded_asset, ground_file, light_transfer_file, read_bytes,
+    read_placed_splats, sky_file,
 };
 
 /// A scene, ready to be drawn: what stands still at one moment, and what is moved from frame to
@@ -49,6 +50,8 @@ pub struct LoadedScene {
     pub agent_labels: Vec<AgentLabel>,
     /// Light of the background on the moving agents.
     pub light: Option<LoadedLight>,
+    /// Photometric calibrations that come with the sky, by the names of cameras.
+    pub photometry_by_camera: Vec<(String, Photometry)>,
 }
 
 /// Name and class of an agent.
@@ -127,7 +130,8 @@ impl LoadedAgent {
 
 impl LoadedScene {
     /// A scene of background only, without cameras.
-    fn of_world(splat_scene: SplatScene) -> Self {
+    #[must_use]
+    pub fn of_world(splat_scene: SplatScene) -> Self {
         Self {
             splat_scene,
             assets: Vec::new(),
@@ -139,7 +143,15 @@ impl LoadedScene {
             recording: LoadedRecording::default(),
             agent_labels: Vec::new(),
             light: None,
+            photometry_by_camera: Vec::new(),
         }
+    }
+
+    /// The calibration that comes with the sky for the camera called `name`; the identity for
+    /// others.
+    #[must_use]
+    pub fn photometry_of_camera(&self, name: &str) -> Photometry {
+        photometry_of(&self.photometry_by_camera, name)
     }
 
     /// Checks that [`LoadedScene::baked`] is a world that the memory holds: thousands of agents may
@@ -255,6 +267,12 @@ impl LoadedScene {
     }
 }
 
+/// The calibration of the camera called `name`, of pairs by name; the identity for others.
+fn photometry_of(cameras: &[(String, Photometry)], name: &str) -> Photometry {
+    let found = cameras.iter().find(|(camera, _)| camera == name);
+    found.map_or(Photometry::IDENTITY, |(_, photometry)| *photometry)
+}
+
 /// Places along a trajectory, world coordinates, at most `step_m` apart: where its light is summed
 /// up beforehand.
 fn places_along(trajectory: &Trajectory, step_m: f64) -> impl Iterator<Item = DVec3> {
@@ -306,22 +324,25 @@ impl SceneFile {
         files: &dyn SceneFiles,
         time_s: f64,
     ) -> Result<LoadedScene, AssetError> {
-        let (background, placed_at) = files.placed_splats(&self.background)?;
-        let background = background.in_spatial_order();
+        let background = files.placed_splats(&self.background)?.in_spatial_order();
+        let recording = self.recording.load(files, &background, self.origin)?;
+        let sky = self.sky_map.as_ref().map(|sky| files.sky(sky));
+        let (sky_map, cameras) = sky
+            .transpose()?
+            .map(|bundle| (Arc::new(bundle.sky), bundle.cameras))
+            .unzip();
         let mut scene = LoadedScene::of_world(SplatScene {
-            origin: self.origin + placed_at,
+            origin: self.origin + background.origin,
             sky: self.sky,
-            sky_map: self
-                .sky_map
-                .as_ref()
-                .map(|sky| files.sky(sky))
-                .transpose()?
-                .map(Arc::new),
+            sky_map,
+            sky_splats: background.labels.sky,
             photometry: self.photometry,
             fog: self.fog,
             rules: self.rules,
-            ..SplatScene::from_splats(background)
+            ..SplatScene::from_splats(background.cloud)
         });
+        scene.recording = recording;
+        scene.photometry_by_camera = cameras.unwrap_or_default();
         let mut loader = AgentLoader {
             files,
             time_s,
@@ -341,6 +362,10 @@ impl SceneFile {
             loader.add(&mut scene, agent, instance);
         }
         scene.rig = self.rig_from(files)?;
+        for camera in scene.rig.cameras_mut() {
+            let own = &mut camera.intrinsics.photometry;
+            *own = own.or(photometry_of(&scene.photometry_by_camera, &camera.name));
+        }
         let standing = || {
             Trajectory::standing(Pose {
                 translation: self.origin,
@@ -349,7 +374,6 @@ impl SceneFile {
         };
         scene.ego = self.ego.clone().unwrap_or_else(standing);
         scene.ego_height_m = self.ego_height_m;
-        scene.recording = self.recording.load(files, self.origin)?;
         if let Some(light) = &self.light {
             let read = |file: &PathBuf| {
                 light_transfer_file::read_from(&files.bytes(file)?, &files.path(file))
@@ -381,21 +405,19 @@ pub(crate) trait SceneFiles {
     /// The place of `file`, for messages.
     fn path(&self, file: &Path) -> PathBuf;
 
-    /// The splats in `file`, and the origin that they are relative to.
-    fn placed_splats(&self, file: &Path) -> Result<(SplatCloud, DVec3), AssetError> {
+    /// The splats in `file`.
+    fn placed_splats(&self, file: &Path) -> Result<PlacedSplats, AssetError> {
         placed_splats_of(&self.bytes(file)?, &self.path(file))
     }
 
     /// The sky of the scene.
-    fn sky(&self, sky: &SceneSky) -> Result<SkyMap, AssetError> {
-        let decoded = sky_file::decode(&self.bytes(&sky.file)?, sky.kind, sky.world_from_sky);
-        let mut map = decoded.map_err(|source| AssetError::Decode {
+    fn sky(&self, sky: &SceneSky) -> Result<SkyBundle, AssetError> {
+        let decoded = sky_file::decode_sky(&self.bytes(&sky.file)?, sky);
+        decoded.map_err(|source| AssetError::Decode {
             path: self.path(&sky.file),
             format: "sky",
             source,
-        })?;
-        (map.clamps, map.clamps_splats) = (sky.clamps, sky.clamps_splats);
-        Ok(map)
+        })
     }
 
     /// Points of the ground in `file`, about the origin of the scene.
@@ -409,7 +431,7 @@ pub(crate) trait SceneFiles {
 
     /// The splats of an asset in `file`.
     fn splats(&self, file: &Path) -> Result<SplatCloud, AssetError> {
-        Ok(self.placed_splats(file)?.0)
+        Ok(self.placed_splats(file)?.cloud)
     }
 }
 
@@ -426,7 +448,7 @@ impl SceneFiles for Folder<'_> {
     }
 
     // A SOG may be a folder.
-    fn placed_splats(&self, file: &Path) -> Result<(SplatCloud, DVec3), AssetError> {
+    fn placed_splats(&self, file: &Path) -> Result<PlacedSplats, AssetError> {
         read_placed_splats(&self.path(file))
     }
 }
@@ -541,9 +563,33 @@ pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     if is_package(path) {
         return open_packed_scene(path, time_s);
     }
-    let (splats, origin) = read_placed_splats(path)?;
-    Ok(LoadedScene::of_world(SplatScene {
-        origin,
-        ..SplatScene::from_splats(splats.in_spatial_order())
-    }))
+    open_splats(path)
+}
+
+/// The scene of a splat file, with the sky of Instant NuRec where there is one beside it.
+fn open_splats(path: &Path) -> Result<LoadedScene, AssetError> {
+    let is_ply = path.extension().is_some_and(|found| found == "ply");
+    let sky = path.with_extension(sky_bundle::EXTENSION);
+    if is_ply && sky.is_file() {
+        let name = |path: &Path| PathBuf::from(path.file_name().unwrap_or_default());
+        let scene = SceneFile {
+            sky_map: Some(SceneSky::new(name(&sky), SkyKind::Npz)),
+            ..SceneFile::of_background(name(path))
+        };
+        return scene.load(path.parent().unwrap_or(Path::new("")), 0.0);
+    }
+    let splats = read_placed_splats(path)?.in_spatial_order();
+    let road_m = splats.road_points_m().into_iter();
+    let ground_m = road_m.map(|point| point + splats.origin).collect();
+    Ok(LoadedScene {
+        recording: LoadedRecording {
+            ground_m,
+            ..LoadedRecording::default()
+        },
+        ..LoadedScene::of_world(SplatScene {
+            origin: splats.origin,
+            sky_splats: splats.labels.sky,
+            ..SplatScene::from_splats(splats.cloud)
+        })
+    })
 }

@@ -24,7 +24,7 @@ use glam::{DMat3, DVec3};
 
 use crate::error::read_bytes;
 use crate::toml_text::text_of;
-use crate::{AssetError, SceneError, SkyKind, write_atomically};
+use crate::{AssetError, PlacedSplats, SceneError, SkyKind, read_ground, write_atomically};
 
 pub use editing::EditError;
 pub use layer::Layer;
@@ -191,6 +191,26 @@ impl SceneFile {
     /// A sentence, when a path is not Unicode.
     pub fn to_toml(&self) -> Result<String, Invalid> {
         Ok(form::to_toml(self)?)
+    }
+
+    /// Points of the ground of this scene file in `directory`, world coordinates, meters: those of
+    /// its survey, else of splats of its `background` that are labeled road.
+    ///
+    /// # Errors
+    /// [`AssetError`] of the file of the survey.
+    pub fn read_ground(
+        &self,
+        directory: &Path,
+        background: &PlacedSplats,
+    ) -> Result<Vec<DVec3>, AssetError> {
+        let points = match &self.recording.ground {
+            Some(file) => read_ground(&directory.join(file))?,
+            None => recording::road_about_scene(background),
+        };
+        Ok(points
+            .into_iter()
+            .map(|point| point + self.origin)
+            .collect())
     }
 
     /// Writes the scene file to `path`, atomically.

@@ -9,7 +9,7 @@ use toml::Spanned;
 
 use super::load::SceneFiles;
 use crate::toml_text::Checker;
-use crate::{AssetError, SceneError, cameras, read_ground};
+use crate::{AssetError, PlacedSplats, SceneError, cameras};
 
 /// The drive on which a scene was recorded. All of it may be unknown.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -53,7 +53,8 @@ pub struct LoadedRecording {
     pub views: Option<CapturedViews>,
     /// Box of the vehicle that recorded; the ego's poses are those of its middle.
     pub vehicle_size: Option<VehicleSize>,
-    /// Points of the surveyed ground, world coordinates, meters; none where there is no survey.
+    /// Points of the ground, world coordinates, meters: those of a survey, else of splats that are
+    /// labeled road; none where there are neither.
     pub ground_m: Vec<DVec3>,
 }
 
@@ -133,24 +134,19 @@ impl RecordingForm {
     }
 }
 
-impl SceneRecording {
-    /// Points of the surveyed ground of a scene file in `directory` with `origin`, world
-    /// coordinates, meters; none where there is no survey.
-    ///
-    /// # Errors
-    /// [`AssetError`] of the file.
-    pub fn read_ground(&self, directory: &Path, origin: DVec3) -> Result<Vec<DVec3>, AssetError> {
-        let Some(file) = &self.ground else {
-            return Ok(Vec::new());
-        };
-        let points = read_ground(&directory.join(file))?;
-        Ok(points.into_iter().map(|point| point + origin).collect())
-    }
+/// Road of `background`, meters from the origin of its scene.
+pub(super) fn road_about_scene(background: &PlacedSplats) -> Vec<DVec3> {
+    let points = background.road_points_m().into_iter();
+    points.map(|point| point + background.origin).collect()
+}
 
-    /// Reads the cameras and the ground, which is about `origin`, from `files`.
+impl SceneRecording {
+    /// Reads the cameras and the ground from `files`; `background` is that of the scene at
+    /// `origin`.
     pub(super) fn load(
         &self,
         files: &dyn SceneFiles,
+        background: &PlacedSplats,
         origin: DVec3,
     ) -> Result<LoadedRecording, AssetError> {
         let views = match &self.seen_from {
@@ -165,8 +161,10 @@ impl SceneRecording {
                 Some(CapturedViews::from_cameras(&cameras))
             }
         };
-        let ground = self.ground.as_ref().map(|file| files.ground(file));
-        let ground = ground.transpose()?.unwrap_or_default();
+        let ground = match &self.ground {
+            Some(file) => files.ground(file)?,
+            None => road_about_scene(background),
+        };
         Ok(LoadedRecording {
             views,
             vehicle_size: self.vehicle_size,

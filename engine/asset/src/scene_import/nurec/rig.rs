@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::tracks::seconds;
 use crate::DecodeError;
-use crate::camera_model::read_camera_model;
+use crate::camera_model::{read_camera_model, readout_s};
 use crate::rigid::pose_of_rows;
 
 /// Name of the entry.
@@ -159,7 +159,12 @@ fn camera(
 ) -> Result<RigCamera, String> {
     let (mut intrinsics, direction) = read_camera_model(&calibration.camera_model)?;
     if direction != ShutterDirection::Global {
-        let readout_s = readout_s(frames).ok_or_else(|| {
+        let readout_s = readout_s(
+            frames
+                .iter()
+                .filter_map(|frame| frame.as_slice().try_into().ok()),
+        )
+        .ok_or_else(|| {
             format!(
                 "its shutter is {}, and no frame has a start and an end",
                 direction.name()
@@ -178,18 +183,6 @@ fn camera(
             ..rig_from_camera
         },
     })
-}
-
-/// Median time between start and end of a frame, seconds.
-fn readout_s(frames: &[Vec<i64>]) -> Option<f64> {
-    let duration = |frame: &Vec<i64>| match frame[..] {
-        [start_us, end_us] if end_us > start_us => Some(end_us - start_us),
-        _ => None,
-    };
-    let mut durations: Vec<i64> = frames.iter().filter_map(duration).collect();
-    durations.sort_unstable();
-    let median = durations.get(durations.len() / 2)?;
-    Some(*median as f64 * 1e-6)
 }
 
 /// The pose in the rows of the matrix `name`.
