@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::maps::lane_json;
+use decouplegs::asset::ncore::NcoreSequence;
 use decouplegs::asset::scene_file::path_from;
 use decouplegs::asset::tracks::write_poses;
 use decouplegs::asset::{
@@ -73,8 +74,8 @@ pub struct Arguments {
     /// Images per second of a recording without times
     #[arg(long, value_name = "HZ", allow_negative_numbers = true, default_value_t = 10.0, value_parser = rate)]
     rate: f64,
-    /// Write the images of an NCore sequence into the folder images, as they were encoded; images.csv
-    /// names their cameras and times
+    /// Write the images of an NCore sequence into the folder images, as they were encoded;
+    /// images.csv names their cameras and times
     #[arg(long)]
     images: bool,
     /// Turn the scene until its z axis is up, with its splats, which are written as background.ply
@@ -115,33 +116,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             out.display()
         );
     }
-    let vehicle = arguments.vehicle.map(VehicleSize::from_array);
-    let middle_m = arguments.middle.map(DVec3::from_array);
-    let path = &arguments.recording;
-    ensure!(
-        arguments.poses.is_none() || arguments.form == Form::Kitti,
-        "--poses belongs to a KITTI drive: a file of cameras has its own"
-    );
-    ensure!(
-        !arguments.images || arguments.form == Form::Ncore,
-        "--images belongs to an NCore sequence: the images of other recordings are files already"
-    );
-    let mut sequence = None;
-    let mut recording = match arguments.form {
-        Form::Ncore => {
-            let (recording, read) = ncore::read(path, vehicle, middle_m)?;
-            sequence = Some(read);
-            recording
-        }
-        Form::Kitti => kitti::read(path, arguments.poses.as_deref(), vehicle, middle_m)?,
-        Form::Nerfstudio | Form::Colmap => {
-            let file = match arguments.form {
-                Form::Nerfstudio if path.is_dir() => path.join("transforms.json"),
-                _ => path.clone(),
-            };
-            posed_images::read(&file, vehicle, middle_m, arguments.rate)?
-        }
-    };
+    let (mut recording, sequence) = recording_of(arguments)?;
     let reading = progress::spinner(format!("reading {}", arguments.splats.display()));
     let placed = read_placed_splats(&arguments.splats)?;
     let road_m: Vec<DVec3> = placed.road_points_m();
@@ -189,21 +164,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         sky_map: sky_beside(&arguments.splats, out, turned)?,
         ..SceneFile::of_background(background)
     };
-    for file in &recording.files {
-        write_atomically(&out.join(&file.path), |to| to.write_all(&file.content))?;
+    write_files(&recording, out)?;
+    if let Some(sequence) = &sequence {
+        sequence.notes.iter().for_each(|sentence| warn(sentence));
+        if arguments.images {
+            ncore::write_images(sequence, out)?;
+        }
     }
-    for sentence in sequence.iter().flat_map(|sequence| &sequence.notes) {
-        warn(sentence);
-    }
-    if let Some(sequence) = sequence.filter(|_| arguments.images) {
-        let writing = progress::spinner("writing images".into());
-        ncore::write_images(&sequence, out)?;
-        writing.finish_and_clear();
-    }
-    let cameras = transforms(&recording.views);
-    write_atomically(&out.join("cameras.json"), |file| {
-        writeln!(file, "{cameras:#}")
-    })?;
     let lanes = lanes::along(&recording.ego, ego_height_m);
     if let Some(lanes) = &lanes {
         lane_json::write(&out.join("lanes.json"), lanes)?;
@@ -225,6 +192,48 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         ));
     }
     print(&report(&recording, &scene, &check, lanes.is_some(), out))
+}
+
+/// Writes the files of a recording, and its views.
+fn write_files(recording: &Recording, out: &Path) -> Result<()> {
+    for file in &recording.files {
+        write_atomically(&out.join(&file.path), |to| to.write_all(&file.content))?;
+    }
+    let cameras = transforms(&recording.views);
+    write_atomically(&out.join("cameras.json"), |file| {
+        writeln!(file, "{cameras:#}")
+    })?;
+    Ok(())
+}
+
+/// The recording, and the sequence that it is, where it is one of NCore.
+fn recording_of(arguments: &Arguments) -> Result<(Recording, Option<NcoreSequence>)> {
+    let vehicle = arguments.vehicle.map(VehicleSize::from_array);
+    let middle_m = arguments.middle.map(DVec3::from_array);
+    let path = &arguments.recording;
+    ensure!(
+        arguments.poses.is_none() || arguments.form == Form::Kitti,
+        "--poses belongs to a KITTI drive: a file of cameras has its own"
+    );
+    ensure!(
+        !arguments.images || arguments.form == Form::Ncore,
+        "--images belongs to an NCore sequence: the images of other recordings are files already"
+    );
+    let recording = match arguments.form {
+        Form::Ncore => {
+            let (recording, sequence) = ncore::read(path, vehicle, middle_m)?;
+            return Ok((recording, Some(sequence)));
+        }
+        Form::Kitti => kitti::read(path, arguments.poses.as_deref(), vehicle, middle_m)?,
+        Form::Nerfstudio | Form::Colmap => {
+            let file = match arguments.form {
+                Form::Nerfstudio if path.is_dir() => path.join("transforms.json"),
+                _ => path.clone(),
+            };
+            posed_images::read(&file, vehicle, middle_m, arguments.rate)?
+        }
+    };
+    Ok((recording, None))
 }
 
 /// Sky of Instant NuRec beside the splats at `path`, as a scene in `out` names it that is turned by

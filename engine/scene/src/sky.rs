@@ -116,8 +116,8 @@ impl SkyMap {
         })
     }
 
-    /// The same sky, each face interpolated by itself: beyond the middles of its outer texels it has
-    /// their colors.
+    /// The same sky, each face interpolated by itself: beyond the middles of its outer texels it
+    /// has their colors.
     #[must_use]
     pub fn with_clamped_edges(self) -> Self {
         let texels = self.texels();

@@ -9,11 +9,13 @@ use decouplegs::asset::ncore::NcoreSequence;
 use decouplegs::scene::{Camera, Motion, Pose, Rig, RigCamera, TimedPose, VehicleSize};
 use glam::{DQuat, DVec3};
 
+use crate::progress;
+
 use super::recording::{Recording, RecordingFile};
 use super::way_of;
 
-/// Middle of a car's box from the origin of NCore's rig, which is on the ground below the rear axle,
-/// meters, without its height.
+/// Middle of a car's box from the origin of NCore's rig, which is on the ground below the rear
+/// axle, meters, without its height.
 const RIG_TO_MIDDLE_M: [f64; 2] = [1.35, 0.0];
 /// Box of a car, meters.
 const CAR_M: [f64; 3] = [4.5, 1.8, 1.5];
@@ -123,12 +125,13 @@ fn list_of(sequence: &NcoreSequence) -> String {
     list
 }
 
-/// Writes the images of a sequence into a folder in `out`, as they were encoded; returns how many.
-pub fn write_images(sequence: &NcoreSequence, out: &Path) -> Result<usize> {
+/// Writes the images of a sequence into a folder in `out`, as they were encoded.
+pub fn write_images(sequence: &NcoreSequence, out: &Path) -> Result<()> {
     let folder = out.join(IMAGE_FOLDER);
     std::fs::create_dir_all(&folder)
         .with_context(|| format!("{} cannot be made", folder.display()))?;
-    let mut count = 0;
+    let images = sequence.cameras.iter().map(|own| own.frames_us.len()).sum();
+    let bar = progress::bar("images", images);
     for own in &sequence.cameras {
         for [_, end_us] in &own.frames_us {
             let (bytes, extension) = sequence.image(&own.camera.name, *end_us)?;
@@ -136,8 +139,9 @@ pub fn write_images(sequence: &NcoreSequence, out: &Path) -> Result<usize> {
             decouplegs::asset::write_atomically(&path, |file| {
                 std::io::Write::write_all(file, &bytes)
             })?;
-            count += 1;
+            bar.inc(1);
         }
     }
-    Ok(count)
+    bar.finish_and_clear();
+    Ok(())
 }

@@ -9,8 +9,8 @@ use decouplegs_scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
 use decouplegs_scene::{Intrinsics, Lens, ShutterDirection};
 use serde_json::{Value, json};
 
-/// Median time between start and end of an image, seconds, of `frames_us`, microseconds; `None` where
-/// no image has such a time.
+/// Median time between start and end of an image, seconds, of `frames_us`, microseconds; `None`
+/// where no image has such a time.
 pub(crate) fn readout_s<'a>(frames_us: impl IntoIterator<Item = &'a [i64; 2]>) -> Option<f64> {
     let durations = frames_us
         .into_iter()

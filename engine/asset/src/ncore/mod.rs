@@ -48,7 +48,7 @@ pub struct NcoreCamera {
 /// A LiDAR of a sequence.
 #[derive(Clone, Debug)]
 pub struct NcoreLidar {
-    /// Name.
+    /// Name, unique among LiDARs.
     pub name: String,
     /// Pose on the vehicle, from the origin of the frame `rig`.
     pub rig_from_lidar: Pose,
@@ -190,7 +190,8 @@ impl NcoreSequence {
         })
     }
 
-    /// Image of `camera` that ended at `end_us`, as it was encoded, and the extension of its format.
+    /// Image of `camera` that ended at `end_us`, as it was encoded, and the extension of its
+    /// format.
     ///
     /// # Errors
     /// Returns an error if the store cannot be read, or has no such image.

@@ -1,6 +1,5 @@
 //! Loads a scene file: its world and its agents.
 
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,15 +14,12 @@ use decouplegs_scene::{
 };
 use glam::DVec3;
 
+use super::files::{Folder, SceneFiles};
 use super::{LoadedRecording, SceneAgent, SceneFile, SceneSky, is_scene_file};
 use crate::memory::{self, SPLATS_MAX, cloud_bytes};
 use crate::packed_scene::{is_package, open_packed_scene};
-use crate::read::placed_splats_of;
-use crate::sky_bundle::{self, SkyBundle};
-use crate::{
-    AssetError, PlacedSplats, SkyKind, coded_asset, ground_file, light_transfer_file, read_bytes,
-    read_placed_splats, sky_file,
-};
+use crate::sky_bundle;
+use crate::{AssetError, SkyKind, coded_asset, light_transfer_file, read_placed_splats};
 
 /// A scene, ready to be drawn: what stands still at one moment, and what is moved from frame to
 /// frame.
@@ -394,62 +390,6 @@ impl SceneFile {
         }
         scene.agent_labels = self.agents.iter().map(AgentLabel::from_agent).collect();
         Ok(scene)
-    }
-}
-
-/// The files that a scene names.
-pub(crate) trait SceneFiles {
-    /// The content of `file`, a path as the scene file names it.
-    fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError>;
-
-    /// The place of `file`, for messages.
-    fn path(&self, file: &Path) -> PathBuf;
-
-    /// The splats in `file`.
-    fn placed_splats(&self, file: &Path) -> Result<PlacedSplats, AssetError> {
-        placed_splats_of(&self.bytes(file)?, &self.path(file))
-    }
-
-    /// The sky of the scene.
-    fn sky(&self, sky: &SceneSky) -> Result<SkyBundle, AssetError> {
-        let decoded = sky_file::decode_sky(&self.bytes(&sky.file)?, sky);
-        decoded.map_err(|source| AssetError::Decode {
-            path: self.path(&sky.file),
-            format: "sky",
-            source,
-        })
-    }
-
-    /// Points of the ground in `file`, about the origin of the scene.
-    fn ground(&self, file: &Path) -> Result<Vec<DVec3>, AssetError> {
-        ground_file::decode(&self.bytes(file)?).map_err(|source| AssetError::Decode {
-            path: self.path(file),
-            format: ground_file::NAME,
-            source,
-        })
-    }
-
-    /// The splats of an asset in `file`.
-    fn splats(&self, file: &Path) -> Result<SplatCloud, AssetError> {
-        Ok(self.placed_splats(file)?.cloud)
-    }
-}
-
-/// Files relative to a folder.
-struct Folder<'a>(&'a Path);
-
-impl SceneFiles for Folder<'_> {
-    fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError> {
-        read_bytes(&self.path(file)).map(Cow::Owned)
-    }
-
-    fn path(&self, file: &Path) -> PathBuf {
-        self.0.join(file)
-    }
-
-    // A SOG may be a folder.
-    fn placed_splats(&self, file: &Path) -> Result<PlacedSplats, AssetError> {
-        read_placed_splats(&self.path(file))
     }
 }
 

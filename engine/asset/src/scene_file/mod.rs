@@ -5,6 +5,7 @@
 mod check;
 mod check_light;
 pub mod editing;
+mod files;
 mod form;
 mod layer;
 mod lens;
@@ -27,9 +28,9 @@ use crate::toml_text::text_of;
 use crate::{AssetError, PlacedSplats, SceneError, SkyKind, read_ground, write_atomically};
 
 pub use editing::EditError;
+pub(crate) use files::SceneFiles;
 pub use layer::Layer;
 pub use lidar::SceneLidar;
-pub(crate) use load::SceneFiles;
 pub use load::{AgentLabel, LoadedAgent, LoadedLight, LoadedScene, PlainAgent, open_scene};
 pub use paths::path_from;
 pub use recording::{LoadedRecording, SceneRecording, SeenFrom};

@@ -7,7 +7,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
-use super::load::SceneFiles;
+use super::files::SceneFiles;
 use crate::toml_text::Checker;
 use crate::{AssetError, PlacedSplats, SceneError, cameras};
 

@@ -1,4 +1,4 @@
-//! Bundles of Instant NuRec: splats with labels, and a sky with calibrations of cameras beside them.
+//! Bundles of Instant NuRec: splats with labels, a sky beside them, and calibrations of cameras.
 
 use std::path::{Path, PathBuf};
 

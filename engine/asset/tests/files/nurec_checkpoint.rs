@@ -1,5 +1,5 @@
-//! `checkpoint.ckpt` of a NuRec package: the arrays of `volume.nurec` as PyTorch saves them. No real
-//! one could be had: this one is written after its public readers, by `torch.save`'s layout.
+//! `checkpoint.ckpt` of a NuRec package: the arrays of `volume.nurec` as PyTorch saves them. No
+//! real one could be had: this one is written after its public readers, by `torch.save`'s layout.
 
 use decouplegs_scene::Pose;
 
