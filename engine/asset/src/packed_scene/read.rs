@@ -156,7 +156,10 @@ impl Imported<'_> {
 
 impl SceneFiles for Imported<'_> {
     fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError> {
-        Err(self.unknown(file))
+        let parameters = self.scene.lidar_parameters(file);
+        parameters
+            .map(|parameters| Cow::Borrowed(parameters.as_bytes()))
+            .ok_or_else(|| self.unknown(file))
     }
 
     fn path(&self, file: &Path) -> PathBuf {

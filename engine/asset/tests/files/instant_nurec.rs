@@ -247,7 +247,7 @@ fn a_bundle_of_its_libraries_has_the_colors_of_its_sky() {
         .matrix;
     let [factor, offset] = [1.2f32, 0.05].map(f64::from);
     assert_eq!(front[0], [factor, 0.0, 0.0, offset]);
-    assert_eq!(front[2], [0.0, 0.0, factor, 0.0]);
+    assert_eq!(front[2], [0.0, 0.0, factor, offset]);
     let left = loaded
         .photometry_of_camera("camera_cross_left_120fov")
         .matrix;
