@@ -5,6 +5,7 @@ mod carla;
 mod conforming;
 mod contract;
 mod devices;
+mod ego_masks;
 mod hostile;
 mod lasting;
 mod lidar;
