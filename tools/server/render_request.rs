@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use decouplegs::scene::{Intrinsics, Motion, Pose};
+use decouplegs::scene::{Intrinsics, Motion, Pose, Rig};
 use tonic::Status;
 
 use crate::ego_masks::MaskName;
@@ -120,6 +120,23 @@ impl RenderRequest {
             encoding,
             ego_mask: mask.map(|mask| (mask.rig_config_id, mask.camera_logical_id)),
         })
+    }
+}
+
+impl RenderRequest {
+    /// Gives the image the photometric calibration that the camera called `name` of `rig` has, at
+    /// the size of the image: requests have none.
+    pub fn calibrate(&mut self, rig: &Rig, name: &str) {
+        let Some(camera) = rig.cameras().find(|camera| camera.name == name) else {
+            return;
+        };
+        let (own, asked) = (&camera.intrinsics, &mut self.intrinsics);
+        let [right, down] = [
+            (asked.width_px, own.width_px),
+            (asked.height_px, own.height_px),
+        ]
+        .map(|(to, from)| f64::from(to) / f64::from(from.max(1)));
+        asked.photometry = own.photometry.scaled(right, down);
     }
 }
 

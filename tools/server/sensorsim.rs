@@ -78,7 +78,11 @@ impl Sensorsim {
         field: &str,
     ) -> Result<RenderRequest, Status> {
         let request = with_reference_lens(&self.registry, request).await?;
-        let request = RenderRequest::from_request(request, field, &self.limits)?;
+        let camera = request.camera_intrinsics.as_ref();
+        let camera = camera.map_or_else(String::new, |spec| spec.logical_id.clone());
+        let mut request = RenderRequest::from_request(request, field, &self.limits)?;
+        let metadata = metadata_of(&self.registry, request.scene.clone()).await?;
+        request.calibrate(&metadata.rig, &camera);
         match &request.ego_mask {
             Some(name) if !self.ego_masks.has(name) => Err(Status::invalid_argument(format!(
                 "{field}{}ego_mask_id names no mask; get_available_ego_masks lists them",

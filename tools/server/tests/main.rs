@@ -1,6 +1,7 @@
 //! The server as clients meet it: over gRPC on the loopback, drawing on the first device there is.
 
 mod asking;
+mod calibrated;
 mod carla;
 mod conforming;
 mod contract;

@@ -297,17 +297,29 @@ impl SceneFile {
         self.load_from(&Folder(directory), time_s)
     }
 
-    /// The ego vehicle's sensors, with the models of its LiDARs, whose paths are relative to
-    /// `directory`.
+    /// The ego vehicle's sensors, with the models of its LiDARs and the calibrations that come with
+    /// its sky. Paths are relative to `directory`.
     ///
     /// # Errors
-    /// [`AssetError`] of the model at fault.
+    /// [`AssetError`] of the file at fault.
     pub fn loaded_rig(&self, directory: &Path) -> Result<Rig, AssetError> {
-        self.rig_from(&Folder(directory))
+        let files = Folder(directory);
+        let sky = self.sky_map.as_ref().filter(|sky| sky.kind == SkyKind::Npz);
+        let bundle = sky.map(|sky| files.sky(sky)).transpose()?;
+        let cameras = bundle.map(|bundle| bundle.cameras).unwrap_or_default();
+        self.rig_from(&files, &cameras)
     }
 
-    fn rig_from(&self, files: &dyn SceneFiles) -> Result<Rig, AssetError> {
+    fn rig_from(
+        &self,
+        files: &dyn SceneFiles,
+        cameras: &[(String, Photometry)],
+    ) -> Result<Rig, AssetError> {
         let mut rig = self.rig.clone();
+        for camera in rig.cameras_mut() {
+            let own = &mut camera.intrinsics.photometry;
+            *own = own.or(photometry_of(cameras, &camera.name));
+        }
         for lidar in &self.lidars {
             rig.sensors.push(Sensor::Lidar(lidar.load(files)?));
         }
@@ -357,11 +369,7 @@ impl SceneFile {
             })?;
             loader.add(&mut scene, agent, instance);
         }
-        scene.rig = self.rig_from(files)?;
-        for camera in scene.rig.cameras_mut() {
-            let own = &mut camera.intrinsics.photometry;
-            *own = own.or(photometry_of(&scene.photometry_by_camera, &camera.name));
-        }
+        scene.rig = self.rig_from(files, &scene.photometry_by_camera)?;
         let standing = || {
             Trajectory::standing(Pose {
                 translation: self.origin,
