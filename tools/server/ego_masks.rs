@@ -255,7 +255,7 @@ mod tests {
             image.iter().step_by(4).copied().collect::<Vec<u8>>()
         };
         assert_eq!(reds([3, 1]), [5, 25, 45]);
-        assert_eq!(reds([4, 1]), [3, 18, 32, 47]);
+        assert_eq!(reds([4, 1]), [3, 17, 33, 47]);
         assert_eq!(reds([6, 2])[6..], [0, 10, 20, 30, 40, 50]);
     }
 

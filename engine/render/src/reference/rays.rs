@@ -295,9 +295,13 @@ mod tests {
     };
 
     fn camera(lens: Lens) -> Camera {
+        camera_of(1.4, lens)
+    }
+
+    fn camera_of(fov_rad: f64, lens: Lens) -> Camera {
         let intrinsics = Intrinsics {
             lens,
-            ..Intrinsics::from_horizontal_fov(48, 36, 1.4)
+            ..Intrinsics::from_horizontal_fov(48, 36, fov_rad)
         };
         Camera {
             name: "rays".into(),
@@ -314,17 +318,20 @@ mod tests {
         })
     }
 
-    /// Splats of scales up to `scale_m` meters, 2 to 12 m ahead.
-    fn crowd(count: usize, scale_m: f64) -> SplatScene {
+    /// Splats of scales up to `scale_m` meters, 2 to 12 m ahead and within `spread` of that to the
+    /// sides.
+    fn crowd(count: usize, scale_m: f64, spread: f64) -> SplatScene {
         let mut state = 5;
         let mut between =
             |low: f64, high: f64| (low + (high - low) * unit(next(&mut state))) as f32;
         let mut splats = SplatCloud::with_degree(0);
         for _ in 0..count {
             let z = between(2.0, 12.0);
-            splats
-                .means
-                .push([between(-1.0, 1.0) * z, between(-0.8, 0.8) * z, z]);
+            splats.means.push([
+                between(-spread, spread) * z,
+                between(-0.8 * spread, 0.8 * spread) * z,
+                z,
+            ]);
             let scale = || [0.2, 0.6, 1.0].map(|share| (share * scale_m) as f32);
             splats.scales.push(scale());
             let turn = [0; 4].map(|_| between(-1.0, 1.0));
@@ -348,7 +355,7 @@ mod tests {
     #[test]
     fn a_ball_has_the_response_of_the_distance_of_each_ray() {
         let (scale_m, distance_m) = (0.3, 4.0);
-        let mut scene = crowd(1, scale_m);
+        let mut scene = crowd(1, scale_m, 1.0);
         scene.splats.means[0] = [0.0, 0.0, distance_m as f32];
         scene.splats.scales[0] = [scale_m as f32; 3];
         scene.splats.opacities[0] = 0.5;
@@ -372,7 +379,7 @@ mod tests {
 
     #[test]
     fn blocks_leave_out_nothing_that_a_ray_meets() {
-        let scene = crowd(200, 0.5);
+        let scene = crowd(200, 0.5, 1.0);
         let mut moving = camera(fisheye());
         moving.motion.velocity_mps = DVec3::new(9.0, 2.0, 20.0);
         let size_px = [moving.intrinsics.width_px, moving.intrinsics.height_px];
@@ -395,26 +402,23 @@ mod tests {
         }
     }
 
-    /// Far splats of some pixels are nearly alike by both definitions; large ones nearby are not,
-    /// which a comparison must tell.
+    /// Footprints of splats that are narrow as angles and many pixels wide are what rays see;
+    /// others are not, which a comparison must tell.
     #[test]
-    fn footprints_are_near_rays_where_splats_are_small_and_not_where_they_are_large() {
+    fn footprints_are_what_rays_see_where_splats_are_narrow_and_wide_in_pixels() {
         let rules = Rules {
             near_m: RayRules::NUREC.near_m,
             ..Rules::DEFAULT
         };
-        let differ_db = |scale_m: f64, lens: Lens| {
-            let (scene, camera) = (crowd(300, scale_m), camera(lens));
-            let rays = render_rays(&scene, &camera, &RayRules::NUREC);
-            psnr_db(&render(&scene, &camera, &rules), &rays)
+        let differ_db = |scene: &SplatScene, camera: &Camera| {
+            let rays = render_rays(scene, camera, &RayRules::NUREC);
+            psnr_db(&render(scene, camera, &rules), &rays)
         };
         for lens in [Lens::Pinhole, fisheye()] {
-            let [small_db, large_db] = [0.3, 2.0].map(|scale_m| differ_db(scale_m, lens));
-            println!("{small_db:.1} dB, {large_db:.1} dB");
-            assert!(
-                small_db > 25.0 && large_db < small_db - 3.0,
-                "{small_db} {large_db}"
-            );
+            let narrow_db = differ_db(&crowd(300, 0.05, 0.025), &camera_of(0.05, lens));
+            let wide_db = differ_db(&crowd(300, 2.0, 1.0), &camera(lens));
+            println!("{narrow_db:.1} dB, {wide_db:.1} dB");
+            assert!(narrow_db > 50.0 && wide_db < 40.0, "{narrow_db} {wide_db}");
         }
     }
 }
