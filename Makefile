@@ -32,7 +32,7 @@ PYTHON_PACKAGES := safetensors numpy maturin pytest pytest-xdist gymnasium matpl
 PYTHON_PACKAGES_OPTIONAL := ray playwright axe-core-python grpcio-tools hugsim-client requests tenacity mcap mcap-ros2-support \
 	carla-driver-interface pycocotools onnxruntime onnx
 # Without their own dependencies: torch and NumPy are the system's.
-NCORE_PACKAGES := nvidia-ncore==19.8.3 dataclasses_json marshmallow typing_inspect mypy_extensions 'zarr<3' numcodecs asciitree fasteners cbor2 'scipy<1.13' \
+NCORE_PACKAGES := nvidia-ncore==19.8.3 dataclasses_json marshmallow typing_inspect mypy_extensions 'zarr<3' 'numcodecs<0.16' asciitree deprecated wrapt fasteners cbor2 'scipy<1.13' \
 	pillow universal_pathlib fsspec pathlib_abc packaging typing_extensions
 NCORE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/ncore
 # Without its own dependencies: they pin old versions of NumPy and Matplotlib, and it needs neither these versions nor most of the packages.

@@ -16,6 +16,7 @@ use clap::ValueEnum;
 use decouplegs_asset::{Layer, memory, write_atomically};
 use decouplegs_gpu::Gpu;
 use decouplegs_render::reference::geometry::depth_median;
+use decouplegs_render::reference::rays::{RayRules, render_rays};
 use decouplegs_render::rendered_image::exposure::{ExposureSum, sub_exposures_s};
 use decouplegs_render::rendered_image::{Image, ImageFileFormat, contact_sheet, preview};
 use decouplegs_render::{
@@ -90,6 +91,10 @@ pub struct Arguments {
     /// Render with the f64 reference on the CPU: exact and slow
     #[arg(long, conflicts_with_all = ["device", "storage", "background_pitch"])]
     reference: bool,
+    /// Evaluate splats along the ray of each pixel, as 3DGUT and NuRec do, with their least
+    /// response, stop and near plane; with --reference
+    #[arg(long, requires = "reference", conflicts_with_all = ["planes", "boxes", "rules", "antialias"])]
+    along_rays: bool,
     /// Write all images side by side to this file too, which ends with .png
     #[arg(long, value_name = "FILE", value_parser = png_path)]
     contact_sheet: Option<PathBuf>,
@@ -420,8 +425,10 @@ fn render_by_definition(
     for camera in scene.cameras.chunks(1) {
         let images = exposed(scene, arguments, camera, |later_s, cameras| {
             let world_at = |row_s: f64| world_at(later_s + row_s);
-            let render =
-                |camera| reference::render_moving(&world_at, camera, &splat_scene.rules).to_image();
+            let render = |camera: &Camera| match arguments.along_rays {
+                true => render_rays(&world_at(0.0), camera, &RayRules::NUREC).to_image(),
+                false => reference::render_moving(&world_at, camera, &splat_scene.rules).to_image(),
+            };
             Ok(cameras.iter().map(render).collect())
         })?;
         for (camera, mut image) in camera.iter().zip(images) {

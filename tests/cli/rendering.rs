@@ -82,13 +82,46 @@ fn the_reference_draws_each_camera_into_a_file_of_its_name() {
     );
 }
 
+/// The definition of NuRec's renderer is another one, which `compare` tells in decibels.
+#[test]
+fn splats_along_rays_are_near_their_footprints_and_not_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    let scene = folder.path().join("scene.toml");
+    let render = |name: &str, more: &[&str]| {
+        let out = folder.path().join(name);
+        let always = [
+            "render",
+            text(&scene),
+            "--format",
+            "npy",
+            "--out",
+            text(&out),
+        ];
+        succeed(&[&always, more].concat());
+        out
+    };
+    let rays = render("rays", &["--reference", "--along-rays"]);
+    let footprints = render("footprints", &["--rules", "nurec"]);
+    for entry in fs::read_dir(&rays).unwrap() {
+        let name = entry.unwrap().file_name();
+        let [rays, footprints] = [&rays, &footprints].map(|folder| folder.join(&name));
+        let difference = json(&["compare", text(&footprints), text(&rays), "--json"]);
+        let psnr_db = difference["psnr_db"].as_f64().unwrap();
+        assert!((18.0..70.0).contains(&psnr_db), "{name:?}: {difference}");
+    }
+    let alone = ["render", text(&scene), "--along-rays", "--out", text(&rays)];
+    assert!(fail(2, &alone).contains("--reference"));
+}
+
 #[test]
 fn the_gpu_draws_what_the_reference_draws() {
     let folder = tempfile::tempdir().unwrap();
     small_street(folder.path());
     let scene = folder.path().join("scene.toml");
-    let rule_sets: [&[&str]; 3] = [
+    let rule_sets: [&[&str]; 4] = [
         &[],
+        &["--rules", "nurec"],
         &["--rules", "gsplat15", "--antialias"],
         &["--rules", "inria", "--size", "37x29"],
     ];

@@ -299,6 +299,24 @@ fn sweeps_of_every_kind_of_sensor_are_their_definition() {
 }
 
 #[test]
+fn splats_of_the_sky_are_seen_and_not_met() {
+    let gpu = Validated::open();
+    let mut world = surroundings(3000, 1);
+    let (_, model) = models().swap_remove(0);
+    let lidar = lidar_at(model, world.origin, Motion::REST);
+    let all = trace(&gpu, &world, &lidar, 8);
+    let splats = world.splats.len();
+    world.sky_splats = (0..splats as u32).step_by(2).collect();
+    let met = world.without_sky_splats().into_owned();
+    let traced = trace(&gpu, &world, &lidar, 8);
+    assert_eq!(traced.states, trace(&gpu, &met, &lidar, 8).states);
+    assert_ne!(traced.states, all.states);
+    let resident = GpuScene::upload(&gpu, &world, Storage::Exact).unwrap();
+    assert_eq!(resident.splats, splats);
+    assert_eq!(resident.for_lidar().splats, splats / 2);
+}
+
+#[test]
 fn dual_returns_are_their_definition() {
     let gpu = Validated::open();
     let world = surroundings(3000, 4);

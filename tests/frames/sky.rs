@@ -104,6 +104,8 @@ fn skies_are_seen_in_every_direction_and_through_every_lens() {
     let mut clamped = noise(5, DMat3::from_diagonal(DVec3::new(1.0, -1.0, 1.0)));
     (clamped.clamps, clamped.clamps_splats) = (true, true);
     assert_exact(&world_under(clamped), &lens_rig(), Rules::INRIA);
+    let faces = noise(3, turned).with_clamped_edges();
+    assert_exact(&world_under(faces), &around(), Rules::DEFAULT);
 }
 
 /// Color of a splat of opacity one half before a sky: exact numbers, with and without clamping.

@@ -10,7 +10,7 @@ use decouplegs::render::{
     Agent, AssetPool, ColorFormat, Image, ImageBytes, Outputs, Plane, RenderError, RenderOptions,
     Renderer, Scene,
 };
-use decouplegs::scene::{Camera, Pose, Presence, Rig, Rules, ShFrame, Trajectory};
+use decouplegs::scene::{Camera, Pose, Presence, Rules, ShFrame, Trajectory};
 use decouplegs::session::{
     HostImages, Session, SessionError, SessionOptions, SessionScene, World, WorldView,
 };
@@ -159,16 +159,9 @@ pub fn loaded(seed: u64) -> LoadedScene {
         present: Presence::ALWAYS,
     };
     LoadedScene {
-        plain_agents: Vec::new(),
-        splat_scene: background(2000, seed),
         assets: vec![coded_car(400, seed + 1), coded_car(250, seed + 2)],
         agents: vec![agent("a", 0, 1, 8.0), agent("b", 1, 2, 12.0)],
-        rig: Rig::default(),
-        ego: Trajectory::standing(Pose::IDENTITY),
-        ego_height_m: None,
-        recording: Default::default(),
-        agent_labels: Vec::new(),
-        light: None,
+        ..LoadedScene::of_world(background(2000, seed))
     }
 }
 

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::scene_file::path_from;
-use decouplegs::asset::{SceneAgent, SceneFile, is_scene_file, write_ground};
+use decouplegs::asset::{PlacedSplats, SceneAgent, SceneFile, is_scene_file, write_ground};
 use decouplegs::footing::{Footing, dims_of};
 use decouplegs::scene::{Pose, Presence, Trajectory};
 use glam::DVec3;
@@ -158,24 +158,25 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     ))
 }
 
-/// Makes `background`, which was written to `folder` with means relative to where the splats of
-/// `scene` were `placed_at`, its background. A surveyed ground, which is about the same origin, is
-/// written anew where that moves.
+/// Makes `background`, which was written to `folder` without labels and with means relative to
+/// where the splats of `scene` were placed, its background. `placed` are the splats before: ground
+/// that they label, or that is about the origin from before, is written anew.
 fn replace_background(
     scene: &mut SceneFile,
     background: PathBuf,
-    placed_at: DVec3,
+    placed: &PlacedSplats,
     folder: &Path,
 ) -> Result<()> {
-    if placed_at != DVec3::ZERO && scene.recording.ground.is_some() {
-        let points = scene.recording.read_ground(folder, scene.origin)?;
-        let origin = scene.origin + placed_at;
-        let about: Vec<DVec3> = points.iter().map(|point| *point - origin).collect();
+    let origin = scene.origin + placed.origin;
+    let ground_m = scene.read_ground(folder, placed)?;
+    let is_kept = scene.recording.ground.is_some() && placed.origin == DVec3::ZERO;
+    if !ground_m.is_empty() && !is_kept {
+        let about: Vec<DVec3> = ground_m.iter().map(|point| *point - origin).collect();
         let file = background.with_extension("ground.ply");
         write_ground(&folder.join(&file), &about)?;
         scene.recording.ground = Some(file);
     }
-    scene.origin += placed_at;
+    scene.origin = origin;
     scene.background = background;
     Ok(())
 }

@@ -2,6 +2,7 @@
 
 mod kitti;
 mod lanes;
+mod ncore;
 mod nuscenes;
 mod posed_images;
 mod recording;
@@ -12,16 +13,17 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::maps::lane_json;
+use decouplegs::asset::ncore::NcoreSequence;
 use decouplegs::asset::scene_file::path_from;
 use decouplegs::asset::tracks::write_poses;
 use decouplegs::asset::{
-    SceneFile, SceneRecording, SeenFrom, inria_ply, read_placed_splats, write_atomically,
-    write_ground, write_obstacles,
+    SceneFile, SceneRecording, SceneSky, SeenFrom, SkyKind, inria_ply, read_placed_splats,
+    write_atomically, write_ground, write_obstacles,
 };
 use decouplegs::drive::{Ground, GroundGuides, GroundOptions, Survey};
 use decouplegs::scene::{Pose, SplatCloud, Trajectory, VehicleSize};
 use decouplegs_cli::street_files::transforms;
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use std::io::Write as _;
 
 use self::recording::Recording;
@@ -41,6 +43,8 @@ enum Form {
     Nerfstudio,
     /// Folder with a COLMAP model
     Colmap,
+    /// Sequence of NVIDIA NCore, version 4: its JSON file, or the folder that it lies in
+    Ncore,
 }
 
 /// Make a scene to drive in from a recording and the splats that were trained on its images: the
@@ -48,7 +52,8 @@ enum Form {
 ///
 /// The new folder holds scene.toml, cameras.json, lanes.json and, where boxes are labeled,
 /// tracks.csv; with --hold-out, held_out.txt. Where a KITTI drive has scans, ground.ply and
-/// obstacles.json are made of them. The splats stay where they are, unless --level turns them.
+/// obstacles.json are made of them. A sky of Instant NuRec beside the splats (X.sky.npz) is named
+/// in the scene. The splats stay where they are, unless --level turns them.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Form of the recording
@@ -70,9 +75,9 @@ pub struct Arguments {
     #[arg(long, value_name = "LENGTH,WIDTH,HEIGHT", value_parser = triple)]
     vehicle: Option<[f64; 3]>,
     /// Middle of the vehicle's box from the origin of the recorded poses, meters forward, left and
-    /// up: from the IMU of a KITTI drive, from the rear axle on the ground of nuScenes, else from
-    /// the front camera [default: 1.23,-0.32,-0.17 for KITTI, 1.386,0,0.781 for nuScenes, else
-    /// -0.3,0,-0.75]
+    /// up: from the IMU of a KITTI drive, from the rear axle on the ground of nuScenes and NCore,
+    /// else from the front camera [default: 1.23,-0.32,-0.17 for KITTI, 1.386,0,0.781 for nuScenes,
+    /// 1.35,0 and half of the height for NCore, else -0.3,0,-0.75]
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_hyphen_values = true)]
     middle: Option<[f64; 3]>,
     /// Scene of nuScenes: its name, or its place in the table counted from 0 [default: the only
@@ -89,6 +94,10 @@ pub struct Arguments {
     /// Images per second of a recording without times
     #[arg(long, value_name = "HZ", allow_negative_numbers = true, default_value_t = 10.0, value_parser = rate)]
     rate: f64,
+    /// Write the images of an NCore sequence into the folder images, as they were encoded;
+    /// images.csv names their cameras and times
+    #[arg(long)]
+    images: bool,
     /// Turn the scene until its z axis is up, with its splats, which are written as background.ply
     #[arg(long)]
     level: bool,
@@ -113,6 +122,8 @@ fn rate(text: &str) -> Result<f64, String> {
 const TILT_DEG_MAX: f64 = 1.0;
 /// Poses that are farther from where they should be above the ground are worth a word, meters.
 const HEIGHT_OFF_M_MAX: f64 = 0.15;
+/// Points of splats that are labeled road, where they are turned.
+const GROUND: &str = "ground.ply";
 /// Places along the way at which the ground is asked for.
 const PLACES: usize = 200;
 
@@ -125,9 +136,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             out.display()
         );
     }
-    let mut recording = recorded(arguments)?;
+    let (mut recording, sequence) = recording_of(arguments)?;
     let reading = progress::spinner(format!("reading {}", arguments.splats.display()));
-    let (mut splats, mut origin) = read_placed_splats(&arguments.splats)?;
+    let placed = read_placed_splats(&arguments.splats)?;
+    let road_m: Vec<DVec3> = placed.road_points_m();
+    let (mut splats, mut origin) = (placed.cloud, placed.origin);
     reading.finish_and_clear();
     // In f64: coordinates of a city have no millimeters in f32.
     let offset_m = arguments.origin.map_or(DVec3::ZERO, DVec3::from_array);
@@ -136,6 +149,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .level_from_world
         .angle_between(DQuat::IDENTITY)
         .to_degrees();
+    let turned = match arguments.level {
+        true => recording.level_from_world,
+        false => DQuat::IDENTITY,
+    };
     if arguments.level {
         let level = Pose::new(recording.level_from_world, DVec3::ZERO);
         splats = splats.placed(&level, true);
@@ -150,6 +167,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let background = if arguments.level {
         let file = PathBuf::from("background.ply");
         inria_ply::write(&out.join(&file), &splats)?;
+        // The file has no labels.
+        if !road_m.is_empty() {
+            let road_m: Vec<DVec3> = road_m.iter().map(|point| turned * *point).collect();
+            write_ground(&out.join(GROUND), &road_m)?;
+        }
         file
     } else {
         path_from(out, &arguments.splats)
@@ -164,18 +186,22 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         ego: Some(recording.ego.clone()),
         ego_height_m: Some(ego_height_m),
         recording: SceneRecording {
-            ground: surveyed.as_ref().map(|_| "ground.ply".into()),
+            ground: (surveyed.is_some() || arguments.level && !road_m.is_empty())
+                .then(|| GROUND.into()),
             obstacles: surveyed.as_ref().map(|_| "obstacles.json".into()),
             seen_from: Some(SeenFrom::Cameras("cameras.json".into())),
             vehicle_size: Some(recording.vehicle),
         },
+        sky_map: sky_beside(&arguments.splats, out, turned)?,
         ..SceneFile::of_background(background)
     };
-    let cameras = transforms(&recording.views);
-    write_atomically(&out.join("cameras.json"), |file| {
-        writeln!(file, "{cameras:#}")
-    })?;
-    write_lists(out, &recording, surveyed.as_ref(), scene.origin)?;
+    write_files(out, &recording, surveyed.as_ref(), scene.origin)?;
+    if let Some(sequence) = &sequence {
+        sequence.notes.iter().for_each(|sentence| warn(sentence));
+        if arguments.images {
+            ncore::write_images(sequence, out)?;
+        }
+    }
     let lanes = lanes::along(&recording.ego, ego_height_m);
     if let Some(lanes) = &lanes {
         lane_json::write(&out.join("lanes.json"), lanes)?;
@@ -197,18 +223,25 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     print(&closed(lines, lanes.is_some(), out))
 }
 
-/// Writes what the scene names beside its cameras and lanes: ground and obstacles, which the file
-/// has about `origin`, labels, and views that are held out.
-fn write_lists(
+/// Writes the files of a recording: its views, labels, and what the scene names. The ground is
+/// written about `origin`.
+fn write_files(
     out: &Path,
     recording: &Recording,
     surveyed: Option<&Surveyed>,
     origin: DVec3,
 ) -> Result<()> {
+    for file in &recording.files {
+        write_atomically(&out.join(&file.path), |to| to.write_all(&file.content))?;
+    }
+    let cameras = transforms(&recording.views);
+    write_atomically(&out.join("cameras.json"), |file| {
+        writeln!(file, "{cameras:#}")
+    })?;
     if let Some(surveyed) = surveyed {
         let points = surveyed.ground.points_m();
         let about: Vec<DVec3> = points.iter().map(|at| *at - origin).collect();
-        write_ground(&out.join("ground.ply"), &about)?;
+        write_ground(&out.join(GROUND), &about)?;
         write_obstacles(&out.join("obstacles.json"), &surveyed.obstacles)?;
     }
     if !recording.held_out.is_empty() {
@@ -222,8 +255,8 @@ fn write_lists(
     Ok(())
 }
 
-/// Reads the recording.
-fn recorded(arguments: &Arguments) -> Result<Recording> {
+/// The recording, and the sequence that it is, where it is one of NCore.
+fn recording_of(arguments: &Arguments) -> Result<(Recording, Option<NcoreSequence>)> {
     let vehicle = arguments.vehicle.map(VehicleSize::from_array);
     let middle_m = arguments.middle.map(DVec3::from_array);
     let path = &arguments.recording;
@@ -232,11 +265,19 @@ fn recorded(arguments: &Arguments) -> Result<Recording> {
         "--poses belongs to a KITTI drive: other recordings have their own"
     );
     ensure!(
+        !arguments.images || arguments.form == Form::Ncore,
+        "--images belongs to an NCore sequence: the images of other recordings are files already"
+    );
+    ensure!(
         (arguments.scene.is_none() && arguments.hold_out.is_none())
             || arguments.form == Form::Nuscenes,
         "--scene and --hold-out belong to nuScenes"
     );
-    Ok(match arguments.form {
+    let recording = match arguments.form {
+        Form::Ncore => {
+            let (recording, sequence) = ncore::read(path, vehicle, middle_m)?;
+            return Ok((recording, Some(sequence)));
+        }
         Form::Kitti => kitti::read(path, arguments.poses.as_deref(), vehicle, middle_m)?,
         Form::Nuscenes => nuscenes::read(
             path,
@@ -252,7 +293,23 @@ fn recorded(arguments: &Arguments) -> Result<Recording> {
             };
             posed_images::read(&file, vehicle, middle_m, arguments.rate)?
         }
-    })
+    };
+    Ok((recording, None))
+}
+
+/// Sky of Instant NuRec beside the splats at `path`, as a scene in `out` names it that is turned by
+/// `turned`.
+fn sky_beside(path: &Path, out: &Path, turned: DQuat) -> Result<Option<SceneSky>> {
+    let sky = path.with_extension("sky.npz");
+    if !sky.is_file() {
+        return Ok(None);
+    }
+    let named = path_from(out, &sky);
+    let named = named.with_context(|| format!("{} cannot be named", sky.display()))?;
+    Ok(Some(SceneSky {
+        world_from_sky: DMat3::from_quat(turned),
+        ..SceneSky::new(named, SkyKind::Npz)
+    }))
 }
 
 /// Answer of the splats about the way.

@@ -24,6 +24,7 @@ pub mod bench;
 mod cache;
 pub mod conform;
 mod devices;
+mod ego_masks;
 mod image_memory;
 mod incoming;
 mod lidar;

@@ -57,6 +57,9 @@ pub struct ServerOptions {
     /// files. Simulators put it on the ground below the rear axle
     #[arg(long, value_name = "X,Y,Z", value_parser = meters, allow_hyphen_values = true)]
     pub rig_origin: Option<[f64; 3]>,
+    /// Folder of ego masks, which images show that ask for them: RIG/CAMERA.png with alpha
+    #[arg(long, value_name = "DIR")]
+    pub egocar_hood_dir: Option<PathBuf>,
     /// Load all scenes into the cache at the start instead of at their first request
     // The other name is the one that CARLA's NuRec example gives the NuRec renderer.
     #[arg(long, alias = "test-scenes-are-valid")]
@@ -98,8 +101,6 @@ pub struct ServerOptions {
 #[derive(Args, Clone, Debug, Default)]
 pub struct NurecFlags {
     #[arg(long, hide = true, value_name = "DIR")]
-    egocar_hood_dir: Option<PathBuf>,
-    #[arg(long, hide = true, value_name = "DIR")]
     download_cache_dir: Option<PathBuf>,
     #[arg(long, hide = true, value_name = "N", allow_negative_numbers = true)]
     max_backends_per_scene: Option<u32>,
@@ -129,7 +130,6 @@ impl NurecFlags {
     #[must_use]
     pub fn given(&self) -> Vec<&'static str> {
         let all = [
-            ("--egocar-hood-dir", self.egocar_hood_dir.is_some()),
             ("--download-cache-dir", self.download_cache_dir.is_some()),
             (
                 "--max-backends-per-scene",
@@ -406,8 +406,11 @@ mod tests {
         .unwrap();
         assert_eq!((options.port, options.limits.cache_size), (6005, 2));
         assert_eq!(options.artifact_glob, ["/mnt/nre-data/sceneset/**/*.usdz"]);
+        assert_eq!(
+            options.egocar_hood_dir.as_deref(),
+            Some(std::path::Path::new("/mnt/ego-hoods"))
+        );
         let ignored = [
-            "--egocar-hood-dir",
             "--download-cache-dir",
             "--max-workers",
             "--no-enable-nrend",

@@ -137,12 +137,12 @@ impl Background {
         if is_scene_file(path) {
             let file = SceneFile::read(path)?;
             let directory = path.parent().unwrap_or(std::path::Path::new(""));
-            let (cloud, placed_at) = read_placed_splats(&directory.join(&file.background))?;
-            let survey = file.recording.read_ground(directory, file.origin)?;
+            let background = read_placed_splats(&directory.join(&file.background))?;
+            let survey = file.read_ground(directory, &background)?;
             return Ok(Self {
                 survey: Survey::from_points(survey),
-                cloud,
-                origin: file.origin + placed_at,
+                cloud: background.cloud,
+                origin: file.origin + background.origin,
                 way: file.ego.map(|ego| (ego, file.ego_height_m)),
             });
         }

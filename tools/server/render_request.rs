@@ -2,9 +2,10 @@
 
 use std::collections::HashSet;
 
-use decouplegs::scene::{Intrinsics, Motion, Pose};
+use decouplegs::scene::{Intrinsics, Motion, Pose, Rig};
 use tonic::Status;
 
+use crate::ego_masks::MaskName;
 use crate::names::check_name;
 use crate::options::Limits;
 use decouplegs_alpasim::camera_spec::{intrinsics_of, shutter_of};
@@ -38,6 +39,8 @@ pub struct RenderRequest {
     pub objects: Vec<PlacedObject>,
     /// Encoding of the image.
     pub encoding: Encoding,
+    /// Mask that the image is covered with.
+    pub ego_mask: Option<MaskName>,
 }
 
 impl RenderRequest {
@@ -66,10 +69,11 @@ impl RenderRequest {
         if request.frame_end_us < request.frame_start_us {
             return Err(invalid("frame_end_us", "is before frame_start_us"));
         }
-        if request.insert_ego_mask {
+        let mask = request.ego_mask_id.filter(|_| request.insert_ego_mask);
+        if request.insert_ego_mask && mask.is_none() {
             return Err(invalid(
                 "ego_mask_id",
-                "names no mask: there are none, as get_available_ego_masks says",
+                "is missing, and insert_ego_mask is set",
             ));
         }
         let shutter_s = (request.frame_end_us - request.frame_start_us) as f64 * 1e-6;
@@ -114,7 +118,25 @@ impl RenderRequest {
             motion,
             objects,
             encoding,
+            ego_mask: mask.map(|mask| (mask.rig_config_id, mask.camera_logical_id)),
         })
+    }
+}
+
+impl RenderRequest {
+    /// Gives the image the photometric calibration that the camera called `name` of `rig` has, at
+    /// the size of the image: requests have none.
+    pub fn calibrate(&mut self, rig: &Rig, name: &str) {
+        let Some(camera) = rig.cameras().find(|camera| camera.name == name) else {
+            return;
+        };
+        let (own, asked) = (&camera.intrinsics, &mut self.intrinsics);
+        let [right, down] = [
+            (asked.width_px, own.width_px),
+            (asked.height_px, own.height_px),
+        ]
+        .map(|(to, from)| f64::from(to) / f64::from(from.max(1)));
+        asked.photometry = own.photometry.scaled(right, down);
     }
 }
 

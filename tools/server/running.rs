@@ -16,6 +16,7 @@ use tonic::transport::{Identity, Server, ServerTlsConfig};
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, health_reporter};
 
+use crate::ego_masks::EgoMasks;
 use crate::metrics::Metrics;
 use crate::names::{LIDAR, PHYSICS, PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
 use crate::options::ServerOptions;
@@ -153,6 +154,7 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
             encoders: Encoders::new(limits.encoders)?,
             limits: Arc::clone(&limits),
             metrics: Arc::clone(&metrics),
+            ego_masks: ego_masks(options),
         },
         physics: Physics::new(registry, limits),
         guard: GateLayer::new(&options.limits, token, Arc::clone(&metrics)),
@@ -330,4 +332,16 @@ fn tls_of(options: &ServerOptions) -> Result<Option<ServerTlsConfig>> {
         read(certificate)?,
         read(key)?,
     ))))
+}
+/// Masks of the folder that was named, if one was.
+fn ego_masks(options: &ServerOptions) -> EgoMasks {
+    let Some(folder) = &options.egocar_hood_dir else {
+        return EgoMasks::default();
+    };
+    let masks = EgoMasks::in_folder(folder);
+    if masks.count() == 0 {
+        let folder = folder.display();
+        tracing::warn!(%folder, "has no ego masks (RIG/CAMERA.png): images show the scene alone");
+    }
+    masks
 }

@@ -119,22 +119,28 @@ impl SceneRegistry {
         sizes.fold(0, u64::saturating_add)
     }
 
+    /// Metadata of the scene `id`, if they were read.
+    #[must_use]
+    pub fn known(&self, id: &str) -> Option<Arc<SceneMetadata>> {
+        let known = self.metadata.lock().unwrap_or_else(PoisonError::into_inner);
+        known.get(id).map(Arc::clone)
+    }
+
     /// Metadata of the scene `id`; `None` if there is no such scene. Reads files the first time.
     ///
     /// # Errors
     /// Returns an error if the scene file cannot be read.
     pub fn metadata(&self, id: &str) -> Result<Option<Arc<SceneMetadata>>, AssetError> {
-        let known = || self.metadata.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(metadata) = known().get(id) {
-            return Ok(Some(Arc::clone(metadata)));
+        if let Some(metadata) = self.known(id) {
+            return Ok(Some(metadata));
         }
         let Some(path) = self.path(id) else {
             return Ok(None);
         };
         let _reading = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
         // Another request may have read it meanwhile.
-        if let Some(metadata) = known().get(id) {
-            return Ok(Some(Arc::clone(metadata)));
+        if let Some(metadata) = self.known(id) {
+            return Ok(Some(metadata));
         }
         let metadata = if is_scene_file(path) {
             let file = SceneFile::read(path)?;
@@ -157,7 +163,8 @@ impl SceneRegistry {
             seen_by_clients(loaded.rig, local, rig_origin)
         };
         let metadata = Arc::new(metadata);
-        known().insert(id.to_owned(), Arc::clone(&metadata));
+        let mut known = self.metadata.lock().unwrap_or_else(PoisonError::into_inner);
+        known.insert(id.to_owned(), Arc::clone(&metadata));
         Ok(Some(metadata))
     }
 
@@ -253,6 +260,9 @@ pub async fn metadata_of(
     id: String,
 ) -> Result<Arc<SceneMetadata>, Status> {
     check_name(&id, "scene_id")?;
+    if let Some(metadata) = registry.known(&id) {
+        return Ok(metadata);
+    }
     let (registry, asked) = (Arc::clone(registry), id.clone());
     let read = tokio::task::spawn_blocking(move || registry.metadata(&asked)).await;
     let metadata = read.map_err(|error| Status::internal(error.to_string()))?;

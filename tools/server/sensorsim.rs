@@ -10,6 +10,7 @@ use futures_util::future::join_all;
 use tokio::sync::oneshot;
 use tonic::{Code, Request, Response, Status};
 
+use crate::ego_masks::{EgoMasks, MaskName};
 use crate::image_memory::Images;
 use crate::metrics::Metrics;
 use crate::names::{CONTRACT_VERSION, check_name};
@@ -50,6 +51,8 @@ pub struct Sensorsim {
     pub limits: Arc<Limits>,
     /// Metrics of the server.
     pub metrics: Arc<Metrics>,
+    /// Masks that images may be covered with.
+    pub ego_masks: EgoMasks,
 }
 
 /// Version of the server, for both services.
@@ -75,7 +78,18 @@ impl Sensorsim {
         field: &str,
     ) -> Result<RenderRequest, Status> {
         let request = with_reference_lens(&self.registry, request).await?;
-        RenderRequest::from_request(request, field, &self.limits)
+        let camera = request.camera_intrinsics.as_ref();
+        let camera = camera.map_or_else(String::new, |spec| spec.logical_id.clone());
+        let mut request = RenderRequest::from_request(request, field, &self.limits)?;
+        let metadata = metadata_of(&self.registry, request.scene.clone()).await?;
+        request.calibrate(&metadata.rig, &camera);
+        match &request.ego_mask {
+            Some(name) if !self.ego_masks.has(name) => Err(Status::invalid_argument(format!(
+                "{field}{}ego_mask_id names no mask; get_available_ego_masks lists them",
+                if field.is_empty() { "" } else { "." }
+            ))),
+            _ => Ok(request),
+        }
     }
 
     /// Images of `requests`, in their order. All that are of one scene are drawn in one submission,
@@ -113,23 +127,32 @@ impl Sensorsim {
     async fn shot(&self, views: Vec<Vec<RenderRequest>>) -> Vec<Result<Bytes, Status>> {
         let places = views.iter().enumerate().flat_map(|(view, requests)| {
             let of_view = requests.iter().enumerate();
-            of_view.map(move |(camera, request)| (view, camera, request.encoding))
+            of_view.map(move |(camera, request)| {
+                (view, camera, request.encoding, request.ego_mask.clone())
+            })
         });
         let places: Vec<_> = places.collect();
         let images = match self.render_queue.draw(views).await {
             Ok(images) => Arc::new(images),
             Err(status) => return vec![Err(status); places.len()],
         };
-        let encode_one = |(view, camera, encoding)| {
+        let encode_one = |(view, camera, encoding, mask): (_, _, _, Option<MaskName>)| {
             let (images, (done, waited)) = (Arc::clone(&images), oneshot::channel());
+            let masks = self.ego_masks.clone();
             self.encoders.spawn(move || {
                 let Images { bytes, .. } = &*images;
+                let size_px = bytes.size_px(view, camera);
+                let image = bytes.rgba(view, camera);
+                let encoded = match mask {
+                    Some(mask) => masks.overlay(&mask, size_px).and_then(|overlay| {
+                        let mut covered = image.to_vec();
+                        overlay.cover(&mut covered);
+                        encode(&covered, size_px, encoding)
+                    }),
+                    None => encode(image, size_px, encoding),
+                };
                 // The client may have gone.
-                let _ = done.send(encode(
-                    bytes.rgba(view, camera),
-                    bytes.size_px(view, camera),
-                    encoding,
-                ));
+                let _ = done.send(encoded);
             });
             waited
         };
@@ -399,6 +422,8 @@ impl SensorsimService for Sensorsim {
         &self,
         _: Request<Empty>,
     ) -> Result<Response<AvailableEgoMasksReturn>, Status> {
-        Ok(Response::new(AvailableEgoMasksReturn::default()))
+        Ok(Response::new(AvailableEgoMasksReturn {
+            ego_mask_metadata: self.ego_masks.metadata(),
+        }))
     }
 }

@@ -70,19 +70,15 @@ impl ReinsertionScene {
                     present: Presence::ALWAYS,
                 })
             });
+        let splat_scene = SplatScene {
+            sky: street.sky,
+            ..SplatScene::from_splats(background.select(&order))
+        };
         let loaded = LoadedScene {
-            plain_agents: Vec::new(),
-            splat_scene: SplatScene {
-                sky: street.sky,
-                ..SplatScene::from_splats(background.select(&order))
-            },
             assets: cars.coded.clone(),
             agents: agents.collect::<Result<_>>()?,
             rig,
             ego: trajectory(street.ego.iter().copied())?,
-            ego_height_m: None,
-            recording: Default::default(),
-            agent_labels: Vec::new(),
             light: Some(LoadedLight {
                 transfer: Some(light.clone()),
                 relighting,
@@ -90,6 +86,7 @@ impl ReinsertionScene {
                 shadows: Some(ShadowOptions::default()),
                 casting: street.casting.clone(),
             }),
+            ..LoadedScene::of_world(splat_scene)
         };
         Ok(Self {
             options: *options,

@@ -232,12 +232,13 @@ fn error(traced: &TracedSweep, scene: &Scene, subject: &Subject, count: usize) -
 /// Hits of `beams`, by the f64 definition.
 fn truth(scene: &Scene, subject: &Subject, beams: &[Beam]) -> Vec<BeamHit64> {
     let (loaded, time_s) = (&scene.loaded, subject.time_s);
+    let met = loaded.splat_scene.without_sky_splats();
     let background = SplatGroup {
-        splats: &loaded.splat_scene.splats,
-        instances: &loaded.splat_scene.instance_from_splat,
+        splats: &met.splats,
+        instances: &met.instance_from_splat,
         instance: 0,
         world_from_splats: Pose {
-            translation: loaded.splat_scene.origin,
+            translation: met.origin,
             ..Pose::IDENTITY
         },
         motion: Motion::REST,

@@ -150,16 +150,9 @@ impl Workload {
             ..SplatScene::from_splats(street.background.in_spatial_order())
         };
         let staged = LoadedScene {
-            plain_agents: Vec::new(),
-            splat_scene,
-            assets: Vec::new(),
-            agents: Vec::new(),
             rig: street.rig.clone(),
             ego: trajectory(&street.ego)?,
-            ego_height_m: None,
-            recording: Default::default(),
-            agent_labels: Vec::new(),
-            light: None,
+            ..LoadedScene::of_world(splat_scene)
         };
         let named = |(at, cloud): (usize, &SplatCloud)| Asset {
             name: format!("car {at}"),

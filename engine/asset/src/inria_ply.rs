@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use crate::activation::{log_of_scale, logit, normalized, scale_of_log, sigmoid};
 use crate::ply::{Column, Ply, Rows, Scalar};
 use crate::unknown_keys::UnknownKeys;
-use crate::{AssetError, DecodeError, write_atomically};
+use crate::{AssetError, DecodeError, PlacedSplats, SplatLabels, write_atomically};
 
 /// Moments over which colors that change with time are averaged.
 const MOMENTS: usize = 64;
@@ -45,14 +45,19 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
 }
 
 /// Reads the splats of element `vertex` relative to an origin, world coordinates: zero unless
-/// coordinates are doubles that f32 would round by more than a millimeter.
+/// coordinates are doubles that f32 would round by more than a millimeter. With the labels of
+/// splats, where there are such.
 ///
 /// # Errors
 /// Returns the errors of [`decode`].
-pub fn decode_placed(bytes: &[u8]) -> Result<(SplatCloud, DVec3), DecodeError> {
+pub fn decode_placed(bytes: &[u8]) -> Result<PlacedSplats, DecodeError> {
     let ply = Ply::parse(bytes)?;
     let origin = origin_of(&ply)?;
-    Ok((decode_relative(&ply, ELEMENT, origin)?, origin))
+    Ok(PlacedSplats {
+        cloud: decode_relative(&ply, ELEMENT, origin)?,
+        origin,
+        labels: SplatLabels::from_ply(&ply, ELEMENT)?,
+    })
 }
 
 /// Coordinates up to this are exact to a millimeter as f32, meters.
@@ -188,7 +193,7 @@ const FLAT_LOG_SCALE: f32 = -13.815_511;
 const SH_BAND_0: f32 = 0.282_094_79;
 
 /// Properties that change nothing that is drawn. Ends in `_`: all names that begin so.
-const HARMLESS: [&str; 31] = [
+const HARMLESS: [&str; 33] = [
     "x",
     "y",
     "z",
@@ -220,6 +225,8 @@ const HARMLESS: [&str; 31] = [
     "feature_",
     "language_feature_",
     "embedding_",
+    "road_mask",
+    "sky_mask",
 ];
 /// Properties of splats that move, bend or shine otherwise than those that are drawn here, with
 /// what they are.

@@ -10,8 +10,8 @@ use crate::error::read_bytes;
 use crate::ply::Ply;
 use crate::zip::Archive;
 use crate::{
-    AssetError, DecodeError, checkpoint, coded_asset, compressed_ply, inria_ply, khr_glb, memory,
-    sog, splat, spz,
+    AssetError, DecodeError, PlacedSplats, checkpoint, coded_asset, compressed_ply, inria_ply,
+    khr_glb, memory, sog, splat, spz,
 };
 
 /// The formats that are read.
@@ -117,7 +117,7 @@ impl SplatFormat {
 /// # Errors
 /// [`AssetError::Read`], [`AssetError::Unrecognized`] or [`AssetError::Decode`].
 pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
-    let (cloud, origin) = read_placed_splats(path)?;
+    let PlacedSplats { cloud, origin, .. } = read_placed_splats(path)?;
     if origin != DVec3::ZERO {
         log::warn!(
             "{}: coordinates are large doubles; {origin} is taken off, and positions are relative to it",
@@ -127,13 +127,12 @@ pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
     Ok(cloud)
 }
 
-/// Reads like [`read_splats`], and returns the origin that positions are relative to, world
-/// coordinates in meters: zero, but for a PLY of large doubles ([`inria_ply::decode_placed`]).
+/// Reads like [`read_splats`], with the origin that positions are relative to
+/// ([`inria_ply::decode_placed`]), and with the labels of splats.
 ///
 /// # Errors
 /// Returns the errors of [`read_splats`].
-pub fn read_placed_splats(path: &Path) -> Result<(SplatCloud, DVec3), AssetError> {
-    let at_zero = |cloud: SplatCloud| (cloud, DVec3::ZERO);
+pub fn read_placed_splats(path: &Path) -> Result<PlacedSplats, AssetError> {
     let is_set = |folder: &Path| folder.join(sog::LOD_META).is_file();
     if path.is_dir() {
         if let Some(file) = last_iteration(path) {
@@ -144,13 +143,13 @@ pub fn read_placed_splats(path: &Path) -> Result<(SplatCloud, DVec3), AssetError
         } else {
             sog::read_folder(path)
         };
-        return read.map(at_zero);
+        return read.map(PlacedSplats::from);
     }
     if path.file_name().is_some_and(|name| name == sog::LOD_META) {
-        return sog::read_set(path.parent().unwrap_or(Path::new(""))).map(at_zero);
+        return sog::read_set(path.parent().unwrap_or(Path::new(""))).map(PlacedSplats::from);
     }
     if path.file_name().is_some_and(|name| name == sog::META) {
-        return sog::read_folder(path.parent().unwrap_or(Path::new(""))).map(at_zero);
+        return sog::read_folder(path.parent().unwrap_or(Path::new(""))).map(PlacedSplats::from);
     }
     warn_of_parts(path);
     placed_splats_of(&read_bytes(path)?, path)
@@ -229,11 +228,8 @@ fn part_of(name: &str) -> Option<(&str, &str)> {
         })
 }
 
-/// Reads the splats in the bytes of the file at `path`, and the origin that they are relative to.
-pub(crate) fn placed_splats_of(
-    bytes: &[u8],
-    path: &Path,
-) -> Result<(SplatCloud, DVec3), AssetError> {
+/// Reads the splats in the bytes of the file at `path`.
+pub(crate) fn placed_splats_of(bytes: &[u8], path: &Path) -> Result<PlacedSplats, AssetError> {
     let unzipped = gunzipped(bytes).map_err(|source| AssetError::Decode {
         path: path.to_owned(),
         format: "gzip",
@@ -249,7 +245,7 @@ pub(crate) fn placed_splats_of(
         })?;
     let decoded = match format {
         SplatFormat::InriaPly => inria_ply::decode_placed(bytes),
-        _ => decode(bytes, format).map(|cloud| (cloud, DVec3::ZERO)),
+        _ => decode(bytes, format).map(PlacedSplats::from),
     };
     decoded.map_err(|source| AssetError::Decode {
         path: path.to_owned(),

@@ -9,7 +9,8 @@ use glam::{DMat3, DVec3};
 use image::{ImageFormat, Rgb32FImage};
 
 use crate::probe::{ImageSize, decode_rgb};
-use crate::{AssetError, DecodeError, memory, write_atomically};
+use crate::sky_bundle::{self, SkyBundle};
+use crate::{AssetError, DecodeError, SceneSky, memory, write_atomically};
 
 /// Layout of a sky's image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,11 +19,13 @@ pub enum SkyKind {
     Cube,
     /// Lat-long: the top row is +z of the sky's frame, the middle column +x, and left of it +y.
     Equirect,
+    /// Cube of Instant NuRec, with calibrations of its cameras.
+    Npz,
 }
 
 impl SkyKind {
     /// All layouts.
-    pub const ALL: [Self; 2] = [Self::Cube, Self::Equirect];
+    pub const ALL: [Self; 3] = [Self::Cube, Self::Equirect, Self::Npz];
 
     /// Name in scene files.
     #[must_use]
@@ -30,6 +33,7 @@ impl SkyKind {
         match self {
             Self::Cube => "cube",
             Self::Equirect => "equirect",
+            Self::Npz => "npz",
         }
     }
 }
@@ -46,9 +50,13 @@ const SIZE_MAX: ImageSize = ImageSize {
 /// of four samples, interpolated linearly.
 ///
 /// # Errors
-/// Returns an error if the file is no OpenEXR or PNG image, is broken or too large, has other sides
-/// than `kind` needs, or `world_from_sky` is neither a rotation nor a reflection.
+/// Returns an error if the file is no OpenEXR or PNG image, or no `.npz` of a sky, is broken or too
+/// large, has other sides than `kind` needs, or `world_from_sky` is neither a rotation nor a
+/// reflection.
 pub fn decode(bytes: &[u8], kind: SkyKind, world_from_sky: DMat3) -> Result<SkyMap, DecodeError> {
+    if kind == SkyKind::Npz {
+        return Ok(sky_bundle::decode(bytes, world_from_sky)?.sky);
+    }
     let (width, height, rgb) = decode_rgb(bytes, SIZE_MAX)?;
     let wrong = |expected: &str| {
         DecodeError::Malformed(format!(
@@ -86,8 +94,20 @@ pub fn decode(bytes: &[u8], kind: SkyKind, world_from_sky: DMat3) -> Result<SkyM
                 image.color(direction)
             })
         }
+        SkyKind::Npz => unreachable!("read above"),
     };
     sky.map_err(|reason| DecodeError::Malformed(reason.into()))
+}
+
+/// Reads the sky of a scene file from the bytes of its file, and the calibrations of cameras that
+/// are with it.
+pub(crate) fn decode_sky(bytes: &[u8], sky: &SceneSky) -> Result<SkyBundle, DecodeError> {
+    let mut decoded = match sky.kind {
+        SkyKind::Npz => sky_bundle::decode(bytes, sky.world_from_sky)?,
+        kind => SkyBundle::of_sky(decode(bytes, kind, sky.world_from_sky)?),
+    };
+    (decoded.sky.clamps, decoded.sky.clamps_splats) = (sky.clamps, sky.clamps_splats);
+    Ok(decoded)
 }
 
 /// Writes the six faces of a cube, `face_texels` squared each, as an OpenEXR image that

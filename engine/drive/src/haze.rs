@@ -1,8 +1,8 @@
 //! Haze of a captured road: splats that hover where the recording vehicle itself drove.
 //!
 //! Training on images leaves splats decimeters above a smooth road, which show it well from where
-//! it was photographed. They veil the wheels of a car that is put there, and no shadow falls on them.
-//! Where the vehicle drove nothing stood, so that all of them may go.
+//! it was photographed. They veil the wheels of a car that is put there, and no shadow falls on
+//! them. Where the vehicle drove nothing stood, so that all of them may go.
 
 use decouplegs_scene::{Obstacle, SplatCloud, TimedPose, VehicleSize};
 use glam::{DVec2, DVec3};

@@ -1,5 +1,6 @@
 //! A world on the device: attributes as the kernels read them.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytemuck::Zeroable;
@@ -54,6 +55,8 @@ pub struct GpuScene {
     pub nodes: Buffer<NodeRecord>,
     /// Clusters of the finest level, which come first: all, without levels.
     pub finest_clusters: usize,
+    /// Splats that LiDARs meet, where they are not all of them.
+    lidar_splats: Option<Arc<GpuScene>>,
     /// Storage of the buffers below.
     pub storage: Storage,
     /// Relative to the origin, meters.
@@ -98,14 +101,28 @@ impl GpuScene {
         splat_scene: &SplatScene,
         storage: Storage,
     ) -> Result<Self, RenderError> {
-        let cloud = &splat_scene.splats;
-        Self::with_splats(
-            gpu,
-            splat_scene,
-            (cloud, &splat_scene.instance_from_splat),
-            &[],
-            storage,
-        )
+        let cloud = (
+            &splat_scene.splats,
+            splat_scene.instance_from_splat.as_slice(),
+        );
+        let mut scene = Self::with_splats(gpu, splat_scene, cloud, &[], storage)?;
+        scene.add_lidar_splats(gpu, splat_scene)?;
+        Ok(scene)
+    }
+
+    /// Uploads the splats that LiDARs meet, where they are not all of them.
+    fn add_lidar_splats(&mut self, gpu: &Gpu, splat_scene: &SplatScene) -> Result<(), RenderError> {
+        if !splat_scene.sky_splats.is_empty() {
+            let met = splat_scene.without_sky_splats();
+            self.lidar_splats = Some(Arc::new(Self::upload(gpu, &met, self.storage)?));
+        }
+        Ok(())
+    }
+
+    /// The splats that LiDARs meet.
+    #[must_use]
+    pub fn for_lidar(&self) -> &Self {
+        self.lidar_splats.as_deref().unwrap_or(self)
     }
 
     /// [`GpuScene::upload`] with levels of detail, which take a third more memory.
@@ -122,6 +139,7 @@ impl GpuScene {
         let cloud = (&levels.splats, levels.instance_from_splat.as_slice());
         let mut scene = Self::with_splats(gpu, splat_scene, cloud, &nodes, storage)?;
         scene.finest_clusters = levels.finest_nodes;
+        scene.add_lidar_splats(gpu, splat_scene)?;
         Ok(scene)
     }
 
@@ -186,6 +204,7 @@ impl GpuScene {
             fog,
             photometry: splat_scene.photometry,
             finest_clusters: clusters.len(),
+            lidar_splats: None,
             nodes: gpu.upload("nodes", PURPOSE, nodes)?,
             clusters: gpu.upload("clusters", PURPOSE, &clusters)?,
             means: gpu.upload("means", PURPOSE, &means)?,

@@ -90,6 +90,12 @@ impl Rules {
         near_m: 0.2,
         ..Self::DEFAULT
     };
+    /// NuRec's, where they are rules of footprints: near plane at 0.2 m. Its renderer evaluates
+    /// splats along rays, drops responses below 0.0113 and stops at a transmittance of 0.001.
+    pub const NUREC: Self = Self {
+        near_m: 0.2,
+        ..Self::DEFAULT
+    };
 
     /// The rules called `name`, of [`Rules::NAMES`].
     #[must_use]
@@ -99,12 +105,13 @@ impl Rules {
             "gsplat15" => Some(Self::GSPLAT15),
             "gsplat16" => Some(Self::GSPLAT16),
             "inria" => Some(Self::INRIA),
+            "nurec" => Some(Self::NUREC),
             _ => None,
         }
     }
 
     /// Names that [`Rules::by_name`] accepts.
-    pub const NAMES: [&'static str; 4] = ["default", "gsplat15", "gsplat16", "inria"];
+    pub const NAMES: [&'static str; 5] = ["default", "gsplat15", "gsplat16", "inria", "nurec"];
 }
 
 impl Default for Rules {

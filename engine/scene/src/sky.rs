@@ -18,7 +18,7 @@ const SAMPLES_PER_SIDE: usize = 2;
 const ORTHOGONAL_ERROR_MAX: f64 = 1e-4;
 
 /// Color of the sky by direction, display-referred RGB: a cube map with bilinear interpolation,
-/// across the edges of its faces too.
+/// across the edges of its faces too, unless they are [clamped](SkyMap::with_clamped_edges).
 ///
 /// Faces come in the order +x, -x, +y, -y, +z, -z, each row-major from the top. Where s goes right
 /// and t down, both from -1 to 1, they lie in the directions (1, -t, -s), (-1, -t, s), (s, 1, t),
@@ -30,6 +30,8 @@ pub struct SkyMap {
     /// Faces with a border of one texel, from the faces beside them.
     bordered: Vec<[f32; 3]>,
     sky_from_world: DMat3,
+    /// True if each face is interpolated by itself.
+    edges_are_clamped: bool,
     /// True if interpolated colors are clamped to 0 to 1.
     pub clamps: bool,
     /// True if the blended color of splats is clamped to at most 1 before the sky is added, as
@@ -108,9 +110,34 @@ impl SkyMap {
             bordered: bordered(n, texels),
             // The inverse of what is orthogonal.
             sky_from_world: world_from_sky.transpose(),
+            edges_are_clamped: false,
             clamps: false,
             clamps_splats: false,
         })
+    }
+
+    /// The same sky, each face interpolated by itself: beyond the middles of its outer texels it
+    /// has their colors.
+    #[must_use]
+    pub fn with_clamped_edges(self) -> Self {
+        let texels = self.texels();
+        let (n, side) = (self.face_texels, self.face_texels + 2);
+        let inner = |index: usize| index.clamp(1, n) - 1;
+        let texel = |index: usize| {
+            let (face, row, column) = (index / (side * side), index / side % side, index % side);
+            texels[(face * n + inner(row)) * n + inner(column)]
+        };
+        Self {
+            bordered: (0..6 * side * side).map(texel).collect(),
+            edges_are_clamped: true,
+            ..self
+        }
+    }
+
+    /// True if each face is interpolated by itself.
+    #[must_use]
+    pub fn edges_are_clamped(&self) -> bool {
+        self.edges_are_clamped
     }
 
     /// Checks that `world_from_sky` is a rotation or a reflection.
@@ -354,6 +381,17 @@ mod tests {
                 assert!((found_s - s).abs() + (found_t - t).abs() < 1e-12);
             }
         }
+    }
+
+    #[test]
+    fn clamped_edges_have_the_colors_of_their_own_face() {
+        let sky = compass();
+        let beside = DVec3::new(1.0, 0.999, 0.0);
+        assert!(sky.color(beside)[1] > 0.3);
+        let clamped = sky.clone().with_clamped_edges();
+        assert_eq!(clamped.color(beside), [1.0, 0.0, 0.0]);
+        assert_eq!(clamped.texels(), sky.texels());
+        assert_ne!(clamped, sky);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! A scene of splats to be drawn: a background, the agents placed in it, its sky and its rules.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::{Fog, Intrinsics, Invalid, Photometry, Pose, Rules, SkyMap, SplatCloud};
@@ -38,6 +39,8 @@ pub struct SplatScene {
     /// The instance each splat belongs to: 0 the background, `k` the `k`-th agent. Empty where
     /// there is only background.
     pub instance_from_splat: Vec<u16>,
+    /// Indices of splats that show the sky, ascending: cameras see them, LiDARs do not.
+    pub sky_splats: Vec<u32>,
     /// World coordinates of the point that means are relative to, f64 meters: UTM-sized worlds keep
     /// their millimeters.
     pub origin: DVec3,
@@ -63,6 +66,26 @@ impl SplatScene {
             splats,
             ..Self::default()
         }
+    }
+
+    /// The scene as LiDARs meet it: without the splats that show the sky.
+    #[must_use]
+    pub fn without_sky_splats(&self) -> Cow<'_, Self> {
+        if self.sky_splats.is_empty() {
+            return Cow::Borrowed(self);
+        }
+        let is_kept = |splat: &u32| self.sky_splats.binary_search(splat).is_err();
+        let kept: Vec<u32> = (0..self.splats.len() as u32).filter(is_kept).collect();
+        let instances = &self.instance_from_splat;
+        let instances = kept
+            .iter()
+            .filter_map(|splat| instances.get(*splat as usize));
+        Cow::Owned(Self {
+            splats: self.splats.select(&kept),
+            instance_from_splat: instances.copied().collect(),
+            sky_splats: Vec::new(),
+            ..self.clone()
+        })
     }
 
     /// Photometric calibration of images of this scene: that of `intrinsics`, or that of the scene
@@ -118,6 +141,28 @@ impl SplatScene {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_shows_the_sky_is_left_out_and_all_else_stays() {
+        let mut splat_scene = SplatScene {
+            sky_splats: vec![0, 2],
+            instance_from_splat: vec![0, 0, 0, 7],
+            ..SplatScene::from_splats(SplatCloud::with_degree(0))
+        };
+        splat_scene.splats = SplatCloud {
+            means: vec![[0.0; 3], [1.0; 3], [2.0; 3], [3.0; 3]],
+            scales: vec![[0.1; 3]; 4],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+            opacities: vec![1.0; 4],
+            sh_degree: 0,
+            sh_dc: vec![[0.0; 3]; 4],
+            sh_rest: vec![],
+        };
+        let left = splat_scene.without_sky_splats();
+        assert_eq!(left.splats.means, [[1.0; 3], [3.0; 3]]);
+        assert_eq!(left.instance_from_splat, [0, 7]);
+        assert_eq!(*left.without_sky_splats(), *left);
+    }
 
     #[test]
     fn agents_come_behind_the_background_with_ids_from_one() {

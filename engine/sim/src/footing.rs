@@ -41,9 +41,10 @@ pub struct Grounded {
 /// # Errors
 /// Returns an error if the file cannot be read.
 pub fn ground_of(scene: &SceneFile, directory: &Path) -> Result<Ground, AssetError> {
-    let (cloud, placed_at) = read_placed_splats(&directory.join(&scene.background))?;
-    let ground = Ground::new(&cloud, scene.origin + placed_at, &GroundOptions::default());
-    let survey = Survey::from_points(scene.recording.read_ground(directory, scene.origin)?);
+    let background = read_placed_splats(&directory.join(&scene.background))?;
+    let survey = Survey::from_points(scene.read_ground(directory, &background)?);
+    let (cloud, origin) = (background.cloud, scene.origin + background.origin);
+    let ground = Ground::new(&cloud, origin, &GroundOptions::default());
     let mut guides = match &scene.ego {
         Some(ego) => GroundGuides::for_way(ego.poses(), scene.ego_height_m),
         None if survey.is_some() => GroundGuides::default(),

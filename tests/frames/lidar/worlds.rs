@@ -6,7 +6,7 @@ use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
 use decouplegs::render::{Agent, AssetPool, GpuScene, LidarOptions, LidarRenderer, Scene, Storage};
 use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions, Spin};
-use decouplegs::scene::{Motion, Pose, Rig, Rules, Trajectory};
+use decouplegs::scene::{Motion, Pose, Rules};
 use decouplegs::session::{Session, SessionError, SessionOptions, World};
 use glam::DVec3;
 
@@ -17,16 +17,8 @@ use crate::frames::agents::coded_car;
 /// A scene without agents, whose asset is a car.
 fn scene() -> LoadedScene {
     LoadedScene {
-        plain_agents: Vec::new(),
-        splat_scene: surroundings(300, 8),
         assets: vec![coded_car(3000, 9)],
-        agents: Vec::new(),
-        rig: Rig::default(),
-        ego: Trajectory::standing(Pose::IDENTITY),
-        ego_height_m: None,
-        recording: Default::default(),
-        agent_labels: Vec::new(),
-        light: None,
+        ..LoadedScene::of_world(surroundings(300, 8))
     }
 }
 

@@ -105,6 +105,8 @@ pub enum RulesName {
     Gsplat16,
     /// The INRIA rasterizer: alpha at most 0.99, the same stop, near plane at 0.2 m
     Inria,
+    /// NuRec, where its rules are those of footprints: the default with the near plane at 0.2 m
+    Nurec,
 }
 
 impl RulesName {
@@ -114,6 +116,7 @@ impl RulesName {
             Self::Gsplat15 => Rules::GSPLAT15,
             Self::Gsplat16 => Rules::GSPLAT16,
             Self::Inria => Rules::INRIA,
+            Self::Nurec => Rules::NUREC,
         }
     }
 }

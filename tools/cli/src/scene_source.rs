@@ -165,6 +165,8 @@ impl Scene {
                 let mut cameras = read_cameras(file, &options)?;
                 cameras.iter_mut().for_each(|camera| {
                     camera.intrinsics = resized(&camera.name, &camera.intrinsics, size_px);
+                    let own = &mut camera.intrinsics.photometry;
+                    *own = own.or(loaded.photometry_of_camera(&camera.name));
                 });
                 cameras
             }

@@ -21,8 +21,9 @@ const SQUARE_M: f64 = 0.5;
 /// and the background without them are written there. Lines that tell what was done.
 pub fn cut(scene: &mut SceneFile, boxes: &[CutBox], folder: &Path) -> Result<String> {
     let path = folder.join(&scene.background);
-    let (cloud, placed_at) = read_placed_splats(&path)?;
-    let origin = scene.origin + placed_at;
+    let placed = read_placed_splats(&path)?;
+    let cloud = &placed.cloud;
+    let origin = scene.origin + placed.origin;
     let mut is_left = vec![true; cloud.len()];
     let mut files: Vec<(PathBuf, SplatCloud)> = Vec::new();
     let mut report = String::new();
@@ -62,7 +63,7 @@ pub fn cut(scene: &mut SceneFile, boxes: &[CutBox], folder: &Path) -> Result<Str
             trajectory: Trajectory::standing(own.pose),
             present: Presence::ALWAYS,
         })?;
-        let bare = bare_share(&cloud, &is_left, own, origin);
+        let bare = bare_share(cloud, &is_left, own, origin);
         report.push_str(&format!(
             "{}: {} splats; {:.0} % of the ground below it was never seen and stays a hole\n",
             own.name,
@@ -88,7 +89,7 @@ pub fn cut(scene: &mut SceneFile, boxes: &[CutBox], folder: &Path) -> Result<Str
     for (file, cloud) in &files {
         inria_ply::write(&folder.join(file), cloud)?;
     }
-    replace_background(scene, background, placed_at, folder)?;
+    replace_background(scene, background, &placed, folder)?;
     Ok(report)
 }
 

@@ -36,9 +36,10 @@ pub fn remove(scene: &mut SceneFile, beside_m: f64, folder: &Path) -> Result<Str
         None => Vec::new(),
     };
     let size = scene.recording.vehicle_size.unwrap_or(VEHICLE);
-    let (cloud, placed_at) = read_placed_splats(&path)?;
+    let placed = read_placed_splats(&path)?;
+    let cloud = &placed.cloud;
     let found = haze::find(
-        (&cloud, scene.origin + placed_at),
+        (cloud, scene.origin + placed.origin),
         &ground,
         (ego.poses(), &size),
         beside_m,
@@ -62,7 +63,7 @@ pub fn remove(scene: &mut SceneFile, beside_m: f64, folder: &Path) -> Result<Str
     );
     inria_ply::write(&file, &cloud.select(&left))
         .with_context(|| format!("{} cannot be written", file.display()))?;
-    replace_background(scene, background, placed_at, folder)?;
+    replace_background(scene, background, &placed, folder)?;
     let [before_m, after_m] = found.spreads_m;
     let mut report = format!(
         "haze: {} of {} splats hovered within {beside_m} m of the way and are gone; those of the road spread by {after_m:.2} m about the ground, {before_m:.2} before\n",

@@ -107,6 +107,7 @@ pub fn read(
         rig: Rig::from_iter(rig_cameras),
         tracks: tracks_of(&drive, &by_frame),
         level_from_world: drive.level_from_world,
+        files: Vec::new(),
         origin: format!(
             "the IMU of the first frame; the middle of the vehicle is {:.2}, {:.2}, {:.2} m forward, left and up from the IMU",
             middle_m.x, middle_m.y, middle_m.z

@@ -77,6 +77,7 @@ pub fn read(
         vehicle: vehicle.unwrap_or(CAR),
         views,
         held_out,
+        files: Vec::new(),
         scans: None,
         tracks: tracks.into_iter().flatten().collect(),
         // Its global frame is level.

@@ -95,6 +95,7 @@ pub fn read(
         vehicle,
         tracks: Vec::new(),
         level_from_world: DQuat::from_rotation_arc(up, DVec3::Z),
+        files: Vec::new(),
         origin: format!(
             "camera front ({}); the middle of the vehicle is {:.2}, {:.2}, {:.2} m forward, left and up from it",
             front_key, middle_m.x, middle_m.y, middle_m.z

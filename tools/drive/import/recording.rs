@@ -1,11 +1,20 @@
 //! Common form of all recordings.
 
+use std::path::PathBuf;
+
 use decouplegs::asset::SceneLidar;
 use decouplegs::asset::tracks::PoseRow;
 use decouplegs::scene::{Camera, Pose, Rig, TimedPose, Trajectory, VehicleSize};
 use glam::DQuat;
 
 use super::scans::Scans;
+
+/// A file of a new scene.
+pub struct RecordingFile {
+    /// Path in the folder of the scene.
+    pub path: PathBuf,
+    pub content: Vec<u8>,
+}
 
 /// A recording in the coordinates of its splats.
 pub struct Recording {
@@ -27,6 +36,8 @@ pub struct Recording {
     pub tracks: Vec<PoseRow>,
     /// Rotation that makes the world's z axis vertical.
     pub level_from_world: DQuat,
+    /// Files that the scene names, or that tell of the recording.
+    pub files: Vec<RecordingFile>,
     /// Origin of the recorded poses, and where the middle of the vehicle is from there: a phrase.
     pub origin: String,
 }

@@ -157,7 +157,7 @@ class Session:
         planes: Sequence[PlaneName] = (),
         flow_interval: float = 0.1,
         exported: bool | None = None,
-        rules: Literal["default", "gsplat15", "gsplat16", "inria"] | None = None,
+        rules: Literal["default", "gsplat15", "gsplat16", "inria", "nurec"] | None = None,
         storage: Literal["exact", "compact"] = "exact",
         background_pitch: float | None = None,
         taken_max: int = 16,

@@ -25,9 +25,9 @@ use crate::scene::Scene;
 /// whether batch renderers draw these layers too (BatchRenderer.draw_layers, Images). exported:
 /// whether images are drawn into memory that CUDA shares. None: where that can be; True: or
 /// DeviceError. rules: the rules of image formation for all scenes: ``default``, ``gsplat15``,
-/// ``gsplat16`` or ``inria``. None: each scene's own, as its file says. taken_max: frames that may
-/// be held on the device by tensors before TooManyHeldError. frames_in_flight: frames of one call
-/// that are submitted before the first is waited for.
+/// ``gsplat16``, ``inria`` or ``nurec``. None: each scene's own, as its file says. taken_max:
+/// frames that may be held on the device by tensors before TooManyHeldError. frames_in_flight:
+/// frames of one call that are submitted before the first is waited for.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Session {
     pub inner: Arc<EngineSession>,

@@ -1,8 +1,10 @@
-"""Lenses and windshields of the server against NVIDIA NCore's own camera models: dots of light land where NCore puts them."""
+"""NVIDIA NCore: dots of light land where its own camera models put them, and sequences that its package writes are imported."""
 
+import csv
 import json
 import os
 import subprocess
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -143,3 +145,80 @@ def test_dots_land_where_ncore_puts_them(points, call, name):
     assert len(off) >= 12
     # Eight bits tell the middle of a dot to some 0.006 px.
     assert np.abs(off).max() < 0.02 and np.abs(off.mean(axis=0)).max() < 0.01, off
+
+
+def imported(folder, store, *more):
+    if not Path(NCORE).is_dir() or not NCORE:
+        pytest.skip("DECOUPLEGS_NCORE names no folder with the package nvidia-ncore")
+    script = Path(__file__).with_name("ncore_sequence.py")
+    environment = {**os.environ, "PYTHONPATH": NCORE}
+    (folder / "sequence").mkdir()
+    subprocess.run(["/usr/bin/python3", script, folder / "sequence", store], env=environment, check=True, timeout=120)
+    names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
+    x, y = np.meshgrid(np.arange(-5, 50), np.arange(-8, 9))
+    rows = np.zeros((x.size, len(names)), "<f4")
+    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 6] = x.ravel(), y.ravel(), 0.5, 6.0
+    rows[:, 7:10], rows[:, 10] = np.log([0.6, 0.6, 0.01]), 1.0
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}", *(f"property float {name}" for name in names), "end_header", ""]
+    (folder / "road.ply").write_bytes("\n".join(header).encode() + rows.tobytes())
+    command = [PROGRAM, "import", "ncore", folder / "sequence", "--splats", folder / "road.ply", "--out", folder / "scene", *more]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+@pytest.mark.parametrize("store", ["itar", "directory"])
+def test_a_sequence_of_its_package_is_a_scene(tmp_path, store):
+    done = imported(tmp_path, store, "--images")
+    assert done.returncode == 0, done.stderr
+    scene = tomllib.loads((tmp_path / "scene/scene.toml").read_text())
+    tele, wide = scene["rig"]
+    assert (tele["name"], wide["name"]) == ("camera_front_tele_30fov", "camera_front_wide_120fov")
+    # The rig is on the ground below the rear axle, and a scene counts from the middle of the box.
+    np.testing.assert_allclose(wide["position_m"], [0.35, 0.1, 0.65], atol=1e-9)
+    np.testing.assert_allclose(np.abs(np.dot(wide["rotation_wxyz"], [0.5, -0.5, 0.5, -0.5])), 1.0, atol=1e-9)
+    # NCore counts pixels of f-theta cameras from the middle of the first.
+    assert [wide["cx_px"], wide["cy_px"]] == [470.75, 306.25]
+    np.testing.assert_allclose(wide["lens"]["angle_to_pixel_distance"], FORWARD, rtol=1e-6)
+    # Written as one of the fifth order: 1, the angles across and down.
+    np.testing.assert_allclose(np.array(wide["windshield"]["horizontal"])[[0, 1, 6]], [0.002, 1.003, 0.004], rtol=1e-6)
+    assert wide["shutter"] == {"direction": "top_to_bottom", "readout_s": 0.03}
+    np.testing.assert_allclose(tele["lens"]["radial"][:2], [0.1, -0.05], rtol=1e-6)
+    assert (tele["fx_px"], tele["fy_px"], tele["cx_px"]) == (900.0, 905.0, 320.5)
+    ego = scene["ego"]
+    assert len(ego) == 51 and ego[0]["time_s"] == 0.0 and ego[50]["time_s"] == 5.0
+    np.testing.assert_allclose(ego[10]["position_m"], [8.0 + 1.35, 1.0, 0.5 + 0.75], atol=1e-9)
+    (lidar,) = scene["lidar"]
+    np.testing.assert_allclose(lidar["position_m"], [1.1 - 1.35, 0.0, 1.9 - 0.75], atol=1e-9)
+    parameters = json.loads((tmp_path / "scene" / lidar["sensor"]).read_text())
+    assert parameters["spinning_frequency_hz"] == 10.0
+    with open(tmp_path / "scene/tracks.csv") as file:
+        first, second = csv.DictReader(file)
+    place = lambda row: [float(row[name]) for name in ("x_m", "y_m", "z_m")]
+    assert (first["id"], first["class"], float(first["length_m"])) == ("7", "car", 4.5)
+    np.testing.assert_allclose(place(first), [20.0, 3.0, 0.75], atol=1e-6)
+    # In the frame of the LiDAR, when the rig was at (4, 0.25).
+    np.testing.assert_allclose(place(second), [20.0 + 4.0 + 1.1, 3.25, 0.5 + 1.9 + 0.25], atol=1e-6)
+    lines = (tmp_path / "scene/images.csv").read_text().splitlines()
+    assert lines[0] == "camera,time_s,image" and len(lines) == 5
+    camera, time_s, image = lines[-1].split(",")
+    assert camera == "camera_front_wide_120fov" and abs(float(time_s) - 2.015) < 1e-6
+    assert (tmp_path / f"scene/images/{image}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_broken_sequences_get_a_sentence(tmp_path):
+    done = imported(tmp_path, "itar")
+    assert done.returncode == 0, done.stderr
+    sequence = tmp_path / "sequence/drive.json"
+    store = tmp_path / "sequence/drive.ncore4.zarr.itar"
+    command = [PROGRAM, "import", "ncore", sequence, "--splats", tmp_path / "road.ply", "--out", tmp_path / "other"]
+    refused = lambda: subprocess.run(command, capture_output=True, text=True, timeout=120)
+    whole = store.read_bytes()
+    for content, part in [(whole[: len(whole) // 2], "cut short"), (b"x" * 4096, "no header of a tar"), (whole[:512] * 3, "entry at byte")]:
+        store.write_bytes(content)
+        done = refused()
+        assert done.returncode == 1 and store.name in done.stderr, done.stderr
+    store.unlink()
+    assert refused().returncode == 1
+    sequence.write_text('{"version": "3.0", "component_stores": []}')
+    done = refused()
+    assert done.returncode == 1 and "version 4 is read" in done.stderr, done.stderr
+    assert not (tmp_path / "other").exists()

@@ -5,9 +5,22 @@ mod read;
 
 pub(crate) use read::read_camera_model;
 
+use decouplegs_scene::lens::windshield::{Windshield, WindshieldDirection, angle_coefficients};
 use decouplegs_scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
 use decouplegs_scene::{Intrinsics, Lens, ShutterDirection};
 use serde_json::{Value, json};
+
+/// Median time between start and end of an image, seconds, of `frames_us`, microseconds; `None`
+/// where no image has such a time.
+pub(crate) fn readout_s<'a>(frames_us: impl IntoIterator<Item = &'a [i64; 2]>) -> Option<f64> {
+    let durations = frames_us
+        .into_iter()
+        .map(|[start_us, end_us]| end_us.saturating_sub(*start_us));
+    let mut durations: Vec<i64> = durations.filter(|duration_us| *duration_us > 0).collect();
+    durations.sort_unstable();
+    let median = durations.get(durations.len() / 2)?;
+    Some(*median as f64 * 1e-6)
+}
 
 /// Coefficients of a polynomial, the constant first.
 const COEFFICIENTS: usize = 6;
@@ -81,8 +94,29 @@ pub(crate) fn model(intrinsics: &Intrinsics) -> Value {
         ShutterDirection::LeftToRight => "ROLLING_LEFT_TO_RIGHT",
         ShutterDirection::RightToLeft => "ROLLING_RIGHT_TO_LEFT",
     });
-    parameters["external_distortion_parameters"] = Value::Null;
+    let windshield = intrinsics.windshield.as_ref();
+    parameters["external_distortion_parameters"] = windshield.map_or(Value::Null, bent);
     json!({"type": name, "parameters": parameters})
+}
+
+/// The parameters of a windshield, by the polynomials of the direction that is known.
+fn bent(windshield: &Windshield) -> Value {
+    let horizontal = angle_coefficients(&windshield.horizontal);
+    let vertical = angle_coefficients(&windshield.vertical);
+    let mut parameters = match windshield.direction {
+        WindshieldDirection::Forward => json!({
+            "reference_poly": "FORWARD",
+            "horizontal_poly": horizontal,
+            "vertical_poly": vertical,
+        }),
+        WindshieldDirection::Backward => json!({
+            "reference_poly": "BACKWARD",
+            "horizontal_poly_inverse": horizontal,
+            "vertical_poly_inverse": vertical,
+        }),
+    };
+    parameters["external_distortion_type"] = "bivariate-windshield".into();
+    parameters
 }
 
 /// The parameters of an f-theta lens.

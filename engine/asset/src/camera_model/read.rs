@@ -280,6 +280,15 @@ mod tests {
             found.horizontal,
             angle_polynomial(&[0.001, 1.01, 0.0]).unwrap()
         );
+        // Written, it is read as it was.
+        for direction in [WindshieldDirection::Forward, WindshieldDirection::Backward] {
+            let bent = Intrinsics {
+                windshield: Some(Windshield { direction, ..found }),
+                ..read
+            };
+            let (again, _) = read_camera_model(&model(&bent)).unwrap();
+            assert_eq!(again.windshield, bent.windshield);
+        }
     }
 
     #[test]

@@ -220,7 +220,8 @@ fn large_doubles_are_relative_to_an_origin() {
             }
             bytes.extend(rest.iter().flat_map(|(_, value)| value.to_le_bytes()));
         }
-        decode_placed(&bytes).unwrap()
+        let placed = decode_placed(&bytes).unwrap();
+        (placed.cloud, placed.origin)
     };
     let (cloud, origin) = placed("double", [5e5, 5.4e6, 200.0]);
     assert_eq!(origin, DVec3::new(5e5, 5.4e6, 200.0));

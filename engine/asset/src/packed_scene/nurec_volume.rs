@@ -54,7 +54,8 @@ pub(super) fn volume(
     directory: &Path,
     tracks: &[String],
 ) -> Result<Volume, AssetError> {
-    let (mut background, placed_at) = read_placed_splats(&directory.join(&scene.background))?;
+    let placed = read_placed_splats(&directory.join(&scene.background))?;
+    let (mut background, placed_at) = (placed.cloud, placed.origin);
     for mean in &mut background.means {
         *mean = (glam::Vec3::from_array(*mean).as_dvec3() + placed_at)
             .as_vec3()
@@ -176,7 +177,7 @@ fn sky_of(scene: &SceneFile, directory: &Path) -> Result<(usize, Vec<f32>), Asse
         return Ok((SKY_TEXELS, scene.sky.repeat(6 * SKY_TEXELS * SKY_TEXELS)));
     };
     let path = directory.join(&sky.file);
-    let map = sky_file::decode(&read_bytes(&path)?, sky.kind, sky.world_from_sky);
+    let map = sky_file::decode_sky(&read_bytes(&path)?, sky).map(|decoded| decoded.sky);
     let map = map.map_err(|source| AssetError::Decode {
         path,
         format: "sky",

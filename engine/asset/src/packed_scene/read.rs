@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 use crate::error::read_bytes;
 use crate::scene_file::SceneFiles;
 use crate::scene_import::{ImportedScene, nurec};
+use crate::sky_bundle::SkyBundle;
 use crate::toml_text::text_of;
 use crate::zip::Archive;
-use crate::{AssetError, DecodeError, LoadedScene, SceneFile, SceneSky};
-use decouplegs_scene::{SkyMap, SplatCloud};
+use crate::{AssetError, DecodeError, LoadedScene, PlacedSplats, SceneFile, SceneSky};
+use decouplegs_scene::SplatCloud;
 use glam::DVec3;
 
 use super::{OURS, SCENE};
@@ -155,17 +156,21 @@ impl Imported<'_> {
 
 impl SceneFiles for Imported<'_> {
     fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError> {
-        Err(self.unknown(file))
+        let parameters = self.scene.lidar_parameters(file);
+        parameters
+            .map(|parameters| Cow::Borrowed(parameters.as_bytes()))
+            .ok_or_else(|| self.unknown(file))
     }
 
     fn path(&self, file: &Path) -> PathBuf {
         self.path.join(file)
     }
 
-    fn placed_splats(&self, file: &Path) -> Result<(SplatCloud, DVec3), AssetError> {
+    fn placed_splats(&self, file: &Path) -> Result<PlacedSplats, AssetError> {
         let splats = self.scene.splats(file).cloned();
-        let splats = splats.ok_or_else(|| self.unknown(file))?;
-        Ok((splats, DVec3::ZERO))
+        splats
+            .map(PlacedSplats::from)
+            .ok_or_else(|| self.unknown(file))
     }
 
     fn ground(&self, file: &Path) -> Result<Vec<DVec3>, AssetError> {
@@ -175,9 +180,10 @@ impl SceneFiles for Imported<'_> {
         Ok(self.scene.ground.clone())
     }
 
-    fn sky(&self, sky: &SceneSky) -> Result<SkyMap, AssetError> {
+    fn sky(&self, sky: &SceneSky) -> Result<SkyBundle, AssetError> {
         let map = self.scene.sky.clone();
-        map.ok_or_else(|| self.unknown(&sky.file))
+        map.map(SkyBundle::of_sky)
+            .ok_or_else(|| self.unknown(&sky.file))
     }
 }
 

@@ -48,13 +48,6 @@ pub fn pack(
     let refused = |message: String| AssetError::Placement(message);
     check_id(&options.scene_id).map_err(refused)?;
     let scene = &with_camera_names(scene, &options.camera_names).map_err(refused)?;
-    let mut cameras = scene.rig.cameras();
-    if let Some(camera) = cameras.find(|camera| camera.intrinsics.windshield.is_some()) {
-        return Err(refused(format!(
-            "camera {:?} has a windshield, which packages of this program do not hold: remove it",
-            camera.name
-        )));
-    }
     let span_s = span_of(scene).map_err(refused)?;
     let mut texts: Vec<(&str, Vec<u8>)> = vec![
         ("default.usda", STAGE.into()),

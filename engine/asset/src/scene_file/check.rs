@@ -100,6 +100,7 @@ impl Checker<'_> {
         let kind = match map.kind {
             SkyKindForm::Cube => SkyKind::Cube,
             SkyKindForm::Equirect => SkyKind::Equirect,
+            SkyKindForm::Npz => SkyKind::Npz,
         };
         let mut sky = SceneSky::new(map.file.as_str(), kind);
         (sky.clamps, sky.clamps_splats) = (map.clamp, map.clamp_splats);

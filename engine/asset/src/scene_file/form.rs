@@ -87,6 +87,7 @@ pub(super) struct SkyMapForm {
 pub(super) enum SkyKindForm {
     Cube,
     Equirect,
+    Npz,
 }
 
 // By hand: an untagged enum could not say what is wrong in the table.
@@ -312,6 +313,7 @@ fn sky_form(
         kind: match sky.kind {
             SkyKind::Cube => SkyKindForm::Cube,
             SkyKind::Equirect => SkyKindForm::Equirect,
+            SkyKind::Npz => SkyKindForm::Npz,
         },
         file: path(&sky.file)?,
         world_from_sky: (sky.world_from_sky != DMat3::IDENTITY).then_some(rows),

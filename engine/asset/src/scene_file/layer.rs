@@ -58,6 +58,8 @@ fn only(splat_scene: &SplatScene, layer: Layer) -> SplatScene {
         return SplatScene {
             splats: splat_scene.splats.select(&kept),
             instance_from_splat: Vec::new(),
+            // The background is in front: its indices stay.
+            sky_splats: splat_scene.sky_splats.clone(),
             sky_map: splat_scene.sky_map.clone(),
             ..*splat_scene
         };
@@ -71,6 +73,7 @@ fn only(splat_scene: &SplatScene, layer: Layer) -> SplatScene {
             .collect(),
         sky: [0.0; 3],
         sky_map: None,
+        sky_splats: Vec::new(),
         // Images of the layer are laid over others before colors are calibrated.
         photometry: Photometry::IDENTITY,
         // Fog is in front of the agents; behind them it belongs to the background.

@@ -8,8 +8,8 @@ use decouplegs_scene::{Pose, RigLidar};
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
+use super::files::SceneFiles;
 use super::form::wxyz;
-use super::load::SceneFiles;
 use crate::lidar_file::{is_built_in, read_from, read_lidar};
 use crate::toml_text::Checker;
 use crate::{AssetError, SceneError};

@@ -1,6 +1,5 @@
 //! Loads a scene file: its world and its agents.
 
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,19 +9,17 @@ use decouplegs_scene::light::{
     ShadowOptions, bake_shadows,
 };
 use decouplegs_scene::{
-    CodedCloud, GroundShadow, LightTransfer, Motion, Pose, Presence, Rig, Sensor, ShFrame, SkyMap,
-    SplatCloud, SplatScene, Trajectory,
+    CodedCloud, GroundShadow, LightTransfer, Motion, Photometry, Pose, Presence, Rig, Sensor,
+    ShFrame, SplatCloud, SplatScene, Trajectory,
 };
 use glam::DVec3;
 
+use super::files::{Folder, SceneFiles};
 use super::{LoadedRecording, SceneAgent, SceneFile, SceneSky, is_scene_file};
 use crate::memory::{self, SPLATS_MAX, cloud_bytes};
 use crate::packed_scene::{is_package, open_packed_scene};
-use crate::read::placed_splats_of;
-use crate::{
-    AssetError, coded_asset, ground_file, light_transfer_file, read_bytes, read_placed_splats,
-    sky_file,
-};
+use crate::sky_bundle;
+use crate::{AssetError, SkyKind, coded_asset, light_transfer_file, read_placed_splats};
 
 /// A scene, ready to be drawn: what stands still at one moment, and what is moved from frame to
 /// frame.
@@ -49,6 +46,8 @@ pub struct LoadedScene {
     pub agent_labels: Vec<AgentLabel>,
     /// Light of the background on the moving agents.
     pub light: Option<LoadedLight>,
+    /// Photometric calibrations that come with the sky, by the names of cameras.
+    pub photometry_by_camera: Vec<(String, Photometry)>,
 }
 
 /// Name and class of an agent.
@@ -127,7 +126,8 @@ impl LoadedAgent {
 
 impl LoadedScene {
     /// A scene of background only, without cameras.
-    fn of_world(splat_scene: SplatScene) -> Self {
+    #[must_use]
+    pub fn of_world(splat_scene: SplatScene) -> Self {
         Self {
             splat_scene,
             assets: Vec::new(),
@@ -139,7 +139,15 @@ impl LoadedScene {
             recording: LoadedRecording::default(),
             agent_labels: Vec::new(),
             light: None,
+            photometry_by_camera: Vec::new(),
         }
+    }
+
+    /// The calibration that comes with the sky for the camera called `name`; the identity for
+    /// others.
+    #[must_use]
+    pub fn photometry_of_camera(&self, name: &str) -> Photometry {
+        photometry_of(&self.photometry_by_camera, name)
     }
 
     /// Checks that [`LoadedScene::baked`] is a world that the memory holds: thousands of agents may
@@ -255,6 +263,12 @@ impl LoadedScene {
     }
 }
 
+/// The calibration of the camera called `name`, of pairs by name; the identity for others.
+fn photometry_of(cameras: &[(String, Photometry)], name: &str) -> Photometry {
+    let found = cameras.iter().find(|(camera, _)| camera == name);
+    found.map_or(Photometry::IDENTITY, |(_, photometry)| *photometry)
+}
+
 /// Places along a trajectory, world coordinates, at most `step_m` apart: where its light is summed
 /// up beforehand.
 fn places_along(trajectory: &Trajectory, step_m: f64) -> impl Iterator<Item = DVec3> {
@@ -283,17 +297,29 @@ impl SceneFile {
         self.load_from(&Folder(directory), time_s)
     }
 
-    /// The ego vehicle's sensors, with the models of its LiDARs, whose paths are relative to
-    /// `directory`.
+    /// The ego vehicle's sensors, with the models of its LiDARs and the calibrations that come with
+    /// its sky. Paths are relative to `directory`.
     ///
     /// # Errors
-    /// [`AssetError`] of the model at fault.
+    /// [`AssetError`] of the file at fault.
     pub fn loaded_rig(&self, directory: &Path) -> Result<Rig, AssetError> {
-        self.rig_from(&Folder(directory))
+        let files = Folder(directory);
+        let sky = self.sky_map.as_ref().filter(|sky| sky.kind == SkyKind::Npz);
+        let bundle = sky.map(|sky| files.sky(sky)).transpose()?;
+        let cameras = bundle.map(|bundle| bundle.cameras).unwrap_or_default();
+        self.rig_from(&files, &cameras)
     }
 
-    fn rig_from(&self, files: &dyn SceneFiles) -> Result<Rig, AssetError> {
+    fn rig_from(
+        &self,
+        files: &dyn SceneFiles,
+        cameras: &[(String, Photometry)],
+    ) -> Result<Rig, AssetError> {
         let mut rig = self.rig.clone();
+        for camera in rig.cameras_mut() {
+            let own = &mut camera.intrinsics.photometry;
+            *own = own.or(photometry_of(cameras, &camera.name));
+        }
         for lidar in &self.lidars {
             rig.sensors.push(Sensor::Lidar(lidar.load(files)?));
         }
@@ -306,22 +332,25 @@ impl SceneFile {
         files: &dyn SceneFiles,
         time_s: f64,
     ) -> Result<LoadedScene, AssetError> {
-        let (background, placed_at) = files.placed_splats(&self.background)?;
-        let background = background.in_spatial_order();
+        let background = files.placed_splats(&self.background)?.in_spatial_order();
+        let recording = self.recording.load(files, &background, self.origin)?;
+        let sky = self.sky_map.as_ref().map(|sky| files.sky(sky));
+        let (sky_map, cameras) = sky
+            .transpose()?
+            .map(|bundle| (Arc::new(bundle.sky), bundle.cameras))
+            .unzip();
         let mut scene = LoadedScene::of_world(SplatScene {
-            origin: self.origin + placed_at,
+            origin: self.origin + background.origin,
             sky: self.sky,
-            sky_map: self
-                .sky_map
-                .as_ref()
-                .map(|sky| files.sky(sky))
-                .transpose()?
-                .map(Arc::new),
+            sky_map,
+            sky_splats: background.labels.sky,
             photometry: self.photometry,
             fog: self.fog,
             rules: self.rules,
-            ..SplatScene::from_splats(background)
+            ..SplatScene::from_splats(background.cloud)
         });
+        scene.recording = recording;
+        scene.photometry_by_camera = cameras.unwrap_or_default();
         let mut loader = AgentLoader {
             files,
             time_s,
@@ -340,7 +369,7 @@ impl SceneFile {
             })?;
             loader.add(&mut scene, agent, instance);
         }
-        scene.rig = self.rig_from(files)?;
+        scene.rig = self.rig_from(files, &scene.photometry_by_camera)?;
         let standing = || {
             Trajectory::standing(Pose {
                 translation: self.origin,
@@ -349,7 +378,6 @@ impl SceneFile {
         };
         scene.ego = self.ego.clone().unwrap_or_else(standing);
         scene.ego_height_m = self.ego_height_m;
-        scene.recording = self.recording.load(files, self.origin)?;
         if let Some(light) = &self.light {
             let read = |file: &PathBuf| {
                 light_transfer_file::read_from(&files.bytes(file)?, &files.path(file))
@@ -370,64 +398,6 @@ impl SceneFile {
         }
         scene.agent_labels = self.agents.iter().map(AgentLabel::from_agent).collect();
         Ok(scene)
-    }
-}
-
-/// The files that a scene names.
-pub(crate) trait SceneFiles {
-    /// The content of `file`, a path as the scene file names it.
-    fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError>;
-
-    /// The place of `file`, for messages.
-    fn path(&self, file: &Path) -> PathBuf;
-
-    /// The splats in `file`, and the origin that they are relative to.
-    fn placed_splats(&self, file: &Path) -> Result<(SplatCloud, DVec3), AssetError> {
-        placed_splats_of(&self.bytes(file)?, &self.path(file))
-    }
-
-    /// The sky of the scene.
-    fn sky(&self, sky: &SceneSky) -> Result<SkyMap, AssetError> {
-        let decoded = sky_file::decode(&self.bytes(&sky.file)?, sky.kind, sky.world_from_sky);
-        let mut map = decoded.map_err(|source| AssetError::Decode {
-            path: self.path(&sky.file),
-            format: "sky",
-            source,
-        })?;
-        (map.clamps, map.clamps_splats) = (sky.clamps, sky.clamps_splats);
-        Ok(map)
-    }
-
-    /// Points of the ground in `file`, about the origin of the scene.
-    fn ground(&self, file: &Path) -> Result<Vec<DVec3>, AssetError> {
-        ground_file::decode(&self.bytes(file)?).map_err(|source| AssetError::Decode {
-            path: self.path(file),
-            format: ground_file::NAME,
-            source,
-        })
-    }
-
-    /// The splats of an asset in `file`.
-    fn splats(&self, file: &Path) -> Result<SplatCloud, AssetError> {
-        Ok(self.placed_splats(file)?.0)
-    }
-}
-
-/// Files relative to a folder.
-struct Folder<'a>(&'a Path);
-
-impl SceneFiles for Folder<'_> {
-    fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError> {
-        read_bytes(&self.path(file)).map(Cow::Owned)
-    }
-
-    fn path(&self, file: &Path) -> PathBuf {
-        self.0.join(file)
-    }
-
-    // A SOG may be a folder.
-    fn placed_splats(&self, file: &Path) -> Result<(SplatCloud, DVec3), AssetError> {
-        read_placed_splats(&self.path(file))
     }
 }
 
@@ -541,9 +511,33 @@ pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     if is_package(path) {
         return open_packed_scene(path, time_s);
     }
-    let (splats, origin) = read_placed_splats(path)?;
-    Ok(LoadedScene::of_world(SplatScene {
-        origin,
-        ..SplatScene::from_splats(splats.in_spatial_order())
-    }))
+    open_splats(path)
+}
+
+/// The scene of a splat file, with the sky of Instant NuRec where there is one beside it.
+fn open_splats(path: &Path) -> Result<LoadedScene, AssetError> {
+    let is_ply = path.extension().is_some_and(|found| found == "ply");
+    let sky = path.with_extension(sky_bundle::EXTENSION);
+    if is_ply && sky.is_file() {
+        let name = |path: &Path| PathBuf::from(path.file_name().unwrap_or_default());
+        let scene = SceneFile {
+            sky_map: Some(SceneSky::new(name(&sky), SkyKind::Npz)),
+            ..SceneFile::of_background(name(path))
+        };
+        return scene.load(path.parent().unwrap_or(Path::new("")), 0.0);
+    }
+    let splats = read_placed_splats(path)?.in_spatial_order();
+    let road_m = splats.road_points_m().into_iter();
+    let ground_m = road_m.map(|point| point + splats.origin).collect();
+    Ok(LoadedScene {
+        recording: LoadedRecording {
+            ground_m,
+            ..LoadedRecording::default()
+        },
+        ..LoadedScene::of_world(SplatScene {
+            origin: splats.origin,
+            sky_splats: splats.labels.sky,
+            ..SplatScene::from_splats(splats.cloud)
+        })
+    })
 }

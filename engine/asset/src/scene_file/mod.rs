@@ -5,6 +5,7 @@
 mod check;
 mod check_light;
 pub mod editing;
+mod files;
 mod form;
 mod layer;
 mod lens;
@@ -24,12 +25,12 @@ use glam::{DMat3, DVec3};
 
 use crate::error::read_bytes;
 use crate::toml_text::text_of;
-use crate::{AssetError, SceneError, SkyKind, write_atomically};
+use crate::{AssetError, PlacedSplats, SceneError, SkyKind, read_ground, write_atomically};
 
 pub use editing::EditError;
+pub(crate) use files::SceneFiles;
 pub use layer::Layer;
 pub use lidar::SceneLidar;
-pub(crate) use load::SceneFiles;
 pub use load::{AgentLabel, LoadedAgent, LoadedLight, LoadedScene, PlainAgent, open_scene};
 pub use paths::path_from;
 pub use recording::{LoadedRecording, SceneRecording, SeenFrom};
@@ -191,6 +192,26 @@ impl SceneFile {
     /// A sentence, when a path is not Unicode.
     pub fn to_toml(&self) -> Result<String, Invalid> {
         Ok(form::to_toml(self)?)
+    }
+
+    /// Points of the ground of this scene file in `directory`, world coordinates, meters: those of
+    /// its survey, else of splats of its `background` that are labeled road.
+    ///
+    /// # Errors
+    /// [`AssetError`] of the file of the survey.
+    pub fn read_ground(
+        &self,
+        directory: &Path,
+        background: &PlacedSplats,
+    ) -> Result<Vec<DVec3>, AssetError> {
+        let points = match &self.recording.ground {
+            Some(file) => read_ground(&directory.join(file))?,
+            None => recording::road_about_scene(background),
+        };
+        Ok(points
+            .into_iter()
+            .map(|point| point + self.origin)
+            .collect())
     }
 
     /// Writes the scene file to `path`, atomically.

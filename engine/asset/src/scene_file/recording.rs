@@ -7,9 +7,9 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
-use super::load::SceneFiles;
+use super::files::SceneFiles;
 use crate::toml_text::Checker;
-use crate::{AssetError, SceneError, cameras, obstacle_file, read_ground};
+use crate::{AssetError, PlacedSplats, SceneError, cameras, obstacle_file};
 
 /// The drive on which a scene was recorded. All of it may be unknown.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -56,7 +56,8 @@ pub struct LoadedRecording {
     pub views: Option<CapturedViews>,
     /// Box of the vehicle that recorded; the ego's poses are those of its middle.
     pub vehicle_size: Option<VehicleSize>,
-    /// Points of the surveyed ground, world coordinates, meters; none where there is no survey.
+    /// Points of the ground, world coordinates, meters: those of a survey, else of splats that are
+    /// labeled road; none where there are neither.
     pub ground_m: Vec<DVec3>,
     /// Obstacles beside the way, world coordinates; `None` where the file tells nothing of them.
     pub obstacles: Option<Vec<Obstacle>>,
@@ -150,24 +151,19 @@ impl RecordingForm {
     }
 }
 
-impl SceneRecording {
-    /// Points of the surveyed ground of a scene file in `directory` with `origin`, world
-    /// coordinates, meters; none where there is no survey.
-    ///
-    /// # Errors
-    /// [`AssetError`] of the file.
-    pub fn read_ground(&self, directory: &Path, origin: DVec3) -> Result<Vec<DVec3>, AssetError> {
-        let Some(file) = &self.ground else {
-            return Ok(Vec::new());
-        };
-        let points = read_ground(&directory.join(file))?;
-        Ok(points.into_iter().map(|point| point + origin).collect())
-    }
+/// Road of `background`, meters from the origin of its scene.
+pub(super) fn road_about_scene(background: &PlacedSplats) -> Vec<DVec3> {
+    let points = background.road_points_m().into_iter();
+    points.map(|point| point + background.origin).collect()
+}
 
-    /// Reads the cameras, the ground, which is about `origin`, and the obstacles from `files`.
+impl SceneRecording {
+    /// Reads the cameras, the ground and the obstacles from `files`; `background` is that of the
+    /// scene at `origin`.
     pub(super) fn load(
         &self,
         files: &dyn SceneFiles,
+        background: &PlacedSplats,
         origin: DVec3,
     ) -> Result<LoadedRecording, AssetError> {
         let views = match &self.seen_from {
@@ -182,8 +178,6 @@ impl SceneRecording {
                 Some(CapturedViews::from_cameras(&cameras))
             }
         };
-        let ground = self.ground.as_ref().map(|file| files.ground(file));
-        let ground = ground.transpose()?.unwrap_or_default();
         let obstacles = self.obstacles.as_ref().map(|file| {
             obstacle_file::decode(&files.bytes(file)?).map_err(|source| AssetError::Decode {
                 path: files.path(file),
@@ -191,6 +185,10 @@ impl SceneRecording {
                 source,
             })
         });
+        let ground = match &self.ground {
+            Some(file) => files.ground(file)?,
+            None => road_about_scene(background),
+        };
         Ok(LoadedRecording {
             obstacles: obstacles.transpose()?,
             views,

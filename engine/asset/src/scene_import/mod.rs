@@ -26,10 +26,11 @@ pub(crate) mod nurec;
 mod sky;
 mod street_gaussians;
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use decouplegs_scene::{
-    LaneMap, Photometry, Presence, Rig, Rules, ShFrame, SkyMap, SplatCloud, Trajectory,
+    LaneMap, Photometry, Pose, Presence, Rig, Rules, ShFrame, SkyMap, SplatCloud, Trajectory,
 };
 use glam::DVec3;
 
@@ -40,8 +41,8 @@ use crate::ply::Ply;
 use crate::sky_file::write_cube;
 use crate::zip::Archive;
 use crate::{
-    AssetError, DecodeError, SceneAgent, SceneFile, SceneRecording, SceneSky, SkyKind, inria_ply,
-    write_ground,
+    AssetError, DecodeError, SceneAgent, SceneFile, SceneLidar, SceneRecording, SceneSky, SkyKind,
+    inria_ply, write_atomically, write_ground,
 };
 
 pub use hugsim::{HugsimFault, HugsimFiles, decode as decode_hugsim};
@@ -97,6 +98,8 @@ pub struct ImportedScene {
     pub rules: Rules,
     /// Cameras of the ego vehicle; none where the source does not tell.
     pub rig: Rig,
+    /// LiDARs of the recording.
+    pub lidars: Vec<ImportedLidar>,
     /// Trajectory of the ego vehicle during the recording.
     pub ego: Option<Trajectory>,
     /// Height of the ego's poses above the road, meters, where the source tells.
@@ -107,6 +110,17 @@ pub struct ImportedScene {
     pub ground: Vec<DVec3>,
     /// Omissions and interpretations, one sentence each.
     pub notes: Vec<String>,
+}
+
+/// A LiDAR whose model is in the source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImportedLidar {
+    /// Names it; unique in its scene.
+    pub name: String,
+    /// Pose on the vehicle.
+    pub rig_from_lidar: Pose,
+    /// Parameters of its model, JSON that [`crate::read_lidar`] reads.
+    pub parameters: String,
 }
 
 /// Something that moves as a whole.
@@ -224,6 +238,7 @@ impl ImportedScene {
             photometry: Photometry::IDENTITY,
             rules: Rules::DEFAULT,
             rig: Rig::default(),
+            lidars: Vec::new(),
             ego: None,
             ego_height_m: None,
             lanes: None,
@@ -250,6 +265,13 @@ impl ImportedScene {
             photometry: self.photometry,
             rules: self.rules,
             rig: self.rig.clone(),
+            lidars: (self.lidars.iter().enumerate())
+                .map(|(index, lidar)| SceneLidar {
+                    name: lidar.name.clone(),
+                    sensor: lidar_path(index),
+                    rig_from_lidar: lidar.rig_from_lidar,
+                })
+                .collect(),
             ego: self.ego.clone(),
             ego_height_m: self.ego_height_m,
             recording: SceneRecording {
@@ -277,8 +299,15 @@ impl ImportedScene {
         found.map(|(_, actor)| &actor.splats)
     }
 
+    /// Parameters of the LiDAR whose model is `file`, a path of [`ImportedScene::scene_file`].
+    pub(crate) fn lidar_parameters(&self, file: &Path) -> Option<&str> {
+        let mut lidars = self.lidars.iter().enumerate();
+        let found = lidars.find(|(index, _)| lidar_path(*index) == file);
+        found.map(|(_, lidar)| lidar.parameters.as_str())
+    }
+
     /// Writes `scene.toml`, `background.ply`, `assets/*.ply` and, where there are such, `sky.exr`,
-    /// `ground.ply` and `lanes.json` into `folder`, which exists.
+    /// `ground.ply`, `lanes.json` and `lidar_*.json` into `folder`, which exists.
     ///
     /// Actors without a trajectory are written, and not named in the scene.
     ///
@@ -301,6 +330,11 @@ impl ImportedScene {
         if !self.ground.is_empty() {
             write_ground(&folder.join(GROUND), &self.ground)?;
         }
+        for (index, lidar) in self.lidars.iter().enumerate() {
+            write_atomically(&folder.join(lidar_path(index)), |file| {
+                file.write_all(lidar.parameters.as_bytes())
+            })?;
+        }
         if let Some(lanes) = &self.lanes {
             lane_json::write(&folder.join("lanes.json"), lanes)?;
         }
@@ -309,6 +343,11 @@ impl ImportedScene {
         scene.write(&folder.join("scene.toml"))?;
         Ok(scene)
     }
+}
+
+/// Path of the model of the LiDAR `index`.
+fn lidar_path(index: usize) -> PathBuf {
+    format!("lidar_{index}.json").into()
 }
 
 /// Path of the splats of the actor `name`: by its name where a file may be called so, else by its

@@ -57,6 +57,66 @@ fn vehicles_stand_on_the_mesh_of_the_package_else_on_its_road() {
 }
 
 #[test]
+fn lidars_of_a_package_are_sensors_of_its_scene() {
+    let nre_from_world = turned();
+    let mut rig: serde_json::Value = serde_json::from_slice(&rig(&nre_from_world)).unwrap();
+    let azimuths: Vec<f64> = (0..90)
+        .map(|column| 3.0 - 0.06 * f64::from(column))
+        .collect();
+    let model = serde_json::json!({
+        "spinning_frequency_hz": 10.0,
+        "spinning_direction": "cw",
+        "row_elevations_rad": [0.2, 0.0, -0.2],
+        "column_azimuths_rad": azimuths,
+    });
+    let at = [
+        [1.0, 0.0, 0.0, 1.1],
+        [0.0, 1.0, 0.0, 0.2],
+        [0.0, 0.0, 1.0, 1.9],
+        [0.0, 0.0, 0.0, 1.0],
+    ];
+    rig["lidar_calibrations"] = serde_json::json!({
+        "top@a": {
+            "logical_sensor_name": "top", "T_sensor_rig": at,
+            "lidar_model": {"type": "row-offset-spinning", "parameters": model},
+        },
+        "side@a": {"logical_sensor_name": "side", "T_sensor_rig": at},
+        "odd@a": {"logical_sensor_name": "odd", "T_sensor_rig": at, "lidar_model": {"beams": 5}},
+    });
+    let package = zip(&[
+        (
+            "volume.nurec",
+            with_tracks(state(&cloud(40, 3), &cloud(30, 1), &nre_from_world)),
+        ),
+        ("rig_trajectories.json", rig.to_string().into_bytes()),
+        ("sequence_tracks.json", tracks()),
+    ]);
+    let (folder, path) = saved(&package);
+    let loaded = open_scene(&path, 0.0).unwrap();
+    let lidars: Vec<_> = loaded.rig.lidars().collect();
+    let [top] = lidars[..] else {
+        panic!("one LiDAR")
+    };
+    assert_eq!(
+        (top.name.as_str(), top.model.beams().len()),
+        ("top", 3 * 90)
+    );
+    // From the middle of the box, which is at (1.35, 0, 0.75) of the rig.
+    let expected = DVec3::new(1.1 - 1.35, 0.2, 1.9 - 0.75);
+    assert!(top.rig_from_lidar.translation.distance(expected) < 1e-9);
+    let scene = read(&package);
+    let notes = scene.notes.join("\n");
+    assert!(
+        notes.contains("the LiDAR side is left out") && notes.contains("the LiDAR odd is left out")
+    );
+    let out = folder.path().join("out");
+    std::fs::create_dir(&out).unwrap();
+    scene.write(&out).unwrap();
+    let again = open_scene(&out.join("scene.toml"), 0.0).unwrap();
+    assert_eq!(again.rig, loaded.rig);
+}
+
+#[test]
 fn volumes_of_any_name_stand_where_their_stage_puts_them() {
     let splats = cloud(40, 3);
     let world_from_volume = turned();

@@ -200,21 +200,21 @@ fn fogs() -> impl Strategy<Value = Fog> {
 }
 
 fn skies() -> impl Strategy<Value = SceneSky> {
-    ("[a-z]{1,8}", any::<[bool; 3]>(), poses()).prop_map(
-        |(file, [is_cube, clamps, clamps_splats], pose)| {
-            let kind = if is_cube {
-                SkyKind::Cube
-            } else {
-                SkyKind::Equirect
-            };
+    (
+        "[a-z]{1,8}",
+        0..SkyKind::ALL.len(),
+        any::<[bool; 2]>(),
+        poses(),
+    )
+        .prop_map(|(file, kind, [clamps, clamps_splats], pose)| {
+            let kind = SkyKind::ALL[kind];
             SceneSky {
                 world_from_sky: DMat3::from_quat(pose.rotation),
                 clamps,
                 clamps_splats,
                 ..SceneSky::new(file, kind)
             }
-        },
-    )
+        })
 }
 
 fn scenes() -> impl Strategy<Value = SceneFile> {

@@ -194,7 +194,8 @@ impl LidarRenderer {
         lidar: &Lidar,
         mode: ReturnMode,
     ) -> Result<TracedSweep, RenderError> {
-        let scene = scene.into();
+        let mut scene = scene.into();
+        scene.gpu_scene = scene.gpu_scene.for_lidar();
         let of_lidar = |reason| RenderError::Lidar {
             name: lidar.name.clone(),
             reason,

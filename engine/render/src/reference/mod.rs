@@ -12,6 +12,7 @@ pub mod geometry;
 pub mod lidar;
 mod moving;
 pub mod project;
+pub mod rays;
 pub mod unscented;
 
 #[cfg(test)]

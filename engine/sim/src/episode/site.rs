@@ -263,7 +263,7 @@ impl Site {
         obstacles: Vec<Obstacle>,
         asset_sizes: Vec<VehicleSize>,
     ) -> Result<Self, SiteError> {
-        let loaded = empty_scene(SplatScene::default());
+        let loaded = LoadedScene::of_world(SplatScene::default());
         Self::new(loaded, (lanes, obstacles), asset_sizes, None)
     }
 
@@ -299,7 +299,7 @@ impl Site {
             assets,
             rig: cars.rig,
             light: Some(light),
-            ..empty_scene(splat_scene)
+            ..LoadedScene::of_world(splat_scene)
         };
         Self::new(loaded, map, cars.sizes, None)
     }
@@ -344,9 +344,10 @@ impl Site {
         };
         let (splats, origin) = (&loaded.splat_scene.splats, loaded.splat_scene.origin);
         let ground = Ground::new(splats, origin, &options).guided(splats, guides);
+        let solid = &loaded.splat_scene.without_sky_splats().splats;
         let obstacles = obstacles
             .or_else(|| loaded.recording.obstacles.clone())
-            .unwrap_or_else(|| occupancy::obstacles(splats, origin, &lanes, &ground));
+            .unwrap_or_else(|| occupancy::obstacles(solid, origin, &lanes, &ground));
         let view_support = support_of(&loaded).map(Arc::new);
         let mut site = Self::new(loaded, (lanes, obstacles), sizes, Some(ground))?;
         site.view_support = view_support;
@@ -500,20 +501,5 @@ pub fn rig_of(place: &Place, directory: &Path) -> Result<Rig, SiteError> {
     match place {
         Place::Scene { scene, .. } => Ok(SceneFile::read(&directory.join(scene))?.rig),
         Place::Street { .. } | Place::Roads { .. } => Ok(cars(0, AssetLight::Neutral).rig),
-    }
-}
-
-fn empty_scene(splat_scene: SplatScene) -> LoadedScene {
-    LoadedScene {
-        plain_agents: Vec::new(),
-        splat_scene,
-        assets: Vec::new(),
-        agents: Vec::new(),
-        rig: Rig::default(),
-        ego: Trajectory::standing(Pose::IDENTITY),
-        ego_height_m: None,
-        recording: Default::default(),
-        agent_labels: Vec::new(),
-        light: None,
     }
 }

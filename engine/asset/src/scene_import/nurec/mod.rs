@@ -9,7 +9,7 @@
 //! | the same, `background.textures` | the sky, six faces in OpenGL's order |
 //! | the same, `post_processings.0.ppisp` | photometry of the cameras, in the order of `camera_ids` of `metadata.yaml` |
 //! | the `.usda` of the volume, where there is no rig | the frame of the splats: its transform |
-//! | `rig_trajectories.json` | cameras, way of the ego, `world_to_nre`: the frame of the splats |
+//! | `rig_trajectories.json` | cameras, LiDARs (`lidar_model`, NCore's parameters), way of the ego, `world_to_nre`: the frame of the splats |
 //! | `mesh_ground.ply`, else the layer `road` | the ground that vehicles stand on |
 //! | `sequence_tracks.json` | classes and ways of the agents |
 //! | `datasource_summary.json` | both of the above, in older packages |
@@ -166,6 +166,7 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
     if let Some(rig) = rig {
         scene.notes.extend(rig.notes);
         (scene.rig, scene.ego) = (rig.rig, Some(rig.ego));
+        scene.lidars = rig.lidars;
         scene.ego_height_m = rig.ego_height_m;
     }
     if tracks.is_empty() {

@@ -9,8 +9,10 @@ use serde_json::Value;
 
 use super::tracks::seconds;
 use crate::DecodeError;
-use crate::camera_model::read_camera_model;
+use crate::camera_model::{read_camera_model, readout_s};
+use crate::lidar_file;
 use crate::rigid::pose_of_rows;
+use crate::scene_import::ImportedLidar;
 
 /// Name of the entry.
 pub(super) const RIG: &str = "rig_trajectories.json";
@@ -22,6 +24,8 @@ pub(super) struct PackageRig {
     pub(super) nre_from_world: Pose,
     /// Cameras on the vehicle; their poses are from the middle of its box.
     pub(super) rig: Rig,
+    /// LiDARs on the vehicle, from the middle of its box.
+    pub(super) lidars: Vec<ImportedLidar>,
     /// Images that the package has of each camera, in the order of the rig.
     pub(super) images: Vec<usize>,
     /// Way of the middle of the box, world coordinates, seconds from the first pose.
@@ -40,7 +44,7 @@ struct File {
     #[serde(default)]
     camera_calibrations: BTreeMap<String, Calibration>,
     #[serde(default)]
-    lidar_calibrations: BTreeMap<String, Value>,
+    lidar_calibrations: BTreeMap<String, LidarCalibration>,
     rig_trajectories: Vec<Way>,
 }
 
@@ -57,6 +61,14 @@ struct Calibration {
     #[serde(rename = "T_sensor_rig")]
     rig_from_sensor: [[f64; 4]; 4],
     camera_model: Value,
+}
+
+#[derive(Deserialize)]
+struct LidarCalibration {
+    logical_sensor_name: Option<String>,
+    #[serde(rename = "T_sensor_rig")]
+    rig_from_sensor: Option<[[f64; 4]; 4]>,
+    lidar_model: Option<Value>,
 }
 
 #[derive(Deserialize)]
@@ -89,12 +101,6 @@ pub(super) fn read(text: &[u8]) -> Result<PackageRig, DecodeError> {
     if file.rig_trajectories.len() > 1 {
         let count = file.rig_trajectories.len();
         notes.push(format!("the first of {count} rig trajectories is driven"));
-    }
-    if !file.lidar_calibrations.is_empty() {
-        let count = file.lidar_calibrations.len();
-        notes.push(format!(
-            "{count} LiDARs of the recording are left out; `lidar --sensor` traces with models of our own"
-        ));
     }
     if way.times_us.len() != way.worlds.len() || way.worlds.is_empty() {
         return Err(malformed(format!(
@@ -132,6 +138,7 @@ pub(super) fn read(text: &[u8]) -> Result<PackageRig, DecodeError> {
     }
     cameras.sort_by_key(|(index, ..)| *index);
     let mut names = std::collections::HashSet::new();
+    let lidars = lidars(&file.lidar_calibrations, middle, &mut notes).map_err(malformed)?;
     if let Some((_, twice, _)) = cameras
         .iter()
         .find(|(_, camera, _)| !names.insert(&camera.name))
@@ -143,6 +150,7 @@ pub(super) fn read(text: &[u8]) -> Result<PackageRig, DecodeError> {
     }
     Ok(PackageRig {
         nre_from_world,
+        lidars,
         images: cameras.iter().map(|(.., images)| *images).collect(),
         rig: cameras.into_iter().map(|(_, camera, _)| camera).collect(),
         ego,
@@ -152,6 +160,44 @@ pub(super) fn read(text: &[u8]) -> Result<PackageRig, DecodeError> {
     })
 }
 
+/// LiDARs whose models are told, from the `middle` of the vehicle's box. Others are noted.
+fn lidars(
+    calibrations: &BTreeMap<String, LidarCalibration>,
+    middle: DVec3,
+    notes: &mut Vec<String>,
+) -> Result<Vec<ImportedLidar>, String> {
+    let mut lidars: Vec<ImportedLidar> = Vec::new();
+    for (key, calibration) in calibrations {
+        let name = calibration.logical_sensor_name.as_ref().unwrap_or(key);
+        let own = (&calibration.rig_from_sensor, &calibration.lidar_model);
+        let (Some(rows), Some(model)) = own else {
+            notes.push(format!(
+                "the LiDAR {name} is left out: its pose or its model is not told; `lidar --sensor` traces with models of our own"
+            ));
+            continue;
+        };
+        let rig_from_lidar =
+            pose(rows, "T_sensor_rig").map_err(|reason| format!("LiDAR {key}: {reason}"))?;
+        let parameters = model.get("parameters").unwrap_or(model).to_string();
+        if let Err(reason) = lidar_file::decode(parameters.as_bytes()) {
+            notes.push(format!("the LiDAR {name} is left out: {reason}"));
+            continue;
+        }
+        if lidars.iter().any(|other| other.name == *name) {
+            return Err(format!("two LiDARs are called {name:?}"));
+        }
+        lidars.push(ImportedLidar {
+            name: name.clone(),
+            rig_from_lidar: Pose {
+                translation: rig_from_lidar.translation - middle,
+                ..rig_from_lidar
+            },
+            parameters,
+        });
+    }
+    Ok(lidars)
+}
+
 fn camera(
     calibration: &Calibration,
     middle: DVec3,
@@ -159,7 +205,12 @@ fn camera(
 ) -> Result<RigCamera, String> {
     let (mut intrinsics, direction) = read_camera_model(&calibration.camera_model)?;
     if direction != ShutterDirection::Global {
-        let readout_s = readout_s(frames).ok_or_else(|| {
+        let readout_s = readout_s(
+            frames
+                .iter()
+                .filter_map(|frame| frame.as_slice().try_into().ok()),
+        )
+        .ok_or_else(|| {
             format!(
                 "its shutter is {}, and no frame has a start and an end",
                 direction.name()
@@ -178,18 +229,6 @@ fn camera(
             ..rig_from_camera
         },
     })
-}
-
-/// Median time between start and end of a frame, seconds.
-fn readout_s(frames: &[Vec<i64>]) -> Option<f64> {
-    let duration = |frame: &Vec<i64>| match frame[..] {
-        [start_us, end_us] if end_us > start_us => Some(end_us - start_us),
-        _ => None,
-    };
-    let mut durations: Vec<i64> = frames.iter().filter_map(duration).collect();
-    durations.sort_unstable();
-    let median = durations.get(durations.len() / 2)?;
-    Some(*median as f64 * 1e-6)
 }
 
 /// The pose in the rows of the matrix `name`.

@@ -215,6 +215,7 @@ impl State {
                     let ids = ids.into_iter().flat_map(|ids| tree.items(ids));
                     let text = |id: &Node| match id {
                         Node::Text(id) => id.to_string(),
+                        Node::Int(id) => id.to_string(),
                         _ => String::new(),
                     };
                     state
