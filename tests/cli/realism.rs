@@ -367,11 +367,51 @@ fn a_scan_of_the_scene_has_no_errors_and_a_moved_one_has() {
         let stem = scan.file_stem().unwrap().to_str().unwrap();
         assert!(out.join(format!("{stem}_compared.png")).is_file());
         let report = fs::read_to_string(out.join(format!("{stem}_compared.json"))).unwrap();
-        serde_json::from_str::<Value>(&report).unwrap()["all"].clone()
+        serde_json::from_str::<Value>(&report).unwrap()
     };
     let same = compared(&archive("same.npz", 1.8));
+    assert!(same["empty_beams"].is_null(), "the sensor is not known");
+    let same = &same["all"];
     assert!(same["median_m"].as_f64().unwrap() < 0.001, "{same}");
     assert!(same["missing"].as_f64().unwrap() < 0.02, "{same}");
-    let moved = compared(&archive("moved.npz", 2.3));
+    let moved = &compared(&archive("moved.npz", 2.3))["all"];
     assert!(moved["median_m"].as_f64().unwrap() > 0.1, "{moved}");
+
+    // Beams that met nothing meet nothing again; those of points that were taken out do.
+    let empty = |name: &str, kept: &dyn Fn(usize) -> bool| {
+        let kept = points
+            .chunks_exact(16)
+            .enumerate()
+            .filter(|(at, _)| kept(*at));
+        let some: Vec<u8> = kept.flat_map(|(_, point)| point.to_vec()).collect();
+        let path = folder.path().join(name);
+        write_scan(&path, &some, glam::DVec3::new(2.0, 0.5, 1.8));
+        let by_name = ["--sensor", text(&sensor), text(&path)];
+        let words = [
+            &compare[..compare.len() - 1],
+            &by_name[..2],
+            &["--compare", by_name[2]],
+        ];
+        let said = succeed(&words.concat());
+        assert!(
+            said.contains("beams without a return in the scan"),
+            "{said}"
+        );
+        let report = path.file_stem().unwrap().to_str().unwrap();
+        let report = fs::read_to_string(out.join(format!("{report}_compared.json"))).unwrap();
+        let report: Value = serde_json::from_str(&report).unwrap();
+        ["beams", "extra"].map(|key| report["empty_beams"][key].as_u64().unwrap())
+    };
+    let [beams, extra] = empty("whole.npz", &|_| true);
+    assert!(extra <= beams / 20, "{extra} of {beams}");
+    let taken = points.len() as u64 / 160;
+    let [more, found] = empty("holes.npz", &|at| at % 10 != 0);
+    assert!(
+        more >= beams + taken - taken / 10,
+        "{more}, {beams}, {taken}"
+    );
+    assert!(
+        found >= extra + taken - taken / 5,
+        "{found}, {extra}, {taken}"
+    );
 }

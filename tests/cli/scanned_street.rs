@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use decouplegs::asset::{SceneFile, inria_ply, read_ground, read_obstacles};
+use decouplegs::asset::{SceneFile, inria_ply, read_ground, read_obstacles, read_splats};
 use decouplegs::scene::SplatCloud;
 use glam::{DVec2, DVec3};
 
@@ -143,6 +143,61 @@ fn scans_tell_the_ground_and_what_stands_beside_the_way() {
     let (map, scene) = (out.join("lanes.json"), out.join("scene.toml"));
     let said = succeed(&["map", text(&map), "--scene", text(&scene)]);
     assert!(said.contains("1 obstacle"), "{said}");
+}
+
+#[test]
+fn haze_above_the_road_goes_and_the_rest_stays() {
+    let root = tempfile::tempdir().unwrap();
+    let [drive, splats] = write_drive(root.path());
+    let (out, clear) = (root.path().join("street"), root.path().join("clear"));
+    succeed(&[
+        "import",
+        "kitti",
+        text(&drive),
+        "--splats",
+        text(&splats),
+        "--out",
+        text(&out),
+    ]);
+    fs::create_dir(&clear).unwrap();
+    let (scene, new) = (out.join("scene.toml"), clear.join("scene.toml"));
+    let edit = ["edit", text(&scene), "--out", text(&new), "--remove-haze"];
+    let said = succeed(&edit);
+    // All splats of the road are 0.3 m too high: those near the way are gone, 0.4 m apart.
+    let left = read_splats(&clear.join("background_clear.ply")).unwrap();
+    let is_near =
+        |mean: &[f32; 3]| (6.0..38.5).contains(&mean[0]) && mean[1] > -1.9 && mean[1] < 1.3;
+    assert!(!left.means.iter().any(is_near), "{said}");
+    assert!(
+        left.len() > 6000 && left.len() < 7600,
+        "{}: {said}",
+        left.len()
+    );
+    assert!(
+        said.contains("hovered within 2 m of the way and are gone"),
+        "{said}"
+    );
+    // What the scene names is still there, and nothing that exists is replaced.
+    succeed(&["inspect", text(&new)]);
+    let again = [&edit[..], &["--force"]].concat();
+    assert!(fail(1, &again).contains("background_clear.ply exists"));
+    // A scene without a way does not know where its road was free.
+    let mut bare = SceneFile::read(&scene).unwrap();
+    bare.ego = None;
+    bare.recording = Default::default();
+    let bare_file = out.join("bare.toml");
+    bare.write(&bare_file).unwrap();
+    let said = fail(
+        1,
+        &[
+            "edit",
+            text(&bare_file),
+            "--out",
+            text(&out.join("x.toml")),
+            "--remove-haze",
+        ],
+    );
+    assert!(said.contains("[[ego]]"), "{said}");
 }
 
 #[test]

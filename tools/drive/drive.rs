@@ -7,6 +7,7 @@ mod jobs;
 mod run_devices;
 mod workers;
 
+use std::ffi::OsStr;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -249,7 +250,30 @@ impl Arguments {
     }
 }
 
+/// Threads that workers share for the work of the host, at most. Their pieces of work are small:
+/// with 64 threads, to wake and to end them takes longer than the work
+/// (`engine/guides/your-cluster.md`).
+const THREADS_MAX: usize = 16;
+
+/// Number of threads to make on a machine of `cores`; `None` where that is not changed.
+fn threads_of(cores: usize, named: Option<&OsStr>) -> Option<usize> {
+    (named.is_none() && cores > THREADS_MAX).then_some(THREADS_MAX)
+}
+
+/// Bounds the threads of the host, unless `RAYON_NUM_THREADS` says how many there are.
+fn bound_threads() {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let named = std::env::var_os("RAYON_NUM_THREADS");
+    if let Some(threads) = threads_of(cores, named.as_deref()) {
+        // Threads that are there already stay as they are.
+        let _ = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build_global();
+    }
+}
+
 pub fn run(arguments: &Arguments) -> Result<()> {
+    bound_threads();
     if arguments.video {
         ensure!(
             arguments.render.0 > 0,
@@ -321,5 +345,17 @@ fn opened(arguments: &Arguments) -> Result<RunDevices> {
     match arguments.devices.open()? {
         Some(gpus) => RunDevices::new(gpus, Some(&arguments.out)),
         None => RunDevices::new(vec![arguments.device.open()?], None),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn threads_are_bounded_unless_they_are_named() {
+        assert_eq!(threads_of(64, None), Some(16));
+        assert_eq!(threads_of(16, None), None);
+        assert_eq!(threads_of(64, Some(OsStr::new("64"))), None);
     }
 }

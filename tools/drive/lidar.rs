@@ -1,5 +1,6 @@
 //! `decouplegs lidar`: sweeps of a LiDAR through a scene.
 
+pub mod empty_beams;
 pub mod previews;
 pub mod scan_comparison;
 pub mod scan_file;
@@ -85,9 +86,10 @@ pub struct Arguments {
     )]
     seed: u64,
     /// Compare ranges with those of this scan (.bin of KITTI, .pcd.bin of nuScenes, .npy, .npz)
-    /// instead, beam by beam: a table, and NAME_compared.json and .png in the folder. Where the
+    /// instead, beam by beam: a table, and NAME_compared.json and .png in the folder. Beams of the
+    /// sensor that have no point in the scan are traced too: what they meet is too much. Where the
     /// file does not tell its pose, it is that of the scene's first LiDAR at SECONDS
-    #[arg(long, value_name = "FILE[@SECONDS]", conflicts_with_all = ["sensor", "sweeps", "frame", "mount", "mount_yaw", "previews", "seed"])]
+    #[arg(long, value_name = "FILE[@SECONDS]", conflicts_with_all = ["sweeps", "frame", "mount", "mount_yaw", "previews", "seed"])]
     compare: Option<ScanFile>,
     /// Write previews of each sweep too: from above, as an image of ranges, and over the images of
     /// the scene's cameras
@@ -183,7 +185,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if let Some(file) = &arguments.compare {
         compare(
             file,
-            &arguments.out,
+            arguments,
             &loaded,
             live.with(&live.at(start_s)),
             &mut lidars,
@@ -237,14 +239,24 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 /// Compares the scan in `file` with the same beams through `scene`.
 fn compare<'a>(
     file: &ScanFile,
-    out: &Path,
+    arguments: &Arguments,
     loaded: &LoadedScene,
     scene: impl Into<Scene<'a>>,
     lidars: &mut LidarRenderer,
 ) -> Result<()> {
     let (scan, pose) = file.read(loaded)?;
-    let comparison = ScanComparison::new(lidars, scene, &scan, pose)?;
-    let path = |ending: &str| out.join(format!("{}_compared.{ending}", file.name()));
+    let scene = scene.into();
+    let mut comparison = ScanComparison::new(lidars, scene, &scan, pose)?;
+    if arguments.sensor.is_some() || loaded.rig.lidars().next().is_some() {
+        let sensor = mounted(arguments, &loaded.rig)?;
+        let given = (sensor.model.as_ref(), &scan);
+        comparison = comparison.with_empty_beams(lidars, scene, given, pose)?;
+    }
+    let path = |ending: &str| {
+        arguments
+            .out
+            .join(format!("{}_compared.{ending}", file.name()))
+    };
     write_atomically(&path("json"), |file| {
         writeln!(file, "{:#}", comparison.to_json())
     })?;

@@ -12,6 +12,8 @@ use decouplegs::scene::{Lidar, LidarModel, Motion, Pose};
 use glam::DVec3;
 use serde_json::{Value, json};
 
+use super::empty_beams::EmptyBeams;
+
 /// Beams of one scan that are traced, at most; more are thinned out evenly.
 const BEAMS_MAX: usize = 1 << 20;
 
@@ -48,9 +50,11 @@ pub struct Met {
 }
 
 /// The beams of a scan.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct ScanComparison {
     pub met: Vec<Met>,
+    /// Beams that came back with nothing, where the sensor is known.
+    pub empty: Option<EmptyBeams>,
 }
 
 /// Errors of the ranges of some beams.
@@ -152,6 +156,22 @@ impl ScanComparison {
         Ok(Self::of_sweep(&points, &traced))
     }
 
+    /// This comparison with the beams of `model` that have no point in `scan`.
+    ///
+    /// # Errors
+    /// Returns an error if the device has not the memory or was lost.
+    pub fn with_empty_beams<'a>(
+        mut self,
+        lidars: &mut LidarRenderer,
+        scene: impl Into<Scene<'a>>,
+        (model, scan): (&LidarModel, &Scan),
+        world_from_lidar: Pose,
+    ) -> Result<Self> {
+        let given = (model, scan.points_m.as_slice());
+        self.empty = Some(EmptyBeams::new(lidars, scene, given, world_from_lidar)?);
+        Ok(self)
+    }
+
     fn of_sweep(points: &[DVec3], traced: &TracedSweep) -> Self {
         let mut met: Vec<Met> = points
             .iter()
@@ -167,7 +187,7 @@ impl ScanComparison {
         for found in &sweep.returns {
             met[found.beam as usize].rendered_m = Some(f64::from(found.range_m));
         }
-        Self { met }
+        Self { met, empty: None }
     }
 
     /// Errors of all beams.
@@ -233,6 +253,7 @@ impl ScanComparison {
             "by_distance": self.by_distance().into_iter().map(bin).collect::<Vec<_>>(),
             "by_class": self.by_class().into_iter().map(class).collect::<Vec<_>>(),
             "ground_height_error_m": self.ground_height_error_m(),
+            "empty_beams": self.empty.map(EmptyBeams::to_json),
         })
     }
 
@@ -265,6 +286,7 @@ impl ScanComparison {
         if let Some(error_m) = self.ground_height_error_m() {
             text += &format!("height of the ground: {error_m:.3} m off (median)\n");
         }
+        text += &self.empty.map_or_else(String::new, EmptyBeams::to_text);
         text
     }
 
@@ -358,6 +380,7 @@ mod tests {
         };
         let comparison = ScanComparison {
             met: vec![road, met(3.0, Some(4.0))],
+            empty: None,
         };
         assert!((comparison.ground_height_error_m().unwrap() - 0.3).abs() < 1e-9);
         let classes = comparison.by_class();
@@ -378,6 +401,7 @@ mod tests {
                 met(16.0, Some(16.0)),
                 met(100.0, Some(100.0)),
             ],
+            empty: None,
         };
         let bins = comparison.by_distance();
         assert_eq!(bins.len(), 2, "{bins:?}");
@@ -388,7 +412,7 @@ mod tests {
         assert_eq!((bins[1].1.beams, bins[1].1.missing), (2, 0.5));
         let all = comparison.all().unwrap();
         assert_eq!((all.beams, all.right), (6, 0.8));
-        assert_eq!(ScanComparison { met: vec![] }.all(), None);
+        assert_eq!(ScanComparison::default().all(), None);
         assert!(comparison.to_text().contains("10 to 20 m"));
     }
 
@@ -402,6 +426,7 @@ mod tests {
                     ..met(3.0, None)
                 },
             ],
+            empty: None,
         };
         let image = comparison.image();
         assert_eq!([image.width, image.height], [1024, 240]);

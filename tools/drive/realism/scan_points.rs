@@ -244,6 +244,7 @@ mod tests {
         };
         ScanComparison {
             met: points.iter().map(met).collect(),
+            empty: None,
         }
     }
 

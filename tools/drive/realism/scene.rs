@@ -142,7 +142,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut compared_scans = Vec::new();
     for (file, (scan, pose)) in arguments.scan.iter().zip(&scans) {
         let still = live.at(0.0);
-        let comparison = ScanComparison::new(&mut lidars, live.with(&still), scan, *pose)?;
+        let mut comparison = ScanComparison::new(&mut lidars, live.with(&still), scan, *pose)?;
+        if let Some(sensor) = loaded.rig.lidars().next() {
+            let (scene, given) = (live.with(&still), (sensor.model.as_ref(), scan));
+            comparison = comparison.with_empty_beams(&mut lidars, scene, given, *pose)?;
+        }
         let passed_s = || plans::nearest_s(&loaded.ego, pose.translation);
         let moving = moving_boxes(&tracks, file.time_s.unwrap_or_else(passed_s));
         points.add(&comparison, pose, &moving);

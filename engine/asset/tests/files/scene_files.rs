@@ -506,6 +506,7 @@ fn an_asset_is_read_once_and_its_frame_of_colors_holds_unless_the_scene_says_oth
 #[test]
 fn a_coded_asset_alone_is_a_scene_and_a_broken_one_is_named() {
     let directory = tempfile::tempdir().unwrap();
+    write_views(directory.path());
     let path = directory.path().join("cone.safetensors");
     write_coded(&path, &coded_cone()).unwrap();
     assert_eq!(open_scene(&path, 0.0).unwrap().splat_scene.splats.len(), 12);
