@@ -107,21 +107,25 @@ fn write_drive(root: &Path) -> [std::path::PathBuf; 2] {
     [drive, splats]
 }
 
+/// Command that imports `drive` with its `splats` to `out`.
+fn import<'a>(drive: &'a Path, splats: &'a Path, out: &'a Path) -> [&'a str; 7] {
+    [
+        "import",
+        "kitti",
+        text(drive),
+        "--splats",
+        text(splats),
+        "--out",
+        text(out),
+    ]
+}
+
 #[test]
 fn scans_tell_the_ground_and_what_stands_beside_the_way() {
     let root = tempfile::tempdir().unwrap();
     let [drive, splats] = write_drive(root.path());
     let out = root.path().join("street");
-    let import = [
-        "import",
-        "kitti",
-        text(&drive),
-        "--splats",
-        text(&splats),
-        "--out",
-        text(&out),
-    ];
-    let said = succeed(&import);
+    let said = succeed(&import(&drive, &splats, &out));
     assert!(said.contains("scans      38: ground at"), "{said}");
     let scene = SceneFile::read(&out.join("scene.toml")).unwrap();
     assert_eq!(scene.recording.ground, Some("ground.ply".into()));
@@ -150,15 +154,7 @@ fn haze_above_the_road_goes_and_the_rest_stays() {
     let root = tempfile::tempdir().unwrap();
     let [drive, splats] = write_drive(root.path());
     let (out, clear) = (root.path().join("street"), root.path().join("clear"));
-    succeed(&[
-        "import",
-        "kitti",
-        text(&drive),
-        "--splats",
-        text(&splats),
-        "--out",
-        text(&out),
-    ]);
+    succeed(&import(&drive, &splats, &out));
     fs::create_dir(&clear).unwrap();
     let (scene, new) = (out.join("scene.toml"), clear.join("scene.toml"));
     let edit = ["edit", text(&scene), "--out", text(&new), "--remove-haze"];

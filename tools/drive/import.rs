@@ -239,8 +239,7 @@ fn write_files(
         writeln!(file, "{cameras:#}")
     })?;
     if let Some(surveyed) = surveyed {
-        let points = surveyed.ground.points_m();
-        let about: Vec<DVec3> = points.iter().map(|at| *at - origin).collect();
+        let about: Vec<DVec3> = surveyed.ground_m.iter().map(|at| *at - origin).collect();
         write_ground(&out.join(GROUND), &about)?;
         write_obstacles(&out.join("obstacles.json"), &surveyed.obstacles)?;
     }
@@ -355,7 +354,7 @@ fn checked(
     if recording.scans.is_some() && surveyed.is_none() {
         warnings.push("the scans show no ground below the way: are the poses and --middle those of the recording?".into());
     }
-    let survey = surveyed.and_then(|surveyed| Survey::from_points(surveyed.ground.points_m()));
+    let survey = surveyed.and_then(|surveyed| Survey::from_points(surveyed.ground_m.clone()));
     let guides = GroundGuides {
         survey: survey.as_ref(),
         ..GroundGuides::for_way(recording.ego.poses(), Some(recording.ego_height_m))
@@ -434,7 +433,7 @@ fn report(
         lines.push(format!(
             "scans      {}: ground at {} places, {} obstacles beside the way",
             surveyed.scans,
-            surveyed.ground.points_m().len(),
+            surveyed.ground_m.len(),
             surveyed.obstacles.len()
         ));
     }

@@ -87,7 +87,7 @@ pub struct Arguments {
     seed: u64,
     /// Compare ranges with those of this scan (.bin of KITTI, .pcd.bin of nuScenes, .npy, .npz)
     /// instead, beam by beam: a table, and NAME_compared.json and .png in the folder. Beams of the
-    /// sensor that have no point in the scan are traced too: what they meet is too much. Where the
+    /// sensor that have no point in the scan are traced too: a return of them is wrong. Where the
     /// file does not tell its pose, it is that of the scene's first LiDAR at SECONDS
     #[arg(long, value_name = "FILE[@SECONDS]", conflicts_with_all = ["sweeps", "frame", "mount", "mount_yaw", "previews", "seed"])]
     compare: Option<ScanFile>,

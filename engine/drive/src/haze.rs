@@ -64,14 +64,7 @@ pub fn find(
     let Some(way) = Polyline::new(places.iter().copied()) else {
         return Haze::default();
     };
-    let wide = |one: &Obstacle| {
-        let outline = outline(one);
-        OrientedBox {
-            half_length_m: outline.half_length_m + OBSTACLE_M,
-            half_width_m: outline.half_width_m + OBSTACLE_M,
-            ..outline
-        }
-    };
+    let wide = |one: &Obstacle| outline(one).widened(OBSTACLE_M);
     let obstacles: Vec<OrientedBox> = obstacles.iter().map(wide).collect();
     let (mut haze, mut spreads) = (Haze::default(), [Spread::default(); 2]);
     let (low, high) = places

@@ -42,10 +42,26 @@ impl OrientedBox {
     /// True if `point` is on the rectangle.
     #[must_use]
     pub fn contains(&self, point: DVec2) -> bool {
-        let ahead = DVec2::from_angle(self.yaw_rad);
-        let offset = point - self.center_m;
-        offset.dot(ahead).abs() <= self.half_length_m
-            && offset.dot(ahead.perp()).abs() <= self.half_width_m
+        let half_m = DVec2::new(self.half_length_m, self.half_width_m);
+        self.to_local(point).abs().cmple(half_m).all()
+    }
+
+    /// Distance from the rectangle to `point`, meters; 0 on it.
+    #[must_use]
+    pub fn distance_to_m(&self, point: DVec2) -> f64 {
+        let half_m = DVec2::new(self.half_length_m, self.half_width_m);
+        let beyond_m = self.to_local(point).abs() - half_m;
+        beyond_m.max(DVec2::ZERO).length()
+    }
+
+    /// The box with each side `margin_m` farther out.
+    #[must_use]
+    pub fn widened(&self, margin_m: f64) -> Self {
+        Self {
+            half_length_m: self.half_length_m + margin_m,
+            half_width_m: self.half_width_m + margin_m,
+            ..*self
+        }
     }
 
     /// Corners: front left, rear left, rear right, front right; counter-clockwise, world
@@ -180,4 +196,25 @@ pub fn time_to_collision(
     // What is no number makes no collision.
     let finite = a.center_m.is_finite() && b.center_m.is_finite() && relative_mps.is_finite();
     (finite && first_s <= last_s && first_s <= horizon_s).then_some(first_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn distances_from_boxes_are_those_of_their_sides() {
+        let tree = OrientedBox {
+            center_m: DVec2::new(2.0, 1.0),
+            yaw_rad: std::f64::consts::FRAC_PI_2,
+            half_length_m: 2.0,
+            half_width_m: 0.5,
+        };
+        assert_eq!(tree.distance_to_m(DVec2::new(2.2, 2.5)), 0.0);
+        assert!((tree.distance_to_m(DVec2::new(3.5, 1.0)) - 1.0).abs() < 1e-12);
+        assert!((tree.distance_to_m(DVec2::new(2.0, 4.0)) - 1.0).abs() < 1e-12);
+        assert!(tree.contains(DVec2::new(2.4, 2.9)) && !tree.contains(DVec2::new(2.6, 2.9)));
+        assert!(tree.widened(0.2).contains(DVec2::new(2.6, 2.9)));
+        assert!(!tree.contains(DVec2::NAN));
+    }
 }

@@ -26,7 +26,7 @@ const SLAB_M_MAX: f64 = 0.8;
 pub fn remove(scene: &mut SceneFile, beside_m: f64, folder: &Path) -> Result<String> {
     let Some(ego) = scene.ego.clone().filter(|ego| ego.poses().len() > 1) else {
         bail!(
-            "the scene tells no way on which it was recorded, so that nobody knows where its road was free: give its poses as [[ego]], as `import` writes them"
+            "the scene file has no trajectory of the vehicle that recorded it, and only there the road is known to be free: add its poses as [[ego]], as `import` writes them"
         );
     };
     let path = folder.join(&scene.background);

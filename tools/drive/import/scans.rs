@@ -8,7 +8,7 @@ use anyhow::Result;
 use decouplegs::asset::read_scan;
 use decouplegs::asset::tracks::PoseRow;
 use decouplegs::drive::OrientedBox;
-use decouplegs::drive::scans::{GroundScanner, ObstacleScanner, ScannedGround};
+use decouplegs::drive::scans::{GroundScanner, ObstacleScanner};
 use decouplegs::scene::{Obstacle, Pose, Trajectory, VehicleSize};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -22,7 +22,7 @@ const AT_ONCE: usize = 16;
 const PARTS: usize = 64;
 /// A labeled road user that is never farther from where it was first, meters, stands.
 const STANDS_M: f64 = 1.0;
-/// Largest time between a scan and the labels that it is told by, seconds.
+/// Largest time between a scan and the labels that are used for it, seconds.
 const LABEL_S: f64 = 0.06;
 /// Most places of the road below the way, which follow each other at this distance, meters.
 const ROAD_STEP_M: f64 = 0.5;
@@ -51,7 +51,8 @@ struct WorldScan {
 
 /// Findings of all scans.
 pub struct Surveyed {
-    pub ground: ScannedGround,
+    /// Points of the ground, world coordinates, meters.
+    pub ground_m: Vec<DVec3>,
     pub obstacles: Vec<Obstacle>,
     /// Number of scans during the recorded way.
     pub scans: usize,
@@ -78,7 +79,8 @@ pub fn survey(recording: &Recording) -> Result<Option<Surveyed>> {
         grounds.add(scan.sensor_m, &scan.points_m);
     })?;
     let ground = grounds.ground();
-    if ground.points_m().is_empty() {
+    let ground_m = ground.points_m();
+    if ground_m.is_empty() {
         return Ok(None);
     }
     let moving = moving(&recording.tracks);
@@ -109,7 +111,7 @@ pub fn survey(recording: &Recording) -> Result<Option<Surveyed>> {
     Ok(Some(Surveyed {
         middle_m: heights_m.get(heights_m.len() / 2).copied(),
         scans: files.len(),
-        ground,
+        ground_m,
         obstacles,
     }))
 }

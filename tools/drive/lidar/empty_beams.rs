@@ -1,14 +1,15 @@
 //! Beams of a sensor that met nothing in a scan, and what a scene has there.
 
 use std::collections::HashSet;
-use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use decouplegs::render::{LidarRenderer, Scene};
-use decouplegs::scene::lidar::{Beam, LidarPattern, ReturnMode, ReturnOptions};
-use decouplegs::scene::{Lidar, LidarModel, Motion, Pose};
+use decouplegs::scene::lidar::{Beam, ReturnMode, ReturnOptions};
+use decouplegs::scene::{LidarModel, Pose};
 use glam::DVec3;
 use serde_json::{Value, json};
+
+use super::scan_comparison::fired_at_once;
 
 /// Angle about a beam within which a point of the scan is its own, degrees: a calibrated sensor's
 /// rows are up to 0.2 degrees off.
@@ -49,18 +50,7 @@ impl EmptyBeams {
                 median_m: f64::NAN,
             });
         }
-        let lidar = Lidar {
-            name: "empty beams".into(),
-            model: Arc::new(LidarModel {
-                pattern: LidarPattern::Rays(rays),
-                returns: ReturnMode::Median,
-                range_noise_m: 0.0,
-                ..model.clone()
-            }),
-            rig_from_lidar: Pose::IDENTITY,
-            world_from_rig: world_from_lidar,
-            motion: Motion::REST,
-        };
+        let lidar = fired_at_once(rays, model.range_m, world_from_lidar);
         let traced = lidars
             .trace(scene, &lidar, ReturnMode::Median)
             .context("the beams without a point in the scan cannot be traced")?;
@@ -116,12 +106,10 @@ fn around([azimuth, elevation]: [i32; 2]) -> impl Iterator<Item = [i32; 2]> {
 
 /// Beams with no point of a scan near them, on sides that the scan saw: fired at once.
 fn empty(beams: &[Beam], points_m: &[DVec3]) -> Vec<Beam> {
-    let directions = || {
-        let points = points_m.iter().filter_map(|point| point.try_normalize());
-        points.collect::<Vec<DVec3>>()
-    };
+    let directions = points_m.iter().filter_map(|point| point.try_normalize());
+    let directions: Vec<DVec3> = directions.collect();
     let of = |side_deg: f64| -> HashSet<[i32; 2]> {
-        let parts = directions().into_iter().map(|at| part(at, side_deg));
+        let parts = directions.iter().map(|at| part(*at, side_deg));
         parts.collect()
     };
     let (own, seen) = (of(OWN_DEG), of(SEEN_DEG));

@@ -136,20 +136,8 @@ impl ScanComparison {
             laser: 0,
             column,
         };
-        let lidar = Lidar {
-            name: "scan".into(),
-            model: Arc::new(LidarModel {
-                name: "scan".into(),
-                pattern: LidarPattern::Rays((0..).zip(&points).map(beam).collect()),
-                sweep_s: 0.1,
-                range_m: [0.0, 1e5],
-                returns: ReturnMode::Median,
-                range_noise_m: 0.0,
-            }),
-            rig_from_lidar: Pose::IDENTITY,
-            world_from_rig: world_from_lidar,
-            motion: Motion::REST,
-        };
+        let rays = (0..).zip(&points).map(beam).collect();
+        let lidar = fired_at_once(rays, [0.0, 1e5], world_from_lidar);
         let traced = lidars
             .trace(scene, &lidar, ReturnMode::Median)
             .context("the beams of the scan cannot be traced")?;
@@ -324,6 +312,24 @@ impl ScanComparison {
             }
         }
         image
+    }
+}
+
+/// A LiDAR that stands at `world_from_lidar` and fires `rays` at once, without noise.
+pub(super) fn fired_at_once(rays: Vec<Beam>, range_m: [f64; 2], world_from_lidar: Pose) -> Lidar {
+    Lidar {
+        name: "scan".into(),
+        model: Arc::new(LidarModel {
+            name: "scan".into(),
+            pattern: LidarPattern::Rays(rays),
+            sweep_s: 0.1,
+            range_m,
+            returns: ReturnMode::Median,
+            range_noise_m: 0.0,
+        }),
+        rig_from_lidar: Pose::IDENTITY,
+        world_from_rig: world_from_lidar,
+        motion: Motion::REST,
     }
 }
 

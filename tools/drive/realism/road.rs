@@ -135,14 +135,14 @@ impl ComparedRoad {
                 continue;
             }
             // As far as half a cell from its middle on either axis.
-            let is_found = |one: &Obstacle| distance_m(one, middle_m) <= 0.55;
+            let is_found = |one: &Obstacle| outline(one).distance_to_m(middle_m) <= 0.55;
             let found = obstacles.iter().any(is_found);
             self.found.push(f64::from(u8::from(found)));
         }
         for one in obstacles.iter().filter(|one| is_beside(one.center_m)) {
             let radius_m = 0.5 * one.length_m.hypot(one.width_m) + REAL_M;
             let near = points.standing_near(one.center_m, radius_m);
-            let real = near.filter(|at| distance_m(one, *at) <= REAL_M);
+            let real = near.filter(|at| outline(one).distance_to_m(*at) <= REAL_M);
             let is_real = real.take(REAL_POINTS).count() == REAL_POINTS;
             if is_real || points.ground_points_at(one.center_m) >= FREE_POINTS {
                 self.phantoms.push(f64::from(u8::from(!is_real)));
@@ -252,32 +252,10 @@ fn shows(view: &Camera, at_m: DVec3) -> bool {
     ray.z > 0.0 && ray.length() <= SHOWN_M && pixel.is_some_and(is_inside)
 }
 
-/// Distance of `at` from a box; 0 inside.
-fn distance_m(obstacle: &Obstacle, at: DVec2) -> f64 {
-    let shape = outline(obstacle);
-    let local = DVec2::from_angle(-shape.yaw_rad).rotate(at - shape.center_m);
-    let beyond = local.abs() - DVec2::new(shape.half_length_m, shape.half_width_m);
-    beyond.max(DVec2::ZERO).length()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use decouplegs::scene::{Intrinsics, Motion, ObstacleKind};
-
-    #[test]
-    fn distances_from_boxes_are_those_of_their_sides() {
-        let tree = Obstacle {
-            kind: ObstacleKind::Captured,
-            center_m: DVec2::new(2.0, 1.0),
-            yaw_rad: std::f64::consts::FRAC_PI_2,
-            length_m: 4.0,
-            width_m: 1.0,
-        };
-        assert_eq!(distance_m(&tree, DVec2::new(2.2, 2.5)), 0.0);
-        assert!((distance_m(&tree, DVec2::new(3.5, 1.0)) - 1.0).abs() < 1e-12);
-        assert!((distance_m(&tree, DVec2::new(2.0, 4.0)) - 1.0).abs() < 1e-12);
-    }
+    use decouplegs::scene::{Intrinsics, Motion};
 
     #[test]
     fn a_view_shows_what_is_before_it_and_near() {

@@ -55,12 +55,13 @@ impl ScanPoints {
     /// Adds the points of a scan that was taken at `world_from_lidar`, but for those inside the
     /// boxes `moving`.
     pub fn add(&mut self, scan: &ScanComparison, world_from_lidar: &Pose, moving: &[OrientedBox]) {
+        let wide: Vec<OrientedBox> = moving.iter().map(|one| one.widened(AROUND_BOX_M)).collect();
         for met in &scan.met {
             if !(OWN_VEHICLE_M..=FAR_M).contains(&met.real_m) {
                 continue;
             }
             let at_m = world_from_lidar.transform(met.real_m * met.direction);
-            if moving.iter().any(|one| holds(one, at_m.truncate())) {
+            if wide.iter().any(|one| one.contains(at_m.truncate())) {
                 continue;
             }
             let points = match met.is_ground {
@@ -133,13 +134,6 @@ impl ScanPoints {
         heights_m.sort_by(f64::total_cmp);
         heights_m.get(heights_m.len() / 2).copied()
     }
-}
-
-/// True if `at` is inside a box from above, or almost.
-fn holds(one: &OrientedBox, at: DVec2) -> bool {
-    let local = DVec2::from_angle(-one.yaw_rad).rotate(at - one.center_m);
-    let half_m = DVec2::new(one.half_length_m, one.half_width_m) + AROUND_BOX_M;
-    local.abs().cmple(half_m).all()
 }
 
 /// Boxes at `time_s` of the tracks that move.

@@ -3,7 +3,7 @@
 
 mod read;
 
-pub(crate) use read::read_camera_model;
+pub(crate) use read::read_rolling_camera_model;
 
 use decouplegs_scene::lens::windshield::{Windshield, WindshieldDirection, angle_coefficients};
 use decouplegs_scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 /// Median time between start and end of an image, seconds, of `frames_us`, microseconds; `None`
 /// where no image has such a time.
-pub(crate) fn readout_s<'a>(frames_us: impl IntoIterator<Item = &'a [i64; 2]>) -> Option<f64> {
+fn readout_s<'a>(frames_us: impl IntoIterator<Item = &'a [i64; 2]>) -> Option<f64> {
     let durations = frames_us
         .into_iter()
         .map(|[start_us, end_us]| end_us.saturating_sub(*start_us));

@@ -5,11 +5,11 @@ use decouplegs_scene::lens::{
     ANGLE_LIMIT_RAD, FTheta, FThetaReference, Fisheye, OpenCv, WindshieldDirection,
 };
 use decouplegs_scene::lens::{Lens, Windshield};
-use decouplegs_scene::{Intrinsics, ShutterDirection};
+use decouplegs_scene::{Intrinsics, Shutter, ShutterDirection};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{FTHETA_ORIGIN_PX, pinhole_of};
+use super::{FTHETA_ORIGIN_PX, pinhole_of, readout_s};
 
 #[derive(Deserialize)]
 struct Model {
@@ -71,7 +71,7 @@ struct WindshieldParameters {
 ///
 /// # Errors
 /// A sentence that names the key at fault.
-pub(crate) fn read_camera_model(model: &Value) -> Result<(Intrinsics, ShutterDirection), String> {
+fn read_camera_model(model: &Value) -> Result<(Intrinsics, ShutterDirection), String> {
     let Model { kind, parameters } = read(model, "camera_model")?;
     let common: Common = read(&parameters, "parameters")?;
     let size_px = common.resolution;
@@ -205,6 +205,30 @@ fn padded<const N: usize>(values: &[f64], field: &str) -> Result<[f64; N], Strin
     }
     let at = |place: usize| values.get(place).copied().unwrap_or(0.0);
     Ok(std::array::from_fn(at))
+}
+
+/// Reads a camera's `model` as [`read_camera_model`] does; its shutter, where it rolls, takes as
+/// long as the images `frames_us`, microseconds, in the median.
+///
+/// # Errors
+/// A sentence that names the key at fault, or says that no image tells how long the shutter takes.
+pub(crate) fn read_rolling_camera_model<'a>(
+    model: &Value,
+    frames_us: impl IntoIterator<Item = &'a [i64; 2]>,
+) -> Result<Intrinsics, String> {
+    let (mut intrinsics, direction) = read_camera_model(model)?;
+    if direction != ShutterDirection::Global {
+        let readout_s = readout_s(frames_us).ok_or_else(|| {
+            format!(
+                "its shutter is {}, and no frame has a start and an end",
+                direction.name()
+            )
+        })?;
+        let size_px = [intrinsics.width_px, intrinsics.height_px];
+        intrinsics.shutter = Shutter::new(direction, readout_s, size_px);
+    }
+    intrinsics.check().map_err(|reason| reason.to_string())?;
+    Ok(intrinsics)
 }
 
 #[cfg(test)]

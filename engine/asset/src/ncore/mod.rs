@@ -18,13 +18,13 @@ mod store;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use decouplegs_scene::{Pose, RigCamera, Shutter, ShutterDirection, TimedPose, Trajectory};
+use decouplegs_scene::{Pose, RigCamera, TimedPose, Trajectory};
 use glam::{DMat3, DQuat, DVec3};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use self::store::Store;
-use crate::camera_model::{read_camera_model, readout_s};
+use crate::camera_model::read_rolling_camera_model;
 use crate::rigid::pose_of_rows;
 use crate::tracks::PoseRow;
 use crate::{AssetError, DecodeError, read_bytes};
@@ -369,19 +369,7 @@ fn intrinsics(
         None => return Err("camera_model_type is missing".into()),
     };
     let model = json!({"type": kind, "parameters": model["camera_model_parameters"]});
-    let (mut intrinsics, direction) = read_camera_model(&model)?;
-    if direction != ShutterDirection::Global {
-        let readout_s = readout_s(frames_us).ok_or_else(|| {
-            format!(
-                "its shutter is {}, and no frame has a start and an end",
-                direction.name()
-            )
-        })?;
-        let size_px = [intrinsics.width_px, intrinsics.height_px];
-        intrinsics.shutter = Shutter::new(direction, readout_s, size_px);
-    }
-    intrinsics.check().map_err(|reason| reason.to_string())?;
-    Ok(intrinsics)
+    read_rolling_camera_model(&model, frames_us)
 }
 
 fn boxes(

@@ -78,12 +78,7 @@ impl<'a> ObstacleScanner<'a> {
     ) {
         self.scans += 1;
         self.span_s = [self.span_s[0].min(time_s), self.span_s[1].max(time_s)];
-        let wide = moving.iter().map(|one| OrientedBox {
-            half_length_m: one.half_length_m + MARGIN_M,
-            half_width_m: one.half_width_m + MARGIN_M,
-            ..*one
-        });
-        let wide: Vec<OrientedBox> = wide.collect();
+        let wide: Vec<OrientedBox> = moving.iter().map(|one| one.widened(MARGIN_M)).collect();
         for point in points_m.iter().filter(|point| point.is_finite()) {
             let at = point.truncate();
             let near = self.ground.way.nearest(at);

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use decouplegs_scene::{Pose, Rig, RigCamera, Shutter, ShutterDirection, TimedPose, Trajectory};
+use decouplegs_scene::{Pose, Rig, RigCamera, TimedPose, Trajectory};
 use glam::DVec3;
 use serde::Deserialize;
 use serde_json::Value;
 
 use super::tracks::seconds;
 use crate::DecodeError;
-use crate::camera_model::{read_camera_model, readout_s};
+use crate::camera_model::read_rolling_camera_model;
 use crate::lidar_file;
 use crate::rigid::pose_of_rows;
 use crate::scene_import::ImportedLidar;
@@ -160,7 +160,8 @@ pub(super) fn read(text: &[u8]) -> Result<PackageRig, DecodeError> {
     })
 }
 
-/// LiDARs whose models are told, from the `middle` of the vehicle's box. Others are noted.
+/// LiDARs of the package that have a model, with poses from the `middle` of the vehicle's box. The
+/// notes name the others.
 fn lidars(
     calibrations: &BTreeMap<String, LidarCalibration>,
     middle: DVec3,
@@ -172,7 +173,7 @@ fn lidars(
         let own = (&calibration.rig_from_sensor, &calibration.lidar_model);
         let (Some(rows), Some(model)) = own else {
             notes.push(format!(
-                "the LiDAR {name} is left out: its pose or its model is not told; `lidar --sensor` traces with models of our own"
+                "the LiDAR {name} is left out: the package has no pose or no model of it; `lidar --sensor` traces with models of our own"
             ));
             continue;
         };
@@ -203,23 +204,10 @@ fn camera(
     middle: DVec3,
     frames: &[Vec<i64>],
 ) -> Result<RigCamera, String> {
-    let (mut intrinsics, direction) = read_camera_model(&calibration.camera_model)?;
-    if direction != ShutterDirection::Global {
-        let readout_s = readout_s(
-            frames
-                .iter()
-                .filter_map(|frame| frame.as_slice().try_into().ok()),
-        )
-        .ok_or_else(|| {
-            format!(
-                "its shutter is {}, and no frame has a start and an end",
-                direction.name()
-            )
-        })?;
-        let size_px = [intrinsics.width_px, intrinsics.height_px];
-        intrinsics.shutter = Shutter::new(direction, readout_s, size_px);
-    }
-    intrinsics.check().map_err(|reason| reason.to_string())?;
+    let frames_us = frames
+        .iter()
+        .filter_map(|frame| frame.as_slice().try_into().ok());
+    let intrinsics = read_rolling_camera_model(&calibration.camera_model, frames_us)?;
     let rig_from_camera = pose(&calibration.rig_from_sensor, "T_sensor_rig")?;
     Ok(RigCamera {
         name: calibration.logical_sensor_name.clone(),
