@@ -197,14 +197,18 @@ Met of_lane(Met mine, uint lane, uint place) {
     return Met(subgroupShuffle(mine.alpha, lane), subgroupShuffle(mine.range_m, lane), place_look[place].yz);
 }
 
-// Adds what was met to the beam.
+// Adds what was met to the beam. Sums are rounded after each step on every device, whether echoes
+// are found beside them or not: a state does not depend on the returns that were asked for.
 void add(Met met, inout BeamState state, inout BeamEchoes found) {
     float intensity = met.look.x;
     uint instance = floatBitsToUint(met.look.y);
-    float weight = state.transmittance * met.alpha;
-    state.transmittance *= 1.0 - met.alpha;
-    state.range_sum_m += weight * met.range_m;
-    state.intensity_sum += weight * intensity;
+    precise float weight = state.transmittance * met.alpha;
+    precise float left = state.transmittance * (1.0 - met.alpha);
+    precise float range_sum_m = state.range_sum_m + weight * met.range_m;
+    precise float intensity_sum = state.intensity_sum + weight * intensity;
+    state.transmittance = left;
+    state.range_sum_m = range_sum_m;
+    state.intensity_sum = intensity_sum;
     if (state.median_m == 0.0 && state.transmittance <= 0.5) {
         state.median_m = met.range_m;
         state.instances = state.instances & 0xffff0000u | instance;

@@ -62,7 +62,12 @@ impl Listed {
     fn stored(gpu: &Validated, world: &SplatScene, lidar: &Lidar, storage: Storage) -> Self {
         let beams = lidar.model.beams();
         let cells = lidar.model.cells();
-        let cut = Sectors::new(lidar, &beams, &cells, &SectorPlan::new(&beams, &cells, 8));
+        let cut = Sectors::new(
+            lidar,
+            &cells,
+            &SectorPlan::new(&beams, &cells, 8),
+            Vec::new(),
+        );
         let view = View::new(&cut.cameras, world.origin, 1e3).unwrap();
         let scene = GpuScene::upload(gpu, world, storage).unwrap();
         let mut sectors = SectorBuffers::new(gpu).unwrap();

@@ -34,6 +34,17 @@ impl Capacity {
         }
     }
 
+    /// Room for what either has room for.
+    #[must_use]
+    pub fn max(self, other: Self) -> Self {
+        Self {
+            records: self.records.max(other.records),
+            pairs: self.pairs.max(other.pairs),
+            partials: self.partials.max(other.partials),
+            tiles: self.tiles.max(other.tiles),
+        }
+    }
+
     /// True if all required counts fit.
     #[must_use]
     pub fn holds(&self, required: &RequiredCounts) -> bool {

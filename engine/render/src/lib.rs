@@ -48,7 +48,7 @@ pub use error::RenderError;
 pub use image_bytes::{ImageBytes, lower_half_opacity};
 pub use kept_lists::ListSource;
 pub use keys::KeySource;
-pub use lidar::{LidarOptions, LidarRenderer, TracedSweep};
+pub use lidar::{LidarOptions, LidarRenderer, LidarView, TracedSweep};
 pub use options::{FrameStatistics, QueueTrace, RenderOptions};
 pub use output::{ColorFormat, OutputBuffers, Outputs};
 pub use plane::{Attribute, Plane, PlaneMap, PlaneType, PlaneValues, Planes};

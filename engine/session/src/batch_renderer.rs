@@ -4,14 +4,14 @@ use std::collections::VecDeque;
 
 use decouplegs_gpu::Gpu;
 use decouplegs_render::{
-    Agent, ColorFormat, FrameStatistics, Image, ImageBytes, LidarOptions, LidarRenderer,
+    Agent, ColorFormat, FrameStatistics, Image, ImageBytes, LidarOptions, LidarRenderer, LidarView,
     RenderOptions, Renderer, Scene, TakenImages, TracedSweep,
 };
 use decouplegs_scene::lidar::ReturnMode;
 use decouplegs_scene::{Camera, Lidar, Rules};
 
 use super::batch::{Batch, batches};
-use super::{SessionError, SessionOptions, SessionScene, World};
+use super::{RigSweep, SessionError, SessionOptions, SessionScene, World};
 use crate::AgentInstance;
 
 /// A world, and the cameras that look at it.
@@ -272,20 +272,53 @@ impl BatchRenderer {
         world_s: f64,
         mode: ReturnMode,
     ) -> Result<TracedSweep, SessionError> {
+        let sweep = RigSweep {
+            lidar: lidar.clone(),
+            world_s,
+            mode,
+        };
+        let mut traced = Vec::new();
+        self.trace_all(world, &[sweep], &mut traced)?;
+        Ok(traced.pop().expect("a sweep was asked for"))
+    }
+
+    /// Traces sweeps through `world`, as [`BatchRenderer::trace`] does, and waits for all of them.
+    /// The device traces one while the host prepares the next, behind the images that were
+    /// submitted before. `traced` becomes the sweeps in their order; memory that it holds is used
+    /// again.
+    ///
+    /// # Errors
+    /// Returns the errors of [`BatchRenderer::trace`]; `traced` is empty then. Submissions stay.
+    pub fn trace_all(
+        &mut self,
+        world: &World,
+        sweeps: &[RigSweep],
+        traced: &mut Vec<TracedSweep>,
+    ) -> Result<(), SessionError> {
         if !world.scene().is_on(&self.gpu) {
+            traced.clear();
             return Err(SessionError::OtherSession { view: 0 });
         }
-        let at_start = |agent: AgentInstance| AgentInstance {
+        let at_start = |agent: AgentInstance, world_s: f64| AgentInstance {
             pose: match agent.motion.is_rest() {
                 true => agent.pose,
                 false => agent.pose.moved(&agent.motion, -world_s),
             },
             ..agent
         };
-        let placed: Vec<AgentInstance> = world.present_agents().map(at_start).collect();
         let live = world.scene().live();
-        let agents: Vec<Agent> = live.unlit(&placed).collect();
-        let scene = Scene::with_agents(&live.gpu_scene, &live.pool, &agents);
+        let agents_of = |sweep: &RigSweep| -> Vec<Agent> {
+            let placed = world.present_agents();
+            let placed: Vec<_> = placed.map(|agent| at_start(agent, sweep.world_s)).collect();
+            live.unlit(&placed).collect()
+        };
+        let agents: Vec<Vec<Agent>> = sweeps.iter().map(agents_of).collect();
+        let views = sweeps.iter().zip(&agents).map(|(sweep, agents)| LidarView {
+            scene: Scene::with_agents(&live.gpu_scene, &live.pool, agents),
+            lidar: &sweep.lidar,
+            mode: sweep.mode,
+        });
+        let views: Vec<LidarView> = views.collect();
         let rules = self.rules.unwrap_or(world.scene().rules());
         let mut built = self.lidars.iter();
         let index = built.position(|renderer| renderer.options().rules == rules);
@@ -297,7 +330,7 @@ impl BatchRenderer {
             self.lidars.push(LidarRenderer::new(&self.gpu, options));
             self.lidars.len() - 1
         });
-        Ok(self.lidars[index].trace(scene, lidar, mode)?)
+        Ok(self.lidars[index].trace_all(&views, traced)?)
     }
 
     fn check_finished(&self) -> Result<(), SessionError> {

@@ -177,25 +177,16 @@ impl RigDevice {
         sweeps: &[RigSweep],
     ) -> Result<(), SessionError> {
         self.images.clear();
-        self.sweeps.clear();
         let world = &world.over(&self.scene)?;
         // The device draws while the host prepares the first sweep.
         if !cameras.is_empty() {
             self.renderer.submit(&[WorldView { world, cameras }])?;
         }
-        for RigSweep {
-            lidar,
-            world_s,
-            mode,
-        } in sweeps
-        {
-            let traced = self.renderer.trace(world, lidar, *world_s, *mode)?;
-            self.sweeps.push(traced);
-        }
+        let traced = (self.renderer).trace_all(world, sweeps, &mut self.sweeps);
         if !cameras.is_empty() {
             self.renderer.finish(&mut self.images)?;
         }
-        Ok(())
+        traced
     }
 }
 

@@ -3,11 +3,12 @@
 use decouplegs::AgentInstance;
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::DeviceOptions;
+use decouplegs::render::TracedSweep;
 use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
 use decouplegs::render::{Agent, AssetPool, GpuScene, LidarOptions, LidarRenderer, Scene, Storage};
-use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions, Spin};
+use decouplegs::scene::lidar::{LidarModel, PointFrame, ReturnMode, ReturnOptions, Spin};
 use decouplegs::scene::{Motion, Pose, Rules};
-use decouplegs::session::{Session, SessionError, SessionOptions, World};
+use decouplegs::session::{RigSweep, Session, SessionError, SessionOptions, World};
 use glam::DVec3;
 
 use super::{lidar_at, models, spinning, surroundings, uniform};
@@ -178,4 +179,85 @@ fn no_beam_misses_a_splat_of_an_agent() {
     assert!(met > 1000 && worst < 1e-3, "{worst} of {met} beams");
     let (worst, _) = missed(&gpu, &agents[..3], &agents);
     assert!(worst > 0.1, "an agent that is missed is noticed");
+}
+
+/// A sweep of `model` at the origin, whose world is at its start.
+fn sweep_of(model: LidarModel, mode: ReturnMode) -> RigSweep {
+    RigSweep {
+        lidar: lidar_at(model, DVec3::ZERO, Motion::REST),
+        world_s: 0.0,
+        mode,
+    }
+}
+
+#[test]
+fn sweeps_in_flight_are_those_that_were_waited_for() {
+    let session = Session::open(&SessionOptions {
+        device: DeviceOptions {
+            validation: true,
+            ..DeviceOptions::default()
+        },
+        ..SessionOptions::default()
+    })
+    .unwrap();
+    let scene = session.add_scene(&scene()).unwrap();
+    let world = World::empty(&scene);
+    // The lists of later ones outgrow the room that those before found, while others are on the
+    // device.
+    let sizes = [(4, 90), (8, 180), (16, 720), (4, 90), (40, 720)];
+    let modes = [ReturnMode::Median, ReturnMode::Dual].into_iter().cycle();
+    let sweeps: Vec<RigSweep> = (sizes.into_iter().zip(modes))
+        .map(|((rings, columns), mode)| {
+            let elevations = uniform(rings, 12.0, -20.0);
+            sweep_of(spinning(&elevations, columns, 360.0, Spin::Clockwise), mode)
+        })
+        .collect();
+    let alone: Vec<TracedSweep> = sweeps
+        .iter()
+        .map(|sweep| {
+            let mut renderer = session.batch_renderer();
+            let RigSweep {
+                lidar,
+                world_s,
+                mode,
+            } = sweep;
+            renderer.trace(&world, lidar, *world_s, *mode).unwrap()
+        })
+        .collect();
+    let is_met = |sweep: &TracedSweep| sweep.states.iter().any(|state| state.transmittance < 0.5);
+    assert!(alone.iter().all(is_met));
+    assert!(alone[0].states != alone[1].states);
+    let mut renderer = session.batch_renderer();
+    let mut traced = Vec::new();
+    let same = |traced: &[TracedSweep], alone: &[TracedSweep]| {
+        assert_eq!(traced.len(), alone.len());
+        for (number, (traced, alone)) in traced.iter().zip(alone).enumerate() {
+            assert!(traced.states == alone.states, "sweep {number}");
+            assert!(traced.echoes == alone.echoes, "echoes of sweep {number}");
+        }
+    };
+    renderer.trace_all(&world, &sweeps, &mut traced).unwrap();
+    same(&traced, &alone);
+    // In memory of sweeps of other sizes.
+    traced.reverse();
+    renderer.trace_all(&world, &sweeps, &mut traced).unwrap();
+    same(&traced, &alone);
+    renderer.trace_all(&world, &[], &mut traced).unwrap();
+    assert!(traced.is_empty());
+
+    // A faulty sweep among good ones is told, and the next ones are as before.
+    let mut faulty = sweeps.clone();
+    faulty[3].lidar.motion.velocity_mps.x = f64::NAN;
+    traced.extend(alone.iter().cloned());
+    let refused = renderer.trace_all(&world, &faulty, &mut traced);
+    assert!(refused.unwrap_err().to_string().contains("NaN"));
+    assert!(traced.is_empty());
+    renderer
+        .trace_all(&world, &sweeps[1..3], &mut traced)
+        .unwrap();
+    same(&traced, &alone[1..3]);
+    assert_eq!(
+        session.gpu().take_validation_messages(),
+        Vec::<String>::new()
+    );
 }

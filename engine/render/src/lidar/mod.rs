@@ -5,29 +5,27 @@
 //! that no beam meets, but lack none that one meets. Ranges and weights come from the exact ray of
 //! each beam, at its own time: only the order of splats is that of the middle of the sector.
 
+mod flight;
 mod sectors;
 mod traced;
 
-use std::ops::Range;
+use std::collections::VecDeque;
 use std::sync::Arc;
-
-use bytemuck::Pod;
-use decouplegs_gpu::{Buffer, DeviceKind, Gpu, GpuError, QueueRole, Recorder, StageTime, Ticket};
-use decouplegs_scene::lidar::{Beam, LidarCells, ReturnMode};
-use decouplegs_scene::{Lidar, LidarModel, Rules};
-use rayon::prelude::*;
 
 use crate::RenderError;
 use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
-use crate::layout::{BeamEchoes, BeamState, CAMERAS_MAX, CLUSTER_SPLATS, RequiredCounts, View};
+use crate::layout::{BeamRecord, CAMERAS_MAX, CLUSTER_SPLATS, View};
 use crate::staged_agents::StagedAgents;
 use crate::stages::{
-    AgentBuffers, LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ListLidar,
-    ProjectLidar, ProjectLidarAgents, Records, Scan, SectorBuffers, SectorTables, TileSort,
-    TileSortBuffers, TraceLidar, beam_lanes,
+    LidarBuffers, LidarRoom, LidarVariant, ListLidar, ProjectLidar, ProjectLidarAgents, Scan,
+    SectorBuffers, TileSort, TraceLidar, beam_lanes,
 };
+use decouplegs_gpu::{Gpu, GpuError};
+use decouplegs_scene::lidar::{Beam, LidarCells, ReturnMode};
+use decouplegs_scene::{Lidar, LidarModel, Rules};
 
+use flight::{SweepInFlight, SweepInput};
 pub use sectors::{SectorPlan, Sectors};
 pub use traced::TracedSweep;
 
@@ -78,6 +76,9 @@ const GRIDS_MAX: usize = 16;
 /// Sizes of sweeps whose buffers a renderer keeps.
 const ROOMS_MAX: usize = 4;
 
+/// Sweeps that are on the device at a time: one is traced while the host prepares the next.
+const SWEEPS_IN_FLIGHT: usize = 2;
+
 /// Traces the sweeps of LiDARs on one device. Buffers of lists are sized by the sweep before and
 /// kept for others of the same size, and the beams of models are made once.
 pub struct LidarRenderer {
@@ -89,59 +90,29 @@ pub struct LidarRenderer {
     capacity: Option<Capacity>,
     /// Buffers of earlier sweeps, the last ones last.
     buffers: Vec<(LidarRoom, LidarBuffers)>,
-    /// Buffers that the host writes; `None` before the first sweep.
-    written: Option<Written>,
+    /// Buffers that the host writes, for each sweep in flight. Those of sweeps that are done.
+    written: Vec<Written>,
     stages_timed: bool,
+}
+
+/// A sweep to trace: a LiDAR in a scene whose agents stand where they are at the start of the
+/// sweep.
+#[derive(Clone, Copy)]
+pub struct LidarView<'a> {
+    /// Scene, and its agents.
+    pub scene: Scene<'a>,
+    /// LiDAR, and its motion during the sweep.
+    pub lidar: &'a Lidar,
+    /// Returns that can be made of the sweep; with [`ReturnMode::Dual`], those of every mode.
+    pub mode: ReturnMode,
 }
 
 /// Buffers that the host writes for a sweep.
 struct Written {
     sectors: SectorBuffers,
     agents: StagedAgents,
-}
-
-/// Results of a walk, by beam.
-struct Walked {
-    states: Vec<BeamState>,
-    echoes: Vec<BeamEchoes>,
-}
-
-/// Time on the device that a sweep took.
-struct SweepTimes {
-    gpu_time_ns: u64,
-    /// Empty unless stages are timed.
-    stages: Vec<StageTime>,
-}
-
-impl SweepTimes {
-    /// Times of submissions, one after the other.
-    fn from_tickets(tickets: &[Ticket]) -> Result<Self, GpuError> {
-        let mut times = Self {
-            gpu_time_ns: 0,
-            stages: Vec::new(),
-        };
-        for ticket in tickets {
-            times.gpu_time_ns += ticket.gpu_time_ns()?;
-            times.stages.extend(ticket.stage_times()?);
-        }
-        Ok(times)
-    }
-}
-
-/// Values of a buffer of the host, copied on all threads: most of a copy of this size is the
-/// system's handing out of memory.
-fn read<T: Pod + Send + Sync>(values: &Buffer<T>) -> Vec<T> {
-    values.as_host(values.len()).par_iter().copied().collect()
-}
-
-/// A sweep that is being traced.
-struct SweepInput<'a> {
-    scene: Scene<'a>,
-    beams: usize,
-    view: View,
-    agents: Option<AgentList>,
-    variant: LidarVariant,
-    range_min_m: f32,
+    /// Memory of the records of beams, which is used again.
+    records: Vec<BeamRecord>,
 }
 
 impl LidarRenderer {
@@ -156,7 +127,7 @@ impl LidarRenderer {
             grids: Vec::new(),
             capacity: None,
             buffers: Vec::new(),
-            written: None,
+            written: Vec::new(),
             stages_timed: false,
         }
     }
@@ -164,15 +135,6 @@ impl LidarRenderer {
     /// Times every stage of the sweeps from here on. Stages that are timed do not overlap.
     pub fn time_stages(&mut self, timed: bool) {
         self.stages_timed = timed;
-    }
-
-    /// A recorder for a part of a sweep.
-    fn recorder(&self) -> Recorder {
-        let recorder = self.gpu.record(QueueRole::Main);
-        match self.stages_timed {
-            true => recorder.time_stages(),
-            false => recorder,
-        }
     }
 
     /// Options of the renderer.
@@ -194,7 +156,58 @@ impl LidarRenderer {
         lidar: &Lidar,
         mode: ReturnMode,
     ) -> Result<TracedSweep, RenderError> {
-        let mut scene = scene.into();
+        let scene = scene.into();
+        let mut traced = Vec::new();
+        self.trace_all(&[LidarView { scene, lidar, mode }], &mut traced)?;
+        Ok(traced.pop().expect("a sweep was asked for"))
+    }
+
+    /// Traces sweeps, and waits for all of them. The device traces one while the host prepares the
+    /// next. `traced` becomes the sweeps in the order of `views`; memory that it holds is used
+    /// again.
+    ///
+    /// # Errors
+    /// Returns the errors of [`LidarRenderer::trace`]; `traced` is empty then.
+    pub fn trace_all(
+        &mut self,
+        views: &[LidarView<'_>],
+        traced: &mut Vec<TracedSweep>,
+    ) -> Result<(), RenderError> {
+        let mut kept = std::mem::take(traced).into_iter();
+        let mut in_flight = VecDeque::new();
+        let mut finish = |renderer: &mut Self, flight| {
+            traced.push(renderer.finish(flight, kept.next())?);
+            Ok(())
+        };
+        let mut ended = views.iter().try_for_each(|view| {
+            if in_flight.len() == SWEEPS_IN_FLIGHT
+                && let Some(oldest) = in_flight.pop_front()
+            {
+                finish(self, oldest)?;
+            }
+            in_flight.push_back(self.start(view)?);
+            Ok(())
+        });
+        while let Some(oldest) = in_flight.pop_front() {
+            match ended {
+                Ok(()) => ended = finish(self, oldest),
+                // The error of the first one is told.
+                Err(_) => self.abandon(oldest),
+            }
+        }
+        if ended.is_err() {
+            traced.clear();
+        }
+        ended
+    }
+
+    /// Prepares a sweep, and submits it.
+    fn start<'a>(&mut self, view: &LidarView<'a>) -> Result<SweepInFlight<'a>, RenderError> {
+        let LidarView {
+            mut scene,
+            lidar,
+            mode,
+        } = *view;
         scene.gpu_scene = scene.gpu_scene.for_lidar();
         let of_lidar = |reason| RenderError::Lidar {
             name: lidar.name.clone(),
@@ -208,7 +221,9 @@ impl LidarRenderer {
             agent.motion.check().map_err(of_agent)?;
         }
         let grid = self.grid_of(&lidar.model);
-        let cut = Sectors::new(lidar, &grid.beams, &grid.cells, &grid.plan);
+        let mut written = self.written()?;
+        let records = std::mem::take(&mut written.records);
+        let cut = Sectors::new(lidar, &grid.cells, &grid.plan, records);
         let origin = scene.gpu_scene.origin;
         let from_origin = |camera: &decouplegs_scene::Camera| {
             (camera.world_from_camera.translation - origin).length()
@@ -216,7 +231,7 @@ impl LidarRenderer {
         let distance_max_m =
             scene.distance_max_m()? + cut.cameras.iter().map(from_origin).fold(0.0, f64::max);
         let view = View::new(&cut.cameras, origin, distance_max_m).map_err(RenderError::View)?;
-        let list = AgentList::of_sweep(&scene, &cut.cameras, &cut.times_s, &view)?;
+        let agents = AgentList::of_sweep(&scene, &cut.cameras, &cut.times_s, &view)?;
         let agents_move = || {
             let mut agents = scene.agents.iter().flat_map(|(_, agents)| agents.iter());
             agents.any(|agent| !agent.motion.is_rest())
@@ -229,25 +244,41 @@ impl LidarRenderer {
             storage: scene.gpu_scene.storage,
             beam_lanes: beam_lanes(&self.gpu, grid.beams.len()),
         };
-        self.write(&view, &cut.tables, list.as_ref())?;
+        written.sectors.set(&self.gpu, &view, &cut.tables)?;
+        if let Some(list) = &agents {
+            written.agents.fit(&self.gpu, list.counts)?;
+            written.agents.write(list);
+        }
+        written.records = cut.tables.beams;
+        self.build(variant)?;
         let input = SweepInput {
-            beams: grid.beams.len(),
-            agents: list,
-            variant,
-            range_min_m: lidar.model.range_m[0] as f32,
             scene,
+            lidar,
+            grid,
             view,
+            agents,
+            variant,
+            written,
         };
-        let (walked, required, times) = self.run(&input)?;
-        Ok(TracedSweep {
-            lidar: lidar.clone(),
-            beams: grid.beams.clone(),
-            states: walked.states,
-            echoes: walked.echoes,
-            required,
-            gpu_time_ns: times.gpu_time_ns,
-            stages: times.stages,
-        })
+        let splats = scene.gpu_scene.finest_clusters * CLUSTER_SPLATS
+            + input.agents.as_ref().map_or(0, |list| list.splats);
+        let capacity = match self.capacity {
+            Some(capacity) => capacity,
+            None => Capacity::guess(splats, input.view.cameras.len()),
+        };
+        self.submit_in(input, capacity)
+    }
+
+    /// Buffers of a sweep before that is done, or new ones.
+    fn written(&mut self) -> Result<Written, GpuError> {
+        match self.written.pop() {
+            Some(written) => Ok(written),
+            None => Ok(Written {
+                sectors: SectorBuffers::new(&self.gpu)?,
+                agents: StagedAgents::new(&self.gpu)?,
+                records: Vec::new(),
+            }),
+        }
     }
 
     /// Beams and grid of `model`, kept from sweep to sweep.
@@ -271,30 +302,6 @@ impl LidarRenderer {
         grid
     }
 
-    /// Writes what the kernels are given of a sweep. The sweep before is done.
-    fn write(
-        &mut self,
-        view: &View,
-        tables: &SectorTables,
-        list: Option<&AgentList>,
-    ) -> Result<(), RenderError> {
-        if self.written.is_none() {
-            self.written = Some(Written {
-                sectors: SectorBuffers::new(&self.gpu)?,
-                agents: StagedAgents::new(&self.gpu)?,
-            });
-        }
-        let Some(Written { sectors, agents }) = &mut self.written else {
-            unreachable!("made above")
-        };
-        sectors.set(&self.gpu, view, tables)?;
-        if let Some(list) = list {
-            agents.fit(&self.gpu, list.counts)?;
-            agents.write(list);
-        }
-        Ok(())
-    }
-
     /// Builds the kernels that are not there yet.
     fn build(&mut self, variant: LidarVariant) -> Result<(), RenderError> {
         let (gpu, rules) = (&self.gpu, &self.options.rules);
@@ -313,76 +320,6 @@ impl LidarRenderer {
         Ok(())
     }
 
-    /// Makes the lists, with as much room as they need, and walks them.
-    fn run(
-        &mut self,
-        input: &SweepInput<'_>,
-    ) -> Result<(Walked, RequiredCounts, SweepTimes), RenderError> {
-        self.build(input.variant)?;
-        let splats = input.scene.gpu_scene.finest_clusters * CLUSTER_SPLATS
-            + input.agents.as_ref().map_or(0, |list| list.splats);
-        let clusters = input.scene.gpu_scene.finest_clusters;
-        let mut capacity = match self.capacity {
-            Some(capacity) => capacity,
-            None => Capacity::guess(splats, input.view.cameras.len()),
-        };
-        for _ in 0..ATTEMPTS_MAX {
-            let echoes = input.variant.echoes;
-            let room = LidarRoom::new(capacity, clusters, &input.view, input.beams, echoes);
-            let buffers = self.buffers_of(&room)?;
-            let tickets = self.submit(input, &buffers)?;
-            let times = SweepTimes::from_tickets(&tickets)?;
-            let required = buffers.found_required.read_host()[0];
-            if capacity.holds(&required) {
-                self.capacity = Some(capacity);
-                let walked = Walked {
-                    states: read(&buffers.found_states),
-                    echoes: match echoes {
-                        true => read(&buffers.found_echoes),
-                        false => Vec::new(),
-                    },
-                };
-                self.buffers.push((room, buffers));
-                return Ok((walked, required, times));
-            }
-            capacity = capacity.grown_to(&required, 0.25);
-        }
-        Err(RenderError::Unsettled {
-            attempts: ATTEMPTS_MAX,
-            required: format!("{capacity:?}"),
-        })
-    }
-
-    /// Submits the sweep and waits for it. Without room nothing is walked. Lists are walked in one
-    /// dispatch with them, but on a software device, where their lengths have to be known before.
-    fn submit(
-        &self,
-        input: &SweepInput<'_>,
-        buffers: &LidarBuffers,
-    ) -> Result<Vec<Ticket>, RenderError> {
-        let mut recorder = self.recorder();
-        self.list(&mut recorder, input, buffers);
-        let mut tickets = Vec::new();
-        let mut window = u32::MAX;
-        let mut longest = 1;
-        if self.gpu.info().kind == DeviceKind::Cpu {
-            tickets.push(self.gpu.submit(recorder, &self.added(input))?);
-            tickets[0].wait()?;
-            longest = buffers.found_required.read_host()[0].longest;
-            window = ENTRIES_MAX_IN_SOFTWARE;
-            recorder = self.recorder();
-        }
-        let windows: Vec<Range<u32>> = (0..longest.max(1))
-            .step_by(window as usize)
-            .map(|first| first..first.saturating_add(window))
-            .collect();
-        self.walk(&mut recorder, input, buffers, &windows);
-        let walked = self.gpu.submit(recorder, &self.added(input))?;
-        walked.wait()?;
-        tickets.push(walked);
-        Ok(tickets)
-    }
-
     /// Buffers of `room`: those of an earlier sweep, or new ones in place of the oldest.
     fn buffers_of(&mut self, room: &LidarRoom) -> Result<LidarBuffers, GpuError> {
         if let Some(index) = self.buffers.iter().position(|(kept, _)| kept == room) {
@@ -397,112 +334,7 @@ impl LidarRenderer {
         LidarBuffers::new(&self.gpu, room)
     }
 
-    /// Records the sorted lists of coarse and fine tiles, and the copy of what they needed.
-    fn list(&self, recorder: &mut Recorder, input: &SweepInput<'_>, buffers: &LidarBuffers) {
-        let (Some((scan, tile_sort, list_lidar)), Some(stages), Some(written)) =
-            (&self.common, self.stages_of(input.variant), &self.written)
-        else {
-            unreachable!("build and write were called")
-        };
-        let (gpu_scene, sectors) = (input.scene.gpu_scene, &written.sectors);
-        let lists = sectors.count * gpu_scene.finest_clusters;
-        let agents = input.agents.as_ref().map(|list| LidarAgents {
-            pool: &list.pool,
-            agents: &written.agents.buffers,
-            counts: list.counts,
-            static_lists: lists,
-        });
-        recorder.stage("begin", |r| {
-            sectors.copy(r);
-            if let Some(list) = &input.agents {
-                written.agents.copy(r, list.counts);
-            }
-            empty_counts(r, buffers, sectors.bins);
-        });
-        recorder.stage("project lidar", |r| {
-            let background = &stages.background;
-            background.record(r, LidarPass::Mark, gpu_scene, sectors, buffers);
-            scan.record(r, &buffers.visible.counts, &buffers.offsets, lists);
-            background.record(r, LidarPass::Write, gpu_scene, sectors, buffers);
-        });
-        if let Some(agents) = &agents {
-            recorder.stage("project lidar agents", |r| {
-                let AgentBuffers {
-                    visible, offsets, ..
-                } = agents.agents;
-                let count = sectors.count * agents.counts.clusters;
-                stages
-                    .agents
-                    .record(r, LidarPass::Mark, agents, sectors, buffers);
-                scan.record(r, &visible.counts, offsets, count);
-                stages
-                    .agents
-                    .record(r, LidarPass::Write, agents, sectors, buffers);
-            });
-        }
-        let records = Records {
-            cameras: sectors.cameras.device(),
-            camera_count: sectors.count,
-            projected: &buffers.projected,
-            static_offsets: &buffers.offsets,
-            static_clusters: gpu_scene.finest_clusters,
-            moving_offsets: agents.map_or(&buffers.no_agents, |agents| &agents.agents.offsets),
-            moving_clusters: agents.map_or(0, |agents| agents.counts.clusters),
-            moving_only: false,
-            other_keys: &buffers.projected.keys,
-        };
-        let counters = &buffers.counters;
-        tile_sort.record(recorder, counters, records, &buffers.lists, sectors.bins);
-        recorder.stage("list lidar", |r| list_lidar.record(r, sectors, buffers));
-        recorder.copy(&counters.required, 0, &buffers.found_required, 0, 1);
-    }
-
-    /// Records the walk over `windows` of the lists, and the copies of what beams found.
-    fn walk(
-        &self,
-        recorder: &mut Recorder,
-        input: &SweepInput<'_>,
-        buffers: &LidarBuffers,
-        windows: &[Range<u32>],
-    ) {
-        let (Some(stages), Some(written)) = (self.stages_of(input.variant), &self.written) else {
-            unreachable!("build and write were called")
-        };
-        recorder.stage("trace lidar", |r| {
-            for entries in windows {
-                let (sectors, trace) = (&written.sectors, &stages.trace);
-                trace.record(r, sectors, buffers, entries.clone(), input.range_min_m);
-            }
-        });
-        let beams = buffers.states.len();
-        recorder.stage("copy lidar", |r| {
-            r.copy(&buffers.states, 0, &buffers.found_states, 0, beams);
-            if input.variant.echoes {
-                r.copy(&buffers.echoes, 0, &buffers.found_echoes, 0, beams);
-            }
-        });
-    }
-
     fn stages_of(&self, variant: LidarVariant) -> Option<&LidarStages> {
         self.stages.iter().find(|built| built.variant == variant)
-    }
-
-    /// Uploads of assets that the sweep has to wait for.
-    fn added<'a>(&self, input: &'a SweepInput<'_>) -> Vec<&'a Ticket> {
-        let agents = input.scene.agents.iter();
-        agents.filter_map(|(pool, _)| pool.last_upload()).collect()
-    }
-}
-
-/// Empties what is counted.
-fn empty_counts(recorder: &mut Recorder, buffers: &LidarBuffers, bins: u32) {
-    let (counters, slabs) = (&buffers.counters, &buffers.lists.slab_counts);
-    let emptied = [
-        (counters.required.binding(), counters.required.byte_len()),
-        (counters.arguments.binding(), counters.arguments.byte_len()),
-        (slabs.binding(), TileSortBuffers::slab_bytes(bins)),
-    ];
-    for (buffer, bytes) in emptied {
-        recorder.fill(buffer, 0, bytes, 0);
     }
 }

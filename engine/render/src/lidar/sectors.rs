@@ -38,8 +38,19 @@ struct PlannedSector {
     times_s: Vec<f64>,
     /// Times of firing of the sectors before.
     first_firing: u32,
-    /// Index in `times_s` of each cell, `[column][row]`; [`NO_BEAM`] where it has no beam.
-    firings: Vec<u32>,
+    /// Cells as they are read, `[row][column]`.
+    cells: Vec<PlannedCell>,
+}
+
+/// A cell of the grid of a sector.
+#[derive(Clone, Copy, Debug)]
+struct PlannedCell {
+    /// Direction of its beam in the axes of the sensor.
+    direction: DVec3,
+    /// Index of its beam; [`NO_BEAM`] where it has none.
+    beam: u32,
+    /// Index in `times_s`.
+    firing: u32,
 }
 
 impl SectorPlan {
@@ -80,16 +91,25 @@ impl PlannedSector {
         let first = *filled().next()?;
         let mut known: HashMap<u64, u32> = HashMap::new();
         let mut times_s = Vec::new();
-        let mut firing = |beam: &Beam| {
-            *known.entry(beam.time_s.to_bits()).or_insert_with(|| {
+        let width = columns.len();
+        let empty = PlannedCell {
+            direction: DVec3::ZERO,
+            beam: NO_BEAM,
+            firing: 0,
+        };
+        let mut planned = vec![empty; by_column.len()];
+        for (index, &cell) in by_column.iter().enumerate() {
+            let Some(beam) = of_cell(cell) else { continue };
+            let firing = *known.entry(beam.time_s.to_bits()).or_insert_with(|| {
                 times_s.push(beam.time_s);
                 times_s.len() as u32 - 1
-            })
-        };
-        let firings = by_column
-            .iter()
-            .map(|&cell| of_cell(cell).map_or(NO_BEAM, &mut firing))
-            .collect();
+            });
+            planned[index % cells.rows * width + index / cells.rows] = PlannedCell {
+                direction: beam.direction,
+                beam: cell,
+                firing,
+            };
+        }
         Some(Self {
             columns,
             time_s: [
@@ -99,7 +119,7 @@ impl PlannedSector {
             azimuth_rad: azimuths(&first, filled()),
             times_s,
             first_firing: 0,
-            firings,
+            cells: planned,
         })
     }
 }
@@ -127,20 +147,23 @@ struct Sector {
 }
 
 impl Sectors {
-    /// The sectors of the sweep of `lidar`, whose beams, grid and plan are given.
+    /// The sectors of the sweep of `lidar`, whose grid and plan are given. The memory of `records`
+    /// becomes that of the beams of the tables.
     #[must_use]
-    pub fn new(lidar: &Lidar, beams: &[Beam], cells: &LidarCells, plan: &SectorPlan) -> Self {
-        let sizes = || {
-            let sectors = plan.sectors.iter();
-            sectors.map(|sector| sector.firings.len())
-        };
-        let mut records = vec![BeamRecord::default(); sizes().sum()];
+    pub fn new(
+        lidar: &Lidar,
+        cells: &LidarCells,
+        plan: &SectorPlan,
+        mut records: Vec<BeamRecord>,
+    ) -> Self {
+        let sizes = || plan.sectors.iter().map(|sector| sector.cells.len());
+        records.resize(sizes().sum(), BeamRecord::default());
         let mut rest = &mut records[..];
         let of_sectors: Vec<&mut [BeamRecord]> = sizes()
             .map(|size| rest.split_off_mut(..size).expect("sizes add up"))
             .collect();
         let sectors: Vec<Sector> = (plan.sectors.par_iter().zip(of_sectors))
-            .map(|(planned, records)| Sector::new(lidar, beams, cells, planned, records))
+            .map(|(planned, records)| Sector::new(lidar, cells.rows, planned, records))
             .collect();
         let mut all = Self {
             cameras: Vec::new(),
@@ -171,12 +194,11 @@ impl Sector {
     /// The sector `planned`, whose beams become `records`, row by row.
     fn new(
         lidar: &Lidar,
-        beams: &[Beam],
-        cells: &LidarCells,
+        rows: usize,
         planned: &PlannedSector,
         records: &mut [BeamRecord],
     ) -> Self {
-        let (columns, rows) = (&planned.columns, cells.rows);
+        let columns = &planned.columns;
         let width = columns.len();
         let [start_s, end_s] = planned.time_s;
         let time_s = 0.5 * (start_s + end_s);
@@ -195,30 +217,41 @@ impl Sector {
             false => DVec3::ZERO,
         };
         let fired = Fired::new(&way, velocity, &planned.times_s);
-        let by_column = &cells.beams[columns.start * rows..columns.end * rows];
-        let mut row_bounds = vec![[f32::INFINITY, f32::NEG_INFINITY]; rows];
-        let of_rows = records.par_chunks_mut(width).zip(&mut row_bounds);
-        of_rows.enumerate().for_each(|(row, (records, bounds))| {
-            for (column, record) in records.iter_mut().enumerate() {
-                let cell = column * rows + row;
-                let (beam, firing) = (by_column[cell], planned.firings[cell]);
-                if firing == NO_BEAM {
+        let mut row_bounds = vec![NOTHING; rows];
+        let cells = planned.cells.par_chunks(width);
+        let of_rows = records.par_chunks_mut(width).zip(cells);
+        let of_rows = of_rows.zip(&mut row_bounds);
+        let place = |mut columns: Vec<[f32; 2]>, ((records, cells), bounds): RowOfSector<'_>| {
+            for ((record, cell), column) in records.iter_mut().zip(cells).zip(&mut columns) {
+                if cell.beam == NO_BEAM {
+                    *record = BeamRecord::default();
                     continue;
                 }
-                let direction = fired.turns[firing as usize] * beams[beam as usize].direction;
+                let direction = fired.turns[cell.firing as usize] * cell.direction;
                 let direction = direction.as_vec3();
                 *record = BeamRecord {
                     direction: direction.to_array(),
-                    firing: planned.first_firing + firing,
-                    index: beam,
+                    firing: planned.first_firing + cell.firing,
+                    index: cell.beam,
                 };
                 widen(bounds, direction.z / direction.truncate().length());
+                if !is_wide {
+                    widen(column, around(direction.x, direction.y));
+                }
             }
-        });
-        let mut column_bounds = match is_wide {
-            true => vec![[-4.0, 4.0]; width],
-            false => column_bounds(records, width, &planned.firings),
+            columns
         };
+        let none = || vec![NOTHING; width];
+        let mut column_bounds = of_rows.fold(none, place).reduce(none, |mut all, others| {
+            for (bounds, [low, high]) in all.iter_mut().zip(others) {
+                widen(bounds, low);
+                widen(bounds, high);
+            }
+            all
+        });
+        if is_wide {
+            column_bounds.fill([-4.0, 4.0]);
+        }
         make_rise(&mut column_bounds);
         row_bounds.reverse();
         make_rise(&mut row_bounds);
@@ -248,20 +281,11 @@ impl Sector {
     }
 }
 
-/// Lowest and highest azimuth of the beams of each column, as [`around`] orders them. `firings`
-/// tells which cells have one, `[column][row]`.
-fn column_bounds(records: &[BeamRecord], width: usize, firings: &[u32]) -> Vec<[f32; 2]> {
-    let rows = firings.len() / width;
-    let of_column = |column: usize| {
-        let mut bounds = [f32::INFINITY, f32::NEG_INFINITY];
-        for row in (0..rows).filter(|row| firings[column * rows + row] != NO_BEAM) {
-            let [x, y, _] = records[row * width + column].direction;
-            widen(&mut bounds, around(x, y));
-        }
-        bounds
-    };
-    (0..width).into_par_iter().map(of_column).collect()
-}
+/// Bounds of no values.
+const NOTHING: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
+
+/// Records of a row that are written, its cells, and the bounds of its slopes.
+type RowOfSector<'a> = ((&'a mut [BeamRecord], &'a [PlannedCell]), &'a mut [f32; 2]);
 
 /// Lowest and highest azimuth of `beams`, radians. They are counted from that of `first`, so that
 /// none is cut at half a turn.

@@ -6,7 +6,9 @@ use decouplegs_asset::{AssetError, read_lidar};
 use decouplegs_scene::episode::{DrawnBy, ReadingRecord};
 use decouplegs_scene::lidar::{ROOF_M, ReturnOptions};
 use decouplegs_scene::{Invalid, LidarSweep, Pose, Rig, RigCamera, RigLidar, random};
-use decouplegs_session::{BatchRenderer, HostImages, SessionError, SessionScene, World, WorldView};
+use decouplegs_session::{
+    BatchRenderer, HostImages, RigSweep, SessionError, SessionScene, TracedSweep, World, WorldView,
+};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -23,6 +25,8 @@ pub struct ObservationRenderer {
     images: HostImages,
     /// The last sweep of each LiDAR; none at a step that is not drawn.
     sweeps: Vec<LidarSweep>,
+    /// States of the beams of these sweeps. Their memory is used again.
+    traced: Vec<TracedSweep>,
 }
 
 /// Cameras of `rig` that `cameras` selects, at `size_px` if given.
@@ -113,6 +117,7 @@ impl ObservationRenderer {
             every: every.max(1),
             images: HostImages::default(),
             sweeps: Vec::new(),
+            traced: Vec::new(),
         }
     }
 
@@ -146,6 +151,7 @@ impl ObservationRenderer {
     pub fn restarted(self, scene: &Arc<SessionScene>, rig: Rig, every: u32) -> Self {
         Self {
             images: self.images,
+            traced: self.traced,
             ..Self::new(self.renderer, scene, rig, every)
         }
     }
@@ -178,25 +184,37 @@ impl ObservationRenderer {
         }
         let (ego, motion) = simulation.show(&mut self.world)?;
         let cameras = self.rig.moving_at(&ego, &motion);
+        let seed = random::mix(simulation.scenario().seed ^ u64::from(step));
+        let lidars = self.rig.sweeps_until(&ego, &motion);
+        let options = lidars.iter().zip(0..).map(|(lidar, index)| ReturnOptions {
+            seed: seed.wrapping_add(index),
+            ..ReturnOptions::for_model(&lidar.model)
+        });
+        let options: Vec<ReturnOptions> = options.collect();
+        let sweeps = lidars.into_iter().zip(&options);
+        let sweeps = sweeps.map(|(lidar, options)| RigSweep {
+            world_s: lidar.model.sweep_s,
+            mode: options.mode,
+            lidar,
+        });
+        let sweeps: Vec<RigSweep> = sweeps.collect();
+        // The device draws the images while the host prepares the first sweep.
         if !cameras.is_empty() {
             let view = WorldView {
                 world: &self.world,
                 cameras: &cameras,
             };
-            self.renderer.draw(&[view], &mut self.images)?;
+            self.renderer.submit(&[view])?;
         }
-        let seed = random::mix(simulation.scenario().seed ^ u64::from(step));
-        for (index, lidar) in self.rig.sweeps_until(&ego, &motion).iter().enumerate() {
-            let sweep_s = lidar.model.sweep_s;
-            let options = ReturnOptions {
-                seed: seed.wrapping_add(index as u64),
-                ..ReturnOptions::for_model(&lidar.model)
-            };
-            let traced = self
-                .renderer
-                .trace(&self.world, lidar, sweep_s, options.mode)?;
-            self.sweeps.push(traced.returns(&options));
+        let traced = (self.renderer).trace_all(&self.world, &sweeps, &mut self.traced);
+        if !cameras.is_empty() {
+            self.renderer.finish(&mut self.images)?;
         }
+        traced?;
+        let returns = self.traced.iter().zip(&options);
+        self.sweeps = returns
+            .map(|(traced, options)| traced.returns(options))
+            .collect();
         Ok(())
     }
 
