@@ -4,6 +4,7 @@ mod agents;
 mod detail;
 mod determinism;
 mod editing;
+mod faults;
 mod fog;
 mod geometry;
 mod growth;

@@ -7,6 +7,7 @@ use std::{
     time::Duration,
 };
 
+use ash::prelude::VkResult;
 use ash::{ext, khr, vk};
 use gpu_allocator::{
     AllocationSizes, AllocatorDebugSettings,
@@ -18,7 +19,8 @@ use crate::{
     accounting::Accounting,
     choice,
     device::{self, Abilities, Families, Opened, Physical},
-    drill::DrillState,
+    drill::{Drill, DrillState},
+    error::failed,
     export::Exports,
     instance::Instance,
     kernel_cache::PipelineStore,
@@ -89,8 +91,11 @@ impl Context {
         let Opened {
             device,
             abilities,
-            limits,
+            mut limits,
         } = opened;
+        if let Some(Drill::Heap(bytes)) = options.drill {
+            limits.device_memory_bytes = limits.device_memory_bytes.min(bytes);
+        }
         let mut debug_settings = AllocatorDebugSettings::default();
         debug_settings.log_leaks_on_shutdown = false;
         let allocator = Allocator::new(&AllocatorCreateDesc {
@@ -139,6 +144,27 @@ impl Context {
             device,
             instance,
         })
+    }
+
+    /// Result of `call`, a call of the Vulkan function `name`, unless a drill has it fail instead:
+    /// then it is not made.
+    pub(crate) fn code_of<T>(
+        &self,
+        name: &'static str,
+        call: impl FnOnce() -> VkResult<T>,
+    ) -> VkResult<T> {
+        let drilled = self.drill.as_ref().and_then(|drill| drill.call(name));
+        drilled.map_or_else(call, Err)
+    }
+
+    /// [`Context::code_of`], with the code as an error; for calls that can lose the device where no
+    /// stage is known.
+    pub(crate) fn call<T>(
+        &self,
+        name: &'static str,
+        call: impl FnOnce() -> VkResult<T>,
+    ) -> Result<T, GpuError> {
+        self.code_of(name, call).map_err(failed(name))
     }
 
     /// Export functions, or an error with the reason why there are none.

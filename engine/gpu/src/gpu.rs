@@ -9,8 +9,8 @@ use bytemuck::Pod;
 use crate::{
     Buffer, Constant, DeviceChoice, DeviceInfo, DeviceOptions, DeviceSet, GpuError, Kernel,
     KernelCounts, KernelReport, Limits, MemoryKind, MemoryReport, QueueRole, Recorder, Ticket,
-    choice, context::Context, device, instance::Instance, kernel::Kernels, memory::BufferMemory,
-    queue::Queue, transfer,
+    choice, context::Context, device, drill::DrillState, instance::Instance, kernel::Kernels,
+    memory::BufferMemory, queue::Queue, transfer,
 };
 
 /// One moment on the clocks of host and device.
@@ -189,6 +189,14 @@ impl Gpu {
     pub fn memory(&self) -> MemoryReport {
         self.0.reap();
         self.0.context.memory_report()
+    }
+
+    /// Names of the calls of Vulkan functions that can fail, in order; empty without a drill in
+    /// which one of them does.
+    #[must_use]
+    pub fn drilled_calls(&self) -> Vec<&'static str> {
+        let drill = self.0.context.drill.as_ref();
+        drill.map(DrillState::calls).unwrap_or_default()
     }
 
     /// Warnings and errors of the validation layer since the last call; nothing where validation is

@@ -301,8 +301,11 @@ impl KernelCore {
             .bindings(&bindings);
         // SAFETY: the device has push descriptors, and reflection made sure that binding numbers
         // differ and are few.
-        self.set_layout = unsafe { device.create_descriptor_set_layout(&create, None) }
-            .map_err(failed("vkCreateDescriptorSetLayout"))?;
+        self.set_layout = self
+            .context
+            .call("vkCreateDescriptorSetLayout", || unsafe {
+                device.create_descriptor_set_layout(&create, None)
+            })?;
         let sets = [self.set_layout];
         let push = [vk::PushConstantRange {
             stage_flags: vk::ShaderStageFlags::COMPUTE,
@@ -319,8 +322,9 @@ impl KernelCore {
             .push_constant_ranges(ranges);
         // SAFETY: the set layout is of this device, and the push constants were checked against its
         // limit.
-        self.layout = unsafe { device.create_pipeline_layout(&create, None) }
-            .map_err(failed("vkCreatePipelineLayout"))?;
+        self.layout = self.context.call("vkCreatePipelineLayout", || unsafe {
+            device.create_pipeline_layout(&create, None)
+        })?;
         Ok(())
     }
 
@@ -346,8 +350,9 @@ impl KernelCore {
         let create = vk::ShaderModuleCreateInfo::default().code(spirv);
         // SAFETY: `spirv` is SPIR-V by its header and reflection; that it is valid beyond that is
         // the shader compiler's promise.
-        let module = unsafe { context.device.create_shader_module(&create, None) }
-            .map_err(failed("vkCreateShaderModule"))?;
+        let module = context.call("vkCreateShaderModule", || unsafe {
+            context.device.create_shader_module(&create, None)
+        })?;
         let entry_point = ShortName::new(entry_point);
         let mut subgroups = vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default()
             .required_subgroup_size(context.limits.subgroup_size);
@@ -375,11 +380,11 @@ impl KernelCore {
             .push_next(&mut feedback);
         // SAFETY: module and layout are live and of this device, what `create` points to outlives
         // the call, and the layout was reflected from the module.
-        let pipelines = unsafe {
-            context
-                .device
-                .create_compute_pipelines(context.pipelines.cache, &[create], None)
-        };
+        let pipelines = context.code_of("vkCreateComputePipelines", || unsafe {
+            let (device, cache) = (&context.device, context.pipelines.cache);
+            let pipelines = device.create_compute_pipelines(cache, &[create], None);
+            pipelines.map_err(|(_, code)| code)
+        });
         // SAFETY: a module may go as soon as its pipelines are made.
         unsafe { context.device.destroy_shader_module(module, None) };
         self.pipeline = match pipelines {
@@ -387,12 +392,12 @@ impl KernelCore {
                 context.pipelines.count(built.flags);
                 pipelines[0]
             }
-            Err((_, vk::Result::ERROR_DEVICE_LOST)) => {
+            Err(vk::Result::ERROR_DEVICE_LOST) => {
                 return Err(failed("vkCreateComputePipelines")(
                     vk::Result::ERROR_DEVICE_LOST,
                 ));
             }
-            Err((_, code)) => {
+            Err(code) => {
                 return Err(GpuError::Kernel {
                     kernel: self.name,
                     reason: format!("the driver could not build it: {code:?}"),

@@ -46,7 +46,7 @@ mod trial;
 
 pub use buffer::{Bound, Buffer, MemoryKind};
 pub use choice::{DeviceChoice, DeviceOptions, DeviceSet, QueueUse};
-pub use drill::{DeviceFault, Drill};
+pub use drill::Drill;
 pub use error::GpuError;
 pub use export::ExportedMemory;
 pub use gpu::{DeviceClock, Gpu};

@@ -272,7 +272,9 @@ fn create(context: &Context, bytes: u64, exported: bool) -> Result<vk::Buffer, v
     }
     // SAFETY: the size is not zero, and the families are two different ones of this device where
     // sharing is concurrent.
-    unsafe { context.device.create_buffer(&create, None) }
+    context.code_of("vkCreateBuffer", || unsafe {
+        context.device.create_buffer(&create, None)
+    })
 }
 
 /// The allocation, the bytes it is counted with, and whether these are local to the device.
@@ -301,6 +303,10 @@ fn allocate_and_bind(
             AllocationScheme::GpuAllocatorManaged
         },
     };
+    // The allocator makes the call only where it has no block with room: each is counted.
+    context
+        .code_of("vkAllocateMemory", || Ok(()))
+        .map_err(|code| translate(context, name, purpose, requirements.size, code))?;
     let mut allocator = context
         .allocator
         .lock()
@@ -318,11 +324,10 @@ fn allocate_and_bind(
         })?;
     // SAFETY: the memory is of this device, large enough and aligned as the buffer requires, and
     // the buffer is bound to nothing yet.
-    let bound = unsafe {
-        context
-            .device
-            .bind_buffer_memory(buffer, allocation.memory(), allocation.offset())
-    };
+    let bound = context.code_of("vkBindBufferMemory", || unsafe {
+        let device = &context.device;
+        device.bind_buffer_memory(buffer, allocation.memory(), allocation.offset())
+    });
     if let Err(code) = bound {
         // The allocation is unbound and of this allocator: freeing cannot fail, and the first error
         // is the one to report.
@@ -354,9 +359,14 @@ fn allocate_exported(
         .push_next(&mut dedicated);
     // SAFETY: the type is one of those that the buffer may have, and the buffer was made for
     // exported memory.
-    let memory = unsafe { context.device.allocate_memory(&allocate, None) }?;
+    let memory = context.code_of("vkAllocateMemory", || unsafe {
+        context.device.allocate_memory(&allocate, None)
+    })?;
     // SAFETY: the memory was made for this buffer, which is bound to nothing yet.
-    if let Err(code) = unsafe { context.device.bind_buffer_memory(buffer, memory, 0) } {
+    let bound = context.code_of("vkBindBufferMemory", || unsafe {
+        context.device.bind_buffer_memory(buffer, memory, 0)
+    });
+    if let Err(code) = bound {
         // SAFETY: made above and bound to nothing.
         unsafe { context.device.free_memory(memory, None) };
         return Err(code);

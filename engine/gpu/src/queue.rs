@@ -88,8 +88,9 @@ impl Queue {
         }
         // SAFETY: timeline semaphores are required of every device, and those of this one can be
         // exported where it is asked for.
-        let timeline = unsafe { context.device.create_semaphore(&create, None) }
-            .map_err(failed("vkCreateSemaphore"))?;
+        let timeline = context.call("vkCreateSemaphore", || unsafe {
+            context.device.create_semaphore(&create, None)
+        })?;
         // SAFETY: the device was opened with one queue of this family.
         let raw = unsafe { context.device.get_device_queue(family, 0) };
         Ok(Self {
@@ -172,11 +173,10 @@ impl Queue {
         // SAFETY: the state's lock makes us the only user of the queue; the command buffer is
         // recorded, of live buffers and kernels, and not pending, and the slot with all that it
         // uses stays in flight until the timeline has its value.
-        let submitted = unsafe {
-            self.context
-                .device
-                .queue_submit2(self.raw, &[submit], vk::Fence::null())
-        };
+        let submitted = self.context.code_of("vkQueueSubmit2", || unsafe {
+            let device = &self.context.device;
+            device.queue_submit2(self.raw, &[submit], vk::Fence::null())
+        });
         match submitted {
             Ok(()) => {
                 state.submitted = value;
@@ -203,11 +203,11 @@ impl Queue {
         let since = Instant::now();
         loop {
             // SAFETY: the semaphore lives as long as this queue, and was told to count to `value`.
-            match unsafe {
-                self.context
-                    .device
-                    .wait_semaphores(&wait, LOOK_EVERY.as_nanos() as u64)
-            } {
+            let waited = self.context.code_of("vkWaitSemaphores", || unsafe {
+                let device = &self.context.device;
+                device.wait_semaphores(&wait, LOOK_EVERY.as_nanos() as u64)
+            });
+            match waited {
                 Ok(()) => return self.reap(),
                 Err(vk::Result::TIMEOUT) => self.look(&self.state()),
                 Err(code) => return Err(self.explain(&self.state(), "vkWaitSemaphores", code)),
@@ -279,11 +279,12 @@ impl Queue {
 
     fn counted(&self, state: &State) -> Result<u64, GpuError> {
         // SAFETY: a query on a live semaphore.
-        let counted = unsafe {
-            self.context
-                .device
-                .get_semaphore_counter_value(self.timeline)
-        };
+        let counted = self
+            .context
+            .code_of("vkGetSemaphoreCounterValue", || unsafe {
+                let device = &self.context.device;
+                device.get_semaphore_counter_value(self.timeline)
+            });
         counted.map_err(|code| self.explain(state, "vkGetSemaphoreCounterValue", code))
     }
 

@@ -9,7 +9,6 @@ use crate::{
     GpuError,
     commands::{CommandList, Commands},
     context::Context,
-    error::failed,
     hazards,
 };
 
@@ -46,8 +45,9 @@ impl CommandSlot {
     ) -> Result<Self, GpuError> {
         let create = vk::CommandPoolCreateInfo::default().queue_family_index(family);
         // SAFETY: `family` is one that the device was opened with.
-        let pool = unsafe { context.device.create_command_pool(&create, None) }
-            .map_err(failed("vkCreateCommandPool"))?;
+        let pool = context.call("vkCreateCommandPool", || unsafe {
+            context.device.create_command_pool(&create, None)
+        })?;
         // From here on a failure drops the slot, which destroys what there is; null handles are
         // allowed then.
         let mut slot = Self {
@@ -62,16 +62,18 @@ impl CommandSlot {
             .command_pool(pool)
             .command_buffer_count(1);
         // SAFETY: the pool was made above and nobody else knows it.
-        let commands = unsafe { context.device.allocate_command_buffers(&allocate) }
-            .map_err(failed("vkAllocateCommandBuffers"))?;
+        let commands = context.call("vkAllocateCommandBuffers", || unsafe {
+            context.device.allocate_command_buffers(&allocate)
+        })?;
         slot.commands = commands[0];
         if timestamps {
             let create = vk::QueryPoolCreateInfo::default()
                 .query_type(vk::QueryType::TIMESTAMP)
                 .query_count(QUERIES);
             // SAFETY: a plain creation; the queue's family has timestamps.
-            slot.queries = unsafe { context.device.create_query_pool(&create, None) }
-                .map_err(failed("vkCreateQueryPool"))?;
+            slot.queries = context.call("vkCreateQueryPool", || unsafe {
+                context.device.create_query_pool(&create, None)
+            })?;
         }
         Ok(slot)
     }
@@ -104,16 +106,18 @@ impl CommandSlot {
     /// Records `list`. The device must be done with what was recorded before.
     pub(crate) fn record(&mut self, list: CommandList) -> Result<(), GpuError> {
         self.recorded = None;
-        let device = &self.context.device;
+        let (context, device) = (self.context.clone(), &self.context.device);
         // SAFETY: the device is done with the pool's one command buffer, by this function's
         // contract.
-        unsafe { device.reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty()) }
-            .map_err(failed("vkResetCommandPool"))?;
+        context.call("vkResetCommandPool", || unsafe {
+            device.reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty())
+        })?;
         self.reset_queries();
         let begin = vk::CommandBufferBeginInfo::default();
         // SAFETY: the command buffer was just reset.
-        unsafe { device.begin_command_buffer(self.commands, &begin) }
-            .map_err(failed("vkBeginCommandBuffer"))?;
+        context.call("vkBeginCommandBuffer", || unsafe {
+            device.begin_command_buffer(self.commands, &begin)
+        })?;
         hazards::barrier_at_start(&self.context, self.commands);
         self.timestamp(QUERY_START);
         let timed = list.commands.stage_times;
@@ -125,8 +129,9 @@ impl CommandSlot {
         hazards::barrier_to_host(&self.context, self.commands);
         self.timestamp(QUERY_END);
         // SAFETY: the command buffer is being recorded, by us alone.
-        unsafe { device.end_command_buffer(self.commands) }
-            .map_err(failed("vkEndCommandBuffer"))?;
+        context.call("vkEndCommandBuffer", || unsafe {
+            device.end_command_buffer(self.commands)
+        })?;
         self.stages = list.commands.stages().collect();
         self.recorded = Some(list);
         Ok(())

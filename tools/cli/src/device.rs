@@ -44,7 +44,7 @@ pub struct DevicesArguments {
     #[arg(
         long,
         hide = true,
-        value_name = "POSITION:lost|full:N",
+        value_name = "POSITION:FAULT:N",
         requires = "devices"
     )]
     pub drill: Vec<PlacedDrill>,
