@@ -95,8 +95,9 @@ fn lonely(cloud: &SplatCloud, low: Vec3, high: Vec3) -> u64 {
     let diagonal = (high - low).length().max(f32::MIN_POSITIVE);
     for cells in CELLS {
         let place = |mean: &[f32; 3]| {
+            // A diagonal whose square is too small for an f32 makes places as large as that.
             let along = (Vec3::from_array(*mean) - low) * (cells / diagonal);
-            along.to_array().map(|value| value as i16)
+            along.to_array().map(|value| value.min(CELLS[0]) as i16)
         };
         let mut by_cell = Cells(HashMap::new());
         for mean in cloud.means.iter().filter(|mean| inside(mean)) {
@@ -169,6 +170,11 @@ mod tests {
         assert_eq!((after.far, after.lonely), (1, 1));
         assert!(after.middle.max[2] < 6.0, "{after:?}");
         assert_eq!(SplatExtent::new(&SplatCloud::default()), None);
+        // So close together that the square of the diagonal is 0.
+        for (step, mean) in cloud.means.iter_mut().enumerate() {
+            *mean = [1e-30 * (step % 3) as f32; 3];
+        }
+        assert_eq!(SplatExtent::new(&cloud).unwrap().lonely, 0);
         // Splats that all have the same place, and one alone.
         cloud.means.fill([1.0; 3]);
         assert_eq!(SplatExtent::new(&cloud).unwrap().lonely, 0);

@@ -6,6 +6,7 @@
 #![forbid(unsafe_code)]
 
 pub mod alignment;
+mod cells;
 pub mod ego;
 pub mod generate;
 mod grid;

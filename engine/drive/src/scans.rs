@@ -46,7 +46,7 @@ const HALF_WAY_M: f64 = 1.0;
 pub const OWN_M: f64 = 2.7;
 
 fn cell_of(xy_m: DVec2) -> IVec2 {
-    (xy_m / CELL_M).floor().as_ivec2()
+    crate::cells::cell_of(xy_m, CELL_M)
 }
 
 fn middle_of(cell: IVec2) -> DVec2 {
@@ -69,7 +69,7 @@ impl Way {
         let road_m: Vec<DVec3> = road_m.iter().copied().filter(|at| at.is_finite()).collect();
         for (index, road) in road_m.iter().enumerate() {
             let at = road.truncate();
-            let middle = (at / SQUARE_M).floor().as_ivec2();
+            let middle = crate::cells::cell_of(at, SQUARE_M);
             let around = (-reach..=reach)
                 .flat_map(|x| (-reach..=reach).map(move |y| middle + IVec2::new(x, y)));
             for key in around.filter(|key| square(*key).distance(at) <= BESIDE_M) {
@@ -85,7 +85,7 @@ impl Way {
 
     /// The place of the road nearest to `xy_m`; `None` far from it.
     fn nearest(&self, xy_m: DVec2) -> Option<DVec3> {
-        let key = (xy_m / SQUARE_M).floor().as_ivec2();
+        let key = crate::cells::cell_of(xy_m, SQUARE_M);
         self.nearest.get(&key).map(|&at| self.road_m[at as usize])
     }
 }

@@ -206,8 +206,5 @@ impl Level {
 }
 
 fn cell_of(at: DVec2, cell_m: f64) -> [i32; 2] {
-    [
-        (at.x / cell_m).floor() as i32,
-        (at.y / cell_m).floor() as i32,
-    ]
+    crate::cells::cell_of(at, cell_m).to_array()
 }

@@ -99,11 +99,7 @@ impl Tile {
     }
 }
 
-/// The tile that holds `at`; coordinates beyond what an i32 counts meet at its ends, where there is
-/// none.
+/// The tile that holds `at`; there is none at the ends of the plane.
 fn tile_of(at: DVec2) -> [i32; 2] {
-    [
-        (at.x / TILE_M).floor() as i32,
-        (at.y / TILE_M).floor() as i32,
-    ]
+    crate::cells::cell_of(at, TILE_M).to_array()
 }

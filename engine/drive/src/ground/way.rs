@@ -218,10 +218,6 @@ fn smoothed(nodes: &[Node]) -> Vec<Node> {
     nodes.iter().map(fit).filter(finite).collect()
 }
 
-/// Coordinates beyond what an i32 counts meet at its ends.
 fn cell_of(at: DVec2) -> [i32; 2] {
-    [
-        (at.x / CELL_M).floor() as i32,
-        (at.y / CELL_M).floor() as i32,
-    ]
+    crate::cells::cell_of(at, CELL_M).to_array()
 }
