@@ -7,15 +7,21 @@
 #
 #   make install  builds them, optimized, and copies them to cargo's folder of programs
 #
-# And one to change a shader:
+# One to change a shader:
 #
 #   make shaders  compiles shaders/*.comp to shaders/spirv with shaderc. The first time it builds shaderc: about eight minutes.
+#
+# And those that attack the programs, for a night (FUZZ_SECONDS, ABUSE_TRIES and SOAK_SECONDS say how long):
+#
+#   make fuzz     gives damaged files to every reader
+#   make abuse    damages files, fills disks, kills, and sends garbage to the viewer and the server
+#   make soak     lets the server and the closed loop work, and tells whether their memory grows
 #
 # Each installs through apt what is missing; sudo is used only by a user who is not root.
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test install shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore nuscenes
+.PHONY: demo test install fuzz abuse soak shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore nuscenes
 
 # What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
 # A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
@@ -59,6 +65,29 @@ demo: packages
 install: NEEDS := $(NEEDS_RUN)
 install: packages
 	for folder in $(PROGRAMS); do cargo install --locked --path $$folder; done
+
+# Folder of what is built, also where CARGO_TARGET_DIR or a configuration of cargo names another one.
+TARGET = $(shell cargo metadata --format-version 1 --no-deps | python3 -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])')
+TOOLS := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/tools
+
+FUZZ_SECONDS ?= 60
+fuzz: NEEDS := gcc g++ =libc6-dev python3
+fuzz: export PATH := $(TOOLS)/bin:$(PATH)
+fuzz: packages
+	cargo fuzz --version >/dev/null 2>&1 || CARGO_TARGET_DIR=$(TOOLS)/target cargo install --quiet --locked --root $(TOOLS) cargo-fuzz
+	engine/asset/fuzz/run.py --seconds $(FUZZ_SECONDS) --out out/fuzz
+
+ABUSE_TRIES ?= 20
+abuse: NEEDS := $(NEEDS_RUN) python3
+abuse: packages
+	cargo build --workspace
+	python3 tests/abuse/abuse.py --program $(TARGET)/debug/decouplegs --tries $(ABUSE_TRIES)
+
+SOAK_SECONDS ?= 7200
+soak: NEEDS := $(NEEDS_RUN) python3
+soak: packages
+	cargo build --workspace
+	python3 tests/abuse/soak.py --program $(TARGET)/debug/decouplegs --seconds $(SOAK_SECONDS)
 
 # Documentation tests come first: what stands last in the output is the count of the tests proper.
 test: export DECOUPLEGS_VALIDATION := 1
