@@ -88,7 +88,8 @@ pub struct Arguments {
     /// local frame with the same axes [default: 0,0,0]
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_hyphen_values = true)]
     origin: Option<[f64; 3]>,
-    /// Name every N-th keyframe of each camera of nuScenes in held_out.txt, to hold out of training
+    /// Name every N-th image of each camera of an NCore sequence, or every N-th keyframe of nuScenes,
+    /// in held_out.txt, to hold out of training
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     hold_out: Option<u32>,
     /// Images per second of a recording without times
@@ -268,13 +269,17 @@ fn recording_of(arguments: &Arguments) -> Result<(Recording, Option<NcoreSequenc
         "--images belongs to an NCore sequence: the images of other recordings are files already"
     );
     ensure!(
-        (arguments.scene.is_none() && arguments.hold_out.is_none())
-            || arguments.form == Form::Nuscenes,
-        "--scene and --hold-out belong to nuScenes"
+        arguments.scene.is_none() || arguments.form == Form::Nuscenes,
+        "--scene belongs to nuScenes"
     );
+    ensure!(
+        arguments.hold_out.is_none() || matches!(arguments.form, Form::Nuscenes | Form::Ncore),
+        "--hold-out belongs to nuScenes and NCore"
+    );
+    let hold_out = arguments.hold_out.map(|every| every as usize);
     let recording = match arguments.form {
         Form::Ncore => {
-            let (recording, sequence) = ncore::read(path, vehicle, middle_m)?;
+            let (recording, sequence) = ncore::read(path, vehicle, middle_m, hold_out)?;
             return Ok((recording, Some(sequence)));
         }
         Form::Kitti => kitti::read(path, arguments.poses.as_deref(), vehicle, middle_m)?,
@@ -283,7 +288,7 @@ fn recording_of(arguments: &Arguments) -> Result<(Recording, Option<NcoreSequenc
             arguments.scene.as_deref(),
             vehicle,
             middle_m,
-            arguments.hold_out.map(|every| every as usize),
+            hold_out,
         )?,
         Form::Nerfstudio | Form::Colmap => {
             let file = match arguments.form {

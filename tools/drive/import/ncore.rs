@@ -29,6 +29,7 @@ pub fn read(
     path: &Path,
     vehicle: Option<VehicleSize>,
     middle_m: Option<DVec3>,
+    hold_out: Option<usize>,
 ) -> Result<(Recording, NcoreSequence)> {
     let sequence = NcoreSequence::read(path)?;
     if sequence.cameras.is_empty() {
@@ -82,7 +83,7 @@ pub fn read(
         level_from_world: DQuat::IDENTITY,
         files,
         scans: None,
-        held_out: Vec::new(),
+        held_out: held_out_of(&sequence, hold_out)?,
         origin: format!(
             "NCore's rig, on the ground below the rear axle; the middle of the vehicle is {:.2}, {:.2}, {:.2} m forward, left and up from it",
             middle_m.x, middle_m.y, middle_m.z
@@ -97,6 +98,29 @@ fn time_s(sequence: &NcoreSequence, [start_us, end_us]: [i64; 2]) -> f64 {
     0.5e-6 * (from_start_us(start_us) + from_start_us(end_us))
 }
 
+/// Name of an image of a camera, by the end of its exposure.
+fn name_of(camera: &str, [_, end_us]: [i64; 2]) -> String {
+    format!("{camera}_{end_us}")
+}
+
+/// Names of every `every`-th image of each camera.
+fn held_out_of(sequence: &NcoreSequence, every: Option<usize>) -> Result<Vec<String>> {
+    let Some(every) = every else {
+        return Ok(Vec::new());
+    };
+    let mut held_out = Vec::new();
+    for own in &sequence.cameras {
+        let frames = own.frames_us.iter().skip(every - 1).step_by(every);
+        held_out.extend(frames.map(|frame_us| name_of(&own.camera.name, *frame_us)));
+    }
+    if held_out.is_empty() {
+        bail!(
+            "--hold-out leaves no image out: the cameras of the sequence have fewer than {every} images"
+        );
+    }
+    Ok(held_out)
+}
+
 /// Cameras of all images.
 fn views_of(sequence: &NcoreSequence) -> Vec<Camera> {
     let mut views = Vec::new();
@@ -104,7 +128,7 @@ fn views_of(sequence: &NcoreSequence) -> Vec<Camera> {
         for frame_us in &own.frames_us {
             let world_from_rig = sequence.rig.at(time_s(sequence, *frame_us));
             views.push(Camera {
-                name: format!("{}_{}", own.camera.name, frame_us[1]),
+                name: name_of(&own.camera.name, *frame_us),
                 intrinsics: own.camera.intrinsics,
                 world_from_camera: world_from_rig.then(&own.camera.rig_from_camera),
                 motion: Motion::REST,
@@ -120,8 +144,8 @@ fn list_of(sequence: &NcoreSequence) -> String {
     for own in &sequence.cameras {
         let name = &own.camera.name;
         for frame_us in &own.frames_us {
-            let (time_s, end_us) = (time_s(sequence, *frame_us), frame_us[1]);
-            let _ = writeln!(list, "{name},{time_s:.6},{name}_{end_us}");
+            let time_s = time_s(sequence, *frame_us);
+            let _ = writeln!(list, "{name},{time_s:.6},{}", name_of(name, *frame_us));
         }
     }
     list
@@ -135,9 +159,10 @@ pub fn write_images(sequence: &NcoreSequence, out: &Path) -> Result<()> {
     let images = sequence.cameras.iter().map(|own| own.frames_us.len()).sum();
     let bar = progress::bar("images", images);
     for own in &sequence.cameras {
-        for [_, end_us] in &own.frames_us {
-            let (bytes, extension) = sequence.image(&own.camera.name, *end_us)?;
-            let path = folder.join(format!("{}_{end_us}.{extension}", own.camera.name));
+        for frame_us in &own.frames_us {
+            let (bytes, extension) = sequence.image(&own.camera.name, frame_us[1])?;
+            let name = name_of(&own.camera.name, *frame_us);
+            let path = folder.join(format!("{name}.{extension}"));
             decouplegs::asset::write_atomically(&path, |file| {
                 std::io::Write::write_all(file, &bytes)
             })?;

@@ -167,7 +167,7 @@ def imported(folder, store, *more):
 
 @pytest.mark.parametrize("store", ["itar", "directory"])
 def test_a_sequence_of_its_package_is_a_scene(tmp_path, store):
-    done = imported(tmp_path, store, "--images")
+    done = imported(tmp_path, store, "--images", "--hold-out", "2")
     assert done.returncode == 0, done.stderr
     scene = tomllib.loads((tmp_path / "scene/scene.toml").read_text())
     tele, wide = scene["rig"]
@@ -202,6 +202,9 @@ def test_a_sequence_of_its_package_is_a_scene(tmp_path, store):
     camera, time_s, image = lines[-1].split(",")
     assert camera == "camera_front_wide_120fov" and abs(float(time_s) - 2.015) < 1e-6
     assert (tmp_path / f"scene/images/{image}.png").read_bytes().startswith(b"\x89PNG")
+    # Each camera has two images, of which the second is held out.
+    held_out = (tmp_path / "scene/held_out.txt").read_text().split()
+    assert held_out == [line.split(",")[2] for line in (lines[2], lines[4])]
 
 
 def test_broken_sequences_get_a_sentence(tmp_path):
