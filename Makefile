@@ -84,10 +84,11 @@ abuse: packages
 	python3 tests/abuse/abuse.py --program $(TARGET)/debug/decouplegs --tries $(ABUSE_TRIES)
 
 SOAK_SECONDS ?= 7200
-soak: NEEDS := $(NEEDS_RUN) python3
-soak: packages
+soak: NEEDS := $(NEEDS_RUN) python3 =python3-venv
+soak: packages python browser
 	cargo build --workspace
-	python3 tests/abuse/soak.py --program $(TARGET)/debug/decouplegs --seconds $(SOAK_SECONDS)
+	ln -sf "$(TARGET)/debug/libdecouplegs_native.so" tools/python/decouplegs/_native.abi3.so
+	python3 tests/abuse/soak.py --program $(TARGET)/debug/decouplegs --seconds $(SOAK_SECONDS) --python $(PYTHON)/bin/python
 
 # Documentation tests come first: what stands last in the output is the count of the tests proper.
 test: export DECOUPLEGS_VALIDATION := 1

@@ -1,7 +1,6 @@
 """Attacks on running programs: kills, signals, silent and rude connections."""
 
 import hashlib
-import json
 import os
 import random
 import re
@@ -56,7 +55,7 @@ def hidden(name):
 
 def address_of(child, pattern):
     """Port in the first line of a program that matches `pattern`; None if it ended before."""
-    for line in child.stderr:
+    for line in child.stdout:
         found = re.search(pattern, line)
         if found:
             return found
@@ -77,7 +76,7 @@ def asked(port, data, wait_s=10.0):
 
 def viewer(street, table, tries, seed):
     """Raw requests to the viewer: none is answered with the page but its owner's, and floods pass."""
-    child = start([street.program, "view", street.scene, "--port", "0"], stderr=subprocess.PIPE, text=True)
+    child = start([street.program, "view", street.scene, "--port", "0"], stdout=subprocess.PIPE, text=True)
     try:
         found = address_of(child, r"http://127\.0\.0\.1:(\d+)/\S*?token=(\w+)")
         if found is None:
@@ -142,7 +141,7 @@ def asked_again(port, data):
 
 def server(street, table, tries, seed):
     """Garbage to the server's port: it goes on, and answers its health check."""
-    child = start([street.program.with_name("decouplegs-server"), "serve-grpc", street.scene, "--host", "127.0.0.1", "--port", "0"], stderr=subprocess.PIPE, text=True)
+    child = start([street.program.with_name("decouplegs-server"), "serve-grpc", street.scene, "--host", "127.0.0.1", "--port", "0"], stdout=subprocess.PIPE, text=True)
     try:
         found = address_of(child, r"127\.0\.0\.1:(\d+)")
         if found is None:
@@ -187,11 +186,6 @@ def planners(street, table):
         words = ["drive", "--level", "easy", "--episodes", "1", "--scene", street.scene, "--map", street.lanes, "--render", "off", "--planner", f"exec:sh {script}", "--out", folder / name]
         end = end_of([street.program, *words])
         fault = end.fault()
-        if fault is None and not list(folder.glob(f"{name}/logs/*")):
-            fault = "there is no log of the episode"
+        if fault is None and end.code == 0 and not list(folder.glob(f"{name}/logs/*")):
+            fault = "there is neither an error nor a log of the episode"
         table.judge("planners", name, fault)
-
-
-def scores_of(path):
-    """The report of a run."""
-    return json.loads(path.read_text())
