@@ -48,13 +48,13 @@ layout(constant_id = 6) const bool CONTRIBUTIONS = false; // add up the weights 
 layout(constant_id = 7) const bool FINISH = false; // blend again what composite has left to be finished
 layout(constant_id = 8) const bool ONE_BATCH = false; // no segment is longer than a batch
 layout(constant_id = 9) const bool MEDIAN = false; // with EXCLUSIVE_STOP: the color of the splat in which half of the light is gone
-layout(constant_id = 10) const bool ATTRIBUTES = false; // blend attributes instead of colors
+layout(constant_id = 10) const bool DEPTHS = false; // blend depths and ranges instead of colors
 
 layout(set = 0, binding = 5, scalar) buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { BlendItem items[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer records_block { uint records[]; };
 layout(set = 0, binding = 8, std430) readonly buffer footprints_block { uvec4 footprints[]; };
-layout(set = 0, binding = 9, scalar) readonly buffer attributes_block { vec3 attributes[]; }; // only with ATTRIBUTES
+layout(set = 0, binding = 9, std430) readonly buffer attributes_block { vec4 attributes[]; }; // ATTRIBUTE_VECTORS a record
 layout(set = 0, binding = 10, scalar) buffer partial_colors_block { uint partial_colors[]; };
 layout(set = 0, binding = 11, std430) buffer partial_planes_block { uint partial_planes[]; };
 
@@ -74,6 +74,9 @@ layout(set = 0, binding = 15, scalar) readonly buffer partial_unfinished_block {
 
 // Per partial result: the fine tiles that have one. Written by the first run, read by FINISH.
 layout(set = 0, binding = 16, scalar) buffer partial_tiles_block { PartialTiles partial_tiles[]; };
+
+// Of each record, with DEPTHS: depth and range, meters.
+layout(set = 0, binding = 17, std430) readonly buffer depths_block { vec2 depths[]; };
 
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; uint tiles_max; float contribution_scale; uint image_pixels; };
 

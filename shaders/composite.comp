@@ -21,7 +21,7 @@ layout(local_size_x = 256) in;
 layout(constant_id = 3) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
 layout(constant_id = 4) const bool CONTRIBUTIONS = false;  // every segment is left to be finished, so that its weights can be counted
 layout(constant_id = 5) const bool MEDIAN = false; // see blend.comp
-layout(constant_id = 6) const bool ATTRIBUTES = false; // likewise
+layout(constant_id = 6) const bool DEPTHS = false; // likewise
 
 layout(set = 0, binding = 5, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer composites_block { Composite composites[]; };
@@ -58,7 +58,7 @@ shared uint joined_planes[PLANE_PARTIAL_WORDS > 0u ? PLANE_PARTIAL_WORDS * WORKG
 
 void show_joined(uint thread, Pixel pixel) {
     joined_pixels[thread] = vec4(pixel.color, pixel.transmittance);
-    uint words[3] = plane_words(pixel.planes);
+    uint words[PLANE_PARTIAL_WORDS_MAX] = plane_words(pixel.planes);
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
         joined_planes[word * WORKGROUP_THREADS + thread] = words[word];
     }
@@ -66,7 +66,7 @@ void show_joined(uint thread, Pixel pixel) {
 
 Pixel joined_by(uint thread) {
     vec4 joined = joined_pixels[thread];
-    uint words[3];
+    uint words[PLANE_PARTIAL_WORDS_MAX];
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
         words[word] = joined_planes[word * WORKGROUP_THREADS + thread];
     }

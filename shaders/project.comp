@@ -96,22 +96,6 @@ float light_left(uint cluster_index, vec3 mean_m, uint camera_index) {
     return light;
 }
 
-// The attribute of a splat of the background, which does not move.
-vec3 attribute_of(Camera camera, uint lens, vec3 mean_m, mat3 axes, SeenSplat seen) {
-    switch (ATTRIBUTE) {
-    case ATTRIBUTE_RANGE:
-        return vec3(length(seen.t), 0.0, 0.0);
-    case ATTRIBUTE_DEPTH:
-        return vec3(RADIAL ? length(seen.offset_m) : seen.t.z, 0.0, 0.0);
-    case ATTRIBUTE_NORMAL:
-        return normal_of(axes, seen);
-    case ATTRIBUTE_FLOW:
-        return vec3(flow_px(camera, lens, mean_m, seen, flow_interval_s), 0.0);
-    default:
-        return vec3(0.0);
-    }
-}
-
 void main() {
     uint cluster_index = group_index();
     uint thread = gl_LocalInvocationIndex;
@@ -148,10 +132,6 @@ void main() {
         Camera camera = cameras[camera_index];
         SeenSplat seen;
         see_splat(camera, camera_index, mean_m, axes, opacity, seen);
-        if (ATTRIBUTE != ATTRIBUTE_NONE) {
-            write_attribute(slot, attribute_of(camera, camera_index, mean_m, axes, seen));
-            continue;
-        }
         Record record;
         record.splat = seen.splat;
         record.mean = code_of_mean(camera, camera_index, mean_m, seen.splat);
@@ -160,6 +140,14 @@ void main() {
         vec3 color = sh_color(load_dc(splat_index), splat_index, splat_count, normalize(seen.offset_m));
         record.color = in_fog(SHADOWS ? light * color : color, length(seen.offset_m), fog);
         write_record(slot, record);
+        if (ATTRIBUTE_WORDS > 0u) {
+            // The background does not move.
+            vec3 normal = NORMAL ? normal_of(axes, seen) : vec3(0.0);
+            write_attributes(slot, seen_attributes(camera, camera_index, mean_m, seen, normal, vec3(0.0), flow_interval_s));
+        }
+        if (DEPTHS) {
+            depths[slot] = vec2(record.depth_m, length(seen.t));
+        }
         keys[slot] = key_of(camera_index, splat_index, mean_m, camera);
     }
 }

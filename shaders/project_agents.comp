@@ -85,22 +85,6 @@ vec3 turned(Agent agent, vec3 d) {
     return vec3(dot(agent.row_x, d), dot(agent.row_y, d), dot(agent.row_z, d));
 }
 
-// The attribute of a splat of an agent.
-vec3 attribute_of(Agent agent, Camera camera, uint lens, vec3 mean_m, mat3 axes, SeenSplat seen) {
-    switch (ATTRIBUTE) {
-    case ATTRIBUTE_RANGE:
-        return vec3(length(seen.t), 0.0, 0.0);
-    case ATTRIBUTE_DEPTH:
-        return vec3(RADIAL ? length(seen.offset_m) : seen.t.z, 0.0, 0.0);
-    case ATTRIBUTE_NORMAL:
-        return turned(agent, normal_of(axes, seen));
-    case ATTRIBUTE_FLOW:
-        return vec3(flow_px(camera, lens, mean_m, seen, flow_interval_s), 0.0);
-    default:
-        return agent.velocity_mps + turned(agent, cross(agent.turn_rad_per_s, mean_m));
-    }
-}
-
 void main() {
     uint cluster_index = group_index();
     if (cluster_index >= cluster_count) {
@@ -140,10 +124,6 @@ void main() {
         Camera camera = agent_cameras[agent_index * camera_count + camera_index];
         SeenSplat seen;
         see_splat(camera, camera_index, coded.mean_m, axes, coded.opacity, seen);
-        if (ATTRIBUTE != ATTRIBUTE_NONE) {
-            write_attribute(slot, attribute_of(agent, camera, camera_index, coded.mean_m, axes, seen));
-            continue;
-        }
         Record record;
         record.splat = seen.splat;
         record.mean = code_of_mean(camera, camera_index, coded.mean_m, seen.splat);
@@ -159,6 +139,14 @@ void main() {
         }
         record.color = in_fog(rgb, length(seen.offset_m), fog);
         write_record(slot, record);
+        if (ATTRIBUTE_WORDS > 0u) {
+            vec3 normal = NORMAL ? turned(agent, normal_of(axes, seen)) : vec3(0.0);
+            vec3 velocity_mps = agent.velocity_mps + turned(agent, cross(agent.turn_rad_per_s, coded.mean_m));
+            write_attributes(slot, seen_attributes(camera, camera_index, coded.mean_m, seen, normal, velocity_mps, flow_interval_s));
+        }
+        if (DEPTHS) {
+            depths[slot] = vec2(record.depth_m, length(seen.t));
+        }
         keys[slot] = depth_key(RADIAL ? scaled_distance(coded.mean_m, camera) : scaled_depth(coded.mean_m, camera));
     }
 }

@@ -20,7 +20,7 @@ use decouplegs_render::reference::rays::{RayRules, render_rays};
 use decouplegs_render::rendered_image::exposure::{ExposureSum, sub_exposures_s};
 use decouplegs_render::rendered_image::{Image, ImageFileFormat, contact_sheet, preview};
 use decouplegs_render::{
-    Attribute, ColorFormat, Outputs, Plane, PlaneValues, Planes, RenderOptions, reference,
+    ColorFormat, Outputs, Plane, PlaneValues, Planes, RenderOptions, reference,
 };
 use decouplegs_scene::{Camera, Photometry};
 use decouplegs_session::{Session, SessionOptions, World, WorldView};
@@ -243,8 +243,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn warn_of_plain_agents(scene: &Scene, arguments: &Arguments) {
     let rolls = |camera: &Camera| !camera.intrinsics.shutter.is_global();
     let shows_motion = |plane: &WrittenPlane| {
-        let attribute = plane.rendered().attribute();
-        matches!(attribute, Attribute::Flow | Attribute::SceneFlow)
+        matches!(
+            plane.rendered(),
+            Plane::FlowForward | Plane::FlowBackward | Plane::SceneFlow
+        )
     };
     let count = scene.loaded.plain_agents.len();
     let asks = arguments.exposure.is_some()

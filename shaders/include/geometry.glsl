@@ -1,14 +1,8 @@
-// Attributes of a splat that planes show: normal, range and motion. Where one is asked for, the
-// projections write it instead of color.
+// Attributes of a splat that planes show: range, normal and motion, and depths for medians.
 
-layout(constant_id = 18) const uint ATTRIBUTE = 0u;
+#include "attributes.glsl"
 
-const uint ATTRIBUTE_NONE = 0u;       // color
-const uint ATTRIBUTE_RANGE = 1u;      // distance from the camera, meters
-const uint ATTRIBUTE_NORMAL = 2u;     // unit vector, world axes
-const uint ATTRIBUTE_FLOW = 3u;       // displacement in the image after a time, pixels
-const uint ATTRIBUTE_SCENE_FLOW = 4u; // velocity, meters per second, world axes
-const uint ATTRIBUTE_DEPTH = 5u;      // depth, meters, as in records
+layout(constant_id = 18) const bool DEPTHS = false; // depths and ranges of records are asked for
 
 // The inverse of the covariance `axes` * transpose(`axes`), squared `squarings` times, but for a
 // factor.
@@ -51,4 +45,25 @@ vec2 flow_px(Camera camera, uint lens, vec3 mean_m, SeenSplat seen, float interv
 vec3 normal_of(mat3 axes, SeenSplat seen) {
     vec3 normal = thinnest_axis(axes);
     return dot(normal, seen.offset_m) > 0.0 ? -normal : normal;
+}
+
+// The attributes of a splat that a camera sees; its normal and velocity in world axes.
+Attributes seen_attributes(Camera camera, uint lens, vec3 mean_m, SeenSplat seen, vec3 normal, vec3 velocity_mps, float flow_interval_s) {
+    Attributes own = NO_ATTRIBUTES;
+    if (RANGE) {
+        own.first.x = length(seen.t);
+    }
+    if (NORMAL) {
+        set_attribute_words(own, NORMAL_WORD, normal, 3u);
+    }
+    if (FLOW_FORWARD) {
+        set_attribute_words(own, FLOW_FORWARD_WORD, vec3(flow_px(camera, lens, mean_m, seen, flow_interval_s), 0.0), 2u);
+    }
+    if (FLOW_BACKWARD) {
+        set_attribute_words(own, FLOW_BACKWARD_WORD, vec3(flow_px(camera, lens, mean_m, seen, -flow_interval_s), 0.0), 2u);
+    }
+    if (SCENE_FLOW) {
+        set_attribute_words(own, SCENE_FLOW_WORD, velocity_mps, 3u);
+    }
+    return own;
 }

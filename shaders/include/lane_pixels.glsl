@@ -34,7 +34,7 @@ LanePixels empty_pixels(uvec2 at, uvec2 size_px) {
     return pixels;
 }
 
-void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 color, Staged record) {
+void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 color, Staged record, Attributes own) {
     float alpha = log2_alpha >= -LOG2_255 ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
     if (EXCLUSIVE_STOP) {
         bool ends = !full && stops && pixel.transmittance * (1.0 - alpha) <= stop_limit();
@@ -51,7 +51,7 @@ void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 colo
     if (CONTRIBUTIONS && counts && weight > 0.0) {
         atomicAdd(contributions[record.instance], uint(weight * contribution_scale + 0.5));
     }
-    add_to_planes(pixel.planes, weight, record.depth_m, record.instance);
+    add_to_planes(pixel.planes, weight, record.depth_m, record.instance, own);
 }
 
 // Transmittance of a pixel that remains behind the segment.
@@ -59,10 +59,27 @@ float left_through(Pixel pixel, bool full) {
     return EXCLUSIVE_STOP && full ? 0.0 : pixel.transmittance;
 }
 
+// The attributes of a record. All lanes read the same ones: they stay in the first cache, and places in
+// shared memory would cost workgroups.
+Attributes attributes_of(uint record) {
+    Attributes own = NO_ATTRIBUTES;
+    if (ATTRIBUTE_VECTORS > 0u) {
+        own.first = attributes[ATTRIBUTE_VECTORS * record];
+    }
+    if (ATTRIBUTE_VECTORS > 1u) {
+        own.second = attributes[ATTRIBUTE_VECTORS * record + 1u];
+    }
+    if (ATTRIBUTE_VECTORS > 2u) {
+        own.third = attributes[ATTRIBUTE_VECTORS * record + 2u];
+    }
+    return own;
+}
+
 void blend_record(inout LanePixels pixels, vec2 at, Staged record) {
     vec2 log2_alpha = log2_alphas(record.slants, record.tones, at);
     vec3 color = vec3(record.tones.zw, record.blue);
+    Attributes own = attributes_of(record.record);
     // No branch where a record adds nothing: that would cost more than the arithmetic it saves.
-    blend_pixel(pixels.left, pixels.left_full, log2_alpha.x, color, record);
-    blend_pixel(pixels.right, pixels.right_full, log2_alpha.y, color, record);
+    blend_pixel(pixels.left, pixels.left_full, log2_alpha.x, color, record, own);
+    blend_pixel(pixels.right, pixels.right_full, log2_alpha.y, color, record, own);
 }

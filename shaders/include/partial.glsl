@@ -10,8 +10,8 @@ float stop_limit() {
 }
 
 // Words per pixel: color and transmittance. Stops are decided by transmittance, which stays whole;
-// attributes may be negative, and are not coded.
-const uint PARTIAL_COLOR_WORDS = ATTRIBUTES ? 4u : 3u;
+// depths are not coded.
+const uint PARTIAL_COLOR_WORDS = DEPTHS ? 4u : 3u;
 
 const uint TILE_PIXELS = FINE_TILE_PX * FINE_TILE_PX;
 
@@ -32,9 +32,9 @@ Pixel load_partial(PartialTiles held, uint at) {
     uint index = there ? partial_index(held, at) : 0u;
     uint first = index * PARTIAL_COLOR_WORDS;
     uvec3 low = uvec3(partial_colors[first], partial_colors[first + 1u], partial_colors[first + 2u]);
-    vec3 color = ATTRIBUTES ? uintBitsToFloat(low) : unpack_color(low.xy);
-    float transmittance = uintBitsToFloat(ATTRIBUTES ? partial_colors[first + 3u] : low.z);
-    uint words[3];
+    vec3 color = DEPTHS ? uintBitsToFloat(low) : unpack_color(low.xy);
+    float transmittance = uintBitsToFloat(DEPTHS ? partial_colors[first + 3u] : low.z);
+    uint words[PLANE_PARTIAL_WORDS_MAX];
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
         words[word] = partial_planes[index * PLANE_PARTIAL_WORDS + word];
     }
@@ -50,14 +50,14 @@ void store_partial(PartialTiles held, uint at, Pixel pixel) {
     uint index = partial_index(held, at);
     uint first = index * PARTIAL_COLOR_WORDS;
     uint transmittance = floatBitsToUint(pixel.transmittance);
-    uvec3 low = ATTRIBUTES ? floatBitsToUint(pixel.color) : uvec3(pack_color(pixel.color), transmittance);
+    uvec3 low = DEPTHS ? floatBitsToUint(pixel.color) : uvec3(pack_color(pixel.color), transmittance);
     partial_colors[first] = low.x;
     partial_colors[first + 1u] = low.y;
     partial_colors[first + 2u] = low.z;
-    if (ATTRIBUTES) {
+    if (DEPTHS) {
         partial_colors[first + 3u] = transmittance;
     }
-    uint words[3] = plane_words(pixel.planes);
+    uint words[PLANE_PARTIAL_WORDS_MAX] = plane_words(pixel.planes);
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
         partial_planes[index * PLANE_PARTIAL_WORDS + word] = words[word];
     }

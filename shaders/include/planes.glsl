@@ -1,25 +1,30 @@
 // The planes of an image beside its color: all that a pixel accumulates, leaves and writes of them.
-// A plane that was not asked for is neither computed nor written.
+// A plane that was not asked for is neither computed nor written. Medians are made apart.
+
+#include "attributes.glsl"
 
 layout(constant_id = 1) const bool DEPTH = false;    // expected depth, meters
 layout(constant_id = 2) const bool INSTANCE = false; // instance of the splat with the largest weight
 
-// The planes of all images, one plane after the other, in the order of the constants above.
+// The planes of all images, one plane after the other: those of the constants above, then the means
+// of attributes.
 layout(set = 0, binding = 2, std430) writeonly buffer planes_block { uint planes[]; };
 
 // Words per pixel in the partial result of a segment.
-const uint PLANE_PARTIAL_WORDS = (DEPTH ? 1u : 0u) + (INSTANCE ? 2u : 0u);
+const uint PLANE_PARTIAL_WORDS = (DEPTH ? 1u : 0u) + (INSTANCE ? 2u : 0u) + ATTRIBUTE_WORDS;
+const uint PLANE_PARTIAL_WORDS_MAX = 15u;
 
 struct PlaneSums {
     float weighted_depth; // sum of weight * depth
     float best_weight;    // largest single weight so far
     uint best_instance;
+    Attributes weighted_attributes;
 };
 
-const PlaneSums PLANES_EMPTY = PlaneSums(0.0, 0.0, 0u);
+const PlaneSums PLANES_EMPTY = PlaneSums(0.0, 0.0, 0u, NO_ATTRIBUTES);
 
 // Adds a splat.
-void add_to_planes(inout PlaneSums sums, float weight, float depth_m, uint instance) {
+void add_to_planes(inout PlaneSums sums, float weight, float depth_m, uint instance, Attributes attributes) {
     if (DEPTH) {
         sums.weighted_depth += weight * depth_m;
     }
@@ -27,6 +32,7 @@ void add_to_planes(inout PlaneSums sums, float weight, float depth_m, uint insta
         sums.best_weight = weight;
         sums.best_instance = instance;
     }
+    add_attributes(sums.weighted_attributes, weight, attributes);
 }
 
 // The sums after `nearer`, which lets `share` of the light through, then `farther` behind it.
@@ -38,35 +44,79 @@ PlaneSums planes_over(PlaneSums nearer, float share, PlaneSums farther) {
         nearer.best_weight = share * farther.best_weight;
         nearer.best_instance = farther.best_instance;
     }
+    add_attributes(nearer.weighted_attributes, share, farther.weighted_attributes);
     return nearer;
+}
+
+// Writes the mean of an attribute, `channels` words from `word` on, at pixel `index` of the plane
+// that begins at `first`; returns where the next plane begins.
+uint write_mean(uint first, uint index, uint image_pixels, float alpha, Attributes sums, uint word, uint channels) {
+    [[unroll]] for (uint channel = 0u; channel < channels; ++channel) {
+        float sum = attribute_word(sums, word + channel);
+        planes[first + channels * index + channel] = floatBitsToUint(alpha > 0.0 ? sum / alpha : 0.0);
+    }
+    return first + channels * image_pixels;
 }
 
 // Writes the pixel at `index` of `image_pixels`.
 void write_planes(uint index, uint image_pixels, float alpha, PlaneSums sums) {
+    uint first = 0u; // word of the next plane
     if (DEPTH) {
         planes[index] = floatBitsToUint(alpha > 0.0 ? sums.weighted_depth / alpha : 0.0);
-        index += image_pixels;
+        first += image_pixels;
     }
     if (INSTANCE) {
-        planes[index] = sums.best_instance;
+        planes[first + index] = sums.best_instance;
+        first += image_pixels;
+    }
+    Attributes attributes = sums.weighted_attributes;
+    if (RANGE) {
+        first = write_mean(first, index, image_pixels, alpha, attributes, 0u, 1u);
+    }
+    if (NORMAL) {
+        first = write_mean(first, index, image_pixels, alpha, attributes, NORMAL_WORD, 3u);
+    }
+    if (FLOW_FORWARD) {
+        first = write_mean(first, index, image_pixels, alpha, attributes, FLOW_FORWARD_WORD, 2u);
+    }
+    if (FLOW_BACKWARD) {
+        first = write_mean(first, index, image_pixels, alpha, attributes, FLOW_BACKWARD_WORD, 2u);
+    }
+    if (SCENE_FLOW) {
+        write_mean(first, index, image_pixels, alpha, attributes, SCENE_FLOW_WORD, 3u);
     }
 }
 
-// The words of a partial result, in the order of the constants above.
-uint[3] plane_words(PlaneSums sums) {
-    uint best = floatBitsToUint(sums.best_weight);
-    return DEPTH ? uint[3](floatBitsToUint(sums.weighted_depth), best, sums.best_instance) : uint[3](best, sums.best_instance, 0u);
+const uint FIRST_INSTANCE_WORD = DEPTH ? 1u : 0u;
+const uint FIRST_ATTRIBUTE_WORD = FIRST_INSTANCE_WORD + (INSTANCE ? 2u : 0u);
+
+// The words of a partial result, in the order of the planes.
+uint[PLANE_PARTIAL_WORDS_MAX] plane_words(PlaneSums sums) {
+    uint words[PLANE_PARTIAL_WORDS_MAX];
+    if (DEPTH) {
+        words[0] = floatBitsToUint(sums.weighted_depth);
+    }
+    if (INSTANCE) {
+        words[FIRST_INSTANCE_WORD] = floatBitsToUint(sums.best_weight);
+        words[FIRST_INSTANCE_WORD + 1u] = sums.best_instance;
+    }
+    [[unroll]] for (uint word = 0u; word < ATTRIBUTE_WORDS; ++word) {
+        words[FIRST_ATTRIBUTE_WORD + word] = floatBitsToUint(attribute_word(sums.weighted_attributes, word));
+    }
+    return words;
 }
 
-PlaneSums plane_sums(uint words[3]) {
+PlaneSums plane_sums(uint words[PLANE_PARTIAL_WORDS_MAX]) {
     PlaneSums sums = PLANES_EMPTY;
     if (DEPTH) {
         sums.weighted_depth = uintBitsToFloat(words[0]);
     }
     if (INSTANCE) {
-        uint first = DEPTH ? 1u : 0u;
-        sums.best_weight = uintBitsToFloat(words[first]);
-        sums.best_instance = words[first + 1u];
+        sums.best_weight = uintBitsToFloat(words[FIRST_INSTANCE_WORD]);
+        sums.best_instance = words[FIRST_INSTANCE_WORD + 1u];
+    }
+    [[unroll]] for (uint word = 0u; word < ATTRIBUTE_WORDS; ++word) {
+        set_attribute_word(sums.weighted_attributes, word, uintBitsToFloat(words[FIRST_ATTRIBUTE_WORD + word]));
     }
     return sums;
 }

@@ -234,11 +234,16 @@ fn all_rules_and_outputs_are_the_same() {
         .collect(),
         ..Outputs::default()
     };
+    let means = Outputs {
+        planes: [Plane::Range, Plane::Normal, Plane::FlowForward].into(),
+        ..Outputs::default()
+    };
     let cases = [
         (Rules::GSPLAT15, all_outputs(), 64),
         (Rules::INRIA, bytes, 992),
         (radial, bytes, 128),
         (Rules::DEFAULT, geometry, 128),
+        (Rules::DEFAULT, means, 128),
     ];
     for (rules, outputs, segment_pairs) in cases {
         let options = RenderOptions {
@@ -249,7 +254,7 @@ fn all_rules_and_outputs_are_the_same() {
         };
         let [frames, sorted] = site.compare(options, &STANDING[..9]);
         assert_eq!(sources(&frames), "sfkkkkkkk", "{rules:?}, {outputs:?}");
-        let whole = outputs.planes.geometry().next().is_some();
+        let whole = outputs.planes.medians().next().is_some();
         let items = |frames: &[Shown]| frames[8].0.required.items;
         assert_eq!(
             whole,

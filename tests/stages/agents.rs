@@ -4,7 +4,7 @@
 pub mod hard_agents;
 mod hard_clouds;
 
-use decouplegs::render::Attribute;
+use decouplegs::render::Planes;
 use decouplegs::render::layout::{CLUSTER_SPLATS, near_m};
 use decouplegs::render::stages::{
     AgentCounts, AgentVariant, CullAgents, ProjectAgents, Projected, SeenAgents,
@@ -224,7 +224,7 @@ impl Case {
                 relit: is_relit,
                 shaded: !scene.shadings.is_empty(),
                 cameras: scene.camera_variant(),
-                attribute: Attribute::None,
+                planes: Planes::NONE,
                 fog: scene.fog.is_some(),
             },
         )
@@ -502,7 +502,7 @@ fn no_agents_are_nothing() {
                 relit: false,
                 shaded: false,
                 cameras: scene.camera_variant(),
-                attribute: Attribute::None,
+                planes: Planes::NONE,
                 fog: scene.fog.is_some(),
             },
         )

@@ -1,5 +1,6 @@
 //! `blend.comp`: segments of lists become pixels.
 
+mod attributes;
 mod finish;
 mod median;
 mod rounding;
@@ -9,7 +10,7 @@ use decouplegs::render::layout::{
 };
 use decouplegs::render::stages::{
     Blend, BlendPass, BlendVariant, IndirectArguments, ListedSplats, PartialResults, PixelEnd,
-    Plan, ProjectVariant, Projected, Segments, Target,
+    Plan, ProjectVariant, Projected, RecordContents, Segments, Target,
 };
 use decouplegs::render::twins::color_code::COLOR_CODE_ERROR;
 use decouplegs::render::twins::output::{
@@ -20,10 +21,10 @@ use decouplegs::scene::Rules;
 use glam::Vec3;
 
 use super::project::PLAIN;
-use super::scenes::{LABELED, ProjectedTwin, Scene, hard_world, rig};
+use super::scenes::{ProjectedTwin, Scene, hard_world, rig};
 use super::{
-    UNTOUCHED, counters, identical, open, read_partials, room_for_partials, run, upload, within,
-    write_partials,
+    UNTOUCHED, attribute_of_depth, counters, identical, open, read_partials, room_for_partials,
+    run, upload, within, write_partials,
 };
 use crate::device::Validated;
 use rounding::{ListedSplat, PixelBounds};
@@ -173,6 +174,18 @@ impl Case {
     /// The kernel's images and partial results; where there is `before`, the images of the pass
     /// that finishes it.
     fn kernel(&self, gpu: &Validated, before: Option<&Blended>) -> (Images, Blended) {
+        let (images, partials) = self.kernel_by(gpu, before, &OUTPUTS);
+        (images, partials_by_slot(gpu, &partials))
+    }
+
+    /// Images and partial results with the planes of `outputs`. Attributes are those of
+    /// [`attribute_of_depth`].
+    fn kernel_by(
+        &self,
+        gpu: &Validated,
+        before: Option<&Blended>,
+        asked: &Outputs,
+    ) -> (Images, PartialResults) {
         let Self {
             scene,
             projected,
@@ -189,13 +202,15 @@ impl Case {
         let counters = counters(gpu, required, &[(IndirectArguments::Blend, items.len())]);
         let plan = Plan::new(gpu, &room_for_partials(1), items.len() as u32).unwrap();
         gpu.write(&plan.items, 0, items).unwrap();
-        let on_device = Projected::new(gpu, count, 0, LABELED).unwrap();
+        let contents = RecordContents::for_outputs(asked);
+        let on_device = Projected::new(gpu, count, 0, contents).unwrap();
         gpu.write(&on_device.footprints, 0, &projected.footprints)
             .unwrap();
         gpu.write(&on_device.labels, 0, &projected.labels).unwrap();
-        let partials =
-            PartialResults::new(gpu, &room_for_partials(slots), rules, &OUTPUTS).unwrap();
-        let outputs = OutputBuffers::new(gpu, scene.view.pixels, 0, &OUTPUTS).unwrap();
+        let attributes = attributes_of_depths(projected, contents);
+        gpu.write(&on_device.attributes, 0, &attributes).unwrap();
+        let partials = PartialResults::new(gpu, &room_for_partials(slots), rules, asked).unwrap();
+        let outputs = OutputBuffers::new(gpu, scene.view.pixels, 0, asked).unwrap();
         gpu.write(&outputs.planes, 0, &vec![UNTOUCHED; outputs.planes.len()])
             .unwrap();
         let records = upload(gpu, records);
@@ -205,7 +220,7 @@ impl Case {
             BlendPass::Segments
         };
         if let Some(before) = before {
-            write_partials(gpu, &partials, &before.concat());
+            write_partials(gpu, &partials, &before.concat(), asked.planes);
             // Every fine tile has something to be finished.
             gpu.write(&partials.unfinished, 0, &vec![u32::MAX; before.len()])
                 .unwrap();
@@ -214,10 +229,10 @@ impl Case {
         let variant = BlendVariant {
             end: *end,
             pass,
-            attributes: false,
+            depths: false,
             item_pairs_max: longest,
         };
-        let blend = Blend::new(gpu, rules, &OUTPUTS, variant).unwrap();
+        let blend = Blend::new(gpu, rules, asked, variant).unwrap();
         let splats = ListedSplats {
             records: &records,
             projected: &on_device,
@@ -238,7 +253,7 @@ impl Case {
             images_f32: gpu.read(&outputs.images_f32).unwrap(),
             planes: gpu.read(&outputs.planes).unwrap(),
         };
-        (images, partials_by_slot(gpu, &partials))
+        (images, partials)
     }
 
     /// Partial results of cut tiles, one after the other.
@@ -375,6 +390,16 @@ impl Case {
         }
         Ok(())
     }
+}
+
+/// Attributes of records, vector by vector: [`attribute_of_depth`].
+fn attributes_of_depths(projected: &ProjectedTwin, contents: RecordContents) -> Vec<[f32; 4]> {
+    let vectors = contents.attribute_vectors;
+    let of_record = |record: usize| {
+        let word = move |word| attribute_of_depth(word, projected.depth_m(record));
+        (0..vectors).map(move |vector| std::array::from_fn(|part| word(4 * vector + part)))
+    };
+    (0..projected.keys.len()).flat_map(of_record).collect()
 }
 
 /// Images that the twin writes for `pixel` alone.

@@ -13,6 +13,7 @@ use decouplegs::render::{ColorFormat, OutputBuffers, Outputs, Plane, Planes, twi
 use decouplegs::scene::Rules;
 use glam::{DVec3, Vec3};
 
+use super::attributes::{check_means, check_partials, outputs as all_outputs};
 use super::scenes::rig;
 use super::{
     ROUNDOFF, Random, UNTOUCHED, coded, counters, identical, open, read_partials,
@@ -133,7 +134,7 @@ impl Case {
             &vec![0; on_device.unfinished.len()],
         )
         .unwrap();
-        write_partials(gpu, &on_device, partials);
+        write_partials(gpu, &on_device, partials, outputs.planes);
         gpu.write(
             &on_device.transmittances,
             0,
@@ -338,6 +339,18 @@ fn segments_are_joined_front_to_back() {
     let case = Case::new(1);
     let (twin, segments) = case.twin();
     Case::check(&case.kernel(&gpu, ColorFormat::F32).0, &twin, &segments).unwrap();
+}
+
+#[test]
+fn attributes_are_joined_as_depth_is() {
+    let gpu = open();
+    for end in [PixelEnd::Full, PixelEnd::Exclusive] {
+        let case = Case::new(5);
+        let (images, _, left) = case.kernel_by(&gpu, end, all_outputs());
+        let written = check_means(&images.planes, case.view.pixels).unwrap();
+        let sums = check_partials(&gpu, &left).unwrap();
+        assert!(written > 1000 && sums > 1000, "{written}, {sums}");
+    }
 }
 
 #[test]

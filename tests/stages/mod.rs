@@ -5,6 +5,7 @@
 //! own decision does not survive that rounding.
 
 pub mod agents;
+mod attributes;
 mod begin;
 mod blend;
 mod composite;
@@ -30,6 +31,7 @@ use std::cmp::Ordering;
 use std::fmt::Debug;
 
 use decouplegs::gpu::{Buffer, QueueRole, Recorder};
+use decouplegs::render::Planes;
 use decouplegs::render::capacity::{Capacity, groups_for};
 use decouplegs::render::layout::{
     ARGUMENT_SETS, COARSE_PIXELS, FINE_TILES, PartialTiles, RequiredCounts,
@@ -39,6 +41,7 @@ use decouplegs::render::twins::color_code::{pack_color, unpack_color};
 use decouplegs::render::twins::output::{PIXEL_EMPTY, Pixel, pixels_of_tile};
 
 use crate::device::Validated;
+use attributes::attribute_of_depth;
 use decouplegs::render::twins::planes::{plane_sums, plane_words};
 use glam::Vec3;
 
@@ -115,7 +118,7 @@ fn coded(color: Vec3) -> Vec3 {
 }
 
 /// Writes `pixels` as partial results; fine tiles in which nothing is drawn have none.
-fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel]) {
+fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel], planes: Planes) {
     let (mut tiles, mut drawn) = (Vec::new(), Vec::new());
     for slot in 0..pixels.len() / COARSE_PIXELS {
         let pixels = &pixels[slot * COARSE_PIXELS..][..COARSE_PIXELS];
@@ -138,14 +141,19 @@ fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel]) 
         .collect();
     let planes: Vec<u32> = drawn
         .iter()
-        .flat_map(|pixel| plane_words(&pixel.planes))
+        .flat_map(|pixel| {
+            let words = 0..planes.attribute_words();
+            let depth_m = pixel.planes.weighted_depth;
+            let attributes = words.map(move |word| attribute_of_depth(word, depth_m).to_bits());
+            plane_words(&pixel.planes).into_iter().chain(attributes)
+        })
         .collect();
     gpu.write(&partials.tiles, 0, &tiles).unwrap();
     gpu.write(&partials.colors, 0, &colors).unwrap();
     gpu.write(&partials.planes, 0, &planes).unwrap();
 }
 
-/// The pixels of all partial results, all planes among them.
+/// The pixels of all partial results, depth and instance among them.
 fn read_partials(gpu: &Validated, partials: &PartialResults) -> Vec<Pixel> {
     let tiles = gpu.read(&partials.tiles).unwrap();
     let colors = gpu.read(&partials.colors).unwrap();

@@ -8,7 +8,7 @@ use decouplegs::render::stages::{
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::axes_of;
 use decouplegs::render::twins::shadow::shadow_factor;
-use decouplegs::render::{Attribute, Storage, twins};
+use decouplegs::render::{Planes, Storage, twins};
 use decouplegs::scene::{Camera, DepthOrder, Fog, RayMap, Rules};
 use glam::Vec3;
 
@@ -184,7 +184,7 @@ pub const PLAIN: ProjectVariant = ProjectVariant {
         lenses: false,
         rolling: false,
     },
-    attribute: Attribute::None,
+    planes: Planes::NONE,
     fog: false,
     storage: Storage::Exact,
 };

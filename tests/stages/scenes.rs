@@ -381,7 +381,8 @@ pub struct ProjectedTwin {
 /// Records with depth and instance.
 pub const LABELED: RecordContents = RecordContents {
     labels: true,
-    attributes: false,
+    attribute_vectors: 0,
+    depths: false,
 };
 
 impl ProjectedTwin {

@@ -4,7 +4,7 @@
 use std::f64::consts::LOG2_E;
 
 use decouplegs::gpu::QueueRole;
-use decouplegs::render::Attribute;
+use decouplegs::render::Planes;
 use decouplegs::render::sh_codec::{self, EXACT_BITS};
 use decouplegs::render::stages::{
     AgentVariant, CameraVariant, ProjectAgents, Projected, RecordContents, SeenAgents,
@@ -173,7 +173,7 @@ fn seen_by_kernel(
             relit: false,
             shaded: false,
             cameras: CameraVariant::default(),
-            attribute: Attribute::None,
+            planes: Planes::NONE,
             fog: false,
         },
     )

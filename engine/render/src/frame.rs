@@ -8,7 +8,6 @@ use crate::kernels::{FrameStages, ImageStages};
 use crate::keys::KeyDecision;
 use crate::options::RenderOptions;
 use crate::output::OutputBuffers;
-use crate::plane::Plane;
 use crate::slot::FrameInFlight;
 use crate::stages::{
     AgentCounts, Blend, Counted, FrameData, HostWritten, KeptKeys, ListedSplats, PostProcessInputs,
@@ -93,12 +92,12 @@ pub(crate) fn record_frame(
     }
     if let Some(agents) = &stages.agents {
         recorder.stage("project agents", |r| {
-            project_agents(r, &agents.project, frame, slot, input, 0.0);
+            project_agents(r, &agents.project, frame, slot, input);
         });
     }
     record_lists(recorder, stages, frame, slot, input);
     record_images(recorder, stages, frame, slot, input);
-    record_geometry(recorder, stages, frame, slot, input);
+    record_medians(recorder, stages, frame, slot, input);
     recorder.stage("end", |r| {
         r.copy(&frame.counters.required, 0, &slot.found_required, 0, 1);
     });
@@ -221,18 +220,17 @@ fn record_background(
         );
     });
     recorder.stage("project", |r| {
-        project_background(r, &background.project, frame, slot, input, 0.0);
+        project_background(r, &background.project, frame, slot, input);
     });
 }
 
-/// Records a projection of the background.
+/// Records the projection of the background.
 fn project_background(
     recorder: &mut Recorder,
     project: &Project,
     frame: &FrameBuffers,
     slot: &FrameInFlight,
     input: FrameInput<'_>,
-    flow_interval_s: f64,
 ) {
     let inputs = ProjectInputs {
         visible: &frame.visible,
@@ -243,7 +241,7 @@ fn project_background(
         },
         shadows: &slot.shadows,
         shadow_count: input.contents.shadow_count,
-        flow_interval_s: flow_interval_s as f32,
+        flow_interval_s: input.options.flow_interval_s as f32,
     };
     project.record(
         recorder,
@@ -254,14 +252,13 @@ fn project_background(
     );
 }
 
-/// Records a projection of the agents, if there are some.
+/// Records the projection of the agents, if there are some.
 fn project_agents(
     recorder: &mut Recorder,
     project: &ProjectAgents,
     frame: &FrameBuffers,
     slot: &FrameInFlight,
     input: FrameInput<'_>,
-    flow_interval_s: f64,
 ) {
     let Some(list) = &input.contents.agents else {
         return;
@@ -272,7 +269,7 @@ fn project_agents(
         relit: &slot.relit.colors,
         counts: list.counts,
         fog: input.contents.gpu_scene.fog.as_ref(),
-        flow_interval_s: flow_interval_s as f32,
+        flow_interval_s: input.options.flow_interval_s as f32,
     };
     let static_lists = frame.shape.cameras * frame.shape.clusters;
     project.record(
@@ -284,44 +281,30 @@ fn project_agents(
     );
 }
 
-/// Records the planes of geometry: one attribute after the other is written into the records in
-/// place of color, blended over black, and resolved. The order of splats and their lists stay.
-fn record_geometry(
+/// Records the medians of depth and range: these are blended instead of color, up to the splat in
+/// which half of the light is gone.
+fn record_medians(
     recorder: &mut Recorder,
     stages: &FrameStages,
     frame: &FrameBuffers,
     slot: &FrameInFlight,
     input: FrameInput<'_>,
 ) {
-    let Some(geometry) = &stages.geometry else {
+    let Some(medians) = &stages.medians else {
         return;
     };
-    let sums = slot.images.with_color_in(&frame.blended);
-    for plane in input.options.outputs.planes.geometry() {
-        let (Some(projections), Some(images)) =
-            (geometry.projections(plane), geometry.images(plane))
-        else {
-            continue;
-        };
-        let interval_s = match plane {
-            Plane::FlowBackward => -input.options.flow_interval_s,
-            _ => input.options.flow_interval_s,
-        };
-        recorder.stage(plane.name(), |r| {
-            project_background(r, &projections.background, frame, slot, input, interval_s);
-            if let Some(project) = &projections.agents {
-                project_agents(r, project, frame, slot, input, interval_s);
-            }
-            let (written, counted) = begin_buffers(frame, slot, input);
-            stages.common.begin.record_partials(r, written, counted);
-        });
-        blend_images(recorder, images, frame, &sums, [0.0; 3]);
-        recorder.stage("resolve", |r| {
-            geometry
-                .resolve
-                .record(r, plane, &frame.blended, &slot.images);
-        });
-    }
+    recorder.stage("medians", |r| {
+        let (written, counted) = begin_buffers(frame, slot, input);
+        stages.common.begin.record_partials(r, written, counted);
+    });
+    let blended = slot.images.with_color_in(&frame.blended);
+    blend_images(recorder, &medians.images, frame, &blended, [0.0; 3]);
+    recorder.stage("resolve", |r| {
+        for plane in input.options.outputs.planes.medians() {
+            let resolve = &medians.resolve;
+            resolve.record(r, plane, &frame.blended, &slot.images);
+        }
+    });
 }
 
 /// Blends sorted lists to images.

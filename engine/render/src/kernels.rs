@@ -5,7 +5,6 @@ use decouplegs_scene::Rules;
 
 use crate::options::RenderOptions;
 use crate::output::{ColorFormat, Outputs};
-use crate::plane::{Attribute, Plane};
 use crate::stages::{
     AgentVariant, Begin, Blend, BlendPass, BlendVariant, CompositeSegments, Cull, CullAgents,
     CullShadows, KeySplats, MergeLists, PixelEnd, PlanSegments, PostProcess, Project,
@@ -44,14 +43,14 @@ impl ImageStages {
         gpu: &Gpu,
         (rules, end): (&Rules, PixelEnd),
         outputs: &Outputs,
-        attributes: bool,
+        depths: bool,
         segment_pairs: u32,
     ) -> Result<Self, GpuError> {
         let blend = |pass| {
             let variant = BlendVariant {
                 end,
                 pass,
-                attributes,
+                depths,
                 item_pairs_max: segment_pairs,
             };
             Blend::new(gpu, rules, outputs, variant)
@@ -59,7 +58,7 @@ impl ImageStages {
         let finishes = finishes(end, outputs) && segment_pairs < u32::MAX;
         Ok(Self {
             blend: blend(BlendPass::Segments)?,
-            composite: CompositeSegments::new(gpu, end, outputs, attributes)?,
+            composite: CompositeSegments::new(gpu, end, outputs, depths)?,
             finish: finishes.then(|| blend(BlendPass::Finish)).transpose()?,
         })
     }
@@ -79,39 +78,10 @@ pub(crate) struct AgentStages {
     pub relight: Option<Relight>,
 }
 
-/// Kernels of the planes of geometry: attributes instead of color, and their means and
-/// medians.
-pub(crate) struct GeometryStages {
-    /// `None` where no plane is a mean.
-    means: Option<ImageStages>,
-    /// `None` where no plane is a median.
-    medians: Option<ImageStages>,
+/// Kernels of medians, which are blended instead of color.
+pub(crate) struct MedianStages {
+    pub images: ImageStages,
     pub resolve: ResolvePlane,
-    attributes: Vec<AttributeStages>,
-}
-
-/// Projections that write an attribute.
-pub(crate) struct AttributeStages {
-    attribute: Attribute,
-    pub background: Project,
-    /// `None` without agents.
-    pub agents: Option<ProjectAgents>,
-}
-
-impl GeometryStages {
-    /// Blending for `plane`.
-    pub fn images(&self, plane: Plane) -> Option<&ImageStages> {
-        match plane.is_median() {
-            true => self.medians.as_ref(),
-            false => self.means.as_ref(),
-        }
-    }
-
-    /// Projections for `plane`.
-    pub fn projections(&self, plane: Plane) -> Option<&AttributeStages> {
-        let mut built = self.attributes.iter();
-        built.find(|stages| stages.attribute == plane.attribute())
-    }
 }
 
 /// All kernels of a renderer, by the kind of frame.
@@ -143,8 +113,8 @@ pub(crate) struct FrameStages {
     pub agents: Option<AgentStages>,
     /// `None` without shadows.
     pub shadows: Option<CullShadows>,
-    /// `None` where no plane of geometry is asked for.
-    pub geometry: Option<GeometryStages>,
+    /// `None` where no median is asked for.
+    pub medians: Option<MedianStages>,
 }
 
 /// Specialization of a frame.
@@ -155,37 +125,6 @@ pub(crate) struct FrameVariant {
     pub post_processed: bool,
     /// `None` without agents.
     pub agents: Option<AgentVariant>,
-}
-
-impl FrameVariant {
-    /// The variant whose projections write an attribute instead of color. It does not depend
-    /// on what colors and instances need.
-    fn with_attribute(self, attribute: Attribute) -> Self {
-        Self {
-            background: ProjectVariant {
-                sh_degree: 0,
-                labels: false,
-                instances: false,
-                splat_ids: false,
-                shadows: false,
-                shadows_by_camera: false,
-                cameras: self.background.cameras,
-                attribute,
-                fog: false,
-                storage: self.background.storage,
-            },
-            agents: self.agents.map(|agents| AgentVariant {
-                sh_degree: 0,
-                labels: false,
-                relit: false,
-                shaded: false,
-                cameras: agents.cameras,
-                attribute,
-                fog: false,
-            }),
-            ..self
-        }
-    }
 }
 
 impl Kernels {
@@ -227,7 +166,7 @@ impl Kernels {
 impl KernelOptions {
     fn build(&self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages, GpuError> {
         let (rules, background) = (&self.rules, variant.background);
-        let has_planes = self.outputs.planes.geometry().next().is_some();
+        let has_medians = self.outputs.planes.medians().next().is_some();
         Ok(FrameStages {
             variant,
             common: CommonStages {
@@ -269,9 +208,7 @@ impl KernelOptions {
             shadows: (background.shadows)
                 .then(|| CullShadows::new(gpu))
                 .transpose()?,
-            geometry: has_planes
-                .then(|| self.geometry(gpu, variant))
-                .transpose()?,
+            medians: has_medians.then(|| self.medians(gpu)).transpose()?,
         })
     }
 
@@ -280,10 +217,10 @@ impl KernelOptions {
         gpu: &Gpu,
         end: PixelEnd,
         outputs: &Outputs,
-        attributes: bool,
+        depths: bool,
     ) -> Result<ImageStages, GpuError> {
         let ends = (&self.rules, end);
-        ImageStages::new(gpu, ends, outputs, attributes, self.segment_pairs)
+        ImageStages::new(gpu, ends, outputs, depths, self.segment_pairs)
     }
 
     fn agents(&self, gpu: &Gpu, kind: AgentVariant) -> Result<AgentStages, GpuError> {
@@ -296,36 +233,15 @@ impl KernelOptions {
         })
     }
 
-    /// The kernels that the planes of geometry need.
-    fn geometry(&self, gpu: &Gpu, variant: FrameVariant) -> Result<GeometryStages, GpuError> {
+    /// The kernels that medians need.
+    fn medians(&self, gpu: &Gpu) -> Result<MedianStages, GpuError> {
         let outputs = Outputs {
             color: ColorFormat::F32,
             ..Outputs::default()
         };
-        let planes = || self.outputs.planes.geometry();
-        let images = |end, medians: bool| {
-            let is_needed = planes().any(|plane| plane.is_median() == medians);
-            is_needed
-                .then(|| self.images(gpu, end, &outputs, true))
-                .transpose()
-        };
-        let mut stages = GeometryStages {
-            means: images(PixelEnd::for_rules(&self.rules), false)?,
-            medians: images(PixelEnd::Median, true)?,
+        Ok(MedianStages {
+            images: self.images(gpu, PixelEnd::Median, &outputs, true)?,
             resolve: ResolvePlane::new(gpu)?,
-            attributes: Vec::new(),
-        };
-        for plane in planes() {
-            if stages.projections(plane).is_none() {
-                let variant = variant.with_attribute(plane.attribute());
-                let agents = |kind| ProjectAgents::new(gpu, &self.rules, kind);
-                stages.attributes.push(AttributeStages {
-                    attribute: plane.attribute(),
-                    background: Project::new(gpu, &self.rules, variant.background)?,
-                    agents: variant.agents.map(agents).transpose()?,
-                });
-            }
-        }
-        Ok(stages)
+        })
     }
 }

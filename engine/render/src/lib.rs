@@ -51,7 +51,7 @@ pub use keys::KeySource;
 pub use lidar::{LidarOptions, LidarRenderer, LidarView, TracedSweep};
 pub use options::{FrameStatistics, QueueTrace, RenderOptions};
 pub use output::{ColorFormat, OutputBuffers, Outputs};
-pub use plane::{Attribute, Plane, PlaneMap, PlaneType, PlaneValues, Planes};
+pub use plane::{Plane, PlaneMap, PlaneType, PlaneValues, Planes};
 pub use rendered_image::Image;
 pub use renderer::Renderer;
 pub use resident::GpuScene;

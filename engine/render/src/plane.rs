@@ -1,14 +1,14 @@
 //! The planes of an image beside its color: one table. A plane has one or more 32-bit words per
 //! pixel.
 //!
-//! Depth and instances are blended together with color: `shaders/include/planes.glsl`, its CPU
-//! mirror `twins/planes.rs`, their definition in f64 `reference/blend.rs`. Planes of geometry are
-//! attributes of splats that are blended instead of color, one after the other:
-//! `shaders/include/geometry.glsl`, with their definition in `reference/geometry.rs`.
+//! All but medians are blended together with color: `shaders/include/planes.glsl`, its CPU mirror
+//! `twins/planes.rs`, the definition of depth and instances in f64 `reference/blend.rs`. Range,
+//! normal and motion are attributes of splats: `shaders/include/geometry.glsl`, with their
+//! definition in `reference/geometry.rs`. Medians are blended apart, instead of color.
 
 use std::collections::BTreeMap;
 
-use decouplegs_shaders::constants;
+use decouplegs_gpu::Constant;
 
 /// A plane of an image beside its color.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -39,24 +39,6 @@ pub enum Plane {
     /// Median range, meters, f32: that of [`Plane::Range`] of the splat in which half of a pixel's
     /// light is gone. 0 where more than half is left.
     RangeMedian,
-}
-
-/// Attribute of splats that is blended instead of color; `ATTRIBUTE_*` in `geometry.glsl`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Attribute {
-    /// Color itself.
-    #[default]
-    None = constants::ATTRIBUTE_NONE as isize,
-    /// Distance from the camera.
-    Range = constants::ATTRIBUTE_RANGE as isize,
-    /// Unit normal.
-    Normal = constants::ATTRIBUTE_NORMAL as isize,
-    /// Displacement in the image.
-    Flow = constants::ATTRIBUTE_FLOW as isize,
-    /// Velocity in the world.
-    SceneFlow = constants::ATTRIBUTE_SCENE_FLOW as isize,
-    /// Depth by which records are ordered.
-    Depth = constants::ATTRIBUTE_DEPTH as isize,
 }
 
 /// Type of a plane's values on the host.
@@ -141,28 +123,27 @@ impl Plane {
         matches!(self, Self::DepthMedian | Self::RangeMedian)
     }
 
-    /// Attribute whose means are the plane's values; [`Attribute::None`] for a plane that is
-    /// blended together with color.
-    #[must_use]
-    pub const fn attribute(self) -> Attribute {
-        match self {
-            Self::Depth | Self::Instance => Attribute::None,
-            Self::Range | Self::RangeMedian => Attribute::Range,
-            Self::DepthMedian => Attribute::Depth,
-            Self::Normal => Attribute::Normal,
-            Self::FlowForward | Self::FlowBackward => Attribute::Flow,
-            Self::SceneFlow => Attribute::SceneFlow,
-        }
-    }
-
     /// Name of the specialization constant that turns on a plane that is blended together with
-    /// color.
+    /// color; `None` for a median.
     pub(crate) const fn constant(self) -> Option<&'static str> {
         match self {
             Self::Depth => Some("DEPTH"),
             Self::Instance => Some("INSTANCE"),
-            _ => None,
+            Self::Range => Some("RANGE"),
+            Self::Normal => Some("NORMAL"),
+            Self::FlowForward => Some("FLOW_FORWARD"),
+            Self::FlowBackward => Some("FLOW_BACKWARD"),
+            Self::SceneFlow => Some("SCENE_FLOW"),
+            Self::DepthMedian | Self::RangeMedian => None,
         }
+    }
+
+    /// True if the values are means of an attribute that records hold for it.
+    pub(crate) const fn is_attribute(self) -> bool {
+        matches!(
+            self,
+            Self::Range | Self::Normal | Self::FlowForward | Self::FlowBackward | Self::SceneFlow
+        )
     }
 
     /// Words per pixel in the partial result of a segment.
@@ -170,7 +151,8 @@ impl Plane {
         match self {
             Self::Depth => 1,
             Self::Instance => 2,
-            _ => 0,
+            Self::DepthMedian | Self::RangeMedian => 0,
+            _ => self.channels(),
         }
     }
 }
@@ -180,7 +162,9 @@ impl Plane {
 pub struct Planes(u32);
 
 impl Planes {
-    /// The planes that are blended together with color.
+    /// No plane.
+    pub const NONE: Self = Self(0);
+    /// Depth and instance.
     pub const BESIDE_COLOR: Self = Self(1 << Plane::Depth as u32 | 1 << Plane::Instance as u32);
     /// Every plane.
     pub const ALL: Self = Self((1 << Plane::ALL.len()) - 1);
@@ -197,10 +181,24 @@ impl Planes {
         self.0 == 0
     }
 
-    /// Planes of geometry in the set, in the order of [`Plane::ALL`].
-    pub fn geometry(self) -> impl Iterator<Item = Plane> {
-        self.iter()
-            .filter(|plane| plane.attribute() != Attribute::None)
+    /// Medians in the set.
+    pub fn medians(self) -> impl Iterator<Item = Plane> {
+        self.iter().filter(|plane| plane.is_median())
+    }
+
+    /// Words of a splat's attributes whose means are planes of the set.
+    #[must_use]
+    pub fn attribute_words(self) -> usize {
+        let attributes = self.iter().filter(|plane| plane.is_attribute());
+        attributes.map(Plane::channels).sum()
+    }
+
+    /// Specialization constants of kernels that make the attributes of the set.
+    pub(crate) fn attribute_constants(self) -> impl Iterator<Item = (&'static str, Constant)> {
+        let attributes = Plane::ALL.into_iter().filter(|plane| plane.is_attribute());
+        let constant =
+            move |plane: Plane| Some((plane.constant()?, Constant::Bool(self.contains(plane))));
+        attributes.filter_map(constant)
     }
 
     /// Words per pixel of all planes of the set.

@@ -23,7 +23,7 @@ use crate::slot::FrameInFlight;
 use crate::stages::{AgentVariant, CameraVariant, ProjectVariant, RecordContents};
 use crate::submitted::{FrameContents, ShownFrame, SubmittedFrame};
 use crate::taken::SharedImagePool;
-use crate::{Attribute, Plane, RenderError};
+use crate::{Plane, RenderError};
 
 /// Splats an index can name with room for a camera beside it.
 const SPLATS_MAX: usize = 1 << 27;
@@ -262,7 +262,7 @@ impl Renderer {
                 shadows: !scene.shadows.is_empty(),
                 shadows_by_camera: scene.shadow_cameras.is_some(),
                 cameras: CameraVariant::for_cameras(&view.cameras, &view.lenses),
-                attribute: Attribute::None,
+                planes: options.outputs.planes,
                 fog: scene.gpu_scene.fog.is_some(),
                 storage: scene.gpu_scene.storage,
             },
@@ -281,7 +281,7 @@ impl Renderer {
                         list.map_or(&[], |list| &list.cameras),
                         &view.lenses,
                     ),
-                    attribute: Attribute::None,
+                    planes: options.outputs.planes,
                     fog: scene.gpu_scene.fog.is_some(),
                 }),
         }
@@ -289,8 +289,8 @@ impl Renderer {
 
     /// Interval of optical flow, seconds; 0 where none is asked for.
     fn flow_interval_s(&self) -> f64 {
-        let mut planes = self.options.outputs.planes.geometry();
-        match planes.any(|plane| plane.attribute() == Attribute::Flow) {
+        let planes = self.options.outputs.planes;
+        match planes.contains(Plane::FlowForward) || planes.contains(Plane::FlowBackward) {
             true => self.options.flow_interval_s,
             false => 0.0,
         }
@@ -471,7 +471,7 @@ impl Renderer {
         let lists = (frame.kept_lists).decide(&self.gpu, standing, &shape.capacity, shape.bins);
         let kept = frame.kept_lists.kept().map(|kept| kept.id);
         // What is blended more than once, or into a buffer that frames share, is blended whole.
-        let skips = contents.processed.is_empty() && !with_geometry(&self.options);
+        let skips = contents.processed.is_empty() && !with_medians(&self.options);
         let skipped_bins = if skips { shape.bins } else { 0 };
         let prepared = self.slots[slot].draw_from(&self.gpu, kept, skipped_bins);
         let submitted = prepared.and_then(|()| {
@@ -509,7 +509,7 @@ impl Renderer {
             cameras: view.cameras.len(),
             clusters: contents.gpu_scene.cluster_count(),
             bins: view.bins,
-            blended_pixels: if contents.processed.is_empty() && !with_geometry(&self.options) {
+            blended_pixels: if contents.processed.is_empty() && !with_medians(&self.options) {
                 0
             } else {
                 view.pixels
@@ -518,7 +518,7 @@ impl Renderer {
     }
 }
 
-/// True if planes of geometry are asked for.
-fn with_geometry(options: &RenderOptions) -> bool {
-    options.outputs.planes.geometry().next().is_some()
+/// True if medians are asked for.
+fn with_medians(options: &RenderOptions) -> bool {
+    options.outputs.planes.medians().next().is_some()
 }

@@ -421,12 +421,12 @@ impl BatchRenderer {
     }
 
     /// Pixels that one buffer of images can hold, and one of all planes. What is post-processed is
-    /// blended as f32, and so are planes of geometry.
+    /// blended as f32, and so are medians.
     fn pixels_max(&self, post_processed: bool) -> u64 {
         let outputs = self.options.outputs;
-        let has_geometry = outputs.planes.geometry().next().is_some();
+        let has_medians = outputs.planes.medians().next().is_some();
         let color_bytes = match outputs.color {
-            ColorFormat::U8 if !post_processed && !has_geometry => 4,
+            ColorFormat::U8 if !post_processed && !has_medians => 4,
             _ => 16,
         };
         let plane_bytes = 4 * outputs.planes.words() as u64;

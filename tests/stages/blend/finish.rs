@@ -11,7 +11,7 @@ use decouplegs::render::twins::planes::PlaneSums;
 
 /// Pixels before the segments of `case`: two of three are to be finished there, some of them almost
 /// full.
-fn before(case: &Case) -> Blended {
+pub fn before(case: &Case) -> Blended {
     let mut random = Random(5);
     let mut pixel = || {
         let transmittance = random.across_scales(1.2e-4, 1.0);

@@ -307,9 +307,13 @@ impl DgsSessionOptions {
             return Err(Failure::argument(text));
         }
         let bit = |plane: Plane| 1 << DgsImageKind::from_plane(plane) as u32;
-        let known = Planes::ALL
-            .geometry()
-            .fold(0, |bits, plane| bits | bit(plane));
+        // Depth and instance have members of their own.
+        let beside = || {
+            Planes::ALL
+                .iter()
+                .filter(|plane| !Planes::BESIDE_COLOR.contains(*plane))
+        };
+        let known = beside().fold(0, |bits, plane| bits | bit(plane));
         if self.planes & !known != 0 {
             let text = format!(
                 "planes is {:#x}: expected the bits of kinds 4 to {}, {known:#x}",
@@ -319,9 +323,8 @@ impl DgsSessionOptions {
             return Err(Failure::argument(text));
         }
         let asked = flags.into_iter().filter(|(_, number)| *number == 1);
-        let geometry = Planes::ALL.geometry();
-        let geometry = geometry.filter(|plane| self.planes & bit(*plane) != 0);
-        Ok(asked.map(|(plane, _)| plane).chain(geometry).collect())
+        let others = beside().filter(|plane| self.planes & bit(*plane) != 0);
+        Ok(asked.map(|(plane, _)| plane).chain(others).collect())
     }
 }
 

@@ -4,11 +4,12 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Fog, Rules};
 
+use super::project::depths_constant;
 use super::{CameraVariant, PURPOSE, Projected, RelitColors, Visible, kernel, push_constants};
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::groups_for;
 use crate::layout::{AgentRecord, CameraRecord, LensRecord, ShadingRecord, fog_vector, near_m};
-use crate::plane::Attribute;
+use crate::plane::Planes;
 
 /// The agents of a frame on the device.
 pub struct AgentBuffers {
@@ -105,8 +106,8 @@ pub struct AgentVariant {
     pub shaded: bool,
     /// Kind of cameras.
     pub cameras: CameraVariant,
-    /// Attribute that is written instead of color, into records that are there.
-    pub attribute: Attribute,
+    /// Planes whose attributes and depths records hold.
+    pub planes: Planes,
     /// True if there is fog.
     pub fog: bool,
 }
@@ -179,7 +180,7 @@ pub struct SeenAgents<'a> {
     pub counts: AgentCounts,
     /// The world's fog.
     pub fog: Option<&'a Fog>,
-    /// Interval of optical flow, where it is the attribute, seconds.
+    /// Interval of optical flow, where it is asked for, seconds.
     pub flow_interval_s: f32,
 }
 
@@ -205,9 +206,11 @@ impl ProjectAgents {
             ("SHADED", Constant::Bool(variant.shaded)),
             lenses,
             rolling,
-            ("ATTRIBUTE", Constant::U32(variant.attribute as u32)),
             ("FOG", Constant::Bool(variant.fog)),
+            depths_constant(variant.planes),
         ];
+        let attributes = variant.planes.attribute_constants();
+        let constants: Vec<_> = constants.into_iter().chain(attributes).collect();
         Ok(Self {
             kernel: kernel::<ProjectPush>(gpu, &decouplegs_shaders::PROJECT_AGENTS, &constants)?,
         })
@@ -256,6 +259,7 @@ impl ProjectAgents {
             ("footprints", projected.footprints.binding()),
             ("labels", projected.labels.binding()),
             ("attributes", projected.attributes.binding()),
+            ("depths", projected.depths.binding()),
             ("keys", projected.keys.binding()),
             ("lenses", buffers.lenses.binding()),
         ];

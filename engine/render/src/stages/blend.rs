@@ -12,15 +12,14 @@ use super::{
 use crate::capacity::Capacity;
 use crate::layout::{COARSE_PIXELS, FINE_TILES, PartialTiles};
 use crate::output::{OutputBuffers, Outputs};
-use crate::plane::Plane;
 
 /// Partial accumulations of segments for composite: one per pixel of the fine tiles that a segment
 /// draws something in. Of length 0 where the output was not asked for.
 pub struct PartialResults {
     /// Fine tiles that have results.
     pub tiles: Buffer<PartialTiles>,
-    /// Color in 64 bits and transmittance, three words per pixel; where attributes are blended,
-    /// four f32.
+    /// Color in 64 bits and transmittance, three words per pixel; where depths are blended, four
+    /// f32.
     pub colors: Buffer<u32>,
     /// Sums of the planes, all words of a pixel together: see `planes.glsl`.
     pub planes: Buffer<u32>,
@@ -44,11 +43,15 @@ impl PartialResults {
         outputs: &Outputs,
     ) -> Result<Self, GpuError> {
         let finishes = finishes(PixelEnd::for_rules(rules), outputs);
-        let medians = outputs.planes.iter().any(Plane::is_median);
+        let contents = RecordContents::for_outputs(outputs);
         let slots = capacity.partials;
-        let unfinished = if finishes || medians { slots } else { 0 };
+        let unfinished = if finishes || contents.depths {
+            slots
+        } else {
+            0
+        };
         let pixels = capacity.tiles * (COARSE_PIXELS / FINE_TILES);
-        let color_words = match RecordContents::for_outputs(outputs).attributes {
+        let color_words = match contents.depths {
             true => 4,
             false => 3,
         };
@@ -157,8 +160,8 @@ pub struct BlendVariant {
     pub end: PixelEnd,
     /// Purpose of the run.
     pub pass: BlendPass,
-    /// True if attributes are blended instead of colors.
-    pub attributes: bool,
+    /// True if depths and ranges are blended instead of colors.
+    pub depths: bool,
     /// Pairs of an item, at most.
     pub item_pairs_max: u32,
 }
@@ -211,7 +214,7 @@ impl Blend {
         let BlendVariant {
             end,
             pass,
-            attributes,
+            depths,
             item_pairs_max,
         } = variant;
         let own = [
@@ -223,7 +226,7 @@ impl Blend {
             ),
             ("CONTRIBUTIONS", Constant::Bool(outputs.contributions)),
             ("FINISH", Constant::Bool(pass == BlendPass::Finish)),
-            ("ATTRIBUTES", Constant::Bool(attributes)),
+            ("DEPTHS", Constant::Bool(depths)),
         ];
         let constants: Vec<_> = (outputs.constants())
             .chain(own)
@@ -270,6 +273,7 @@ impl Blend {
             ("footprints", projected.footprints.binding()),
             ("labels", projected.labels.binding()),
             ("attributes", projected.attributes.binding()),
+            ("depths", projected.depths.binding()),
             ("partial_colors", partials.colors.binding()),
             ("partial_planes", partials.planes.binding()),
             ("partial_transmittances", partials.transmittances.binding()),

@@ -20,7 +20,7 @@ pub struct CompositeSegments {
 }
 
 impl CompositeSegments {
-    /// The stage for images whose pixels end at `end`, or for `attributes` instead of colors.
+    /// The stage for images whose pixels end at `end`, or for `depths` and ranges instead of colors.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
@@ -28,12 +28,12 @@ impl CompositeSegments {
         gpu: &Gpu,
         end: PixelEnd,
         outputs: &Outputs,
-        attributes: bool,
+        depths: bool,
     ) -> Result<Self, GpuError> {
         let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
         let constants: Vec<_> = (outputs.constants())
             .chain(end.constants())
-            .chain([contributions, ("ATTRIBUTES", Constant::Bool(attributes))])
+            .chain([contributions, ("DEPTHS", Constant::Bool(depths))])
             .collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::COMPOSITE, &constants)?,

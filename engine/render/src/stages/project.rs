@@ -11,7 +11,7 @@ use super::{
 use crate::capacity::groups_for;
 use crate::layout::{fog_vector, near_m};
 use crate::output::Outputs;
-use crate::plane::{Attribute, Plane};
+use crate::plane::{Plane, Planes};
 use crate::resident::GpuScene;
 use crate::storage::Storage;
 
@@ -20,8 +20,10 @@ use crate::storage::Storage;
 pub struct RecordContents {
     /// True if they have a depth and an instance.
     pub labels: bool,
-    /// True if they have an attribute.
-    pub attributes: bool,
+    /// Vectors of attributes.
+    pub attribute_vectors: usize,
+    /// True if they have depth and range for medians.
+    pub depths: bool,
 }
 
 impl RecordContents {
@@ -32,9 +34,15 @@ impl RecordContents {
         let labels = planes.contains(Plane::Depth) || planes.contains(Plane::Instance);
         Self {
             labels: labels || outputs.contributions,
-            attributes: planes.geometry().next().is_some(),
+            attribute_vectors: planes.attribute_words().div_ceil(4),
+            depths: planes.medians().next().is_some(),
         }
     }
+}
+
+/// Specialization constant of projections whose records have depths for the medians of `planes`.
+pub(super) fn depths_constant(planes: Planes) -> (&'static str, Constant) {
+    ("DEPTHS", Constant::Bool(planes.medians().next().is_some()))
 }
 
 /// One entry per visible (camera, splat): by camera, and by splat within a camera.
@@ -44,8 +52,10 @@ pub struct Projected {
     pub footprints: Buffer<[u32; 4]>,
     /// Bits of the depth (m), and instance. Of length 0 without [`RecordContents::labels`].
     pub labels: Buffer<[u32; 2]>,
-    /// Attribute instead of color. Of length 0 without [`RecordContents::attributes`].
-    pub attributes: Buffer<[f32; 3]>,
+    /// Attributes, [`RecordContents::attribute_vectors`] a record: see `attributes.glsl`.
+    pub attributes: Buffer<[f32; 4]>,
+    /// Depth and range, meters. Of length 0 without [`RecordContents::depths`].
+    pub depths: Buffer<[f32; 2]>,
     /// Depth keys. The sort of tiles overwrites them.
     pub keys: Buffer<u32>,
 }
@@ -63,11 +73,13 @@ impl Projected {
     ) -> Result<Self, GpuError> {
         let device = MemoryKind::Device;
         let if_asked = |asked: bool| if asked { records } else { 0 };
-        let (labels, attributes) = (if_asked(contents.labels), if_asked(contents.attributes));
+        let attributes = contents.attribute_vectors * records;
+        let (labels, depths) = (if_asked(contents.labels), if_asked(contents.depths));
         Ok(Self {
             footprints: gpu.buffer("footprints", PURPOSE, 2 * records, device)?,
             labels: gpu.buffer("labels", PURPOSE, labels, device)?,
             attributes: gpu.buffer("attributes", PURPOSE, attributes, device)?,
+            depths: gpu.buffer("depths", PURPOSE, depths, device)?,
             keys: gpu.buffer("depth_keys", PURPOSE, records.max(pairs), device)?,
         })
     }
@@ -96,8 +108,8 @@ pub struct ProjectVariant {
     pub shadows_by_camera: bool,
     /// Kind of cameras.
     pub cameras: CameraVariant,
-    /// Attribute that is written instead of color, into records that are there.
-    pub attribute: Attribute,
+    /// Planes whose attributes and depths records hold.
+    pub planes: Planes,
     /// True if there is fog.
     pub fog: bool,
     /// Storage of the splats.
@@ -117,7 +129,7 @@ pub struct ProjectInputs<'a> {
     pub shadows: &'a ShadowBuffers,
     /// Number of shadows.
     pub shadow_count: usize,
-    /// Interval of optical flow, where it is the attribute, seconds.
+    /// Interval of optical flow, where it is asked for, seconds.
     pub flow_interval_s: f32,
 }
 
@@ -160,10 +172,12 @@ impl Project {
             ),
             lenses,
             rolling,
-            ("ATTRIBUTE", Constant::U32(variant.attribute as u32)),
             ("FOG", Constant::Bool(variant.fog)),
             variant.storage.constant(),
+            depths_constant(variant.planes),
         ];
+        let attributes = variant.planes.attribute_constants();
+        let constants: Vec<_> = constants.into_iter().chain(attributes).collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::PROJECT, &constants)?,
         })
@@ -210,6 +224,7 @@ impl Project {
             ("footprints", projected.footprints.binding()),
             ("labels", projected.labels.binding()),
             ("attributes", projected.attributes.binding()),
+            ("depths", projected.depths.binding()),
             ("keys", projected.keys.binding()),
             ("key_sets", kept.sets.binding()),
             ("kept_keys", kept.keys.binding()),

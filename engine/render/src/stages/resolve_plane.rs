@@ -1,4 +1,4 @@
-//! Resolving of a plane: means or medians of an attribute by pixel.
+//! Resolving of a plane of medians.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
@@ -11,9 +11,8 @@ use crate::plane::Plane;
 push_constants! {
     struct Push {
         pixels: u32,
-        channels: u32,
+        channel: u32,
         first_word: u32,
-        median: u32,
     }
 }
 
@@ -33,13 +32,13 @@ impl ResolvePlane {
         })
     }
 
-    /// Writes `plane` of `images`, if it was asked for, from `sums`: the attribute as blended over
-    /// black, and alpha.
+    /// Writes `plane` of `images`, if it was asked for, from `medians`: depth and range as blended
+    /// over black, nothing, and alpha.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         plane: Plane,
-        sums: &Buffer<[f32; 4]>,
+        medians: &Buffer<[f32; 4]>,
         images: &OutputBuffers,
     ) {
         let Some(words) = images.plane_words(plane) else {
@@ -47,12 +46,11 @@ impl ResolvePlane {
         };
         let push = Push {
             pixels: images.pixels() as u32,
-            channels: plane.channels() as u32,
+            channel: u32::from(plane == Plane::RangeMedian),
             first_word: words.start as u32,
-            median: plane.is_median().into(),
         };
         let bound = [
-            ("sums", sums.binding()),
+            ("medians", medians.binding()),
             ("planes", images.planes.binding()),
         ];
         let groups = groups_for(images.pixels().div_ceil(256));
