@@ -25,9 +25,9 @@ SHELL := bash
 
 # What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
 # A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
-# Tests also need the validation layers, C++, Python and valgrind. Only shaderc needs cmake, ninja and python3.
+# Tests also need the validation layers, C++, Python, valgrind and strace. Only shaderc needs cmake, ninja and python3.
 NEEDS_RUN := gcc =libc6-dev =libvulkan1 =mesa-vulkan-drivers
-NEEDS_TEST := $(NEEDS_RUN) g++ python3 =python3-venv =vulkan-validationlayers valgrind
+NEEDS_TEST := $(NEEDS_RUN) g++ python3 =python3-venv =vulkan-validationlayers valgrind strace
 NEEDS_SHADERC := gcc g++ cmake ninja python3
 NEEDS_CI := $(sort $(NEEDS_TEST) $(NEEDS_SHADERC))
 NEEDS = $(NEEDS_TEST)

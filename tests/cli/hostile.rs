@@ -88,7 +88,7 @@ fn files_that_broke_the_program_are_errors_within_two_seconds() {
             "{arguments:?}: {code:?}, {said}"
         );
         // Two seconds on a free processor; tests run beside others.
-        assert!(seconds < 10.0, "{arguments:?} took {seconds:.1} s");
+        assert!(seconds < 30.0, "{arguments:?} took {seconds:.1} s");
         assert!(!out.exists() && !folder.path().join("scene").exists());
     }
 }
@@ -254,7 +254,7 @@ fn a_planner_dies_with_the_run_however_that_ends() {
         );
         run.wait().unwrap();
         assert!(
-            soon(10, || !is_alive(&planner)),
+            soon(60, || !is_alive(&planner)),
             "the planner outlives SIG{signal}"
         );
     }
@@ -298,7 +298,7 @@ fn a_second_run_in_the_same_folder_is_refused() {
     );
     first.kill().unwrap();
     first.wait().unwrap();
-    assert!(soon(10, || !is_alive(&planner)));
+    assert!(soon(60, || !is_alive(&planner)));
 }
 
 #[test]

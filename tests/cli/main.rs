@@ -19,6 +19,7 @@ mod hugsim_scenarios;
 mod interfaces;
 mod lidar;
 mod map;
+mod power_cut;
 mod programs;
 mod realism;
 mod recording;

