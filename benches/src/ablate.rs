@@ -19,7 +19,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use decouplegs::asset::{check_writable, read_light_transfer, write_atomically};
+use decouplegs::asset::{read_light_transfer, write_atomically};
 use decouplegs::gpu::Gpu;
 use decouplegs::scene::light::{Lighting, RelightOptions};
 use decouplegs::synth::street::{AssetLight, Capture, StreetOptions, Weather};
@@ -27,6 +27,7 @@ use serde_json::{Value, json};
 
 use crate::arguments::{Size, print};
 use crate::device::{DeviceArguments, check_validation};
+use crate::outputs::Force;
 use crate::progress;
 use cars::Cars;
 use figures::Report;
@@ -111,6 +112,8 @@ pub struct Arguments {
     /// HTML page to write, with tables and images
     #[arg(long, value_name = "FILE.html")]
     out: PathBuf,
+    #[command(flatten)]
+    force: Force,
 }
 
 fn weather(text: &str) -> Result<Weather, String> {
@@ -143,12 +146,10 @@ fn not_negative(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    for out in [Some(&arguments.out), arguments.json.as_ref()]
-        .into_iter()
-        .flatten()
-    {
-        check_writable(out)?;
-    }
+    let written = [Some(&arguments.out), arguments.json.as_ref()];
+    arguments
+        .force
+        .files(&[&arguments.light], written.into_iter().flatten())?;
     let light = read_light_transfer(&arguments.light)?.transfer;
     let relighting = RelightOptions {
         ground_albedo: arguments.ground_albedo,

@@ -17,7 +17,7 @@ use std::time::Instant;
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use decouplegs::LiveScene;
-use decouplegs::asset::{check_writable, write_atomically};
+use decouplegs::asset::write_atomically;
 use decouplegs::gpu::{DeviceInfo, DeviceOptions, Gpu, KernelReport, KernelTrial, MemoryReport};
 use decouplegs::render::metrics::{Difference, Flips};
 use decouplegs::render::reference::{self, Window};
@@ -30,6 +30,7 @@ use decouplegs::scene::{Intrinsics, Rules, SplatScene};
 use crate::arguments::{Size, finite, pixels, plane_names, print};
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
+use crate::outputs::Force;
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
 
@@ -141,6 +142,8 @@ pub struct Arguments {
     /// Write all figures to this JSON file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// Frames in which the ego stands.
@@ -261,12 +264,8 @@ struct ImageError {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    for path in [&arguments.json, &arguments.trace, &arguments.trace_image]
-        .into_iter()
-        .flatten()
-    {
-        check_writable(path)?;
-    }
+    let written = [&arguments.json, &arguments.trace, &arguments.trace_image];
+    arguments.force.files(&[], written.into_iter().flatten())?;
     let mut scene = Scene::open(&arguments.scene)?;
     let used = arguments.cameras_used.unwrap_or(scene.cameras.len());
     ensure!(

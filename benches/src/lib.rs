@@ -18,6 +18,6 @@ mod stage_times;
 pub mod stress;
 
 use decouplegs_cli::{
-    arguments, background, device, image_quality, page, plot, progress, scene_source, thumbnail,
-    views, visibility,
+    arguments, background, device, image_quality, outputs, page, plot, progress, scene_source,
+    thumbnail, views, visibility,
 };

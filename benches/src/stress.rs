@@ -19,13 +19,14 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::{CameraOptions, check_writable, read_cameras, write_atomically};
+use decouplegs::asset::{CameraOptions, read_cameras, write_atomically};
 use decouplegs::gpu::Gpu;
 use decouplegs::render::Image;
 use serde_json::{Value, json};
 
 use crate::arguments::{Size, finite, print};
 use crate::device::{DeviceArguments, check_validation};
+use crate::outputs::Force;
 use crate::progress;
 use drive_schedule::DriveSchedule;
 use figures::Point;
@@ -120,6 +121,8 @@ pub struct Arguments {
     /// Write an HTML page with plots, tables and images to this file
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// The street of `--synth`.
@@ -197,9 +200,8 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    for path in [&arguments.json, &arguments.report].into_iter().flatten() {
-        check_writable(path)?;
-    }
+    let written = [&arguments.json, &arguments.report];
+    arguments.force.files(&[], written.into_iter().flatten())?;
     let mut counts = arguments.agents.clone();
     counts.sort_unstable();
     counts.dedup();

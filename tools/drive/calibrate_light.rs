@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::{
-    LightTransferFile, Provenance, SplatFormat, check_writable, probe_paths, read_bytes,
-    read_probe, read_splats, write_atomically, write_light_transfer,
+    LightTransferFile, Provenance, SplatFormat, probe_paths, read_bytes, read_probe, read_splats,
+    write_atomically, write_light_transfer,
 };
 use decouplegs::scene::SplatCloud;
 use decouplegs::scene::light::{Probe, Surroundings};
@@ -19,6 +19,7 @@ use decouplegs_calibrate::{
 };
 
 use crate::arguments::{print, warn};
+use crate::outputs::Force;
 use crate::progress;
 
 /// Fit the effect of light on the colors of agents
@@ -71,6 +72,8 @@ pub struct Arguments {
     /// Write an HTML page with the measurements and images of the first asset
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// Quantity that the fit minimizes, by its name on the command line.
@@ -93,12 +96,11 @@ pub struct Subject {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    for out in [Some(&arguments.out), arguments.report.as_ref()]
-        .into_iter()
-        .flatten()
-    {
-        check_writable(out)?;
-    }
+    let inputs: Vec<&Path> = arguments.assets.iter().map(PathBuf::as_path).collect();
+    let written = [Some(&arguments.out), arguments.report.as_ref()];
+    arguments
+        .force
+        .files(&inputs, written.into_iter().flatten())?;
     let mut sources = BTreeMap::new();
     let subject = read(arguments, &mut sources)?;
     for probe in subject.probes.iter().filter(|probe| probe.clamped > 0) {

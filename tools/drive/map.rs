@@ -15,6 +15,7 @@ use decouplegs::episode::Site;
 use decouplegs::scene::scenario::Place;
 
 use crate::arguments::print;
+use crate::outputs::Force;
 use drawing::Drawing;
 use summary::{MapSummary, TrackSummary};
 
@@ -44,9 +45,26 @@ pub struct Arguments {
     /// Write the obstacles of --scene as JSON, a line each, to edit and give to `drive --obstacles`
     #[arg(long, value_name = "FILE", requires = "scene")]
     obstacles: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
+}
+
+/// Checks the files that are to be written.
+fn check_outputs(arguments: &Arguments) -> Result<()> {
+    let inputs = [
+        Some(&arguments.file),
+        arguments.tracks.as_ref(),
+        arguments.scene.as_ref(),
+    ];
+    let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
+    let written = [&arguments.svg, &arguments.lanes, &arguments.obstacles];
+    arguments
+        .force
+        .files(&inputs, written.into_iter().flatten())
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    check_outputs(arguments)?;
     let map = read_map(&arguments.file)?;
     let tracks = arguments.tracks.as_deref().map(read_tracks).transpose()?;
     let summary = MapSummary::new(&map);

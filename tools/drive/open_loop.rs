@@ -24,6 +24,7 @@ use crate::arguments::{print, transfer_in};
 use crate::background::BackgroundArguments;
 use crate::device::DeviceArguments;
 use crate::episode_report::spread;
+use crate::outputs::Force;
 use crate::sites::Sites;
 
 /// Show a planner two sources of images along the same log, such as real images and rendered ones,
@@ -57,6 +58,8 @@ pub struct Arguments {
     device: DeviceArguments,
     #[command(flatten)]
     driver: DriverOptions,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// A planner's answers to one source.
@@ -70,6 +73,7 @@ struct Answers {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    arguments.force.files(&[&arguments.log], &arguments.json)?;
     let episode = read_episode_log(&arguments.log)?;
     ensure!(
         !episode.steps.is_empty(),

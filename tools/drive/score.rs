@@ -11,6 +11,7 @@ use decouplegs::logs::read_episode_log;
 use crate::arguments::print;
 use crate::background::BackgroundArguments;
 use crate::episode_report::{self, HdScores, Hugsim, Scored};
+use crate::outputs::Force;
 use crate::progress;
 use crate::sites::Sites;
 
@@ -31,9 +32,27 @@ pub struct Arguments {
     /// this folder too
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
+}
+
+/// Checks the files that are to be written.
+fn check_outputs(arguments: &Arguments) -> Result<()> {
+    let Some(out) = arguments.out.as_ref().filter(|out| out.is_dir()) else {
+        return Ok(());
+    };
+    let name = match arguments.against.is_empty() {
+        true => "report",
+        false => "comparison",
+    };
+    let mut written = vec![format!("{name}.json"), format!("{name}.html")];
+    written.extend(arguments.hugsim.map(|_| "hugsim.json".to_owned()));
+    let written: Vec<PathBuf> = written.iter().map(|name| out.join(name)).collect();
+    arguments.force.files(&[], &written)
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    check_outputs(arguments)?;
     let scored = read(&arguments.logs)?;
     let out = arguments.out.as_deref();
     let sites = Sites::new(&[], BackgroundArguments::default(), Appearance::default());

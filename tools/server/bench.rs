@@ -10,6 +10,7 @@ use decouplegs::asset::{SceneFile, write_atomically};
 use decouplegs::gpu::DeviceChoice;
 use decouplegs::scene::{Pose, Trajectory};
 use decouplegs_cli::device::DevicesArguments;
+use decouplegs_cli::outputs::Force;
 use glam::DVec3;
 use serde_json::json;
 use std::io::Write;
@@ -92,6 +93,9 @@ pub struct BenchOptions {
     /// Write the figures to a file
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+    /// Permission to replace files
+    #[command(flatten)]
+    pub force: Force,
 }
 
 /// Image file format.

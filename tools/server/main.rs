@@ -50,7 +50,8 @@ fn main() -> ExitCode {
         Command::Serve(options) => serve(&options),
         Command::Bench(options) => {
             log(LogForm::Text, "warn");
-            bench::run(&options, started)
+            let checked = options.force.files(&[], &options.json);
+            checked.and_then(|()| bench::run(&options, started))
         }
         Command::Conform(options) => judge(&options),
     };
@@ -101,6 +102,7 @@ fn serve(options: &ServerOptions) -> Result<()> {
 }
 
 fn judge(options: &ConformOptions) -> Result<()> {
+    options.force.files(&[], &options.json)?;
     let mut printed = Ok(());
     let report = conform::run(options, &mut |check, outcome| {
         if printed.is_ok() {

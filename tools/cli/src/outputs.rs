@@ -57,6 +57,19 @@ impl Force {
             folders: vec![],
         }
     }
+
+    /// Checks all of `files`, which a subcommand that reads `inputs` writes.
+    ///
+    /// # Errors
+    /// The first that [`Outputs::file`] finds.
+    pub fn files<'a>(
+        self,
+        inputs: &[&Path],
+        files: impl IntoIterator<Item = &'a PathBuf>,
+    ) -> Result<()> {
+        let outputs = self.outputs(inputs);
+        files.into_iter().try_for_each(|file| outputs.file(file))
+    }
 }
 
 /// Checks of outputs by one rule: an input is never replaced, and nothing that exists is without

@@ -17,6 +17,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
+use decouplegs_cli::outputs::Force;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint};
 
 pub use check::{Check, Outcome};
@@ -64,6 +65,9 @@ pub struct ConformOptions {
     /// Write the results to this JSON file
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+    /// Permission to replace files
+    #[command(flatten)]
+    pub force: Force,
 }
 
 impl ConformOptions {
@@ -80,6 +84,7 @@ impl ConformOptions {
             ca_cert: None,
             timeout: 300.0,
             json: None,
+            force: Force::default(),
         }
     }
 }
