@@ -44,7 +44,7 @@ impl SplatFormat {
     pub fn name(self) -> &'static str {
         match self {
             Self::InriaPly => "INRIA PLY",
-            Self::CompressedPly => "compressed PLY",
+            Self::CompressedPly => compressed_ply::NAME,
             Self::Splat => "SPLAT",
             Self::Spz => "SPZ",
             Self::Sog => sog::NAME,
