@@ -106,6 +106,18 @@ impl SplatFormat {
     }
 }
 
+/// The direction that is mostly up in the file at `path`: z in scenes and compressed assets, -y in
+/// splat files, which are mostly trained from COLMAP's coordinates. A .glb is turned to these when
+/// it is read.
+#[must_use]
+pub fn usual_up(path: &Path) -> DVec3 {
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    match extension.to_lowercase().as_str() {
+        "toml" | "usdz" | "safetensors" => DVec3::Z,
+        _ => DVec3::NEG_Y,
+    }
+}
+
 /// Reads the splats of a file in any format, chosen by its content and, where that says nothing,
 /// its extension.
 ///
