@@ -292,3 +292,13 @@ pub unsafe extern "C" fn dgs_save_png(path: *const c_char, image: *const DgsImag
         )?)
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_view_of_a_rig_stays_as_it_was_published() {
+        assert_eq!(size_of::<DgsRigView>(), 120);
+    }
+}
