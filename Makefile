@@ -7,6 +7,8 @@
 #
 #   make install  builds them, optimized, and copies them to cargo's folder of programs
 #
+#   make install-c PREFIX=...  the library for C and C++, with its header, for pkg-config and CMake (default: ~/.local)
+#
 # One to change a shader:
 #
 #   make shaders  compiles shaders/*.comp to shaders/spirv with shaderc. The first time it builds shaderc: about eight minutes.
@@ -21,13 +23,13 @@
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test install fuzz abuse soak shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore nuscenes
+.PHONY: demo test install install-c fuzz abuse soak shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore nuscenes
 
 # What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
 # A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
-# Tests also need the validation layers, C++, Python, valgrind and strace. Only shaderc needs cmake, ninja and python3.
+# Tests also need the validation layers, C++, Python, valgrind, strace and pkg-config. Only shaderc needs cmake, ninja and python3.
 NEEDS_RUN := gcc =libc6-dev =libvulkan1 =mesa-vulkan-drivers
-NEEDS_TEST := $(NEEDS_RUN) g++ python3 =python3-venv =vulkan-validationlayers valgrind strace
+NEEDS_TEST := $(NEEDS_RUN) g++ python3 =python3-venv =vulkan-validationlayers valgrind strace pkg-config
 NEEDS_SHADERC := gcc g++ cmake ninja python3
 NEEDS_CI := $(sort $(NEEDS_TEST) $(NEEDS_SHADERC))
 NEEDS = $(NEEDS_TEST)
@@ -65,6 +67,13 @@ demo: packages
 install: NEEDS := $(NEEDS_RUN)
 install: packages
 	for folder in $(PROGRAMS); do cargo install --locked --path $$folder; done
+
+# What is installed may be moved. DESTDIR comes before PREFIX, for those who make packages.
+PREFIX ?= $(HOME)/.local
+install-c: NEEDS := gcc =libc6-dev python3
+install-c: packages
+	cargo build --release --locked --package decouplegs-c
+	sh tools/c/install/install.sh $(TARGET)/release $(DESTDIR)$(PREFIX) $$(cargo pkgid --package decouplegs-c | sed 's/.*[#@]//')
 
 # Folder of what is built, also where CARGO_TARGET_DIR or a configuration of cargo names another one.
 TARGET = $(shell cargo metadata --format-version 1 --no-deps | python3 -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])')

@@ -46,8 +46,9 @@ pub use decouplegs_sim::{
 };
 pub use decouplegs_synth as synth;
 pub use decouplegs_train as train;
-pub use scene::{Camera, Intrinsics, Pose, Rig, Rules, Scenario, SplatCloud, Trajectory};
+pub use glam;
+pub use scene::{Camera, Framing, Intrinsics, Pose, Rig, Rules, Scenario, SplatCloud, Trajectory};
 pub use session::{
     BatchRenderer, HostImages, RigRenderer, RigSweep, Session, SessionError, SessionOptions,
-    SessionScene, World, WorldView,
+    SessionScene, World, WorldView, save_png,
 };

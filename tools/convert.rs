@@ -1,7 +1,8 @@
 //! `decouplegs convert`: splats from one format to another, and checkpoints with actors to a scene.
 
-mod format;
-mod report;
+pub mod format;
+pub mod report;
+pub mod written;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,13 +12,14 @@ use decouplegs_asset::scene_import::{ImportOptions, ImportedScene, read_scene};
 use decouplegs_asset::{
     LossReport, SplatFormat, UnfinishedFolder, khr_glb, read_bytes, read_splats, read_tracks,
 };
-use decouplegs_scene::{ShFrame, SplatCloud};
+use decouplegs_scene::ShFrame;
 
 use crate::arguments::print;
 use crate::outputs::Force;
 use crate::progress;
 use format::Format;
 use report::Report;
+use written::Writing;
 
 /// Convert splats from one format to another, or a checkpoint with actors to a scene, and report
 /// the loss
@@ -113,67 +115,16 @@ fn write_splats(arguments: &Arguments) -> Result<()> {
         "{} has no splats",
         arguments.input.display()
     );
-    let mut notes = notes_of(&arguments.input)?;
-    let (mut wanted, dropped) = if format.holds_defects() {
-        (before.clone(), 0)
-    } else {
-        without_defects(&before)
-    };
-    if dropped > 0 {
-        notes.push(format!(
-            "{dropped} splats that cannot be drawn are left out: {} has no code for them",
-            format.name()
-        ));
-    }
-    ensure!(
-        !wanted.is_empty(),
-        "{} has no splat that can be drawn",
-        arguments.input.display()
-    );
-    let original = wanted.clone();
-    let degree = arguments
-        .degree
-        .unwrap_or(wanted.sh_degree)
-        .min(wanted.sh_degree);
-    wanted.set_degree(degree);
-    notes.extend(format.limits(&wanted));
-    let writing = progress::spinner(format!("writing {}", arguments.output.display()));
-    let order = format.write(&arguments.output, &arguments.input, &wanted)?;
-    let compared = order.map_or_else(|| original.clone(), |order| original.select(&order));
-    if compared.len() < original.len() {
-        let count = original.len() - compared.len();
-        notes.push(format!(
-            "{count} splats with an opacity below 1/255, which are never drawn, are left out"
-        ));
-    }
-    // A device or FIFO cannot be read back.
-    let after = arguments
-        .output
-        .is_file()
-        .then(|| format.read(&arguments.output))
-        .transpose()?;
-    writing.finish_and_clear();
-    let loss = after
-        .as_ref()
-        .map(|after| LossReport::between(&compared, after, format.keeps_axes()));
-    if loss.is_none() {
-        notes.push(format!(
-            "{} is no regular file: it was not read back",
-            arguments.output.display()
-        ));
-    }
-    let report = Report {
+    let notes = notes_of(&arguments.input)?;
+    let writing = Writing {
         input: &arguments.input,
         output: &arguments.output,
-        format: format.name(),
-        splats_in: before.len(),
-        splats_out: compared.len(),
-        bytes_in: bytes_of(&arguments.input)?,
-        bytes_out: bytes_of(&arguments.output)?,
-        loss,
-        notes,
+        format,
+        degree: arguments.degree,
     };
-    finish(arguments, &report)
+    let splats_in = before.len();
+    let report = writing.write(before, splats_in, notes)?;
+    finish(arguments.report.as_deref(), &report)
 }
 
 /// A checkpoint with actors to a folder with a scene: there whole, or not at all.
@@ -218,7 +169,7 @@ fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
         loss: Some(read_back(out, scene)?),
         notes,
     };
-    finish(arguments, &report)
+    finish(arguments.report.as_deref(), &report)
 }
 
 /// Loss of a scene's splats in the written files.
@@ -234,15 +185,16 @@ fn read_back(out: &Path, scene: &ImportedScene) -> Result<LossReport> {
     Ok(LossReport::between(&before, &after, true))
 }
 
-fn finish(arguments: &Arguments, report: &Report<'_>) -> Result<()> {
-    if let Some(path) = &arguments.report {
+/// Prints `report`, and writes it to `file`, if there is one.
+pub fn finish(file: Option<&Path>, report: &Report<'_>) -> Result<()> {
+    if let Some(path) = file {
         report.write(path)?;
     }
     print(&report.to_text())
 }
 
 /// Notes on properties of the input that are not read.
-fn notes_of(path: &Path) -> Result<Vec<String>> {
+pub fn notes_of(path: &Path) -> Result<Vec<String>> {
     if !path.is_file() {
         return Ok(Vec::new());
     }
@@ -251,19 +203,6 @@ fn notes_of(path: &Path) -> Result<Vec<String>> {
         return Ok(Vec::new());
     }
     khr_glb::read_notes(&bytes).with_context(|| format!("{} cannot be read", path.display()))
-}
-
-/// The splats that can be drawn, and how many cannot.
-fn without_defects(cloud: &SplatCloud) -> (SplatCloud, usize) {
-    let drawn: Vec<u32> = (0..cloud.len() as u32)
-        .filter(|&splat| cloud.defect_of(splat as usize).is_none())
-        .collect();
-    let dropped = cloud.len() - drawn.len();
-    if dropped == 0 {
-        (cloud.clone(), 0)
-    } else {
-        (cloud.select(&drawn), dropped)
-    }
 }
 
 /// Bytes of a file, or of all files in a folder.

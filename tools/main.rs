@@ -14,6 +14,7 @@ mod inspect;
 mod programs;
 mod render;
 mod synth;
+mod transform;
 
 use std::env;
 use std::ffi::OsString;
@@ -39,6 +40,7 @@ enum Command {
     Render(Box<render::Arguments>),
     Inspect(inspect::Arguments),
     Convert(convert::Arguments),
+    Transform(transform::Arguments),
     Decompress(decompress::Arguments),
     Compress(compress::Arguments),
     Compare(compare::Arguments),
@@ -68,6 +70,7 @@ fn main() -> ExitCode {
         Command::Render(arguments) => render::run(arguments),
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Convert(arguments) => convert::run(arguments),
+        Command::Transform(arguments) => transform::run(arguments),
         Command::Decompress(arguments) => decompress::run(arguments),
         Command::Compress(arguments) => compress::run(arguments),
         Command::Compare(arguments) => compare::run(arguments),

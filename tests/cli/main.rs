@@ -27,6 +27,7 @@ mod register;
 mod rendering;
 mod scanned_street;
 mod stress;
+mod transform;
 mod view;
 
 use std::fs;

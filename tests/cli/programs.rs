@@ -79,6 +79,7 @@ fn help_lists_all_subcommands_and_each_helps_in_the_name_of_decouplegs() {
         "render",
         "inspect",
         "convert",
+        "transform",
         "decompress",
         "compress",
         "compare",

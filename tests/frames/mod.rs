@@ -17,6 +17,7 @@ pub mod lidar;
 mod light;
 mod light_on_demand;
 mod needles;
+mod one_file;
 mod outputs;
 mod presence;
 mod rig_devices;

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::ValueEnum;
 use decouplegs_asset::{
-    CodedAsset, Provenance, inria_ply, khr_glb, read_bytes, read_splats, sog, splat, spz,
-    write_coded,
+    CodedAsset, Provenance, compressed_ply, inria_ply, khr_glb, read_bytes, read_splats, sog,
+    splat, spz, write_coded,
 };
 use decouplegs_scene::SplatCloud;
 use decouplegs_train::compress::{CompressOptions, Prune, compress};
@@ -16,6 +16,8 @@ use decouplegs_train::compress::{CompressOptions, Prune, compress};
 pub enum Format {
     /// INRIA PLY: all in 32-bit floats
     Ply,
+    /// PlayCanvas' compressed PLY: splats quantized within chunks of 256
+    CompressedPly,
     /// SPZ version 4
     Spz,
     /// antimatter15's 32 bytes per splat
@@ -37,13 +39,12 @@ impl Format {
             .unwrap_or_default()
             .to_string_lossy()
             .to_lowercase();
-        if name.ends_with(".compressed.ply") {
-            bail!(
-                "{}: PlayCanvas' compressed PLY is read, not written; write .sog or .spz",
-                path.display()
-            );
-        }
         let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
+        let extension = if name.ends_with(".compressed.ply") {
+            Self::CompressedPly.extension()
+        } else {
+            extension
+        };
         let formats = Self::value_variants();
         let found = formats
             .iter()
@@ -62,6 +63,7 @@ impl Format {
     fn extension(self) -> &'static str {
         match self {
             Self::Ply => "ply",
+            Self::CompressedPly => "compressed.ply",
             Self::Spz => "spz",
             Self::Splat => "splat",
             Self::Sog => "sog",
@@ -74,6 +76,7 @@ impl Format {
     pub fn name(self) -> &'static str {
         match self {
             Self::Ply => "INRIA PLY",
+            Self::CompressedPly => "compressed PLY",
             Self::Spz => "SPZ version 4",
             Self::Splat => "SPLAT",
             Self::Sog => "SOG version 2",
@@ -101,6 +104,14 @@ impl Format {
                 "opacities and scales are stored as logits and logarithms, rounded to 32-bit floats",
             ),
             Self::Glb => {}
+            Self::CompressedPly => {
+                say(
+                    "positions and scales of 11, 10 and 11 bits, colors of 8 bits, over what 256 neighbors span; splats in another order",
+                );
+                say(
+                    "rotations of 10 bits a component, opacities of 8 bits, coefficients within -4 to 4 in 8 bits",
+                );
+            }
             Self::Spz => {
                 say(
                     "positions on a grid of 0.24 mm (coarser beyond 2 km), scales in steps of 6.4 % from 4.5e-5 to 379 m",
@@ -142,6 +153,7 @@ impl Format {
     pub fn write(self, out: &Path, source: &Path, cloud: &SplatCloud) -> Result<Option<Vec<u32>>> {
         match self {
             Self::Ply => inria_ply::write(out, cloud)?,
+            Self::CompressedPly => return Ok(Some(compressed_ply::write(out, cloud)?)),
             Self::Spz => spz::write(out, cloud)?,
             Self::Splat => {
                 let mut plain = cloud.clone();
@@ -160,7 +172,9 @@ impl Format {
         let bytes = || read_bytes(path);
         let decoded = match self {
             // These are told by their first bytes.
-            Self::Ply | Self::Spz | Self::Sog | Self::Glb => return Ok(read_splats(path)?),
+            Self::Ply | Self::CompressedPly | Self::Spz | Self::Sog | Self::Glb => {
+                return Ok(read_splats(path)?);
+            }
             Self::Splat => splat::decode(&bytes()?),
             Self::Safetensors => {
                 decouplegs_asset::coded_asset::decode(&bytes()?).map(|asset| asset.cloud.decoded(0))
@@ -206,17 +220,13 @@ mod tests {
     #[test]
     fn formats_are_told_by_extension_and_others_refused() {
         for format in Format::value_variants() {
-            let name = format.to_possible_value().unwrap().get_name().to_owned();
+            let name = format.extension();
             assert_eq!(
                 Format::of_path(Path::new(&format!("a.b.{}", name.to_uppercase()))).unwrap(),
                 *format
             );
         }
-        for (name, part) in [
-            ("a.compressed.ply", "not written"),
-            ("a", "\"\""),
-            ("a.obj", "\"obj\""),
-        ] {
+        for (name, part) in [("a", "\"\""), ("a.obj", "\"obj\"")] {
             assert!(
                 Format::of_path(Path::new(name))
                     .unwrap_err()

@@ -88,7 +88,8 @@ fn rows(loss: &LossReport) -> Vec<(&'static str, AttributeLoss)> {
     rows
 }
 
-fn shown(value: f64) -> String {
+/// A loss in three digits.
+pub fn shown(value: f64) -> String {
     if value == 0.0 {
         "0".to_owned()
     } else {

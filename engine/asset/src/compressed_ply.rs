@@ -5,6 +5,8 @@
 //! an index of 2 bits and three times 10 bits, color and opacity as 8-8-8-8 bits. An optional
 //! element `sh` holds `f_rest_*` as bytes, channel-major.
 
+mod write;
+
 use decouplegs_scene::{SplatCloud, sh};
 use rayon::prelude::*;
 
@@ -12,6 +14,11 @@ use crate::DecodeError;
 use crate::activation::{normalized, scale_of_log};
 use crate::inria_ply::{RestColumns, row_slices};
 use crate::ply::{Column, Ply, Rows, Scalar};
+
+pub use write::{encode, write};
+
+/// Name of the format for users.
+pub(crate) const NAME: &str = "compressed PLY";
 
 /// Splats that share a chunk's extent.
 const CHUNK_SPLATS: usize = 256;

@@ -75,12 +75,12 @@ pub use obstacle_file::{read_obstacles, write_obstacles};
 pub use packed_scene::open_packed_scene;
 pub use placed::{PlacedSplats, SplatLabels};
 pub use probe::{probe_paths, read_probe};
-pub use read::{SplatFormat, read_placed_splats, read_splats};
+pub use read::{SplatFormat, read_placed_splats, read_splats, usual_up};
 pub use scan::{Scan, ScanFormat, read_scan};
 pub use scene_file::{
     AgentLabel, EditError, Layer, LoadedAgent, LoadedLight, LoadedRecording, LoadedScene,
     PlainAgent, SceneAgent, SceneFile, SceneLidar, SceneLight, SceneRecording, SceneSky, SeenFrom,
-    is_scene_file, open_scene,
+    camera_json, cameras_from_text, is_scene_file, open_scene,
 };
 pub use sky_file::SkyKind;
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};

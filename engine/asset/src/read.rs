@@ -44,7 +44,7 @@ impl SplatFormat {
     pub fn name(self) -> &'static str {
         match self {
             Self::InriaPly => "INRIA PLY",
-            Self::CompressedPly => "compressed PLY",
+            Self::CompressedPly => compressed_ply::NAME,
             Self::Splat => "SPLAT",
             Self::Spz => "SPZ",
             Self::Sog => sog::NAME,
@@ -103,6 +103,18 @@ impl SplatFormat {
             Err(_) if is("pt") || is("pth") || is("ckpt") => Ok(Self::Checkpoint),
             Err(_) => Ok(Self::Sog),
         }
+    }
+}
+
+/// The direction that is mostly up in the file at `path`: z in scenes and compressed assets, -y in
+/// splat files, which are mostly trained from COLMAP's coordinates. A .glb is turned to these when
+/// it is read.
+#[must_use]
+pub fn usual_up(path: &Path) -> DVec3 {
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    match extension.to_lowercase().as_str() {
+        "toml" | "usdz" | "safetensors" => DVec3::Z,
+        _ => DVec3::NEG_Y,
     }
 }
 

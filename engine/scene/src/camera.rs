@@ -254,6 +254,17 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// A camera at rest. `world_from_camera` has OpenCV axes: x right, y down, z forward.
+    #[must_use]
+    pub fn new(name: impl Into<String>, intrinsics: Intrinsics, world_from_camera: Pose) -> Self {
+        Self {
+            name: name.into(),
+            intrinsics,
+            world_from_camera,
+            motion: Motion::REST,
+        }
+    }
+
     /// The camera at the time `time_s` of its shutter, at rest, with all pixels exposed at once.
     #[must_use]
     pub fn at_rest(&self, time_s: f64) -> Self {

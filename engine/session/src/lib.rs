@@ -37,6 +37,7 @@ mod batch;
 mod batch_renderer;
 mod live_scene;
 mod movable_scene;
+mod png;
 mod rig_renderer;
 mod world;
 
@@ -44,16 +45,20 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, Weak};
 
-use decouplegs_asset::{AssetError, Layer, LoadedAgent, LoadedScene, open_scene, read_coded};
+use decouplegs_asset::{
+    AssetError, Layer, LoadedAgent, LoadedScene, open_scene, read_coded, usual_up,
+};
 use decouplegs_gpu::{DeviceOptions, Gpu, GpuError};
+use decouplegs_render::rendered_image::ImageError;
 use decouplegs_render::{ColorFormat, Outputs, RenderError, RenderOptions, Renderer};
-use decouplegs_scene::{Camera, Rig, Rules, Trajectory};
+use decouplegs_scene::{Camera, Framing, Rig, Rules, Trajectory};
 use glam::DVec3;
 
 pub use batch_renderer::{BatchRenderer, HostImages, WorldView};
 pub use decouplegs_render::TracedSweep;
 pub use live_scene::{AgentInstance, LiveScene, SceneSnapshot};
 pub use movable_scene::{measure_movable_scene, open_movable_scene};
+pub use png::save_png;
 pub use rig_renderer::{RigRenderer, RigSweep};
 pub use world::{World, WorldAgent};
 
@@ -119,6 +124,9 @@ pub enum SessionError {
     /// A view has no cameras.
     #[error("a view without cameras was asked for: give each at least one")]
     NoCameras,
+    /// An image cannot be encoded.
+    #[error(transparent)]
+    Image(#[from] ImageError),
     /// Images were asked for, and nothing was submitted.
     #[error("nothing was submitted that is not finished: call submit first")]
     NothingSubmitted,
@@ -200,6 +208,10 @@ pub struct SessionScene {
     agent_by_name: HashMap<String, usize>,
     /// Names of agents of plain splats, which are part of the background.
     plain_agents: Vec<String>,
+    /// Sphere that shows all; `None` where the rig has cameras, or no splat can be seen.
+    framing: Option<Framing>,
+    /// The direction that is mostly up in its file.
+    usual_up: DVec3,
     live: RwLock<LiveScene>,
 }
 
@@ -246,7 +258,8 @@ impl Session {
         }
         // Loaded without the lock, so that frames of other scenes go on; the loser of a race drops
         // its copy and takes the other.
-        let scene = self.add_scene(&open_scene(path, 0.0)?)?;
+        let loaded = open_scene(path, 0.0)?;
+        let scene = self.add(&loaded, Layer::All, usual_up(path))?;
         let mut scenes = self.scenes.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(other) = scenes.get(&key).and_then(Weak::upgrade) {
             return Ok(other);
@@ -282,6 +295,15 @@ impl Session {
         loaded: &LoadedScene,
         layer: Layer,
     ) -> Result<Arc<SessionScene>, SessionError> {
+        self.add(loaded, layer, DVec3::Z)
+    }
+
+    fn add(
+        &self,
+        loaded: &LoadedScene,
+        layer: Layer,
+        usual_up: DVec3,
+    ) -> Result<Arc<SessionScene>, SessionError> {
         let renderer = Renderer::new(&self.gpu, self.options.render);
         let live = LiveScene::layer(&renderer, loaded, layer)?;
         let agents = live.agents().to_vec();
@@ -290,7 +312,17 @@ impl Session {
             .enumerate()
             .map(|(index, agent)| (agent.name.clone(), index))
             .collect();
+        // Who drives a rig frames nothing, and need not wait for it.
+        let has_cameras = loaded.rig.cameras().next().is_some();
+        let splats = &loaded.splat_scene;
+        let framing = if has_cameras {
+            None
+        } else {
+            Framing::from_splats(&splats.splats, splats.origin)
+        };
         Ok(Arc::new(SessionScene {
+            framing,
+            usual_up,
             gpu: self.gpu.clone(),
             rules: loaded.splat_scene.rules,
             rig: loaded.rig.clone(),
@@ -326,6 +358,25 @@ impl SessionScene {
     #[must_use]
     pub fn rig(&self) -> &Rig {
         &self.rig
+    }
+
+    /// A camera that shows all splats of a scene without cameras: of the middle 90 % of them on
+    /// each axis. It is a pinhole called "framed", whose image is of `size_px`, width and height.
+    /// It stands towards `direction`, with `up` up in the image. What is not given is as `render`
+    /// has it: -y is up for splat files, z for scenes, and the camera looks down a little. `None`
+    /// where the rig has cameras, no splat can be seen, a size is 0, or the directions span no
+    /// frame.
+    #[must_use]
+    pub fn frame(
+        &self,
+        size_px: [u32; 2],
+        direction: Option<DVec3>,
+        up: Option<DVec3>,
+    ) -> Option<Camera> {
+        let up = up.map_or(Some(self.usual_up), DVec3::try_normalize)?;
+        let direction = direction.unwrap_or_else(|| Framing::direction_above(up, 0.0));
+        let camera = self.framing?.camera("framed", size_px, direction, up)?;
+        camera.intrinsics.check().is_ok().then_some(camera)
     }
 
     /// Trajectory of the ego vehicle from the scene file.

@@ -2,7 +2,9 @@
  * Opens a scene and draws two worlds over it, side by side in one call: in one the agents drive as the scene file says, in the other
  * the first of them stands across their way and one more is there. Writes what each camera saw last as PPM files.
  *
- * cc -std=c99 render_rig.c -I../include -L../../../target/release -ldecouplegs_c -o render_rig
+ * make install-c PREFIX=$HOME/.local, then, with PKG_CONFIG_PATH=$HOME/.local/lib/pkgconfig and LD_LIBRARY_PATH=$HOME/.local/lib:
+ *
+ * cc -std=c99 render_rig.c -o render_rig $(pkg-config --cflags --libs decouplegs)
  * ./render_rig street/scene.toml out [STEPS]
  *
  * The folder OUT must be there.

@@ -172,7 +172,7 @@ typedef enum {
     DGS_IMAGE_KIND_NORMAL_F32 = 5,
     /**
      * float x, y: pixels that the content moves in `flow_interval_s`. Agents go on with the motion
-     * of their trajectory; cameras of this interface stand.
+     * of their trajectory, and rigs with theirs; a DgsCamera stands.
      */
     DGS_IMAGE_KIND_FLOW_FORWARD_F32 = 6,
     /**
@@ -301,6 +301,12 @@ typedef struct DgsBatchRenderer DgsBatchRenderer;
 typedef struct DgsLidar DgsLidar;
 
 /**
+ * Cameras of every kind on one vehicle: with lenses, rolling shutters, windshields and photometric
+ * calibrations.
+ */
+typedef struct DgsRig DgsRig;
+
+/**
  * A background, assets, a rig of cameras and a way of the ego vehicle.
  */
 typedef struct DgsScene DgsScene;
@@ -389,6 +395,11 @@ typedef struct {
      * always the finest, which is exact.
      */
     double background_pitch_px;
+    /**
+     * Rules of image formation for all scenes: "default", "gsplat15", "gsplat16", "inria" or
+     * "nurec"; NULL: each scene's own, as its file says.
+     */
+    const char *rules;
 } DgsSessionOptions;
 
 /**
@@ -406,8 +417,8 @@ typedef struct {
 } DgsPose;
 
 /**
- * A pinhole camera in the world, without photometric calibration. The center of pixel (i, j) is
- * at (i + 0.5, j + 0.5).
+ * A pinhole camera in the world, without photometric calibration; cameras of every other kind are
+ * in a DgsRig. The center of pixel (i, j) is at (i + 0.5, j + 0.5).
  */
 typedef struct {
     /**
@@ -629,6 +640,33 @@ typedef struct {
      */
     uint8_t return_count;
 } DgsLidarPoint;
+
+/**
+ * A world, and a rig that looks at it.
+ */
+typedef struct {
+    /**
+     * World to render. The same world may be in many views.
+     */
+    const DgsWorld *world;
+    /**
+     * Rig; all its cameras are drawn, in its order.
+     */
+    const DgsRig *rig;
+    /**
+     * Pose of the rig: world from rig.
+     */
+    DgsPose world_from_rig;
+    /**
+     * Velocity of the rig, along the axes of the world, meters per second. Rolling shutters and
+     * images of flow show it.
+     */
+    double velocity_mps[3];
+    /**
+     * Rotation vector of the rig per second, in its own axes, radians per second.
+     */
+    double turn_rad_per_s[3];
+} DgsRigView;
 
 #ifdef __cplusplus
 extern "C" {
@@ -935,6 +973,71 @@ DgsStatus dgs_batch_renderer_sweep(DgsBatchRenderer *renderer,
 DgsStatus dgs_batch_renderer_points(const DgsBatchRenderer *renderer,
                                     const DgsLidarPoint **points,
                                     size_t *count);
+
+/**
+ * The rig that a text describes, to be closed: TOML with the [[rig]] tables of a scene file, or
+ * JSON: such a table as an object, an array of them, or an object whose "rig" is that array. The
+ * keys are those of engine/asset/scene-file.md: width_px, height_px, fx_px, fy_px, cx_px, cy_px,
+ * position_m, rotation_wxyz or look, lens, shutter, photometry, windshield, name. The first three
+ * are needed; a camera without the others is a pinhole at the origin of the rig.
+ */
+DgsStatus dgs_rig_from_text(const char *description, DgsRig **rig);
+
+/**
+ * The cameras of a scene's own rig, to be closed; NOT_FOUND for a file of splats.
+ */
+DgsStatus dgs_scene_rig(const DgsScene *scene, DgsRig **rig);
+
+/**
+ * Closes a rig.
+ */
+DgsStatus dgs_rig_close(DgsRig *rig);
+
+/**
+ * Number of cameras of a rig.
+ */
+DgsStatus dgs_rig_camera_count(const DgsRig *rig, size_t *count);
+
+/**
+ * The name of camera `index` of a rig, from 0. `length` may be NULL.
+ */
+DgsStatus dgs_rig_camera_name(const DgsRig *rig, size_t index, char *buffer, size_t capacity, size_t *length);
+
+/**
+ * Draws `count` views of rigs, at least one, as dgs_batch_renderer_draw() draws views of pinholes.
+ * Camera `index` of a view's images is that of its rig.
+ */
+DgsStatus dgs_batch_renderer_draw_rigs(DgsBatchRenderer *renderer, const DgsRigView *views, size_t count);
+
+/**
+ * A pinhole that looks from `eye` at `target`, with `up` up in its image: three doubles each,
+ * meters. `fov_rad` is the horizontal field of view, above 0 and below pi.
+ */
+DgsStatus dgs_camera_look_at(uint32_t width_px,
+                             uint32_t height_px,
+                             double fov_rad,
+                             const double *eye,
+                             const double *target,
+                             const double *up,
+                             DgsCamera *camera);
+
+/**
+ * A pinhole that shows all splats of a splat file: the middle 90 % of them on each axis. It stands
+ * towards `direction`, with `up` up in its image: three doubles each, or NULL for what `decouplegs
+ * render` has, with -y up for splat files. Scenes with cameras of their own are NOT_FOUND.
+ */
+DgsStatus dgs_scene_frame(const DgsScene *scene,
+                          uint32_t width_px,
+                          uint32_t height_px,
+                          const double *direction,
+                          const double *up,
+                          DgsCamera *camera);
+
+/**
+ * Writes an image of DGS_IMAGE_KIND_RGBA_U8 to a PNG file: red, green and blue. The file is there
+ * whole or not at all, and replaces one that was there.
+ */
+DgsStatus dgs_save_png(const char *path, const DgsImage *image);
 
 #ifdef __cplusplus
 }  // extern "C"

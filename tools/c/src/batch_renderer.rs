@@ -14,7 +14,7 @@ use crate::handles::{Registry, alone};
 use crate::session::{DgsSession, SESSIONS};
 use crate::status::{DgsStatus, Failure};
 use crate::types::{DgsCamera, DgsImage, DgsImageKind, DgsLidarPoint, DgsStatistics, DgsView};
-use crate::world::{HeldWorld, WORLDS};
+use crate::world::{DgsWorld, HeldWorld, WORLDS};
 
 /// Draws worlds and keeps the images.
 pub struct DgsBatchRenderer(());
@@ -30,6 +30,26 @@ pub static BATCH_RENDERERS: Registry<HeldBatchRenderer> = Registry::new("batch r
 impl HeldBatchRenderer {
     pub fn lock(&self) -> Result<MutexGuard<'_, Drawing>, Failure> {
         alone("batch renderer", &self.drawing)
+    }
+
+    /// The world of view number `index`, which must be of this batch renderer's session.
+    pub fn world(
+        &self,
+        call: &mut Call,
+        index: usize,
+        world: *const DgsWorld,
+    ) -> Result<Arc<HeldWorld>, Failure> {
+        let world = WORLDS
+            .find(call, world)
+            .map_err(|failure| failure.with_subject(&format!("view {index}")))?;
+        if !Arc::ptr_eq(&world.session, &self.session) {
+            let text = "belongs to another session than the batch renderer: its device knows nothing of it";
+            return Err(Failure::new(
+                DgsStatus::InvalidHandle,
+                format!("the world of view {index} {text}"),
+            ));
+        }
+        Ok(world)
     }
 }
 
@@ -133,60 +153,35 @@ pub unsafe extern "C" fn dgs_batch_renderer_draw(
     guarded(|call| {
         let held = BATCH_RENDERERS.find(call, renderer)?;
         let mut drawing = held.lock()?;
-        drawing.drawn = Drawn::Nothing;
+        drawing.forget();
         // SAFETY: as the header asks of all pointers; a view is of pointers and a number.
         let views = unsafe { array("views", views, count) }?;
-        if views.is_empty() {
-            return Err(Failure::argument("no views were given: draw at least one"));
-        }
         let numbered = views.iter().enumerate();
         // SAFETY: the views' pointers too are as the header asks.
-        let seen =
-            numbered.map(|(index, view)| unsafe { Seen::new(call, &held.session, index, view) });
+        let seen = numbered.map(|(index, view)| unsafe { Seen::new(call, &held, index, view) });
         let seen = seen.collect::<Result<Vec<_>, _>>()?;
-        let worlds = seen
-            .iter()
-            .map(|seen| seen.world.read())
-            .collect::<Result<Vec<_>, _>>()?;
-        let views: Vec<WorldView<'_>> = worlds
-            .iter()
-            .zip(&seen)
-            .map(|(world, seen)| WorldView {
-                world,
-                cameras: &seen.cameras,
-            })
-            .collect();
-        Ok(drawing.draw(&views)?)
+        drawing.draw_seen(&seen)
     })
 }
 
 /// A view, looked up.
-struct Seen {
-    world: Arc<HeldWorld>,
-    cameras: Vec<Camera>,
+pub struct Seen {
+    pub world: Arc<HeldWorld>,
+    pub cameras: Vec<Camera>,
 }
 
 impl Seen {
-    /// Converts view number `index`, `view`, for a batch renderer of `session`.
+    /// Converts view number `index`, `view`, for the batch renderer `held`.
     ///
     /// # Safety
     /// The view's pointers are NULL or as the header asks.
     unsafe fn new(
         call: &mut Call,
-        session: &Arc<Session>,
+        held: &HeldBatchRenderer,
         index: usize,
         view: &DgsView,
     ) -> Result<Self, Failure> {
-        let world = WORLDS
-            .find(call, view.world)
-            .map_err(|failure| failure.with_subject(&format!("view {index}")))?;
-        if !Arc::ptr_eq(&world.session, session) {
-            let text = "belongs to another session than the batch renderer: its device knows nothing of it";
-            return Err(Failure::new(
-                DgsStatus::InvalidHandle,
-                format!("the world of view {index} {text}"),
-            ));
-        }
+        let world = held.world(call, index, view.world)?;
         // SAFETY: promised by our caller; a camera is of numbers.
         let cameras = unsafe {
             array(
@@ -213,6 +208,29 @@ impl Seen {
 }
 
 impl Drawing {
+    /// Takes the images of the last draw away.
+    pub fn forget(&mut self) {
+        self.drawn = Drawn::Nothing;
+    }
+
+    /// Draws views that were looked up, at least one.
+    pub fn draw_seen(&mut self, seen: &[Seen]) -> Result<(), Failure> {
+        if seen.is_empty() {
+            return Err(Failure::argument("no views were given: draw at least one"));
+        }
+        let worlds = seen.iter().map(|seen| seen.world.read());
+        let worlds = worlds.collect::<Result<Vec<_>, _>>()?;
+        let views: Vec<WorldView<'_>> = worlds
+            .iter()
+            .zip(seen)
+            .map(|(world, seen)| WorldView {
+                world,
+                cameras: &seen.cameras,
+            })
+            .collect();
+        Ok(self.draw(&views)?)
+    }
+
     fn draw(&mut self, views: &[WorldView<'_>]) -> Result<(), SessionError> {
         let begun = Instant::now();
         let Outputs { color, planes, .. } = self.renderer.options().outputs;

@@ -22,6 +22,7 @@ mod batch_renderer;
 mod boundary;
 mod handles;
 mod lidar;
+mod rig;
 mod scene;
 mod session;
 mod status;

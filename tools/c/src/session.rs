@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use decouplegs::gpu::{DeviceChoice, Gpu};
 use decouplegs::render::{ColorFormat, Storage};
+use decouplegs::scene::Rules;
 use decouplegs::session::{Session, SessionOptions};
 
 use crate::arguments::{give_growing, growing, out, out_handle, text};
@@ -140,6 +141,17 @@ unsafe fn session_options(options: *const DgsSessionOptions) -> Result<SessionOp
         // SAFETY: as the header asks of all pointers.
         let Ok(choice) = unsafe { text("device", options.device) }?.parse::<DeviceChoice>();
         session.device.choice = choice;
+    }
+    if !options.rules.is_null() {
+        // SAFETY: as the header asks of all pointers.
+        let name = unsafe { text("rules", options.rules) }?;
+        let rules = Rules::by_name(name).ok_or_else(|| {
+            let names = Rules::NAMES.join(", ");
+            Failure::argument(format!(
+                "rules is {name:?}: expected NULL or one of {names}"
+            ))
+        })?;
+        session.rules = Some(rules);
     }
     Ok(session)
 }

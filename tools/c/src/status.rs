@@ -129,6 +129,7 @@ impl From<SessionError> for Failure {
             SessionError::TooManyAgents { .. } => DgsStatus::Limit,
             SessionError::NoCameras
             | SessionError::NothingSubmitted
+            | SessionError::Image(_)
             | SessionError::Unfinished { .. } => DgsStatus::InvalidArgument,
             SessionError::OtherSession { .. } => DgsStatus::InvalidHandle,
         };

@@ -56,8 +56,8 @@ impl DgsPose {
     }
 }
 
-/// A pinhole camera in the world, without photometric calibration. The center of pixel (i, j) is
-/// at (i + 0.5, j + 0.5).
+/// A pinhole camera in the world, without photometric calibration; cameras of every other kind are
+/// in a DgsRig. The center of pixel (i, j) is at (i + 0.5, j + 0.5).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DgsCamera {
@@ -94,21 +94,21 @@ impl DgsCamera {
         } = camera.intrinsics;
         if !photometry.is_identity() {
             let text = format!(
-                "camera {:?} has a photometric calibration, and cameras of this interface have none: describe one of your own",
+                "camera {:?} has a photometric calibration, which this struct has no place for: draw the rig with dgs_scene_rig() and dgs_batch_renderer_draw_rigs()",
                 camera.name
             );
             return Err(Failure::new(DgsStatus::Unsupported, text));
         }
         if !shutter.is_global() {
             let text = format!(
-                "camera {:?} has a rolling shutter, and cameras of this interface have none: describe one of your own",
+                "camera {:?} has a rolling shutter, which this struct has no place for: draw the rig with dgs_scene_rig() and dgs_batch_renderer_draw_rigs()",
                 camera.name
             );
             return Err(Failure::new(DgsStatus::Unsupported, text));
         }
         if lens != Lens::Pinhole || windshield.is_some() {
             let text = format!(
-                "camera {:?} has a lens, and cameras of this interface are pinholes: describe one of your own",
+                "camera {:?} has a lens, and this struct holds pinholes: draw the rig with dgs_scene_rig() and dgs_batch_renderer_draw_rigs()",
                 camera.name
             );
             return Err(Failure::new(DgsStatus::Unsupported, text));
@@ -199,7 +199,7 @@ pub enum DgsImageKind {
     /// agree.
     NormalF32 = 5,
     /// float x, y: pixels that the content moves in `flow_interval_s`. Agents go on with the motion
-    /// of their trajectory; cameras of this interface stand.
+    /// of their trajectory, and rigs with theirs; a DgsCamera stands.
     FlowForwardF32 = 6,
     /// float x, y: the same to the time earlier.
     FlowBackwardF32 = 7,
@@ -281,6 +281,9 @@ pub struct DgsSessionOptions {
     /// Backgrounds are drawn with fewer splats where they lie at most this many pixels apart; 0:
     /// always the finest, which is exact.
     pub background_pitch_px: f64,
+    /// Rules of image formation for all scenes: "default", "gsplat15", "gsplat16", "inria" or
+    /// "nurec"; NULL: each scene's own, as its file says.
+    pub rules: *const c_char,
 }
 
 impl DgsSessionOptions {
@@ -296,6 +299,7 @@ impl DgsSessionOptions {
         planes: 0,
         storage: 0,
         background_pitch_px: 0.0,
+        rules: std::ptr::null(),
     };
 
     /// The planes that are asked for.

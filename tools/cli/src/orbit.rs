@@ -4,8 +4,9 @@ use std::f64::consts::TAU;
 use std::path::Path;
 use std::str::FromStr;
 
-use decouplegs_scene::{Camera, Intrinsics, Motion, Pose, SplatCloud};
-use glam::{DQuat, DVec3};
+use decouplegs_asset::usual_up;
+use decouplegs_scene::{Camera, Framing, Pose, SplatCloud};
+use glam::DVec3;
 
 use crate::arguments::three_numbers;
 
@@ -13,19 +14,8 @@ use crate::arguments::three_numbers;
 const VIEWS: u32 = 8;
 /// Size of the images where nothing is said, pixels.
 const SIZE_PX: [u32; 2] = [1280, 720];
-/// Field of view across the longer side of an image, radians.
-const VIEW_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
-/// Cameras stand above the middle by this angle, radians.
-const ELEVATION_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
-/// The middle and the size are those of this share of the splats, on each axis: a few stray ones
-/// are far away in every capture.
-const CORE: f64 = 0.9;
-/// Splats with a smaller opacity do not count.
-const OPACITY_MIN: f32 = 0.1;
 /// Largest coordinate of a position that cameras look at.
 const PLACE_MAX: f64 = 1e9;
-/// The core fills this share of the image's shorter side.
-const FILLED: f64 = 0.8;
 
 /// Placement of cameras around a scene that has none.
 #[derive(clap::Args)]
@@ -104,67 +94,25 @@ impl OrbitArguments {
         path: &Path,
         size_px: Option<[u32; 2]>,
     ) -> Option<Vec<Camera>> {
-        let (middle, radius) = core_of(splats)?;
-        let target = self
-            .look_at
-            .map_or(middle + origin, |Place(position)| position);
+        let core = Framing::from_splats(splats, origin)?;
+        let target = self.look_at.map_or(core.center, |Place(position)| position);
         let up = self.up.map_or_else(|| usual_up(path), |Axis(axis)| axis);
-        let [width_px, height_px] = size_px.unwrap_or(SIZE_PX);
-        let longer_px = width_px.max(height_px);
-        let view_rad = |side_px: u32| {
-            2.0 * ((0.5 * VIEW_RAD).tan() * f64::from(side_px) / f64::from(longer_px)).atan()
-        };
-        let intrinsics = Intrinsics::from_horizontal_fov(width_px, height_px, view_rad(width_px));
-        let distance = self
-            .distance
-            .unwrap_or(radius / FILLED / (0.5 * view_rad(width_px.min(height_px))).sin());
+        let size_px = size_px.unwrap_or(SIZE_PX);
+        let distance_m = self.distance.unwrap_or(core.distance_m(size_px));
         let count = self.orbit.unwrap_or(VIEWS);
-        let aside = up.any_orthonormal_vector();
         let camera = |index: u32| {
-            let turn = DQuat::from_axis_angle(up, TAU * f64::from(index) / f64::from(count));
-            let away = turn * aside * ELEVATION_RAD.cos() + up * ELEVATION_RAD.sin();
-            let world_from_camera = Pose::look_at(target + away * distance, target, up)?;
+            let turn_rad = TAU * f64::from(index) / f64::from(count);
+            let away = Framing::direction_above(up, turn_rad);
+            let name = format!("orbit_{index:03}");
+            let camera = core.camera(name, size_px, away, up)?;
+            let world_from_camera = Pose::look_at(target + away * distance_m, target, up)?;
             Some(Camera {
-                name: format!("orbit_{index:03}"),
-                intrinsics,
                 world_from_camera,
-                motion: Motion::REST,
+                ..camera
             })
         };
         (0..count).map(camera).collect()
     }
-}
-
-fn usual_up(path: &Path) -> DVec3 {
-    let extension = path
-        .extension()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .to_lowercase();
-    match extension.as_str() {
-        "toml" | "usdz" | "safetensors" => DVec3::Z,
-        _ => DVec3::NEG_Y,
-    }
-}
-
-/// Middle and radius of the core of the splats that can be seen. None where there are none.
-fn core_of(splats: &SplatCloud) -> Option<(DVec3, f64)> {
-    let seen = |splat: &usize| {
-        splats.opacities[*splat] >= OPACITY_MIN && splats.defect_of(*splat).is_none()
-    };
-    let seen: Vec<usize> = (0..splats.len()).filter(seen).collect();
-    let last = seen.len().checked_sub(1)?;
-    let [x, y, z] = [0, 1, 2].map(|axis| {
-        let mut positions: Vec<f64> = seen
-            .iter()
-            .map(|&splat| f64::from(splats.means[splat][axis]))
-            .collect();
-        positions.sort_by(f64::total_cmp);
-        let at = |share: f64| positions[(share * last as f64).round() as usize];
-        (at(0.5 - 0.5 * CORE), at(0.5 + 0.5 * CORE))
-    });
-    let (min, max) = (DVec3::new(x.0, y.0, z.0), DVec3::new(x.1, y.1, z.1));
-    Some((0.5 * (min + max), (0.5 * (max - min).length()).max(1e-3)))
 }
 
 #[cfg(test)]

@@ -36,6 +36,7 @@ from ._native import (
     World,
     __version__,
     devices,
+    save_png,
 )
 
 __all__ = [
@@ -59,4 +60,5 @@ __all__ = [
     "World",
     "__version__",
     "devices",
+    "save_png",
 ]

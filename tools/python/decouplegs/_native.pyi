@@ -2,15 +2,19 @@
 
 import os
 from collections.abc import Sequence
-from typing import Any, Literal, TypedDict
+from typing import Any, Generic, Literal, TypedDict, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import TypeVar
 
 __version__: str
 
 PlaneName = Literal["depth", "instance", "range", "normal", "flow_forward", "flow_backward", "scene_flow", "depth_median", "range_median"]
 LayerName = Literal["color", "depth", "instance", "range", "normal", "flow_forward", "flow_backward", "scene_flow", "depth_median", "range_median"]
+
+# Type of an image's numbers: np.uint8 of a session with color="u8", np.float32 with color="f32".
+Color = TypeVar("Color", np.uint8, np.float32, default=np.uint8)
 
 class Error(RuntimeError):
     """What the engine could not do. The base of the others."""
@@ -26,6 +30,9 @@ class TooManyHeldError(Error):
 
 def devices() -> list[Device]:
     """All Vulkan devices of this machine."""
+
+def save_png(path: str | os.PathLike[str], image: NDArray[np.uint8]) -> None:
+    """Writes an image, uint8 [H, W, 3] or [H, W, 4], to a PNG file: red, green and blue. It is there whole or not at all, and replaces one that was there."""
 
 class Device:
     """A Vulkan device."""
@@ -53,14 +60,48 @@ class Device:
         """Highest Vulkan version that it offers."""
 
 class Camera:
-    """A pinhole camera in the world."""
+    """A camera in the world."""
 
-    def __init__(self, width: int, height: int, K: ArrayLike, world_from_camera: ArrayLike, name: str = "camera") -> None:
+    def __init__(
+        self,
+        width: int,
+        height: int,
+        K: ArrayLike,
+        world_from_camera: ArrayLike,
+        name: str = "camera",
+        *,
+        lens: dict[str, Any] | None = None,
+        shutter: dict[str, Any] | None = None,
+        photometry: dict[str, Any] | None = None,
+        windshield: dict[str, Any] | None = None,
+    ) -> None:
         """A camera of ``width`` by ``height`` pixels.
 
         K: float64 [3, 3], pixels, ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``; pixel (i, j) has its center at (i + 0.5, j + 0.5).
         world_from_camera: float64 [4, 4], meters, OpenCV axes.
+        lens, shutter, photometry, windshield: what the tables of these names hold in a scene file's [[rig]] (engine/asset/scene-file.md), such
+        as ``{"model": "opencv-fisheye", "radial": [0.1, -0.02]}``. None: a pinhole, a global shutter, colors as they are, no windshield.
         """
+    @staticmethod
+    def from_description(description: str | dict[str, Any]) -> Camera:
+        """The camera that a dictionary, JSON or TOML describes by the keys of a scene file's [[rig]]; position_m, and rotation_wxyz or look, are in the world.
+
+        width_px, height_px and fx_px are needed. A camera without the others is a pinhole at the origin that looks along z.
+        """
+    @property
+    def description(self) -> dict[str, Any]:
+        """What from_description makes the same camera of, at rest."""
+    @staticmethod
+    def look_at(
+        eye: Sequence[float],
+        target: Sequence[float],
+        up: Sequence[float] = (0.0, 0.0, 1.0),
+        *,
+        size: tuple[int, int] = (1280, 720),
+        fov_deg: float = 60.0,
+        name: str = "camera",
+    ) -> Camera:
+        """A pinhole at eye that looks at target, meters, with ``up`` up in its image of ``size`` = (width, height) pixels; fov_deg is its horizontal field of view."""
     @property
     def name(self) -> str:
         """Name of its image."""
@@ -96,6 +137,12 @@ class RigCamera:
 
     def __init__(self, name: str, width: int, height: int, K: ArrayLike, rig_from_camera: ArrayLike) -> None:
         """As Camera; rig_from_camera, float64 [4, 4], meters, is where it sits on the vehicle."""
+    @staticmethod
+    def from_description(description: str | dict[str, Any]) -> RigCamera:
+        """The camera that a dictionary, JSON or TOML describes by the keys of a scene file's [[rig]], lens and shutter included, on the vehicle."""
+    @property
+    def description(self) -> dict[str, Any]:
+        """What from_description makes the same camera of."""
     @property
     def name(self) -> str:
         """Name of its image."""
@@ -113,8 +160,8 @@ class RigCamera:
         """Where it sits on the vehicle, float64 [4, 4], meters."""
     def resized(self, width: int, height: int) -> RigCamera:
         """The same view in another number of pixels."""
-    def at(self, world_from_rig: ArrayLike) -> Camera:
-        """The camera in the world, of a vehicle that stands at world_from_rig, float64 [4, 4], meters."""
+    def at(self, world_from_rig: ArrayLike, *, velocity: Sequence[float] = (0.0, 0.0, 0.0), turn: Sequence[float] = (0.0, 0.0, 0.0)) -> Camera:
+        """The camera in the world, of a vehicle that is at world_from_rig, float64 [4, 4], meters. A rolling shutter sees its motion: velocity, m/s along the axes of the world, and turn, rad/s about those of the vehicle."""
 
 class Lidar:
     """A LiDAR fixed to a vehicle. Frame: x forward, y left, z up."""
@@ -144,14 +191,33 @@ class Lidar:
     def rig_from_lidar(self) -> NDArray[np.float64]:
         """Pose on the vehicle, float64 [4, 4], meters."""
 
-class Session:
+class Session(Generic[Color]):
     """A device, and the scenes that were opened on it: each background and each asset is there once, however many show it."""
 
+    @overload
     def __init__(
-        self,
+        self: Session[np.uint8],
         device: int | str | None = None,
         *,
-        color: Literal["u8", "f32"] = "u8",
+        color: Literal["u8"] = "u8",
+        depth: bool = False,
+        instance: bool = False,
+        planes: Sequence[PlaneName] = (),
+        flow_interval: float = 0.1,
+        exported: bool | None = None,
+        rules: Literal["default", "gsplat15", "gsplat16", "inria", "nurec"] | None = None,
+        storage: Literal["exact", "compact"] = "exact",
+        background_pitch: float | None = None,
+        taken_max: int = 16,
+        frames_in_flight: int = 2,
+        stage_times: bool = False,
+    ) -> None: ...
+    @overload
+    def __init__(
+        self: Session[np.float32],
+        device: int | str | None = None,
+        *,
+        color: Literal["f32"],
         depth: bool = False,
         instance: bool = False,
         planes: Sequence[PlaneName] = (),
@@ -197,14 +263,14 @@ class Session:
         """Frames that tensors may hold at a time."""
     def open_scene(self, path: str | os.PathLike[str]) -> Scene:
         """The scene of a scene file (.toml) or splat file, loaded unless it is loaded already."""
-    def batch_renderer(self) -> BatchRenderer:
+    def batch_renderer(self) -> BatchRenderer[Color]:
         """A renderer of worlds of this session. Its buffers are kept from frame to frame; use one for each thread that draws."""
     def memory(self) -> dict[str, int]:
         """Bytes on the device by purpose."""
     def take_validation_messages(self) -> list[str]:
         """What the Vulkan validation layer said since the last call; it is on with DECOUPLEGS_VALIDATION=1."""
-    def __copy__(self) -> Session: ...
-    def __deepcopy__(self, memo: Any) -> Session: ...
+    def __copy__(self) -> Session[Color]: ...
+    def __deepcopy__(self, memo: Any) -> Session[Color]: ...
 
 class Scene:
     """A scene on the device, which stays there as long as something of it is held."""
@@ -226,6 +292,13 @@ class Scene:
         """The rig where the ego is at time_s, in images of ``size`` = (width, height) pixels where it is given."""
     def cameras_at(self, world_from_rig: ArrayLike, size: tuple[int, int] | None = None) -> list[Camera]:
         """The rig on a vehicle that stands at world_from_rig, float64 [4, 4], meters."""
+    def frame(
+        self, size: tuple[int, int] = (1280, 720), *, direction: Sequence[float] | None = None, up: Sequence[float] | None = None
+    ) -> Camera:
+        """A camera that shows all splats of a splat file, in an image of ``size`` = (width, height) pixels: the middle 90 % of them on each axis.
+
+        It stands towards ``direction``, with ``up`` up in its image. None: as ``decouplegs render`` has it, with -y up for splat files. ValueError for a scene with cameras of its own.
+        """
     @property
     def agents(self) -> list[str]:
         """Agents of the scene file that can be moved, with which a World begins."""
@@ -355,10 +428,10 @@ class Sweep(TypedDict):
 
 Views = Sequence[tuple[World, Sequence[Camera]]]
 
-class BatchRenderer:
+class BatchRenderer(Generic[Color]):
     """Draws worlds of one session. One call at a time; calls of other threads wait."""
 
-    def draw(self, views: Views) -> list[NDArray[Any]]:
+    def draw(self, views: Views) -> list[NDArray[Color]]:
         """Draws each world for its cameras, as many as 32 cameras over one scene in one submission.
 
         Of each view an array [C, H, W, 4] of red, green, blue and alpha, rows from the top: uint8, or float32 as blended. The

@@ -20,7 +20,7 @@ use crate::statistics::Statistics;
 use crate::world::World;
 
 /// Draws worlds of one session.
-#[pyclass(frozen, module = "decouplegs")]
+#[pyclass(frozen, generic, module = "decouplegs")]
 pub struct BatchRenderer {
     state: Mutex<State>,
     /// Statistics of the last call, outside of the state, so that they can be read during a draw.

@@ -2,24 +2,58 @@
 
 use decouplegs::scene::photometry::{ColorCurve, Response, Vignetting};
 use decouplegs::scene::{
-    Camera as EngineCamera, Intrinsics, Motion, Photometry, Pose, RigCamera as EngineRigCamera,
+    Camera as EngineCamera, Intrinsics, Photometry, Pose, Rig, RigCamera as EngineRigCamera,
     Shutter, ShutterDirection,
 };
+use glam::DVec3;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 
 use crate::array::{self, matrix, shaped};
+use crate::description::{camera_of, to_dict};
 use crate::error::value_error;
+use crate::lidar::motion_of;
 use crate::pose::{pose_of, to_matrix};
 
-/// A pinhole camera in the world.
+/// A camera in the world.
 ///
 /// A camera of ``width`` by ``height`` pixels.
 ///
 /// K: float64 [3, 3], pixels, ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``; pixel (i, j) has its
-/// center at (i + 0.5, j + 0.5). world_from_camera: float64 [4, 4], meters, OpenCV axes.
+/// center at (i + 0.5, j + 0.5). world_from_camera: float64 [4, 4], meters, OpenCV axes. lens,
+/// shutter, photometry, windshield: dictionaries as the tables of these names in a scene file's
+/// [[rig]]; None: a pinhole, a global shutter, colors as they are, no windshield.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Camera {
     pub inner: EngineCamera,
+}
+
+/// `intrinsics` with the parts that are given, each a dictionary in the form of a `[[rig]]` table.
+fn with_parts(
+    intrinsics: Intrinsics,
+    parts: &[(&str, Option<&Bound<'_, PyAny>>)],
+    py: Python<'_>,
+) -> PyResult<Intrinsics> {
+    if parts.iter().all(|(_, part)| part.is_none()) {
+        return Ok(intrinsics);
+    }
+    let description = PyDict::new(py);
+    description.set_item("width_px", intrinsics.width_px)?;
+    description.set_item("height_px", intrinsics.height_px)?;
+    for (key, number) in [
+        ("fx_px", intrinsics.fx_px),
+        ("fy_px", intrinsics.fy_px),
+        ("cx_px", intrinsics.cx_px),
+        ("cy_px", intrinsics.cy_px),
+    ] {
+        description.set_item(key, number)?;
+    }
+    for (key, part) in parts {
+        if let Some(part) = part {
+            description.set_item(key, part)?;
+        }
+    }
+    Ok(camera_of(description.as_any())?.intrinsics)
 }
 
 /// A camera fixed to a vehicle.
@@ -55,26 +89,90 @@ fn k_of<'py>(py: Python<'py>, of: &Intrinsics) -> PyResult<Bound<'py, PyAny>> {
 #[pymethods]
 impl Camera {
     #[new]
-    #[pyo3(signature = (width, height, K, world_from_camera, name = String::from("camera")))]
+    #[pyo3(signature = (width, height, K, world_from_camera, name = String::from("camera"), *, lens = None, shutter = None, photometry = None, windshield = None))]
     #[allow(
         non_snake_case,
         reason = "K is the usual name of the matrix of intrinsics, and arguments are named in Python"
     )]
+    #[allow(clippy::too_many_arguments, reason = "most are keywords in Python")]
     fn new(
         width: u32,
         height: u32,
         K: &Bound<'_, PyAny>,
         world_from_camera: &Bound<'_, PyAny>,
         name: String,
+        lens: Option<&Bound<'_, PyAny>>,
+        shutter: Option<&Bound<'_, PyAny>>,
+        photometry: Option<&Bound<'_, PyAny>>,
+        windshield: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let world_from_camera = pose_of("world_from_camera", world_from_camera)?;
+        let parts = [
+            ("lens", lens),
+            ("shutter", shutter),
+            ("photometry", photometry),
+            ("windshield", windshield),
+        ];
+        let intrinsics = intrinsics_of(width, height, K)?;
         Ok(Self {
-            inner: EngineCamera {
+            inner: EngineCamera::new(
                 name,
-                intrinsics: intrinsics_of(width, height, K)?,
+                with_parts(intrinsics, &parts, K.py())?,
                 world_from_camera,
-                motion: Motion::REST,
-            },
+            ),
+        })
+    }
+
+    /// The camera that description describes: a dict, or text as JSON or TOML, with the keys of a
+    /// scene file's [[rig]] table. position_m, and rotation_wxyz or look, are in the world.
+    #[staticmethod]
+    fn from_description(description: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let camera = camera_of(description)?;
+        Ok(Self {
+            inner: EngineCamera::new(camera.name, camera.intrinsics, camera.rig_from_camera),
+        })
+    }
+
+    /// Dictionary of which from_description makes the same camera, at rest.
+    #[getter]
+    fn description<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let camera = EngineRigCamera {
+            name: self.inner.name.clone(),
+            intrinsics: self.inner.intrinsics,
+            rig_from_camera: self.inner.world_from_camera,
+        };
+        to_dict(py, &camera)
+    }
+
+    /// A pinhole at eye that looks at target, both [3], meters, with up [3] up in the image. size:
+    /// (width, height), pixels; fov_deg: horizontal field of view.
+    #[staticmethod]
+    #[pyo3(signature = (eye, target, up = [0.0, 0.0, 1.0], *, size = (1280, 720), fov_deg = 60.0, name = String::from("camera")))]
+    fn look_at(
+        eye: [f64; 3],
+        target: [f64; 3],
+        up: [f64; 3],
+        size: (u32, u32),
+        fov_deg: f64,
+        name: String,
+    ) -> PyResult<Self> {
+        if !(fov_deg > 0.0 && fov_deg < 180.0) {
+            return Err(value_error(format!(
+                "fov_deg: expected degrees between 0 and 180, found {fov_deg}"
+            )));
+        }
+        let [from, to, upwards] = [eye, target, up].map(DVec3::from_array);
+        let pose = Pose::look_at(from, to, upwards)
+            .filter(|pose| from.is_finite() && pose.rotation.is_finite());
+        let world_from_camera = pose.ok_or_else(|| {
+            value_error(format!(
+                "eye {eye:?}, target {target:?}, up {up:?}: expected finite numbers, another target than eye, and up across the view"
+            ))
+        })?;
+        let intrinsics = Intrinsics::from_horizontal_fov(size.0, size.1, fov_deg.to_radians());
+        intrinsics.check().map_err(value_error)?;
+        Ok(Self {
+            inner: EngineCamera::new(name, intrinsics, world_from_camera),
         })
     }
 
@@ -248,6 +346,20 @@ impl RigCamera {
         })
     }
 
+    /// The camera that description describes: a dict, or text as JSON or TOML, with the keys of a
+    /// scene file's [[rig]] table. position_m, and rotation_wxyz or look, are on the vehicle.
+    #[staticmethod]
+    fn from_description(description: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let inner = camera_of(description)?;
+        Ok(Self { inner })
+    }
+
+    /// Dictionary of which from_description makes the same camera.
+    #[getter]
+    fn description<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_dict(py, &self.inner)
+    }
+
     /// Names its image.
     #[getter]
     fn name(&self) -> &str {
@@ -287,21 +399,21 @@ impl RigCamera {
         Ok(Self { inner })
     }
 
-    /// The camera in the world, of a vehicle that stands at world_from_rig, float64 [4, 4], meters.
-    fn at(&self, world_from_rig: &Bound<'_, PyAny>) -> PyResult<Camera> {
-        let world_from_camera =
-            pose_of("world_from_rig", world_from_rig)?.then(&self.inner.rig_from_camera);
-        let EngineRigCamera {
-            name, intrinsics, ..
-        } = self.inner.clone();
-        Ok(Camera {
-            inner: EngineCamera {
-                name,
-                intrinsics,
-                world_from_camera,
-                motion: Motion::REST,
-            },
-        })
+    /// The camera in the world, of a vehicle that is at world_from_rig, float64 [4, 4], meters. A
+    /// rolling shutter sees its motion: velocity, m/s along the axes of the world, and turn, rad/s
+    /// about those of the vehicle.
+    #[pyo3(signature = (world_from_rig, *, velocity = [0.0; 3], turn = [0.0; 3]))]
+    fn at(
+        &self,
+        world_from_rig: &Bound<'_, PyAny>,
+        velocity: [f64; 3],
+        turn: [f64; 3],
+    ) -> PyResult<Camera> {
+        let world_from_rig = pose_of("world_from_rig", world_from_rig)?;
+        let motion = motion_of((velocity, turn))?;
+        let rig = Rig::from_iter([self.inner.clone()]);
+        let inner = rig.moving_at(&world_from_rig, &motion).remove(0);
+        Ok(Camera { inner })
     }
 
     fn __repr__(&self) -> String {

@@ -70,6 +70,7 @@ pub fn of_session(error: &SessionError) -> PyErr {
         SessionError::PlainSplats { .. }
         | SessionError::TooManyAgents { .. }
         | SessionError::NoCameras
+        | SessionError::Image(_)
         | SessionError::OtherSession { .. } => PyValueError::new_err(text),
         _ => Error::new_err(text),
     }

@@ -9,12 +9,14 @@ mod array;
 mod batch_renderer;
 mod camera;
 mod capsule;
+mod description;
 mod device;
 mod drawing;
 mod error;
 mod images;
 mod lent;
 mod lidar;
+mod png;
 mod pose;
 mod rollout;
 mod scene;
@@ -41,6 +43,8 @@ mod native {
     use crate::images::{Images, Tensor};
     #[pymodule_export]
     use crate::lidar::Lidar;
+    #[pymodule_export]
+    use crate::png::save_png;
     #[pymodule_export]
     use crate::rollout::Rollout;
     #[pymodule_export]

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use decouplegs::session::SessionScene;
+use glam::DVec3;
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
 
@@ -97,6 +98,27 @@ impl Scene {
     ) -> PyResult<Vec<Camera>> {
         let pose = pose_of("world_from_rig", world_from_rig)?;
         sized(self.inner.rig().at(&pose), size)
+    }
+
+    /// A camera that shows all splats of a splat file: the middle 90 % of them on each axis. size:
+    /// (width, height), pixels. It stands towards direction [3], with up [3] up in the image; None:
+    /// as ``decouplegs render`` has it, with -y up for splat files.
+    #[pyo3(signature = (size = (1280, 720), *, direction = None, up = None))]
+    fn frame(
+        &self,
+        size: (u32, u32),
+        direction: Option<[f64; 3]>,
+        up: Option<[f64; 3]>,
+    ) -> PyResult<Camera> {
+        let [towards, upwards] = [direction, up].map(|axis| axis.map(DVec3::from_array));
+        let framed = self.inner.frame([size.0, size.1], towards, upwards);
+        let inner = framed.ok_or_else(|| {
+            value_error(format!(
+                "nothing is framed: expected a splat file without cameras of its own, a size above 0 and a direction across up, found {} cameras, size {size:?}, direction {direction:?} and up {up:?}",
+                self.inner.rig().cameras().count()
+            ))
+        })?;
+        Ok(Camera { inner })
     }
 
     /// Agents of the scene file that can be moved, with which a World begins.

@@ -28,7 +28,7 @@ use crate::scene::Scene;
 /// ``gsplat16``, ``inria`` or ``nurec``. None: each scene's own, as its file says. taken_max:
 /// frames that may be held on the device by tensors before TooManyHeldError. frames_in_flight:
 /// frames of one call that are submitted before the first is waited for.
-#[pyclass(frozen, module = "decouplegs")]
+#[pyclass(frozen, generic, module = "decouplegs")]
 pub struct Session {
     pub inner: Arc<EngineSession>,
     /// CUDA context, if images are shared with CUDA.

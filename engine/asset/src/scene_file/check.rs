@@ -171,7 +171,7 @@ impl Checker<'_> {
         })
     }
 
-    fn cameras<'n>(
+    pub(super) fn cameras<'n>(
         &self,
         forms: &'n [Spanned<CameraForm>],
         names: &mut HashSet<&'n str>,

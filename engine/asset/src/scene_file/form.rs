@@ -398,7 +398,7 @@ fn rules_form(rules: &Rules) -> Result<RulesForm, String> {
     })
 }
 
-fn camera_form(camera: &RigCamera) -> CameraForm {
+pub(super) fn camera_form(camera: &RigCamera) -> CameraForm {
     let Intrinsics {
         width_px,
         height_px,

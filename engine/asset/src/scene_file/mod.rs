@@ -2,6 +2,7 @@
 //!
 //! The format is documented, with an example, in `engine/asset/scene-file.md`.
 
+mod camera_text;
 mod check;
 mod check_light;
 pub mod editing;
@@ -27,6 +28,7 @@ use crate::error::read_bytes;
 use crate::toml_text::text_of;
 use crate::{AssetError, PlacedSplats, SceneError, SkyKind, read_ground, write_atomically};
 
+pub use camera_text::{camera_json, cameras_from_text};
 pub use editing::EditError;
 pub(crate) use files::SceneFiles;
 pub use layer::Layer;

@@ -119,6 +119,43 @@ pub fn encode_png(image: &Image) -> Result<Vec<u8>, ImageError> {
     )
 }
 
+/// The bytes of a PNG file of red, green and blue of an image of `size_px`, width and height, whose
+/// `rgba` are four bytes per pixel, rows from the top.
+///
+/// # Errors
+/// [`ImageError::Encoding`] if the size is none, or `rgba` has another number of bytes.
+pub fn encode_rgba_as_png(size_px: [u32; 2], rgba: &[u8]) -> Result<Vec<u8>, ImageError> {
+    let [width, height] = size_px;
+    let refused = |message: String| ImageError::Encoding {
+        format: ImageFileFormat::Png,
+        width,
+        height,
+        message,
+    };
+    let expected = 4 * u64::from(width) * u64::from(height);
+    if rgba.len() as u64 != expected {
+        let found = rgba.len();
+        return Err(refused(format!(
+            "expected {expected} bytes of RGBA, found {found}"
+        )));
+    }
+    let rgb: Vec<u8> = rgba
+        .chunks_exact(4)
+        .flat_map(|pixel| [pixel[0], pixel[1], pixel[2]])
+        .collect();
+    let mut file = Cursor::new(Vec::new());
+    image::write_buffer_with_format(
+        &mut file,
+        &rgb,
+        width,
+        height,
+        ColorType::Rgb8,
+        ImageFormat::Png,
+    )
+    .map_err(|error| refused(error.to_string()))?;
+    Ok(file.into_inner())
+}
+
 /// RGBA as the PNG specification has it, colors not premultiplied.
 pub fn encode_png_with_alpha(image: &Image) -> Result<Vec<u8>, ImageError> {
     let straight = |(rgb, alpha): (&[f32; 3], &f32)| {

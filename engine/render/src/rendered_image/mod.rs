@@ -9,6 +9,7 @@ mod npy;
 mod preview;
 mod sheet;
 
+pub use image_files::encode_rgba_as_png;
 pub use preview::{distance_color, preview};
 pub use sheet::contact_sheet;
 

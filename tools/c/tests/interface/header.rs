@@ -6,7 +6,7 @@ use std::{env, fs};
 use crate::library::{FOLDER, run, succeed};
 
 /// Sources in the order in which the header has them.
-const SOURCES: [&str; 8] = [
+const SOURCES: [&str; 9] = [
     "status",
     "boundary",
     "types",
@@ -15,6 +15,7 @@ const SOURCES: [&str; 8] = [
     "world",
     "batch_renderer",
     "lidar",
+    "rig",
 ];
 
 /// The header of the sources as they are.

@@ -1,11 +1,15 @@
 //! Paths of the libraries, and linking of programs with them.
 
 use std::env;
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// The folder of the package.
 pub const FOLDER: &str = env!("CARGO_MANIFEST_DIR");
+
+/// Name by which programs ask for the shared library.
+pub const SHARED: &str = "libdecouplegs_c.so.1";
 
 /// Kind of linking of a program.
 #[derive(Clone, Copy, Debug)]
@@ -16,7 +20,7 @@ pub enum Linked {
 
 /// The library called `name`, which Cargo builds before the tests of its package and puts beside
 /// them.
-fn library(name: &str) -> PathBuf {
+pub fn library(name: &str) -> PathBuf {
     let test = env::current_exe().expect("a test knows its own path");
     let beside = test.parent().expect("a test is in a folder");
     let path = beside.join(name);
@@ -73,6 +77,11 @@ pub fn compiled(source: &str, linked: Linked, folder: &Path) -> PathBuf {
             Linked::Shared => {
                 let library = library("libdecouplegs_c.so");
                 let beside = library.parent().expect("a library is in a folder");
+                // Programs ask for the name that it is installed by.
+                let installed = folder.join(SHARED);
+                if !installed.exists() {
+                    symlink(&library, installed).expect("a link can be made");
+                }
                 // An older library in a folder of LD_LIBRARY_PATH, as Cargo sets it, must not come
                 // first: DT_RPATH does.
                 command
@@ -80,7 +89,7 @@ pub fn compiled(source: &str, linked: Linked, folder: &Path) -> PathBuf {
                     .arg(beside)
                     .arg("-ldecouplegs_c")
                     .arg("-Wl,--disable-new-dtags")
-                    .arg(format!("-Wl,-rpath,{}", beside.display()))
+                    .arg(format!("-Wl,-rpath,{}", folder.display()))
             }
             Linked::Static => command.arg(library("libdecouplegs_c.a")).arg("-ldl"),
         };

@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod header;
+mod installed;
 mod library;
 mod programs;
 mod street;

@@ -112,6 +112,20 @@ fn images_of_every_kind_agree() {
 }
 
 #[test]
+fn cameras_of_every_kind_are_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path(), [64, 48]);
+    let program = compiled("tests/interface/cameras.c", Linked::Static, folder.path());
+    let splats = folder.path().join("background.ply");
+    let said = succeed(run(program.to_str().unwrap(), |command| {
+        command.args([&splats, folder.path()])
+    }));
+    assert_eq!(said, "all kinds of cameras\n");
+    let image = fs::read(folder.path().join("pinhole.png")).unwrap();
+    assert!(image.starts_with(b"\x89PNG"));
+}
+
+#[test]
 fn a_sweep_is_that_of_a_session() {
     let folder = tempfile::tempdir().unwrap();
     let path = small_street(folder.path(), [64, 48]);
