@@ -12,7 +12,7 @@ use crate::arguments::three_numbers;
 /// Views where nothing is said.
 const VIEWS: u32 = 8;
 /// Size of the images where nothing is said, pixels.
-const SIZE_PX: [u32; 2] = [1280, 720];
+pub const SIZE_PX: [u32; 2] = [1280, 720];
 /// Field of view across the longer side of an image, radians.
 const VIEW_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
 /// Cameras stand above the middle by this angle, radians.
