@@ -172,8 +172,8 @@ impl Viewer {
         shots
     }
 
-    /// Views that the panes of `view` show now. An agent may be gone by now: its pane is left out, and
-    /// keeps the last image.
+    /// Views that the panes of `view` show now. An agent may be gone by now: its pane is left out,
+    /// and keeps the last image.
     fn shots(&self, view: &View, scale: f64) -> Vec<Shot> {
         let shot = |pane: &Pane| {
             let source = self.source(pane).ok()?;

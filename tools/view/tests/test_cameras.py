@@ -122,7 +122,7 @@ def test_saved_images_and_copied_commands_are_the_image(street, tmp_path, open_p
         page.after(lambda: page.page.keyboard.press("."))
         assert page.pixels() != other
         # An image that is asked for while something plays is that of the moment at which it stands.
-        page.page.keyboard.press("Space")
+        page.page.click("#play")
         page.wait(lambda frame: frame["playing"])
         with page.page.expect_download() as saved:
             page.page.click("#save-image")

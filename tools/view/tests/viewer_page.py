@@ -78,9 +78,14 @@ class Page:
         self.page = page
         self.faults = []
         page.on("pageerror", lambda error: self.faults.append(str(error)))
-        page.on("console", lambda message: message.type == "error" and self.faults.append(message.text))
+        page.on("console", self.note)
         page.goto(url)
         self.at_rest()
+
+    def note(self, message):
+        """Errors of the console are faults, but for those of a viewer that was ended."""
+        if message.type == "error" and "/socket' failed" not in message.text:
+            self.faults.append(message.text)
 
     def shown(self):
         return self.page.evaluate("() => window.viewer?.newest() ? window.viewer.frame : null")
