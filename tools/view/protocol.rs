@@ -70,7 +70,8 @@ pub enum Command {
         at: [f64; 2],
     },
     /// Asks for the command that renders the image of a pane.
-    RenderCommand {
+    #[serde(rename = "render_command")]
+    CopyRender {
         /// Number of the pane.
         stream: u16,
     },
@@ -324,7 +325,7 @@ fn check(command: &Command) -> Result<(), String> {
         Command::Time { .. }
         | Command::Step { .. }
         | Command::State
-        | Command::RenderCommand { .. }
+        | Command::CopyRender { .. }
         | Command::Edit(_)
         | Command::Shown { .. } => Ok(()),
     }

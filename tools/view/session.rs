@@ -273,7 +273,7 @@ impl Viewer {
                 state["drawn"] = self.done.into();
                 return Ok(state);
             }
-            Command::RenderCommand { stream } => {
+            Command::CopyRender { stream } => {
                 let (pane, camera) = self.shown(id, stream)?;
                 let source = &self.sources[pane.source];
                 let (course, time_s) = (source.scene()?, source.time_s());
