@@ -23,8 +23,8 @@ use std::process::ExitCode;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use decouplegs_cli::programs::{exit_code, print_warnings};
 use decouplegs_cli::{
-    arguments, background, device, image_quality, outputs, page, plot, progress, scene_source,
-    street_files, views, visibility,
+    arguments, background, camera_path, device, image_quality, outputs, page, plot, progress,
+    scene_source, street_files, views, visibility,
 };
 
 /// Renders 3D Gaussian scenes for driving simulation on any Vulkan 1.3 device.

@@ -2,9 +2,9 @@
 
 mod boxes;
 mod coverage;
+mod definition;
 mod labels;
 
-use std::borrow::Cow;
 use std::collections::HashSet;
 use std::fs;
 use std::io::Write;
@@ -13,25 +13,22 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
-use decouplegs_asset::{Layer, memory, write_atomically};
+use decouplegs_asset::{Layer, write_atomically};
 use decouplegs_gpu::Gpu;
-use decouplegs_render::reference::geometry::depth_median;
-use decouplegs_render::reference::rays::{RayRules, render_rays};
-use decouplegs_render::rendered_image::exposure::{ExposureSum, sub_exposures_s};
 use decouplegs_render::rendered_image::{Image, ImageFileFormat, contact_sheet, preview};
-use decouplegs_render::{
-    ColorFormat, Outputs, Plane, PlaneValues, Planes, RenderOptions, reference,
-};
+use decouplegs_render::{ColorFormat, Outputs, Plane, Planes, RenderOptions};
 use decouplegs_scene::{Camera, Photometry};
 use decouplegs_session::{Session, SessionOptions, World, WorldView};
 
 use self::boxes::BoxList;
 use self::coverage::Counter;
+use self::definition::{exposed, render_by_definition};
 use self::labels::{Labels, WrittenPlane};
 use crate::arguments::{
     pixels, print, seconds_above_zero, warn, write_image, write_image_with_alpha,
 };
 use crate::background::BackgroundArguments;
+use crate::camera_path::CameraPath;
 use crate::device::{DeviceArguments, check_validation};
 use crate::outputs::Force;
 use crate::progress;
@@ -43,6 +40,13 @@ use crate::scene_source::{Scene, SceneArguments};
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
+    /// Follow this way of a camera, a file that the viewer saves: one image for each time of it,
+    /// path_00000 and so on, of the scene as it is then
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["cameras", "orbit", "view", "time", "boxes", "exposure", "reference"])]
+    camera_path: Option<PathBuf>,
+    /// Images for each second of the camera path
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true, requires = "camera_path", default_value_t = 10.0, value_parser = images_per_second)]
+    rate: f64,
     /// Folder for the images; created if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -100,6 +104,12 @@ pub struct Arguments {
     contact_sheet: Option<PathBuf>,
     #[command(flatten)]
     force: Force,
+}
+
+fn images_per_second(text: &str) -> Result<f64, String> {
+    let rate = text.parse().ok();
+    let rate = rate.filter(|rate: &f64| (0.1..=240.0).contains(rate));
+    rate.ok_or_else(|| format!("expected 0.1 to 240 images per second, found {text:?}"))
 }
 
 fn png_path(text: &str) -> Result<PathBuf, String> {
@@ -160,8 +170,8 @@ impl From<LayerName> for Layer {
 /// Images in a row of a contact sheet: a rig's front row stands above its back row.
 const SHEET_COLUMNS: u32 = 3;
 
-/// About the memory that the reference takes for each pixel.
-const REFERENCE_PIXEL_BYTES: u64 = 96;
+/// Size of images along a camera path where nothing is said, pixels.
+const PATH_SIZE_PX: [u32; 2] = [1280, 720];
 
 /// Time that images may take before files of them are seen.
 const FIRST_SEEN: Duration = Duration::from_secs(1);
@@ -176,7 +186,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if let Some(sheet) = &arguments.contact_sheet {
         outputs.file(sheet)?;
     }
+    let path = arguments.camera_path.as_deref();
+    let path = path.map(CameraPath::read).transpose()?;
     let mut scene = Scene::open(&arguments.scene)?;
+    let times_s = match &path {
+        Some(path) => follow(path, &mut scene, arguments)?,
+        None => Vec::new(),
+    };
     check_names(&scene.cameras)?;
     if arguments.layer == LayerName::Agents {
         // What is laid over another image has the colors of the scene.
@@ -207,7 +223,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         labels: &labels,
     };
     match &gpu {
-        Some(gpu) => render_on_gpu(gpu, &scene, arguments, &mut writer)?,
+        Some(gpu) => render_on_gpu(gpu, &scene, &times_s, arguments, &mut writer)?,
         None => {
             let planes = arguments.planes.iter();
             if let Some(plane) = planes
@@ -237,6 +253,23 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         print(&format!("{}\n", path.display()))?;
     }
     Ok(())
+}
+
+/// Gives `scene` the cameras of `path`. Returns the time of each, seconds.
+fn follow(path: &CameraPath, scene: &mut Scene, arguments: &Arguments) -> Result<Vec<f64>> {
+    ensure!(
+        !arguments.planes.contains(&WrittenPlane::Moving),
+        "--planes moving is that of one time, and a camera path has many: leave it out"
+    );
+    let size_px = arguments.scene.size_px().unwrap_or(PATH_SIZE_PX);
+    let times_s = path.times_s(arguments.rate);
+    let times_s = times_s.map_err(|reason| anyhow::anyhow!("--rate: {reason}"))?;
+    let camera = |(index, &time_s): (usize, &f64)| {
+        let name = format!("path_{index:05}");
+        path.at(time_s).view().camera(&name, size_px)
+    };
+    scene.cameras = times_s.iter().enumerate().map(camera).collect();
+    Ok(times_s)
 }
 
 /// Says that agents of plain splats stand still where motion is asked for.
@@ -326,9 +359,11 @@ impl ImageWriter<'_> {
     }
 }
 
+/// Renders every camera on a device. `times_s`: the time of each, where cameras have their own.
 fn render_on_gpu(
     gpu: &Gpu,
     scene: &Scene,
+    times_s: &[f64],
     arguments: &Arguments,
     writer: &mut ImageWriter,
 ) -> Result<()> {
@@ -372,10 +407,12 @@ fn render_on_gpu(
     let (mut left, mut count) = (scene.cameras.as_slice(), 1);
     while !left.is_empty() {
         let begun = Instant::now();
+        let own_s = times_s.get(scene.cameras.len() - left.len());
+        let time_s = *own_s.unwrap_or(&scene.time_s);
         let (cameras, rest) = left.split_at(count.min(left.len()));
         left = rest;
         let images = exposed(scene, arguments, cameras, |later_s, cameras| {
-            world.set_time(scene.time_s + later_s);
+            world.set_time(time_s + later_s);
             let view = WorldView {
                 world: &world,
                 cameras,
@@ -387,7 +424,10 @@ fn render_on_gpu(
             writer.add(camera, image)?;
             bar.inc(1);
         }
-        count = cameras_next(cameras.len(), begun.elapsed());
+        // Cameras with times of their own do not see one world.
+        if own_s.is_none() {
+            count = cameras_next(cameras.len(), begun.elapsed());
+        }
     }
     bar.finish_and_clear();
     check_validation(gpu)
@@ -398,79 +438,6 @@ fn render_on_gpu(
 fn cameras_next(count: usize, time: Duration) -> usize {
     let per_second = FIRST_SEEN.as_secs_f64() * count as f64 / time.as_secs_f64().max(1e-9);
     (per_second as usize).clamp(1, CAMERAS_AT_ONCE)
-}
-
-fn render_by_definition(
-    scene: &Scene,
-    arguments: &Arguments,
-    writer: &mut ImageWriter,
-) -> Result<()> {
-    let layer = arguments.layer.into();
-    let bar = progress::bar("reference", scene.cameras.len());
-    scene.loaded.check_baked()?;
-    let most = scene
-        .cameras
-        .iter()
-        .map(|camera| camera.intrinsics.pixels())
-        .max()
-        .unwrap_or(0);
-    memory::require_product(
-        "a reference image of this size",
-        &[most],
-        REFERENCE_PIXEL_BYTES,
-    )?;
-    let splat_scene = scene.loaded.baked_layer(scene.time_s, layer);
-    let world_at = |later_s: f64| match later_s {
-        0.0 => Cow::Borrowed(&splat_scene),
-        _ => Cow::Owned(scene.loaded.baked_layer(scene.time_s + later_s, layer)),
-    };
-    for camera in scene.cameras.chunks(1) {
-        let images = exposed(scene, arguments, camera, |later_s, cameras| {
-            let world_at = |row_s: f64| world_at(later_s + row_s);
-            let render = |camera: &Camera| match arguments.along_rays {
-                true => render_rays(&world_at(0.0), camera, &RayRules::NUREC).to_image(),
-                false => reference::render_moving(&world_at, camera, &splat_scene.rules).to_image(),
-            };
-            Ok(cameras.iter().map(render).collect())
-        })?;
-        for (camera, mut image) in camera.iter().zip(images) {
-            if writer.boxes.is_some() {
-                let depths_m = depth_median(&splat_scene, &camera.at_rest(0.0), &splat_scene.rules);
-                (image.planes).insert(Plane::DepthMedian, PlaneValues::F32(depths_m));
-            }
-            writer.add(camera, image)?;
-            bar.inc(1);
-        }
-    }
-    bar.finish_and_clear();
-    Ok(())
-}
-
-/// Images of `cameras`, blurred if `arguments` ask for it. `draw` gives sharp images at a time,
-/// seconds after that of the scene, of cameras that stand where they are then.
-fn exposed(
-    scene: &Scene,
-    arguments: &Arguments,
-    cameras: &[Camera],
-    mut draw: impl FnMut(f64, &[Camera]) -> Result<Vec<Image>>,
-) -> Result<Vec<Image>> {
-    let sharp = draw(0.0, cameras)?;
-    let Some(exposure_s) = arguments.exposure else {
-        return Ok(sharp);
-    };
-    let sum = |camera: &Camera| {
-        let photometry = scene.loaded.splat_scene.photometry_of(&camera.intrinsics);
-        ExposureSum::new(camera.intrinsics.pixels() as usize, photometry.curve)
-    };
-    let mut sums: Vec<ExposureSum> = cameras.iter().map(sum).collect();
-    for later_s in sub_exposures_s(exposure_s, arguments.sub_exposures) {
-        let later: Vec<Camera> = cameras.iter().map(|camera| camera.later(later_s)).collect();
-        for (sum, image) in sums.iter_mut().zip(draw(later_s, &later)?) {
-            sum.add(&image);
-        }
-    }
-    let images = sums.into_iter().zip(sharp);
-    Ok(images.map(|(sum, sharp)| sum.applied(sharp)).collect())
 }
 
 /// Refuses names that would write outside the folder, or over another camera's image.

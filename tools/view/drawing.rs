@@ -1,23 +1,46 @@
 //! Images of panes, agents under the mouse, and points of LiDARs.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use decouplegs::gpu::Gpu;
 use decouplegs::render::rendered_image::preview;
 use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Plane};
-use decouplegs::scene::Camera;
 use decouplegs::scene::lidar::{PointFrame, ReturnOptions};
+use decouplegs::scene::{Camera, Lidar};
 use decouplegs::session::{
-    BatchRenderer, HostImages, Session, SessionError, SessionOptions, WorldView,
+    BatchRenderer, HostImages, Session, SessionError, SessionOptions, World, WorldView,
 };
 use decouplegs_cli::background::BackgroundArguments;
 use glam::DVec3;
 
+use crate::played::LoggedImage;
 use crate::protocol::{Channel, Pane};
-use crate::source::Source;
 
 /// Points that a page is sent of one sweep.
 const POINTS_MAX: usize = 200_000;
+
+/// View to draw.
+pub struct Shot {
+    /// Pane that it is for.
+    pub pane: Pane,
+    /// Camera, in the size of the image.
+    pub camera: Camera,
+    /// World that the pane shows.
+    pub world: World,
+    /// Image that a log has of the same camera and time.
+    pub logged: Option<LoggedImage>,
+}
+
+/// Sweep to trace.
+pub struct SweepShot {
+    /// LiDAR, for the sweep that ends at the time that is shown.
+    pub lidar: Lidar,
+    /// Position of the ego, world coordinates, meters.
+    pub origin: DVec3,
+    /// World that is shown, with agents.
+    pub world: World,
+}
 
 /// Image of a pane before it is encoded.
 pub struct Drawn {
@@ -29,8 +52,8 @@ pub struct Drawn {
 
 /// Agent and place at a pixel.
 pub struct Picked {
-    /// Name of the agent; none for the background.
-    pub agent: Option<String>,
+    /// Instance id of the agent; none for the background.
+    pub instance: Option<u16>,
     /// Place in the world, meters; none where nothing is.
     pub position_m: Option<DVec3>,
 }
@@ -38,7 +61,7 @@ pub struct Picked {
 /// Renderers of one device.
 pub struct Drawer {
     gpu: Gpu,
-    session: Session,
+    session: Arc<Session>,
     color: BatchRenderer,
     /// Renderers of other channels, made when one is asked for.
     channels: BTreeMap<Channel, BatchRenderer>,
@@ -83,7 +106,7 @@ impl Drawer {
         background.apply_to(&mut options.render);
         // The page shows them.
         options.render.stage_times = true;
-        let session = Session::on(gpu, &options);
+        let session = Arc::new(Session::on(gpu, &options));
         Self {
             gpu: gpu.clone(),
             color: session.batch_renderer(),
@@ -95,7 +118,7 @@ impl Drawer {
     }
 
     /// Session that holds the scenes.
-    pub fn session(&self) -> &Session {
+    pub fn session(&self) -> &Arc<Session> {
         &self.session
     }
 
@@ -104,28 +127,27 @@ impl Drawer {
         self.gpu.info().to_string()
     }
 
-    /// Images of panes by their cameras: color in one submission, other channels one by one.
+    /// Images of `shots`: color in one submission, other channels one by one.
     ///
     /// # Errors
     /// Returns an error if the device fails.
     pub fn draw(
         &mut self,
-        sources: &[Source],
-        panes: &[(&Pane, Camera)],
+        shots: &[Shot],
     ) -> Result<(Vec<Drawn>, Vec<FrameStatistics>), SessionError> {
-        let view = |(pane, camera)| view_of(sources, pane, camera);
-        let views: Vec<WorldView> = (panes.iter())
-            .filter(|(pane, _)| pane.channel == Channel::Color)
-            .map(|(pane, camera)| view((pane, camera)))
+        let views: Vec<WorldView> = (shots.iter())
+            .filter(|shot| shot.pane.channel == Channel::Color)
+            .map(Shot::view)
             .collect();
         let mut statistics = Vec::new();
         if !views.is_empty() {
             statistics = self.color.draw(&views, &mut self.images)?;
         }
         let mut colored = 0;
-        let mut drawn = Vec::with_capacity(panes.len());
-        for (pane, camera) in panes {
-            if pane.channel == Channel::Color {
+        let mut drawn = Vec::with_capacity(shots.len());
+        for shot in shots {
+            let channel = shot.pane.channel;
+            if channel == Channel::Color {
                 drawn.push(Drawn {
                     rgba: self.images.rgba(colored, 0).to_vec(),
                     size_px: self.images.size_px(colored, 0),
@@ -133,10 +155,10 @@ impl Drawer {
                 colored += 1;
                 continue;
             }
-            let (gpu, session, channel) = (&self.gpu, &self.session, pane.channel);
+            let (gpu, session) = (&self.gpu, &self.session);
             let renderer = (self.channels.entry(channel))
                 .or_insert_with(|| renderer_of(gpu, session, planes(plane_of(channel))));
-            let (images, times) = renderer.draw_images(&[view((pane, camera))])?;
+            let (images, times) = renderer.draw_images(&[shot.view()])?;
             statistics.extend(times);
             let image = &images[0][0];
             let shown = plane_of(channel).and_then(|plane| preview(image, plane));
@@ -157,13 +179,14 @@ impl Drawer {
         Ok((drawn, statistics))
     }
 
-    /// Agent and place at the pixel `at` of the image of `camera`, in shares of its size.
+    /// Agent and place at the pixel `at` of the image of `camera` in `world`, in shares of its
+    /// size.
     ///
     /// # Errors
     /// Returns an error if the device fails.
     pub fn pick(
         &mut self,
-        source: &Source,
+        world: &World,
         camera: &Camera,
         at: [f64; 2],
     ) -> Result<Picked, SessionError> {
@@ -180,7 +203,7 @@ impl Drawer {
             renderer_of(gpu, session, planes([Plane::Instance, Plane::RangeMedian]))
         });
         let view = WorldView {
-            world: source.world(true),
+            world,
             cameras: std::slice::from_ref(&one),
         };
         let (images, _) = picker.draw_images(&[view])?;
@@ -197,21 +220,21 @@ impl Drawer {
             pose.translation + pose.rotation * (ray * f64::from(range_m))
         });
         Ok(Picked {
-            agent: instance.and_then(|id| source.agent_of(id)),
+            instance,
             position_m,
         })
     }
 
-    /// Points of the sweep of the LiDAR called `name` that ends now: x, y and z relative to the
-    /// ego's position, and the range, meters, as little-endian f32.
+    /// Points of `sweep`: x, y and z relative to the ego's position, and the range, meters, as
+    /// little-endian f32.
     ///
     /// # Errors
-    /// A sentence, if there is no such LiDAR or the device fails.
-    pub fn points(&mut self, source: &Source, name: &str) -> Result<Vec<u8>, String> {
-        let (lidar, origin) = source.lidar(name)?;
+    /// A sentence, if the device fails.
+    pub fn points(&mut self, sweep: &SweepShot) -> Result<Vec<u8>, String> {
+        let (lidar, origin) = (&sweep.lidar, sweep.origin);
         let options = ReturnOptions::for_model(&lidar.model);
         let sweep_s = lidar.model.sweep_s;
-        let traced = (self.color).trace(source.world(true), &lidar, sweep_s, options.mode);
+        let traced = (self.color).trace(&sweep.world, lidar, sweep_s, options.mode);
         let traced = traced.map_err(|error| decouplegs::explain::explain(&error))?;
         let points = traced.returns(&options).points(PointFrame::World);
         let every = points.len().div_ceil(POINTS_MAX).max(1);
@@ -223,9 +246,11 @@ impl Drawer {
     }
 }
 
-fn view_of<'a>(sources: &'a [Source], pane: &Pane, camera: &'a Camera) -> WorldView<'a> {
-    WorldView {
-        world: sources[pane.source].world(pane.agents),
-        cameras: std::slice::from_ref(camera),
+impl Shot {
+    fn view(&self) -> WorldView<'_> {
+        WorldView {
+            world: &self.world,
+            cameras: std::slice::from_ref(&self.camera),
+        }
     }
 }

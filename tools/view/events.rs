@@ -1,5 +1,7 @@
-//! Events and messages between the server and the thread that renders.
+//! Events and messages between the server and the thread that serves its clients.
 
+use crate::draw_thread::Done;
+use crate::drive_thread::Driven;
 use crate::protocol::Request;
 
 /// Messages to a client.
@@ -14,7 +16,7 @@ pub enum Outgoing {
 /// Way to a client. A client that leaves hundreds of messages unread is dropped.
 pub type Outbox = tokio::sync::mpsc::Sender<Outgoing>;
 
-/// Events for the thread that renders.
+/// Events for the thread that serves the clients.
 pub enum Event {
     /// A client came.
     Joined(u64, Outbox),
@@ -22,6 +24,10 @@ pub enum Event {
     Left(u64),
     /// A client sent a command.
     Command(u64, Request),
+    /// The thread that draws has done some work.
+    Done(Done),
+    /// An episode was driven on.
+    Driven(Driven),
     /// The program ends.
     Stop,
 }

@@ -8,7 +8,7 @@ use decouplegs::scene::{Camera, Intrinsics, Lens, RayMap};
 use serde_json::{Value, json};
 
 use crate::protocol::Pane;
-use crate::source::pose_json;
+use crate::viewpoint::pose_json;
 
 /// Quality of JPEG while something moves.
 pub const QUALITY_MOVING: u8 = 75;

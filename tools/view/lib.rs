@@ -4,16 +4,22 @@
 //! |---|---|
 //! | `protocol`, `image_header` | commands and acknowledgements; what stands before an image |
 //! | `open`, `demo` | scenes, logs and scenarios of the command line; the scene where none is named |
-//! | `source` | the scene at a time: worlds, cameras, boxes |
+//! | `source`, `viewpoint` | the scene at a time: worlds, cameras, boxes; sizes of images |
 //! | `scene_course`, `edits`, `history`, `lanes` | a scene with its tracks, edits, undo, lanes to snap to |
-//! | `played`, `scenario_edits` | an episode at a time, and its score; a scenario that is edited and begun anew |
-//! | `session`, `frame_state` | the thread that renders, and the state that goes with its images |
+//! | `played`, `series`, `scenario_edits` | an episode at a time, its score and its quantities over time; a scenario that is edited and begun anew |
+//! | `session`, `clock` | the thread that serves the clients; the clock that they share |
+//! | `draw_thread`, `frame_state` | the thread that draws, and the state that goes with its images |
+//! | `drive_thread` | the thread that drives live episodes on |
 //! | `drawing`, `recording` | images of views, agents under the mouse; images as files |
+//! | `render_command` | the command that renders the image of a view |
 //! | `server`, `events` | HTTP, WebSockets, and who may connect |
 #![forbid(unsafe_code)]
 
+mod clock;
 mod demo;
+mod draw_thread;
 mod drawing;
+mod drive_thread;
 mod edits;
 mod events;
 mod extent;
@@ -25,11 +31,14 @@ mod open;
 mod played;
 mod protocol;
 mod recording;
+mod render_command;
 mod scenario_edits;
 mod scene_course;
+mod series;
 mod server;
 mod session;
 mod source;
+mod viewpoint;
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -52,7 +61,7 @@ use session::Viewer;
 
 /// Longest wait for the image that is drawn when the viewer ends.
 const LAST_IMAGE: Duration = Duration::from_secs(3);
-/// Commands that wait for the thread that renders.
+/// Events that wait for the thread that serves the clients.
 const EVENTS_MAX: usize = 1024;
 
 /// Look into a scene or an episode in the browser: fly, play, edit agents, compare
@@ -130,14 +139,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gpu = arguments.device.open()?;
     let drawer = Drawer::new(&gpu, arguments.background);
     let sources = arguments.sources.open(drawer.session())?;
-    let mut viewer = Viewer::new(drawer, sources);
     let (events, inbox) = mpsc::sync_channel(EVENTS_MAX);
+    let mut options = arguments.sources.render_options();
+    options.words.extend(arguments.background.words());
+    options.words.extend(arguments.device.words());
+    let viewer = Viewer::new(drawer, sources, options, events.clone())
+        .context("the thread that draws cannot be started")?;
     let ending = Arc::new(AtomicBool::new(false));
     let told = Arc::clone(&ending);
     let renders = std::thread::Builder::new()
         .name("viewer".into())
-        .spawn(move || viewer.run(&inbox, &told))
-        .context("the thread that renders cannot be started")?;
+        .spawn(move || viewer.run(inbox, &told))
+        .context("the thread that serves the clients cannot be started")?;
     let token = match (&arguments.token, arguments.no_token) {
         (_, true) => None,
         (Some(token), false) => Some(token.clone()),
@@ -172,7 +185,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     check_validation(&gpu)
 }
 
-/// Waits until the thread that renders has ended, and no longer than for an image: where a planner
+/// Waits until the threads have ended, and no longer than for an image: where a planner
 /// does not answer, the program ends without its plan, and its process with the program.
 fn end_of(renders: JoinHandle<()>) -> Result<()> {
     let since = Instant::now();
@@ -187,7 +200,7 @@ fn end_of(renders: JoinHandle<()>) -> Result<()> {
         }
         std::thread::sleep(Duration::from_millis(5));
     }
-    ensure!(renders.join().is_ok(), "the thread that renders failed");
+    ensure!(renders.join().is_ok(), "a thread of the viewer failed");
     Ok(())
 }
 

@@ -19,6 +19,7 @@ use decouplegs_cli::scene_source::{Scene, SceneOptions};
 
 use crate::demo::demo;
 use crate::played::Played;
+use crate::render_command::RenderOptions;
 use crate::scenario_edits::{LivePlanner, Place, ScenarioEditor};
 use crate::scene_course::SceneCourse;
 use crate::source::Source;
@@ -75,6 +76,14 @@ fn input(path: &Path) -> Result<Input> {
 }
 
 impl SourceArguments {
+    /// Options of scenes that `render` needs too.
+    pub fn render_options(&self) -> RenderOptions {
+        RenderOptions {
+            words: self.options.rules_words(),
+            cameras: self.options.cameras_words(),
+        }
+    }
+
     /// Opens all that is shown: the demo scene where no file is named.
     ///
     /// # Errors

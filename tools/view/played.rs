@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use decouplegs::asset::LoadedScene;
 use decouplegs::drive::score::{EpisodeScore, times_to_collision};
@@ -16,6 +17,7 @@ use serde_json::{Value, json};
 
 use crate::edits;
 use crate::lanes::Lanes;
+use crate::series;
 
 /// Times of a log are matched to this, seconds: far below its steps.
 const SAME_S: f64 = 1e-6;
@@ -23,13 +25,34 @@ const SAME_S: f64 = 1e-6;
 /// Deceleration of hard braking: a passenger notices it (ISO 15622 limits cruise control to 3.5).
 const HARD_BRAKING_MPS2: f64 = 3.5;
 
+/// Image of a log.
+pub struct LoggedImage {
+    /// Width and height, pixels.
+    size_px: [u32; 2],
+    /// Hash of its bytes.
+    hash: u128,
+}
+
+impl LoggedImage {
+    /// True if `rgba` has its hash; `None` where `rgba` has another size.
+    pub fn is(&self, size_px: [u32; 2], rgba: &[u8]) -> Option<bool> {
+        (size_px == self.size_px).then(|| reading_hash(rgba) == self.hash)
+    }
+}
+
 enum Driven {
     Logged(Box<Episode>),
     Live(Box<LiveEpisode>),
+    /// Live episode that is lent for a step: its record until then.
+    Lent(Box<Episode>),
 }
+
+/// Numbers of episodes that were opened or begun.
+static NUMBERS: AtomicU64 = AtomicU64::new(0);
 
 /// Episode at all its moments.
 pub struct Played {
+    number: u64,
     driven: Driven,
     site: Arc<Site>,
     lanes: Lanes,
@@ -70,6 +93,7 @@ impl Played {
 
     fn new(driven: Driven, site: Arc<Site>, moments: Moments) -> Self {
         let mut played = Self {
+            number: NUMBERS.fetch_add(1, Ordering::Relaxed),
             driven,
             rig: Rig::from_iter(site.loaded.rig.cameras().cloned()),
             lanes: Lanes::new(site.lanes.clone()),
@@ -91,14 +115,52 @@ impl Played {
     /// Record of the episode, as far as it was driven.
     pub fn episode(&self) -> &Episode {
         match &self.driven {
-            Driven::Logged(episode) => episode,
+            Driven::Logged(episode) | Driven::Lent(episode) => episode,
             Driven::Live(live) => live.episode(),
         }
     }
 
     /// True while more steps can be driven.
     pub fn goes_on(&self) -> bool {
-        matches!(&self.driven, Driven::Live(live) if !live.is_over())
+        match &self.driven {
+            Driven::Logged(_) => false,
+            Driven::Live(live) => !live.is_over(),
+            Driven::Lent(_) => true,
+        }
+    }
+
+    /// Lends the episode for a step, if it goes on and is not lent already, with its number.
+    pub fn lend(&mut self) -> Option<(u64, Box<LiveEpisode>)> {
+        let record = match &self.driven {
+            Driven::Live(live) if !live.is_over() => live.episode().clone(),
+            _ => return None,
+        };
+        match std::mem::replace(&mut self.driven, Driven::Lent(Box::new(record))) {
+            Driven::Live(live) => Some((self.number, live)),
+            Driven::Logged(_) | Driven::Lent(_) => None,
+        }
+    }
+
+    /// Takes back what was lent, if `number` is its own: with one more step if `has_step`.
+    ///
+    /// # Errors
+    /// Returns an error if the step does not fit the place.
+    pub fn take_back(
+        &mut self,
+        number: u64,
+        live: Box<LiveEpisode>,
+        has_step: bool,
+    ) -> Result<(), EpisodeError> {
+        if number != self.number {
+            return Ok(());
+        }
+        let step = live.episode().steps.last().filter(|_| has_step);
+        let added = step.map_or(Ok(()), |step| self.moments.add(step));
+        if has_step {
+            self.alternatives.push(live.alternatives().to_vec());
+        }
+        self.driven = Driven::Live(live);
+        added
     }
 
     /// Drives one more step, if the episode goes on.
@@ -162,22 +224,17 @@ impl Played {
         self.rig.moving_at(&moment.ego, &moment.motion)
     }
 
-    /// True if `rgba` has the hash that the log has for `camera` at `time_s`; `None` where the log
-    /// has no image of this size then.
-    pub fn is_logged(
-        &self,
-        time_s: f64,
-        camera: &str,
-        size_px: [u32; 2],
-        rgba: &[u8],
-    ) -> Option<bool> {
+    /// The image that the log has of `camera` at `time_s`, if it has one.
+    pub fn logged_image(&self, time_s: f64, camera: &str) -> Option<LoggedImage> {
         let episode = self.episode();
         let drawn_by = episode.head.drawn_by.as_ref()?;
         let step = &episode.steps[self.at(time_s).step? as usize];
         let mut readings = step.readings.iter();
         let reading = readings.find(|reading| reading.sensor == camera)?;
-        (size_px == [drawn_by.width_px, drawn_by.height_px])
-            .then(|| reading_hash(rgba) == reading.hash)
+        Some(LoggedImage {
+            size_px: [drawn_by.width_px, drawn_by.height_px],
+            hash: reading.hash,
+        })
     }
 
     /// Points of the plan that the ego follows at `time_s`, and of each other plan that its planner
@@ -234,7 +291,7 @@ impl Played {
             "scenario": head.scenario.name,
             "planner": head.planner.name,
             "departs_s": self.moments.departs_s(),
-            "is_live": matches!(self.driven, Driven::Live(_)),
+            "is_live": !matches!(self.driven, Driven::Logged(_)),
             "goes_on": self.goes_on(),
             "score": {
                 "driving_score": score.driving_score,
@@ -245,6 +302,7 @@ impl Played {
             "events": events,
             "speed_mps": speeds.collect::<Vec<f64>>(),
             "time_to_collision_s": times,
+            "series": series::facts(episode),
         })
     }
 

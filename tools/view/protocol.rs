@@ -3,6 +3,8 @@
 //! The page sends commands as JSON. The viewer answers with JSON and with images. Each image has a
 //! header of 32 bytes, all fields little-endian.
 
+use decouplegs_cli::camera_path::{CameraPath, Key};
+use decouplegs_cli::free_view::{FOVS_DEG, FreeLens, FreeView};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -12,8 +14,6 @@ pub const PANES_MAX: usize = 16;
 pub const SIDES_PX: [u32; 2] = [16, 4096];
 /// Pixels of all panes of one client.
 pub const PIXELS_MAX: u64 = 32 << 20;
-/// Vertical field of view of free cameras, degrees.
-pub const FOVS_DEG: [f64; 2] = [0.1, 160.0];
 /// Speeds of playing, seconds of the scene per second.
 pub const SPEEDS: [f64; 2] = [0.1, 10.0];
 /// Images per second of a recording.
@@ -60,12 +60,20 @@ pub enum Command {
         /// True to begin again at the end.
         looping: bool,
     },
+    /// Asks for the clock, and whether an image is in work.
+    State,
     /// Asks for the agent and the place at a pixel.
     Pick {
         /// Number of the pane.
         stream: u16,
         /// Pixel, shares of the image's width and height.
         at: [f64; 2],
+    },
+    /// Asks for the command that renders the image of a pane.
+    #[serde(rename = "render_command")]
+    CopyRender {
+        /// Number of the pane.
+        stream: u16,
     },
     /// Drags an agent over the ground.
     Drag {
@@ -158,6 +166,9 @@ pub struct Recording {
     pub span_s: [f64; 2],
     /// Images per second of the scene.
     pub rate_hz: f64,
+    /// Keys of the way that cameras of the user take; none where they stay.
+    #[serde(default)]
+    pub path: Vec<Key>,
 }
 
 /// Panes of a client.
@@ -237,6 +248,17 @@ pub struct Pinhole {
     pub fov_deg: f64,
 }
 
+impl Pinhole {
+    /// The pinhole as commands take it.
+    pub fn view(&self) -> FreeView {
+        FreeView {
+            position_m: self.position_m,
+            rotation: self.rotation,
+            lens: FreeLens::Fov(self.fov_deg),
+        }
+    }
+}
+
 /// Quantity that a pane shows.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, Hash, Ord, PartialEq, PartialOrd)]
 #[serde(rename_all = "snake_case")]
@@ -300,9 +322,12 @@ fn check(command: &Command) -> Result<(), String> {
         Command::Drag { from, to, .. } => check_pixel(*from).and_then(|()| check_pixel(*to)),
         Command::SaveLog { file } => check_name(file, ".log"),
         Command::Record(recording) => check_recording(recording),
-        Command::Time { .. } | Command::Step { .. } | Command::Edit(_) | Command::Shown { .. } => {
-            Ok(())
-        }
+        Command::Time { .. }
+        | Command::Step { .. }
+        | Command::State
+        | Command::CopyRender { .. }
+        | Command::Edit(_)
+        | Command::Shown { .. } => Ok(()),
     }
 }
 
@@ -335,6 +360,9 @@ pub fn check_name(name: &str, ending: &str) -> Result<(), String> {
 fn check_recording(recording: &Recording) -> Result<(), String> {
     check_name(&recording.folder, "")?;
     within("rate_hz", recording.rate_hz, RATES_HZ)?;
+    if !recording.path.is_empty() {
+        CameraPath::from_keys(recording.path.clone())?;
+    }
     let [begin_s, end_s] = recording.span_s;
     let images = (end_s - begin_s) * recording.rate_hz;
     match begin_s <= end_s && images < IMAGES_MAX {

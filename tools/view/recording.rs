@@ -5,17 +5,19 @@ use std::path::{Path, PathBuf};
 
 use decouplegs::asset::{Replaces, write_in_folder};
 use decouplegs::explain::explain;
+use decouplegs_cli::camera_path::CameraPath;
 use decouplegs_cli::{png_bytes, video};
 
-use crate::drawing::Drawn;
-use crate::protocol::{Pane, Recording, View};
+use crate::drawing::{Drawn, Shot};
+use crate::protocol::{CameraRequest, Pane, Pinhole, Recording, View};
 
 /// Recording that goes on, an image of each pane at a time.
 pub struct Recorder {
     /// Client that asked for it.
     pub client: u64,
-    /// Panes that are recorded.
-    pub view: View,
+    view: View,
+    /// Way that cameras of the user take.
+    path: Option<CameraPath>,
     folder: PathBuf,
     begin_s: f64,
     rate_hz: f64,
@@ -32,6 +34,10 @@ impl Recorder {
         if view.panes.is_empty() {
             return Err("there is no view to record".into());
         }
+        let path = match recording.path.is_empty() {
+            true => None,
+            false => Some(CameraPath::from_keys(recording.path.clone())?),
+        };
         let folder = PathBuf::from(&recording.folder);
         std::fs::create_dir(&folder).map_err(|error| {
             format!(
@@ -45,6 +51,7 @@ impl Recorder {
         Ok(Self {
             client,
             view,
+            path,
             folder,
             begin_s,
             rate_hz: recording.rate_hz,
@@ -59,6 +66,25 @@ impl Recorder {
         (self.written < self.count).then_some(time_s)
     }
 
+    /// Panes at `time_s`: cameras of the user are where the path has them.
+    pub fn view_at(&self, time_s: f64) -> View {
+        let mut view = self.view.clone();
+        if let Some(path) = &self.path {
+            let at = path.at(time_s);
+            let at = Pinhole {
+                position_m: at.position_m,
+                rotation: at.rotation,
+                fov_deg: at.fov_deg,
+            };
+            for pane in &mut view.panes {
+                if !matches!(pane.camera, CameraRequest::Named { .. }) {
+                    pane.camera = CameraRequest::Free(at);
+                }
+            }
+        }
+        view
+    }
+
     /// Times that are done, and all.
     pub fn progress(&self) -> [usize; 2] {
         [self.written, self.count]
@@ -68,10 +94,10 @@ impl Recorder {
     ///
     /// # Errors
     /// A sentence.
-    pub fn write(&mut self, panes: &[&Pane], drawn: &[Drawn]) -> Result<(), String> {
-        for (pane, image) in panes.iter().zip(drawn) {
+    pub fn write(&mut self, shots: &[Shot], drawn: &[Drawn]) -> Result<(), String> {
+        for (shot, image) in shots.iter().zip(drawn) {
             let bytes = png_bytes::encode(&image.rgba, image.size_px)?;
-            let name = format!("{}_{:05}.png", name_of(pane), self.written);
+            let name = format!("{}_{:05}.png", name_of(&shot.pane), self.written);
             let path = self.folder.join(name);
             let written = write_in_folder(&path, Replaces::Nothing, |file| file.write_all(&bytes));
             written.map_err(|error| explain(&error))?;

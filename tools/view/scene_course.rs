@@ -27,6 +27,8 @@ const LANES_FILE: &str = "lanes.json";
 pub struct SceneCourse {
     /// Scene as it is on the device.
     pub scene: Scene,
+    /// File that it was read from.
+    path: PathBuf,
     /// Agents that move, as they were edited.
     agents: Vec<LoadedAgent>,
     /// Places of compressed assets in the scene, by path.
@@ -74,10 +76,28 @@ impl SceneCourse {
                 AssetPlaces::for_file(editor.file())
             }),
             scene,
+            path: path.to_owned(),
             editor,
             lanes: lanes.transpose()?.map(Lanes::new),
             dragged: None,
         })
+    }
+
+    /// File that it was read from.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// True if agents are not those of the file.
+    pub fn is_edited(&self) -> bool {
+        self.edit_facts()["undo"].is_string()
+    }
+
+    /// Width and height that the camera called `name` has by itself, pixels.
+    pub fn own_size_px(&self, name: &str) -> Option<[u32; 2]> {
+        let mut cameras = self.scene.cameras.iter();
+        let camera = cameras.find(|camera| camera.name == name)?;
+        Some([camera.intrinsics.width_px, camera.intrinsics.height_px])
     }
 
     /// Trajectories of the ego and the agents that move.

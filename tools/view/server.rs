@@ -34,7 +34,7 @@ const REQUEST_PATIENCE: Duration = Duration::from_secs(10);
 const FAREWELL: Duration = Duration::from_secs(2);
 
 const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
-const PAGE: [(&str, &str, &str); 12] = [
+const PAGE: [(&str, &str, &str); 17] = [
     (
         "index.html",
         "text/html; charset=utf-8",
@@ -45,6 +45,11 @@ const PAGE: [(&str, &str, &str); 12] = [
         "text/css; charset=utf-8",
         include_str!("page/style.css"),
     ),
+    (
+        "camera_panel.js",
+        JAVASCRIPT,
+        include_str!("page/camera_panel.js"),
+    ),
     ("cameras.js", JAVASCRIPT, include_str!("page/cameras.js")),
     ("compare.js", JAVASCRIPT, include_str!("page/compare.js")),
     (
@@ -52,10 +57,14 @@ const PAGE: [(&str, &str, &str); 12] = [
         JAVASCRIPT,
         include_str!("page/connection.js"),
     ),
+    ("files.js", JAVASCRIPT, include_str!("page/files.js")),
     ("geometry.js", JAVASCRIPT, include_str!("page/geometry.js")),
+    ("link.js", JAVASCRIPT, include_str!("page/link.js")),
     ("main.js", JAVASCRIPT, include_str!("page/main.js")),
+    ("measure.js", JAVASCRIPT, include_str!("page/measure.js")),
     ("overlays.js", JAVASCRIPT, include_str!("page/overlays.js")),
     ("panels.js", JAVASCRIPT, include_str!("page/panels.js")),
+    ("path.js", JAVASCRIPT, include_str!("page/path.js")),
     ("state.js", JAVASCRIPT, include_str!("page/state.js")),
     ("timeline.js", JAVASCRIPT, include_str!("page/timeline.js")),
     ("views.js", JAVASCRIPT, include_str!("page/views.js")),
@@ -64,7 +73,7 @@ const PAGE: [(&str, &str, &str); 12] = [
 /// State that requests are answered from.
 #[derive(Clone)]
 pub struct Service {
-    /// Way to the thread that renders.
+    /// Way to the thread that serves the clients.
     pub events: SyncSender<Event>,
     /// Secret that requests need; `None` if none is asked for.
     pub secret: Option<Secret>,
@@ -348,8 +357,8 @@ async fn serve(mut socket: WebSocket, service: Service) {
     post(&service, Event::Left(id)).await;
 }
 
-/// Sends `event` to the thread that renders, and waits while that has too many already. False if it
-/// is gone.
+/// Sends `event` to the thread that serves the clients, and waits while that has too many already.
+/// False if it is gone.
 async fn post(service: &Service, event: Event) -> bool {
     let mut event = event;
     loop {

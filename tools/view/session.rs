@@ -1,32 +1,31 @@
-//! The thread that renders: commands in, images out.
+//! The thread that serves the clients: commands in, images out. Another thread draws them.
 
-use std::collections::BTreeMap;
+mod driving;
+mod work;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
 use std::time::{Duration, Instant};
 
-use decouplegs::explain::explain;
 use decouplegs::scene::Camera;
-use decouplegs::session::SessionError;
-use decouplegs_cli::{jpeg, png_bytes};
+use decouplegs::session::Session;
 use serde_json::{Value, json};
 
+use self::driving::WaitingStep;
+use crate::clock::Clock;
+use crate::draw_thread::DrawThread;
 use crate::drawing::Drawer;
+use crate::drive_thread::DriveThread;
 use crate::events::{Event, Outbox, Outgoing};
-use crate::frame_state::{QUALITY_MOVING, badge, pane_json, times_json};
-use crate::image_header::{FLAG_EXACT, FLAG_LAST, Header, ImageKind};
 use crate::protocol::{Acknowledgement, Command, Pane, Request, View};
 use crate::recording::Recorder;
-use crate::source::{Source, scaled};
+use crate::render_command::{RenderOptions, render_command};
+use crate::source::Source;
 
 /// Updates that a client may have before it has shown the first: one on the way, one in work.
 const CREDITS: u32 = 2;
-/// Scales of images while something moves.
-const SCALES: [f64; 3] = [1.0, 0.5, 0.25];
-/// An update that takes longer is followed by a smaller one.
-const SLOW: Duration = Duration::from_millis(100);
-/// An update that takes less is followed by a larger one.
-const FAST: Duration = Duration::from_millis(20);
 
 struct Client {
     outbox: Outbox,
@@ -40,77 +39,117 @@ struct Client {
     update: u32,
     /// Index of the scale while something moves.
     scale: usize,
+    /// Number of works that were done when its last update began.
+    served: u64,
 }
 
-struct Clock {
-    time_s: f64,
-    playing: bool,
-    looping: bool,
-    speed: f64,
-    advanced: Instant,
+/// Recording of a client.
+enum Recording {
+    None,
+    /// Recording that waits for its next turn.
+    Waits(Box<Recorder>),
+    /// Recording whose next images are in work.
+    InWork,
 }
 
-/// Renders for all clients.
+/// Serves all clients.
 pub struct Viewer {
-    drawer: Drawer,
+    session: Arc<Session>,
+    /// Name of the device.
+    device: String,
+    draws: DrawThread,
+    drives: DriveThread,
+    /// Episodes that are lent for a step.
+    driving: usize,
+    /// Steps that wait for it.
+    steps: VecDeque<WaitingStep>,
+    /// True while an update or images of a recording are in work: one at a time, so that each shows
+    /// the newest state.
+    in_work: bool,
+    /// True if the last work was that of a recording.
+    recorded_last: bool,
+    /// Number of works that were done, but for picks.
+    done: u64,
+    /// Questions for pixels that are not answered yet.
+    picks: usize,
     /// Scene or episode that is shown, and the one to compare it with.
     sources: Vec<Source>,
     clients: BTreeMap<u64, Client>,
     clock: Clock,
-    recorder: Option<Recorder>,
+    recording: Recording,
+    /// Options that `render` needs too.
+    options: RenderOptions,
 }
 
 impl Viewer {
-    /// Viewer of `sources`, at least one, whose scenes are on the device of `drawer`.
-    pub fn new(drawer: Drawer, sources: Vec<Source>) -> Self {
+    /// Viewer of `sources`, at least one, whose scenes are on the device of `drawer`. Commands that
+    /// render the same have `options`. What is drawn
+    /// comes back by `events`, which [`Viewer::run`] serves.
+    ///
+    /// # Errors
+    /// Returns an error if the system has no thread.
+    pub fn new(
+        drawer: Drawer,
+        sources: Vec<Source>,
+        options: RenderOptions,
+        events: SyncSender<Event>,
+    ) -> std::io::Result<Self> {
+        let driven = events.clone();
+        let tell_driven = move |done| driven.send(Event::Driven(done)).is_ok();
+        let tell = move |done| events.send(Event::Done(done)).is_ok();
         let mut viewer = Self {
-            drawer,
+            session: Arc::clone(drawer.session()),
+            device: drawer.device(),
+            draws: DrawThread::start(drawer, tell)?,
+            drives: DriveThread::start(tell_driven)?,
+            driving: 0,
+            steps: VecDeque::new(),
+            in_work: false,
+            recorded_last: false,
+            done: 0,
+            picks: 0,
             sources,
             clients: BTreeMap::new(),
-            clock: Clock {
-                time_s: 0.0,
-                playing: false,
-                looping: false,
-                speed: 1.0,
-                advanced: Instant::now(),
-            },
-            recorder: None,
+            clock: Clock::new(),
+            recording: Recording::None,
+            options,
         };
         viewer.set_time(viewer.span_s()[0]);
-        viewer
+        // Clients learn it when they come.
+        let _ = viewer.clock.news(viewer.sources[0].time_s());
+        Ok(viewer)
     }
 
     /// Serves `events` until the program ends: events that wait are left where `ending` is true.
-    pub fn run(&mut self, events: &Receiver<Event>, ending: &AtomicBool) {
+    pub fn run(mut self, events: Receiver<Event>, ending: &AtomicBool) {
         while !ending.load(Ordering::SeqCst) {
-            let first = match self.is_busy() {
+            let first = match self.clock.playing && !self.clients.is_empty() {
                 // While something plays, as many updates are made as clients show.
                 true => events.recv_timeout(Duration::from_millis(5)),
                 false => events.recv().map_err(|_| RecvTimeoutError::Disconnected),
             };
             match first {
-                Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => return,
+                Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => break,
                 Ok(event) => self.take(event),
                 Err(RecvTimeoutError::Timeout) => {}
             }
             // All commands first: of several views of one client only the last is rendered.
             while let Ok(event) = events.try_recv() {
                 if ending.load(Ordering::SeqCst) {
-                    return;
+                    break;
                 }
                 self.take(event);
             }
             self.advance();
-            self.record();
-            self.update_clients();
+            if let Some(news) = self.clock.news(self.sources[0].time_s()) {
+                self.tell(&news);
+            }
+            self.begin_work();
         }
-    }
-
-    fn is_busy(&self) -> bool {
-        let waits = |client: &Client| client.stale && client.credits > 0;
-        self.clock.playing && !self.clients.is_empty()
-            || self.recorder.is_some()
-            || self.clients.values().any(waits)
+        // Work that is done now finds nobody who listens, and does not wait for room.
+        drop(events);
+        self.draws.end();
+        self.drives.end();
     }
 
     fn take(&mut self, event: Event) {
@@ -120,7 +159,8 @@ impl Viewer {
                 let facts = json!({
                     "type": "scene",
                     "sources": sources,
-                    "device": self.drawer.device(),
+                    "device": self.device,
+                    "clock": self.clock.message(self.sources[0].time_s()),
                 });
                 let _ = outbox.try_send(Outgoing::Text(facts.to_string()));
                 let _ = outbox.try_send(Outgoing::Text(self.changing_facts().to_string()));
@@ -132,6 +172,7 @@ impl Viewer {
                     credits: CREDITS,
                     update: 0,
                     scale: 0,
+                    served: 0,
                 };
                 self.clients.insert(id, client);
             }
@@ -143,6 +184,8 @@ impl Viewer {
                 self.clock.playing &= !self.clients.is_empty();
             }
             Event::Command(id, request) => self.command(id, request),
+            Event::Done(done) => self.take_done(done),
+            Event::Driven(driven) => self.take_driven(driven),
             Event::Stop => {}
         }
     }
@@ -160,14 +203,29 @@ impl Viewer {
         if let Command::Look(_) = request.command {
             client.look = request.sequence;
         }
-        let done = self.done(id, request.command);
+        if let Command::Pick { stream, at } = request.command {
+            // It is answered when the place is found.
+            if let Err(error) = self.pick(id, request.sequence, stream, at) {
+                self.answer(id, request.sequence, Err(error));
+            }
+            return;
+        }
+        if let Command::Step { by } = request.command {
+            self.step(id, request.sequence, by);
+            return;
+        }
+        let done = self.carry_out(id, request.command);
+        self.answer(id, request.sequence, done);
+    }
+
+    fn answer(&mut self, id: u64, sequence: u64, done: Result<Value, String>) {
         let (result, error) = match done {
             Ok(result) => (result, None),
             Err(error) => (Value::Null, Some(error)),
         };
         let answer = Acknowledgement {
             kind: "ack",
-            sequence: request.sequence,
+            sequence,
             error: error.as_deref(),
             result: &result,
         };
@@ -175,7 +233,7 @@ impl Viewer {
     }
 
     /// Does `command`. Returns the answer of commands that ask for something.
-    fn done(&mut self, id: u64, command: Command) -> Result<Value, String> {
+    fn carry_out(&mut self, id: u64, command: Command) -> Result<Value, String> {
         match command {
             Command::Look(view) => {
                 for pane in &view.panes {
@@ -188,13 +246,16 @@ impl Viewer {
                     (client.view, client.stale) = (view, true);
                 }
             }
-            Command::Time { time_s } => self.set_time(time_s),
-            Command::Step { by } => self.step(by)?,
+            Command::Time { time_s } => {
+                self.end_steps(&Ok(()));
+                self.set_time(time_s);
+            }
             Command::Play {
                 playing,
                 speed,
                 looping,
             } => {
+                self.end_steps(&Ok(()));
                 let [begin_s, end_s] = self.span_s();
                 let goes_on = self.sources.iter().any(Source::goes_on);
                 if playing && self.clock.time_s >= end_s && !goes_on {
@@ -205,7 +266,19 @@ impl Viewer {
                 self.clock.advanced = Instant::now();
                 self.mark_all_stale();
             }
-            Command::Pick { stream, at } => return self.pick(id, stream, at),
+            Command::State => {
+                let mut state = self.clock.message(self.sources[0].time_s());
+                state["type"] = "state".into();
+                state["drawing"] = self.in_work.into();
+                state["drawn"] = self.done.into();
+                return Ok(state);
+            }
+            Command::CopyRender { stream } => {
+                let (pane, camera) = self.shown(id, stream)?;
+                let source = &self.sources[pane.source];
+                let (course, time_s) = (source.scene()?, source.time_s());
+                return render_command(course, &pane, &camera, time_s, &self.options);
+            }
             Command::Drag {
                 stream,
                 agent,
@@ -214,11 +287,11 @@ impl Viewer {
                 free,
                 done,
             } => {
+                self.end_steps(&Ok(()));
                 self.clock.playing = false;
                 let (_, camera) = self.shown(id, stream)?;
-                let session = self.drawer.session();
                 let how = (free, done);
-                let moved = self.sources[0].drag(&agent, &camera, [from, to], how, session);
+                let moved = self.sources[0].drag(&agent, &camera, [from, to], how, &self.session);
                 // Also where it is refused: what was dragged is where it was.
                 self.set_time(self.sources[0].time_s());
                 moved?;
@@ -227,8 +300,9 @@ impl Viewer {
                 }
             }
             Command::Edit(edit) => {
+                self.end_steps(&Ok(()));
                 self.clock.playing = false;
-                let said = self.sources[0].edit(&edit, self.drawer.session())?;
+                let said = self.sources[0].edit(&edit, &self.session)?;
                 self.set_time(self.sources[0].time_s());
                 self.tell_changes();
                 return Ok(json!({"said": said}));
@@ -239,15 +313,15 @@ impl Viewer {
                 return Ok(json!({"said": played.save(file.as_ref())?}));
             }
             Command::Record(recording) => {
-                if self.recorder.is_some() {
+                if !matches!(self.recording, Recording::None) {
                     return Err("a recording goes on: wait until it is done".into());
                 }
                 let view = self.clients.get(&id).map(|client| client.view.clone());
                 let recorder = Recorder::begin(id, view.unwrap_or_default(), &recording)?;
                 self.clock.playing = false;
-                self.recorder = Some(recorder);
+                self.recording = Recording::Waits(Box::new(recorder));
             }
-            Command::Shown { .. } => {}
+            Command::Step { .. } | Command::Pick { .. } | Command::Shown { .. } => {}
         }
         Ok(Value::Null)
     }
@@ -264,28 +338,6 @@ impl Viewer {
         let pane = panes.find(|pane| pane.stream == stream);
         let pane = pane.ok_or_else(|| format!("there is no view {stream}"))?;
         Ok((pane.clone(), self.source(pane)?.camera(pane)?))
-    }
-
-    fn pick(&mut self, id: u64, stream: u16, at: [f64; 2]) -> Result<Value, String> {
-        let (pane, camera) = self.shown(id, stream)?;
-        let source = &self.sources[pane.source];
-        let picked = self.drawer.pick(source, &camera, at);
-        let picked = picked.map_err(|error| explain(&error))?;
-        let position_m = picked.position_m.map(|at_m| at_m.to_array());
-        Ok(json!({"agent": picked.agent, "position_m": position_m}))
-    }
-
-    fn step(&mut self, by: i32) -> Result<(), String> {
-        self.clock.playing = false;
-        let step_s = self.sources[0].step_s();
-        let begin_s = self.span_s()[0];
-        let step = ((self.clock.time_s - begin_s) / step_s).round() + f64::from(by);
-        let time_s = begin_s + step * step_s;
-        if by > 0 && time_s > self.reached_s() {
-            self.drive_on()?;
-        }
-        self.set_time(time_s);
-        Ok(())
     }
 
     /// First and last time of all sources, seconds.
@@ -330,17 +382,6 @@ impl Viewer {
         }
     }
 
-    /// Drives one more step of the episodes that go on and are least far.
-    fn drive_on(&mut self) -> Result<(), String> {
-        let reached_s = self.reached_s();
-        let live = self.sources.iter_mut().filter(|source| source.goes_on());
-        for source in live.filter(|source| source.span_s()[1] <= reached_s) {
-            source.drive_on()?;
-        }
-        self.tell_changes();
-        Ok(())
-    }
-
     fn set_time(&mut self, time_s: f64) {
         let begin_s = self.span_s()[0];
         self.clock.time_s = time_s.clamp(begin_s, self.reached_s().max(begin_s));
@@ -355,6 +396,7 @@ impl Viewer {
     }
 
     fn mark_all_stale(&mut self) {
+        self.clock.revision += 1;
         (self.clients.values_mut()).for_each(|client| client.stale = true);
     }
 
@@ -366,9 +408,11 @@ impl Viewer {
         let elapsed_s = self.clock.advanced.elapsed().as_secs_f64();
         let mut time_s = self.clock.time_s + elapsed_s * self.clock.speed;
         if time_s >= reached_s && self.sources.iter().any(Source::goes_on) {
-            if let Err(error) = self.drive_on() {
-                self.clock.playing = false;
-                self.tell(&json!({"type": "error", "text": error}));
+            self.begin_driving();
+            if self.clock.time_s >= reached_s {
+                // It waits for the planner, and shows what it has shown.
+                self.clock.advanced = Instant::now();
+                return;
             }
         } else if time_s >= reached_s {
             self.clock.playing = self.clock.looping;
@@ -378,148 +422,6 @@ impl Viewer {
             };
         }
         self.set_time(time_s);
-    }
-
-    /// Writes the images of the next time of a recording.
-    fn record(&mut self) {
-        let Some(mut recorder) = self.recorder.take() else {
-            return;
-        };
-        let client = recorder.client;
-        let message = match recorder.next_s() {
-            Some(time_s) => match self.record_at(&mut recorder, time_s) {
-                Ok(()) => {
-                    let progress = recorder.progress();
-                    self.recorder = Some(recorder);
-                    json!({"type": "recording", "progress": progress})
-                }
-                Err(error) => json!({"type": "recording", "error": error}),
-            },
-            None => match recorder.finish() {
-                Ok(said) => json!({"type": "recording", "said": said}),
-                Err(error) => json!({"type": "recording", "error": error}),
-            },
-        };
-        self.send(client, Outgoing::Text(message.to_string()));
-    }
-
-    fn record_at(&mut self, recorder: &mut Recorder, time_s: f64) -> Result<(), String> {
-        self.show_at(time_s);
-        let view = recorder.view.clone();
-        let panes: Vec<(&Pane, Camera)> = (view.panes.iter())
-            .filter_map(|pane| Some((pane, self.source(pane).ok()?.camera(pane).ok()?)))
-            .collect();
-        let drawn = self.drawer.draw(&self.sources, &panes);
-        self.show_at(self.clock.time_s);
-        let (drawn, _) = drawn.map_err(|error| explain(&error))?;
-        let panes: Vec<&Pane> = panes.iter().map(|(pane, _)| *pane).collect();
-        recorder.write(&panes, &drawn)
-    }
-
-    /// Sends an update to each client that has not seen the newest state and has credit for it.
-    fn update_clients(&mut self) {
-        let due = |(&id, client): (&u64, &Client)| {
-            (client.stale && client.credits > 0 && !client.view.panes.is_empty()).then_some(id)
-        };
-        let due: Vec<u64> = self.clients.iter().filter_map(due).collect();
-        for id in due {
-            if let Err(error) = self.update(id) {
-                let message = json!({"type": "error", "text": explain(&error)});
-                self.send(id, Outgoing::Text(message.to_string()));
-                // The same would fail again: wait for another view or time.
-                if let Some(client) = self.clients.get_mut(&id) {
-                    client.stale = false;
-                }
-            }
-        }
-    }
-
-    fn update(&mut self, id: u64) -> Result<(), SessionError> {
-        let since = Instant::now();
-        let Some(client) = self.clients.get_mut(&id) else {
-            return Ok(());
-        };
-        let reduced = client.view.reduce && (client.view.moving || self.clock.playing);
-        let scale = if reduced { SCALES[client.scale] } else { 1.0 };
-        client.update = client.update.wrapping_add(1);
-        client.credits -= 1;
-        client.stale = false;
-        let (update, look, view) = (client.update, client.look, client.view.clone());
-        let time_s = self.sources[0].time_s();
-        let panes: Vec<(&Pane, Camera)> = (view.panes.iter())
-            .filter_map(|pane| {
-                // An agent may be gone by now: its pane keeps the last image.
-                let mut camera = self.source(pane).ok()?.camera(pane).ok()?;
-                camera.intrinsics = scaled(&camera.intrinsics, scale);
-                Some((pane, camera))
-            })
-            .collect();
-        let (drawn, statistics) = self.drawer.draw(&self.sources, &panes)?;
-        let rendered = since.elapsed();
-        let kind = match reduced {
-            true => ImageKind::Jpeg,
-            false => ImageKind::Png,
-        };
-        let header = |stream: u16, kind: ImageKind, size_px: [u32; 2]| Header {
-            stream,
-            kind,
-            flags: FLAG_EXACT * u8::from(!reduced),
-            update,
-            time_us: (1e6 * time_s).round() as i64,
-            size_px: size_px.map(|side_px| side_px as u16),
-        };
-        let mut messages = Vec::new();
-        for ((pane, _), image) in panes.iter().zip(&drawn) {
-            let bytes = match kind {
-                ImageKind::Jpeg => jpeg::encode(&image.rgba, image.size_px, QUALITY_MOVING),
-                _ => png_bytes::encode(&image.rgba, image.size_px),
-            };
-            // Sides are at most 4096 pixels, which both formats hold.
-            let Ok(bytes) = bytes else { continue };
-            messages.push((header(pane.stream, kind, image.size_px), bytes));
-        }
-        let mut fault = None;
-        if let Some(name) = view.lidar.as_ref().filter(|_| !reduced) {
-            match self.drawer.points(&self.sources[0], name) {
-                Ok(bytes) => messages.push((header(0, ImageKind::Points, [0, 0]), bytes)),
-                Err(error) => fault = Some(error),
-            }
-        }
-        if let Some((header, _)) = messages.last_mut() {
-            header.flags |= FLAG_LAST;
-        }
-        let all = since.elapsed();
-        let logged = panes.iter().zip(&drawn).filter_map(|((pane, _), image)| {
-            self.sources[pane.source].is_logged(pane, image.size_px, &image.rgba)
-        });
-        let logged = logged.reduce(|all, same| all && same);
-        let badge = badge(reduced.then_some(scale), logged);
-        let state = json!({
-            "type": "frame",
-            "update": update,
-            "look": look,
-            "time_s": time_s,
-            "playing": self.clock.playing,
-            "speed": self.clock.speed,
-            "badge": badge,
-            "images": messages.len(),
-            "panes": panes.iter().map(|(pane, camera)| pane_json(pane, camera)).collect::<Vec<_>>(),
-            "sources": self.sources.iter().map(Source::state).collect::<Vec<_>>(),
-            "times_ms": times_json(&statistics, rendered, all),
-            "error": fault,
-        });
-        self.send(id, Outgoing::Text(state.to_string()));
-        for (header, bytes) in messages {
-            self.send(id, Outgoing::Image([&header.bytes()[..], &bytes].concat()));
-        }
-        if let Some(client) = self.clients.get_mut(&id).filter(|_| reduced) {
-            match all {
-                all if all > SLOW => client.scale = (client.scale + 1).min(SCALES.len() - 1),
-                all if all < FAST => client.scale = client.scale.saturating_sub(1),
-                _ => {}
-            }
-        }
-        Ok(())
     }
 
     /// Sends, or drops a client that does not read.

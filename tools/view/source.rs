@@ -3,18 +3,20 @@
 use std::sync::Arc;
 
 use decouplegs::asset::{LoadedScene, lidar_names};
-use decouplegs::episode::chosen_lidars;
+use decouplegs::episode::{LiveEpisode, chosen_lidars};
 use decouplegs::explain::explain;
-use decouplegs::scene::{Camera, CapturedViews, Intrinsics, Lidar, Motion, Pose};
+use decouplegs::scene::{Camera, CapturedViews, Lidar, Motion, Pose};
 use decouplegs::session::{Session, SessionError, SessionScene, World};
-use glam::{DQuat, DVec3};
+use decouplegs_cli::free_view::FreeView;
+use glam::DVec3;
 use serde_json::{Value, json};
 
 use crate::extent;
-use crate::played::Played;
-use crate::protocol::{CameraRequest, Edit, Pane, Pinhole};
+use crate::played::{LoggedImage, Played};
+use crate::protocol::{CameraRequest, Edit, Pane};
 use crate::scenario_edits::ScenarioEditor;
 use crate::scene_course::{Boxed, SceneCourse};
+use crate::viewpoint::{fitted, point_at_height, pose_json};
 
 /// Step of the clock over a scene, seconds: that of nuScenes' LiDARs and of most simulators.
 const STEP_S: f64 = 0.1;
@@ -23,6 +25,8 @@ const STEPS_MAX: f64 = 1e6;
 
 const RECORDED: &str =
     "an episode that was recorded is not edited: its score counts. Open its scenario";
+
+const NO_SCENE: &str = "images of an episode are not rendered by a command: 'decouplegs export' writes those that its log has";
 
 /// Origin of worlds, cameras and the ego vehicle at each time.
 enum Course {
@@ -136,12 +140,23 @@ impl Source {
         }
     }
 
+    /// The scene.
+    ///
+    /// # Errors
+    /// A sentence, if it is an episode.
+    pub fn scene(&self) -> Result<&SceneCourse, &'static str> {
+        match &self.course {
+            Course::Scene(course) => Ok(course),
+            Course::Episode(..) => Err(NO_SCENE),
+        }
+    }
+
     /// True while more steps of an episode can be driven.
     pub fn goes_on(&self) -> bool {
         self.episode().is_some_and(Played::goes_on)
     }
 
-    /// Drives one more step of an episode that goes on.
+    /// Drives one more step of an episode that goes on, and waits for it.
     ///
     /// # Errors
     /// A sentence.
@@ -149,6 +164,35 @@ impl Source {
         match &mut self.course {
             Course::Scene(_) => Ok(()),
             Course::Episode(played, _) => played.drive_on().map_err(|error| explain(&error)),
+        }
+    }
+
+    /// Lends the episode for one more step, if it goes on and is not lent already: itself, and a
+    /// number that tells it from one that began anew.
+    pub fn lend(&mut self) -> Option<(u64, Box<LiveEpisode>)> {
+        match &mut self.course {
+            Course::Scene(_) => None,
+            Course::Episode(played, _) => played.lend(),
+        }
+    }
+
+    /// Takes an episode back, with one more step if `has_step`. One that began anew meanwhile is
+    /// left as it is.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub fn take_back(
+        &mut self,
+        number: u64,
+        live: Box<LiveEpisode>,
+        has_step: bool,
+    ) -> Result<(), String> {
+        match &mut self.course {
+            Course::Scene(_) => Ok(()),
+            Course::Episode(played, _) => {
+                let taken = played.take_back(number, live, has_step);
+                taken.map_err(|error| explain(&error))
+            }
         }
     }
 
@@ -343,10 +387,11 @@ impl Source {
     /// # Errors
     /// A sentence, when there is no camera or agent of the name.
     pub fn camera(&self, pane: &Pane) -> Result<Camera, String> {
-        let pinhole = |at: &Pose, pinhole: &Pinhole| Camera {
+        let size_px = [pane.width_px, pane.height_px];
+        let pinhole = |at: &Pose, pinhole: FreeView| Camera {
             name: "view".into(),
-            intrinsics: intrinsics_of(pinhole, [pane.width_px, pane.height_px]),
-            world_from_camera: at.then(&pose_of(pinhole)),
+            intrinsics: pinhole.intrinsics(size_px),
+            world_from_camera: at.then(&pinhole.pose()),
             motion: Motion::REST,
         };
         match &pane.camera {
@@ -355,10 +400,10 @@ impl Source {
                 let camera = cameras.find(|camera| camera.name == *name).cloned();
                 let mut camera =
                     camera.ok_or_else(|| format!("the scene has no camera called {name:?}"))?;
-                camera.intrinsics = fitted(&camera.intrinsics, [pane.width_px, pane.height_px]);
+                camera.intrinsics = fitted(&camera.intrinsics, size_px);
                 Ok(camera)
             }
-            CameraRequest::Free(free) => Ok(pinhole(&Pose::IDENTITY, free)),
+            CameraRequest::Free(free) => Ok(free.view().camera("view", size_px)),
             CameraRequest::Attached { agent, pinhole: at } => {
                 let pose = match agent {
                     None => self.now.ego,
@@ -370,17 +415,16 @@ impl Source {
                             .pose
                     }
                 };
-                Ok(pinhole(&pose, at))
+                Ok(pinhole(&pose, at.view()))
             }
         }
     }
 
-    /// True if `rgba`, the image of `pane`, has the hash that the log has for its camera at this
-    /// time; `None` where the log has none.
-    pub fn is_logged(&self, pane: &Pane, size_px: [u32; 2], rgba: &[u8]) -> Option<bool> {
+    /// Image that the log has of the camera of `pane` at this time, if it has one.
+    pub fn logged_image(&self, pane: &Pane) -> Option<LoggedImage> {
         match (&self.course, &pane.camera) {
             (Course::Episode(played, _), CameraRequest::Named { name }) if pane.shows_all() => {
-                played.is_logged(self.now.time_s, name, size_px, rgba)
+                played.logged_image(self.now.time_s, name)
             }
             _ => None,
         }
@@ -491,50 +535,6 @@ impl Source {
     }
 }
 
-/// Point at `at`, shares of the image, on the level `z_m` of the world; `None` where the ray does
-/// not come down to it within a kilometer.
-fn point_at_height(camera: &Camera, at: [f64; 2], z_m: f64) -> Option<DVec3> {
-    const FAR_M: f64 = 1000.0;
-    let k = &camera.intrinsics;
-    let pixel = glam::DVec2::from(at) * glam::DVec2::new(k.width_px.into(), k.height_px.into());
-    let ray = decouplegs::scene::RayMap::new(k).unproject(pixel)?;
-    let pose = &camera.world_from_camera;
-    let (from, ray) = (pose.translation, pose.rotation * ray);
-    let far_m = (z_m - from.z) / ray.z;
-    (far_m > 0.0 && far_m < FAR_M).then(|| from + far_m * ray)
-}
-
-/// A pose as the page reads it.
-pub fn pose_json(pose: &Pose) -> Value {
-    json!({"position_m": pose.translation.to_array(), "rotation": pose.rotation.to_array()})
-}
-
-fn pose_of(pinhole: &Pinhole) -> Pose {
-    let rotation = DQuat::from_array(pinhole.rotation).normalize();
-    Pose::new(rotation, DVec3::from_array(pinhole.position_m))
-}
-
-fn intrinsics_of(pinhole: &Pinhole, [width_px, height_px]: [u32; 2]) -> Intrinsics {
-    let aspect = f64::from(width_px) / f64::from(height_px);
-    let half = (0.5 * pinhole.fov_deg.to_radians()).tan();
-    Intrinsics::from_horizontal_fov(width_px, height_px, 2.0 * (half * aspect).atan())
-}
-
-/// `own` made smaller, in its shape, until it fits into `pane_px`.
-fn fitted(own: &Intrinsics, pane_px: [u32; 2]) -> Intrinsics {
-    let share = |pane_px: u32, own_px: u32| f64::from(pane_px) / f64::from(own_px);
-    let scale = share(pane_px[0], own.width_px).min(share(pane_px[1], own.height_px));
-    scaled(own, scale)
-}
-
-/// `own` times `scale`, where that is below 1.
-pub fn scaled(own: &Intrinsics, scale: f64) -> Intrinsics {
-    if scale >= 1.0 {
-        return *own;
-    }
-    let side = |side_px: u32| ((f64::from(side_px) * scale).round() as u32).max(1);
-    own.resized(side(own.width_px), side(own.height_px))
-}
 /// True where a scene looks right from the cameras that captured it alone: behind the car nothing
 /// may be seen.
 fn is_captured(loaded: &LoadedScene) -> bool {

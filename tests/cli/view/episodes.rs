@@ -259,6 +259,17 @@ fn the_first_ctrl_c_ends_a_viewer_whose_planner_hangs() {
         page.send("step", json!({"by": 1}));
     }
     std::thread::sleep(Duration::from_millis(500));
+    // Meanwhile other commands are answered, before the steps.
+    let steps = page.sequence;
+    page.send("state", json!({}));
+    let answered = loop {
+        let message = page.text();
+        if message["type"] == "ack" {
+            break message;
+        }
+    };
+    assert_eq!(answered["sequence"], steps + 1, "{answered}");
+    assert_eq!(answered["result"]["time_s"], 0.0);
     let since = Instant::now();
     drop(viewer);
     let took = since.elapsed();

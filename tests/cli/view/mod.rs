@@ -10,10 +10,12 @@ use tungstenite::{Message, WebSocket};
 
 use super::*;
 
+mod cameras;
 mod editing;
 mod episodes;
 mod guarding;
 mod looking;
+mod waiting;
 
 /// Bytes of the header before each image.
 const HEADER_BYTES: usize = 32;
@@ -166,7 +168,7 @@ impl Page {
             match message["type"].as_str() {
                 Some("frame") => break message,
                 Some("ack") if message["error"].is_null() => {}
-                Some("change" | "recording") => {}
+                Some("change" | "clock" | "recording") => {}
                 _ => panic!("{message}"),
             }
         };
@@ -196,22 +198,20 @@ impl Page {
         }
     }
 
-    /// The update that follows a view of `panes` at rest.
+    /// The update that follows a view of `panes` at rest; one of an earlier view may be in work.
     fn look(&mut self, panes: &[Value]) -> Update {
         self.send("look", looks(panes));
         let asked = self.sequence;
-        let mut seen = false;
         loop {
             match self.socket.read().expect("it answers") {
                 Message::Text(text) => {
                     let message: Value = serde_json::from_str(&text).expect("JSON");
                     if message["type"] == "ack" && message["sequence"] == asked {
                         assert_eq!(message["error"], Value::Null, "{message}");
-                        seen = true;
                     }
                     if message["type"] == "frame" {
                         self.send("shown", json!({"update": message["update"]}));
-                        if seen {
+                        if message["look"] == asked {
                             let images = self.images(message["images"].as_u64().unwrap());
                             let state = message;
                             return Update { state, images };

@@ -18,6 +18,19 @@ pub struct BackgroundArguments {
 }
 
 impl BackgroundArguments {
+    /// The arguments as they are typed, those that are not the default.
+    #[must_use]
+    pub fn words(self) -> Vec<String> {
+        let mut words = Vec::new();
+        if self.storage == StorageName::Compact {
+            words.extend(["--storage".into(), "compact".into()]);
+        }
+        if let Some(pitch_px) = self.background_pitch {
+            words.extend(["--background-pitch".into(), format!("{pitch_px:?}")]);
+        }
+        words
+    }
+
     /// Writes what was asked for into `options`.
     pub fn apply_to(self, options: &mut RenderOptions) {
         options.background_pitch_px = self.background_pitch;

@@ -15,6 +15,15 @@ pub struct DeviceArguments {
 }
 
 impl DeviceArguments {
+    /// The argument as it is typed; nothing if no device was named.
+    #[must_use]
+    pub fn words(&self) -> Vec<String> {
+        match &self.device {
+            DeviceChoice::Automatic => Vec::new(),
+            named => vec!["--device".into(), named.to_string()],
+        }
+    }
+
     /// The device, said on standard error: which one made an image matters to its readers
     /// later.
     pub fn open(&self) -> Result<Gpu> {

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `programs` | the programs, their subcommands and their exit codes |
 //! | `arguments`, `device`, `scene_source`, `orbit`, `background` | arguments of several subcommands, and what they open |
+//! | `free_view`, `camera_path` | a pinhole as numbers; its way through keyframes |
 //! | `outputs` | files and folders that are written, checked before work begins |
 //! | `progress` | progress lines and durations |
 //! | `jpeg`, `png_bytes`, `video` | images as bytes of a file, and as a video |
@@ -18,7 +19,11 @@ pub mod arguments;
 #[doc(hidden)]
 pub mod background;
 #[doc(hidden)]
+pub mod camera_path;
+#[doc(hidden)]
 pub mod device;
+#[doc(hidden)]
+pub mod free_view;
 #[doc(hidden)]
 pub mod image_quality;
 #[doc(hidden)]

@@ -13,7 +13,7 @@ use crate::arguments::three_numbers;
 /// Views where nothing is said.
 const VIEWS: u32 = 8;
 /// Size of the images where nothing is said, pixels.
-const SIZE_PX: [u32; 2] = [1280, 720];
+pub const SIZE_PX: [u32; 2] = [1280, 720];
 /// Largest coordinate of a position that cameras look at.
 const PLACE_MAX: f64 = 1e9;
 

@@ -3,11 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
 use decouplegs_asset::{CameraOptions, LoadedScene, SplatFormat, open_scene, read_cameras};
 use decouplegs_scene::{Camera, Intrinsics, Rig, Rules, Sensor, SplatScene};
 
 use crate::arguments::{RulesName, Size, finite, warn};
-use crate::orbit::OrbitArguments;
+use crate::free_view::FreeView;
+use crate::orbit::{OrbitArguments, SIZE_PX};
 use crate::progress;
 
 /// The arguments of every command that draws.
@@ -17,6 +19,14 @@ pub struct SceneArguments {
     scene: PathBuf,
     #[command(flatten)]
     options: SceneOptions,
+}
+
+impl SceneArguments {
+    /// Size of every image, pixels, if given.
+    #[must_use]
+    pub fn size_px(&self) -> Option<[u32; 2]> {
+        self.options.size_px()
+    }
 }
 
 /// Choice of cameras, time and rules for a scene.
@@ -31,6 +41,11 @@ pub struct SceneOptions {
     /// `ns-export` wrote
     #[arg(long, value_name = "FILE", requires = "cameras")]
     dataparser: Option<PathBuf>,
+    /// One camera, a pinhole that is called view, by numbers: its position, meters, its rotation as
+    /// a quaternion (x right, y down, z forward), and its vertical field of view, degrees, or its
+    /// focal lengths and principal point, pixels. The viewer copies such a command
+    #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW,FOV|FX,FY,CX,CY", allow_hyphen_values = true, conflicts_with_all = ["cameras", "orbit"])]
+    view: Option<FreeView>,
     #[command(flatten)]
     orbit: OrbitArguments,
     /// Time of the scene, seconds (default: the start of the ego's trajectory)
@@ -54,10 +69,38 @@ impl SceneOptions {
     pub fn is_given_beside_size(&self) -> bool {
         self.cameras.is_some()
             || self.dataparser.is_some()
+            || self.view.is_some()
             || self.orbit.is_asked()
             || self.time.is_some()
             || self.rules.is_some()
             || self.antialias
+    }
+
+    /// The rules as they are typed, if given.
+    #[must_use]
+    pub fn rules_words(&self) -> Vec<String> {
+        let mut words = Vec::new();
+        if let Some(value) = self.rules.and_then(|rules| rules.to_possible_value()) {
+            words.extend(["--rules".into(), value.get_name().to_owned()]);
+        }
+        if self.antialias {
+            words.push("--antialias".into());
+        }
+        words
+    }
+
+    /// The file of cameras as it is typed, if given.
+    #[must_use]
+    pub fn cameras_words(&self) -> Vec<String> {
+        let option = |name: &str, path: &Option<PathBuf>| {
+            let path = path.as_ref().map(|path| absolute(path));
+            path.map_or_else(Vec::new, |path| vec![name.to_owned(), path])
+        };
+        let files = [
+            ("--cameras", &self.cameras),
+            ("--dataparser", &self.dataparser),
+        ];
+        files.map(|(name, path)| option(name, path)).concat()
     }
 
     /// Size of every image, pixels, if given.
@@ -65,6 +108,13 @@ impl SceneOptions {
     pub fn size_px(&self) -> Option<[u32; 2]> {
         self.size.map(|size| [size.width_px, size.height_px])
     }
+}
+
+/// `path` from the root, as it is typed in any folder.
+#[must_use]
+pub fn absolute(path: &Path) -> String {
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    absolute.display().to_string()
 }
 
 /// A scene and the cameras that look at it.
@@ -155,6 +205,7 @@ impl Scene {
         let is_chosen = chosen.is_some() && loaded.rig.cameras().next().is_some();
         let drives = (arguments.cameras.is_none() || is_chosen)
             && !arguments.orbit.is_asked()
+            && arguments.view.is_none()
             && loaded.rig.cameras().next().is_some();
         let cameras = match &arguments.cameras {
             Some(file) if !is_chosen => {
@@ -169,6 +220,11 @@ impl Scene {
                     *own = own.or(loaded.photometry_of_camera(&camera.name));
                 });
                 cameras
+            }
+            _ if arguments.view.is_some() => {
+                let view = arguments.view.iter();
+                view.map(|view| view.camera("view", size_px.unwrap_or(SIZE_PX)))
+                    .collect()
             }
             _ if drives => loaded.rig.driving(&loaded.ego, time_s),
             _ => {
@@ -192,6 +248,11 @@ impl Scene {
             cameras,
             drives,
         })
+    }
+
+    /// True if the cameras are the ego vehicle's, and drive with it.
+    pub fn drives(&self) -> bool {
+        self.drives
     }
 
     /// The same cameras and rules over `loaded`, another state of the same scene.

@@ -21,7 +21,7 @@ export function header(buffer) {
 
 /**
  * Connects, and connects again when the connection is lost.
- * `handlers`: scene(facts), change(facts), update(state, images, points), recording(message),
+ * `handlers`: scene(facts), change(facts), clock(message), update(state, images, points), recording(message),
  * refused(reason), failed(text), status(text).
  */
 export class Connection {
@@ -93,7 +93,7 @@ export class Connection {
       if (message.images === 0) this.complete();
     } else if (type === "ack") this.acknowledged(message);
     else if (type === "error") this.handlers.failed(message.text);
-    else if (["scene", "change", "recording"].includes(type)) this.handlers[type](message);
+    else if (["scene", "change", "clock", "recording"].includes(type)) this.handlers[type](message);
   }
 
   acknowledged({ sequence, error, result }) {

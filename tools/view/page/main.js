@@ -1,8 +1,12 @@
 // The page: what comes from the viewer, buttons and keys.
+import * as cameraPanel from "./camera_panel.js";
 import { Connection } from "./connection.js";
 import * as geometry from "./geometry.js";
-import { noteTrails } from "./overlays.js";
+import * as link from "./link.js";
+import * as measure from "./measure.js";
+import { alsoDraw, noteTrails } from "./overlays.js";
 import * as panels from "./panels.js";
+import * as path from "./path.js";
 import { $, make, notice, send, state } from "./state.js";
 import * as timeline from "./timeline.js";
 import * as views from "./views.js";
@@ -15,12 +19,15 @@ const KEYS = [
   ["Home End", "first or last moment"], ["m", "next mark of the timeline; with Shift the one before"],
   ["c", "next camera of the chosen view"], ["v", "next image kind: color, depth …"], ["p", "one or two views"],
   ["w a s d q e", "fly; with Shift faster"], ["arrows", "turn the camera"],
-  ["f", "circle around all of a splat file, or the place ahead on a street"],
+  ["f", "circle around all of a splat file, or the place ahead on a street; with Shift the first view again"],
+  ["+ -", "fly faster or slower"], ["o", "save the exact image as a file"],
+  ["u", "measure: click places, or Enter for the middle of the view; Backspace takes one back"],
+  ["i", "add what is shown as a key of the camera path"],
   ["drag", "turn; with the right button or Shift move"], ["wheel", "nearer or farther"],
   ["click", "choose an agent; drag the chosen one over the road, with Alt off its lane"],
   ["double click", "circle around the place"],
   ["r", "turn the chosen agent to the left; with Shift to the right"], ["Delete", "remove the chosen agent"],
-  ["Ctrl z", "undo; with Shift redo"], ["Escape", "choose no agent"],
+  ["Ctrl z", "undo; with Shift redo"], ["Escape", "choose no agent, measure no more"],
   ["1 to 9", "return to a saved view; with Shift save it"],
   ["g l k", "agents, lanes, plan on or off"], ["b n t", "boxes, names, trails on or off"],
   ["x", "hold to see B, where A and B blink"], ["?", "this list"],
@@ -28,8 +35,8 @@ const KEYS = [
 
 // What comes from the viewer ----------------------------------------------------------------------
 
-function showScene({ sources, device }) {
-  Object.assign(state, { sources, device });
+function showScene({ sources, device, clock }) {
+  Object.assign(state, { sources, device, clock });
   const [first] = sources;
   document.title = `${first.title} – DecoupleGS`;
   const up = first.has_ego ? [0, 0, 1] : geometry.upOf(first.first_camera);
@@ -46,7 +53,8 @@ function showChange(change) {
   panels.showScore();
   panels.showEdits();
   panels.showFacts();
-  if (state.frame) timeline.showClock(state.frame);
+  panels.fit();
+  timeline.showClock();
   if (state.panes.length > 0) return;
   const [first] = state.sources;
   $("empty").hidden = true;
@@ -55,6 +63,12 @@ function showChange(change) {
   views.choose(views.addPane(0), captured ?? (first.has_ego ? "follow" : "orbit"));
   views.activate(0);
   if (state.sources.length > 1) views.setTwo(true);
+  link.restore();
+}
+
+function showClock(clock) {
+  state.clock = clock;
+  timeline.showClock();
 }
 
 function showUpdate(frame, images, points) {
@@ -66,18 +80,24 @@ function showUpdate(frame, images, points) {
   noteTrails(frame);
   views.showImages(images, points);
   views.drawOverlays();
-  timeline.showClock(frame);
   panels.showAgents(frame.sources[0]);
   panels.showTimes(frame.times_ms);
-  window.viewer = { frame, state, newest: () => state.frame.look === state.connection.newestLook };
+  window.viewer = { frame, state, newest: isNewest };
+  cameraPanel.show();
+}
+
+/** True if the image on the screen is the one that was asked for last, at the time of the clock. */
+function isNewest() {
+  const { frame, clock, connection } = state;
+  const isNow = clock.playing || frame?.revision === clock.revision;
+  return frame !== null && isNow && frame.look === connection.newestLook;
 }
 
 /** Tells how the image was made, or that it is not yet the one that was asked for. */
 function showBadge() {
-  const { frame, connection } = state;
-  const newest = frame !== null && frame.look === connection.newestLook;
-  $("badge").textContent = newest ? frame.badge : "rendering …";
-  $("badge").classList.toggle("exact", newest && frame.badge.startsWith("exact"));
+  const newest = isNewest();
+  $("badge").textContent = newest ? state.frame.badge : "rendering …";
+  $("badge").classList.toggle("exact", newest && state.frame.badge.startsWith("exact"));
 }
 
 function refused(text) {
@@ -99,7 +119,7 @@ function onePress(key, event) {
   const [begin, end] = state.change.span_s;
   const pane = views.activePane();
   const presses = {
-    " ": () => timeline.play(!state.frame?.playing),
+    " ": () => timeline.play(!state.clock.playing),
     ",": () => send("step", { by: -1 }),
     ".": () => send("step", { by: 1 }),
     "[": () => timeline.setSpeed(SPEEDS[Math.max(0, at - 1)]),
@@ -107,16 +127,25 @@ function onePress(key, event) {
     home: () => timeline.goTo(begin),
     end: () => timeline.goTo(end),
     m: () => timeline.nextMark(event.shiftKey),
-    f: () => views.choose(pane, "orbit", null),
+    f: () => (event.shiftKey ? cameraPanel.reset() : views.choose(pane, "orbit", null)),
+    "+": () => cameraPanel.changeSpeed(1),
+    "-": () => cameraPanel.changeSpeed(-1),
+    o: cameraPanel.saveImage,
+    u: () => measure.setOn(!measure.isOn()),
+    i: path.addKey,
     c: () => views.next(pane.select),
     v: () => views.next(pane.channels),
     p: () => views.setTwo(state.panes.length === 1),
     x: () => views.setBlink(pane, true),
     r: () => panels.turnSelected(event.shiftKey ? -1 : 1),
     delete: () => panels.editSelected("remove"),
-    escape: () => panels.select(null),
+    escape: () => {
+      panels.select(null);
+      measure.setOn(false);
+    },
     "?": () => $("keys").showModal(),
   };
+  if (measure.isOn()) Object.assign(presses, { enter: measure.placeMiddle, backspace: measure.takeBack });
   return presses[key];
 }
 
@@ -132,7 +161,7 @@ function pressed(event) {
     return;
   }
   const digit = /^Digit([1-9])$/.exec(event.code)?.[1];
-  const isPressedByKey = key === " " && (["BUTTON", "SUMMARY"].includes(target.tagName) || target.type === "checkbox");
+  const isPressedByKey = [" ", "enter"].includes(key) && (["BUTTON", "SUMMARY"].includes(target.tagName) || target.type === "checkbox");
   const movesSlider = target.type === "range" && (key.startsWith("arrow") || ["home", "end"].includes(key));
   if (isPressedByKey || movesSlider) return;
   if (digit) views.bookmark(digit, event.shiftKey);
@@ -163,8 +192,8 @@ Object.entries(LAYERS).forEach(([name, text]) => {
 SPEEDS.forEach((speed) => $("speed").add(new Option(`${speed}×`, speed)));
 $("speed").value = 1;
 $("speed").onchange = () => timeline.setSpeed(Number($("speed").value));
-$("loop").onchange = () => state.frame?.playing && timeline.play(true);
-$("play").onclick = () => timeline.play(!state.frame?.playing);
+$("loop").onchange = () => state.clock.playing && timeline.play(true);
+$("play").onclick = () => timeline.play(!state.clock.playing);
 $("back").onclick = () => send("step", { by: -1 });
 $("forward").onclick = () => send("step", { by: 1 });
 $("time").oninput = () => timeline.goTo(Number($("time").value));
@@ -174,20 +203,32 @@ $("help").onclick = () => $("keys").showModal();
 ["width", "reduce", "lidar"].forEach((id) => ($(id).onchange = () => views.look()));
 $("theme").onclick = () => setTheme(document.documentElement.dataset.theme !== "light");
 setTheme(window.matchMedia("(prefers-color-scheme: light)").matches);
+// On a narrow page the panels are below each other: figures are opened by who wants them.
+$("times-panel").open = !window.matchMedia("(max-width: 800px)").matches;
 KEYS.forEach(([keys, meaning]) => {
   $("key-list").append(make("dt", {}, make("kbd", { textContent: keys })), make("dd", { textContent: meaning }));
 });
 panels.prepareEdits();
+[cameraPanel, measure, path].forEach((part) => part.prepare());
+[measure, path].forEach((part) => alsoDraw(part.draw));
+views.onMeasured(measure);
 views.onChosen(({ agent }) => panels.select(agent));
 window.addEventListener("keydown", pressed);
 window.addEventListener("keyup", lifted);
 window.addEventListener("blur", views.releaseAll);
 // The token is in a cookie now: it need not stay in the address.
-history.replaceState(null, "", location.pathname);
+history.replaceState(null, "", location.pathname + location.hash);
+window.addEventListener("hashchange", link.restore);
+window.addEventListener("dragover", (event) => event.preventDefault());
+window.addEventListener("drop", (event) => {
+  event.preventDefault();
+  if (event.dataTransfer.files[0]) path.open(event.dataTransfer.files[0]);
+});
 
 state.connection = new Connection({
   scene: showScene,
   change: showChange,
+  clock: showClock,
   update: showUpdate,
   recording: panels.showRecording,
   refused,
@@ -195,4 +236,7 @@ state.connection = new Connection({
   status: (text) => notice(text, true),
 });
 // Late enough that quick images change nothing.
-setInterval(showBadge, 300);
+setInterval(() => {
+  showBadge();
+  if (isNewest()) link.keep();
+}, 300);

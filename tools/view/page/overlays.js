@@ -2,6 +2,10 @@
 import * as geometry from "./geometry.js";
 import { state } from "./state.js";
 
+/** Further drawings over the images: each is called with the context and the camera. */
+const further = [];
+export const alsoDraw = (draw) => further.push(draw);
+
 const TRAIL_S = 5;
 const LANES_WITHIN_M = 120;
 const LANE_COLOR = "#ffffffb0";
@@ -69,6 +73,7 @@ export function drawOverlay(view, camera, source) {
     stroke(context, geometry.boxLines(camera, selected));
     context.lineWidth /= 1.5;
   }
+  further.forEach((draw) => draw(context, camera));
   if (!layers.agents) return;
   const far = ({ pose }) => geometry.length(geometry.subtract(pose.position_m, camera.pose.position_m));
   // The nearest last: their names cover others.

@@ -1,6 +1,7 @@
 // Panels beside the views: score, agents, edits, times, facts, recordings.
 import * as geometry from "./geometry.js";
 import { $, ask, make, notice, state } from "./state.js";
+import * as path from "./path.js";
 import { activePane, choose, drawOverlays } from "./views.js";
 
 export function showList(id, rows) {
@@ -39,6 +40,18 @@ export function showFacts() {
   ];
   if (facts.plain_agents > 0) rows.push(["Note", "Agents of plain splats stand still. Compressed ones move."]);
   showList("facts", rows);
+}
+
+/** Hides what says nothing about what is shown: agents of a splat file, plans of a scene. */
+export function fit() {
+  const has = (value) => state.sources.some((source, index) => value(source, state.change.sources[index]));
+  const hasAgents = has(({ assets }, { agents, plain_agents: plain }) => assets + agents + plain > 0);
+  const shown = {
+    agents: hasAgents, boxes: hasAgents, names: hasAgents, trails: hasAgents,
+    lanes: has(({ lanes }) => lanes.length > 0), plan: has((_, { log }) => log !== null),
+  };
+  Object.entries(shown).forEach(([layer, is]) => ($(`layer-${layer}`).closest("label").hidden = !is));
+  $("agents-panel").hidden = !hasAgents;
 }
 
 // Score ---------------------------------------------------------------------------------------
@@ -185,10 +198,11 @@ export function prepareEdits() {
 
 function record() {
   const number = (id) => Number($(id).value);
-  const [begin, end] = state.change.span_s;
+  const keys = path.recorded();
+  const [begin, end] = keys.length ? path.span() : state.change.span_s;
   const span_s = [$("record-from").value === "" ? begin : number("record-from"), $("record-to").value === "" ? end : number("record-to")];
   $("record-said").textContent = "Recording …";
-  ask("record", { folder: $("record-folder").value, span_s, rate_hz: number("record-rate") }).then((begun) => {
+  ask("record", { folder: $("record-folder").value, span_s, rate_hz: number("record-rate"), path: keys }).then((begun) => {
     if (!begun) $("record-said").textContent = "";
   });
 }

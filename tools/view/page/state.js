@@ -8,6 +8,8 @@ export const state = {
   sources: [],
   /** Facts that change: span_s, parts_s, and edits and log of each source. */
   change: null,
+  /** The clock, which is ahead of the images while they are drawn. */
+  clock: { time_s: 0, playing: false, revision: 0 },
   /** State of the newest update. */
   frame: null,
   panes: [],
@@ -19,6 +21,8 @@ export const state = {
   trails: new Map(),
   layers: { agents: true, lanes: false, plan: true, boxes: false, names: false, trails: false },
   speed: 1,
+  /** Factor of the speed of flight. */
+  flySpeed: 1,
   axes: geometry.axesOf([0, 0, 1]),
   connection: null,
 };

@@ -14,7 +14,7 @@ export function play(playing) {
 export function setSpeed(speed) {
   state.speed = speed;
   $("speed").value = speed;
-  if (state.frame?.playing) play(true);
+  if (state.clock.playing) play(true);
 }
 
 const share = (time) => {
@@ -24,7 +24,46 @@ const share = (time) => {
 
 const logs = () => state.change.sources.map(({ log }) => log);
 
-export function showClock({ time_s: time, playing }) {
+/** Index of the quantity of the third curve in `series`; "" for none. */
+const quantity = () => $("quantity").value;
+
+/** Offers the quantities that the episodes have. */
+function showQuantities() {
+  const names = logs()[0].series.map(({ name, unit }) => (unit ? `${name}, ${unit}` : name));
+  const options = [["", "Another curve …"], ...names.map((name, index) => [index, name])];
+  if ($("quantity").options.length === options.length) return;
+  $("quantity").replaceChildren(...options.map(([value, text]) => new Option(text, value)));
+  $("quantity").onchange = () => {
+    showCourse();
+    showClock();
+  };
+}
+
+/** Curves of the chosen quantity, from its smallest value at the bottom to its largest. */
+function quantityCurves() {
+  if (quantity() === "") return [];
+  const shown = logs().flatMap((log) => (log ? [log] : []));
+  const name = shown[0].series[quantity()].name;
+  const series = shown.map((log) => log.series.find((one) => one.name === name)?.values ?? []);
+  const known = series.flat().filter((value) => value !== null);
+  const [least, most] = [Math.min(...known), Math.max(...known)];
+  return series.map((values, index) => {
+    const times = shown[index].time_to_collision_s.map(([time]) => time);
+    const shares = values.map((value) => (value === null ? null : (value - least) / Math.max(most - least, 1e-9)));
+    return curve(`quantity${index === 0 ? "" : " other"}`, times, shares);
+  });
+}
+
+/** Value of the chosen quantity at a moment of the first episode, and its range. */
+function showQuantity(log, index) {
+  const series = log.series[quantity()];
+  const value = series?.values[index];
+  $("quantity-now").textContent = value === null || value === undefined ? "" : `${value.toFixed(2)} ${series.unit}`;
+}
+
+/** Shows the clock, also before the image of its time is there. */
+export function showClock() {
+  const { time_s: time, playing } = state.clock;
   const slider = $("time");
   if (document.activeElement !== slider || playing) slider.value = time;
   slider.setAttribute("aria-valuetext", `${time.toFixed(1)} seconds`);
@@ -36,6 +75,7 @@ export function showClock({ time_s: time, playing }) {
   const index = log.time_to_collision_s.findLastIndex(([at]) => at <= time + 1e-6);
   const ttc = log.time_to_collision_s[index]?.[1];
   $("speed-now").textContent = `${(3.6 * (log.speed_mps[index] ?? 0)).toFixed(0)} km/h`;
+  showQuantity(log, index);
   $("ttc-now").textContent = ttc === null || ttc === undefined ? "none" : `${ttc.toFixed(1)} s`;
 }
 
@@ -79,6 +119,8 @@ export function showCourse() {
   const still = end <= begin && !live;
   Object.assign($("time"), { min: begin, max: end });
   ["time", "play", "back", "forward", "speed", "loop"].forEach((id) => ($(id).disabled = still));
+  // What does not move needs no clock.
+  document.querySelector("footer").hidden = still && !logs()[0];
   $("course").hidden = !logs()[0];
   $("thin").hidden = logs().length < 2;
   if (!logs()[0]) return;
@@ -93,7 +135,8 @@ export function showCourse() {
       curve(`ttc${other}`, times, ttcs),
     ];
   });
-  $("chart").firstElementChild.replaceChildren(...curves);
+  showQuantities();
+  $("chart").firstElementChild.replaceChildren(...curves, ...quantityCurves());
   const title = (event) => `${event.time_s.toFixed(1)} s: ${event.text}`;
   $("marks").replaceChildren(
     ...marks().map((event) => {
@@ -113,7 +156,7 @@ export function showCourse() {
 }
 
 export function nextMark(back) {
-  const now = state.frame?.time_s ?? 0;
+  const now = state.clock.time_s;
   const times = marks().map((event) => event.time_s);
   const found = back ? times.findLast((time) => time < now - 1e-3) : times.find((time) => time > now + 1e-3);
   if (found !== undefined) goTo(found);

@@ -19,6 +19,10 @@ const CHANNELS = {
 const MODES = { wipe: "Wipe", blink: "Blink", difference: "Difference" };
 const HELD = ["w", "a", "s", "d", "q", "e", "arrowleft", "arrowright", "arrowup", "arrowdown"];
 
+let measuring = { isOn: () => false, place: () => {} };
+/** Lets clicks go to `measure` while it is on. */
+export const onMeasured = (measure) => (measuring = measure);
+
 let chosen = () => {};
 /** Calls `then` when an agent is chosen with the mouse. */
 export const onChosen = (then) => (chosen = then);
@@ -134,7 +138,7 @@ export function choose(pane, choice, rig) {
 }
 
 /** Gives the camera of `pane` to the other pane, where both are to look alike. */
-function share(pane) {
+export function share(pane) {
   if (!$("linked").checked || state.sources.length < 2) return;
   const other = state.panes.find((one) => one !== pane);
   if (!other) return;
@@ -216,11 +220,13 @@ const views = () => state.panes.flatMap((pane) => pane.views);
 
 export function showImages(images, points) {
   state.points = points ?? null;
-  images.forEach(({ stream, bitmap, size_px: [width, height] }) => {
+  images.forEach(({ stream, bitmap, kind, data, size_px: [width, height] }) => {
     const isOther = stream % 64 >= OTHER;
     const view = views().find((one) => one.stream === stream - (isOther ? OTHER : 0));
     if (!view) return;
     const canvas = isOther ? view.other : view.image;
+    // As it came, for a file: exact images alone are PNG.
+    view[isOther ? "otherPng" : "png"] = kind === "image/png" ? data : null;
     Object.assign(canvas, { width, height });
     canvas.getContext("2d", { willReadFrequently: view.pane.source === "both" }).drawImage(bitmap, 0, 0);
   });
@@ -237,14 +243,31 @@ export function drawOverlays() {
 // The mouse -----------------------------------------------------------------------------------
 
 /** A camera of the file becomes one that can be moved, from where it is. */
-function movable(pane) {
+export function movable(pane) {
   if (pane.camera) return pane.camera;
   const shown = cameraOf(pane.views[0]);
   if (!shown || pane.views.length !== 1) return null;
   const angles = geometry.anglesOf(state.axes, shown.pose.rotation);
+  const fov = shownFov(pane) ?? pane.camera?.fov;
   choose(pane, "fly");
-  Object.assign(pane.camera, { at: shown.pose.position_m, ...angles });
+  Object.assign(pane.camera, { at: shown.pose.position_m, ...angles, ...(fov ? { fov } : {}) });
   return pane.camera;
+}
+
+/** Camera of the newest image of a pane. */
+export const shownCamera = (pane) => cameraOf(pane.views[0]);
+
+/** Vertical field of view of the image of a pane, degrees; null where a lens bends it. */
+export function shownFov(pane) {
+  const shown = shownCamera(pane);
+  if (!shown || shown.lens) return null;
+  return (360 / Math.PI) * Math.atan(shown.size_px[1] / 2 / shown.focal_px[1]);
+}
+
+/** View and pixel in the middle of a pane's first view. */
+export function underMiddle(pane) {
+  const camera = state.frame && shownCamera(pane);
+  return camera ? { view: pane.views[0], camera, at: [0.5, 0.5] } : null;
 }
 
 const cameraOf = (view) => state.frame?.panes.find((camera) => camera.stream === view?.stream);
@@ -343,7 +366,7 @@ function steer(pane) {
       return;
     }
     const place = state.frame && under(pane, event);
-    const drags = event.button === 0 && !event.shiftKey && place && onSelected(place);
+    const drags = event.button === 0 && !event.shiftKey && place && !measuring.isOn() && onSelected(place);
     press = {
       x: event.clientX, y: event.clientY, moves: event.button === 2 || event.shiftKey,
       place, drags, far: 0, button: event.button,
@@ -381,7 +404,7 @@ function steer(pane) {
     press = null;
     if (!ended?.place) return;
     if (ended.far < CLICK_PX) {
-      if (ended.button === 0) pick(ended.place);
+      if (ended.button === 0) (measuring.isOn() ? measuring.place : pick)(ended.place);
     } else if (ended.drags) {
       const to = under(pane, event);
       drag(ended, (to?.view === ended.place.view ? to : ended.place).at, event.altKey, true);
@@ -393,7 +416,7 @@ function steer(pane) {
   });
   box.addEventListener("dblclick", (event) => {
     const place = state.frame && under(pane, event);
-    if (place) circle(pane, place);
+    if (place && !measuring.isOn()) circle(pane, place);
   });
   box.addEventListener(
     "wheel",
@@ -440,7 +463,7 @@ function fly(now) {
   const pane = activePane();
   const camera = movable(pane);
   if (camera) {
-    const step = (held.has("shift") ? 3 : 0.8) * camera.stride * seconds;
+    const step = (held.has("shift") ? 3 : 0.8) * state.flySpeed * camera.stride * seconds;
     const sign = (plus, minus) => Number(held.has(plus)) - Number(held.has(minus));
     approach(camera, step * sign("w", "s"));
     shift(camera, step * sign("d", "a"), step * sign("e", "q"));
