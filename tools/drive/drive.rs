@@ -24,6 +24,7 @@ use serde_json::json;
 use self::folder::RunFolder;
 pub use self::image_writer::{ImageWriter, Images};
 use self::run_devices::RunDevices;
+pub use self::tracks::is_commonroad;
 use self::workers::Run;
 use crate::arguments::{Size, print, seconds_within, transfer_in};
 use crate::background::BackgroundArguments;

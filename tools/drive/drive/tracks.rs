@@ -162,7 +162,7 @@ fn place_of(options: PlaceOptions) -> Result<Place> {
 }
 
 /// True if a file of tracks has a map, too.
-fn is_commonroad(path: &Path) -> bool {
+pub fn is_commonroad(path: &Path) -> bool {
     let mut begin = Vec::new();
     let read = File::open(path).and_then(|file| file.take(4096).read_to_end(&mut begin));
     read.is_ok() && TrackFormat::detect(&begin) == Ok(TrackFormat::CommonRoad)

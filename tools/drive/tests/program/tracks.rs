@@ -1,4 +1,4 @@
-//! `drive --tracks` on a small recording.
+//! `drive --tracks` and `realism traffic` on a small recording.
 
 use std::fmt::Write;
 use std::fs;
@@ -160,4 +160,45 @@ fn what_cannot_be_driven_among_is_said() {
         2,
     );
     assert!(said.contains("--ego-track"), "{said}");
+}
+
+#[test]
+fn simulated_traffic_is_compared_with_what_was_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let tracks = recording(folder.path());
+    let out = folder.path().join("gap");
+    let command = [
+        "realism",
+        "traffic",
+        "--tracks",
+        text(&tracks),
+        "--out",
+        text(&out),
+    ];
+    let said = succeed(&[&command[..], &["--rollouts", "2"]].concat());
+    assert!(
+        said.contains("realism.html") && said.contains("KS"),
+        "{said}"
+    );
+    let report = fs::read_to_string(out.join("realism.json")).unwrap();
+    let report: Value = serde_json::from_str(&report).unwrap();
+    let models = report["models"].as_array().unwrap();
+    assert_eq!(models.len(), 3);
+    for model in models {
+        assert_eq!(
+            (model["vehicles"].as_u64(), model["placed"].as_u64()),
+            (Some(3), Some(3))
+        );
+        let meta = model["wosac"]["meta_metric"].as_f64().unwrap();
+        assert!((0.0..=1.0).contains(&meta), "{meta}");
+        let speed = model["quantities"][0]["ks"].as_f64().unwrap();
+        assert!((0.0..=1.0).contains(&speed), "{speed}");
+    }
+    // Straight on at the speed of the start, two of three cars stay behind.
+    let late_m = models[2]["displacement"][3]["mean_m"].as_f64().unwrap();
+    assert!(late_m > 20.0, "{late_m}");
+    let page = fs::read_to_string(out.join("realism.html")).unwrap();
+    assert!(page.contains("Realism of traffic") && page.contains("<svg"));
+    let said = fail(&command, 1);
+    assert!(said.contains("gap"), "nothing is replaced: {said}");
 }
