@@ -42,7 +42,7 @@ pub use decouplegs_session::{
     open_movable_scene,
 };
 pub use decouplegs_sim::{
-    episode, footing, hugsim_import, names, planner, recorded, scenario_import,
+    episode, footing, hugsim_import, names, planner, recorded, scenario_import, track_import,
 };
 pub use decouplegs_synth as synth;
 pub use decouplegs_train as train;

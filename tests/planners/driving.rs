@@ -123,6 +123,7 @@ fn recorded() -> Episode {
         cruise_mps: 5.0,
         size: VehicleSize::CAR,
         follows_recording: false,
+        start_pose: None,
     };
     let scenario = Scenario {
         name: "seen".into(),
@@ -155,6 +156,7 @@ fn recorded() -> Episode {
         plan: Plan::standing(),
         warm_up: false,
         instants: vec![instant(1), instant(2)],
+        handovers: vec![],
     };
     Episode {
         head,

@@ -5,6 +5,7 @@ mod folder;
 mod image_writer;
 mod jobs;
 mod run_devices;
+mod tracks;
 mod workers;
 
 use std::ffi::OsStr;
@@ -23,6 +24,7 @@ use serde_json::json;
 use self::folder::RunFolder;
 pub use self::image_writer::{ImageWriter, Images};
 use self::run_devices::RunDevices;
+pub use self::tracks::is_commonroad;
 use self::workers::Run;
 use crate::arguments::{Size, print, seconds_within, transfer_in};
 use crate::background::BackgroundArguments;
@@ -53,7 +55,7 @@ enum RoadUsers {
 pub struct Arguments {
     /// Scenarios (.toml), OpenSCENARIO files (.xosc), or scenarios of HUGSIM (.yaml, in --scene) to
     /// drive, one episode each
-    #[arg(required_unless_present_any = ["level", "follow_recording"], value_name = "SCENARIO")]
+    #[arg(required_unless_present_any = ["level", "follow_recording", "tracks"], value_name = "SCENARIO")]
     scenarios: Vec<PathBuf>,
     /// Generate scenarios of these levels: easy, medium, hard, extreme or all
     #[arg(long, value_name = "LEVEL", value_delimiter = ',', value_parser = levels, conflicts_with = "scenarios")]
@@ -62,6 +64,8 @@ pub struct Arguments {
     /// plans: an open loop, whose log `open-loop` compares images along
     #[arg(long, requires = "scene", conflicts_with_all = ["level", "scenarios"])]
     follow_recording: bool,
+    #[command(flatten)]
+    tracks: tracks::TrackArguments,
     /// Planner: constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND, unix:SOCKET, or
     /// egodriver://HOST:PORT, a driver of AlpaSim
     #[arg(long, value_name = "PLANNER")]
@@ -222,6 +226,9 @@ impl Arguments {
         });
         if self.follow_recording {
             settings["follow_recording"] = true.into();
+        }
+        if let Some(tracks) = self.tracks.to_json() {
+            settings["tracks"] = tracks;
         }
         if let Some(step_s) = self.step_s() {
             settings["step"] = step_s.into();

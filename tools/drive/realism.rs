@@ -1,4 +1,5 @@
-//! `decouplegs realism`: how far scenes are from what they were made of.
+//! `decouplegs realism`: how far scenes are from what they were made of, and simulated traffic from
+//! recorded traffic.
 
 mod detections;
 mod detector;
@@ -10,11 +11,13 @@ mod report;
 mod road;
 mod scan_points;
 mod scene;
+mod traffic;
 
 use anyhow::Result;
 use clap::Subcommand;
 
-/// Measure how far a scene is from the recording that it was made of
+/// Measure how far a scene is from the recording that it was made of, or simulated traffic from
+/// recorded traffic
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(subcommand)]
@@ -24,10 +27,12 @@ pub struct Arguments {
 #[derive(Subcommand)]
 enum What {
     Scene(Box<scene::Arguments>),
+    Traffic(traffic::Arguments),
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     match &arguments.what {
         What::Scene(arguments) => scene::run(arguments),
+        What::Traffic(arguments) => traffic::run(arguments),
     }
 }

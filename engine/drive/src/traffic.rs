@@ -23,12 +23,14 @@ mod junction;
 mod lane_change;
 mod lane_order;
 pub mod mobil;
+mod on_tracks;
 mod outsider;
 mod pedestrian;
 mod random;
 mod signals;
 mod start;
 mod teleport;
+mod tracked;
 mod watch;
 
 use std::sync::Arc;
@@ -48,6 +50,7 @@ use claims::Claims;
 use lane_order::LaneOrder;
 use outsider::{Outsider, Outsiders};
 use pedestrian::{Vehicle, Walker};
+use tracked::Followers;
 
 pub use start::TrafficError;
 
@@ -84,6 +87,8 @@ pub struct Traffic {
     pedestrians: Vec<Walker>,
     /// Actors, if there are any.
     stage: Option<Stage>,
+    /// Road users on recorded tracks, if there are any.
+    tracked: Option<Followers>,
     time_s: f64,
     steps: u64,
     seed: u64,
@@ -129,8 +134,8 @@ impl Traffic {
         Ok(self)
     }
 
-    /// Adds the actors of a story, whose states follow those of the pedestrians. `map` holds its
-    /// lanes.
+    /// Adds the actors of a story, whose states follow those of the pedestrians, and those on
+    /// recorded tracks after them. `map` holds its lanes.
     ///
     /// # Errors
     /// Returns an error if an actor's lane is not on the map.
@@ -139,6 +144,16 @@ impl Traffic {
             let stage = Stage::new(story, map)?;
             self.states.extend(stage.states());
             self.stage = Some(stage);
+        }
+        if !story.tracks.agents.is_empty() {
+            story
+                .tracks
+                .agents
+                .iter()
+                .try_for_each(|agent| agent.check())?;
+            let tracked = Followers::new(&story.tracks, map);
+            self.states.extend(tracked.states());
+            self.tracked = Some(tracked);
         }
         Ok(self)
     }
@@ -155,9 +170,10 @@ impl Traffic {
         );
         let walks_mps = self.decide_walks(dt_s, ego);
         self.ego = ego.map(|(state, _)| *state);
+        let seen_from_tracks = self.seen_from_tracks(ego);
         let walkers = self.pedestrians.iter();
         let walkers = walkers.filter_map(|walker| walker.seen(&self.graph));
-        let actors = self.stage.iter().flat_map(Stage::shown);
+        let actors = self.scripted();
         let actors = actors.filter_map(|(state, size)| Outsider::actor(&self.graph, &state, &size));
         self.outsiders = Outsiders {
             ego: ego.and_then(|(state, size)| Outsider::ego(&self.graph, state, size)),
@@ -207,6 +223,7 @@ impl Traffic {
                 *state = moved;
             }
         }
+        self.step_tracked(dt_s, &seen_from_tracks);
         self.time_s += dt_s;
         self.leave(dt_s);
         self.steps += 1;
@@ -223,7 +240,7 @@ impl Traffic {
         };
         let agents = self.agents.iter().zip(&self.states);
         let here = agents.filter_map(|(agent, state)| Some(vehicle(state.as_ref()?, &agent.size)));
-        let actors = self.stage.iter().flat_map(Stage::shown);
+        let actors = self.scripted();
         let vehicles: Vec<Vehicle> = here
             .chain(actors.map(|(state, size)| vehicle(&state, &size)))
             .chain(ego.map(|(state, size)| vehicle(state, size)))
@@ -235,8 +252,8 @@ impl Traffic {
             .collect()
     }
 
-    /// States of all agents, in the order of the scenario, after vehicles pedestrians and actors;
-    /// `None` while one is off the map or hidden.
+    /// States of all agents, in the order of the scenario: after vehicles pedestrians, actors and
+    /// those on tracks; `None` while one is off the map or hidden.
     #[must_use]
     pub fn states(&self) -> &[Option<VehicleState>] {
         &self.states

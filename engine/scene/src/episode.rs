@@ -160,6 +160,17 @@ pub struct EpisodeStep {
     pub warm_up: bool,
     /// The moments after it, one for each sub-step.
     pub instants: Vec<EpisodeTick>,
+    /// Recorded agents that were handed over to the driver model in it.
+    pub handovers: Vec<HandoverRecord>,
+}
+
+/// Handover of an agent from its recorded track to the driver model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandoverRecord {
+    /// Index of the agent in the scenario.
+    pub agent: usize,
+    /// Time since the episode's start from which on the model drives it, seconds.
+    pub time_s: f64,
 }
 
 /// Reason of an episode's end.

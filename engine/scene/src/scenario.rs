@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use glam::DVec2;
 
 use crate::road_user::RoadUser;
-use crate::story::{Actor, Story};
+use crate::story::{Actor, Story, TrackedAgent};
 use crate::traffic_light::TrafficLight;
 use crate::traffic_sign::TrafficSign;
 use crate::vehicle::VehicleSize;
@@ -138,6 +138,9 @@ pub struct EgoTask {
     pub size: VehicleSize,
     /// True if the ego moves as the scene was recorded, whatever it plans: an open loop.
     pub follows_recording: bool,
+    /// Middle of its box at the start, world coordinates in meters, and its heading, radians.
+    /// `None`: the middle of the lane at [`EgoTask::start_m`], along it.
+    pub start_pose: Option<[f64; 3]>,
 }
 
 /// Driver type.
@@ -415,8 +418,8 @@ pub struct Scenario {
     pub lights: Vec<TrafficLight>,
     /// Stop and yield signs that all vehicles are to obey.
     pub signs: Vec<TrafficSign>,
-    /// Agents with a script, and their script. Wherever agents have an index, theirs follow those
-    /// of the pedestrians.
+    /// Agents with a script, and their script, and agents that follow recorded tracks. Wherever
+    /// agents have an index, theirs follow those of the pedestrians.
     pub story: Story,
 }
 
@@ -441,19 +444,26 @@ impl Scenario {
         (self.duration_s / self.step_s - 1e-9).ceil().max(1.0) as u32
     }
 
-    /// Number of vehicles, pedestrians and actors.
+    /// Number of vehicles, pedestrians, actors and recorded road users.
     #[must_use]
     pub fn agent_count(&self) -> usize {
-        self.agents.len() + self.pedestrians.len() + self.story.actors.len()
+        let story = self.story.actors.len() + self.story.tracks.agents.len();
+        self.agents.len() + self.pedestrians.len() + story
     }
 
-    /// Boxes of vehicles, pedestrians and actors, in the order of their indices.
+    /// Boxes of vehicles, pedestrians, actors and recorded road users, in the order of their
+    /// indices.
     #[must_use]
     pub fn agent_sizes(&self) -> Vec<VehicleSize> {
         let vehicles = self.agents.iter().map(|agent| agent.size);
         let pedestrians = self.pedestrians.iter().map(|walker| walker.size);
         let actors = self.story.actors.iter().map(Actor::size);
-        vehicles.chain(pedestrians).chain(actors).collect()
+        let tracked = self.story.tracks.agents.iter().map(TrackedAgent::size);
+        vehicles
+            .chain(pedestrians)
+            .chain(actors)
+            .chain(tracked)
+            .collect()
     }
 
     /// True if no agent is a truck, bus, cyclist or pedestrian.
@@ -462,7 +472,7 @@ impl Scenario {
         (0..self.agent_count()).all(|index| self.agent(index).1 == RoadUser::Car)
     }
 
-    /// Name, kind and asset of a vehicle, pedestrian or actor.
+    /// Name, kind and asset of a vehicle, pedestrian, actor or recorded road user.
     ///
     /// # Panics
     /// Panics if there is no such agent.
@@ -475,7 +485,11 @@ impl Scenario {
         if let Some(walker) = self.pedestrians.get(index) {
             return (&walker.name, RoadUser::Pedestrian, walker.asset);
         }
-        let actor = &self.story.actors[index - self.pedestrians.len()];
-        (&actor.name, actor.kind, actor.asset)
+        let index = index - self.pedestrians.len();
+        if let Some(actor) = self.story.actors.get(index) {
+            return (&actor.name, actor.kind, actor.asset);
+        }
+        let tracked = &self.story.tracks.agents[index - self.story.actors.len()];
+        (&tracked.name, tracked.kind, tracked.asset)
     }
 }

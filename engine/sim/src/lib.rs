@@ -1,5 +1,6 @@
 //! The closed loop: [`episode`] moves the world and renders it, [`planner`] drives the ego,
-//! [`recorded`] takes the ego along the way of a recording, [`footing`] sets agents of scene files
+//! [`recorded`] takes the ego along the way of a recording, [`track_import`] sets it among recorded
+//! tracks, [`footing`] sets agents of scene files
 //! on the ground.
 #![forbid(unsafe_code)]
 
@@ -10,3 +11,4 @@ pub mod names;
 pub mod planner;
 pub mod recorded;
 pub mod scenario_import;
+pub mod track_import;

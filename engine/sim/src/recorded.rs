@@ -10,7 +10,7 @@ use glam::{DVec2, DVec3};
 use crate::episode::Site;
 
 /// Distance between places of the way whose lanes are looked for, meters.
-const STRIDE_M: f64 = 5.0;
+pub(crate) const STRIDE_M: f64 = 5.0;
 /// Distance from the middle of a lane within which a vehicle drives on it, meters.
 const ON_LANE_M: f64 = 2.5;
 /// A lane that leads farther aside than this is not the one that was driven on, radians.
@@ -41,8 +41,9 @@ pub fn recorded_scenario(site: &Site, place: Place) -> Result<Scenario, Invalid>
         cruise_mps: (length_m / duration_s).max(CRUISE_MPS_MIN),
         size: size.unwrap_or(VehicleSize::CAR),
         follows_recording: true,
+        start_pose: None,
     };
-    let ego = routed(site, way, &task).ok_or(
+    let ego = routed(&site.lanes, &places(way), &task).ok_or(
         "no route leads along the recorded way: expected driving lanes of the map within 2.5 m of its poses",
     )?;
     Ok(Scenario {
@@ -99,34 +100,31 @@ pub(crate) fn lane_along(
     })
 }
 
-/// `task` with the lanes below the way: over all places, otherwise between the first and the last.
-fn routed(site: &Site, way: &Trajectory, task: &EgoTask) -> Option<EgoTask> {
-    let index = LaneIndex::new(&site.lanes);
+/// `task` with the lanes of `map` below the way through `places`: over all of them, otherwise
+/// between the first and the last.
+pub(crate) fn routed(map: &LaneMap, places: &[(DVec3, f64)], task: &EgoTask) -> Option<EgoTask> {
+    let index = LaneIndex::new(map);
     let spot_at = |&(at, yaw_rad): &(DVec3, f64)| {
         let place = (at.truncate(), yaw_rad);
-        lane_along(&site.lanes, &index, place, (ON_LANE_M, ALONG_RAD))
+        lane_along(map, &index, place, (ON_LANE_M, ALONG_RAD))
     };
-    let spots: Vec<LaneSpot> = places(way).iter().filter_map(spot_at).collect();
+    let spots: Vec<LaneSpot> = places.iter().filter_map(spot_at).collect();
     let (&first, &last) = (spots.first()?, spots.last()?);
     let ways = [spots.as_slice(), &[first, last]];
     ways.into_iter().find_map(|spots| {
         let mut lanes = vec![first.lane];
         for pair in spots.windows(2) {
             if pair[0].lane != pair[1].lane {
-                lanes.extend(
-                    lanes_between(&site.lanes, pair[0], pair[1])?
-                        .into_iter()
-                        .skip(1),
-                );
+                lanes.extend(lanes_between(map, pair[0], pair[1])?.into_iter().skip(1));
             }
         }
-        let id = |&lane: &usize| site.lanes.lanes[lane].id.clone();
+        let id = |&lane: &usize| map.lanes[lane].id.clone();
         let task = EgoTask {
             route: lanes.iter().map(id).collect(),
             start_m: first.at_m,
             end_m: last.at_m,
             ..task.clone()
         };
-        Route::new(&site.lanes, &task).is_ok().then_some(task)
+        Route::new(map, &task).is_ok().then_some(task)
     })
 }

@@ -357,6 +357,7 @@ impl Import<'_> {
             cruise_mps,
             size: entity.size,
             follows_recording: false,
+            start_pose: None,
         })
     }
 

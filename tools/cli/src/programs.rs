@@ -111,7 +111,8 @@ pub const DRIVE: Program = Program {
         ),
         (
             "realism",
-            "Measure how far a scene is from the recording that it was made of",
+            "Measure how far a scene is from the recording that it was made of, or simulated traffic \
+             from recorded traffic",
         ),
         (
             "score",

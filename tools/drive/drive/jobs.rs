@@ -18,12 +18,13 @@ use decouplegs::scene::{LaneMap, Scenario, Weather};
 use serde_json::{Value, json};
 
 use super::folder::RunFolder;
+use super::tracks::tracked;
 use super::{Arguments, RoadUsers, TrafficLights};
 use crate::arguments::warn;
 use crate::progress;
 
 /// Place of generated scenarios.
-#[derive(clap::Args)]
+#[derive(Clone, clap::Args)]
 pub struct PlaceArguments {
     /// Drive on the roads of this map, rendered as asphalt and markings, instead of the synthetic
     /// street, or instead of the map that OpenSCENARIO files name
@@ -72,7 +73,9 @@ pub struct Job {
 }
 
 pub fn list(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
-    let jobs = if arguments.follow_recording {
+    let jobs = if let Some(file) = &arguments.tracks.tracks {
+        tracked(file, arguments, folder)?
+    } else if arguments.follow_recording {
         vec![recorded(arguments, folder)?]
     } else if arguments.scenarios.is_empty() {
         generated(arguments, folder)?
@@ -151,7 +154,7 @@ fn explained(error: impl Into<anyhow::Error>, path: &Path) -> anyhow::Error {
 }
 
 /// `scenario` with the time between plans that was asked for, if any.
-fn stepped(scenario: Scenario, arguments: &Arguments) -> Scenario {
+pub fn stepped(scenario: Scenario, arguments: &Arguments) -> Scenario {
     let step_s = arguments.step_s().unwrap_or(scenario.step_s);
     Scenario { step_s, ..scenario }
 }
@@ -354,7 +357,7 @@ const LANE_M: f64 = 3.5;
 impl PlaceArguments {
     /// Splats of the background: as asked for, otherwise enough for the area of the lanes up to a
     /// limit. Warns where a map's roads have too few.
-    fn background(&self, site: &Site, is_drawn: bool) -> usize {
+    pub fn background(&self, site: &Site, is_drawn: bool) -> usize {
         if self.map.is_none() || self.scene.is_some() {
             return self.background.unwrap_or(BACKGROUND);
         }
@@ -379,7 +382,7 @@ impl PlaceArguments {
 
     /// Place of generated scenarios. Files go by their whole path, as scenarios lie in the folder
     /// of the run.
-    fn options(&self, background: usize) -> Result<PlaceOptions> {
+    pub fn options(&self, background: usize) -> Result<PlaceOptions> {
         let whole = |path: &Path| {
             std::fs::canonicalize(path)
                 .with_context(|| format!("{} cannot be read: expected a file", path.display()))
@@ -444,13 +447,21 @@ impl PlaceArguments {
     }
 
     /// The map of the lanes: a package's own, if no other is named.
-    fn lanes(&self) -> Option<PathBuf> {
+    pub fn lanes(&self) -> Option<PathBuf> {
         let of_package = self.scene.as_ref().filter(|scene| is_package(scene));
         self.map.clone().or_else(|| of_package.cloned())
     }
 
+    /// The same place on another map.
+    pub fn on_map(&self, map: &Path) -> Self {
+        Self {
+            map: Some(map.to_owned()),
+            ..self.clone()
+        }
+    }
+
     /// The same place with nothing to see.
-    fn bare(&self) -> Place {
+    pub fn bare(&self) -> Place {
         match (self.lanes(), self.scene.clone()) {
             (Some(map), Some(scene)) => Place::Scene {
                 scene,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use decouplegs::render::Image;
-use decouplegs::scene::Lane;
+use decouplegs::scene::{Episode, Lane};
 
 use super::{DeviceUse, Scored, birds_eye, charts, rows, score, share, spread, summary, timing};
 use crate::lidar::previews::{ABOVE, RANGES};
@@ -15,6 +15,8 @@ use crate::thumbnail::thumbnail;
 
 /// Episodes that are shown; a page of hundreds would not be read.
 const SHOWN_MAX: usize = 24;
+/// Recorded road users that are named where they were handed over.
+const HANDED_OVER_SHOWN: usize = 8;
 /// Largest width of an image of the strip, pixels.
 const STRIP_WIDTH_PX: u32 = 240;
 
@@ -171,6 +173,9 @@ fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {
     page.subheading(&format!("{}: {}", scored.name(), scored.ending()));
     page.text(&scored.explained());
     page.text(&scored.pdm_explained());
+    if let Some(sentence) = handed_over(&scored.episode) {
+        page.text(&sentence);
+    }
     if let Some(lost) = scored.time_lost() {
         page.text(&lost);
     }
@@ -211,6 +216,33 @@ fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {
 }
 
 /// Images of the first camera over the episode, each with its time.
+/// Sentence on recorded road users that were handed over to the driver model; `None` where none
+/// follow tracks.
+fn handed_over(episode: &Episode) -> Option<String> {
+    let scenario = &episode.head.scenario;
+    let count = scenario.story.tracks.agents.len();
+    let handed: Vec<_> = episode
+        .steps
+        .iter()
+        .flat_map(|step| &step.handovers)
+        .collect();
+    let first = handed.iter().take(HANDED_OVER_SHOWN);
+    let named = first.map(|one| format!("{} at {:.1} s", scenario.agent(one.agent).0, one.time_s));
+    let named: Vec<String> = named.collect();
+    let more = match handed.len().saturating_sub(HANDED_OVER_SHOWN) {
+        0 => String::new(),
+        more => format!(", and {more} more"),
+    };
+    (count > 0).then(|| match named.is_empty() {
+        true => format!("All {count} recorded road users followed their tracks."),
+        false => format!(
+            "Handed over to the driver model: {} of {count} recorded road users: {}{more}.",
+            handed.len(),
+            named.join(", ")
+        ),
+    })
+}
+
 fn key_images(page: &mut Page, scored: &Scored) -> Result<()> {
     page.strip(timed_images(scored, "key_", ".png")?);
     Ok(())

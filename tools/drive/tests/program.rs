@@ -1,5 +1,8 @@
 //! The program by itself: users meet it through `decouplegs`, as `tests/cli` does.
 
+#[path = "program/tracks.rs"]
+mod tracks;
+
 use std::process::{Command, Output};
 
 fn run(arguments: &[&str]) -> Output {

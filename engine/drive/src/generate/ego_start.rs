@@ -313,6 +313,7 @@ fn task(
         cruise_mps: down_to_tenth(limit_mps),
         size: EGO,
         follows_recording: false,
+        start_pose: None,
     };
     let route = Route::new(roads.map, &task)
         .ok()

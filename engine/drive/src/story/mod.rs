@@ -111,12 +111,17 @@ impl Stage {
         seen.map(|(mover, seen)| seen.filter(|_| mover.is_shown).map(|seen| seen.state))
     }
 
-    /// Boxes of the actors that are shown, with their states.
-    pub(crate) fn shown(&self) -> impl Iterator<Item = (VehicleState, VehicleSize)> {
+    /// Boxes of the actors, with their states; `None` while one is hidden.
+    pub(crate) fn all(&self) -> impl Iterator<Item = Option<(VehicleState, VehicleSize)>> {
         let sizes = self.movers.iter().map(|mover| mover.size);
         self.states()
             .zip(sizes)
-            .filter_map(|(state, size)| Some((state?, size)))
+            .map(|(state, size)| Some((state?, size)))
+    }
+
+    /// Boxes of the actors that are shown, with their states.
+    pub(crate) fn shown(&self) -> impl Iterator<Item = (VehicleState, VehicleSize)> {
+        self.all().flatten()
     }
 
     /// Advances from `time_s` by `dt_s` seconds; `ego` is where the ego is at the beginning.

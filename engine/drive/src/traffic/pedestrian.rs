@@ -121,6 +121,11 @@ impl Walker {
         OrientedBox::for_vehicle(&self.state_at(arc_m), &self.size)
     }
 
+    /// Size of the box.
+    pub(super) fn size(&self) -> VehicleSize {
+        self.size
+    }
+
     pub(super) fn state(&self) -> VehicleState {
         self.state_at(self.arc_m)
     }

@@ -111,6 +111,7 @@ impl Traffic {
             ego: None,
             pedestrians: Vec::new(),
             stage: None,
+            tracked: None,
             time_s: 0.0,
             steps: 0,
             seed,

@@ -83,6 +83,7 @@ fn scenario(agents: usize) -> Scenario {
         cruise_mps: 10.0,
         size: SIZE,
         follows_recording: false,
+        start_pose: None,
     };
     Scenario {
         name: "made".into(),
@@ -140,6 +141,7 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
             instants: (1..=SUBSTEPS)
                 .map(|sub| instant(begin_s + sub as f64 * STEP_S / SUBSTEPS as f64))
                 .collect(),
+            handovers: vec![],
         }
     };
     Episode {

@@ -20,6 +20,7 @@ mod roads;
 mod route;
 mod score;
 mod score_rules;
+mod tracked;
 mod traffic;
 mod traffic_borders;
 mod traffic_comfort;

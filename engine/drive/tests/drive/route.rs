@@ -77,6 +77,7 @@ fn task(route: &[&str], start_m: f64, end_m: f64) -> EgoTask {
         cruise_mps: 10.0,
         size: VehicleSize::CAR,
         follows_recording: false,
+        start_pose: None,
     }
 }
 

@@ -2,7 +2,7 @@
 //! stands for.
 
 use decouplegs_scene::episode::{
-    DrawnBy, EpisodeTick, LaneRecord, PlannerRecord, ReadingRecord, StopLineRecord,
+    DrawnBy, EpisodeTick, HandoverRecord, LaneRecord, PlannerRecord, ReadingRecord, StopLineRecord,
 };
 use decouplegs_scene::{
     EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint, VehicleSize,
@@ -114,6 +114,9 @@ pub(super) struct StepForm {
     #[serde(default, skip_serializing_if = "is_false")]
     warm_up: bool,
     instants: Vec<InstantForm>,
+    /// Agent and time.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    handovers: Vec<(usize, f64)>,
 }
 
 /// The last line.
@@ -366,6 +369,7 @@ impl StepForm {
             plan,
             warm_up,
             instants,
+            handovers,
         } = step;
         Self {
             step: *step,
@@ -383,6 +387,10 @@ impl StepForm {
                 .iter()
                 .map(|instant| instant_form(instant, version))
                 .collect(),
+            handovers: handovers
+                .iter()
+                .map(|handover| (handover.agent, handover.time_s))
+                .collect(),
         }
     }
 
@@ -395,6 +403,7 @@ impl StepForm {
                 "the reading of {sensor:?} has the hash {hash:?}; expected 32 hex digits"
             )),
         };
+        let handover = |(agent, time_s): (usize, f64)| HandoverRecord { agent, time_s };
         let point = |[time_s, x, y]: [f64; 3]| PlanPoint {
             time_s,
             position_m: DVec2::new(x, y),
@@ -409,6 +418,7 @@ impl StepForm {
             plan: Plan::new(self.plan.into_iter().map(point).collect())?,
             warm_up: self.warm_up,
             instants: self.instants.into_iter().map(instant).collect(),
+            handovers: self.handovers.into_iter().map(handover).collect(),
         })
     }
 }

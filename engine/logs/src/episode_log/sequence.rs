@@ -89,6 +89,14 @@ impl Sequence {
             }
             self.time_s = instant.time_s;
         }
+        for handover in &step.handovers {
+            if handover.agent >= self.agents || !handover.time_s.is_finite() {
+                return Err(format!(
+                    "step {} hands over agent {} of {} at {} s",
+                    step.step, handover.agent, self.agents, handover.time_s
+                ));
+            }
+        }
         self.next_step = self
             .next_step
             .checked_add(1)

@@ -339,6 +339,9 @@ fn check_ego(ego: &EgoTask) -> Result<(), Fault> {
     }
     within(table, "speed_mps", ego.speed_mps, &SPEED_MPS)?;
     within(table, "cruise_mps", ego.cruise_mps, &SPEED_MPS)?;
+    for number in ego.start_pose.iter().flatten() {
+        within(table, "start_pose", *number, &POINT_M)?;
+    }
     check_size(table, ego.size)
 }
 

@@ -104,6 +104,8 @@ pub(super) struct EgoForm {
     pub(super) size_m: [f64; 3],
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(super) follows_recording: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) start_pose: Option<[f64; 3]>,
 }
 
 fn default_size_m() -> [f64; 3] {
@@ -361,6 +363,7 @@ fn ego(form: &EgoForm) -> EgoTask {
         cruise_mps: form.cruise_mps,
         size: VehicleSize::from_array(form.size_m),
         follows_recording: form.follows_recording,
+        start_pose: form.start_pose,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use decouplegs_scene::story::{Action, Story, Trigger, When, Who};
+use decouplegs_scene::story::{Action, Story, TrackedAgent, Trigger, When, Who};
 use toml::Value;
 
 use super::check::{Fault, Table, check_name, check_size};
@@ -28,6 +28,7 @@ pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) ->
             return Err(fault("name", reason));
         }
     }
+    check_tracks(&story.tracks.agents, names)?;
     let acts = story.acts.iter().flat_map(|act| [&act.start, &act.stop]);
     let triggers: Vec<&Trigger> = acts
         .chain(story.events.iter().map(|event| &event.start))
@@ -109,6 +110,26 @@ pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) ->
     check_values(&values)
 }
 
+fn check_tracks<'a>(agents: &'a [TrackedAgent], names: &mut HashSet<&'a str>) -> Result<(), Fault> {
+    let poses: usize = agents.iter().map(|agent| agent.poses.len()).sum();
+    if poses > POINTS_MAX {
+        let reason = format!("{poses} of them; expected at most {POINTS_MAX}");
+        return Err(fault("poses", reason));
+    }
+    for agent in agents {
+        check_name(Table::Story, &agent.name)?;
+        check_size(Table::Story, agent.size())?;
+        agent
+            .check()
+            .map_err(|error| fault("tracks", error.into()))?;
+        if !names.insert(agent.name.as_str()) {
+            let reason = format!("'{}' is taken; names must differ", agent.name);
+            return Err(fault("name", reason));
+        }
+    }
+    Ok(())
+}
+
 fn points(action: &Action) -> usize {
     match action {
         Action::Follow { points_m, .. } | Action::Route { points_m } => points_m.len(),
@@ -150,6 +171,40 @@ mod tests {
         assert_eq!((story.actors.len(), story.events[0].actions.len()), (1, 11));
         assert_eq!(scenario.agent(0).0, "b");
         assert_eq!(parse(&to_toml(&scenario).unwrap()).unwrap(), scenario);
+    }
+
+    /// A car with three poses.
+    const TRACKS: &str = r#"
+[story.tracks]
+handover = "all"
+
+[[story.tracks.agent]]
+name = "365"
+kind = "car"
+asset = 0
+size_m = [4.5, 1.8, 1.5]
+times_s = [-0.1, 0.0, 0.1]
+poses = [[0.0, 1.0, 0.1], [1.0, 1.1, 0.1], [2.0, 1.2, 0.1]]
+"#;
+
+    #[test]
+    fn recorded_tracks_are_read_and_written() {
+        let text = format!("{TEXT}{TRACKS}");
+        let scenario: Scenario = parse(&text).unwrap();
+        assert_eq!(scenario.agent(1).0, "365");
+        assert_eq!(scenario.agent_sizes().len(), scenario.agent_count());
+        assert_eq!(parse(&to_toml(&scenario).unwrap()).unwrap(), scenario);
+        for (from, to, reason) in [
+            ("[-0.1, 0.0", "[-0.1, -0.1", "is not after the one before"),
+            ("[-0.1, 0.0", "[0.0", "expected as many"),
+            ("1.2, 0.1]", "1.2, inf]", "not finite"),
+            ("\"365\"", "\"b\"", "'b' is taken"),
+            ("\"all\"", "\"some\"", "some"),
+        ] {
+            assert!(text.contains(from), "{from}");
+            let error = parse(&text.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(error.contains(reason), "{to}: {error}");
+        }
     }
 
     #[test]

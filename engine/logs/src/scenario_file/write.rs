@@ -62,7 +62,7 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
             .iter()
             .map(|walker| spanless(pedestrian_form(walker)))
             .collect(),
-        story: (!scenario.story.actors.is_empty()).then(|| scenario.story.clone()),
+        story: (!scenario.story.is_empty()).then(|| scenario.story.clone()),
     };
     let body = toml::to_string(&form).map_err(|error| EncodeError(error.to_string()))?;
     Ok(format!("{HEADING}{body}"))
@@ -131,6 +131,7 @@ fn ego_form(ego: &EgoTask) -> EgoForm {
         cruise_mps: ego.cruise_mps,
         size_m: ego.size.to_array(),
         follows_recording: ego.follows_recording,
+        start_pose: ego.start_pose,
     }
 }
 

@@ -5,7 +5,7 @@ mod writing;
 use decouplegs_logs::episode_log::{VERSION, decode, encode};
 use decouplegs_logs::{EpisodeLog, read_episode_log};
 use decouplegs_scene::episode::{
-    DrawnBy, EpisodeTick, LaneRecord, PlannerRecord, ReadingRecord, StopLineRecord,
+    DrawnBy, EpisodeTick, HandoverRecord, LaneRecord, PlannerRecord, ReadingRecord, StopLineRecord,
 };
 use decouplegs_scene::{
     Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint,
@@ -182,6 +182,7 @@ fn episodes() -> impl Strategy<Value = Episode> {
                         plan,
                         warm_up: step % 2 == 1,
                         instants,
+                        handovers: vec![],
                     }
                 };
                 Episode {
@@ -231,6 +232,14 @@ fn small() -> Episode {
             instant(0.5 * f64::from(step) + 0.25),
             instant(0.5 * f64::from(step) + 0.5),
         ],
+        // Logs without handovers do not tell of them.
+        handovers: match step {
+            1 => vec![HandoverRecord {
+                agent: 0,
+                time_s: 0.6,
+            }],
+            _ => vec![],
+        },
     };
     let planner = PlannerRecord {
         name: "lane-follow".into(),

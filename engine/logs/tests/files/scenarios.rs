@@ -75,6 +75,7 @@ fn egos() -> impl Strategy<Value = EgoTask> {
                 cruise_mps,
                 size,
                 follows_recording,
+                start_pose: (speed_mps > 50.0).then_some([start_m, -end_m, 0.1]),
             },
         )
 }

@@ -7,11 +7,13 @@
 
 mod action;
 mod condition;
+mod tracks;
 
 use serde::{Deserialize, Serialize};
 
 pub use action::{Action, Change, Dynamics, Extent, Shape, Side, Speed, Spot, TargetLane};
 pub use condition::{Condition, Direction, Edge, End, Measure, Rule, State, When};
+pub use tracks::{Handover, TrackedAgent, Tracks};
 
 use crate::road_user::RoadUser;
 use crate::vehicle::VehicleSize;
@@ -46,6 +48,18 @@ pub struct Story {
     /// Events in the order in which they are asked.
     #[serde(default, rename = "event", skip_serializing_if = "Vec::is_empty")]
     pub events: Vec<Event>,
+    /// Road users that follow recorded tracks. Wherever agents have an index, theirs follow those
+    /// of the actors.
+    #[serde(default, skip_serializing_if = "Tracks::is_default")]
+    pub tracks: Tracks,
+}
+
+impl Story {
+    /// True if it has neither actors nor recorded road users.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.actors.is_empty() && self.tracks.agents.is_empty()
+    }
 }
 
 /// Road user with a script, and its state at the start.

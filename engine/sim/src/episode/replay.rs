@@ -131,6 +131,12 @@ fn first_difference(a: &Episode, b: &Episode) -> Option<String> {
         if let Some((a, _)) = a.instants.iter().zip(&b.instants).find(|(a, b)| a != b) {
             return Some(format!("a vehicle moves differently at {} s", a.time_s));
         }
+        if a.handovers != b.handovers {
+            return Some(format!(
+                "other recorded agents are handed over in step {}",
+                a.step
+            ));
+        }
         if a.instants.len() != b.instants.len() {
             return Some(format!(
                 "step {} has {} moments instead of {}",

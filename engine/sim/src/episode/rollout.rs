@@ -114,12 +114,14 @@ impl Rollout {
     ) -> &EpisodeStep {
         let step = self.next_step();
         let instants = self.simulation.advance(&plan);
+        let handovers = self.simulation.take_handovers();
         self.episode.steps.push(EpisodeStep {
             step,
             readings,
             plan,
             warm_up,
             instants,
+            handovers,
         });
         self.note_end();
         &self.episode.steps[step as usize]

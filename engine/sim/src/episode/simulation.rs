@@ -10,7 +10,7 @@ use decouplegs_drive::polyline::wrapped;
 use decouplegs_drive::score::RouteProgress;
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{Ego, EgoOptions, OrientedBox, RoadSurface, Route, Traffic};
-use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick, StopLineRecord};
+use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick, HandoverRecord, StopLineRecord};
 use decouplegs_scene::{
     Motion, Plan, Pose, Scenario, SignKind, Trajectory, VehicleSize, VehicleState,
 };
@@ -97,12 +97,16 @@ impl Simulation {
         };
         let state = match &recorded {
             Some(way) => recorded_state(way, 0.0).0,
-            None => VehicleState {
-                position_m: start.truncate(),
-                yaw_rad: heading_rad,
-                speed_mps: scenario.ego.speed_mps,
-                acceleration_mps2: 0.0,
-            },
+            None => {
+                let pose = scenario.ego.start_pose;
+                let [x_m, y_m, yaw_rad] = pose.unwrap_or([start.x, start.y, heading_rad]);
+                VehicleState {
+                    position_m: DVec2::new(x_m, y_m),
+                    yaw_rad,
+                    speed_mps: scenario.ego.speed_mps,
+                    acceleration_mps2: 0.0,
+                }
+            }
         };
         let progress = RouteProgress::new(&line_of(&route), state.position_m)
             .ok_or_else(|| unfit("the route is no line".into()))?;
@@ -302,6 +306,11 @@ impl Simulation {
             after(self);
         }
         instants
+    }
+
+    /// Recorded agents that were handed over since this was asked last.
+    pub fn take_handovers(&mut self) -> Vec<HandoverRecord> {
+        self.traffic.take_handovers()
     }
 
     /// Headings of the ego and then of the agents, radians.

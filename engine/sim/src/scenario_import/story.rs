@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use decouplegs_logs::open_scenario::{self as file, StoryEvent, StoryTask, TargetSpeed};
 use decouplegs_scene::story::{
-    Act, Actor, Condition, Dynamics, Edge, Event, Priority, Story, Trigger, When, Who,
+    Act, Actor, Condition, Dynamics, Edge, Event, Priority, Story, Tracks, Trigger, When, Who,
 };
 
 use super::Import;
@@ -37,6 +37,7 @@ impl Import<'_> {
             actors,
             acts: Vec::new(),
             events: Vec::new(),
+            tracks: Tracks::default(),
         };
         for act in &self.file.acts {
             let start = match &act.start {

@@ -1,0 +1,293 @@
+//! Recorded motion in parts, and simulations of each part from its beginning.
+
+use decouplegs::drive::{LanePoint, Traffic, TrafficError};
+use decouplegs::scene::scenario::{DriverKind, TrafficAgent};
+use decouplegs::scene::story::{Handover, TrackedAgent, Tracks};
+use decouplegs::scene::{Invalid, RoadUser, Story, Track, VehicleSize};
+use decouplegs::track_import::tracked_agent;
+use glam::DVec2;
+
+use super::roads::Roads;
+
+/// Time between moments, seconds, as in the challenge whose measure this is.
+pub const STEP_S: f64 = 0.1;
+/// Shortest part, seconds.
+const PART_S_MIN: f64 = 1.0;
+
+/// Model of traffic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Model {
+    /// Drivers on the lanes of the map: the traffic of generated scenarios.
+    Lanes,
+    /// Drivers on their recorded lines, handed over at the start.
+    Tracks,
+    /// Constant velocity of all, for comparison.
+    Constant,
+}
+
+impl Model {
+    pub const ALL: [Self; 3] = [Self::Lanes, Self::Tracks, Self::Constant];
+
+    /// Name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Lanes => "lanes",
+            Self::Tracks => "tracks",
+            Self::Constant => "constant velocity",
+        }
+    }
+}
+
+/// Position and heading.
+pub type Place = (DVec2, f64);
+
+/// Motion of road users: boxes, and their places by road user and moment, [`STEP_S`] apart; `None`
+/// while one is not there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Motion {
+    pub sizes: Vec<VehicleSize>,
+    pub places: Vec<Vec<Option<Place>>>,
+    /// Time of the recording at the first moment, seconds.
+    pub start_s: f64,
+}
+
+/// All tracks of a file.
+pub struct Recording<'a> {
+    tracks: &'a [Track],
+}
+
+/// A part of a recording.
+pub struct Part {
+    pub motion: Motion,
+    /// Vehicles that are compared, on lanes at the beginning: indices in the motion.
+    pub vehicles: Vec<usize>,
+    /// Lanes of all at the beginning, and speeds, m/s.
+    lanes: Vec<Option<LanePoint>>,
+    speeds_mps: Vec<f64>,
+    agents: Vec<TrackedAgent>,
+}
+
+/// Simulations of a part: motions of those of the part, and who could be placed.
+pub struct Simulated {
+    pub motions: Vec<Motion>,
+    pub placed: Vec<usize>,
+}
+
+impl<'a> Recording<'a> {
+    pub fn new(tracks: &'a [Track]) -> Self {
+        Self { tracks }
+    }
+
+    /// Beginnings of parts of `part_s` seconds, the last of which may be shorter.
+    pub fn starts_s(&self, part_s: f64) -> Vec<f64> {
+        let times = || self.tracks.iter().flat_map(|track| &track.points);
+        let first_s = times()
+            .map(|point| point.time_s)
+            .fold(f64::INFINITY, f64::min);
+        let last_s = times()
+            .map(|point| point.time_s)
+            .fold(f64::NEG_INFINITY, f64::max);
+        let parts = ((last_s - first_s - PART_S_MIN) / part_s + 1e-9).floor();
+        if parts < 0.0 || !parts.is_finite() {
+            return Vec::new();
+        }
+        (0..=parts.min(1e4) as u32)
+            .map(|part| first_s + f64::from(part) * part_s)
+            .collect()
+    }
+
+    /// The part of `part_s` seconds from `start_s` on.
+    pub fn part(&self, roads: &Roads, start_s: f64, part_s: f64) -> Part {
+        let last_s = |track: &Track| track.points.last().map_or(start_s, |point| point.time_s);
+        let there = self.tracks.iter().filter(|track| last_s(track) > start_s);
+        let agents: Vec<TrackedAgent> = there
+            .enumerate()
+            .filter_map(|(at, track)| tracked_agent(track, start_s, at))
+            .collect();
+        let steps = (part_s / STEP_S).round() as usize + 1;
+        let places: Vec<Vec<Option<Place>>> = agents
+            .iter()
+            .map(|agent| (0..steps).map(|step| place_at(agent, step)).collect())
+            .collect();
+        let lanes: Vec<Option<LanePoint>> = places
+            .iter()
+            .map(|places| places[0].and_then(|(at_m, yaw_rad)| roads.lane_at(at_m, yaw_rad)))
+            .collect();
+        let is_driven = |kind: RoadUser| !matches!(kind, RoadUser::Pedestrian | RoadUser::Cyclist);
+        let vehicles = (0..agents.len())
+            .filter(|&at| is_driven(agents[at].kind) && lanes[at].is_some())
+            .collect();
+        let speed =
+            |places: &Vec<Option<Place>>| match (places[0], places.get(1).copied().flatten()) {
+                (Some((from_m, _)), Some((to_m, _))) => from_m.distance(to_m) / STEP_S,
+                _ => 0.0,
+            };
+        Part {
+            speeds_mps: places.iter().map(speed).collect(),
+            motion: Motion {
+                sizes: agents.iter().map(TrackedAgent::size).collect(),
+                places,
+                start_s,
+            },
+            vehicles,
+            lanes,
+            agents,
+        }
+    }
+}
+
+/// Place of an agent at a moment, between poses of its track interpolated.
+fn place_at(agent: &TrackedAgent, step: usize) -> Option<Place> {
+    let time_s = step as f64 * STEP_S;
+    let next = agent.times_s.partition_point(|&at_s| at_s < time_s - 1e-6);
+    let (to_s, [x, y, yaw_rad]) = (*agent.times_s.get(next)?, *agent.poses.get(next)?);
+    if to_s <= time_s + 1e-6 {
+        return Some((DVec2::new(x, y), yaw_rad));
+    }
+    let before = next.checked_sub(1)?;
+    let (from_s, from) = (agent.times_s[before], agent.poses[before]);
+    let share = (time_s - from_s) / (to_s - from_s);
+    let turn = decouplegs::drive::polyline::wrapped(yaw_rad - from[2]);
+    let at_m = DVec2::new(from[0], from[1]).lerp(DVec2::new(x, y), share);
+    Some((at_m, from[2] + share * turn))
+}
+
+impl Part {
+    /// Number of moments.
+    fn steps(&self) -> usize {
+        self.motion.places.first().map_or(0, Vec::len)
+    }
+
+    /// Simulations by a model, `rollouts` where chance plays a part.
+    ///
+    /// # Errors
+    /// A sentence where the traffic cannot be made.
+    pub fn simulated(
+        &self,
+        roads: &Roads,
+        model: Model,
+        rollouts: u32,
+        seed: u64,
+    ) -> Result<Simulated, Invalid> {
+        match model {
+            Model::Lanes => self.on_lanes(roads, rollouts, seed),
+            Model::Tracks => self.on_tracks(roads, seed),
+            Model::Constant => Ok(Simulated {
+                motions: vec![self.straight_on()],
+                placed: self.vehicles.clone(),
+            }),
+        }
+    }
+
+    fn motion_of(&self, places: Vec<Vec<Option<Place>>>) -> Motion {
+        Motion {
+            places,
+            ..self.motion.clone()
+        }
+    }
+
+    fn straight_on(&self) -> Motion {
+        let places = (0..self.agents.len()).map(|at| {
+            let start = self.motion.places[at][0];
+            let moved = |step: usize| {
+                let (at_m, yaw_rad) = start?;
+                let way_m = self.speeds_mps[at] * STEP_S * step as f64;
+                Some((at_m + way_m * DVec2::from_angle(yaw_rad), yaw_rad))
+            };
+            (0..self.steps()).map(moved).collect()
+        });
+        self.motion_of(places.collect())
+    }
+
+    fn on_tracks(&self, roads: &Roads, seed: u64) -> Result<Simulated, Invalid> {
+        let story = Story {
+            tracks: Tracks {
+                handover: Handover::All,
+                agents: self.agents.clone(),
+            },
+            ..Story::default()
+        };
+        let traffic = Traffic::new(roads.graph.clone(), &[], seed)
+            .map_err(|error| Invalid::new(error.to_string()))?
+            .with_story(&story, &roads.map)?;
+        let all: Vec<usize> = (0..self.agents.len()).collect();
+        Ok(Simulated {
+            motions: vec![self.run(traffic, &all)],
+            placed: self.vehicles.clone(),
+        })
+    }
+
+    fn on_lanes(&self, roads: &Roads, rollouts: u32, seed: u64) -> Result<Simulated, Invalid> {
+        let mut placed = self.vehicles.clone();
+        let mut motions = Vec::new();
+        for rollout in 0..rollouts {
+            let traffic = self.placed_on_lanes(roads, &mut placed, seed + u64::from(rollout))?;
+            let traffic = traffic.with_lights(roads.lights.clone());
+            motions.push(self.run(traffic, &placed));
+        }
+        Ok(Simulated { motions, placed })
+    }
+
+    /// Traffic of those `placed`, less those that stand too near to others for its rules.
+    fn placed_on_lanes(
+        &self,
+        roads: &Roads,
+        placed: &mut Vec<usize>,
+        seed: u64,
+    ) -> Result<Traffic, Invalid> {
+        loop {
+            let agents: Vec<TrafficAgent> = placed
+                .iter()
+                .filter_map(|&at| self.on_lane(roads, at))
+                .collect();
+            let out = match Traffic::new(roads.graph.clone(), &agents, seed) {
+                Ok(traffic) => return Ok(traffic),
+                Err(
+                    TrafficError::Overlap { second: agent, .. }
+                    | TrafficError::BeyondLane { agent, .. }
+                    | TrafficError::NotAVehicle { agent, .. }
+                    | TrafficError::UnknownLane { agent, .. },
+                ) => agent,
+                Err(TrafficError::Roads(error)) => return Err(error),
+            };
+            placed.retain(|at| at.to_string() != out);
+        }
+    }
+
+    fn on_lane(&self, roads: &Roads, at: usize) -> Option<TrafficAgent> {
+        let (spot, agent) = (self.lanes[at]?, &self.agents[at]);
+        Some(TrafficAgent {
+            name: at.to_string(),
+            kind: agent.kind,
+            asset: 0,
+            size: agent.size(),
+            lane: roads.map.lanes[spot.lane].id.clone(),
+            at_m: spot.foot.arc_m,
+            speed_mps: self.speeds_mps[at],
+            cruise_mps: None,
+            driver: DriverKind::Normal,
+            changes_lanes: true,
+            behaviors: Vec::new(),
+        })
+    }
+
+    /// Motion of `traffic`, whose agents are those of the part at `all`. Who leaves the map and
+    /// enters again elsewhere counts as gone.
+    fn run(&self, mut traffic: Traffic, all: &[usize]) -> Motion {
+        let mut places = vec![vec![None; self.steps()]; self.agents.len()];
+        let mut gone = vec![false; all.len()];
+        for step in 0..self.steps() {
+            if step > 0 {
+                traffic.step(STEP_S, None);
+            }
+            for ((&at, state), gone) in all.iter().zip(traffic.states()).zip(&mut gone) {
+                let had_been = step > 0 && places[at][step - 1].is_some();
+                *gone |= state.is_none() && had_been;
+                places[at][step] = state
+                    .filter(|_| !*gone)
+                    .map(|state| (state.position_m, state.yaw_rad));
+            }
+        }
+        self.motion_of(places)
+    }
+}
