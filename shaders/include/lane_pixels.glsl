@@ -59,8 +59,8 @@ float left_through(Pixel pixel, bool full) {
     return EXCLUSIVE_STOP && full ? 0.0 : pixel.transmittance;
 }
 
-// The attributes of a record. All lanes read the same ones: they stay in the first cache, and places in
-// shared memory would cost workgroups.
+// The attributes of a record. All lanes read the same ones: they stay in the first cache, and
+// places in shared memory would cost workgroups.
 Attributes attributes_of(uint record) {
     Attributes own = NO_ATTRIBUTES;
     if (ATTRIBUTE_VECTORS > 0u) {

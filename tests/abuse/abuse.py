@@ -41,7 +41,7 @@ class Street:
         return [
             ["convert", cone, folder / "cone.spz"],
             ["convert", cone, folder / "cone.sog"],
-            ["compress", cone, folder / "cone.safetensors", "--seed", "1"],
+            ["compress", cone, "--out", folder / "cone.safetensors", "--seed", "1"],
             ["synth", "street", "--background", "2000", "--agents", "1", "--agent-splats", "200", "--degree", "0", "--seed", "4", "--size", "64x36", "--out", folder / "street"],
             ["map", self.lanes, "--svg", folder / "lanes.svg"],
             ["drive", "--level", "easy", "--episodes", "3", "--scene", self.scene, "--map", self.lanes, "--render", "off", "--planner", "lane-follow", "--out", folder / "run"],

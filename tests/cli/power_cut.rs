@@ -3,12 +3,12 @@
 
 use super::*;
 
-/// What one call made durable or gave a name to.
+/// One call that made something durable or gave it a name.
 #[derive(Debug, PartialEq)]
 enum Call<'a> {
     /// The content of a file, or the names in a folder, by path.
     Synced(&'a str),
-    /// What had the first path has the second now.
+    /// A file that had the first path has the second now.
     Named(&'a str, &'a str),
 }
 

@@ -88,8 +88,8 @@ pub struct Arguments {
     /// local frame with the same axes [default: 0,0,0]
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_hyphen_values = true)]
     origin: Option<[f64; 3]>,
-    /// Name every N-th image of each camera of an NCore sequence, or every N-th keyframe of nuScenes,
-    /// in held_out.txt, to hold out of training
+    /// Name every N-th image of each camera of an NCore sequence, or every N-th keyframe of
+    /// nuScenes, in held_out.txt, to hold out of training
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     hold_out: Option<u32>,
     /// Images per second of a recording without times

@@ -5,7 +5,7 @@ use std::path::Path;
 use decouplegs_scene::scenario::{
     Behavior, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
 };
-use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario};
+use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario, Story};
 use glam::DVec2;
 use toml::Spanned;
 
@@ -62,7 +62,7 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
             .iter()
             .map(|walker| spanless(pedestrian_form(walker)))
             .collect(),
-        story: (!scenario.story.is_empty()).then(|| scenario.story.clone()),
+        story: (scenario.story != Story::default()).then(|| scenario.story.clone()),
     };
     let body = toml::to_string(&form).map_err(|error| EncodeError(error.to_string()))?;
     Ok(format!("{HEADING}{body}"))

@@ -20,7 +20,7 @@ pub struct CompositeSegments {
 }
 
 impl CompositeSegments {
-    /// The stage for images whose pixels end at `end`, or for `depths` and ranges instead of colors.
+    /// The stage for images whose pixels end at `end`, or for `depths` instead of colors.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
