@@ -5,3 +5,4 @@ mod frozen;
 mod open_scenarios;
 mod scenario_files;
 mod scenarios;
+mod stories;

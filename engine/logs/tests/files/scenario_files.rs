@@ -435,17 +435,6 @@ fn complaints_name_line_key_and_reason() {
     assert!(scenario_file::parse(&two_places).is_err());
 }
 
-/// Found by fuzzing: a story without actors was not written.
-#[test]
-fn stories_without_actors_are_written() {
-    for line in ["ego_center_m = 1.4", "variables = [[\"n\", \"1\"]]"] {
-        let text = format!("{}\n[story]\n{line}\n", example());
-        let scenario = scenario_file::parse(&text).unwrap();
-        let written = scenario_file::to_toml(&scenario).unwrap();
-        assert_eq!(scenario_file::parse(&written).unwrap(), scenario, "{line}");
-    }
-}
-
 #[test]
 fn more_agents_than_allowed_are_refused() {
     let mut scenario = scenario_file::parse(&example()).unwrap();
