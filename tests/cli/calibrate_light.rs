@@ -79,6 +79,7 @@ fn a_transfer_is_calibrated_measured_and_the_same_every_time() {
             text(out),
             "--samples",
             "200",
+            "--force",
         ];
         succeed(&[&always, more].concat())
     };

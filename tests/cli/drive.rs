@@ -457,6 +457,7 @@ fn two_sources_of_images_are_compared_by_what_a_planner_makes_of_them() {
         text(&log),
         "--planner",
         "vision",
+        "--force",
         "--json",
         text(&figures),
     ];
@@ -518,7 +519,7 @@ fn two_runs_are_compared_episode_by_episode() {
         let words = [
             vec!["score".to_owned()],
             first.to_vec(),
-            vec!["--out".into(), out, "--against".into()],
+            vec!["--force".into(), "--out".into(), out, "--against".into()],
         ];
         [words.concat(), second.to_vec()].concat()
     };

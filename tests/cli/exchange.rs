@@ -439,6 +439,36 @@ fn an_output_that_exists_is_left_as_it_is() {
         "absent.csv",
         "--out",
     ];
+    // Nor are drawings and figures replaced.
+    let others: [&[&str]; 7] = [
+        &["map", "absent.xodr", "--svg"],
+        &["map", "absent.xodr", "--lanes"],
+        &[
+            "open-loop",
+            "absent.log",
+            "--planner",
+            "vision",
+            "--other",
+            "rendered",
+            "--json",
+        ],
+        &[
+            "calibrate-light",
+            "absent.ply",
+            "--probes",
+            "absent",
+            "--out",
+        ],
+        &["bench", "absent.toml", "--json"],
+        &["stress", "absent.toml", "--json"],
+        &["conform", "--target", "localhost:1", "--json"],
+    ];
+    for words in others {
+        assert!(
+            fail(1, &[words, &[text(&old)]].concat()).contains("--force"),
+            "{words:?}"
+        );
+    }
     fs::write(at("poses.csv"), "old").unwrap();
     assert!(fail(1, &[&pose[..], &[text(&at("poses.csv"))]].concat()).contains("--force"));
     assert_eq!(

@@ -23,7 +23,7 @@ fn plans_and_what_was_driven_have_scores_of_their_own() {
             "HD-Score in the manner of HUGSIM, of what was driven",
         ),
     ] {
-        let hugsim = ["--hugsim", kind, "--out", text(&out)];
+        let hugsim = ["--hugsim", kind, "--force", "--out", text(&out)];
         let scored = succeed(&[&["score"], &paths[..], &hugsim].concat());
         assert!(scored.contains(title), "{scored}");
         let report = fs::read(out.join("hugsim.json")).unwrap();

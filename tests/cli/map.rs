@@ -67,7 +67,8 @@ fn an_image_shows_lanes_and_tracks() {
     let tracks = written(folder.path(), "tracks.csv", TRACKS);
     let image = folder.path().join("map.svg");
     let draw = |more: &[&str]| {
-        let said = succeed(&[&["map", text(&map), "--svg", text(&image)], more].concat());
+        let always = ["map", text(&map), "--force", "--svg", text(&image)];
+        let said = succeed(&[&always, more].concat());
         (said, fs::read_to_string(&image).unwrap())
     };
     let (_, svg) = draw(&[]);

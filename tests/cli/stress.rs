@@ -223,6 +223,7 @@ fn a_scene_file_brings_its_own_agents_compressed_or_not() {
         "4",
         "--samples",
         "1",
+        "--force",
         "--json",
         text(&figures),
     ];
