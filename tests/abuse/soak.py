@@ -86,7 +86,7 @@ def programs(street, python, seconds):
     # Ctrl-C ends a run of episodes with what is there, and with the code of that signal.
     yield "drive", [street.program, *drive, "--out", folder / "run", "--force"], (0, 1, 130), False, {}
     server = street.program.with_name("decouplegs-server")
-    yield "server", [server, "bench", "--scene", street.scene, "--seconds", str(seconds), "--json", folder / "server.json"], (0,), True, {}
+    yield "server", [server, "bench", "--scene", street.scene, "--seconds", str(seconds), "--force", "--json", folder / "server.json"], (0,), True, {}
     if python is None:
         print("The Python environment and the viewer are left out: --python was not given.", flush=True)
         return
