@@ -242,10 +242,11 @@ impl Sector {
             columns
         };
         let none = || vec![NOTHING; width];
+        // Of rows that one thread has, some columns may have no beam: their bounds are those of
+        // nothing, and add nothing.
         let mut column_bounds = of_rows.fold(none, place).reduce(none, |mut all, others| {
             for (bounds, [low, high]) in all.iter_mut().zip(others) {
-                widen(bounds, low);
-                widen(bounds, high);
+                *bounds = [bounds[0].min(low), bounds[1].max(high)];
             }
             all
         });
