@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import decouplegs
-from conftest import pose
+from poses import pose
 
 FISHEYE = {"model": "opencv-fisheye", "radial": [0.2, -0.01]}
 SHUTTER = {"direction": "top_to_bottom", "readout_s": 0.05}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import decouplegs
-from conftest import pose
+from poses import pose
 
 
 def test_devices_are_those_that_sessions_open(session):

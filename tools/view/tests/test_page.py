@@ -253,7 +253,7 @@ def test_nothing_overlaps_at_any_width(street, open_page, width, scheme):
         assert page.page.evaluate("() => document.documentElement.scrollWidth") <= width
         controls = page.page.evaluate(
             """() => [...document.querySelectorAll("button, select, input, summary")]
-                .filter((one) => one.offsetParent && !one.closest("footer") && !one.closest(".scrolls"))
+                .filter((one) => one.checkVisibility() && !one.closest("footer") && !one.closest(".scrolls"))
                 .map((one) => { const { left, top, right, bottom } = one.getBoundingClientRect(); return [one.id || one.textContent, left, top, right, bottom]; })"""
         )
         for index, (name, left, top, right, bottom) in enumerate(controls):
