@@ -24,14 +24,14 @@ LINE_BYTES = 1000
 
 @dataclasses.dataclass
 class End:
-    """How a command ended."""
+    """The end of a command: exit code, messages and time."""
 
     code: int
     said: str
     clock_s: float
 
     def fault(self):
-        """What is wrong with the end; None for a good one."""
+        """The fault of the end; None for a good one."""
         if self.code is None:
             return f"it did not end in {CLOCK_S} s"
         if self.code < 0:

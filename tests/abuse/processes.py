@@ -63,7 +63,7 @@ def address_of(child, pattern):
 
 
 def asked(port, data, wait_s=10.0):
-    """What a port answers to `data` within a time; b'' if it closes, None if it says nothing."""
+    """The answer of a port to `data` within a time; b'' if it closes, None if it sends nothing."""
     with socket.create_connection(("127.0.0.1", port), timeout=wait_s) as connection:
         try:
             connection.sendall(data)

@@ -53,7 +53,7 @@ def memory_bytes(pid):
 
 
 def growth_fault(samples):
-    """What is wrong with samples of memory, bytes, at equal distances; None where they are flat."""
+    """The fault of samples of memory, bytes, taken at equal intervals; None where they are flat."""
     quarter = len(samples) // 4
     if quarter < 4:
         return f"{len(samples)} samples of memory are too few to judge"

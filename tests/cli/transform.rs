@@ -31,16 +31,6 @@ fn splats_are_turned_and_come_back() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let (turned, back, report) = (at("turned.ply"), at("back.ply"), at("report.json"));
-    let moves = [
-        "--axes",
-        "-y:z",
-        "--rotate-deg",
-        "10,-20,30",
-        "--scale",
-        "2.5",
-        "--translate",
-        "-1,2,0.5",
-    ];
     let source = cone();
     let files = [
         "transform",
@@ -49,7 +39,7 @@ fn splats_are_turned_and_come_back() {
         "--report",
         text(&report),
     ];
-    let said = succeed(&[&files[..], &moves].concat());
+    let said = succeed(&[&files[..], &MOVES].concat());
     assert!(
         said.contains("12 of 12 splats") && said.contains("position, m"),
         "{said}"
@@ -81,7 +71,19 @@ fn splats_are_turned_and_come_back() {
     );
 }
 
-/// The similarity that the options of these tests are.
+/// Options of a turn, a scale and a move.
+const MOVES: [&str; 8] = [
+    "--axes",
+    "-y:z",
+    "--rotate-deg",
+    "10,-20,30",
+    "--scale",
+    "2.5",
+    "--translate",
+    "-1,2,0.5",
+];
+
+/// The similarity that [`MOVES`] are.
 fn moved() -> Similarity {
     let [x, y, z] = [10.0, -20.0, 30.0].map(f64::to_radians);
     Similarity::from_translation(DVec3::new(-1.0, 2.0, 0.5))
@@ -100,17 +102,7 @@ fn a_turned_file_looks_the_same_to_a_turned_camera() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let [turned, unturned_colors] = [at("turned.ply"), at("colors.ply")];
-    let moves = [
-        "--axes",
-        "-y:z",
-        "--rotate-deg",
-        "10,-20,30",
-        "--scale",
-        "2.5",
-        "--translate",
-        "-1,2,0.5",
-    ];
-    succeed(&[&["transform", text(&cone()), text(&turned)][..], &moves].concat());
+    succeed(&[&["transform", text(&cone()), text(&turned)][..], &MOVES].concat());
     let (before, after) = (read_splats(&cone()).unwrap(), read_splats(&turned).unwrap());
     let stale = SplatCloud {
         sh_rest: before.sh_rest.clone(),

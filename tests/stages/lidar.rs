@@ -517,6 +517,28 @@ fn check_lists(what: &str, listed: &Listed, world: &SplatScene, lidar: &Lidar) -
     [tested, adding]
 }
 
+/// Sectors of uneven grids have columns without a beam in some rows: bounds do not depend on how
+/// threads share the rows.
+#[test]
+fn sectors_do_not_depend_on_threads() {
+    for (what, model) in models() {
+        let lidar = lidar_at(model, DVec3::ZERO, Motion::REST);
+        let (beams, cells) = (lidar.model.beams(), lidar.model.cells());
+        let plan = SectorPlan::new(&beams, &cells, 8);
+        let of_threads = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+            let pool = pool.build().unwrap();
+            pool.install(|| Sectors::new(&lidar, &cells, &plan, Vec::new()).tables)
+        };
+        let alone = of_threads(1);
+        let bounds = alone.column_bounds.iter().chain(&alone.row_bounds);
+        assert!(bounds.flatten().all(|bound| bound.is_finite()), "{what}");
+        for threads in [2, 8, 24] {
+            assert!(of_threads(threads) == alone, "{what}, {threads} threads");
+        }
+    }
+}
+
 #[test]
 fn no_beam_misses_a_splat() {
     let gpu = open();

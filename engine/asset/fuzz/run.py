@@ -32,7 +32,7 @@ INPUT_S = 25
 
 
 class Result:
-    """What a target's run said: runs, seconds, and the end of what it printed where it failed."""
+    """The result of a target: runs, seconds, and its last output where it failed."""
 
     def __init__(self, target, code, text):
         done = re.search(r"Done (\d+) runs in (\d+) second", text)

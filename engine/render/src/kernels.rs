@@ -166,7 +166,6 @@ impl Kernels {
 impl KernelOptions {
     fn build(&self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages, GpuError> {
         let (rules, background) = (&self.rules, variant.background);
-        let has_medians = self.outputs.planes.medians().next().is_some();
         Ok(FrameStages {
             variant,
             common: CommonStages {
@@ -208,7 +207,9 @@ impl KernelOptions {
             shadows: (background.shadows)
                 .then(|| CullShadows::new(gpu))
                 .transpose()?,
-            medians: has_medians.then(|| self.medians(gpu)).transpose()?,
+            medians: (self.outputs.planes.has_medians())
+                .then(|| self.medians(gpu))
+                .transpose()?,
         })
     }
 

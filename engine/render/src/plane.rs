@@ -186,6 +186,12 @@ impl Planes {
         self.iter().filter(|plane| plane.is_median())
     }
 
+    /// True if the set has a median.
+    #[must_use]
+    pub fn has_medians(self) -> bool {
+        self.medians().next().is_some()
+    }
+
     /// Words of a splat's attributes whose means are planes of the set.
     #[must_use]
     pub fn attribute_words(self) -> usize {

@@ -424,7 +424,7 @@ impl BatchRenderer {
     /// blended as f32, and so are medians.
     fn pixels_max(&self, post_processed: bool) -> u64 {
         let outputs = self.options.outputs;
-        let has_medians = outputs.planes.medians().next().is_some();
+        let has_medians = outputs.planes.has_medians();
         let color_bytes = match outputs.color {
             ColorFormat::U8 if !post_processed && !has_medians => 4,
             _ => 16,

@@ -121,15 +121,7 @@ fn a_recorded_camera_path_is_that_of_render() {
     page.look(&[at(0, free, [48, 32]), named(1, "front", [48, 27])]);
     let record = json!({"folder": "film", "span_s": [0.1, 0.6], "rate_hz": 5.0, "path": keys});
     page.ask("record", record.clone()).unwrap();
-    let said = loop {
-        if let Message::Text(text) = page.socket.read().unwrap() {
-            let message: Value = serde_json::from_str(&text).unwrap();
-            assert_eq!(message["error"], Value::Null, "{message}");
-            if let Some(said) = message["said"].as_str() {
-                break said.to_owned();
-            }
-        }
-    };
+    let said = page.said();
     assert!(said.starts_with("3 images"), "{said}");
     let mut wrong = record;
     wrong["path"][1]["time_s"] = 0.1.into();

@@ -264,15 +264,7 @@ fn a_recording_has_the_images_of_render() {
     page.look(&[named(0, "front", [48, 27])]);
     let record = json!({"folder": "film", "span_s": [0.2, 0.5], "rate_hz": 10.0});
     page.ask("record", record.clone()).unwrap();
-    let said = loop {
-        if let Message::Text(text) = page.socket.read().unwrap() {
-            let message: Value = serde_json::from_str(&text).unwrap();
-            assert_eq!(message["error"], Value::Null, "{message}");
-            if let Some(said) = message["said"].as_str() {
-                break said.to_owned();
-            }
-        }
-    };
+    let said = page.said();
     assert!(said.starts_with("4 images"), "{said}");
     for (index, time) in ["0.2", "0.3", "0.4", "0.5"].into_iter().enumerate() {
         let out = folder.path().join(time);

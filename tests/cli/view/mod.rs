@@ -198,6 +198,19 @@ impl Page {
         }
     }
 
+    /// The next sentence that the viewer says; errors before it fail the test.
+    fn said(&mut self) -> String {
+        loop {
+            if let Message::Text(text) = self.socket.read().unwrap() {
+                let message: Value = serde_json::from_str(&text).unwrap();
+                assert_eq!(message["error"], Value::Null, "{message}");
+                if let Some(said) = message["said"].as_str() {
+                    return said.to_owned();
+                }
+            }
+        }
+    }
+
     /// The update that follows a view of `panes` at rest; one of an earlier view may be in work.
     fn look(&mut self, panes: &[Value]) -> Update {
         self.send("look", looks(panes));

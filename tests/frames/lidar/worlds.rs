@@ -23,16 +23,21 @@ fn scene() -> LoadedScene {
     }
 }
 
-#[test]
-fn agents_are_where_they_are_at_the_time_of_each_beam() {
-    let session = Session::open(&SessionOptions {
+/// A session whose validation messages fail the test.
+fn validated_session() -> Session {
+    Session::open(&SessionOptions {
         device: DeviceOptions {
             validation: true,
             ..DeviceOptions::default()
         },
         ..SessionOptions::default()
     })
-    .unwrap();
+    .unwrap()
+}
+
+#[test]
+fn agents_are_where_they_are_at_the_time_of_each_beam() {
+    let session = validated_session();
     let loaded = scene();
     let scene = session.add_scene(&loaded).unwrap();
     // Across, 2 m during the sweep, in front of the sensor when its beams are halfway round.
@@ -192,14 +197,7 @@ fn sweep_of(model: LidarModel, mode: ReturnMode) -> RigSweep {
 
 #[test]
 fn sweeps_in_flight_are_those_that_were_waited_for() {
-    let session = Session::open(&SessionOptions {
-        device: DeviceOptions {
-            validation: true,
-            ..DeviceOptions::default()
-        },
-        ..SessionOptions::default()
-    })
-    .unwrap();
+    let session = validated_session();
     let scene = session.add_scene(&scene()).unwrap();
     let world = World::empty(&scene);
     // The lists of later ones outgrow the room that those before found, while others are on the

@@ -21,9 +21,9 @@ struct RigForm {
 /// of one; or JSON: such a table as an object, an array of them, or an object whose `rig` is that
 /// array. Other tables of a scene file are passed over.
 ///
-/// What may be left out beside what a scene file may leave out: `name` ("camera", and a number
-/// where there are several), `position_m` (the origin), `rotation_wxyz` and `look` (no turn),
-/// `cx_px` and `cy_px` (the middle of the image), and `fy_px` (the same as `fx_px`).
+/// Keys that may be left out, beside those that a scene file may leave out: `name` ("camera", and
+/// a number where there are several), `position_m` (the origin), `rotation_wxyz` and `look` (no
+/// turn), `cx_px` and `cy_px` (the middle of the image), and `fy_px` (the same as `fx_px`).
 ///
 /// # Errors
 /// A sentence that names the key at fault, what was expected and what was found.

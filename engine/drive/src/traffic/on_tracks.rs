@@ -25,8 +25,8 @@ impl Traffic {
         actors.chain(self.tracked.iter().flat_map(Followers::shown))
     }
 
-    /// Others, as those on tracks see them at the beginning of a step; none if nobody is on a
-    /// track.
+    /// Road users as recorded vehicles see them at the beginning of a step; empty if no vehicle
+    /// is on a track.
     pub(super) fn seen_from_tracks(&self, ego: Option<(&VehicleState, &VehicleSize)>) -> Others {
         if self.tracked.is_none() {
             return Vec::new();

@@ -35,14 +35,14 @@ impl RecordContents {
         Self {
             labels: labels || outputs.contributions,
             attribute_vectors: planes.attribute_words().div_ceil(4),
-            depths: planes.medians().next().is_some(),
+            depths: planes.has_medians(),
         }
     }
 }
 
 /// Specialization constant of projections whose records have depths for the medians of `planes`.
 pub(super) fn depths_constant(planes: Planes) -> (&'static str, Constant) {
-    ("DEPTHS", Constant::Bool(planes.medians().next().is_some()))
+    ("DEPTHS", Constant::Bool(planes.has_medians()))
 }
 
 /// One entry per visible (camera, splat): by camera, and by splat within a camera.

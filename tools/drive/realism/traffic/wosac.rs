@@ -5,11 +5,11 @@
 //! For each vehicle, the values of all its simulations at all moments make a histogram, to each bin
 //! of which 0.1 is added. The likelihood of a feature is the exponential of the mean logarithm over
 //! recorded values of the share of their bin; values beyond the bins count in the last ones.
-//! Whether one touches another, leaves the road or passes a red light, ever, is a histogram of two
-//! bins, to which 0.001 is added. The meta-metric is the sum of the likelihoods by their weights,
-//! which make 1.
+//! Collisions, leaving the road and passing red lights are histograms of two bins (never, or at
+//! least once), to which 0.001 is added. The meta-metric is the sum of the likelihoods by their
+//! weights, which make 1.
 //!
-//! What differs from the challenge: distances are those of boxes on the plane, the edge of the road
+//! Differences to the challenge: distances are those of boxes on the plane, the edge of the road
 //! is that of the driving lanes of the map, a vehicle is scored at the moments at which it is on
 //! the map in the recording, and the number of simulations and the time are those of the command
 //! (there 32 and 8 s).

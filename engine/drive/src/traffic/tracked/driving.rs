@@ -33,7 +33,7 @@ const SLOWING_S: f64 = 0.5;
 pub(super) struct Ahead {
     pub gap_m: f64,
     pub speed_mps: f64,
-    /// False for one that is only expected to come into the way: nobody brakes hard beside it.
+    /// False for one that is only expected in the lane: others do not brake hard for it.
     pub is_in_way: bool,
 }
 

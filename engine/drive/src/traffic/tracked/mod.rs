@@ -37,7 +37,8 @@ const REACH_GAP_M: f64 = 1.0;
 const REACH_MPS2: f64 = 2.0;
 /// Farthest that a driver looks ahead, meters.
 const LOOK_M: f64 = 120.0;
-/// Distance behind which nobody is minded, meters: those behind look themselves.
+/// Largest distance to vehicles behind that are considered, meters: those farther back brake
+/// themselves.
 const BEHIND_M: f64 = 2.0;
 /// Gap behind one who comes into the way, seconds of one's own way.
 const CUT_IN_S: f64 = 0.5;
@@ -85,7 +86,7 @@ pub(in crate::traffic) struct Followers {
     free_mps: f64,
     /// Headings of those who are on no track, a step before.
     headings_rad: Vec<Option<f64>>,
-    /// Handovers that nobody asked for yet: index among those on tracks, and time.
+    /// Handovers that were not yet collected: index among the recorded road users, and time.
     handed: Vec<(usize, f64)>,
 }
 
