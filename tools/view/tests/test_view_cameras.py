@@ -70,7 +70,7 @@ def test_two_views_are_in_a_link(street, open_page):
         page.page.wait_for_function("() => location.hash.includes('b=named')")
         page.page.reload()
         page.at_rest()
-        assert len(page.shown()["panes"]) == 2
+        assert len(page.newest()["panes"]) == 2
         assert page.page.input_value("[aria-label='Camera of view 2']") == "named:front"
 
 
@@ -81,7 +81,7 @@ def test_field_of_view_and_speed_follow_the_panel(street, open_page):
         first = page.page.evaluate(CAMERA)
         page.after(lambda: page.page.locator("#fov").fill("30"))
         assert page.page.evaluate(CAMERA)["fov"] == 30
-        camera = page.shown()["panes"][0]
+        camera = page.newest()["panes"][0]
         shown = 2 * math.degrees(math.atan(camera["size_px"][1] / 2 / camera["focal_px"][1]))
         assert shown == pytest.approx(30)
         page.after(lambda: page.page.click("#reset"))
@@ -229,9 +229,9 @@ def test_a_camera_path_is_made_saved_opened_and_rendered(street, tmp_path, open_
         page.page.wait_for_function("() => document.querySelectorAll('#keyframes li').length === 3")
         # A key is gone to, with its time; the preview ends at the last.
         page.after(lambda: keys.nth(1).locator("button").first.click())
-        pose = page.shown()["panes"][0]["pose"]
+        pose = page.newest()["panes"][0]["pose"]
         assert pose["position_m"] == pytest.approx(written["keys"][1]["position_m"])
-        assert page.shown()["time_s"] == pytest.approx(0.1)
+        assert page.newest()["time_s"] == pytest.approx(0.1)
         page.page.click("#path-preview")
         page.wait(lambda frame: abs(frame["time_s"] - 0.2) < 1e-9)
         page.at_rest()
@@ -241,7 +241,7 @@ def test_a_camera_path_is_made_saved_opened_and_rendered(street, tmp_path, open_
         page.page.fill("#record-rate", "5")
         page.page.click("#record")
         page.page.wait_for_function("() => document.getElementById('record-said').textContent.includes('2 images')")
-        shown = page.shown()["panes"][0]["size_px"]
+        shown = page.newest()["panes"][0]["size_px"]
         size = "x".join(str(side) for side in shown)
         run("render", street / "scene.toml", "--camera-path", file, "--rate", 5, "--size", size, "--out", tmp_path / "out")
         images = [page.decoded(tmp_path / "out" / f"path_{index:05}.png") for index in (0, 1)]

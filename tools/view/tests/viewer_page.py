@@ -88,7 +88,12 @@ class Page:
             self.faults.append(message.text)
 
     def shown(self):
+        """The state of the newest update; None while the page waits for what was asked for last."""
         return self.page.evaluate("() => window.viewer?.newest() ? window.viewer.frame : null")
+
+    def newest(self):
+        """The state of the newest update, once the page shows what was asked for last."""
+        return self.wait(lambda frame: True)
 
     def wait(self, is_so):
         """The state of the first update that `is_so` holds for."""
@@ -111,7 +116,7 @@ class Page:
 
     def after(self, act):
         """The update at rest that follows `act`."""
-        before = self.wait(lambda frame: True)["update"]
+        before = self.newest()["update"]
         act()
         return self.at_rest(before)
 
