@@ -9,7 +9,7 @@ use std::future::Future;
 use std::io::{Error, ErrorKind, Result};
 use std::net::{IpAddr, SocketAddr};
 use std::pin::Pin;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
@@ -74,6 +74,10 @@ impl ConnectionCounts for () {
 pub struct ConnectionInfo {
     /// True if the connection is beyond the limit: it should serve health checks alone.
     pub is_spare: bool,
+    /// Number of the connection, which no other one of its listener has; from 1 on.
+    pub number: u64,
+    /// The place of one request, which the connection shares with no other one.
+    own_place: Arc<Semaphore>,
     activity: Arc<Activity>,
 }
 
@@ -91,6 +95,14 @@ impl ConnectionInfo {
     pub fn begin(&self) -> OpenRequest {
         self.activity.open.fetch_add(1, Ordering::SeqCst);
         OpenRequest(Arc::clone(&self.activity))
+    }
+
+    /// The connection's own place for a request; none while another request has it. A server that
+    /// has places for requests beside these ones never has to refuse a client that asks for one
+    /// thing at a time, whatever others do.
+    #[must_use]
+    pub fn own_place(&self) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.own_place).try_acquire_owned().ok()
     }
 }
 
@@ -163,6 +175,8 @@ pub struct Acceptor {
     places: Arc<Semaphore>,
     spare_places: Arc<Semaphore>,
     addresses: Addresses,
+    /// Connections that were ever admitted.
+    admitted: AtomicU64,
 }
 
 impl Acceptor {
@@ -179,6 +193,7 @@ impl Acceptor {
             places: Arc::new(Semaphore::new(limits.connections)),
             spare_places: Arc::new(Semaphore::new(limits.spare)),
             addresses: Addresses::default(),
+            admitted: AtomicU64::new(0),
             listener,
             limits,
             closing,
@@ -242,7 +257,12 @@ impl Acceptor {
             peer,
             patience: Some(Box::pin(sleep(limits.handshake))),
             heard_bytes: 0,
-            info: ConnectionInfo { is_spare, activity },
+            info: ConnectionInfo {
+                is_spare,
+                number: 1 + self.admitted.fetch_add(1, Ordering::Relaxed),
+                own_place: Arc::new(Semaphore::new(1)),
+                activity,
+            },
             idle,
             idle_timer: Box::pin(sleep(idle)),
             closing: Box::pin(async move {

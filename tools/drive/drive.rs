@@ -330,7 +330,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     devices.gpus().iter().try_for_each(check_validation)?;
     // A planner that drove nothing at all is a fault of the run, not of an episode.
-    let reason = |scored: &Scored| match &scored.episode.end {
+    let reason = |scored: &Scored| match &scored.end {
         EpisodeEnd::Planner { reason } => Some(reason.clone()),
         _ => None,
     };

@@ -6,6 +6,7 @@ mod comparison;
 mod devices;
 mod hd_score;
 mod page;
+mod scored;
 mod timing;
 
 use std::io::Write;
@@ -14,203 +15,19 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use decouplegs::asset::write_atomically;
 use decouplegs::drive::score::{
-    EpisodeScore, Infraction, InfractionKind, Moments, PdmScore, SetSummary, Summary,
+    EpisodeScore, Infraction, InfractionKind, Moments, SetSummary, Summary,
 };
-use decouplegs::episode::StepTime;
 use decouplegs::explain::one_line;
 use decouplegs::scene::Level;
-use decouplegs::scene::episode::{Episode, EpisodeEnd};
-use decouplegs::scene::scenario::Place;
-use glam::DVec2;
+use decouplegs::scene::episode::EpisodeEnd;
 use serde_json::{Value, json};
 
-use crate::seen::Seen;
 use crate::sites::Sites;
 
 pub use comparison::compare;
 pub use devices::DeviceUse;
 pub use hd_score::{HdScores, Hugsim};
-
-/// An episode and what it is worth.
-pub struct Scored {
-    pub episode: Episode,
-    pub score: EpisodeScore,
-    pub pdm: PdmScore,
-    pub log: PathBuf,
-    /// Folder of its images, if there are any.
-    pub images: PathBuf,
-    /// Record of what was seen of a captured place.
-    pub seen: Seen,
-    /// Times of its steps; none if it was driven before.
-    pub times: Option<Vec<StepTime>>,
-}
-
-impl Scored {
-    pub fn new(
-        episode: Episode,
-        log: PathBuf,
-        images: PathBuf,
-        times: Option<Vec<StepTime>>,
-    ) -> Result<Self> {
-        let score = EpisodeScore::new(&episode);
-        Ok(Self {
-            pdm: PdmScore::new(&episode, &score),
-            score,
-            seen: Seen::beside(&log)?,
-            episode,
-            log,
-            images,
-            times,
-        })
-    }
-
-    pub fn name(&self) -> &str {
-        &self.episode.head.scenario.name
-    }
-
-    /// The place, as it is where nothing is drawn: all weathers and sizes have the same lanes.
-    pub fn place(&self) -> Place {
-        match &self.episode.head.scenario.place {
-            Place::Street { weather, seed, .. } => Place::Street {
-                weather: *weather,
-                background: 0,
-                agent_splats: 0,
-                seed: *seed,
-            },
-            place => place.clone(),
-        }
-    }
-
-    /// True if the ego was at fault.
-    pub fn at_fault(&self) -> bool {
-        self.score.infractions.iter().any(Infraction::at_fault)
-    }
-
-    pub fn level(&self) -> Option<Level> {
-        self.episode.head.scenario.level
-    }
-
-    /// Reason of its end, for people.
-    pub fn ending(&self) -> String {
-        let warm_up_s = self.score.warm_up_s;
-        let how = self.how_it_ended();
-        if warm_up_s > 0.0 {
-            return format!("{how} (the planner had no plan yet for {warm_up_s:.1} s)");
-        }
-        how
-    }
-
-    fn how_it_ended(&self) -> String {
-        match &self.episode.end {
-            EpisodeEnd::RouteDone => "route done".into(),
-            EpisodeEnd::Collision { agent } => {
-                let name = self.episode.head.scenario.agent(*agent).0;
-                let hit = |infraction: &Infraction| match infraction.kind {
-                    InfractionKind::Collision {
-                        agent: other,
-                        fault,
-                        ..
-                    } if other == *agent => Some(fault.why()),
-                    _ => None,
-                };
-                let why = self
-                    .score
-                    .infractions
-                    .iter()
-                    .find_map(hit)
-                    .unwrap_or("nobody knows why");
-                format!("collision with {name}: {why}")
-            }
-            EpisodeEnd::Obstacle { obstacle } => {
-                format!("collision with a {}", obstacle.kind.name())
-            }
-            EpisodeEnd::OffRoad => "off the road for good".into(),
-            EpisodeEnd::OffRoute => "too far from the route".into(),
-            EpisodeEnd::Time => "time over".into(),
-            EpisodeEnd::Planner { reason } => format!("planner failed: {reason}"),
-        }
-    }
-}
-
-impl Scored {
-    /// Position of the ego at a time, or at the last moment before it, meters.
-    pub fn place_m(&self, time_s: f64) -> DVec2 {
-        let start = self.episode.start.ego.position_m;
-        let before = self
-            .episode
-            .instants()
-            .take_while(|instant| instant.time_s <= time_s + 1e-9);
-        before
-            .last()
-            .map_or(start, |instant| instant.ego.position_m)
-    }
-
-    /// The PDM score as a product of its terms.
-    pub fn pdm_explained(&self) -> String {
-        let PdmScore {
-            no_collision,
-            drivable_area,
-            progress,
-            time_to_collision,
-            comfort,
-            pdm_score,
-        } = self.pdm;
-        format!(
-            "PDMS {pdm_score:.3} = NC {no_collision:.1} × DAC {drivable_area:.0} × (5 EP {progress:.3} + 5 TTC {time_to_collision:.0} + 2 C {comfort:.0}) / 12"
-        )
-    }
-
-    /// Time that was lost, by what; `None` where it is less than half a second.
-    pub fn time_lost(&self) -> Option<String> {
-        let lost = &self.score.time_lost;
-        let mut parts = Vec::new();
-        let mut add = |what: &str, lost_s: f64| {
-            if lost_s >= 0.05 {
-                parts.push(format!("{what} {lost_s:.1} s"));
-            }
-        };
-        add("red light", lost.light_s);
-        add("behind others", lost.behind_all_s());
-        if let Some((agent, behind_s)) = lost.longest_behind() {
-            let name = self.episode.head.scenario.agent(agent).0;
-            add(&format!("of it behind {name}"), behind_s);
-        }
-        add("yielding", lost.yielding_s);
-        add("other", lost.other_s);
-        let sum_s = lost.sum_s();
-        (sum_s >= 0.5).then(|| format!("{sum_s:.1} s lost: {}", parts.join(", ")))
-    }
-
-    /// The driving score as a product, each factor with its infraction and its moment.
-    pub fn explained(&self) -> String {
-        let factor = |infraction: &Infraction| {
-            format!(
-                " × {:.2} ({} at {:.1} s)",
-                infraction.factor(),
-                infraction.describe(&self.episode.head),
-                infraction.time_s
-            )
-        };
-        let factors: String = self.score.infractions.iter().map(factor).collect();
-        let lost = match &self.episode.end {
-            EpisodeEnd::RouteDone => "",
-            EpisodeEnd::Time => " (time over)",
-            EpisodeEnd::Collision { .. } if self.score.ended_by_other() => {
-                " (counts as 1.000: ended by a collision that was not its fault)"
-            }
-            EpisodeEnd::Collision { .. } | EpisodeEnd::Obstacle { .. } => {
-                " (ended by the collision)"
-            }
-            EpisodeEnd::OffRoad => " (off the road for good)",
-            EpisodeEnd::OffRoute => " (too far from the route)",
-            EpisodeEnd::Planner { .. } => " (the planner failed)",
-        };
-        format!(
-            "DS {:.3} = RC {:.3}{lost}{factors}",
-            self.score.driving_score, self.score.route_completion
-        )
-    }
-}
+pub use scored::{Scored, WayPoint};
 
 /// Folder in which `drive` keeps the images of the episode with the log `log`.
 pub fn images_beside(log: &Path) -> PathBuf {
@@ -377,7 +194,7 @@ const FAILED_SHOWN_MAX: usize = 3;
 fn failed_planners(scored: &[Scored]) -> String {
     let failed: Vec<&Scored> = scored
         .iter()
-        .filter(|scored| matches!(scored.episode.end, EpisodeEnd::Planner { .. }))
+        .filter(|scored| matches!(scored.end, EpisodeEnd::Planner { .. }))
         .collect();
     if failed.is_empty() {
         return String::new();
@@ -402,10 +219,10 @@ fn to_json(scored: &[Scored]) -> Result<Value> {
         .iter()
         .map(|(name, set)| ((*name).to_owned(), set_to_json(set)))
         .collect();
-    let planner = scored.first().map(|scored| &scored.episode.head.planner);
+    let planner = scored.first().map(|scored| &scored.head.planner);
     let drawn_by = scored
         .first()
-        .and_then(|scored| scored.episode.head.drawn_by.as_ref());
+        .and_then(|scored| scored.head.drawn_by.as_ref());
     Ok(json!({
         "planner": planner.map(|planner| json!({
             "name": planner.name, "cameras": planner.cameras,
@@ -452,7 +269,7 @@ fn set_to_json(set: &SetSummary) -> Value {
 
 fn time_lost_to_json(scored: &Scored) -> Value {
     let lost = &scored.score.time_lost;
-    let name = |agent: usize| scored.episode.head.scenario.agent(agent).0.to_owned();
+    let name = |agent: usize| scored.head.scenario.agent(agent).0.to_owned();
     let behind = lost.behind_s.iter();
     let behind: serde_json::Map<String, Value> = behind
         .map(|(&agent, &behind_s)| (name(agent), json!(behind_s)))
@@ -468,7 +285,7 @@ fn time_lost_to_json(scored: &Scored) -> Value {
 
 fn episode_to_json(scored: &Scored) -> Value {
     let score = &scored.score;
-    let scenario = &scored.episode.head.scenario;
+    let scenario = &scored.head.scenario;
     let place_m = |infraction: &Infraction| scored.place_m(infraction.time_s).to_array();
     let infraction = |infraction: &Infraction| match infraction.kind {
         InfractionKind::Collision { agent, user, fault } => json!({

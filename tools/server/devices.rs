@@ -35,6 +35,8 @@ pub struct ToRead {
 
 /// A request on its way to a device.
 pub struct Asked {
+    /// Number of the connection that it came by.
+    pub connection: u64,
     pub job: Job,
     /// Devices that have no room for it.
     pub refused: Vec<usize>,

@@ -9,6 +9,7 @@
 //! | `render_request`, `sweep_request` | a checked request: cameras, LiDARs and agents |
 //! | `scene_registry` | scenes that are served, and their metadata |
 //! | `render_queue`, `devices`, `placement` | requests, and the device that draws a scene |
+//! | `fair_queue` | the order of requests: each connection gets the same time of a device |
 //! | `render_worker`, `scene_renderer` | a thread that draws, and a scene on its device |
 //! | [`conform`] | the client that judges any server of the contract |
 //! | [`running`] | the server as a whole, until it is stopped |
@@ -25,6 +26,7 @@ mod cache;
 pub mod conform;
 mod devices;
 mod ego_masks;
+mod fair_queue;
 mod image_memory;
 mod incoming;
 mod lidar;

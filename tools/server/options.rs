@@ -259,7 +259,8 @@ pub struct Limits {
     /// Largest message that is received, bytes; requests are far smaller than images
     #[arg(long, value_name = "BYTES", allow_negative_numbers = true, default_value_t = 16 << 20, value_parser = message_bytes)]
     pub request_bytes: usize,
-    /// Concurrent requests; further ones are refused with RESOURCE_EXHAUSTED
+    /// Concurrent requests beside one of each connection; further ones wait for a second and are
+    /// then refused with RESOURCE_EXHAUSTED
     #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub requests: u32,
     /// Concurrent connections; further ones are closed

@@ -1,5 +1,5 @@
-//! The queue of requests: each goes to the thread that draws on the device of its scene, images go
-//! back one by one, and files are read on threads beside.
+//! The queue of requests: each goes to the thread that draws on the device of its scene, which gives
+//! each connection the same time. Images go back one by one, and files are read on threads beside.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};
@@ -22,6 +22,7 @@ use crate::options::Limits;
 use crate::placement::Placement;
 use crate::render_request::RenderRequest;
 use crate::render_worker::RenderWorker;
+use crate::request_guard::connection_number;
 use crate::scene_registry::SceneRegistry;
 use crate::sweep_request::SweepRequest;
 
@@ -123,6 +124,7 @@ impl RenderQueue {
         self.devices.metrics.queued(1);
         let gone = || Status::unavailable("the server is ending: ask another");
         let asked = Asked {
+            connection: connection_number(),
             job,
             refused: Vec::new(),
             lost: 0,

@@ -17,6 +17,7 @@ use tonic::Status;
 
 use crate::cache::Cache;
 use crate::devices::{Asked, Devices, Job, Message, ToRead, caught};
+use crate::fair_queue::FairQueue;
 use crate::image_memory::ImageMemory;
 use crate::log_limit::LogLimit;
 use crate::names::no_scene;
@@ -74,6 +75,8 @@ pub struct RenderWorker {
     is_out: bool,
     session: Session,
     scenes: Cache<SceneRenderer>,
+    /// Jobs for scenes that are there, by connection.
+    queue: FairQueue<Asked>,
     /// Jobs for scenes that are being read.
     waiting: HashMap<String, Vec<Asked>>,
     loads: Sender<ToRead>,
@@ -105,6 +108,7 @@ impl RenderWorker {
             is_out: false,
             session: Session::on(gpu, &options),
             scenes: Cache::new(limits.cache_size as usize, limits.cache_bytes),
+            queue: FairQueue::default(),
             waiting: HashMap::new(),
             loads,
             memory: Arc::default(),
@@ -117,15 +121,32 @@ impl RenderWorker {
 
     /// Draws what comes until it is told to stop.
     pub fn work(&mut self, inbox: &Receiver<Message>) {
-        for message in inbox {
+        let mut is_ending = false;
+        loop {
+            // What has come is known before the next job is chosen.
+            let message = match self.queue.is_empty() && !is_ending {
+                true => inbox.recv().ok(),
+                false => inbox.try_recv().ok(),
+            };
             match message {
-                Message::Draw(asked) => self.draw_or_wait(asked),
-                Message::Loaded(id, scene) => self.loaded(&id, scene),
-                Message::Preload(id) => self.load(&id),
-                Message::Stop => return,
+                Some(Message::Draw(asked)) => self.queue.push(asked.connection, asked),
+                Some(Message::Loaded(id, scene)) => self.loaded(&id, scene),
+                Some(Message::Preload(id)) => self.load(&id),
+                Some(Message::Stop) => is_ending = true,
+                None => match self.queue.pop() {
+                    Some((_, asked)) => self.serve(asked),
+                    None => return,
+                },
             }
             self.say_cached();
         }
+    }
+
+    /// Works on a job, and counts the time of its connection.
+    fn serve(&mut self, asked: Asked) {
+        let (connection, since) = (asked.connection, Instant::now());
+        self.draw_or_wait(asked);
+        self.queue.took(connection, since.elapsed());
     }
 
     fn say_cached(&self) {
@@ -208,10 +229,14 @@ impl RenderWorker {
             }
             return;
         }
-        // As they came, and refused if the server is ending meanwhile.
-        waiting
-            .into_iter()
-            .for_each(|asked| self.draw_or_wait(asked));
+        // The first of each connection at once: before the scene has to leave for another one.
+        let mut served = HashSet::new();
+        for asked in waiting {
+            match served.insert(asked.connection) {
+                true => self.serve(asked),
+                false => self.queue.push(asked.connection, asked),
+            }
+        }
     }
 
     /// Answers a request that was not drawn, or passes it on where the fault is one of the device.
@@ -307,6 +332,7 @@ impl RenderWorker {
             return self.devices.metrics.queued(-1);
         }
         let Asked {
+            connection,
             job,
             refused,
             lost,
@@ -333,6 +359,7 @@ impl RenderWorker {
             }
         };
         let asked = Asked {
+            connection,
             job,
             refused,
             lost,

@@ -13,7 +13,7 @@ use http::{Request, Response, Uri};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use subtle::ConstantTimeEq;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::{Sleep, sleep_until, timeout_at};
+use tokio::time::{Sleep, sleep_until, timeout, timeout_at};
 use tonic::body::Body;
 use tonic::transport::server::TlsConnectInfo;
 use tonic::{Code, Status};
@@ -22,6 +22,19 @@ use tower::{Layer, Service};
 use crate::metrics::Metrics;
 use crate::names::{Destination, destination_of};
 use crate::options::Limits;
+
+/// Longest time that a request waits for one of the places that all connections share.
+const PLACE_WAIT: Duration = Duration::from_secs(1);
+
+tokio::task_local! {
+    /// Number of the connection that the request of a task came by.
+    static CONNECTION: u64;
+}
+
+/// Number of the connection that the request of this task came by; 0 if it came by none.
+pub fn connection_number() -> u64 {
+    CONNECTION.try_with(|number| *number).unwrap_or_default()
+}
 
 /// Puts a [`RequestGuard`] in front of services.
 #[derive(Clone)]
@@ -92,11 +105,10 @@ where
         let count = Count::new(&self.rules.metrics, destination.counted_as);
         let info = connection_of(&request);
         let open = info.as_ref().map(ConnectionInfo::begin);
-        let place = self.rules.admit(
-            &request,
-            &destination,
-            info.is_some_and(|info| info.is_spare),
-        );
+        let is_spare = info.as_ref().is_some_and(|info| info.is_spare);
+        let admitted = self.rules.check(&request, &destination, is_spare);
+        let rules = Arc::clone(&self.rules);
+        let number = info.as_ref().map_or(0, |info| info.number);
         if let Some(path) = destination
             .path
             .and_then(|path| PathAndQuery::try_from(path).ok())
@@ -110,11 +122,18 @@ where
         let mut service = std::mem::replace(&mut self.service, clone);
         let deadline = tokio::time::Instant::now() + self.rules.deadline;
         Box::pin(async move {
+            let place = match admitted {
+                // A health check needs none.
+                Ok(()) if destination.is_health => Ok(None),
+                Ok(()) => rules.place(info.as_ref()).await.map(Some),
+                Err(status) => Err(status),
+            };
             let place = match place {
                 Ok(place) => place,
                 Err(status) => return Ok(count.refused(status)),
             };
-            match timeout_at(deadline, service.call(request)).await {
+            let served = CONNECTION.scope(number, service.call(request));
+            match timeout_at(deadline, served).await {
                 Ok(Ok(response)) => {
                     count.done(code_of(&response));
                     // Watching for health has no end, and keeps no connection open.
@@ -137,15 +156,15 @@ where
 }
 
 impl GuardLimits {
-    fn admit(
+    /// Checks who asks: health checks need no token, and spare connections serve nothing else.
+    fn check(
         &self,
         request: &Request<Body>,
         destination: &Destination,
         is_for_health: bool,
-    ) -> Result<Option<OwnedSemaphorePermit>, Status> {
-        // A health check may ask without a token, and however busy it is.
+    ) -> Result<(), Status> {
         if destination.is_health {
-            return Ok(None);
+            return Ok(());
         }
         if is_for_health {
             return Err(Status::resource_exhausted(
@@ -165,16 +184,24 @@ impl GuardLimits {
                 ));
             }
         }
-        let full = |_| {
-            Status::resource_exhausted(format!(
+        Ok(())
+    }
+
+    /// A place for a request of the connection: its own, or one that all share, for which the
+    /// request waits a moment. So clients that send many at once take no place of one that does
+    /// not, and each refusal costs them a second.
+    async fn place(&self, info: Option<&ConnectionInfo>) -> Result<OwnedSemaphorePermit, Status> {
+        if let Some(own) = info.and_then(ConnectionInfo::own_place) {
+            return Ok(own);
+        }
+        let shared = Arc::clone(&self.places).acquire_owned();
+        match timeout(PLACE_WAIT, shared).await {
+            Ok(Ok(place)) => Ok(place),
+            _ => Err(Status::resource_exhausted(format!(
                 "{} requests are being answered: ask again",
                 self.requests_max
-            ))
-        };
-        Arc::clone(&self.places)
-            .try_acquire_owned()
-            .map(Some)
-            .map_err(full)
+            ))),
+        }
     }
 }
 

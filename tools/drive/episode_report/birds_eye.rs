@@ -21,8 +21,7 @@ const NEAR_M: f64 = 45.0;
 
 /// Lanes, the route, what the ego drove, all vehicles at its end, and a diamond where the ego was
 /// at each infraction.
-pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
-    let episode = &scored.episode;
+pub fn svg(scored: &Scored, episode: &Episode, lanes: &[Lane]) -> String {
     let instants: Vec<&EpisodeTick> = episode.instants().collect();
     let ego_way: Vec<DVec2> = instants
         .iter()

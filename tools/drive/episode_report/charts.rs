@@ -4,6 +4,7 @@ use decouplegs::drive::score::{
     TTC_HORIZON_S, lateral_accelerations, plan_errors, times_to_collision,
 };
 use decouplegs::scene::VehicleState;
+use decouplegs::scene::episode::Episode;
 
 use super::Scored;
 use crate::page::Figure;
@@ -16,14 +17,14 @@ const INFRACTION: usize = 3;
 /// Points over time under a name.
 type Named = (&'static str, usize, Vec<(f64, f64)>);
 
-/// All plots.
-pub fn figures(scored: &Scored) -> impl Iterator<Item = Figure> {
+/// All plots of an episode with a score.
+pub fn figures<'a>(scored: &'a Scored, episode: &'a Episode) -> impl Iterator<Item = Figure> {
     [
-        ("speed", "m/s, m", speeds(scored)),
-        ("acceleration", "m/s²", accelerations(scored)),
-        ("time to collision", "seconds", collision_times(scored)),
-        ("steering, to the left", "degrees", steering(scored)),
-        ("plan error", "meters", errors(scored)),
+        ("speed", "m/s, m", speeds(episode)),
+        ("acceleration", "m/s²", accelerations(episode)),
+        ("time to collision", "seconds", collision_times(episode)),
+        ("steering, to the left", "degrees", steering(episode)),
+        ("plan error", "meters", errors(episode)),
     ]
     .into_iter()
     .chain(seen(scored))
@@ -59,9 +60,9 @@ fn over_time(scored: &Scored, what: &str, unit: &str, named: Vec<Named>) -> Stri
 }
 
 /// Speeds of the ego and of the vehicle nearest to it, and the distance between their middles.
-fn speeds(scored: &Scored) -> Vec<Named> {
+fn speeds(episode: &Episode) -> Vec<Named> {
     let (mut ego, mut nearest, mut apart) = (Vec::new(), Vec::new(), Vec::new());
-    for instant in scored.episode.instants() {
+    for instant in episode.instants() {
         ego.push((instant.time_s, instant.ego.speed_mps));
         let distance_m = |other: &VehicleState| other.position_m.distance(instant.ego.position_m);
         let other = instant
@@ -79,18 +80,18 @@ fn speeds(scored: &Scored) -> Vec<Named> {
     ]
 }
 
-fn accelerations(scored: &Scored) -> Vec<Named> {
-    let along = scored.episode.instants();
+fn accelerations(episode: &Episode) -> Vec<Named> {
+    let along = episode.instants();
     let along = along.map(|instant| (instant.time_s, instant.ego.acceleration_mps2));
     vec![
         ("along", 0, along.collect()),
-        ("to the left", 2, lateral_accelerations(&scored.episode)),
+        ("to the left", 2, lateral_accelerations(episode)),
     ]
 }
 
 /// Times beyond the horizon are cut: a gap in the curve would be joined.
-fn collision_times(scored: &Scored) -> Vec<Named> {
-    let least = times_to_collision(&scored.episode).into_iter();
+fn collision_times(episode: &Episode) -> Vec<Named> {
+    let least = times_to_collision(episode).into_iter();
     let points = least.map(|(time_s, closest)| {
         (
             time_s,
@@ -100,8 +101,8 @@ fn collision_times(scored: &Scored) -> Vec<Named> {
     vec![("to an agent", 0, points.collect())]
 }
 
-fn steering(scored: &Scored) -> Vec<Named> {
-    let points = scored.episode.instants();
+fn steering(episode: &Episode) -> Vec<Named> {
+    let points = episode.instants();
     let points = points.map(|instant| (instant.time_s, instant.steer_rad.to_degrees()));
     vec![("front wheels", 0, points.collect())]
 }
@@ -123,6 +124,6 @@ fn seen(scored: &Scored) -> Option<(&'static str, &'static str, Vec<Named>)> {
     (!steps.is_empty()).then_some(("what was seen", "0 to 1", series))
 }
 
-fn errors(scored: &Scored) -> Vec<Named> {
-    vec![("planned and driven", 0, plan_errors(&scored.episode))]
+fn errors(episode: &Episode) -> Vec<Named> {
+    vec![("planned and driven", 0, plan_errors(episode))]
 }

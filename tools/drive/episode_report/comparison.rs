@@ -8,10 +8,9 @@ use anyhow::{Context, Result, ensure};
 use decouplegs::asset::write_atomically;
 use decouplegs::drive::score::Moments;
 use decouplegs::scene::Level;
-use decouplegs::scene::episode::Episode;
 use serde_json::{Value, json};
 
-use super::{Scored, score, share};
+use super::{Scored, WayPoint, score, share};
 use crate::page::{Figure, Page, Table};
 use crate::plot::{Axis, Plot, Series};
 
@@ -58,7 +57,7 @@ pub fn compare(first: &[Scored], second: &[Scored], out: Option<&Path>) -> Resul
     );
     pairs.sort_by(|a, b| b.difference().abs().total_cmp(&a.difference().abs()));
     let unpaired = first.len() + second.len() - 2 * pairs.len();
-    let names = [&pairs[0].first, &pairs[0].second].map(|run| &run.episode.head.planner.name);
+    let names = [&pairs[0].first, &pairs[0].second].map(|run| &run.head.planner.name);
     let rows = rows(&pairs)?;
     let mut text = format!(
         "first: {}, second: {}; {} pairs, {unpaired} episodes without a partner\n{}",
@@ -88,23 +87,23 @@ pub fn compare(first: &[Scored], second: &[Scored], out: Option<&Path>) -> Resul
 }
 
 fn pair<'a>(first: &'a Scored, others: &'a [Scored]) -> Option<Pair<'a>> {
-    let scenario = &first.episode.head.scenario;
+    let scenario = &first.head.scenario;
     let second = others
         .iter()
-        .find(|other| other.episode.head.scenario == *scenario)?;
+        .find(|other| other.head.scenario == *scenario)?;
     Some(Pair {
         first,
         second,
-        parts_s: parts_s(&first.episode, &second.episode),
+        parts_s: parts_s(&first.way, &second.way),
     })
 }
 
 /// First time at which two egos are farther from each other than [`PART_M`], seconds; `None` where
 /// they keep together as long as both drive.
-fn parts_s(first: &Episode, second: &Episode) -> Option<f64> {
-    let mut instants = first.instants().zip(second.instants());
-    instants
-        .find(|(a, b)| a.ego.position_m.distance(b.ego.position_m) > PART_M)
+fn parts_s(first: &[WayPoint], second: &[WayPoint]) -> Option<f64> {
+    let mut points = first.iter().zip(second);
+    points
+        .find(|(a, b)| a.position_m.distance(b.position_m) > PART_M)
         .map(|(a, _)| a.time_s)
 }
 

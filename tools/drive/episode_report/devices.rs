@@ -31,14 +31,8 @@ struct Sums {
 
 impl Sums {
     fn add(&mut self, scored: &Scored) {
-        let lidars = &scored.episode.head.planner.lidars;
-        let readings = scored.episode.steps.iter().flat_map(|step| &step.readings);
-        for reading in readings {
-            match lidars.contains(&reading.sensor) {
-                true => self.sweeps += 1,
-                false => self.images += 1,
-            }
-        }
+        self.images += scored.taken.images;
+        self.sweeps += scored.taken.sweeps;
         self.episodes += 1;
     }
 }

@@ -38,7 +38,7 @@ impl HdScores {
     pub fn from_scored(scored: &[Scored], kind: Hugsim, sites: &Sites) -> Result<Self> {
         let mut without_road = 0;
         let of = |scored: &Scored| match kind {
-            Hugsim::Driven => Ok(HdScore::from_driven(&scored.episode)),
+            Hugsim::Driven => Ok(HdScore::from_driven(&scored.whole()?)),
             Hugsim::AsPublished => {
                 // Logs are in a folder of the run, to which its files are relative.
                 let run = scored.log.parent().and_then(Path::parent);
@@ -51,7 +51,7 @@ impl HdScores {
                 let is_road = is_road
                     .as_ref()
                     .map(|is_road| is_road as &dyn Fn(DVec2) -> bool);
-                HdScore::from_plans(&scored.episode, is_road).with_context(|| {
+                HdScore::from_plans(&scored.whole()?, is_road).with_context(|| {
                     format!(
                         "{}: HUGSIM judges plans of at least 1.5 s, and none is so long; use --hugsim driven",
                         scored.log.display()

@@ -28,7 +28,7 @@ pub fn page(
 ) -> Result<String> {
     let planner = scored
         .first()
-        .map_or("", |scored| scored.episode.head.planner.name.as_str());
+        .map_or("", |scored| scored.head.planner.name.as_str());
     let mut page = Page::new(&format!("{planner} in closed loop"));
     page.text(&facts(scored));
     table(&mut page, scored)?;
@@ -44,7 +44,7 @@ fn facts(scored: &[Scored]) -> String {
     let Some(first) = scored.first() else {
         return "No episodes.".into();
     };
-    let planner = &first.episode.head.planner;
+    let planner = &first.head.planner;
     let sees = match (planner.cameras.is_empty(), planner.privileged) {
         (true, true) => {
             "It received the states of all vehicles, which no camera shows, and needed no images."
@@ -57,31 +57,29 @@ fn facts(scored: &[Scored]) -> String {
         }
         (false, false) => "It was told nothing but its own motion and its navigation.".to_owned(),
     };
-    let drawn =
-        first
-            .episode
-            .head
-            .drawn_by
-            .as_ref()
-            .map_or("Nothing was drawn.".to_owned(), |by| {
-                let cameras = match planner.cameras.is_empty() {
-                    true => String::new(),
-                    false => format!(
-                        "Cameras {} at {}x{}, ",
-                        planner.cameras.join(", "),
-                        by.width_px,
-                        by.height_px
-                    ),
-                };
-                let lidars = match planner.lidars.is_empty() {
-                    true => String::new(),
-                    false => format!("LiDARs {}, ", planner.lidars.join(", ")),
-                };
-                format!(
-                    "{cameras}{lidars}every {} steps, on {}.",
-                    by.every, by.device
-                )
-            });
+    let drawn = first
+        .head
+        .drawn_by
+        .as_ref()
+        .map_or("Nothing was drawn.".to_owned(), |by| {
+            let cameras = match planner.cameras.is_empty() {
+                true => String::new(),
+                false => format!(
+                    "Cameras {} at {}x{}, ",
+                    planner.cameras.join(", "),
+                    by.width_px,
+                    by.height_px
+                ),
+            };
+            let lidars = match planner.lidars.is_empty() {
+                true => String::new(),
+                false => format!("LiDARs {}, ", planner.lidars.join(", ")),
+            };
+            format!(
+                "{cameras}{lidars}every {} steps, on {}.",
+                by.every, by.device
+            )
+        });
     format!("{sees} {drawn}")
 }
 
@@ -170,17 +168,18 @@ fn lanes(scored: &Scored, sites: &Sites, out: &Path) -> Vec<Lane> {
 }
 
 fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {
+    let episode = scored.whole()?;
     page.subheading(&format!("{}: {}", scored.name(), scored.ending()));
     page.text(&scored.explained());
     page.text(&scored.pdm_explained());
-    if let Some(sentence) = handed_over(&scored.episode) {
+    if let Some(sentence) = handed_over(&episode) {
         page.text(&sentence);
     }
     if let Some(lost) = scored.time_lost() {
         page.text(&lost);
     }
     let score = &scored.score;
-    let time_s = scored.episode.instants().last();
+    let time_s = scored.way.last();
     page.html(&format!(
         "<p>{}, {:.1} s, at most {:.1} m/s² of braking and {:.1} m/s² sideways; {}, {}</p>",
         score
@@ -188,7 +187,7 @@ fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {
             .map_or("never on a collision course".into(), |ttc_s| format!(
                 "minTTC {ttc_s:.2} s"
             )),
-        time_s.map_or(0.0, |instant| instant.time_s),
+        time_s.map_or(0.0, |point| point.time_s),
         score.comfort.braking_max_mps2,
         score.comfort.lateral_acceleration_max_mps2,
         link(&format!("logs/{}.log", scored.name()), "log"),
@@ -198,13 +197,13 @@ fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {
         page.note(&format!("Warning: {warning}."));
     }
     infractions(page, scored);
-    let above = Figure::flexible_svg(&birds_eye::svg(scored, lanes));
-    page.row(std::iter::once(above).chain(charts::figures(scored)));
+    let above = Figure::flexible_svg(&birds_eye::svg(scored, &episode, lanes));
+    page.row(std::iter::once(above).chain(charts::figures(scored, &episode)));
     key_images(page, scored)?;
-    if let Some(lidar) = scored.episode.head.planner.lidars.first() {
+    if let Some(lidar) = scored.head.planner.lidars.first() {
         sweeps(page, scored, lidar)?;
     }
-    for camera in &scored.episode.head.planner.cameras {
+    for camera in &scored.head.planner.cameras {
         let file = format!("{camera}.mp4");
         if scored.images.join(&file).exists() {
             let path = format!("images/{}/{file}", scored.name());
@@ -268,7 +267,7 @@ fn timed_images(scored: &Scored, start: &str, end: &str) -> Result<Vec<Figure>> 
     let figure = |path: PathBuf| {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let step = step_of(&name, end).unwrap_or(0);
-        let time_s = f64::from(step) * scored.episode.head.scenario.step_s;
+        let time_s = f64::from(step) * scored.head.scenario.step_s;
         let image = thumbnail(&Image::read(&path)?, STRIP_WIDTH_PX);
         Figure::image(&format!("{time_s:.1} s"), &image)
     };
@@ -307,7 +306,7 @@ fn infractions(page: &mut Page, scored: &Scored) {
             let path = format!("images/{}/{file}", scored.name());
             link(&path, &path)
         });
-        let what = escaped(&infraction.describe(&scored.episode.head));
+        let what = escaped(&infraction.describe(&scored.head));
         table.row_of_html(
             false,
             [
@@ -325,7 +324,7 @@ fn infractions(page: &mut Page, scored: &Scored) {
 
 /// Name of the last image in the folder of an episode that was taken before a time.
 fn image_before(scored: &Scored, time_s: f64) -> Option<String> {
-    let step = (time_s / scored.episode.head.scenario.step_s + 1e-9) as u32;
+    let step = (time_s / scored.head.scenario.step_s + 1e-9) as u32;
     let files = std::fs::read_dir(&scored.images).ok()?.flatten();
     let images = files.filter_map(|file| {
         let name = file.file_name().into_string().ok()?;

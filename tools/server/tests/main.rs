@@ -5,6 +5,7 @@ mod calibrated;
 mod carla;
 mod conforming;
 mod contract;
+mod crowd;
 mod devices;
 mod ego_masks;
 mod hostile;
