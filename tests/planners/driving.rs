@@ -129,6 +129,7 @@ fn recorded() -> Episode {
         name: "seen".into(),
         level: None,
         seed: 1,
+        drivers: Default::default(),
         duration_s: 1.0,
         step_s: 1.0,
         place,

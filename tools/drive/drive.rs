@@ -17,8 +17,8 @@ use clap::ValueEnum;
 use decouplegs::episode::Appearance;
 use decouplegs::logs::scenario_file;
 use decouplegs::planner::{Cameras, Planner, Timeouts};
-use decouplegs::scene::Level;
 use decouplegs::scene::episode::EpisodeEnd;
+use decouplegs::scene::{Drivers, Level};
 use serde_json::json;
 
 use self::folder::RunFolder;
@@ -40,6 +40,22 @@ use decouplegs_cli::video;
 enum TrafficLights {
     On,
     Off,
+}
+
+/// Source of the parameters of drivers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DriversName {
+    Kinds,
+    Drawn,
+}
+
+impl From<DriversName> for Drivers {
+    fn from(name: DriversName) -> Self {
+        match name {
+            DriversName::Kinds => Self::Kinds,
+            DriversName::Drawn => Self::Drawn,
+        }
+    }
 }
 
 /// Road users of generated scenarios.
@@ -99,6 +115,16 @@ pub struct Arguments {
     /// Road users of generated scenarios: cars, or also trucks, buses, cyclists and pedestrians
     #[arg(long, value_name = "cars|mixed", value_enum, default_value_t = RoadUsers::Cars, hide_possible_values = true)]
     road_users: RoadUsers,
+    /// Parameters of drivers: kinds, four types with one set each; or drawn, own ones for each
+    /// driver, with free speeds by class of road where the map tells no limit [default: what the
+    /// scenario file says, kinds for others]
+    #[arg(
+        long,
+        value_name = "kinds|drawn",
+        value_enum,
+        hide_possible_values = true
+    )]
+    drivers: Option<DriversName>,
     #[command(flatten)]
     place: jobs::PlaceArguments,
     /// Time from one plan to the next [default: that of the scenario, 0.1 for a driver of AlpaSim]
@@ -232,6 +258,9 @@ impl Arguments {
         }
         if let Some(step_s) = self.step_s() {
             settings["step"] = step_s.into();
+        }
+        if let Some(drivers) = self.drivers {
+            settings["drivers"] = Drivers::from(drivers).name().into();
         }
         if self.planner.is_driver() {
             settings["driver"] = self.driver.to_json();

@@ -27,7 +27,7 @@ mod safe_speed;
 
 use std::sync::Arc;
 
-use decouplegs_scene::scenario::{EgoTask, TrafficAgent};
+use decouplegs_scene::scenario::{Drivers, EgoTask, TrafficAgent};
 use decouplegs_scene::{
     LaneMap, Level, Scenario, Story, TrafficLight, TrafficSign, VehicleSize, VehicleState,
 };
@@ -271,6 +271,7 @@ impl<'a> Generator<'a> {
                 name,
                 level: Some(level),
                 seed: traffic_seed,
+                drivers: Drivers::default(),
                 duration_s: rules.time.budget_s(reference::with_lights(
                     &self.roads,
                     &start,

@@ -74,6 +74,8 @@ pub struct RoadLane {
     pub right: Option<usize>,
     /// 50 km/h where the map tells none.
     pub speed_limit_mps: f64,
+    /// True if the map tells the limit.
+    pub(crate) has_limit: bool,
     /// Change of heading from start to end, radians, positive to the left.
     pub turn_rad: f64,
     /// Conflicts with other lanes: crossing or merging.
@@ -146,6 +148,7 @@ impl RoadGraph {
                         .speed_limit_mps
                         .filter(|limit| *limit > 0.0)
                         .unwrap_or(SPEED_LIMIT_MPS),
+                    has_limit: lane.speed_limit_mps.is_some_and(|limit| limit > 0.0),
                     turn_rad: wrapped(line.heading_at(line.length_m()) - line.heading_at(0.0)),
                     conflicts: Vec::new(),
                     onward_m: 0.0,

@@ -16,8 +16,11 @@ mod agent;
 mod behavior;
 mod boundary;
 mod claims;
+mod drawn;
 pub mod driver;
+mod drivers;
 mod following;
+mod free_speed;
 pub mod idm;
 mod junction;
 mod lane_change;
@@ -27,6 +30,7 @@ mod on_tracks;
 mod outsider;
 mod pedestrian;
 mod random;
+mod relaxation;
 mod signals;
 mod start;
 mod teleport;
@@ -35,7 +39,7 @@ mod watch;
 
 use std::sync::Arc;
 
-use decouplegs_scene::scenario::{Behavior, Scenario};
+use decouplegs_scene::scenario::{Behavior, Drivers, Scenario};
 use decouplegs_scene::{Invalid, LaneMap, Pedestrian, Story, VehicleSize, VehicleState};
 use glam::DVec2;
 
@@ -47,6 +51,7 @@ use crate::signs::TrafficSigns;
 use crate::story::Stage;
 use agent::{Agent, AsideKind};
 use claims::Claims;
+use free_speed::LaneClass;
 use lane_order::LaneOrder;
 use outsider::{Outsider, Outsiders};
 use pedestrian::{Vehicle, Walker};
@@ -89,6 +94,9 @@ pub struct Traffic {
     stage: Option<Stage>,
     /// Road users on recorded tracks, if there are any.
     tracked: Option<Followers>,
+    drivers: Drivers,
+    /// Classes of lanes; empty where limits alone count.
+    classes: Arc<Vec<LaneClass>>,
     time_s: f64,
     steps: u64,
     seed: u64,
@@ -151,7 +159,10 @@ impl Traffic {
                 .agents
                 .iter()
                 .try_for_each(|agent| agent.check())?;
-            let tracked = Followers::new(&story.tracks, map);
+            let mut tracked = Followers::new(&story.tracks, map);
+            if self.drivers == Drivers::Drawn {
+                tracked = tracked.with_drawn_drivers(self.seed);
+            }
             self.states.extend(tracked.states());
             self.tracked = Some(tracked);
         }

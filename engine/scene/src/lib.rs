@@ -70,7 +70,7 @@ pub use pose::Pose;
 pub use presence::Presence;
 pub use road_user::RoadUser;
 pub use rules::{DepthOrder, EarlyStop, Rules};
-pub use scenario::{Level, Pedestrian, Scenario, Weather};
+pub use scenario::{Drivers, Level, Pedestrian, Scenario, Weather};
 pub use shutter::{Shutter, ShutterDirection};
 pub use similarity::Similarity;
 pub use sky::SkyMap;

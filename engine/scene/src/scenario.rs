@@ -178,6 +178,37 @@ impl DriverKind {
     }
 }
 
+/// Source of the parameters of drivers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Drivers {
+    /// Four types, each with one set of parameters; 50 km/h where the map tells no limit.
+    #[default]
+    Kinds,
+    /// Each driver's own parameters, drawn from distributions by the scenario's seed and the place
+    /// of the agent in it; free speeds by class of road where the map tells no limit.
+    Drawn,
+}
+
+impl Drivers {
+    /// Both sources.
+    pub const ALL: [Self; 2] = [Self::Kinds, Self::Drawn];
+
+    /// The name it has in files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Kinds => "kinds",
+            Self::Drawn => "drawn",
+        }
+    }
+
+    /// The source that a file names so.
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|drivers| drivers.name() == name)
+    }
+}
+
 /// Trigger of an injected behavior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trigger {
@@ -400,8 +431,10 @@ pub struct Scenario {
     pub name: String,
     /// Difficulty; `None` for scenarios written by hand.
     pub level: Option<Level>,
-    /// Seed of the traffic's random choices (routes at crossings).
+    /// Seed of the traffic's random choices: ways at crossings, and drivers where they are drawn.
     pub seed: u64,
+    /// Source of the parameters of drivers.
+    pub drivers: Drivers,
     /// Time limit, seconds.
     pub duration_s: f64,
     /// Interval between steps, seconds.

@@ -3,7 +3,7 @@
 use decouplegs_drive::polyline::wrapped;
 use decouplegs_drive::route::{LaneSpot, lanes_between};
 use decouplegs_drive::{LaneIndex, Route};
-use decouplegs_scene::scenario::{EgoTask, Place};
+use decouplegs_scene::scenario::{Drivers, EgoTask, Place};
 use decouplegs_scene::{Invalid, LaneKind, LaneMap, Scenario, Story, Trajectory, VehicleSize};
 use glam::{DVec2, DVec3};
 
@@ -50,6 +50,7 @@ pub fn recorded_scenario(site: &Site, place: Place) -> Result<Scenario, Invalid>
         name: "recording".into(),
         level: None,
         seed: 0,
+        drivers: Drivers::default(),
         duration_s,
         step_s: Scenario::STEP_S,
         place,

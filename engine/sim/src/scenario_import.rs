@@ -28,7 +28,7 @@ use decouplegs_logs::open_scenario::{
 };
 use decouplegs_logs::read_open_scenario;
 use decouplegs_logs::scenario_file::DURATION_S_MAX;
-use decouplegs_scene::scenario::{EgoTask, Place};
+use decouplegs_scene::scenario::{Drivers, EgoTask, Place};
 use decouplegs_scene::story::{Actor, Dynamics, Who};
 use decouplegs_scene::{LaneMap, Obstacle, ObstacleKind, RoadUser, Scenario, Story, TrafficLight};
 use glam::DVec2;
@@ -177,6 +177,7 @@ impl Import<'_> {
             name,
             level: None,
             seed: 1,
+            drivers: Drivers::default(),
             duration_s,
             step_s: Scenario::STEP_S,
             place: Place::Roads {

@@ -3,7 +3,7 @@
 
 use decouplegs_asset::tracks::nominal_height_m;
 use decouplegs_drive::polyline::wrapped;
-use decouplegs_scene::scenario::{EgoTask, Place};
+use decouplegs_scene::scenario::{Drivers, EgoTask, Place};
 use decouplegs_scene::story::{Handover, Story, TrackedAgent, Tracks};
 use decouplegs_scene::{Invalid, LaneMap, RoadUser, Scenario, Track, VehicleSize};
 use glam::{DVec2, DVec3};
@@ -78,6 +78,7 @@ pub fn import_tracks(
         name: scenario_name(&format!("{name}-{}", ego.id)),
         level: None,
         seed: 0,
+        drivers: Drivers::default(),
         duration_s: rounded(end_s - from_s).min(DURATION_S_MAX),
         step_s: Scenario::STEP_S,
         place,

@@ -14,7 +14,7 @@ use decouplegs::logs::{read_hugsim_scenario, read_scenario, write_scenario};
 use decouplegs::recorded::recorded_scenario;
 use decouplegs::scenario_import::import_open_scenario;
 use decouplegs::scene::scenario::Place;
-use decouplegs::scene::{LaneMap, Scenario, Weather};
+use decouplegs::scene::{Drivers, LaneMap, Scenario, Weather};
 use serde_json::{Value, json};
 
 use super::folder::RunFolder;
@@ -153,10 +153,15 @@ fn explained(error: impl Into<anyhow::Error>, path: &Path) -> anyhow::Error {
     )
 }
 
-/// `scenario` with the time between plans that was asked for, if any.
+/// `scenario` with the time between plans and the drivers that were asked for, if any.
 pub fn stepped(scenario: Scenario, arguments: &Arguments) -> Scenario {
     let step_s = arguments.step_s().unwrap_or(scenario.step_s);
-    Scenario { step_s, ..scenario }
+    let drivers = arguments.drivers.map_or(scenario.drivers, Drivers::from);
+    Scenario {
+        step_s,
+        drivers,
+        ..scenario
+    }
 }
 
 /// Sentences about skipped elements that are printed; all of them are in a file.

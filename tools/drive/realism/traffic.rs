@@ -13,13 +13,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use decouplegs::asset::{read_map, read_tracks, write_atomically};
-use decouplegs::scene::VehicleSize;
+use decouplegs::scene::{Drivers, VehicleSize};
 
 use self::motion::{Model, Recording};
 use self::report::Compared;
 use self::roads::Roads;
 use crate::arguments::{print, seconds_within};
-use crate::drive::is_commonroad;
+use crate::drive::{DriversName, is_commonroad};
 use crate::outputs::Force;
 use crate::progress;
 
@@ -47,9 +47,37 @@ pub struct Arguments {
         default_value_t = 1
     )]
     seed: u64,
+    /// Parameters of simulated drivers: kinds, one set for all; or drawn, own ones for each driver,
+    /// with free speeds by class of road where the map tells no limit
+    #[arg(long, value_name = "kinds|drawn", value_enum, default_value_t = DriversName::Kinds, hide_possible_values = true)]
+    drivers: DriversName,
+    /// Free speed of all lanes in place of the map's limits: meters a second, or `recorded`, the
+    /// median of the vehicles' top speeds in the first half of the recording, of which only the
+    /// second half is compared then
+    #[arg(long, value_name = "M/S|recorded", allow_negative_numbers = true, value_parser = free_speed)]
+    free_speed: Option<FreeSpeed>,
     /// New folder for realism.html and realism.json
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+}
+
+/// Free speed of all lanes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum FreeSpeed {
+    Recorded,
+    Named(f64),
+}
+
+fn free_speed(text: &str) -> Result<FreeSpeed, String> {
+    if text == "recorded" {
+        return Ok(FreeSpeed::Recorded);
+    }
+    let expected = || format!("expected a speed from 1 to 70 m/s, or recorded, found {text:?}");
+    let speed_mps: f64 = text.parse().map_err(|_| expected())?;
+    match (1.0..=70.0).contains(&speed_mps) {
+        true => Ok(FreeSpeed::Named(speed_mps)),
+        false => Err(expected()),
+    }
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -69,10 +97,27 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let tracks = read_tracks(path)?;
     let sizes = tracks.iter().filter_map(|track| track.dims_m);
-    let roads = Roads::new(read_map(&map)?)
+    let recording = Recording::new(&tracks);
+    let (recording, free_mps) = match arguments.free_speed {
+        None => (recording, None),
+        Some(FreeSpeed::Named(speed_mps)) => (recording, Some(speed_mps)),
+        Some(FreeSpeed::Recorded) => {
+            let (later, top_mps) = recording.halved().ok_or_else(|| {
+                anyhow!(
+                    "{}: no vehicle is faster than 1 m/s in the first half: name a free speed with --free-speed",
+                    path.display()
+                )
+            })?;
+            (later, Some(top_mps))
+        }
+    };
+    let mut lanes = read_map(&map)?;
+    for lane in &mut lanes.lanes {
+        lane.speed_limit_mps = free_mps.or(lane.speed_limit_mps);
+    }
+    let roads = Roads::new(lanes)
         .and_then(|roads| roads.for_vehicles(sizes.map(VehicleSize::from_array)))
         .map_err(|error| anyhow!("{}: {error}", map.display()))?;
-    let recording = Recording::new(&tracks);
     let starts_s = recording.starts_s(arguments.seconds);
     ensure!(
         !starts_s.is_empty(),
@@ -80,12 +125,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         path.display()
     );
     let bar = progress::bar("parts", starts_s.len() * Model::ALL.len());
-    let mut compared = Compared::new(arguments.seconds);
+    let drivers = Drivers::from(arguments.drivers);
+    let mut compared = Compared::new(arguments.seconds, drivers, free_mps);
     for start_s in starts_s {
         let recorded = recording.part(&roads, start_s, arguments.seconds);
         for model in Model::ALL {
             let simulated = recorded
-                .simulated(&roads, model, arguments.rollouts, arguments.seed)
+                .simulated(&roads, model, (arguments.rollouts, arguments.seed, drivers))
                 .map_err(|error| anyhow!("{}: {error}", path.display()))?;
             compared.add(&roads, &recorded, model, &simulated);
             bar.inc(1);

@@ -7,7 +7,8 @@ use super::driver::Driver;
 use super::following::PathPosition;
 use super::idm::{IdmParameters, advance, stopping_m};
 use super::random;
-use super::signals::{NextLight, NextSign};
+use super::relaxation::Accepted;
+use super::signals::{NextLight, NextSign, STANDING_MPS};
 use super::watch::Watch;
 use crate::polyline::wrapped;
 use crate::road_graph::{RoadGraph, length_of, position_on};
@@ -131,6 +132,10 @@ pub(super) struct Agent {
     pub size: VehicleSize,
     pub half_m: f64,
     pub driver: Driver,
+    /// Differences of what it accepts to what its driver wants, which fade.
+    pub accepted: Accepted,
+    /// True for a drawn driver who has stood since the start.
+    pub stands_since_start: bool,
     /// Speed on a free road instead of the speed limit, m/s.
     pub cruise_mps: Option<f64>,
     pub changes_lanes: bool,
@@ -194,6 +199,8 @@ impl Agent {
             size,
             half_m: 0.5 * size.length_m,
             driver,
+            accepted: Accepted::default(),
+            stands_since_start: false,
             cruise_mps: None,
             changes_lanes: false,
             path: vec![lane],
@@ -257,6 +264,8 @@ impl Agent {
     pub(super) fn idm(&self) -> IdmParameters {
         IdmParameters {
             speed_mps: self.free_mps,
+            headway_s: self.driver.idm.headway_s + self.accepted.headway_s,
+            standstill_gap_m: self.driver.idm.standstill_gap_m + self.accepted.standstill_gap_m,
             ..self.driver.idm
         }
     }
@@ -349,6 +358,8 @@ impl Agent {
         self.speed_mps = after_mps;
         self.arc_m += moved_m;
         self.cool_down_s = (self.cool_down_s - dt_s).max(0.0);
+        self.accepted.fade(dt_s);
+        self.stands_since_start &= self.speed_mps < STANDING_MPS;
         if let Some(aside) = &mut self.aside {
             aside.traveled_m += moved_m;
             if aside.traveled_m >= aside.length_m {

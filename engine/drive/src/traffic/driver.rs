@@ -22,6 +22,9 @@ pub struct Driver {
     /// Time gap that must remain between leaving a conflict and the arrival of a vehicle with
     /// priority, seconds.
     pub gap_s: f64,
+    /// Share of the acceleration from standing that a standing driver must find room for, so as to
+    /// start: 0 creeps up to any gap.
+    pub start_share: f64,
 }
 
 impl From<DriverKind> for Driver {
@@ -68,6 +71,7 @@ impl From<DriverKind> for Driver {
             speed_mps_max: f64::INFINITY,
             keeps_right: false,
             gap_s,
+            start_share: 0.0,
         }
     }
 }
@@ -85,30 +89,34 @@ impl Driver {
     /// rides at the right edge of the lane.
     #[must_use]
     pub fn new(kind: RoadUser, driver: DriverKind) -> Self {
-        let mut made = Self::from(driver);
-        let idm = &mut made.idm;
+        Self::from(driver).on(kind)
+    }
+
+    /// The same driver on another kind of vehicle than a car.
+    pub(super) fn on(mut self, kind: RoadUser) -> Self {
+        let idm = &mut self.idm;
         match kind {
             RoadUser::Car | RoadUser::Pedestrian => {}
             RoadUser::Truck => {
-                made.speed_mps_max = 80.0 / 3.6;
+                self.speed_mps_max = 80.0 / 3.6;
                 idm.headway_s += 0.4;
                 idm.acceleration_mps2 *= 0.6;
                 idm.braking_mps2 *= 0.8;
             }
             RoadUser::Bus => {
-                made.speed_mps_max = 80.0 / 3.6;
+                self.speed_mps_max = 80.0 / 3.6;
                 idm.headway_s += 0.4;
                 idm.acceleration_mps2 *= 0.7;
                 idm.braking_mps2 *= 0.7;
             }
             RoadUser::Cyclist => {
-                made.speed_mps_max = 20.0 / 3.6;
-                made.keeps_right = true;
+                self.speed_mps_max = 20.0 / 3.6;
+                self.keeps_right = true;
                 idm.headway_s = (idm.headway_s - 0.4).max(0.5);
                 idm.acceleration_mps2 = 0.8;
                 idm.braking_mps2 = 2.5;
             }
         }
-        made
+        self
     }
 }

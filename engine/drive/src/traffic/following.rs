@@ -5,6 +5,7 @@ use super::agent::{Agent, wall_on};
 use super::idm::{BRAKING_MPS2, IdmParameters, Leader, safe_acceleration};
 use super::junction::LINE_GAP_M;
 use super::lane_order::{DEAD_END, LaneOrder, NO_LANE, PEDESTRIAN, behind_fork};
+use super::signals::STANDING_MPS;
 use crate::road_graph::{RoadGraph, length_of, speed_before};
 
 /// Agents never come nearer to each other than this, meters: what the positions of boxes along
@@ -211,19 +212,18 @@ impl Traffic {
     /// Desired speed of an agent: the limit of its lane and of the curves ahead, scaled by its
     /// driver.
     pub(super) fn free_speed(&self, agent: &Agent) -> f64 {
-        let cells = self.graph.cells();
         // Drivers in a hurry exceed limits, not what bends allow.
         let share = agent.driver.speed_share;
         let at = |lane: usize, arc_m: f64| {
-            let curve_mps = cells.curve_mps(lane, arc_m);
+            let curve_mps = self.curve_mps(lane, arc_m);
             if let Some(cruise_mps) = agent.cruise_mps {
                 return cruise_mps.min(curve_mps * share.min(1.0));
             }
-            let limit_mps = self.graph.road(lane).speed_limit_mps;
+            let limit_mps = self.limit_mps(lane);
             if curve_mps < limit_mps {
                 curve_mps * share.min(1.0)
             } else {
-                limit_mps * share
+                agent.accepted.free_speed(limit_mps * share)
             }
         };
         let mut speed_mps = at(agent.lane(), agent.arc_m);
@@ -337,6 +337,10 @@ impl Traffic {
         if too_fast_mps > 0.0 {
             let slows_mps2 = (too_fast_mps / SLOWING_S).min(idm.braking_mps2);
             bounds.acceleration_mps2 = bounds.acceleration_mps2.min(-slows_mps2);
+        }
+        let starts_mps2 = agent.driver.start_share * idm.acceleration_mps2;
+        if agent.speed_mps < STANDING_MPS && bounds.acceleration_mps2 < starts_mps2 {
+            bounds.acceleration_mps2 = bounds.acceleration_mps2.min(0.0);
         }
         let (comfortable_mps2, to_stand_mps2) = comfortable(agent, bounds.acceleration_mps2, dt_s);
         let mut urgent_mps2 = safe_acceleration(agent.speed_mps, bounds.room_m, dt_s);

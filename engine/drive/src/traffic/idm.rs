@@ -5,6 +5,18 @@
 /// rests on it.
 pub const BRAKING_MPS2: f64 = 8.0;
 
+/// Way in which the wish for the free speed and that for a gap make an acceleration.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Interaction {
+    /// Sum of both, as in the model of 2000. Near the free speed, gaps grow beyond all bounds.
+    #[default]
+    Sum,
+    /// Smaller one of both, as in IDM+ (W. J. Schakel, B. van Arem, B. D. Netten: Effects of
+    /// cooperative adaptive cruise control on traffic flow stability, IEEE ITSC 2010): gaps are
+    /// `s0 + v T` up to the free speed, so that roads carry what real ones do.
+    Least,
+}
+
 /// A driver's parameters in the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IdmParameters {
@@ -21,6 +33,8 @@ pub struct IdmParameters {
     pub standstill_gap_m: f64,
     /// Exponent of the free-road term, delta: 4.
     pub exponent: f64,
+    /// Way in which both wishes are joined.
+    pub interaction: Interaction,
 }
 
 impl Default for IdmParameters {
@@ -33,6 +47,7 @@ impl Default for IdmParameters {
             braking_mps2: 3.0,
             standstill_gap_m: 2.0,
             exponent: 4.0,
+            interaction: Interaction::Sum,
         }
     }
 }
@@ -91,13 +106,22 @@ impl IdmParameters {
             return free;
         };
         let ratio = self.wanted_gap_m(speed_mps, leader_mps) / gap_m.max(0.01);
-        (free - self.acceleration_mps2 * ratio * ratio).max(-BRAKING_MPS2)
+        let interaction_mps2 = self.acceleration_mps2 * ratio * ratio;
+        match self.interaction {
+            Interaction::Sum => free - interaction_mps2,
+            Interaction::Least => free.min(self.acceleration_mps2 - interaction_mps2),
+        }
+        .max(-BRAKING_MPS2)
     }
 
     /// The gap at which a vehicle neither accelerates nor brakes behind a leader of the same speed
-    /// below the free one, meters: `(s0 + v T) / sqrt(1 - (v/v0)^delta)`.
+    /// below the free one, meters: `(s0 + v T) / sqrt(1 - (v/v0)^delta)`, or `s0 + v T` where the
+    /// smaller of both wishes counts.
     #[must_use]
     pub fn equilibrium_gap_m(&self, speed_mps: f64) -> f64 {
+        if self.interaction == Interaction::Least {
+            return self.standstill_gap_m + speed_mps * self.headway_s;
+        }
         let fades = (speed_mps / self.speed_mps).powf(self.exponent);
         (self.standstill_gap_m + speed_mps * self.headway_s) / (1.0 - fades).sqrt()
     }

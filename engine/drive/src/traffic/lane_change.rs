@@ -156,8 +156,8 @@ impl Traffic {
         let at = own.line.at(agent.arc_m).truncate();
         let foot = other.line.project(at);
         // A bend on the other lane that it is too fast for is not for a change of lanes.
-        let curve_mps = self.graph.cells().curve_mps(lane, foot.arc_m);
-        let limit_mps = agent.cruise_mps.unwrap_or(other.speed_limit_mps);
+        let curve_mps = self.curve_mps(lane, foot.arc_m);
+        let limit_mps = agent.cruise_mps.unwrap_or_else(|| self.limit_mps(lane));
         let allowed_mps = curve_mps.min(limit_mps);
         if allowed_mps * agent.driver.speed_share.max(1.0) + 0.5 < agent.speed_mps {
             return None;

@@ -14,7 +14,7 @@ const SEEN_M: f64 = 60.0;
 const SEEN_S: f64 = 6.0;
 
 /// Upper limits of the speed, m/s, and of the distance to the line, meters, of a stopped vehicle.
-const STANDING_MPS: f64 = 0.1;
+pub(super) const STANDING_MPS: f64 = 0.1;
 const AT_LINE_M: f64 = 3.0;
 
 /// Next stop line with a traffic light on an agent's path. Positions are meters from the start of
@@ -59,6 +59,10 @@ impl Traffic {
             let onward = agent.path.get(at + 1).copied();
             for line in self.lights.on(lane) {
                 let line_m = start_m + line.at_m;
+                if self.waits_over(agent, line_m, line.record.index) && line.binds(onward) {
+                    let hold_m = Some(front_m + LINE_M);
+                    return Some(NextLight { line_m, hold_m });
+                }
                 if line_m < front_m || !line.binds(onward) {
                     continue;
                 }
@@ -84,6 +88,13 @@ impl Traffic {
             }
         }
         next
+    }
+
+    /// True if an agent has stood over a line since the start and waits there for its light.
+    fn waits_over(&self, agent: &Agent, line_m: f64, light: usize) -> bool {
+        agent.stands_since_start
+            && (agent.rear_m()..agent.front_m()).contains(&line_m)
+            && self.lights.color_at(light, self.time_s) != LightColor::Green
     }
 
     /// The next stop sign on an agent's path before which the agent has not stood yet.

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use decouplegs_scene::scenario::TrafficAgent;
+use decouplegs_scene::scenario::{Drivers, TrafficAgent};
 use decouplegs_scene::{Invalid, VehicleSize, VehicleState};
 
 use super::Traffic;
@@ -112,6 +112,8 @@ impl Traffic {
             pedestrians: Vec::new(),
             stage: None,
             tracked: None,
+            drivers: Drivers::Kinds,
+            classes: Arc::default(),
             time_s: 0.0,
             steps: 0,
             seed,

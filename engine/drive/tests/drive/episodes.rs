@@ -1,7 +1,7 @@
 //! Episodes that are made by hand: all vehicles move as told.
 
 use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, LOG_VERSION, PlannerRecord};
-use decouplegs_scene::scenario::{DriverKind, EgoTask, Place, TrafficAgent};
+use decouplegs_scene::scenario::{DriverKind, Drivers, EgoTask, Place, TrafficAgent};
 use decouplegs_scene::{
     Episode, EpisodeEnd, EpisodeStep, Level, Plan, PlanPoint, RoadUser, Scenario, VehicleSize,
     VehicleState, Weather,
@@ -89,6 +89,7 @@ fn scenario(agents: usize) -> Scenario {
         name: "made".into(),
         level: Some(Level::Easy),
         seed: 0,
+        drivers: Drivers::default(),
         duration_s: Scenario::DURATION_S,
         step_s: STEP_S,
         place: Place::Street {

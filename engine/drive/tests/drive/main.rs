@@ -23,6 +23,7 @@ mod score_rules;
 mod tracked;
 mod traffic;
 mod traffic_borders;
+mod traffic_capacity;
 mod traffic_comfort;
 mod traffic_invariants;
 mod traffic_junctions;

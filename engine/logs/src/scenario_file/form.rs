@@ -1,7 +1,7 @@
 //! The TOML form of a scenario: what serde sees, and how a [`Scenario`] is made of it.
 
 use decouplegs_scene::scenario::{
-    Behavior, DriverKind, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
+    Behavior, DriverKind, Drivers, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
 };
 use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario, Story, VehicleSize, Weather};
 use glam::DVec2;
@@ -26,6 +26,9 @@ pub(super) struct ScenarioForm {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) level: Option<String>,
     pub(super) seed: Seed,
+    // Files with drivers of kinds read as they did before there were others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) drivers: Option<String>,
     #[serde(default = "default_duration_s")]
     pub(super) duration_s: f64,
     #[serde(default = "default_step_s")]
@@ -244,10 +247,20 @@ fn scenario(form: &ScenarioForm) -> Result<Scenario, Fault> {
             "level",
         )
     };
+    let drivers = |name: &String| {
+        let names = Drivers::ALL.map(Drivers::name);
+        named(name, Drivers::by_name, &names, Table::Top, "drivers")
+    };
     Ok(Scenario {
         name: form.name.clone(),
         level: form.level.as_ref().map(level).transpose()?,
         seed: form.seed.0,
+        drivers: form
+            .drivers
+            .as_ref()
+            .map(drivers)
+            .transpose()?
+            .unwrap_or_default(),
         duration_s: form.duration_s,
         step_s: form.step_s,
         place: place(&form.place)?,

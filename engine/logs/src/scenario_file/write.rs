@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use decouplegs_scene::scenario::{
-    Behavior, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
+    Behavior, Drivers, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
 };
 use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario, Story};
 use glam::DVec2;
@@ -38,6 +38,8 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
         name: scenario.name.clone(),
         level: scenario.level.map(Level::name).map(str::to_owned),
         seed: Seed(scenario.seed),
+        drivers: (scenario.drivers != Drivers::default())
+            .then(|| scenario.drivers.name().to_owned()),
         duration_s: scenario.duration_s,
         step_s: scenario.step_s,
         place: place_form(&scenario.place)?,

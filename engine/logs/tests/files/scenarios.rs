@@ -1,7 +1,7 @@
 //! Generated scenarios, of which no number is rounder than it has to be.
 
 use decouplegs_scene::scenario::{
-    Behavior, DriverKind, EgoTask, LaneSide, Maneuver, Measure, Measured, Party, Place,
+    Behavior, DriverKind, Drivers, EgoTask, LaneSide, Maneuver, Measure, Measured, Party, Place,
     TrafficAgent, Trigger,
 };
 use decouplegs_scene::{
@@ -222,7 +222,7 @@ pub fn scenarios() -> impl Strategy<Value = Scenario> {
     let head = (
         "[A-Za-z0-9_-]{1,100}",
         prop::option::of(select(Level::ALL.to_vec())),
-        any::<u64>(),
+        (any::<u64>(), select(Drivers::ALL.to_vec())),
         times,
     );
     (
@@ -236,7 +236,7 @@ pub fn scenarios() -> impl Strategy<Value = Scenario> {
     )
         .prop_map(
             |(
-                (name, level, seed, (duration_s, step_s)),
+                (name, level, (seed, drivers), (duration_s, step_s)),
                 place,
                 ego,
                 agents,
@@ -248,6 +248,7 @@ pub fn scenarios() -> impl Strategy<Value = Scenario> {
                     name,
                     level,
                     seed,
+                    drivers,
                     duration_s,
                     step_s,
                     place,

@@ -80,6 +80,7 @@ impl Simulation {
             .map_err(|error| unfit(error.into()))?;
         let traffic = Traffic::new(site.graph.clone(), &scenario.agents, scenario.seed)
             .map_err(|error| unfit(error.to_string()))?
+            .with_drivers(scenario.drivers, &scenario.agents)
             .among(site.obstacles.clone())
             .with_lights(lights.clone())
             .with_signs(signs.clone())

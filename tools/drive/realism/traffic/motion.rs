@@ -3,7 +3,7 @@
 use decouplegs::drive::{LanePoint, Traffic, TrafficError};
 use decouplegs::scene::scenario::{DriverKind, TrafficAgent};
 use decouplegs::scene::story::{Handover, TrackedAgent, Tracks};
-use decouplegs::scene::{Invalid, RoadUser, Story, Track, VehicleSize};
+use decouplegs::scene::{Drivers, Invalid, RoadUser, Story, Track, TrackPoint, VehicleSize};
 use decouplegs::track_import::tracked_agent;
 use glam::DVec2;
 
@@ -13,11 +13,15 @@ use super::roads::Roads;
 pub const STEP_S: f64 = 0.1;
 /// Shortest part, seconds.
 const PART_S_MIN: f64 = 1.0;
+/// Time over which top speeds are measured, seconds, and the speed from which a vehicle moves, m/s.
+const SPEED_S: f64 = 0.5;
+const MOVES_MPS: f64 = 1.0;
 
 /// Model of traffic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Model {
-    /// Drivers on the lanes of the map: the traffic of generated scenarios.
+    /// Drivers on the lanes of the map: the traffic of generated scenarios. Who cannot start there
+    /// drives on the recorded line.
     Lanes,
     /// Drivers on their recorded lines, handed over at the start.
     Tracks,
@@ -52,8 +56,11 @@ pub struct Motion {
 }
 
 /// All tracks of a file.
+#[derive(Clone, Copy)]
 pub struct Recording<'a> {
     tracks: &'a [Track],
+    /// Time before which nothing is compared, seconds.
+    from_s: f64,
 }
 
 /// A part of a recording.
@@ -75,18 +82,52 @@ pub struct Simulated {
 
 impl<'a> Recording<'a> {
     pub fn new(tracks: &'a [Track]) -> Self {
-        Self { tracks }
+        Self {
+            tracks,
+            from_s: f64::NEG_INFINITY,
+        }
+    }
+
+    /// Times of the first and of the last moment, seconds.
+    fn span_s(&self) -> (f64, f64) {
+        let times = self.tracks.iter().flat_map(|track| &track.points);
+        let span = (f64::INFINITY, f64::NEG_INFINITY);
+        times.fold(span, |(first_s, last_s), point| {
+            (first_s.min(point.time_s), last_s.max(point.time_s))
+        })
+    }
+
+    /// The second half of the recording, and the median of the top speeds of vehicles in the first
+    /// half, m/s; `None` where none moves there. Speeds are those over [`SPEED_S`].
+    pub fn halved(self) -> Option<(Self, f64)> {
+        let (first_s, last_s) = self.span_s();
+        let from_s = first_s + 0.5 * (last_s - first_s);
+        let top_mps = |track: &Track| {
+            let points = &track.points[..track.points.partition_point(|one| one.time_s <= from_s)];
+            let speed = |(at, point): (usize, &TrackPoint)| {
+                let later = points[at..]
+                    .iter()
+                    .find(|one| one.time_s >= point.time_s + SPEED_S)?;
+                let way_m = point.position_m.distance(later.position_m);
+                Some(way_m / (later.time_s - point.time_s))
+            };
+            points
+                .iter()
+                .enumerate()
+                .filter_map(speed)
+                .max_by(f64::total_cmp)
+        };
+        let tops = self.tracks.iter().filter_map(top_mps);
+        let mut tops: Vec<f64> = tops.filter(|top_mps| *top_mps > MOVES_MPS).collect();
+        tops.sort_by(f64::total_cmp);
+        let median_mps = tops.get(tops.len() / 2)?;
+        Some((Self { from_s, ..self }, *median_mps))
     }
 
     /// Beginnings of parts of `part_s` seconds, the last of which may be shorter.
     pub fn starts_s(&self, part_s: f64) -> Vec<f64> {
-        let times = || self.tracks.iter().flat_map(|track| &track.points);
-        let first_s = times()
-            .map(|point| point.time_s)
-            .fold(f64::INFINITY, f64::min);
-        let last_s = times()
-            .map(|point| point.time_s)
-            .fold(f64::NEG_INFINITY, f64::max);
+        let (first_s, last_s) = self.span_s();
+        let first_s = first_s.max(self.from_s);
         let parts = ((last_s - first_s - PART_S_MIN) / part_s + 1e-9).floor();
         if parts < 0.0 || !parts.is_finite() {
             return Vec::new();
@@ -158,7 +199,8 @@ impl Part {
         self.motion.places.first().map_or(0, Vec::len)
     }
 
-    /// Simulations by a model, `rollouts` where chance plays a part.
+    /// Simulations by a model. `chance` is their number, where chance plays a part, the seed of the
+    /// first, and the source of drivers.
     ///
     /// # Errors
     /// A sentence where the traffic cannot be made.
@@ -166,12 +208,11 @@ impl Part {
         &self,
         roads: &Roads,
         model: Model,
-        rollouts: u32,
-        seed: u64,
+        chance: (u32, u64, Drivers),
     ) -> Result<Simulated, Invalid> {
         match model {
-            Model::Lanes => self.on_lanes(roads, rollouts, seed),
-            Model::Tracks => self.on_tracks(roads, seed),
+            Model::Lanes => self.on_lanes(roads, chance),
+            Model::Tracks => self.on_tracks(roads, chance),
             Model::Constant => Ok(Simulated {
                 motions: vec![self.straight_on()],
                 placed: self.vehicles.clone(),
@@ -199,31 +240,62 @@ impl Part {
         self.motion_of(places.collect())
     }
 
-    fn on_tracks(&self, roads: &Roads, seed: u64) -> Result<Simulated, Invalid> {
-        let story = Story {
+    /// Road users at `chosen`, who drive on their recorded lines.
+    fn story(&self, chosen: &[usize]) -> Story {
+        let agents = chosen.iter().map(|&at| self.agents[at].clone());
+        Story {
             tracks: Tracks {
                 handover: Handover::All,
-                agents: self.agents.clone(),
+                agents: agents.collect(),
             },
             ..Story::default()
-        };
-        let traffic = Traffic::new(roads.graph.clone(), &[], seed)
-            .map_err(|error| Invalid::new(error.to_string()))?
-            .with_story(&story, &roads.map)?;
+        }
+    }
+
+    fn on_tracks(
+        &self,
+        roads: &Roads,
+        (rollouts, seed, drivers): (u32, u64, Drivers),
+    ) -> Result<Simulated, Invalid> {
         let all: Vec<usize> = (0..self.agents.len()).collect();
+        let story = self.story(&all);
+        // Without drawn drivers there is no chance on tracks.
+        let count = match drivers {
+            Drivers::Kinds => 1,
+            Drivers::Drawn => rollouts,
+        };
+        let mut motions = Vec::new();
+        for rollout in 0..count {
+            let traffic = Traffic::new(roads.graph.clone(), &[], seed + u64::from(rollout))
+                .map_err(|error| Invalid::new(error.to_string()))?
+                .with_drivers(drivers, &[])
+                .with_story(&story, &roads.map)?;
+            motions.push(self.run(traffic, &all));
+        }
         Ok(Simulated {
-            motions: vec![self.run(traffic, &all)],
+            motions,
             placed: self.vehicles.clone(),
         })
     }
 
-    fn on_lanes(&self, roads: &Roads, rollouts: u32, seed: u64) -> Result<Simulated, Invalid> {
+    fn on_lanes(
+        &self,
+        roads: &Roads,
+        (rollouts, seed, drivers): (u32, u64, Drivers),
+    ) -> Result<Simulated, Invalid> {
         let mut placed = self.vehicles.clone();
         let mut motions = Vec::new();
         for rollout in 0..rollouts {
-            let traffic = self.placed_on_lanes(roads, &mut placed, seed + u64::from(rollout))?;
-            let traffic = traffic.with_lights(roads.lights.clone());
-            motions.push(self.run(traffic, &placed));
+            let chance = (seed + u64::from(rollout), drivers);
+            let traffic = self.placed_on_lanes(roads, &mut placed, chance)?;
+            // The others are there too: drivers follow them and give way to them.
+            let is_other = |at: &usize| !placed.contains(at);
+            let others: Vec<usize> = (0..self.agents.len()).filter(is_other).collect();
+            let traffic = traffic
+                .with_lights(roads.lights.clone())
+                .with_story(&self.story(&others), &roads.map)?;
+            let all = [&placed[..], &others].concat();
+            motions.push(self.run(traffic, &all));
         }
         Ok(Simulated { motions, placed })
     }
@@ -233,7 +305,7 @@ impl Part {
         &self,
         roads: &Roads,
         placed: &mut Vec<usize>,
-        seed: u64,
+        (seed, drivers): (u64, Drivers),
     ) -> Result<Traffic, Invalid> {
         loop {
             let agents: Vec<TrafficAgent> = placed
@@ -241,7 +313,7 @@ impl Part {
                 .filter_map(|&at| self.on_lane(roads, at))
                 .collect();
             let out = match Traffic::new(roads.graph.clone(), &agents, seed) {
-                Ok(traffic) => return Ok(traffic),
+                Ok(traffic) => return Ok(traffic.with_drivers(drivers, &agents)),
                 Err(
                     TrafficError::Overlap { second: agent, .. }
                     | TrafficError::BeyondLane { agent, .. }

@@ -12,10 +12,11 @@ use crate::plot::{Axis, Plot, Series};
 pub fn page(compared: &Compared, tracks: &Path) -> String {
     let mut page = Page::new("Realism of traffic");
     page.note(&format!(
-        "{}: {} vehicles on lanes at the beginnings of parts of {} s. Each part is simulated from its beginning.",
+        "{}: {} vehicles on lanes at the beginnings of parts of {} s. Each part is simulated from its beginning. {}.",
         tracks.display(),
         compared.vehicles(),
-        compared.part_s
+        compared.part_s,
+        compared.told_of_drivers()
     ));
     page.heading("One number per quantity");
     page.note("Kolmogorov-Smirnov distance of simulated from recorded values: 0 is the same distribution, 1 is no value in common.");

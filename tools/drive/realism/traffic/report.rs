@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use decouplegs::scene::Drivers;
 use serde_json::{Value, json};
 
 use super::distribution::{Sample, distance};
@@ -119,13 +120,19 @@ fn changes(roads: &Roads, lanes: &[Option<usize>]) -> (usize, usize) {
 /// Everything that was found.
 pub struct Compared {
     pub part_s: f64,
+    /// Source of the drivers' parameters.
+    pub drivers: Drivers,
+    /// Free speed of all lanes in place of the map's limits, m/s.
+    pub free_mps: Option<f64>,
     pub results: Vec<Result>,
 }
 
 impl Compared {
-    pub fn new(part_s: f64) -> Self {
+    pub fn new(part_s: f64, drivers: Drivers, free_mps: Option<f64>) -> Self {
         Self {
             part_s,
+            drivers,
+            free_mps,
             results: Model::ALL.map(Result::new).into(),
         }
     }
@@ -171,7 +178,8 @@ impl Compared {
     }
 
     pub fn to_text(&self) -> String {
-        let mut text = String::new();
+        let mut text = self.told_of_drivers();
+        text.push('\n');
         for result in &self.results {
             let _ = writeln!(
                 text,
@@ -211,11 +219,25 @@ impl Compared {
         text
     }
 
+    /// Sentence on the drivers and free speeds of simulations.
+    pub fn told_of_drivers(&self) -> String {
+        let drivers = match self.drivers {
+            Drivers::Kinds => "drivers: the normal kind, all alike",
+            Drivers::Drawn => "drivers: drawn, each with its own parameters",
+        };
+        match self.free_mps {
+            None => format!("{drivers}; free speeds: those of the map"),
+            Some(free_mps) => format!("{drivers}; free speed: {free_mps:.2} m/s on all lanes"),
+        }
+    }
+
     pub fn to_json(&self, tracks: &Path) -> Value {
         let models: Vec<Value> = self.results.iter().map(to_json).collect();
         json!({
             "tracks": tracks.display().to_string(),
             "part_s": self.part_s,
+            "drivers": self.drivers.name(),
+            "free_speed_mps": self.free_mps,
             "models": models,
         })
     }
@@ -337,7 +359,7 @@ mod tests {
             motions: vec![motion],
             placed: part.vehicles.clone(),
         };
-        let mut compared = Compared::new(8.0);
+        let mut compared = Compared::new(8.0, Drivers::Kinds, None);
         compared.add(&roads, &part, Model::Lanes, &simulated);
         compared.finish();
         compared.results.remove(0)
@@ -400,8 +422,10 @@ mod tests {
     fn every_model_moves_vehicles_from_the_same_start() {
         let (roads, tracks) = (roads(), tracks());
         let part = Recording::new(&tracks).part(&roads, 0.0, 8.0);
-        for model in Model::ALL {
-            let simulated = part.simulated(&roads, model, 2, 1).unwrap();
+        let sources = Drivers::ALL.into_iter();
+        let all = sources.flat_map(|drivers| Model::ALL.map(|model| (drivers, model)));
+        for (drivers, model) in all {
+            let simulated = part.simulated(&roads, model, (2, 1, drivers)).unwrap();
             for motion in &simulated.motions {
                 for &at in &simulated.placed {
                     let start = part.motion.places[at][0].unwrap().0;

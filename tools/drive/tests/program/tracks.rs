@@ -133,6 +133,39 @@ fn recorded_cars_follow_their_tracks_until_the_ego_is_in_their_way() {
 }
 
 #[test]
+fn drawn_drivers_are_in_the_log_and_replay_to_the_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let tracks = recording(folder.path());
+    let drive = |out: &str, more: &[&str]| {
+        let out = folder.path().join(out);
+        let planner = ["--planner", "constant-velocity", "--render", "off"];
+        let command = ["drive", "--tracks", text(&tracks), "--ego-track", "10"];
+        let rest = ["--handover", "all", "--out", text(&out)];
+        succeed(&[&command[..], &planner, &rest, more].concat());
+        let log = out.join("logs").join("two_lanes-10.log");
+        succeed(&["replay", text(&log), "--no-render"]);
+        fs::read_to_string(log).unwrap()
+    };
+    let says_drawn = |log: &str| log.contains("drivers = \\\"drawn\\\"");
+    let drawn = drive("drawn", &["--drivers", "drawn"]);
+    let kinds = drive("kinds", &["--drivers", "kinds"]);
+    assert!(says_drawn(&drawn) && !says_drawn(&kinds));
+    assert_eq!(drawn, drive("again", &["--drivers", "drawn"]));
+    assert_eq!(kinds, drive("default", &[]));
+    let places = |log: &str| {
+        log.lines()
+            .skip(1)
+            .map(|line| line[17..].to_owned())
+            .collect::<String>()
+    };
+    assert_ne!(
+        places(&drawn),
+        places(&kinds),
+        "drivers drive as they are drawn"
+    );
+}
+
+#[test]
 fn what_cannot_be_driven_among_is_said() {
     let folder = tempfile::tempdir().unwrap();
     let tracks = recording(folder.path());
@@ -176,6 +209,10 @@ fn simulated_traffic_is_compared_with_what_was_recorded() {
         text(&out),
     ];
     let said = succeed(&[&command[..], &["--rollouts", "2"]].concat());
+    assert!(
+        said.contains("all alike; free speeds: those of the map"),
+        "{said}"
+    );
     assert!(
         said.contains("realism.html") && said.contains("KS"),
         "{said}"

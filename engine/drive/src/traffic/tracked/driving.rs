@@ -1,11 +1,12 @@
 //! A recorded vehicle after its handover: the intelligent driver model on its recorded line.
 
-use decouplegs_scene::scenario::DriverKind;
-use decouplegs_scene::{RoadUser, VehicleState};
+use decouplegs_scene::VehicleState;
 use glam::DVec2;
 
 use super::super::driver::Driver;
 use super::super::idm::{BRAKING_MPS2, IdmParameters, Leader, advance};
+use super::super::relaxation::Accepted;
+use super::super::signals::STANDING_MPS;
 use super::way::Way;
 use crate::polyline::wrapped;
 
@@ -47,6 +48,10 @@ pub(super) struct Driving {
     /// Headway that is accepted at the handover, seconds, and the time since, seconds.
     accepted_s: f64,
     since_s: f64,
+    /// Gap that a drawn driver accepts in its place.
+    accepted: Accepted,
+    /// Acceleration that it must find room for, so as to start, m/s^2.
+    starts_mps2: f64,
     /// Place of the handover, and where the vehicle was beside the line there: meters along and to
     /// the left, and its turn in radians.
     from_m: f64,
@@ -55,11 +60,11 @@ pub(super) struct Driving {
 }
 
 impl Driving {
-    /// A vehicle of `kind` that leaves its track at `time_s`, behind `ahead` if there is one. Its
+    /// A vehicle of `driver` that leaves its track at `time_s`, behind `ahead` if there is one. Its
     /// free speed is at least `free_mps`.
     pub(super) fn new(
         way: &Way,
-        kind: RoadUser,
+        driver: &Driver,
         time_s: f64,
         ahead: Option<Ahead>,
         free_mps: f64,
@@ -67,7 +72,7 @@ impl Driving {
         let state = way.state_at(time_s);
         let arc_m = way.arc_at(time_s);
         let (point_m, yaw_rad) = way.pose_at(arc_m);
-        let mut idm = Driver::new(kind, DriverKind::Normal).idm;
+        let mut idm = driver.idm;
         idm.headway_s -= HEADWAY_LESS_S;
         idm.speed_mps = way.top_mps.max(free_mps);
         let mut accepted_s = idm.headway_s;
@@ -83,10 +88,33 @@ impl Driving {
             idm,
             accepted_s,
             since_s: 0.0,
+            accepted: Accepted::default(),
+            starts_mps2: 0.0,
             from_m: arc_m,
             beside_m: DVec2::from_angle(-yaw_rad).rotate(state.position_m - point_m),
             turn_rad: wrapped(state.yaw_rad - yaw_rad),
         }
+    }
+
+    /// A vehicle of a drawn `driver` that leaves its track at `time_s`, behind `ahead` if there is
+    /// one. Its free speed is the driver's share of `free_mps`, at least that at the handover.
+    pub(super) fn drawn(
+        way: &Way,
+        driver: &Driver,
+        time_s: f64,
+        ahead: Option<Ahead>,
+        free_mps: f64,
+    ) -> Self {
+        let mut made = Self::new(way, driver, time_s, None, free_mps);
+        made.idm = driver.idm;
+        made.idm.speed_mps = made.speed_mps.max(driver.speed_share * free_mps);
+        made.accepted_s = made.idm.headway_s;
+        made.starts_mps2 = driver.start_share * driver.idm.acceleration_mps2;
+        let gap_m = ahead
+            .filter(|ahead| ahead.is_in_way)
+            .map(|ahead| ahead.gap_m);
+        made.accepted = Accepted::new(driver, made.speed_mps, None, gap_m);
+        made
     }
 
     /// State of its box.
@@ -106,12 +134,14 @@ impl Driving {
     pub(super) fn advance(&mut self, way: &Way, ahead: &[Ahead], dt_s: f64) {
         let own_s = self.idm.headway_s;
         let idm = IdmParameters {
-            headway_s: own_s - (own_s - self.accepted_s) * (-self.since_s / RELAX_S).exp(),
+            headway_s: own_s - (own_s - self.accepted_s) * (-self.since_s / RELAX_S).exp()
+                + self.accepted.headway_s,
+            standstill_gap_m: self.idm.standstill_gap_m + self.accepted.standstill_gap_m,
             ..self.idm
         };
         let bend_mps = way.bend_mps(self.arc_m, self.speed_mps, idm.braking_mps2);
         let free = IdmParameters {
-            speed_mps: idm.speed_mps.min(bend_mps),
+            speed_mps: self.accepted.free_speed(idm.speed_mps).min(bend_mps),
             ..idm
         };
         let mut wished_mps2 = free.free_acceleration(self.speed_mps);
@@ -138,6 +168,9 @@ impl Driving {
             }
             wished_mps2 = wished_mps2.min(follows_mps2);
         }
+        if self.speed_mps < STANDING_MPS && wished_mps2 < self.starts_mps2 {
+            wished_mps2 = wished_mps2.min(0.0);
+        }
         let step_mps2 = JERK_MPS3 * dt_s;
         let last_mps2 = self.acceleration_mps2;
         let gentle_mps2 = wished_mps2.clamp(last_mps2 - step_mps2, last_mps2 + step_mps2);
@@ -147,5 +180,6 @@ impl Driving {
         self.speed_mps = after_mps;
         self.arc_m += moved_m;
         self.since_s += dt_s;
+        self.accepted.fade(dt_s);
     }
 }

@@ -18,12 +18,14 @@ mod way;
 use std::sync::Arc;
 
 use decouplegs_scene::episode::HandoverRecord;
+use decouplegs_scene::scenario::DriverKind;
 use decouplegs_scene::story::{Handover, TrackedAgent, Tracks};
 use decouplegs_scene::{LaneMap, RoadUser, VehicleSize, VehicleState};
 use glam::DVec2;
 
 use self::driving::{Ahead, Driving};
 use self::way::{Seen, Way};
+use super::driver::Driver;
 use crate::lane_index::LaneIndex;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
@@ -44,6 +46,9 @@ const BEHIND_M: f64 = 2.0;
 const CUT_IN_S: f64 = 0.5;
 /// Largest yaw rate that is expected to go on, rad/s.
 const YAW_RATE_RADPS: f64 = 1.0;
+/// Number of the driver of the first recorded road user among those that are drawn: beyond those of
+/// all agents on lanes.
+const DRAWN_FROM: usize = 1 << 20;
 
 /// State of one on a track.
 #[derive(Clone, Debug)]
@@ -82,6 +87,8 @@ pub(in crate::traffic) struct Followers {
     followers: Vec<Follower>,
     states: Vec<Option<VehicleState>>,
     handover: Handover,
+    /// Seed of drivers that are drawn.
+    drawn: Option<u64>,
     /// Median of the highest speeds of vehicles, m/s.
     free_mps: f64,
     /// Headings of those who are on no track, a step before.
@@ -115,12 +122,31 @@ impl Followers {
             free_mps: tops_mps.get(tops_mps.len() / 2).copied().unwrap_or(0.0),
             states: Vec::new(),
             handover: tracks.handover,
+            drawn: None,
             headings_rad: Vec::new(),
             handed: Vec::new(),
             followers,
         };
         made.states = made.states_at(0.0);
         made
+    }
+
+    /// The same road users with drivers that are drawn by `seed`.
+    pub(in crate::traffic) fn with_drawn_drivers(self, seed: u64) -> Self {
+        let drawn = Some(seed);
+        Self { drawn, ..self }
+    }
+
+    /// Motion of one that leaves its track at `time_s`, behind `ahead`.
+    fn driving(&self, at: usize, time_s: f64, ahead: Option<Ahead>) -> Driving {
+        let (one, free_mps) = (&self.followers[at], self.free_mps);
+        if let Some(seed) = self.drawn {
+            let number = DRAWN_FROM + at;
+            let driver = Driver::drawn(one.kind, DriverKind::Normal, seed, number);
+            return Driving::drawn(&one.way, &driver, time_s, ahead, free_mps);
+        }
+        let driver = Driver::new(one.kind, DriverKind::Normal);
+        Driving::new(&one.way, &driver, time_s, ahead, free_mps)
     }
 
     fn states_at(&self, time_s: f64) -> Vec<Option<VehicleState>> {
@@ -169,7 +195,7 @@ impl Followers {
                 let own = self.states[at].unwrap_or_default();
                 let ahead = one.ahead(at, &own, one.way.arc_at(time_s), &parties);
                 let nearest = ahead.into_iter().min_by(|a, b| a.gap_m.total_cmp(&b.gap_m));
-                let driving = Driving::new(&one.way, one.kind, time_s, nearest, self.free_mps);
+                let driving = self.driving(at, time_s, nearest);
                 self.followers[at].mode = Mode::Driving(driving);
                 self.handed.push((at, time_s));
             }
