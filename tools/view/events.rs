@@ -1,5 +1,9 @@
 //! Events and messages between the server and the thread that serves its clients.
 
+use std::sync::Arc;
+
+use tokio::sync::oneshot::Sender;
+
 use crate::draw_thread::Done;
 use crate::drive_thread::Driven;
 use crate::protocol::Request;
@@ -22,6 +26,8 @@ pub enum Event {
     Joined(u64, Outbox),
     /// A client went.
     Left(u64),
+    /// A page asks for the splats of a source; none if there is no such source.
+    Splats(usize, Sender<Option<Arc<[u8]>>>),
     /// A client sent a command.
     Command(u64, Request),
     /// The thread that draws has done some work.

@@ -1,7 +1,7 @@
 //! Size of a scene for the page: how far its cameras stand and move.
 
-use decouplegs::asset::SplatExtent;
-use decouplegs::scene::SplatScene;
+use decouplegs::asset::{LoadedScene, SplatExtent};
+use decouplegs::scene::{CapturedViews, SplatScene};
 use glam::Vec3;
 use serde_json::{Value, json};
 
@@ -15,4 +15,14 @@ pub fn facts(scene: &SplatScene) -> Value {
     let [low, high] = ends.map(|end| Vec3::from_array(end).as_dvec3());
     let center = scene.origin + 0.5 * (low + high);
     json!({"center_m": center.to_array(), "radius_m": 0.5 * low.distance(high)})
+}
+
+/// True where a scene looks right from the cameras that captured it alone: behind the car nothing
+/// may be seen.
+pub fn is_captured(loaded: &LoadedScene) -> bool {
+    match &loaded.recording.views {
+        Some(CapturedViews::Everywhere) => false,
+        Some(CapturedViews::From(_)) => true,
+        None => loaded.ego.poses().len() > 1,
+    }
 }

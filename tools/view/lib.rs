@@ -12,6 +12,7 @@
 //! | `drive_thread` | the thread that drives live episodes on |
 //! | `drawing`, `recording` | images of views, agents under the mouse; images as files |
 //! | `render_command` | the command that renders the image of a view |
+//! | `splat_stream` | splats that the page draws by itself while a camera moves |
 //! | `server`, `events` | HTTP, WebSockets, and who may connect |
 #![forbid(unsafe_code)]
 
@@ -38,6 +39,7 @@ mod series;
 mod server;
 mod session;
 mod source;
+mod splat_stream;
 mod viewpoint;
 
 use std::io::Write;
@@ -89,6 +91,10 @@ pub struct Arguments {
     /// For loopback addresses alone
     #[arg(long)]
     no_token: bool,
+    /// Splats of a scene that the page is sent, to draw by itself while a camera moves: those that
+    /// cover most. 0: the page draws nothing
+    #[arg(long, value_name = "N", default_value_t = 500_000, value_parser = clap::value_parser!(u32).range(..=8_000_000))]
+    browser_splats: u32,
     #[command(flatten)]
     background: BackgroundArguments,
     #[command(flatten)]
@@ -143,7 +149,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut options = arguments.sources.render_options();
     options.words.extend(arguments.background.words());
     options.words.extend(arguments.device.words());
-    let viewer = Viewer::new(drawer, sources, options, events.clone())
+    let splats_max = arguments.browser_splats as usize;
+    let viewer = Viewer::new(drawer, sources, (options, splats_max), events.clone())
         .context("the thread that draws cannot be started")?;
     let ending = Arc::new(AtomicBool::new(false));
     let told = Arc::clone(&ending);

@@ -56,6 +56,8 @@ pub struct Boxed {
     pub speed_mps: f64,
     /// True for plain splats, which stand still.
     pub fixed: bool,
+    /// Asset of the scene that it shows; none for plain splats.
+    pub asset: Option<usize>,
 }
 
 impl SceneCourse {
@@ -140,6 +142,7 @@ impl SceneCourse {
                 size_m: loaded.assets[placed.asset].dims_m,
                 speed_mps: placed.motion.velocity_mps.length(),
                 fixed: false,
+                asset: Some(placed.asset),
             });
         let fixed = loaded.plain_agents.iter().map(|agent| {
             let label = &loaded.agent_labels[usize::from(agent.instance) - 1];
@@ -155,6 +158,7 @@ impl SceneCourse {
                 size_m: agent.dims_m,
                 speed_mps: 0.0,
                 fixed: true,
+                asset: None,
             }
         });
         moving.chain(fixed).collect()

@@ -6,6 +6,7 @@ use std::sync::mpsc::{SyncSender, TrySendError};
 use std::time::Duration;
 
 use axum::Router;
+use axum::body::Bytes;
 use axum::extract::connect_info::Connected;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code};
 use axum::extract::{ConnectInfo, Extension, Path, Request, State};
@@ -18,7 +19,7 @@ use decouplegs_connections::{Acceptor, Connection, ConnectionInfo, ConnectionLim
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 use tokio::net::TcpListener;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot, watch};
 
 use crate::events::{Event, Outgoing};
 use crate::protocol::{COMMAND_BYTES_MAX, Refused, parse};
@@ -34,7 +35,7 @@ const REQUEST_PATIENCE: Duration = Duration::from_secs(10);
 const FAREWELL: Duration = Duration::from_secs(2);
 
 const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
-const PAGE: [(&str, &str, &str); 17] = [
+const PAGE: [(&str, &str, &str); 20] = [
     (
         "index.html",
         "text/html; charset=utf-8",
@@ -49,6 +50,11 @@ const PAGE: [(&str, &str, &str); 17] = [
         "camera_panel.js",
         JAVASCRIPT,
         include_str!("page/camera_panel.js"),
+    ),
+    (
+        "browser_drawing.js",
+        JAVASCRIPT,
+        include_str!("page/browser_drawing.js"),
     ),
     ("cameras.js", JAVASCRIPT, include_str!("page/cameras.js")),
     ("compare.js", JAVASCRIPT, include_str!("page/compare.js")),
@@ -65,6 +71,16 @@ const PAGE: [(&str, &str, &str); 17] = [
     ("overlays.js", JAVASCRIPT, include_str!("page/overlays.js")),
     ("panels.js", JAVASCRIPT, include_str!("page/panels.js")),
     ("path.js", JAVASCRIPT, include_str!("page/path.js")),
+    (
+        "splat_canvas.js",
+        JAVASCRIPT,
+        include_str!("page/splat_canvas.js"),
+    ),
+    (
+        "splat_sorter.js",
+        JAVASCRIPT,
+        include_str!("page/splat_sorter.js"),
+    ),
     ("state.js", JAVASCRIPT, include_str!("page/state.js")),
     ("timeline.js", JAVASCRIPT, include_str!("page/timeline.js")),
     ("views.js", JAVASCRIPT, include_str!("page/views.js")),
@@ -170,6 +186,7 @@ pub fn router(service: Service) -> Router {
             "/page/{name}",
             get(|Path(name): Path<String>| async move { file(&name) }),
         )
+        .route("/splats/{source}", get(splats))
         .route("/socket", get(socket))
         .layer(middleware::from_fn_with_state(service.clone(), guard))
         .with_state(service)
@@ -283,6 +300,20 @@ fn is_local(host: &str) -> bool {
         _ => host,
     };
     matches!(name, "localhost" | "127.0.0.1" | "[::1]")
+}
+
+/// Splats of a source, as `splat_stream` writes them: all pages share one copy.
+async fn splats(State(service): State<Service>, Path(source): Path<usize>) -> Response {
+    let (answer, answered) = oneshot::channel();
+    post(&service, Event::Splats(source, answer)).await;
+    match answered.await {
+        Ok(Some(bytes)) => {
+            let body = Bytes::from_owner(bytes);
+            ([(header::CONTENT_TYPE, "application/octet-stream")], body).into_response()
+        }
+        Ok(None) => (StatusCode::NOT_FOUND, "there is no such source").into_response(),
+        Err(_) => (StatusCode::SERVICE_UNAVAILABLE, "the viewer ends").into_response(),
+    }
 }
 
 async fn socket(

@@ -79,19 +79,22 @@ pub struct Viewer {
     recording: Recording,
     /// Options that `render` needs too.
     options: RenderOptions,
+    /// Splats of a source that pages are sent at most.
+    splats_max: usize,
 }
 
 impl Viewer {
     /// Viewer of `sources`, at least one, whose scenes are on the device of `drawer`. Commands that
-    /// render the same have `options`. What is drawn
-    /// comes back by `events`, which [`Viewer::run`] serves.
+    /// render the same have `options`; pages are sent at
+    /// most `splats_max` splats of a source. What is drawn comes back by `events`, which
+    /// [`Viewer::run`] serves.
     ///
     /// # Errors
     /// Returns an error if the system has no thread.
     pub fn new(
         drawer: Drawer,
         sources: Vec<Source>,
-        options: RenderOptions,
+        (options, splats_max): (RenderOptions, usize),
         events: SyncSender<Event>,
     ) -> std::io::Result<Self> {
         let driven = events.clone();
@@ -113,6 +116,7 @@ impl Viewer {
             clock: Clock::new(),
             recording: Recording::None,
             options,
+            splats_max,
         };
         viewer.set_time(viewer.span_s()[0]);
         // Clients learn it when they come.
@@ -182,6 +186,11 @@ impl Viewer {
                 self.mark_all_stale();
                 // No client is left: the scene does not play on for hours.
                 self.clock.playing &= !self.clients.is_empty();
+            }
+            Event::Splats(source, answer) => {
+                let source = self.sources.get(source);
+                // Who asked may be gone.
+                let _ = answer.send(source.map(|source| source.splats(self.splats_max)));
             }
             Event::Command(id, request) => self.command(id, request),
             Event::Done(done) => self.take_done(done),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use decouplegs::asset::{LoadedScene, lidar_names};
 use decouplegs::episode::{LiveEpisode, chosen_lidars};
 use decouplegs::explain::explain;
-use decouplegs::scene::{Camera, CapturedViews, Lidar, Motion, Pose};
+use decouplegs::scene::{Camera, Lidar, Motion, Pose};
 use decouplegs::session::{Session, SessionError, SessionScene, World};
 use decouplegs_cli::free_view::FreeView;
 use glam::DVec3;
@@ -16,6 +16,7 @@ use crate::played::{LoggedImage, Played};
 use crate::protocol::{CameraRequest, Edit, Pane};
 use crate::scenario_edits::ScenarioEditor;
 use crate::scene_course::{Boxed, SceneCourse};
+use crate::splat_stream::{self, KeptSplats};
 use crate::viewpoint::{fitted, point_at_height, pose_json};
 
 /// Step of the clock over a scene, seconds: that of nuScenes' LiDARs and of most simulators.
@@ -43,6 +44,7 @@ type Dragged = Option<(String, Pose)>;
 pub struct Source {
     course: Course,
     on_device: Arc<SessionScene>,
+    splats: KeptSplats,
     /// The scene without agents.
     background: World,
     /// File or planner that it is shown from, for people.
@@ -105,6 +107,7 @@ impl Source {
                 motion: Motion::REST,
             },
             on_device,
+            splats: KeptSplats::default(),
             dragged: None,
         };
         source.set_time(source.span_s()[0]);
@@ -346,6 +349,7 @@ impl Source {
             self.background = World::empty(&on_device);
             self.now.world = World::empty(&on_device);
             self.on_device = on_device;
+            self.splats.forget();
         }
         self.set_time(self.now.time_s);
     }
@@ -373,6 +377,11 @@ impl Source {
         let lidar = chosen.first().ok_or("there is no LiDAR")?;
         let sweep = lidar.sweep_until(&self.now.ego, &self.now.motion);
         Ok((sweep, self.now.ego.translation))
+    }
+
+    /// Splats that pages draw by themselves, at most `most`.
+    pub fn splats(&self, most: usize) -> Arc<[u8]> {
+        self.splats.bytes(self.loaded(), most)
     }
 
     fn loaded(&self) -> &LoadedScene {
@@ -453,13 +462,14 @@ impl Source {
             "cameras": cameras,
             "step_s": self.step_s(),
             "has_ego": self.episode().is_some() || has_rig,
-            "is_captured": has_rig && is_captured(loaded),
+            "is_captured": has_rig && extent::is_captured(loaded),
             "background_splats": self.on_device.background_splats(),
             "assets": loaded.assets.len(),
             "first_camera": pose_json(&first),
             "extent": if has_rig { Value::Null } else { extent::facts(&loaded.splat_scene) },
             "lanes": lanes,
             "lidars": lidars,
+            "browser": splat_stream::rules_json(&loaded.splat_scene),
         })
     }
 
@@ -477,6 +487,7 @@ impl Source {
             "span_s": self.span_s(),
             "agents": self.now.world.agents().len(),
             "plain_agents": plain,
+            "splats": self.splats.version(),
             "edits": edits,
             "log": self.episode().map(Played::facts),
         })
@@ -494,6 +505,7 @@ impl Source {
                     "size_m": agent.size_m,
                     "speed_mps": agent.speed_mps,
                     "fixed": agent.fixed,
+                    "asset": agent.asset,
                 })
             })
             .collect();
@@ -527,20 +539,11 @@ impl Source {
                         size_m: size_m.unwrap_or_default(),
                         speed_mps: placed.motion.velocity_mps.length(),
                         fixed: false,
+                        asset: Some(placed.asset),
                     }
                 });
                 boxed.collect()
             }
         }
-    }
-}
-
-/// True where a scene looks right from the cameras that captured it alone: behind the car nothing
-/// may be seen.
-fn is_captured(loaded: &LoadedScene) -> bool {
-    match &loaded.recording.views {
-        Some(CapturedViews::Everywhere) => false,
-        Some(CapturedViews::From(_)) => true,
-        None => loaded.ego.poses().len() > 1,
     }
 }

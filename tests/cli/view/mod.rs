@@ -15,6 +15,7 @@ mod editing;
 mod episodes;
 mod guarding;
 mod looking;
+mod splats;
 mod waiting;
 
 /// Bytes of the header before each image.
@@ -62,6 +63,10 @@ impl Viewer {
 
     /// Status line, headers and body of the answer to `GET path`.
     fn get(&self, path: &str, headers: &str) -> String {
+        String::from_utf8_lossy(&self.get_bytes(path, headers)).into_owned()
+    }
+
+    fn get_bytes(&self, path: &str, headers: &str) -> Vec<u8> {
         let mut stream = TcpStream::connect(&self.host).expect("it listens");
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         let then = match headers.contains("Upgrade: ") {
@@ -77,7 +82,7 @@ impl Viewer {
             answer.extend_from_slice(&part[..length]);
             // After an upgrade there is no end.
             if length == 0 || answer.starts_with(b"HTTP/1.1 101") {
-                return String::from_utf8_lossy(&answer).into_owned();
+                return answer;
             }
         }
     }

@@ -18,6 +18,16 @@ export function rotate([x, y, z, w], v) {
   return add(add(v, scale(t, w)), cross(u, t));
 }
 
+/** Quaternion of the rotation by `b`, then by `a`. */
+export function multiply([ax, ay, az, aw], [bx, by, bz, bw]) {
+  return [
+    aw * bx + ax * bw + ay * bz - az * by,
+    aw * by - ax * bz + ay * bw + az * bx,
+    aw * bz + ax * by - ay * bx + az * bw,
+    aw * bw - ax * bx - ay * by - az * bz,
+  ];
+}
+
 const inverse = ([x, y, z, w]) => [-x, -y, -z, w];
 
 /** Point of the world from a point relative to `pose`. */

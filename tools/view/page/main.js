@@ -1,4 +1,5 @@
 // The page: what comes from the viewer, buttons and keys.
+import * as browser from "./browser_drawing.js";
 import * as cameraPanel from "./camera_panel.js";
 import { Connection } from "./connection.js";
 import * as geometry from "./geometry.js";
@@ -75,6 +76,7 @@ function showUpdate(frame, images, points) {
   if (state.refused) notice("");
   state.refused = false;
   state.frame = frame;
+  browser.arrived(frame);
   showBadge();
   if (frame.error) notice(frame.error, true);
   noteTrails(frame);
@@ -84,17 +86,19 @@ function showUpdate(frame, images, points) {
   panels.showTimes(frame.times_ms);
   window.viewer = { frame, state, newest: isNewest };
   cameraPanel.show();
+  if (frame.badge.startsWith("exact")) browser.prepare();
 }
 
 /** True if the image on the screen is the one that was asked for last, at the time of the clock. */
 function isNewest() {
   const { frame, clock, connection } = state;
   const isNow = clock.playing || frame?.revision === clock.revision;
-  return frame !== null && isNow && frame.look === connection.newestLook;
+  return frame !== null && isNow && frame.look === connection.newestLook && !browser.isShown();
 }
 
 /** Tells how the image was made, or that it is not yet the one that was asked for. */
 function showBadge() {
+  if (browser.isShown()) return;
   const newest = isNewest();
   $("badge").textContent = newest ? state.frame.badge : "rendering …";
   $("badge").classList.toggle("exact", newest && state.frame.badge.startsWith("exact"));
@@ -200,7 +204,7 @@ $("time").oninput = () => timeline.goTo(Number($("time").value));
 $("chart").onclick = timeline.chartPressed;
 $("two").onclick = () => views.setTwo(state.panes.length === 1);
 $("help").onclick = () => $("keys").showModal();
-["width", "reduce", "lidar"].forEach((id) => ($(id).onchange = () => views.look()));
+["width", "reduce", "browser", "lidar"].forEach((id) => ($(id).onchange = () => views.look()));
 $("theme").onclick = () => setTheme(document.documentElement.dataset.theme !== "light");
 setTheme(window.matchMedia("(prefers-color-scheme: light)").matches);
 // On a narrow page the panels are below each other: figures are opened by who wants them.

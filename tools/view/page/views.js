@@ -1,4 +1,5 @@
 // Views: panes and their images, what they ask for, and the mouse over them.
+import * as browser from "./browser_drawing.js";
 import { approach, cameraChoices, cameraRequest, newCamera, shift, turn, zoom } from "./cameras.js";
 import { describe, showBoth } from "./compare.js";
 import * as geometry from "./geometry.js";
@@ -178,12 +179,16 @@ let lastLook = 0;
 let pendingLook = 0;
 let restTimer = 0;
 
-/** Asks for what the views show now. */
-export function look(moving = false) {
+/**
+ * Asks for what the views show now. While the camera of `pane` moves and the browser draws it, the
+ * renderer is asked once it is at rest.
+ */
+export function look(moving = false, pane = null) {
   state.moving = moving;
   if (moving) {
     clearTimeout(restTimer);
     restTimer = setTimeout(() => look(false), REST_MS);
+    if (pane && browser.draw(pane, sizeOf(pane.views[0])) && !state.clock.playing) return;
   }
   const wait = moving ? lastLook + LOOK_MS - performance.now() : 0;
   if (pendingLook) return;
@@ -194,16 +199,20 @@ export function look(moving = false) {
   }, Math.max(0, wait));
 }
 
+/** Width and height of the image of a view, pixels. */
+function sizeOf(view) {
+  const { width, height } = view.element.getBoundingClientRect();
+  const ratio = Math.min(window.devicePixelRatio || 1, Number($("width").value) / Math.max(1, width));
+  return [width, height].map((css) => Math.round(Math.min(4096, Math.max(16, css * ratio))));
+}
+
 function sendLook() {
-  const widest = Number($("width").value);
   const panes = state.panes.flatMap((pane) =>
     pane.views.flatMap((view) => {
-      const { width, height } = view.element.getBoundingClientRect();
-      const ratio = Math.min(window.devicePixelRatio || 1, widest / Math.max(1, width));
-      const side = (css) => Math.round(Math.min(4096, Math.max(16, css * ratio)));
+      const [width, height] = sizeOf(view);
       const asked = {
         stream: view.stream, source: pane.source === 1 ? 1 : 0,
-        width_px: side(width), height_px: side(height),
+        width_px: width, height_px: height,
         camera: cameraRequest(pane.camera, view.camera), channel: pane.channel,
         agents: state.layers.agents,
       };
@@ -214,6 +223,7 @@ function sendLook() {
   if (panes.length === 0) return;
   const lidar = $("lidar").value || null;
   send("look", { panes, moving: state.moving, reduce: $("reduce").checked, lidar });
+  if (!state.moving) browser.asked(state.connection.newestLook);
 }
 
 const views = () => state.panes.flatMap((pane) => pane.views);
@@ -342,7 +352,7 @@ function pinch(pane, before, now) {
   zoom(camera, before.apart / now.apart);
   move(pane, camera, now.x - before.x, now.y - before.y);
   share(pane);
-  look(true);
+  look(true, pane);
 }
 
 /** Moves by a drag: one across the height of the view moves by that height, at the camera's focus. */
@@ -396,7 +406,7 @@ function steer(pane) {
     if (press.moves || above) move(pane, camera, dx, dy);
     else turn(camera, (dx * 2) / height, (dy * 2) / height);
     share(pane);
-    look(true);
+    look(true, pane);
   });
   box.addEventListener("pointerup", (event) => {
     lift(event);
@@ -426,7 +436,7 @@ function steer(pane) {
       if (!camera) return;
       zoom(camera, Math.exp(event.deltaY * 0.001));
       share(pane);
-      look(true);
+      look(true, pane);
     },
     { passive: false },
   );
@@ -469,7 +479,7 @@ function fly(now) {
     shift(camera, step * sign("d", "a"), step * sign("e", "q"));
     turn(camera, -seconds * sign("arrowright", "arrowleft"), seconds * sign("arrowup", "arrowdown"));
     share(pane);
-    look(true);
+    look(true, pane);
   }
   requestAnimationFrame(fly);
 }

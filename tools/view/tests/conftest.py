@@ -3,18 +3,45 @@
 import pytest
 
 @pytest.fixture(scope="session")
-def browser():
-    from viewer_page import BROWSER_ARGUMENTS, CHROMIUM, playwright
+def launch():
+    """Starts Chromium with given arguments."""
+    from viewer_page import CHROMIUM, playwright
 
     with playwright.sync_playwright() as started:
-        launched = started.chromium.launch(executable_path=CHROMIUM, args=BROWSER_ARGUMENTS)
-        yield launched
-        launched.close()
+        yield lambda arguments: started.chromium.launch(executable_path=CHROMIUM, args=arguments)
+
+
+@pytest.fixture(scope="session")
+def browser(launch):
+    from viewer_page import BROWSER_ARGUMENTS
+
+    launched = launch(BROWSER_ARGUMENTS)
+    yield launched
+    launched.close()
+
+
+@pytest.fixture(scope="session")
+def webgl_browser(launch):
+    from viewer_page import WEBGL_ARGUMENTS
+
+    launched = launch(WEBGL_ARGUMENTS)
+    yield launched
+    launched.close()
+
+
+@pytest.fixture
+def open_webgl_page(webgl_browser):
+    """Opens the page in a browser with WebGL, and checks in the end that no script failed."""
+    yield from opener(webgl_browser)
 
 
 @pytest.fixture
 def open_page(browser):
     """Opens the page of a viewer, and checks in the end that no script failed."""
+    yield from opener(browser)
+
+
+def opener(browser):
     from viewer_page import Page
 
     pages = []

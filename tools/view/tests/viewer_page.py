@@ -22,15 +22,18 @@ if CHROMIUM is None:
     pytest.skip("chromium is not installed", allow_module_level=True)
 
 PROGRAM = os.environ.get("DECOUPLEGS_PROGRAM", "decouplegs")
-# As root Chromium needs --no-sandbox; it is to reach no other host.
+# As root Chromium needs --no-sandbox; it is to reach no other host, and has no WebGL.
 BROWSER_ARGUMENTS = [
     "--no-sandbox",
     "--disable-gpu",
+    "--disable-3d-apis",
     "--disable-quic",
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
 ]
+# With WebGL in software: views are drawn by the browser while their cameras move.
+WEBGL_ARGUMENTS = [one for one in BROWSER_ARGUMENTS if one != "--disable-3d-apis"] + ["--enable-unsafe-swiftshader"]
 PATIENCE_S = 60
 # Kinds of images: color, depth and so on.
 KINDS = 7

@@ -1,0 +1,180 @@
+"""Views that the browser draws by itself while their cameras move, in WebGL 2 by software."""
+
+import io
+import os
+import shlex
+import subprocess
+
+import pytest
+from viewer_page import PROGRAM, Viewer, np, run
+
+BADGE = "drawn by the browser, reduced"
+BROWSER = "import('/page/browser_drawing.js')"
+
+
+@pytest.fixture(scope="session")
+def plain_street(tmp_path_factory):
+    """A street whose colors are the same from all sides, and whose cars move."""
+    folder = tmp_path_factory.mktemp("plain")
+    sizes = ["--background", 6000, "--agents", 4, "--agent-splats", 400, "--degree", 0, "--seed", 5]
+    run("synth", "street", *sizes, "--size", "320x180", "--movable", "--out", folder)
+    return folder
+
+
+def hold_looks(page):
+    """Keeps the page from asking for images: what the browser drew stays."""
+    page.page.evaluate(
+        """() => {
+            const { connection } = window.viewer.state;
+            const send = connection.send.bind(connection);
+            window.freed = () => Object.assign(connection, { send });
+            connection.send = (what, fields) => what !== "look" && send(what, fields);
+        }"""
+    )
+
+
+def free_looks(page):
+    """Asks for the image at rest, and waits for it."""
+    page.page.evaluate("async () => { window.freed(); (await import('/page/views.js')).look(); }")
+    return page.at_rest()
+
+
+def drag(page, dx, dy):
+    box = page.page.query_selector(".view").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.page.mouse.move(x, y)
+    page.page.mouse.down()
+    page.page.mouse.move(x + dx, y + dy, steps=4)
+    page.page.mouse.up()
+
+
+def ready(page):
+    """Waits until the splats are there, and draws all of them in full size from now on."""
+    page.page.wait_for_function(f"async () => (await {BROWSER}).isReady(0)", timeout=60_000)
+    page.page.evaluate(f"async () => (await {BROWSER}).keepLevel(0)")
+
+
+def seen(page):
+    """Pixels of the first view as they are on the screen, 0 to 1."""
+    Image = pytest.importorskip("PIL.Image")
+    png = page.page.locator(".view").first.screenshot()
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")) / 255.0
+
+
+def drawn(page):
+    """Pixels that the browser drew, once all splats are in their order."""
+    page.page.wait_for_function("() => window.drawn && document.querySelector('canvas.drawn:not([hidden])')")
+    before = -1
+    while (now := page.page.evaluate("() => window.drawn.images")) != before:
+        before = now
+        page.page.wait_for_timeout(1500)
+    assert page.page.inner_text("#badge") == BADGE
+    assert page.shown() is None
+    return seen(page)
+
+
+def psnr(a, b):
+    return -10 * np.log10(max(1e-12, ((a - b) ** 2).mean()))
+
+
+def test_what_the_browser_draws_resembles_the_exact_image(plain_street, tmp_path, open_webgl_page):
+    with Viewer(plain_street, "scene.toml") as viewer:
+        page = open_webgl_page(viewer)
+        page.choose("Camera of view 1", "orbit")
+        page.after(lambda: page.page.keyboard.press("."))
+        ready(page)
+        hold_looks(page)
+        drag(page, 60, 15)
+        moving = drawn(page)
+        if folder := os.environ.get("VIEW_SCREENSHOTS"):
+            page.page.screenshot(path=f"{folder}/drawn.png")
+        free_looks(page)
+        assert page.page.inner_text("#badge") == "exact"
+        exact = seen(page)
+        print(f"{psnr(moving, exact):.1f} dB")
+        assert psnr(moving, exact) > 30
+        # At rest it is the image of the renderer, bit for bit.
+        copied = page.page.evaluate("async () => (await import('/page/state.js')).ask('render_command', { stream: 0 })")
+        words = shlex.split(copied["text"])
+        run_in = [PROGRAM, *words[1 : words.index("--out")], "--out", str(tmp_path / "own"), "--force"]
+        subprocess.run(run_in, cwd=plain_street, check=True, capture_output=True)
+        [png] = sorted((tmp_path / "own").glob("*.png"))
+        assert page.pixels() == page.decoded(png)
+        # Another camera is told apart.
+        page.after(lambda: page.page.mouse.wheel(0, -100))
+        other = seen(page)
+        print(f"{psnr(moving, other):.1f} dB for another camera")
+        assert psnr(moving, other) < 30
+
+
+def test_agents_are_drawn_where_they_are(plain_street, open_webgl_page):
+    with Viewer(plain_street, "scene.toml") as viewer:
+        page = open_webgl_page(viewer)
+        page.choose("Camera of view 1", "birds-eye")
+        page.after(lambda: page.page.keyboard.press("End"))
+        ready(page)
+        with_agents = []
+        for shows_agents in (True, False):
+            hold_looks(page)
+            page.page.evaluate("(shown) => { window.viewer.state.layers.agents = shown; }", shows_agents)
+            drag(page, 30, 5)
+            moving = drawn(page)
+            page.page.evaluate("() => { window.viewer.state.layers.agents = true; }")
+            free_looks(page)
+            with_agents.append(psnr(moving, seen(page)))
+        print(with_agents)
+        assert with_agents[0] > 30
+        assert with_agents[1] < with_agents[0] - 3
+
+
+def test_the_browser_draws_only_where_it_may(plain_street, open_webgl_page):
+    with Viewer(plain_street, "scene.toml") as viewer:
+        page = open_webgl_page(viewer)
+        page.choose("Camera of view 1", "orbit")
+        ready(page)
+        count = lambda: page.page.evaluate("() => window.drawn?.images ?? 0")
+        page.choose("Image kind of view 1", "depth")
+        page.after(lambda: drag(page, 30, 0))
+        assert count() == 0
+        page.choose("Image kind of view 1", "color")
+        page.page.uncheck("#browser")
+        page.at_rest()
+        page.after(lambda: drag(page, 30, 0))
+        assert count() == 0
+        # The link remembers it.
+        page.page.wait_for_function("() => location.hash.includes('browser=off')")
+        page.page.reload()
+        page.at_rest()
+        assert not page.page.is_checked("#browser")
+        page.page.check("#browser")
+        page.at_rest()
+        ready(page)
+        page.after(lambda: drag(page, 30, 0))
+        assert count() > 0
+
+
+def test_without_webgl_images_come_from_the_viewer_alone(plain_street, open_page):
+    with Viewer(plain_street, "scene.toml") as viewer:
+        page = open_page(viewer)
+        page.choose("Camera of view 1", "orbit")
+        page.after(lambda: drag(page, 30, 0))
+        assert page.page.is_disabled("#browser") and not page.page.is_checked("#browser")
+        assert page.page.evaluate("() => window.drawn") is None
+        assert "browser=off" not in page.page.evaluate("() => location.hash")
+
+
+def test_a_page_that_draws_by_itself_is_accessible_and_asks_no_other_host(plain_street, open_webgl_page):
+    axe = pytest.importorskip("axe_core_python.sync_playwright").Axe()
+    with Viewer(plain_street, "scene.toml") as viewer:
+        page = open_webgl_page(viewer, bypass_csp=True)
+        asked = []
+        page.page.on("request", lambda request: asked.append(request.url))
+        page.choose("Camera of view 1", "orbit")
+        ready(page)
+        hold_looks(page)
+        drag(page, 60, 15)
+        drawn(page)
+        found = axe.run(page.page)["violations"]
+        assert [(one["id"], [node["target"] for node in one["nodes"]]) for one in found] == []
+        host = viewer.url.split("/?")[0]
+        assert all(url.startswith((host, "blob:", "data:")) for url in asked), asked
