@@ -44,7 +44,7 @@ impl Traffic {
             }
             // The map does not tell why all drive as they do: for a while they go on so.
             let is_assumed = agent.cruise_mps.is_none() && self.classes[agent.lane()].is_assumed;
-            let free_mps = is_assumed.then(|| limit_mps * driver.speed_share);
+            let free_mps = is_assumed.then_some(limit_mps * driver.speed_share);
             let mut gap_m = None;
             each_ahead(
                 &self.graph,
