@@ -27,6 +27,9 @@ class Cloud {
     this.canvas = SplatCanvas.create();
     this.works = this.canvas !== null;
     this.isSorting = false;
+    /** Camera, agents and chunks that were sorted last: what did not change is not sorted again. */
+    this.order = "";
+    this.chunks = 0;
     this.loadedMs = null;
     if (!this.works) return;
     const { element } = this.canvas;
@@ -51,6 +54,7 @@ class Cloud {
       if (!this.works) return;
       this.canvas.add(message.first, message.words);
       this.origins[message.part] = message.origin;
+      this.chunks += 1;
     } else if (message.kind === "sorted") {
       this.isSorting = false;
       this.canvas.order(message.sorted);
@@ -80,8 +84,9 @@ class Cloud {
     const placed = this.placed(camera, hasAgents);
     const rules = state.sources[this.source].browser;
     const tangents = [0, 1].map((axis) => camera.size_px[axis] / 2 / camera.focal_px[axis]);
-    if (!this.isSorting) {
-      this.isSorting = true;
+    const order = JSON.stringify([placed, tangents, most, this.chunks]);
+    if (!this.isSorting && order !== this.order) {
+      Object.assign(this, { isSorting: true, order });
       this.worker.postMessage({ kind: "sort", placed, tangents, near: rules.near_m, most });
     }
     this.canvas.draw(new Float32Array(placed.flatMap(({ rows }) => rows)), camera, rules);

@@ -107,26 +107,6 @@ def test_what_the_browser_draws_resembles_the_exact_image(plain_street, tmp_path
         assert psnr(moving, other) < 30
 
 
-def test_agents_are_drawn_where_they_are(plain_street, open_webgl_page):
-    with Viewer(plain_street, "scene.toml") as viewer:
-        page = open_webgl_page(viewer)
-        page.choose("Camera of view 1", "birds-eye")
-        page.after(lambda: page.page.keyboard.press("End"))
-        ready(page)
-        with_agents = []
-        for shows_agents in (True, False):
-            hold_looks(page)
-            page.page.evaluate("(shown) => { window.viewer.state.layers.agents = shown; }", shows_agents)
-            drag(page, 30, 5)
-            moving = drawn(page)
-            page.page.evaluate("() => { window.viewer.state.layers.agents = true; }")
-            free_looks(page)
-            with_agents.append(psnr(moving, seen(page)))
-        print(with_agents)
-        assert with_agents[0] > 30
-        assert with_agents[1] < with_agents[0] - 3
-
-
 def test_the_browser_draws_only_where_it_may(plain_street, open_webgl_page):
     with Viewer(plain_street, "scene.toml") as viewer:
         page = open_webgl_page(viewer)
