@@ -132,13 +132,39 @@ function cloudOf(source) {
   return cloud;
 }
 
-/** Asks for the splats that are shown first. Without WebGL 2 the box cannot be ticked. */
+/** True if the browser can draw; `fast`: by a GPU, and not in software. */
+function draws(fast) {
+  const gl = document.createElement("canvas").getContext("webgl2", { failIfMajorPerformanceCaveat: fast });
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return gl !== null;
+}
+
+/** True if the browser draws where nobody says that it should or should not. */
+const isUsual = draws(true);
+
+/** Ticks the box where a GPU draws. Without WebGL 2 it cannot be ticked. */
+export function setUp() {
+  const can = draws(false);
+  Object.assign($("browser"), { checked: isUsual, disabled: !can });
+  if (!can) $("browser-label").title = "This browser has no WebGL 2";
+  else if (!isUsual) $("browser-label").title = "This browser draws without a GPU, which is slow";
+}
+
+/** The box as a link holds it: "on" or "off"; null where it is as usual. */
+export function choice() {
+  const { checked, disabled } = $("browser");
+  if (disabled || checked === isUsual) return null;
+  return checked ? "on" : "off";
+}
+
+/** Ticks the box as a link says. */
+export function choose(choice) {
+  if (choice !== null && !$("browser").disabled) $("browser").checked = choice === "on";
+}
+
+/** Asks for the splats that are shown first. */
 export function prepare() {
-  if (!isOn()) return;
-  const { canvas } = cloudOf(0);
-  if (canvas) return;
-  Object.assign($("browser"), { checked: false, disabled: true });
-  $("browser-label").title = "This browser has no WebGL 2";
+  if (isOn()) cloudOf(0);
 }
 
 /**

@@ -1,6 +1,7 @@
 // The part of the address behind "#": time, and what each view shows. It survives a reload.
+import * as browser from "./browser_drawing.js";
 import { newCamera } from "./cameras.js";
-import { $, notice, state } from "./state.js";
+import { notice, state } from "./state.js";
 import { goTo } from "./timeline.js";
 import * as views from "./views.js";
 
@@ -24,7 +25,8 @@ export function fragment() {
       if (camera[key] !== undefined) link.set(`${name}.${key}`, camera[key]);
     });
   });
-  if (!$("browser").checked && !$("browser").disabled) link.set("browser", "off");
+  const choice = browser.choice();
+  if (choice) link.set("browser", choice);
   return `#${link}`;
 }
 
@@ -83,7 +85,7 @@ function restorePane(link, name, pane) {
 export function restore() {
   const link = new URLSearchParams(location.hash.slice(1));
   if (![...link.keys()].length) return;
-  if (link.get("browser") === "off") $("browser").checked = false;
+  browser.choose(link.get("browser"));
   const shown = PANE_NAMES.map((name) => link.has(name));
   if (shown[1] !== state.panes.length > 1) views.setTwo(shown[1]);
   const restored = state.panes.map((pane, index) => !shown[index] || restorePane(link, PANE_NAMES[index], pane));

@@ -212,6 +212,7 @@ $("times-panel").open = !window.matchMedia("(max-width: 800px)").matches;
 KEYS.forEach(([keys, meaning]) => {
   $("key-list").append(make("dt", {}, make("kbd", { textContent: keys })), make("dd", { textContent: meaning }));
 });
+browser.setUp();
 panels.prepareEdits();
 [cameraPanel, measure, path].forEach((part) => part.prepare());
 [measure, path].forEach((part) => alsoDraw(part.draw));

@@ -49,7 +49,10 @@ def drag(page, dx, dy):
 
 
 def ready(page):
-    """Waits until the splats are there, and draws all of them in full size from now on."""
+    """Lets the browser draw, waits until the splats are there, and draws all of them in full size from now on."""
+    if not page.page.is_checked("#browser"):
+        page.page.check("#browser")
+        page.at_rest()
     page.page.wait_for_function(f"async () => (await {BROWSER}).isReady(0)", timeout=60_000)
     page.page.evaluate(f"async () => (await {BROWSER}).keepLevel(0)")
 
@@ -107,27 +110,56 @@ def test_what_the_browser_draws_resembles_the_exact_image(plain_street, tmp_path
         assert psnr(moving, other) < 30
 
 
+def test_agents_are_drawn_where_they_are(plain_street, open_webgl_page):
+    with Viewer(plain_street, "scene.toml") as viewer:
+        page = open_webgl_page(viewer)
+        ready(page)
+        # Above the first car, whose middle is the middle of the view.
+        page.page.evaluate(
+            """async () => {
+                const { state } = await import("/page/state.js");
+                const { position_m: at } = state.frame.sources[0].agents[0].pose;
+                const pane = state.panes[0];
+                const views = await import("/page/views.js");
+                views.choose(pane, "orbit");
+                Object.assign(pane.camera, { focus: [...at], far: 9, pitch: -1.2 });
+                views.look();
+            }"""
+        )
+        page.at_rest()
+        hold_looks(page)
+        drag(page, 3, 0)
+        with_cars = drawn(page)
+        page.page.evaluate("async () => { const { state } = await import('/page/state.js'); state.layers.agents = false; }")
+        drag(page, -3, 0)
+        without = drawn(page)
+        page.page.evaluate("async () => { const { state } = await import('/page/state.js'); state.layers.agents = true; }")
+        drag(page, 3, 0)
+        free_looks(page)
+        exact = seen(page)
+        print(f"{psnr(with_cars, exact):.1f} dB, {psnr(without, exact):.1f} dB without agents")
+        assert psnr(with_cars, exact) > 30 > psnr(without, exact)
+
+
 def test_the_browser_draws_only_where_it_may(plain_street, open_webgl_page):
     with Viewer(plain_street, "scene.toml") as viewer:
         page = open_webgl_page(viewer)
         page.choose("Camera of view 1", "orbit")
-        ready(page)
+        # Without a GPU it draws where the user says so.
+        assert page.page.is_enabled("#browser") and not page.page.is_checked("#browser")
         count = lambda: page.page.evaluate("() => window.drawn?.images ?? 0")
+        page.after(lambda: drag(page, 30, 0))
+        assert count() == 0
+        ready(page)
         page.choose("Image kind of view 1", "depth")
         page.after(lambda: drag(page, 30, 0))
         assert count() == 0
         page.choose("Image kind of view 1", "color")
-        page.page.uncheck("#browser")
-        page.at_rest()
-        page.after(lambda: drag(page, 30, 0))
-        assert count() == 0
         # The link remembers it.
-        page.page.wait_for_function("() => location.hash.includes('browser=off')")
+        page.page.wait_for_function("() => location.hash.includes('browser=on')")
         page.page.reload()
         page.at_rest()
-        assert not page.page.is_checked("#browser")
-        page.page.check("#browser")
-        page.at_rest()
+        assert page.page.is_checked("#browser")
         ready(page)
         page.after(lambda: drag(page, 30, 0))
         assert count() > 0
@@ -140,7 +172,7 @@ def test_without_webgl_images_come_from_the_viewer_alone(plain_street, open_page
         page.after(lambda: drag(page, 30, 0))
         assert page.page.is_disabled("#browser") and not page.page.is_checked("#browser")
         assert page.page.evaluate("() => window.drawn") is None
-        assert "browser=off" not in page.page.evaluate("() => location.hash")
+        assert "browser=" not in page.page.evaluate("() => location.hash")
 
 
 def test_a_page_that_draws_by_itself_is_accessible_and_asks_no_other_host(plain_street, open_webgl_page):
