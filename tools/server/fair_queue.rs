@@ -19,7 +19,7 @@ pub struct FairQueue<T> {
 
 /// Items of one peer.
 struct Peer<T> {
-    /// With the number of each, in the order in which they came.
+    /// Items in the order in which they came, each behind its number among all.
     items: VecDeque<(u64, T)>,
     used: Duration,
 }

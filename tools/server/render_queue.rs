@@ -1,5 +1,6 @@
-//! The queue of requests: each goes to the thread that draws on the device of its scene, which gives
-//! each connection the same time. Images go back one by one, and files are read on threads beside.
+//! The queue of requests: each goes to the thread that draws on the device of its scene, which
+//! gives each connection the same time. Images go back one by one, and files are read on threads
+//! beside.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};

@@ -77,10 +77,10 @@ fn copied(from: &Path, folder: &Path, id: &str) -> PathBuf {
     into.join("scene.toml")
 }
 
-/// Half of the clients ask for one image after the other, as simulators do; the others flood, cancel,
-/// connect again and again, or send garbage. None of the first is refused anything. In a crowd of
-/// half a minute or more (`DECOUPLEGS_CROWD_S`, of 100 clients and 10 scenes) the 99th percentile of
-/// their waits is at most twice what it is without the others.
+/// Half of the clients ask for one image after the other, as simulators do; the others flood,
+/// cancel, connect again and again, or send garbage. None of the first is refused anything. In a
+/// crowd of half a minute or more (`DECOUPLEGS_CROWD_S`, of 100 clients and 10 scenes) the 99th
+/// percentile of their waits is at most twice what it is without the others.
 #[tokio::test(flavor = "multi_thread")]
 async fn rude_clients_do_not_hold_up_the_others() {
     let seconds = std::env::var("DECOUPLEGS_CROWD_S").map_or(2, |text| {

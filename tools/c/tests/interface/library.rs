@@ -52,8 +52,8 @@ pub fn succeed(output: Output) -> String {
     said
 }
 
-/// True if the library was built with the address sanitizer, as `make asan` does: then programs in C
-/// are, too.
+/// True if the library was built with the address sanitizer, as `make asan` does: then programs in
+/// C are, too.
 pub fn is_sanitized() -> bool {
     env::var_os("DECOUPLEGS_SANITIZED").is_some()
 }
