@@ -132,19 +132,26 @@ function cloudOf(source) {
   return cloud;
 }
 
-/** True if the browser can draw; `fast`: by a GPU, and not in software. */
-function draws(fast) {
-  const gl = document.createElement("canvas").getContext("webgl2", { failIfMajorPerformanceCaveat: fast });
-  gl?.getExtension("WEBGL_lose_context")?.loseContext();
-  return gl !== null;
+/** Names of devices that are none: the processor draws. */
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|basic render|software/i;
+
+/** Name of the device that the browser draws by; null without WebGL 2. */
+function deviceName() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return null;
+  const named = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = gl.getParameter(named ? named.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return name;
 }
 
+const device = deviceName();
 /** True if the browser draws where nobody says that it should or should not. */
-const isUsual = draws(true);
+const isUsual = device !== null && !SOFTWARE.test(device);
 
 /** Ticks the box where a GPU draws. Without WebGL 2 it cannot be ticked. */
 export function setUp() {
-  const can = draws(false);
+  const can = device !== null;
   Object.assign($("browser"), { checked: isUsual, disabled: !can });
   if (!can) $("browser-label").title = "This browser has no WebGL 2";
   else if (!isUsual) $("browser-label").title = "This browser draws without a GPU, which is slow";

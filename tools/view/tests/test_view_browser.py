@@ -128,17 +128,17 @@ def test_agents_are_drawn_where_they_are(plain_street, open_webgl_page):
         )
         page.at_rest()
         hold_looks(page)
-        drag(page, 3, 0)
+        drag(page, 60, 0)
         with_cars = drawn(page)
         page.page.evaluate("async () => { const { state } = await import('/page/state.js'); state.layers.agents = false; }")
-        drag(page, -3, 0)
+        drag(page, -60, 0)
+        drag(page, 60, 0)
         without = drawn(page)
         page.page.evaluate("async () => { const { state } = await import('/page/state.js'); state.layers.agents = true; }")
-        drag(page, 3, 0)
         free_looks(page)
         exact = seen(page)
         print(f"{psnr(with_cars, exact):.1f} dB, {psnr(without, exact):.1f} dB without agents")
-        assert psnr(with_cars, exact) > 30 > psnr(without, exact)
+        assert psnr(with_cars, exact) > 45 > psnr(without, exact)
 
 
 def test_the_browser_draws_only_where_it_may(plain_street, open_webgl_page):
