@@ -17,14 +17,13 @@
 #
 #   make fuzz     gives damaged files to every reader
 #   make abuse    damages files, fills disks, kills, and sends garbage to the viewer and the server
-#   make asan     runs the tests of the C library and of the Python package with the address sanitizer
 #   make soak     lets the server and the closed loop work, and tells whether their memory grows
 #
 # Each installs through apt what is missing; sudo is used only by a user who is not root.
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test install install-c fuzz abuse asan soak shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore nuscenes
+.PHONY: demo test install install-c fuzz abuse soak shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore nuscenes
 
 # What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
 # A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
@@ -92,23 +91,6 @@ abuse: NEEDS := $(NEEDS_RUN) python3
 abuse: packages
 	cargo build --workspace
 	python3 tests/abuse/abuse.py --program $(TARGET)/debug/decouplegs --tries $(ABUSE_TRIES)
-
-# The C and C++ programs and Python bring the runtime of the sanitizer, that of gcc. Their own leaks, and those of the interpreter, are not
-# looked for: valgrind does that for the C library in `make test`.
-HOST = $(shell rustc -vV | sed -n 's/^host: //p')
-asan: NEEDS := $(NEEDS_TEST)
-asan: export RUSTC_BOOTSTRAP := 1
-asan: export RUSTFLAGS := -Zsanitizer=address
-asan: export CARGO_TARGET_DIR := $(TOOLS)/asan
-asan: export DECOUPLEGS_SANITIZED := 1
-asan: export ASAN_OPTIONS := detect_leaks=0:detect_odr_violation=0
-asan: packages python
-	cargo test --target $(HOST) --package decouplegs-c --test interface
-	cargo build --target $(HOST) --package decouplegs-python
-	rm -rf out/asan && mkdir -p out/asan && cp -r tools/python/decouplegs out/asan/
-	ln -sf "$(TOOLS)/asan/$(HOST)/debug/libdecouplegs_native.so" out/asan/decouplegs/_native.abi3.so
-	LD_PRELOAD=$$(gcc -print-file-name=libasan.so) PYTHONMALLOC=malloc PYTHONPATH=out/asan \
-		$(PYTHON)/bin/python -m pytest -q tools/python/tests/test_{misuse,drawing,dlpack,cameras,lidar,gym}.py
 
 SOAK_SECONDS ?= 7200
 soak: NEEDS := $(NEEDS_RUN) python3 =python3-venv

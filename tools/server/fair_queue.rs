@@ -10,9 +10,12 @@ use std::time::Duration;
 /// The time that an item takes is known once it was done.
 pub struct FairQueue<T> {
     peers: HashMap<u64, Peer<T>>,
-    /// Time used by the peer that was served last, when it was chosen: peers that come, or come
-    /// back, begin there.
+    /// Time used by the peer that was served last, when it was chosen: peers that come back begin
+    /// there.
     floor: Duration,
+    /// Time that an item takes, about. Peers that nobody knows begin so much behind: who comes
+    /// under a new number each time would keep all others waiting.
+    usual: Duration,
     /// Number of items that were ever pushed.
     pushed: u64,
 }
@@ -29,6 +32,7 @@ impl<T> Default for FairQueue<T> {
         Self {
             peers: HashMap::new(),
             floor: Duration::ZERO,
+            usual: Duration::ZERO,
             pushed: 0,
         }
     }
@@ -71,13 +75,14 @@ impl<T> FairQueue<T> {
     /// Counts time that was used for `peer`.
     pub fn took(&mut self, peer: u64, time: Duration) {
         self.peer(peer).used += time;
+        self.usual = (15 * self.usual + time) / 16;
     }
 
     fn peer(&mut self, number: u64) -> &mut Peer<T> {
-        let floor = self.floor;
+        let used = self.floor + self.usual;
         self.peers.entry(number).or_insert_with(|| Peer {
             items: VecDeque::new(),
-            used: floor,
+            used,
         })
     }
 
@@ -166,6 +171,34 @@ mod tests {
         let next: Vec<u64> = (0..20).map(|_| serve(&mut queue).unwrap().0).collect();
         let rude = next.iter().filter(|&&peer| peer == RUDE).count();
         assert!((9..=11).contains(&rude), "{rude} of 20");
+    }
+
+    #[test]
+    fn peers_that_are_always_new_do_not_keep_others_waiting() {
+        let mut queue = FairQueue::default();
+        queue.push(POLITE, 10);
+        let (mut new, mut polite) = (100, 0);
+        for _ in 0..1000 {
+            // Four of them wait at any time, each under another number than before.
+            while queue
+                .peers
+                .values()
+                .filter(|peer| !peer.items.is_empty())
+                .count()
+                < 5
+            {
+                queue.push(new, 10);
+                new += 1;
+            }
+            if serve(&mut queue).unwrap().0 == POLITE {
+                polite += 1;
+                queue.push(POLITE, 10);
+            }
+        }
+        assert!(
+            polite >= 150,
+            "{polite} of 1000, where a fifth is its share"
+        );
     }
 
     #[test]

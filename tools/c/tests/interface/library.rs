@@ -52,12 +52,6 @@ pub fn succeed(output: Output) -> String {
     said
 }
 
-/// True if the library was built with the address sanitizer, as `make asan` does: then programs in
-/// C are, too.
-pub fn is_sanitized() -> bool {
-    env::var_os("DECOUPLEGS_SANITIZED").is_some()
-}
-
 /// The program of `source`, relative to the package, in `folder`; compiled as strictly as can be.
 pub fn compiled(source: &str, linked: Linked, folder: &Path) -> PathBuf {
     let source = Path::new(FOLDER).join(source);
@@ -72,12 +66,9 @@ pub fn compiled(source: &str, linked: Linked, folder: &Path) -> PathBuf {
             "-Wpedantic",
             "-Werror",
             "-pthread",
+            "-I",
         ]);
-        if is_sanitized() {
-            command.arg("-fsanitize=address");
-        }
         command
-            .arg("-I")
             .arg(Path::new(FOLDER).join("include"))
             .arg(&source)
             .arg("-o")

@@ -8,7 +8,7 @@ use decouplegs::scene::{Motion, Pose, RigLidar};
 use decouplegs::session::{HostImages, Session, SessionOptions, World, WorldView};
 use glam::DVec3;
 
-use crate::library::{FOLDER, Linked, compiled, is_sanitized, run, succeed};
+use crate::library::{FOLDER, Linked, compiled, run, succeed};
 use crate::street::small_street;
 
 /// Pixels of a PPM file behind its header.
@@ -183,10 +183,6 @@ fn a_sweep_is_that_of_a_session() {
 
 #[test]
 fn the_example_touches_only_its_own_memory_and_leaks_none() {
-    if is_sanitized() {
-        println!("not run: the address sanitizer and valgrind do not go together");
-        return;
-    }
     let folder = tempfile::tempdir().unwrap();
     let scene = small_street(folder.path(), [64, 48]);
     let program = compiled("examples/render_rig.c", Linked::Shared, folder.path());
