@@ -13,8 +13,8 @@ pub struct FairQueue<T> {
     /// Time used by the peer that was served last, when it was chosen: peers that come back begin
     /// there.
     floor: Duration,
-    /// Time that an item takes, about. Peers that nobody knows begin so much behind: who comes
-    /// under a new number each time would keep all others waiting.
+    /// Moving average of the time of an item. New peers begin that much behind the floor:
+    /// otherwise a client with a new connection for each request would keep all others waiting.
     usual: Duration,
     /// Number of items that were ever pushed.
     pushed: u64,
@@ -59,7 +59,7 @@ impl<T> FairQueue<T> {
             Some((peer.used, *pushed, *number))
         });
         let Some((used, _, number)) = next.min() else {
-            // Nobody waits, so nobody is behind.
+            // No item waits, so no peer has a claim to be served before another.
             self.peers.clear();
             return None;
         };

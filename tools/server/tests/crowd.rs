@@ -14,6 +14,7 @@ use tonic::Code;
 use tonic::transport::{Channel, Endpoint};
 
 use crate::asking::{cameras, client, options, request, serve};
+use crate::lasting::p99;
 use crate::scenes::street;
 
 /// Requests that a rude client has open at a time.
@@ -125,7 +126,7 @@ async fn rude_clients_do_not_hold_up_the_others() {
     let rude: Vec<_> = rude.collect();
     let beside = crowd(end).await;
     let answered: usize = join_all(rude).await.into_iter().map(Result::unwrap).sum();
-    let figures = [&alone, &beside].map(|waits| (waits.len(), p99(waits)));
+    let figures = [&alone, &beside].map(|waits| (waits.len(), p99(waits.clone())));
     println!(
         "{half} polite clients alone: {} images, p99 {:?}; beside {half} rude ones, which got {answered}: {} images, p99 {:?}",
         figures[0].0, figures[0].1, figures[1].0, figures[1].1
@@ -201,11 +202,4 @@ async fn rude(address: SocketAddr, scene: String, number: usize, end: Instant) -
         }
     }
     images
-}
-
-/// The 99th percentile of some waits.
-fn p99(waits: &[Duration]) -> Duration {
-    let mut waits = waits.to_vec();
-    waits.sort();
-    waits[(waits.len() * 99).div_ceil(100) - 1]
 }

@@ -390,7 +390,7 @@ async fn steady(address: String, end: Instant) -> Vec<Duration> {
 }
 
 /// The 99th percentile of some waits; zero for none.
-fn p99(mut waits: Vec<Duration>) -> Duration {
+pub fn p99(mut waits: Vec<Duration>) -> Duration {
     waits.sort();
     let at = (waits.len() * 99).div_ceil(100).saturating_sub(1);
     waits.get(at).copied().unwrap_or_default()

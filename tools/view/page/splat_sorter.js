@@ -63,7 +63,7 @@ function takeChunk({ part, count, of, all, origin, words }) {
   const first = splats;
   own.count += count;
   splats += count;
-  postMessage({ kind: "chunk", part, first, count, of, all, origin, words }, [words.buffer]);
+  postMessage({ kind: "chunk", part, first, all, origin, words }, [words.buffer]);
 }
 
 let keys = new Uint32Array(0);
@@ -124,5 +124,5 @@ onmessage = ({ data }) => {
     return;
   }
   const sorted = sort(data);
-  postMessage({ kind: "sorted", number: data.number, sorted }, [sorted.buffer]);
+  postMessage({ kind: "sorted", sorted }, [sorted.buffer]);
 };

@@ -103,7 +103,7 @@ def test_what_the_browser_draws_resembles_the_exact_image(plain_street, tmp_path
         subprocess.run(run_in, cwd=plain_street, check=True, capture_output=True)
         [png] = sorted((tmp_path / "own").glob("*.png"))
         assert page.pixels() == page.decoded(png)
-        # Another camera is told apart.
+        # The bound fails for another camera.
         page.after(lambda: page.page.mouse.wheel(0, -100))
         other = seen(page)
         print(f"{psnr(moving, other):.1f} dB for another camera")

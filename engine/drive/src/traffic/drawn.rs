@@ -61,8 +61,8 @@ impl Spread {
 impl Driver {
     /// Driver of a kind of vehicle, drawn as number `number` of a scenario with this seed.
     ///
-    /// What [`Driver::from`] says of a type relative to the normal driver multiplies what is drawn,
-    /// and vehicles differ as [`Driver::new`] says. The model of following is
+    /// Drawn values are multiplied by the ratio of the type's parameters to the normal driver's
+    /// ([`Driver::from`]), and vehicles differ as [`Driver::new`] says. The model of following is
     /// [`Interaction::Least`].
     #[must_use]
     pub fn drawn(kind: RoadUser, driver: DriverKind, seed: u64, number: usize) -> Self {
