@@ -21,13 +21,13 @@ layout(set = 0, binding = 9, scalar) writeonly buffer contributions_block { uint
 layout(set = 0, binding = 10, scalar) writeonly buffer agent_offsets_block { uint agent_offsets[]; };
 layout(set = 0, binding = 11, scalar) writeonly buffer transmittances_block { uint transmittances[]; };
 layout(set = 0, binding = 12, scalar) writeonly buffer unfinished_block { uint unfinished[]; };
+layout(set = 0, binding = 13, scalar) writeonly buffer medians_unfinished_block { uint medians_unfinished[]; };
 
 // Words of each buffer that are written.
 layout(push_constant, scalar) uniform push_block {
     uint camera_words;
     uint lens_words;
     uint key_set_words;
-    uint required_first; // of the words that are set to zero
     uint required_words;
     uint argument_words;
     uint slab_words;
@@ -35,6 +35,7 @@ layout(push_constant, scalar) uniform push_block {
     uint agent_offset_words;
     uint transmittance_words;
     uint unfinished_words;
+    uint medians_unfinished_words;
 };
 
 #define EACH(index, words) for (uint index = gl_GlobalInvocationID.x; index < words; index += threads)
@@ -44,11 +45,12 @@ void main() {
     EACH(index, camera_words) cameras[index] = staged_cameras[index];
     EACH(index, lens_words) lenses[index] = staged_lenses[index];
     EACH(index, key_set_words) key_sets[index] = staged_key_sets[index];
-    EACH(index, required_words) required[required_first + index] = 0u;
+    EACH(index, required_words) required[index] = 0u;
     EACH(index, argument_words) arguments[index] = 0u;
     EACH(index, slab_words / 4u) slab_counts[index] = uvec4(0u); // by far the most of all
     EACH(index, contribution_words) contributions[index] = 0u;
     EACH(index, agent_offset_words) agent_offsets[index] = 0u;
     EACH(index, transmittance_words) transmittances[index] = 0u;
     EACH(index, unfinished_words) unfinished[index] = 0u;
+    EACH(index, medians_unfinished_words) medians_unfinished[index] = 0u;
 }

@@ -21,7 +21,8 @@
 // a list knows that and stops. The others are blended to their end; composite finds the one segment
 // in which a pixel ends, and leaves there what the pixel was before it. A second run, with FINISH,
 // blends that segment again from there. The weights of splats (CONTRIBUTIONS) depend on what lies
-// before them as well, and are counted in the same way.
+// before them as well, and are counted in the same way. So are medians found (FINISH_MEDIANS) where
+// something lies before the segment in which half of the light goes.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -47,8 +48,7 @@ layout(constant_id = 5) const uint LANES = 32u; // of a subgroup: 4 to 64
 layout(constant_id = 6) const bool CONTRIBUTIONS = false; // add up the weights of each splat; records hold its index
 layout(constant_id = 7) const bool FINISH = false; // blend again what composite has left to be finished
 layout(constant_id = 8) const bool ONE_BATCH = false; // no segment is longer than a batch
-layout(constant_id = 9) const bool MEDIAN = false; // with EXCLUSIVE_STOP: the color of the splat in which half of the light is gone
-layout(constant_id = 10) const bool DEPTHS = false; // blend depths and ranges instead of colors
+layout(constant_id = 9) const bool FINISH_MEDIANS = false; // with FINISH: find the medians that composite has left
 
 layout(set = 0, binding = 5, scalar) buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { BlendItem items[]; };
@@ -68,15 +68,18 @@ layout(set = 0, binding = 13, scalar) buffer partial_transmittances_block { uint
 // Per splat: the sum of its weights in all pixels, in steps of 1 / contribution_scale.
 layout(set = 0, binding = 14, scalar) buffer contributions_block { uint contributions[]; };
 
-// Per partial result: the fine tiles with pixels that are to be finished, as bits. Only with
-// EXCLUSIVE_STOP or CONTRIBUTIONS.
+// Per partial result: the fine tiles with pixels that are to be finished, as bits. Only with FINISH.
 layout(set = 0, binding = 15, scalar) readonly buffer partial_unfinished_block { uint partial_unfinished[]; };
 
 // Per partial result: the fine tiles that have one. Written by the first run, read by FINISH.
 layout(set = 0, binding = 16, scalar) buffer partial_tiles_block { PartialTiles partial_tiles[]; };
 
-// Of each record, with DEPTHS: depth and range, meters.
+// Of each record, with MEDIANS: depth and range, meters.
 layout(set = 0, binding = 17, std430) readonly buffer depths_block { vec2 depths[]; };
+
+// Per pixel of a partial result, with MEDIANS: the record in which half of the light is gone, or
+// bits of a negative transmittance, which lies before the segment in which the median is to be found.
+layout(set = 0, binding = 18, scalar) buffer partial_medians_block { uint partial_medians[]; };
 
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; uint tiles_max; float contribution_scale; uint image_pixels; };
 
@@ -233,12 +236,20 @@ void write_partial(uint index, Pixel pixel, bool full) {
         // Negative: the pixel ends here.
         pixel.transmittance = EXCLUSIVE_STOP && full ? -pixel.transmittance : pixel.transmittance;
         store_partial(held_tiles, index, pixel);
+        if (MEDIANS) {
+            partial_medians[partial_index(held_tiles, index)] = pixel.median;
+        }
     }
 }
 
 // Pixel before its segment, or a full pixel if there is nothing to finish in it.
 Pixel unfinished_pixel(PartialTiles held, uint index, out bool full) {
-    Pixel pixel = load_partial(held, index);
+    Pixel pixel = PIXEL_EMPTY;
+    if (!FINISH_MEDIANS) {
+        pixel = load_partial(held, index);
+    } else if (has_partial(held, index)) {
+        pixel.transmittance = uintBitsToFloat(partial_medians[partial_index(held, index)]);
+    }
     full = !(pixel.transmittance < 0.0);
     pixel.transmittance = full ? 0.0 : -pixel.transmittance;
     return pixel;
@@ -262,9 +273,24 @@ void tell_largest(BlendItem item, uint tile, uint largest) {
     atomicStore(partial_transmittances[32u * item.partial + tile], max(largest, 1u), gl_ScopeDevice, gl_StorageSemanticsBuffer, gl_SemanticsRelaxed);
 }
 
+// Writes the medians of a pixel before whose first splat all light was there.
+void write_own_medians(Camera camera, uvec2 at, Pixel pixel) {
+    if (MEDIANS) {
+        bool found = pixel.transmittance <= TRANSMITTANCE_MEDIAN;
+        write_medians(camera, at, found ? depths[pixel.median] : vec2(0.0), image_pixels);
+    }
+}
+
 void write_result(BlendItem item, Camera camera, uvec2 origin, uint index, LanePixels pixels) {
     uvec2 at = origin + pixel_offset(index);
-    if (FINISH) {
+    if (FINISH_MEDIANS) {
+        if (!pixels.left_full) {
+            write_medians(camera, at, depths[pixels.left.median], image_pixels);
+        }
+        if (!pixels.right_full) {
+            write_medians(camera, at + uvec2(2u, 0u), depths[pixels.right.median], image_pixels);
+        }
+    } else if (FINISH) {
         // Composite has written the pixel as it is without an end in this segment, and pixels that
         // were full before keep that.
         if (pixels.left_full && pixels.left.transmittance > 0.0) {
@@ -276,6 +302,8 @@ void write_result(BlendItem item, Camera camera, uvec2 origin, uint index, LaneP
     } else if (item.partial == NO_PARTIAL) {
         write_pixel(camera, at, pixels.left, sky, image_pixels);
         write_pixel(camera, at + uvec2(2u, 0u), pixels.right, sky, image_pixels);
+        write_own_medians(camera, at, pixels.left);
+        write_own_medians(camera, at + uvec2(2u, 0u), pixels.right);
     } else {
         write_partial(index, pixels.left, pixels.left_full);
         write_partial(index + LEFT_PIXELS, pixels.right, pixels.right_full);

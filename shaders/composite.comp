@@ -20,8 +20,6 @@ layout(local_size_x = 256) in;
 
 layout(constant_id = 3) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
 layout(constant_id = 4) const bool CONTRIBUTIONS = false;  // every segment is left to be finished, so that its weights can be counted
-layout(constant_id = 5) const bool MEDIAN = false; // see blend.comp
-layout(constant_id = 6) const bool DEPTHS = false; // likewise
 
 layout(set = 0, binding = 5, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer composites_block { Composite composites[]; };
@@ -34,6 +32,11 @@ layout(set = 0, binding = 10, scalar) readonly buffer partial_tiles_block { Part
 // Per partial result and fine tile: bits of the largest transmittance that it left, or 0 where that
 // is not known.
 layout(set = 0, binding = 11, scalar) readonly buffer partial_transmittances_block { uint partial_transmittances[]; };
+
+// See blend.comp; the second is its partial_unfinished for medians.
+layout(set = 0, binding = 12, scalar) buffer partial_medians_block { uint partial_medians[]; };
+layout(set = 0, binding = 13, scalar) buffer medians_unfinished_block { uint medians_unfinished[]; };
+layout(set = 0, binding = 14, std430) readonly buffer depths_block { vec2 depths[]; };
 
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint image_pixels; };
 
@@ -49,6 +52,39 @@ void leave_unfinished(uint slot, PartialTiles held, uint index, Pixel before) {
         before.transmittance = -before.transmittance;
         store_partial(held, index, before);
         atomicOr(partial_unfinished[slot], 1u << fine_tile(index));
+    }
+}
+
+// Writes the medians of the pixel at `at`, or leaves them to be finished in the segment in which half
+// of the light goes. That is one from `first` to before `end`, behind which `transmittance` is left;
+// `goes_here` is true if products in another order say so, whose rounding is another: then the last
+// segment that draws is the one if none before it is.
+void settle_medians(Camera camera, uvec2 at, Composite composite, uint first, uint end, uint index, float transmittance, bool goes_here) {
+    PartialTiles last = PartialTiles(0u, 0u);
+    uint last_slot = 0u;
+    float before = transmittance;
+    for (uint segment = first; segment < end && transmittance > TRANSMITTANCE_MEDIAN; ++segment) {
+        uint slot = composite.first_partial + segment;
+        PartialTiles held = partial_tiles[slot];
+        float own = has_partial(held, index) ? partial_transmittance(held, index) : 1.0;
+        if (own < 1.0) {
+            last = held;
+            last_slot = slot;
+            before = transmittance;
+            transmittance *= own;
+        }
+    }
+    if (!goes_here && transmittance > TRANSMITTANCE_MEDIAN) {
+        write_medians(camera, at, vec2(0.0), image_pixels);
+        return;
+    }
+    uint place = partial_index(last, index);
+    if (before == 1.0) {
+        // Nothing lies before it: it has found the median by itself.
+        write_medians(camera, at, depths[partial_medians[place]], image_pixels);
+    } else {
+        partial_medians[place] = floatBitsToUint(-before);
+        atomicOr(medians_unfinished[last_slot], 1u << fine_tile(index));
     }
 }
 
@@ -70,12 +106,12 @@ Pixel joined_by(uint thread) {
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
         words[word] = joined_planes[word * WORKGROUP_THREADS + thread];
     }
-    return Pixel(joined.rgb, joined.a, plane_sums(words));
+    return Pixel(joined.rgb, joined.a, plane_sums(words), 0u);
 }
 
 // True if nothing behind `pixel`, which holds more than the first segment, counts.
 bool has_ended(Pixel pixel) {
-    return pixel.transmittance <= (EXCLUSIVE_STOP ? stop_limit() : TRANSMITTANCE_FULL);
+    return pixel.transmittance <= (EXCLUSIVE_STOP ? TRANSMITTANCE_MIN : TRANSMITTANCE_FULL);
 }
 
 // Joins the segments from `first` to before `end` behind `pixel`. Returns false where the first
@@ -105,7 +141,7 @@ bool join(inout Pixel pixel, Composite composite, uint first, uint end, uint ind
                 stopped = EXCLUSIVE_STOP && ahead[next].transmittance < 0.0;
                 ahead[next].transmittance = EXCLUSIVE_STOP ? abs(ahead[next].transmittance) : ahead[next].transmittance;
                 pixel = over(before, ahead[next]);
-                bool ends = EXCLUSIVE_STOP && all_before && segment > 0u && (pixel.transmittance <= stop_limit() || (ends_here && segment + 1u == end));
+                bool ends = EXCLUSIVE_STOP && all_before && segment > 0u && (pixel.transmittance <= TRANSMITTANCE_MIN || (ends_here && segment + 1u == end));
                 if (ends || (CONTRIBUTIONS && all_before && segment > 0u)) {
                     leave_unfinished(composite.first_partial + segment, held[next], index, before);
                 }
@@ -119,7 +155,7 @@ bool join(inout Pixel pixel, Composite composite, uint first, uint end, uint ind
 // A product of largest transmittances up to here means that all pixels have ended, its own rounding
 // included.
 float covered() {
-    return 0.5 * (EXCLUSIVE_STOP ? stop_limit() : TRANSMITTANCE_FULL);
+    return 0.5 * (EXCLUSIVE_STOP ? TRANSMITTANCE_MIN : TRANSMITTANCE_FULL);
 }
 
 shared float run_transmittances[WORKGROUP_THREADS];
@@ -163,6 +199,9 @@ void main() {
     Pixel pixel = PIXEL_EMPTY;
     if (runs == 1u) {
         if (real) {
+            if (MEDIANS) {
+                settle_medians(camera, at, composite, 0u, composite.partials, index, 1.0, false);
+            }
             join(pixel, composite, 0u, composite.partials, index, true, false);
             write_pixel(camera, at, pixel, sky, image_pixels);
         }
@@ -198,6 +237,10 @@ void main() {
     bool stopped = EXCLUSIVE_STOP && joined_by(thread).transmittance < 0.0;
     Pixel all = over(before, pixel);
     bool ends_here = stopped || has_ended(all);
+    if (MEDIANS && before.transmittance > TRANSMITTANCE_MEDIAN && (all.transmittance <= TRANSMITTANCE_MEDIAN || run + 1u == runs)) {
+        bool goes_here = all.transmittance <= TRANSMITTANCE_MEDIAN;
+        settle_medians(camera, at, composite, first, goes_here ? end : first, index, before.transmittance, goes_here);
+    }
     // Segments behind the end may or may not have been blended, depending on which were done first:
     // the run is joined again, up to the end.
     if ((ends_here && !stopped) || CONTRIBUTIONS) {

@@ -103,7 +103,7 @@ struct Staged {
     float blue;
     float depth_m; // where it is asked for
     uint instance; // likewise
-    uint record; // where attributes are asked for
+    uint record; // where attributes or medians are asked for
 };
 
 // Record `record` relative to the pixel `origin` of the image.
@@ -111,7 +111,7 @@ Staged read_record(uint record, uvec2 origin, uint mean_shift) {
     uvec4 low = footprints[2u * record];
     uvec4 high = footprints[2u * record + 1u];
     vec4 rest = uintBitsToFloat(uvec4(low.zw, high.xy)); // slope, rates, log2 of the opacity
-    vec3 color = DEPTHS ? vec3(depths[record], 0.0) : unpack_record_color(high);
+    vec3 color = unpack_record_color(high);
     vec2 mean = unpack_mean(low.xy, origin, mean_shift);
     float sheared_x = mean.x - rest.x * mean.y;
     Staged staged = Staged(vec4(rest.y, -rest.x * rest.y, -sheared_x * rest.y, -mean.y * rest.z), vec4(rest.zw, color.rg), color.b, 0.0, 0u, record);
@@ -141,7 +141,7 @@ Staged placed_record(uint first_place, uint lane, Staged own) {
     if (INSTANCE || CONTRIBUTIONS) {
         own.instance = subgroupShuffle(own.instance, lane);
     }
-    if (ATTRIBUTE_VECTORS > 0u) {
+    if (ATTRIBUTE_VECTORS > 0u || MEDIANS) {
         own.record = subgroupShuffle(own.record, lane);
     }
     return own;

@@ -5,12 +5,12 @@
 // A product of largest transmittances up to here means that composite stops before, its own
 // rounding included.
 float covered() {
-    return EXCLUSIVE_STOP ? 0.999 * stop_limit() : 0.999 * TRANSMITTANCE_FULL;
+    return EXCLUSIVE_STOP ? 0.999 * TRANSMITTANCE_MIN : 0.999 * TRANSMITTANCE_FULL;
 }
 
 // A segment that lets no more than this through holds the end of its pixel, or lies behind it.
 float nothing_left() {
-    return EXCLUSIVE_STOP ? covered() : TRANSMITTANCE_FULL;
+    return FINISH_MEDIANS ? TRANSMITTANCE_MEDIAN : EXCLUSIVE_STOP ? covered() : TRANSMITTANCE_FULL;
 }
 
 bool stops;  // EXCLUSIVE_STOP, where all that lies before is known
@@ -36,14 +36,19 @@ LanePixels empty_pixels(uvec2 at, uvec2 size_px) {
 
 void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 color, Staged record, Attributes own) {
     float alpha = log2_alpha >= -LOG2_255 ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
+    if (FINISH_MEDIANS) {
+        pixel.median = pixel.transmittance > TRANSMITTANCE_MEDIAN && alpha > 0.0 ? record.record : pixel.median;
+        pixel.transmittance -= pixel.transmittance * alpha;
+        return;
+    }
     if (EXCLUSIVE_STOP) {
-        bool ends = !full && stops && pixel.transmittance * (1.0 - alpha) <= stop_limit();
-        if (MEDIAN && ends) {
-            pixel.color = color;
-            pixel.transmittance = MEDIAN_FOUND;
-        }
+        bool ends = !full && stops && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN;
         full = full || ends;
         alpha = full ? 0.0 : alpha;
+    }
+    if (MEDIANS) {
+        // One that adds nothing does no harm: the one that takes the light is the last.
+        pixel.median = pixel.transmittance > TRANSMITTANCE_MEDIAN ? record.record : pixel.median;
     }
     float weight = pixel.transmittance * alpha;
     pixel.color += weight * color;

@@ -32,11 +32,8 @@ uvec2 pixel_offset(uint index) {
 // transmittance to this or below.
 const float TRANSMITTANCE_MIN = 1e-4;
 
-// Transmittance limit of a median: a pixel ends at the splat in which half of its light is gone.
+// Transmittance at which half of the light is gone: medians are of the splat that leaves no more.
 const float TRANSMITTANCE_MEDIAN = 0.5;
-
-// Transmittance of a pixel whose median is found; elsewhere it is more than TRANSMITTANCE_MEDIAN.
-const float MEDIAN_FOUND = 1e-30;
 
 // Elsewhere it stops once no more than this is left: the rules allow an error of 1e-4, and 95 dB do
 // not.
@@ -47,9 +44,10 @@ struct Pixel {
     vec3 color;
     float transmittance;
     PlaneSums planes;
+    uint median; // record in which half of the light is gone, once no more than that is left
 };
 
-const Pixel PIXEL_EMPTY = Pixel(vec3(0.0), 1.0, PLANES_EMPTY);
+const Pixel PIXEL_EMPTY = Pixel(vec3(0.0), 1.0, PLANES_EMPTY, 0u);
 
 // Top left pixel of a coarse tile.
 uvec2 coarse_tile_origin(uint bin, Camera camera) {
@@ -73,7 +71,15 @@ void write_pixel(Camera camera, uvec2 at, Pixel pixel, vec3 sky, uint image_pixe
     write_planes(index, image_pixels, alpha, pixel.planes);
 }
 
-// The pixel after `nearer`, then `farther` behind it.
+// Writes the medians of the pixel at `at` of the image of `camera`, with the depth and the range of
+// the splat in which half of its light is gone, or zeros.
+void write_medians(Camera camera, uvec2 at, vec2 depth_and_range_m, uint image_pixels) {
+    if (all(lessThan(at, camera.size_px))) {
+        write_medians_at(camera.first_pixel + at.y * camera.size_px.x + at.x, image_pixels, depth_and_range_m);
+    }
+}
+
+// The pixel after `nearer`, then `farther` behind it. Its median is that of `nearer`.
 Pixel over(Pixel nearer, Pixel farther) {
     float share = nearer.transmittance;
     nearer.color += share * farther.color;

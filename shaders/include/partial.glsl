@@ -1,17 +1,11 @@
 // Results of segments, a pixel each: blend leaves them for composite, and composite for the pass of
 // blend that finishes pixels.
 //
-// Included where partial_colors and partial_planes are bound. Only fine tiles that a segment draws
+// Included where partial_colors, partial_planes and partial_medians are bound. Only fine tiles that a segment draws
 // have results. A negative transmittance is a mark, which the two kernels explain.
 
-// Transmittance at which a pixel ends by an exclusive stop.
-float stop_limit() {
-    return MEDIAN ? TRANSMITTANCE_MEDIAN : TRANSMITTANCE_MIN;
-}
-
-// Words per pixel: color and transmittance. Stops are decided by transmittance, which stays whole;
-// depths are not coded.
-const uint PARTIAL_COLOR_WORDS = DEPTHS ? 4u : 3u;
+// Words per pixel: color and transmittance. Stops are decided by transmittance, which stays whole.
+const uint PARTIAL_COLOR_WORDS = 3u;
 
 const uint TILE_PIXELS = FINE_TILE_PX * FINE_TILE_PX;
 
@@ -31,14 +25,13 @@ Pixel load_partial(PartialTiles held, uint at) {
     bool there = has_partial(held, at);
     uint index = there ? partial_index(held, at) : 0u;
     uint first = index * PARTIAL_COLOR_WORDS;
-    uvec3 low = uvec3(partial_colors[first], partial_colors[first + 1u], partial_colors[first + 2u]);
-    vec3 color = DEPTHS ? uintBitsToFloat(low) : unpack_color(low.xy);
-    float transmittance = uintBitsToFloat(DEPTHS ? partial_colors[first + 3u] : low.z);
+    vec3 color = unpack_color(uvec2(partial_colors[first], partial_colors[first + 1u]));
+    float transmittance = uintBitsToFloat(partial_colors[first + 2u]);
     uint words[PLANE_PARTIAL_WORDS_MAX];
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
         words[word] = partial_planes[index * PLANE_PARTIAL_WORDS + word];
     }
-    Pixel pixel = Pixel(color, transmittance, plane_sums(words));
+    Pixel pixel = Pixel(color, transmittance, plane_sums(words), 0u);
     if (!there) {
         pixel = PIXEL_EMPTY;
     }
@@ -49,16 +42,17 @@ Pixel load_partial(PartialTiles held, uint at) {
 void store_partial(PartialTiles held, uint at, Pixel pixel) {
     uint index = partial_index(held, at);
     uint first = index * PARTIAL_COLOR_WORDS;
-    uint transmittance = floatBitsToUint(pixel.transmittance);
-    uvec3 low = DEPTHS ? floatBitsToUint(pixel.color) : uvec3(pack_color(pixel.color), transmittance);
-    partial_colors[first] = low.x;
-    partial_colors[first + 1u] = low.y;
-    partial_colors[first + 2u] = low.z;
-    if (DEPTHS) {
-        partial_colors[first + 3u] = transmittance;
-    }
+    uvec2 color = pack_color(pixel.color);
+    partial_colors[first] = color.x;
+    partial_colors[first + 1u] = color.y;
+    partial_colors[first + 2u] = floatBitsToUint(pixel.transmittance);
     uint words[PLANE_PARTIAL_WORDS_MAX] = plane_words(pixel.planes);
     [[unroll]] for (uint word = 0u; word < PLANE_PARTIAL_WORDS; ++word) {
         partial_planes[index * PLANE_PARTIAL_WORDS + word] = words[word];
     }
+}
+
+// Transmittance that a segment leaves at a pixel, which has a result.
+float partial_transmittance(PartialTiles held, uint at) {
+    return abs(uintBitsToFloat(partial_colors[partial_index(held, at) * PARTIAL_COLOR_WORDS + 2u]));
 }

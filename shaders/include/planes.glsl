@@ -1,13 +1,18 @@
 // The planes of an image beside its color: all that a pixel accumulates, leaves and writes of them.
-// A plane that was not asked for is neither computed nor written. Medians are made apart.
+// A plane that was not asked for is neither computed nor written.
+//
+// Medians are of one splat: a pixel keeps the record in which half of its light is gone.
 
 #include "attributes.glsl"
 
 layout(constant_id = 1) const bool DEPTH = false;    // expected depth, meters
 layout(constant_id = 2) const bool INSTANCE = false; // instance of the splat with the largest weight
+layout(constant_id = 35) const bool DEPTH_MEDIAN = false; // depth of the splat in which half of the light is gone, meters
+layout(constant_id = 36) const bool RANGE_MEDIAN = false; // its distance from the camera, meters
+const bool MEDIANS = DEPTH_MEDIAN || RANGE_MEDIAN;
 
-// The planes of all images, one plane after the other: those of the constants above, then the means
-// of attributes.
+// The planes of all images, one plane after the other: depth and instance, the means of attributes,
+// then medians.
 layout(set = 0, binding = 2, std430) writeonly buffer planes_block { uint planes[]; };
 
 // Words per pixel in the partial result of a segment.
@@ -84,6 +89,19 @@ void write_planes(uint index, uint image_pixels, float alpha, PlaneSums sums) {
     }
     if (SCENE_FLOW) {
         write_mean(first, index, image_pixels, alpha, attributes, SCENE_FLOW_WORD, 3u);
+    }
+}
+
+// Writes the medians of the pixel at `index`: `depth_and_range_m` of the splat in which half of its
+// light is gone, or zeros.
+void write_medians_at(uint index, uint image_pixels, vec2 depth_and_range_m) {
+    uint first = ((DEPTH ? 1u : 0u) + (INSTANCE ? 1u : 0u) + ATTRIBUTE_WORDS) * image_pixels;
+    if (DEPTH_MEDIAN) {
+        planes[first + index] = floatBitsToUint(depth_and_range_m.x);
+        first += image_pixels;
+    }
+    if (RANGE_MEDIAN) {
+        planes[first + index] = floatBitsToUint(depth_and_range_m.y);
     }
 }
 

@@ -303,8 +303,9 @@ fn medians_do_not_depend_on_segments() {
     let gpu = Validated::open();
     let world = world_of(&crowd(4000));
     let camera = camera_at(DVec3::ZERO, 96, 64);
-    let draw = |segment_pairs: u32| {
+    let draw = |rules: Rules, segment_pairs: u32| {
         let options = RenderOptions {
+            rules,
             segment_pairs,
             outputs: Outputs {
                 planes: [Plane::DepthMedian, Plane::RangeMedian].into(),
@@ -320,7 +321,7 @@ fn medians_do_not_depend_on_segments() {
         let image = renderer.read_images().unwrap().remove(0);
         (image, statistics.required.partials)
     };
-    let (whole, uncut) = draw(100_000);
+    let (whole, uncut) = draw(Rules::DEFAULT, 100_000);
     let truth = render_geometry(
         &|_| Cow::Borrowed(&world),
         &camera,
@@ -328,7 +329,7 @@ fn medians_do_not_depend_on_segments() {
         INTERVAL_S,
     );
     for segment_pairs in [16, 70] {
-        let (cut, partials) = draw(segment_pairs);
+        let (cut, partials) = draw(Rules::DEFAULT, segment_pairs);
         assert!(partials > uncut + 4, "{partials} partial results");
         for (plane, truth) in [
             (Plane::DepthMedian, &truth.depth_median),

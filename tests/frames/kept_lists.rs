@@ -254,13 +254,8 @@ fn all_rules_and_outputs_are_the_same() {
         };
         let [frames, sorted] = site.compare(options, &STANDING[..9]);
         assert_eq!(sources(&frames), "sfkkkkkkk", "{rules:?}, {outputs:?}");
-        let whole = outputs.planes.has_medians();
         let items = |frames: &[Shown]| frames[8].0.required.items;
-        assert_eq!(
-            whole,
-            items(&frames) == items(&sorted),
-            "{rules:?}, {outputs:?}"
-        );
+        assert!(items(&frames) < items(&sorted), "{rules:?}, {outputs:?}");
     }
 }
 

@@ -23,8 +23,8 @@ use glam::Vec3;
 use super::project::PLAIN;
 use super::scenes::{ProjectedTwin, Scene, hard_world, rig};
 use super::{
-    UNTOUCHED, attribute_of_depth, counters, identical, open, read_partials, room_for_partials,
-    run, upload, within, write_partials,
+    UNTOUCHED, attribute_of_depth, counters, depth_and_range_of, identical, open, read_partials,
+    room_for_partials, run, upload, within, write_partials,
 };
 use crate::device::Validated;
 use rounding::{ListedSplat, PixelBounds};
@@ -178,8 +178,9 @@ impl Case {
         (images, partials_by_slot(gpu, &partials))
     }
 
-    /// Images and partial results with the planes of `outputs`. Attributes are those of
-    /// [`attribute_of_depth`].
+    /// Images and partial results with the planes of `asked`. Attributes are those of
+    /// [`attribute_of_depth`], depths and ranges for medians those of [`depth_and_range_of`]. Where
+    /// medians are asked for, what is finished of `before` is medians.
     fn kernel_by(
         &self,
         gpu: &Validated,
@@ -214,22 +215,29 @@ impl Case {
         gpu.write(&outputs.planes, 0, &vec![UNTOUCHED; outputs.planes.len()])
             .unwrap();
         let records = upload(gpu, records);
-        let pass = if before.is_some() {
-            BlendPass::Finish
-        } else {
-            BlendPass::Segments
+        if contents.depths {
+            let depths: Vec<_> = (0..count as u32).map(depth_and_range_of).collect();
+            gpu.write(&on_device.depths, 0, &depths).unwrap();
+        }
+        let pass = match before {
+            Some(_) if asked.planes.has_medians() => BlendPass::FinishMedians,
+            Some(_) => BlendPass::Finish,
+            None => BlendPass::Segments,
         };
         if let Some(before) = before {
             write_partials(gpu, &partials, &before.concat(), asked.planes);
             // Every fine tile has something to be finished.
-            gpu.write(&partials.unfinished, 0, &vec![u32::MAX; before.len()])
+            let unfinished = match pass {
+                BlendPass::FinishMedians => &partials.medians_unfinished,
+                _ => &partials.unfinished,
+            };
+            gpu.write(unfinished, 0, &vec![u32::MAX; before.len()])
                 .unwrap();
         }
         let longest = items.iter().map(|item| item.pairs).max().unwrap();
         let variant = BlendVariant {
             end: *end,
             pass,
-            depths: false,
             item_pairs_max: longest,
         };
         let blend = Blend::new(gpu, rules, asked, variant).unwrap();

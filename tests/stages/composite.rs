@@ -2,8 +2,10 @@
 
 use decouplegs::render::layout::{COARSE_PIXELS, Composite, FINE_TILES, RequiredCounts, View};
 use decouplegs::render::stages::{
-    CompositeSegments, IndirectArguments, PartialResults, PixelEnd, Plan, Segments, Target, Views,
+    CompositeSegments, IndirectArguments, PartialResults, PixelEnd, Plan, Projected,
+    RecordContents, Segments, Target, Views,
 };
+use decouplegs::render::twins::Median;
 use decouplegs::render::twins::color_code::COLOR_CODE_ERROR;
 use decouplegs::render::twins::output::{
     Images, PIXEL_EMPTY, Pixel, camera_of_bin, coarse_tile_origin, pack_unorm_4x8, pixel_offset,
@@ -16,13 +18,16 @@ use glam::{DVec3, Vec3};
 use super::attributes::{check_means, check_partials, outputs as all_outputs};
 use super::scenes::rig;
 use super::{
-    ROUNDOFF, Random, UNTOUCHED, coded, counters, identical, open, read_partials,
-    room_for_partials, run, upload, within, write_partials,
+    ROUNDOFF, Random, TILE_PIXELS, UNTOUCHED, coded, counters, depth_and_range_of, identical, open,
+    read_partials, room_for_partials, run, upload, within, write_partials,
 };
 use crate::device::Validated;
 use decouplegs::render::twins::planes::PlaneSums;
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
+
+/// Records that medians are of.
+const RECORDS: u32 = 1000;
 
 /// Workgroups that share the pixels of a coarse tile.
 const COMPOSITE_GROUPS: usize = COARSE_PIXELS / 256;
@@ -119,7 +124,7 @@ impl Case {
         // Rules by which pixels are finished.
         let rules = match end {
             PixelEnd::Full => Rules::DEFAULT,
-            PixelEnd::Exclusive | PixelEnd::Median => Rules::GSPLAT15,
+            PixelEnd::Exclusive => Rules::GSPLAT15,
         };
         let on_device = PartialResults::new(
             gpu,
@@ -159,9 +164,21 @@ impl Case {
             images: &images,
             sky: SKY,
         };
-        let composite = CompositeSegments::new(gpu, end, &outputs, false).unwrap();
+        let contents = RecordContents::for_outputs(&outputs);
+        let projected = Projected::new(gpu, RECORDS as usize, 0, contents).unwrap();
+        if contents.depths {
+            let depths: Vec<_> = (0..RECORDS).map(depth_and_range_of).collect();
+            gpu.write(&projected.depths, 0, &depths).unwrap();
+        }
+        gpu.write(
+            &on_device.medians_unfinished,
+            0,
+            &vec![0; on_device.medians_unfinished.len()],
+        )
+        .unwrap();
+        let composite = CompositeSegments::new(gpu, end, &outputs).unwrap();
         run(gpu, |r| {
-            composite.record(r, views, segments, target);
+            composite.record(r, views, &projected, segments, target);
         });
         let floats = Images {
             images_f32: gpu.read(&images.images_f32).unwrap(),
@@ -330,6 +347,7 @@ fn random_pixel(random: &mut Random) -> Pixel {
             best_weight: alpha * random.between(0.1, 1.0),
             best_instance: random.below(5),
         },
+        median: random.below(RECORDS),
     }
 }
 
@@ -411,7 +429,6 @@ fn pixels_are_left_to_be_finished_where_they_end() {
         (PixelEnd::Exclusive, false),
         (PixelEnd::Exclusive, true),
         (PixelEnd::Full, true),
-        (PixelEnd::Median, false),
     ] {
         let stops = end != PixelEnd::Full;
         let mut case = Case::new(4);
@@ -444,5 +461,92 @@ fn pixels_are_left_to_be_finished_where_they_end() {
             case.check_unfinished(&gpu, &left, end, !counts).is_err(),
             "other pixels would be seen"
         );
+    }
+}
+
+/// Medians that need nothing before their segment are written, the others left to be finished.
+#[test]
+fn medians_are_found_in_their_segment() {
+    let gpu = open();
+    let mut case = Case::new(7);
+    let outputs = Outputs {
+        planes: [
+            Plane::Depth,
+            Plane::Instance,
+            Plane::DepthMedian,
+            Plane::RangeMedian,
+        ]
+        .into(),
+        ..Outputs::default()
+    };
+    let (images, _, left) = case.kernel_by(&gpu, PixelEnd::Full, outputs);
+    let counts = case.check_medians(&gpu, &images, &left).unwrap();
+    println!("without median, written, to be finished: {counts:?}");
+    assert!(counts.iter().all(|&count| count > 1000));
+    // Records and transmittances of others are seen.
+    for pixel in &mut case.partials {
+        pixel.median += u32::from(*pixel != PIXEL_EMPTY);
+    }
+    assert!(case.check_medians(&gpu, &images, &left).is_err());
+    for pixel in &mut case.partials {
+        pixel.median -= u32::from(*pixel != PIXEL_EMPTY);
+        pixel.transmittance *= 0.99;
+    }
+    assert!(case.check_medians(&gpu, &images, &left).is_err());
+}
+
+impl Case {
+    /// Compares medians with those of the twin: returns how many pixels have none, have one, and
+    /// are to be finished.
+    fn check_medians(
+        &self,
+        gpu: &Validated,
+        images: &Images,
+        left: &PartialResults,
+    ) -> Result<[usize; 3], String> {
+        let pixels = self.view.pixels;
+        let tiles = gpu.read(&left.tiles).unwrap();
+        let medians = gpu.read(&left.medians).unwrap();
+        let mut unfinished = vec![0u32; tiles.len()];
+        let mut counts = [0; 3];
+        for composite in self.tiles() {
+            let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
+            let origin = coarse_tile_origin(composite.bin, camera);
+            let found = twins::medians(composite, &self.partials);
+            for (index, median) in found.into_iter().enumerate() {
+                let [x, y] = pixel_offset(index);
+                let at = [origin[0] + x, origin[1] + y];
+                if at[0] >= camera.size_px[0] || at[1] >= camera.size_px[1] {
+                    continue;
+                }
+                let target = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
+                let written = [0, 1].map(|plane| images.planes[(2 + plane) * pixels + target]);
+                let expected = match median {
+                    Median::None => [0; 2],
+                    Median::Record(record) => depth_and_range_of(record).map(f32::to_bits),
+                    Median::Unfinished(..) => [UNTOUCHED; 2],
+                };
+                identical(&format!("median of pixel {target}"), &written, &expected)?;
+                counts[match median {
+                    Median::None => 0,
+                    Median::Record(_) => 1,
+                    Median::Unfinished(..) => 2,
+                }] += 1;
+                if let Median::Unfinished(slot, before) = median {
+                    let tile = (y / 8 * 8 + x / 8) as usize;
+                    unfinished[slot] |= 1 << tile;
+                    let held = tiles[slot];
+                    let earlier = (held.tiles & ((1 << tile) - 1)).count_ones();
+                    let place = pixels_of_tile(tile)
+                        .position(|pixel| pixel == index)
+                        .unwrap();
+                    let word = medians[(held.first + earlier) as usize * TILE_PIXELS + place];
+                    identical("before the segment", &[word], &[(-before).to_bits()])?;
+                }
+            }
+        }
+        let found = gpu.read(&left.medians_unfinished).unwrap();
+        identical("tiles with medians to be finished", &found, &unfinished)?;
+        Ok(counts)
     }
 }

@@ -20,7 +20,6 @@ mod post_process;
 mod project;
 mod properties;
 mod relight;
-mod resolve_plane;
 mod rolling_shutter;
 mod scan;
 pub mod scenes;
@@ -118,7 +117,12 @@ fn coded(color: Vec3) -> Vec3 {
 }
 
 /// Writes `pixels` as partial results; fine tiles in which nothing is drawn have none.
-fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel], planes: Planes) {
+fn write_partials(
+    gpu: &Validated,
+    partials: &PartialResults,
+    pixels: &[Pixel],
+    planes_asked: Planes,
+) {
     let (mut tiles, mut drawn) = (Vec::new(), Vec::new());
     for slot in 0..pixels.len() / COARSE_PIXELS {
         let pixels = &pixels[slot * COARSE_PIXELS..][..COARSE_PIXELS];
@@ -142,7 +146,7 @@ fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel], 
     let planes: Vec<u32> = drawn
         .iter()
         .flat_map(|pixel| {
-            let words = 0..planes.attribute_words();
+            let words = 0..planes_asked.attribute_words();
             let depth_m = pixel.planes.weighted_depth;
             let attributes = words.map(move |word| attribute_of_depth(word, depth_m).to_bits());
             plane_words(&pixel.planes).into_iter().chain(attributes)
@@ -151,6 +155,10 @@ fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel], 
     gpu.write(&partials.tiles, 0, &tiles).unwrap();
     gpu.write(&partials.colors, 0, &colors).unwrap();
     gpu.write(&partials.planes, 0, &planes).unwrap();
+    if planes_asked.has_medians() {
+        let medians: Vec<u32> = drawn.iter().map(|pixel| pixel.median).collect();
+        gpu.write(&partials.medians, 0, &medians).unwrap();
+    }
 }
 
 /// The pixels of all partial results, depth and instance among them.
@@ -158,6 +166,7 @@ fn read_partials(gpu: &Validated, partials: &PartialResults) -> Vec<Pixel> {
     let tiles = gpu.read(&partials.tiles).unwrap();
     let colors = gpu.read(&partials.colors).unwrap();
     let words = gpu.read(&partials.planes).unwrap();
+    let medians = gpu.read(&partials.medians).unwrap();
     let mut pixels = vec![PIXEL_EMPTY; tiles.len() * COARSE_PIXELS];
     for (slot, held) in tiles.iter().enumerate() {
         let first = held.first;
@@ -171,11 +180,17 @@ fn read_partials(gpu: &Validated, partials: &PartialResults) -> Vec<Pixel> {
                     color: unpack_color([color[0], color[1]]),
                     transmittance: f32::from_bits(color[2]),
                     planes: plane_sums(words.expect("all planes were asked for")),
+                    median: medians.get(index).copied().unwrap_or(0),
                 };
             }
         }
     }
     pixels
+}
+
+/// Depth and range of record `record`, which no other record has.
+fn depth_and_range_of(record: u32) -> [f32; 2] {
+    [record as f32 + 0.5, 2.0 * record as f32 + 1.0]
 }
 
 /// Counts from the kernel, and the sizes of the dispatches after it.

@@ -97,7 +97,6 @@ pub(crate) fn record_frame(
     }
     record_lists(recorder, stages, frame, slot, input);
     record_images(recorder, stages, frame, slot, input);
-    record_medians(recorder, stages, frame, slot, input);
     recorder.stage("end", |r| {
         r.copy(&frame.counters.required, 0, &slot.found_required, 0, 1);
     });
@@ -281,32 +280,6 @@ fn project_agents(
     );
 }
 
-/// Records the medians of depth and range: these are blended instead of color, up to the splat in
-/// which half of the light is gone.
-fn record_medians(
-    recorder: &mut Recorder,
-    stages: &FrameStages,
-    frame: &FrameBuffers,
-    slot: &FrameInFlight,
-    input: FrameInput<'_>,
-) {
-    let Some(medians) = &stages.medians else {
-        return;
-    };
-    recorder.stage("medians", |r| {
-        let (written, counted) = begin_buffers(frame, slot, input);
-        stages.common.begin.record_partials(r, written, counted);
-    });
-    let blended = slot.images.with_color_in(&frame.blended);
-    blend_images(recorder, &medians.images, frame, &blended, [0.0; 3]);
-    recorder.stage("resolve", |r| {
-        for plane in input.options.outputs.planes.medians() {
-            let resolve = &medians.resolve;
-            resolve.record(r, plane, &frame.blended, &slot.images);
-        }
-    });
-}
-
 /// Blends sorted lists to images.
 fn record_images(
     recorder: &mut Recorder,
@@ -378,9 +351,13 @@ fn blend_images(
     };
     recorder.stage("blend", |r| blend(r, &stages.blend));
     recorder.stage("composite", |r| {
-        stages.composite.record(r, views, segments, target);
+        let composite = &stages.composite;
+        composite.record(r, views, &frame.projected, segments, target);
     });
     if let Some(finish) = &stages.finish {
         recorder.stage("finish", |r| blend(r, finish));
+    }
+    if let Some(finish_medians) = &stages.finish_medians {
+        recorder.stage("medians", |r| blend(r, finish_medians));
     }
 }

@@ -8,7 +8,7 @@ use crate::output::{ColorFormat, Outputs};
 use crate::stages::{
     AgentVariant, Begin, Blend, BlendPass, BlendVariant, CompositeSegments, Cull, CullAgents,
     CullShadows, KeySplats, MergeLists, PixelEnd, PlanSegments, PostProcess, Project,
-    ProjectAgents, ProjectVariant, Relight, ResolvePlane, Scan, TileSort, finishes,
+    ProjectAgents, ProjectVariant, Relight, Scan, TileSort, finishes,
 };
 
 /// Largest number of pairs of a segment.
@@ -36,30 +36,36 @@ pub(crate) struct ImageStages {
     pub composite: CompositeSegments,
     /// Blends again the segments in which pixels end, where that depends on what lies before them.
     pub finish: Option<Blend>,
+    /// Finds medians likewise; `None` where no median is asked for.
+    pub finish_medians: Option<Blend>,
 }
 
 impl ImageStages {
     fn new(
         gpu: &Gpu,
-        (rules, end): (&Rules, PixelEnd),
+        rules: &Rules,
         outputs: &Outputs,
-        depths: bool,
         segment_pairs: u32,
     ) -> Result<Self, GpuError> {
+        let end = PixelEnd::for_rules(rules);
         let blend = |pass| {
             let variant = BlendVariant {
                 end,
                 pass,
-                depths,
                 item_pairs_max: segment_pairs,
             };
             Blend::new(gpu, rules, outputs, variant)
         };
-        let finishes = finishes(end, outputs) && segment_pairs < u32::MAX;
+        let cuts = segment_pairs < u32::MAX;
+        let finishes = finishes(end, outputs) && cuts;
+        let finishes_medians = outputs.planes.has_medians() && cuts;
         Ok(Self {
             blend: blend(BlendPass::Segments)?,
-            composite: CompositeSegments::new(gpu, end, outputs, depths)?,
+            composite: CompositeSegments::new(gpu, end, outputs)?,
             finish: finishes.then(|| blend(BlendPass::Finish)).transpose()?,
+            finish_medians: finishes_medians
+                .then(|| blend(BlendPass::FinishMedians))
+                .transpose()?,
         })
     }
 }
@@ -76,12 +82,6 @@ pub(crate) struct AgentStages {
     pub project: ProjectAgents,
     /// Kernel that relights agents.
     pub relight: Option<Relight>,
-}
-
-/// Kernels of medians, which are blended instead of color.
-pub(crate) struct MedianStages {
-    pub images: ImageStages,
-    pub resolve: ResolvePlane,
 }
 
 /// All kernels of a renderer, by the kind of frame.
@@ -113,8 +113,6 @@ pub(crate) struct FrameStages {
     pub agents: Option<AgentStages>,
     /// `None` without shadows.
     pub shadows: Option<CullShadows>,
-    /// `None` where no median is asked for.
-    pub medians: Option<MedianStages>,
 }
 
 /// Specialization of a frame.
@@ -186,7 +184,7 @@ impl KernelOptions {
                     color,
                     ..self.outputs
                 };
-                self.images(gpu, PixelEnd::for_rules(rules), &outputs, false)?
+                ImageStages::new(gpu, rules, &outputs, self.segment_pairs)?
             },
             post_process: (variant.post_processed)
                 .then(|| PostProcess::new(gpu, &self.outputs))
@@ -207,21 +205,7 @@ impl KernelOptions {
             shadows: (background.shadows)
                 .then(|| CullShadows::new(gpu))
                 .transpose()?,
-            medians: (self.outputs.planes.has_medians())
-                .then(|| self.medians(gpu))
-                .transpose()?,
         })
-    }
-
-    fn images(
-        &self,
-        gpu: &Gpu,
-        end: PixelEnd,
-        outputs: &Outputs,
-        depths: bool,
-    ) -> Result<ImageStages, GpuError> {
-        let ends = (&self.rules, end);
-        ImageStages::new(gpu, ends, outputs, depths, self.segment_pairs)
     }
 
     fn agents(&self, gpu: &Gpu, kind: AgentVariant) -> Result<AgentStages, GpuError> {
@@ -231,18 +215,6 @@ impl KernelOptions {
             relight: (kind.relit)
                 .then(|| Relight::new(gpu, kind.sh_degree))
                 .transpose()?,
-        })
-    }
-
-    /// The kernels that medians need.
-    fn medians(&self, gpu: &Gpu) -> Result<MedianStages, GpuError> {
-        let outputs = Outputs {
-            color: ColorFormat::F32,
-            ..Outputs::default()
-        };
-        Ok(MedianStages {
-            images: self.images(gpu, PixelEnd::Median, &outputs, true)?,
-            resolve: ResolvePlane::new(gpu)?,
         })
     }
 }

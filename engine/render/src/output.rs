@@ -40,9 +40,8 @@ impl Outputs {
     pub(crate) fn constants(&self) -> impl Iterator<Item = (&'static str, Constant)> {
         let planes = self.planes;
         let color = ("COLOR_U8", Constant::Bool(self.color == ColorFormat::U8));
-        let plane =
-            move |plane: Plane| Some((plane.constant()?, Constant::Bool(planes.contains(plane))));
-        std::iter::once(color).chain(Plane::ALL.into_iter().filter_map(plane))
+        let plane = move |plane: Plane| (plane.constant(), Constant::Bool(planes.contains(plane)));
+        std::iter::once(color).chain(Plane::ALL.into_iter().map(plane))
     }
 
     /// Words per pixel of the planes in the partial result of a segment.

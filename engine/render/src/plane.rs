@@ -1,10 +1,10 @@
 //! The planes of an image beside its color: one table. A plane has one or more 32-bit words per
 //! pixel.
 //!
-//! All but medians are blended together with color: `shaders/include/planes.glsl`, its CPU mirror
+//! All are found together with color: `shaders/include/planes.glsl`, its CPU mirror
 //! `twins/planes.rs`, the definition of depth and instances in f64 `reference/blend.rs`. Range,
 //! normal and motion are attributes of splats: `shaders/include/geometry.glsl`, with their
-//! definition in `reference/geometry.rs`. Medians are blended apart, instead of color.
+//! definition, and that of medians, in `reference/geometry.rs`.
 
 use std::collections::BTreeMap;
 
@@ -123,18 +123,18 @@ impl Plane {
         matches!(self, Self::DepthMedian | Self::RangeMedian)
     }
 
-    /// Name of the specialization constant that turns on a plane that is blended together with
-    /// color; `None` for a median.
-    pub(crate) const fn constant(self) -> Option<&'static str> {
+    /// Name of the specialization constant that turns it on.
+    pub(crate) const fn constant(self) -> &'static str {
         match self {
-            Self::Depth => Some("DEPTH"),
-            Self::Instance => Some("INSTANCE"),
-            Self::Range => Some("RANGE"),
-            Self::Normal => Some("NORMAL"),
-            Self::FlowForward => Some("FLOW_FORWARD"),
-            Self::FlowBackward => Some("FLOW_BACKWARD"),
-            Self::SceneFlow => Some("SCENE_FLOW"),
-            Self::DepthMedian | Self::RangeMedian => None,
+            Self::Depth => "DEPTH",
+            Self::Instance => "INSTANCE",
+            Self::Range => "RANGE",
+            Self::Normal => "NORMAL",
+            Self::FlowForward => "FLOW_FORWARD",
+            Self::FlowBackward => "FLOW_BACKWARD",
+            Self::SceneFlow => "SCENE_FLOW",
+            Self::DepthMedian => "DEPTH_MEDIAN",
+            Self::RangeMedian => "RANGE_MEDIAN",
         }
     }
 
@@ -146,7 +146,7 @@ impl Plane {
         )
     }
 
-    /// Words per pixel in the partial result of a segment.
+    /// Words per pixel of the sums in the partial result of a segment.
     pub(crate) const fn partial_words(self) -> usize {
         match self {
             Self::Depth => 1,
@@ -181,15 +181,10 @@ impl Planes {
         self.0 == 0
     }
 
-    /// Medians in the set.
-    pub fn medians(self) -> impl Iterator<Item = Plane> {
-        self.iter().filter(|plane| plane.is_median())
-    }
-
     /// True if the set has a median.
     #[must_use]
     pub fn has_medians(self) -> bool {
-        self.medians().next().is_some()
+        self.iter().any(Plane::is_median)
     }
 
     /// Words of a splat's attributes whose means are planes of the set.
@@ -202,9 +197,7 @@ impl Planes {
     /// Specialization constants of kernels that make the attributes of the set.
     pub(crate) fn attribute_constants(self) -> impl Iterator<Item = (&'static str, Constant)> {
         let attributes = Plane::ALL.into_iter().filter(|plane| plane.is_attribute());
-        let constant =
-            move |plane: Plane| Some((plane.constant()?, Constant::Bool(self.contains(plane))));
-        attributes.filter_map(constant)
+        attributes.map(move |plane| (plane.constant(), Constant::Bool(self.contains(plane))))
     }
 
     /// Words per pixel of all planes of the set.

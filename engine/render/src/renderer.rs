@@ -470,8 +470,8 @@ impl Renderer {
         let standing = contents.standing.as_ref();
         let lists = (frame.kept_lists).decide(&self.gpu, standing, &shape.capacity, shape.bins);
         let kept = frame.kept_lists.kept().map(|kept| kept.id);
-        // What is blended more than once, or into a buffer that frames share, is blended whole.
-        let skips = contents.processed.is_empty() && !self.options.outputs.planes.has_medians();
+        // What is blended into a buffer that frames share is blended whole.
+        let skips = contents.processed.is_empty();
         let skipped_bins = if skips { shape.bins } else { 0 };
         let prepared = self.slots[slot].draw_from(&self.gpu, kept, skipped_bins);
         let submitted = prepared.and_then(|()| {
@@ -509,12 +509,9 @@ impl Renderer {
             cameras: view.cameras.len(),
             clusters: contents.gpu_scene.cluster_count(),
             bins: view.bins,
-            blended_pixels: if contents.processed.is_empty()
-                && !self.options.outputs.planes.has_medians()
-            {
-                0
-            } else {
-                view.pixels
+            blended_pixels: match contents.processed.is_empty() {
+                true => 0,
+                false => view.pixels,
             },
         }
     }

@@ -30,6 +30,7 @@ pub fn before(case: &Case) -> Blended {
                 best_weight: alpha * random.between(0.1, 1.0),
                 best_instance: random.below(3),
             },
+            median: 0,
         }
     };
     (0..case.slots())

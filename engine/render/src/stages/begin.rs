@@ -1,8 +1,6 @@
 //! Start of a frame: what the host wrote reaches the device's buffers, and what is counted is
 //! emptied.
 
-use std::mem::offset_of;
-
 use bytemuck::{Pod, Zeroable, bytes_of};
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 
@@ -20,7 +18,6 @@ push_constants! {
         camera_words: u32,
         lens_words: u32,
         key_set_words: u32,
-        required_first: u32,
         required_words: u32,
         argument_words: u32,
         slab_words: u32,
@@ -28,6 +25,7 @@ push_constants! {
         agent_offset_words: u32,
         transmittance_words: u32,
         unfinished_words: u32,
+        medians_unfinished_words: u32,
     }
 }
 
@@ -100,25 +98,15 @@ impl Begin {
             camera_words: words(written.from.cameras, written.cameras),
             lens_words: words(written.from.lenses, written.lenses),
             key_set_words: written.cameras as u32,
-            required_first: 0,
             required_words: words(&counters.required, 1),
             argument_words: words(&counters.arguments, counters.arguments.len()),
             slab_words: counted.bins * SLABS as u32,
             contribution_words: counted.contributions.len() as u32,
             agent_offset_words: u32::from(!counted.agents),
-            ..Push::of_partials(partials)
+            transmittance_words: words(&partials.transmittances, partials.transmittances.len()),
+            unfinished_words: partials.unfinished.len() as u32,
+            medians_unfinished_words: partials.medians_unfinished.len() as u32,
         };
-        self.dispatch(recorder, written, counted, push);
-    }
-
-    /// Empties what segments tell each other, for another blending of the same frame.
-    pub fn record_partials(
-        &self,
-        recorder: &mut Recorder,
-        written: HostWritten<'_>,
-        counted: Counted<'_>,
-    ) {
-        let push = Push::of_partials(counted.partials);
         self.dispatch(recorder, written, counted, push);
     }
 
@@ -159,6 +147,10 @@ impl Begin {
             ("agent_offsets", counted.agent_offsets.binding()),
             ("transmittances", counted.partials.transmittances.binding()),
             ("unfinished", counted.partials.unfinished.binding()),
+            (
+                "medians_unfinished",
+                counted.partials.medians_unfinished.binding(),
+            ),
         ];
         let all_words: u64 = bytemuck::cast_slice::<u8, u32>(bytes_of(&push))
             .iter()
@@ -167,19 +159,6 @@ impl Begin {
         let threads = 256 * WORDS_PER_THREAD;
         let groups = all_words.div_ceil(threads).clamp(1, GROUPS_MAX) as u32;
         recorder.dispatch(&self.kernel, &bound, bytes_of(&push), [groups, 1, 1]);
-    }
-}
-
-impl Push {
-    /// Emptying of what segments tell each other, and of nothing else.
-    fn of_partials(partials: &PartialResults) -> Self {
-        Self {
-            required_first: (offset_of!(RequiredCounts, next_tile) / 4) as u32,
-            required_words: 1,
-            transmittance_words: words(&partials.transmittances, partials.transmittances.len()),
-            unfinished_words: partials.unfinished.len() as u32,
-            ..Self::zeroed()
-        }
     }
 }
 

@@ -6,8 +6,7 @@ use decouplegs_scene::{EarlyStop, Rules};
 use decouplegs_shaders::constants;
 
 use super::{
-    FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, RecordContents, Views, kernel,
-    push_constants,
+    FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, Views, kernel, push_constants,
 };
 use crate::capacity::Capacity;
 use crate::layout::{COARSE_PIXELS, FINE_TILES, PartialTiles};
@@ -18,8 +17,7 @@ use crate::output::{OutputBuffers, Outputs};
 pub struct PartialResults {
     /// Fine tiles that have results.
     pub tiles: Buffer<PartialTiles>,
-    /// Color in 64 bits and transmittance, three words per pixel; where depths are blended, four
-    /// f32.
+    /// Color in 64 bits and transmittance, three words per pixel.
     pub colors: Buffer<u32>,
     /// Sums of the planes, all words of a pixel together: see `planes.glsl`.
     pub planes: Buffer<u32>,
@@ -28,6 +26,11 @@ pub struct PartialResults {
     /// Fine tiles with pixels that are to be finished, as bits; zero before the frame. Of length 0
     /// where nothing is finished.
     pub unfinished: Buffer<u32>,
+    /// Record in which half of the light is gone, or bits of a negative transmittance: see
+    /// `blend.comp`. Of length 0 where no median is asked for.
+    pub medians: Buffer<u32>,
+    /// Fine tiles with medians that are to be finished, likewise.
+    pub medians_unfinished: Buffer<u32>,
     tiles_max: usize,
 }
 
@@ -42,46 +45,26 @@ impl PartialResults {
         rules: &Rules,
         outputs: &Outputs,
     ) -> Result<Self, GpuError> {
+        let buffer = |name, len| gpu.buffer(name, PURPOSE, len, MemoryKind::Device);
+        let if_asked = |asked: bool, len| if asked { len } else { 0 };
         let finishes = finishes(PixelEnd::for_rules(rules), outputs);
-        let contents = RecordContents::for_outputs(outputs);
+        let has_medians = outputs.planes.has_medians();
         let slots = capacity.partials;
-        let unfinished = if finishes || contents.depths {
-            slots
-        } else {
-            0
-        };
         let pixels = capacity.tiles * (COARSE_PIXELS / FINE_TILES);
-        let color_words = match contents.depths {
-            true => 4,
-            false => 3,
-        };
         Ok(Self {
             tiles_max: capacity.tiles,
             tiles: gpu.buffer("partial_tiles", PURPOSE, slots, MemoryKind::Device)?,
-            colors: gpu.buffer(
-                "partial_colors",
-                PURPOSE,
-                pixels * color_words,
-                MemoryKind::Device,
-            )?,
-            planes: gpu.buffer(
-                "partial_planes",
-                PURPOSE,
-                pixels * outputs.partial_plane_words(),
-                MemoryKind::Device,
-            )?,
+            colors: buffer("partial_colors", 3 * pixels)?,
+            planes: buffer("partial_planes", pixels * outputs.partial_plane_words())?,
             transmittances: gpu.buffer(
                 "partial_transmittances",
                 PURPOSE,
                 slots,
                 MemoryKind::Device,
             )?,
-            unfinished: gpu.buffer(
-                "partial_unfinished",
-                PURPOSE,
-                unfinished,
-                MemoryKind::Device,
-            )?,
+            unfinished: buffer("partial_unfinished", if_asked(finishes, slots))?,
+            medians: buffer("partial_medians", if_asked(has_medians, pixels))?,
+            medians_unfinished: buffer("medians_unfinished", if_asked(has_medians, slots))?,
         })
     }
 }
@@ -93,8 +76,6 @@ pub enum PixelEnd {
     Full,
     /// Ends at the last splat before the limit of an exclusive stop.
     Exclusive,
-    /// Ends at the splat in which half of the light is gone; its color is that of the pixel.
-    Median,
 }
 
 impl PixelEnd {
@@ -113,16 +94,12 @@ impl PixelEnd {
         match self {
             Self::Full => None,
             Self::Exclusive => Some(constants::TRANSMITTANCE_MIN),
-            Self::Median => Some(constants::TRANSMITTANCE_MEDIAN),
         }
     }
 
-    /// Specialization constants of the kernels.
-    pub(super) fn constants(self) -> [(&'static str, Constant); 2] {
-        [
-            ("EXCLUSIVE_STOP", Constant::Bool(self != Self::Full)),
-            ("MEDIAN", Constant::Bool(self == Self::Median)),
-        ]
+    /// Specialization constant of the kernels.
+    pub(super) fn constant(self) -> (&'static str, Constant) {
+        ("EXCLUSIVE_STOP", Constant::Bool(self == Self::Exclusive))
     }
 }
 
@@ -140,6 +117,8 @@ pub enum BlendPass {
     Segments,
     /// Blends again what composite has left to be finished, where [`finishes`] is true.
     Finish,
+    /// Finds the medians that composite has left to be finished.
+    FinishMedians,
 }
 
 push_constants! {
@@ -160,8 +139,6 @@ pub struct BlendVariant {
     pub end: PixelEnd,
     /// Purpose of the run.
     pub pass: BlendPass,
-    /// True if depths and ranges are blended instead of colors.
-    pub depths: bool,
     /// Pairs of an item, at most.
     pub item_pairs_max: u32,
 }
@@ -198,6 +175,7 @@ pub struct Target<'a> {
 /// `blend.comp`.
 pub struct Blend {
     kernel: Kernel,
+    pass: BlendPass,
 }
 
 impl Blend {
@@ -214,7 +192,6 @@ impl Blend {
         let BlendVariant {
             end,
             pass,
-            depths,
             item_pairs_max,
         } = variant;
         let own = [
@@ -225,15 +202,17 @@ impl Blend {
                 Constant::Bool(item_pairs_max <= constants::BATCH),
             ),
             ("CONTRIBUTIONS", Constant::Bool(outputs.contributions)),
-            ("FINISH", Constant::Bool(pass == BlendPass::Finish)),
-            ("DEPTHS", Constant::Bool(depths)),
+            ("FINISH", Constant::Bool(pass != BlendPass::Segments)),
+            (
+                "FINISH_MEDIANS",
+                Constant::Bool(pass == BlendPass::FinishMedians),
+            ),
+            end.constant(),
         ];
-        let constants: Vec<_> = (outputs.constants())
-            .chain(own)
-            .chain(end.constants())
-            .collect();
+        let constants: Vec<_> = outputs.constants().chain(own).collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::BLEND, &constants)?,
+            pass,
         })
     }
 
@@ -261,6 +240,10 @@ impl Blend {
             contribution_scale: images.contribution_scale(),
             image_pixels: images.pixels() as u32,
         };
+        let unfinished = match self.pass {
+            BlendPass::FinishMedians => &partials.medians_unfinished,
+            BlendPass::Segments | BlendPass::Finish => &partials.unfinished,
+        };
         let [images_f32, images_u8, planes] = images.bindings();
         let buffers = [
             ("cameras", views.cameras.binding()),
@@ -277,7 +260,8 @@ impl Blend {
             ("partial_colors", partials.colors.binding()),
             ("partial_planes", partials.planes.binding()),
             ("partial_transmittances", partials.transmittances.binding()),
-            ("partial_unfinished", partials.unfinished.binding()),
+            ("partial_unfinished", unfinished.binding()),
+            ("partial_medians", partials.medians.binding()),
             ("partial_tiles", partials.tiles.binding()),
             ("contributions", images.contributions.binding()),
         ];

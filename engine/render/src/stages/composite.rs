@@ -3,7 +3,9 @@
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Constant, Gpu, GpuError, Kernel, Recorder};
 
-use super::{IndirectArguments, PixelEnd, Segments, Target, Views, kernel, push_constants};
+use super::{
+    IndirectArguments, PixelEnd, Projected, Segments, Target, Views, kernel, push_constants,
+};
 use crate::output::Outputs;
 
 push_constants! {
@@ -20,31 +22,26 @@ pub struct CompositeSegments {
 }
 
 impl CompositeSegments {
-    /// The stage for images whose pixels end at `end`, or for `depths` instead of colors.
+    /// The stage for images whose pixels end at `end`.
     ///
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
-    pub fn new(
-        gpu: &Gpu,
-        end: PixelEnd,
-        outputs: &Outputs,
-        depths: bool,
-    ) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, end: PixelEnd, outputs: &Outputs) -> Result<Self, GpuError> {
         let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
         let constants: Vec<_> = (outputs.constants())
-            .chain(end.constants())
-            .chain([contributions, ("DEPTHS", Constant::Bool(depths))])
+            .chain([end.constant(), contributions])
             .collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::COMPOSITE, &constants)?,
         })
     }
 
-    /// Joins the results of `segments` into the target.
+    /// Joins the results of `segments` of lists of `projected` splats into the target.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         views: Views<'_>,
+        projected: &Projected,
         segments: Segments<'_>,
         target: Target<'_>,
     ) {
@@ -72,6 +69,9 @@ impl CompositeSegments {
             ("partial_tiles", partials.tiles.binding()),
             ("partial_unfinished", partials.unfinished.binding()),
             ("partial_transmittances", partials.transmittances.binding()),
+            ("partial_medians", partials.medians.binding()),
+            ("medians_unfinished", partials.medians_unfinished.binding()),
+            ("depths", projected.depths.binding()),
         ];
         let offset = IndirectArguments::Composite.byte_offset();
         recorder.dispatch_indirect(

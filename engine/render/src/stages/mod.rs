@@ -19,7 +19,6 @@ mod plan_segments;
 mod post_process;
 mod project;
 mod relight;
-mod resolve_plane;
 mod scan;
 mod staged;
 mod tile_sort;
@@ -43,7 +42,6 @@ pub use plan_segments::{Plan, PlanSegments, TileLists};
 pub use post_process::{PostProcess, PostProcessInputs};
 pub use project::{Project, ProjectInputs, ProjectVariant, Projected, RecordContents};
 pub use relight::{RELIGHT_BLOCK, Relight, RelightWork, RelitColors};
-pub use resolve_plane::ResolvePlane;
 pub use scan::Scan;
 pub use staged::Staged;
 pub use tile_sort::{

@@ -2,9 +2,9 @@
 
 use glam::Vec3;
 
-use super::footprint::{LOG2_255, center_of, log2_alpha};
+use super::footprint::{Footprint, LOG2_255, center_of, log2_alpha};
 use super::output::{
-    MEDIAN_FOUND, PIXEL_EMPTY, Pixel, camera_of_bin, coarse_tile_origin, pixel_offset,
+    PIXEL_EMPTY, Pixel, TRANSMITTANCE_MEDIAN, camera_of_bin, coarse_tile_origin, pixel_offset,
 };
 use super::planes::add_to_planes;
 use super::record::{load_color, load_footprint};
@@ -17,6 +17,7 @@ fn blend_pixel(
     pixel: &mut Pixel,
     full: &mut bool,
     log2_alpha: f32,
+    record: u32,
     color: Vec3,
     [depth_m, instance]: [u32; 2],
     alpha_max: f32,
@@ -29,11 +30,10 @@ fn blend_pixel(
     let left = pixel.transmittance * (1.0 - alpha);
     if end.stop_limit().is_some_and(|limit| left <= limit) {
         *full = true;
-        if end == PixelEnd::Median {
-            pixel.color = color;
-            pixel.transmittance = MEDIAN_FOUND;
-        }
         return;
+    }
+    if pixel.transmittance > TRANSMITTANCE_MEDIAN {
+        pixel.median = record;
     }
     let weight = pixel.transmittance * alpha;
     pixel.color += weight * color;
@@ -60,7 +60,6 @@ pub fn blend(
     before: Option<&[Pixel]>,
 ) -> Vec<Pixel> {
     let camera = &cameras[camera_of_bin(cameras, item.bin)];
-    let origin = coarse_tile_origin(item.bin, camera);
     let mut pixels = before.map_or_else(|| vec![PIXEL_EMPTY; COARSE_PIXELS], <[Pixel]>::to_vec);
     let mut full: Vec<bool> = pixels
         .iter()
@@ -75,22 +74,20 @@ pub fn blend(
         true => end,
         false => PixelEnd::Full,
     };
-    let first = item.first_pair as usize;
-    let records = &records[first..first + item.pairs as usize];
-    let splats: Vec<_> = records
-        .iter()
-        .map(|&record| record as usize)
-        .map(|record| {
-            let footprint = load_footprint(footprints, record, camera.mean_shift, origin);
-            (footprint, load_color(footprints, record), labels[record])
+    let splats: Vec<_> = listed(item, records, footprints, camera)
+        .map(|(record, footprint)| {
+            let (index, color) = (record as usize, load_color(footprints, record as usize));
+            (record, footprint, color, labels[index])
         })
         .collect();
     for (index, (pixel, full)) in pixels.iter_mut().zip(&mut full).enumerate() {
         let [x, y] = pixel_offset(index);
         let center = center_of(x, y);
-        for (footprint, color, label) in &splats {
+        for (record, footprint, color, label) in &splats {
             let log2_alpha = log2_alpha(footprint, center);
-            blend_pixel(pixel, full, log2_alpha, *color, *label, alpha_max, end);
+            blend_pixel(
+                pixel, full, log2_alpha, *record, *color, *label, alpha_max, end,
+            );
         }
     }
     for (index, pixel) in pixels.iter_mut().enumerate() {
@@ -99,4 +96,48 @@ pub fn blend(
         }
     }
     pixels
+}
+
+/// The records of `item`, and their footprints relative to its coarse tile.
+fn listed<'a>(
+    item: &BlendItem,
+    records: &'a [u32],
+    footprints: &'a [[u32; 4]],
+    camera: &'a CameraRecord,
+) -> impl Iterator<Item = (u32, Footprint)> + 'a {
+    let origin = coarse_tile_origin(item.bin, camera);
+    let records = &records[item.first_pair as usize..][..item.pairs as usize];
+    records.iter().map(move |&record| {
+        let footprint = load_footprint(footprints, record as usize, camera.mean_shift, origin);
+        (record, footprint)
+    })
+}
+
+/// Records in which half of the light is gone, by pixel of the item's coarse tile. `before` is the
+/// transmittance before the item, negated; pixels for which it is positive take no part.
+#[must_use]
+pub fn finish_medians(
+    cameras: &[CameraRecord],
+    item: &BlendItem,
+    records: &[u32],
+    footprints: &[[u32; 4]],
+    alpha_max: f32,
+    before: &[f32],
+) -> Vec<Option<u32>> {
+    let camera = &cameras[camera_of_bin(cameras, item.bin)];
+    let splats: Vec<_> = listed(item, records, footprints, camera).collect();
+    let median = |(index, before): (usize, &f32)| {
+        let [x, y] = pixel_offset(index);
+        let center = center_of(x, y);
+        let (mut transmittance, mut median) = (-before, (*before < 0.0).then_some(0));
+        for (record, footprint) in &splats {
+            let log2_alpha = log2_alpha(footprint, center);
+            if transmittance > TRANSMITTANCE_MEDIAN && log2_alpha >= -LOG2_255 {
+                median = Some(*record);
+                transmittance -= transmittance * log2_alpha.exp2().min(alpha_max);
+            }
+        }
+        median
+    };
+    before.iter().enumerate().map(median).collect()
 }

@@ -5,7 +5,9 @@ use std::ops::Range;
 
 use decouplegs_shaders::constants::{COMPOSITE_RUN, COMPOSITE_RUNS_MAX};
 
-use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_FULL, over, pixels_of_tile};
+use super::output::{
+    PIXEL_EMPTY, Pixel, TRANSMITTANCE_FULL, TRANSMITTANCE_MEDIAN, over, pixels_of_tile,
+};
 use crate::layout::{COARSE_PIXELS, Composite, FINE_TILES};
 use crate::stages::PixelEnd;
 
@@ -55,6 +57,61 @@ pub fn composite(
     let mut left = Vec::new();
     let pixels = (0..COARSE_PIXELS).map(|index| join.pixel(index, &mut left));
     (pixels.collect(), left)
+}
+
+/// Median of a pixel as composite finds it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Median {
+    /// More than half of the light is left.
+    None,
+    /// That of a record.
+    Record(u32),
+    /// To be found in the segment at a slot, before which this transmittance is left.
+    Unfinished(usize, f32),
+}
+
+/// The medians of the coarse tile's pixels, in the order of `partials`. No pixel may end by an
+/// exclusive stop.
+#[must_use]
+pub fn medians(composite: &Composite, partials: &[Pixel]) -> Vec<Median> {
+    let segments = composite.partials as usize;
+    let runs = composite_runs(composite.partials) as usize;
+    let median = |index: usize| {
+        let pixel = |segment: usize| {
+            let slot = composite.first_partial as usize + segment;
+            (slot, partials[slot * COARSE_PIXELS + index])
+        };
+        let mut before_run = 1.0;
+        for run in (0..segments).step_by(segments.div_ceil(runs)) {
+            let run = run..(run + segments.div_ceil(runs)).min(segments);
+            let mut own = 1.0f32;
+            for segment in run.clone() {
+                if own > TRANSMITTANCE_FULL {
+                    own *= pixel(segment).1.transmittance;
+                }
+            }
+            // With one run, products begin at the first segment, too.
+            let mut transmittance: f32 = before_run;
+            before_run *= own;
+            if before_run > TRANSMITTANCE_MEDIAN {
+                continue;
+            }
+            let mut found = None;
+            for (slot, pixel) in run.map(pixel).filter(|(_, pixel)| *pixel != PIXEL_EMPTY) {
+                if transmittance > TRANSMITTANCE_MEDIAN {
+                    found = Some((slot, transmittance, pixel.median));
+                    transmittance *= pixel.transmittance;
+                }
+            }
+            return match found {
+                Some((_, 1.0, record)) => Median::Record(record),
+                Some((slot, before, _)) => Median::Unfinished(slot, before),
+                None => unreachable!("a segment takes light"),
+            };
+        }
+        Median::None
+    };
+    (0..COARSE_PIXELS).map(median).collect()
 }
 
 /// The segments of a coarse tile.

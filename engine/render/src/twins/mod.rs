@@ -28,7 +28,6 @@ pub mod planes;
 pub mod post_process;
 pub mod projection;
 pub mod record;
-pub mod resolve_plane;
 pub mod rolling;
 pub mod sh;
 pub mod shading;
@@ -53,8 +52,8 @@ mod write_record;
 
 pub use agents::{AgentInputs, ColorCodebooks, ListedSplats, cull_agents, project_agents};
 pub use begin::begin;
-pub use blend::blend;
-pub use composite::{Unfinished, composite, composite_runs};
+pub use blend::{blend, finish_medians};
+pub use composite::{Median, Unfinished, composite, composite_runs, medians};
 pub use cull::{SplatBuffers, VisibleBits, cull};
 pub use cull_shadows::cull_shadows;
 pub use key_splats::key_splats;

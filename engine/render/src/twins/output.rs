@@ -1,7 +1,7 @@
 //! Accumulation of a pixel and its output: `output.glsl`.
 
 pub use decouplegs_shaders::constants::{
-    COARSE_COLUMNS, FINE_TILE_PX, MEDIAN_FOUND, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN,
+    COARSE_COLUMNS, FINE_TILE_PX, TRANSMITTANCE_FULL, TRANSMITTANCE_MEDIAN, TRANSMITTANCE_MIN,
 };
 use glam::Vec3;
 
@@ -45,6 +45,8 @@ pub struct Pixel {
     pub transmittance: f32,
     /// Sums of the planes.
     pub planes: PlaneSums,
+    /// Record in which half of the light is gone, once no more than that is left.
+    pub median: u32,
 }
 
 /// A pixel that nothing was added to.
@@ -52,6 +54,7 @@ pub const PIXEL_EMPTY: Pixel = Pixel {
     color: Vec3::ZERO,
     transmittance: 1.0,
     planes: PLANES_EMPTY,
+    median: 0,
 };
 
 /// The camera whose image coarse tile `bin` belongs to.
@@ -135,7 +138,7 @@ pub fn pack_unorm_4x8(value: [f32; 4]) -> u32 {
     u32::from_le_bytes(value.map(|channel| (channel.clamp(0.0, 1.0) * 255.0).round() as u8))
 }
 
-/// The pixel after `nearer`, then `farther` behind it.
+/// The pixel after `nearer`, then `farther` behind it. Its median is that of `nearer`.
 #[must_use]
 pub fn over(mut nearer: Pixel, farther: &Pixel) -> Pixel {
     let share = nearer.transmittance;
