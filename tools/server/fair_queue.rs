@@ -3,18 +3,22 @@
 use std::collections::{HashMap, VecDeque};
 use std::time::Duration;
 
+/// Peers that are remembered, beside those whose items wait.
+const KNOWN_MAX: usize = 1024;
+
 /// Items of several peers, in an order that gives each peer the same time of the thread that works
 /// on them (start-time fair queueing, Goyal, Vin and Cheng, 1996): a peer with many items, or with
 /// items that take long, does not hold up one that has a short one now and then.
 ///
-/// The time that an item takes is known once it was done.
+/// The time that an item takes is known once it was done. Peers are known after their first item: one
+/// that asks now and then has its item done next, however many others wait with theirs.
 pub struct FairQueue<T> {
     peers: HashMap<u64, Peer<T>>,
-    /// Time used by the peer that was served last, when it was chosen: peers that come back begin
-    /// there.
+    /// Most time that a peer had used when it was chosen.
     floor: Duration,
-    /// Moving average of the time of an item. New peers begin that much behind the floor:
-    /// otherwise a client with a new connection for each request would keep all others waiting.
+    /// Moving average of the time of an item. Peers that come back begin that much before the
+    /// floor, and new ones that much behind it: otherwise a client with a new connection for each
+    /// request would keep all others waiting.
     usual: Duration,
     /// Number of items that were ever pushed.
     pushed: u64,
@@ -41,11 +45,12 @@ impl<T> Default for FairQueue<T> {
 impl<T> FairQueue<T> {
     /// Adds an item of the peer with a number.
     pub fn push(&mut self, peer: u64, item: T) {
-        let (floor, pushed) = (self.floor, self.pushed);
+        // Of the time in which it asked for nothing, one item is saved up.
+        let least = self.floor.saturating_sub(self.usual);
+        let pushed = self.pushed;
         let peer = self.peer(peer);
         if peer.items.is_empty() {
-            // Time in which it asked for nothing is not saved up.
-            peer.used = peer.used.max(floor);
+            peer.used = peer.used.max(least);
         }
         peer.items.push_back((pushed, item));
         self.pushed += 1;
@@ -60,15 +65,18 @@ impl<T> FairQueue<T> {
         });
         let Some((used, _, number)) = next.min() else {
             // No item waits, so no peer has a claim to be served before another.
-            self.peers.clear();
+            let most = self.peers.values().map(|peer| peer.used).max();
+            self.floor = self.floor.max(most.unwrap_or_default());
             return None;
         };
         self.floor = self.floor.max(used);
         let (_, item) = self.peers.get_mut(&number)?.items.pop_front()?;
-        // One that begins at the floor again need not be known.
-        let floor = self.floor;
-        self.peers
-            .retain(|other, peer| *other == number || !peer.items.is_empty() || peer.used > floor);
+        if self.peers.len() > KNOWN_MAX {
+            let floor = self.floor;
+            self.peers.retain(|other, peer| {
+                *other == number || !peer.items.is_empty() || peer.used > floor
+            });
+        }
         Some((number, item))
     }
 
@@ -202,21 +210,44 @@ mod tests {
     }
 
     #[test]
+    fn one_that_asks_now_and_then_is_next_among_many_that_always_wait() {
+        let mut queue = FairQueue::default();
+        queue.push(POLITE, 1);
+        serve(&mut queue);
+        let new = 10_000;
+        for round in 0..20 {
+            let rude = 100..150;
+            rude.clone().for_each(|peer| queue.push(peer, 4));
+            (0..rude.count()).for_each(|_| assert!(serve(&mut queue).is_some()));
+            (100..150).for_each(|peer| queue.push(peer, 4));
+            serve(&mut queue);
+            // All 49 others wait with an item.
+            queue.push(new + round, 1);
+            queue.push(POLITE, 1);
+            let next = [serve(&mut queue).unwrap().0, serve(&mut queue).unwrap().0];
+            assert!(next.contains(&POLITE), "{next:?} in round {round}");
+            // One that is new waits for a round of them.
+            assert!(!next.contains(&(new + round)), "{next:?} in round {round}");
+            while serve(&mut queue).is_some() {}
+        }
+    }
+
+    #[test]
     fn peers_that_went_are_forgotten() {
         let mut queue = FairQueue::default();
-        for peer in 0..1000 {
+        for peer in 0..10_000 {
             queue.push(peer, 1);
             serve(&mut queue);
         }
-        assert!(queue.peers.len() <= 1000);
-        assert!(queue.pop().is_none() && queue.peers.is_empty());
+        assert!(queue.peers.len() <= KNOWN_MAX + 1);
         // Also beside one that always waits.
-        (0..2000).for_each(|_| queue.push(RUDE, 1));
-        for peer in 10..1010 {
+        (0..20_000).for_each(|_| queue.push(RUDE, 1));
+        for peer in 10_000..20_000 {
             queue.push(peer, 1);
             serve(&mut queue);
             serve(&mut queue);
         }
-        assert!(queue.peers.len() < 10, "{}", queue.peers.len());
+        let known = queue.peers.len();
+        assert!(known <= KNOWN_MAX + 10, "{known}");
     }
 }
