@@ -150,6 +150,7 @@ fn recorded() -> Episode {
         agent_sizes: vec![],
         stop_lines: vec![],
         sign_lines: vec![],
+        agent_driver: None,
     };
     let step = EpisodeStep {
         step: 0,
@@ -158,6 +159,7 @@ fn recorded() -> Episode {
         warm_up: false,
         instants: vec![instant(1), instant(2)],
         handovers: vec![],
+        commands: Vec::new(),
     };
     Episode {
         head,

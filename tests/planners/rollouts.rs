@@ -46,6 +46,7 @@ fn stepping_through_a_drive_gives_the_same_episode() {
         let crew = EpisodeMetadata {
             planner: driven.head.planner.clone(),
             drawn_by: None,
+            agent_driver: None,
         };
         let mut rollout = Rollout::new(&scenario, &site, crew).unwrap();
         for step in &driven.steps {

@@ -16,6 +16,7 @@ use anyhow::{Result, bail, ensure};
 use clap::ValueEnum;
 use decouplegs::episode::Appearance;
 use decouplegs::logs::scenario_file;
+use decouplegs::planner::agents::{AgentDriver, AgentDriverChoice};
 use decouplegs::planner::{Cameras, Planner, Timeouts};
 use decouplegs::scene::episode::EpisodeEnd;
 use decouplegs::scene::{Drivers, Level};
@@ -86,6 +87,11 @@ pub struct Arguments {
     /// egodriver://HOST:PORT, a driver of AlpaSim
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerName,
+    /// Program that drives the vehicles of the traffic in place of the driver model, all of them in
+    /// one process: exec:COMMAND, unix:SOCKET, or onnx:MODEL, a network. Those that it leaves out
+    /// are driven by the model
+    #[arg(long, value_name = "DRIVER")]
+    agents: Option<AgentDriverChoice>,
     /// Number of episodes per level
     #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     episodes: u32,
@@ -161,7 +167,8 @@ pub struct Arguments {
     /// Write a video per camera and episode with ffmpeg; keeps all images
     #[arg(long)]
     video: bool,
-    /// Time limit for an answer of an external planner: a later answer ends its episode
+    /// Time limit for an answer of an external planner: a later answer ends its episode. Also for a
+    /// driver of --agents: a later answer ends the run
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 10.0, value_parser = seconds)]
     planner_timeout: f64,
     #[command(flatten)]
@@ -262,6 +269,9 @@ impl Arguments {
         if let Some(drivers) = self.drivers {
             settings["drivers"] = Drivers::from(drivers).name().into();
         }
+        if let Some(agents) = &self.agents {
+            settings["agents"] = agents.to_string().into();
+        }
         if self.planner.is_driver() {
             settings["driver"] = self.driver.to_json();
         }
@@ -273,12 +283,22 @@ impl Arguments {
         self.step.or(self.planner.step_s())
     }
 
-    fn planner(&self) -> Result<Box<dyn Planner>> {
-        let patience = Timeouts {
+    fn patience(&self) -> Timeouts {
+        Timeouts {
             answer: Duration::from_secs_f64(self.planner_timeout),
             ..Timeouts::default()
-        };
-        self.planner.open(patience, &self.driver)
+        }
+    }
+
+    fn planner(&self) -> Result<Box<dyn Planner>> {
+        self.planner.open(self.patience(), &self.driver)
+    }
+
+    /// The program that drives agents, if one is named.
+    fn agents(&self) -> Result<Option<Box<dyn AgentDriver>>> {
+        let choice = self.agents.as_ref();
+        let opened = choice.map(|choice| choice.open(self.patience()));
+        Ok(opened.transpose()?)
     }
 
     fn keeps(&self) -> Images {
@@ -336,6 +356,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         arguments.planner
     );
     drop(planner);
+    drop(arguments.agents()?);
     let folder = RunFolder::open(&arguments.out, &arguments.settings())?;
     let jobs = jobs::list(arguments, &folder)?;
     let devices = opened(arguments)?;

@@ -2,6 +2,7 @@
 
 mod birds_eye;
 mod charts;
+mod commanded;
 mod comparison;
 mod devices;
 mod hd_score;
@@ -155,6 +156,7 @@ pub fn write(
     write_atomically(&html, |file| file.write_all(page.as_bytes()))?;
     let mut text = text(scored)?;
     text.push_str(&timing::text(scored));
+    text.push_str(&commanded::text(scored));
     text.push_str(&devices.map_or(String::new(), |devices| devices.text(scored)));
     text.push_str(&unseen(scored));
     text.push_str(&failed_planners(scored));
@@ -333,6 +335,9 @@ fn episode_to_json(scored: &Scored) -> Value {
         "infractions": score.infractions.iter().map(infraction).collect::<Vec<_>>(),
         "log": scored.log.display().to_string(),
     });
+    if let Some(commanded) = &scored.commanded {
+        episode["agents"] = commanded::to_json(commanded, scenario);
+    }
     if !scored.seen.steps.is_empty() {
         let (left, least) = (scored.seen.left(), scored.seen.least_opacity());
         episode["seen"] = json!({

@@ -13,8 +13,9 @@
         decouplegs_planner.run(Mine)
 
 and then `--planner "exec:python3 mine.py"`, or `python3 mine.py --socket PATH` in one terminal and `--planner unix:PATH` in
-another. What is printed goes to stderr, as stdout belongs to the protocol. An exception in `begin` or `plan` ends the episode with
-its text as the reason; the planner goes on with the next one.
+another. A driver of agents, for `--agents`, is an AgentDriver with `drive` in place of `plan`. What is printed goes to stderr, as
+stdout belongs to the protocol. An exception in `begin` or `plan` ends the episode with its text as the reason; the planner goes on
+with the next one.
 """
 
 from __future__ import annotations
@@ -121,6 +122,45 @@ class Planner:
         raise NotImplementedError(f"{type(self).__name__} has no plan")
 
 
+class AgentsObservation:
+    """The traffic at a step, as a driver of agents sees it.
+
+    `step` counts from 0, `time_s` is since the episode's start. `ego` is None or has position_m, yaw_rad, speed_mps,
+    acceleration_mps2 and size_m. `agents` are the vehicles that take commands: each has the same and agent (its number),
+    driven_by (model, track, commands), way_m (points of its way, 5 m apart, from beside it to 100 m ahead), offset_m and turn_rad
+    from its way, limit_mps, stop_m (from its front to a line that is not green) and leader: None, or agent (None: the ego),
+    gap_m and speed_mps. `others` are pedestrians and actors, `stop_lines` those of lights with their colors.
+    """
+
+    def __init__(self, header: dict):
+        def known(value):
+            return None if value is None else SimpleNamespace(**value)
+
+        self.step: int = header["step"]
+        self.time_s: float = header["time_s"]
+        self.ego = known(header["ego"])
+        self.agents = [SimpleNamespace(**{**agent, "leader": known(agent["leader"])}) for agent in header["agents"]]
+        self.others = [SimpleNamespace(**other) for other in header["others"]]
+        self.stop_lines = [SimpleNamespace(**line) for line in header["stop_lines"]]
+
+
+class AgentDriver:
+    """Base class of drivers of agents, for `--agents`: set the name and override `drive`."""
+
+    name = "unnamed"
+
+    def begin(self, briefing: SimpleNamespace) -> None:
+        """Before each episode: forget the one before.
+
+        `briefing` has scenario, seed, step_s, limits, lanes and agents, as engine/sim/planner-protocol.md has them.
+        """
+
+    def drive(self, observation: AgentsObservation) -> Iterable[tuple]:
+        """Commands until the next step: (agent, m/s^2), which keeps to its way, or (agent, m/s^2, curvature in 1/m, positive to
+        the left). Those without one are driven by the model."""
+        raise NotImplementedError(f"{type(self).__name__} drives nobody")
+
+
 def read_exactly(stream: BinaryIO, count: int) -> bytes:
     """`count` bytes of `stream`. Raises ProtocolError where it ends before."""
     parts: List[bytes] = []
@@ -145,6 +185,28 @@ def read_readings(stream: BinaryIO, header: dict) -> Tuple[Dict[str, Frame], Dic
     for size in clouds:
         sweeps[size["lidar"]] = Sweep(size["lidar"], size["points"], read_exactly(stream, size["bytes"]))
     return frames, sweeps
+
+
+def answer_of_driver(driver: AgentDriver, header: dict) -> dict:
+    """What a driver of agents answers to a message other than `end`."""
+    asked = header.get("type")
+    if asked == "hello":
+        if header.get("protocol") != PROTOCOL:
+            raise ProtocolError(f"protocol {header.get('protocol')}; expected {PROTOCOL}")
+        return {"type": "hello", "protocol": PROTOCOL, "drives": "agents", "name": driver.name}
+    if asked not in ("begin", "observe"):
+        raise ProtocolError(f"a message of type {asked!r}; expected hello, begin, observe or end")
+    try:
+        if asked == "begin":
+            driver.begin(SimpleNamespace(**{key: value for key, value in header.items() if key not in ("type", "bytes")}))
+            return {"type": "ready"}
+        commands = [[int(agent), *map(float, numbers)] for agent, *numbers in driver.drive(AgentsObservation(header))]
+        answer = {"type": "commands", "step": header["step"], "commands": commands}
+        json.dumps(answer, allow_nan=False)
+        return answer
+    except Exception as error:  # pylint: disable=broad-except  # It is told why, whatever it is.
+        traceback.print_exc(file=sys.stderr)
+        return {"type": "fail", "reason": f"{type(error).__name__}: {error}"}
 
 
 def answer_to(planner: Planner, header: dict, frames: Dict[str, Frame], sweeps: Dict[str, Sweep]) -> dict:
@@ -174,7 +236,7 @@ def answer_to(planner: Planner, header: dict, frames: Dict[str, Frame], sweeps: 
         return {"type": "fail", "reason": f"{type(error).__name__}: {error}"}
 
 
-def converse(planner: Planner, reading: BinaryIO, writing: BinaryIO) -> None:
+def converse(planner: Planner | AgentDriver, reading: BinaryIO, writing: BinaryIO) -> None:
     """Answers messages until the other side ends. Raises ProtocolError where it does not keep to the protocol."""
     while True:
         line = reading.readline()
@@ -187,6 +249,10 @@ def converse(planner: Planner, reading: BinaryIO, writing: BinaryIO) -> None:
         frames, sweeps = {}, {}
         if header.get("type") == "end":
             return
+        if isinstance(planner, AgentDriver):
+            writing.write(json.dumps(answer_of_driver(planner, header)).encode() + b"\n")
+            writing.flush()
+            continue
         if header.get("type") == "observe":
             frames, sweeps = read_readings(reading, header)
         elif header.get("bytes"):

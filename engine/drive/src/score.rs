@@ -11,6 +11,7 @@
 use decouplegs_scene::{Episode, EpisodeEnd, Level, RoadUser};
 
 mod comfort;
+mod commanded;
 mod fault;
 mod hd_score;
 mod infractions;
@@ -24,6 +25,7 @@ mod time_lost;
 mod time_to_collision;
 
 pub use comfort::{Comfort, lateral_accelerations};
+pub use commanded::{AgentContact, CommandedAgents};
 pub use fault::Fault;
 pub use hd_score::HdScore;
 pub use infractions::{Infraction, InfractionKind};

@@ -14,6 +14,7 @@
 
 mod agent;
 mod behavior;
+pub mod body;
 mod boundary;
 mod claims;
 mod drawn;
@@ -33,9 +34,11 @@ mod random;
 mod relaxation;
 mod signals;
 mod start;
+mod steered;
 mod teleport;
 mod tracked;
 mod watch;
+mod way_ahead;
 
 use std::sync::Arc;
 
@@ -55,9 +58,12 @@ use free_speed::LaneClass;
 use lane_order::LaneOrder;
 use outsider::{Outsider, Outsiders};
 use pedestrian::{Vehicle, Walker};
+use steered::Steered;
 use tracked::Followers;
 
 pub use start::TrafficError;
+pub use steered::{DrivenBy, SteerableAgent};
+pub use way_ahead::AgentLeader;
 
 /// Position of an agent on the lanes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,6 +103,10 @@ pub struct Traffic {
     drivers: Drivers,
     /// Classes of lanes; empty where limits alone count.
     classes: Arc<Vec<LaneClass>>,
+    /// Agents on lanes that another program drives; empty where none does.
+    bodies: Vec<Option<Steered>>,
+    /// Agents with commands that were more than a vehicle can do, not yet collected.
+    limited: Vec<usize>,
     time_s: f64,
     steps: u64,
     seed: u64,
@@ -190,6 +200,11 @@ impl Traffic {
             ego: ego.and_then(|(state, size)| Outsider::ego(&self.graph, state, size)),
             pedestrians: walkers.chain(actors).collect(),
         };
+        let freely = self.body_boxes();
+        let freely = freely.filter_map(|(state, size)| Outsider::actor(&self.graph, &state, &size));
+        let freely: Vec<Outsider> = freely.collect();
+        self.outsiders.pedestrians.extend(freely);
+        let decided = self.decide_bodies(ego);
         self.order.build(&self.graph, &self.agents, &self.outsiders);
         self.claims
             .build(&self.graph, &self.agents, &self.outsiders);
@@ -217,6 +232,7 @@ impl Traffic {
             }
         }
         self.accelerations = accelerations;
+        self.step_bodies(&decided, dt_s);
         let walker_states = &mut self.states[self.agents.len()..];
         for ((walker, speed_mps), state) in self
             .pedestrians
@@ -273,11 +289,15 @@ impl Traffic {
     /// Lane positions of all vehicles, in the order of the scenario; `None` while one is off the
     /// map.
     pub fn lane_positions(&self) -> impl Iterator<Item = Option<LanePosition>> {
-        self.agents.iter().map(|agent| {
-            agent.is_here().then(|| LanePosition {
+        self.agents.iter().enumerate().map(|(number, agent)| {
+            let is_free = matches!(self.bodies.get(number), Some(Some(_)));
+            (agent.is_here() || is_free).then(|| LanePosition {
                 lane: agent.lane(),
                 arc_m: agent.arc_m,
-                lateral_m: agent.lateral_m(&self.graph),
+                lateral_m: self.bodies.get(number).copied().flatten().map_or_else(
+                    || agent.lateral_m(&self.graph),
+                    |steered| self.lateral_m(number, &steered.body.state),
+                ),
             })
         })
     }

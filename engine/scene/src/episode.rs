@@ -108,6 +108,8 @@ pub struct EpisodeHead {
     pub stop_lines: Vec<StopLineRecord>,
     /// Lines of the scenario's signs.
     pub sign_lines: Vec<StopLineRecord>,
+    /// Name of the program that drove agents in place of the driver model, if one did.
+    pub agent_driver: Option<String>,
 }
 
 /// The bits of a sensor's reading.
@@ -162,6 +164,28 @@ pub struct EpisodeStep {
     pub instants: Vec<EpisodeTick>,
     /// Recorded agents that were handed over to the driver model in it.
     pub handovers: Vec<HandoverRecord>,
+    /// Commands to agents that another program drove in it, in ascending order of agents.
+    pub commands: Vec<CommandRecord>,
+}
+
+/// Command to an agent for one step, in place of the driver model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AgentCommand {
+    /// Index of the agent in the scenario.
+    pub agent: usize,
+    /// Acceleration along its heading, m/s^2.
+    pub acceleration_mps2: f64,
+    /// Curvature of the way of its rear axle, 1/m, positive to the left; `None` keeps to its way.
+    pub curvature_per_m: Option<f64>,
+}
+
+/// Command to an agent, and whether it could be carried out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CommandRecord {
+    /// Command as the program gave it.
+    pub command: AgentCommand,
+    /// True if it asked for more than a vehicle can do, and less was done.
+    pub is_limited: bool,
 }
 
 /// Handover of an agent from its recorded track to the driver model.

@@ -1,6 +1,7 @@
 //! The closed loop: [`episode`] moves the world and renders it, [`planner`] drives the ego,
 //! [`recorded`] takes the ego along the way of a recording, [`track_import`] sets it among recorded
-//! tracks, [`footing`] sets agents of scene files
+//! tracks, [`planner::agents`] are programs that drive the traffic, [`footing`] sets agents of
+//! scene files
 //! on the ground.
 #![forbid(unsafe_code)]
 

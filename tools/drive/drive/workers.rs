@@ -7,8 +7,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::AssetError;
-use decouplegs::episode::{self, Driven, ObservationRenderer, chosen, chosen_lidars, drive};
+use decouplegs::episode::{self, Driven, ObservationRenderer, chosen, chosen_lidars, drive_among};
 use decouplegs::logs::read_episode_log;
+use decouplegs::planner::agents::AgentDriver;
 use decouplegs::planner::{Cameras, Planner};
 use decouplegs::scene::Sensor;
 use decouplegs::scene::episode::Episode;
@@ -104,6 +105,7 @@ impl<'a> Run<'a> {
             run: self,
             position,
             planner: None,
+            agents: None,
             renderer: None,
         };
         let is_out = || position.is_some_and(|position| self.devices.is_out(position));
@@ -205,6 +207,8 @@ struct Worker<'a> {
     /// The device's position; none where nothing is drawn.
     position: Option<usize>,
     planner: Option<Box<dyn Planner>>,
+    /// Program that drives agents, where one is named.
+    agents: Option<Box<dyn AgentDriver>>,
     renderer: Option<ObservationRenderer>,
 }
 
@@ -254,6 +258,12 @@ impl Worker<'_> {
             Some(planner) => planner,
             none => none.insert(run.arguments.planner()?),
         };
+        if self.agents.is_none() {
+            self.agents = run.arguments.agents()?;
+        }
+        let agents = self.agents.as_deref_mut();
+        // Drivers of agents live as long as their worker.
+        let agents = agents.map(|agents| agents as &mut dyn AgentDriver);
         let name = &job.scenario.name;
         let image_writer = ImageWriter::new(run.folder.images(name), run.arguments.keeps());
         let log = run.folder.log(name);
@@ -296,11 +306,11 @@ impl Worker<'_> {
                 };
                 let (name, options) = (&run.arguments.planner, &run.arguments.driver);
                 renderer = name.fit(renderer, options)?;
-                let driven = drive(
+                let driven = drive_among(
                     &job.scenario,
                     &ready.site,
                     Some(&mut renderer),
-                    planner.as_mut(),
+                    (planner.as_mut(), agents),
                     &mut images,
                 )?;
                 self.renderer = Some(renderer);
@@ -308,11 +318,11 @@ impl Worker<'_> {
                     .drove(*position, &job.scenario.name, since.elapsed())?;
                 driven
             }
-            None => drive(
+            None => drive_among(
                 &job.scenario,
                 &ready.site,
                 None,
-                planner.as_mut(),
+                (planner.as_mut(), agents),
                 &mut images,
             )?,
         };

@@ -7,7 +7,9 @@ use anyhow::Result;
 use decouplegs::render::Image;
 use decouplegs::scene::{Episode, Lane};
 
-use super::{DeviceUse, Scored, birds_eye, charts, rows, score, share, spread, summary, timing};
+use super::{
+    DeviceUse, Scored, birds_eye, charts, commanded, rows, score, share, spread, summary, timing,
+};
 use crate::lidar::previews::{ABOVE, RANGES};
 use crate::page::{Figure, Page, Table, escaped};
 use crate::sites::Sites;
@@ -31,6 +33,10 @@ pub fn page(
         .map_or("", |scored| scored.head.planner.name.as_str());
     let mut page = Page::new(&format!("{planner} in closed loop"));
     page.text(&facts(scored));
+    let agents = commanded::text(scored);
+    if !agents.is_empty() {
+        page.text(&agents);
+    }
     table(&mut page, scored)?;
     timing::part(&mut page, scored);
     if let Some(devices) = devices {

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use decouplegs::drive::score::{EpisodeScore, Infraction, InfractionKind, PdmScore};
+use decouplegs::drive::score::{
+    CommandedAgents, EpisodeScore, Infraction, InfractionKind, PdmScore,
+};
 use decouplegs::episode::StepTime;
 use decouplegs::logs::read_episode_log;
 use decouplegs::scene::Level;
@@ -25,6 +27,8 @@ pub struct Scored {
     pub taken: Taken,
     pub score: EpisodeScore,
     pub pdm: PdmScore,
+    /// Agents that another program drove, if one did.
+    pub commanded: Option<CommandedAgents>,
     pub log: PathBuf,
     /// Folder of its images, if there are any.
     pub images: PathBuf,
@@ -76,6 +80,7 @@ impl Scored {
         Ok(Self {
             pdm: PdmScore::new(&episode, &score),
             score,
+            commanded: CommandedAgents::new(&episode),
             seen: Seen::beside(&log)?,
             way: episode.instants().map(way_point).collect(),
             taken: Taken::by(&episode),

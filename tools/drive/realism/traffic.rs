@@ -13,6 +13,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use decouplegs::asset::{read_map, read_tracks, write_atomically};
+use decouplegs::planner::Timeouts;
+use decouplegs::planner::agents::AgentDriverChoice;
 use decouplegs::scene::{Drivers, VehicleSize};
 
 use self::motion::{Model, Recording};
@@ -56,9 +58,17 @@ pub struct Arguments {
     /// second half is compared then
     #[arg(long, value_name = "M/S|recorded", allow_negative_numbers = true, value_parser = free_speed)]
     free_speed: Option<FreeSpeed>,
+    /// Program that drives all vehicles, to be measured beside the models: exec:COMMAND,
+    /// unix:SOCKET, or onnx:MODEL, as with drive --agents. Its ways are the recorded lines
+    #[arg(long, value_name = "DRIVER")]
+    agents: Option<AgentDriverChoice>,
+    /// Show the program of --agents the recording from its beginning to its end, in which nobody
+    /// takes its commands, and measure nothing: programs learn from it
+    #[arg(long, requires = "agents", conflicts_with = "out")]
+    show_recording: bool,
     /// New folder for realism.html and realism.json
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "show_recording")]
+    out: Option<PathBuf>,
 }
 
 /// Free speed of all lanes.
@@ -85,8 +95,10 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let (path, out) = (&arguments.tracks, &arguments.out);
-    Force::default().outputs(&[]).whole_folder(out)?;
+    let path = &arguments.tracks;
+    if let Some(out) = &arguments.out {
+        Force::default().outputs(&[]).whole_folder(out)?;
+    }
     let map = match &arguments.map {
         Some(map) => map.clone(),
         None if is_commonroad(path) => path.clone(),
@@ -124,15 +136,30 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         "{}: no second with a vehicle; expected tracks of 1 s or more",
         path.display()
     );
-    let bar = progress::bar("parts", starts_s.len() * Model::ALL.len());
+    let Some(out) = &arguments.out else {
+        return show(arguments, &recording, &roads);
+    };
     let drivers = Drivers::from(arguments.drivers);
-    let mut compared = Compared::new(arguments.seconds, drivers, free_mps);
+    let agents = arguments.agents.as_ref();
+    let mut agents = agents
+        .map(|choice| choice.open(Timeouts::default()))
+        .transpose()?;
+    let mut models = Model::OWN.to_vec();
+    models.extend(agents.iter().map(|_| Model::Agents));
+    let bar = progress::bar("parts", starts_s.len() * models.len());
+    let mut compared = Compared::new(&models, arguments.seconds, drivers, free_mps);
+    compared.agent_driver = agents.as_ref().map(|agents| agents.name());
     for start_s in starts_s {
         let recorded = recording.part(&roads, start_s, arguments.seconds);
-        for model in Model::ALL {
-            let simulated = recorded
-                .simulated(&roads, model, (arguments.rollouts, arguments.seed, drivers))
-                .map_err(|error| anyhow!("{}: {error}", path.display()))?;
+        for &model in &models {
+            let chance = (arguments.rollouts, arguments.seed, drivers);
+            let simulated = match &mut agents {
+                Some(agents) if model == Model::Agents => {
+                    recorded.commanded(&roads, agents.as_mut(), chance)
+                }
+                _ => recorded.simulated(&roads, model, chance),
+            };
+            let simulated = simulated.map_err(|error| anyhow!("{}: {error}", path.display()))?;
             compared.add(&roads, &recorded, model, &simulated);
             bar.inc(1);
         }
@@ -146,6 +173,24 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         map.display()
     );
     write(out, path, &compared)
+}
+
+/// Shows the whole recording to the program of --agents.
+fn show(arguments: &Arguments, recording: &Recording, roads: &Roads) -> Result<()> {
+    let path = arguments.tracks.display();
+    let choice = arguments.agents.as_ref();
+    let mut agents = choice
+        .context("--show-recording needs --agents")?
+        .open(Timeouts::default())?;
+    let (first_s, last_s) = recording.span_s();
+    let part = recording.part(roads, first_s, last_s - first_s);
+    let moments = part
+        .shown(roads, agents.as_mut())
+        .map_err(|error| anyhow!("{path}: {error}"))?;
+    print(&format!(
+        "{path}: {moments} moments were shown to {}\n",
+        agents.name()
+    ))
 }
 
 /// Writes the report and prints it.

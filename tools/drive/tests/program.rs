@@ -1,5 +1,7 @@
 //! The program by itself: users meet it through `decouplegs`, as `tests/cli` does.
 
+#[path = "program/agents.rs"]
+mod agents;
 #[path = "program/tracks.rs"]
 mod tracks;
 

@@ -98,6 +98,7 @@ pub fn of_episode(error: &EpisodeError) -> PyErr {
         EpisodeError::Render(error) => of_session(error),
         EpisodeError::Unfit { .. } => PyValueError::new_err(sentence(error)),
         EpisodeError::Log(_) => FileError::new_err(sentence(error)),
+        EpisodeError::Agents { .. } => PyValueError::new_err(sentence(error)),
     }
 }
 

@@ -123,6 +123,7 @@ impl Rollout {
             EpisodeMetadata {
                 planner,
                 drawn_by: None,
+                agent_driver: None,
             },
         );
         let inner = Mutex::new(rollout.map_err(|error| of_episode(&error))?);

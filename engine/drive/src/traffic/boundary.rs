@@ -29,16 +29,21 @@ impl Traffic {
             let leaves = self.agents[number].is_here()
                 && (self.is_over_border(&self.agents[number]) || self.gives_up(number, dt_s));
             if leaves {
-                let agent = &mut self.agents[number];
-                let share = random::unit(self.seed, number, agent.choices);
-                agent.choices += 1;
-                agent.away_until_s = Some(self.time_s + AWAY_S_MAX * share);
-                self.states[number] = None;
+                self.take_off(number);
             }
         }
     }
 
-    fn is_over_border(&self, agent: &Agent) -> bool {
+    /// Takes a vehicle off the map for a random time.
+    pub(super) fn take_off(&mut self, number: usize) {
+        let agent = &mut self.agents[number];
+        let share = random::unit(self.seed, number, agent.choices);
+        agent.choices += 1;
+        agent.away_until_s = Some(self.time_s + AWAY_S_MAX * share);
+        self.states[number] = None;
+    }
+
+    pub(super) fn is_over_border(&self, agent: &Agent) -> bool {
         let road = self.graph.road(agent.lane());
         agent.here + 1 == agent.path.len() && road.leaves_map && agent.arc_m >= road.line.length_m()
     }

@@ -121,3 +121,116 @@ fn is_plain(graph: &RoadGraph, lane: usize) -> bool {
     };
     !crosses && places.all(|at_m| turns_rad(at_m) <= BEND_RAD)
 }
+
+#[cfg(test)]
+mod tests {
+    use decouplegs_scene::{Lane, LaneMap};
+    use glam::{DVec2, DVec3};
+
+    use super::*;
+
+    /// A lane along points, with borders 1.75 m beside them.
+    fn lane(id: &str, points: &[DVec2]) -> Lane {
+        let line = |left_m: f64| -> Vec<DVec3> {
+            let last = points.len() - 1;
+            let point = |at: usize| {
+                let along = points[(at + 1).min(last)] - points[at.saturating_sub(1)];
+                (points[at] + left_m * along.normalize().perp()).extend(0.0)
+            };
+            (0..points.len()).map(point).collect()
+        };
+        Lane {
+            id: id.into(),
+            centerline: line(0.0),
+            left: line(1.75),
+            right: line(-1.75),
+            ..Lane::default()
+        }
+    }
+
+    /// Two lanes beside each other to the east, `length_m` long, that turn by `turn_rad` in 50 m in
+    /// their middle.
+    fn two_lanes(length_m: f64, turn_rad: f64) -> LaneMap {
+        let points = |left_m: f64| -> Vec<DVec2> {
+            let count = (length_m / 5.0) as u32;
+            let mut at_m = DVec2::ZERO;
+            let mut points = Vec::new();
+            for step in 0..=count {
+                let share = (5.0 * f64::from(step) - 0.5 * length_m) / 50.0 + 0.5;
+                let ahead = DVec2::from_angle(turn_rad * share.clamp(0.0, 1.0));
+                points.push(at_m + left_m * ahead.perp());
+                at_m += 5.0 * ahead;
+            }
+            points
+        };
+        let (mut right, mut left) = (lane("right", &points(0.0)), lane("left", &points(3.5)));
+        (right.left_neighbor, left.right_neighbor) = (Some(1), Some(0));
+        LaneMap {
+            lanes: vec![right, left],
+            ..LaneMap::default()
+        }
+    }
+
+    fn classes_of(map: &LaneMap) -> Vec<LaneClass> {
+        classes(&RoadGraph::new(map).unwrap())
+    }
+
+    const TOWN: LaneClass = LaneClass {
+        speed_mps: 50.0 / 3.6,
+        is_motorway: false,
+        is_assumed: false,
+    };
+
+    #[test]
+    fn two_long_straight_lanes_are_a_motorway_where_the_map_tells_no_limit() {
+        let motorway = LaneClass {
+            speed_mps: MOTORWAY_MPS,
+            is_motorway: true,
+            is_assumed: true,
+        };
+        assert_eq!(classes_of(&two_lanes(300.0, 0.0)), [motorway; 2]);
+        assert_eq!(classes_of(&two_lanes(300.0, 0.1)), [motorway; 2]);
+        // A limit of the map stays.
+        let mut map = two_lanes(300.0, 0.0);
+        map.lanes[0].speed_limit_mps = Some(22.0);
+        let told = LaneClass {
+            speed_mps: 22.0,
+            is_assumed: false,
+            ..motorway
+        };
+        assert_eq!(classes_of(&map), [told, motorway]);
+    }
+
+    #[test]
+    fn short_bent_single_and_crossed_roads_are_those_of_towns() {
+        assert_eq!(classes_of(&two_lanes(100.0, 0.0)), [TOWN; 2]);
+        assert_eq!(classes_of(&two_lanes(300.0, 0.5)), [TOWN; 2]);
+        let mut single = two_lanes(300.0, 0.0);
+        single.lanes.truncate(1);
+        single.lanes[0].left_neighbor = None;
+        assert_eq!(classes_of(&single), [TOWN]);
+        let mut crossed = two_lanes(300.0, 0.0);
+        let across = [DVec2::new(150.0, -60.0), DVec2::new(150.0, 60.0)];
+        crossed.lanes.push(lane("across", &across));
+        assert_eq!(classes_of(&crossed), [TOWN; 3]);
+    }
+
+    #[test]
+    fn lanes_one_after_the_other_count_together() {
+        let mut map = two_lanes(100.0, 0.0);
+        let mut onward = two_lanes(100.0, 0.0);
+        for (at, lane) in onward.lanes.iter_mut().enumerate() {
+            lane.id += " onward";
+            for line in [&mut lane.centerline, &mut lane.left, &mut lane.right] {
+                line.iter_mut().for_each(|point| point.x += 100.0);
+            }
+            lane.left_neighbor = lane.left_neighbor.map(|beside| beside + 2);
+            lane.right_neighbor = lane.right_neighbor.map(|beside| beside + 2);
+            lane.predecessors = vec![at];
+            map.lanes[at].successors = vec![at + 2];
+        }
+        map.lanes.append(&mut onward.lanes);
+        let all = classes_of(&map);
+        assert!(all.iter().all(|class| class.is_motorway), "{all:?}");
+    }
+}

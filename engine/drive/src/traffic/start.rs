@@ -114,6 +114,8 @@ impl Traffic {
             tracked: None,
             drivers: Drivers::Kinds,
             classes: Arc::default(),
+            bodies: Vec::new(),
+            limited: Vec::new(),
             time_s: 0.0,
             steps: 0,
             seed,

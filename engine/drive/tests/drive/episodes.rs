@@ -127,6 +127,7 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
         agent_sizes: vec![SIZE; agents.len()],
         stop_lines: vec![],
         sign_lines: vec![],
+        agent_driver: None,
     };
     let step = |step: usize| {
         let begin_s = step as f64 * STEP_S;
@@ -143,6 +144,7 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
                 .map(|sub| instant(begin_s + sub as f64 * STEP_S / SUBSTEPS as f64))
                 .collect(),
             handovers: vec![],
+            commands: Vec::new(),
         }
     };
     Episode {

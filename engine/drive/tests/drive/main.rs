@@ -20,6 +20,7 @@ mod roads;
 mod route;
 mod score;
 mod score_rules;
+mod steered;
 mod tracked;
 mod traffic;
 mod traffic_borders;

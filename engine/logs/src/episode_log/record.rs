@@ -2,7 +2,8 @@
 //! stands for.
 
 use decouplegs_scene::episode::{
-    DrawnBy, EpisodeTick, HandoverRecord, LaneRecord, PlannerRecord, ReadingRecord, StopLineRecord,
+    AgentCommand, CommandRecord, DrawnBy, EpisodeTick, HandoverRecord, LaneRecord, PlannerRecord,
+    ReadingRecord, StopLineRecord,
 };
 use decouplegs_scene::{
     EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint, VehicleSize,
@@ -70,6 +71,8 @@ pub(super) struct HeadForm {
     /// Index of the sign, right end, left end.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     sign_lines: Vec<LineForm>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    agent_driver: Option<String>,
     start: InstantForm,
 }
 
@@ -117,6 +120,31 @@ pub(super) struct StepForm {
     /// Agent and time.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     handovers: Vec<(usize, f64)>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    commands: Vec<CommandForm>,
+}
+
+/// Agent, acceleration, curvature, and whether it was limited.
+type CommandForm = (usize, f64, Option<f64>, bool);
+
+fn command_form(record: &CommandRecord) -> CommandForm {
+    let AgentCommand {
+        agent,
+        acceleration_mps2,
+        curvature_per_m,
+    } = record.command;
+    (agent, acceleration_mps2, curvature_per_m, record.is_limited)
+}
+
+fn command((agent, acceleration_mps2, curvature_per_m, is_limited): CommandForm) -> CommandRecord {
+    CommandRecord {
+        command: AgentCommand {
+            agent,
+            acceleration_mps2,
+            curvature_per_m,
+        },
+        is_limited,
+    }
 }
 
 /// The last line.
@@ -257,6 +285,7 @@ impl HeadForm {
             agent_sizes,
             stop_lines,
             sign_lines,
+            agent_driver,
         } = head;
         let PlannerRecord {
             name,
@@ -298,6 +327,7 @@ impl HeadForm {
             agent_sizes_m: agent_sizes.iter().map(|size| size.to_array()).collect(),
             stop_lines: stop_lines.iter().map(line_form).collect(),
             sign_lines: sign_lines.iter().map(line_form).collect(),
+            agent_driver: agent_driver.clone(),
             start: instant_form(start, *log_version),
         })
     }
@@ -355,6 +385,7 @@ impl HeadForm {
                 .collect(),
             stop_lines: self.stop_lines.into_iter().map(line).collect(),
             sign_lines: self.sign_lines.into_iter().map(line).collect(),
+            agent_driver: self.agent_driver,
         };
         Ok((head, instant(self.start)))
     }
@@ -370,6 +401,7 @@ impl StepForm {
             warm_up,
             instants,
             handovers,
+            commands,
         } = step;
         Self {
             step: *step,
@@ -391,6 +423,7 @@ impl StepForm {
                 .iter()
                 .map(|handover| (handover.agent, handover.time_s))
                 .collect(),
+            commands: commands.iter().map(command_form).collect(),
         }
     }
 
@@ -419,6 +452,7 @@ impl StepForm {
             warm_up: self.warm_up,
             instants: self.instants.into_iter().map(instant).collect(),
             handovers: self.handovers.into_iter().map(handover).collect(),
+            commands: self.commands.into_iter().map(command).collect(),
         })
     }
 }

@@ -97,6 +97,22 @@ impl Sequence {
                 ));
             }
         }
+        let mut before = None;
+        for record in &step.commands {
+            let command = &record.command;
+            let numbers = [
+                command.acceleration_mps2,
+                command.curvature_per_m.unwrap_or(0.0),
+            ];
+            let is_told = command.agent < self.agents && numbers.into_iter().all(f64::is_finite);
+            if !is_told || before.is_some_and(|agent| agent >= command.agent) {
+                return Err(format!(
+                    "step {} commands agent {} of {}; expected finite numbers for agents in ascending order",
+                    step.step, command.agent, self.agents
+                ));
+            }
+            before = Some(command.agent);
+        }
         self.next_step = self
             .next_step
             .checked_add(1)

@@ -5,7 +5,8 @@ mod writing;
 use decouplegs_logs::episode_log::{VERSION, decode, encode};
 use decouplegs_logs::{EpisodeLog, read_episode_log};
 use decouplegs_scene::episode::{
-    DrawnBy, EpisodeTick, HandoverRecord, LaneRecord, PlannerRecord, ReadingRecord, StopLineRecord,
+    AgentCommand, CommandRecord, DrawnBy, EpisodeTick, HandoverRecord, LaneRecord, PlannerRecord,
+    ReadingRecord, StopLineRecord,
 };
 use decouplegs_scene::{
     Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint,
@@ -103,27 +104,31 @@ fn heads() -> impl Strategy<Value = EpisodeHead> {
         planner,
         prop::option::of(drawn_by),
         route,
+        any::<u8>(),
     )
-        .prop_map(|(scenario, version, planner, drawn_by, route_m)| {
-            let line = |index| StopLineRecord {
-                index,
-                ends_m: [DVec2::new(1.0 / 3.0, -4.0), DVec2::new(2.0, 1e-7)],
-            };
-            let stop_lines = (0..scenario.lights.len()).map(line).collect();
-            let sign_lines = (0..scenario.signs.len()).map(line).collect();
-            let agent_sizes = scenario.agent_sizes();
-            EpisodeHead {
-                log_version: VERSION,
-                version,
-                scenario,
-                planner,
-                drawn_by,
-                route_m,
-                agent_sizes,
-                stop_lines,
-                sign_lines,
-            }
-        })
+        .prop_map(
+            |(scenario, version, planner, drawn_by, route_m, agent_driver)| {
+                let line = |index| StopLineRecord {
+                    index,
+                    ends_m: [DVec2::new(1.0 / 3.0, -4.0), DVec2::new(2.0, 1e-7)],
+                };
+                let stop_lines = (0..scenario.lights.len()).map(line).collect();
+                let sign_lines = (0..scenario.signs.len()).map(line).collect();
+                let agent_sizes = scenario.agent_sizes();
+                EpisodeHead {
+                    log_version: VERSION,
+                    version,
+                    scenario,
+                    planner,
+                    drawn_by,
+                    route_m,
+                    agent_sizes,
+                    stop_lines,
+                    sign_lines,
+                    agent_driver: (agent_driver % 2 == 1).then(|| "learned".into()),
+                }
+            },
+        )
 }
 
 fn ends() -> impl Strategy<Value = EpisodeEnd> {
@@ -168,6 +173,15 @@ fn episodes() -> impl Strategy<Value = Episode> {
                     other => other,
                 };
                 let mut moment = 0;
+                let agents = head.agent_sizes.len();
+                let command = |agent: usize| CommandRecord {
+                    command: AgentCommand {
+                        agent,
+                        acceleration_mps2: -substep_s,
+                        curvature_per_m: (agent % 2 == 0).then_some(substep_s / 3.0),
+                    },
+                    is_limited: agent % 3 == 0,
+                };
                 let number = |(step, (readings, plan, mut instants)): (
                     usize,
                     (Vec<ReadingRecord>, Plan, Vec<EpisodeTick>),
@@ -183,6 +197,7 @@ fn episodes() -> impl Strategy<Value = Episode> {
                         warm_up: step % 2 == 1,
                         instants,
                         handovers: vec![],
+                        commands: (0..agents).map(command).collect(),
                     }
                 };
                 Episode {
@@ -240,6 +255,7 @@ fn small() -> Episode {
             }],
             _ => vec![],
         },
+        commands: vec![],
     };
     let planner = PlannerRecord {
         name: "lane-follow".into(),
@@ -262,6 +278,7 @@ fn small() -> Episode {
             agent_sizes: vec![VehicleSize::CAR],
             stop_lines: vec![],
             sign_lines: vec![],
+            agent_driver: None,
             scenario,
             planner,
             drawn_by: Some(drawn_by),

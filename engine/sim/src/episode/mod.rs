@@ -25,6 +25,7 @@ use decouplegs_scene::episode::{
 };
 use decouplegs_session::SessionError;
 
+use crate::planner::agents::{AgentDriver, AgentsInfo};
 use crate::planner::{Cameras, EpisodeInfo, Observation, Planner, Reading};
 
 pub use live::LiveEpisode;
@@ -54,6 +55,14 @@ pub enum EpisodeError {
     /// The log cannot be written.
     #[error(transparent)]
     Log(#[from] AssetError),
+    /// The program that drives agents failed: the planner is not at fault.
+    #[error("the agents were not driven at {time_s:.1} s: {reason}")]
+    Agents {
+        /// Time since the start, seconds.
+        time_s: f64,
+        /// Reason, a sentence.
+        reason: String,
+    },
 }
 
 /// Observer of an episode while it runs: a log, or a writer of images.
@@ -97,7 +106,7 @@ pub struct StepTime {
     pub plan: Duration,
     /// Waiting for the hashes of the images, which are made while the planner plans.
     pub hash: Duration,
-    /// Motion of ego and traffic.
+    /// Motion of ego and traffic, and the time of the program that drives agents.
     pub advance: Duration,
     /// The observer: logs and image files.
     pub observer: Duration,
@@ -127,25 +136,66 @@ pub struct Driven {
 pub fn drive(
     scenario: &Scenario,
     site: &Arc<Site>,
-    mut renderer: Option<&mut ObservationRenderer>,
+    renderer: Option<&mut ObservationRenderer>,
     planner: &mut dyn Planner,
     observer: &mut dyn EpisodeObserver,
 ) -> Result<Driven, EpisodeError> {
-    let mut rollout = begun(scenario, site, renderer.as_deref(), planner)?;
+    drive_among(scenario, site, renderer, (planner, None), observer)
+}
+
+/// Drives like [`drive`], among agents that a driver of agents drives, if there is one.
+///
+/// # Errors
+/// Returns the errors of [`drive`], and one if the driver of agents fails.
+pub fn drive_among(
+    scenario: &Scenario,
+    site: &Arc<Site>,
+    mut renderer: Option<&mut ObservationRenderer>,
+    (planner, mut agents): (&mut dyn Planner, Option<&mut dyn AgentDriver>),
+    observer: &mut dyn EpisodeObserver,
+) -> Result<Driven, EpisodeError> {
+    let metadata = EpisodeMetadata {
+        agent_driver: agents.as_deref().map(AgentDriver::name),
+        ..metadata_of(renderer.as_deref(), planner)
+    };
+    let mut rollout = Rollout::new(scenario, site, metadata)?;
     observer.begin(&rollout.episode().head, &rollout.episode().start)?;
     introduce(&mut rollout, planner, renderer.as_deref());
+    if let Some(agents) = agents.as_deref_mut() {
+        let info = AgentsInfo::new(scenario, &site.lanes);
+        let begun = agents.begin(&info);
+        begun.map_err(|error| agents_failed(&rollout, error.to_string()))?;
+    }
     let mut times = Vec::new();
     while rollout.end().is_none() {
-        times.push(one_step(
-            &mut rollout,
-            renderer.as_deref_mut(),
-            planner,
-            observer,
-        )?);
+        let since = Instant::now();
+        if let Some(agents) = agents.as_deref_mut() {
+            command(&mut rollout, agents)?;
+        }
+        let commanded = since.elapsed();
+        let mut time = one_step(&mut rollout, renderer.as_deref_mut(), planner, observer)?;
+        time.advance += commanded;
+        times.push(time);
     }
     let episode = rollout.into_episode();
     observer.end(&episode.end)?;
     Ok(Driven { episode, times })
+}
+
+/// Asks a driver of agents for the commands of the next step.
+fn command(rollout: &mut Rollout, agents: &mut dyn AgentDriver) -> Result<(), EpisodeError> {
+    let observation = rollout.simulation().agents_observation(rollout.next_step());
+    let commands = agents.commands(&observation);
+    let commands = commands.map_err(|error| agents_failed(rollout, error.to_string()))?;
+    let set = rollout.command(commands);
+    set.map_err(|error| agents_failed(rollout, format!("{}: {error}", agents.name())))
+}
+
+fn agents_failed(rollout: &Rollout, reason: String) -> EpisodeError {
+    EpisodeError::Agents {
+        time_s: rollout.simulation().time_s(),
+        reason,
+    }
 }
 
 /// `scenario` at its start, for a log that names `planner` and `renderer`.
@@ -250,6 +300,7 @@ fn metadata_of(renderer: Option<&ObservationRenderer>, planner: &dyn Planner) ->
     };
     EpisodeMetadata {
         planner,
+        agent_driver: None,
         drawn_by: renderer.and_then(ObservationRenderer::drawn_by),
     }
 }

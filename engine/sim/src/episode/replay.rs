@@ -5,7 +5,8 @@ use std::sync::Arc;
 use decouplegs_scene::episode::{Episode, EpisodeEnd, LOG_VERSION};
 use decouplegs_scene::{Plan, Scenario};
 
-use super::{EpisodeError, EpisodeObserver, ObservationRenderer, Site, drive};
+use super::{EpisodeError, EpisodeObserver, ObservationRenderer, Site, drive_among};
+use crate::planner::agents::{AgentDriver, LoggedCommands};
 use crate::planner::{EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError};
 
 /// Result of driving an episode again.
@@ -78,7 +79,12 @@ pub fn replay(
         episode,
         warm_up: false,
     };
-    let again = drive(scenario, site, renderer, &mut logged, observer)?.episode;
+    let mut commands = LoggedCommands::of_episode(episode);
+    let agents = commands
+        .as_mut()
+        .map(|logged| logged as &mut dyn AgentDriver);
+    let drivers = (&mut logged as &mut dyn Planner, agents);
+    let again = drive_among(scenario, site, renderer, drivers, observer)?.episode;
     let readings = |episode: &Episode| {
         episode
             .steps
@@ -134,6 +140,12 @@ fn first_difference(a: &Episode, b: &Episode) -> Option<String> {
         if a.handovers != b.handovers {
             return Some(format!(
                 "other recorded agents are handed over in step {}",
+                a.step
+            ));
+        }
+        if a.commands != b.commands {
+            return Some(format!(
+                "commands to agents are carried out differently in step {}",
                 a.step
             ));
         }

@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use decouplegs_drive::score::EpisodeScore;
 use decouplegs_scene::episode::{
-    DrawnBy, Episode, EpisodeEnd, EpisodeHead, EpisodeStep, LOG_VERSION, PlannerRecord,
-    ReadingRecord,
+    AgentCommand, DrawnBy, Episode, EpisodeEnd, EpisodeHead, EpisodeStep, LOG_VERSION,
+    PlannerRecord, ReadingRecord,
 };
-use decouplegs_scene::{Motion, Plan, Pose, Scenario};
+use decouplegs_scene::{Invalid, Motion, Plan, Pose, Scenario};
 
 use super::{EpisodeError, Simulation, Site};
 use decouplegs_session::{SessionError, World};
@@ -20,6 +20,8 @@ pub struct EpisodeMetadata {
     pub planner: PlannerRecord,
     /// Renderer of its observations, if any.
     pub drawn_by: Option<DrawnBy>,
+    /// Name of the program that drives agents, if one does.
+    pub agent_driver: Option<String>,
 }
 
 /// One episode, step by step. It owns all that it needs: [`super::drive`] goes through one with a
@@ -27,6 +29,8 @@ pub struct EpisodeMetadata {
 pub struct Rollout {
     simulation: Simulation,
     episode: Episode,
+    /// Commands of the next step.
+    commands: Vec<AgentCommand>,
 }
 
 impl Rollout {
@@ -55,6 +59,7 @@ impl Rollout {
                 .iter()
                 .map(|line| line.record)
                 .collect(),
+            agent_driver: metadata.agent_driver,
         };
         let start = simulation.instant();
         Ok(Self {
@@ -65,6 +70,7 @@ impl Rollout {
                 steps: Vec::new(),
                 end: EpisodeEnd::Time,
             },
+            commands: Vec::new(),
         })
     }
 
@@ -104,6 +110,17 @@ impl Rollout {
         self.simulation.end()
     }
 
+    /// Sets the commands of agents for the next step. Who has none is driven by the model.
+    ///
+    /// # Errors
+    /// A sentence, if an agent takes no commands now, has two, or a number is not finite.
+    pub fn command(&mut self, mut commands: Vec<AgentCommand>) -> Result<(), Invalid> {
+        commands.sort_by_key(|command| command.agent);
+        self.simulation.command(&commands)?;
+        self.commands = commands;
+        Ok(())
+    }
+
     /// Drives `plan` for a step, made from readings whose hashes are `readings`, and with `warm_up`
     /// not by the planner. Nothing moves any more when it is over.
     pub fn step(
@@ -115,6 +132,8 @@ impl Rollout {
         let step = self.next_step();
         let instants = self.simulation.advance(&plan);
         let handovers = self.simulation.take_handovers();
+        let commands = std::mem::take(&mut self.commands);
+        let commands = self.simulation.obeyed(commands);
         self.episode.steps.push(EpisodeStep {
             step,
             readings,
@@ -122,6 +141,7 @@ impl Rollout {
             warm_up,
             instants,
             handovers,
+            commands,
         });
         self.note_end();
         &self.episode.steps[step as usize]

@@ -1,5 +1,6 @@
 //! The world of one episode in motion: the ego, the traffic and the clock.
 
+mod commanded;
 mod recorded;
 mod told;
 

@@ -5,6 +5,7 @@
 //! wrong or missing is an error with a sentence, the process is ended with all that it started, and
 //! the next episode begins with a new one.
 
+mod agents;
 mod connection;
 mod message;
 mod process;
@@ -15,6 +16,7 @@ use std::time::Duration;
 
 use decouplegs_scene::plan::Plan;
 
+pub use self::agents::ExternalAgents;
 use self::message::{Answer, Introduction};
 use self::session::Session;
 use super::{EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError};

@@ -4,6 +4,7 @@
 //! All of them are told what any vehicle knows of itself (speed, steering) and what a navigation
 //! system says. States of others and the map are [privileged](Privileged): no camera shows them.
 
+pub mod agents;
 mod cadence;
 mod choice;
 mod constant_velocity;
@@ -15,7 +16,7 @@ mod vision;
 pub use cadence::plan_through;
 pub use choice::PlannerChoice;
 pub use constant_velocity::ConstantVelocity;
-pub use external::{External, Timeouts, Transport};
+pub use external::{External, ExternalAgents, Timeouts, Transport};
 pub use lane_follow::LaneFollow;
 pub use replay::Replay;
 pub use vision::{Perception, Vision};

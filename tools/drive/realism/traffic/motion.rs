@@ -1,6 +1,8 @@
 //! Recorded motion in parts, and simulations of each part from its beginning.
 
 use decouplegs::drive::{LanePoint, Traffic, TrafficError};
+use decouplegs::planner::PlannerError;
+use decouplegs::planner::agents::{AgentDriver, AgentsInfo, AgentsObservation};
 use decouplegs::scene::scenario::{DriverKind, TrafficAgent};
 use decouplegs::scene::story::{Handover, TrackedAgent, Tracks};
 use decouplegs::scene::{Drivers, Invalid, RoadUser, Story, Track, TrackPoint, VehicleSize};
@@ -27,10 +29,13 @@ pub enum Model {
     Tracks,
     /// Constant velocity of all, for comparison.
     Constant,
+    /// A driver of agents, which drives all vehicles from the start.
+    Agents,
 }
 
 impl Model {
-    pub const ALL: [Self; 3] = [Self::Lanes, Self::Tracks, Self::Constant];
+    /// Models of this program.
+    pub const OWN: [Self; 3] = [Self::Lanes, Self::Tracks, Self::Constant];
 
     /// Name in reports.
     pub fn name(self) -> &'static str {
@@ -38,6 +43,7 @@ impl Model {
             Self::Lanes => "lanes",
             Self::Tracks => "tracks",
             Self::Constant => "constant velocity",
+            Self::Agents => "agents",
         }
     }
 }
@@ -89,7 +95,7 @@ impl<'a> Recording<'a> {
     }
 
     /// Times of the first and of the last moment, seconds.
-    fn span_s(&self) -> (f64, f64) {
+    pub fn span_s(&self) -> (f64, f64) {
         let times = self.tracks.iter().flat_map(|track| &track.points);
         let span = (f64::INFINITY, f64::NEG_INFINITY);
         times.fold(span, |(first_s, last_s), point| {
@@ -177,6 +183,11 @@ impl<'a> Recording<'a> {
     }
 }
 
+/// A failure of a driver of agents.
+fn failed(error: PlannerError) -> Invalid {
+    Invalid::new(error.to_string())
+}
+
 /// Place of an agent at a moment, between poses of its track interpolated.
 fn place_at(agent: &TrackedAgent, step: usize) -> Option<Place> {
     let time_s = step as f64 * STEP_S;
@@ -199,8 +210,8 @@ impl Part {
         self.motion.places.first().map_or(0, Vec::len)
     }
 
-    /// Simulations by a model. `chance` is their number, where chance plays a part, the seed of the
-    /// first, and the source of drivers.
+    /// Simulations by a model of this program. `chance` is their number, where chance plays a part,
+    /// the seed of the first, and the source of drivers.
     ///
     /// # Errors
     /// A sentence where the traffic cannot be made.
@@ -213,10 +224,103 @@ impl Part {
         match model {
             Model::Lanes => self.on_lanes(roads, chance),
             Model::Tracks => self.on_tracks(roads, chance),
-            Model::Constant => Ok(Simulated {
+            Model::Constant | Model::Agents => Ok(Simulated {
                 motions: vec![self.straight_on()],
                 placed: self.vehicles.clone(),
             }),
+        }
+    }
+
+    /// Simulations by a driver of agents, which is told the recorded lines of all vehicles as their
+    /// ways. `chance` is as in [`Part::simulated`].
+    ///
+    /// # Errors
+    /// A sentence where the traffic cannot be made, or the driver fails.
+    pub fn commanded(
+        &self,
+        roads: &Roads,
+        driver: &mut dyn AgentDriver,
+        (rollouts, seed, drivers): (u32, u64, Drivers),
+    ) -> Result<Simulated, Invalid> {
+        let all: Vec<usize> = (0..self.agents.len()).collect();
+        let story = self.story(&all);
+        let mut info = self.told(roads);
+        let mut motions = Vec::new();
+        for rollout in 0..rollouts {
+            info.seed = seed + u64::from(rollout);
+            let mut traffic = Traffic::new(roads.graph.clone(), &[], info.seed)
+                .map_err(|error| Invalid::new(error.to_string()))?
+                .with_drivers(drivers, &[])
+                .with_story(&story, &roads.map)?;
+            driver.begin(&info).map_err(failed)?;
+            let command = |traffic: &mut Traffic, step: usize| {
+                let observation = self.observed(roads, traffic, step);
+                let commands = driver.commands(&observation).map_err(failed)?;
+                traffic.steer(&commands)
+            };
+            motions.push(self.run_commanded(&mut traffic, &all, command)?);
+        }
+        Ok(Simulated {
+            motions,
+            placed: self.vehicles.clone(),
+        })
+    }
+
+    /// Shows a driver of agents what was recorded, moment by moment. Nobody takes its commands. The
+    /// number of moments.
+    ///
+    /// # Errors
+    /// A sentence where the traffic cannot be made, or the driver fails.
+    pub fn shown(&self, roads: &Roads, driver: &mut dyn AgentDriver) -> Result<usize, Invalid> {
+        let all: Vec<usize> = (0..self.agents.len()).collect();
+        let mut story = self.story(&all);
+        story.tracks.handover = Handover::Never;
+        let mut traffic = Traffic::new(roads.graph.clone(), &[], 0)
+            .map_err(|error| Invalid::new(error.to_string()))?
+            .with_story(&story, &roads.map)?;
+        driver.begin(&self.told(roads)).map_err(failed)?;
+        self.run_commanded(&mut traffic, &all, |traffic, step| {
+            let observation = self.observed(roads, traffic, step);
+            driver.commands(&observation).map(drop).map_err(failed)
+        })?;
+        Ok(self.steps().saturating_sub(1))
+    }
+
+    /// Facts that a driver of agents is told before it begins.
+    fn told<'b>(&'b self, roads: &'b Roads) -> AgentsInfo<'b> {
+        let agents = self.agents.iter();
+        let agents = agents.map(|agent| (agent.name.as_str(), agent.kind, agent.size()));
+        AgentsInfo {
+            scenario: "recording",
+            seed: 0,
+            step_s: STEP_S,
+            lanes: &roads.map,
+            agents: agents.collect(),
+        }
+    }
+
+    /// The traffic of a simulation as a driver of agents sees it after `step` moments.
+    fn observed(&self, roads: &Roads, traffic: &Traffic, step: usize) -> AgentsObservation {
+        let agents = traffic.steerable(None);
+        let takes = |index: &usize| {
+            agents
+                .binary_search_by_key(index, |agent| agent.agent)
+                .is_ok()
+        };
+        let states = traffic.states().iter().enumerate();
+        let others = states.filter_map(|(index, state)| Some((index, (*state)?)));
+        let time_s = step as f64 * STEP_S;
+        let at_s = self.motion.start_s + time_s;
+        let lines = roads.lights.lines().iter();
+        AgentsObservation {
+            step: step as u32,
+            time_s,
+            ego: None,
+            others: others.filter(|(index, _)| !takes(index)).collect(),
+            stop_lines: lines
+                .map(|line| (line.record, roads.lights.color_at(line.record.index, at_s)))
+                .collect(),
+            agents,
         }
     }
 
@@ -346,10 +450,23 @@ impl Part {
     /// Motion of `traffic`, whose agents are those of the part at `all`. Who leaves the map and
     /// enters again elsewhere counts as gone.
     fn run(&self, mut traffic: Traffic, all: &[usize]) -> Motion {
+        let run = self.run_commanded(&mut traffic, all, |_, _| Ok(()));
+        run.expect("nothing fails where nobody is asked")
+    }
+
+    /// Motion of `traffic` as in [`Part::run`]; `command` is called before each step with its
+    /// number.
+    fn run_commanded(
+        &self,
+        traffic: &mut Traffic,
+        all: &[usize],
+        mut command: impl FnMut(&mut Traffic, usize) -> Result<(), Invalid>,
+    ) -> Result<Motion, Invalid> {
         let mut places = vec![vec![None; self.steps()]; self.agents.len()];
         let mut gone = vec![false; all.len()];
         for step in 0..self.steps() {
             if step > 0 {
+                command(traffic, step - 1)?;
                 traffic.step(STEP_S, None);
             }
             for ((&at, state), gone) in all.iter().zip(traffic.states()).zip(&mut gone) {
@@ -360,6 +477,6 @@ impl Part {
                     .map(|state| (state.position_m, state.yaw_rad));
             }
         }
-        self.motion_of(places)
+        Ok(self.motion_of(places))
     }
 }

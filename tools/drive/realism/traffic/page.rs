@@ -32,7 +32,7 @@ pub fn page(compared: &Compared, tracks: &Path) -> String {
     page.text(
         "\"lanes\" are normal drivers on the lanes of the map, as in generated scenarios, from where vehicles were recorded and with their speeds; vehicles that stand nearer to each other than these drivers can are left out. \
          \"tracks\" are drivers on the recorded lines of vehicles, handed over at the start, as with drive --handover all. \
-         \"constant velocity\" goes straight on. Values count at moments at which a vehicle is there both in the recording and in the simulation. \
+         \"constant velocity\" goes straight on. \"agents\", where it stands, is the program of --agents, which drives all vehicles and is told their recorded lines as ways. Values count at moments at which a vehicle is there both in the recording and in the simulation. \
          Vehicles that come later are in the recording and in \"tracks\" alone. \
          A vehicle ahead is the nearest one in the straight trail of the box, within 100 m; a headway is told from 2 m/s on; times to collision of more than 5 s count as 5 s. \
          Where the map has no speed limits, drivers on lanes take 50 km/h.",

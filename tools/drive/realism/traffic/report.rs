@@ -124,16 +124,20 @@ pub struct Compared {
     pub drivers: Drivers,
     /// Free speed of all lanes in place of the map's limits, m/s.
     pub free_mps: Option<f64>,
+    /// Name of the driver of agents, if there is one.
+    pub agent_driver: Option<String>,
     pub results: Vec<Result>,
 }
 
 impl Compared {
-    pub fn new(part_s: f64, drivers: Drivers, free_mps: Option<f64>) -> Self {
+    /// Nothing yet, of `models`.
+    pub fn new(models: &[Model], part_s: f64, drivers: Drivers, free_mps: Option<f64>) -> Self {
         Self {
             part_s,
             drivers,
             free_mps,
-            results: Model::ALL.map(Result::new).into(),
+            agent_driver: None,
+            results: models.iter().copied().map(Result::new).collect(),
         }
     }
 
@@ -225,21 +229,29 @@ impl Compared {
             Drivers::Kinds => "drivers: the normal kind, all alike",
             Drivers::Drawn => "drivers: drawn, each with its own parameters",
         };
+        let agents = self.agent_driver.as_ref();
+        let agents = agents.map_or(String::new(), |name| format!("; agents: driven by {name}"));
         match self.free_mps {
-            None => format!("{drivers}; free speeds: those of the map"),
-            Some(free_mps) => format!("{drivers}; free speed: {free_mps:.2} m/s on all lanes"),
+            None => format!("{drivers}; free speeds: those of the map{agents}"),
+            Some(free_mps) => {
+                format!("{drivers}; free speed: {free_mps:.2} m/s on all lanes{agents}")
+            }
         }
     }
 
     pub fn to_json(&self, tracks: &Path) -> Value {
         let models: Vec<Value> = self.results.iter().map(to_json).collect();
-        json!({
+        let mut report = json!({
             "tracks": tracks.display().to_string(),
             "part_s": self.part_s,
             "drivers": self.drivers.name(),
             "free_speed_mps": self.free_mps,
             "models": models,
-        })
+        });
+        if let Some(name) = &self.agent_driver {
+            report["agents"] = name.as_str().into();
+        }
+        report
     }
 }
 
@@ -359,7 +371,7 @@ mod tests {
             motions: vec![motion],
             placed: part.vehicles.clone(),
         };
-        let mut compared = Compared::new(8.0, Drivers::Kinds, None);
+        let mut compared = Compared::new(&Model::OWN, 8.0, Drivers::Kinds, None);
         compared.add(&roads, &part, Model::Lanes, &simulated);
         compared.finish();
         compared.results.remove(0)
@@ -423,7 +435,7 @@ mod tests {
         let (roads, tracks) = (roads(), tracks());
         let part = Recording::new(&tracks).part(&roads, 0.0, 8.0);
         let sources = Drivers::ALL.into_iter();
-        let all = sources.flat_map(|drivers| Model::ALL.map(|model| (drivers, model)));
+        let all = sources.flat_map(|drivers| Model::OWN.map(|model| (drivers, model)));
         for (drivers, model) in all {
             let simulated = part.simulated(&roads, model, (2, 1, drivers)).unwrap();
             for motion in &simulated.motions {

@@ -10,7 +10,7 @@ use super::run;
 
 /// Two lanes of 400 m to the east and three cars, for 8 s: one that drives off, one that follows it
 /// closely, and one beside.
-fn recording(folder: &Path) -> PathBuf {
+pub fn recording(folder: &Path) -> PathBuf {
     let mut text = String::from(
         "<commonRoad commonRoadVersion=\"2020a\" benchmarkID=\"A\" timeStepSize=\"0.1\">",
     );
@@ -52,18 +52,18 @@ fn recording(folder: &Path) -> PathBuf {
     path
 }
 
-fn text(path: &Path) -> &str {
+pub fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-fn succeed(arguments: &[&str]) -> String {
+pub fn succeed(arguments: &[&str]) -> String {
     let output = run(arguments);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(0), "{arguments:?}: {said}");
     String::from_utf8_lossy(&output.stdout).into_owned() + &said
 }
 
-fn fail(arguments: &[&str], code: i32) -> String {
+pub fn fail(arguments: &[&str], code: i32) -> String {
     let output = run(arguments);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
@@ -238,4 +238,53 @@ fn simulated_traffic_is_compared_with_what_was_recorded() {
     assert!(page.contains("Realism of traffic") && page.contains("<svg"));
     let said = fail(&command, 1);
     assert!(said.contains("gap"), "nothing is replaced: {said}");
+}
+
+#[test]
+fn a_free_speed_is_named_or_taken_from_the_first_half() {
+    let folder = tempfile::tempdir().unwrap();
+    let tracks = recording(folder.path());
+    let compared = |name: &str, free_speed: &[&str]| -> Value {
+        let out = folder.path().join(name);
+        let command = ["realism", "traffic", "--tracks", text(&tracks)];
+        let more = ["--rollouts", "1", "--out", text(&out)];
+        succeed(&[&command[..], &more, free_speed].concat());
+        let report = fs::read_to_string(out.join("realism.json")).unwrap();
+        serde_json::from_str(&report).unwrap()
+    };
+    // Median speed of drivers on lanes.
+    let median_mps = |report: &Value| {
+        let speed = &report["models"][0]["quantities"][0];
+        assert_eq!(speed["name"], "speed, m/s");
+        speed["simulated"]["p50"].as_f64().unwrap()
+    };
+    let plain = compared("plain", &[]);
+    assert_eq!(plain["free_speed_mps"], Value::Null);
+    let slow = compared("slow", &["--free-speed", "5"]);
+    assert_eq!(slow["free_speed_mps"], 5.0);
+    let speeds_mps = (median_mps(&slow), median_mps(&plain));
+    assert!(
+        speeds_mps.0 < 7.0 && speeds_mps.0 < speeds_mps.1 - 1.0,
+        "{speeds_mps:?}"
+    );
+    // Speeds over half a second up to 4 s are 9.25, 8.5 and 15 m/s.
+    let told = compared("recorded", &["--free-speed", "recorded"]);
+    let free_mps = told["free_speed_mps"].as_f64().unwrap();
+    assert!((free_mps - 9.25).abs() < 1e-6, "{free_mps}");
+    for wrong in ["0.5", "fast", "-3"] {
+        let out = folder.path().join("wrong");
+        let command = [
+            "realism",
+            "traffic",
+            "--tracks",
+            text(&tracks),
+            "--out",
+            text(&out),
+        ];
+        let said = fail(&[&command[..], &["--free-speed", wrong]].concat(), 2);
+        assert!(
+            said.contains("expected a speed from 1 to 70 m/s, or recorded"),
+            "{said}"
+        );
+    }
 }

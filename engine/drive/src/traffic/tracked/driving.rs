@@ -130,6 +130,18 @@ impl Driving {
         }
     }
 
+    /// Acceleration of the last step, m/s^2.
+    pub(super) fn acceleration_mps2(&self) -> f64 {
+        self.acceleration_mps2
+    }
+
+    /// Takes over where the vehicle is, `arc_m` along its line, in a state that others made.
+    pub(super) fn moved_to(&mut self, arc_m: f64, state: &VehicleState) {
+        self.arc_m = arc_m;
+        self.speed_mps = state.speed_mps;
+        self.acceleration_mps2 = state.acceleration_mps2.clamp(-BRAKING_MPS2, EMERGENCY_MPS2);
+    }
+
     /// Advances by `dt_s` behind those `ahead`.
     pub(super) fn advance(&mut self, way: &Way, ahead: &[Ahead], dt_s: f64) {
         let own_s = self.idm.headway_s;

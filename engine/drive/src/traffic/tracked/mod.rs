@@ -13,6 +13,7 @@
 //! ego, bit by bit.
 
 mod driving;
+mod steered;
 mod way;
 
 use std::sync::Arc;
@@ -24,6 +25,7 @@ use decouplegs_scene::{LaneMap, RoadUser, VehicleSize, VehicleState};
 use glam::DVec2;
 
 use self::driving::{Ahead, Driving};
+use self::steered::Steered;
 use self::way::{Seen, Way};
 use super::driver::Driver;
 use crate::lane_index::LaneIndex;
@@ -57,6 +59,8 @@ enum Mode {
     Waiting,
     Recorded,
     Driving(Driving),
+    /// Another program drives it.
+    Steered(Box<Steered>),
     Gone,
 }
 
@@ -95,6 +99,8 @@ pub(in crate::traffic) struct Followers {
     headings_rad: Vec<Option<f64>>,
     /// Handovers that were not yet collected: index among the recorded road users, and time.
     handed: Vec<(usize, f64)>,
+    /// Vehicles with commands that were more than they can do, not yet collected.
+    limited: Vec<usize>,
 }
 
 impl Followers {
@@ -125,6 +131,7 @@ impl Followers {
             drawn: None,
             headings_rad: Vec::new(),
             handed: Vec::new(),
+            limited: Vec::new(),
             followers,
         };
         made.states = made.states_at(0.0);
@@ -154,6 +161,7 @@ impl Followers {
             Mode::Waiting | Mode::Gone => None,
             Mode::Recorded => Some(one.way.state_at(time_s)),
             Mode::Driving(driving) => Some(driving.state(&one.way)),
+            Mode::Steered(steered) => Some(steered.body.state),
         };
         self.followers.iter().map(state).collect()
     }
@@ -209,15 +217,28 @@ impl Followers {
                     let own = self.states[at]?;
                     Some(one.ahead(at, &own, driving.arc_m, &parties))
                 }
+                Mode::Steered(steered) if steered.command.is_none() => {
+                    let own = &steered.body.state;
+                    Some(one.ahead(at, own, steered.driving.arc_m, &parties))
+                }
                 _ => None,
             })
             .collect();
         let after_s = time_s + dt_s;
-        for (one, ahead) in self.followers.iter_mut().zip(driven) {
+        let all = self.followers.iter_mut().zip(driven).enumerate();
+        for (at, (one, ahead)) in all {
             match &mut one.mode {
                 Mode::Driving(driving) => {
                     driving.advance(&one.way, &ahead.unwrap_or_default(), dt_s);
                     if driving.arc_m >= one.way.length_m() {
+                        one.mode = Mode::Gone;
+                    }
+                }
+                Mode::Steered(steered) => {
+                    if steered.advance(&one.way, &ahead.unwrap_or_default(), dt_s) {
+                        self.limited.push(at);
+                    }
+                    if steered.driving.arc_m >= one.way.length_m() {
                         one.mode = Mode::Gone;
                     }
                 }
@@ -299,6 +320,7 @@ impl Followers {
                     ..party.state
                 }
             }
+            Mode::Steered(_) => party.expected(ahead_s),
             _ => one.way.state_at(time_s + ahead_s),
         }
     }

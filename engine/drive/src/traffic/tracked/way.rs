@@ -198,6 +198,11 @@ impl Way {
         self.arcs_m[from] + share * (self.arcs_m[to] - self.arcs_m[from])
     }
 
+    /// Place on a part of the line that is nearest to a point, meters.
+    pub(super) fn arc_near(&self, at_m: DVec2, from_m: f64, to_m: f64) -> f64 {
+        self.line.project_within(at_m, from_m, to_m).arc_m
+    }
+
     /// Length of the line, meters.
     pub(super) fn length_m(&self) -> f64 {
         self.line.length_m()

@@ -1,12 +1,14 @@
 //! Messages of the protocol, as in `planner-protocol.md`.
 
 use decouplegs_scene::LightColor;
-use decouplegs_scene::episode::StopLineRecord;
+use decouplegs_scene::episode::{AgentCommand, StopLineRecord};
 use decouplegs_scene::lidar::PointFrame;
 use decouplegs_scene::plan::{Plan, PlanPoint};
 use decouplegs_scene::{LidarSweep, Pose, Sensor, SignKind, VehicleSize, VehicleState};
 use glam::DVec2;
 use serde_json::{Value, json};
+
+use super::agents;
 
 use crate::planner::{
     Cameras, EpisodeInfo, Frame, KnownAgent, Localization, LocatedEgo, Observation,
@@ -35,6 +37,13 @@ pub(super) enum Answer {
         step: u64,
         plan: Plan,
     },
+    /// Name of a driver of agents.
+    AgentsHello(String),
+    /// Commands of a driver of agents.
+    Commands {
+        step: u64,
+        commands: Vec<AgentCommand>,
+    },
     /// The planner cannot go on, for this reason.
     Fail(String),
 }
@@ -43,7 +52,8 @@ impl Answer {
     /// The word for it in the protocol.
     pub(super) const fn word(&self) -> &'static str {
         match self {
-            Self::Hello(_) => "hello",
+            Self::Hello(_) | Self::AgentsHello(_) => "hello",
+            Self::Commands { .. } => "commands",
             Self::Ready => "ready",
             Self::Plan { .. } => "plan",
             Self::Fail(_) => "fail",
@@ -72,6 +82,10 @@ impl Answer {
             return Err("announced bytes after its line; expected none from a planner".into());
         }
         match message["type"].as_str() {
+            Some("hello") if message["drives"] == "agents" => {
+                speaker(&message).map(Self::AgentsHello)
+            }
+            Some("commands") => agents::commands(&message),
             Some("hello") => introduction(&message).map(Self::Hello),
             Some("ready") => Ok(Self::Ready),
             Some("plan") => plan(&message),
@@ -80,14 +94,15 @@ impl Answer {
                 REASON_CHARS_MAX,
             ))),
             _ => Err(format!(
-                "sent a message whose `type` is not hello, ready, plan or fail: {}",
+                "sent a message whose `type` is not hello, ready, plan, commands or fail: {}",
                 beginning(line)
             )),
         }
     }
 }
 
-fn introduction(message: &Value) -> Result<Introduction, String> {
+/// Name of a planner or driver that speaks the protocol.
+fn speaker(message: &Value) -> Result<String, String> {
     if message["protocol"].as_u64() != Some(PROTOCOL) {
         let spoken = if message["protocol"].is_null() {
             "none".into()
@@ -100,6 +115,11 @@ fn introduction(message: &Value) -> Result<Introduction, String> {
         .as_str()
         .filter(|name| !name.is_empty())
         .ok_or("said hello without a `name`")?;
+    Ok(printable(name, NAME_CHARS_MAX))
+}
+
+fn introduction(message: &Value) -> Result<Introduction, String> {
+    let name = speaker(message)?;
     let cameras = match message["cameras"].as_str() {
         Some("none") => Cameras::None,
         Some("front") => Cameras::Front,
@@ -120,7 +140,7 @@ fn introduction(message: &Value) -> Result<Introduction, String> {
         .as_bool()
         .ok_or("said hello without `privileged`; expected true or false")?;
     Ok(Introduction {
-        name: printable(name, NAME_CHARS_MAX),
+        name,
         sees: ObservationRequest {
             cameras,
             lidars,

@@ -23,6 +23,8 @@ const FAREWELL: Duration = Duration::from_millis(200);
 pub(super) struct Session {
     connection: Connection,
     process: Option<Process>,
+    /// Program in the sentences about it.
+    who: &'static str,
     /// True while there was no error: a planner that keeps to the protocol is told of the end and
     /// given time for it.
     is_sound: bool,
@@ -34,6 +36,26 @@ impl Session {
         attachment: &Transport,
         patience: &Timeouts,
     ) -> Result<(Self, Introduction), PlannerError> {
+        let who = "the external planner";
+        let (mut session, answer) = Self::greeted(attachment, patience, &message::hello(), who)?;
+        match answer {
+            Answer::Hello(introduction) => Ok((session, introduction)),
+            Answer::AgentsHello(_) => Err(session
+                .broken("introduced itself as a driver of agents; expected a planner of the ego")),
+            other => Err(session.broken(&format!(
+                "answered hello with {}; expected hello",
+                other.word()
+            ))),
+        }
+    }
+
+    /// Starts or connects to a program and says `hello`: the session, and its answer.
+    pub(super) fn greeted(
+        attachment: &Transport,
+        patience: &Timeouts,
+        hello: &Value,
+        who: &'static str,
+    ) -> Result<(Self, Answer), PlannerError> {
         let (process, connection) = match attachment {
             Transport::Command(words) => {
                 Process::start(words).map(|(process, connection)| (Some(process), connection))
@@ -42,19 +64,15 @@ impl Session {
                 connect(path, patience.hello).map(|connection| (None, connection))
             }
         }
-        .map_err(|fault| PlannerError(format!("the external planner: {fault}")))?;
+        .map_err(|fault| PlannerError(format!("{who}: {fault}")))?;
         let mut session = Self {
             connection,
             process,
+            who,
             is_sound: true,
         };
-        match session.ask(&message::hello(), &[], patience.hello)? {
-            Answer::Hello(introduction) => Ok((session, introduction)),
-            other => Err(session.broken(&format!(
-                "answered hello with {}; expected hello",
-                other.word()
-            ))),
-        }
+        let answer = session.ask(hello, &[], patience.hello)?;
+        Ok((session, answer))
     }
 
     /// True if it is connected and sent nothing unasked.
@@ -120,7 +138,7 @@ impl Session {
             .process
             .as_mut()
             .map_or_else(String::new, |process| format!(" ({})", process.end(grace)));
-        PlannerError(format!("the external planner {what}{end}"))
+        PlannerError(format!("{} {what}{end}", self.who))
     }
 }
 
