@@ -4,9 +4,9 @@
 // Included where partial_colors and partial_planes are bound. Only fine tiles that a segment draws
 // have results. A negative transmittance is a mark, which the two kernels explain.
 
-// Transmittance at which a pixel ends by an exclusive stop.
+// Transmittance at which a pixel ends by an early stop.
 float stop_limit() {
-    return MEDIAN ? TRANSMITTANCE_MEDIAN : TRANSMITTANCE_MIN;
+    return MEDIAN ? TRANSMITTANCE_MEDIAN : INCLUSIVE_STOP ? TRANSMITTANCE_MIN_INCLUSIVE : TRANSMITTANCE_MIN;
 }
 
 // Words per pixel: color and transmittance. Stops are decided by transmittance, which stays whole;

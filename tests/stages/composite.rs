@@ -120,6 +120,7 @@ impl Case {
         let rules = match end {
             PixelEnd::Full => Rules::DEFAULT,
             PixelEnd::Exclusive | PixelEnd::Median => Rules::GSPLAT15,
+            PixelEnd::Inclusive => Rules::NUREC,
         };
         let on_device = PartialResults::new(
             gpu,
@@ -410,6 +411,8 @@ fn pixels_are_left_to_be_finished_where_they_end() {
     for (end, counts) in [
         (PixelEnd::Exclusive, false),
         (PixelEnd::Exclusive, true),
+        (PixelEnd::Inclusive, false),
+        (PixelEnd::Inclusive, true),
         (PixelEnd::Full, true),
         (PixelEnd::Median, false),
     ] {

@@ -7,10 +7,10 @@ use decouplegs_shaders::constants;
 
 use super::{
     FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, RecordContents, Views, kernel,
-    push_constants,
+    least_response, push_constants,
 };
 use crate::capacity::Capacity;
-use crate::layout::{COARSE_PIXELS, FINE_TILES, PartialTiles};
+use crate::layout::{COARSE_PIXELS, FINE_TILES, PartialTiles, response_squares_max};
 use crate::output::{OutputBuffers, Outputs};
 
 /// Partial accumulations of segments for composite: one per pixel of the fine tiles that a segment
@@ -93,6 +93,8 @@ pub enum PixelEnd {
     Full,
     /// Ends at the last splat before the limit of an exclusive stop.
     Exclusive,
+    /// Ends at the splat that reaches the limit of an inclusive stop.
+    Inclusive,
     /// Ends at the splat in which half of the light is gone; its color is that of the pixel.
     Median,
 }
@@ -103,30 +105,33 @@ impl PixelEnd {
     pub fn for_rules(rules: &Rules) -> Self {
         match rules.stop {
             EarlyStop::Exclusive => Self::Exclusive,
+            EarlyStop::Inclusive => Self::Inclusive,
             EarlyStop::None => Self::Full,
         }
     }
 
-    /// Transmittance at which a pixel ends by an exclusive stop; `None` by others.
+    /// Transmittance at which a pixel ends by an early stop; `None` without one.
     #[must_use]
     pub fn stop_limit(self) -> Option<f32> {
         match self {
             Self::Full => None,
             Self::Exclusive => Some(constants::TRANSMITTANCE_MIN),
+            Self::Inclusive => Some(constants::TRANSMITTANCE_MIN_INCLUSIVE),
             Self::Median => Some(constants::TRANSMITTANCE_MEDIAN),
         }
     }
 
     /// Specialization constants of the kernels.
-    pub(super) fn constants(self) -> [(&'static str, Constant); 2] {
+    pub(super) fn constants(self) -> [(&'static str, Constant); 3] {
         [
-            ("EXCLUSIVE_STOP", Constant::Bool(self != Self::Full)),
+            ("EARLY_STOP", Constant::Bool(self != Self::Full)),
+            ("INCLUSIVE_STOP", Constant::Bool(self == Self::Inclusive)),
             ("MEDIAN", Constant::Bool(self == Self::Median)),
         ]
     }
 }
 
-/// True if segments of a list are blended again from what lies before them: by an exclusive stop,
+/// True if segments of a list are blended again from what lies before them: by an early stop,
 /// and where weights are counted.
 #[must_use]
 pub fn finishes(end: PixelEnd, outputs: &Outputs) -> bool {
@@ -231,6 +236,7 @@ impl Blend {
         let constants: Vec<_> = (outputs.constants())
             .chain(own)
             .chain(end.constants())
+            .chain(least_response(response_squares_max(rules)))
             .collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::BLEND, &constants)?,

@@ -1,18 +1,19 @@
 //! Blends one segment of one coarse tile's list, front to back: `blend.comp`.
 
+use decouplegs_scene::Rules;
 use glam::Vec3;
 
-use super::footprint::{LOG2_255, center_of, log2_alpha};
+use super::footprint::{center_of, log2_alpha, log2_alpha_min};
 use super::output::{
     MEDIAN_FOUND, PIXEL_EMPTY, Pixel, camera_of_bin, coarse_tile_origin, pixel_offset,
 };
 use super::planes::add_to_planes;
 use super::record::{load_color, load_footprint};
-use crate::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL};
+use crate::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL, response_squares_max};
 use crate::stages::PixelEnd;
 
-/// Adds one splat to a pixel. `full`: the pixel takes no more; the splat at which it ends makes it
-/// so.
+/// Adds one splat, whose alpha is not too small, to a pixel. `full`: the pixel takes no more; the
+/// splat at which it ends makes it so.
 fn blend_pixel(
     pixel: &mut Pixel,
     full: &mut bool,
@@ -22,13 +23,13 @@ fn blend_pixel(
     alpha_max: f32,
     end: PixelEnd,
 ) {
-    if log2_alpha < -LOG2_255 || *full {
+    if *full {
         return;
     }
     let alpha = log2_alpha.exp2().min(alpha_max);
     let left = pixel.transmittance * (1.0 - alpha);
-    if end.stop_limit().is_some_and(|limit| left <= limit) {
-        *full = true;
+    *full = end.stop_limit().is_some_and(|limit| left <= limit);
+    if *full && end != PixelEnd::Inclusive {
         if end == PixelEnd::Median {
             pixel.color = color;
             pixel.transmittance = MEDIAN_FOUND;
@@ -55,7 +56,7 @@ pub fn blend(
     records: &[u32],
     footprints: &[[u32; 4]],
     labels: &[[u32; 2]],
-    alpha_max: f32,
+    rules: &Rules,
     end: PixelEnd,
     before: Option<&[Pixel]>,
 ) -> Vec<Pixel> {
@@ -75,6 +76,7 @@ pub fn blend(
         true => end,
         false => PixelEnd::Full,
     };
+    let (alpha_max, squares_max) = (rules.alpha_max as f32, response_squares_max(rules));
     let first = item.first_pair as usize;
     let records = &records[first..first + item.pairs as usize];
     let splats: Vec<_> = records
@@ -90,7 +92,9 @@ pub fn blend(
         let center = center_of(x, y);
         for (footprint, color, label) in &splats {
             let log2_alpha = log2_alpha(footprint, center);
-            blend_pixel(pixel, full, log2_alpha, *color, *label, alpha_max, end);
+            if log2_alpha >= log2_alpha_min(footprint, squares_max) {
+                blend_pixel(pixel, full, log2_alpha, *color, *label, alpha_max, end);
+            }
         }
     }
     for (index, pixel) in pixels.iter_mut().enumerate() {
