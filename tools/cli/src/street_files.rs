@@ -17,7 +17,6 @@ use decouplegs_scene::light::{RelightOptions, ShadowOptions};
 use decouplegs_scene::{Pose, Presence, Rules, SplatCloud, SplatScene, TimedPose, Trajectory};
 use decouplegs_synth::street::Street;
 use decouplegs_train::compress::compress_quickly;
-use glam::DVec3;
 
 /// Sampling rate of the tracks.
 const TRACK_RATE_HZ: f64 = 10.0;
