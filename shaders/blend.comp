@@ -17,7 +17,7 @@
 // done when it starts: composite stops at the same transmittance, so that the image does not depend
 // on who was done first.
 //
-// By an exclusive stop, where a pixel ends depends on all that lies before it. The first segment of
+// By an early stop, where a pixel ends depends on all that lies before it. The first segment of
 // a list knows that and stops. The others are blended to their end; composite finds the one segment
 // in which a pixel ends, and leaves there what the pixel was before it. A second run, with FINISH,
 // blends that segment again from there. The weights of splats (CONTRIBUTIONS) depend on what lies
@@ -43,7 +43,8 @@ const uint THREADS = 256u;
 layout(local_size_x = 256) in;
 
 layout(constant_id = 3) const float ALPHA_MAX = 0.99;
-layout(constant_id = 4) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
+layout(constant_id = 4) const bool EARLY_STOP = false; // stop before the splat that would make a pixel full
+layout(constant_id = 11) const bool INCLUSIVE_STOP = false; // with EARLY_STOP: stop behind that splat
 layout(constant_id = 5) const uint LANES = 32u; // of a subgroup: 4 to 64
 layout(constant_id = 6) const bool CONTRIBUTIONS = false; // add up the weights of each splat; records hold its index
 layout(constant_id = 7) const bool FINISH = false; // blend again what composite has left to be finished
@@ -234,7 +235,7 @@ void hold_drawn_tiles(BlendItem item, uint tiles, bool has_any) {
 void write_partial(uint index, Pixel pixel, bool full) {
     if (has_partial(held_tiles, index)) {
         // Negative: the pixel ends here.
-        pixel.transmittance = EXCLUSIVE_STOP && full ? -pixel.transmittance : pixel.transmittance;
+        pixel.transmittance = EARLY_STOP && full ? -pixel.transmittance : pixel.transmittance;
         store_partial(held_tiles, index, pixel);
         if (MEDIANS) {
             partial_medians[partial_index(held_tiles, index)] = pixel.median;
@@ -429,9 +430,9 @@ void main() {
         next_share = 0u;
         drawn_tiles = 0u;
     }
-    if (EXCLUSIVE_STOP || CONTRIBUTIONS) {
+    if (EARLY_STOP || CONTRIBUTIONS) {
         bool starts = FINISH || item.segment == 0u;
-        stops = EXCLUSIVE_STOP && starts;
+        stops = EARLY_STOP && starts;
         counts = CONTRIBUTIONS && starts;
     }
     uint tiles = 0xffffffffu; // that are to be drawn

@@ -5,7 +5,7 @@
 // Over is associative. The segments of a long list are divided into runs; a thread joins a run at a
 // pixel, and the runs of a pixel are joined through shared memory.
 //
-// By an exclusive stop, the pixel is left to be finished in the segment in which it ends: see
+// By an early stop, the pixel is left to be finished in the segment in which it ends: see
 // blend.comp.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
@@ -18,7 +18,8 @@ const uint WORKGROUP_THREADS = 256u;
 const uint COMPOSITE_GROUPS = COARSE_PIXELS / WORKGROUP_THREADS; // workgroups that share a coarse tile
 layout(local_size_x = 256) in;
 
-layout(constant_id = 3) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
+layout(constant_id = 3) const bool EARLY_STOP = false; // see blend.comp
+layout(constant_id = 7) const bool INCLUSIVE_STOP = false; // likewise
 layout(constant_id = 4) const bool CONTRIBUTIONS = false;  // every segment is left to be finished, so that its weights can be counted
 
 layout(set = 0, binding = 5, scalar) readonly buffer required_block { RequiredCounts required; };
@@ -111,7 +112,7 @@ Pixel joined_by(uint thread) {
 
 // True if nothing behind `pixel`, which holds more than the first segment, counts.
 bool has_ended(Pixel pixel) {
-    return pixel.transmittance <= (EXCLUSIVE_STOP ? TRANSMITTANCE_MIN : TRANSMITTANCE_FULL);
+    return pixel.transmittance <= (EARLY_STOP ? stop_limit() : TRANSMITTANCE_FULL);
 }
 
 // Joins the segments from `first` to before `end` behind `pixel`. Returns false where the first
@@ -138,14 +139,14 @@ bool join(inout Pixel pixel, Composite composite, uint first, uint end, uint ind
             if (segment < end && open) {
                 Pixel before = pixel;
                 // The first segment stops by itself, and says so by the sign.
-                stopped = EXCLUSIVE_STOP && ahead[next].transmittance < 0.0;
-                ahead[next].transmittance = EXCLUSIVE_STOP ? abs(ahead[next].transmittance) : ahead[next].transmittance;
+                stopped = EARLY_STOP && ahead[next].transmittance < 0.0;
+                ahead[next].transmittance = EARLY_STOP ? abs(ahead[next].transmittance) : ahead[next].transmittance;
                 pixel = over(before, ahead[next]);
-                bool ends = EXCLUSIVE_STOP && all_before && segment > 0u && (pixel.transmittance <= TRANSMITTANCE_MIN || (ends_here && segment + 1u == end));
+                bool ends = EARLY_STOP && all_before && segment > 0u && (pixel.transmittance <= stop_limit() || (ends_here && segment + 1u == end));
                 if (ends || (CONTRIBUTIONS && all_before && segment > 0u)) {
                     leave_unfinished(composite.first_partial + segment, held[next], index, before);
                 }
-                open = EXCLUSIVE_STOP ? !stopped && !ends : pixel.transmittance > TRANSMITTANCE_FULL;
+                open = EARLY_STOP ? !stopped && !ends : pixel.transmittance > TRANSMITTANCE_FULL;
             }
         }
     }
@@ -155,7 +156,7 @@ bool join(inout Pixel pixel, Composite composite, uint first, uint end, uint ind
 // A product of largest transmittances up to here means that all pixels have ended, its own rounding
 // included.
 float covered() {
-    return 0.5 * (EXCLUSIVE_STOP ? TRANSMITTANCE_MIN : TRANSMITTANCE_FULL);
+    return 0.5 * (EARLY_STOP ? stop_limit() : TRANSMITTANCE_FULL);
 }
 
 shared float run_transmittances[WORKGROUP_THREADS];
@@ -226,7 +227,7 @@ void main() {
     Pixel before = PIXEL_EMPTY;
     for (uint other = thread % pixels; other < thread; other += pixels) {
         Pixel nearer = joined_by(other);
-        if (EXCLUSIVE_STOP && nearer.transmittance < 0.0) {
+        if (EARLY_STOP && nearer.transmittance < 0.0) {
             return;
         }
         before = over(before, nearer);
@@ -234,7 +235,7 @@ void main() {
             return;
         }
     }
-    bool stopped = EXCLUSIVE_STOP && joined_by(thread).transmittance < 0.0;
+    bool stopped = EARLY_STOP && joined_by(thread).transmittance < 0.0;
     Pixel all = over(before, pixel);
     bool ends_here = stopped || has_ended(all);
     if (MEDIANS && before.transmittance > TRANSMITTANCE_MEDIAN && (all.transmittance <= TRANSMITTANCE_MEDIAN || run + 1u == runs)) {
@@ -245,7 +246,7 @@ void main() {
     // the run is joined again, up to the end.
     if ((ends_here && !stopped) || CONTRIBUTIONS) {
         all = before;
-        join(all, composite, first, end, index, true, EXCLUSIVE_STOP && ends_here);
+        join(all, composite, first, end, index, true, EARLY_STOP && ends_here);
     }
     if (ends_here || run + 1u == runs) {
         write_pixel(camera, at, all, sky, image_pixels);

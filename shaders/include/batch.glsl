@@ -157,7 +157,7 @@ bool reaches_share(Staged staged, vec2 corner) {
     float v_extent = half_size.y * abs(staged.tones.x);
     float u = max(abs(middle.x * staged.slants.x + (middle.y * staged.slants.y + staged.slants.z)) - u_extent, 0.0);
     float v = max(abs(middle.y * staged.tones.x + staged.slants.w) - v_extent, 0.0);
-    return u * u + v * v <= staged.tones.y + LOG2_255 + SQUARED_RADIUS_SLACK;
+    return u * u + v * v <= squared_radius(staged.tones.y) + SQUARED_RADIUS_SLACK;
 }
 
 // log2(alpha) of a record at two pixels, the second two columns to the right of the first, whose

@@ -20,14 +20,25 @@ const float LOG2_255 = 7.994353436858858;
 // The least alpha that is blended.
 const float ALPHA_MIN = 1.0 / 255.0;
 
+// Where rules have a least response, the share of its opacity that a splat must have at a pixel:
+// the sum of squares there, which is -log2 of it.
+layout(constant_id = 40) const bool LEAST_RESPONSE = false;
+layout(constant_id = 41) const float LEAST_RESPONSE_SQUARES = 8.0;
+
 // Added to the squared radius wherever pixels are only bounded, never where they are blended.
 // Rounding moves the sum of squares of a pixel by less than 1e-3 for means within 10^5 pixels of
 // the image; a wider bound costs work, not truth.
 const float SQUARED_RADIUS_SLACK = 0.01;
 
 // Squared radius, in units of the exponent, beyond which the splat adds nothing.
-float squared_radius(Footprint splat) {
-    return splat.log2_opacity + LOG2_255;
+float squared_radius(float log2_opacity) {
+    float squared = log2_opacity + LOG2_255;
+    return LEAST_RESPONSE ? min(squared, LEAST_RESPONSE_SQUARES) : squared;
+}
+
+// log2 of the least alpha of a splat that is blended.
+float log2_alpha_min(float log2_opacity) {
+    return LEAST_RESPONSE ? max(-LOG2_255, log2_opacity - LEAST_RESPONSE_SQUARES) : -LOG2_255;
 }
 
 // Pixel coordinates [first, last] along one axis whose centers lie in [low, high], clipped to the
@@ -40,7 +51,7 @@ ivec2 pixels_between(float low, float high, uint size_px) {
 
 // Rows of pixels the splat can reach, [first, last].
 ivec2 reached_rows(Footprint splat, uint height_px) {
-    precise float half_height = sqrt(squared_radius(splat) + SQUARED_RADIUS_SLACK) / splat.rate_y;
+    precise float half_height = sqrt(squared_radius(splat.log2_opacity) + SQUARED_RADIUS_SLACK) / splat.rate_y;
     return pixels_between(splat.mean_px.y - half_height, splat.mean_px.y + half_height, height_px);
 }
 
@@ -52,7 +63,7 @@ ivec2 reached_rows(Footprint splat, uint height_px) {
 // B^2), the left edge is its mirror image: the extreme over a strip is at that v, moved into the
 // strip.
 ivec2 reached_columns(Footprint splat, float low_y, float high_y, uint width_px) {
-    precise float r2 = squared_radius(splat) + SQUARED_RADIUS_SLACK;
+    precise float r2 = squared_radius(splat.log2_opacity) + SQUARED_RADIUS_SLACK;
     precise float r = sqrt(r2);
     precise float low_v = max((low_y - splat.mean_px.y) * splat.rate_y, -r);
     precise float high_v = min((high_y - splat.mean_px.y) * splat.rate_y, r);

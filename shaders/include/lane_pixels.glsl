@@ -5,15 +5,15 @@
 // A product of largest transmittances up to here means that composite stops before, its own
 // rounding included.
 float covered() {
-    return EXCLUSIVE_STOP ? 0.999 * TRANSMITTANCE_MIN : 0.999 * TRANSMITTANCE_FULL;
+    return EARLY_STOP ? 0.999 * stop_limit() : 0.999 * TRANSMITTANCE_FULL;
 }
 
 // A segment that lets no more than this through holds the end of its pixel, or lies behind it.
 float nothing_left() {
-    return FINISH_MEDIANS ? TRANSMITTANCE_MEDIAN : EXCLUSIVE_STOP ? covered() : TRANSMITTANCE_FULL;
+    return FINISH_MEDIANS ? TRANSMITTANCE_MEDIAN : EARLY_STOP ? covered() : TRANSMITTANCE_FULL;
 }
 
-bool stops;  // EXCLUSIVE_STOP, where all that lies before is known
+bool stops;  // EARLY_STOP, where all that lies before is known
 bool counts; // CONTRIBUTIONS, likewise
 
 // A lane's pixels in a share. Named, not an array: what is indexed may end up outside of registers.
@@ -35,15 +35,17 @@ LanePixels empty_pixels(uvec2 at, uvec2 size_px) {
 }
 
 void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 color, Staged record, Attributes own) {
-    float alpha = log2_alpha >= -LOG2_255 ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
+    float alpha = log2_alpha >= log2_alpha_min(record.tones.y) ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
     if (FINISH_MEDIANS) {
         pixel.median = pixel.transmittance > TRANSMITTANCE_MEDIAN && alpha > 0.0 ? record.record : pixel.median;
         pixel.transmittance -= pixel.transmittance * alpha;
         return;
     }
-    if (EXCLUSIVE_STOP) {
-        bool ends = !full && stops && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN;
+    if (EARLY_STOP && !INCLUSIVE_STOP) {
+        bool ends = !full && stops && pixel.transmittance * (1.0 - alpha) <= stop_limit();
         full = full || ends;
+    }
+    if (EARLY_STOP) {
         alpha = full ? 0.0 : alpha;
     }
     if (MEDIANS) {
@@ -53,6 +55,9 @@ void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 colo
     float weight = pixel.transmittance * alpha;
     pixel.color += weight * color;
     pixel.transmittance -= weight;
+    if (EARLY_STOP && INCLUSIVE_STOP) {
+        full = full || (stops && pixel.transmittance <= stop_limit());
+    }
     if (CONTRIBUTIONS && counts && weight > 0.0) {
         atomicAdd(contributions[record.instance], uint(weight * contribution_scale + 0.5));
     }
@@ -61,7 +66,7 @@ void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 colo
 
 // Transmittance of a pixel that remains behind the segment.
 float left_through(Pixel pixel, bool full) {
-    return EXCLUSIVE_STOP && full ? 0.0 : pixel.transmittance;
+    return EARLY_STOP && full ? 0.0 : pixel.transmittance;
 }
 
 // The attributes of a record. All lanes read the same ones: they stay in the first cache, and

@@ -32,6 +32,10 @@ uvec2 pixel_offset(uint index) {
 // transmittance to this or below.
 const float TRANSMITTANCE_MIN = 1e-4;
 
+// Transmittance limit of the inclusive stop: a pixel stops behind the splat that takes its
+// transmittance to this or below.
+const float TRANSMITTANCE_MIN_INCLUSIVE = 1e-3;
+
 // Transmittance at which half of the light is gone: medians are of the splat that leaves no more.
 const float TRANSMITTANCE_MEDIAN = 0.5;
 

@@ -177,7 +177,7 @@ fn planes_of_cars_and_a_camera_in_motion() {
         world: background(0, 1),
         cars: some_cars(),
     };
-    for rules in [Rules::DEFAULT, Rules::INRIA] {
+    for rules in [Rules::DEFAULT, Rules::INRIA, Rules::NUREC] {
         assert_near(&moving, &driving(ahead.clone()), rules);
     }
     let lens = |index: usize| Camera {
@@ -213,7 +213,7 @@ fn color_depth_and_instances_do_not_depend_on_planes_of_geometry() {
     };
     let eye = DVec3::new(0.0, 0.0, 0.3);
     let camera = camera_towards("ahead", eye, DVec3::new(10.0, 0.5, 0.0), (120, 80));
-    for rules in [Rules::DEFAULT, Rules::GSPLAT16] {
+    for rules in [Rules::DEFAULT, Rules::GSPLAT16, Rules::NUREC] {
         let plain = moving.draw(&gpu, &camera, Planes::BESIDE_COLOR, rules);
         let mut all = moving.draw(&gpu, &camera, Planes::ALL, rules);
         all.planes

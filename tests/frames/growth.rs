@@ -207,7 +207,7 @@ fn tiles_that_fill_late_are_drawn_to_the_end() {
     });
     let world = world_of(&near.chain(far).collect::<Vec<_>>());
     let camera = camera_at(DVec3::ZERO, 64, 32);
-    for (rules, segment_pairs) in [Rules::DEFAULT, Rules::GSPLAT15, Rules::INRIA]
+    for (rules, segment_pairs) in [Rules::DEFAULT, Rules::GSPLAT15, Rules::INRIA, Rules::NUREC]
         .into_iter()
         .flat_map(|rules| [64, 1024, u32::MAX].map(|pairs| (rules, pairs)))
     {
@@ -259,6 +259,7 @@ fn a_list_too_long_for_one_run_in_software_is_drawn_right() {
         (Rules::DEFAULT, 1024),
         (Rules::GSPLAT15, 1024),
         (Rules::GSPLAT15, u32::MAX),
+        (Rules::NUREC, 1024),
     ] {
         let mut renderer = Renderer::new(
             &gpu,

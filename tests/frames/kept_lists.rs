@@ -241,6 +241,7 @@ fn all_rules_and_outputs_are_the_same() {
     let cases = [
         (Rules::GSPLAT15, all_outputs(), 64),
         (Rules::INRIA, bytes, 992),
+        (Rules::NUREC, bytes, 64),
         (radial, bytes, 128),
         (Rules::DEFAULT, geometry, 128),
         (Rules::DEFAULT, means, 128),

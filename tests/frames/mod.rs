@@ -12,6 +12,7 @@ mod hard_cases;
 mod in_flight;
 mod kept_lists;
 mod keys;
+mod least_response;
 mod lenses;
 pub mod lidar;
 mod light;

@@ -30,12 +30,14 @@ fn depth_and_instance_are_the_definitions() {
     let gpu = Validated::open();
     let camera = camera_at(DVec3::ZERO, 160, 90);
     let world = scene();
-    // In one run, and in many segments, which composite joins and which end by an exclusive stop.
+    // In one run, and in many segments, which composite joins and which end by an early stop.
     for (rules, segment_pairs) in [
         (Rules::DEFAULT, 1024),
         (Rules::DEFAULT, 64),
         (Rules::GSPLAT16, 1024),
         (Rules::GSPLAT16, 64),
+        (Rules::NUREC, 1024),
+        (Rules::NUREC, 64),
     ] {
         let options = RenderOptions {
             rules,

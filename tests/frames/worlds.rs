@@ -497,7 +497,7 @@ fn a_session_draws_each_scene_by_its_own_rules() {
             ..Rules::DEFAULT
         },
         Rules::GSPLAT15,
-        Rules::INRIA,
+        Rules::NUREC,
     ];
     let loaded = own.map(|rules| {
         let mut loaded = loaded(3);

@@ -129,14 +129,13 @@ impl Case {
             if before.is_some_and(<[Pixel]>::is_empty) {
                 return Vec::new(); // lists that are not cut are not finished
             }
-            let alpha_max = rules.alpha_max as f32;
             twins::blend(
                 cameras,
                 item,
                 records,
                 &projected.footprints,
                 &projected.labels,
-                alpha_max,
+                rules,
                 *end,
                 before,
             )
@@ -497,6 +496,7 @@ fn segments_of_one_batch() {
         (1.0, Rules::DEFAULT),
         (0.1, Rules::DEFAULT),
         (1.0, Rules::GSPLAT16),
+        (1.0, Rules::NUREC),
     ] {
         let mut case = Case::new(&gpu, 1200, faintness, rules);
         case.items
@@ -515,6 +515,12 @@ fn faint_splats_that_all_count() {
 fn stopping_before_the_splat_that_would_fill_a_pixel() {
     compare(1200, 1.0, Rules::GSPLAT15);
     compare(1200, 1.0, Rules::INRIA);
+}
+
+#[test]
+fn stopping_behind_the_splat_that_fills_a_pixel() {
+    compare(1200, 1.0, Rules::NUREC);
+    compare(2000, 0.1, Rules::NUREC);
 }
 
 #[test]

@@ -125,6 +125,7 @@ impl Case {
         let rules = match end {
             PixelEnd::Full => Rules::DEFAULT,
             PixelEnd::Exclusive => Rules::GSPLAT15,
+            PixelEnd::Inclusive => Rules::NUREC,
         };
         let on_device = PartialResults::new(
             gpu,
@@ -428,6 +429,8 @@ fn pixels_are_left_to_be_finished_where_they_end() {
     for (end, counts) in [
         (PixelEnd::Exclusive, false),
         (PixelEnd::Exclusive, true),
+        (PixelEnd::Inclusive, false),
+        (PixelEnd::Inclusive, true),
         (PixelEnd::Full, true),
     ] {
         let stops = end != PixelEnd::Full;

@@ -96,6 +96,7 @@ fn hard_splats_are_seen_by_the_same_cameras() {
     for rules in [
         Rules::DEFAULT,
         Rules::INRIA,
+        Rules::NUREC,
         Rules {
             antialias: true,
             ..Rules::DEFAULT

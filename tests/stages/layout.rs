@@ -370,6 +370,10 @@ fn constants_of_the_rules_are_the_same_on_host_and_device() {
     for (name, expected) in [
         ("ALPHA_MIN", rules::ALPHA_MIN),
         ("TRANSMITTANCE_MIN", rules::TRANSMITTANCE_MIN),
+        (
+            "TRANSMITTANCE_MIN_INCLUSIVE",
+            rules::TRANSMITTANCE_MIN_INCLUSIVE,
+        ),
         ("DILATION_PX2", rules::DILATION_PX2),
         ("ECHO_SEPARATION_M", lidar::ECHO_SEPARATION_M),
         ("ECHO_WEIGHT_MIN", lidar::ECHO_WEIGHT_MIN),

@@ -1,6 +1,6 @@
 //! Invariants of any splat and any camera.
 
-use decouplegs::render::layout::{CameraRecord, View};
+use decouplegs::render::layout::{CameraRecord, View, response_squares_max};
 use decouplegs::render::reference;
 use decouplegs::render::stages::{Project, ProjectInputs, Projected, Visible};
 use decouplegs::render::twins::footprint::{
@@ -11,7 +11,7 @@ use decouplegs::render::twins::projection::{
 };
 use decouplegs::scene::rules::ALPHA_MIN;
 use decouplegs::scene::{Camera, Intrinsics, Motion, Pose, Rules, SplatScene};
-use glam::{DQuat, DVec2, DVec3, Vec2, Vec3};
+use glam::{DQuat, DVec2, DVec3, Vec3};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 
@@ -65,10 +65,10 @@ fn footprint_of(splat: &Splat, camera: &CameraRecord, rules: &Rules) -> Option<F
 }
 
 /// True if the list of the pixel's coarse tile contains the splat.
-fn is_listed(splat: &Footprint, column: u32, row: u32) -> bool {
-    let [first, last] = reached_coarse_rows(splat, SIZE.1);
+fn is_listed(splat: &Footprint, most: f32, column: u32, row: u32) -> bool {
+    let [first, last] = reached_coarse_rows(splat, most, SIZE.1);
     let tile_row = (row / 32) as i32;
-    let [left, right] = reached_coarse_tiles(splat, row / 32, [SIZE.0, SIZE.1]);
+    let [left, right] = reached_coarse_tiles(splat, most, row / 32, [SIZE.0, SIZE.1]);
     (first..=last).contains(&tile_row) && (left..=right).contains(&((column / 64) as i32))
 }
 
@@ -84,36 +84,40 @@ fn log2_alpha_f64(splat: &Footprint, center: DVec2) -> f64 {
 fn pixel_left_out(
     splat: &Splat,
     rules: &Rules,
-    is_listed: fn(&Footprint, u32, u32) -> bool,
+    is_listed: fn(&Footprint, f32, u32, u32) -> bool,
 ) -> Option<String> {
     let camera = camera_at(DVec3::ZERO, SIZE.0, SIZE.1);
     let record = CameraRecord::new(&camera, DVec3::ZERO, 1.0, 0, 0);
     let footprint = footprint_of(splat, &record, rules);
     let cloud = world_of(std::slice::from_ref(splat)).splats;
+    let most = response_squares_max(rules);
     let truth = reference::project::View::new(DVec3::ZERO, &camera, rules).project(&cloud, 0);
     for row in 0..SIZE.1 {
         for column in 0..SIZE.0 {
             let center = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
-            let listed = footprint.is_some_and(|footprint| is_listed(&footprint, column, row));
+            let listed =
+                footprint.is_some_and(|footprint| is_listed(&footprint, most, column, row));
             if let Some(footprint) =
                 footprint.filter(|footprint| footprint.mean_px.abs().max_element() < MEAN_MAX_PX)
             {
-                let counts = log2_alpha_f64(&footprint, center) >= ALPHA_MIN.log2()
-                    || log2_alpha(&footprint, Vec2::new(center.x as f32, center.y as f32))
-                        >= ALPHA_MIN.log2() as f32;
+                let least = (footprint.log2_opacity - most).max(ALPHA_MIN.log2() as f32);
+                let counts = log2_alpha_f64(&footprint, center) >= f64::from(least)
+                    || log2_alpha(&footprint, center.as_vec2()) >= least;
                 if counts && !listed {
                     return Some(format!(
                         "column {column}, row {row} of the footprint {footprint:?}"
                     ));
                 }
             }
-            // By definition, with a hundredth of the threshold for the rounding of the projection
+            // By definition, with a hundredth of the thresholds for the rounding of the projection
             // itself.
             let alpha = truth
                 .as_ref()
                 .and_then(|truth| reference::blend::alpha_at(truth, center, rules))
                 .unwrap_or(0.0);
-            if alpha >= 1.01 * ALPHA_MIN && !listed {
+            let response = alpha / truth.as_ref().map_or(1.0, |truth| truth.opacity);
+            let counts = alpha >= 1.01 * ALPHA_MIN && response >= 1.01 * rules.response_min;
+            if counts && !listed {
                 return Some(format!(
                     "column {column}, row {row}: alpha {alpha} by definition"
                 ));
@@ -128,8 +132,10 @@ proptest! {
 
     #[test]
     fn lists_hold_every_pixel_that_a_splat_reaches(splat in any_splat(), antialias: bool) {
-        let left_out = pixel_left_out(&splat, &Rules { antialias, ..Rules::DEFAULT }, is_listed);
-        prop_assert!(left_out.is_none(), "{}", left_out.unwrap());
+        for rules in [Rules::DEFAULT, Rules::NUREC] {
+            let left_out = pixel_left_out(&splat, &Rules { antialias, ..rules }, is_listed);
+            prop_assert!(left_out.is_none(), "{}", left_out.unwrap());
+        }
     }
 }
 
@@ -143,7 +149,7 @@ fn a_list_that_ends_a_pixel_early_is_seen() {
     };
     assert_eq!(pixel_left_out(&splat, &Rules::DEFAULT, is_listed), None);
     let without_last_tile =
-        |splat: &Footprint, column, row| is_listed(splat, column, row) && column < 128;
+        |splat: &Footprint, most, column, row| is_listed(splat, most, column, row) && column < 128;
     assert!(pixel_left_out(&splat, &Rules::DEFAULT, without_last_tile).is_some());
 }
 

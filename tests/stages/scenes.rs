@@ -4,7 +4,7 @@ use bytemuck::Zeroable;
 use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::{
     CAMERAS_MAX, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, NO_KEY_SET, ShadowRecord,
-    View, fog_vector,
+    View, fog_vector, response_squares_max,
 };
 use decouplegs::render::stages::{
     KeptKeys, ProjectVariant, Projected, RecordContents, ShadowBuffers, Views, words_for,
@@ -323,7 +323,7 @@ pub fn settled_visibility(
             opacity,
             Variant::for_rules(rules),
         );
-        drawn && count_coarse_tiles(&footprint, camera) > 0
+        drawn && count_coarse_tiles(&footprint, camera, rules) > 0
     };
     let decision = visible(t, 1.0, opacity);
     let moves = [Vec3::X, Vec3::Y, Vec3::Z]
@@ -342,21 +342,23 @@ pub fn settled_visibility(
     same.then_some(decision)
 }
 
-/// Coarse tiles of `camera` that the splat can radius.
-fn count_coarse_tiles(splat: &Footprint, camera: &CameraRecord) -> u32 {
-    let [first, last] = reached_coarse_rows(splat, camera.size_px[1]);
-    let tiles = (first..=last).map(|row| reached_coarse_tiles(splat, row as u32, camera.size_px));
+/// Coarse tiles of `camera` that the splat can reach.
+fn count_coarse_tiles(splat: &Footprint, camera: &CameraRecord, rules: &Rules) -> u32 {
+    let most = response_squares_max(rules);
+    let [first, last] = reached_coarse_rows(splat, most, camera.size_px[1]);
+    let tiles =
+        (first..=last).map(|row| reached_coarse_tiles(splat, most, row as u32, camera.size_px));
     tiles.map(|[left, right]| (right - left + 1) as u32).sum()
 }
 
 /// Number of coarse tiles that the splat overlaps if it is the same for every rounding of f32: else
 /// `None`.
-pub fn settled_tile_count(splat: &Footprint, camera: &CameraRecord) -> Option<u32> {
+pub fn settled_tile_count(splat: &Footprint, camera: &CameraRecord, rules: &Rules) -> Option<u32> {
     let count = |dx: f32, dy: f32| {
         let mut moved = *splat;
         moved.mean_px.x += dx;
         moved.mean_px.y += dy;
-        count_coarse_tiles(&moved, camera)
+        count_coarse_tiles(&moved, camera, rules)
     };
     let radius = (splat.log2_opacity + 8.01).max(0.0).sqrt();
     let half_height = radius / splat.rate_y;

@@ -78,6 +78,7 @@ impl Case {
                         [0; 2],
                     ),
                     &case.cameras[camera],
+                    &rules,
                 )
                 .is_some()
                 {
@@ -126,8 +127,8 @@ impl Case {
                 first_moving: statics + self.moving_offsets.get(camera).unwrap_or(&0),
             })
             .collect();
-        let radial = self.rules.order == DepthOrder::Radial;
-        let slabs = twins::bin_pairs(&self.cameras, &lists, &self.keys, &self.footprints, radial);
+        let (cameras, rules) = (&self.cameras, &self.rules);
+        let slabs = twins::bin_pairs(cameras, &lists, &self.keys, &self.footprints, rules);
         let sorted = |tile: &[Vec<[u32; 2]>]| {
             let mut pairs = tile.concat();
             pairs.sort_unstable();
@@ -273,6 +274,7 @@ fn lists_of_hard_splats_are_those_of_the_definition() {
     let gpu = open();
     for rules in [
         Rules::DEFAULT,
+        Rules::NUREC,
         Rules {
             order: DepthOrder::Radial,
             ..Rules::DEFAULT

@@ -84,7 +84,7 @@ fn the_field_of_a_street_is_the_sum_over_its_splats() {
         let of = |position: &DVec3| {
             let (found, truth) = (
                 field.at(*position).unwrap(),
-                ambient_by_definition(&street.background, *position, &options).unwrap(),
+                ambient_by_definition(&street.background, &[], *position, &options).unwrap(),
             );
             let off = found
                 .to_vector()

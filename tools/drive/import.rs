@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
+use decouplegs::asset::cameras::transforms;
 use decouplegs::asset::maps::lane_json;
 use decouplegs::asset::ncore::NcoreSequence;
 use decouplegs::asset::scene_file::path_from;
@@ -22,7 +23,6 @@ use decouplegs::asset::{
 };
 use decouplegs::drive::{Ground, GroundGuides, GroundOptions, Survey};
 use decouplegs::scene::{Pose, SplatCloud, Trajectory, VehicleSize};
-use decouplegs_cli::street_files::transforms;
 use glam::{DMat3, DQuat, DVec3};
 use std::io::Write as _;
 
@@ -235,7 +235,7 @@ fn write_files(
     for file in &recording.files {
         write_atomically(&out.join(&file.path), |to| to.write_all(&file.content))?;
     }
-    let cameras = transforms(&recording.views);
+    let cameras = transforms(&recording.views)?;
     write_atomically(&out.join("cameras.json"), |file| {
         writeln!(file, "{cameras:#}")
     })?;

@@ -243,6 +243,7 @@ impl Light {
             });
             let truth = ambient_by_definition(
                 &background,
+                loaded.normals(),
                 place - loaded.splat_scene.origin,
                 &file.ambient,
             );

@@ -1,11 +1,11 @@
 //! Splats of a file, the place they stand at, and what their file says that they show.
 
 use decouplegs_scene::SplatCloud;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 use crate::DecodeError;
 use crate::ground_file::points_of_road;
-use crate::ply::Ply;
+use crate::ply::{Ply, Rows};
 
 /// Marks of splats that show the road: `uchar`, not 0.
 const ROAD: &str = "road_mask";
@@ -13,14 +13,20 @@ const ROAD: &str = "road_mask";
 const SKY: &str = "sky_mask";
 /// Least share of the sky from which a splat shows it.
 const SKY_SHARE_MIN: f32 = 0.5;
+/// Normals, unit vectors.
+const NORMAL: [&str; 3] = ["nx", "ny", "nz"];
+/// Rows after which a file without a normal has none, about.
+const NORMALS_LOOKED_AT: usize = 4096;
 
-/// Splats that show the road or the sky, as Instant NuRec labels them.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+/// Marks of splats, as Instant NuRec writes them: those that show the road or the sky, and normals.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplatLabels {
     /// Indices of splats that show the road, ascending.
     pub road: Vec<u32>,
     /// Indices of splats that show the sky, ascending.
     pub sky: Vec<u32>,
+    /// Unit normals of all splats, zero where a splat has none; empty where no splat has one.
+    pub normals: Vec<[f32; 3]>,
 }
 
 impl SplatLabels {
@@ -39,8 +45,28 @@ impl SplatLabels {
         Ok(Self {
             road: marked(ROAD, |mark| mark > 0.0),
             sky: marked(SKY, |share| share >= SKY_SHARE_MIN),
+            normals: normals(ply, element, &rows),
         })
     }
+}
+
+/// Normals `nx`, `ny` and `nz` of an element. Trainers of 3DGS write zeros there: where all of some
+/// thousand rows are, there are none.
+fn normals(ply: &Ply<'_>, element: &str, rows: &Rows<'_>) -> Vec<[f32; 3]> {
+    let columns = NORMAL.map(|name| ply.column_if_present(element, name));
+    let [Some(x), Some(y), Some(z)] = columns else {
+        return Vec::new();
+    };
+    let normal = |row: &[u8]| {
+        let own = DVec3::new(x.f64_of(row), y.f64_of(row), z.f64_of(row));
+        own.try_normalize().unwrap_or(DVec3::ZERO).as_vec3()
+    };
+    let all = || rows.bytes.chunks_exact(rows.stride.max(1));
+    let step = (all().len() / NORMALS_LOOKED_AT).max(1);
+    if all().step_by(step).all(|row| normal(row) == Vec3::ZERO) {
+        return Vec::new();
+    }
+    all().map(|row| normal(row).to_array()).collect()
 }
 
 /// Splats relative to an origin.
@@ -68,7 +94,11 @@ impl PlacedSplats {
     #[must_use]
     pub fn in_spatial_order(self) -> Self {
         let order = self.cloud.spatial_order();
-        let SplatLabels { road, sky } = self.labels;
+        let SplatLabels { road, sky, normals } = self.labels;
+        let normals = match normals.is_empty() {
+            true => normals,
+            false => order.iter().map(|splat| normals[*splat as usize]).collect(),
+        };
         let moved = |labeled: Vec<u32>| -> Vec<u32> {
             let mut is_labeled = vec![false; order.len()];
             labeled
@@ -81,10 +111,14 @@ impl PlacedSplats {
                 .collect()
         };
         let labels = match road.is_empty() && sky.is_empty() {
-            true => SplatLabels::default(),
+            true => SplatLabels {
+                normals,
+                ..SplatLabels::default()
+            },
             false => SplatLabels {
                 road: moved(road),
                 sky: moved(sky),
+                normals,
             },
         };
         Self {

@@ -327,6 +327,13 @@ pub fn near_m(rules: &Rules) -> f32 {
     }
 }
 
+/// Largest sum of squares of a footprint's exponent at a pixel that the splat adds to: -log2 of the
+/// rules' least response; infinite without one.
+#[must_use]
+pub fn response_squares_max(rules: &Rules) -> f32 {
+    -rules.response_min.log2() as f32
+}
+
 /// `Cluster` of `frame.glsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]

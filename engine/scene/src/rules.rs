@@ -18,6 +18,9 @@ pub const ALPHA_MIN: f64 = 1.0 / 255.0;
 /// Transmittance at which a pixel counts as full.
 pub const TRANSMITTANCE_MIN: f64 = 1e-4;
 
+/// Transmittance at which a pixel ends by [`EarlyStop::Inclusive`] (3DGUT's).
+pub const TRANSMITTANCE_MIN_INCLUSIVE: f64 = 1e-3;
+
 /// Margin beyond the image edges, as a share of tan(fov/2), to which x/z and y/z are clamped in the
 /// projection's Jacobian (gsplat's form, right for off-center principal points).
 pub const JACOBIAN_MARGIN: f64 = 0.3;
@@ -31,6 +34,9 @@ pub enum EarlyStop {
     /// The splat that would take the transmittance to [`TRANSMITTANCE_MIN`] or below is not
     /// blended, nor any behind it.
     Exclusive,
+    /// The splat that takes the transmittance to [`TRANSMITTANCE_MIN_INCLUSIVE`] or below is the
+    /// last that is blended.
+    Inclusive,
 }
 
 /// Depth by which splats are ordered.
@@ -49,6 +55,9 @@ pub enum DepthOrder {
 pub struct Rules {
     /// Upper bound of a splat's alpha.
     pub alpha_max: f64,
+    /// A splat adds nothing to a pixel where its response, alpha as a share of its opacity, is
+    /// below this; 0: no bound.
+    pub response_min: f64,
     /// Early termination of a pixel.
     pub stop: EarlyStop,
     /// A splat whose center has z below this is dropped, meters.
@@ -67,6 +76,7 @@ impl Rules {
     /// Ours: alpha at most 0.99, no early stop, near plane at 0.01 m.
     pub const DEFAULT: Self = Self {
         alpha_max: 0.99,
+        response_min: 0.0,
         stop: EarlyStop::None,
         near_m: 0.01,
         antialias: false,
@@ -90,9 +100,11 @@ impl Rules {
         near_m: 0.2,
         ..Self::DEFAULT
     };
-    /// NuRec's, where they are rules of footprints: near plane at 0.2 m. Its renderer evaluates
-    /// splats along rays, drops responses below 0.0113 and stops at a transmittance of 0.001.
+    /// NuRec's and 3DGUT's: no response below 0.0113, inclusive stop, near plane at 0.2 m. Their
+    /// renderers evaluate splats along rays; images by these rules have footprints all the same.
     pub const NUREC: Self = Self {
+        response_min: 0.0113,
+        stop: EarlyStop::Inclusive,
         near_m: 0.2,
         ..Self::DEFAULT
     };

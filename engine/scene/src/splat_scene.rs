@@ -41,6 +41,9 @@ pub struct SplatScene {
     pub instance_from_splat: Vec<u16>,
     /// Indices of splats that show the sky, ascending: cameras see them, LiDARs do not.
     pub sky_splats: Vec<u32>,
+    /// Normals that the file of the background stores, unit vectors of either sign in world axes,
+    /// one per splat of it; zero where a splat has none. Empty where the file has none.
+    pub normals: Vec<[f32; 3]>,
     /// World coordinates of the point that means are relative to, f64 meters: UTM-sized worlds keep
     /// their millimeters.
     pub origin: DVec3,
@@ -84,6 +87,7 @@ impl SplatScene {
             splats: self.splats.select(&kept),
             instance_from_splat: instances.copied().collect(),
             sky_splats: Vec::new(),
+            normals: Vec::new(),
             ..self.clone()
         })
     }

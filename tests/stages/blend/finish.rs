@@ -12,9 +12,10 @@ use decouplegs::render::twins::planes::PlaneSums;
 /// Pixels before the segments of `case`: two of three are to be finished there, some of them almost
 /// full.
 pub fn before(case: &Case) -> Blended {
+    let limit = case.end.stop_limit().unwrap_or(1e-4);
     let mut random = Random(5);
     let mut pixel = || {
-        let transmittance = random.across_scales(1.2e-4, 1.0);
+        let transmittance = random.across_scales(1.2 * limit, 1.0);
         let alpha = 1.0 - transmittance;
         Pixel {
             color: coded(Vec3::from_array(std::array::from_fn(|_| {
@@ -41,7 +42,7 @@ pub fn before(case: &Case) -> Blended {
 #[test]
 fn pixels_end_where_the_whole_list_would_end_them() {
     let gpu = open();
-    for rules in [Rules::GSPLAT15, Rules::INRIA] {
+    for rules in [Rules::GSPLAT15, Rules::INRIA, Rules::NUREC] {
         let case = Case::new(&gpu, 1200, 1.0, rules);
         let before = before(&case);
         let (images, _) = case.kernel(&gpu, Some(&before));

@@ -126,7 +126,7 @@ fn medians_are_finished_from_what_lies_before() {
                 item,
                 &case.records,
                 &case.projected.footprints,
-                case.rules.alpha_max as f32,
+                &case.rules,
                 &before,
             );
             for (index, record) in twin.into_iter().enumerate() {

@@ -1,11 +1,13 @@
 //! Rounding error of a blended pixel: a running error analysis (Higham, Accuracy and Stability of
 //! Numerical Algorithms, 2002, section 3.3) of the same sums in f64.
 
-use decouplegs::render::layout::{COARSE_HEIGHT_PX, COARSE_WIDTH_PX, CameraRecord};
+use decouplegs::render::layout::{
+    COARSE_HEIGHT_PX, COARSE_WIDTH_PX, CameraRecord, response_squares_max,
+};
 use decouplegs::render::twins::footprint::{Footprint, center_of};
 use decouplegs::render::twins::output::Pixel;
 use decouplegs::render::twins::record::load_footprint;
-use decouplegs::scene::rules::TRANSMITTANCE_MIN;
+use decouplegs::scene::rules::{TRANSMITTANCE_MIN, TRANSMITTANCE_MIN_INCLUSIVE};
 use decouplegs::scene::{EarlyStop, Rules};
 
 use crate::stages::ROUNDOFF;
@@ -17,7 +19,7 @@ pub struct PixelBounds {
     pub color: f64,
     pub transmittance: f64,
     pub weighted_depth: f64,
-    /// Rounding decides whether a splat counts here, or where an exclusive stop falls.
+    /// Rounding decides whether a splat counts here, or where an early stop falls.
     pub unsettled: bool,
     alpha: f64,
     /// Largest weight of each instance, and how far a weight may be off.
@@ -91,7 +93,10 @@ impl PixelBounds {
         let mut behind = [0.0f64; 2];
         for splat in list {
             let (log2_alpha, error) = log2_alpha(&splat.footprint, at);
-            if log2_alpha < -LOG2_255 - error {
+            let squares_max = f64::from(response_squares_max(rules));
+            let peak = f64::from(splat.footprint.log2_opacity);
+            let least = (peak - squares_max).max(-LOG2_255);
+            if log2_alpha < least - error {
                 continue;
             }
             let (color, depth_m) = (splat.color, splat.depth_m);
@@ -100,7 +105,7 @@ impl PixelBounds {
                 behind = [behind[0].max(color), behind[1].max(depth_m)];
                 continue;
             }
-            run.bounds.unsettled |= (log2_alpha + LOG2_255).abs() <= error;
+            run.bounds.unsettled |= (log2_alpha - least).abs() <= error;
             if run.add(log2_alpha, error, [color, depth_m], splat.instance, rules) {
                 break;
             }
@@ -168,7 +173,7 @@ fn log2_alpha(splat: &Footprint, at: [u32; 2]) -> (f64, f64) {
 }
 
 impl Run {
-    /// Adds one splat; whether the pixel stops before it.
+    /// Adds one splat; true if the pixel stops before or behind it.
     fn add(
         &mut self,
         log2_alpha: f64,
@@ -208,6 +213,8 @@ impl Run {
         bounds.weight_error = bounds.weight_error.max(weight_error);
         bounds.best_weights[instance] = bounds.best_weights[instance].max(weight);
         *transmittance = left;
-        false
+        let inclusive = rules.stop == EarlyStop::Inclusive;
+        bounds.unsettled |= inclusive && (left - TRANSMITTANCE_MIN_INCLUSIVE).abs() <= left_error;
+        inclusive && left <= TRANSMITTANCE_MIN_INCLUSIVE
     }
 }

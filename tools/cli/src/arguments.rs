@@ -105,7 +105,8 @@ pub enum RulesName {
     Gsplat16,
     /// The INRIA rasterizer: alpha at most 0.99, the same stop, near plane at 0.2 m
     Inria,
-    /// NuRec, where its rules are those of footprints: the default with the near plane at 0.2 m
+    /// NuRec and 3DGUT, by footprints: no response below 0.0113, stops behind the splat that takes
+    /// the transmittance to 0.001, near plane at 0.2 m
     Nurec,
 }
 

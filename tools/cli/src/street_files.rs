@@ -6,6 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use decouplegs_asset::cameras::transforms;
 use decouplegs_asset::maps::lane_json;
 use decouplegs_asset::tracks::{self, PoseRow};
 use decouplegs_asset::{
@@ -13,13 +14,9 @@ use decouplegs_asset::{
     write_atomically, write_coded,
 };
 use decouplegs_scene::light::{RelightOptions, ShadowOptions};
-use decouplegs_scene::{
-    Camera, Pose, Presence, Rules, SplatCloud, SplatScene, TimedPose, Trajectory,
-};
+use decouplegs_scene::{Pose, Presence, Rules, SplatCloud, SplatScene, TimedPose, Trajectory};
 use decouplegs_synth::street::Street;
 use decouplegs_train::compress::compress_quickly;
-use glam::DVec3;
-use serde_json::{Value, json};
 
 /// Sampling rate of the tracks.
 const TRACK_RATE_HZ: f64 = 10.0;
@@ -89,7 +86,7 @@ pub fn write_street(street: &Street, out: &Path, content: Content) -> Result<()>
         content.cars.write(&path, asset)?;
     }
     let ego = trajectory(&street.ego).context("the ego's way is no trajectory")?;
-    let cameras = transforms(&street.rig.at(&ego.at(ego.start_s())));
+    let cameras = transforms(&street.rig.at(&ego.at(ego.start_s())))?;
     write_atomically(&out.join("transforms.json"), |file| {
         writeln!(file, "{cameras:#}")
     })?;
@@ -197,68 +194,4 @@ fn baked_world(street: &Street) -> Result<SplatCloud> {
         splat_scene.bake_agent(&street.assets[agent.asset], agent)?;
     }
     Ok(splat_scene.splats)
-}
-
-/// nerfstudio's transforms.json: world from camera in OpenGL axes (x right, y up, z back),
-/// intrinsics for each frame.
-#[must_use]
-pub fn transforms(cameras: &[Camera]) -> Value {
-    let frame = |camera: &Camera| {
-        let Pose {
-            rotation,
-            translation,
-        } = camera.world_from_camera;
-        let (right, up, back) = (
-            rotation * DVec3::X,
-            rotation * DVec3::NEG_Y,
-            rotation * DVec3::NEG_Z,
-        );
-        let row = |axis: usize| json!([right[axis], up[axis], back[axis], translation[axis]]);
-        let lens = &camera.intrinsics;
-        json!({
-            "file_path": format!("{}.png", camera.name),
-            "w": lens.width_px,
-            "h": lens.height_px,
-            "fl_x": lens.fx_px,
-            "fl_y": lens.fy_px,
-            "cx": lens.cx_px,
-            "cy": lens.cy_px,
-            "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
-        })
-    };
-    json!({ "camera_model": "OPENCV", "frames": cameras.iter().map(frame).collect::<Vec<_>>() })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use decouplegs_asset::cameras;
-    use decouplegs_scene::Intrinsics;
-    use decouplegs_scene::Motion;
-    use glam::DQuat;
-
-    #[test]
-    fn cameras_that_are_written_are_read_back() {
-        let camera = Camera {
-            name: "front_left".into(),
-            intrinsics: Intrinsics {
-                cx_px: 310.5,
-                ..Intrinsics::from_horizontal_fov(640, 360, 1.1)
-            },
-            world_from_camera: Pose::new(
-                DQuat::from_xyzw(0.1, -0.7, 0.3, 0.5),
-                DVec3::new(1.0, -2.5, 4.5e6),
-            ),
-            motion: Motion::REST,
-        };
-        let bytes = transforms(std::slice::from_ref(&camera)).to_string();
-        let read = cameras::decode(bytes.as_bytes(), None).unwrap();
-        assert_eq!(
-            (read.len(), &read[0].name, read[0].intrinsics),
-            (1, &camera.name, camera.intrinsics)
-        );
-        let (read, written) = (read[0].world_from_camera, camera.world_from_camera);
-        assert_eq!(read.translation, written.translation);
-        assert!(read.rotation.dot(written.rotation).abs() > 1.0 - 1e-12);
-    }
 }

@@ -125,13 +125,21 @@ fn held_out_of(sequence: &NcoreSequence, every: Option<usize>) -> Result<Vec<Str
 fn views_of(sequence: &NcoreSequence) -> Vec<Camera> {
     let mut views = Vec::new();
     for own in &sequence.cameras {
+        let rig_from_camera = &own.camera.rig_from_camera;
+        let world_from_camera = |time_s: f64| sequence.rig.at(time_s).then(rig_from_camera);
         for frame_us in &own.frames_us {
-            let world_from_rig = sequence.rig.at(time_s(sequence, *frame_us));
+            let [start_us, end_us] = *frame_us;
+            let [start, end] = [start_us, end_us]
+                .map(|time_us| world_from_camera(time_s(sequence, [time_us, time_us])));
+            let duration_s = 1e-6 * end_us.saturating_sub(start_us) as f64;
             views.push(Camera {
                 name: name_of(&own.camera.name, *frame_us),
                 intrinsics: own.camera.intrinsics,
-                world_from_camera: world_from_rig.then(&own.camera.rig_from_camera),
-                motion: Motion::REST,
+                world_from_camera: world_from_camera(time_s(sequence, *frame_us)),
+                motion: match (own.camera.intrinsics.shutter.is_global(), duration_s > 0.0) {
+                    (false, true) => Motion::between(&start, &end, duration_s),
+                    _ => Motion::REST,
+                },
             });
         }
     }

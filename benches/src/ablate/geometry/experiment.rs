@@ -117,7 +117,7 @@ fn gathered_from_ground(shown: &AmbientDescriptor) -> AmbientDescriptor {
         ground.sh_dc.push(dc);
         ground.sh_rest.extend_from_slice(&shown.coefficients[1..]);
     }
-    ambient_by_definition(&ground, DVec3::ZERO, &AmbientOptions::default())
+    ambient_by_definition(&ground, &[], DVec3::ZERO, &AmbientOptions::default())
         .expect("ground is within range")
 }
 

@@ -8,9 +8,11 @@ mod colmap;
 mod dataparser;
 mod inria;
 mod names;
+mod nerfstudio;
+mod transforms;
 
 pub use names::file_safe;
-mod nerfstudio;
+pub use transforms::transforms;
 
 use std::path::Path;
 

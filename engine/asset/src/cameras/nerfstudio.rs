@@ -4,19 +4,21 @@
 //! are turned here. Intrinsics stand at the top or in a frame, which wins. `applied_transform` and
 //! scale factors are not undone: cameras stay in the coordinates of the file. A scene that
 //! nerfstudio trained has other ones, see [`super::dataparser`]. NeRF-synthetic files have an angle
-//! of view and no size: it is given, or read from the first image.
+//! of view and no size: it is given, or read from the first image. Lenses that nerfstudio does not
+//! have are read as [`super::transforms`] writes them.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use decouplegs_scene::lens::{Fisheye, OpenCv};
-use decouplegs_scene::{Camera, Intrinsics, Lens as Distortion, Motion};
+use decouplegs_scene::{Camera, Intrinsics, Lens as Distortion, Motion, RigCamera};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
 
 use super::dataparser::Applied;
 use super::inria::is_nothing;
+use super::transforms::rig_cameras;
 use super::{json_error, pose_of};
 use crate::DecodeError;
 use crate::unknown_keys::UnknownKeys;
@@ -24,6 +26,8 @@ use crate::unknown_keys::UnknownKeys;
 #[derive(Deserialize)]
 struct File {
     frames: Vec<Frame>,
+    /// Lenses that frames name, see [`super::transforms`].
+    rig: Option<Value>,
     applied_transform: Option<Vec<[f64; 4]>>,
     applied_scale: Option<f64>,
     #[serde(flatten)]
@@ -37,6 +41,11 @@ struct Frame {
     #[serde(default)]
     file_path: String,
     transform_matrix: Vec<[f64; 4]>,
+    rig_camera: Option<String>,
+    #[serde(default)]
+    velocity_mps: [f64; 3],
+    #[serde(default)]
+    turn_rad_per_s: [f64; 3],
     #[serde(flatten)]
     own: Lens,
     #[serde(flatten)]
@@ -114,6 +123,9 @@ const REFUSED: [&str; 15] = [
     "s2",
     "s3",
 ];
+
+/// Largest component of a camera's motion, meters and radians per second.
+const MOTION_MAX: f64 = 1e3;
 
 /// Refuses keys of lens models that are not drawn, and counts unknown keys.
 fn check_keys(
@@ -296,6 +308,7 @@ impl Lens {
 pub(super) fn decode(bytes: &[u8], size_px: Option<[u32; 2]>) -> Result<Vec<Camera>, DecodeError> {
     let File {
         frames,
+        rig,
         mut shared,
         others,
         ..
@@ -309,10 +322,15 @@ pub(super) fn decode(bytes: &[u8], size_px: Option<[u32; 2]>) -> Result<Vec<Came
     if let (None, None, Some([width_px, height_px])) = (shared.w, shared.h, size_px) {
         (shared.w, shared.h) = (Some(width_px.into()), Some(height_px.into()));
     }
+    let rig = match rig {
+        Some(rig) if frames.iter().any(|frame| frame.rig_camera.is_some()) => rig_cameras(&rig)
+            .map_err(|reason| DecodeError::Malformed(format!("its list 'rig': {reason}")))?,
+        _ => Vec::new(),
+    };
     frames
         .into_iter()
         .enumerate()
-        .map(|(index, frame)| camera(index, frame, &shared))
+        .map(|(index, frame)| camera(index, frame, &shared, &rig))
         .collect()
 }
 
@@ -389,12 +407,24 @@ pub(super) fn applied(bytes: &[u8]) -> Result<Applied, DecodeError> {
     })
 }
 
-fn camera(index: usize, frame: Frame, shared: &Lens) -> Result<Camera, DecodeError> {
-    let name = if frame.file_path.is_empty() {
-        format!("frame_{index}")
-    } else {
-        frame.file_path
-    };
+/// Intrinsics of a frame: those of the camera of `rig` that it names, else its own.
+fn intrinsics(
+    name: &str,
+    frame: &Frame,
+    shared: &Lens,
+    rig: &[RigCamera],
+) -> Result<Intrinsics, DecodeError> {
+    if let Some(own) = &frame.rig_camera {
+        let found = rig.iter().find(|camera| camera.name == *own);
+        let found = found.ok_or_else(|| {
+            DecodeError::Malformed(format!(
+                "camera '{name}': its rig_camera '{}' is not in the list 'rig', which has {} cameras",
+                crate::xml::excerpt(own),
+                rig.len()
+            ))
+        })?;
+        return Ok(found.intrinsics);
+    }
     let lens = frame.own.or(shared);
     let distortion = lens.lens().map_err(|reason| {
         DecodeError::Unsupported(format!(
@@ -406,8 +436,39 @@ fn camera(index: usize, frame: Frame, shared: &Lens) -> Result<Camera, DecodeErr
         lens: distortion,
         ..plain
     });
-    let intrinsics = intrinsics
-        .map_err(|reason| DecodeError::Malformed(format!("camera '{name}': {reason}")))?;
+    intrinsics.map_err(|reason| DecodeError::Malformed(format!("camera '{name}': {reason}")))
+}
+
+/// Motion of a frame's camera during its readout.
+fn motion(name: &str, frame: &Frame) -> Result<Motion, DecodeError> {
+    let motion = Motion {
+        velocity_mps: DVec3::from_array(frame.velocity_mps),
+        turn_rad_per_s: DVec3::from_array(frame.turn_rad_per_s),
+    };
+    let numbers = [frame.velocity_mps, frame.turn_rad_per_s];
+    let most = numbers.as_flattened().iter().map(|x| x.abs());
+    match most.fold(0.0, f64::max) <= MOTION_MAX {
+        true => Ok(motion),
+        false => Err(DecodeError::Malformed(format!(
+            "camera '{name}': it moves by {} m/s and {} rad/s; expected at most {MOTION_MAX} of each",
+            motion.velocity_mps, motion.turn_rad_per_s
+        ))),
+    }
+}
+
+fn camera(
+    index: usize,
+    frame: Frame,
+    shared: &Lens,
+    rig: &[RigCamera],
+) -> Result<Camera, DecodeError> {
+    let name = if frame.file_path.is_empty() {
+        format!("frame_{index}")
+    } else {
+        frame.file_path.clone()
+    };
+    let intrinsics = intrinsics(&name, &frame, shared, rig)?;
+    let motion = motion(&name, &frame)?;
     let rows = &frame.transform_matrix;
     if !(3..=4).contains(&rows.len()) {
         return Err(DecodeError::Malformed(format!(
@@ -421,7 +482,7 @@ fn camera(index: usize, frame: Frame, shared: &Lens) -> Result<Camera, DecodeErr
         intrinsics,
         world_from_camera: pose_of(axes, column(3), &name)?,
         name,
-        motion: Motion::REST,
+        motion,
     })
 }
 

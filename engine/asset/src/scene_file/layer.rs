@@ -21,6 +21,23 @@ pub enum Layer {
 }
 
 impl LoadedScene {
+    /// Number of splats of the background: they come before those of agents.
+    pub(super) fn background_splats(&self) -> usize {
+        let instances = &self.splat_scene.instance_from_splat;
+        let first_of_agents = instances.iter().position(|&id| id != 0);
+        first_of_agents.unwrap_or(self.splat_scene.splats.len())
+    }
+
+    /// [`SplatScene::normals`], and none where the background is no longer that of its file.
+    #[must_use]
+    pub fn normals(&self) -> &[[f32; 3]] {
+        let normals = self.splat_scene.normals.as_slice();
+        match normals.len() == self.background_splats() {
+            true => normals,
+            false => &[],
+        }
+    }
+
     /// Part of [`LoadedScene::splat_scene`] that belongs to `layer`: its background, its agents of
     /// plain splats, or both.
     #[must_use]
@@ -60,6 +77,7 @@ fn only(splat_scene: &SplatScene, layer: Layer) -> SplatScene {
             instance_from_splat: Vec::new(),
             // The background is in front: its indices stay.
             sky_splats: splat_scene.sky_splats.clone(),
+            normals: splat_scene.normals.clone(),
             sky_map: splat_scene.sky_map.clone(),
             ..*splat_scene
         };
@@ -74,6 +92,7 @@ fn only(splat_scene: &SplatScene, layer: Layer) -> SplatScene {
         sky: [0.0; 3],
         sky_map: None,
         sky_splats: Vec::new(),
+        normals: Vec::new(),
         // Images of the layer are laid over others before colors are calibrated.
         photometry: Photometry::IDENTITY,
         // Fog is in front of the agents; behind them it belongs to the background.

@@ -228,14 +228,9 @@ impl LoadedScene {
     #[must_use]
     pub fn lighting(&self) -> Option<Lighting> {
         let light = self.light.as_ref()?;
-        let instances = &self.splat_scene.instance_from_splat;
-        let background = instances
-            .iter()
-            .position(|&id| id != 0)
-            .unwrap_or(self.splat_scene.splats.len());
-        let mut field = AmbientField::new(
-            &self.splat_scene.splats,
-            background,
+        let mut field = AmbientField::with_normals(
+            (&self.splat_scene.splats, self.normals()),
+            self.background_splats(),
             self.splat_scene.origin,
             &light.ambient,
         );
@@ -344,6 +339,7 @@ impl SceneFile {
             sky: self.sky,
             sky_map,
             sky_splats: background.labels.sky,
+            normals: background.labels.normals,
             photometry: self.photometry,
             fog: self.fog,
             rules: self.rules,
@@ -537,6 +533,7 @@ fn open_splats(path: &Path) -> Result<LoadedScene, AssetError> {
         ..LoadedScene::of_world(SplatScene {
             origin: splats.origin,
             sky_splats: splats.labels.sky,
+            normals: splats.labels.normals,
             ..SplatScene::from_splats(splats.cloud)
         })
     })

@@ -88,12 +88,23 @@ fn labeled(count: usize) -> Vec<u8> {
     bytes.extend(b"property uchar road_mask\nproperty float sky_mask\n");
     bytes.extend(end);
     for (splat, row) in rows.chunks_exact(rows.len() / count).enumerate() {
-        bytes.extend(row);
+        // Behind x, y and z.
+        let normal = normal_of(splat).map(|x| (2.0 * x).to_le_bytes());
+        bytes.extend([&row[..12], normal.as_flattened(), &row[24..]].concat());
         bytes.push(u8::from(splat % 3 == 0));
         let share: f32 = if splat % 4 == 1 { 0.75 } else { 0.25 };
         bytes.extend(share.to_le_bytes());
     }
     bytes
+}
+
+/// Normal of a splat of [`labeled`], whose file has twice its length; every seventh has none.
+fn normal_of(splat: usize) -> [f32; 3] {
+    match splat % 7 {
+        0 => [0.0; 3],
+        n if n % 2 == 1 => [0.0, 0.6, 0.8],
+        _ => [-1.0, 0.0, 0.0],
+    }
 }
 
 fn bundle(folder: &Path) -> PathBuf {
@@ -146,6 +157,28 @@ fn splats_come_with_the_sky_beside_them_and_their_labels() {
     assert_eq!(loaded.recording.ground_m.len(), road.count());
     let met = loaded.splat_scene.without_sky_splats();
     assert_eq!(met.splats.len(), 18);
+    assert_eq!(loaded.normals().len(), 24);
+    for (mean, normal) in means.iter().zip(loaded.normals()) {
+        let splat = original.means.iter().position(|own| own == mean).unwrap();
+        let expected = normal_of(splat);
+        for (found, expected) in normal.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-6, "{splat}: {normal:?}");
+        }
+    }
+}
+
+/// Trainers write zeros in place of normals.
+#[test]
+fn files_without_normals_have_none() {
+    let splats = cloud(24, 0);
+    let zeros = inria_ply::encode(&splats);
+    let placed = inria_ply::decode_placed(&zeros).unwrap();
+    assert!(placed.labels.normals.is_empty());
+    // A background that was changed is no longer the one that its file has normals of.
+    let folder = tempfile::tempdir().unwrap();
+    let mut loaded = open_scene(&bundle(folder.path()), 0.0).unwrap();
+    loaded.splat_scene.splats = loaded.splat_scene.splats.select(&[1, 2, 3]);
+    assert!(loaded.normals().is_empty());
 }
 
 #[test]
@@ -252,6 +285,13 @@ fn a_bundle_of_its_libraries_has_the_colors_of_its_sky() {
         .photometry_of_camera("camera_cross_left_120fov")
         .matrix;
     assert_eq!(left[0], [1.0, f64::from(0.1f32), 0.0, 0.0]);
+    let up = loaded.normals().iter().filter(|normal| normal[2] > 0.99);
+    println!(
+        "{} normals, {} up",
+        loaded.normals().len(),
+        up.clone().count()
+    );
+    assert_eq!((loaded.normals().len(), up.count()), (3000, 3000));
     let road_m = &loaded.recording.ground_m;
     assert!(road_m.len() > 900, "{}", road_m.len());
     assert!(

@@ -1,6 +1,6 @@
 //! One pixel, front to back, in f64.
 
-use decouplegs_scene::rules::{ALPHA_MIN, TRANSMITTANCE_MIN};
+use decouplegs_scene::rules::{ALPHA_MIN, TRANSMITTANCE_MIN, TRANSMITTANCE_MIN_INCLUSIVE};
 use decouplegs_scene::{EarlyStop, Rules};
 use glam::DVec2;
 
@@ -33,7 +33,8 @@ pub struct Pixel64 {
     pub instance: u16,
 }
 
-/// Alpha of `splat` at the pixel with center `center_px`; `None` below `ALPHA_MIN`.
+/// Alpha of `splat` at the pixel with center `center_px`; `None` below `ALPHA_MIN`, and where the
+/// response is below that of the rules.
 #[must_use]
 pub fn alpha_at(splat: &Projected64, center_px: DVec2, rules: &Rules) -> Option<f64> {
     let d = center_px - splat.mean_px;
@@ -41,8 +42,9 @@ pub fn alpha_at(splat: &Projected64, center_px: DVec2, rules: &Rules) -> Option<
     if d.x.abs() > splat.half_extent_px.x || d.y.abs() > splat.half_extent_px.y {
         return None;
     }
-    let alpha = (splat.opacity * (-0.5 * splat.conic.q(d)).exp()).min(rules.alpha_max);
-    (alpha >= ALPHA_MIN).then_some(alpha)
+    let response = (-0.5 * splat.conic.q(d)).exp();
+    let alpha = (splat.opacity * response).min(rules.alpha_max);
+    (alpha >= ALPHA_MIN && response >= rules.response_min).then_some(alpha)
 }
 
 /// Blends `splats`, which come front to back, at the pixel whose center is `center_px`, over `sky`.
@@ -74,6 +76,9 @@ pub fn blend<'a>(
             (weight_max, instance) = (weight, splat.instance);
         }
         transmittance = behind;
+        if rules.stop == EarlyStop::Inclusive && behind <= TRANSMITTANCE_MIN_INCLUSIVE {
+            break;
+        }
         // Every further weight would be exactly zero.
         if transmittance == 0.0 {
             break;

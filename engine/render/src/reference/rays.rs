@@ -6,8 +6,8 @@
 //! nothing is bounded: a splat reaches all pixels whose response is large enough. Order is by z, at
 //! the middle of the readout, and so is the color.
 
-use decouplegs_scene::rules::ALPHA_MIN;
-use decouplegs_scene::{Camera, RayMap, SplatScene};
+use decouplegs_scene::rules::{ALPHA_MIN, TRANSMITTANCE_MIN_INCLUSIVE};
+use decouplegs_scene::{Camera, RayMap, Rules, SplatScene};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -36,10 +36,10 @@ pub struct RayRules {
 impl RayRules {
     /// Rules of NuRec.
     pub const NUREC: Self = Self {
-        response_min: 0.0113,
-        alpha_max: 0.99,
-        transmittance_min: 1e-3,
-        near_m: 0.2,
+        response_min: Rules::NUREC.response_min,
+        alpha_max: Rules::NUREC.alpha_max,
+        transmittance_min: TRANSMITTANCE_MIN_INCLUSIVE,
+        near_m: Rules::NUREC.near_m,
     };
 }
 
@@ -290,9 +290,7 @@ mod tests {
     use crate::reference::render;
     use decouplegs_scene::lens::Fisheye;
     use decouplegs_scene::random::{next, unit};
-    use decouplegs_scene::{
-        Intrinsics, Lens, Motion, Pose, Rules, Shutter, ShutterDirection, SplatCloud,
-    };
+    use decouplegs_scene::{Intrinsics, Lens, Motion, Pose, Shutter, ShutterDirection, SplatCloud};
 
     fn camera(lens: Lens) -> Camera {
         camera_of(1.4, lens)
@@ -406,10 +404,7 @@ mod tests {
     /// others are not, which a comparison must tell.
     #[test]
     fn footprints_are_what_rays_see_where_splats_are_narrow_and_wide_in_pixels() {
-        let rules = Rules {
-            near_m: RayRules::NUREC.near_m,
-            ..Rules::DEFAULT
-        };
+        let rules = Rules::NUREC;
         let differ_db = |scene: &SplatScene, camera: &Camera| {
             let rays = render_rays(scene, camera, &RayRules::NUREC);
             psnr_db(&render(scene, camera, &rules), &rays)

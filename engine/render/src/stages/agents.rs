@@ -5,10 +5,14 @@ use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Record
 use decouplegs_scene::{DepthOrder, Fog, Rules};
 
 use super::project::depths_constant;
-use super::{CameraVariant, PURPOSE, Projected, RelitColors, Visible, kernel, push_constants};
+use super::{
+    CameraVariant, PURPOSE, Projected, RelitColors, Visible, kernel, least_response, push_constants,
+};
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::groups_for;
-use crate::layout::{AgentRecord, CameraRecord, LensRecord, ShadingRecord, fog_vector, near_m};
+use crate::layout::{
+    AgentRecord, CameraRecord, LensRecord, ShadingRecord, fog_vector, near_m, response_squares_max,
+};
 use crate::plane::Planes;
 
 /// The agents of a frame on the device.
@@ -124,11 +128,14 @@ impl CullAgents {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, cameras: CameraVariant) -> Result<Self, GpuError> {
         let [lenses, rolling] = cameras.constants();
+        let [least, squares] = least_response(response_squares_max(rules));
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             lenses,
             rolling,
+            least,
+            squares,
         ];
         Ok(Self {
             kernel: kernel::<CullPush>(gpu, &decouplegs_shaders::CULL_AGENTS, &constants)?,

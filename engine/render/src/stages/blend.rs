@@ -6,10 +6,11 @@ use decouplegs_scene::{EarlyStop, Rules};
 use decouplegs_shaders::constants;
 
 use super::{
-    FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, Views, kernel, push_constants,
+    FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, Views, kernel, least_response,
+    push_constants,
 };
 use crate::capacity::Capacity;
-use crate::layout::{COARSE_PIXELS, FINE_TILES, PartialTiles};
+use crate::layout::{COARSE_PIXELS, FINE_TILES, PartialTiles, response_squares_max};
 use crate::output::{OutputBuffers, Outputs};
 
 /// Partial accumulations of segments for composite: one per pixel of the fine tiles that a segment
@@ -76,6 +77,8 @@ pub enum PixelEnd {
     Full,
     /// Ends at the last splat before the limit of an exclusive stop.
     Exclusive,
+    /// Ends at the splat that reaches the limit of an inclusive stop.
+    Inclusive,
 }
 
 impl PixelEnd {
@@ -84,26 +87,31 @@ impl PixelEnd {
     pub fn for_rules(rules: &Rules) -> Self {
         match rules.stop {
             EarlyStop::Exclusive => Self::Exclusive,
+            EarlyStop::Inclusive => Self::Inclusive,
             EarlyStop::None => Self::Full,
         }
     }
 
-    /// Transmittance at which a pixel ends by an exclusive stop; `None` by others.
+    /// Transmittance at which a pixel ends by an early stop; `None` without one.
     #[must_use]
     pub fn stop_limit(self) -> Option<f32> {
         match self {
             Self::Full => None,
             Self::Exclusive => Some(constants::TRANSMITTANCE_MIN),
+            Self::Inclusive => Some(constants::TRANSMITTANCE_MIN_INCLUSIVE),
         }
     }
 
-    /// Specialization constant of the kernels.
-    pub(super) fn constant(self) -> (&'static str, Constant) {
-        ("EXCLUSIVE_STOP", Constant::Bool(self == Self::Exclusive))
+    /// Specialization constants of the kernels.
+    pub(super) fn constants(self) -> [(&'static str, Constant); 2] {
+        [
+            ("EARLY_STOP", Constant::Bool(self != Self::Full)),
+            ("INCLUSIVE_STOP", Constant::Bool(self == Self::Inclusive)),
+        ]
     }
 }
 
-/// True if segments of a list are blended again from what lies before them: by an exclusive stop,
+/// True if segments of a list are blended again from what lies before them: by an early stop,
 /// and where weights are counted.
 #[must_use]
 pub fn finishes(end: PixelEnd, outputs: &Outputs) -> bool {
@@ -207,9 +215,12 @@ impl Blend {
                 "FINISH_MEDIANS",
                 Constant::Bool(pass == BlendPass::FinishMedians),
             ),
-            end.constant(),
         ];
-        let constants: Vec<_> = outputs.constants().chain(own).collect();
+        let constants: Vec<_> = (outputs.constants())
+            .chain(own)
+            .chain(end.constants())
+            .chain(least_response(response_squares_max(rules)))
+            .collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::BLEND, &constants)?,
             pass,

@@ -29,7 +29,8 @@ impl CompositeSegments {
     pub fn new(gpu: &Gpu, end: PixelEnd, outputs: &Outputs) -> Result<Self, GpuError> {
         let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
         let constants: Vec<_> = (outputs.constants())
-            .chain([end.constant(), contributions])
+            .chain(end.constants())
+            .chain([contributions])
             .collect();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::COMPOSITE, &constants)?,

@@ -4,9 +4,9 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::Rules;
 
-use super::{CameraVariant, PURPOSE, Views, kernel, push_constants};
+use super::{CameraVariant, PURPOSE, Views, kernel, least_response, push_constants};
 use crate::capacity::groups_for;
-use crate::layout::{CLUSTER_SPLATS, near_m};
+use crate::layout::{CLUSTER_SPLATS, near_m, response_squares_max};
 use crate::resident::GpuScene;
 use crate::storage::Storage;
 
@@ -66,12 +66,15 @@ impl Cull {
         pitch_px: f32,
     ) -> Result<Self, GpuError> {
         let [lenses, rolling] = cameras.constants();
+        let [least, squares] = least_response(response_squares_max(rules));
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             lenses,
             rolling,
             storage.constant(),
+            least,
+            squares,
         ];
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL, &constants)?,

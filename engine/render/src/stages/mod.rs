@@ -45,8 +45,8 @@ pub use relight::{RELIGHT_BLOCK, Relight, RelightWork, RelitColors};
 pub use scan::Scan;
 pub use staged::Staged;
 pub use tile_sort::{
-    CountPairs, FillPairs, PlanBuckets, PlanLists, Records, SortBuckets, SplitSlabs, TileSort,
-    TileSortBuffers,
+    CountPairs, FillPairs, PlanBuckets, PlanLists, RecordKind, Records, SortBuckets, SplitSlabs,
+    TileSort, TileSortBuffers,
 };
 
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind};
@@ -171,6 +171,17 @@ type NoPush = ();
 
 impl PushConstants for NoPush {
     const MEMBERS: &'static [(&'static str, usize)] = &[];
+}
+
+/// Specialization constants of rules whose splats add to pixels up to a sum of squares
+/// ([`crate::layout::response_squares_max`]).
+fn least_response(squares_max: f32) -> [(&'static str, Constant); 2] {
+    let bounded = squares_max.is_finite();
+    let squares = if bounded { squares_max } else { 0.0 };
+    [
+        ("LEAST_RESPONSE", Constant::Bool(bounded)),
+        ("LEAST_RESPONSE_SQUARES", Constant::F32(squares)),
+    ]
 }
 
 /// Builds `shader`, whose push constants are `P`.

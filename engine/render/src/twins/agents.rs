@@ -112,7 +112,7 @@ pub fn cull_agents(
                     coded.opacity,
                     variant,
                 );
-                if seen.drawn && splat_overlaps(&seen.splat, camera) {
+                if seen.drawn && splat_overlaps(&seen.splat, variant.squares_max, camera) {
                     let list =
                         camera_index * cluster_count + agent.first_cluster as usize + own_cluster;
                     visible.mark(list, own_splat % CLUSTER_SPLATS);

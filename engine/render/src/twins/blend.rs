@@ -1,18 +1,19 @@
 //! Blends one segment of one coarse tile's list, front to back: `blend.comp`.
 
+use decouplegs_scene::Rules;
 use glam::Vec3;
 
-use super::footprint::{Footprint, LOG2_255, center_of, log2_alpha};
+use super::footprint::{Footprint, center_of, log2_alpha, log2_alpha_min};
 use super::output::{
     PIXEL_EMPTY, Pixel, TRANSMITTANCE_MEDIAN, camera_of_bin, coarse_tile_origin, pixel_offset,
 };
 use super::planes::add_to_planes;
 use super::record::{load_color, load_footprint};
-use crate::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL};
+use crate::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL, response_squares_max};
 use crate::stages::PixelEnd;
 
-/// Adds one splat to a pixel. `full`: the pixel takes no more; the splat at which it ends makes it
-/// so.
+/// Adds one splat, whose alpha is not too small, to a pixel. `full`: the pixel takes no more; the
+/// splat at which it ends makes it so.
 fn blend_pixel(
     pixel: &mut Pixel,
     full: &mut bool,
@@ -23,13 +24,13 @@ fn blend_pixel(
     alpha_max: f32,
     end: PixelEnd,
 ) {
-    if log2_alpha < -LOG2_255 || *full {
+    if *full {
         return;
     }
     let alpha = log2_alpha.exp2().min(alpha_max);
     let left = pixel.transmittance * (1.0 - alpha);
-    if end.stop_limit().is_some_and(|limit| left <= limit) {
-        *full = true;
+    *full = end.stop_limit().is_some_and(|limit| left <= limit);
+    if *full && end != PixelEnd::Inclusive {
         return;
     }
     if pixel.transmittance > TRANSMITTANCE_MEDIAN {
@@ -55,7 +56,7 @@ pub fn blend(
     records: &[u32],
     footprints: &[[u32; 4]],
     labels: &[[u32; 2]],
-    alpha_max: f32,
+    rules: &Rules,
     end: PixelEnd,
     before: Option<&[Pixel]>,
 ) -> Vec<Pixel> {
@@ -74,6 +75,7 @@ pub fn blend(
         true => end,
         false => PixelEnd::Full,
     };
+    let (alpha_max, squares_max) = (rules.alpha_max as f32, response_squares_max(rules));
     let splats: Vec<_> = listed(item, records, footprints, camera)
         .map(|(record, footprint)| {
             let (index, color) = (record as usize, load_color(footprints, record as usize));
@@ -85,9 +87,11 @@ pub fn blend(
         let center = center_of(x, y);
         for (record, footprint, color, label) in &splats {
             let log2_alpha = log2_alpha(footprint, center);
-            blend_pixel(
-                pixel, full, log2_alpha, *record, *color, *label, alpha_max, end,
-            );
+            if log2_alpha >= log2_alpha_min(footprint, squares_max) {
+                blend_pixel(
+                    pixel, full, log2_alpha, *record, *color, *label, alpha_max, end,
+                );
+            }
         }
     }
     for (index, pixel) in pixels.iter_mut().enumerate() {
@@ -121,10 +125,11 @@ pub fn finish_medians(
     item: &BlendItem,
     records: &[u32],
     footprints: &[[u32; 4]],
-    alpha_max: f32,
+    rules: &Rules,
     before: &[f32],
 ) -> Vec<Option<u32>> {
     let camera = &cameras[camera_of_bin(cameras, item.bin)];
+    let (alpha_max, squares_max) = (rules.alpha_max as f32, response_squares_max(rules));
     let splats: Vec<_> = listed(item, records, footprints, camera).collect();
     let median = |(index, before): (usize, &f32)| {
         let [x, y] = pixel_offset(index);
@@ -132,7 +137,8 @@ pub fn finish_medians(
         let (mut transmittance, mut median) = (-before, (*before < 0.0).then_some(0));
         for (record, footprint) in &splats {
             let log2_alpha = log2_alpha(footprint, center);
-            if transmittance > TRANSMITTANCE_MEDIAN && log2_alpha >= -LOG2_255 {
+            let is_blended = log2_alpha >= log2_alpha_min(footprint, squares_max);
+            if transmittance > TRANSMITTANCE_MEDIAN && is_blended {
                 median = Some(*record);
                 transmittance -= transmittance * log2_alpha.exp2().min(alpha_max);
             }

@@ -120,7 +120,7 @@ struct Join<'a> {
     partials: &'a [Pixel],
     /// Fine tiles that each segment draws in.
     drawn: Vec<[bool; FINE_TILES]>,
-    /// Transmittance at which a pixel ends by an exclusive stop.
+    /// Transmittance at which a pixel ends by an early stop.
     limit: Option<f32>,
     counts: bool,
 }

@@ -68,7 +68,7 @@ pub fn cull(
                 shape[3],
                 variant,
             );
-            if seen.drawn && splat_overlaps(&seen.splat, camera) {
+            if seen.drawn && splat_overlaps(&seen.splat, variant.squares_max, camera) {
                 let list = camera_index * clusters.len() + cluster_index;
                 visible.mark(list, splat_index % CLUSTER_SPLATS);
             }

@@ -21,10 +21,17 @@ pub struct Footprint {
     pub log2_opacity: f32,
 }
 
-/// Squared radius, in units of the exponent, beyond which the splat adds nothing.
+/// Squared radius, in units of the exponent, beyond which the splat adds nothing: at most
+/// `squares_max` ([`crate::layout::response_squares_max`]), as in all functions here.
 #[must_use]
-pub fn squared_radius(splat: &Footprint) -> f32 {
-    splat.log2_opacity + LOG2_255
+pub fn squared_radius(splat: &Footprint, squares_max: f32) -> f32 {
+    (splat.log2_opacity + LOG2_255).min(squares_max)
+}
+
+/// log2 of the least alpha of the splat that is blended.
+#[must_use]
+pub fn log2_alpha_min(splat: &Footprint, squares_max: f32) -> f32 {
+    (splat.log2_opacity - squares_max).max(-LOG2_255)
 }
 
 /// Pixel coordinates `[first, last]` along one axis whose centers lie in `[low, high]`, clipped to
@@ -40,8 +47,9 @@ pub fn pixels_between(low: f32, high: f32, size_px: u32) -> [i32; 2] {
 
 /// Rows of pixels `[first, last]` that the splat can reach.
 #[must_use]
-pub fn reached_rows(splat: &Footprint, height_px: u32) -> [i32; 2] {
-    let half_height = (squared_radius(splat) + SQUARED_RADIUS_SLACK).sqrt() / splat.rate_y;
+pub fn reached_rows(splat: &Footprint, squares_max: f32, height_px: u32) -> [i32; 2] {
+    let half_height =
+        (squared_radius(splat, squares_max) + SQUARED_RADIUS_SLACK).sqrt() / splat.rate_y;
     pixels_between(
         splat.mean_px.y - half_height,
         splat.mean_px.y + half_height,
@@ -52,8 +60,13 @@ pub fn reached_rows(splat: &Footprint, height_px: u32) -> [i32; 2] {
 /// Columns of pixels `[first, last]` that the splat can reach in the rows whose centers lie in
 /// `[low_y, high_y]`.
 #[must_use]
-pub fn reached_columns(splat: &Footprint, low_y: f32, high_y: f32, width_px: u32) -> [i32; 2] {
-    let r2 = squared_radius(splat) + SQUARED_RADIUS_SLACK;
+pub fn reached_columns(
+    splat: &Footprint,
+    squares_max: f32,
+    [low_y, high_y]: [f32; 2],
+    width_px: u32,
+) -> [i32; 2] {
+    let r2 = squared_radius(splat, squares_max) + SQUARED_RADIUS_SLACK;
     let r = r2.sqrt();
     let low_v = ((low_y - splat.mean_px.y) * splat.rate_y).max(-r);
     let high_v = ((high_y - splat.mean_px.y) * splat.rate_y).min(r);
@@ -82,10 +95,15 @@ pub fn reached_columns(splat: &Footprint, low_y: f32, high_y: f32, width_px: u32
 /// Coarse tiles `[first, last]` of row `row` of the camera's tiles that the splat can reach; empty
 /// when first > last.
 #[must_use]
-pub fn reached_coarse_tiles(splat: &Footprint, row: u32, size_px: [u32; 2]) -> [i32; 2] {
+pub fn reached_coarse_tiles(
+    splat: &Footprint,
+    squares_max: f32,
+    row: u32,
+    size_px: [u32; 2],
+) -> [i32; 2] {
     let top = (row * COARSE_HEIGHT_PX) as f32;
     let bottom = (top + COARSE_HEIGHT_PX as f32).min(size_px[1] as f32);
-    let [first, last] = reached_columns(splat, top + 0.5, bottom - 0.5, size_px[0]);
+    let [first, last] = reached_columns(splat, squares_max, [top + 0.5, bottom - 0.5], size_px[0]);
     if first > last {
         [0, -1]
     } else {
@@ -98,8 +116,8 @@ pub fn reached_coarse_tiles(splat: &Footprint, row: u32, size_px: [u32; 2]) -> [
 
 /// Rows `[first, last]` of coarse tiles that the splat can reach; empty when first > last.
 #[must_use]
-pub fn reached_coarse_rows(splat: &Footprint, height_px: u32) -> [i32; 2] {
-    let [first, last] = reached_rows(splat, height_px);
+pub fn reached_coarse_rows(splat: &Footprint, squares_max: f32, height_px: u32) -> [i32; 2] {
+    let [first, last] = reached_rows(splat, squares_max, height_px);
     if first > last {
         [0, -1]
     } else {

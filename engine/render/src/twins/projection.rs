@@ -5,7 +5,7 @@ pub use decouplegs_shaders::constants::HALF_LOG2_E;
 use glam::{Mat3, Vec2, Vec3, vec3};
 
 use super::footprint::{Footprint, LOG2_255};
-use crate::layout::{CameraRecord, near_m};
+use crate::layout::{CameraRecord, near_m, response_squares_max};
 
 pub(super) const DILATION_PX2: f32 = rules::DILATION_PX2 as f32;
 pub(super) const ALPHA_MIN: f32 = rules::ALPHA_MIN as f32;
@@ -17,6 +17,8 @@ pub struct Variant {
     pub near_m: f32,
     /// True if opacity compensates dilation.
     pub antialias: bool,
+    /// Largest sum of squares at a pixel that a splat adds to.
+    pub squares_max: f32,
 }
 
 impl Variant {
@@ -26,6 +28,7 @@ impl Variant {
         Self {
             near_m: near_m(rules),
             antialias: rules.antialias,
+            squares_max: response_squares_max(rules),
         }
     }
 }

@@ -1,12 +1,13 @@
 //! Tile binning and the plan of its buckets: `count_pairs.comp`, `plan_buckets.comp` and
 //! `depth_slab.glsl`.
 
+use decouplegs_scene::{DepthOrder, Rules};
 use decouplegs_shaders::constants::{SLAB_FIRST_M, SLAB_PART_PAIRS, SLAB_PARTS_MAX, SLAB_SHIFT};
 
 use super::depth_key::depth_of_key;
 use super::footprint::{reached_coarse_rows, reached_coarse_tiles};
 use super::record::load_footprint;
-use crate::layout::{BUCKET_PAIRS, CameraRecord, SLABS, ViewLists};
+use crate::layout::{BUCKET_PAIRS, CameraRecord, SLABS, ViewLists, response_squares_max};
 
 /// The depth slab of a key, where the camera has the depth `camera_depth`, scaled as keys are by
 /// `key_scale`.
@@ -41,9 +42,11 @@ pub fn bin_pairs(
     lists: &[ViewLists],
     keys: &[u32],
     footprints: &[[u32; 4]],
-    radial: bool,
+    rules: &Rules,
 ) -> Vec<Vec<[u32; 2]>> {
     let bins: u32 = cameras.iter().map(CameraRecord::bins).sum();
+    let radial = rules.order == DepthOrder::Radial;
+    let squares_max = response_squares_max(rules);
     let mut pairs = vec![Vec::new(); bins as usize * SLABS];
     for (record, &key) in (0u32..).zip(keys) {
         let camera = &cameras[camera_of(record, lists, cameras.len())];
@@ -53,9 +56,10 @@ pub fn bin_pairs(
             if radial { 0.0 } else { camera.key_depth },
             camera.key_scale,
         );
-        let [first_row, last_row] = reached_coarse_rows(&splat, camera.size_px[1]);
+        let [first_row, last_row] = reached_coarse_rows(&splat, squares_max, camera.size_px[1]);
         for row in first_row..=last_row {
-            let [left, right] = reached_coarse_tiles(&splat, row as u32, camera.size_px);
+            let [left, right] =
+                reached_coarse_tiles(&splat, squares_max, row as u32, camera.size_px);
             for tile in left..=right {
                 let bin = camera.first_bin + row as u32 * camera.coarse_tiles[0] + tile as u32;
                 pairs[bin as usize * SLABS + slab].push([key, record]);

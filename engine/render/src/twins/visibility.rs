@@ -41,10 +41,10 @@ pub fn cluster_overlaps(cluster: &ClusterRecord, camera: &CameraRecord, near_m: 
 
 /// True if the splat may overlap a coarse tile of the camera.
 #[must_use]
-pub fn splat_overlaps(splat: &Footprint, camera: &CameraRecord) -> bool {
-    let [first, last] = reached_coarse_rows(splat, camera.size_px[1]);
+pub fn splat_overlaps(splat: &Footprint, squares_max: f32, camera: &CameraRecord) -> bool {
+    let [first, last] = reached_coarse_rows(splat, squares_max, camera.size_px[1]);
     (first..=last).any(|row| {
-        let [left, right] = reached_coarse_tiles(splat, row as u32, camera.size_px);
+        let [left, right] = reached_coarse_tiles(splat, squares_max, row as u32, camera.size_px);
         left <= right
     })
 }

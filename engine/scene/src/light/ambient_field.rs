@@ -2,7 +2,6 @@
 //! microseconds.
 
 use std::collections::{HashMap, HashSet};
-use std::f64::consts::PI;
 use std::ops::Range;
 
 use crate::{Invalid, SplatCloud, sh};
@@ -15,6 +14,7 @@ mod ground;
 mod open;
 
 pub use ground::GroundPatch;
+use ground::facing_up_m2;
 
 /// Grid points on either side of the origin, along an axis.
 const CELLS_MAX: f64 = 1e9;
@@ -30,10 +30,6 @@ const WEIGHT: usize = AmbientDescriptor::LEN;
 
 /// Index of the ground's color in a sum; its weight comes after it.
 const GROUND: usize = WEIGHT + 1;
-
-/// Exponent of the cosine between a splat's normal and the vertical, in its weight as ground: half
-/// the weight at 11 degrees, 82 % on a road that climbs by 10 %.
-const UPWARD_EXPONENT: i32 = 40;
 
 /// Options for gathering the light around a position.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,12 +98,13 @@ impl AmbientOptions {
 /// V of bands 1 and 2 is the opacity. V of DC is the opacity times the area that the splat turns
 /// to the sky (`facing_up_m2`): roads are of one gray, so they tell how bright and of which hue the
 /// light is. Facades, leaves and parked cars mostly tell their own color. Where no splat faces up,
-/// V is the opacity for DC too.
+/// V is the opacity for DC too. `normals` are those of [`crate::SplatScene::normals`].
 ///
 /// This is the definition, summed over all splats; [`AmbientField`] is what a frame asks.
 #[must_use]
 pub fn ambient_by_definition(
     cloud: &SplatCloud,
+    normals: &[[f32; 3]],
     position: DVec3,
     options: &AmbientOptions,
 ) -> Option<AmbientDescriptor> {
@@ -117,7 +114,7 @@ pub fn ambient_by_definition(
         let weight =
             options.weight(mean.distance_squared(position)) * f64::from(cloud.opacities[splat]);
         if weight > 0.0 {
-            add(&mut sum, weight, cloud, splat);
+            add(&mut sum, weight, (cloud, normals), splat);
         }
     }
     descriptor(&sum)
@@ -134,25 +131,19 @@ fn light_of(cloud: &SplatCloud, splat: usize) -> [f64; AmbientDescriptor::LEN] {
     })
 }
 
-/// Area of a splat that lies level, square meters: of its ellipse at one standard deviation, 0 if
-/// it is a ball or stands upright.
-fn facing_up_m2(cloud: &SplatCloud, splat: usize) -> f64 {
-    let [thin_m, broad_m, long_m] = cloud.sorted_scales_m(splat);
-    if broad_m <= 0.0 {
-        return 0.0;
-    }
-    let upward = cloud.thin_axis(splat).z.abs().powi(UPWARD_EXPONENT);
-    PI * broad_m * long_m * (1.0 - thin_m / broad_m) * upward
-}
-
 /// Adds a splat to `sum`. `weight` is its opacity times the factor of distance.
-fn add(sum: &mut [f64; SUM], weight: f64, cloud: &SplatCloud, splat: usize) {
+fn add(
+    sum: &mut [f64; SUM],
+    weight: f64,
+    (cloud, normals): (&SplatCloud, &[[f32; 3]]),
+    splat: usize,
+) {
     let light = light_of(cloud, splat);
     for (sum, light) in sum.iter_mut().zip(&light) {
         *sum += weight * light;
     }
     sum[WEIGHT] += weight;
-    let ground = weight * facing_up_m2(cloud, splat);
+    let ground = weight * facing_up_m2(cloud, normals, splat);
     for (sum, light) in sum[GROUND..].iter_mut().zip(&light[..3]) {
         *sum += ground * light;
     }
@@ -204,6 +195,17 @@ impl AmbientField {
     /// Splats without a finite mean, opacity or color are left out.
     #[must_use]
     pub fn new(cloud: &SplatCloud, splats: usize, origin: DVec3, options: &AmbientOptions) -> Self {
+        Self::with_normals((cloud, &[]), splats, origin, options)
+    }
+
+    /// The same where a file stores normals of splats: see [`crate::SplatScene::normals`].
+    #[must_use]
+    pub fn with_normals(
+        (cloud, normals): (&SplatCloud, &[[f32; 3]]),
+        splats: usize,
+        origin: DVec3,
+        options: &AmbientOptions,
+    ) -> Self {
         let voxel_m = 0.2 * options.sigma_m;
         let key = |splat: usize| {
             let cell = (DVec3::from_array(cloud.means[splat].map(f64::from)) / voxel_m)
@@ -218,7 +220,10 @@ impl AmbientField {
         let runs: Vec<&[(i32, i32, i32, u32)]> = keys
             .chunk_by(|a, b| (a.0, a.1, a.2) == (b.0, b.1, b.2))
             .collect();
-        let voxels = runs.par_iter().map(|run| voxel(cloud, run)).collect();
+        let voxels = runs
+            .par_iter()
+            .map(|run| voxel((cloud, normals), run))
+            .collect();
         let mut columns: HashMap<(i32, i32), Range<usize>> = HashMap::new();
         for (index, run) in runs.iter().enumerate() {
             columns
@@ -350,13 +355,14 @@ fn corner_offset(corner: i32) -> IVec3 {
     ivec3(corner & 1, corner >> 1 & 1, corner >> 2)
 }
 
-fn voxel(cloud: &SplatCloud, run: &[(i32, i32, i32, u32)]) -> Voxel {
+fn voxel(splats: (&SplatCloud, &[[f32; 3]]), run: &[(i32, i32, i32, u32)]) -> Voxel {
+    let cloud = splats.0;
     let mut sum = [0.0; SUM];
     let mut center = DVec3::ZERO;
     for &(.., splat) in run {
         let splat = splat as usize;
         let weight = f64::from(cloud.opacities[splat]);
-        add(&mut sum, weight, cloud, splat);
+        add(&mut sum, weight, splats, splat);
         center += weight * DVec3::from_array(cloud.means[splat].map(f64::from));
     }
     Voxel {
@@ -430,7 +436,7 @@ mod tests {
             let of = |position: &DVec3| {
                 let (found, truth) = (
                     field.at(origin + *position).unwrap(),
-                    ambient_by_definition(&cloud, *position, &options).unwrap(),
+                    ambient_by_definition(&cloud, &[], *position, &options).unwrap(),
                 );
                 let off = found
                     .to_vector()

@@ -1,8 +1,11 @@
 //! Alpha compositing of the splats of a pixel.
 
+use decouplegs_scene::rules::ALPHA_MIN;
 use decouplegs_scene::{DepthOrder, Rules, SplatScene};
+use glam::DVec2;
 
-use super::{BLUE, Plain, RED, WHITE, camera, middle, world_of};
+use super::{BLUE, Plain, RED, WHITE, camera, middle, projected, world_of};
+use crate::reference::blend::alpha_at;
 use crate::reference::render;
 
 #[test]
@@ -87,6 +90,54 @@ fn the_exclusive_stop_leaves_out_the_splat_that_would_fill_the_pixel() {
     let through = 1.0 - f64::from(0.98f32);
     assert!((left(&Rules::DEFAULT) - through.powi(3)).abs() < 1e-15);
     assert!((left(&Rules::INRIA) - through.powi(2)).abs() < 1e-15);
+}
+
+#[test]
+fn the_inclusive_stop_ends_with_the_splat_that_fills_the_pixel() {
+    // Three splats of alpha 0.98: T would go 2e-2, 4e-4, 8e-6; the second is below 1e-3.
+    let layers: Vec<Plain> = (0..3)
+        .map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32], 0.5, 0.98, WHITE))
+        .collect();
+    let left = |count: usize, rules: &Rules| {
+        let image = render(&world_of(&layers[..count]), &camera(9), rules);
+        1.0 - image.alpha[middle(&image)]
+    };
+    let through = 1.0 - f64::from(0.98f32);
+    assert!((left(3, &Rules::NUREC) - through.powi(2)).abs() < 1e-15);
+    assert!((left(1, &Rules::NUREC) - through).abs() < 1e-15);
+    // Alpha 0.9 thrice would end at 1e-3 itself, and a little less does not.
+    let layers: Vec<Plain> = (0..5)
+        .map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32], 0.5, 0.899, WHITE))
+        .collect();
+    let image = render(&world_of(&layers), &camera(9), &Rules::NUREC);
+    let through = 1.0 - f64::from(0.899f32);
+    assert!((1.0 - image.alpha[middle(&image)] - through.powi(4)).abs() < 1e-15);
+}
+
+#[test]
+fn a_splat_adds_nothing_where_its_response_is_too_small() {
+    // On the row of its mean the exponent of a ball falls with the square of the distance.
+    let alphas = |opacity: f32, rules: &Rules| {
+        let ball = Plain::ball([0.0, 0.0, 4.0], 0.4, opacity, WHITE);
+        let view = projected(&world_of(&[ball]), &camera(81), rules).unwrap();
+        let center = |column: u32| view.mean_px + DVec2::new(f64::from(column), 0.0);
+        let response = |column: u32| (-0.5 * view.conic.q(center(column) - view.mean_px)).exp();
+        let own: Vec<(f64, Option<f64>)> = (0..40)
+            .map(|column| (response(column), alpha_at(&view, center(column), rules)))
+            .collect();
+        own
+    };
+    for opacity in [0.9, 0.5, 0.2] {
+        let own = alphas(opacity, &Rules::NUREC);
+        for (response, alpha) in &own {
+            let counts = *response >= 0.0113 && f64::from(opacity) * response >= ALPHA_MIN;
+            assert_eq!(alpha.is_some(), counts, "{opacity}, {response}");
+        }
+        let all = alphas(opacity, &Rules::DEFAULT);
+        let count = |own: &[(f64, Option<f64>)]| own.iter().filter(|(_, a)| a.is_some()).count();
+        // Of an opacity of 0.2 no response from 0.0196 on is left out.
+        assert_eq!(count(&own) < count(&all), opacity > 0.4, "{opacity}");
+    }
 }
 
 #[test]

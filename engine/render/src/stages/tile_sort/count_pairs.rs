@@ -1,9 +1,9 @@
 //! Tile binning: (coarse tile, record) pairs by depth slab, counted.
 
 use bytemuck::bytes_of;
-use decouplegs_gpu::{Constant, Gpu, GpuError, Kernel, Recorder};
+use decouplegs_gpu::{Gpu, GpuError, Kernel, Recorder};
 
-use super::{Records, TileSortBuffers};
+use super::{RecordKind, Records, TileSortBuffers};
 use crate::stages::{FrameCounters, IndirectArguments, kernel, push_constants};
 
 push_constants! {
@@ -19,16 +19,12 @@ pub struct CountPairs {
 }
 
 impl CountPairs {
-    /// The stage; `radial` where keys are of distances, `lidar` where records have cells of beams
-    /// instead of footprints.
+    /// The stage for records of one kind.
     ///
     /// # Errors
     /// [`GpuError`]: the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, radial: bool, lidar: bool) -> Result<Self, GpuError> {
-        let constants = [
-            ("RADIAL", Constant::Bool(radial)),
-            ("LIDAR", Constant::Bool(lidar)),
-        ];
+    pub fn new(gpu: &Gpu, kind: RecordKind) -> Result<Self, GpuError> {
+        let constants = kind.constants();
         Ok(Self {
             kernel: kernel::<Push>(gpu, &decouplegs_shaders::COUNT_PAIRS, &constants)?,
         })

@@ -21,12 +21,12 @@ pub use plan_lists::PlanLists;
 pub use sort_buckets::SortBuckets;
 pub use split_slabs::SplitSlabs;
 
-use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{FrameCounters, PURPOSE, Projected, TileLists};
+use super::{FrameCounters, PURPOSE, Projected, TileLists, least_response};
 use crate::capacity::Capacity;
-use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists};
+use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists, response_squares_max};
 
 /// Lists and scratch of the sort.
 #[derive(Clone)]
@@ -113,6 +113,30 @@ pub struct Records<'a> {
     pub other_keys: &'a Buffer<u32>,
 }
 
+/// Kind of records that are listed.
+#[derive(Clone, Copy, Debug)]
+pub struct RecordKind {
+    /// True where keys are of distances.
+    pub radial: bool,
+    /// True where records have cells of beams instead of footprints.
+    pub lidar: bool,
+    /// Largest sum of squares at a pixel that a splat adds to.
+    pub squares_max: f32,
+}
+
+impl RecordKind {
+    /// Specialization constants of the kernels that find the coarse tiles of records.
+    fn constants(self) -> [(&'static str, Constant); 4] {
+        let [least, squares] = least_response(self.squares_max);
+        [
+            ("RADIAL", Constant::Bool(self.radial)),
+            ("LIDAR", Constant::Bool(self.lidar)),
+            least,
+            squares,
+        ]
+    }
+}
+
 /// The stages of the sort.
 pub struct TileSort {
     plan_lists: PlanLists,
@@ -129,7 +153,12 @@ impl TileSort {
     /// # Errors
     /// [`GpuError`]: the driver refuses a kernel.
     pub fn new(gpu: &Gpu, rules: &Rules) -> Result<Self, GpuError> {
-        Self::of_records(gpu, rules.order == DepthOrder::Radial, false)
+        let kind = RecordKind {
+            radial: rules.order == DepthOrder::Radial,
+            lidar: false,
+            squares_max: response_squares_max(rules),
+        };
+        Self::of_records(gpu, kind)
     }
 
     /// The stages for the records of a LiDAR, by distance.
@@ -137,15 +166,21 @@ impl TileSort {
     /// # Errors
     /// [`GpuError`]: the driver refuses a kernel.
     pub fn for_lidar(gpu: &Gpu) -> Result<Self, GpuError> {
-        Self::of_records(gpu, true, true)
+        let kind = RecordKind {
+            radial: true,
+            lidar: true,
+            squares_max: f32::INFINITY,
+        };
+        Self::of_records(gpu, kind)
     }
 
-    fn of_records(gpu: &Gpu, radial: bool, lidar: bool) -> Result<Self, GpuError> {
+    fn of_records(gpu: &Gpu, kind: RecordKind) -> Result<Self, GpuError> {
+        let radial = kind.radial;
         Ok(Self {
             plan_lists: PlanLists::new(gpu)?,
-            count: CountPairs::new(gpu, radial, lidar)?,
+            count: CountPairs::new(gpu, kind)?,
             plan_buckets: PlanBuckets::new(gpu)?,
-            fill: FillPairs::new(gpu, radial, lidar)?,
+            fill: FillPairs::new(gpu, kind)?,
             split: SplitSlabs::new(gpu, radial)?,
             sort: SortBuckets::new(gpu, radial)?,
         })

@@ -1,17 +1,36 @@
 //! Colors of the level ground, cube by cube.
 
 use std::collections::BTreeSet;
+use std::f64::consts::PI;
 use std::ops::RangeInclusive;
 
 use glam::{DVec2, DVec3};
 
 use super::{AmbientField, GROUND, SUM, Voxel, WEIGHT_MIN};
 use crate::light::to_linear;
-use crate::sh;
+use crate::{SplatCloud, sh};
 
 /// Heights over a position, meters, at which the ground below the middle of an agent is looked
 /// for: a truck's middle is high above it.
 const BELOW_AGENT_M: RangeInclusive<f64> = -3.0..=0.5;
+
+/// Exponent of the cosine between a splat's normal and the vertical, in its weight as ground: half
+/// the weight at 11 degrees, 82 % on a road that climbs by 10 %.
+const UPWARD_EXPONENT: i32 = 40;
+
+/// Area of a splat that lies level, square meters, of its ellipse at one standard deviation. By a
+/// normal of `normals` where it has one; else by its thinnest axis, and 0 if it is a ball.
+pub(super) fn facing_up_m2(cloud: &SplatCloud, normals: &[[f32; 3]], splat: usize) -> f64 {
+    let [thin_m, broad_m, long_m] = cloud.sorted_scales_m(splat);
+    if broad_m <= 0.0 {
+        return 0.0;
+    }
+    let (up, share) = match normals.get(splat) {
+        Some(&[x, y, z]) if [x, y, z] != [0.0; 3] => (f64::from(z), 1.0),
+        _ => (cloud.thin_axis(splat).z, 1.0 - thin_m / broad_m),
+    };
+    PI * broad_m * long_m * share * up.abs().powi(UPWARD_EXPONENT)
+}
 
 /// Level ground of one cube of the background.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -107,6 +126,41 @@ mod tests {
             }
         }
         AmbientField::new(&cloud, cloud.len(), origin, &AmbientOptions::default())
+    }
+
+    /// Balls have no thinnest axis: only a stored normal tells that they are ground. A stored normal
+    /// that looks aside wins over a flat splat that lies level.
+    #[test]
+    fn a_stored_normal_wins_over_the_thinnest_axis() {
+        let mut cloud = SplatCloud::with_degree(0);
+        for (at, scale_z) in [(0.0, 0.1), (40.0, 0.001)] {
+            for i in 0..16 {
+                cloud.means.push([at + 0.1 * i as f32, 0.0, 0.0]);
+                cloud.scales.push([0.1, 0.1, scale_z]);
+                cloud.rotations.push([1.0, 0.0, 0.0, 0.0]);
+                cloud.opacities.push(0.9);
+                cloud.sh_dc.push([0.1; 3]);
+            }
+        }
+        let ground_m2 = |normals: &[[f32; 3]], x: f64| -> f64 {
+            let options = AmbientOptions::default();
+            let splats = (&cloud, normals);
+            let field = AmbientField::with_normals(splats, cloud.len(), DVec3::ZERO, &options);
+            let patches = field.ground_along([DVec3::new(x, 0.0, 0.5)], 3.0);
+            patches.iter().map(|patch| patch.area_m2).sum()
+        };
+        let (balls, flat) = (0.8, 40.8);
+        assert_eq!(ground_m2(&[], balls), 0.0);
+        let by_axis = ground_m2(&[], flat);
+        assert!(by_axis > 0.4, "{by_axis} square meters");
+        // Of either sign; splats whose normal is zero go by their axes.
+        let mut normals = vec![[0.0, 0.0, -1.0]; 16];
+        normals.extend([[0.0; 3]; 16]);
+        let by_normal = ground_m2(&normals, balls);
+        assert!((by_normal / by_axis - 1.0).abs() < 0.02, "{by_normal}");
+        assert_eq!(ground_m2(&normals, flat), by_axis);
+        normals[16..].fill([1.0, 0.0, 0.0]);
+        assert_eq!(ground_m2(&normals, flat), 0.0);
     }
 
     #[test]
