@@ -5,7 +5,7 @@ use bytemuck::{Pod, Zeroable, bytes_of};
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 
 use super::{FrameCounters, PartialResults, kernel, push_constants};
-use crate::layout::{CameraRecord, LensRecord, RequiredCounts, SLABS};
+use crate::layout::{CameraRecord, LensRecord, SLABS};
 
 /// Words that a thread writes, at most, where there are fewer workgroups than [`GROUPS_MAX`].
 const WORDS_PER_THREAD: u64 = 8;
