@@ -69,7 +69,7 @@ layout(set = 0, binding = 13, scalar) buffer partial_transmittances_block { uint
 // Per splat: the sum of its weights in all pixels, in steps of 1 / contribution_scale.
 layout(set = 0, binding = 14, scalar) buffer contributions_block { uint contributions[]; };
 
-// Per partial result: the fine tiles with pixels that are to be finished, as bits. Only with FINISH.
+// Per partial result: the fine tiles with pixels that are to be finished, as bits. With FINISH.
 layout(set = 0, binding = 15, scalar) readonly buffer partial_unfinished_block { uint partial_unfinished[]; };
 
 // Per partial result: the fine tiles that have one. Written by the first run, read by FINISH.
@@ -79,7 +79,7 @@ layout(set = 0, binding = 16, scalar) buffer partial_tiles_block { PartialTiles 
 layout(set = 0, binding = 17, std430) readonly buffer depths_block { vec2 depths[]; };
 
 // Per pixel of a partial result, with MEDIANS: the record in which half of the light is gone, or
-// bits of a negative transmittance, which lies before the segment in which the median is to be found.
+// bits of a negative transmittance: what is left before the segment that has the median.
 layout(set = 0, binding = 18, scalar) buffer partial_medians_block { uint partial_medians[]; };
 
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; uint tiles_max; float contribution_scale; uint image_pixels; };

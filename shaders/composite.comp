@@ -56,10 +56,10 @@ void leave_unfinished(uint slot, PartialTiles held, uint index, Pixel before) {
     }
 }
 
-// Writes the medians of the pixel at `at`, or leaves them to be finished in the segment in which half
-// of the light goes. That is one from `first` to before `end`, behind which `transmittance` is left;
-// `goes_here` is true if products in another order say so, whose rounding is another: then the last
-// segment that draws is the one if none before it is.
+// Writes the medians of the pixel at `at`, or leaves them to be finished in the segment in which
+// half of the light goes. It is looked for from `first` to before `end`; `transmittance` is what is
+// left before these. `goes_here` is true if products in another order, whose rounding is another,
+// say that it is one of them: then it is the last that draws, if none before it is.
 void settle_medians(Camera camera, uvec2 at, Composite composite, uint first, uint end, uint index, float transmittance, bool goes_here) {
     PartialTiles last = PartialTiles(0u, 0u);
     uint last_slot = 0u;

@@ -1,8 +1,8 @@
 // Results of segments, a pixel each: blend leaves them for composite, and composite for the pass of
 // blend that finishes pixels.
 //
-// Included where partial_colors, partial_planes and partial_medians are bound. Only fine tiles that a
-// segment draws have results. A negative transmittance is a mark, which the two kernels explain.
+// Included where partial_colors, partial_planes and partial_medians are bound. Only fine tiles that
+// a segment draws have results. A negative transmittance is a mark, which the two kernels explain.
 
 // Transmittance at which a pixel ends by an early stop.
 float stop_limit() {

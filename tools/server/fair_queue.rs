@@ -10,8 +10,8 @@ const KNOWN_MAX: usize = 1024;
 /// on them (start-time fair queueing, Goyal, Vin and Cheng, 1996): a peer with many items, or with
 /// items that take long, does not hold up one that has a short one now and then.
 ///
-/// The time that an item takes is known once it was done. Peers are known after their first item: one
-/// that asks now and then has its item done next, however many others wait with theirs.
+/// The time that an item takes is known once it was done. Peers are known after their first item:
+/// one that asks now and then has its item done next, however many others wait with theirs.
 pub struct FairQueue<T> {
     peers: HashMap<u64, Peer<T>>,
     /// Most time that a peer had used when it was chosen.

@@ -327,8 +327,7 @@ pub fn near_m(rules: &Rules) -> f32 {
     }
 }
 
-/// Largest sum of squares of a footprint's exponent at a pixel that the splat adds to: -log2 of the
-/// rules' least response; infinite without one.
+/// Largest sum of squares of an exponent at which a splat is blended; infinite without a limit.
 #[must_use]
 pub fn response_squares_max(rules: &Rules) -> f32 {
     -rules.response_min.log2() as f32

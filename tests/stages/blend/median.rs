@@ -35,9 +35,8 @@ fn medians_of(pixel: &Pixel) -> [u32; 2] {
     }
 }
 
-/// Pixels of tiles of one segment, and how many have other medians than those of `twin`. A splat at
-/// the limit of what is blended, or one that leaves half of the light but for a rounding, may decide
-/// otherwise.
+/// Pixels of tiles of one segment, how many have medians, and how many other ones than those of
+/// `twin`: a rounding decides whether a splat at the limit is blended, or half of the light gone.
 fn others(case: &Case, images: &Images, twin: &Blended) -> [usize; 3] {
     let [mut pixels, mut medians, mut others] = [0; 3];
     let whole = case.items.iter().zip(twin);

@@ -66,7 +66,7 @@ pub enum Median {
     None,
     /// That of a record.
     Record(u32),
-    /// To be found in the segment at a slot, before which this transmittance is left.
+    /// Left to be finished in the segment at a slot, before which this transmittance is left.
     Unfinished(usize, f32),
 }
 

@@ -128,8 +128,8 @@ mod tests {
         AmbientField::new(&cloud, cloud.len(), origin, &AmbientOptions::default())
     }
 
-    /// Balls have no thinnest axis: only a stored normal tells that they are ground. A stored normal
-    /// that looks aside wins over a flat splat that lies level.
+    /// Balls have no thinnest axis: only a stored normal tells that they are ground. A stored
+    /// normal that looks aside wins over a flat splat that lies level.
     #[test]
     fn a_stored_normal_wins_over_the_thinnest_axis() {
         let mut cloud = SplatCloud::with_degree(0);
