@@ -94,7 +94,7 @@ impl Answer {
                 REASON_CHARS_MAX,
             ))),
             _ => Err(format!(
-                "sent a message whose `type` is not hello, ready, plan, commands or fail: {}",
+                "sent a message whose `type` is not hello, ready, plan or fail, nor commands: {}",
                 beginning(line)
             )),
         }
