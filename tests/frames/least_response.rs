@@ -89,7 +89,10 @@ fn other_rules_are_another_image() {
 fn a_least_response_that_no_splat_falls_below_changes_no_byte() {
     let gpu = Validated::open();
     let world = world();
-    let cameras: Vec<Camera> = [camera()].into_iter().chain(lens_rig()).collect();
+    let cameras: Vec<Camera> = [camera()]
+        .into_iter()
+        .chain(lens_rig().into_iter().take(2))
+        .collect();
     for base in [Rules::DEFAULT, Rules::GSPLAT15, Rules::INRIA] {
         let drawn = |response_min: f64, segment_pairs: u32| {
             let options = RenderOptions {
