@@ -178,9 +178,9 @@ fn episodes() -> impl Strategy<Value = Episode> {
                     command: AgentCommand {
                         agent,
                         acceleration_mps2: -substep_s,
-                        curvature_per_m: (agent % 2 == 0).then_some(substep_s / 3.0),
+                        curvature_per_m: agent.is_multiple_of(2).then_some(substep_s / 3.0),
                     },
-                    is_limited: agent % 3 == 0,
+                    is_limited: agent.is_multiple_of(3),
                 };
                 let number = |(step, (readings, plan, mut instants)): (
                     usize,
