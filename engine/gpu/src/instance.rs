@@ -1,13 +1,15 @@
 //! The loader, the instance, and what the validation layer says.
 
 use std::{
+    collections::BTreeSet,
     ffi::{CStr, c_void},
+    path::PathBuf,
     sync::{Arc, Mutex, PoisonError},
 };
 
 use ash::{ext, vk};
 
-use crate::{GpuError, error::failed};
+use crate::{GpuError, drivers, error::failed};
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
@@ -25,12 +27,15 @@ pub(crate) struct Instance {
     pub(crate) labels: bool,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     messages: Arc<Messages>,
+    /// Libraries that were loaded before it.
+    before: BTreeSet<PathBuf>,
     /// Keeps the loader's library open: declared last, dropped last.
     _entry: ash::Entry,
 }
 
 impl Instance {
     pub(crate) fn new(validation: bool) -> Result<Self, GpuError> {
+        let before = drivers::loaded();
         // SAFETY: the system's Vulkan loader has no initialization duties, and `Instance` keeps the
         // library open while it is used.
         let entry = unsafe { ash::Entry::load() }.map_err(|error| GpuError::LoaderMissing {
@@ -67,6 +72,7 @@ impl Instance {
             labels,
             messenger,
             messages,
+            before,
             _entry: entry,
         })
     }
@@ -84,6 +90,7 @@ impl Drop for Instance {
             // instance runs any more.
             unsafe { debug.destroy_debug_utils_messenger(messenger, None) };
         }
+        drivers::keep_since(&self.before);
         // SAFETY: everything made from the instance holds its context alive, so all of it is gone
         // when this runs.
         unsafe { self.raw.destroy_instance(None) };

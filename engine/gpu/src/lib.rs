@@ -28,6 +28,7 @@ mod commands;
 mod context;
 mod device;
 mod drill;
+mod drivers;
 mod error;
 mod export;
 mod gpu;

@@ -1,5 +1,6 @@
 //! Opening devices, and what is said when that fails.
 
+use std::collections::BTreeSet;
 use std::process::Command;
 
 use decouplegs_gpu::{DeviceChoice, DeviceOptions, Gpu, GpuError, QueueUse};
@@ -119,4 +120,27 @@ fn in_a_child(name: &str, hidden: &[&str]) -> String {
     let output = child.output().unwrap();
     assert!(output.status.success(), "{output:?}");
     String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// Threads that called a driver may end after the last device is gone, and run destructors of it.
+#[cfg(target_os = "linux")]
+#[test]
+fn drivers_stay_loaded() {
+    let libraries = || -> BTreeSet<String> {
+        let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
+        let paths = maps
+            .lines()
+            .filter_map(|line| Some(line[line.find('/')?..].to_owned()));
+        paths.filter(|path| path.contains(".so")).collect()
+    };
+    let gpu = Watched::open();
+    let with = libraries();
+    assert!(
+        with.iter().any(|path| path.contains("libvulkan")),
+        "{with:?}"
+    );
+    drop(gpu);
+    let after = libraries();
+    let gone: Vec<_> = with.difference(&after).collect();
+    assert!(gone.is_empty(), "{gone:?} were unloaded");
 }

@@ -66,7 +66,7 @@ impl Planner for Logged<'_> {
 /// Drives the plans of `episode` again in `site`, drawn by `renderer`, and compares.
 ///
 /// # Errors
-/// Returns the errors of [`drive`].
+/// Returns the errors of [`super::drive`].
 pub fn replay(
     episode: &Episode,
     site: &Arc<Site>,
