@@ -188,7 +188,7 @@ def read_readings(stream: BinaryIO, header: dict) -> Tuple[Dict[str, Frame], Dic
 
 
 def answer_of_driver(driver: AgentDriver, header: dict) -> dict:
-    """What a driver of agents answers to a message other than `end`."""
+    """Answer of a driver of agents to a message other than `end`."""
     asked = header.get("type")
     if asked == "hello":
         if header.get("protocol") != PROTOCOL:

@@ -44,7 +44,7 @@ def curvature(way_m, at):
 
 
 def features(agent):
-    """What the network is told of an agent."""
+    """Numbers that the network gets of an agent, in the order of --agents onnx:MODEL."""
     leader = agent.leader
     return [
         agent.speed_mps,

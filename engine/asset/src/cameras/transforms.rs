@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 
 use crate::{camera_json, cameras_from_text};
 
-/// Model of frames whose lens stands in `rig` alone.
+/// Model of frames whose lens is in `rig` alone.
 const MODEL_OF_RIG: &str = "RIG_CAMERA";
 
 /// `transforms.json` of `cameras`: world from camera in OpenGL axes (x right, y up, z back),

@@ -17,7 +17,7 @@ use crate::polyline::wrapped;
 use crate::road_graph::{length_of, position_on};
 use crate::story::Stage;
 
-/// Spacing of the points of a way that is told, meters, and their number.
+/// Spacing of the points of a way in a message to the driver, meters, and their number.
 const TOLD_M: f64 = 5.0;
 const TOLD: usize = 21;
 /// Half of the length over which the bend of a way is measured, meters.
@@ -88,7 +88,7 @@ pub(super) struct Steered {
     pub command: Option<AgentCommand>,
 }
 
-/// View of a vehicle on its way, whose position and heading `place` tells by meters ahead.
+/// View of a vehicle on its way; `place` gives position and heading by meters ahead.
 pub(super) fn told(
     (agent, state, size, driven_by): (usize, &VehicleState, &VehicleSize, DrivenBy),
     place: impl Fn(f64) -> (DVec2, f64),
