@@ -114,8 +114,7 @@ impl Listing {
         {
             let forward = rig_from_camera.rotation * DVec3::Z;
             let yaw_deg = forward.y.atan2(forward.x).to_degrees();
-            let fov_deg = (2.0 * (0.5 * f64::from(intrinsics.width_px) / intrinsics.fx_px).atan())
-                .to_degrees();
+            let fov_deg = intrinsics.horizontal_fov_rad().to_degrees();
             let at = meters(rig_from_camera.translation);
             let (width_px, height_px) = (intrinsics.width_px, intrinsics.height_px);
             lines.line(

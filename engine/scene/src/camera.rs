@@ -238,6 +238,22 @@ impl Intrinsics {
         }
         RayMap::new(self).unproject(pixel)
     }
+
+    /// Horizontal field of view at half the height of the image, radians: the angle between the
+    /// rays of its left and its right edge, each counted from the middle, or of the outermost
+    /// columns that a ray falls on. 0 if there is none.
+    #[must_use]
+    pub fn horizontal_fov_rad(&self) -> f64 {
+        let map = RayMap::new(self);
+        let (width_px, middle_px) = (self.width_px, 0.5 * f64::from(self.height_px));
+        let ray = |column: u32| map.unproject(DVec2::new(f64::from(column), middle_px));
+        let middle = ray(width_px / 2);
+        let from_middle = |outermost: Option<DVec3>| match (middle, outermost) {
+            (Some(middle), Some(ray)) => middle.angle_between(ray),
+            _ => 0.0,
+        };
+        from_middle((0..=width_px).find_map(ray)) + from_middle((0..=width_px).rev().find_map(ray))
+    }
 }
 
 /// A camera placed in the world.
@@ -414,6 +430,8 @@ impl Rig {
 
 #[cfg(test)]
 mod tests {
+    use crate::lens::Fisheye;
+
     use super::*;
 
     #[test]
@@ -445,6 +463,27 @@ mod tests {
         // Every corner is shown, and an f-theta lens stays.
         assert!(fitted.unproject(DVec2::ZERO).is_some());
         assert_eq!(fitted.through_f_theta(), Some(fitted));
+    }
+
+    #[test]
+    fn the_field_of_view_is_that_of_the_lens() {
+        let pinhole = Intrinsics::from_horizontal_fov(480, 270, 1.2);
+        assert!((pinhole.horizontal_fov_rad() - 1.2).abs() < 1e-12);
+        let beside = pinhole.cropped(0, 0, 240, 270);
+        assert!((beside.horizontal_fov_rad() - 0.6).abs() < 1e-12);
+        let wide = Intrinsics::from_horizontal_fov(480, 270, 2.0);
+        let f_theta = wide.through_f_theta().unwrap();
+        assert!((f_theta.horizontal_fov_rad() - 2.0).abs() < 1e-9);
+        // 1.92 focal lengths on each side, of which the lens shows 1.4.
+        let fisheye = Intrinsics {
+            lens: Lens::Fisheye(Fisheye {
+                max_angle_rad: 1.4,
+                ..Fisheye::default()
+            }),
+            ..Intrinsics::centered([480, 270], 125.0)
+        };
+        let shown = fisheye.horizontal_fov_rad();
+        assert!(shown <= 2.8 && shown > 2.8 - 2.0 / 125.0, "{shown}");
     }
 
     #[test]
