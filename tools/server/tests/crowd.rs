@@ -23,6 +23,18 @@ const FLOOD: usize = 32;
 /// Shortest crowd whose waits are judged, seconds: shorter ones say little.
 const LONG_CROWD_S: u64 = 30;
 
+/// Time that a server waits at its end for connections that are left (`Limits::grace`).
+const GRACE: Duration = Duration::from_secs(30);
+
+/// Longest time for one step of a client or of the server: a crowd that waits for longer hangs.
+const STEP_MAX: Duration = Duration::from_secs(60);
+
+/// The result of `step`, which must end in time: `name` says which one did not.
+async fn in_time<T>(name: &str, step: impl Future<Output = T>) -> T {
+    let done = tokio::time::timeout(STEP_MAX, step).await;
+    done.unwrap_or_else(|_| panic!("{name} did not end in {STEP_MAX:?}"))
+}
+
 /// The request of a client for a small image of a scene.
 async fn small(client: &mut SensorsimServiceClient<Channel>, scene: &str) -> RgbRenderRequest {
     let rig = cameras(client, scene).await;
@@ -136,7 +148,10 @@ async fn rude_clients_do_not_hold_up_the_others() {
         seconds < LONG_CROWD_S || figures[1].1 <= 2 * figures[0].1,
         "rude clients hold up the others"
     );
+    // All clients are gone: nothing that has begun is waited for.
+    let since = Instant::now();
     running.stop().await.unwrap();
+    assert!(since.elapsed() < GRACE, "a connection is left");
 }
 
 async fn connected(address: SocketAddr) -> SensorsimServiceClient<Channel> {
@@ -151,7 +166,8 @@ async fn polite(address: SocketAddr, scene: String, end: Instant) -> Vec<Duratio
     let mut waits = Vec::new();
     while Instant::now() < end || waits.is_empty() {
         let since = Instant::now();
-        client.render_rgb(asked.clone()).await.unwrap();
+        let answer = in_time("a polite request", client.render_rgb(asked.clone())).await;
+        answer.unwrap();
         waits.push(since.elapsed());
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
@@ -171,7 +187,7 @@ async fn rude(address: SocketAddr, scene: String, number: usize, end: Instant) -
                     let (mut client, asked) = (client.clone(), large(&asked));
                     async move { client.render_rgb(asked).await.is_ok() }
                 });
-                images += join_all(flood)
+                images += in_time("a flood", join_all(flood))
                     .await
                     .into_iter()
                     .filter(|&is_ok| is_ok)
@@ -184,20 +200,25 @@ async fn rude(address: SocketAddr, scene: String, number: usize, end: Instant) -
             }
             // A connection for each request, half of which make no sense.
             2 => {
-                let mut again = connected(address).await;
-                images += usize::from(again.render_rgb(asked.clone()).await.is_ok());
+                let mut again = in_time("another connection", connected(address)).await;
+                let answer = in_time("a first request", again.render_rgb(asked.clone())).await;
+                images += usize::from(answer.is_ok());
                 let unknown = RgbRenderRequest {
                     scene_id: "no such scene".into(),
                     ..asked.clone()
                 };
-                again.render_rgb(unknown).await.unwrap_err();
+                let refused = in_time("a refusal", again.render_rgb(unknown)).await;
+                refused.unwrap_err();
             }
             // No HTTP/2 at all.
             _ => {
-                let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
-                // The server may close it before all of it is sent.
-                let _ = stream.write_all(&[b'x'; 5000]).await;
-                let _ = stream.read(&mut [0; 100]).await;
+                let garbage = async {
+                    let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
+                    // The server may close it before all of it is sent.
+                    let _ = stream.write_all(&[b'x'; 5000]).await;
+                    let _ = stream.read(&mut [0; 100]).await;
+                };
+                in_time("a connection without HTTP/2", garbage).await;
             }
         }
     }
