@@ -8,9 +8,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use decouplegs_asset::packed_scene::{PackedScene, is_package};
 use decouplegs_asset::scene_import::{ImportOptions, ImportedScene, read_scene};
 use decouplegs_asset::{
-    LossReport, SplatFormat, UnfinishedFolder, khr_glb, read_bytes, read_splats, read_tracks,
+    AssetError, LossReport, SceneFile, SplatFormat, UnfinishedFolder, khr_glb, read_bytes,
+    read_splats, read_tracks,
 };
 use decouplegs_scene::ShFrame;
 
@@ -26,7 +28,7 @@ use written::Writing;
 ///
 /// The formats that are written are listed under --to. What was written is read back and compared,
 /// splat by splat. A checkpoint of drivestudio (OmniRe) or Street Gaussians, or a folder of HUGSIM
-/// with its scene.pth, or a NuRec package, becomes a folder with a scene file.
+/// with its scene.pth, or a package (.usdz, also of NuRec), becomes a folder with a scene file.
 #[derive(clap::Args)]
 pub struct Arguments {
     #[arg(help = format!(
@@ -95,6 +97,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     reading.finish_and_clear();
     match scene {
         Some(scene) => write_scene(arguments, &scene),
+        None if is_package(&arguments.input) => unpack(arguments),
         None => write_splats(arguments),
     }
 }
@@ -127,20 +130,48 @@ fn write_splats(arguments: &Arguments) -> Result<()> {
     finish(arguments.report.as_deref(), &report)
 }
 
-/// A checkpoint with actors to a folder with a scene: there whole, or not at all.
-fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
+/// The folder of a scene, written by `write`: there whole, or not at all.
+fn write_folder(
+    arguments: &Arguments,
+    write: impl FnOnce(&Path) -> Result<SceneFile, AssetError>,
+) -> Result<SceneFile> {
     let out = &arguments.output;
     if let Some(format) = arguments.to {
         bail!(
-            "{} holds actors: it becomes a folder with a scene, not {}; leave out --to",
+            "{} holds a scene: it becomes a folder with a scene, not {}; leave out --to",
             arguments.input.display(),
             format.name()
         );
     }
     arguments.force.outputs(&[]).whole_folder(out)?;
     let unfinished = UnfinishedFolder::begin(out)?;
-    let agents = scene.write(unfinished.path())?.agents.len();
+    let scene = write(unfinished.path())?;
     unfinished.finish()?;
+    Ok(scene)
+}
+
+/// A package of this program to a folder with its scene, as it was packed.
+fn unpack(arguments: &Arguments) -> Result<()> {
+    ensure!(
+        arguments.report.is_none(),
+        "--report: a package of this program is unpacked as it is, without loss"
+    );
+    let package = PackedScene::open(&arguments.input)?;
+    let scene = write_folder(arguments, |folder| package.write(folder))?;
+    print(&format!(
+        "{}: {} cameras, {} agents\n",
+        arguments.output.join("scene.toml").display(),
+        scene.rig.sensors.len(),
+        scene.agents.len()
+    ))
+}
+
+/// A checkpoint with actors to a folder with a scene.
+fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
+    let out = &arguments.output;
+    let agents = write_folder(arguments, |folder| scene.write(folder))?
+        .agents
+        .len();
     let mut notes = scene.notes.clone();
     let placed = format!(
         "{} of {} actors stand in the scene, their colors in {}",
@@ -176,11 +207,9 @@ fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
 fn read_back(out: &Path, scene: &ImportedScene) -> Result<LossReport> {
     let mut before = scene.background.clone();
     let mut after = read_splats(&out.join("background.ply"))?;
-    for actor in &scene.actors {
+    for (index, actor) in scene.actors.iter().enumerate() {
         before.append(&actor.splats);
-        after.append(&read_splats(
-            &out.join("assets").join(format!("{}.ply", actor.name)),
-        )?);
+        after.append(&read_splats(&out.join(scene.asset_path(index)))?);
     }
     Ok(LossReport::between(&before, &after, true))
 }

@@ -320,6 +320,82 @@ fn a_packed_scene_is_a_zip_that_others_read_and_opens_as_the_scene() {
     );
 }
 
+/// Bytes of an entry of a package.
+fn entry(package: &Path, name: &str) -> Vec<u8> {
+    let script = "import sys, zipfile; sys.stdout.buffer.write(zipfile.ZipFile(sys.argv[1]).read(sys.argv[2]))";
+    let mut python = Command::new("python3");
+    let output = python.args(["-c", script, text(package), name]).output();
+    output.unwrap().stdout
+}
+
+#[test]
+fn packages_become_folders_and_are_packed_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let street = place("street");
+    small_street(&street);
+    let (scene, lanes) = (street.join("scene.toml"), street.join("lanes.json"));
+    let [package, nurec] = ["a.usdz", "b.usdz"].map(place);
+    let pack = |scene: &Path, package: &Path, more: &[&str]| {
+        let words = ["pack", text(scene), "--usdz", text(package), "--no-ground"];
+        succeed(&[&words, more].concat())
+    };
+    pack(&scene, &package, &["--map", text(&lanes)]);
+    pack(&scene, &nurec, &["--map", text(&lanes), "--nurec"]);
+    let opened = |path: &Path| open_scene(path, 0.5).unwrap();
+    // Of this program: the same scene, id and map.
+    let out = place("out");
+    let said = succeed(&["convert", text(&package), text(&out)]);
+    assert!(said.contains("6 cameras, 2 agents"), "{said}");
+    assert!(opened(&out.join("scene.toml")) == opened(&package));
+    let map = entry(&package, "map.xodr");
+    assert!(map.len() > 100 && fs::read(out.join("map.xodr")).unwrap() == map);
+    let again = place("again.usdz");
+    let said = pack(&package, &again, &[]);
+    assert!(said.contains("scene 'street'"), "{said}");
+    assert!(opened(&again) == opened(&package));
+    assert_eq!(entry(&again, "map.xodr"), map);
+    // Of NuRec's form.
+    let said = pack(&nurec, &place("of_nurec.usdz"), &[]);
+    assert!(
+        said.contains("scene 'street'") && said.contains("2 agents"),
+        "{said}"
+    );
+    let [before, after] = [nurec.clone(), place("of_nurec.usdz")].map(|path| opened(&path));
+    assert!(before.rig == after.rig && before.agents.len() == after.agents.len());
+    assert_eq!(
+        before.splat_scene.splats.len(),
+        after.splat_scene.splats.len()
+    );
+    let count = |map: &Path| json(&["map", text(map), "--json"])["lanes"].clone();
+    succeed(&["convert", text(&nurec), text(&place("unpacked"))]);
+    assert_eq!(count(&place("unpacked/lanes.json")), count(&lanes));
+    assert_eq!(count(&place("of_nurec.usdz")), count(&lanes));
+    // Nothing is left of what was unpacked, and nothing is replaced.
+    let said = fail(1, &["convert", text(&package), text(&out)]);
+    assert!(said.contains("--force"), "{said}");
+    let said = fail(
+        1,
+        &["convert", text(&package), text(&place("c")), "--to", "ply"],
+    );
+    assert!(said.contains("--to") && !place("c").exists(), "{said}");
+    // Where a scene file is needed, the way to one is told.
+    let said = fail(
+        1,
+        &[
+            "edit",
+            text(&package),
+            "--out",
+            text(&place("d.toml")),
+            "--remove-haze",
+        ],
+    );
+    assert!(
+        said.contains("found a package; `decouplegs convert "),
+        "{said}"
+    );
+}
+
 /// Reads the package as others do: by Python's zipfile and json, the fields that their readers
 /// name.
 fn check_with_python(package: &Path, scene: &SceneFile, rig_below_m: f64) {

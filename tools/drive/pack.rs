@@ -8,10 +8,13 @@ use std::str::FromStr;
 
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::maps::{MapFormat, open_drive};
-use decouplegs::asset::packed_scene::{PackOptions, ground_mesh_ply, pack};
+use decouplegs::asset::packed_scene::{
+    PackOptions, PackedScene, ground_mesh_ply, is_package, pack, packed_scene_id,
+};
 use decouplegs::asset::{SceneFile, read_bytes, read_map};
 use decouplegs::scene::VehicleSize;
 use glam::DVec3;
+use tempfile::TempDir;
 
 use crate::arguments::{print, three_numbers};
 use crate::outputs::Force;
@@ -23,16 +26,17 @@ use crate::outputs::Force;
 /// is. Others see the world from the scene's origin.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The scene (.toml)
+    /// The scene (.toml), or a package of one (.usdz, also of NuRec), which is packed again
     scene: PathBuf,
     /// The package to write
     #[arg(long, value_name = "OUT.usdz", value_parser = package_path)]
     usdz: PathBuf,
-    /// Id of the scene for clients (default: the name of the scene's folder)
+    /// Id of the scene for clients (default: that of the package, or the name of the scene's
+    /// folder)
     #[arg(long, value_name = "ID")]
     scene_id: Option<String>,
     /// Map of the scene's world: OpenDRIVE as it is; OpenDRIVE is written of Lanelet2, Argoverse 2,
-    /// CommonRoad and lane JSON
+    /// CommonRoad and lane JSON (default: that of the package, if it is one)
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
     /// Length, width and height of the ego vehicle, meters
@@ -108,8 +112,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut inputs = vec![arguments.scene.as_path()];
     inputs.extend(arguments.map.as_deref());
     arguments.force.outputs(&inputs).file(&arguments.usdz)?;
-    let scene = SceneFile::read(&arguments.scene)?;
-    let directory = arguments.scene.parent().unwrap_or(Path::new(""));
+    let unpacked = is_package(&arguments.scene)
+        .then(|| Unpacked::new(&arguments.scene))
+        .transpose()?;
+    let (scene, directory) = match &unpacked {
+        Some(unpacked) => (unpacked.scene.clone(), unpacked.folder.path()),
+        None => (
+            SceneFile::read(&arguments.scene)?,
+            arguments.scene.parent().unwrap_or(Path::new("")),
+        ),
+    };
+    let own_map = unpacked.as_ref().and_then(Unpacked::map);
     let Triple(dims_m) = arguments.vehicle;
     ensure!(
         dims_m.iter().all(|&side_m| side_m > 0.0),
@@ -123,7 +136,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     options.camera_names.clone_from(&arguments.camera);
     options.as_nurec = arguments.nurec;
     let mut notes = Vec::new();
-    if let Some(map) = &arguments.map {
+    if let Some(map) = arguments.map.as_ref().or(own_map.as_ref()) {
         // Read as a map too: an empty or wrong file would only be found by those who open the
         // package.
         let lanes = read_map(map)?;
@@ -133,7 +146,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             _ => {
                 notes.push(format!(
                     "OpenDRIVE is written of {}: {} lanes, those beside each other on one road, without signals, at latitude and longitude 0",
-                    map.display(),
+                    arguments.map.as_ref().unwrap_or(&arguments.scene).display(),
                     lanes.lanes.len()
                 ));
                 open_drive::encode(&lanes)
@@ -223,10 +236,31 @@ fn add_ground(
     Ok(notes)
 }
 
-/// The id asked for, or the name of the folder that the scene is in.
+/// A package that is packed again: its scene, in a folder for as long as this lives.
+struct Unpacked {
+    folder: TempDir,
+    scene: SceneFile,
+}
+
+impl Unpacked {
+    fn new(package: &Path) -> Result<Self> {
+        let folder = TempDir::with_prefix("decouplegs-pack-").context("cannot make a folder")?;
+        let scene = PackedScene::open(package)?.write(folder.path())?;
+        Ok(Self { folder, scene })
+    }
+
+    /// The map of the package, if it has one.
+    fn map(&self) -> Option<PathBuf> {
+        let files = ["map.xodr", "lanes.json"].map(|name| self.folder.path().join(name));
+        files.into_iter().find(|file| file.is_file())
+    }
+}
+
+/// The id asked for, that of a package, or the name of the folder that the scene is in.
 fn scene_id(arguments: &Arguments) -> Result<String> {
-    if let Some(id) = &arguments.scene_id {
-        return Ok(id.clone());
+    let id = arguments.scene_id.clone();
+    if let Some(id) = id.or_else(|| packed_scene_id(&arguments.scene)) {
+        return Ok(id);
     }
     let scene = arguments
         .scene

@@ -12,7 +12,7 @@ use crate::rigid::pose_of_rows;
 use crate::zip::Archive;
 
 /// Entry of the map: OpenDRIVE.
-const MAP: &str = "map.xodr";
+pub(super) const MAP: &str = "map.xodr";
 /// Entry that says where on Earth the world is.
 const RIG: &str = "rig_trajectories.json";
 /// Most bytes of an entry.
@@ -24,6 +24,15 @@ const UPRIGHT_MIN: f64 = 0.985;
 struct Place {
     #[serde(rename = "T_world_base")]
     earth_from_world: Option<[[f64; 4]; 4]>,
+}
+
+/// The lanes of the package in `bytes`; `None` if it has no map.
+///
+/// # Errors
+/// [`DecodeError`] if the map or its place cannot be read.
+pub(crate) fn lanes(bytes: &[u8]) -> Result<Option<LaneMap>, DecodeError> {
+    let has_map = Archive::parse(bytes)?.has(MAP);
+    has_map.then(|| decode(bytes)).transpose()
 }
 
 /// Reads the lanes of the package in `bytes`. Packages of this program hold them in the coordinates

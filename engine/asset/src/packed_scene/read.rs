@@ -3,18 +3,23 @@
 
 use std::borrow::Cow;
 use std::cell::Cell;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::error::read_bytes;
+use crate::maps::lane_json;
 use crate::scene_file::SceneFiles;
 use crate::scene_import::{ImportedScene, nurec};
 use crate::sky_bundle::SkyBundle;
 use crate::toml_text::text_of;
 use crate::zip::Archive;
-use crate::{AssetError, DecodeError, LoadedScene, PlacedSplats, SceneFile, SceneSky};
+use crate::{
+    AssetError, DecodeError, LoadedScene, PlacedSplats, SceneFile, SceneSky, write_atomically,
+};
 use decouplegs_scene::SplatCloud;
 use glam::DVec3;
 
+use super::packed_map::{MAP, lanes};
 use super::{OURS, SCENE};
 
 /// Name of the format in messages.
@@ -122,6 +127,52 @@ impl PackedScene {
                 time_s,
             ),
         }
+    }
+
+    /// Writes the scene with all of its files into `folder`, which exists: `scene.toml`, and the
+    /// map of the package, `map.xodr` or `lanes.json`, if it has one.
+    ///
+    /// # Errors
+    /// [`AssetError`] of the entry at fault, or of a file that cannot be written.
+    pub fn write(&self, folder: &Path) -> Result<SceneFile, AssetError> {
+        let bytes = match &self.content {
+            Content::NuRec(scene) => {
+                // Opened without its lanes, which most callers do not need.
+                match lanes(&read_bytes(&self.path)?) {
+                    Ok(None) => {}
+                    Ok(Some(lanes)) => lane_json::write(&folder.join("lanes.json"), &lanes)?,
+                    Err(error) => {
+                        log::warn!("{}: its map is left out: {error}", self.path.display());
+                    }
+                }
+                return scene.write(folder);
+            }
+            Content::Own(bytes) => bytes,
+        };
+        let package = Package::new(&self.path, bytes)?;
+        if package.archive.has(MAP) {
+            let map = package.archive.checked(MAP, package.file_bytes);
+            let map = map.map_err(|source| package.error(source))?;
+            write_atomically(&folder.join(MAP), |file| file.write_all(&map))?;
+        }
+        let names = package.archive.names();
+        let (last, mut files): (Vec<&str>, Vec<&str>) = names
+            .filter(|name| name.starts_with(OURS) && !name.ends_with('/'))
+            .partition(|name| *name == SCENE);
+        // A scene that is found is complete.
+        files.extend(last);
+        for name in files {
+            let name = Path::new(&name[OURS.len()..]);
+            let content = package.bytes(name)?;
+            let path = folder.join(name);
+            let parent = path.parent().unwrap_or(folder);
+            std::fs::create_dir_all(parent).map_err(|source| AssetError::Write {
+                path: parent.to_owned(),
+                source,
+            })?;
+            write_atomically(&path, |file| file.write_all(&content))?;
+        }
+        Ok(self.file.clone())
     }
 
     /// The splats in `file`, a path as the scene file names it.

@@ -25,6 +25,7 @@ use decouplegs_scene::{Fog, Invalid, Photometry, Presence, Rig, Rules, ShFrame, 
 use glam::{DMat3, DVec3};
 
 use crate::error::read_bytes;
+use crate::packed_scene::is_package;
 use crate::toml_text::text_of;
 use crate::{AssetError, PlacedSplats, SceneError, SkyKind, read_ground, write_atomically};
 
@@ -170,9 +171,16 @@ impl SceneFile {
     /// Reads the scene file at `path`.
     ///
     /// # Errors
-    /// [`AssetError::Read`], or [`AssetError::Scene`] with line, key and reason.
+    /// [`AssetError::Read`], or [`AssetError::Scene`] with line, key and reason. A package is
+    /// refused: its scene file names files that are in it.
     pub fn read(path: &Path) -> Result<Self, AssetError> {
         let bytes = read_bytes(path)?;
+        if is_package(path) {
+            let path = path.display();
+            return Err(AssetError::Placement(format!(
+                "{path}: expected a scene file (.toml), found a package; `decouplegs convert {path} FOLDER` makes a folder with its scene file"
+            )));
+        }
         let scene_error = |source| AssetError::Scene {
             path: path.to_owned(),
             source,

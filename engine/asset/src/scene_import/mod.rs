@@ -37,6 +37,7 @@ use glam::DVec3;
 use crate::checkpoint::{self, Checkpoint};
 use crate::error::read_bytes;
 use crate::maps::lane_json;
+use crate::packed_scene::packed_map;
 use crate::ply::Ply;
 use crate::sky_file::write_cube;
 use crate::zip::Archive;
@@ -104,7 +105,7 @@ pub struct ImportedScene {
     pub ego: Option<Trajectory>,
     /// Height of the ego's poses above the road, meters, where the source tells.
     pub ego_height_m: Option<f64>,
-    /// A lane along the recording.
+    /// A lane along the recording, or the lanes of the map of a package.
     pub lanes: Option<LaneMap>,
     /// Points of the surveyed ground about the origin, meters; none where there is no survey.
     pub ground: Vec<DVec3>,
@@ -155,7 +156,14 @@ pub fn read_scene(
     let (format, decoded) = match bytes.as_slice() {
         [b'P', b'K', 3, 4, ..] => match Archive::parse(&bytes) {
             Ok(archive) if nurec::is_package(&archive) => {
-                (nurec::NAME, nurec::scene(&archive).map(Some))
+                let scene = nurec::scene(&archive).map(|mut scene| {
+                    match packed_map::lanes(&bytes) {
+                        Ok(lanes) => scene.lanes = lanes,
+                        Err(error) => scene.notes.push(format!("its map is left out: {error}")),
+                    }
+                    Some(scene)
+                });
+                (nurec::NAME, scene)
             }
             Ok(archive) if checkpoint::is_checkpoint(&archive) => {
                 (checkpoint::NAME, decode_checkpoint(&bytes, options))
@@ -306,6 +314,16 @@ impl ImportedScene {
         found.map(|(_, lidar)| lidar.parameters.as_str())
     }
 
+    /// Path of the splats of an actor, by its index, in the folder that [`ImportedScene::write`]
+    /// writes.
+    ///
+    /// # Panics
+    /// Panics if there is no such actor.
+    #[must_use]
+    pub fn asset_path(&self, index: usize) -> PathBuf {
+        asset_path(index, &self.actors[index].name)
+    }
+
     /// Writes `scene.toml`, `background.ply`, `assets/*.ply` and, where there are such, `sky.exr`,
     /// `ground.ply`, `lanes.json` and `lidar_*.json` into `folder`, which exists.
     ///
@@ -321,8 +339,7 @@ impl ImportedScene {
         })?;
         inria_ply::write(&folder.join(BACKGROUND), &self.background)?;
         for (index, actor) in self.actors.iter().enumerate() {
-            let asset = asset_path(index, &actor.name);
-            inria_ply::write(&folder.join(asset), &actor.splats)?;
+            inria_ply::write(&folder.join(self.asset_path(index)), &actor.splats)?;
         }
         if let Some(sky) = &self.sky {
             write_cube(&folder.join(SKY), sky.face_texels(), &sky.texels())?;
