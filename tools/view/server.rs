@@ -35,7 +35,7 @@ const REQUEST_PATIENCE: Duration = Duration::from_secs(10);
 const FAREWELL: Duration = Duration::from_secs(2);
 
 const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
-const PAGE: [(&str, &str, &str); 20] = [
+const PAGE: [(&str, &str, &str); 22] = [
     (
         "index.html",
         "text/html; charset=utf-8",
@@ -55,6 +55,12 @@ const PAGE: [(&str, &str, &str); 20] = [
         "browser_drawing.js",
         JAVASCRIPT,
         include_str!("page/browser_drawing.js"),
+    ),
+    ("axes.js", JAVASCRIPT, include_str!("page/axes.js")),
+    (
+        "bookmarks.js",
+        JAVASCRIPT,
+        include_str!("page/bookmarks.js"),
     ),
     ("cameras.js", JAVASCRIPT, include_str!("page/cameras.js")),
     ("compare.js", JAVASCRIPT, include_str!("page/compare.js")),

@@ -85,12 +85,14 @@ export function looking([ahead, left, up], yaw, pitch) {
   return quaternion(right, cross(forward, right), forward);
 }
 
-/** Yaw and pitch of a camera, radians. */
-export function anglesOf([ahead, left, up], rotation) {
-  const forward = rotate(rotation, [0, 0, 1]);
-  const pitch = Math.asin(Math.max(-1, Math.min(1, dot(forward, up))));
-  return { yaw: Math.atan2(dot(forward, left), dot(forward, ahead)), pitch };
+/** Yaw and pitch of a unit vector, radians. */
+export function anglesOfDirection([ahead, left, up], towards) {
+  const pitch = Math.asin(Math.max(-1, Math.min(1, dot(towards, up))));
+  return { yaw: Math.atan2(dot(towards, left), dot(towards, ahead)), pitch };
 }
+
+/** Yaw and pitch of a camera, radians. */
+export const anglesOf = (axes, rotation) => anglesOfDirection(axes, rotate(rotation, [0, 0, 1]));
 
 /** Pixels [x, y] of a ray of the camera, or null where it has none. `camera` as in the state. */
 export function projectRay(camera, [x, y, z]) {

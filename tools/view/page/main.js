@@ -1,4 +1,5 @@
 // The page: what comes from the viewer, buttons and keys.
+import { bookmark } from "./bookmarks.js";
 import * as browser from "./browser_drawing.js";
 import * as cameraPanel from "./camera_panel.js";
 import { Connection } from "./connection.js";
@@ -13,7 +14,7 @@ import * as timeline from "./timeline.js";
 import * as views from "./views.js";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
-const LAYERS = { agents: "Agents", lanes: "Lanes", plan: "Plan", boxes: "Boxes", names: "Names", trails: "Trails" };
+const LAYERS = { agents: "Agents", lanes: "Lanes", plan: "Plan", boxes: "Boxes", names: "Names", trails: "Trails", axes: "Axes" };
 const LAYER_KEYS = { g: "agents", l: "lanes", k: "plan", b: "boxes", n: "names", t: "trails" };
 const KEYS = [
   ["Space", "play or pause"], [", .", "one step back or forward"], ["[ ]", "slower or faster"],
@@ -168,7 +169,7 @@ function pressed(event) {
   const isPressedByKey = [" ", "enter"].includes(key) && (["BUTTON", "SUMMARY"].includes(target.tagName) || target.type === "checkbox");
   const movesSlider = target.type === "range" && (key.startsWith("arrow") || ["home", "end"].includes(key));
   if (isPressedByKey || movesSlider) return;
-  if (digit) views.bookmark(digit, event.shiftKey);
+  if (digit) bookmark(digit, event.shiftKey);
   else if (views.isHeld(key)) views.hold(key, event.shiftKey);
   else if (LAYER_KEYS[key]) setLayer(LAYER_KEYS[key], !state.layers[LAYER_KEYS[key]]);
   else if (onePress(key, event)) onePress(key, event)();

@@ -31,6 +31,8 @@ export function noteTrails({ time_s: now, sources }) {
 export function drawOverlay(view, camera, source) {
   const { layers } = state;
   const { overlay } = view;
+  view.axes?.turn(camera.pose.rotation);
+  if (view.axes) view.axes.element.hidden = !layers.axes;
   const { agents, plan, alternatives } = source;
   const ratio = window.devicePixelRatio || 1;
   const box = view.element.getBoundingClientRect();

@@ -19,7 +19,7 @@ export const state = {
   selected: null,
   points: null,
   trails: new Map(),
-  layers: { agents: true, lanes: false, plan: true, boxes: false, names: false, trails: false },
+  layers: { agents: true, lanes: false, plan: true, boxes: false, names: false, trails: false, axes: true },
   speed: 1,
   /** Factor of the speed of flight. */
   flySpeed: 1,

@@ -1,4 +1,5 @@
 // Views: panes and their images, what they ask for, and the mouse over them.
+import { makeAxes } from "./axes.js";
 import * as browser from "./browser_drawing.js";
 import { approach, cameraChoices, cameraRequest, newCamera, shift, turn, zoom } from "./cameras.js";
 import { describe, showBoth } from "./compare.js";
@@ -166,9 +167,11 @@ function layOut(pane) {
     other.hidden = difference.hidden = true;
     const element = make("div", { className: "view" }, image, other, difference, overlay);
     if (cameras.length > 1) element.append(make("span", { className: "name", textContent: camera }));
+    const axes = cameras.length === 1 ? makeAxes((from) => lookFrom(pane, from)) : null;
+    if (axes) element.append(axes.element);
     pane.box.append(element);
     const stream = pane.number * 64 + index;
-    return { camera, element, image, other, difference, overlay, stream, pane };
+    return { camera, element, image, other, difference, overlay, axes, stream, pane };
   });
   compare(pane);
 }
@@ -316,15 +319,36 @@ async function pick(place) {
   return picked;
 }
 
+/** Lets the camera of a pane circle around `focus`, from where the camera `shown` is. */
+function circleAround(pane, { pose: { position_m: from, rotation } }, focus) {
+  choose(pane, "orbit", null);
+  const far = geometry.length(geometry.subtract(focus, from));
+  Object.assign(pane.camera, { focus, far, ...geometry.anglesOf(pane.camera.axes, rotation) });
+}
+
 /** Lets the camera of a pane circle around the place under the mouse. */
 async function circle(pane, place) {
   const picked = await pick(place);
   if (!picked?.position_m) return;
-  const { position_m: from, rotation } = place.camera.pose;
-  choose(pane, "orbit", null);
-  const far = geometry.length(geometry.subtract(picked.position_m, from));
-  const { yaw, pitch } = geometry.anglesOf(pane.camera.axes, rotation);
-  Object.assign(pane.camera, { focus: picked.position_m, far, yaw, pitch });
+  circleAround(pane, place.camera, picked.position_m);
+  share(pane);
+  look();
+}
+
+/** Angles from the horizon that are straight up or down, radians: there a camera keeps its yaw. */
+const VERTICAL_RAD = 1.57;
+
+/** Lets the camera of a pane look at what is in its middle from the side `from`, a unit vector of the world. */
+async function lookFrom(pane, from) {
+  if (!pane.camera?.focus || pane.camera.rig !== null) {
+    const place = underMiddle(pane);
+    const picked = place && (await ask("pick", { stream: place.view.stream, at: place.at }));
+    if (picked?.position_m) circleAround(pane, place.camera, picked.position_m);
+    else choose(pane, "orbit", null);
+  }
+  const { camera } = pane;
+  const { yaw, pitch } = geometry.anglesOfDirection(camera.axes, geometry.scale(from, -1));
+  Object.assign(camera, { pitch, yaw: Math.abs(pitch) > VERTICAL_RAD ? camera.yaw : yaw });
   share(pane);
   look();
 }
@@ -484,29 +508,7 @@ function fly(now) {
   requestAnimationFrame(fly);
 }
 
-// Saved views -------------------------------------------------------------------------------------
-
-const bookmarks = new Map();
-
-export function bookmark(digit, save) {
-  const pane = activePane();
-  if (save) {
-    const { choice, channel, camera } = pane;
-    bookmarks.set(digit, structuredClone({ choice, channel, camera }));
-    const entries = [...bookmarks.keys()].sort().map((key) =>
-      make("li", {}, make("button", { textContent: `View ${key}`, onclick: () => bookmark(key, false) })),
-    );
-    $("bookmarks").replaceChildren(...entries);
-    return;
-  }
-  const saved = bookmarks.get(digit);
-  if (!saved) return;
-  choose(pane, saved.choice, saved.camera?.rig);
-  Object.assign(pane, structuredClone(saved));
-  pane.channels.value = pane.channel;
-  share(pane);
-  look();
-}
+// Panes beside each other ---------------------------------------------------------------------------
 
 /** One view or two. */
 export function setTwo(two) {

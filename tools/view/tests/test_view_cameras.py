@@ -100,6 +100,41 @@ def test_field_of_view_and_speed_follow_the_panel(street, open_page):
         assert page.page.is_disabled("#fov")
 
 
+def test_axes_in_the_corner_turn_the_camera(street, open_page):
+    def forward(frame):
+        """Unit vector in which the camera of the first view looks."""
+        x, y, z, w = frame["panes"][0]["pose"]["rotation"]
+        return [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
+
+    with Viewer(street, "scene.toml") as viewer:
+        page = open_page(viewer)
+        page.choose("Camera of view 1", "orbit")
+        focus = page.page.evaluate(CAMERA)["focus"]
+        sides = {"X": [-1, 0, 0], "\u2212Y": [0, 1, 0], "Z": [0, 0, -1]}
+        for name, towards in sides.items():
+            # Ends may cover each other: keys reach all of them.
+            end = page.page.get_by_role("button", name=f"Look from {name}", exact=True)
+            frame = page.after(lambda: end.press("Enter"))
+            assert forward(frame) == pytest.approx(towards, abs=1e-6)
+            assert page.page.evaluate(CAMERA)["focus"] == focus
+        # From above, the end of z is in the middle, in front of the others, and that of x in the image.
+        places = page.page.evaluate("""() => Object.fromEntries([...document.querySelectorAll(".axes .end")].map((end) => {
+            const { x, y, width } = end.getBoundingClientRect();
+            return [end.title, [x, y, width, Number(end.style.zIndex)]];
+        }))""")
+        middle, below, beside = places["Look from Z"], places["Look from \u2212Z"], places["Look from X"]
+        assert middle[:2] == pytest.approx(below[:2], abs=0.1) and middle[3] > below[3]
+        assert math.hypot(beside[0] - middle[0], beside[1] - middle[1]) == pytest.approx(32, abs=0.1)
+        assert middle[2] >= 24
+        # A camera of the rig circles around what it saw.
+        page.choose("Camera of view 1", "named:front")
+        frame = page.after(lambda: page.page.get_by_role("button", name="Look from Z", exact=True).press("Enter"))
+        assert page.page.input_value("[aria-label='Camera of view 1']") == "orbit"
+        assert forward(frame) == pytest.approx([0, 0, -1], abs=1e-6)
+        page.page.uncheck("#layer-axes")
+        assert page.page.locator(".axes").is_hidden()
+
+
 def test_saved_images_and_copied_commands_are_the_image(street, tmp_path, open_page):
     with Viewer(street, "scene.toml") as viewer:
         page = open_page(viewer, **CLIPBOARD)
