@@ -119,7 +119,7 @@ impl RoadParts {
             .lanes
             .iter()
             .filter(|lane| lane.kind == LaneKind::Walking);
-        let reach_m = CROSSWALK_M + half_length_m - INTO_M;
+        let stretch_m = CROSSWALK_M + half_length_m - INTO_M;
         for walk in walks.filter_map(|lane| Polyline::new(lane.centerline.iter().copied())) {
             let count = (walk.length_m() / CROSSWALK_STRIDE_M)
                 .ceil()
@@ -132,7 +132,7 @@ impl RoadParts {
                         - point.foot.heading_rad;
                     if lane.is_driving && across.sin().abs() > CROSSING_SIN {
                         let arc_m = point.foot.arc_m;
-                        lane.crossings.push([arc_m - reach_m, arc_m + reach_m]);
+                        lane.crossings.push([arc_m - stretch_m, arc_m + stretch_m]);
                     }
                 }
             }

@@ -14,7 +14,7 @@ const AHEAD_M: f64 = 30.0;
 /// The lanes that a vehicle may be on, moment by moment.
 ///
 /// Lanes that start from one lane lie upon each other, so there may be several. Within a junction
-/// lanes that do not follow are not looked at; behind it they are a wrong turn.
+/// lanes that do not follow are not examined; behind it they are a wrong turn.
 #[derive(Clone, Debug, Default)]
 pub struct TurnWatch {
     /// Lanes that it may be on, with the places on them, meters.

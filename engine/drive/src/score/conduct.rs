@@ -74,7 +74,7 @@ pub struct Breach {
     pub time_s: f64,
     /// Duration, seconds; 0 for a turn.
     pub duration_s: f64,
-    /// Kind.
+    /// Kind of the breach.
     pub kind: ConductKind,
 }
 
@@ -189,7 +189,7 @@ fn blocks(head: &EpisodeHead, now: &EpisodeTick) -> bool {
         && holds_up(head, now)
 }
 
-/// True if somebody ahead comes towards the ego or crosses its way.
+/// True if a road user ahead comes towards the ego or crosses its way.
 fn waits_for_others(head: &EpisodeHead, now: &EpisodeTick) -> bool {
     let (front_m, ahead) = (front_m(head, now), now.ego.ahead());
     agents(head, now).any(|(_, state, _)| {

@@ -24,7 +24,7 @@ fn extended(made: &Episode) -> ExtendedPdmScore {
     ExtendedPdmScore::new(made, &score, &PdmScore::new(made, &score), &reference)
 }
 
-/// The same with what `road` tells of each state.
+/// Episode with what `road` tells of each state.
 fn with_road(mut made: Episode, road: impl Fn(f64, &VehicleState) -> RoadRecord) -> Episode {
     let later = made.steps.iter_mut().flat_map(|step| &mut step.instants);
     for tick in std::iter::once(&mut made.start).chain(later) {

@@ -17,8 +17,8 @@ type LanesForm = Option<(f64, Option<f64>)>;
 /// Instant with the lanes below the ego before the agents.
 type InstantForm3 = (f64, StateForm, f64, bool, LanesForm, Vec<Option<StateForm>>);
 
-/// Whether it is in a junction, on a crossing, and has turned wrongly; offset from its lane and
-/// half the lane's width.
+/// Flags of a place in a junction, of one on a crossing and of a wrong turn; offset from the lane
+/// and half the lane's width.
 type RoadForm = (bool, bool, bool, Option<(f64, f64)>);
 
 /// Instant with the position of the ego on the road before the agents.
