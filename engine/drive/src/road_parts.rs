@@ -143,7 +143,7 @@ impl RoadParts {
     #[must_use]
     pub fn record(&self, state: &VehicleState) -> RoadRecord {
         let near = self.near(state.position_m);
-        let below = || near.iter().filter(|point| is_on(point));
+        let below = || near.iter().filter(is_on);
         let is_within = |stretch: &Stretch, arc_m: f64| (stretch[0]..=stretch[1]).contains(&arc_m);
         let in_junction = below().any(|point| {
             let junction = self.lanes[point.lane].junction;
@@ -168,7 +168,7 @@ impl RoadParts {
     /// Lanes that a vehicle is on, in its direction, with the places on them.
     pub(crate) fn lanes_on(&self, state: &VehicleState) -> Vec<(usize, f64)> {
         let near = self.near(state.position_m);
-        let on = near.iter().filter(|point| is_on(point));
+        let on = near.iter().filter(is_on);
         let ahead = on.filter(|point| cos_to(state, point) > ON_COS);
         ahead.map(|point| (point.lane, point.foot.arc_m)).collect()
     }
