@@ -3,7 +3,9 @@
 use decouplegs::planner::{
     ConstantVelocity, LaneFollow, ObservationRequest, Planner, PlannerChoice, Replay,
 };
-use decouplegs::scene::episode::{EpisodeHead, EpisodeTick, LOG_VERSION, PlannerRecord};
+use decouplegs::scene::episode::{
+    EpisodeHead, EpisodeTick, LOG_VERSION, PlannerRecord, RoadRecord,
+};
 use decouplegs::scene::scenario::{EgoTask, Place};
 use decouplegs::scene::{Episode, EpisodeEnd, EpisodeStep, Plan, Scenario, Weather};
 use decouplegs::scene::{Pose, TimedPose, Trajectory, VehicleSize, VehicleState};
@@ -107,6 +109,7 @@ fn recorded() -> Episode {
         steer_rad: 0.0,
         on_road: true,
         lanes: None,
+        road: Some(RoadRecord::default()),
         agents: vec![],
     };
     let place = Place::Street {

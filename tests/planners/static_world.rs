@@ -4,13 +4,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 use decouplegs::drive::generate::{Generator, PlaceOptions};
-use decouplegs::drive::score::{EpisodeScore, OBSTACLE_FACTOR};
+use decouplegs::drive::score::{Conduct, EpisodeScore, OBSTACLE_FACTOR};
 use decouplegs::drive::{Obstacles, OrientedBox, Polyline};
 use decouplegs::episode::{Site, drive, replay};
+use decouplegs::logs::episode_log::{decode, encode};
 use decouplegs::planner::{
     ConstantVelocity, EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError,
 };
-use decouplegs::scene::episode::{Episode, LOG_VERSION};
+use decouplegs::scene::episode::{Episode, REPLAY_VERSION};
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{EpisodeEnd, Level, ObstacleKind, Plan, PlanPoint, Scenario, Weather};
 
@@ -186,7 +187,43 @@ fn the_road_ends_thirty_centimeters_beyond_its_edge() {
 fn logs_of_other_traffic_are_not_driven_again() {
     let site = Arc::new(site());
     let mut episode = driven(&alone(&site, 1), &site, &mut Beside { right_m: 0.0 });
-    episode.head.log_version = LOG_VERSION - 1;
+    episode.head.log_version = REPLAY_VERSION - 1;
     let error = replay(&episode, &site, None, &mut ()).err().unwrap();
     assert!(error.to_string().contains("score it"), "{error}");
+}
+
+#[test]
+fn logs_of_version_3_are_driven_again_and_score_as_before() {
+    let site = Arc::new(site());
+    let episode = driven(&alone(&site, 1), &site, &mut Beside { right_m: 0.0 });
+    assert!(episode.instants().all(|instant| instant.road.is_some()));
+    let old = episode.clone().in_version(REPLAY_VERSION);
+    assert_eq!(decode(&encode(&old).unwrap()).unwrap(), old);
+    let again = replay(&old, &site, None, &mut ()).unwrap();
+    assert_eq!(again.moved_differently, None);
+    assert_eq!(again.episode, old);
+    assert_eq!(EpisodeScore::new(&old), EpisodeScore::new(&episode));
+    // One that moved differently is told.
+    let mut other = old;
+    other.steps[1].instants[0].ego.speed_mps += 0.1;
+    let again = replay(&other, &site, None, &mut ()).unwrap();
+    assert!(again.moved_differently.is_some());
+}
+
+#[test]
+fn who_keeps_its_route_breaks_no_rule_and_who_drives_over_the_edge_is_told() {
+    let site = Arc::new(site());
+    for seed in 0..4 {
+        let scenario = alone(&site, seed);
+        let kept = driven(&scenario, &site, &mut Beside { right_m: 0.0 });
+        let conduct = Conduct::new(&kept, &EpisodeScore::new(&kept));
+        assert_eq!(conduct.breaches, [], "seed {seed}");
+        let keeping = conduct.lane_keeping.unwrap();
+        assert!(keeping.over_edge_s < 1.0, "seed {seed}: {keeping:?}");
+        assert!(conduct.reference.share > 0.4, "seed {seed}: {conduct:?}");
+        let beside = driven(&scenario, &site, &mut Beside { right_m: -1.4 });
+        let conduct = Conduct::new(&beside, &EpisodeScore::new(&beside));
+        let keeping = conduct.lane_keeping.unwrap();
+        assert!(keeping.over_edge_s > 2.0, "seed {seed}: {keeping:?}");
+    }
 }

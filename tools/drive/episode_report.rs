@@ -7,6 +7,7 @@ mod comparison;
 mod devices;
 mod hd_score;
 mod page;
+mod rules;
 mod scored;
 mod timing;
 
@@ -123,6 +124,7 @@ pub fn text(scored: &[Scored]) -> Result<String> {
             format!("{}/{}", set.red_lights, set.stop_signs),
         ));
     }
+    text.push_str(&rules::text(scored));
     Ok(text)
 }
 
@@ -329,6 +331,8 @@ fn episode_to_json(scored: &Scored) -> Value {
             "nc": scored.pdm.no_collision, "dac": scored.pdm.drivable_area, "ep": scored.pdm.progress,
             "ttc": scored.pdm.time_to_collision, "c": scored.pdm.comfort,
         }),
+        "extended_pdm": rules::extended_pdm_to_json(&scored.extended_pdm),
+        "rules": rules::to_json(scored),
         "speed_compliance": score.speed_compliance,
         "braking_max_mps2": score.comfort.braking_max_mps2,
         "lateral_acceleration_max_mps2": score.comfort.lateral_acceleration_max_mps2,

@@ -362,6 +362,7 @@ mod tests {
                 steer_rad: 0.0,
                 on_road: true,
                 lanes: None,
+                road: None,
                 agents: Vec::new(),
             })
             .collect();

@@ -112,6 +112,7 @@ mod tests {
             steer_rad: 0.0,
             on_road: true,
             lanes: None,
+            road: None,
             agents: vec![None, Some(vehicle(7.0)), Some(vehicle(-5.0))],
         }
     }

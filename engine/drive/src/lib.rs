@@ -19,8 +19,10 @@ pub mod occupancy;
 pub mod oriented_box;
 pub mod planar;
 pub mod polyline;
+mod reference_drive;
 pub mod register;
 pub mod road_graph;
+pub mod road_parts;
 pub mod road_surface;
 pub mod route;
 pub mod scans;
@@ -28,6 +30,7 @@ pub mod score;
 pub mod signs;
 mod story;
 pub mod traffic;
+pub mod turn_watch;
 pub mod view_support;
 
 pub use ego::{Ego, EgoOptions};
@@ -44,8 +47,10 @@ pub use register::{
     Outcome, RegisterError, RegisterOptions, RegisteredTrack, Registration, Treatment, register,
 };
 pub use road_graph::{Conflict, RoadGraph, RoadLane};
+pub use road_parts::RoadParts;
 pub use road_surface::RoadSurface;
 pub use route::{Route, RouteTurn};
 pub use score::{EpisodeScore, Summary};
 pub use traffic::{LanePosition, Traffic, TrafficError, driver, idm, mobil};
+pub use turn_watch::TurnWatch;
 pub use view_support::ViewSupport;

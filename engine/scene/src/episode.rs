@@ -48,9 +48,13 @@ impl DrawnBy {
     }
 }
 
-/// Version of logs that this program writes. Vehicles of other versions moved, or were on the road,
+/// Version of logs that this program writes.
+pub const LOG_VERSION: u32 = 4;
+/// First version of logs that can be replayed. Vehicles of earlier ones moved, or were on the road,
 /// by other rules.
-pub const LOG_VERSION: u32 = 3;
+pub const REPLAY_VERSION: u32 = 3;
+/// First version of logs with the ego's position on its lane.
+pub const ROAD_VERSION: u32 = 4;
 
 /// Line of a traffic light or sign on the plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -135,8 +139,22 @@ pub struct EpisodeTick {
     pub on_road: bool,
     /// Lanes below its middle; `None` where there are none, and in logs before version 3.
     pub lanes: Option<LaneRecord>,
+    /// Position of the ego on the road; `None` in logs before version 4.
+    pub road: Option<RoadRecord>,
     /// The agents, in the order of the scenario; `None` while one is off the map.
     pub agents: Vec<Option<VehicleState>>,
+}
+
+impl EpisodeTick {
+    /// The moment without the position on the road where `other` does not tell it, as moments of
+    /// older logs do not.
+    #[must_use]
+    pub fn told_like(&self, other: &Self) -> Self {
+        Self {
+            road: self.road.filter(|_| other.road.is_some()),
+            ..self.clone()
+        }
+    }
 }
 
 /// Lanes below the middle of the ego at one moment.
@@ -147,6 +165,29 @@ pub struct LaneRecord {
     pub against_mps: f64,
     /// Highest of the lanes' speed limits, m/s; `None` where the map tells none.
     pub limit_mps: Option<f64>,
+}
+
+/// Position of the ego on the road at one moment.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RoadRecord {
+    /// True where its middle is within a junction.
+    pub in_junction: bool,
+    /// True where it is in the way of lanes that cross, or on a crosswalk.
+    pub on_crossing: bool,
+    /// True at the moment at which it has come through a junction onto a lane that the lane it came
+    /// from does not lead to.
+    pub wrong_turn: bool,
+    /// Nearest lane in its direction; `None` where there is none nearby.
+    pub lane: Option<LaneOffset>,
+}
+
+/// Position of the middle of the ego across a lane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LaneOffset {
+    /// Distance from the centerline, meters, positive to the left.
+    pub lateral_m: f64,
+    /// Distance from the centerline to the lane's edge on that side, meters.
+    pub half_width_m: f64,
 }
 
 /// One step: what was seen, what was planned, what came of it.
@@ -239,6 +280,17 @@ pub struct Episode {
 }
 
 impl Episode {
+    /// The episode as a log of `version` holds it: what such logs do not tell is left out.
+    #[must_use]
+    pub fn in_version(mut self, version: u32) -> Self {
+        self.head.log_version = version;
+        let later = self.steps.iter_mut().flat_map(|step| &mut step.instants);
+        for instant in std::iter::once(&mut self.start).chain(later) {
+            instant.road = instant.road.filter(|_| version >= ROAD_VERSION);
+        }
+        self
+    }
+
     /// All moments in time, the start included.
     pub fn instants(&self) -> impl Iterator<Item = &EpisodeTick> {
         std::iter::once(&self.start).chain(self.steps.iter().flat_map(|step| &step.instants))

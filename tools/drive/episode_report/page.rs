@@ -8,7 +8,8 @@ use decouplegs::render::Image;
 use decouplegs::scene::{Episode, Lane};
 
 use super::{
-    DeviceUse, Scored, birds_eye, charts, commanded, rows, score, share, spread, summary, timing,
+    DeviceUse, Scored, birds_eye, charts, commanded, rows, rules, score, share, spread, summary,
+    timing,
 };
 use crate::lidar::previews::{ABOVE, RANGES};
 use crate::page::{Figure, Page, Table, escaped};
@@ -38,6 +39,7 @@ pub fn page(
         page.text(&agents);
     }
     table(&mut page, scored)?;
+    rules::part(&mut page, scored);
     timing::part(&mut page, scored);
     if let Some(devices) = devices {
         devices.part(&mut page, scored);
@@ -178,6 +180,8 @@ fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {
     page.subheading(&format!("{}: {}", scored.name(), scored.ending()));
     page.text(&scored.explained());
     page.text(&scored.pdm_explained());
+    page.text(&rules::extended_pdm_explained(&scored.extended_pdm));
+    page.text(&rules::explained(scored));
     if let Some(sentence) = handed_over(&episode) {
         page.text(&sentence);
     }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use decouplegs::drive::score::{
-    CommandedAgents, EpisodeScore, Infraction, InfractionKind, PdmScore,
+    CommandedAgents, Conduct, EpisodeScore, ExtendedPdmScore, Infraction, InfractionKind, PdmScore,
 };
 use decouplegs::episode::StepTime;
 use decouplegs::logs::read_episode_log;
@@ -27,6 +27,9 @@ pub struct Scored {
     pub taken: Taken,
     pub score: EpisodeScore,
     pub pdm: PdmScore,
+    pub extended_pdm: ExtendedPdmScore,
+    /// Rules that are scored beside the driving score.
+    pub conduct: Conduct,
     /// Agents that another program drove, if one did.
     pub commanded: Option<CommandedAgents>,
     pub log: PathBuf,
@@ -77,8 +80,15 @@ impl Scored {
             time_s: instant.time_s,
             position_m: instant.ego.position_m,
         };
+        let (pdm, conduct) = (
+            PdmScore::new(&episode, &score),
+            Conduct::new(&episode, &score),
+        );
+        let reference = &conduct.reference;
         Ok(Self {
-            pdm: PdmScore::new(&episode, &score),
+            extended_pdm: ExtendedPdmScore::new(&episode, &score, &pdm, reference),
+            pdm,
+            conduct,
             score,
             commanded: CommandedAgents::new(&episode),
             seen: Seen::beside(&log)?,

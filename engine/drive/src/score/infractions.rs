@@ -166,16 +166,27 @@ fn excursions(instants: &[&EpisodeTick]) -> Vec<Infraction> {
     excursions
 }
 
-/// Drives against the lanes, each once: it is over when the ego has not driven against them for
-/// [`WRONG_WAY_S`]. Nothing is known of logs before version 3.
-fn wrong_ways(instants: &[&EpisodeTick]) -> Vec<Infraction> {
-    let mut found: Vec<Infraction> = Vec::new();
-    let mut is_over = true;
+/// Longest way against the lanes within [`WRONG_WAY_S`], meters, of the moments that `counts`.
+pub(super) fn against_m_max(
+    instants: &[&EpisodeTick],
+    counts: impl Fn(&EpisodeTick) -> bool,
+) -> f64 {
+    let against = ways_against(instants, counts);
+    against.into_iter().map(|way| way.1).fold(0.0, f64::max)
+}
+
+/// Way against the lanes within the [`WRONG_WAY_S`] before each moment, with its time, seconds and
+/// meters.
+fn ways_against(
+    instants: &[&EpisodeTick],
+    counts: impl Fn(&EpisodeTick) -> bool,
+) -> Vec<(f64, f64)> {
     // Ways against the lanes within the last second, with the times of their ends.
     let mut ways: VecDeque<(f64, f64)> = VecDeque::new();
-    for pair in instants.windows(2) {
+    let pairs = instants.windows(2).map(|pair| {
         let (from_s, to_s) = (pair[0].time_s, pair[1].time_s);
-        let against_mps = pair[1].lanes.map_or(0.0, |lanes| lanes.against_mps);
+        let lanes = pair[1].lanes.filter(|_| counts(pair[1]));
+        let against_mps = lanes.map_or(0.0, |lanes| lanes.against_mps);
         ways.push_back((to_s, against_mps * (to_s - from_s)));
         while ways
             .front()
@@ -183,7 +194,17 @@ fn wrong_ways(instants: &[&EpisodeTick]) -> Vec<Infraction> {
         {
             ways.pop_front();
         }
-        let way_m: f64 = ways.iter().map(|way| way.1).sum();
+        (to_s, ways.iter().map(|way| way.1).sum())
+    });
+    pairs.collect()
+}
+
+/// Drives against the lanes, each once: it is over when the ego has not driven against them for
+/// [`WRONG_WAY_S`]. Nothing is known of logs before version 3.
+fn wrong_ways(instants: &[&EpisodeTick]) -> Vec<Infraction> {
+    let mut found: Vec<Infraction> = Vec::new();
+    let mut is_over = true;
+    for (to_s, way_m) in ways_against(instants, |_| true) {
         let is_far = way_m > WRONG_WAY_FAR_M;
         let kind = InfractionKind::WrongWay { is_far };
         if way_m > WRONG_WAY_M && is_over {

@@ -63,20 +63,25 @@ impl RouteProgress {
     }
 }
 
+/// Meters of the route behind the ego where it had come farthest, and all of them; `None` where the
+/// route is no line.
+pub(super) fn driven_m(episode: &Episode) -> Option<(f64, f64)> {
+    let start_m = episode.start.ego.position_m;
+    let mut progress = RouteProgress::new(&episode.head.route_m, start_m)?;
+    episode
+        .instants()
+        .for_each(|instant| progress.advance(instant.ego.position_m));
+    Some((progress.progress_m, progress.route.length_m()))
+}
+
 /// Share of the route behind the ego where it had come farthest: 1 exactly where the episode ended
 /// with the route done.
 pub(super) fn route_completion(episode: &Episode) -> f64 {
     if episode.end == EpisodeEnd::RouteDone {
         return 1.0;
     }
-    let Some(mut progress) =
-        RouteProgress::new(&episode.head.route_m, episode.start.ego.position_m)
-    else {
-        return 0.0;
-    };
-    episode
-        .instants()
-        .for_each(|instant| progress.advance(instant.ego.position_m));
     // An ego at the very end that was not done is not done.
-    (progress.progress_m / progress.route.length_m()).clamp(0.0, 1.0 - f64::EPSILON)
+    driven_m(episode).map_or(0.0, |(driven_m, length_m)| {
+        (driven_m / length_m).clamp(0.0, 1.0 - f64::EPSILON)
+    })
 }

@@ -88,7 +88,7 @@ impl TimeLost {
 }
 
 /// Agents on the map at a moment, with their indices and sizes.
-fn agents<'a>(
+pub(super) fn agents<'a>(
     head: &'a EpisodeHead,
     now: &'a EpisodeTick,
 ) -> impl Iterator<Item = (usize, &'a VehicleState, &'a VehicleSize)> {
@@ -97,7 +97,7 @@ fn agents<'a>(
 }
 
 /// The nearest agent that the ego is behind.
-fn leader(head: &EpisodeHead, now: &EpisodeTick) -> Option<usize> {
+pub(super) fn leader(head: &EpisodeHead, now: &EpisodeTick) -> Option<usize> {
     let ego = OrientedBox::for_vehicle(&now.ego, &head.scenario.ego.size);
     let near_m = GAP_M + GAP_S * now.ego.speed_mps;
     let gaps = agents(head, now).filter_map(|(agent, state, size)| {
@@ -112,12 +112,12 @@ fn leader(head: &EpisodeHead, now: &EpisodeTick) -> Option<usize> {
 }
 
 /// Middle of the ego's front.
-fn front_m(head: &EpisodeHead, now: &EpisodeTick) -> DVec2 {
+pub(super) fn front_m(head: &EpisodeHead, now: &EpisodeTick) -> DVec2 {
     now.ego.position_m + now.ego.ahead() * (0.5 * head.scenario.ego.size.length_m)
 }
 
 /// True if the ego is before a line whose light is not green.
-fn waits_for_light(head: &EpisodeHead, now: &EpisodeTick) -> bool {
+pub(super) fn waits_for_light(head: &EpisodeHead, now: &EpisodeTick) -> bool {
     let mut lines = head.stop_lines.iter();
     lines.any(|line| {
         let (along_m, is_before) = line.locate(front_m(head, now));

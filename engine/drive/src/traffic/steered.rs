@@ -18,8 +18,8 @@ use crate::road_graph::{length_of, position_on};
 use crate::story::Stage;
 
 /// Spacing of the points of a way in a message to the driver, meters, and their number.
-const TOLD_M: f64 = 5.0;
-const TOLD: usize = 21;
+const WAY_SPACING_M: f64 = 5.0;
+const WAY_POINTS: usize = 21;
 /// Half of the length over which the bend of a way is measured, meters.
 const HALF_BEND_M: f64 = 4.0;
 /// Braking for a yellow light, m/s^2: who would need more drives on.
@@ -89,7 +89,7 @@ pub(super) struct Steered {
 }
 
 /// View of a vehicle on its way; `place` gives position and heading by meters ahead.
-pub(super) fn told(
+pub(super) fn steerable_agent(
     (agent, state, size, driven_by): (usize, &VehicleState, &VehicleSize, DrivenBy),
     place: impl Fn(f64) -> (DVec2, f64),
     others: &[SeenUser],
@@ -101,7 +101,9 @@ pub(super) fn told(
         state: *state,
         size: *size,
         driven_by,
-        way_m: (0..TOLD).map(|at| place(TOLD_M * at as f64).0).collect(),
+        way_m: (0..WAY_POINTS)
+            .map(|at| place(WAY_SPACING_M * at as f64).0)
+            .collect(),
         offset_m: DVec2::from_angle(yaw_rad).perp_dot(state.position_m - own_m),
         turn_rad: wrapped(state.yaw_rad - yaw_rad),
         limit_mps: None,
@@ -149,11 +151,13 @@ impl Traffic {
                 _ => DrivenBy::Model,
             };
             let place = |ahead_m: f64| self.place_ahead(number, ahead_m);
-            let mut told = told((number, &state, &agent.size, driven_by), place, &others);
+            let who = (number, &state, &agent.size, driven_by);
             let road = self.graph.road(agent.lane());
-            told.limit_mps = road.has_limit.then_some(road.speed_limit_mps);
-            told.stop_m = self.next_stop(number).map(|(stop_m, _)| stop_m);
-            Some(told)
+            Some(SteerableAgent {
+                limit_mps: road.has_limit.then_some(road.speed_limit_mps),
+                stop_m: self.next_stop(number).map(|(stop_m, _)| stop_m),
+                ..steerable_agent(who, place, &others)
+            })
         });
         let mut all: Vec<SteerableAgent> = on_lanes.collect();
         if let Some(tracked) = &self.tracked {
@@ -169,26 +173,34 @@ impl Traffic {
     /// A sentence, if an agent takes no commands now, has two, or a number is not finite. Nothing
     /// is changed then.
     pub fn steer(&mut self, commands: &[AgentCommand]) -> Result<(), Invalid> {
+        self.check_commands(commands)?;
+        for steered in self.bodies.iter_mut().flatten() {
+            steered.command = None;
+        }
         let first = self.first_tracked();
-        let mut told = vec![false; self.states.len()];
+        if let Some(tracked) = &mut self.tracked {
+            tracked.clear_commands();
+        }
+        for command in commands {
+            match (command.agent.checked_sub(first), &mut self.tracked) {
+                (Some(at), Some(tracked)) => tracked.steer(at, *command, self.time_s),
+                _ => self.steer_on_lane(*command),
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that agents take their commands now, have one each, and that numbers are finite.
+    fn check_commands(&self, commands: &[AgentCommand]) -> Result<(), Invalid> {
+        let mut has_command = vec![false; self.states.len()];
         for command in commands {
             let agent = command.agent;
-            let is_there = self.states.get(agent).is_some_and(Option::is_some);
-            let takes = match agent {
-                _ if !is_there => false,
-                agent if agent < self.agents.len() => true,
-                agent if agent >= first => {
-                    let tracked = self.tracked.as_ref();
-                    tracked.is_some_and(|tracked| tracked.takes_commands(agent - first))
-                }
-                _ => false,
-            };
-            if !takes {
+            if !self.takes_commands(agent) {
                 return Err(Invalid::new(format!(
                     "agent {agent} takes no commands now; expected one of the agents that were told of"
                 )));
             }
-            if std::mem::replace(&mut told[agent], true) {
+            if std::mem::replace(&mut has_command[agent], true) {
                 return Err(Invalid::new(format!("agent {agent} has two commands")));
             }
             let curvature_per_m = command.curvature_per_m.unwrap_or(0.0);
@@ -198,23 +210,18 @@ impl Traffic {
                 )));
             }
         }
-        for steered in self.bodies.iter_mut().flatten() {
-            steered.command = None;
-        }
-        if let Some(tracked) = &mut self.tracked {
-            tracked.clear_commands();
-        }
-        for command in commands {
-            match command.agent.checked_sub(first) {
-                Some(at) => {
-                    if let Some(tracked) = &mut self.tracked {
-                        tracked.steer(at, *command, self.time_s);
-                    }
-                }
-                None => self.steer_on_lane(*command),
-            }
-        }
         Ok(())
+    }
+
+    /// True if an agent takes commands now.
+    fn takes_commands(&self, agent: usize) -> bool {
+        let is_there = self.states.get(agent).is_some_and(Option::is_some);
+        let tracked = agent.checked_sub(self.first_tracked());
+        is_there
+            && match (tracked, &self.tracked) {
+                (Some(at), Some(tracked)) => tracked.takes_commands(at),
+                _ => agent < self.agents.len(),
+            }
     }
 
     fn steer_on_lane(&mut self, command: AgentCommand) {

@@ -1,6 +1,6 @@
 //! Episodes that are made by hand: all vehicles move as told.
 
-use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, LOG_VERSION, PlannerRecord};
+use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, LOG_VERSION, PlannerRecord, RoadRecord};
 use decouplegs_scene::scenario::{DriverKind, Drivers, EgoTask, Place, TrafficAgent};
 use decouplegs_scene::{
     Episode, EpisodeEnd, EpisodeStep, Level, Plan, PlanPoint, RoadUser, Scenario, VehicleSize,
@@ -115,6 +115,7 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
         steer_rad: 0.0,
         on_road: true,
         lanes: None,
+        road: Some(RoadRecord::default()),
         agents: agents.iter().map(|agent| Some(agent(time_s))).collect(),
     };
     let head = EpisodeHead {

@@ -2,46 +2,18 @@
 //! stands for.
 
 use decouplegs_scene::episode::{
-    AgentCommand, CommandRecord, DrawnBy, EpisodeTick, HandoverRecord, LaneRecord, PlannerRecord,
+    AgentCommand, CommandRecord, DrawnBy, EpisodeTick, HandoverRecord, PlannerRecord, ROAD_VERSION,
     ReadingRecord, StopLineRecord,
 };
 use decouplegs_scene::{
     EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint, VehicleSize,
-    VehicleState,
 };
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use super::FORMAT;
+use super::instant::{InstantForm, LANES_VERSION, instant, instant_form};
 use crate::scenario_file;
-
-/// x, y, yaw, speed and acceleration.
-type StateForm = [f64; 5];
-
-/// Time, ego, its steering, whether it is on the road, agents; null for those off the map.
-type InstantForm1 = (f64, StateForm, f64, bool, Vec<Option<StateForm>>);
-
-/// Instant with the lanes below the ego before the agents: its speed against them, and their speed
-/// limit.
-type InstantForm3 = (
-    f64,
-    StateForm,
-    f64,
-    bool,
-    Option<(f64, Option<f64>)>,
-    Vec<Option<StateForm>>,
-);
-
-/// First version of logs with lanes.
-pub(super) const LANES_VERSION: u32 = 3;
-
-/// An instant of any version.
-#[derive(Deserialize, Serialize)]
-#[serde(untagged)]
-enum InstantForm {
-    WithLanes(InstantForm3),
-    Bare(InstantForm1),
-}
 
 /// Index, right end and left end of a stop line.
 type LineForm = (usize, [f64; 2], [f64; 2]);
@@ -195,31 +167,6 @@ pub(super) fn to_json(form: &impl Serialize) -> String {
     serde_json::to_string(form).expect("numbers and text, which JSON can hold")
 }
 
-fn state_form(state: &VehicleState) -> StateForm {
-    let VehicleState {
-        position_m,
-        yaw_rad,
-        speed_mps,
-        acceleration_mps2,
-    } = *state;
-    [
-        position_m.x,
-        position_m.y,
-        yaw_rad,
-        speed_mps,
-        acceleration_mps2,
-    ]
-}
-
-fn state([x, y, yaw_rad, speed_mps, acceleration_mps2]: StateForm) -> VehicleState {
-    VehicleState {
-        position_m: DVec2::new(x, y),
-        yaw_rad,
-        speed_mps,
-        acceleration_mps2,
-    }
-}
-
 fn line_form(line: &StopLineRecord) -> LineForm {
     let [right_m, left_m] = line.ends_m.map(|end_m| end_m.to_array());
     (line.index, right_m, left_m)
@@ -229,45 +176,6 @@ fn line((index, right_m, left_m): LineForm) -> StopLineRecord {
     StopLineRecord {
         index,
         ends_m: [right_m, left_m].map(DVec2::from_array),
-    }
-}
-
-/// The form of `instant` in a log of `version`.
-fn instant_form(instant: &EpisodeTick, version: u32) -> InstantForm {
-    let EpisodeTick {
-        time_s,
-        ego,
-        steer_rad,
-        on_road,
-        lanes,
-        agents,
-    } = instant;
-    let (ego, agents) = (state_form(ego), agents.iter());
-    let agents = agents.map(|agent| agent.as_ref().map(state_form)).collect();
-    if version < LANES_VERSION {
-        return InstantForm::Bare((*time_s, ego, *steer_rad, *on_road, agents));
-    }
-    let lanes = lanes.map(|lanes| (lanes.against_mps, lanes.limit_mps));
-    InstantForm::WithLanes((*time_s, ego, *steer_rad, *on_road, lanes, agents))
-}
-
-fn instant(form: InstantForm) -> EpisodeTick {
-    let (time_s, ego, steer_rad, on_road, lanes, agents) = match form {
-        InstantForm::WithLanes(form) => form,
-        InstantForm::Bare((time_s, ego, steer_rad, on_road, agents)) => {
-            (time_s, ego, steer_rad, on_road, None, agents)
-        }
-    };
-    EpisodeTick {
-        time_s,
-        ego: state(ego),
-        steer_rad,
-        on_road,
-        lanes: lanes.map(|(against_mps, limit_mps)| LaneRecord {
-            against_mps,
-            limit_mps,
-        }),
-        agents: agents.into_iter().map(|agent| agent.map(state)).collect(),
     }
 }
 
@@ -335,9 +243,9 @@ impl HeadForm {
     /// # Errors
     /// A sentence, when its scenario is none.
     pub(super) fn into_head(self) -> Result<(EpisodeHead, EpisodeTick), String> {
-        if matches!(self.start, InstantForm::WithLanes(_)) != (self.version >= LANES_VERSION) {
+        if !self.start.is_of(self.version) {
             return Err(format!(
-                "its start is not that of version {}: lanes are told from version {LANES_VERSION} on",
+                "its start is not that of version {}: lanes are told from version {LANES_VERSION} on, positions on them from version {ROAD_VERSION} on",
                 self.version
             ));
         }

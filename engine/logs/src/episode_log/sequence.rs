@@ -1,10 +1,10 @@
 //! Order of records: steps count up, time increases, every moment has all agents, numbers are
 //! finite.
 
-use decouplegs_scene::episode::EpisodeTick;
+use decouplegs_scene::episode::{EpisodeTick, ROAD_VERSION};
 use decouplegs_scene::{EpisodeEnd, EpisodeHead, EpisodeStep, VehicleState};
 
-use super::record::LANES_VERSION;
+use super::instant::LANES_VERSION;
 
 /// Position in the sequence of records of a log. Writer and reader ask the same one, so that what
 /// is written can be read.
@@ -148,6 +148,12 @@ impl Sequence {
                 self.version
             ));
         }
+        if instant.road.is_some() != (self.version >= ROAD_VERSION) {
+            return Err(format!(
+                "tells of the position on the road, or does not; logs do from version {ROAD_VERSION} on, and this is version {}",
+                self.version
+            ));
+        }
         if instant.agents.len() != self.agents {
             return Err(format!(
                 "has {} agents; expected {}",
@@ -169,7 +175,10 @@ impl Sequence {
         };
         let lanes = instant.lanes.iter();
         let lanes = lanes.flat_map(|lanes| [lanes.against_mps].into_iter().chain(lanes.limit_mps));
-        let all_finite = instant.time_s.is_finite()
+        let offset = instant.road.and_then(|road| road.lane);
+        let offset = offset.map(|lane| [lane.lateral_m, lane.half_width_m]);
+        let all_finite = offset.into_iter().flatten().all(f64::is_finite)
+            && instant.time_s.is_finite()
             && lanes.into_iter().all(f64::is_finite)
             && instant.steer_rad.is_finite()
             && std::iter::once(&instant.ego)

@@ -5,8 +5,8 @@ mod writing;
 use decouplegs_logs::episode_log::{VERSION, decode, encode};
 use decouplegs_logs::{EpisodeLog, read_episode_log};
 use decouplegs_scene::episode::{
-    AgentCommand, CommandRecord, DrawnBy, EpisodeTick, HandoverRecord, LaneRecord, PlannerRecord,
-    ReadingRecord, StopLineRecord,
+    AgentCommand, CommandRecord, DrawnBy, EpisodeTick, HandoverRecord, LaneOffset, LaneRecord,
+    PlannerRecord, ReadingRecord, RoadRecord, StopLineRecord,
 };
 use decouplegs_scene::{
     Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint,
@@ -39,25 +39,42 @@ fn states() -> impl Strategy<Value = VehicleState> {
     })
 }
 
+fn roads() -> impl Strategy<Value = RoadRecord> {
+    let flags = (any::<bool>(), any::<bool>(), any::<bool>());
+    (flags, prop::option::of((numbers(), numbers()))).prop_map(|(flags, lane)| RoadRecord {
+        in_junction: flags.0,
+        on_crossing: flags.1,
+        wrong_turn: flags.2,
+        lane: lane.map(|(lateral_m, half_width_m)| LaneOffset {
+            lateral_m,
+            half_width_m,
+        }),
+    })
+}
+
 fn instants(agents: usize) -> impl Strategy<Value = EpisodeTick> {
     (
         states(),
         numbers(),
         any::<bool>(),
         prop::option::of((numbers(), prop::option::of(numbers()))),
+        roads(),
         prop::collection::vec(prop::option::of(states()), agents),
     )
-        .prop_map(|(ego, steer_rad, on_road, lanes, agents)| EpisodeTick {
-            time_s: 0.0,
-            ego,
-            steer_rad,
-            on_road,
-            lanes: lanes.map(|(against_mps, limit_mps)| LaneRecord {
-                against_mps,
-                limit_mps,
-            }),
-            agents,
-        })
+        .prop_map(
+            |(ego, steer_rad, on_road, lanes, road, agents)| EpisodeTick {
+                time_s: 0.0,
+                ego,
+                steer_rad,
+                on_road,
+                lanes: lanes.map(|(against_mps, limit_mps)| LaneRecord {
+                    against_mps,
+                    limit_mps,
+                }),
+                road: Some(road),
+                agents,
+            },
+        )
 }
 
 fn plans() -> impl Strategy<Value = Plan> {
@@ -229,6 +246,7 @@ fn small() -> Episode {
         steer_rad: 0.01,
         on_road: true,
         lanes: None,
+        road: Some(RoadRecord::default()),
         agents: vec![Some(state(20.0 + time_s))],
     };
     let step = |step: u32| EpisodeStep {
@@ -431,13 +449,13 @@ fn records_that_do_not_hold_together_are_refused_though_their_checksums_are_good
             0,
             "decouplegs-episode",
             "decouplegs",
-            "line 1: is of format \"decouplegs\", version 3",
+            "line 1: is of format \"decouplegs\", version 4",
         ),
         (
             0,
-            "\"version\":3",
-            "\"version\":4,\"more\":0",
-            "line 1: is of format \"decouplegs-episode\", version 4",
+            "\"version\":4",
+            "\"version\":5,\"more\":0",
+            "line 1: is of format \"decouplegs-episode\", version 5",
         ),
         (
             0,

@@ -73,7 +73,8 @@ impl Moments {
         let drawn_by = episode.head.drawn_by.as_ref();
         let every = drawn_by.map_or(1, |drawn_by| drawn_by.every);
         let mut moments = Self::begin(&episode.head.scenario, site, scene, every)?;
-        if moments.drawn.simulation.instant() != episode.start {
+        let start = moments.drawn.simulation.instant();
+        if start.told_like(&episode.start) != episode.start {
             moments.departs_s = Some(0.0);
         }
         for step in &episode.steps {
@@ -97,9 +98,10 @@ impl Moments {
             last.step = Some(step.step);
         }
         let instants = self.drawn.simulation.advance(&step.plan);
-        if self.departs_s.is_none() && instants != step.instants {
-            let mut pairs = instants.iter().zip(&step.instants);
-            let first = pairs.find(|(now, logged)| now != logged);
+        let mut pairs = instants.iter().zip(&step.instants);
+        let first = pairs.find(|(now, logged)| now.told_like(logged) != **logged);
+        let is_other = first.is_some() || instants.len() != step.instants.len();
+        if self.departs_s.is_none() && is_other {
             let ends_s = moments.last().map_or(0.0, |last| last.time_s);
             self.departs_s = Some(first.map_or(ends_s, |(now, _)| now.time_s));
         }

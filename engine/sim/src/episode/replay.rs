@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use decouplegs_scene::episode::{Episode, EpisodeEnd, LOG_VERSION};
+use decouplegs_scene::episode::{Episode, EpisodeEnd, LOG_VERSION, REPLAY_VERSION};
 use decouplegs_scene::{Plan, Scenario};
 
 use super::{EpisodeError, EpisodeObserver, ObservationRenderer, Site, drive_among};
@@ -84,7 +84,8 @@ pub fn replay(
         .as_mut()
         .map(|logged| logged as &mut dyn AgentDriver);
     let drivers = (&mut logged as &mut dyn Planner, agents);
-    let again = drive_among(scenario, site, renderer, drivers, observer)?.episode;
+    let driven = drive_among(scenario, site, renderer, drivers, observer)?.episode;
+    let again = driven.in_version(episode.head.log_version);
     let readings = |episode: &Episode| {
         episode
             .steps
@@ -112,12 +113,12 @@ pub fn replay(
 /// [`EpisodeError::Unfit`] where it does not.
 pub(super) fn check_version(episode: &Episode) -> Result<(), EpisodeError> {
     let version = episode.head.log_version;
-    if version != LOG_VERSION {
+    if !(REPLAY_VERSION..=LOG_VERSION).contains(&version) {
         return Err(EpisodeError::Unfit {
             scenario: episode.head.scenario.name.clone(),
             reason: format!(
                 "its log is of version {version}, and traffic has moved by other rules since version \
-                 {LOG_VERSION}: score it, or drive it again with the program that wrote it, {}",
+                 {REPLAY_VERSION}: score it, or drive it again with the program that wrote it, {}",
                 episode.head.version
             ),
         });

@@ -10,8 +10,10 @@ use decouplegs_drive::lights::TrafficLights;
 use decouplegs_drive::polyline::wrapped;
 use decouplegs_drive::score::RouteProgress;
 use decouplegs_drive::signs::TrafficSigns;
-use decouplegs_drive::{Ego, EgoOptions, OrientedBox, RoadSurface, Route, Traffic};
-use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick, HandoverRecord, StopLineRecord};
+use decouplegs_drive::{Ego, EgoOptions, OrientedBox, RoadSurface, Route, Traffic, TurnWatch};
+use decouplegs_scene::episode::{
+    EpisodeEnd, EpisodeTick, HandoverRecord, RoadRecord, StopLineRecord,
+};
 use decouplegs_scene::{
     Motion, Plan, Pose, Scenario, SignKind, Trajectory, VehicleSize, VehicleState,
 };
@@ -38,6 +40,9 @@ pub struct Simulation {
     route: Route,
     progress: RouteProgress,
     ego: Ego,
+    /// Position of the ego on the road.
+    road: RoadRecord,
+    turns: TurnWatch,
     /// The way that the ego takes instead of its plans.
     recorded: Option<Trajectory>,
     traffic: Traffic,
@@ -132,8 +137,12 @@ impl Simulation {
                 obstacle.center_m.y
             )));
         }
+        let mut turns = TurnWatch::default();
+        let road = road_at(site, &mut turns, &state);
         Ok(Self {
             progress,
+            road,
+            turns,
             route,
             recorded,
             ego: Ego::new(state, scenario.ego.size, EgoOptions::default()),
@@ -248,6 +257,7 @@ impl Simulation {
                 RoadSurface::EDGE_M,
             ),
             lanes: self.site.surface.lanes_below(&ego),
+            road: Some(self.road),
             ego,
             steer_rad: self.ego.steer_rad(),
             agents: self.traffic.states().to_vec(),
@@ -293,6 +303,7 @@ impl Simulation {
             }
             self.substep += 1;
             self.progress.advance(self.ego.state().position_m);
+            self.road = road_at(&self.site, &mut self.turns, &self.ego.state());
             let instant = self.instant();
             self.off_road = if instant.on_road {
                 (0.0, 0.0)
@@ -474,6 +485,15 @@ impl Simulation {
     #[must_use]
     pub fn route_m(&self) -> Vec<DVec2> {
         line_of(&self.route)
+    }
+}
+
+/// Position of an ego on the road, which `turns` has followed until now.
+fn road_at(site: &Site, turns: &mut TurnWatch, ego: &VehicleState) -> RoadRecord {
+    let road = site.parts.record(ego);
+    RoadRecord {
+        wrong_turn: turns.advance(&site.parts, ego, road.in_junction),
+        ..road
     }
 }
 

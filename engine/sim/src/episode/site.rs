@@ -15,8 +15,8 @@ use decouplegs_drive::generate::RoadUserAsset;
 use decouplegs_drive::lights::{LaneStopLine, TrafficLights};
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{
-    Ground, GroundGuides, GroundOptions, Obstacles, RoadGraph, RoadSurface, Survey, ViewSupport,
-    occupancy,
+    Ground, GroundGuides, GroundOptions, Obstacles, RoadGraph, RoadParts, RoadSurface, Survey,
+    ViewSupport, occupancy,
 };
 use decouplegs_scene::episode::StopLineRecord;
 use decouplegs_scene::light::{AmbientOptions, CastingLights, RelightOptions, ShadowOptions};
@@ -74,6 +74,8 @@ pub struct Site {
     pub graph: Arc<RoadGraph>,
     /// Road surface, for vehicles that may leave their lanes.
     pub surface: RoadSurface,
+    /// Junctions, crossings and edges of lanes, for scores.
+    pub parts: RoadParts,
     /// Static things that the ego can hit.
     pub obstacles: Arc<Obstacles>,
     /// Boxes of the assets that agents may show: the first ones of the scene.
@@ -363,8 +365,10 @@ impl Site {
         let graph =
             Arc::new(RoadGraph::new(&lanes).map_err(|error| SiteError::Unfit(error.into()))?);
         let surface = RoadSurface::new(&lanes);
+        let parts = RoadParts::new(&lanes, &graph);
         Ok(Self {
             loaded,
+            parts,
             lanes,
             graph,
             surface,

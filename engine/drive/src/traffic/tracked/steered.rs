@@ -5,7 +5,7 @@ use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
 use super::super::body::Body;
-use super::super::steered::{DrivenBy, SteerableAgent, bend_of, told};
+use super::super::steered::{DrivenBy, SteerableAgent, bend_of, steerable_agent};
 use super::super::way_ahead::SeenUser;
 use super::driving::{Ahead, Driving};
 use super::way::Way;
@@ -85,7 +85,7 @@ impl Followers {
             let state = (*state).filter(|_| one.is_vehicle())?;
             let place = |ahead_m: f64| place_on(&one.way, arc_m + ahead_m);
             let who = (first + at, &state, &one.size, driven_by);
-            Some(told(who, place, others))
+            Some(steerable_agent(who, place, others))
         });
         there.collect()
     }
