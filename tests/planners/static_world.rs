@@ -197,11 +197,21 @@ fn logs_of_version_3_are_driven_again_and_score_as_before() {
     let site = Arc::new(site());
     let episode = driven(&alone(&site, 1), &site, &mut Beside { right_m: 0.0 });
     assert!(episode.instants().all(|instant| instant.road.is_some()));
-    let old = episode.clone().in_version(REPLAY_VERSION);
+    let mut old = episode.clone().in_version(REPLAY_VERSION);
+    // A file tells of a place that can be seen.
+    old.head.scenario.place = Place::Street {
+        weather: Weather::Clear,
+        background: 1000,
+        agent_splats: 1000,
+        seed: 1,
+    };
     assert_eq!(decode(&encode(&old).unwrap()).unwrap(), old);
     let again = replay(&old, &site, None, &mut ()).unwrap();
     assert_eq!(again.moved_differently, None);
-    assert_eq!(again.episode, old);
+    assert_eq!(
+        (&again.episode.steps, &again.episode.end),
+        (&old.steps, &old.end)
+    );
     assert_eq!(EpisodeScore::new(&old), EpisodeScore::new(&episode));
     // One that moved differently is told.
     let mut other = old;
