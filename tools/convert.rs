@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use decouplegs_asset::packed_scene::{PackedScene, is_package};
+use decouplegs_asset::packed_scene::{PackedScene, is_package, read_packed_lanes};
 use decouplegs_asset::scene_import::{ImportOptions, ImportedScene, read_scene};
 use decouplegs_asset::{
     AssetError, LossReport, SceneFile, SplatFormat, UnfinishedFolder, khr_glb, read_bytes,
@@ -93,7 +93,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         image: arguments.image,
     };
     let reading = progress::spinner(format!("reading {}", arguments.input.display()));
-    let scene = read_scene(&arguments.input, &options)?;
+    let mut scene = read_scene(&arguments.input, &options)?;
+    if let Some(scene) = scene.as_mut().filter(|_| is_package(&arguments.input)) {
+        match read_packed_lanes(&arguments.input) {
+            Ok(lanes) => scene.lanes = lanes,
+            Err(error) => scene.notes.push(format!("the map is left out: {error}")),
+        }
+    }
     reading.finish_and_clear();
     match scene {
         Some(scene) => write_scene(arguments, &scene),

@@ -39,6 +39,7 @@ mod write;
 
 pub use crate::camera_model::packed_intrinsics;
 pub use agents::stands;
+pub use packed_map::read_packed_lanes;
 pub use packed_rig::{PackedRig, packed_scene_id, read_packed_rig};
 pub use read::is_package;
 pub use read::{PackedScene, open_packed_scene};

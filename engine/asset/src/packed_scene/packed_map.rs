@@ -1,15 +1,19 @@
 //! The lanes of a package, in the world of its scene.
 
+use std::path::Path;
+
 use decouplegs_scene::LaneMap;
 use glam::DVec3;
 use serde::Deserialize;
 
 use super::SCENE;
+use super::read::NAME;
 use super::rig::{earth_from_east_north_up, geographic_origin};
-use crate::DecodeError;
+use crate::error::read_bytes;
 use crate::maps::open_drive;
 use crate::rigid::pose_of_rows;
 use crate::zip::Archive;
+use crate::{AssetError, DecodeError};
 
 /// Entry of the map: OpenDRIVE.
 pub(super) const MAP: &str = "map.xodr";
@@ -26,13 +30,19 @@ struct Place {
     earth_from_world: Option<[[f64; 4]; 4]>,
 }
 
-/// The lanes of the package in `bytes`; `None` if it has no map.
+/// The lanes of the package at `path`; `None` if it has no map.
 ///
 /// # Errors
-/// [`DecodeError`] if the map or its place cannot be read.
-pub(crate) fn lanes(bytes: &[u8]) -> Result<Option<LaneMap>, DecodeError> {
-    let has_map = Archive::parse(bytes)?.has(MAP);
-    has_map.then(|| decode(bytes)).transpose()
+/// [`AssetError`] if the package, the map or its place cannot be read.
+pub fn read_packed_lanes(path: &Path) -> Result<Option<LaneMap>, AssetError> {
+    let bytes = read_bytes(path)?;
+    let has_map = Archive::parse(&bytes).map(|archive| archive.has(MAP));
+    let lanes = has_map.and_then(|has_map| has_map.then(|| decode(&bytes)).transpose());
+    lanes.map_err(|source| AssetError::Decode {
+        path: path.to_owned(),
+        format: NAME,
+        source,
+    })
 }
 
 /// Reads the lanes of the package in `bytes`. Packages of this program hold them in the coordinates

@@ -19,7 +19,7 @@ use crate::{
 use decouplegs_scene::SplatCloud;
 use glam::DVec3;
 
-use super::packed_map::{MAP, lanes};
+use super::packed_map::{MAP, read_packed_lanes};
 use super::{OURS, SCENE};
 
 /// Name of the format in messages.
@@ -138,12 +138,10 @@ impl PackedScene {
         let bytes = match &self.content {
             Content::NuRec(scene) => {
                 // Opened without its lanes, which most callers do not need.
-                match lanes(&read_bytes(&self.path)?) {
+                match read_packed_lanes(&self.path) {
                     Ok(None) => {}
                     Ok(Some(lanes)) => lane_json::write(&folder.join("lanes.json"), &lanes)?,
-                    Err(error) => {
-                        log::warn!("{}: its map is left out: {error}", self.path.display());
-                    }
+                    Err(error) => log::warn!("the map is left out: {error}"),
                 }
                 return scene.write(folder);
             }

@@ -37,7 +37,6 @@ use glam::DVec3;
 use crate::checkpoint::{self, Checkpoint};
 use crate::error::read_bytes;
 use crate::maps::lane_json;
-use crate::packed_scene::packed_map;
 use crate::ply::Ply;
 use crate::sky_file::write_cube;
 use crate::zip::Archive;
@@ -156,14 +155,7 @@ pub fn read_scene(
     let (format, decoded) = match bytes.as_slice() {
         [b'P', b'K', 3, 4, ..] => match Archive::parse(&bytes) {
             Ok(archive) if nurec::is_package(&archive) => {
-                let scene = nurec::scene(&archive).map(|mut scene| {
-                    match packed_map::lanes(&bytes) {
-                        Ok(lanes) => scene.lanes = lanes,
-                        Err(error) => scene.notes.push(format!("its map is left out: {error}")),
-                    }
-                    Some(scene)
-                });
-                (nurec::NAME, scene)
+                (nurec::NAME, nurec::scene(&archive).map(Some))
             }
             Ok(archive) if checkpoint::is_checkpoint(&archive) => {
                 (checkpoint::NAME, decode_checkpoint(&bytes, options))
