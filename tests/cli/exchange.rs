@@ -372,6 +372,19 @@ fn packages_become_folders_and_are_packed_again() {
     assert_eq!(count(&place("unpacked/lanes.json")), count(&lanes));
     assert_eq!(count(&place("of_nurec.usdz")), count(&lanes));
     // Nothing is left of what was unpacked, and nothing is replaced.
+    let files = fs::read_dir(folder.path()).unwrap();
+    let mut names: Vec<_> = files.map(|file| file.unwrap().file_name()).collect();
+    names.sort();
+    let expected = [
+        "a.usdz",
+        "again.usdz",
+        "b.usdz",
+        "of_nurec.usdz",
+        "out",
+        "street",
+        "unpacked",
+    ];
+    assert_eq!(names, expected);
     let said = fail(1, &["convert", text(&package), text(&out)]);
     assert!(said.contains("is left as it is"), "{said}");
     let said = fail(

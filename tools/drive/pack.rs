@@ -11,10 +11,9 @@ use decouplegs::asset::maps::{MapFormat, open_drive};
 use decouplegs::asset::packed_scene::{
     PackOptions, PackedScene, ground_mesh_ply, is_package, pack, packed_scene_id,
 };
-use decouplegs::asset::{SceneFile, read_bytes, read_map};
+use decouplegs::asset::{SceneFile, UnfinishedFolder, read_bytes, read_map};
 use decouplegs::scene::VehicleSize;
 use glam::DVec3;
-use tempfile::TempDir;
 
 use crate::arguments::{print, three_numbers};
 use crate::outputs::Force;
@@ -113,7 +112,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     inputs.extend(arguments.map.as_deref());
     arguments.force.outputs(&inputs).file(&arguments.usdz)?;
     let unpacked = is_package(&arguments.scene)
-        .then(|| Unpacked::new(&arguments.scene))
+        .then(|| Unpacked::new(&arguments.scene, &arguments.usdz))
         .transpose()?;
     let (scene, directory) = match &unpacked {
         Some(unpacked) => (unpacked.scene.clone(), unpacked.folder.path()),
@@ -236,15 +235,16 @@ fn add_ground(
     Ok(notes)
 }
 
-/// A package that is packed again: its scene, in a folder for as long as this lives.
+/// A package that is packed again: its scene, in a folder beside the new package for as long as
+/// this lives. That of a killed run is removed by the next one.
 struct Unpacked {
-    folder: TempDir,
+    folder: UnfinishedFolder,
     scene: SceneFile,
 }
 
 impl Unpacked {
-    fn new(package: &Path) -> Result<Self> {
-        let folder = TempDir::with_prefix("decouplegs-pack-").context("cannot make a folder")?;
+    fn new(package: &Path, out: &Path) -> Result<Self> {
+        let folder = UnfinishedFolder::begin(out)?;
         let scene = PackedScene::open(package)?.write(folder.path())?;
         Ok(Self { folder, scene })
     }

@@ -54,7 +54,7 @@ pub fn part(page: &mut Page, scored: &[Scored]) {
          All rules: progress, times the factors of DS, times 0.70 for each time that the ego stood on a crossing without need or blocked the road (5 s or \
          longer) or went through a junction from a lane that does not lead there, times the compliance with speed limits, times the share of time in which it kept \
          its lane. Lane kept: share of time on lanes, junctions apart, in which no side was more than 0.15 m over an edge without a change of lanes. Speed limits: \
-         nuPlan's compliance. PDMS and EPDMS: NAVSIM's formulas, taken from what was driven. A dash: the logs, of versions before 4, do not tell it.",
+         nuPlan's compliance. PDMS and EPDMS: NAVSIM's formulas, taken from what was driven. A dash: the logs, of versions before 4, do not tell it, or the map has no speed limits.",
     );
 }
 

@@ -55,7 +55,7 @@ fn a_program_drives_all_vehicles_and_the_log_replays_without_it() {
     assert_eq!(first[0], serde_json::json!([0, -1.5, null, false]));
     assert_eq!(first[1], serde_json::json!([1, 0.0, 9.0, true]));
     // 4 m/s, less 1.5 m/s^2 over the first step of half a second.
-    let after = &records[1]["instants"].as_array().unwrap().last().unwrap()[5];
+    let after = &records[1]["instants"].as_array().unwrap().last().unwrap()[6];
     assert!(
         (after[0][3].as_f64().unwrap() - 3.25).abs() < 0.2,
         "{after}"

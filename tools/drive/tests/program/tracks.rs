@@ -114,10 +114,10 @@ fn recorded_cars_follow_their_tracks_until_the_ego_is_in_their_way() {
         .filter_map(|record| record["instants"].as_array());
     for instant in instants.flatten() {
         let time_s = instant[0].as_f64().unwrap();
-        let beside = &instant[5][1];
+        let beside = &instant[6][1];
         let x = (30.0 + 15.0 * time_s, beside[0].as_f64().unwrap());
         assert!((x.0 - x.1).abs() < 1e-9, "at {time_s}: {x:?}");
-        let ahead_m = instant[1][0].as_f64().unwrap() - instant[5][0][0].as_f64().unwrap();
+        let ahead_m = instant[1][0].as_f64().unwrap() - instant[6][0][0].as_f64().unwrap();
         assert!(
             ahead_m > 4.5,
             "at {time_s}: {ahead_m} m from middle to middle"
