@@ -32,8 +32,8 @@ const COMING_MPS: f64 = 0.5;
 /// Kind of a breach of these rules.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ConductKind {
-    /// The ego stands where lanes cross or people walk, and need not: nothing is ahead, or one that
-    /// did not drive on when the ego came onto the crossing.
+    /// The ego stands where lanes cross or people walk, without need: nothing is ahead, or a
+    /// vehicle that already stood there when the ego came onto the crossing.
     OnCrossing,
     /// The ego stands with a free road before it, and holds up a vehicle behind it.
     Blocking,
@@ -173,14 +173,14 @@ fn stands_on_crossing(head: &EpisodeHead, instants: &[&EpisodeTick], at: usize) 
     let Some(agent) = leader(head, now) else {
         return true;
     };
-    // Who drove on when the ego came onto the crossing stopped when it was too late.
+    // A vehicle ahead that still moved when the ego came onto the crossing excuses the ego.
     let entry = (0..at).rev().find(|&before| !is_on(instants[before]));
     let Some(before) = entry else { return false };
     let then = instants[before + 1].agents[agent];
     then.is_some_and(|state| state.speed_mps < MOVING_MPS)
 }
 
-/// True if the ego stands at a moment with nothing before it, and holds up one behind it.
+/// True if the ego stands at a moment with a free road ahead, and a vehicle behind it has to wait.
 fn blocks(head: &EpisodeHead, now: &EpisodeTick) -> bool {
     now.ego.speed_mps < STANDING_MPS
         && leader(head, now).is_none()

@@ -69,7 +69,7 @@ fn reference(episode: &Episode, length_m: f64) -> Option<ReferenceDrive> {
     let head = &episode.head;
     let route = head.route_m.iter().map(|point| point.extend(0.0));
     let line = Polyline::new(route).filter(|_| length_m <= ROUTE_M_MAX)?;
-    // The front stands at a line.
+    // Vehicles stop with their front at the line; the way counts from the middle.
     let half_m = 0.5 * head.scenario.ego.size.length_m;
     let place = |record: &StopLineRecord| Some((passed_at_m(&line, record)? - half_m).max(0.0));
     let on_way = head.stop_lines.iter().filter_map(|record| {
