@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `protocol`, `image_header` | commands and acknowledgements; what stands before an image |
 //! | `open`, `demo` | scenes, logs and scenarios of the command line; the scene where none is named |
-//! | `source`, `viewpoint` | the scene at a time: worlds, cameras, boxes; sizes of images |
+//! | `source`, `viewpoint` | the scene at a time: worlds, cameras, boxes, and the same as facts for the page; sizes of images |
 //! | `scene_course`, `edits`, `history`, `lanes` | a scene with its tracks, edits, undo, lanes to snap to |
 //! | `played`, `series`, `scenario_edits` | an episode at a time, its score and its quantities over time; a scenario that is edited and begun anew |
 //! | `session`, `clock` | the thread that serves the clients; the clock that they share |
@@ -13,7 +13,7 @@
 //! | `drawing`, `recording` | images of views, agents under the mouse; images as files |
 //! | `render_command` | the command that renders the image of a view |
 //! | `splat_stream` | splats that the page draws by itself while a camera moves |
-//! | `server`, `events` | HTTP, WebSockets, and who may connect |
+//! | `server`, `events`, `page_files` | HTTP, WebSockets, and who may connect; the files of the page |
 #![forbid(unsafe_code)]
 
 mod clock;
@@ -29,6 +29,7 @@ mod history;
 mod image_header;
 mod lanes;
 mod open;
+mod page_files;
 mod played;
 mod protocol;
 mod recording;

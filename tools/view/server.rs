@@ -22,6 +22,7 @@ use tokio::net::TcpListener;
 use tokio::sync::{mpsc, oneshot, watch};
 
 use crate::events::{Event, Outgoing};
+use crate::page_files::PAGE;
 use crate::protocol::{COMMAND_BYTES_MAX, Refused, parse};
 
 /// Messages that wait for a client before it is dropped.
@@ -33,64 +34,6 @@ const FAULTS_MAX: u32 = 100;
 const REQUEST_PATIENCE: Duration = Duration::from_secs(10);
 /// Longest wait until a client has read why its connection is closed.
 const FAREWELL: Duration = Duration::from_secs(2);
-
-const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
-const PAGE: [(&str, &str, &str); 22] = [
-    (
-        "index.html",
-        "text/html; charset=utf-8",
-        include_str!("page/index.html"),
-    ),
-    (
-        "style.css",
-        "text/css; charset=utf-8",
-        include_str!("page/style.css"),
-    ),
-    (
-        "camera_panel.js",
-        JAVASCRIPT,
-        include_str!("page/camera_panel.js"),
-    ),
-    (
-        "browser_drawing.js",
-        JAVASCRIPT,
-        include_str!("page/browser_drawing.js"),
-    ),
-    ("axes.js", JAVASCRIPT, include_str!("page/axes.js")),
-    (
-        "bookmarks.js",
-        JAVASCRIPT,
-        include_str!("page/bookmarks.js"),
-    ),
-    ("cameras.js", JAVASCRIPT, include_str!("page/cameras.js")),
-    ("compare.js", JAVASCRIPT, include_str!("page/compare.js")),
-    (
-        "connection.js",
-        JAVASCRIPT,
-        include_str!("page/connection.js"),
-    ),
-    ("files.js", JAVASCRIPT, include_str!("page/files.js")),
-    ("geometry.js", JAVASCRIPT, include_str!("page/geometry.js")),
-    ("link.js", JAVASCRIPT, include_str!("page/link.js")),
-    ("main.js", JAVASCRIPT, include_str!("page/main.js")),
-    ("measure.js", JAVASCRIPT, include_str!("page/measure.js")),
-    ("overlays.js", JAVASCRIPT, include_str!("page/overlays.js")),
-    ("panels.js", JAVASCRIPT, include_str!("page/panels.js")),
-    ("path.js", JAVASCRIPT, include_str!("page/path.js")),
-    (
-        "splat_canvas.js",
-        JAVASCRIPT,
-        include_str!("page/splat_canvas.js"),
-    ),
-    (
-        "splat_sorter.js",
-        JAVASCRIPT,
-        include_str!("page/splat_sorter.js"),
-    ),
-    ("state.js", JAVASCRIPT, include_str!("page/state.js")),
-    ("timeline.js", JAVASCRIPT, include_str!("page/timeline.js")),
-    ("views.js", JAVASCRIPT, include_str!("page/views.js")),
-];
 
 /// State that requests are answered from.
 #[derive(Clone)]

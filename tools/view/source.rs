@@ -1,5 +1,7 @@
 //! Scene or episode that the viewer shows, at every time.
 
+mod facts;
+
 use std::sync::Arc;
 
 use decouplegs::asset::{LoadedScene, lidar_names};
@@ -9,15 +11,13 @@ use decouplegs::scene::{Camera, Lidar, Motion, Pose};
 use decouplegs::session::{Session, SessionError, SessionScene, World};
 use decouplegs_cli::free_view::FreeView;
 use glam::DVec3;
-use serde_json::{Value, json};
 
-use crate::extent;
 use crate::played::{LoggedImage, Played};
 use crate::protocol::{CameraRequest, Edit, Pane};
 use crate::scenario_edits::ScenarioEditor;
 use crate::scene_course::{Boxed, SceneCourse};
-use crate::splat_stream::{self, KeptSplats};
-use crate::viewpoint::{fitted, point_at_height, pose_json};
+use crate::splat_stream::KeptSplats;
+use crate::viewpoint::{fitted, point_at_height};
 
 /// Step of the clock over a scene, seconds: that of nuScenes' LiDARs and of most simulators.
 const STEP_S: f64 = 0.1;
@@ -230,6 +230,16 @@ impl Source {
         self.now.time_s
     }
 
+    /// Cameras of the scene at the time that was set.
+    pub fn cameras(&self) -> &[Camera] {
+        &self.now.cameras
+    }
+
+    /// Pose of the ego at the time that was set.
+    pub fn ego(&self) -> Pose {
+        self.now.ego
+    }
+
     /// The world that a pane shows.
     pub fn world(&self, agents: bool) -> &World {
         match agents {
@@ -384,7 +394,8 @@ impl Source {
         self.splats.bytes(self.loaded(), most)
     }
 
-    fn loaded(&self) -> &LoadedScene {
+    /// Scene as it was read.
+    pub fn loaded(&self) -> &LoadedScene {
         match &self.course {
             Course::Scene(course) => &course.scene.loaded,
             Course::Episode(played, _) => played.loaded(),
@@ -439,87 +450,8 @@ impl Source {
         }
     }
 
-    /// Facts that do not change while a scene is played: cameras, counts, lanes, as JSON.
-    pub fn facts(&self) -> Value {
-        let cameras: Vec<Value> = (self.now.cameras.iter())
-            .map(|camera| {
-                let k = &camera.intrinsics;
-                json!({"name": camera.name, "width_px": k.width_px, "height_px": k.height_px})
-            })
-            .collect();
-        let loaded = self.loaded();
-        let lanes = match &self.course {
-            Course::Scene(course) => course.lane_lines(),
-            Course::Episode(played, _) => played.lane_lines(),
-        };
-        let own = loaded.rig.lidars().map(|lidar| lidar.name.as_str());
-        let lidars: Vec<&str> = own.chain(lidar_names()).collect();
-        let first = self.now.cameras.first();
-        let first = first.map_or(self.now.ego, |camera| camera.world_from_camera);
-        let has_rig = loaded.rig.cameras().next().is_some();
-        json!({
-            "title": self.title,
-            "cameras": cameras,
-            "step_s": self.step_s(),
-            "has_ego": self.episode().is_some() || has_rig,
-            "is_captured": has_rig && extent::is_captured(loaded),
-            "background_splats": self.on_device.background_splats(),
-            "assets": loaded.assets.len(),
-            "first_camera": pose_json(&first),
-            "extent": if has_rig { Value::Null } else { extent::facts(&loaded.splat_scene) },
-            "lanes": lanes,
-            "lidars": lidars,
-            "browser": splat_stream::rules_json(&loaded.splat_scene),
-        })
-    }
-
-    /// Facts that change with edits and steps: counts, undo, score, as JSON.
-    pub fn changing_facts(&self) -> Value {
-        let edits = match &self.course {
-            Course::Scene(course) => course.edit_facts(),
-            Course::Episode(_, edited) => {
-                let edited = edited.as_ref();
-                edited.map_or(Value::Null, |edited| edited.facts())
-            }
-        };
-        let plain = self.loaded().plain_agents.len();
-        json!({
-            "span_s": self.span_s(),
-            "agents": self.now.world.agents().len(),
-            "plain_agents": plain,
-            "splats": self.splats.version(),
-            "edits": edits,
-            "log": self.episode().map(Played::facts),
-        })
-    }
-
-    /// Poses and boxes of the agents that are present at the time that was set, and of the ego.
-    pub fn state(&self) -> Value {
-        let agents: Vec<Value> = (self.boxes().into_iter())
-            .map(|agent| {
-                json!({
-                    "name": agent.name,
-                    "id": agent.instance,
-                    "class": agent.class,
-                    "pose": pose_json(&agent.pose),
-                    "size_m": agent.size_m,
-                    "speed_mps": agent.speed_mps,
-                    "fixed": agent.fixed,
-                    "asset": agent.asset,
-                })
-            })
-            .collect();
-        let plans = self.episode().map(|played| played.plans(self.now.time_s));
-        let (plan, alternatives) = plans.unwrap_or_default();
-        json!({
-            "agents": agents,
-            "ego": pose_json(&self.now.ego),
-            "plan": plan,
-            "alternatives": alternatives,
-        })
-    }
-
-    fn boxes(&self) -> Vec<Boxed> {
+    /// Agents with their boxes at the time that was set.
+    pub fn boxes(&self) -> Vec<Boxed> {
         match &self.course {
             Course::Scene(course) => course.boxes_at(self.now.time_s),
             Course::Episode(played, _) => {

@@ -69,6 +69,33 @@ export function cameraRequest(camera, name) {
   return { kind: "attached", agent: camera.rig || null, ...pinhole };
 }
 
+/**
+ * Camera of the user as pixels are projected by it, for an image of `size_px`; null where its vehicle
+ * is gone. `agents` and `ego`: state of its source.
+ */
+export function placedCamera(camera, { agents, ego }, [width, height]) {
+  const { position_m, rotation, fov_deg, kind, agent } = cameraRequest(camera, null);
+  const world = { position_m: [0, 0, 0], rotation: [0, 0, 0, 1] };
+  const vehicle = agent ? agents.find(({ name }) => name === agent)?.pose : ego;
+  const base = kind === "free" ? world : vehicle;
+  if (!base) return null;
+  const focal = height / 2 / Math.tan((fov_deg * Math.PI) / 360);
+  return {
+    size_px: [width, height], focal_px: [focal, focal], center_px: [width / 2, height / 2], lens: null,
+    pose: { position_m: geometry.fromLocal(base, position_m), rotation: geometry.multiply(base.rotation, rotation) },
+  };
+}
+
+/** Choice of the camera that shows a source first. */
+export function firstChoice({ cameras, has_ego: hasEgo, is_captured: isCaptured }) {
+  // Where a scene was captured by few cameras, nothing else may be seen.
+  if (isCaptured) return `named:${cameras[0].name}`;
+  return hasEgo ? "follow" : "orbit";
+}
+
+/** Axes [ahead, left, up] of the world of a source. */
+export const axesOfSource = ({ has_ego: hasEgo, first_camera: first }) => geometry.axesOf(hasEgo ? [0, 0, 1] : geometry.upOf(first));
+
 export function turn(camera, dx, dy) {
   // A camera that flies turns itself; one around a point is dragged with the scene.
   const sign = camera.focus ? -1 : 1;

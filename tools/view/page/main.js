@@ -2,14 +2,15 @@
 import { bookmark } from "./bookmarks.js";
 import * as browser from "./browser_drawing.js";
 import * as cameraPanel from "./camera_panel.js";
+import { axesOfSource, firstChoice } from "./cameras.js";
 import { Connection } from "./connection.js";
-import * as geometry from "./geometry.js";
 import * as link from "./link.js";
 import * as measure from "./measure.js";
 import { alsoDraw, noteTrails } from "./overlays.js";
 import * as panels from "./panels.js";
 import * as path from "./path.js";
 import { $, make, notice, send, state } from "./state.js";
+import * as steering from "./steering.js";
 import * as timeline from "./timeline.js";
 import * as views from "./views.js";
 
@@ -41,8 +42,7 @@ function showScene({ sources, device, clock }) {
   Object.assign(state, { sources, device, clock });
   const [first] = sources;
   document.title = `${first.title} – DecoupleGS`;
-  const up = first.has_ego ? [0, 0, 1] : geometry.upOf(first.first_camera);
-  state.axes = geometry.axesOf(up);
+  state.axes = axesOfSource(first);
   $("linked-label").hidden = sources.length < 2;
   const lidars = first.has_ego ? first.lidars : [];
   $("lidar-label").hidden = lidars.length === 0;
@@ -60,9 +60,7 @@ function showChange(change) {
   if (state.panes.length > 0) return;
   const [first] = state.sources;
   $("empty").hidden = true;
-  // Where a scene was captured by few cameras, nothing else may be seen.
-  const captured = first.is_captured ? `named:${first.cameras[0].name}` : null;
-  views.choose(views.addPane(0), captured ?? (first.has_ego ? "follow" : "orbit"));
+  views.choose(views.addPane(0), firstChoice(first));
   views.activate(0);
   if (state.sources.length > 1) views.setTwo(true);
   link.restore();
@@ -170,7 +168,7 @@ function pressed(event) {
   const movesSlider = target.type === "range" && (key.startsWith("arrow") || ["home", "end"].includes(key));
   if (isPressedByKey || movesSlider) return;
   if (digit) bookmark(digit, event.shiftKey);
-  else if (views.isHeld(key)) views.hold(key, event.shiftKey);
+  else if (steering.isHeld(key)) steering.hold(key, event.shiftKey);
   else if (LAYER_KEYS[key]) setLayer(LAYER_KEYS[key], !state.layers[LAYER_KEYS[key]]);
   else if (onePress(key, event)) onePress(key, event)();
   else return;
@@ -178,7 +176,7 @@ function pressed(event) {
 }
 
 function lifted({ key }) {
-  views.release(key.toLowerCase());
+  steering.release(key.toLowerCase());
   if (key.toLowerCase() === "x" && state.panes.length > 0) views.setBlink(views.activePane(), false);
 }
 
@@ -221,7 +219,7 @@ views.onMeasured(measure);
 views.onChosen(({ agent }) => panels.select(agent));
 window.addEventListener("keydown", pressed);
 window.addEventListener("keyup", lifted);
-window.addEventListener("blur", views.releaseAll);
+window.addEventListener("blur", steering.releaseAll);
 // The token is in a cookie now: it need not stay in the address.
 history.replaceState(null, "", location.pathname + location.hash);
 window.addEventListener("hashchange", link.restore);

@@ -12,7 +12,7 @@ precision highp float;
 precision highp int;
 uniform highp usampler2D splats, order;
 uniform highp sampler2D slots;
-uniform vec2 focal, size, limit;
+uniform vec2 focal, size, middle, limit;
 uniform float near;
 uniform bool antialias;
 out vec2 at;
@@ -53,13 +53,13 @@ void main() {
   c += DILATION_PX2;
   if (antialias) color.a *= sqrt(max(0.0, before) / (a * c - b * b));
   if (color.a * 255.0 < 1.0) return;
-  float middle = 0.5 * (a + c), apart = length(vec2(0.5 * (a - c), b));
-  float large = middle + apart, small = max(middle - apart, DILATION_PX2);
+  float mean2 = 0.5 * (a + c), apart = length(vec2(0.5 * (a - c), b));
+  float large = mean2 + apart, small = max(mean2 - apart, DILATION_PX2);
   vec2 axis = abs(b) > 1e-6 ? normalize(vec2(b, large - a)) : (a >= c ? vec2(1, 0) : vec2(0, 1));
   // Where the alpha falls below 1 of 255.
   float reach = sqrt(2.0 * log(255.0 * color.a));
   at = reach * CORNERS[gl_VertexID % 3];
-  vec2 center = focal * seen.xy / seen.z + 0.5 * size;
+  vec2 center = focal * seen.xy / seen.z + middle;
   vec2 pixel = center + at.x * sqrt(large) * axis + at.y * sqrt(small) * vec2(-axis.y, axis.x);
   gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0, 1);
 }`;
@@ -113,7 +113,7 @@ export class SplatCanvas {
     Object.assign(this, { element, gl, count: 0 });
     gl.useProgram(program);
     this.at = Object.fromEntries(
-      ["splats", "slots", "order", "focal", "size", "limit", "near", "antialias"].map((name) => [name, gl.getUniformLocation(program, name)]),
+      ["splats", "slots", "order", "focal", "size", "middle", "limit", "near", "antialias"].map((name) => [name, gl.getUniformLocation(program, name)]),
     );
     gl.bindVertexArray(gl.createVertexArray());
     gl.activeTexture(gl.TEXTURE1);
@@ -174,10 +174,10 @@ export class SplatCanvas {
   }
 
   /**
-   * Draws. `matrices`: 3 rows of 4 for each slot, from its frame to the camera's; `camera`: size_px
-   * and focal_px of the image; `rules`: sky, near_m and antialias.
+   * Draws. `matrices`: 3 rows of 4 for each slot, from its frame to the camera's; `camera`: size_px,
+   * focal_px and center_px of the image; `rules`: sky, near_m and antialias.
    */
-  draw(matrices, { size_px: [width, height], focal_px: focal }, { sky, near_m: near, antialias }) {
+  draw(matrices, { size_px: [width, height], focal_px: focal, center_px: middle }, { sky, near_m: near, antialias }) {
     const { gl, element, at } = this;
     if (element.width !== width || element.height !== height) Object.assign(element, { width, height });
     gl.viewport(0, 0, width, height);
@@ -186,6 +186,7 @@ export class SplatCanvas {
     gl.activeTexture(gl.TEXTURE0);
     gl.uniform2f(at.focal, focal[0], focal[1]);
     gl.uniform2f(at.size, width, height);
+    gl.uniform2f(at.middle, middle[0], middle[1]);
     // Beyond it the linear approximation of the projection fails.
     gl.uniform2f(at.limit, (0.65 * width) / focal[0], (0.65 * height) / focal[1]);
     gl.uniform1f(at.near, near);

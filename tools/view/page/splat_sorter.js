@@ -15,20 +15,31 @@ const parts = [];
 /** Number of splats of all parts, which is the place of the next one. */
 let splats = 0;
 
+/** Bytes that came and are no whole chunk yet. */
+let left = new Uint8Array(0);
+
 /** Reads the stream at `url`, and hands over each chunk as it comes. */
 async function load(url) {
   const answer = await fetch(url);
   if (!answer.ok) throw new Error(`${answer.status} ${await answer.text()}`);
   const reader = answer.body.getReader();
-  let left = new Uint8Array(0);
   for (;;) {
     const { done, value } = await reader.read();
     if (done) break;
-    const bytes = new Uint8Array(left.length + value.length);
-    bytes.set(left);
-    bytes.set(value, left.length);
-    left = bytes.subarray(takeChunks(bytes));
+    takeBytes(value);
   }
+  end();
+}
+
+/** Takes bytes of the stream, and hands over the chunks that are whole now. */
+function takeBytes(value) {
+  const bytes = new Uint8Array(left.length + value.length);
+  bytes.set(left);
+  bytes.set(value, left.length);
+  left = bytes.subarray(takeChunks(bytes));
+}
+
+function end() {
   if (left.length > 0) throw new Error("the splats end too early");
   postMessage({ kind: "loaded" });
 }
@@ -118,11 +129,23 @@ function sort({ placed, tangents: [tx, ty], near, most }) {
   return sorted;
 }
 
-onmessage = ({ data }) => {
-  if (data.kind === "load") {
-    load(data.url).catch((error) => postMessage({ kind: "failed", text: error.message }));
-    return;
+const failed = (error) => postMessage({ kind: "failed", text: error.message });
+
+/** Works on what a page gives piece by piece. */
+function take(work) {
+  try {
+    work();
+  } catch (error) {
+    failed(error);
   }
-  const sorted = sort(data);
-  postMessage({ kind: "sorted", sorted }, [sorted.buffer]);
+}
+
+onmessage = ({ data }) => {
+  if (data.kind === "load") load(data.url).catch(failed);
+  else if (data.kind === "bytes") take(() => takeBytes(data.bytes));
+  else if (data.kind === "end") take(end);
+  else {
+    const sorted = sort(data);
+    postMessage({ kind: "sorted", sorted }, [sorted.buffer]);
+  }
 };

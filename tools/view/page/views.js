@@ -1,10 +1,11 @@
 // Views: panes and their images, what they ask for, and the mouse over them.
 import { makeAxes } from "./axes.js";
 import * as browser from "./browser_drawing.js";
-import { approach, cameraChoices, cameraRequest, newCamera, shift, turn, zoom } from "./cameras.js";
+import { cameraChoices, cameraRequest, newCamera } from "./cameras.js";
 import { describe, showBoth } from "./compare.js";
 import * as geometry from "./geometry.js";
 import { drawOverlay } from "./overlays.js";
+import { flyBy, steer } from "./steering.js";
 import { $, ask, make, send, state } from "./state.js";
 
 const REST_MS = 150;
@@ -12,14 +13,11 @@ const LOOK_MS = 33;
 const PANES_MAX = 16;
 /** Streams of the second source are this much above those of the first. */
 const OTHER = 32;
-/** A press that moves less than this is a click, pixels. */
-const CLICK_PX = 4;
 const CHANNELS = {
   color: "Color", depth: "Depth", range: "Distance", instance: "Agents by color",
   normal: "Surface direction", flow: "Motion", alpha: "Opacity",
 };
 const MODES = { wipe: "Wipe", blink: "Blink", difference: "Difference" };
-const HELD = ["w", "a", "s", "d", "q", "e", "arrowleft", "arrowright", "arrowup", "arrowdown"];
 
 let measuring = { isOn: () => false, place: () => {} };
 /** Lets clicks go to `measure` while it is on. */
@@ -69,7 +67,7 @@ export function addPane(source = 0) {
   element.addEventListener("focusin", () => activate(number));
   $("panes").append(element);
   state.panes.push(pane);
-  steer(pane);
+  steerBy(pane);
   new ResizeObserver(() => look()).observe(box);
   return pane;
 }
@@ -355,8 +353,8 @@ async function lookFrom(pane, from) {
 
 let lastDrag = 0;
 
-/** Drags the selected agent to the pixel `at`; `done` when the mouse is released. */
-function drag({ place }, at, free, done) {
+/** Drags the selected agent, from `place` to the pixel `at`; `done` when the mouse is released. */
+function drag(place, at, free, done) {
   const now = performance.now();
   if (!done && now - lastDrag < LOOK_MS) return;
   lastDrag = now;
@@ -364,149 +362,50 @@ function drag({ place }, at, free, done) {
   ask("drag", fields);
 }
 
-/** Middle of two fingers and the distance between them, pixels of the page. */
-function pinchOf([a, b]) {
-  return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, apart: Math.max(1, Math.hypot(a.x - b.x, a.y - b.y)) };
+/** What a press on a pane may do beside moving its camera. */
+function pressOn(pane, event) {
+  const place = state.frame && under(pane, event);
+  if (!place) return null;
+  const clicked = () => (measuring.isOn() ? measuring.place : pick)(place);
+  const drags = event.button === 0 && !event.shiftKey && !measuring.isOn() && onSelected(place);
+  if (!drags) return { clicked };
+  const over = (moved) => {
+    const to = under(pane, moved);
+    return to?.view === place.view ? to : null;
+  };
+  return {
+    clicked,
+    dragged(moved) {
+      const to = over(moved);
+      if (to) drag(place, to.at, moved.altKey, false);
+    },
+    dropped: (moved) => drag(place, (over(moved) ?? place).at, moved.altKey, true),
+  };
 }
 
-/** Two fingers on a view: they zoom by their distance, and move the camera by their middle. */
-function pinch(pane, before, now) {
-  const camera = movable(pane);
-  if (!camera) return;
-  zoom(camera, before.apart / now.apart);
-  move(pane, camera, now.x - before.x, now.y - before.y);
+/** Shows a pane whose camera moves. */
+function showMoving(pane) {
   share(pane);
   look(true, pane);
 }
 
-/** Moves by a drag: one across the height of the view moves by that height, at the camera's focus. */
-function move({ box }, camera, dx, dy) {
-  const height = box.getBoundingClientRect().height;
-  const extent = 2 * (camera.far ?? camera.stride) * Math.tan((camera.fov * Math.PI) / 360);
-  shift(camera, (-dx * extent) / height, (dy * extent) / height);
-}
-
-function steer(pane) {
-  const { box } = pane;
-  let press = null;
-  const fingers = new Map();
-  const lift = (event) => fingers.delete(event.pointerId);
-  box.addEventListener("contextmenu", (event) => event.preventDefault());
-  box.addEventListener("pointerdown", (event) => {
-    box.setPointerCapture(event.pointerId);
-    fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-    if (fingers.size > 1) {
-      press = null;
-      return;
-    }
-    const place = state.frame && under(pane, event);
-    const drags = event.button === 0 && !event.shiftKey && place && !measuring.isOn() && onSelected(place);
-    press = {
-      x: event.clientX, y: event.clientY, moves: event.button === 2 || event.shiftKey,
-      place, drags, far: 0, button: event.button,
-    };
+function steerBy(pane) {
+  steer(pane.box, {
+    camera: () => movable(pane),
+    moved: () => showMoving(pane),
+    pressed: (event) => pressOn(pane, event),
   });
-  box.addEventListener("pointermove", (event) => {
-    if (fingers.size === 2 && fingers.has(event.pointerId)) {
-      const before = pinchOf([...fingers.values()]);
-      fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-      pinch(pane, before, pinchOf([...fingers.values()]));
-      return;
-    }
-    if (!press) return;
-    const [dx, dy] = [event.clientX - press.x, event.clientY - press.y];
-    press.far += Math.hypot(dx, dy);
-    Object.assign(press, { x: event.clientX, y: event.clientY });
-    if (press.far < CLICK_PX) return;
-    if (press.drags) {
-      const to = under(pane, event);
-      if (to?.view === press.place.view) drag(press, to.at, event.altKey, false);
-      return;
-    }
-    const camera = movable(pane);
-    if (!camera) return;
-    const height = box.getBoundingClientRect().height;
-    const above = camera.focus && camera.pitch < -1.5;
-    if (press.moves || above) move(pane, camera, dx, dy);
-    else turn(camera, (dx * 2) / height, (dy * 2) / height);
-    share(pane);
-    look(true, pane);
-  });
-  box.addEventListener("pointerup", (event) => {
-    lift(event);
-    const ended = press;
-    press = null;
-    if (!ended?.place) return;
-    if (ended.far < CLICK_PX) {
-      if (ended.button === 0) (measuring.isOn() ? measuring.place : pick)(ended.place);
-    } else if (ended.drags) {
-      const to = under(pane, event);
-      drag(ended, (to?.view === ended.place.view ? to : ended.place).at, event.altKey, true);
-    }
-  });
-  box.addEventListener("pointercancel", (event) => {
-    lift(event);
-    press = null;
-  });
-  box.addEventListener("dblclick", (event) => {
+  pane.box.addEventListener("dblclick", (event) => {
     const place = state.frame && under(pane, event);
     if (place && !measuring.isOn()) circle(pane, place);
   });
-  box.addEventListener(
-    "wheel",
-    (event) => {
-      event.preventDefault();
-      const camera = movable(pane);
-      if (!camera) return;
-      zoom(camera, Math.exp(event.deltaY * 0.001));
-      share(pane);
-      look(true, pane);
-    },
-    { passive: false },
-  );
 }
 
-// Keys that are held ------------------------------------------------------------------------------
-
-const held = new Set();
-let flownAt = 0;
-
-export const isHeld = (key) => HELD.includes(key);
-
-export function hold(key, fast) {
-  if (held.size === 0) {
-    flownAt = performance.now();
-    requestAnimationFrame(fly);
-  }
-  held.add(key);
-  if (fast) held.add("shift");
-}
-
-export function release(key) {
-  held.delete(key);
-  // Shift alone does not fly.
-  if (held.size === 1) held.delete("shift");
-}
-
-export const releaseAll = () => held.clear();
-
-function fly(now) {
-  const seconds = Math.min(0.1, (now - flownAt) / 1000);
-  flownAt = now;
-  if (held.size === 0) return;
-  const pane = activePane();
-  const camera = movable(pane);
-  if (camera) {
-    const step = (held.has("shift") ? 3 : 0.8) * state.flySpeed * camera.stride * seconds;
-    const sign = (plus, minus) => Number(held.has(plus)) - Number(held.has(minus));
-    approach(camera, step * sign("w", "s"));
-    shift(camera, step * sign("d", "a"), step * sign("e", "q"));
-    turn(camera, -seconds * sign("arrowright", "arrowleft"), seconds * sign("arrowup", "arrowdown"));
-    share(pane);
-    look(true, pane);
-  }
-  requestAnimationFrame(fly);
-}
+flyBy({
+  camera: () => movable(activePane()),
+  moved: () => showMoving(activePane()),
+  speed: () => state.flySpeed,
+});
 
 // Panes beside each other ---------------------------------------------------------------------------
 
