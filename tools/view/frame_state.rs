@@ -27,11 +27,17 @@ pub fn badge(reduced: Option<f64>, is_logged: Option<bool>) -> String {
 
 /// Camera of a pane as the page projects by it.
 pub fn pane_json(pane: &Pane, camera: &Camera) -> Value {
+    let mut json = camera_json(camera);
+    json["stream"] = pane.stream.into();
+    json["source"] = pane.source.into();
+    json["pose"] = pose_json(&camera.world_from_camera);
+    json
+}
+
+/// Image of a camera as the page projects by it, wherever the camera stands.
+pub fn camera_json(camera: &Camera) -> Value {
     let k = &camera.intrinsics;
     json!({
-        "stream": pane.stream,
-        "source": pane.source,
-        "pose": pose_json(&camera.world_from_camera),
         "size_px": [k.width_px, k.height_px],
         "focal_px": [k.fx_px, k.fy_px],
         "center_px": [k.cx_px, k.cy_px],

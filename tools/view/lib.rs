@@ -13,6 +13,7 @@
 //! | `drawing`, `recording` | images of views, agents under the mouse; images as files |
 //! | `render_command` | the command that renders the image of a view |
 //! | `splat_stream` | splats that the page draws by itself while a camera moves |
+//! | `page_export` | a scene in one file that a browser shows without a viewer |
 //! | `server`, `events`, `page_files` | HTTP, WebSockets, and who may connect; the files of the page |
 #![forbid(unsafe_code)]
 
@@ -29,6 +30,7 @@ mod history;
 mod image_header;
 mod lanes;
 mod open;
+mod page_export;
 mod page_files;
 mod played;
 mod protocol;
@@ -45,6 +47,7 @@ mod viewpoint;
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc;
@@ -55,10 +58,11 @@ use anyhow::{Context, Result, ensure};
 use decouplegs_cli::arguments::print;
 use decouplegs_cli::background::BackgroundArguments;
 use decouplegs_cli::device::{DeviceArguments, check_validation};
+use decouplegs_cli::outputs::Force;
 
 use drawing::Drawer;
 use events::Event;
-use open::SourceArguments;
+use open::{SourceArguments, drive_to_the_end};
 use server::{Connections, Peer, Secret, Service, router};
 use session::Viewer;
 
@@ -72,7 +76,8 @@ const EVENTS_MAX: usize = 1024;
 /// Shows splats, scenes, logs of episodes, and scenarios, which a planner drives while you look.
 /// Images are rendered here and sent to the page, so it works from a machine without a display:
 /// ssh -L 8090:localhost:8090. While something moves images may be smaller; at rest they are those
-/// of 'decouplegs render', bit for bit. Ctrl-C ends it
+/// of 'decouplegs render', bit for bit. Ctrl-C ends it. With --export it writes one HTML file that
+/// shows the scene by itself
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -96,6 +101,14 @@ pub struct Arguments {
     /// cover most. 0: the page draws nothing
     #[arg(long, value_name = "N", default_value_t = 500_000, value_parser = clap::value_parser!(u32).range(..=8_000_000))]
     browser_splats: u32,
+    /// Write one HTML file that shows the scene without a viewer and without a network, and end:
+    /// with the splats of --browser-splats, which the browser draws, and what moves. An episode is
+    /// driven to its end first
+    #[arg(long, value_name = "FILE.html", value_parser = page_name, conflicts_with_all = ["port", "address", "token", "no_token", "against"])]
+    export: Option<PathBuf>,
+    /// Replace the file of --export if it exists. The inputs are never replaced
+    #[arg(long, requires = "export")]
+    force: bool,
     #[command(flatten)]
     background: BackgroundArguments,
     #[command(flatten)]
@@ -115,6 +128,15 @@ fn token(text: &str) -> Result<String, String> {
     ))
 }
 
+fn page_name(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+    if ["html", "htm"].iter().any(|known| extension == *known) {
+        return Ok(path);
+    }
+    Err("expected the name of a file that ends in .html: browsers show no others as pages".into())
+}
+
 /// A secret of 128 random bits.
 fn new_token() -> Result<String> {
     let mut bits = [0; 16];
@@ -127,6 +149,9 @@ fn new_token() -> Result<String> {
 /// # Errors
 /// Returns an error if the scene is at fault, there is no device, or the port is taken.
 pub fn run(arguments: &Arguments) -> Result<()> {
+    if let Some(path) = &arguments.export {
+        return export(arguments, path);
+    }
     let address = SocketAddr::new(arguments.address, arguments.port);
     ensure!(
         address.ip().is_loopback() || !arguments.no_token,
@@ -193,6 +218,30 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     check_validation(&gpu)
 }
 
+/// Writes the page of `--export` to `path`.
+fn export(arguments: &Arguments, path: &Path) -> Result<()> {
+    let splats_max = arguments.browser_splats as usize;
+    if splats_max == 0 {
+        let text =
+            "--export writes a page that draws its splats: give --browser-splats at least 1\n";
+        clap::Error::raw(clap::error::ErrorKind::ArgumentConflict, text).exit();
+    }
+    let inputs: Vec<&Path> = arguments.sources.file().into_iter().collect();
+    let force = Force {
+        force: arguments.force,
+    };
+    force.files(&inputs, [&path.to_owned()])?;
+    let gpu = arguments.device.open()?;
+    let drawer = Drawer::new(&gpu, arguments.background);
+    let mut sources = arguments.sources.open(drawer.session())?;
+    let source = &mut sources[0];
+    drive_to_the_end(source)?;
+    let written = page_export::export(source, path, splats_max)?;
+    print(&format!("{}: {written}\n", path.display()))?;
+    drop(sources);
+    check_validation(&gpu)
+}
+
 /// Waits until the threads have ended, and no longer than for an image: where a planner
 /// does not answer, the program ends without its plan, and its process with the program.
 fn end_of(renders: JoinHandle<()>) -> Result<()> {
@@ -221,6 +270,14 @@ mod tests {
         assert_eq!(token("abcDEF-_12"), Ok("abcDEF-_12".into()));
         for unfit in ["", "short", "with space", "semi;colon", "a&token=b"] {
             assert!(token(unfit).is_err(), "{unfit}");
+        }
+    }
+
+    #[test]
+    fn pages_have_names_of_pages() {
+        assert_eq!(page_name("a/b.HTML"), Ok("a/b.HTML".into()));
+        for unfit in ["page", "page.png", ".html", "html"] {
+            assert!(page_name(unfit).is_err(), "{unfit}");
         }
     }
 }

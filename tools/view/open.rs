@@ -84,6 +84,11 @@ impl SourceArguments {
         }
     }
 
+    /// File that is shown, if one is named.
+    pub fn file(&self) -> Option<&Path> {
+        self.file.as_deref()
+    }
+
     /// Opens all that is shown: the demo scene where no file is named.
     ///
     /// # Errors
@@ -240,8 +245,11 @@ fn logged(place: &Place, path: &Path, episode: &Episode) -> Result<Source> {
     Ok(Source::of_log(played, title, place.scene.clone()))
 }
 
-/// Drives an episode that is compared with one that was driven.
-fn drive_to_the_end(source: &mut Source) -> Result<()> {
+/// Drives an episode that is driven here until it ends. A scene, and a log, are as they are.
+///
+/// # Errors
+/// Returns an error if a step cannot be driven.
+pub fn drive_to_the_end(source: &mut Source) -> Result<()> {
     let steps = source.episode().map_or(0, |played| {
         let scenario = &played.episode().head.scenario;
         (scenario.duration_s / scenario.step_s).ceil() as usize

@@ -69,3 +69,34 @@ pub const PAGE: [(&str, &str, &str); 25] = [
     ("timeline.js", JAVASCRIPT, include_str!("page/timeline.js")),
     ("views.js", JAVASCRIPT, include_str!("page/views.js")),
 ];
+
+/// Page of one file that shows a scene without a viewer, with marks for its contents.
+pub const ONE_FILE: &str = include_str!("page/one_file.html");
+/// Script of the worker that sorts splats.
+pub const SORTER: &str = include_str!("page/splat_sorter.js");
+/// Modules that a page of one file has beside some of [`PAGE`].
+const OWN_MODULES: [(&str, &str); 2] = [
+    ("one_file.js", include_str!("page/one_file.js")),
+    ("tracks.js", include_str!("page/tracks.js")),
+];
+/// Modules of [`PAGE`] that a page of one file has too.
+const SHARED_MODULES: [&str; 9] = [
+    "axes.js",
+    "cameras.js",
+    "drawing_levels.js",
+    "geometry.js",
+    "overlays.js",
+    "splat_canvas.js",
+    "splat_cloud.js",
+    "state.js",
+    "steering.js",
+];
+
+/// Modules of a page of one file: name and text.
+pub fn modules() -> impl Iterator<Item = (&'static str, &'static str)> {
+    let shared = PAGE
+        .iter()
+        .filter(|(name, ..)| SHARED_MODULES.contains(name));
+    let shared = shared.map(|&(name, _, text)| (name, text));
+    shared.chain(OWN_MODULES)
+}
