@@ -33,8 +33,8 @@ pub struct Exported {
     pub kept: usize,
     /// Splats of the scene.
     pub all: usize,
-    /// Agents that have a track in the page.
-    pub agents: usize,
+    /// Agents that move.
+    pub moving: usize,
     /// First and last time, seconds.
     pub span_s: [f64; 2],
     /// Poses of each track per second; 0 where nothing moves.
@@ -48,11 +48,11 @@ impl fmt::Display for Exported {
         write!(out, "{} of {} splats, ", self.kept, self.all)?;
         if self.poses_per_s > 0.0 {
             let [start_s, end_s] = self.span_s;
-            let (duration_s, agents) = (end_s - start_s, self.agents);
-            let (plural, per_s) = (if agents == 1 { "" } else { "s" }, self.poses_per_s);
+            let (duration_s, moving) = (end_s - start_s, self.moving);
+            let (plural, per_s) = (if moving == 1 { "" } else { "s" }, self.poses_per_s);
             write!(
                 out,
-                "{agents} agent{plural} over {duration_s:.1} s at {per_s:.1} poses per second, "
+                "{moving} moving agent{plural}, {duration_s:.1} s at {per_s:.1} poses per second, "
             )?;
         }
         write!(out, "{:.1} MB", self.bytes as f64 / 1e6)
@@ -98,7 +98,7 @@ pub fn export(source: &mut Source, path: &Path, splats_max: usize) -> Result<Exp
     Ok(Exported {
         kept,
         all,
-        agents: samples.agents(),
+        moving: samples.moving(),
         span_s: source.span_s(),
         poses_per_s: samples.per_s(),
         bytes,
@@ -158,6 +158,7 @@ fn missing(source: &Source) -> Vec<String> {
         splat_scene,
         assets,
         light,
+        plain_agents,
         ..
     } = loaded;
     let degrees = assets.iter().map(|asset| asset.sh_degree);
@@ -167,6 +168,9 @@ fn missing(source: &Source) -> Vec<String> {
         missing.push(format!(
             "colors that change with the direction: those of degree 0 are drawn, of degree {degree}"
         ));
+    }
+    if !plain_agents.is_empty() {
+        missing.push("the motion of agents that are plain splats: they stand still".into());
     }
     if light.is_some() {
         missing.push("light on agents, and their shadows".into());

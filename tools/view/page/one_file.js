@@ -283,7 +283,7 @@ function layersOf() {
 
 function showAbout() {
   const { kept, all } = scene.splats;
-  const rest = kept < all ? `, those that cover most of its ${count(all)}` : ", which are all of it";
+  const rest = kept < all ? `, those that cover most of its ${count(all)}` : ", which are all that it has";
   const rate = moves ? ` What moves has ${(1 / tracks.step_s).toFixed(1)} poses per second; between them it goes straight.` : "";
   $("about-splats").textContent = `This page holds ${count(kept)} splats of ${scene.title}${rest}.${rate}`;
   $("about-missing").append(...scene.missing.map((text) => make("li", { textContent: text })));

@@ -23,9 +23,9 @@ class Track {
     return [...this.numbers.subarray(at, at + NUMBERS)];
   }
 
-  /** The pose at `place` in samples; null where there is none. */
+  /** The pose at `place` in samples; null where there is none. The last sample holds until the next. */
   at(place) {
-    if (place < this.first || place > this.last) return null;
+    if (place < this.first || place >= this.last + 1) return null;
     const before = Math.floor(place);
     const share = place - before;
     const [from, to] = [this.sample(before), this.sample(before + 1)];

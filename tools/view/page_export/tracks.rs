@@ -47,10 +47,13 @@ impl Track {
         self.first + self.poses.len()
     }
 
+    fn stands(&self) -> bool {
+        self.poses.windows(2).all(|two| two[0] == two[1])
+    }
+
     /// The track for the page. One that stands still has one pose.
     fn json(&self, origin: DVec3) -> Value {
-        let stands = self.poses.windows(2).all(|two| two[0] == two[1]);
-        let told = if stands { 1 } else { self.poses.len() };
+        let told = if self.stands() { 1 } else { self.poses.len() };
         let poses = self.poses.iter().take(told);
         let numbers = poses.flat_map(|pose| {
             let [x, y, z] = (pose.translation - origin).to_array();
@@ -126,12 +129,10 @@ impl Samples {
         }
     }
 
-    /// Number of agents that are there at some time and have splats of their own.
-    pub fn agents(&self) -> usize {
-        let moving = self
-            .agents
-            .iter()
-            .filter(|track| !track.facts["asset"].is_null());
+    /// Number of agents that move and have splats of their own.
+    pub fn moving(&self) -> usize {
+        let agents = self.agents.iter();
+        let moving = agents.filter(|track| !track.facts["asset"].is_null() && !track.stands());
         let mut names: Vec<&str> = moving
             .filter_map(|track| track.facts["name"].as_str())
             .collect();

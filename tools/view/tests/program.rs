@@ -23,6 +23,18 @@ fn exit_codes_tell_an_error_from_a_command_line_without_sense() {
             &["view", "--address", "0.0.0.0", "--no-token"],
             "error: 0.0.0.0",
         ),
+        (
+            2,
+            &["view", "--export", "a.html", "--port", "1"],
+            "cannot be used with",
+        ),
+        (2, &["view", "--export", "a.png"], "ends in .html"),
+        (2, &["view", "--force"], "--export"),
+        (
+            2,
+            &["view", "--export", "a.html", "--browser-splats", "0"],
+            "at least 1",
+        ),
     ] {
         let output = run(arguments);
         let said = String::from_utf8_lossy(&output.stderr);

@@ -12,7 +12,7 @@ from viewer_page import PROGRAM, np, run
 Image = pytest.importorskip("PIL.Image")
 
 LIMIT_MS = 120_000
-SAID = re.compile(r"^(\S+): (\d+) of (\d+) splats, (?:(\d+) agents? over (\S+) s at (\S+) poses per second, )?(\S+) MB\n$")
+SAID = re.compile(r"^(\S+): (\d+) of (\d+) splats, (?:(\d+) moving agents?, (\S+) s at (\S+) poses per second, )?(\S+) MB\n$")
 
 
 def export(*arguments, folder, code=0):

@@ -165,6 +165,37 @@ def test_the_browser_draws_only_where_it_may(plain_street, open_webgl_page):
         assert count() > 0
 
 
+def test_the_exact_image_follows_the_last_movement(plain_street, open_webgl_page):
+    with Viewer(plain_street, "scene.toml") as viewer:
+        page = open_webgl_page(viewer)
+        page.choose("Camera of view 1", "orbit")
+        page.after(lambda: page.page.select_option("#width", "640"))
+        ready(page)
+        page.page.evaluate(
+            """() => {
+                const badge = document.getElementById("badge");
+                let movedMs = 0, wasDrawn = false;
+                window.waits = [];
+                addEventListener("pointermove", ({ buttons }) => buttons && (movedMs = performance.now()), true);
+                new MutationObserver(() => {
+                    if (badge.textContent.startsWith("drawn by the browser")) wasDrawn = true;
+                    else if (badge.textContent === "exact" && wasDrawn) {
+                        window.waits.push(performance.now() - movedMs);
+                        wasDrawn = false;
+                    }
+                }).observe(badge, { childList: true });
+            }"""
+        )
+        for turn in range(7):
+            page.after(lambda: drag(page, 40 if turn % 2 else -40, 5))
+        waits = sorted(page.page.evaluate("() => window.waits"))
+        size = page.shown()["panes"][0]["size_px"]
+        print(f"{size}: {', '.join(f'{wait:.0f}' for wait in waits)} ms from the last movement to the exact image")
+        assert len(waits) == 7
+        # It waits for 150 ms of rest, and then for the image; the bound is for a machine that does much else.
+        assert 150 <= waits[0] and waits[3] < 20_000
+
+
 def test_without_webgl_images_come_from_the_viewer_alone(plain_street, open_page):
     with Viewer(plain_street, "scene.toml") as viewer:
         page = open_page(viewer)
