@@ -46,7 +46,7 @@ Object.assign(state.layers, { plan: false });
 // Images ------------------------------------------------------------------------------------------
 
 let painting = 0;
-let movedMs = -Infinity;
+let isResting = true;
 let restTimer = 0;
 
 const cloud = new SplatCloud(makeWorker, { changed: paintSoon, closed: () => notice(CANNOT, true) });
@@ -64,9 +64,13 @@ function paintSoon() {
 
 /** Lets the image follow the camera, and draws all of it when nothing has moved for a while. */
 function moved() {
-  movedMs = performance.now();
+  isResting = false;
+  if (window.drawn) window.drawn.isWhole = false;
   clearTimeout(restTimer);
-  restTimer = setTimeout(paintSoon, REST_MS + 10);
+  restTimer = setTimeout(() => {
+    isResting = true;
+    paintSoon();
+  }, REST_MS);
   paintSoon();
 }
 
@@ -99,7 +103,7 @@ function paint(now) {
   painting = 0;
   advance(now);
   if (!cloud.isReady) return;
-  const isMoving = clock.playing || now - movedMs < REST_MS || cloud.loadedMs === null;
+  const isMoving = clock.playing || !isResting || cloud.loadedMs === null;
   if (isMoving) levels.time(now, false);
   const [share, most] = isMoving ? levels.now : FULL;
   const present = tracks.at(clock.time_s);

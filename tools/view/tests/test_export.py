@@ -194,6 +194,19 @@ def test_fewer_splats_are_told(scene, tmp_path, open_file):
     page.click("#about")
     assert f"holds 2,000 splats of {folder.name}, those that cover most of its" in page.inner_text("#about-splats")
 
+    assert not page.is_visible("#about-missing-said")
+
+
+def test_what_is_missing_is_told(street, tmp_path, open_file):
+    export("scene.toml", "--export", tmp_path / "street.html", folder=street)
+    page = open_file(tmp_path / "street.html")
+    page.select_option("#camera", "named:back")
+    focal = at_rest(page)["camera"]["focal_px"]
+    assert focal[0] == focal[1] > 1
+    page.click("#about")
+    missing = page.inner_text("#about-missing")
+    assert "degree 1" in missing and "lenses" in missing and "fog" not in missing
+
 
 def test_a_splat_file_has_no_time(scene, tmp_path, open_file):
     folder, _ = scene
