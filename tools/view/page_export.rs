@@ -2,8 +2,8 @@
 //!
 //! The file holds the page `page/one_file.html`, its modules as an import map of `data:` addresses,
 //! the facts of the scene as JSON, and the splats as [`crate::splat_stream`] writes them, in pieces
-//! of base64. What moves is sampled at equal steps, each sample 7 f32 in base64: a position relative
-//! to the origin of the scene, meters, and a quaternion x, y, z, w.
+//! of base64. What moves is sampled at equal steps, each sample 7 f32 in base64: a position
+//! relative to the origin of the scene, meters, and a quaternion x, y, z, w.
 
 mod tracks;
 
@@ -241,9 +241,9 @@ mod tests {
     #[test]
     fn names_tell_no_folders_of_the_machine() {
         for (title, name) in [
-            ("/home/a/garden.ply", "garden.ply"),
+            ("/somewhere/garden.ply", "garden.ply"),
             ("garden.ply", "garden.ply"),
-            ("/home/a/street/scene.toml", "street"),
+            ("/somewhere/street/scene.toml", "street"),
             ("scene.toml", "scene.toml"),
             ("run/hard_0001.log", "hard_0001.log"),
         ] {
