@@ -39,6 +39,7 @@ def open_file(webgl_browser):
 
     def open_(path, browser=webgl_browser, width=1280, height=800, **options):
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
+        context.set_default_timeout(LIMIT_MS)
         page = context.new_page()
 
         def only_the_file(route):
@@ -165,14 +166,21 @@ def test_the_camera_moves_by_mouse_wheel_keys_and_menu(scene, open_file):
         page.mouse.move(middle[0] + 60, middle[1] + 20, steps=3)
         page.mouse.up(button=button)
 
+    def hold(key):
+        # Until it has moved: on a busy machine no frame may come for a while.
+        before = page.evaluate("() => JSON.stringify(window.drawn.camera.pose)")
+        page.keyboard.down(key)
+        page.wait_for_function("(before) => JSON.stringify(window.drawn.camera.pose) !== before", arg=before, timeout=LIMIT_MS)
+        page.keyboard.up(key)
+
     page.select_option("#camera", "orbit")
     before = pose()
     acts = [
         lambda: drag("left"), lambda: drag("right"), lambda: page.mouse.wheel(0, -200),
-        lambda: page.keyboard.press("w", delay=300), lambda: page.get_by_role("button", name="Look from Z", exact=True).press("Enter"),
+        lambda: hold("w"), lambda: page.get_by_role("button", name="Look from Z", exact=True).press("Enter"),
         lambda: page.keyboard.press("f"), lambda: page.select_option("#camera", "named:back"),
         # A camera of the rig is left where it was.
-        lambda: page.keyboard.press("ArrowLeft", delay=200),
+        lambda: hold("ArrowLeft"),
     ]
     for act in acts:
         act()
