@@ -5,6 +5,7 @@ pub mod report;
 pub mod written;
 
 use std::fs;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -233,11 +234,14 @@ pub fn notes_of(path: &Path) -> Result<Vec<String>> {
     if !path.is_file() {
         return Ok(Vec::new());
     }
-    let bytes = read_bytes(path)?;
-    if !bytes.starts_with(b"glTF") {
+    let mut start = Vec::new();
+    let file = fs::File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
+    file.with_context(|| format!("{} cannot be read", path.display()))?;
+    if start != b"glTF" {
         return Ok(Vec::new());
     }
-    khr_glb::read_notes(&bytes).with_context(|| format!("{} cannot be read", path.display()))
+    khr_glb::read_notes(&read_bytes(path)?)
+        .with_context(|| format!("{} cannot be read", path.display()))
 }
 
 /// Bytes of a file, or of all files in a folder.

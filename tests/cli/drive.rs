@@ -503,54 +503,6 @@ fn two_sources_of_images_are_compared_by_what_a_planner_makes_of_them() {
 }
 
 #[test]
-fn two_runs_are_compared_episode_by_episode() {
-    let folder = tempfile::tempdir().unwrap();
-    let run = |planner: &str, seed: &str| -> Vec<String> {
-        let out = folder.path().join(format!("{planner}-{seed}"));
-        let of_run = ["--planner", planner, "--seed", seed, "--out", text(&out)];
-        let always = ["--level", "easy", "--episodes", "3", "--render", "off"];
-        succeed(&[&["drive"], &always[..], &of_run[..]].concat());
-        let logs = fs::read_dir(out.join("logs")).unwrap().flatten();
-        logs.map(|log| log.path().display().to_string()).collect()
-    };
-    let (careful, blind) = (run("lane-follow", "1"), run("constant-velocity", "1"));
-    let words = |first: &[String], second: &[String]| -> Vec<String> {
-        let out = folder.path().join("compared").display().to_string();
-        let words = [
-            vec!["score".to_owned()],
-            first.to_vec(),
-            vec!["--force".into(), "--out".into(), out, "--against".into()],
-        ];
-        [words.concat(), second.to_vec()].concat()
-    };
-    let said = |words: &[String]| succeed(&words.iter().map(String::as_str).collect::<Vec<_>>());
-    let differ = said(&words(&careful, &blind));
-    assert!(
-        differ.starts_with("first: lane-follow, second: constant-velocity; 3 pairs, 0 episodes"),
-        "{differ}"
-    );
-    assert!(differ.contains("part at"), "{differ}");
-    let page = fs::read_to_string(folder.path().join("compared/comparison.html")).unwrap();
-    assert!(page.contains("easy_0000") && page.contains("Differences of driving scores"));
-    let report = fs::read_to_string(folder.path().join("compared/comparison.json")).unwrap();
-    let report: Value = serde_json::from_str(&report).unwrap();
-    assert!(report["levels"][0]["difference"]["mean"].as_f64().unwrap() > 0.1);
-
-    let same = said(&words(&careful, &careful));
-    assert!(
-        same.contains("+0.000 [+0.000, +0.000]") && !same.contains("part at"),
-        "{same}"
-    );
-    let other = words(&careful, &run("lane-follow", "2"));
-    let other: Vec<&str> = other.iter().map(String::as_str).collect();
-    let error = fail(1, &other);
-    assert!(
-        error.contains("no scenario was driven in both runs"),
-        "{error}"
-    );
-}
-
-#[test]
 fn open_scenario_files_are_driven_and_what_is_skipped_is_listed() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("cut_in.xosc");

@@ -8,6 +8,7 @@ mod data;
 mod drive;
 mod drive_devices;
 mod drive_images;
+mod drive_reports;
 mod edit;
 mod exchange;
 mod export;

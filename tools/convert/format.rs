@@ -5,8 +5,8 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use decouplegs_asset::{
-    CodedAsset, Provenance, compressed_ply, inria_ply, khr_glb, read_bytes, read_splats, sog,
-    splat, spz, write_coded,
+    CodedAsset, Provenance, compressed_ply, inria_ply, khr_glb, read_bytes, sog, splat, spz,
+    write_coded,
 };
 use decouplegs_scene::SplatCloud;
 use decouplegs_train::compress::{CompressOptions, Prune, compress};
@@ -167,20 +167,19 @@ impl Format {
         Ok(None)
     }
 
-    /// Reads what was written, whatever it is called.
-    pub fn read(self, path: &Path) -> Result<SplatCloud> {
+    /// Reads what was written, where neither its first bytes nor its name tell the format. `None`:
+    /// they do.
+    pub fn read(self, path: &Path) -> Result<Option<SplatCloud>> {
         let bytes = || read_bytes(path);
         let decoded = match self {
-            // These are told by their first bytes.
-            Self::Ply | Self::CompressedPly | Self::Spz | Self::Sog | Self::Glb => {
-                return Ok(read_splats(path)?);
-            }
+            Self::Ply | Self::CompressedPly | Self::Spz | Self::Sog | Self::Glb => return Ok(None),
             Self::Splat => splat::decode(&bytes()?),
             Self::Safetensors => {
                 decouplegs_asset::coded_asset::decode(&bytes()?).map(|asset| asset.cloud.decoded(0))
             }
         };
-        decoded.with_context(|| format!("{} cannot be read back", path.display()))
+        let decoded = decoded.with_context(|| format!("{} cannot be read back", path.display()));
+        decoded.map(Some)
     }
 }
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Result, ensure};
-use decouplegs_asset::LossReport;
+use decouplegs_asset::{Comparison, LossReport, read_splat_pieces};
 use decouplegs_scene::SplatCloud;
 
 use super::bytes_of;
@@ -49,25 +49,30 @@ impl<'a> Writing<'a> {
             "{} has no splat that can be drawn",
             input.display()
         );
-        let original = wanted.clone();
-        let degree = self.degree.unwrap_or(wanted.sh_degree);
-        wanted.set_degree(degree.min(wanted.sh_degree));
+        // What is compared has all degrees. There is a copy only where fewer are written.
+        let degree = self
+            .degree
+            .unwrap_or(wanted.sh_degree)
+            .min(wanted.sh_degree);
+        let original = (degree < wanted.sh_degree).then(|| wanted.clone());
+        wanted.set_degree(degree);
         notes.extend(self.format.limits(&wanted));
         let writing = progress::spinner(format!("writing {}", output.display()));
         let order = self.format.write(output, input, &wanted)?;
-        let compared = order.map_or_else(|| original.clone(), |order| original.select(&order));
-        if compared.len() < original.len() {
-            let count = original.len() - compared.len();
+        let original = original.as_ref().unwrap_or(&wanted);
+        let splats_out = order.as_ref().map_or(original.len(), Vec::len);
+        if splats_out < original.len() {
+            let count = original.len() - splats_out;
             notes.push(format!(
                 "{count} splats with an opacity below 1/255, which are never drawn, are left out"
             ));
         }
         // A device or FIFO cannot be read back.
         let is_file = output.is_file();
-        let after = is_file.then(|| self.format.read(output)).transpose()?;
+        let loss = is_file
+            .then(|| self.compare(original, order.as_deref()))
+            .transpose()?;
         writing.finish_and_clear();
-        let loss =
-            after.map(|after| LossReport::between(&compared, &after, self.format.keeps_axes()));
         if loss.is_none() {
             notes.push(format!(
                 "{} is no regular file: it was not read back",
@@ -79,12 +84,30 @@ impl<'a> Writing<'a> {
             output,
             format: self.format.name(),
             splats_in,
-            splats_out: compared.len(),
+            splats_out,
             bytes_in: bytes_of(input)?,
             bytes_out: bytes_of(output)?,
             loss,
             notes,
         })
+    }
+
+    /// Reads the written file and compares it with `original`, whose splats stand there in `order`.
+    fn compare(&self, original: &SplatCloud, order: Option<&[u32]>) -> Result<LossReport> {
+        let output = self.output;
+        let mut comparison = Comparison::new(self.format.keeps_axes());
+        let mut add = |_: usize, piece: SplatCloud| comparison.add(original, order, &piece);
+        let as_many = match self.format.read(output)? {
+            Some(after) => add(after.len(), after),
+            None => read_splat_pieces(output, add)?,
+        };
+        let expected = order.map_or(original.len(), <[u32]>::len);
+        ensure!(
+            as_many && comparison.compared() == expected,
+            "{} was read back with another number of splats than the {expected} that were written: it was changed meanwhile, convert again",
+            output.display()
+        );
+        Ok(comparison.report())
     }
 }
 

@@ -4,6 +4,7 @@ mod episode_queue;
 mod folder;
 mod image_writer;
 mod jobs;
+mod overlays;
 mod run_devices;
 mod tracks;
 mod workers;
@@ -167,6 +168,10 @@ pub struct Arguments {
     /// Write a video per camera and episode with ffmpeg; keeps all images
     #[arg(long)]
     video: bool,
+    /// Draw the plan, boxes of road users, speed, time to collision, scores and infractions into
+    /// the videos. Images that are kept have none of it
+    #[arg(long, requires = "video")]
+    overlays: bool,
     /// Time limit for an answer of an external planner: a later answer ends its episode. Also for a
     /// driver of --agents: a later answer ends the run
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, default_value_t = 10.0, value_parser = seconds)]

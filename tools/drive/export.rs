@@ -73,7 +73,8 @@ enum Format {
     Kitti,
     /// COCO: boxes and masks in annotations.json, panoptic segmentation in panoptic.json
     Coco,
-    /// ROS 2 messages in episode.mcap: images, camera_info, points, transforms and boxes as markers
+    /// ROS 2 messages in episode.mcap: images, camera_info, points, transforms, boxes as markers,
+    /// odometry, plans, infractions, and score, time to collision and other quantities over time
     Mcap,
     /// A scene: the place with all road users on their ways, the ego's way with its cameras, and
     /// the lanes. Nothing is rendered. `view`, `render`, `drive --scene` and `pack` take it
@@ -154,7 +155,7 @@ fn write(
         Format::Nuscenes => Box::new(nuscenes::Tables::new(folder, episode, rig)?),
         Format::Kitti => Box::new(kitti::Folders::new(folder, rig)?),
         Format::Coco => Box::new(coco::Annotations::new(folder)?),
-        Format::Mcap => Box::new(mcap::Messages::new(folder, rig)?),
+        Format::Mcap => Box::new(mcap::Messages::new(folder, episode, moments, rig)?),
         Format::Scene => bail!("a scene has no images"),
     };
     let begun = moments.as_slice().iter().filter(|m| m.step.is_some());

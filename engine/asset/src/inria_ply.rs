@@ -13,22 +13,22 @@
 //! Splats that move with time are refused. Coordinates that are stored as doubles and are large,
 //! as georeferenced ones are, are read relative to an origin ([`decode_placed`]).
 
-use std::io::{self, Write};
+mod columns;
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
-use decouplegs_scene::{SplatCloud, sh};
+use decouplegs_scene::SplatCloud;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::activation::{log_of_scale, logit, normalized, scale_of_log, sigmoid};
+use crate::activation::{log_of_scale, logit};
 use crate::ply::{Column, Ply, Rows, Scalar};
-use crate::unknown_keys::UnknownKeys;
 use crate::{AssetError, DecodeError, PlacedSplats, SplatLabels, write_atomically};
+use columns::SplatColumns;
 
-/// Moments over which colors that change with time are averaged.
-const MOMENTS: usize = 64;
-/// Most terms of a Fourier series that are read; the trainer's default is 5.
-const TERMS_MAX: usize = 1024;
+pub(crate) use columns::{RestColumns, mean_weights, row_slices};
 
 /// The element that holds the splats of a file with one model.
 const ELEMENT: &str = "vertex";
@@ -86,15 +86,22 @@ fn origin_of(ply: &Ply<'_>) -> Result<DVec3, DecodeError> {
         return Ok(DVec3::ZERO);
     }
     if columns.iter().any(|column| column.scalar != Scalar::F64) {
+        warn_of_rounded(largest_m);
+        return Ok(DVec3::ZERO);
+    }
+    Ok((0.5 * (least + most)).round())
+}
+
+/// Warns where coordinates up to `largest_m` are large for 32 bits, meters.
+fn warn_of_rounded(largest_m: f64) {
+    if (EXACT_M..1e12).contains(&largest_m) {
         // A power of two below the coordinate, over the 24 bits that a float has.
         let step_m = largest_m.log2().floor().exp2() / f64::from(1 << 23);
         log::warn!(
             "coordinates up to {largest_m:.0} m are stored in 32 bits: they are rounded to steps of {step_m} m; export \
              them as doubles, or relative to an origin"
         );
-        return Ok(DVec3::ZERO);
     }
-    Ok((0.5 * (least + most)).round())
 }
 
 /// Reads the splats of the element called `element`: files that keep one element a model
@@ -113,307 +120,65 @@ pub(crate) fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, Dec
 
 /// Reads the splats of `element`, their means relative to `origin`.
 fn decode_relative(ply: &Ply<'_>, element: &str, origin: DVec3) -> Result<SplatCloud, DecodeError> {
-    if !ply.has_element(element) {
-        return Err(DecodeError::Malformed(format!(
-            "there is no element '{element}', only: {}",
-            ply.element_names()
-        )));
-    }
-    let columns = |names: &[&str]| -> Result<Vec<Column>, DecodeError> {
-        names.iter().map(|name| ply.column(element, name)).collect()
+    let columns = SplatColumns::find(ply, element)?;
+    Ok(columns.read(&ply.rows(element)?, origin))
+}
+
+/// Bytes of rows that are in memory at once where a file is read piece by piece.
+const PIECE_BYTES: usize = 16 << 20;
+
+/// Reads the splats of the binary file at `path` piece by piece: `each` gets the number of all and
+/// the next ones, in the order of the file, which is never whole in memory. `Some(false)` where
+/// `each` ended it. `None`, before any piece, for a file that is read whole: one of text, with
+/// coordinates that are doubles, of another format, or at fault.
+///
+/// # Errors
+/// Returns an error if the operating system refuses to read, or the file is cut meanwhile.
+pub(crate) fn read_pieces(
+    path: &Path,
+    each: &mut impl FnMut(usize, SplatCloud) -> bool,
+) -> io::Result<Option<bool>> {
+    let mut file = File::open(path)?;
+    let length = file.metadata()?.len();
+    let mut start = Vec::new();
+    let mut header = Read::by_ref(&mut file).take(Ply::HEADER_BYTES_MAX as u64);
+    header.read_to_end(&mut start)?;
+    let Some((ply, found)) = Ply::of_header(&start, length, ELEMENT) else {
+        return Ok(None);
     };
-    check_properties(ply, element)?;
-    let mean = columns(&["x", "y", "z"])?;
-    let scale = scale_columns(ply, element)?;
-    let rotation = columns(&["rot_0", "rot_1", "rot_2", "rot_3"])?;
-    let opacity = ply.column(element, "opacity")?;
-    let dc = dc_columns(ply, element)?;
-    let rest = RestColumns::find(ply, element)?;
-    let rows = ply.rows(element)?;
-    let means = if origin == DVec3::ZERO {
-        triples(&rows, &mean)
-    } else {
-        let relative = |axis: usize, row: &[u8]| (mean[axis].f64_of(row) - origin[axis]) as f32;
-        row_slices(&rows)
-            .map(|row| std::array::from_fn(|axis| relative(axis, row)))
-            .collect()
+    let is_single = |name: &str| {
+        let column = ply.column_if_present(ELEMENT, name);
+        column.is_some_and(|column| column.scalar == Scalar::F32)
     };
-    let mut cloud = SplatCloud {
-        means,
-        scales: row_slices(&rows)
-            .map(|row| {
-                let logarithms: [f32; 3] = std::array::from_fn(|axis| {
-                    scale[axis].map_or(FLAT_LOG_SCALE, |column| column.f32_of(row))
-                });
-                logarithms.map(scale_of_log)
-            })
-            .collect(),
-        rotations: row_slices(&rows)
-            .map(|row| normalized(std::array::from_fn(|i| rotation[i].f32_of(row))))
-            .collect(),
-        opacities: row_slices(&rows)
-            .map(|row| sigmoid(opacity.f32_of(row)))
-            .collect(),
-        sh_degree: rest.degree,
-        sh_dc: row_slices(&rows)
-            .map(|row| std::array::from_fn(|channel| dc.value(channel, row)))
-            .collect(),
-        sh_rest: rest.read(&rows, |column, row| column.f32_of(row)),
+    if !["x", "y", "z"].into_iter().all(is_single) {
+        return Ok(None);
+    }
+    let Ok(columns) = SplatColumns::find(&ply, ELEMENT) else {
+        return Ok(None);
     };
-    if let Some(filter) = ply.column_if_present(element, "filter_3D") {
-        log::warn!("Mip-Splatting's filter_3D is applied to scales and opacities");
-        let widths = row_slices(&rows).map(|row| filter.f32_of(row));
-        cloud
-            .scales
-            .par_iter_mut()
-            .zip(&mut cloud.opacities)
-            .zip(widths)
-            .for_each(|((scales, opacity), width)| filtered(scales, opacity, width));
-    }
-    Ok(cloud)
-}
-
-/// Widens a splat by a low-pass filter of standard deviation `width`, and fades it as much as it
-/// grows (Yu et al., "Mip-Splatting", 2024, equation 9).
-fn filtered(scales: &mut [f32; 3], opacity: &mut f32, width: f32) {
-    let mut share = 1.0;
-    for scale in scales {
-        let wider = scale.hypot(width);
-        share *= *scale / wider;
-        *scale = wider;
-    }
-    if share.is_finite() {
-        *opacity *= share;
-    }
-}
-
-/// Logarithm of the third scale of flat splats, 1e-6, as the authors of 2DGS advise.
-const FLAT_LOG_SCALE: f32 = -13.815_511;
-/// Band 0 of the spherical harmonics.
-const SH_BAND_0: f32 = 0.282_094_79;
-
-/// Properties that change nothing that is drawn. Ends in `_`: all names that begin so.
-const HARMLESS: [&str; 33] = [
-    "x",
-    "y",
-    "z",
-    "nx",
-    "ny",
-    "nz",
-    "opacity",
-    "filter_3D",
-    "red",
-    "green",
-    "blue",
-    "alpha",
-    "f_dc_",
-    "f_rest_",
-    "scale_",
-    "rot_",
-    "confidence",
-    "label",
-    "class",
-    "instance",
-    "segment",
-    "semantic_",
-    "obj_dc_",
-    "id",
-    "objectid",
-    "ids",
-    "uid",
-    "score",
-    "feature_",
-    "language_feature_",
-    "embedding_",
-    "road_mask",
-    "sky_mask",
-];
-/// Properties of splats that move, bend or shine otherwise than those that are drawn here, with
-/// what they are.
-const REFUSED: [(&str, &str); 7] = [
-    ("trbf_", "splats that appear and vanish with time"),
-    ("motion_", "splats that move with time"),
-    ("omega_", "splats that turn with time"),
-    ("f_t_", "colors that change with time"),
-    ("t_scale", "splats of four dimensions"),
-    ("sb_params_", "colors of spherical Betas"),
-    (
-        "beta",
-        "splats with the kernel of Deformable Beta Splatting",
-    ),
-];
-
-/// Refuses files with another kind of splat, and warns of unknown properties.
-fn check_properties(ply: &Ply<'_>, element: &str) -> Result<(), DecodeError> {
-    let mut unknown = UnknownKeys::default();
-    for name in ply.property_names(element) {
-        if let Some((_, what)) = REFUSED.iter().find(|(start, _)| name.starts_with(start)) {
-            return Err(DecodeError::Unsupported(format!(
-                "the property '{name}' tells of {what}, which are not drawn; export plain Gaussian splats"
-            )));
-        }
-        let is_known = HARMLESS
-            .iter()
-            .any(|known| *known == name || known.ends_with('_') && name.starts_with(known));
-        if !is_known {
-            unknown.add(name);
-        }
-    }
-    unknown.warn("properties of splats");
-    Ok(())
-}
-
-/// Columns of the logarithms of the scales; `None` for the third of flat splats.
-fn scale_columns(ply: &Ply<'_>, element: &str) -> Result<[Option<Column>; 3], DecodeError> {
-    let found = ["scale_0", "scale_1", "scale_2"].map(|name| ply.column_if_present(element, name));
-    match found {
-        [Some(_), Some(_), None] => {
-            log::warn!("two scales a splat, as 2DGS writes them: the third is 1e-6");
-            Ok(found)
-        }
-        [Some(_), None, None] => {
-            log::warn!("one scale a splat: it holds for all three axes");
-            Ok([found[0]; 3])
-        }
-        _ => {
-            for name in ["scale_0", "scale_1", "scale_2"] {
-                ply.column(element, name)?;
-            }
-            Ok(found)
-        }
-    }
-}
-
-/// The `f_dc` columns of an element, channel-major: one per channel, or the terms of its series
-/// over time.
-struct DcColumns {
-    columns: Vec<Column>,
-    /// True if they are the colors themselves, 0 to 1 or integers.
-    are_colors: bool,
-    /// Mean of each term.
-    weights: Vec<f64>,
-}
-
-/// Finds `f_dc_0..` in `element`.
-fn dc_columns(ply: &Ply<'_>, element: &str) -> Result<DcColumns, DecodeError> {
-    let count = ply
-        .property_names(element)
-        .filter(|name| name.starts_with("f_dc_"))
-        .count();
-    let colors = ["red", "green", "blue"].map(|name| ply.column_if_present(element, name));
-    if let ([Some(red), Some(green), Some(blue)], 0) = (colors, count) {
-        log::warn!("colors are red, green and blue, as nerfstudio writes them, without bands");
-        return Ok(DcColumns {
-            columns: vec![red, green, blue],
-            are_colors: true,
-            weights: vec![1.0],
-        });
-    }
-    // Fewer than three are missed by name.
-    let terms = if count > 3 && count.is_multiple_of(3) {
-        count / 3
-    } else {
-        1
-    };
-    let columns = (0..3 * terms)
-        .map(|i| ply.column(element, &format!("f_dc_{i}")))
-        .collect::<Result<_, DecodeError>>()?;
-    Ok(DcColumns {
-        columns,
-        are_colors: false,
-        weights: mean_weights(terms)?,
-    })
-}
-
-impl DcColumns {
-    fn value(&self, channel: usize, row: &[u8]) -> f32 {
-        let terms = self.weights.len();
-        let columns = &self.columns[channel * terms..(channel + 1) * terms];
-        match columns {
-            [only] if self.are_colors => (only.share_of(row) - 0.5) / SH_BAND_0,
-            [only] => only.f32_of(row),
-            _ => columns
-                .iter()
-                .zip(&self.weights)
-                .map(|(column, weight)| f64::from(column.f32_of(row)) * weight)
-                .sum::<f64>() as f32,
-        }
-    }
-}
-
-/// The `f_rest` columns of an element, `[coefficient][rgb]`.
-pub(crate) struct RestColumns {
-    /// Degree that is read: a fourth band, which nothing here evaluates, is left out.
-    pub(crate) degree: u8,
-    columns: Vec<[Column; 3]>,
-}
-
-impl RestColumns {
-    /// Finds `f_rest_0..` in `element` and the degree that their number means.
-    pub(crate) fn find(ply: &Ply<'_>, element: &str) -> Result<Self, DecodeError> {
-        let count = ply
-            .property_names(element)
-            .filter(|name| name.starts_with("f_rest_"))
-            .count();
-        let degree: u8 = match count {
-            0 => 0,
-            9 => 1,
-            24 => 2,
-            45 | 72 => sh::DEGREE_MAX,
-            _ => {
-                return Err(DecodeError::Malformed(format!(
-                    "element '{element}' has {count} f_rest properties; degree 0 to 4 has 0, 9, 24, 45 or 72"
-                )));
-            }
+    file.seek(SeekFrom::Start(found.start))?;
+    let rows_each = (PIECE_BYTES / found.stride).max(1);
+    let (mut bytes, mut largest_m) = (Vec::new(), 0f32);
+    // A file without splats has a degree: it comes as one piece.
+    for first in (0..found.count.max(1)).step_by(rows_each) {
+        let count = rows_each.min(found.count - first);
+        bytes.resize(count * found.stride, 0);
+        file.read_exact(&mut bytes)?;
+        let rows = Rows {
+            bytes: &bytes,
+            stride: found.stride,
+            count,
         };
-        let stride = count / 3;
-        let columns = (0..sh::coefficient_count(degree) - 1)
-            .map(|coefficient| {
-                let of = |channel: usize| {
-                    ply.column(
-                        element,
-                        &format!("f_rest_{}", channel * stride + coefficient),
-                    )
-                };
-                Ok([of(0)?, of(1)?, of(2)?])
-            })
-            .collect::<Result<_, DecodeError>>()?;
-        Ok(Self { degree, columns })
-    }
-
-    /// All coefficients of all rows, each through `value`.
-    pub(crate) fn read(
-        &self,
-        rows: &Rows<'_>,
-        value: impl Fn(Column, &[u8]) -> f32 + Sync,
-    ) -> Vec<[f32; 3]> {
-        let stride = self.columns.len();
-        if stride == 0 {
-            return Vec::new();
+        let cloud = columns.read(&rows, DVec3::ZERO);
+        let means = cloud.means.iter();
+        let finite = means.filter(|mean| mean.iter().all(|x| x.is_finite()));
+        largest_m = (finite.flatten()).fold(largest_m, |largest, x| largest.max(x.abs()));
+        if !each(found.count, cloud) {
+            return Ok(Some(false));
         }
-        let mut rest = vec![[0.0; 3]; rows.count * stride];
-        rest.par_chunks_mut(stride)
-            .zip(row_slices(rows))
-            .for_each(|(coefficients, row)| {
-                for (coefficient, columns) in coefficients.iter_mut().zip(&self.columns) {
-                    *coefficient = columns.map(|column| value(column, row));
-                }
-            });
-        rest
     }
-}
-
-/// The rows, each as its bytes. Only for rows with properties.
-pub(crate) fn row_slices<'a>(
-    rows: &Rows<'a>,
-) -> impl IndexedParallelIterator<Item = &'a [u8]> + use<'a> {
-    rows.bytes.par_chunks_exact(rows.stride.max(1))
-}
-
-fn triples(rows: &Rows<'_>, columns: &[Column]) -> Vec<[f32; 3]> {
-    row_slices(rows)
-        .map(|row| std::array::from_fn(|axis| columns[axis].f32_of(row)))
-        .collect()
+    warn_of_rounded(f64::from(largest_m));
+    Ok(Some(true))
 }
 
 /// Writes `cloud` to `path`, atomically.
@@ -485,35 +250,6 @@ fn fill_row(row: &mut [u8], cloud: &SplatCloud, splat: usize) {
     for (to, value) in row.chunks_exact_mut(size_of::<f32>()).zip(values) {
         to.copy_from_slice(&value.to_le_bytes());
     }
-}
-
-/// Mean of each term of the series over time 0 to 1: cosines at even indices, sines at odd ones.
-///
-/// # Errors
-/// For more than 1024 terms.
-pub(crate) fn mean_weights(terms: usize) -> Result<Vec<f64>, DecodeError> {
-    if terms > TERMS_MAX {
-        let message =
-            format!("colors are Fourier series of {terms} terms; at most {TERMS_MAX} are read");
-        return Err(DecodeError::Malformed(message));
-    }
-    let term = |term: usize, time: f64| {
-        let angle = std::f64::consts::PI * time;
-        if term.is_multiple_of(2) {
-            (angle * term as f64).cos()
-        } else {
-            (angle * (term + 1) as f64).sin()
-        }
-    };
-    let moment = |index: usize| (index as f64 + 0.5) / MOMENTS as f64;
-    Ok((0..terms)
-        .map(|t| {
-            (0..MOMENTS)
-                .map(|index| term(t, moment(index)))
-                .sum::<f64>()
-                / MOMENTS as f64
-        })
-        .collect())
 }
 
 #[cfg(test)]

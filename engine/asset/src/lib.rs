@@ -69,13 +69,13 @@ pub use extent::SplatExtent;
 pub use ground_file::{read_ground, write_ground};
 pub use lidar_file::{lidar_names, read_lidar};
 pub use light_transfer_file::{LightTransferFile, read_light_transfer, write_light_transfer};
-pub use loss::{AttributeLoss, LossReport};
+pub use loss::{AttributeLoss, Comparison, LossReport};
 pub use map_file::read_map;
 pub use obstacle_file::{read_obstacles, write_obstacles};
 pub use packed_scene::open_packed_scene;
 pub use placed::{PlacedSplats, SplatLabels};
 pub use probe::{probe_paths, read_probe};
-pub use read::{SplatFormat, read_placed_splats, read_splats, usual_up};
+pub use read::{SplatFormat, read_placed_splats, read_splat_pieces, read_splats, usual_up};
 pub use scan::{Scan, ScanFormat, read_scan};
 pub use scene_file::{
     AgentLabel, EditError, Layer, LoadedAgent, LoadedLight, LoadedRecording, LoadedScene,

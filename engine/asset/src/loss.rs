@@ -9,29 +9,94 @@ use serde::Serialize;
 pub struct AttributeLoss {
     /// Mean over all numbers.
     pub mean: f64,
-    /// 99 of 100 numbers are off by no more.
+    /// 99 of 100 numbers are off by no more, to one part in 8192.
     pub p99: f64,
     /// The largest.
     pub max: f64,
 }
 
-impl AttributeLoss {
-    /// The statistics of `errors`; zero without any. An error that is not a number counts as
-    /// infinite.
-    #[must_use]
-    pub fn from_errors(mut errors: Vec<f64>) -> Self {
-        if errors.is_empty() {
-            return Self::default();
+/// Tally of the errors of one attribute, whose memory does not grow with them.
+///
+/// The 99 % quantile is told by counts of errors of about the same size: each is at most one part
+/// in 8192 above its class.
+struct Tally {
+    count: u64,
+    sum: f64,
+    max: f64,
+    /// Errors by class, from [`Tally::class_of`].
+    classes: Vec<u64>,
+}
+
+impl Tally {
+    /// Bits of the mantissa that tell classes apart.
+    const MANTISSA_BITS: u32 = 13;
+    /// Exponents of two of the smallest and the largest errors that have classes of their own.
+    /// Smaller ones are in the first class, larger ones in the last.
+    const EXPONENTS: [i64; 2] = [-60, 60];
+
+    fn new() -> Self {
+        Self {
+            count: 0,
+            sum: 0.0,
+            max: 0.0,
+            classes: vec![0; Self::class_of(f64::INFINITY) + 1],
         }
-        errors
-            .iter_mut()
-            .filter(|error| error.is_nan())
-            .for_each(|error| *error = f64::INFINITY);
-        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-        let rank = ((errors.len() as f64 * 0.99).ceil() as usize).clamp(1, errors.len()) - 1;
-        let (_, &mut p99, above) = errors.select_nth_unstable_by(rank, f64::total_cmp);
-        let max = above.iter().copied().fold(p99, f64::max);
-        Self { mean, p99, max }
+    }
+
+    /// Class of an error; the first holds 0.
+    fn class_of(error: f64) -> usize {
+        let [least, most] =
+            Self::EXPONENTS.map(|exponent| ((exponent + 1023) as u64) << Self::MANTISSA_BITS);
+        let bits = error.to_bits() >> (52 - Self::MANTISSA_BITS);
+        (bits.clamp(least, most) - least) as usize
+    }
+
+    /// Smallest error of a class.
+    fn least_of(class: usize) -> f64 {
+        let least = ((Self::EXPONENTS[0] + 1023) as u64) << Self::MANTISSA_BITS;
+        match class {
+            0 => 0.0,
+            _ => f64::from_bits((least + class as u64) << (52 - Self::MANTISSA_BITS)),
+        }
+    }
+
+    /// Adds errors, zero or above. One that is not a number counts as infinite.
+    fn add(&mut self, errors: &[f64]) {
+        for error in errors {
+            let error = if error.is_nan() {
+                f64::INFINITY
+            } else {
+                *error
+            };
+            self.sum += error;
+            self.max = self.max.max(error);
+            self.classes[Self::class_of(error)] += 1;
+        }
+        self.count += errors.len() as u64;
+    }
+
+    /// The statistics; zero without any error.
+    fn loss(&self) -> AttributeLoss {
+        if self.count == 0 {
+            return AttributeLoss::default();
+        }
+        let rank = ((self.count as f64 * 0.99).ceil() as u64).clamp(1, self.count);
+        let mut below = 0;
+        let class = self.classes.iter().position(|of_class| {
+            below += of_class;
+            below >= rank
+        });
+        AttributeLoss {
+            mean: self.sum / self.count as f64,
+            // The last class has no end.
+            p99: match class {
+                Some(class) if class + 1 < self.classes.len() => {
+                    Self::least_of(class).min(self.max)
+                }
+                _ => self.max,
+            },
+            max: self.max,
+        }
     }
 }
 
@@ -66,78 +131,139 @@ impl LossReport {
     #[must_use]
     pub fn between(before: &SplatCloud, after: &SplatCloud, axes_are_kept: bool) -> Self {
         assert_eq!(before.len(), after.len(), "loss is told of the same splats");
-        let scales = |scales: &[f32; 3]| {
-            let mut scales = *scales;
-            if !axes_are_kept {
+        let mut comparison = Comparison::new(axes_are_kept);
+        comparison.add(before, None, after);
+        comparison.report()
+    }
+}
+
+/// Splats that are compared piece by piece.
+pub struct Comparison {
+    axes_are_kept: bool,
+    position_m: Tally,
+    scale_relative: Tally,
+    rotation_rad: Tally,
+    opacity: Tally,
+    sh_dc: Tally,
+    sh_rest: Tally,
+    sh_degrees: [u8; 2],
+    compared: usize,
+}
+
+/// Splats whose errors are in memory at once.
+const BLOCK: usize = 1 << 15;
+
+impl Comparison {
+    /// A comparison of no splat yet. `axes_are_kept`: as for [`LossReport::between`].
+    #[must_use]
+    pub fn new(axes_are_kept: bool) -> Self {
+        Self {
+            axes_are_kept,
+            position_m: Tally::new(),
+            scale_relative: Tally::new(),
+            rotation_rad: Tally::new(),
+            opacity: Tally::new(),
+            sh_dc: Tally::new(),
+            sh_rest: Tally::new(),
+            sh_degrees: [0; 2],
+            compared: 0,
+        }
+    }
+
+    /// Compares the splats `after` with the next ones of `before`: behind those that were compared,
+    /// or behind them in `order`, which holds places in `before`. Returns false, and compares
+    /// nothing, where there are not as many.
+    pub fn add(&mut self, before: &SplatCloud, order: Option<&[u32]>, after: &SplatCloud) -> bool {
+        let first = self.compared;
+        if order.map_or(before.len(), <[u32]>::len) < first + after.len() {
+            return false;
+        }
+        self.sh_degrees = [before.sh_degree, after.sh_degree];
+        for start in (0..after.len()).step_by(BLOCK) {
+            let splats = start..after.len().min(start + BLOCK);
+            let pairs: Vec<[usize; 2]> = splats
+                .map(|splat| match order {
+                    Some(order) => [order[first + splat] as usize, splat],
+                    None => [first + splat, splat],
+                })
+                .collect();
+            self.add_pairs(before, after, &pairs);
+        }
+        self.compared += after.len();
+        true
+    }
+
+    /// Number of splats that were compared.
+    #[must_use]
+    pub fn compared(&self) -> usize {
+        self.compared
+    }
+
+    fn add_pairs(&mut self, before: &SplatCloud, after: &SplatCloud, pairs: &[[usize; 2]]) {
+        let each = |error: &(dyn Fn([usize; 2]) -> f64 + Sync)| -> Vec<f64> {
+            pairs.par_iter().map(|pair| error(*pair)).collect()
+        };
+        let off = |a: f32, b: f32| (f64::from(a) - f64::from(b)).abs();
+        self.position_m.add(&each(&|[a, b]| {
+            let (a, b) = (before.means[a], after.means[b]);
+            let squares = a.iter().zip(b).map(|(a, b)| off(*a, b).powi(2));
+            squares.sum::<f64>().sqrt()
+        }));
+        let scales = |mut scales: [f32; 3]| {
+            if !self.axes_are_kept {
                 scales.sort_unstable_by(f32::total_cmp);
             }
             scales
         };
-        let distance = |(a, b): (&[f32; 3], &[f32; 3])| {
-            a.iter()
-                .zip(b)
-                .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
-                .sum::<f64>()
-                .sqrt()
-        };
-        let scale_pairs = before.scales.par_iter().zip(&after.scales);
-        let scale_relative = scale_pairs.flat_map_iter(|(a, b)| {
-            let (a, b) = (scales(a), scales(b));
+        let scale_pairs = pairs.par_iter().flat_map_iter(|&[a, b]| {
+            let (a, b) = (scales(before.scales[a]), scales(after.scales[b]));
             (0..3).map(move |i| relative(a[i], b[i]))
         });
-        let angles = before
-            .rotations
-            .par_iter()
-            .zip(&after.rotations)
-            .map(|(a, b)| angle_rad(a, b));
-        let degree = before.sh_degree.max(after.sh_degree);
-        let sh_rest = (degree > 0).then(|| {
-            let [a, b] = [before, after].map(|cloud| {
-                let mut cloud = SplatCloud {
-                    means: cloud.means.clone(),
-                    sh_rest: cloud.sh_rest.clone(),
-                    sh_degree: cloud.sh_degree,
-                    ..SplatCloud::default()
-                };
-                cloud.set_degree(degree);
-                cloud.sh_rest
-            });
-            differences(&a, &b)
+        let relative: Vec<f64> = scale_pairs.collect();
+        self.scale_relative.add(&relative);
+        if self.axes_are_kept {
+            self.rotation_rad.add(&each(&|[a, b]| {
+                angle_rad(&before.rotations[a], &after.rotations[b])
+            }));
+        }
+        self.opacity.add(&each(&|[a, b]| {
+            off(before.opacities[a], after.opacities[b])
+        }));
+        let dc = pairs.par_iter().flat_map_iter(|&[a, b]| {
+            let (a, b) = (before.sh_dc[a], after.sh_dc[b]);
+            (0..3).map(move |i| off(a[i], b[i]))
         });
-        Self {
-            position_m: AttributeLoss::from_errors(
-                before
-                    .means
-                    .par_iter()
-                    .zip(&after.means)
-                    .map(distance)
-                    .collect(),
-            ),
-            scale_relative: AttributeLoss::from_errors(scale_relative.collect()),
-            rotation_rad: axes_are_kept.then(|| AttributeLoss::from_errors(angles.collect())),
-            opacity: AttributeLoss::from_errors(
-                before
-                    .opacities
-                    .iter()
-                    .zip(&after.opacities)
-                    .map(|(a, b)| f64::from((a - b).abs()))
-                    .collect(),
-            ),
-            sh_dc: differences(&before.sh_dc, &after.sh_dc),
-            sh_rest,
-            sh_degree_before: before.sh_degree,
-            sh_degree_after: after.sh_degree,
+        let dc: Vec<f64> = dc.collect();
+        self.sh_dc.add(&dc);
+        let count = before.rest_stride().max(after.rest_stride());
+        let rest = pairs.par_iter().flat_map_iter(|&[a, b]| {
+            let (a, b) = (before.rest_of(a), after.rest_of(b));
+            let of = |rest: &[[f32; 3]], k: usize| rest.get(k).copied().unwrap_or_default();
+            (0..count).flat_map(move |k| {
+                let (a, b) = (of(a, k), of(b, k));
+                (0..3).map(move |i| off(a[i], b[i]))
+            })
+        });
+        let rest: Vec<f64> = rest.collect();
+        self.sh_rest.add(&rest);
+    }
+
+    /// The loss of all splats that were compared.
+    #[must_use]
+    pub fn report(&self) -> LossReport {
+        let [sh_degree_before, sh_degree_after] = self.sh_degrees;
+        let has_rest = sh_degree_before.max(sh_degree_after) > 0;
+        LossReport {
+            position_m: self.position_m.loss(),
+            scale_relative: self.scale_relative.loss(),
+            rotation_rad: self.axes_are_kept.then(|| self.rotation_rad.loss()),
+            opacity: self.opacity.loss(),
+            sh_dc: self.sh_dc.loss(),
+            sh_rest: has_rest.then(|| self.sh_rest.loss()),
+            sh_degree_before,
+            sh_degree_after,
         }
     }
-}
-
-fn differences(a: &[[f32; 3]], b: &[[f32; 3]]) -> AttributeLoss {
-    let pairs = a.as_flattened().par_iter().zip(b.as_flattened());
-    AttributeLoss::from_errors(
-        pairs
-            .map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs())
-            .collect(),
-    )
 }
 
 /// |b / a - 1|; of nothing that stays nothing, 0.
@@ -227,14 +353,76 @@ mod tests {
         assert_eq!((loss.scale_relative.max, loss.rotation_rad), (0.0, None));
     }
 
+    fn loss_of(errors: impl IntoIterator<Item = f64>) -> AttributeLoss {
+        let mut tally = Tally::new();
+        tally.add(&errors.into_iter().collect::<Vec<_>>());
+        tally.loss()
+    }
+
     #[test]
     fn ninety_nine_of_a_hundred_are_below_the_percentile() {
-        let loss = AttributeLoss::from_errors((1..=1000).map(f64::from).collect());
+        let loss = loss_of((1..=1000).map(f64::from));
         assert_eq!((loss.p99, loss.max, loss.mean), (990.0, 1000.0, 500.5));
-        assert_eq!(
-            AttributeLoss::from_errors(vec![f64::NAN]).max,
-            f64::INFINITY
-        );
-        assert_eq!(AttributeLoss::from_errors(vec![]), AttributeLoss::default());
+        assert_eq!(loss_of([f64::NAN]).max, f64::INFINITY);
+        assert_eq!(loss_of([f64::NAN]).p99, f64::INFINITY);
+        assert_eq!(loss_of([]), AttributeLoss::default());
+        assert_eq!(loss_of([0.0; 5]), AttributeLoss::default());
+        // Errors of no class of their own.
+        assert_eq!(loss_of([1e-30; 5]).p99, 0.0);
+        assert_eq!(loss_of([1e30; 5]).p99, 1e30);
+    }
+
+    #[test]
+    fn quantiles_are_those_of_sorted_errors_to_a_part_in_8192() {
+        for count in [1, 2, 99, 100, 101, 4321] {
+            let errors = (0..count).map(|i| (f64::from(i) * 0.7).sin().abs().powi(9));
+            let mut sorted: Vec<f64> = errors.clone().collect();
+            sorted.sort_by(f64::total_cmp);
+            let rank = (f64::from(count) * 0.99).ceil() as usize - 1;
+            let p99 = loss_of(errors).p99;
+            let expected = sorted[rank];
+            assert!(
+                p99 <= expected && p99 >= expected * (1.0 - 1.0 / 8192.0),
+                "{count}: {p99} {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn pieces_and_orders_are_compared_like_the_whole() {
+        let cloud = |shift: f32| {
+            let splats = 0..1000u16;
+            let splats = splats.map(|i| f32::from(i) * 0.37 + shift);
+            SplatCloud {
+                means: splats.clone().map(|x| [x, x.sin(), 1.0]).collect(),
+                scales: splats
+                    .clone()
+                    .map(|x| [0.1 + x.sin().abs(), 0.2, 0.3])
+                    .collect(),
+                rotations: splats.clone().map(|x| [1.0, x.cos(), 0.0, 0.3]).collect(),
+                opacities: splats.clone().map(|x| x.cos().abs()).collect(),
+                sh_degree: 1,
+                sh_dc: splats.clone().map(|x| [x.cos(); 3]).collect(),
+                sh_rest: splats.flat_map(|x| [[x.sin(); 3]; 3]).collect(),
+            }
+        };
+        let (before, after) = (cloud(0.0), cloud(0.01));
+        let whole = LossReport::between(&before, &after, true);
+        let mut pieces = Comparison::new(true);
+        let part = |from: u32, to: u32| after.select(&(from..to).collect::<Vec<_>>());
+        assert!(pieces.add(&before, None, &part(0, 300)));
+        assert!(pieces.add(&before, None, &part(300, 1000)));
+        assert_eq!(pieces.report(), whole);
+        assert!(!pieces.add(&before, None, &part(0, 1)), "there are no more");
+        assert_eq!(pieces.compared(), 1000);
+        // Splats that stand in the file in another order.
+        let order: Vec<u32> = (0..1000).map(|i| i * 7 % 1000).collect();
+        let mut ordered = Comparison::new(true);
+        let moved = after.select(&order);
+        assert!(ordered.add(&before, Some(&order), &moved));
+        assert_eq!(ordered.report().position_m.max, whole.position_m.max);
+        let mut wrong = Comparison::new(true);
+        wrong.add(&before, None, &moved);
+        assert!(wrong.report().position_m.max > 10.0);
     }
 }

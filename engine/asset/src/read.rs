@@ -129,6 +129,75 @@ pub fn usual_up(path: &Path) -> DVec3 {
 /// # Errors
 /// [`AssetError::Read`], [`AssetError::Unrecognized`] or [`AssetError::Decode`].
 pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
+    let mut all = SplatCloud::default();
+    let mut short = Ok(());
+    read_splat_pieces(path, |total, piece| {
+        if piece.len() == total {
+            all = piece;
+            return true;
+        }
+        if all.is_empty() {
+            let bytes = memory::cloud_bytes(total as u64, piece.sh_degree);
+            short = memory::require("reading it", bytes);
+            if short.is_err() {
+                return false;
+            }
+            all = SplatCloud::with_degree(piece.sh_degree);
+            all.reserve(total);
+        }
+        all.append(&piece);
+        true
+    })?;
+    short.map_err(|source| AssetError::Read {
+        path: path.to_owned(),
+        source: std::io::Error::other(source),
+    })?;
+    Ok(all)
+}
+
+/// Reads like [`read_splats`], piece by piece: `each` gets the number of all splats and the next
+/// ones, in the order of the file. Binary PLY files are never whole in memory, and SPZ files are
+/// not decoded at once; others come in one piece. False where `each` ended it.
+///
+/// # Errors
+/// Returns the errors of [`read_splats`]. `each` may have got pieces before them.
+pub fn read_splat_pieces(
+    path: &Path,
+    mut each: impl FnMut(usize, SplatCloud) -> bool,
+) -> Result<bool, AssetError> {
+    // A FIFO is not opened: that waits for its writer.
+    if path.is_file() {
+        let read = inria_ply::read_pieces(path, &mut each);
+        let read = read.map_err(|source| AssetError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        if let Some(whole) = read {
+            warn_of_parts(path);
+            return Ok(whole);
+        }
+        if is_spz(path) {
+            let read = spz::decode_pieces(&read_bytes(path)?, &mut each);
+            return read.map_err(|source| AssetError::Decode {
+                path: path.to_owned(),
+                format: SplatFormat::Spz.name(),
+                source,
+            });
+        }
+    }
+    let cloud = read_whole_splats(path)?;
+    Ok(each(cloud.len(), cloud))
+}
+
+/// True if the file at `path` begins as SPZ of version 4 does. Other versions are in gzip, which
+/// may hold anything.
+fn is_spz(path: &Path) -> bool {
+    let mut start = [0; 4];
+    let read = std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut start));
+    read.is_ok() && start == *b"NGSP"
+}
+
+fn read_whole_splats(path: &Path) -> Result<SplatCloud, AssetError> {
     let PlacedSplats { cloud, origin, .. } = read_placed_splats(path)?;
     if origin != DVec3::ZERO {
         log::warn!(

@@ -165,6 +165,17 @@ impl SplatCloud {
         }
     }
 
+    /// Reserves memory for `splats` more of the same degree, and no more than that.
+    pub fn reserve(&mut self, splats: usize) {
+        let stride = self.rest_stride();
+        self.means.reserve_exact(splats);
+        self.scales.reserve_exact(splats);
+        self.rotations.reserve_exact(splats);
+        self.opacities.reserve_exact(splats);
+        self.sh_dc.reserve_exact(splats);
+        self.sh_rest.reserve_exact(splats * stride);
+    }
+
     /// Adds the splats of `other` behind these. The result has the higher degree of the two;
     /// missing bands are zero.
     pub fn append(&mut self, other: &Self) {

@@ -1,12 +1,13 @@
 //! The workers of a run, which take episodes from one queue: some on each device.
 
 use std::fs;
+use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use decouplegs::asset::AssetError;
+use decouplegs::asset::{AssetError, UnfinishedFolder};
 use decouplegs::episode::{self, Driven, ObservationRenderer, chosen, chosen_lidars, drive_among};
 use decouplegs::logs::read_episode_log;
 use decouplegs::planner::agents::AgentDriver;
@@ -22,6 +23,7 @@ use super::episode_queue::EpisodeQueue;
 use super::folder::RunFolder;
 use super::image_writer::{EpisodeImages, ImageWriter};
 use super::jobs::Job;
+use super::overlays::Overlays;
 use super::run_devices::{RunDevices, is_device_fault};
 use crate::arguments::warn;
 use crate::episode_report::Scored;
@@ -241,7 +243,7 @@ impl Worker<'_> {
         }
         let driven = self.drive(job)?;
         if self.run.arguments.video {
-            self.videos(&driven.episode)?;
+            self.videos(&driven.episode, job)?;
         }
         Scored::new(
             driven.episode,
@@ -329,18 +331,27 @@ impl Worker<'_> {
         images.image_error.map_or(Ok(driven), Err)
     }
 
-    fn videos(&self, episode: &Episode) -> Result<()> {
-        let name = &episode.head.scenario.name;
-        let folder = self.run.folder.images(name);
-        let every = f64::from(self.run.arguments.render.0);
-        for camera in &episode.head.planner.cameras {
-            let video = self.run.folder.images(name).join(format!("{camera}.mp4"));
-            video::encode(
-                &folder,
-                camera,
-                1.0 / (every * episode.head.scenario.step_s),
-                &video,
-            )?;
+    fn videos(&self, episode: &Episode, job: &Job) -> Result<()> {
+        let arguments = &self.run.arguments;
+        let folder = self.run.folder.images(&episode.head.scenario.name);
+        let per_second = 1.0 / (f64::from(arguments.render.0) * episode.head.scenario.step_s);
+        let cameras = &episode.head.planner.cameras;
+        let encode = |frames: &Path, camera: &str| {
+            let video = folder.join(format!("{camera}.mp4"));
+            video::encode(frames, camera, per_second, &video)
+        };
+        let Some(position) = self.position.filter(|_| arguments.overlays) else {
+            return cameras
+                .iter()
+                .try_for_each(|camera| encode(&folder, camera));
+        };
+        let ready = self.run.sites.get(&job.scenario.place, &job.directory)?;
+        let scene = self.run.sites.scene(&ready, position)?;
+        let overlays = Overlays::new(episode, &ready.site, &scene)?;
+        for camera in cameras {
+            let frames = UnfinishedFolder::begin(&folder.join(format!("{camera}.overlays")))?;
+            overlays.draw_all(&folder, camera, frames.path())?;
+            encode(frames.path(), camera)?;
         }
         Ok(())
     }

@@ -10,7 +10,7 @@ use decouplegs::drive::score::Moments;
 use decouplegs::scene::Level;
 use serde_json::{Value, json};
 
-use super::{Scored, WayPoint, score, share};
+use super::{Scored, WayPoint, rules, score, share};
 use crate::page::{Figure, Page, Table};
 use crate::plot::{Axis, Plot, Series};
 
@@ -38,6 +38,14 @@ struct Row {
     name: &'static str,
     scores: [Moments; 2],
     successes: [Moments; 2],
+    difference: Moments,
+    rules: Vec<Compared>,
+}
+
+/// Score of all rules, or one in the terms of NAVSIM, over the pairs of which both logs tell it.
+struct Compared {
+    name: &'static str,
+    scores: [Moments; 2],
     difference: Moments,
 }
 
@@ -137,7 +145,25 @@ fn row(name: &'static str, pairs: &[&Pair]) -> Option<Row> {
             moments(&|pair| success(pair.second))?,
         ],
         difference: moments(&|pair| pair.difference())?,
+        rules: compared(pairs),
     })
+}
+
+fn compared(pairs: &[&Pair]) -> Vec<Compared> {
+    let of_score = |(name, figure): &(&'static str, fn(&Scored) -> Option<f64>)| {
+        let both = pairs.iter();
+        let both = both.filter_map(|pair| Some([figure(pair.first)?, figure(pair.second)?]));
+        let both: Vec<[f64; 2]> = both.collect();
+        let moments = |value: fn(&[f64; 2]) -> f64| {
+            Moments::from_values(&both.iter().map(value).collect::<Vec<_>>())
+        };
+        Some(Compared {
+            name,
+            scores: [moments(|both| both[0])?, moments(|both| both[1])?],
+            difference: moments(|both| both[0] - both[1])?,
+        })
+    };
+    rules::SCORES.iter().filter_map(of_score).collect()
 }
 
 fn difference(moments: &Moments) -> String {
@@ -165,7 +191,29 @@ fn table(rows: &[Row]) -> String {
             share(&row.successes[1]),
         );
     }
+    let _ = writeln!(
+        text,
+        "rules and sub-scores\n{:<8} {:<12} {:>5}  {:>20}  {:>20}  {:>24}",
+        "level", "score", "pairs", "first", "second", "difference"
+    );
+    for (level, one) in of_rules(rows) {
+        let _ = writeln!(
+            text,
+            "{level:<8} {:<12} {:>5}  {:>20}  {:>20}  {:>24}",
+            one.name,
+            one.difference.count,
+            score(&one.scores[0]),
+            score(&one.scores[1]),
+            difference(&one.difference),
+        );
+    }
     text
+}
+
+/// The scores of rules with the names of their levels.
+fn of_rules(rows: &[Row]) -> impl Iterator<Item = (&'static str, &Compared)> {
+    rows.iter()
+        .flat_map(|row| row.rules.iter().map(|one| (row.name, one)))
 }
 
 fn parting(pair: &Pair) -> String {
@@ -189,12 +237,19 @@ fn to_json(rows: &[Row], pairs: &[Pair], unpaired: usize) -> Value {
     let moments =
         |moments: &Moments| json!({ "mean": moments.mean, "interval_95": moments.interval() });
     let share = |moments: &Moments| json!({ "mean": moments.mean, "interval_95": moments.share_interval() });
+    let of_rules = |one: &Compared| {
+        json!({
+            "score": one.name, "pairs": one.difference.count,
+            "means": one.scores.each_ref().map(moments), "difference": moments(&one.difference),
+        })
+    };
     let row = |row: &Row| {
         json!({
             "level": row.name, "pairs": row.difference.count,
             "driving_score": row.scores.each_ref().map(moments),
             "success_rate": row.successes.each_ref().map(share),
             "difference": moments(&row.difference),
+            "rules": row.rules.iter().map(of_rules).collect::<Vec<_>>(),
         })
     };
     let pair = |pair: &Pair| {
@@ -243,6 +298,20 @@ fn page(rows: &[Row], pairs: &[Pair], [first, second]: [&str; 2]) -> String {
          minus the second. An interval without zero is a difference that chance hardly explains.",
     );
     page.row([Figure::svg(&differences(pairs))]);
+    page.heading("Rules and sub-scores");
+    let mut table = Table::new(["level", "score", "pairs", "first", "second", "difference"]);
+    for (level, one) in of_rules(rows) {
+        table.row([
+            level.to_owned(),
+            one.name.to_owned(),
+            one.difference.count.to_string(),
+            score(&one.scores[0]),
+            score(&one.scores[1]),
+            difference(&one.difference),
+        ]);
+    }
+    page.table(&table);
+    page.note("What these are, the reports of the two runs say. Pairs of which a log does not tell a score are left out of it.");
     page.heading("Pairs, largest differences first");
     let mut table = Table::new([
         "scenario",

@@ -23,6 +23,21 @@ const COLUMNS: [&str; 10] = [
     "wrong turn",
 ];
 
+/// Score of an episode from 0 to 1; `None` where the log does not tell it.
+type ScoreOf = fn(&Scored) -> Option<f64>;
+
+/// Scores of an episode, by the names of their columns.
+pub const SCORES: [(&str, ScoreOf); 6] = [
+    (COLUMNS[0], |one| one.conduct.all_rules_score),
+    (COLUMNS[1], |one| Some(one.conduct.reference.share)),
+    (COLUMNS[2], |one| Some(one.pdm.pdm_score)),
+    (COLUMNS[3], |one| Some(one.extended_pdm.score)),
+    (COLUMNS[4], |one| {
+        Some(one.conduct.lane_keeping?.kept_share())
+    }),
+    (COLUMNS[5], |one| one.score.speed_compliance),
+];
+
 /// A table, a line a level.
 pub fn text(scored: &[Scored]) -> String {
     let mut text = String::from("rules and sub-scores\nlevel   ");
@@ -80,9 +95,6 @@ fn figures(scored: &[&Scored]) -> Vec<String> {
         let values: Vec<f64> = scored.iter().filter_map(|one| figure(one)).collect();
         Moments::from_values(&values)
     };
-    let shown = |figure: &dyn Fn(&Scored) -> Option<f64>| {
-        moments(figure).map_or("-".to_owned(), |moments| score(&moments))
-    };
     let knows = scored.iter().any(|one| one.conduct.lane_keeping.is_some());
     let breaches = |kind: ConductKind| {
         let counts = scored.iter().map(|one| one.conduct.count(kind));
@@ -91,23 +103,17 @@ fn figures(scored: &[&Scored]) -> Vec<String> {
             false => "-".to_owned(),
         }
     };
-    let keeping = |one: &Scored| one.conduct.lane_keeping;
-    let over_s = moments(&|one| Some(keeping(one)?.over_edge_s));
-    let scores = [
-        shown(&|one| one.conduct.all_rules_score),
-        shown(&|one| Some(one.conduct.reference.share)),
-        shown(&|one| Some(one.pdm.pdm_score)),
-        shown(&|one| Some(one.extended_pdm.score)),
-        shown(&|one| Some(keeping(one)?.kept_share())),
-        shown(&|one| one.score.speed_compliance),
-        spread(over_s.as_ref(), 1),
-    ];
+    let over_s = moments(&|one| Some(one.conduct.lane_keeping?.over_edge_s));
+    let scores = SCORES
+        .iter()
+        .map(|(_, figure)| moments(figure).map_or("-".to_owned(), |moments| score(&moments)));
     let counts = [
         ConductKind::OnCrossing,
         ConductKind::Blocking,
         ConductKind::WrongTurn,
     ];
-    scores.into_iter().chain(counts.map(breaches)).collect()
+    let over = std::iter::once(spread(over_s.as_ref(), 1));
+    scores.chain(over).chain(counts.map(breaches)).collect()
 }
 
 /// EPDMS of an episode as a product of its terms.

@@ -1,10 +1,14 @@
 //! ROS 2 messages in an MCAP file, for Foxglove, RViz and `ros2 bag`.
 
+mod drive;
+
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use decouplegs::episode::Moments;
+use decouplegs::scene::episode::Episode;
 use decouplegs::scene::lens::Lens;
 use decouplegs::scene::lidar::PointFrame;
 use decouplegs::scene::{Intrinsics, Rig, RoadUser};
@@ -15,6 +19,7 @@ use decouplegs_recording::ros::{
     TF_MESSAGE, Topic, Transform, camera_info, compressed_image, marker_array, tf_message,
 };
 
+use self::drive::DriveTopics;
 use super::DataSet;
 use super::sensed::{LabeledAgent, LabeledImage, Sensed};
 
@@ -25,6 +30,11 @@ const MAP: &str = "map";
 const BASE: &str = "base_link";
 /// Time of the first step. ROS takes time 0 for "no time".
 const START_NS: u64 = 1_000_000_000;
+
+/// Time of a message from seconds since the start of the episode.
+fn time_ns(time_s: f64) -> u64 {
+    START_NS + (time_s.max(0.0) * 1e9).round() as u64
+}
 
 /// Topics of a camera.
 struct CameraTopics {
@@ -38,6 +48,7 @@ pub struct Messages {
     log: McapLog<BufWriter<File>>,
     transforms: Topic,
     boxes: Topic,
+    drive: DriveTopics,
     cameras: Vec<CameraTopics>,
     lidar: Option<(String, Topic)>,
     images: usize,
@@ -45,7 +56,8 @@ pub struct Messages {
 }
 
 impl Messages {
-    pub fn new(folder: &Path, rig: &Rig) -> Result<Self> {
+    /// Begins the file with the topics of `episode`, whose worlds are `moments`, and of `rig`.
+    pub fn new(folder: &Path, episode: &Episode, moments: &Moments, rig: &Rig) -> Result<Self> {
         let path = folder.join(FILE);
         let file =
             File::create(&path).with_context(|| format!("{} cannot be made", path.display()))?;
@@ -80,10 +92,12 @@ impl Messages {
             (frame, log.topic(&topic, POINT_CLOUD2, false))
         });
         log.add(fixed, START_NS, &tf_message(START_NS, &mounts))?;
+        let drive = DriveTopics::new(&mut log, episode, moments);
         Ok(Self {
             log,
             transforms,
             boxes,
+            drive,
             cameras,
             lidar,
             images: 0,
@@ -111,7 +125,8 @@ impl Messages {
 
 impl DataSet for Messages {
     fn add(&mut self, sensed: &Sensed) -> Result<()> {
-        let time_ns = START_NS + (sensed.time_s.max(0.0) * 1e9).round() as u64;
+        self.drive.add_until(&mut self.log, sensed.time_s)?;
+        let time_ns = time_ns(sensed.time_s);
         let ego = Transform {
             parent: MAP.into(),
             child: BASE.into(),
@@ -137,7 +152,8 @@ impl DataSet for Messages {
         Ok(())
     }
 
-    fn finish(self: Box<Self>) -> Result<String> {
+    fn finish(mut self: Box<Self>) -> Result<String> {
+        self.drive.add_until(&mut self.log, f64::INFINITY)?;
         let file = self.log.finish()?;
         let file = file.into_inner().map_err(|error| error.into_error())?;
         file.sync_all()?;

@@ -619,5 +619,7 @@ class Rollout:
         """The scenario's name."""
     def score(self) -> dict[str, Any]:
         """How it went so far: driving_score, route_completion, success, collisions, pedestrian_collisions, obstacle_collisions, layout_infractions, wrong_ways, red_lights, stop_signs, min_ttc_s, ttc_short_share."""
+    def sub_scores(self) -> dict[str, Any]:
+        """Scores beside the driving score so far: all_rules_score, reference_progress, pdm_score, extended_pdm_score, lane_kept_share, speed_compliance, over_edge_s, on_crossing, blocking, wrong_turns. None where the map does not tell one."""
     def write_log(self, path: str | os.PathLike[str]) -> None:
         """Writes its log, which ``decouplegs replay`` and ``decouplegs score`` read."""

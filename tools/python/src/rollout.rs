@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use decouplegs::drive::score::EpisodeScore;
+use decouplegs::drive::score::{Conduct, ConductKind, EpisodeScore, ExtendedPdmScore, PdmScore};
 use decouplegs::episode::{EpisodeMetadata, Rollout as EngineRollout, Site as EngineSite};
 use decouplegs::logs::EpisodeLog;
 use decouplegs::scene::episode::{EpisodeEnd, PlannerRecord};
@@ -311,6 +311,32 @@ impl Rollout {
     fn score<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let score = self.lock().score();
         to_dict(py, &score)
+    }
+
+    /// Scores beside the driving score so far: all_rules_score, reference_progress, pdm_score,
+    /// extended_pdm_score, lane_kept_share, speed_compliance, over_edge_s, on_crossing, blocking,
+    /// wrong_turns. None where the map does not tell one.
+    fn sub_scores<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let rollout = self.lock();
+        let (episode, score) = (rollout.episode(), rollout.score());
+        let (pdm, conduct) = (
+            PdmScore::new(episode, &score),
+            Conduct::new(episode, &score),
+        );
+        let extended = ExtendedPdmScore::new(episode, &score, &pdm, &conduct.reference);
+        let keeping = conduct.lane_keeping;
+        let dict = PyDict::new(py);
+        dict.set_item("all_rules_score", conduct.all_rules_score)?;
+        dict.set_item("reference_progress", conduct.reference.share)?;
+        dict.set_item("pdm_score", pdm.pdm_score)?;
+        dict.set_item("extended_pdm_score", extended.score)?;
+        dict.set_item("lane_kept_share", keeping.map(|one| one.kept_share()))?;
+        dict.set_item("over_edge_s", keeping.map(|one| one.over_edge_s))?;
+        dict.set_item("speed_compliance", score.speed_compliance)?;
+        dict.set_item("on_crossing", conduct.count(ConductKind::OnCrossing))?;
+        dict.set_item("blocking", conduct.count(ConductKind::Blocking))?;
+        dict.set_item("wrong_turns", conduct.count(ConductKind::WrongTurn))?;
+        Ok(dict)
     }
 
     /// Writes its log, which ``decouplegs replay`` and ``decouplegs score`` read.

@@ -1,5 +1,7 @@
 """MCAP files of episodes, opened by the readers of their own project."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -38,7 +40,7 @@ def test_an_episode_is_read_by_the_readers_of_mcap(exported):
     topics = {"/tf": steps, "/tf_static": 1, "/objects": steps, "/lidar/vlp32c/points": steps}
     for name in images:
         topics |= {f"/camera/{name}/image/compressed": steps, f"/camera/{name}/camera_info": steps}
-    assert {topic: len(of_topic) for topic, of_topic in found.items()} == topics
+    assert {topic: len(found[topic]) for topic in topics} == topics
     for name, files in images.items():
         for (kind, time, message), file in zip(found[f"/camera/{name}/image/compressed"], files):
             assert kind == "sensor_msgs/msg/CompressedImage" and message.format == "png"
@@ -48,6 +50,38 @@ def test_an_episode_is_read_by_the_readers_of_mcap(exported):
         info = found[f"/camera/{name}/camera_info"][0][2]
         assert (info.width, info.height) == (96, 54) and info.distortion_model == "plumb_bob" and len(info.d) == 5
         assert info.k[0] == info.p[0] > 20 and info.k[2] == pytest.approx(47.5) and info.p[6] == pytest.approx(26.5)
+
+
+def test_motion_plans_and_score_are_topics_to_plot(exported):
+    found = messages(exported / "mcap/episode.mcap")
+    episode = json.loads(decouplegs("score", exported / "run/logs/hard_0000.log", "--out", exported / "score") and (exported / "score/report.json").read_text())["episodes"][0]
+    plots = {topic.removeprefix("/episode/"): [(time, message.data) for _, time, message in of_topic] for topic, of_topic in found.items() if topic.startswith("/episode/")}
+    assert {"speed_mps", "acceleration_mps2", "jerk_mps3", "steer_rad", "nearest_agent_m", "route_completion", "driving_score"} <= set(plots)
+    assert plots["driving_score"][-1][1] == pytest.approx(episode["driving_score"], abs=1e-12)
+    times = [time for time, _ in plots["speed_mps"]]
+    assert times[0] == 10**9 and times == sorted(times) and len(times) > len(found["/tf"])
+    # The odometry is that of the transforms, and its velocity that of the plot, in the axes of the ego.
+    odometry = {time: message for _, time, message in found["/odom"]}
+    assert list(odometry) == times
+    for time, speed in plots["speed_mps"]:
+        linear = odometry[time].twist.twist.linear
+        assert linear.x == pytest.approx(speed, abs=0.02 * speed + 0.02) and abs(linear.y) < 0.3
+    for _, time, message in found["/tf"]:
+        at, shift = odometry[time].pose.pose.position, message.transforms[0].transform.translation
+        assert (at.x, at.y, at.z) == (shift.x, shift.y, shift.z) and odometry[time].header.frame_id == "map"
+    # A plan begins at the ego; this planner goes straight on.
+    plans = [message for _, _, message in found["/plan"]]
+    assert len(plans) == len(found["/tf"])
+    for (_, time, _), plan in zip(found["/plan"], plans):
+        begin, end = plan.poses[0].pose.position, plan.poses[-1].pose.position
+        assert (begin.x, begin.y) == (odometry[time].pose.pose.position.x, odometry[time].pose.pose.position.y)
+        seconds = plan.poses[-1].header.stamp.sec - plan.poses[0].header.stamp.sec
+        way = np.hypot(end.x - begin.x, end.y - begin.y)
+        assert way == pytest.approx(seconds * dict(plots["speed_mps"])[time], rel=0.1, abs=1.0)
+    told = [(message.level, message.msg) for _, _, message in found.get("/infractions", [])]
+    assert len(told) == len(episode["infractions"]) > 0
+    for (level, text), infraction in zip(told, episode["infractions"]):
+        assert level == 30 and infraction["kind"] == "collision" and infraction["agent"] in text
 
 
 def test_frames_join_boxes_and_points(exported):

@@ -4,7 +4,7 @@ use super::column::{Column, Scalar};
 use crate::DecodeError;
 
 /// A header longer than this is taken for garbage; real ones have a few kilobytes.
-const HEADER_BYTES_MAX: usize = 1 << 20;
+pub(super) const HEADER_BYTES_MAX: usize = 1 << 20;
 
 #[derive(Clone, Debug)]
 pub(super) struct Property {

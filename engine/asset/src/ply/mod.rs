@@ -28,6 +28,17 @@ pub(crate) struct Ply<'a> {
     body: Cow<'a, [u8]>,
 }
 
+/// Position of the rows of an element in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Extent {
+    /// Byte of the file at which they start.
+    pub(crate) start: u64,
+    /// Bytes from row to row, at least 1.
+    pub(crate) stride: usize,
+    /// Number of rows.
+    pub(crate) count: usize,
+}
+
 /// The rows of one element.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rows<'a> {
@@ -54,6 +65,43 @@ impl<'a> Ply<'a> {
             Cow::Borrowed(body)
         };
         Ok(Self { elements, body })
+    }
+
+    /// A header is in this many bytes at the start of a file, or it is none.
+    pub(crate) const HEADER_BYTES_MAX: usize = header::HEADER_BYTES_MAX;
+
+    /// The header in the bytes `start` of a file of `length` bytes, without its body, and where the
+    /// rows of `element` are. `None` for a text, and for a file whose rows are not all there or are
+    /// not found by counting: what is wrong, [`Ply::parse`] says.
+    pub(crate) fn of_header(start: &[u8], length: u64, element: &str) -> Option<(Self, Extent)> {
+        let header = header::parse(start).ok().filter(|found| !found.is_ascii)?;
+        let mut at = header.body_at as u64;
+        let mut extent = None;
+        for one in &header.elements {
+            let stride = one.stride()?;
+            if one.name == element {
+                extent = Some(Extent {
+                    start: at,
+                    stride,
+                    count: usize::try_from(one.count).ok()?,
+                });
+                break;
+            }
+            at = at.checked_add(one.count.checked_mul(stride as u64)?)?;
+        }
+        let extent = extent.filter(|extent| extent.stride > 0)?;
+        let bytes = extent.count.checked_mul(extent.stride)? as u64;
+        let ply = Self {
+            elements: header.elements,
+            body: Cow::Borrowed(&[]),
+        };
+        (extent.start.checked_add(bytes)? <= length).then_some((ply, extent))
+    }
+
+    /// True if the header in the bytes `start` of a file lists an element called `name`.
+    pub(crate) fn header_has(start: &[u8], name: &str) -> bool {
+        let header = header::parse(start);
+        header.is_ok_and(|header| header.elements.iter().any(|element| element.name == name))
     }
 
     /// True if there is an element called `name`.

@@ -26,7 +26,8 @@ pub(crate) mod nurec;
 mod sky;
 mod street_gaussians;
 
-use std::io::Write;
+use std::fs::File;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use decouplegs_scene::{
@@ -151,6 +152,9 @@ pub fn read_scene(
             .then(|| hugsim::read(path, options))
             .transpose();
     }
+    if !may_be_scene(path) {
+        return Ok(None);
+    }
     let bytes = read_bytes(path)?;
     let (format, decoded) = match bytes.as_slice() {
         [b'P', b'K', 3, 4, ..] => match Archive::parse(&bytes) {
@@ -172,6 +176,28 @@ pub fn read_scene(
         format,
         source,
     })
+}
+
+/// False if the start of the file at `path` tells that it holds splats alone, so that it need not
+/// be read whole. What cannot be read is for those who read it to explain.
+fn may_be_scene(path: &Path) -> bool {
+    // A FIFO is not opened: that waits for its writer.
+    if !path.is_file() {
+        return true;
+    }
+    let mut start = Vec::new();
+    let read = File::open(path).and_then(|file| {
+        let mut file = file.take(Ply::HEADER_BYTES_MAX as u64);
+        file.read_to_end(&mut start)
+    });
+    match start.as_slice() {
+        _ if read.is_err() => true,
+        [b'P', b'K', 3, 4, ..] => true,
+        [b'p', b'l', b'y', b'\n' | b'\r', ..] => {
+            Ply::header_has(&start, street_gaussians::BACKGROUND_ELEMENT)
+        }
+        _ => false,
+    }
 }
 
 /// Reads the scene of a NuRec package, a USDZ with its `volume.nurec` or `checkpoint.ckpt`. `None`
@@ -219,7 +245,7 @@ pub fn decode_ply(
     let Ok(ply) = Ply::parse(bytes) else {
         return Ok(None);
     };
-    if !ply.has_element("vertex_background") {
+    if !ply.has_element(street_gaussians::BACKGROUND_ELEMENT) {
         return Ok(None);
     }
     street_gaussians::scene_of_ply(&ply, options).map(Some)

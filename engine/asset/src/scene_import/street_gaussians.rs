@@ -37,6 +37,8 @@ const BACKGROUND: &str = "background";
 const ACTOR: &str = "obj_";
 /// Prefix of the names of PLY elements, before the model's name.
 const ELEMENT: &str = "vertex_";
+/// Element of the background, which tells such files from others.
+pub(super) const BACKGROUND_ELEMENT: &str = "vertex_background";
 
 /// The scene of a checkpoint, whose models are the values of `root`.
 pub(super) fn scene(
@@ -106,7 +108,7 @@ pub(super) fn scene_of_ply(
     ply: &Ply<'_>,
     options: &ImportOptions,
 ) -> Result<ImportedScene, DecodeError> {
-    let background = inria_ply::decode_ply(ply, "vertex_background")?;
+    let background = inria_ply::decode_ply(ply, BACKGROUND_ELEMENT)?;
     let mut actors = Vec::new();
     let mut notes = Vec::new();
     let mut over_time = 0;

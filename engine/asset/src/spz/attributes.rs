@@ -1,9 +1,11 @@
 //! The six attribute streams and their quantization, in the axes of the file.
 
+use std::ops::Range;
+
 use decouplegs_scene::{SplatCloud, sh};
 use rayon::prelude::*;
 
-use super::axes::StoredAxes;
+use super::axes::{Signs, StoredAxes};
 use crate::EncodeError;
 use crate::activation::{log_of_scale, normalized, scale_of_log};
 
@@ -45,8 +47,8 @@ impl Layout {
         sh::coefficient_count(self.stored_degree) - 1
     }
 
-    /// Bytes of each stream.
-    pub(super) fn stream_bytes(&self) -> [usize; 6] {
+    /// Bytes of a splat in each stream.
+    fn bytes_each(&self) -> [usize; 6] {
         [
             self.position_bytes(),
             1,
@@ -55,7 +57,11 @@ impl Layout {
             self.rotation_bytes(),
             3 * self.stored_stride(),
         ]
-        .map(|bytes| bytes * self.count)
+    }
+
+    /// Bytes of each stream.
+    pub(super) fn stream_bytes(&self) -> [usize; 6] {
+        self.bytes_each().map(|bytes| bytes * self.count)
     }
 }
 
@@ -67,10 +73,14 @@ pub(super) struct Packed {
     pub(super) axes: StoredAxes,
 }
 
-/// The cloud that the codes stand for, in the axes of the file.
-pub(super) fn unpack(packed: &Packed) -> SplatCloud {
-    let [positions, alphas, colors, scales, rotations, rest] = &packed.streams;
+/// The splats in a range that the codes stand for, in the axes of the file.
+pub(super) fn unpack(packed: &Packed, splats: Range<usize>) -> SplatCloud {
     let layout = &packed.layout;
+    let of_each = layout.bytes_each();
+    let [positions, alphas, colors, scales, rotations, rest]: [&[u8]; 6] =
+        std::array::from_fn(|stream| {
+            &packed.streams[stream][splats.start * of_each[stream]..splats.end * of_each[stream]]
+        });
     let step = (-f64::from(layout.fractional_bits)).exp2() as f32;
     let means = positions.par_chunks_exact(layout.position_bytes());
     let rotations = rotations.par_chunks_exact(layout.rotation_bytes());
@@ -133,8 +143,8 @@ fn unpack_rest(codes: &[u8], stored_stride: usize, stride: usize) -> Vec<[f32; 3
         .collect()
 }
 
-/// The codes of `cloud`, whose axes are those of the file to be.
-pub(super) fn pack(cloud: &SplatCloud) -> Result<Packed, EncodeError> {
+/// The codes of `cloud`, which `signs` turn to the axes of the file.
+pub(super) fn pack(cloud: &SplatCloud, signs: &Signs) -> Result<Packed, EncodeError> {
     let defective = (0..cloud.len())
         .into_par_iter()
         .filter(|&splat| cloud.defect_of(splat).is_some());
@@ -148,8 +158,9 @@ pub(super) fn pack(cloud: &SplatCloud) -> Result<Packed, EncodeError> {
     let fractional_bits = fractional_bits_for(cloud)?;
     let steps = f64::from(fractional_bits).exp2();
     let positions = cloud.means.par_iter().flat_map_iter(|mean| {
-        mean.iter().flat_map(move |&x| {
-            let [a, b, c, _] = ((f64::from(x) * steps).round() as i32).to_le_bytes();
+        (0..3).flat_map(move |axis| {
+            let x = f64::from(mean[axis] * signs.means[axis]);
+            let [a, b, c, _] = ((x * steps).round() as i32).to_le_bytes();
             [a, b, c]
         })
     });
@@ -175,17 +186,36 @@ pub(super) fn pack(cloud: &SplatCloud) -> Result<Packed, EncodeError> {
         cloud
             .rotations
             .par_iter()
-            .flat_map_iter(|&rotation| pack_smallest_three(rotation).to_le_bytes())
+            .flat_map_iter(|rotation| {
+                let turned = std::array::from_fn(|i| rotation[i] * signs.rotations[i]);
+                pack_smallest_three(turned).to_le_bytes()
+            })
             .collect(),
-        flattened(&cloud.sh_rest, |coefficient| {
-            byte(coefficient * 128.0 + 128.0)
-        }),
+        pack_rest(cloud, signs),
     ];
     Ok(Packed {
         layout,
         streams,
         axes: StoredAxes::RUB,
     })
+}
+
+fn pack_rest(cloud: &SplatCloud, signs: &Signs) -> Vec<u8> {
+    let stride = cloud.rest_stride();
+    let mut codes = vec![0; 3 * cloud.sh_rest.len()];
+    if stride > 0 {
+        let splats = codes.par_chunks_exact_mut(3 * stride);
+        let splats = splats.zip(cloud.sh_rest.par_chunks_exact(stride));
+        splats.for_each(|(codes, rest)| {
+            for ((codes, coefficient), sign) in codes.chunks_exact_mut(3).zip(rest).zip(&signs.rest)
+            {
+                for (code, channel) in codes.iter_mut().zip(coefficient) {
+                    *code = byte(channel * sign * 128.0 + 128.0);
+                }
+            }
+        });
+    }
+    codes
 }
 
 fn flattened(values: &[[f32; 3]], code: impl Fn(f32) -> u8 + Sync) -> Vec<u8> {

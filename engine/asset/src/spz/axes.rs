@@ -48,46 +48,57 @@ impl StoredAxes {
             *cloud = cloud.placed(&quarter_turn, true);
         }
     }
+}
 
-    /// The way back, for axes that are reached by flips alone.
-    pub(super) fn turn_from_ply(self, cloud: &mut SplatCloud) {
-        debug_assert!(
-            self.0 <= 8,
-            "flips are their own inverse, a quarter turn is not"
-        );
-        self.turn_to_ply(cloud);
+/// Signs by which a cloud is mirrored. Exact: only signs change.
+pub(super) struct Signs {
+    /// Signs of x, y and z.
+    pub(super) means: [f32; 3],
+    /// Signs of w, x, y and z of rotations.
+    pub(super) rotations: [f32; 4],
+    /// Signs of the coefficients after DC, degree 3.
+    pub(super) rest: [f32; sh::coefficient_count(sh::DEGREE_MAX) - 1],
+}
+
+impl Signs {
+    /// Signs that mirror along the axes whose sign is negative.
+    fn new([x, y, z]: [f32; 3]) -> Self {
+        // Each basis function is even or odd in each axis, so a mirrored direction changes at most
+        // its sign.
+        let d = DVec3::new(0.36, 0.48, 0.8);
+        let mirrored = sh::basis(d * DVec3::new(x.into(), y.into(), z.into()));
+        let original = sh::basis(d);
+        Self {
+            means: [x, y, z],
+            rotations: [1.0, y * z, x * z, x * y],
+            rest: std::array::from_fn(|k| (original[k + 1] * mirrored[k + 1]).signum() as f32),
+        }
+    }
+
+    /// Signs that turn right-down-front axes, those of a PLY, to right-up-back ones, and back.
+    pub(super) fn between_ply_and_rub() -> Self {
+        Self::new([1.0, -1.0, -1.0])
     }
 }
 
-/// Mirrors a cloud along the axes whose sign is negative. Exact: only signs change.
+/// Mirrors a cloud along the axes whose sign is negative.
 pub(crate) fn flip(cloud: &mut SplatCloud, signs: [f32; 3]) {
     if signs == [1.0; 3] {
         return;
     }
-    let [x, y, z] = signs;
-    let rotation_signs = [1.0, y * z, x * z, x * y];
+    let signs = Signs::new(signs);
     cloud
         .means
         .par_iter_mut()
-        .for_each(|mean| *mean = std::array::from_fn(|i| mean[i] * signs[i]));
+        .for_each(|mean| *mean = std::array::from_fn(|i| mean[i] * signs.means[i]));
     cloud
         .rotations
         .par_iter_mut()
-        .for_each(|rotation| *rotation = std::array::from_fn(|i| rotation[i] * rotation_signs[i]));
-    // Each basis function is even or odd in each axis, so a mirrored direction changes at most its
-    // sign.
-    let d = DVec3::new(0.36, 0.48, 0.8);
-    let mirrored = sh::basis(d * DVec3::from_array(signs.map(f64::from)));
-    let rest_signs: Vec<f32> = sh::basis(d)
-        .iter()
-        .zip(mirrored)
-        .skip(1)
-        .map(|(a, b)| (a * b).signum() as f32)
-        .collect();
+        .for_each(|rotation| *rotation = std::array::from_fn(|i| rotation[i] * signs.rotations[i]));
     let stride = cloud.rest_stride();
     if stride > 0 {
         cloud.sh_rest.par_chunks_exact_mut(stride).for_each(|rest| {
-            for (coefficient, sign) in rest.iter_mut().zip(&rest_signs) {
+            for (coefficient, sign) in rest.iter_mut().zip(&signs.rest) {
                 *coefficient = coefficient.map(|channel| channel * sign);
             }
         });

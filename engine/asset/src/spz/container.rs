@@ -1,6 +1,6 @@
 //! The two ways in which SPZ wraps its attribute streams.
 
-use std::io::Read;
+use std::io::{self, Read, Write};
 
 use flate2::bufread::GzDecoder;
 use rayon::prelude::*;
@@ -292,49 +292,70 @@ fn axes_of(mut records: &[u8]) -> Result<StoredAxes, DecodeError> {
     Ok(axes)
 }
 
-/// Wraps `packed` as version 4.
-pub(super) fn write(packed: &Packed) -> Result<Vec<u8>, EncodeError> {
-    let present: Vec<&Vec<u8>> = packed
-        .streams
-        .iter()
-        .filter(|stream| !stream.is_empty())
-        .collect();
-    let compressed: Vec<Vec<u8>> = present
-        .par_iter()
-        .map(|stream| {
-            zstd::bulk::compress(stream, LEVEL)
-                .map_err(|error| EncodeError(format!("Zstandard: {error}")))
-        })
-        .collect::<Result<_, _>>()?;
-    let layout = &packed.layout;
-    let count = u32::try_from(layout.count)
-        .map_err(|_| EncodeError(format!("{} splats; at most 4294967295 fit", layout.count)))?;
-    let mut bytes = Vec::new();
-    bytes.extend_from_slice(&MAGIC);
-    bytes.extend_from_slice(&4u32.to_le_bytes());
-    bytes.extend_from_slice(&count.to_le_bytes());
-    bytes.extend_from_slice(&[
-        layout.stored_degree,
-        layout.fractional_bits,
-        0,
-        present.len() as u8,
-    ]);
-    bytes.extend_from_slice(&(HEADER_V4_BYTES as u32).to_le_bytes());
-    bytes.resize(HEADER_V4_BYTES, 0);
-    for (plain, stream) in present.iter().zip(&compressed) {
-        bytes.extend_from_slice(&(stream.len() as u64).to_le_bytes());
-        bytes.extend_from_slice(&(plain.len() as u64).to_le_bytes());
+/// File of version 4: its start, then its streams.
+pub(super) struct Wrapped {
+    start: Vec<u8>,
+    streams: Vec<Vec<u8>>,
+}
+
+impl Wrapped {
+    /// Compresses `packed`.
+    ///
+    /// # Errors
+    /// Returns an error for more splats than the format counts, or fewer bytes than readers
+    /// believe.
+    pub(super) fn new(packed: Packed) -> Result<Self, EncodeError> {
+        let layout = packed.layout;
+        let count = u32::try_from(layout.count)
+            .map_err(|_| EncodeError(format!("{} splats; at most 4294967295 fit", layout.count)))?;
+        let present = packed.streams.into_iter();
+        let present: Vec<Vec<u8>> = present.filter(|stream| !stream.is_empty()).collect();
+        let plain: Vec<usize> = present.iter().map(Vec::len).collect();
+        let streams: Vec<Vec<u8>> = present
+            .into_par_iter()
+            .map(|stream| {
+                zstd::bulk::compress(&stream, LEVEL)
+                    .map_err(|error| EncodeError(format!("Zstandard: {error}")))
+            })
+            .collect::<Result<_, _>>()?;
+        let mut start = Vec::new();
+        start.extend_from_slice(&MAGIC);
+        start.extend_from_slice(&4u32.to_le_bytes());
+        start.extend_from_slice(&count.to_le_bytes());
+        start.extend_from_slice(&[
+            layout.stored_degree,
+            layout.fractional_bits,
+            0,
+            streams.len() as u8,
+        ]);
+        start.extend_from_slice(&(HEADER_V4_BYTES as u32).to_le_bytes());
+        start.resize(HEADER_V4_BYTES, 0);
+        for (plain, stream) in plain.into_iter().zip(&streams) {
+            start.extend_from_slice(&(stream.len() as u64).to_le_bytes());
+            start.extend_from_slice(&(plain as u64).to_le_bytes());
+        }
+        let wrapped = Self { start, streams };
+        let length = wrapped.len() as u64;
+        if u64::from(count) > SPLATS_ALWAYS + length / BYTES_PER_SPLAT_MIN {
+            return Err(EncodeError(format!(
+                "{count} splats shrink to {length} bytes, which readers take for an attack: they must be nearly all the same"
+            )));
+        }
+        Ok(wrapped)
     }
-    for stream in &compressed {
-        bytes.extend_from_slice(stream);
+
+    /// Bytes of the file.
+    fn len(&self) -> usize {
+        self.start.len() + self.streams.iter().map(Vec::len).sum::<usize>()
     }
-    if u64::from(count) > SPLATS_ALWAYS + bytes.len() as u64 / BYTES_PER_SPLAT_MIN {
-        return Err(EncodeError(format!(
-            "{count} splats shrink to {} bytes, which readers take for an attack: they must be nearly all the same",
-            bytes.len()
-        )));
+
+    /// Writes the bytes of the file.
+    pub(super) fn write_to(&self, file: &mut impl Write) -> io::Result<()> {
+        file.write_all(&self.start)?;
+        self.streams
+            .iter()
+            .try_for_each(|stream| file.write_all(stream))
     }
-    Ok(bytes)
 }
 
 fn u32_at(bytes: &[u8], at: usize) -> u32 {

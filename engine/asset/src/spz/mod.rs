@@ -21,13 +21,15 @@ mod attributes;
 mod axes;
 mod container;
 
-use std::io::Write;
+use std::ops::Range;
 use std::path::Path;
 
 use decouplegs_scene::SplatCloud;
 
 use crate::{AssetError, DecodeError, EncodeError, write_atomically};
-use attributes::{pack, unpack};
+use attributes::{Packed, pack, unpack};
+use axes::Signs;
+use container::Wrapped;
 
 pub(crate) use axes::flip;
 
@@ -37,14 +39,43 @@ pub(crate) use axes::flip;
 /// A [`DecodeError`] that names the stream, count or version at fault.
 pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     let packed = container::read(bytes)?;
-    let mut cloud = unpack(&packed);
+    Ok(turned(&packed, 0..packed.layout.count))
+}
+
+/// Splats that are decoded at once where they are read in pieces.
+const PIECE: usize = 1 << 16;
+
+/// Reads the splats of any version piece by piece: `each` gets the number of all and the next ones,
+/// in the order of the file, so that they are never all decoded at once. False where `each` ended
+/// it.
+///
+/// # Errors
+/// Returns the errors of [`decode`].
+pub(crate) fn decode_pieces(
+    bytes: &[u8],
+    each: &mut impl FnMut(usize, SplatCloud) -> bool,
+) -> Result<bool, DecodeError> {
+    let packed = container::read(bytes)?;
+    let count = packed.layout.count;
+    // A file without splats has a degree: it comes as one piece.
+    let mut pieces = (0..count.max(1)).step_by(PIECE);
+    Ok(pieces.all(|first| {
+        let piece = first..count.min(first + PIECE);
+        each(count, turned(&packed, piece))
+    }))
+}
+
+/// Splats of a range in the axes of a PLY.
+fn turned(packed: &Packed, splats: Range<usize>) -> SplatCloud {
+    let mut cloud = unpack(packed, splats);
     packed.axes.turn_to_ply(&mut cloud);
-    Ok(cloud)
+    cloud
 }
 
 /// Reads the splats of any version in the axes that they are stored in.
 pub(crate) fn decode_as_stored(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
-    Ok(unpack(&container::read(bytes)?))
+    let packed = container::read(bytes)?;
+    Ok(unpack(&packed, 0..packed.layout.count))
 }
 
 /// `cloud` as the bytes of a version 4 file.
@@ -57,9 +88,15 @@ pub(crate) fn decode_as_stored(bytes: &[u8]) -> Result<SplatCloud, DecodeError> 
 /// Returns an error if a splat is defective ([`SplatCloud::defect_of`]) or a mean lies beyond 8388
 /// km: SPZ has no code for either.
 pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
-    let mut turned = cloud.clone();
-    axes::StoredAxes::RUB.turn_from_ply(&mut turned);
-    container::write(&pack(&turned)?)
+    let mut bytes = Vec::new();
+    match wrapped(cloud)?.write_to(&mut bytes) {
+        Ok(()) => Ok(bytes),
+        Err(error) => unreachable!("a Vec takes every write: {error}"),
+    }
+}
+
+fn wrapped(cloud: &SplatCloud) -> Result<Wrapped, EncodeError> {
+    Wrapped::new(pack(cloud, &Signs::between_ply_and_rub())?)
 }
 
 /// Writes `cloud` to `path`, atomically.
@@ -67,10 +104,10 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
 /// # Errors
 /// Returns the errors of [`encode`], and an error if the operating system refuses to write.
 pub fn write(path: &Path, cloud: &SplatCloud) -> Result<(), AssetError> {
-    let bytes = encode(cloud).map_err(|source| AssetError::Encode {
+    let wrapped = wrapped(cloud).map_err(|source| AssetError::Encode {
         path: path.to_owned(),
         format: "SPZ",
         source,
     })?;
-    write_atomically(path, |file| file.write_all(&bytes))
+    write_atomically(path, |file| wrapped.write_to(file))
 }

@@ -15,6 +15,7 @@ mod guided_ground;
 mod hd_scores;
 mod lanes;
 mod properties;
+mod quantities;
 mod register;
 mod road_parts;
 mod roads;

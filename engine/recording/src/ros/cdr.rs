@@ -20,9 +20,14 @@ impl Cdr {
 
     /// A `std_msgs/Header`.
     pub(crate) fn header(&mut self, time_ns: u64, frame: &str) {
+        self.time(time_ns);
+        self.string(frame);
+    }
+
+    /// A `builtin_interfaces/Time`.
+    pub(crate) fn time(&mut self, time_ns: u64) {
         self.u32((time_ns / 1_000_000_000) as u32);
         self.u32((time_ns % 1_000_000_000) as u32);
-        self.string(frame);
     }
 
     fn align(&mut self, size: usize) {

@@ -1,6 +1,6 @@
 //! Messages of an episode: transforms, images, calibrations, boxes.
 
-use decouplegs_scene::Pose;
+use decouplegs_scene::{Motion, Pose};
 
 use super::{Cdr, MessageType};
 
@@ -28,6 +28,27 @@ pub const TF_MESSAGE: MessageType = MessageType {
 pub const MARKER_ARRAY: MessageType = MessageType {
     name: "visualization_msgs/msg/MarkerArray",
     definition: include_str!("definitions/MarkerArray.msg"),
+};
+
+/// `nav_msgs/Odometry`.
+pub const ODOMETRY: MessageType = MessageType {
+    name: "nav_msgs/msg/Odometry",
+    definition: include_str!("definitions/Odometry.msg"),
+};
+/// `nav_msgs/Path`.
+pub const PATH: MessageType = MessageType {
+    name: "nav_msgs/msg/Path",
+    definition: include_str!("definitions/Path.msg"),
+};
+/// `std_msgs/Float64`.
+pub const FLOAT64: MessageType = MessageType {
+    name: "std_msgs/msg/Float64",
+    definition: include_str!("definitions/Float64.msg"),
+};
+/// `rcl_interfaces/Log`.
+pub const LOG: MessageType = MessageType {
+    name: "rcl_interfaces/msg/Log",
+    definition: include_str!("definitions/Log.msg"),
 };
 
 /// Pose of one frame in another.
@@ -58,6 +79,58 @@ pub fn tf_message(time_ns: u64, transforms: &[Transform]) -> Vec<u8> {
 fn pose(cdr: &mut Cdr, pose: &Pose) {
     cdr.f64s(&pose.translation.to_array());
     cdr.f64s(&pose.rotation.to_array());
+}
+
+/// Message of a pose with its motion, of unknown covariance. Velocities are in the axes of the
+/// child, as ROS has them.
+#[must_use]
+pub fn odometry(time_ns: u64, transform: &Transform, motion: &Motion) -> Vec<u8> {
+    const UNKNOWN: [f64; 36] = [0.0; 36];
+    let velocity_mps = transform.pose.rotation.inverse() * motion.velocity_mps;
+    let mut cdr = Cdr::with_header(time_ns, &transform.parent);
+    cdr.string(&transform.child);
+    pose(&mut cdr, &transform.pose);
+    cdr.f64s(&UNKNOWN);
+    cdr.f64s(&velocity_mps.to_array());
+    cdr.f64s(&motion.turn_rad_per_s.to_array());
+    cdr.f64s(&UNKNOWN);
+    cdr.finish()
+}
+
+/// Message of a way through `frame`: poses with their times, nanoseconds.
+#[must_use]
+pub fn path(time_ns: u64, frame: &str, poses: &[(u64, Pose)]) -> Vec<u8> {
+    let mut cdr = Cdr::with_header(time_ns, frame);
+    cdr.u32(poses.len() as u32);
+    for (time_ns, at) in poses {
+        cdr.header(*time_ns, frame);
+        pose(&mut cdr, at);
+    }
+    cdr.finish()
+}
+
+/// Message of a number.
+#[must_use]
+pub fn float64(value: f64) -> Vec<u8> {
+    let mut cdr = Cdr::new();
+    cdr.f64(value);
+    cdr.finish()
+}
+
+/// Message of a warning that the program `name` gives at `time_ns`.
+#[must_use]
+pub fn warning(time_ns: u64, name: &str, text: &str) -> Vec<u8> {
+    const WARN: u8 = 30;
+    let mut cdr = Cdr::new();
+    cdr.time(time_ns);
+    cdr.u8(WARN);
+    cdr.string(name);
+    cdr.string(text);
+    // No file, function and line.
+    cdr.string("");
+    cdr.string("");
+    cdr.u32(0);
+    cdr.finish()
 }
 
 /// Message of a PNG.

@@ -16,8 +16,9 @@ use mcap::{Channel, Message, Schema, WriteOptions, Writer};
 
 pub(crate) use cdr::Cdr;
 pub use messages::{
-    CAMERA_INFO, COMPRESSED_IMAGE, CameraModel, MARKER_ARRAY, Marker, POINT_CLOUD2, TF_MESSAGE,
-    Transform, camera_info, compressed_image, marker_array, tf_message,
+    CAMERA_INFO, COMPRESSED_IMAGE, CameraModel, FLOAT64, LOG, MARKER_ARRAY, Marker, ODOMETRY, PATH,
+    POINT_CLOUD2, TF_MESSAGE, Transform, camera_info, compressed_image, float64, marker_array,
+    odometry, path, tf_message, warning,
 };
 
 /// Type of a message: its name and its definition.
