@@ -1,5 +1,7 @@
 """Environments over the closed loop, small."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,8 @@ gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 from decouplegs.gym import DriveEnv, DriveVectorEnv  # noqa: E402
+
+from program import decouplegs as decouplegs_program, needs_program  # noqa: E402
 
 SMALL = {"size": (48, 32), "cameras": ["front", "front_left"]}
 
@@ -93,6 +97,28 @@ def test_time_truncates_and_the_log_is_written(place, tmp_path):
         env.step(np.zeros(2, np.float32))
     env.drive.rollout.write_log(tmp_path / "episode.log")
     assert (tmp_path / "episode.log").stat().st_size > 100
+
+
+@needs_program
+def test_scores_so_far_are_those_of_the_log(place, tmp_path):
+    env = DriveEnv(**SMALL, duration_s=4.0, **place)
+    env.reset(seed=3)
+    for step in range(8):
+        _, _, terminated, truncated, _ = env.step(np.array([0.01 * step, 1.0], np.float32))
+        if terminated or truncated:
+            break
+    rollout = env.drive.rollout
+    found, log = rollout.sub_scores(), tmp_path / "episode.log"
+    rollout.write_log(log)
+    decouplegs_program("score", log, "--out", tmp_path / "scored")
+    episode = json.loads((tmp_path / "scored/report.json").read_text())["episodes"][0]
+    rules = episode["rules"]
+    expected = {"all_rules_score": rules["all_rules_score"], "reference_progress": rules["reference_progress"]}
+    expected |= {"pdm_score": episode["pdm_score"], "extended_pdm_score": episode["extended_pdm"]["score"], "speed_compliance": episode["speed_compliance"]}
+    expected |= {"lane_kept_share": rules["lane_keeping"]["kept_share"], "over_edge_s": rules["lane_keeping"]["over_edge_s"]}
+    kinds = [breach["kind"] for breach in rules["breaches"]]
+    expected |= {key: kinds.count(kind) for key, kind in [("on_crossing", "on_crossing"), ("blocking", "blocking"), ("wrong_turns", "wrong_turn")]}
+    assert found == pytest.approx(expected, abs=1e-12) and 0 < found["reference_progress"] <= 1
 
 
 def test_many_worlds_are_drawn_in_one_call_and_are_those_of_single_ones(place):
