@@ -16,7 +16,7 @@ SAID = re.compile(r"^(\S+): (\d+) of (\d+) splats, (?:(\d+) moving agents?, (\S+
 
 
 def export(*arguments, folder, code=0):
-    """What `view` says of a page that it writes, and what on standard error."""
+    """Standard output and standard error of `view` as it writes a page."""
     done = subprocess.run([PROGRAM, "view", *map(str, arguments)], cwd=folder, capture_output=True, text=True)
     assert done.returncode == code, done.stderr
     return done.stdout, done.stderr
@@ -64,7 +64,7 @@ def open_file(webgl_browser):
 
 
 def at_rest(page, time_s=None):
-    """What the page draws, once all splats are drawn in their order."""
+    """Facts of the image of the page, once all splats are drawn in their order."""
     same_time = "true" if time_s is None else f"Math.abs(window.drawn.time_s - {time_s}) < 1e-6"
     page.wait_for_timeout(300)
     page.wait_for_function(f"() => window.drawn?.isWhole && {same_time}", timeout=LIMIT_MS)
