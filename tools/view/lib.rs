@@ -176,8 +176,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     options.words.extend(arguments.background.words());
     options.words.extend(arguments.device.words());
     let splats_max = arguments.browser_splats as usize;
-    let viewer = Viewer::new(drawer, sources, (options, splats_max), events.clone())
+    let mut viewer = Viewer::new(drawer, sources, (options, splats_max), events.clone())
         .context("the thread that draws cannot be started")?;
+    if let Some(time_s) = arguments.sources.time_s() {
+        viewer.begin_at(time_s);
+    }
     let ending = Arc::new(AtomicBool::new(false));
     let told = Arc::clone(&ending);
     let renders = std::thread::Builder::new()

@@ -98,15 +98,24 @@ impl SourceArguments {
             Some(path) => path.clone(),
             None => demo()?,
         };
-        match input(&path)? {
-            Input::Scene => self.scenes(&path, session),
-            Input::Log(episode) => self.episodes(&path, &Start::Log(episode), session),
+        let mut sources = match input(&path)? {
+            Input::Scene => self.scenes(&path, session)?,
+            Input::Log(episode) => self.episodes(&path, &Start::Log(episode), session)?,
             Input::Scenario(scenario) => {
                 let planner = self.planner.clone();
                 let planner = planner.unwrap_or(PlannerName::Engine(PlannerChoice::LaneFollow));
-                self.episodes(&path, &Start::Live(scenario, planner), session)
+                self.episodes(&path, &Start::Live(scenario, planner), session)?
             }
+        };
+        if let Some(time_s) = self.time_s() {
+            begin_at(&mut sources, time_s, &path)?;
         }
+        Ok(sources)
+    }
+
+    /// Time that is shown first, seconds, if one was given.
+    pub fn time_s(&self) -> Option<f64> {
+        self.options.time_s()
     }
 
     /// `planner`, with the options for drivers.
@@ -144,7 +153,7 @@ impl SourceArguments {
 
     fn episodes(&self, path: &Path, start: &Start, session: &Session) -> Result<Vec<Source>> {
         ensure!(
-            !self.options.is_given_beside_size() && self.map.is_none(),
+            !self.options.are_of_scenes() && self.map.is_none(),
             "{}: an episode has its own cameras, lanes and rules: leave out the options of scenes",
             path.display()
         );
@@ -245,17 +254,49 @@ fn logged(place: &Place, path: &Path, episode: &Episode) -> Result<Source> {
     Ok(Source::of_log(played, title, place.scene.clone()))
 }
 
+/// Difference of times that counts as none, seconds: reports round them.
+const SAME_S: f64 = 1e-4;
+
+/// Shows `time_s` first: episodes that are driven here are driven until then.
+fn begin_at(sources: &mut [Source], time_s: f64, path: &Path) -> Result<()> {
+    let shown = path.display();
+    for source in sources.iter_mut() {
+        drive_until(source, time_s)?;
+        source.set_time(time_s);
+    }
+    let spans = sources.iter().map(Source::span_s);
+    let [begin_s, end_s] = spans.fold([f64::MAX, f64::MIN], |[begin_s, end_s], span_s| {
+        [begin_s.min(span_s[0]), end_s.max(span_s[1])]
+    });
+    // Agents of plain splats, which have no time line here, stand where they are at this time.
+    let is_scene = is_scene_file(path) || path.extension().is_some_and(|it| it == "usdz");
+    ensure!(
+        is_scene || end_s > begin_s || sources.iter().any(|source| source.episode().is_some()),
+        "{shown}: splats have no time: leave out --time"
+    );
+    ensure!(
+        (begin_s - SAME_S..=end_s + SAME_S).contains(&time_s),
+        "--time {time_s}: {shown} has {begin_s:.1} to {end_s:.1} s: give a time between them, or leave it out"
+    );
+    Ok(())
+}
+
 /// Drives an episode that is driven here until it ends. A scene, and a log, are as they are.
 ///
 /// # Errors
 /// Returns an error if a step cannot be driven.
 pub fn drive_to_the_end(source: &mut Source) -> Result<()> {
+    drive_until(source, f64::INFINITY)
+}
+
+/// Drives an episode that is driven here until it has reached `time_s`, or ends.
+fn drive_until(source: &mut Source, time_s: f64) -> Result<()> {
     let steps = source.episode().map_or(0, |played| {
         let scenario = &played.episode().head.scenario;
-        (scenario.duration_s / scenario.step_s).ceil() as usize
+        (time_s.min(scenario.duration_s) / scenario.step_s).ceil() as usize
     });
     let bar = progress::bar("steps", steps);
-    while source.goes_on() {
+    while source.goes_on() && source.span_s()[1] < time_s {
         source.drive_on().map_err(anyhow::Error::msg)?;
         bar.inc(1);
     }

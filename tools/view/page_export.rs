@@ -85,8 +85,12 @@ pub fn export(source: &mut Source, path: &Path, splats_max: usize) -> Result<Exp
         kept > 0,
         "the scene has no splat that can be seen: there is nothing to write"
     );
+    let first_s = source.time_s();
     let samples = Samples::take(source);
-    let facts = facts(source, &samples, [kept, all]);
+    let mut facts = facts(source, &samples, [kept, all]);
+    if first_s > source.span_s()[0] {
+        facts["first_s"] = first_s.into();
+    }
     let mut bytes = 0;
     write_atomically(path, |file| {
         let mut counted = Counted(file, 0);

@@ -1,6 +1,7 @@
 //! The command that renders the image of a pane.
 
 use decouplegs::scene::Camera;
+use decouplegs_cli::arguments::quoted;
 use decouplegs_cli::free_view::FreeView;
 use decouplegs_cli::scene_source::absolute;
 use serde_json::{Value, json};
@@ -104,40 +105,5 @@ fn plane_name(channel: Channel) -> Result<Option<&'static str>, String> {
         Channel::Alpha => Err(
             "'render' writes no image of the opacity alone: choose another kind of image".into(),
         ),
-    }
-}
-
-/// `word` as a POSIX shell takes it for one word.
-fn quoted(word: &str) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:+=@%".contains(c);
-    match !word.is_empty() && word.chars().all(is_plain) {
-        true => word.to_owned(),
-        false => format!("'{}'", word.replace('\'', r"'\''")),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_shell_reads_every_word_back() {
-        for word in [
-            "plain.ply",
-            "with space.ply",
-            "it's $HOME",
-            "",
-            "a;rm *",
-            "--view",
-            "-1.5,0,1e-7",
-            "größe",
-        ] {
-            let script = format!("printf %s {}", quoted(word));
-            let output = std::process::Command::new("sh")
-                .args(["-c", &script])
-                .output();
-            assert_eq!(output.unwrap().stdout, word.as_bytes(), "{script}");
-        }
-        assert_eq!(quoted("-1.5,0,1e-7"), "-1.5,0,1e-7");
     }
 }

@@ -124,6 +124,12 @@ impl Viewer {
         Ok(viewer)
     }
 
+    /// Shows `time_s` first.
+    pub fn begin_at(&mut self, time_s: f64) {
+        self.set_time(time_s);
+        let _ = self.clock.news(self.sources[0].time_s());
+    }
+
     /// Serves `events` until the program ends: events that wait are left where `ending` is true.
     pub fn run(mut self, events: Receiver<Event>, ending: &AtomicBool) {
         while !ending.load(Ordering::SeqCst) {

@@ -118,10 +118,16 @@ impl Source {
     pub fn span_s(&self) -> [f64; 2] {
         match &self.course {
             Course::Scene(course) => {
-                let start_s = course.scene.time_s;
+                let time_s = course.scene.time_s;
                 let moving = course.trajectories().filter(|way| way.poses().len() > 1);
-                let end_s = moving.map(|way| way.end_s()).fold(start_s, f64::max);
-                [start_s, end_s.min(start_s + STEP_S * STEPS_MAX)]
+                let ends = moving.map(|way| way.end_s());
+                let Some(end_s) = ends.reduce(f64::max) else {
+                    return [time_s; 2];
+                };
+                // A scene that is shown from a later time on has the earlier ones too.
+                let start_s = time_s.min(course.scene.loaded.ego.start_s());
+                let end_s = end_s.min(start_s + STEP_S * STEPS_MAX);
+                [start_s, end_s.max(time_s)]
             }
             Course::Episode(played, _) => played.span_s(),
         }

@@ -66,7 +66,7 @@ fn an_episode_shows_the_bits_of_its_log() {
     )
     .unwrap();
     assert_eq!(badge(&all, 1.0).0, "exact, other bits than the log");
-    assert!(fail(1, &["view", text(&log), "--time", "1"]).contains("leave out"));
+    assert!(fail(1, &["view", text(&log), "--antialias"]).contains("leave out"));
     assert!(fail(1, &["view", text(&scene), "--base", "."]).contains("--base"));
 }
 

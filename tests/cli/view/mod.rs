@@ -13,6 +13,7 @@ use super::*;
 mod cameras;
 mod editing;
 mod episodes;
+mod first_time;
 mod guarding;
 mod looking;
 mod splats;

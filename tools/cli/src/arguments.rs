@@ -135,6 +135,16 @@ pub fn warn(sentence: &str) {
     let _ = writeln!(std::io::stderr(), "warning: {}", one_line(sentence));
 }
 
+/// `word` as a POSIX shell takes it for one word.
+#[must_use]
+pub fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:+=@%".contains(c);
+    match !word.is_empty() && word.chars().all(is_plain) {
+        true => word.to_owned(),
+        false => format!("'{}'", word.replace('\'', r"'\''")),
+    }
+}
+
 /// Writes an image; the file is there whole or not at all.
 pub fn write_image(path: &Path, image: &Image, format: ImageFileFormat) -> Result<()> {
     let bytes = image
@@ -188,6 +198,27 @@ mod tests {
             let refused = nonsense.parse::<Size>().unwrap_err();
             assert!(refused.contains(&format!("{nonsense:?}")), "{refused}");
         }
+    }
+
+    #[test]
+    fn a_shell_reads_every_word_back() {
+        for word in [
+            "plain.ply",
+            "with space.ply",
+            "it's $HOME",
+            "",
+            "a;rm *",
+            "--view",
+            "-1.5,0,1e-7",
+            "größe",
+        ] {
+            let script = format!("printf %s {}", quoted(word));
+            let output = std::process::Command::new("sh")
+                .args(["-c", &script])
+                .output();
+            assert_eq!(output.unwrap().stdout, word.as_bytes(), "{script}");
+        }
+        assert_eq!(quoted("-1.5,0,1e-7"), "-1.5,0,1e-7");
     }
 
     #[test]

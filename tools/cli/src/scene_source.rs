@@ -48,7 +48,8 @@ pub struct SceneOptions {
     view: Option<FreeView>,
     #[command(flatten)]
     orbit: OrbitArguments,
-    /// Time of the scene, seconds (default: the start of the ego's trajectory)
+    /// Time of the scene, seconds; in 'view' the time that is shown first, of episodes too
+    /// (default: the start of the ego's trajectory)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
     /// Render every image at this size, with its horizontal and its vertical field of view
@@ -64,16 +65,21 @@ pub struct SceneOptions {
 }
 
 impl SceneOptions {
-    /// True if one of them was given, the size apart.
+    /// True if one of them was given that an episode has not: all but the size and the time.
     #[must_use]
-    pub fn is_given_beside_size(&self) -> bool {
+    pub fn are_of_scenes(&self) -> bool {
         self.cameras.is_some()
             || self.dataparser.is_some()
             || self.view.is_some()
             || self.orbit.is_asked()
-            || self.time.is_some()
             || self.rules.is_some()
             || self.antialias
+    }
+
+    /// Time of the scene or the episode, seconds, if given.
+    #[must_use]
+    pub fn time_s(&self) -> Option<f64> {
+        self.time
     }
 
     /// The rules as they are typed, if given.

@@ -11,6 +11,7 @@ use super::{
     DeviceUse, Scored, birds_eye, charts, commanded, rows, rules, score, share, spread, summary,
     timing,
 };
+use crate::arguments::quoted;
 use crate::lidar::previews::{ABOVE, RANGES};
 use crate::page::{Figure, Page, Table, escaped};
 use crate::sites::Sites;
@@ -164,6 +165,12 @@ fn episodes(page: &mut Page, scored: &[Scored], sites: &Sites, out: &Path) -> Re
             order.len()
         ));
     }
+    if !order.is_empty() {
+        page.note(
+            "'decouplegs view' shows an episode in the browser, from the time that is given. Its commands here are for the folder in which \
+             this page was written; a click selects one whole.",
+        );
+    }
     for scored in order.into_iter().take(SHOWN_MAX) {
         card(page, scored, &lanes(scored, sites, out))?;
     }
@@ -203,6 +210,7 @@ fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {
         link(&format!("logs/{}.log", scored.name()), "log"),
         link(&format!("scenarios/{}.toml", scored.name()), "scenario"),
     ));
+    page.html(&format!("<p>{}</p>", view_command(scored, None)));
     for warning in scored.seen.warnings() {
         page.note(&format!("Warning: {warning}."));
     }
@@ -290,6 +298,23 @@ fn link(path: &str, text: &str) -> String {
     format!("<a href=\"{}\">{}</a>", escaped(path), escaped(text))
 }
 
+/// The command that shows an episode in the viewer, from `time_s` on, as HTML.
+fn view_command(scored: &Scored, time_s: Option<f64>) -> String {
+    let log = scored.log.display().to_string();
+    // The viewer takes what begins with a dash for an option.
+    let log = if log.starts_with('-') {
+        format!("./{log}")
+    } else {
+        log
+    };
+    let mut command = format!("decouplegs view {}", quoted(&log));
+    if let Some(time_s) = time_s {
+        let time_s = (1e6 * time_s).round() / 1e6;
+        command.push_str(&format!(" --time {time_s}"));
+    }
+    format!("<code class=\"command\">{}</code>", escaped(&command))
+}
+
 /// Step in the name of an image, before its end.
 fn step_of(name: &str, end: &str) -> Option<u32> {
     let number = name.strip_suffix(end)?.rsplit('_').next()?;
@@ -308,8 +333,10 @@ fn infractions(page: &mut Page, scored: &Scored) {
         "ego at x, m",
         "y, m",
         "image",
+        "in the viewer",
     ])
-    .with_text_in(1);
+    .with_text_in(1)
+    .with_text_in(6);
     for infraction in &scored.score.infractions {
         let at_m = scored.place_m(infraction.time_s);
         let image = image_before(scored, infraction.time_s).map_or("-".into(), |file| {
@@ -326,6 +353,7 @@ fn infractions(page: &mut Page, scored: &Scored) {
                 format!("{:.1}", at_m.x),
                 format!("{:.1}", at_m.y),
                 image,
+                view_command(scored, Some(infraction.time_s)),
             ],
         );
     }

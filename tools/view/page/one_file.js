@@ -36,7 +36,7 @@ const tracks = new Tracks(scene.tracks);
 const [beginS, endS] = tracks.span_s;
 const moves = endS > beginS;
 const levels = new DrawingLevels();
-const clock = { time_s: beginS, playing: false, speed: 1, advancedMs: 0 };
+const clock = { time_s: scene.first_s ?? beginS, playing: false, speed: 1, advancedMs: 0 };
 const pane = { camera: null, choice: "" };
 const view = { element: $("views"), overlay: make("canvas"), axes: null };
 
