@@ -2,11 +2,12 @@
 //! images per second are counted.
 //!
 //! `cargo run --release --example many_worlds -- street/scene.toml [WORLDS] [WIDTHxHEIGHT]
-//! [SECONDS] [AGENTS] [PITCH]`
+//! [SECONDS] [AGENTS] [PITCH] [BACKGROUND_PITCH]`
 //!
 //! Egos are spread over the way of the scene's ego. Each world has the first AGENTS agents of the
 //! scene (default: all), where they are at another time in each. With PITCH, agents are drawn at a
-//! level of detail whose splats are so many pixels apart at most.
+//! level of detail whose splats are so many pixels apart at most (0: all of their splats), and with
+//! BACKGROUND_PITCH the background.
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -118,7 +119,8 @@ impl Course {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let usage = "usage: many_worlds SCENE.toml [WORLDS] [WIDTHxHEIGHT] [SECONDS] [AGENTS] [PITCH]";
+    let usage = "usage: many_worlds SCENE.toml [WORLDS] [WIDTHxHEIGHT] [SECONDS] [AGENTS] [PITCH] \
+                 [BACKGROUND_PITCH]";
     let path = PathBuf::from(arguments.first().ok_or(usage)?);
     let (width, height) = arguments
         .get(2)
@@ -134,7 +136,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             .map_or(Ok(usize::MAX), |text| text.parse())?,
     };
     let mut options = SessionOptions::default();
-    options.render.level_pitch_px = arguments.get(5).map(|text| text.parse()).transpose()?;
+    let pitch_px = |place: usize| arguments.get(place).map(|text| text.parse()).transpose();
+    options.render.level_pitch_px = pitch_px(5)?.filter(|&pitch_px| pitch_px > 0.0);
+    options.render.background_pitch_px = pitch_px(6)?;
     let session = Session::open(&options)?;
     let scene = session.open_scene(&path)?;
     println!(

@@ -383,7 +383,7 @@ fn turning_world_agents_and_camera_together_changes_nothing() {
     ] {
         let turned = Pose::new(turn, DVec3::new(100.0, -40.0, 7.0));
         let moved = SplatScene {
-            splats: world.splats.placed(&turned, true),
+            splats: world.splats.clone().placed(&turned, true),
             ..world.clone()
         };
         let there = Camera {

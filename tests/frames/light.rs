@@ -366,7 +366,7 @@ fn world_light_and_agent_turned_together_look_the_same() {
                 ..moved
             }
         };
-        turned.world.splats = case.world.splats.placed(&about, true);
+        turned.world.splats = case.world.splats.clone().placed(&about, true);
         turned
             .shadows
             .iter_mut()

@@ -90,6 +90,9 @@ pub struct BenchOptions {
     /// Devices that scenes are spread over
     #[command(flatten)]
     pub devices: DevicesArguments,
+    /// Devices that may have the same scene
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub copies: u32,
     /// Write the figures to a file
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
@@ -97,6 +100,9 @@ pub struct BenchOptions {
     #[command(flatten)]
     pub force: Force,
 }
+
+/// Longest time until all copies of a scene are on their devices.
+const COPIES_MAX: Duration = Duration::from_secs(120);
 
 /// Image file format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -129,6 +135,7 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
     let mut server = ServerOptions::on_a_free_port(options.scene.clone());
     server.device = options.device.clone();
     server.devices = options.devices.clone();
+    server.limits.copies = options.copies;
     let running = running::start(&server).await?;
     let listening = started.elapsed();
     let endpoint = Endpoint::from_shared(format!("http://{}", running.address))?.tcp_nodelay(true);
@@ -142,6 +149,11 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
         rollout.ask(0).await?;
     }
     let first_image = started.elapsed();
+    let copies = u64::from(options.copies).min(running.images_by_device().len() as u64);
+    for scene in &options.scene {
+        let rollout = Rollout::begin(endpoint.connect().await?, scene, options).await?;
+        rollout.until_copied(copies).await?;
+    }
     let memory_start = memory_bytes();
     let mut clients = tokio::task::JoinSet::new();
     let until = Instant::now() + Duration::from_secs_f64(options.seconds);
@@ -185,6 +197,7 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
         "height_px": options.size[1],
         "format": format!("{:?}", options.format).to_lowercase(),
         "clients": options.clients,
+        "copies": options.copies,
         "requests": requests,
         "submissions": submissions,
         "images_by_device": images_by_device,
@@ -270,6 +283,25 @@ impl Rollout {
             origin: file.origin,
             options: options.clone(),
         })
+    }
+
+    /// Waits until the scene is on `copies` devices.
+    async fn until_copied(mut self, copies: u64) -> Result<()> {
+        let since = Instant::now();
+        loop {
+            let loaded = self.client.get_loaded_scenes(Empty {}).await?.into_inner();
+            let entry = loaded.scenes.iter().find(|one| one.scene_id == self.scene);
+            let found = entry.map_or(0, |entry| entry.loaded_instance_count);
+            if found >= copies {
+                return Ok(());
+            }
+            ensure!(
+                since.elapsed() < COPIES_MAX,
+                "scene {:?} is on {found} devices, expected {copies}: have they the memory?",
+                self.scene
+            );
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
     }
 
     /// Asks for the images of one step; how long it took from the request to all bytes.

@@ -68,10 +68,12 @@ impl Devices {
         let scene = asked.job.scene();
         loop {
             let bytes = || self.registry.size_bytes(&scene);
-            let Some((device, load)) = self.placement.place(&scene, &asked.refused, bytes) else {
+            let Some(placed) = self.placement.place(&scene, &asked.refused, bytes) else {
                 return Err(asked);
             };
-            asked.load = Some(load);
+            self.preload(&scene, &placed.copies);
+            let device = placed.device;
+            asked.load = Some(placed.load);
             match self.inboxes[device].send(Message::Draw(asked)) {
                 Ok(()) => return Ok(()),
                 Err(unsent) => {
@@ -83,6 +85,14 @@ impl Devices {
                     asked.refused.push(device);
                 }
             }
+        }
+    }
+
+    /// Has `scene` loaded by `devices`.
+    pub fn preload(&self, scene: &str, devices: &[usize]) {
+        for &device in devices {
+            // A thread that has ended needs no scenes.
+            let _ = self.inboxes[device].send(Message::Preload(scene.to_owned()));
         }
     }
 

@@ -80,11 +80,17 @@ impl Metrics {
         of_device.cache_bytes = bytes;
     }
 
-    /// The scenes on all devices.
-    pub fn scenes(&self) -> Vec<String> {
+    /// The scenes on all devices, and on how many of them each is.
+    pub fn scenes(&self) -> Vec<(String, u64)> {
         let devices = lock(&self.devices);
-        let scenes = devices.iter().flat_map(|device| &device.scenes);
-        scenes.cloned().collect()
+        let mut scenes: Vec<(String, u64)> = Vec::new();
+        for name in devices.iter().flat_map(|device| &device.scenes) {
+            match scenes.iter_mut().find(|(known, _)| known == name) {
+                Some((_, copies)) => *copies += 1,
+                None => scenes.push((name.clone(), 1)),
+            }
+        }
+        scenes
     }
 
     /// Images that each device drew so far.

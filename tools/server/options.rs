@@ -309,6 +309,11 @@ pub struct Limits {
     /// Number of scenes that are kept on each device
     #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub cache_size: u32,
+    /// Devices that may have the same scene. Then each request for it goes to the one with the
+    /// fewest, and the cameras of one request are divided between them. A further copy is made only
+    /// where no other scene has to go
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub copies: u32,
     /// Memory of each device that scenes in the cache may take, bytes
     #[arg(long, value_name = "BYTES", allow_negative_numbers = true, default_value_t = 32 << 30)]
     pub cache_bytes: u64,

@@ -20,7 +20,7 @@ use crate::devices::{Asked, Devices, Job, Message, ToRead, caught};
 use crate::image_memory::Images;
 use crate::metrics::Metrics;
 use crate::options::Limits;
-use crate::placement::Placement;
+use crate::placement::{Placement, PlacementLimits};
 use crate::render_request::RenderRequest;
 use crate::render_worker::RenderWorker;
 use crate::request_guard::connection_number;
@@ -60,10 +60,14 @@ impl RenderQueue {
                 .spawn(move || read_scenes(&to_load))
                 .context("no thread")?;
         }
-        let (scenes_max, bytes_max) = (limits.cache_size as usize, limits.cache_bytes);
+        let placement_limits = PlacementLimits {
+            scenes_max: limits.cache_size as usize,
+            bytes_max: limits.cache_bytes,
+            copies_max: limits.copies as usize,
+        };
         metrics.with_devices(gpus.len());
         let devices = Arc::new(Devices {
-            placement: Arc::new(Placement::new(gpus.len(), scenes_max, bytes_max)),
+            placement: Arc::new(Placement::new(gpus.len(), placement_limits)),
             inboxes,
             registry,
             metrics,
@@ -143,12 +147,16 @@ impl RenderQueue {
         for scene in scenes {
             let bytes = || self.devices.registry.size_bytes(&scene);
             let placed = self.devices.placement.place(&scene, &[], bytes);
-            if let Some((device, load)) = placed {
-                drop(load);
-                // A queue that has ended needs no scenes.
-                let _ = self.devices.inboxes[device].send(Message::Preload(scene));
+            if let Some(placed) = placed {
+                self.devices.preload(&scene, &[placed.device]);
+                self.devices.preload(&scene, &placed.copies);
             }
         }
+    }
+
+    /// Number of devices that `scene` is on.
+    pub fn copies(&self, scene: &str) -> usize {
+        self.devices.placement.copies(scene)
     }
 
     /// Scenes that all devices keep together at most.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use decouplegs::scene::TimedPose;
-use futures_util::future::join_all;
+use futures_util::future::{join, join_all};
 use tokio::sync::oneshot;
 use tonic::{Code, Request, Response, Status};
 
@@ -92,8 +92,8 @@ impl Sensorsim {
         }
     }
 
-    /// Images of `requests`, in their order. All that are of one scene are drawn in one submission,
-    /// with a view per list of objects.
+    /// Images of `requests`, in their order. All that are of one scene are drawn in one submission
+    /// of each device that has the scene, with a view per list of objects.
     async fn images(
         &self,
         requests: Vec<Result<RenderRequest, Status>>,
@@ -112,9 +112,12 @@ impl Sensorsim {
                 Err(status) => results.push(Err(status)),
             }
         }
-        let drawn = shots
-            .into_iter()
-            .map(|shot| async move { (shot.places.concat(), self.shot(shot.views).await) });
+        let shots = shots.into_iter().flat_map(|shot| {
+            let copies = self.render_queue.copies(&shot.scene);
+            shot.divided(copies)
+        });
+        let drawn =
+            shots.map(|shot| async move { (shot.places.concat(), self.shot(shot.views).await) });
         for (places, images) in join_all(drawn).await {
             for (place, image) in places.into_iter().zip(images) {
                 results[place] = image;
@@ -237,6 +240,33 @@ impl Shot {
     }
 }
 
+impl Shot {
+    /// `parts` shots of about as many pixels each, or fewer where there are fewer images.
+    fn divided(self, parts: usize) -> Vec<Self> {
+        if parts < 2 {
+            return vec![self];
+        }
+        let places = self.places.into_iter().flatten();
+        let mut images: Vec<_> = places.zip(self.views.into_iter().flatten()).collect();
+        let pixels = |request: &RenderRequest| request.intrinsics.pixels();
+        // The largest first: what comes last evens the sums out.
+        images.sort_by_key(|(_, request)| std::cmp::Reverse(pixels(request)));
+        let mut shots: Vec<(u64, Self)> = Vec::new();
+        for (place, request) in images {
+            let more = pixels(&request);
+            if shots.len() < parts {
+                shots.push((more, Self::new(place, request)));
+                continue;
+            }
+            if let Some((sum, shot)) = shots.iter_mut().min_by_key(|(sum, _)| *sum) {
+                *sum += more;
+                shot.add(place, request);
+            }
+        }
+        shots.into_iter().map(|(_, shot)| shot).collect()
+    }
+}
+
 /// True if the error belongs to one camera; errors of the request belong to all of it.
 fn is_of_one_camera(request: &Result<RenderRequest, Status>) -> bool {
     !request.as_ref().is_err_and(|status| {
@@ -286,15 +316,13 @@ impl SensorsimService for Sensorsim {
         let sweeps: Vec<SweepRequest> = sweeps.collect::<Result<_, _>>()?;
         let requests: Vec<_> = requests.into_iter().map(Ok).collect();
         self.check_pixels(&requests, "rgb_requests")?;
-        let images = self.images(requests).await;
+        let sweeps = sweeps.into_iter().map(|sweep| self.lidar(sweep));
+        let (images, sweeps) = join(self.images(requests), join_all(sweeps)).await;
         let returned = images
             .into_iter()
             .map(|bytes| bytes.map(|image_bytes| RgbRenderReturn { image_bytes }));
         let rgb_returns = returned.collect::<Result<_, _>>()?;
-        let mut lidar_returns = Vec::with_capacity(sweeps.len());
-        for sweep in sweeps {
-            lidar_returns.push(self.lidar(sweep).await?);
-        }
+        let lidar_returns = sweeps.into_iter().collect::<Result<_, _>>()?;
         Ok(Response::new(AggregatedRenderReturn {
             rgb_returns,
             lidar_returns,
@@ -374,10 +402,10 @@ impl SensorsimService for Sensorsim {
         &self,
         _: Request<Empty>,
     ) -> Result<Response<LoadedScenesReturn>, Status> {
-        let entry = |scene_id| LoadedSceneEntry {
+        let entry = |(scene_id, copies)| LoadedSceneEntry {
             scene_id,
-            loaded_instance_count: 1,
-            reusable_instance_count: 1,
+            loaded_instance_count: copies,
+            reusable_instance_count: copies,
         };
         Ok(Response::new(LoadedScenesReturn {
             scenes: self.metrics.scenes().into_iter().map(entry).collect(),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use decouplegs::asset::LoadedScene;
-use decouplegs::drive::score::{EpisodeScore, times_to_collision};
+use decouplegs::drive::score::{EpisodeScore, quantities};
 use decouplegs::episode::{EpisodeError, LiveEpisode, Moment, Moments, Site, reading_hash};
 use decouplegs::explain::explain;
 use decouplegs::logs::episode_log;
@@ -284,8 +284,12 @@ impl Played {
         let brakings = brakings.map(|time_s| json!({"time_s": time_s, "text": "hard braking"}));
         let events: Vec<Value> = infractions.chain(brakings).collect();
         let speeds = episode.instants().map(|tick| tick.ego.speed_mps);
-        let times: Vec<(f64, Option<f64>)> = (times_to_collision(episode).into_iter())
-            .map(|(time_s, closest)| (time_s, closest.map(|closest| closest.ttc_s)))
+        let quantities = quantities(episode, &score);
+        let known = quantities
+            .iter()
+            .find(|one| one.key == "time_to_collision_s");
+        let times: Vec<(f64, Option<f64>)> = (episode.instants().enumerate())
+            .map(|(index, tick)| (tick.time_s, known.and_then(|times| times.values[index])))
             .collect();
         json!({
             "scenario": head.scenario.name,
@@ -302,7 +306,7 @@ impl Played {
             "events": events,
             "speed_mps": speeds.collect::<Vec<f64>>(),
             "time_to_collision_s": times,
-            "series": series::facts(episode),
+            "series": series::facts(&quantities),
         })
     }
 

@@ -1,18 +1,17 @@
 //! Quantities of an episode over time, for the plots of the page.
 
-use decouplegs::drive::score::{Quantity, quantities};
-use decouplegs::scene::Episode;
+use decouplegs::drive::score::Quantity;
 use serde_json::{Value, json};
 
 /// Quantities that the page always plots.
 const PLOTTED: [&str; 2] = ["speed_mps", "time_to_collision_s"];
 
-/// All other quantities of `episode` as JSON: name, unit, and a value for each instant, null where
-/// there is none. Speeds are in km/h, angles in degrees.
-pub fn facts(episode: &Episode) -> Value {
-    let others = quantities(episode).into_iter();
+/// All others of `quantities` as JSON: name, unit, and a value for each instant, null where there
+/// is none. Speeds are in km/h, angles in degrees.
+pub fn facts(quantities: &[Quantity]) -> Value {
+    let others = quantities.iter();
     let others = others.filter(|quantity| !PLOTTED.contains(&quantity.key));
-    others.map(|quantity| fact(&quantity)).collect()
+    others.map(fact).collect()
 }
 
 fn fact(quantity: &Quantity) -> Value {

@@ -1,9 +1,8 @@
 //! Extent of a cloud as its splats have it, far ones and lonely ones apart: for `inspect`.
 
-use std::collections::HashMap;
-
 use decouplegs_scene::SplatCloud;
 use glam::Vec3;
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::SummaryBounds;
@@ -45,10 +44,12 @@ impl SplatExtent {
         if finite.is_empty() {
             return None;
         }
-        let ends = [0, 1, 2].map(|axis| {
+        let ends = [0, 1, 2].into_par_iter().map(|axis| {
             let mut values: Vec<f32> = finite.iter().map(|mean| mean[axis]).collect();
             [TAIL, 1.0 - TAIL].map(|share| quantile(&mut values, share))
         });
+        let ends: Vec<[f32; 2]> = ends.collect();
+        let ends = [ends[0], ends[1], ends[2]];
         let middle = SummaryBounds {
             min: ends.map(|[low, _]| low),
             max: ends.map(|[_, high]| high),
@@ -71,18 +72,36 @@ fn quantile(values: &mut [f32], share: f64) -> f32 {
     *values.select_nth_unstable_by(at, f32::total_cmp).1
 }
 
-/// Splats by cell.
-struct Cells(HashMap<[i16; 3], u32>);
+/// Splats by cell of a grid, whose rows along x lie behind each other, and so do its planes.
+struct Cells {
+    sizes: [usize; 3],
+    counts: Vec<u32>,
+}
 
 impl Cells {
-    /// Splats in the cell `at` and the 26 around it.
-    fn around(&self, at: [i16; 3]) -> u32 {
-        let beside = |step: i16| [step % 3, step / 3 % 3, step / 9].map(|value| value - 1);
-        let cells = (0..27).map(|step| {
-            let beside = beside(step);
-            [0, 1, 2].map(|axis| at[axis] + beside[axis])
+    /// Place of the cell `at`.
+    fn index(&self, at: [usize; 3]) -> usize {
+        (at[2] * self.sizes[1] + at[1]) * self.sizes[0] + at[0]
+    }
+
+    /// Splats in each cell and the 26 around it.
+    fn around(&self) -> Vec<u32> {
+        let sums = (0..self.counts.len()).into_par_iter().map(|index| {
+            let (row, plane) = (self.sizes[0], self.sizes[0] * self.sizes[1]);
+            let at = [index % row, index / row % self.sizes[1], index / plane];
+            let beside =
+                |axis: usize| at[axis].saturating_sub(1)..=(at[axis] + 1).min(self.sizes[axis] - 1);
+            let mut sum = 0;
+            for z in beside(2) {
+                for y in beside(1) {
+                    for x in beside(0) {
+                        sum += self.counts[self.index([x, y, z])];
+                    }
+                }
+            }
+            sum
         });
-        cells.filter_map(|cell| self.0.get(&cell)).sum()
+        sums.collect()
     }
 }
 
@@ -94,35 +113,34 @@ fn lonely(cloud: &SplatCloud, low: Vec3, high: Vec3) -> u64 {
     };
     let diagonal = (high - low).length().max(f32::MIN_POSITIVE);
     for cells in CELLS {
-        let place = |mean: &[f32; 3]| {
+        let place = |mean: Vec3| {
             // A diagonal whose square is too small for an f32 makes places as large as that.
-            let along = (Vec3::from_array(*mean) - low) * (cells / diagonal);
-            along.to_array().map(|value| value.min(CELLS[0]) as i16)
+            let along = (mean - low) * (cells / diagonal);
+            along.to_array().map(|value| value.min(CELLS[0]) as usize)
         };
-        let mut by_cell = Cells(HashMap::new());
-        for mean in cloud.means.iter().filter(|mean| inside(mean)) {
-            *by_cell.0.entry(place(mean)).or_default() += 1;
+        // A diagonal of 256 cells makes no more than 3.3 million of them.
+        let sizes = place(high).map(|last| last + 1);
+        let mut by_cell = Cells {
+            sizes,
+            counts: vec![0; sizes.into_iter().product()],
+        };
+        let cell_of = |mean: &[f32; 3]| by_cell.index(place(Vec3::from_array(*mean)));
+        let splats: Vec<(usize, f32)> = (cloud.means.par_iter().zip(&cloud.opacities))
+            .filter(|(mean, _)| inside(mean))
+            .map(|(mean, opacity)| (cell_of(mean), *opacity))
+            .collect();
+        for (cell, _) in &splats {
+            by_cell.counts[*cell] += 1;
         }
-        // Every cell's splats have the same company.
-        let company = by_cell
-            .0
-            .iter()
-            .map(|(at, count)| (by_cell.around(*at), *count));
-        let company: Vec<(u32, u32)> = company.collect();
-        let all: u32 = company.iter().map(|(_, count)| count).sum();
-        let with_company = company.iter().filter(|(around, _)| *around >= COMPANY_MIN);
-        if with_company.map(|(_, count)| count).sum::<u32>() <= all / 2 {
+        let around = by_cell.around();
+        let have_company = (splats.iter()).filter(|(cell, _)| around[*cell] >= COMPANY_MIN);
+        if have_company.count() <= splats.len() / 2 {
             continue;
         }
-        let alone = |(mean, opacity): &(&[f32; 3], &f32)| {
-            **opacity >= 0.5 && inside(mean) && by_cell.around(place(mean)) <= LONELY_MAX
-        };
-        return cloud
-            .means
+        let alone = splats
             .iter()
-            .zip(&cloud.opacities)
-            .filter(alone)
-            .count() as u64;
+            .filter(|(cell, opacity)| *opacity >= 0.5 && around[*cell] <= LONELY_MAX);
+        return alone.count() as u64;
     }
     0
 }

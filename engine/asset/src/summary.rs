@@ -115,25 +115,35 @@ impl SplatSummary {
                 });
             f64::from(most).log10() - f64::from(least).log10()
         });
+        let scales = cloud.scales.iter().flatten().map(|&scale| log10(scale));
+        let ((extent, scale_log10_m), (anisotropy_log10, defects)) = rayon::join(
+            || {
+                rayon::join(
+                    || SplatExtent::new(cloud),
+                    || Histogram::new(scales, -6.0, 3.0, 36),
+                )
+            },
+            || {
+                rayon::join(
+                    || Histogram::new(anisotropy, 0.0, 5.0, 20),
+                    || count_defects(cloud),
+                )
+            },
+        );
         Self {
             splats: cloud.len() as u64,
             sh_degree: cloud.sh_degree,
             bounds,
-            extent: SplatExtent::new(cloud),
-            scale_log10_m: Histogram::new(
-                cloud.scales.iter().flatten().map(|&scale| log10(scale)),
-                -6.0,
-                3.0,
-                36,
-            ),
-            anisotropy_log10: Histogram::new(anisotropy, 0.0, 5.0, 20),
+            extent,
+            scale_log10_m,
+            anisotropy_log10,
             opacity: Histogram::new(
                 cloud.opacities.iter().map(|&opacity| f64::from(opacity)),
                 0.0,
                 1.0,
                 20,
             ),
-            defects: count_defects(cloud),
+            defects,
             memory_bytes: memory_bytes(cloud),
         }
     }

@@ -8,6 +8,7 @@
 //! Success is a completed route without any such infraction, so no set of episodes has more success
 //! than completion, nor a driving score above the completion that counts: [`Summary::check`].
 
+use decouplegs_scene::episode::EpisodeHead;
 use decouplegs_scene::{Episode, EpisodeEnd, Level, RoadUser};
 
 mod comfort;
@@ -146,6 +147,15 @@ impl EpisodeScore {
     #[must_use]
     pub fn min_ttc_s(&self) -> Option<f64> {
         self.closest.map(|closest| closest.ttc_s)
+    }
+
+    /// Times in seconds, and words, of the infractions in the episode of `head`.
+    #[must_use]
+    pub fn described(&self, head: &EpisodeHead) -> Vec<(f64, String)> {
+        let infractions = self.infractions.iter();
+        infractions
+            .map(|infraction| (infraction.time_s, infraction.describe(head)))
+            .collect()
     }
 
     /// Collisions with vehicles and pedestrians, regardless of fault.

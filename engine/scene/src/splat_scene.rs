@@ -136,8 +136,11 @@ impl SplatScene {
         if self.instance_from_splat.is_empty() {
             self.instance_from_splat.resize(self.splats.len(), 0);
         }
-        self.splats
-            .append(&asset.placed(&relative, sh_frame == ShFrame::Canonical));
+        self.splats.append(
+            &asset
+                .clone()
+                .placed(&relative, sh_frame == ShFrame::Canonical),
+        );
         self.instance_from_splat.resize(self.splats.len(), instance);
     }
 }

@@ -218,15 +218,14 @@ impl SplatCloud {
     /// The cloud moved rigidly by `pose`. Its colors turn with it if `turn_sh`; scenes trained in
     /// place must not be turned.
     #[must_use]
-    pub fn placed(&self, pose: &Pose, turn_sh: bool) -> Self {
-        let mut placed = self.clone();
-        placed.means.par_iter_mut().for_each(|mean| {
+    pub fn placed(mut self, pose: &Pose, turn_sh: bool) -> Self {
+        self.means.par_iter_mut().for_each(|mean| {
             *mean = pose
                 .transform(glam::Vec3::from_array(*mean).as_dvec3())
                 .as_vec3()
                 .to_array();
         });
-        placed.rotations.par_iter_mut().for_each(|rotation| {
+        self.rotations.par_iter_mut().for_each(|rotation| {
             let [w, x, y, z] = rotation.map(f64::from);
             let turned = (pose.rotation * DQuat::from_xyzw(x, y, z, w)).normalize();
             *rotation = [
@@ -239,12 +238,11 @@ impl SplatCloud {
         let stride = self.rest_stride();
         if turn_sh && stride > 0 {
             let turn = sh::ShRotation::new(pose.rotation);
-            placed
-                .sh_rest
+            self.sh_rest
                 .par_chunks_mut(stride)
                 .for_each(|rest| turn.rotate(rest));
         }
-        placed
+        self
     }
 
     /// The order of a space-filling (Morton) curve over the means, ties by index.
@@ -370,7 +368,10 @@ mod tests {
     fn placing_there_and_back_is_the_identity() {
         let original = cloud(20, 3);
         let pose = Pose::new(DQuat::from_rotation_y(0.4), DVec3::new(3.0, -2.0, 1.0));
-        let back = original.placed(&pose, true).placed(&pose.inverse(), true);
+        let back = original
+            .clone()
+            .placed(&pose, true)
+            .placed(&pose.inverse(), true);
         for i in 0..original.len() {
             for axis in 0..3 {
                 assert!((original.means[i][axis] - back.means[i][axis]).abs() < 1e-5);

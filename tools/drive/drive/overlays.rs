@@ -16,8 +16,8 @@ use glam::{DVec2, DVec3};
 
 use self::canvas::Canvas;
 
-/// Time for which an infraction is told, seconds.
-const TOLD_S: f64 = 2.0;
+/// Time for which an infraction is shown, seconds.
+const SHOWN_S: f64 = 2.0;
 /// Distance from the camera to the farthest box that is drawn, meters.
 const FAR_M: f64 = 100.0;
 /// Pieces of a line: lenses bend it.
@@ -57,12 +57,11 @@ impl<'a> Overlays<'a> {
             camera.intrinsics = drawn_by.intrinsics(&camera.intrinsics);
             cameras.push(camera);
         }
-        let infractions = EpisodeScore::new(episode).infractions.into_iter();
-        let infractions = infractions.map(|one| (one.time_s, one.describe(&episode.head)));
+        let score = EpisodeScore::new(episode);
         Ok(Self {
             moments: Moments::from_episode(episode, site, scene)?,
-            quantities: quantities(episode),
-            infractions: infractions.collect(),
+            quantities: quantities(episode, &score),
+            infractions: score.described(head),
             rig: Rig::from_iter(cameras),
             episode,
         })
@@ -168,9 +167,9 @@ impl<'a> Overlays<'a> {
             (motion, WORDS),
             (score.trim_end().to_owned(), WORDS),
         ];
-        let told = self.infractions.iter();
-        let told = told.filter(|(begin_s, _)| (*begin_s..begin_s + TOLD_S).contains(&time_s));
-        words.extend(told.map(|(_, text)| (text.clone(), FAULT)));
+        let shown = self.infractions.iter();
+        let shown = shown.filter(|(begin_s, _)| (*begin_s..begin_s + SHOWN_S).contains(&time_s));
+        words.extend(shown.map(|(_, text)| (text.clone(), FAULT)));
         words
     }
 }

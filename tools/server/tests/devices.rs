@@ -1,17 +1,21 @@
 //! A server whose scenes are spread over devices: the first one of the machine, opened twice.
 
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use decouplegs::gpu::{DeviceChoice, DeviceSet};
 use decouplegs::scene::Pose;
+use decouplegs_alpasim::wire::common::Empty;
 use decouplegs_alpasim::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
-use decouplegs_alpasim::wire::sensorsim::{ImageFormat, RgbRenderRequest};
+use decouplegs_alpasim::wire::sensorsim::{
+    BatchRgbRenderReturnItem, ImageFormat, RgbRenderRequest,
+};
 use decouplegs_server::options::ServerOptions;
 use glam::DVec3;
 use tonic::Code;
 use tonic::transport::Channel;
 
-use crate::asking::{cameras, client, options, request, serve};
+use crate::asking::{batch, cameras, client, options, request, serve};
 use crate::scenes::street_of;
 
 const SCENES: [&str; 3] = ["north", "south", "west"];
@@ -98,6 +102,67 @@ async fn scenes_of_a_device_that_is_lost_or_full_are_drawn_by_the_other() {
         }
         running.stop().await.unwrap();
     }
+}
+
+/// Four images of `scene` in one request.
+async fn four(client: &mut SensorsimServiceClient<Channel>, scene: &str) -> Vec<Vec<u8>> {
+    let mut asked = Vec::new();
+    for number in 0..4 {
+        let request = at(client, scene, f64::from(number)).await;
+        asked.push((format!("camera{number}"), request));
+    }
+    let answer = client.batch_render_rgb(batch(asked)).await;
+    let items = answer.unwrap().into_inner().items.into_iter();
+    let image = |item: BatchRgbRenderReturnItem| {
+        assert!(item.success, "{}", item.error_message);
+        item.result.unwrap().image_bytes.to_vec()
+    };
+    items.map(image).collect()
+}
+
+/// Waits until the one scene of the server is on `devices` devices.
+async fn until_on(client: &mut SensorsimServiceClient<Channel>, devices: u64) {
+    let since = Instant::now();
+    loop {
+        let loaded = client.get_loaded_scenes(Empty {}).await.unwrap();
+        let scenes = loaded.into_inner().scenes;
+        assert!(scenes.len() < 2, "a scene is listed twice: {scenes:?}");
+        if (scenes.iter()).any(|scene| scene.loaded_instance_count == devices) {
+            return;
+        }
+        assert!(since.elapsed() < Duration::from_secs(120), "{scenes:?}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn cameras_of_one_request_are_divided_between_copies_of_the_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenes = vec![streets(folder.path()).remove(0)];
+    let one = serve(&options(scenes.clone())).await;
+    let truth = four(&mut client(&one).await, "north").await;
+    one.stop().await.unwrap();
+    assert!(truth.iter().skip(1).all(|image| *image != truth[0]));
+    // Without copies the second device draws nothing of it.
+    for (copies, of_each) in [(1, [4, 0]), (2, [2, 2])] {
+        let mut options = on_two(scenes.clone(), &[]);
+        (options.limits.copies, options.preload) = (copies, true);
+        let two = serve(&options).await;
+        let mut client = client(&two).await;
+        until_on(&mut client, copies.into()).await;
+        assert!(four(&mut client, "north").await == truth, "{copies}");
+        assert_eq!(two.images_by_device(), of_each);
+        two.stop().await.unwrap();
+    }
+    // A device that is lost leaves its part to the other.
+    let mut options = on_two(scenes, &["1:lost:60"]);
+    options.limits.copies = 2;
+    let two = serve(&options).await;
+    let mut client = client(&two).await;
+    for _ in 0..30 {
+        assert!(four(&mut client, "north").await == truth);
+    }
+    two.stop().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -34,7 +34,7 @@ pub(super) fn place(cloud: &mut SplatCloud, world: &DAffine3) {
     let own_means = cloud.means.clone();
     // Turning by nothing would still round.
     if turn != DQuat::IDENTITY {
-        *cloud = cloud.placed(
+        *cloud = std::mem::take(cloud).placed(
             &Pose {
                 rotation: turn,
                 translation: DVec3::ZERO,

@@ -45,7 +45,7 @@ impl StoredAxes {
                 DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
                 DVec3::ZERO,
             );
-            *cloud = cloud.placed(&quarter_turn, true);
+            *cloud = std::mem::take(cloud).placed(&quarter_turn, true);
         }
     }
 }

@@ -17,6 +17,7 @@ mod nurec;
 mod nurec_checkpoint;
 mod nurec_parts;
 mod nuscenes;
+mod pieces;
 mod properties;
 mod real;
 mod sample;

@@ -190,7 +190,7 @@ pub fn tracks() -> Vec<u8> {
 /// A background, a road and two agents; the splats of the agents are in the frames of their boxes.
 pub fn state(of_scene: &SplatCloud, of_agents: &SplatCloud, nre_from_world: &Pose) -> State {
     let mut state = State::new();
-    let there = of_scene.placed(nre_from_world, true);
+    let there = of_scene.clone().placed(nre_from_world, true);
     let half: Vec<u32> = (0..there.len() as u32 / 2).collect();
     let rest: Vec<u32> = (there.len() as u32 / 2..there.len() as u32).collect();
     put_layer(&mut state, "background", &there.select(&half), 4);

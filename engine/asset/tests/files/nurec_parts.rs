@@ -125,7 +125,7 @@ fn volumes_of_any_name_stand_where_their_stage_puts_them() {
         put_layer(&mut state, "gaussians", splats, 1);
         volume(state)
     };
-    let there = splats.placed(&world_from_volume.inverse(), true);
+    let there = splats.clone().placed(&world_from_volume.inverse(), true);
     let half = |at: std::ops::Range<u32>| volume_of(&there.select(&at.collect::<Vec<_>>()));
     let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| world_from_volume.rotation * axis);
     let t = world_from_volume.translation;

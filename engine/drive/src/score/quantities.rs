@@ -20,9 +20,9 @@ pub struct Quantity {
     pub values: Vec<Option<f64>>,
 }
 
-/// All quantities that the log of `episode` tells at one moment or more.
+/// All quantities that the log of `episode`, whose score is `score`, tells at one moment or more.
 #[must_use]
-pub fn quantities(episode: &Episode) -> Vec<Quantity> {
+pub fn quantities(episode: &Episode, score: &EpisodeScore) -> Vec<Quantity> {
     let ticks: Vec<&EpisodeTick> = episode.instants().collect();
     let each = |value: fn(&EpisodeTick) -> Option<f64>| -> Vec<Option<f64>> {
         ticks.iter().map(|tick| value(tick)).collect()
@@ -34,7 +34,7 @@ pub fn quantities(episode: &Episode) -> Vec<Quantity> {
     let jerks = rates(&ticks, |tick| tick.ego.acceleration_mps2, |change| change);
     let times = times_to_collision(episode).into_iter();
     let times = times.map(|(_, closest)| closest.map(|closest| closest.ttc_s));
-    let (completions, scores) = scores_so_far(episode);
+    let (completions, scores) = scores_so_far(episode, score);
     let quantity = |key, name, unit, values| Quantity {
         key,
         name,
@@ -124,8 +124,7 @@ fn nearest_m(tick: &EpisodeTick) -> Option<f64> {
 
 /// Share of the route behind the ego, and its product with the factors of the infractions so far,
 /// moment by moment. The last are those of [`EpisodeScore`].
-fn scores_so_far(episode: &Episode) -> (Vec<Option<f64>>, Vec<Option<f64>>) {
-    let score = EpisodeScore::new(episode);
+fn scores_so_far(episode: &Episode, score: &EpisodeScore) -> (Vec<Option<f64>>, Vec<Option<f64>>) {
     let route = &episode.head.route_m;
     let length_m = Polyline::new(route.iter().map(|point| point.extend(0.0)))
         .map_or(0.0, |route| route.length_m());

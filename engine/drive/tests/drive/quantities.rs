@@ -18,7 +18,7 @@ fn scores_so_far_end_as_the_score_of_the_episode() {
     let driven = episode(14, &ego, &[standing], EpisodeEnd::Time);
     let score = EpisodeScore::new(&driven);
     let hit_s = score.infractions[0].time_s;
-    let all = quantities(&driven);
+    let all = quantities(&driven, &score);
     assert!(all.iter().all(|one| one.values.len() == 14 * 5 + 1));
     let [completion, scores] = ["route_completion", "driving_score"].map(|key| named(&all, key));
     for (index, tick) in driven.instants().enumerate() {
@@ -48,12 +48,9 @@ fn scores_so_far_end_as_the_score_of_the_episode() {
 
 #[test]
 fn what_no_moment_tells_is_no_quantity() {
-    let all = quantities(&episode(
-        4,
-        &straight(0.0, 0.0, 0.0, 0.0),
-        &[],
-        EpisodeEnd::Time,
-    ));
+    let stood = straight(0.0, 0.0, 0.0, 0.0);
+    let standing = episode(4, &stood, &[], EpisodeEnd::Time);
+    let all = quantities(&standing, &EpisodeScore::new(&standing));
     let keys: Vec<&str> = all.iter().map(|quantity| quantity.key).collect();
     for absent in [
         "time_to_collision_s",

@@ -24,22 +24,22 @@ pub struct DriveTopics {
     plans: Vec<Plan>,
     /// Times and texts of infractions, in the order of time.
     infracted: Vec<(f64, String)>,
-    /// Moments and infractions that are written.
+    /// Moments that are written.
     written: usize,
-    told: usize,
+    /// Infractions that are written.
+    written_infractions: usize,
 }
 
 impl DriveTopics {
     /// Adds the topics of `episode`, whose worlds are `moments`, to `log`.
     pub fn new(log: &mut McapLog<BufWriter<File>>, episode: &Episode, moments: &Moments) -> Self {
-        let known = quantities(episode).into_iter();
+        let score = EpisodeScore::new(episode);
+        let known = quantities(episode, &score).into_iter();
         let quantities = known.map(|quantity| {
             let name = format!("/episode/{}", quantity.key);
             (log.topic(&name, FLOAT64, false), quantity)
         });
         let quantities = quantities.collect();
-        let infracted = EpisodeScore::new(episode).infractions.into_iter();
-        let infracted = infracted.map(|one| (one.time_s, one.describe(&episode.head)));
         Self {
             odometry: log.topic("/odom", ODOMETRY, false),
             plan: log.topic("/plan", PATH, false),
@@ -47,9 +47,9 @@ impl DriveTopics {
             quantities,
             moments: moments.as_slice().to_vec(),
             plans: episode.steps.iter().map(|step| step.plan.clone()).collect(),
-            infracted: infracted.collect(),
+            infracted: score.described(&episode.head),
             written: 0,
-            told: 0,
+            written_infractions: 0,
         }
     }
 
@@ -75,12 +75,12 @@ impl DriveTopics {
                 let way = way_of(plan, moment);
                 log.add(self.plan, at_ns, &path(at_ns, MAP, &way))?;
             }
-            while let Some((begin_s, text)) = self.infracted.get(self.told) {
+            while let Some((begin_s, text)) = self.infracted.get(self.written_infractions) {
                 if *begin_s > moment.time_s {
                     break;
                 }
                 log.add(self.infractions, at_ns, &warning(at_ns, "score", text))?;
-                self.told += 1;
+                self.written_infractions += 1;
             }
             self.written += 1;
         }

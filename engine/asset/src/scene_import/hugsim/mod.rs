@@ -270,7 +270,7 @@ fn place_actors(scene: &mut ImportedScene, recording: &Recording) {
         };
         let axes = box_axes(&track.trajectory, &actor.splats);
         let local = Pose::new(axes, DVec3::ZERO);
-        actor.splats = actor.splats.placed(&local, false);
+        actor.splats = std::mem::take(&mut actor.splats).placed(&local, false);
         let back = local.inverse();
         let poses = track.trajectory.poses().iter().map(|timed| {
             let mut timed = *timed;

@@ -27,7 +27,7 @@ pub(super) struct Layer {
 ///
 /// # Errors
 /// A sentence that names the array at fault, or a setting that is not drawn here.
-pub(super) fn layer(state: &State, name: &str) -> Result<Layer, DecodeError> {
+pub(super) fn layer(state: &State<'_>, name: &str) -> Result<Layer, DecodeError> {
     check_settings(state, name)?;
     let means: Vec<[f32; 3]> = rows(state, name, "positions")?;
     let count = means.len();
@@ -99,7 +99,7 @@ pub(super) fn layer(state: &State, name: &str) -> Result<Layer, DecodeError> {
 }
 
 fn rows<const N: usize>(
-    state: &State,
+    state: &State<'_>,
     layer: &str,
     array: &str,
 ) -> Result<Vec<[f32; N]>, DecodeError> {
@@ -107,7 +107,7 @@ fn rows<const N: usize>(
     state.of_layer(layer, array)?.rows(&name)
 }
 
-fn shape_error(layer: &str, array: &str, found: &Array, expected: &str) -> DecodeError {
+fn shape_error(layer: &str, array: &str, found: &Array<'_>, expected: &str) -> DecodeError {
     DecodeError::Malformed(format!(
         "'{LAYERS}{layer}.{array}' has the shape {:?}, expected {expected}",
         found.shape()
@@ -115,7 +115,7 @@ fn shape_error(layer: &str, array: &str, found: &Array, expected: &str) -> Decod
 }
 
 /// Degree of the colors of a layer: as far as its coefficients are in use and not all zero.
-fn degree(state: &State, name: &str, count: usize) -> Result<u8, DecodeError> {
+fn degree(state: &State<'_>, name: &str, count: usize) -> Result<u8, DecodeError> {
     let specular = state.of_layer(name, "features_specular")?;
     let expected = "[N, 45]";
     let is_whole = specular.len() == count * 3 * SPECULAR;
@@ -138,7 +138,7 @@ fn degree(state: &State, name: &str, count: usize) -> Result<u8, DecodeError> {
 }
 
 /// Index of the track of each splat of a layer; empty where it stands still.
-fn tracks(state: &State, name: &str) -> Result<Vec<u32>, DecodeError> {
+fn tracks(state: &State<'_>, name: &str) -> Result<Vec<u32>, DecodeError> {
     let Ok(ids) = state.of_layer(name, "gaussian_cuboid_ids") else {
         return Ok(Vec::new());
     };
@@ -156,7 +156,7 @@ fn tracks(state: &State, name: &str) -> Result<Vec<u32>, DecodeError> {
 }
 
 /// Refuses layers whose numbers mean something else than they do here.
-fn check_settings(state: &State, name: &str) -> Result<(), DecodeError> {
+fn check_settings(state: &State<'_>, name: &str) -> Result<(), DecodeError> {
     let settings = state.settings_of(name);
     for (what, found, expected) in [
         (

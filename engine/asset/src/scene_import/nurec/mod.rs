@@ -99,10 +99,11 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
     };
     let world_from_nre = nre_from_world.inverse();
     let mut tracks = read_tracks(archive, rig.as_ref())?;
-    let states = volumes(archive)
-        .into_iter()
-        .map(|name| read_state(archive, name));
-    let states: Vec<State> = states.collect::<Result<_, _>>()?;
+    let names = volumes(archive);
+    let volumes = names.iter().map(|name| read_volume(archive, name));
+    let volumes: Vec<Volume<'_>> = volumes.collect::<Result<_, _>>()?;
+    let states = volumes.iter().map(Volume::state);
+    let states: Vec<State<'_>> = states.collect::<Result<_, _>>()?;
     let state = &states[0];
     if states.iter().all(|state| state.layers().is_empty()) {
         return Err(DecodeError::Malformed(
@@ -150,15 +151,7 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
         }
     }
     let background = background.unwrap_or_else(|| SplatCloud::with_degree(0));
-    scene.background = if world_from_nre == Pose::IDENTITY {
-        background
-    } else if world_from_nre.translation.length() <= FAR_M {
-        background.placed(&world_from_nre, true)
-    } else {
-        scene.origin = world_from_nre.translation;
-        let turn = Pose::new(world_from_nre.rotation, DVec3::ZERO);
-        background.placed(&turn, true)
-    };
+    (scene.background, scene.origin) = in_world(background, &world_from_nre);
     let road = road
         .into_iter()
         .map(|point| world_from_nre.transform(point) - scene.origin);
@@ -179,12 +172,40 @@ pub(crate) fn scene(archive: &Archive<'_>) -> Result<ImportedScene, DecodeError>
     Ok(scene)
 }
 
-fn read_state(archive: &Archive<'_>, name: &str) -> Result<State, DecodeError> {
+/// `background` in the world, and the origin that its means are from: that of the frame of the
+/// splats, where it is far away.
+fn in_world(background: SplatCloud, world_from_nre: &Pose) -> (SplatCloud, DVec3) {
+    if *world_from_nre == Pose::IDENTITY {
+        return (background, DVec3::ZERO);
+    }
+    if world_from_nre.translation.length() <= FAR_M {
+        return (background.placed(world_from_nre, true), DVec3::ZERO);
+    }
+    let turn = Pose::new(world_from_nre.rotation, DVec3::ZERO);
+    (background.placed(&turn, true), world_from_nre.translation)
+}
+
+/// Bytes that hold splats.
+enum Volume<'a> {
+    Unpacked(Vec<u8>),
+    Checkpoint(&'a [u8]),
+}
+
+fn read_volume<'a>(archive: &Archive<'a>, name: &str) -> Result<Volume<'a>, DecodeError> {
     let bytes = archive.stored(name)?;
     if name.ends_with(".nurec") {
-        State::from_volume(bytes)
+        Ok(Volume::Unpacked(state::unpack(bytes)?))
     } else {
-        State::from_checkpoint(bytes)
+        Ok(Volume::Checkpoint(bytes))
+    }
+}
+
+impl Volume<'_> {
+    fn state(&self) -> Result<State<'_>, DecodeError> {
+        match self {
+            Self::Unpacked(bytes) => State::from_volume(bytes),
+            Self::Checkpoint(bytes) => State::from_checkpoint(bytes),
+        }
     }
 }
 
@@ -300,7 +321,7 @@ fn add_actors(
 
 /// Sky of the volume: the six faces of OpenGL, looked up at (-y, z, -x) of a direction in the frame
 /// of the splats.
-fn sky(state: &State, nre_from_world: Pose) -> Result<Option<SkyMap>, DecodeError> {
+fn sky(state: &State<'_>, nre_from_world: Pose) -> Result<Option<SkyMap>, DecodeError> {
     let name = "background.textures";
     let Some(textures) = state.get(name) else {
         return Ok(None);
@@ -360,7 +381,7 @@ fn note_layer(layer: &Layer, notes: &mut Vec<String>) {
 }
 
 /// Notes on what a volume has and is not drawn.
-fn note_unread(state: &State, notes: &mut Vec<String>) {
+fn note_unread(state: &State<'_>, notes: &mut Vec<String>) {
     let has = |part: &str| state.names().any(|name| name.contains(part));
     if has("tracks_delta_") {
         notes.push(

@@ -28,7 +28,7 @@ const OFFSETS: [DMat2; 4] = [
 /// A sentence that names the array of a wrong shape, or the camera whose numbers cannot be used.
 pub(super) fn calibrate(
     rig: &mut Rig,
-    state: &State,
+    state: &State<'_>,
     order: &[String],
     images: &[usize],
 ) -> Result<Vec<String>, DecodeError> {
@@ -95,7 +95,7 @@ pub(super) fn calibrate(
 }
 
 /// Rows of `N` numbers, whatever the dimensions behind the first.
-fn rows<const N: usize>(array: &Array, name: &str) -> Result<Vec<[f64; N]>, DecodeError> {
+fn rows<const N: usize>(array: &Array<'_>, name: &str) -> Result<Vec<[f64; N]>, DecodeError> {
     let rows = if array.shape().len() == 1 && N == 1 {
         array.columns(array.len(), 1, 0)
     } else {

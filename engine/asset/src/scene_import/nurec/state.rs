@@ -22,20 +22,20 @@ const UNPACKED_BYTES_PER_BYTE: u64 = 16;
 
 /// Numbers of an array.
 #[derive(Clone, Debug, PartialEq)]
-enum Numbers {
+enum Numbers<'a> {
     /// Little-endian floats of 16 bits.
-    Halves(Vec<u8>),
+    Halves(&'a [u8]),
     Floats(Vec<f32>),
 }
 
 /// A tensor of a volume.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Array {
+pub(super) struct Array<'a> {
     shape: Vec<usize>,
-    numbers: Numbers,
+    numbers: Numbers<'a>,
 }
 
-impl Array {
+impl Array<'_> {
     pub(super) fn shape(&self) -> &[usize] {
         &self.shape
     }
@@ -97,32 +97,44 @@ pub(super) struct LayerSettings {
 
 /// Arrays and settings of a volume.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct State {
+pub(super) struct State<'a> {
     /// Version of the program that wrote it; empty where the file does not say.
     pub(super) version: String,
     /// Arrays by their names, without what stands before [`LAYERS`].
-    arrays: HashMap<String, Array>,
+    arrays: HashMap<String, Array<'a>>,
     /// Names of the tracks of each layer.
     tracks: HashMap<String, Vec<String>>,
     settings: HashMap<String, LayerSettings>,
 }
 
-impl State {
-    /// Reads `volume.nurec`.
+/// Bytes of a `volume.nurec` without their gzip.
+///
+/// # Errors
+/// A sentence on what is broken or too large.
+pub(super) fn unpack(bytes: &[u8]) -> Result<Vec<u8>, DecodeError> {
+    let most = UNPACKED_BYTES_ALWAYS + UNPACKED_BYTES_PER_BYTE * bytes.len() as u64;
+    let mut unpacked = Vec::new();
+    let mut decoder = MultiGzDecoder::new(bytes).take(most);
+    let read = decoder.read_to_end(&mut unpacked);
+    if decoder.limit() == 0 {
+        return Err(DecodeError::Malformed(format!(
+            "volume.nurec unpacks to more than {most} bytes from {}; write it again",
+            bytes.len()
+        )));
+    }
+    read.map_err(|error| {
+        DecodeError::Malformed(format!("volume.nurec is no MessagePack in gzip: {error}"))
+    })?;
+    Ok(unpacked)
+}
+
+impl<'a> State<'a> {
+    /// Reads the bytes of a volume that [`unpack`] gave.
     ///
     /// # Errors
-    /// A sentence on what is broken, missing or too large.
-    pub(super) fn from_volume(bytes: &[u8]) -> Result<Self, DecodeError> {
-        let most = UNPACKED_BYTES_ALWAYS + UNPACKED_BYTES_PER_BYTE * bytes.len() as u64;
-        let mut unpacked = MultiGzDecoder::new(bytes).take(most);
-        let read = value::read(std::io::BufReader::with_capacity(1 << 16, &mut unpacked));
-        if unpacked.limit() == 0 {
-            return Err(DecodeError::Malformed(format!(
-                "volume.nurec unpacks to more than {most} bytes from {}; write it again",
-                bytes.len()
-            )));
-        }
-        let root = read?;
+    /// A sentence on what is broken or missing.
+    pub(super) fn from_volume(unpacked: &'a [u8]) -> Result<Self, DecodeError> {
+        let root = value::read(unpacked)?;
         let data = root.get("nre_data").ok_or_else(|| {
             DecodeError::Malformed("volume.nurec has no 'nre_data', which holds a volume".into())
         })?;
@@ -150,7 +162,7 @@ impl State {
     }
 
     /// Takes the arrays of a state dictionary, whose shapes are values of their own.
-    fn take_pairs(&mut self, pairs: Vec<(String, Value)>) -> Result<(), DecodeError> {
+    fn take_pairs(&mut self, pairs: Vec<(String, Value<'a>)>) -> Result<(), DecodeError> {
         let mut shapes: HashMap<String, Vec<usize>> = HashMap::new();
         let mut contents = Vec::new();
         for (key, value) in pairs {
@@ -175,7 +187,7 @@ impl State {
         Ok(())
     }
 
-    fn take_tracks(&mut self, state: &Value) {
+    fn take_tracks(&mut self, state: &Value<'_>) {
         let Some(Value::Map(layers)) = state.get("obj_track_ids") else {
             return;
         };
@@ -244,7 +256,7 @@ impl State {
     }
 
     /// The array of that name, if there is one.
-    pub(super) fn get(&self, name: &str) -> Option<&Array> {
+    pub(super) fn get(&self, name: &str) -> Option<&Array<'a>> {
         self.arrays.get(name)
     }
 
@@ -257,7 +269,7 @@ impl State {
     ///
     /// # Errors
     /// A sentence, if there is none.
-    pub(super) fn of_layer(&self, layer: &str, name: &str) -> Result<&Array, DecodeError> {
+    pub(super) fn of_layer(&self, layer: &str, name: &str) -> Result<&Array<'a>, DecodeError> {
         let name = format!("{LAYERS}{layer}.{name}");
         self.get(&name)
             .ok_or_else(|| DecodeError::Malformed(format!("the volume has no '{name}'")))
@@ -282,7 +294,7 @@ fn plain(key: &str) -> &str {
 }
 
 /// The array of `shape` in `bytes`, whose kind of numbers its name tells.
-fn array_of(name: &str, shape: Vec<usize>, bytes: Vec<u8>) -> Result<Array, DecodeError> {
+fn array_of<'a>(name: &str, shape: Vec<usize>, bytes: &'a [u8]) -> Result<Array<'a>, DecodeError> {
     let count = shape
         .iter()
         .try_fold(1usize, |count, size| count.checked_mul(*size));
@@ -314,12 +326,12 @@ fn array_of(name: &str, shape: Vec<usize>, bytes: Vec<u8>) -> Result<Array, Deco
     Ok(Array { shape, numbers })
 }
 
-fn settings_of(data: &Value) -> HashMap<String, LayerSettings> {
+fn settings_of(data: &Value<'_>) -> HashMap<String, LayerSettings> {
     let layers = data.get("config").and_then(|config| config.get("layers"));
     let Some(Value::Map(layers)) = layers else {
         return HashMap::new();
     };
-    let of_layer = |(name, layer): &(String, Value)| {
+    let of_layer = |(name, layer): &(String, Value<'_>)| {
         let word = |key: &str| layer.get(key).and_then(Value::text).map(str::to_owned);
         let particle = layer.get("particle");
         let degree = particle.and_then(|particle| particle.get("density_kernel_degree"));

@@ -2,7 +2,6 @@
 
 use std::cell::Cell;
 use std::fmt;
-use std::io::Read;
 
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
@@ -13,21 +12,21 @@ const VALUES_MAX: usize = 1 << 20;
 /// Deepest nesting of maps and lists.
 const DEPTH_MAX: usize = 32;
 
-/// A value of MessagePack.
+/// A value of MessagePack, whose bytes stay where they are.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Value {
+pub(super) enum Value<'a> {
     /// Nil, or an extension type.
     None,
     Integer(i64),
     Float(f64),
     Text(String),
-    Bytes(Vec<u8>),
-    List(Vec<Value>),
+    Bytes(&'a [u8]),
+    List(Vec<Value<'a>>),
     /// Pairs in the order of the file. Keys that are no text are written as one.
-    Map(Vec<(String, Value)>),
+    Map(Vec<(String, Value<'a>)>),
 }
 
-impl Value {
+impl Value<'_> {
     /// The value of `key` in a map; of equal keys the first.
     pub(super) fn get(&self, key: &str) -> Option<&Self> {
         let Self::Map(pairs) = self else {
@@ -66,12 +65,12 @@ impl Value {
     }
 }
 
-/// Reads the one value that is in `source`.
+/// Reads the one value that is in `bytes`.
 ///
 /// # Errors
 /// A sentence with the reader's own reason.
-pub(super) fn read(source: impl Read) -> Result<Value, DecodeError> {
-    let mut decoder = rmp_serde::Deserializer::new(source);
+pub(super) fn read(bytes: &[u8]) -> Result<Value<'_>, DecodeError> {
+    let mut decoder = rmp_serde::Deserializer::from_read_ref(bytes);
     decoder.set_max_depth(2 * DEPTH_MAX);
     let left = Cell::new(VALUES_MAX);
     Node {
@@ -86,8 +85,8 @@ pub(super) fn read(source: impl Read) -> Result<Value, DecodeError> {
 
 /// A value that is read, with what may still be.
 #[derive(Clone, Copy)]
-struct Node<'a> {
-    left: &'a Cell<usize>,
+struct Node<'c> {
+    left: &'c Cell<usize>,
     depth: usize,
 }
 
@@ -104,9 +103,9 @@ impl Node<'_> {
 }
 
 impl<'de> DeserializeSeed<'de> for Node<'_> {
-    type Value = Value;
+    type Value = Value<'de>;
 
-    fn deserialize<D: Deserializer<'de>>(self, decoder: D) -> Result<Value, D::Error> {
+    fn deserialize<D: Deserializer<'de>>(self, decoder: D) -> Result<Value<'de>, D::Error> {
         let Some(left) = self.left.get().checked_sub(1) else {
             return Err(D::Error::custom(format!("more than {VALUES_MAX} values")));
         };
@@ -116,62 +115,61 @@ impl<'de> DeserializeSeed<'de> for Node<'_> {
 }
 
 impl<'de> Visitor<'de> for Node<'_> {
-    type Value = Value;
+    type Value = Value<'de>;
 
     fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str("a value of MessagePack")
     }
 
-    fn visit_unit<E>(self) -> Result<Value, E> {
+    fn visit_unit<E>(self) -> Result<Value<'de>, E> {
         Ok(Value::None)
     }
 
-    fn visit_none<E>(self) -> Result<Value, E> {
+    fn visit_none<E>(self) -> Result<Value<'de>, E> {
         Ok(Value::None)
     }
 
-    fn visit_some<D: Deserializer<'de>>(self, decoder: D) -> Result<Value, D::Error> {
+    fn visit_some<D: Deserializer<'de>>(self, decoder: D) -> Result<Value<'de>, D::Error> {
         decoder.deserialize_any(self)
     }
 
-    fn visit_bool<E>(self, value: bool) -> Result<Value, E> {
+    fn visit_bool<E>(self, value: bool) -> Result<Value<'de>, E> {
         Ok(Value::Integer(value.into()))
     }
 
-    fn visit_i64<E>(self, value: i64) -> Result<Value, E> {
+    fn visit_i64<E>(self, value: i64) -> Result<Value<'de>, E> {
         Ok(Value::Integer(value))
     }
 
-    fn visit_u64<E: Error>(self, value: u64) -> Result<Value, E> {
+    fn visit_u64<E: Error>(self, value: u64) -> Result<Value<'de>, E> {
         i64::try_from(value)
             .map(Value::Integer)
             .map_err(|_| E::custom(format!("the integer {value} is too large")))
     }
 
-    fn visit_f64<E>(self, value: f64) -> Result<Value, E> {
+    fn visit_f64<E>(self, value: f64) -> Result<Value<'de>, E> {
         Ok(Value::Float(value))
     }
 
-    fn visit_str<E>(self, text: &str) -> Result<Value, E> {
+    fn visit_str<E>(self, text: &str) -> Result<Value<'de>, E> {
         Ok(Value::Text(text.to_owned()))
     }
 
-    fn visit_bytes<E>(self, bytes: &[u8]) -> Result<Value, E> {
-        Ok(Value::Bytes(bytes.to_vec()))
-    }
-
-    fn visit_byte_buf<E>(self, bytes: Vec<u8>) -> Result<Value, E> {
+    fn visit_borrowed_bytes<E>(self, bytes: &'de [u8]) -> Result<Value<'de>, E> {
         Ok(Value::Bytes(bytes))
     }
 
     // Extension types, which hold nothing that is read here.
-    fn visit_newtype_struct<D: Deserializer<'de>>(self, decoder: D) -> Result<Value, D::Error> {
+    fn visit_newtype_struct<D: Deserializer<'de>>(
+        self,
+        decoder: D,
+    ) -> Result<Value<'de>, D::Error> {
         decoder
             .deserialize_ignored_any(IgnoredAny)
             .map(|_| Value::None)
     }
 
-    fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<Value, A::Error> {
+    fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<Value<'de>, A::Error> {
         let inner = self.inner()?;
         // Grows with what is there: the count that the file claims is not believed.
         let mut items = Vec::new();
@@ -181,7 +179,7 @@ impl<'de> Visitor<'de> for Node<'_> {
         Ok(Value::List(items))
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Value, A::Error> {
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Value<'de>, A::Error> {
         let inner = self.inner()?;
         let mut pairs = Vec::new();
         while let Some(key) = map.next_key_seed(inner)? {
@@ -200,7 +198,7 @@ impl<'de> Visitor<'de> for Node<'_> {
 mod tests {
     use super::*;
 
-    fn text(name: &str) -> Value {
+    fn text(name: &str) -> Value<'_> {
         Value::Text(name.into())
     }
 
@@ -222,7 +220,7 @@ mod tests {
             Value::Integer(1),
         ];
         assert_eq!(value.get("a"), Some(&Value::List(list.to_vec())));
-        assert_eq!(value.get("b"), Some(&Value::Bytes(vec![7, 8])));
+        assert_eq!(value.get("b"), Some(&Value::Bytes(&[7, 8])));
         assert_eq!(value.get("5"), Some(&text("c")));
         assert_eq!(value.get("d"), None);
         // An extension type holds nothing that is read.
