@@ -118,7 +118,8 @@ fn lonely(cloud: &SplatCloud, low: Vec3, high: Vec3) -> u64 {
             let along = (mean - low) * (cells / diagonal);
             along.to_array().map(|value| value.min(CELLS[0]) as usize)
         };
-        // A diagonal of 256 cells makes no more than 3.3 million of them.
+        // A diagonal of 256 cells makes 3.3 million of them at most, and one whose square is too
+        // small for an f32 makes 17 million.
         let sizes = place(high).map(|last| last + 1);
         let mut by_cell = Cells {
             sizes,
