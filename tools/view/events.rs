@@ -7,6 +7,7 @@ use tokio::sync::oneshot::Sender;
 use crate::draw_thread::Done;
 use crate::drive_thread::Driven;
 use crate::protocol::Request;
+use crate::source::Source;
 
 /// Messages to a client.
 #[derive(Debug)]
@@ -28,6 +29,9 @@ pub enum Event {
     Left(u64),
     /// A page asks for the splats of a source; none if there is no such source.
     Splats(usize, Sender<Option<Arc<[u8]>>>),
+    /// A file that a page sent was read, and takes the place of what is shown; a sentence where
+    /// that cannot be.
+    Show(Box<Source>, Sender<Result<(), String>>),
     /// A client sent a command.
     Command(u64, Request),
     /// The thread that draws has done some work.

@@ -15,6 +15,7 @@
 //! | `splat_stream` | splats that the page draws by itself while a camera moves |
 //! | `page_export` | a scene in one file that a browser shows without a viewer |
 //! | `server`, `events`, `page_files` | HTTP, WebSockets, and who may connect; the files of the page |
+//! | `uploads` | splat files that pages send |
 #![forbid(unsafe_code)]
 
 mod clock;
@@ -43,6 +44,7 @@ mod server;
 mod session;
 mod source;
 mod splat_stream;
+mod uploads;
 mod viewpoint;
 
 use std::io::Write;
@@ -65,6 +67,7 @@ use events::Event;
 use open::{SourceArguments, drive_to_the_end};
 use server::{Connections, Peer, Secret, Service, router};
 use session::Viewer;
+use uploads::Uploads;
 
 /// Longest wait for the image that is drawn when the viewer ends.
 const LAST_IMAGE: Duration = Duration::from_secs(3);
@@ -170,11 +173,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let address = listener.local_addr()?;
     let gpu = arguments.device.open()?;
     let drawer = Drawer::new(&gpu, arguments.background);
-    let sources = arguments.sources.open(drawer.session())?;
+    let session = Arc::clone(drawer.session());
+    let sources = arguments.sources.open(&session)?;
     let (events, inbox) = mpsc::sync_channel(EVENTS_MAX);
-    let mut options = arguments.sources.render_options();
-    options.words.extend(arguments.background.words());
-    options.words.extend(arguments.device.words());
+    let own_words = [arguments.background.words(), arguments.device.words()].concat();
+    let options = arguments.sources.render_options(own_words);
     let splats_max = arguments.browser_splats as usize;
     let mut viewer = Viewer::new(drawer, sources, (options, splats_max), events.clone())
         .context("the thread that draws cannot be started")?;
@@ -204,6 +207,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         secret: token.map(|token| Secret::new(&token, address.port())),
         next_client: Arc::new(AtomicU64::new(1)),
         loopback: address.ip().is_loopback(),
+        uploads: Arc::new(Uploads::new(session)),
     };
     runtime.block_on(async {
         let pages = router(service).into_make_service_with_connect_info::<Peer>();
@@ -217,7 +221,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     ending.store(true, Ordering::SeqCst);
     let _ = events.try_send(Event::Stop);
     drop(events);
+    let since = Instant::now();
     end_of(renders)?;
+    // A file that is sent or read is removed with the task that has it.
+    runtime.shutdown_timeout(LAST_IMAGE.saturating_sub(since.elapsed()));
     check_validation(&gpu)
 }
 

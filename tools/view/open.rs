@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
+use clap::Parser;
 use decouplegs::asset::{SplatFormat, is_scene_file};
 use decouplegs::episode::{Appearance, Site};
 use decouplegs::logs::{read_episode_log, read_scenario};
@@ -52,6 +53,25 @@ pub struct SourceArguments {
     driver: DriverOptions,
 }
 
+/// Options of a scene where none is given.
+#[derive(clap::Parser)]
+struct NoOptions {
+    #[command(flatten)]
+    options: SceneOptions,
+}
+
+/// Opens the splats at `path`, which a page sent as `name`, as if they were named on the command
+/// line without options.
+///
+/// # Errors
+/// Returns an error if the file is at fault, or the device has not the memory.
+pub fn dropped(path: &Path, name: &str, session: &Session) -> Result<Source> {
+    let none = NoOptions::try_parse_from(["view"])?;
+    let scene = Scene::with_options(path, &none.options)?;
+    let course = SceneCourse::dropped(scene, name);
+    Ok(Source::of_scene(course, name.to_owned(), session)?)
+}
+
 /// Kind of a file that can be shown.
 enum Input {
     Scene,
@@ -76,10 +96,11 @@ fn input(path: &Path) -> Result<Input> {
 }
 
 impl SourceArguments {
-    /// Options of scenes that `render` needs too.
-    pub fn render_options(&self) -> RenderOptions {
+    /// Options of scenes that `render` needs too, with the other `words` that it needs.
+    pub fn render_options(&self, words: Vec<String>) -> RenderOptions {
         RenderOptions {
-            words: self.options.rules_words(),
+            words,
+            rules: self.options.rules_words(),
             cameras: self.options.cameras_words(),
         }
     }

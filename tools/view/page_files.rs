@@ -2,7 +2,7 @@
 
 const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
 /// Files of the page: name, media type and text.
-pub const PAGE: [(&str, &str, &str); 25] = [
+pub const PAGE: [(&str, &str, &str); 26] = [
     (
         "index.html",
         "text/html; charset=utf-8",
@@ -41,6 +41,7 @@ pub const PAGE: [(&str, &str, &str); 25] = [
         JAVASCRIPT,
         include_str!("page/drawing_levels.js"),
     ),
+    ("dropping.js", JAVASCRIPT, include_str!("page/dropping.js")),
     ("files.js", JAVASCRIPT, include_str!("page/files.js")),
     ("geometry.js", JAVASCRIPT, include_str!("page/geometry.js")),
     ("link.js", JAVASCRIPT, include_str!("page/link.js")),

@@ -3,7 +3,6 @@
 use decouplegs::scene::Camera;
 use decouplegs_cli::arguments::quoted;
 use decouplegs_cli::free_view::FreeView;
-use decouplegs_cli::scene_source::absolute;
 use serde_json::{Value, json};
 
 use crate::protocol::{CameraRequest, Channel, Pane};
@@ -12,8 +11,10 @@ use crate::scene_course::SceneCourse;
 /// Options of the viewer that `render` needs too, as they are typed.
 #[derive(Clone, Default)]
 pub struct RenderOptions {
-    /// Rules, storage, levels of detail and device.
+    /// Storage, levels of detail and device.
     pub words: Vec<String>,
+    /// Rules of the scene.
+    pub rules: Vec<String>,
     /// File of cameras.
     pub cameras: Vec<String>,
 }
@@ -40,11 +41,7 @@ pub fn render_command(
     if !scene.loaded.plain_agents.is_empty() && time_s != scene.time_s {
         return Err("agents of plain splats stand still here, and 'render' puts them where they are at this time: go back to the first time".into());
     }
-    let mut words = vec![
-        "decouplegs".into(),
-        "render".into(),
-        absolute(course.path()),
-    ];
+    let mut words = vec!["decouplegs".into(), "render".into(), course.typed_path()];
     let k = &camera.intrinsics;
     let size = format!("{}x{}", k.width_px, k.height_px);
     // What a scene file says of the camera besides its numbers.
@@ -87,7 +84,7 @@ pub fn render_command(
             format!("{name}.{plane}.png")
         }
     };
-    words.extend(options.words.iter().cloned());
+    words.extend(options.rules.iter().chain(&options.words).cloned());
     words.extend(["--out".into(), "image".into()]);
     let words: Vec<String> = words.iter().map(|word| quoted(word)).collect();
     Ok(json!({"text": words.join(" "), "image": format!("image/{image}")}))

@@ -11,7 +11,7 @@ use decouplegs::asset::{
 use decouplegs::explain::explain;
 use decouplegs::scene::{Pose, Trajectory};
 use decouplegs::session::{AgentInstance, Session, SessionScene};
-use decouplegs_cli::scene_source::Scene;
+use decouplegs_cli::scene_source::{Scene, absolute};
 use glam::DVec3;
 use serde_json::Value;
 
@@ -27,8 +27,8 @@ const LANES_FILE: &str = "lanes.json";
 pub struct SceneCourse {
     /// Scene as it is on the device.
     pub scene: Scene,
-    /// File that it was read from.
-    path: PathBuf,
+    /// File that it was read from, as it is typed.
+    typed_path: String,
     /// Agents that move, as they were edited.
     agents: Vec<LoadedAgent>,
     /// Places of compressed assets in the scene, by path.
@@ -78,16 +78,34 @@ impl SceneCourse {
                 AssetPlaces::for_file(editor.file())
             }),
             scene,
-            path: path.to_owned(),
+            typed_path: absolute(path),
             editor,
             lanes: lanes.transpose()?.map(Lanes::new),
             dragged: None,
         })
     }
 
-    /// File that it was read from.
-    pub fn path(&self) -> &Path {
-        &self.path
+    /// `scene`, which was read from splats that a page sent as `name`: no folder is known.
+    pub fn dropped(scene: Scene, name: &str) -> Self {
+        Self {
+            agents: scene.loaded.agents.clone(),
+            assets: AssetPlaces::default(),
+            scene,
+            // A command takes what begins with a dash for an option.
+            typed_path: if name.starts_with('-') {
+                format!("./{name}")
+            } else {
+                name.to_owned()
+            },
+            editor: None,
+            lanes: None,
+            dragged: None,
+        }
+    }
+
+    /// File that it was read from, as it is typed in any folder; where a page sent it, in its own.
+    pub fn typed_path(&self) -> String {
+        self.typed_path.clone()
     }
 
     /// True if agents are not those of the file.

@@ -13,7 +13,7 @@ use axum::extract::{ConnectInfo, Extension, Path, Request, State};
 use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, put};
 use axum::serve::{IncomingStream, Listener};
 use decouplegs_connections::{Acceptor, Connection, ConnectionInfo, ConnectionLimits, OpenRequest};
 use sha2::{Digest, Sha256};
@@ -24,6 +24,7 @@ use tokio::sync::{mpsc, oneshot, watch};
 use crate::events::{Event, Outgoing};
 use crate::page_files::PAGE;
 use crate::protocol::{COMMAND_BYTES_MAX, Refused, parse};
+use crate::uploads::{self, Uploads};
 
 /// Messages that wait for a client before it is dropped.
 const OUTBOX: usize = 256;
@@ -46,6 +47,8 @@ pub struct Service {
     pub next_client: Arc<AtomicU64>,
     /// True if only this machine can connect.
     pub loopback: bool,
+    /// Files that pages send.
+    pub uploads: Arc<Uploads>,
 }
 
 /// The secret of a viewer, and the cookie by which a page shows that it had it.
@@ -136,6 +139,7 @@ pub fn router(service: Service) -> Router {
             get(|Path(name): Path<String>| async move { file(&name) }),
         )
         .route("/splats/{source}", get(splats))
+        .route("/files/{name}", put(uploads::put))
         .route("/socket", get(socket))
         .layer(middleware::from_fn_with_state(service.clone(), guard))
         .with_state(service)
@@ -339,7 +343,7 @@ async fn serve(mut socket: WebSocket, service: Service) {
 
 /// Sends `event` to the thread that serves the clients, and waits while that has too many already.
 /// False if it is gone.
-async fn post(service: &Service, event: Event) -> bool {
+pub async fn post(service: &Service, event: Event) -> bool {
     let mut event = event;
     loop {
         match service.events.try_send(event) {

@@ -1,6 +1,7 @@
 //! The thread that serves the clients: commands in, images out. Another thread draws them.
 
 mod driving;
+mod replacing;
 mod work;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -23,6 +24,7 @@ use crate::protocol::{Acknowledgement, Command, Pane, Request, View};
 use crate::recording::Recorder;
 use crate::render_command::{RenderOptions, render_command};
 use crate::source::Source;
+use crate::uploads;
 
 /// Updates that a client may have before it has shown the first: one on the way, one in work.
 const CREDITS: u32 = 2;
@@ -74,6 +76,8 @@ pub struct Viewer {
     picks: usize,
     /// Scene or episode that is shown, and the one to compare it with.
     sources: Vec<Source>,
+    /// Number of files that took the place of what was shown before.
+    shown: u32,
     clients: BTreeMap<u64, Client>,
     clock: Clock,
     recording: Recording,
@@ -112,6 +116,7 @@ impl Viewer {
             done: 0,
             picks: 0,
             sources,
+            shown: 0,
             clients: BTreeMap::new(),
             clock: Clock::new(),
             recording: Recording::None,
@@ -165,14 +170,7 @@ impl Viewer {
     fn take(&mut self, event: Event) {
         match event {
             Event::Joined(id, outbox) => {
-                let sources: Vec<Value> = self.sources.iter().map(Source::facts).collect();
-                let facts = json!({
-                    "type": "scene",
-                    "sources": sources,
-                    "device": self.device,
-                    "clock": self.clock.message(self.sources[0].time_s()),
-                });
-                let _ = outbox.try_send(Outgoing::Text(facts.to_string()));
+                let _ = outbox.try_send(Outgoing::Text(self.facts().to_string()));
                 let _ = outbox.try_send(Outgoing::Text(self.changing_facts().to_string()));
                 let client = Client {
                     outbox,
@@ -197,6 +195,10 @@ impl Viewer {
                 let source = self.sources.get(source);
                 // Who asked may be gone.
                 let _ = answer.send(source.map(|source| source.splats(self.splats_max)));
+            }
+            Event::Show(source, answer) => {
+                // Who sent it may be gone.
+                let _ = answer.send(self.show(*source));
             }
             Event::Command(id, request) => self.command(id, request),
             Event::Done(done) => self.take_done(done),
@@ -368,6 +370,18 @@ impl Viewer {
         let live = self.sources.iter().filter(|source| source.goes_on());
         let ends = live.map(|source| source.span_s()[1]);
         ends.fold(self.span_s()[1], f64::min)
+    }
+
+    /// Facts that stay as long as the same is shown.
+    fn facts(&self) -> Value {
+        json!({
+            "type": "scene",
+            "sources": self.sources.iter().map(Source::facts).collect::<Vec<_>>(),
+            "device": self.device,
+            "clock": self.clock.message(self.sources[0].time_s()),
+            "shown": self.shown,
+            "file_bytes_max": uploads::BYTES_MAX,
+        })
     }
 
     fn changing_facts(&self) -> Value {

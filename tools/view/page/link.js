@@ -32,7 +32,7 @@ export function fragment() {
 
 /** Writes the fragment into the address, once what is shown is at rest. */
 export function keep() {
-  if (state.panes.length === 0 || state.moving || state.clock.playing) return;
+  if (state.leaves || state.panes.length === 0 || state.moving || state.clock.playing) return;
   const now = fragment();
   if (now !== location.hash) history.replaceState(null, "", location.pathname + now);
 }

@@ -4,6 +4,7 @@ import * as browser from "./browser_drawing.js";
 import * as cameraPanel from "./camera_panel.js";
 import { axesOfSource, firstChoice } from "./cameras.js";
 import { Connection } from "./connection.js";
+import * as dropping from "./dropping.js";
 import * as link from "./link.js";
 import * as measure from "./measure.js";
 import { alsoDraw, noteTrails } from "./overlays.js";
@@ -38,9 +39,14 @@ const KEYS = [
 
 // What comes from the viewer ----------------------------------------------------------------------
 
-function showScene({ sources, device, clock }) {
-  Object.assign(state, { sources, device, clock });
+function showScene({ sources, device, clock, shown, file_bytes_max: fileBytesMax }) {
   const [first] = sources;
+  if (state.shown !== null && state.shown !== shown) {
+    dropping.showAnew(first.title);
+    return;
+  }
+  Object.assign(state, { sources, device, clock, shown, fileBytesMax });
+  dropping.sayAnew();
   document.title = `${first.title} – DecoupleGS`;
   state.axes = axesOfSource(first);
   $("linked-label").hidden = sources.length < 2;
@@ -50,6 +56,7 @@ function showScene({ sources, device, clock }) {
 }
 
 function showChange(change) {
+  if (state.leaves) return;
   state.change = change;
   timeline.showCourse();
   panels.showScore();
@@ -213,7 +220,7 @@ KEYS.forEach(([keys, meaning]) => {
 });
 browser.setUp();
 panels.prepareEdits();
-[cameraPanel, measure, path].forEach((part) => part.prepare());
+[cameraPanel, measure, path, dropping].forEach((part) => part.prepare());
 [measure, path].forEach((part) => alsoDraw(part.draw));
 views.onMeasured(measure);
 views.onChosen(({ agent }) => panels.select(agent));
@@ -223,11 +230,6 @@ window.addEventListener("blur", steering.releaseAll);
 // The token is in a cookie now: it need not stay in the address.
 history.replaceState(null, "", location.pathname + location.hash);
 window.addEventListener("hashchange", link.restore);
-window.addEventListener("dragover", (event) => event.preventDefault());
-window.addEventListener("drop", (event) => {
-  event.preventDefault();
-  if (event.dataTransfer.files[0]) path.open(event.dataTransfer.files[0]);
-});
 
 state.connection = new Connection({
   scene: showScene,

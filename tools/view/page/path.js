@@ -168,7 +168,7 @@ export function keysIn(text) {
 export async function open(file) {
   const read = file.size <= FILE_BYTES_MAX ? keysIn(await file.text()) : null;
   if (!read) {
-    notice(`${file.name} is no camera path. To look at splats, scenes or logs: decouplegs view ${file.name}`, true);
+    notice(`${file.name} is no camera path.`, true);
     return;
   }
   setKeys(read);

@@ -6,6 +6,12 @@ export const $ = (id) => document.getElementById(id);
 export const state = {
   /** Facts of each source that do not change. */
   sources: [],
+  /** Number of files that pages have sent; null until the viewer has said it. */
+  shown: null,
+  /** Bytes of a file that the viewer takes. */
+  fileBytesMax: null,
+  /** True while the page is loaded again, since something else is shown. */
+  leaves: false,
   /** Facts that change: span_s, parts_s, and edits and log of each source. */
   change: null,
   /** The clock, which is ahead of the images while they are drawn. */

@@ -45,7 +45,11 @@ impl Viewer {
         let Driven { lent, result } = driven;
         self.driving -= 1;
         let has_step = result == Ok(true);
-        let source = &mut self.sources[lent.source];
+        // What is shown may have another source in its place by now.
+        let source = self.sources.get_mut(lent.source);
+        let Some(source) = source.filter(|source| source.episode().is_some()) else {
+            return;
+        };
         let taken = source.take_back(lent.number, lent.live, has_step);
         if let Err(error) = result.and(taken) {
             self.clock.playing = false;

@@ -59,7 +59,7 @@ impl Viewer {
                 let named = |picked: Picked| {
                     let agent = picked
                         .instance
-                        .and_then(|id| self.sources[source].agent_of(id));
+                        .and_then(|id| self.sources.get(source)?.agent_of(id));
                     let position_m = picked.position_m.map(|at_m| at_m.to_array());
                     json!({"agent": agent, "position_m": position_m})
                 };

@@ -254,8 +254,8 @@ def test_a_camera_path_is_made_saved_opened_and_rendered(street, tmp_path, open_
             data.items.add(new File([text], name));
             document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
         }"""
-        page.page.evaluate(drop, ["truck.ply", "ply"])
-        page.page.wait_for_function("() => document.getElementById('notice').textContent.includes('decouplegs view truck.ply')")
+        page.page.evaluate(drop, ["other.json", "{}"])
+        page.page.wait_for_function("() => document.getElementById('notice').textContent.includes('other.json is no camera path')")
         assert keys.count() == 3
         two = {**written, "keys": written["keys"][:2]}
         page.page.evaluate(drop, ["two.json", json.dumps(two)])
