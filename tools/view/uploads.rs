@@ -187,8 +187,8 @@ async fn take(
 
 fn too_large(most: u64) -> Refused {
     let reason = format!(
-        "the file is larger than {} MB, which a page can send: open it by 'decouplegs view FILE'",
-        most >> 20
+        "the file is larger than {} GiB, and a page sends no more: open it by 'decouplegs view FILE'",
+        most >> 30
     );
     Refused(StatusCode::PAYLOAD_TOO_LARGE, reason)
 }

@@ -36,6 +36,11 @@ export class Connection {
     this.open();
   }
 
+  /** True from the loss of the connection until there is another. */
+  get isLost() {
+    return this.tries > 0;
+  }
+
   open() {
     const scheme = location.protocol === "https:" ? "wss:" : "ws:";
     this.socket = new WebSocket(`${scheme}//${location.host}/socket`);

@@ -22,7 +22,7 @@ function refusal({ name, size }) {
   if (sending) return "Another file is being opened: wait until it is shown.";
   if (size === 0) return `${name} is empty.`;
   if (size > most) {
-    return `${name} has ${megabytes(size)}, and a page sends ${megabytes(most)} at most: open it by 'decouplegs view ${name}'.`;
+    return `${name} has ${megabytes(size)}, and a page sends ${most / 2 ** 30} GiB at most: open it by 'decouplegs view ${name}'.`;
   }
   return null;
 }

@@ -28,6 +28,7 @@ const KEYS = [
   ["u", "measure: click places, or Enter for the middle of the view; Backspace takes one back"],
   ["i", "add what is shown as a key of the camera path"],
   ["drag", "turn; with the right button or Shift move"], ["wheel", "nearer or farther"],
+  ["two fingers", "nearer, farther and move"],
   ["click", "choose an agent; drag the chosen one over the road, with Alt off its lane"],
   ["double click", "circle around the place"],
   ["r", "turn the chosen agent to the left; with Shift to the right"], ["Delete", "remove the chosen agent"],
@@ -105,8 +106,9 @@ function isNewest() {
 /** Tells how the image was made, or that it is not yet the one that was asked for. */
 function showBadge() {
   if (browser.isShown()) return;
-  const newest = isNewest();
-  $("badge").textContent = newest ? state.frame.badge : "rendering …";
+  const newest = isNewest() && !state.connection.isLost;
+  const waits = state.connection.isLost ? "no connection" : "rendering …";
+  $("badge").textContent = newest ? state.frame.badge : waits;
   $("badge").classList.toggle("exact", newest && state.frame.badge.startsWith("exact"));
 }
 

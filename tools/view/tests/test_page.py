@@ -150,6 +150,8 @@ def test_everything_is_done_by_keyboard(street, open_page):
         page.wait(lambda frame: frame["panes"][0]["pose"] != moved and frame["badge"].startswith("exact"))
         keys.press("?")
         assert page.page.locator("#keys").is_visible()
+        # Its top is seen, also where the list is longer than the window.
+        assert page.page.evaluate("() => document.activeElement.id") == "keys-title"
         keys.press("Escape")
 
         # Every control is reached by Tab, and its focus is seen.
@@ -271,6 +273,7 @@ def test_a_lost_viewer_is_told_and_found_again(street, open_page):
         port = re.search(r":(\d+)/", viewer.url)[1]
     page.page.wait_for_selector("#notice.fault:not([hidden])")
     assert "No connection" in page.notice()
+    page.page.wait_for_function("() => document.getElementById('badge').textContent === 'no connection'")
     # The page has the cookie of this token and port.
     with Viewer(street, "scene.toml", "--port", port, "--token", "open-sesame") as viewer:
         page.wait(lambda frame: page.notice() == "")
