@@ -254,14 +254,17 @@ def test_what_a_killed_viewer_left_is_removed(files, tmp_path, temporary):
         first.send(b"ply\n")
         wait_until(lambda: any(temporary.rglob("splats.ply")))
         # Another viewer leaves it: it is in use.
-        with Viewer(tmp_path, files / "first.ply"):
+        with Viewer(tmp_path, files / "first.ply") as other:
+            # It serves by now.
+            assert put(other, token=False)[0] == 401
             assert len(list(temporary.iterdir())) == 1
         # The program that `decouplegs` runs is its process.
         viewer.program.kill()
         viewer.program.wait(PATIENCE_S)
         assert len(list(temporary.iterdir())) == 1
-        with Viewer(tmp_path, files / "first.ply"):
-            wait_until(lambda: list(temporary.iterdir()) == [])
+        with Viewer(tmp_path, files / "first.ply") as other:
+            assert put(other, token=False)[0] == 401
+            assert list(temporary.iterdir()) == []
         raise Killed
 
 
