@@ -1,8 +1,11 @@
 //! Events and messages between the server and the thread that serves its clients.
 
 use std::sync::Arc;
+use std::sync::mpsc::{SyncSender, TrySendError};
+use std::time::Duration;
 
 use tokio::sync::oneshot::Sender;
+use tokio::time::sleep;
 
 use crate::draw_thread::Done;
 use crate::drive_thread::Driven;
@@ -40,4 +43,18 @@ pub enum Event {
     Driven(Driven),
     /// The program ends.
     Stop,
+}
+
+/// Sends `event` to the thread that serves the clients, and waits while that has too many already.
+/// False if it is gone.
+pub async fn post(events: &SyncSender<Event>, event: Event) -> bool {
+    let mut event = event;
+    loop {
+        match events.try_send(event) {
+            Ok(()) => return true,
+            Err(TrySendError::Disconnected(_)) => return false,
+            Err(TrySendError::Full(unsent)) => event = unsent,
+        }
+        sleep(Duration::from_millis(5)).await;
+    }
 }

@@ -207,7 +207,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         secret: token.map(|token| Secret::new(&token, address.port())),
         next_client: Arc::new(AtomicU64::new(1)),
         loopback: address.ip().is_loopback(),
-        uploads: Arc::new(Uploads::new(session)),
+        uploads: Arc::new(Uploads::new(session, events.clone())),
     };
     runtime.block_on(async {
         let pages = router(service).into_make_service_with_connect_info::<Peer>();

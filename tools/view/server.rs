@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{SyncSender, TrySendError};
+use std::sync::mpsc::SyncSender;
 use std::time::Duration;
 
 use axum::Router;
@@ -21,7 +21,7 @@ use subtle::ConstantTimeEq;
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, oneshot, watch};
 
-use crate::events::{Event, Outgoing};
+use crate::events::{Event, Outgoing, post};
 use crate::page_files::PAGE;
 use crate::protocol::{COMMAND_BYTES_MAX, Refused, parse};
 use crate::uploads::{self, Uploads};
@@ -132,6 +132,7 @@ impl Connected<IncomingStream<'_, Connections>> for Peer {
 
 /// Routes of the server.
 pub fn router(service: Service) -> Router {
+    let files = Arc::clone(&service.uploads);
     Router::new()
         .route("/", get(|| async { file("index.html") }))
         .route(
@@ -139,7 +140,7 @@ pub fn router(service: Service) -> Router {
             get(|Path(name): Path<String>| async move { file(&name) }),
         )
         .route("/splats/{source}", get(splats))
-        .route("/files/{name}", put(uploads::put))
+        .route("/files/{name}", put(uploads::put).with_state(files))
         .route("/socket", get(socket))
         .layer(middleware::from_fn_with_state(service.clone(), guard))
         .with_state(service)
@@ -258,7 +259,7 @@ fn is_local(host: &str) -> bool {
 /// Splats of a source, as `splat_stream` writes them: all pages share one copy.
 async fn splats(State(service): State<Service>, Path(source): Path<usize>) -> Response {
     let (answer, answered) = oneshot::channel();
-    post(&service, Event::Splats(source, answer)).await;
+    post(&service.events, Event::Splats(source, answer)).await;
     match answered.await {
         Ok(Some(bytes)) => {
             let body = Bytes::from_owner(bytes);
@@ -286,7 +287,7 @@ async fn socket(
 async fn serve(mut socket: WebSocket, service: Service) {
     let id = service.next_client.fetch_add(1, Ordering::Relaxed);
     let (outbox, mut messages) = mpsc::channel(OUTBOX);
-    if !post(&service, Event::Joined(id, outbox)).await {
+    if !post(&service.events, Event::Joined(id, outbox)).await {
         return;
     }
     let mut faults = 0;
@@ -310,7 +311,7 @@ async fn serve(mut socket: WebSocket, service: Service) {
                     Some(Ok(Message::Close(_)) | Err(_)) | None => break None,
                 };
                 match parse(&text) {
-                    Ok(request) => if !post(&service, Event::Command(id, request)).await {
+                    Ok(request) => if !post(&service.events, Event::Command(id, request)).await {
                         break Some("the viewer ends");
                     },
                     Err(Refused { sequence, reason }) => {
@@ -338,21 +339,7 @@ async fn serve(mut socket: WebSocket, service: Service) {
         let rest = async { while socket.recv().await.is_some_and(|message| message.is_ok()) {} };
         let _ = tokio::time::timeout(FAREWELL, rest).await;
     }
-    post(&service, Event::Left(id)).await;
-}
-
-/// Sends `event` to the thread that serves the clients, and waits while that has too many already.
-/// False if it is gone.
-pub async fn post(service: &Service, event: Event) -> bool {
-    let mut event = event;
-    loop {
-        match service.events.try_send(event) {
-            Ok(()) => return true,
-            Err(TrySendError::Disconnected(_)) => return false,
-            Err(TrySendError::Full(unsent)) => event = unsent,
-        }
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
+    post(&service.events, Event::Left(id)).await;
 }
 
 #[cfg(test)]

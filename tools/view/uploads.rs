@@ -12,6 +12,7 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::mpsc::SyncSender;
 use std::time::Duration;
 
 use axum::body::{Body, Bytes, HttpBody};
@@ -24,9 +25,8 @@ use decouplegs::session::Session;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot};
 use tokio::time::timeout;
 
-use crate::events::Event;
+use crate::events::{Event, post};
 use crate::open::dropped;
-use crate::server::{Service, post};
 use crate::source::Source;
 
 /// Bytes of a file that is taken.
@@ -47,9 +47,10 @@ const SCENES: [&str; 4] = ["toml", "usdz", "log", "json"];
 /// Beginning of the names of folders.
 const FOLDER: &str = "decouplegs-view";
 
-/// The one place for a file, and what it is read for.
+/// Place for one file, and who shows it.
 pub struct Uploads {
     session: Arc<Session>,
+    events: SyncSender<Event>,
     place: Arc<Semaphore>,
 }
 
@@ -72,12 +73,13 @@ struct Name {
 }
 
 impl Uploads {
-    /// Uploads that are shown by `session`.
-    pub fn new(session: Arc<Session>) -> Self {
+    /// Uploads that are copied to the device of `session`, and shown by who takes `events`.
+    pub fn new(session: Arc<Session>, events: SyncSender<Event>) -> Self {
         // What killed viewers left is removed.
         drop(folder());
         Self {
             session,
+            events,
             place: Arc::new(Semaphore::new(1)),
         }
     }
@@ -126,12 +128,12 @@ impl Name {
 
 /// Takes a file, reads it, and shows it in the place of what is shown.
 pub async fn put(
-    State(service): State<Service>,
+    State(uploads): State<Arc<Uploads>>,
     Segment(name): Segment<String>,
     headers: HeaderMap,
     mut body: Body,
 ) -> Response {
-    let shown = take(&service, &name, &headers, &mut body).await;
+    let shown = take(&uploads, &name, &headers, &mut body).await;
     match shown {
         Ok(()) => StatusCode::NO_CONTENT.into_response(),
         Err(Refused(status, reason)) => {
@@ -143,7 +145,7 @@ pub async fn put(
 }
 
 async fn take(
-    service: &Service,
+    uploads: &Uploads,
     name: &str,
     headers: &HeaderMap,
     body: &mut Body,
@@ -154,7 +156,6 @@ async fn take(
     if length.is_some_and(|length| length > BYTES_MAX) {
         return Err(too_large(BYTES_MAX));
     }
-    let uploads = Arc::clone(&service.uploads);
     let place = Arc::clone(&uploads.place).try_acquire_owned();
     let place = place.map_err(|_| {
         let reason = "another file is being opened: wait until it is shown";
@@ -170,14 +171,15 @@ async fn take(
     };
     receive(body, &received.path, BYTES_MAX).await?;
     let whole = name.whole;
-    let reading = tokio::task::spawn_blocking(move || read(&received, &whole, &uploads.session));
+    let session = Arc::clone(&uploads.session);
+    let reading = tokio::task::spawn_blocking(move || read(&received, &whole, &session));
     let read = reading
         .await
         .unwrap_or_else(|_| Err("it cannot be read".into()));
     let unreadable = |reason: String| Refused(StatusCode::UNPROCESSABLE_ENTITY, reason);
     let source = read.map_err(unreadable)?;
     let (answer, answered) = oneshot::channel();
-    post(service, Event::Show(Box::new(source), answer)).await;
+    post(&uploads.events, Event::Show(Box::new(source), answer)).await;
     let busy = |reason: String| Refused(StatusCode::CONFLICT, reason);
     let shown = answered.await;
     shown

@@ -1,4 +1,4 @@
-//! What a page sent takes the place of what is shown.
+//! Files of pages, which take the place of what is shown.
 
 use super::{Recording, Viewer};
 use crate::protocol::View;
