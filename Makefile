@@ -18,12 +18,13 @@
 #   make fuzz     gives damaged files to every reader
 #   make abuse    damages files, fills disks, kills, and sends garbage to the viewer and the server
 #   make soak     lets the server and the closed loop work, and tells whether their memory grows
+#   make asan     runs the tests of C and Python under AddressSanitizer
 #
 # Each installs through apt what is missing; sudo is used only by a user who is not root.
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test install install-c fuzz abuse soak shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore nuscenes
+.PHONY: demo test install install-c fuzz abuse soak asan shaders shaders-check python-test wheel-test packages ci-packages python browser torch ncore nuscenes
 
 # What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
 # A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
@@ -98,6 +99,21 @@ soak: packages python browser
 	cargo build --workspace
 	ln -sf "$(TARGET)/debug/libdecouplegs_native.so" tools/python/decouplegs/_native.abi3.so
 	python3 tests/abuse/soak.py --program $(TARGET)/debug/decouplegs --seconds $(SOAK_SECONDS) --python $(PYTHON)/bin/python
+
+# A program that is not built for AddressSanitizer must load it first. Leaks are left to valgrind, which knows those of drivers. rustc takes
+# the option as an unstable one. Of the tests of C, one runs valgrind, which cannot run such programs, and one installs what no program is linked with.
+asan: export RUSTC_BOOTSTRAP := 1
+asan: export ASAN_OPTIONS := detect_leaks=0:exitcode=99
+asan: export DECOUPLEGS_CFLAGS := -fsanitize=address
+asan: packages python
+	host=$$(rustc -vV | sed -n 's/^host: //p'); \
+	export RUSTFLAGS=-Zsanitizer=address; \
+	cargo build --target $$host --package decouplegs-c --package decouplegs-python; \
+	cargo test --target $$host --package decouplegs-c --package decouplegs-python --tests -- \
+		--skip the_example_touches_only_its_own_memory --skip installed; \
+	ln -sf "$(TARGET)/$$host/debug/libdecouplegs_native.so" tools/python/decouplegs/_native.abi3.so; \
+	export LD_PRELOAD=$$(gcc -print-file-name=libasan.so) PYTHONMALLOC=malloc PYTHONPATH=tools/python; \
+	$(PYTHON)/bin/python -m pytest -q $(addprefix tools/python/tests/,test_memory.py test_misuse.py test_drawing.py test_dlpack.py test_cameras.py test_lidar.py)
 
 # Documentation tests come first: what stands last in the output is the count of the tests proper.
 test: export DECOUPLEGS_VALIDATION := 1

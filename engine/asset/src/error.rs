@@ -1,8 +1,10 @@
 //! Errors of files, as sentences.
 
 use std::io::{self, Read};
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::memory;
@@ -130,6 +132,9 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>, AssetError> {
     })
 }
 
+/// Bytes of a file that one thread reads at a time.
+const PIECE_BYTES: usize = 1 << 23;
+
 fn read_regular_file(path: &Path) -> io::Result<Vec<u8>> {
     // Examined before it is opened: opening a FIFO waits for its writer.
     let metadata = std::fs::metadata(path)?;
@@ -142,18 +147,61 @@ fn read_regular_file(path: &Path) -> io::Result<Vec<u8>> {
         ));
     }
     memory::require("reading it", metadata.len()).map_err(io::Error::other)?;
+    let length = usize::try_from(metadata.len()).unwrap_or(usize::MAX);
     let mut bytes = Vec::new();
-    bytes.try_reserve_exact(usize::try_from(metadata.len()).unwrap_or(usize::MAX))?;
+    bytes.try_reserve_exact(length)?;
+    let file = std::fs::File::open(path)?;
     // Never more than was there: a file may grow while it is read.
-    std::fs::File::open(path)?
-        .take(metadata.len())
-        .read_to_end(&mut bytes)?;
+    if length < 2 * PIECE_BYTES {
+        file.take(metadata.len()).read_to_end(&mut bytes)?;
+        return Ok(bytes);
+    }
+    drop(bytes);
+    read_pieces(&file, length, PIECE_BYTES)
+}
+
+/// The first `length` bytes of a file, pieces of `piece_bytes` side by side: one thread copies
+/// about a gigabyte in a second.
+fn read_pieces(file: &std::fs::File, length: usize, piece_bytes: usize) -> io::Result<Vec<u8>> {
+    // The system gives zeros without writing them.
+    let mut bytes = vec![0; length];
+    let pieces = bytes.par_chunks_mut(piece_bytes).enumerate();
+    pieces.try_for_each(|(piece, bytes)| {
+        file.read_exact_at(bytes, (piece * piece_bytes) as u64)
+            .map_err(|error| match error.kind() {
+                io::ErrorKind::UnexpectedEof => {
+                    io::Error::other("it became shorter while it was read")
+                }
+                _ => error,
+            })
+    })?;
     Ok(bytes)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pieces_of_a_file_are_read_to_their_places() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        let content: Vec<u8> = (0..=200).collect();
+        std::fs::write(&path, &content).unwrap();
+        let file = std::fs::File::open(&path).unwrap();
+        for piece_bytes in [1, 7, 67, 200, 201, 1000] {
+            assert_eq!(read_pieces(&file, 201, piece_bytes).unwrap(), content);
+        }
+        assert_eq!(read_pieces(&file, 90, 7).unwrap(), content[..90]);
+        let error = read_pieces(&file, 202, 7).unwrap_err();
+        assert!(error.to_string().contains("shorter"), "{error}");
+        // Two pieces and a half.
+        let large: Vec<u8> = (0..PIECE_BYTES * 5 / 2)
+            .map(|at| (at % 251) as u8)
+            .collect();
+        std::fs::write(&path, &large).unwrap();
+        assert!(read_bytes(&path).unwrap() == large);
+    }
 
     #[test]
     fn devices_folders_and_fifos_are_refused_at_once() {

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 
 use decouplegs_scene::{LaneKind, LaneMap, Obstacle, ObstacleKind, SplatCloud};
 use glam::{DQuat, DVec2, DVec3};
+use rayon::prelude::*;
 
 use crate::ground::Ground;
 use crate::road_surface::RoadSurface;
@@ -38,8 +39,8 @@ const SIDE_M_MIN: f64 = 0.1;
 struct Cell {
     /// Distance from the nearest centerline, and its height there.
     lane: (f64, f64),
-    /// Height of the ground, looked up when a splat is near it.
-    ground_z_m: Option<f64>,
+    /// Height of the ground; of the lane, while no splat is near.
+    ground_z_m: f64,
     area_m2: f64,
     low_m: DVec2,
     high_m: DVec2,
@@ -55,31 +56,13 @@ pub fn obstacles(
     ground: &Ground,
 ) -> Vec<Obstacle> {
     let mut cells = cells_beside(map);
+    look_up_ground(&mut cells, cloud, origin, ground);
     for splat in 0..cloud.len() {
-        let scale_m = cloud.scales[splat].into_iter().fold(0.0, f32::max);
-        let opacity = cloud.opacities[splat];
-        // Written so that what is no number does not count.
-        if !(opacity >= OPACITY_MIN && scale_m <= SCALE_M_MAX) {
-            continue;
-        }
-        let mean_m = origin + DVec3::from(cloud.means[splat].map(f64::from));
-        let is_near = |cell: &Cell| LOOK_UP_M.contains(&(mean_m.z - cell.lane.1));
-        if !cells.get(&key(mean_m.truncate())).is_some_and(is_near) {
-            continue;
-        }
-        let (offsets_m, area_m2) = spread(cloud, splat);
-        let part_m2 = f64::from(opacity) * area_m2 / offsets_m.len() as f64;
-        for offset_m in offsets_m {
-            let at_m = mean_m + offset_m;
+        for (at_m, part_m2) in parts(cloud, origin, splat, &cells) {
             let Some(cell) = cells.get_mut(&key(at_m.truncate())) else {
                 continue;
             };
-            let ground_z_m = *cell.ground_z_m.get_or_insert_with(|| {
-                let middle_m = ((at_m.truncate() / CELL_M).floor() + 0.5) * CELL_M;
-                let found = ground.height_at(middle_m, Some(cell.lane.1));
-                found.map_or(cell.lane.1, |height| height.z_m)
-            });
-            if HEIGHTS_M.contains(&(at_m.z - ground_z_m)) {
+            if HEIGHTS_M.contains(&(at_m.z - cell.ground_z_m)) {
                 cell.area_m2 += part_m2;
                 cell.low_m = cell.low_m.min(at_m.truncate());
                 cell.high_m = cell.high_m.max(at_m.truncate());
@@ -104,6 +87,59 @@ pub fn obstacles(
         }
     };
     filled.into_iter().map(boxed).collect()
+}
+
+/// Gives the cells that splats touch the height of the ground in their middle. Most of the time
+/// that obstacles take goes into these heights: they are found on all threads.
+fn look_up_ground(
+    cells: &mut HashMap<(i64, i64), Cell>,
+    cloud: &SplatCloud,
+    origin: DVec3,
+    ground: &Ground,
+) {
+    let touched = (0..cloud.len()).into_par_iter().flat_map_iter(|splat| {
+        let keys = parts(cloud, origin, splat, cells).map(|(at_m, _)| key(at_m.truncate()));
+        keys.filter(|key| cells.contains_key(key))
+    });
+    let mut touched: Vec<(i64, i64)> = touched.collect();
+    // Neighbors share what is found of the ground.
+    touched.par_sort_unstable();
+    touched.dedup();
+    let query = |key: &(i64, i64)| {
+        let middle_m = (DVec2::new(key.0 as f64, key.1 as f64) + 0.5) * CELL_M;
+        (middle_m, Some(cells[key].lane.1))
+    };
+    let queries: Vec<_> = touched.iter().map(query).collect();
+    let found = ground.heights_at(&queries);
+    for (key, height) in touched.iter().zip(found) {
+        if let (Some(cell), Some(height)) = (cells.get_mut(key), height) {
+            cell.ground_z_m = height.z_m;
+        }
+    }
+}
+
+/// Parts of a splat, each with its place in the world and its share of opacity times area, square
+/// meters; none of a splat that does not count, or is not near a cell.
+fn parts(
+    cloud: &SplatCloud,
+    origin: DVec3,
+    splat: usize,
+    cells: &HashMap<(i64, i64), Cell>,
+) -> impl Iterator<Item = (DVec3, f64)> + use<> {
+    let scale_m = cloud.scales[splat].into_iter().fold(0.0, f32::max);
+    let opacity = cloud.opacities[splat];
+    let mean_m = origin + DVec3::from(cloud.means[splat].map(f64::from));
+    let is_near = |cell: &Cell| LOOK_UP_M.contains(&(mean_m.z - cell.lane.1));
+    // Written so that what is no number does not count.
+    let counts = opacity >= OPACITY_MIN && scale_m <= SCALE_M_MAX;
+    let (offsets_m, area_m2) =
+        match counts && cells.get(&key(mean_m.truncate())).is_some_and(is_near) {
+            true => spread(cloud, splat),
+            false => (Vec::new(), 0.0),
+        };
+    let part_m2 = f64::from(opacity) * area_m2 / offsets_m.len() as f64;
+    let places = offsets_m.into_iter().map(move |offset_m| mean_m + offset_m);
+    places.map(move |at_m| (at_m, part_m2))
 }
 
 /// Places over which a splat is spread, relative to its mean, and its area, square meters: twice
@@ -167,13 +203,14 @@ fn cells_beside(map: &LaneMap) -> HashMap<(i64, i64), Cell> {
                 let lane = (distance_m, on_lane.z);
                 let cell = cells.entry((x + dx, y + dy)).or_insert(Cell {
                     lane,
-                    ground_z_m: None,
+                    ground_z_m: on_lane.z,
                     area_m2: 0.0,
                     low_m: DVec2::INFINITY,
                     high_m: DVec2::NEG_INFINITY,
                 });
                 if lane.0 < cell.lane.0 {
                     cell.lane = lane;
+                    cell.ground_z_m = on_lane.z;
                 }
             }
         }

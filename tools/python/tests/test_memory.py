@@ -1,4 +1,4 @@
-"""The package under valgrind: calls without sense, threads and images that outlive what drew them touch no memory that is not theirs."""
+"""The package under valgrind, or under AddressSanitizer (`make asan`): calls without sense, threads and images that outlive what drew them touch no memory that is not theirs."""
 
 import os
 import pathlib
@@ -60,21 +60,27 @@ print(ctypes.string_at(place, 1))
 """
 
 
+ASAN = "asan" in os.environ.get("LD_PRELOAD", "")
+WATCHED = pytest.mark.skipif(not ASAN and shutil.which("valgrind") is None, reason="valgrind is not installed")
+
+
 def watched(script, *words):
-    """The end of a script under valgrind; Python's own allocator would hide what it does."""
-    command = ["valgrind", "--leak-check=no", "--undef-value-errors=no", f"--error-exitcode={FOUND}", f"--suppressions={SUPPRESSIONS}", sys.executable, "-c", script, *words]
+    """The end of a script that is watched; Python's own allocator would hide what it does."""
+    command = [sys.executable, "-c", script, *words]
+    if not ASAN:
+        command = ["valgrind", "--leak-check=no", "--undef-value-errors=no", f"--error-exitcode={FOUND}", f"--suppressions={SUPPRESSIONS}", *command]
     # The validation layer is watched elsewhere, and takes minutes here.
     environment = {**os.environ, "PYTHONMALLOC": "malloc", "DECOUPLEGS_VALIDATION": "0"}
     return subprocess.run(command, capture_output=True, text=True, env=environment)
 
 
-@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
+@WATCHED
 def test_the_package_touches_only_its_own_memory(scene_file):
     end = watched(USE, str(scene_file))
     assert end.returncode == 0, end.stderr[-4000:]
     assert end.stdout == "done\n"
 
 
-@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
+@WATCHED
 def test_memory_that_was_given_back_would_be_found():
     assert watched(READS_FREED).returncode == FOUND

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use crate::error::read_bytes;
 use crate::maps::lane_json;
 use crate::scene_file::SceneFiles;
-use crate::scene_import::{ImportedScene, nurec};
+use crate::scene_import::{BACKGROUND, ImportedScene, nurec};
 use crate::sky_bundle::SkyBundle;
 use crate::toml_text::text_of;
 use crate::zip::Archive;
@@ -39,8 +39,12 @@ pub fn is_package(path: &Path) -> bool {
 /// [`AssetError`] of the package, or of the entry at fault. A scene that names files outside of its
 /// package is refused.
 pub fn open_packed_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
-    let package = PackedScene::open(path)?;
-    package.load(&package.file, time_s)
+    let mut package = PackedScene::open(path)?;
+    let background = match &mut package.content {
+        Content::NuRec(scene) => Some(std::mem::take(&mut scene.background)),
+        Content::Own(_) => None,
+    };
+    package.load_with(background, &package.file, time_s)
 }
 
 /// A package that is open: its scene file, and the files that it names.
@@ -117,15 +121,26 @@ impl PackedScene {
     /// # Errors
     /// [`AssetError`] of the entry at fault.
     pub fn load(&self, scene: &SceneFile, time_s: f64) -> Result<LoadedScene, AssetError> {
+        self.load_with(None, scene, time_s)
+    }
+
+    /// Loads like [`PackedScene::load`], with the `background` that was taken out of an import.
+    fn load_with(
+        &self,
+        background: Option<SplatCloud>,
+        scene: &SceneFile,
+        time_s: f64,
+    ) -> Result<LoadedScene, AssetError> {
         match &self.content {
             Content::Own(bytes) => scene.load_from(&Package::new(&self.path, bytes)?, time_s),
-            Content::NuRec(imported) => scene.load_from(
-                &Imported {
+            Content::NuRec(imported) => {
+                let files = Imported {
                     path: &self.path,
                     scene: imported,
-                },
-                time_s,
-            ),
+                    background: Cell::new(background),
+                };
+                scene.load_from(&files, time_s)
+            }
         }
     }
 
@@ -181,8 +196,12 @@ impl PackedScene {
         match &self.content {
             Content::Own(bytes) => Package::new(&self.path, bytes)?.splats(file),
             Content::NuRec(scene) => {
-                let path = &self.path;
-                Imported { path, scene }.splats(file)
+                let files = Imported {
+                    path: &self.path,
+                    scene,
+                    background: Cell::new(None),
+                };
+                files.splats(file)
             }
         }
     }
@@ -192,6 +211,9 @@ impl PackedScene {
 struct Imported<'a> {
     path: &'a Path,
     scene: &'a ImportedScene,
+    /// The background if it was taken out of the scene. It is given once, without a copy: it can
+    /// be half a gigabyte.
+    background: Cell<Option<SplatCloud>>,
 }
 
 impl Imported<'_> {
@@ -216,7 +238,11 @@ impl SceneFiles for Imported<'_> {
     }
 
     fn placed_splats(&self, file: &Path) -> Result<PlacedSplats, AssetError> {
-        let splats = self.scene.splats(file).cloned();
+        let taken = match file == Path::new(BACKGROUND) {
+            true => self.background.take(),
+            false => None,
+        };
+        let splats = taken.or_else(|| self.scene.splats(file).cloned());
         splats
             .map(PlacedSplats::from)
             .ok_or_else(|| self.unknown(file))

@@ -49,7 +49,7 @@ use crate::{
 pub use hugsim::{HugsimFault, HugsimFiles, decode as decode_hugsim};
 
 /// Background of a written scene.
-const BACKGROUND: &str = "background.ply";
+pub(crate) const BACKGROUND: &str = "background.ply";
 /// Sky of a written scene.
 const SKY: &str = "sky.exr";
 /// Ground of a written scene.

@@ -66,9 +66,12 @@ pub fn compiled(source: &str, linked: Linked, folder: &Path) -> PathBuf {
             "-Wpedantic",
             "-Werror",
             "-pthread",
-            "-I",
         ]);
+        // `make asan` watches the programs and the library by it.
+        let more = env::var("DECOUPLEGS_CFLAGS").unwrap_or_default();
         command
+            .args(more.split_whitespace())
+            .arg("-I")
             .arg(Path::new(FOLDER).join("include"))
             .arg(&source)
             .arg("-o")

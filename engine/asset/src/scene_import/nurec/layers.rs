@@ -70,12 +70,11 @@ pub(super) fn layer(state: &State<'_>, name: &str) -> Result<Layer, DecodeError>
     }
     let specular = state.of_layer(name, "features_specular")?;
     let stride = sh::coefficient_count(sh_degree) - 1;
-    let coefficient = |index: usize| {
-        let (splat, at) = (index / stride, index % stride);
-        let first = splat * 3 * SPECULAR + 3 * at;
-        std::array::from_fn(|channel| specular.at(first + channel))
-    };
-    let sh_rest = (0..count * stride).into_par_iter().map(coefficient);
+    let mut sh_rest = vec![[0.0; 3]; count * stride];
+    let of_splats = sh_rest.par_chunks_mut(stride.max(1)).enumerate();
+    of_splats.for_each(|(splat, coefficients)| {
+        specular.copy_to(splat * 3 * SPECULAR, coefficients.as_flattened_mut());
+    });
     Ok(Layer {
         name: name.to_owned(),
         cloud: SplatCloud {
@@ -91,7 +90,7 @@ pub(super) fn layer(state: &State<'_>, name: &str) -> Result<Layer, DecodeError>
                 .collect(),
             sh_degree,
             sh_dc: albedo.columns(count, 3 * color_times, 0),
-            sh_rest: sh_rest.collect(),
+            sh_rest,
         },
         tracks,
         color_times,

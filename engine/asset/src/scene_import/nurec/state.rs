@@ -5,6 +5,7 @@ use std::io::Read;
 
 use flate2::read::MultiGzDecoder;
 use half::f16;
+use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 
 use super::value::{self, Value};
@@ -63,8 +64,32 @@ impl Array<'_> {
         width: usize,
         first: usize,
     ) -> Vec<[f32; N]> {
-        let row = |row: usize| std::array::from_fn(|column| self.at(row * width + first + column));
+        let row = |row: usize| {
+            let mut numbers = [0.0; N];
+            self.copy_to(row * width + first, &mut numbers);
+            numbers
+        };
         (0..count).into_par_iter().map(row).collect()
+    }
+
+    /// Copies the numbers from the one at `first` on, as many as `numbers` holds.
+    pub(super) fn copy_to(&self, first: usize, numbers: &mut [f32]) {
+        let halves = match &self.numbers {
+            Numbers::Halves(bytes) => &bytes[2 * first..][..2 * numbers.len()],
+            Numbers::Floats(values) => {
+                numbers.copy_from_slice(&values[first..][..numbers.len()]);
+                return;
+            }
+        };
+        // Many at once: one by one, each is a call that asks what the processor can do.
+        let mut aligned = [f16::ZERO; 8];
+        for (bytes, numbers) in halves.chunks(16).zip(numbers.chunks_mut(8)) {
+            let aligned = &mut aligned[..numbers.len()];
+            for (half, bytes) in aligned.iter_mut().zip(bytes.chunks_exact(2)) {
+                *half = f16::from_le_bytes([bytes[0], bytes[1]]);
+            }
+            aligned.convert_to_f32_slice(numbers);
+        }
     }
 
     /// The number `index`, counted in the order of the file.
