@@ -188,7 +188,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let path = arguments.camera_path.as_deref();
     let path = path.map(CameraPath::read).transpose()?;
-    let mut scene = Scene::open(&arguments.scene)?;
+    let read = || Scene::open(&arguments.scene);
+    let (gpu, mut scene) = match arguments.reference {
+        true => (None, read()?),
+        false => {
+            let (gpu, scene) = arguments.device.open_beside(read)?;
+            (Some(gpu), scene)
+        }
+    };
     let times_s = match &path {
         Some(path) => follow(path, &mut scene, arguments)?,
         None => Vec::new(),
@@ -202,10 +209,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = scene;
     warn_of_plain_agents(&scene, arguments);
     let labels = Labels::new(&scene);
-    let gpu = match arguments.reference {
-        true => None,
-        false => Some(arguments.device.open()?),
-    };
     let counter = || match &gpu {
         Some(gpu) => Counter::on(gpu, &scene),
         None => Counter::Reference,

@@ -1,7 +1,9 @@
 //! The device that a command draws on, or several.
 
 use std::io::Write;
+use std::panic::resume_unwind;
 use std::str::FromStr;
+use std::thread;
 
 use anyhow::{Result, bail};
 use decouplegs_gpu::{DeviceChoice, DeviceOptions, DeviceSet, Drill, Gpu};
@@ -32,14 +34,40 @@ impl DeviceArguments {
 
     /// The device, opened by `options` but for the choice; said on standard error.
     pub fn open_with(&self, options: DeviceOptions) -> Result<Gpu> {
-        let gpu = Gpu::open(&DeviceOptions {
-            choice: self.device.clone(),
-            ..options
-        })?;
-        // Only for information.
-        let _ = writeln!(std::io::stderr(), "on {}", gpu.info());
+        let gpu = Gpu::open(&self.choice(options))?;
+        say(&gpu);
         Ok(gpu)
     }
+
+    /// The device, opened on a thread of its own while `work` goes on, which takes as long for a
+    /// large scene; said on standard error when the work is done.
+    ///
+    /// # Errors
+    /// Returns the error of `work`, or else that of the device.
+    pub fn open_beside<T>(&self, work: impl FnOnce() -> Result<T>) -> Result<(Gpu, T)> {
+        let options = self.choice(DeviceOptions::default());
+        let (gpu, done) = thread::scope(|scope| {
+            let gpu = scope.spawn(|| Gpu::open(&options));
+            let done = work();
+            (gpu.join(), done)
+        });
+        let done = done?;
+        let gpu = gpu.unwrap_or_else(|panic| resume_unwind(panic))?;
+        say(&gpu);
+        Ok((gpu, done))
+    }
+
+    fn choice(&self, options: DeviceOptions) -> DeviceOptions {
+        DeviceOptions {
+            choice: self.device.clone(),
+            ..options
+        }
+    }
+}
+
+/// Says on standard error what is drawn on. It is only for information.
+fn say(gpu: &Gpu) {
+    let _ = writeln!(std::io::stderr(), "on {}", gpu.info());
 }
 
 /// The arguments of a command that divides its work between devices.
