@@ -56,7 +56,7 @@ c = ctypes.CDLL(None)
 c.malloc.restype = ctypes.c_void_p
 place = c.malloc(64)
 c.free(ctypes.c_void_p(place))
-print(ctypes.string_at(place, 1))
+print(ctypes.string_at(place, 64))
 """
 
 
