@@ -219,7 +219,7 @@ async fn receive(body: &mut Body, path: &Path, most: u64) -> Result<(), Refused>
         let reason = format!("the file cannot be kept on the machine of the viewer: {error}");
         Refused(StatusCode::INSUFFICIENT_STORAGE, reason)
     };
-    // For nobody else on this machine.
+    // Other users of this machine cannot read it.
     let mut options = OpenOptions::new();
     let file = options.write(true).create_new(true).mode(0o600).open(path);
     let file = file.map_err(unwritten)?;

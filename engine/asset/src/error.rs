@@ -156,6 +156,8 @@ fn read_regular_file(path: &Path) -> io::Result<Vec<u8>> {
         file.take(metadata.len()).read_to_end(&mut bytes)?;
         return Ok(bytes);
     }
+    // It was reserved to find out that there is memory: zeros for which there is none end the
+    // program.
     drop(bytes);
     read_pieces(&file, length, PIECE_BYTES)
 }
