@@ -9,8 +9,8 @@ use bytemuck::Pod;
 use crate::{
     Buffer, Constant, DeviceChoice, DeviceInfo, DeviceOptions, DeviceSet, GpuError, Kernel,
     KernelCounts, KernelReport, Limits, MemoryKind, MemoryReport, QueueRole, Recorder, Ticket,
-    choice, context::Context, device, drill::DrillState, instance::Instance, kernel::Kernels,
-    memory::BufferMemory, queue::Queue, transfer,
+    Uploads, choice, context::Context, device, drill::DrillState, instance::Instance,
+    kernel::Kernels, memory::BufferMemory, queue::Queue, transfer,
 };
 
 /// One moment on the clocks of host and device.
@@ -235,9 +235,17 @@ impl Gpu {
         purpose: &'static str,
         data: &[T],
     ) -> Result<Buffer<T>, GpuError> {
-        let buffer = self.buffer(name, purpose, data.len(), MemoryKind::Device)?;
-        self.write(&buffer, 0, data)?;
+        let mut uploads = self.uploads();
+        let buffer = uploads.upload(name, purpose, data)?;
+        uploads.finish()?;
         Ok(buffer)
+    }
+
+    /// The way to the device for many buffers, which share their staging memory and are waited for
+    /// once.
+    #[must_use]
+    pub fn uploads(&self) -> Uploads<'_> {
+        Uploads::new(self, self.piece_bytes())
     }
 
     /// Writes `data` from element `first` of `buffer` on, behind everything submitted to the main
@@ -254,7 +262,9 @@ impl Gpu {
         first: usize,
         data: &[T],
     ) -> Result<(), GpuError> {
-        transfer::write(self, buffer, first, data, self.piece_bytes())
+        let mut uploads = self.uploads();
+        uploads.write(buffer, first, data)?;
+        uploads.finish()
     }
 
     /// All values of `buffer`, behind everything submitted to the main queue before. Work on the

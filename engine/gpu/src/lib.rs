@@ -57,4 +57,5 @@ pub use kernel_cache::{KernelCache, KernelCounts};
 pub use queue::QueueRole;
 pub use recorder::Recorder;
 pub use ticket::{StageTime, Ticket};
+pub use transfer::Uploads;
 pub use trial::{KernelReport, KernelTrial};

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytemuck::Zeroable;
-use decouplegs_gpu::{Buffer, Gpu};
+use decouplegs_gpu::{Buffer, Gpu, Uploads};
 use decouplegs_scene::{
     Bounds, Camera, DetailLevels, Fog, Photometry, SplatCloud, SplatScene, rules, sh,
 };
@@ -157,7 +157,14 @@ impl GpuScene {
             .collect();
         let means: Vec<[f32; 3]> = prepared.par_iter().map(|splat| splat.mean_m).collect();
         let shapes: Vec<[u32; 4]> = prepared.par_iter().map(|splat| splat.shape_words).collect();
-        let band = |band| upload_band(gpu, cloud, &prepared, storage, band);
+        let mut uploads = gpu.uploads();
+        let band = |uploads: &mut Uploads, band| {
+            uploads.upload(
+                ["sh_dc", "sh_band1", "sh_band2", "sh_band3"][band],
+                PURPOSE,
+                &band_words(cloud, &prepared, storage, band),
+            )
+        };
         let clusters: Vec<ClusterRecord> = prepared
             .par_chunks(CLUSTER_SPLATS)
             .map(|splats| {
@@ -172,7 +179,7 @@ impl GpuScene {
         let distance_m = |splat: &Prepared| Vec3::from_array(splat.mean_m).as_dvec3().length();
         // Fog that dims nothing is none: kernels with fog may round otherwise.
         let fog = splat_scene.fog.filter(|fog| fog.extinction_per_m > 0.0);
-        Ok(Self {
+        let scene = Self {
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             distance_max_m: prepared
                 .par_iter()
@@ -205,16 +212,22 @@ impl GpuScene {
             photometry: splat_scene.photometry,
             finest_clusters: clusters.len(),
             lidar_splats: None,
-            nodes: gpu.upload("nodes", PURPOSE, nodes)?,
-            clusters: gpu.upload("clusters", PURPOSE, &clusters)?,
-            means: gpu.upload("means", PURPOSE, &means)?,
+            nodes: uploads.upload("nodes", PURPOSE, nodes)?,
+            clusters: uploads.upload("clusters", PURPOSE, &clusters)?,
+            means: uploads.upload("means", PURPOSE, &means)?,
             storage,
-            shapes: gpu.upload("shapes", PURPOSE, &shapes)?,
-            rotations: gpu.upload("rotations", PURPOSE, &rotation_words(&prepared, storage))?,
-            sh_dc: band(0)?,
-            sh_bands: [band(1)?, band(2)?, band(3)?],
-            instances: gpu.upload("instances", PURPOSE, &pack_pairs(instance_from_splat))?,
-        })
+            shapes: uploads.upload("shapes", PURPOSE, &shapes)?,
+            rotations: uploads.upload("rotations", PURPOSE, &rotation_words(&prepared, storage))?,
+            sh_dc: band(&mut uploads, 0)?,
+            sh_bands: [
+                band(&mut uploads, 1)?,
+                band(&mut uploads, 2)?,
+                band(&mut uploads, 3)?,
+            ],
+            instances: uploads.upload("instances", PURPOSE, &pack_pairs(instance_from_splat))?,
+        };
+        uploads.finish()?;
+        Ok(scene)
     }
 
     /// Clusters of the world.
@@ -342,25 +355,24 @@ fn rotation_words(prepared: &[Prepared], storage: Storage) -> Vec<[u32; 4]> {
     }
 }
 
-fn upload_band(
-    gpu: &Gpu,
+/// Words in which the device reads the coefficients of `band`; none above the degree of `cloud`.
+fn band_words(
     cloud: &SplatCloud,
     prepared: &[Prepared],
     storage: Storage,
     band: usize,
-) -> Result<Buffer<u32>, RenderError> {
-    const NAMES: [&str; 4] = ["sh_dc", "sh_band1", "sh_band2", "sh_band3"];
-    let name = NAMES[band];
+) -> Vec<u32> {
     if usize::from(cloud.sh_degree) < band {
-        return Ok(gpu.upload(name, PURPOSE, &[])?);
+        return Vec::new();
     }
     let Some(bits) = storage.sh_bits(band) else {
-        let kept = prepared.iter().zip(&cloud.sh_dc);
-        let words = kept.flat_map(|(splat, dc)| match splat.drawn {
-            true => dc.map(f32::to_bits),
-            false => [0; 3],
-        });
-        return Ok(gpu.upload(name, PURPOSE, &words.collect::<Vec<u32>>())?);
+        let kept = prepared.par_iter().zip(&cloud.sh_dc);
+        return kept
+            .flat_map_iter(|(splat, dc)| match splat.drawn {
+                true => dc.map(f32::to_bits),
+                false => [0; 3],
+            })
+            .collect();
     };
     let coefficients = |splat: usize| match band {
         0 => std::slice::from_ref(&cloud.sh_dc[splat]),
@@ -376,11 +388,10 @@ fn upload_band(
             false => [0; sh_codec::WORDS_MAX],
         })
         .collect();
-    let planes: Vec<u32> = (0..storage.sh_words(band))
+    (0..storage.sh_words(band))
         .into_par_iter()
         .flat_map_iter(|word| encoded.iter().map(move |words| words[word]))
-        .collect();
-    Ok(gpu.upload(name, PURPOSE, &planes)?)
+        .collect()
 }
 
 /// Two 16-bit ids a word, the earlier one in the low half.
