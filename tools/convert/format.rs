@@ -133,7 +133,7 @@ impl Format {
                     "positions of 16 bits an axis, closer where the scene is small and near its origin",
                 );
                 say(
-                    "rotations of 8 bits a component, opacities of 8 bits; scales and coefficients are one of 256 numbers each",
+                    "rotations of 8 bits a component, opacities of 8 bits; scales and coefficients are one of 256 numbers each; splats in another order",
                 );
             }
             Self::Safetensors => {
@@ -160,7 +160,7 @@ impl Format {
                 plain.set_degree(0);
                 splat::write(out, &plain)?;
             }
-            Self::Sog => sog::write(out, cloud)?,
+            Self::Sog => return Ok(Some(sog::write(out, cloud)?)),
             Self::Glb => khr_glb::write(out, cloud)?,
             Self::Safetensors => return write_asset(out, source, cloud).map(Some),
         }

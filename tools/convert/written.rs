@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Result, ensure};
 use decouplegs_asset::{Comparison, LossReport, read_splat_pieces};
 use decouplegs_scene::SplatCloud;
+use rayon::prelude::*;
 
 use super::bytes_of;
 use super::format::Format;
@@ -114,6 +115,7 @@ impl<'a> Writing<'a> {
 /// The splats that can be drawn, and how many cannot.
 fn without_defects(cloud: SplatCloud) -> (SplatCloud, usize) {
     let drawn: Vec<u32> = (0..cloud.len() as u32)
+        .into_par_iter()
         .filter(|&splat| cloud.defect_of(splat as usize).is_none())
         .collect();
     let dropped = cloud.len() - drawn.len();

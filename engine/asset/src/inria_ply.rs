@@ -128,7 +128,8 @@ fn decode_relative(ply: &Ply<'_>, element: &str, origin: DVec3) -> Result<SplatC
 const PIECE_BYTES: usize = 16 << 20;
 
 /// Reads the splats of the binary file at `path` piece by piece: `each` gets the number of all and
-/// the next ones, in the order of the file, which is never whole in memory. `Some(false)` where
+/// the next ones, in the order of the file, which is never whole in memory. The next piece is read
+/// while one is decoded. `Some(false)` where
 /// `each` ended it. `None`, before any piece, for a file that is read whole: one of text, with
 /// coordinates that are doubles, of another format, or at fault.
 ///
@@ -158,24 +159,32 @@ pub(crate) fn read_pieces(
     };
     file.seek(SeekFrom::Start(found.start))?;
     let rows_each = (PIECE_BYTES / found.stride).max(1);
-    let (mut bytes, mut largest_m) = (Vec::new(), 0f32);
+    let rows_from = |first: usize| rows_each.min(found.count.saturating_sub(first));
+    let mut read_rows = |bytes: &mut Vec<u8>, count: usize| {
+        bytes.resize(count * found.stride, 0);
+        file.read_exact(bytes)
+    };
+    let (mut bytes, mut next, mut largest_m) = (Vec::new(), Vec::new(), 0f32);
+    read_rows(&mut bytes, rows_from(0))?;
     // A file without splats has a degree: it comes as one piece.
     for first in (0..found.count.max(1)).step_by(rows_each) {
-        let count = rows_each.min(found.count - first);
-        bytes.resize(count * found.stride, 0);
-        file.read_exact(&mut bytes)?;
         let rows = Rows {
             bytes: &bytes,
             stride: found.stride,
-            count,
+            count: rows_from(first),
         };
-        let cloud = columns.read(&rows, DVec3::ZERO);
+        let (cloud, read) = rayon::join(
+            || columns.read(&rows, DVec3::ZERO),
+            || read_rows(&mut next, rows_from(first + rows_each)),
+        );
+        read?;
         let means = cloud.means.iter();
         let finite = means.filter(|mean| mean.iter().all(|x| x.is_finite()));
         largest_m = (finite.flatten()).fold(largest_m, |largest, x| largest.max(x.abs()));
         if !each(found.count, cloud) {
             return Ok(Some(false));
         }
+        std::mem::swap(&mut bytes, &mut next);
     }
     warn_of_rounded(f64::from(largest_m));
     Ok(Some(true))

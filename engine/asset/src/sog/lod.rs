@@ -141,7 +141,7 @@ mod tests {
     /// A set of a fine file of 30 splats and a coarse one of 3, in two boxes.
     fn set(folder: &Path) -> String {
         for (name, count) in [("0_0", 30), ("1_0", 3)] {
-            let bundle = super::super::encode(&cloud(count)).unwrap();
+            let bundle = super::super::encode(&cloud(count)).unwrap().0;
             let archive = crate::zip::Archive::parse(&bundle).unwrap();
             std::fs::create_dir_all(folder.join(name)).unwrap();
             for entry in archive.names() {

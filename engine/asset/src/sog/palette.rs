@@ -22,15 +22,15 @@ pub(super) struct Palette {
     pub labels: Vec<u16>,
 }
 
-/// A palette of at most `most` entries, 1 to 65,536, for the rows of `stride` numbers in `values`.
-pub(super) fn fit(values: &[f32], stride: usize, most: usize) -> Palette {
+/// A palette of at most `most` entries, 1 to 65,536, for the rows of `stride` numbers in `values`,
+/// each of which `order` holds once. Entries of rows that have their own stand in this order.
+pub(super) fn fit(values: &[f32], stride: usize, order: &[u32], most: usize) -> Palette {
     let rows = Rows { values, stride };
     let mut palette = Palette {
         entries: Vec::new(),
         labels: vec![0; values.len() / stride],
     };
-    let all: Vec<u32> = (0..palette.labels.len() as u32).collect();
-    part(&rows, all, most, 0, &mut palette);
+    part(&rows, order.to_vec(), most, 0, &mut palette);
     palette
 }
 
@@ -164,6 +164,11 @@ mod tests {
         })
     }
 
+    fn fit(values: &[f32], stride: usize, most: usize) -> Palette {
+        let order: Vec<u32> = (0..(values.len() / stride) as u32).collect();
+        super::fit(values, stride, &order, most)
+    }
+
     #[test]
     fn few_rows_are_kept_and_many_are_near_to_an_entry() {
         let stride = 9;
@@ -171,6 +176,10 @@ mod tests {
         let exact = fit(&values[..300 * stride], stride, 65_536);
         assert_eq!(exact.entries, values[..300 * stride]);
         assert_eq!(exact.labels, (0..300).collect::<Vec<u16>>());
+        let backward: Vec<u32> = (0..300).rev().collect();
+        let turned = super::fit(&values[..300 * stride], stride, &backward, 65_536);
+        assert_eq!(turned.labels, (0..300).rev().collect::<Vec<u16>>());
+        assert_eq!(turned.entries[..stride], values[299 * stride..300 * stride]);
         let palette = fit(&values, stride, 1000);
         assert!(
             palette.entries.len() <= 1000 * stride,

@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use image_webp::{ColorType, WebPDecoder, WebPEncoder};
+use image_webp::{ColorType, EncoderParams, WebPDecoder, WebPEncoder};
 
 use crate::{DecodeError, EncodeError};
 
@@ -69,22 +69,30 @@ impl Texture {
     }
 }
 
-/// `pixels` as a lossless WebP of `width` columns; the last row is filled up with zeros.
+/// `pixels` as a lossless WebP of `width` columns; the last row is filled up with zeros. Pixels are
+/// stored as differences from the row above where these take fewer bytes.
 pub(super) fn encode(mut pixels: Vec<[u8; 4]>, width: usize) -> Result<Vec<u8>, EncodeError> {
     let height = pixels.len().div_ceil(width).max(1);
     pixels.resize(width * height, [0; 4]);
-    let mut file = Vec::new();
-    WebPEncoder::new(&mut file)
-        .encode(
-            pixels.as_flattened(),
-            width as u32,
-            height as u32,
-            ColorType::Rgba8,
-        )
-        .map_err(|error| {
-            EncodeError(format!(
-                "an image of {width} x {height} pixels: {error}; write fewer splats"
-            ))
-        })?;
-    Ok(file)
+    let encoded = |use_predictor_transform: bool| {
+        let mut file = Vec::new();
+        let mut encoder = WebPEncoder::new(&mut file);
+        let mut parameters = EncoderParams::default();
+        parameters.use_predictor_transform = use_predictor_transform;
+        encoder.set_params(parameters);
+        let (bytes, color) = (pixels.as_flattened(), ColorType::Rgba8);
+        let result = encoder.encode(bytes, width as u32, height as u32, color);
+        result.map(|()| file)
+    };
+    let (plain, predicted) = rayon::join(|| encoded(false), || encoded(true));
+    let failed = |error| {
+        EncodeError(format!(
+            "an image of {width} x {height} pixels: {error}; write fewer splats"
+        ))
+    };
+    let (plain, predicted) = (plain.map_err(failed)?, predicted.map_err(failed)?);
+    Ok(match plain.len() < predicted.len() {
+        true => plain,
+        false => predicted,
+    })
 }

@@ -18,11 +18,15 @@ use crate::{AssetError, EncodeError, write_atomically};
 /// A scale of zero has no logarithm; this one nobody sees.
 const LOG_SCALE_MIN: f32 = -30.0;
 
-/// `cloud` as the bytes of a bundle. The order of the splats stays.
+/// Rows of an image whose pixels are filled column by column. The encoder predicts a pixel from the
+/// one above: neighbors in space are put one below the other.
+const BAND_ROWS: usize = 64;
+
+/// `cloud` as the bytes of a bundle, and the indices of its splats in the order of the file.
 ///
 /// # Errors
 /// Returns an error if a splat is defective ([`SplatCloud::defect_of`]) or when there is none.
-pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
+pub fn encode(cloud: &SplatCloud) -> Result<(Vec<u8>, Vec<u32>), EncodeError> {
     if cloud.is_empty() {
         return Err(EncodeError("there is no splat to write".into()));
     }
@@ -37,34 +41,37 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
     let count = cloud.len();
     // Rows of a multiple of four pixels in an image that is about square.
     let width = ((count as f64).sqrt() / 4.0).ceil() as usize * 4;
-    let mut files: Vec<(&str, Vec<[u8; 4]>, usize)> = Vec::new();
+    let order = file_order(cloud, width);
+    let mut images: Vec<Image> = Vec::new();
+    let mut add = |name, pixels: Vec<[u8; 4]>| {
+        let pixels = order.par_iter().map(|&splat| pixels[splat as usize]);
+        images.push(Image {
+            name,
+            pixels: pixels.collect(),
+            width,
+        });
+    };
     let (means, low, high) = means(cloud);
-    files.push(("means_l.webp", low, width));
-    files.push(("means_u.webp", high, width));
-    files.push((
-        "quats.webp",
-        cloud
-            .rotations
-            .par_iter()
-            .map(|&rotation| packed_rotation(rotation))
-            .collect(),
-        width,
-    ));
+    add("means_l.webp", low);
+    add("means_u.webp", high);
+    let rotations = cloud.rotations.par_iter();
+    let rotations = rotations.map(|&rotation| packed_rotation(rotation));
+    add("quats.webp", rotations.collect());
     let logarithms: Vec<[f32; 3]> = cloud
         .scales
         .par_iter()
         .map(|scale| scale.map(|scale| log_of_scale(scale).max(LOG_SCALE_MIN)))
         .collect();
     let scales = fit(logarithms.as_flattened().iter().copied());
-    files.push(("scales.webp", indices(&scales, &logarithms), width));
+    add("scales.webp", indices(&scales, &logarithms));
     let sh0 = fit(cloud.sh_dc.as_flattened().iter().copied());
     let mut colors = indices(&sh0, &cloud.sh_dc);
     colors
-        .iter_mut()
+        .par_iter_mut()
         .zip(&cloud.opacities)
         .for_each(|(pixel, opacity)| pixel[3] = (opacity * 255.0).round() as u8);
-    files.push(("sh0.webp", colors, width));
-    let rest = (cloud.sh_degree > 0).then(|| rest(cloud, width, &mut files));
+    add("sh0.webp", colors);
+    let rest = (cloud.sh_degree > 0).then(|| rest(cloud, &order, width, &mut images));
     let one = |name: &str| [name.to_owned()];
     let meta = Meta {
         version: 2,
@@ -83,28 +90,55 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
         },
         rest,
     };
-    bundle(&meta, files)
+    Ok((bundle(&meta, images)?, order))
 }
 
-/// Writes `cloud` to `path`, atomically.
+/// Writes `cloud` to `path`, atomically. Returns the indices of its splats in the order of the
+/// file.
 ///
 /// # Errors
 /// Returns the errors of [`encode`], and an error if the operating system refuses to write.
-pub fn write(path: &Path, cloud: &SplatCloud) -> Result<(), AssetError> {
-    let bytes = encode(cloud).map_err(|source| AssetError::Encode {
+pub fn write(path: &Path, cloud: &SplatCloud) -> Result<Vec<u32>, AssetError> {
+    let (bytes, order) = encode(cloud).map_err(|source| AssetError::Encode {
         path: path.to_owned(),
         format: NAME,
         source,
     })?;
-    write_atomically(path, |file| file.write_all(&bytes))
+    write_atomically(path, |file| file.write_all(&bytes))?;
+    Ok(order)
 }
 
-fn bundle(meta: &Meta, files: Vec<(&str, Vec<[u8; 4]>, usize)>) -> Result<Vec<u8>, EncodeError> {
+/// An image of a bundle before it is encoded.
+struct Image {
+    name: &'static str,
+    pixels: Vec<[u8; 4]>,
+    width: usize,
+}
+
+/// Splats of `cloud` by their pixels in images of `width` columns: neighbors in space stand one
+/// below the other, in bands of [`BAND_ROWS`].
+fn file_order(cloud: &SplatCloud, width: usize) -> Vec<u32> {
+    let mut pixels: Vec<u32> = (0..cloud.len() as u32).collect();
+    pixels.par_sort_unstable_by_key(|&pixel| {
+        let (row, column) = (pixel as usize / width, pixel as usize % width);
+        (row / BAND_ROWS, column, row % BAND_ROWS)
+    });
+    let mut order = vec![0; cloud.len()];
+    for (pixel, splat) in pixels.into_iter().zip(cloud.spatial_order()) {
+        order[pixel as usize] = splat;
+    }
+    order
+}
+
+fn bundle(meta: &Meta, images: Vec<Image>) -> Result<Vec<u8>, EncodeError> {
     let failed = |error: std::io::Error| EncodeError(error.to_string());
+    let encoded: Vec<(&str, Vec<u8>)> = images
+        .into_par_iter()
+        .map(|image| Ok((image.name, texture::encode(image.pixels, image.width)?)))
+        .collect::<Result<_, EncodeError>>()?;
     let mut zip = StoredZip::new(Vec::new());
-    for (name, pixels, width) in files {
-        zip.add(name, &texture::encode(pixels, width)?)
-            .map_err(failed)?;
+    for (name, bytes) in encoded {
+        zip.add(name, &bytes).map_err(failed)?;
     }
     let text = serde_json::to_vec(meta).map_err(|error| EncodeError(format!("{META}: {error}")))?;
     zip.add(META, &text).map_err(failed)?;
@@ -177,25 +211,28 @@ fn indices(codebook: &[f32], values: &[[f32; 3]]) -> Vec<[u8; 4]> {
 
 /// Adds the images of the coefficients after DC: a palette with an entry for each splat, or for
 /// splats that are alike where there are more than it has entries.
-fn rest(cloud: &SplatCloud, width: usize, files: &mut Vec<(&str, Vec<[u8; 4]>, usize)>) -> Rest {
+fn rest(cloud: &SplatCloud, order: &[u32], width: usize, images: &mut Vec<Image>) -> Rest {
     let values = cloud.sh_rest.as_flattened();
-    let Palette { entries, labels } =
-        palette::fit(values, 3 * cloud.rest_stride(), PALETTE_MAX as usize);
-    let count = entries.len() / (3 * cloud.rest_stride());
+    let stride = 3 * cloud.rest_stride();
+    let Palette { entries, labels } = palette::fit(values, stride, order, PALETTE_MAX as usize);
     let codebook = fit(entries.iter().copied());
-    files.push((
-        "shN_centroids.webp",
-        indices(&codebook, entries.as_chunks().0),
-        PALETTE_COLUMNS * cloud.rest_stride(),
-    ));
-    let label = |label: &u16| {
-        let [low, high] = label.to_le_bytes();
+    images.push(Image {
+        name: "shN_centroids.webp",
+        pixels: indices(&codebook, entries.as_chunks().0),
+        width: PALETTE_COLUMNS * cloud.rest_stride(),
+    });
+    let label = |&splat: &u32| {
+        let [low, high] = labels[splat as usize].to_le_bytes();
         [low, high, 0, 255]
     };
-    files.push(("shN_labels.webp", labels.iter().map(label).collect(), width));
+    images.push(Image {
+        name: "shN_labels.webp",
+        pixels: order.par_iter().map(label).collect(),
+        width,
+    });
     let names = ["shN_centroids.webp", "shN_labels.webp"].map(String::from);
     Rest {
-        count: count as u64,
+        count: (entries.len() / stride) as u64,
         bands: cloud.sh_degree,
         codebook,
         files: names,

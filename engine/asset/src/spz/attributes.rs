@@ -135,12 +135,16 @@ fn unpack_rest(codes: &[u8], stored_stride: usize, stride: usize) -> Vec<[f32; 3
     if stride == 0 {
         return Vec::new();
     }
-    let coefficient =
-        |codes: &[u8]| [codes[0], codes[1], codes[2]].map(|code| (f32::from(code) - 128.0) / 128.0);
-    codes
-        .par_chunks_exact(3 * stored_stride)
-        .flat_map_iter(|splat| splat.chunks_exact(3).take(stride).map(coefficient))
-        .collect()
+    let mut rest = vec![[0.0; 3]; codes.len() / (3 * stored_stride) * stride];
+    let splats = rest.par_chunks_exact_mut(stride);
+    let splats = splats.zip(codes.par_chunks_exact(3 * stored_stride));
+    splats.for_each(|(rest, codes)| {
+        for (coefficient, codes) in rest.iter_mut().zip(codes.chunks_exact(3)) {
+            *coefficient =
+                [codes[0], codes[1], codes[2]].map(|code| (f32::from(code) - 128.0) / 128.0);
+        }
+    });
+    rest
 }
 
 /// The codes of `cloud`, which `signs` turn to the axes of the file.
@@ -157,13 +161,19 @@ pub(super) fn pack(cloud: &SplatCloud, signs: &Signs) -> Result<Packed, EncodeEr
     }
     let fractional_bits = fractional_bits_for(cloud)?;
     let steps = f64::from(fractional_bits).exp2();
-    let positions = cloud.means.par_iter().flat_map_iter(|mean| {
-        (0..3).flat_map(move |axis| {
+    let positions = cloud.means.par_iter().map(|mean| -> [[u8; 3]; 3] {
+        std::array::from_fn(|axis| {
             let x = f64::from(mean[axis] * signs.means[axis]);
             let [a, b, c, _] = ((x * steps).round() as i32).to_le_bytes();
             [a, b, c]
         })
     });
+    let positions: Vec<[[u8; 3]; 3]> = positions.collect();
+    let rotations = cloud.rotations.par_iter().map(|rotation| {
+        let turned = std::array::from_fn(|i| rotation[i] * signs.rotations[i]);
+        pack_smallest_three(turned).to_le_bytes()
+    });
+    let rotations: Vec<[u8; 4]> = rotations.collect();
     let layout = Layout {
         version: 4,
         count: cloud.len(),
@@ -171,7 +181,7 @@ pub(super) fn pack(cloud: &SplatCloud, signs: &Signs) -> Result<Packed, EncodeEr
         fractional_bits,
     };
     let streams = [
-        positions.collect(),
+        positions.into_flattened().into_flattened(),
         cloud
             .opacities
             .par_iter()
@@ -183,14 +193,7 @@ pub(super) fn pack(cloud: &SplatCloud, signs: &Signs) -> Result<Packed, EncodeEr
         flattened(&cloud.scales, |scale| {
             byte((log_of_scale(scale) + 10.0) * 16.0)
         }),
-        cloud
-            .rotations
-            .par_iter()
-            .flat_map_iter(|rotation| {
-                let turned = std::array::from_fn(|i| rotation[i] * signs.rotations[i]);
-                pack_smallest_three(turned).to_le_bytes()
-            })
-            .collect(),
+        rotations.into_flattened(),
         pack_rest(cloud, signs),
     ];
     Ok(Packed {
@@ -219,11 +222,8 @@ fn pack_rest(cloud: &SplatCloud, signs: &Signs) -> Vec<u8> {
 }
 
 fn flattened(values: &[[f32; 3]], code: impl Fn(f32) -> u8 + Sync) -> Vec<u8> {
-    let code = &code;
-    values
-        .par_iter()
-        .flat_map_iter(|triple| triple.iter().map(move |&value| code(value)))
-        .collect()
+    let codes: Vec<[u8; 3]> = values.par_iter().map(|triple| triple.map(&code)).collect();
+    codes.into_flattened()
 }
 
 fn byte(value: f32) -> u8 {

@@ -64,11 +64,7 @@ impl Array<'_> {
         width: usize,
         first: usize,
     ) -> Vec<[f32; N]> {
-        let row = |row: usize| {
-            let mut numbers = [0.0; N];
-            self.copy_to(row * width + first, &mut numbers);
-            numbers
-        };
+        let row = |row: usize| std::array::from_fn(|column| self.at(row * width + first + column));
         (0..count).into_par_iter().map(row).collect()
     }
 
