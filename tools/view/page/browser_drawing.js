@@ -127,7 +127,7 @@ function paint(now) {
   painting = 0;
   if (!shown) return;
   const { view, cloud } = shown;
-  const [share, most] = levels.now;
+  const [share, most, faintest] = levels.now;
   const camera = cameraOf(shown, share);
   if (!camera || !view.element.isConnected || !cloud.works) {
     hide();
@@ -135,7 +135,7 @@ function paint(now) {
   }
   levels.time(now, awaited !== null);
   const agents = state.layers.agents ? state.frame.sources[cloud.source].agents : [];
-  cloud.draw(camera, most, agents, state.sources[cloud.source].browser);
+  cloud.draw(camera, most, agents, { ...state.sources[cloud.source].browser, faintest });
   const { element } = cloud.canvas;
   if (element.parentNode !== view.element) view.overlay.before(element);
   element.hidden = false;
@@ -144,6 +144,9 @@ function paint(now) {
   drawOverlay(view, camera, state.frame.sources[cloud.source]);
   window.drawn = { camera, count: cloud.canvas.count, level: levels.level, images: (window.drawn?.images ?? 0) + 1 };
 }
+
+/** Time that the last image of a moving camera took, milliseconds. */
+export const imageMs = () => (shown ? levels.tookMs : 0);
 
 /** Draws by one level from now on, however long it takes. */
 export const keepLevel = (level) => levels.keep(level);

@@ -105,11 +105,11 @@ function paint(now) {
   if (!cloud.isReady) return;
   const isMoving = clock.playing || !isResting || cloud.loadedMs === null;
   if (isMoving) levels.time(now, false);
-  const [share, most] = isMoving ? levels.now : FULL;
+  const [share, most, faintest] = isMoving ? levels.now : FULL;
   const present = tracks.at(clock.time_s);
   const size = sizeOf().map((side) => Math.max(1, Math.round(side * share)));
   const camera = cameraIn(size, present);
-  cloud.draw(camera, most, present.agents, scene.browser);
+  cloud.draw(camera, most, present.agents, { ...scene.browser, faintest });
   cloud.canvas.element.hidden = false;
   drawOverlay(view, { ...camera, source: 0 }, present);
   showBadge();

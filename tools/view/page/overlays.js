@@ -77,10 +77,8 @@ export function drawOverlay(view, camera, source) {
   }
   further.forEach((draw) => draw(context, camera));
   if (!layers.agents) return;
-  const far = ({ pose }) => geometry.length(geometry.subtract(pose.position_m, camera.pose.position_m));
-  // The nearest last: their names cover others.
-  const sorted = agents.map((agent) => [far(agent), agent]).sort((a, b) => b[0] - a[0]);
-  sorted.forEach(([, agent]) => drawAgent(context, camera, agent));
+  agents.forEach((agent) => drawAgent(context, camera, agent));
+  if (layers.names) drawNames(context, camera, agents);
 }
 
 function stroke(context, lines) {
@@ -118,15 +116,26 @@ function drawAgent(context, camera, agent) {
     const places = (state.trails.get(agent.name) ?? []).map(({ place }) => place);
     stroke(context, geometry.polyline(camera, places, 4));
   }
-  if (state.layers.names) {
-    const top = geometry.fromLocal(agent.pose, [0, 0, agent.size_m[2] / 2 + 0.3]);
-    const at = geometry.project(camera, top);
-    if (!at) return;
-    const { width } = context.measureText(agent.name);
-    const size = parseFloat(context.font);
+}
+
+/** Names of `agents`: the selected one, then the nearest first. One that would cover another is left out. */
+function drawNames(context, camera, agents) {
+  const far = ({ name, pose }) =>
+    name === state.selected ? 0 : geometry.length(geometry.subtract(pose.position_m, camera.pose.position_m));
+  const sorted = agents.map((agent) => [far(agent), agent]).sort((a, b) => a[0] - b[0]);
+  const size = parseFloat(context.font);
+  const high = 1.3 * size;
+  const drawn = [];
+  for (const [, agent] of sorted) {
+    const at = geometry.project(camera, geometry.fromLocal(agent.pose, [0, 0, agent.size_m[2] / 2 + 0.3]));
+    if (!at) continue;
+    const wide = context.measureText(agent.name).width + size / 2;
+    const [left, top] = [at[0] - wide / 2, at[1] - size];
+    if (drawn.some((other) => Math.abs(other.top - top) < high && left < other.left + other.wide && other.left < left + wide)) continue;
+    drawn.push({ left, top, wide });
     context.fillStyle = "#000b";
-    context.fillRect(at[0] - width / 2 - size / 4, at[1] - size, width + size / 2, 1.3 * size);
+    context.fillRect(left, top, wide, high);
     context.fillStyle = "#fff";
-    context.fillText(agent.name, at[0] - width / 2, at[1]);
+    context.fillText(agent.name, left + size / 4, at[1]);
   }
 }

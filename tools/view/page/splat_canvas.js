@@ -13,7 +13,7 @@ precision highp int;
 uniform highp usampler2D splats, order;
 uniform highp sampler2D slots;
 uniform vec2 focal, size, middle, limit;
-uniform float near;
+uniform float near, faintest;
 uniform bool antialias;
 out vec2 at;
 flat out vec4 color;
@@ -52,12 +52,12 @@ void main() {
   a += DILATION_PX2;
   c += DILATION_PX2;
   if (antialias) color.a *= sqrt(max(0.0, before) / (a * c - b * b));
-  if (color.a * 255.0 < 1.0) return;
+  if (color.a * 255.0 < faintest) return;
   float mean2 = 0.5 * (a + c), apart = length(vec2(0.5 * (a - c), b));
   float large = mean2 + apart, small = max(mean2 - apart, DILATION_PX2);
   vec2 axis = abs(b) > 1e-6 ? normalize(vec2(b, large - a)) : (a >= c ? vec2(1, 0) : vec2(0, 1));
-  // Where the alpha falls below 1 of 255.
-  float reach = sqrt(2.0 * log(255.0 * color.a));
+  // Where the alpha falls below the faintest that is drawn.
+  float reach = sqrt(2.0 * log(255.0 * color.a / faintest));
   at = reach * CORNERS[gl_VertexID % 3];
   vec2 center = focal * seen.xy / seen.z + middle;
   vec2 pixel = center + at.x * sqrt(large) * axis + at.y * sqrt(small) * vec2(-axis.y, axis.x);
@@ -113,7 +113,7 @@ export class SplatCanvas {
     Object.assign(this, { element, gl, count: 0 });
     gl.useProgram(program);
     this.at = Object.fromEntries(
-      ["splats", "slots", "order", "focal", "size", "middle", "limit", "near", "antialias"].map((name) => [name, gl.getUniformLocation(program, name)]),
+      ["splats", "slots", "order", "focal", "size", "middle", "limit", "near", "faintest", "antialias"].map((name) => [name, gl.getUniformLocation(program, name)]),
     );
     gl.bindVertexArray(gl.createVertexArray());
     gl.activeTexture(gl.TEXTURE1);
@@ -175,9 +175,9 @@ export class SplatCanvas {
 
   /**
    * Draws. `matrices`: 3 rows of 4 for each slot, from its frame to the camera's; `camera`: size_px,
-   * focal_px and center_px of the image; `rules`: sky, near_m and antialias.
+   * focal_px and center_px of the image; `rules`: sky, near_m, antialias, and 255 times the least alpha, faintest.
    */
-  draw(matrices, { size_px: [width, height], focal_px: focal, center_px: middle }, { sky, near_m: near, antialias }) {
+  draw(matrices, { size_px: [width, height], focal_px: focal, center_px: middle }, { sky, near_m: near, antialias, faintest }) {
     const { gl, element, at } = this;
     if (element.width !== width || element.height !== height) Object.assign(element, { width, height });
     gl.viewport(0, 0, width, height);
@@ -190,6 +190,7 @@ export class SplatCanvas {
     // Beyond it the linear approximation of the projection fails.
     gl.uniform2f(at.limit, (0.65 * width) / focal[0], (0.65 * height) / focal[1]);
     gl.uniform1f(at.near, near);
+    gl.uniform1f(at.faintest, faintest);
     gl.uniform1i(at.antialias, antialias ? 1 : 0);
     gl.clearColor(sky[0], sky[1], sky[2], 1);
     gl.clear(gl.COLOR_BUFFER_BIT);

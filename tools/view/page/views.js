@@ -9,6 +9,8 @@ import { flyBy, steer } from "./steering.js";
 import { $, ask, make, send, state } from "./state.js";
 
 const REST_MS = 150;
+/** It rests later where the browser draws slowly: events come as slowly as images then. */
+const REST_IMAGES = 3;
 const LOOK_MS = 33;
 const PANES_MAX = 16;
 /** Streams of the second source are this much above those of the first. */
@@ -188,7 +190,7 @@ export function look(moving = false, pane = null) {
   state.moving = moving;
   if (moving) {
     clearTimeout(restTimer);
-    restTimer = setTimeout(() => look(false), REST_MS);
+    restTimer = setTimeout(() => look(false), Math.max(REST_MS, REST_IMAGES * browser.imageMs()));
     if (pane && browser.draw(pane, sizeOf(pane.views[0])) && !state.clock.playing) return;
   }
   const wait = moving ? lastLook + LOOK_MS - performance.now() : 0;

@@ -1,6 +1,5 @@
 """Splat files that are dropped on the page of `decouplegs view`."""
 
-import base64
 import http.client
 import os
 import shutil
@@ -12,12 +11,6 @@ import pytest
 from viewer_page import PATIENCE_S, Viewer, run
 
 LIMIT_MS = 1000 * PATIENCE_S
-DROP = """([name, text]) => {
-    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-    const data = new DataTransfer();
-    data.items.add(new File([bytes], name));
-    document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
-}"""
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +42,7 @@ def screenshot(page, name):
 
 
 def drop(page, file, name=None):
-    content = base64.b64encode(file.read_bytes()).decode()
-    page.page.evaluate(DROP, [name or file.name, content])
+    page.drop(name or file.name, file.read_bytes())
 
 
 def title(page, expected):

@@ -80,6 +80,38 @@ def psnr(a, b):
     return -10 * np.log10(max(1e-12, ((a - b) ** 2).mean()))
 
 
+def test_images_become_as_small_as_their_time_asks(plain_street, open_webgl_page):
+    with Viewer(plain_street, "scene.toml") as viewer:
+        page = open_webgl_page(viewer)
+
+        def levels(times_ms, rests=()):
+            """Levels after images that took these times."""
+            return page.page.evaluate(
+                """async ([times, rests]) => {
+                    const { DrawingLevels } = await import('/page/drawing_levels.js');
+                    const levels = new DrawingLevels();
+                    let now = 5000;
+                    return times.map((took, at) => { levels.time((now += took), rests.includes(at)); return levels.level; });
+                }""",
+                [times_ms, list(rests)],
+            )
+
+        last = 6
+        # Slow images: two levels at once, and soon.
+        assert levels([400] * 9)[-1] == last
+        # A browser that hands over two at once and then waits is as slow; it never looks fast.
+        pairs = levels([16, 384] * 10)
+        assert pairs[-1] == last and min(pairs) == 2
+        # Fast ones get better, but for one that waited; not beyond what was too slow.
+        assert levels([16] * 14)[-1] == 0
+        assert levels([16, 16, 16, 16, 16, 300] * 2)[-1] == 1
+        back = levels([60] * 7 + [16] * 30)
+        assert back[6] == 3 and back[-1] == 3
+        # What rests or pauses is not timed.
+        assert levels([400] * 12, range(12))[-1] == 2
+        assert levels([2000] * 12)[-1] == 2
+
+
 def test_what_the_browser_draws_resembles_the_exact_image(plain_street, tmp_path, open_webgl_page):
     with Viewer(plain_street, "scene.toml") as viewer:
         page = open_webgl_page(viewer)

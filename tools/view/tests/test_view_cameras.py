@@ -249,16 +249,11 @@ def test_a_camera_path_is_made_saved_opened_and_rendered(street, tmp_path, open_
         page.page.set_input_files("#path-file", file)
         page.page.wait_for_function("() => document.querySelectorAll('#keyframes li').length === 3")
         # A dropped file is opened too; one that is no path is refused.
-        drop = """([name, text]) => {
-            const data = new DataTransfer();
-            data.items.add(new File([text], name));
-            document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
-        }"""
-        page.page.evaluate(drop, ["other.json", "{}"])
+        page.drop("other.json", b"{}")
         page.page.wait_for_function("() => document.getElementById('notice').textContent.includes('other.json is no camera path')")
         assert keys.count() == 3
         two = {**written, "keys": written["keys"][:2]}
-        page.page.evaluate(drop, ["two.json", json.dumps(two)])
+        page.drop("two.json", json.dumps(two).encode())
         page.page.wait_for_function("() => document.querySelectorAll('#keyframes li').length === 2")
         page.page.set_input_files("#path-file", file)
         page.page.wait_for_function("() => document.querySelectorAll('#keyframes li').length === 3")

@@ -74,6 +74,14 @@ class Viewer:
         return int(re.search(r"VmRSS:\s+(\d+)", status)[1])
 
 
+DROP = """([name, text]) => {
+    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+    const data = new DataTransfer();
+    data.items.add(new File([bytes], name));
+    document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
+}"""
+
+
 class Page:
     """A page of a browser, and what it shows."""
 
@@ -155,6 +163,10 @@ class Page:
         }"""
         width, height, text = self.page.evaluate(script, base64.b64encode(png.read_bytes()).decode())
         return width, height, base64.b64decode(text)
+
+    def drop(self, name, content):
+        """Drops a file of this name with these bytes on the page."""
+        self.page.evaluate(DROP, [name, base64.b64encode(content).decode()])
 
     def notice(self):
         return self.page.inner_text("#notice")
