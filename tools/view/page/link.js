@@ -81,9 +81,13 @@ function restorePane(link, name, pane) {
   return true;
 }
 
-/** Shows what the address says. The time is left where the clock plays: other pages share it. */
-export function restore() {
-  const link = new URLSearchParams(location.hash.slice(1));
+/**
+ * Shows what the address says. The time is left where the clock plays: other pages share it. `change`: the event of
+ * another address, if there was one; `keep` may have replaced it before it is told of.
+ */
+export function restore(change) {
+  const { hash } = change ? new URL(change.newURL) : location;
+  const link = new URLSearchParams(hash.slice(1));
   if (![...link.keys()].length) return;
   browser.choose(link.get("browser"));
   const shown = PANE_NAMES.map((name) => link.has(name));
