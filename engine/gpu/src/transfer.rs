@@ -14,8 +14,7 @@ const STAGING: &str = "staging";
 const COPIED_BYTES: usize = 1 << 20;
 
 /// Data on its way to the device. Two staging buffers alternate, for all that is written through
-/// one of these: while the device copies one, the host fills the other. Memory for staging is
-/// pinned, which takes the driver longer than copying into it.
+/// one of these: while the device copies one, the host fills the other.
 pub struct Uploads<'gpu> {
     gpu: &'gpu Gpu,
     piece_bytes: usize,
@@ -92,8 +91,19 @@ impl<'gpu> Uploads<'gpu> {
     /// # Errors
     /// Returns an error if the device is lost.
     pub fn finish(self) -> Result<(), GpuError> {
+        self.wait()
+    }
+
+    fn wait(&self) -> Result<(), GpuError> {
         let copies = self.pieces.iter().flatten();
         copies.map(|(_, ticket)| ticket).try_for_each(Ticket::wait)
+    }
+}
+
+impl Drop for Uploads<'_> {
+    /// Waits for what was begun: after an error, too, no memory is held by copies under way.
+    fn drop(&mut self) {
+        let _ = self.wait();
     }
 }
 
