@@ -129,9 +129,9 @@ const PIECE_BYTES: usize = 16 << 20;
 
 /// Reads the splats of the binary file at `path` piece by piece: `each` gets the number of all and
 /// the next ones, in the order of the file, which is never whole in memory. The next piece is read
-/// while one is decoded. `Some(false)` where
-/// `each` ended it. `None`, before any piece, for a file that is read whole: one of text, with
-/// coordinates that are doubles, of another format, or at fault.
+/// while one is decoded. `Some(false)` where `each` ended it. `None`, before any piece, for a file
+/// that is read whole: one of text, with coordinates that are doubles, of another format, or at
+/// fault.
 ///
 /// # Errors
 /// Returns an error if the operating system refuses to read, or the file is cut meanwhile.

@@ -217,21 +217,17 @@ impl Comparison {
             }
             scales
         };
-        let rest_count = before.rest_stride().max(after.rest_stride());
         rayon::scope(|scope| {
             for (channel, tally) in self.sh_rest.iter_mut().enumerate() {
                 scope.spawn(move |_| {
                     for (a, b) in pairs() {
                         let (a, b) = (before.rest_of(a), after.rest_of(b));
-                        if a.len() == b.len() {
-                            let both = a.iter().zip(b);
-                            both.for_each(|(a, b)| tally.add(off(a[channel], b[channel])));
-                            continue;
-                        }
-                        let of = |rest: &[[f32; 3]], k: usize| {
-                            rest.get(k).map_or(0.0, |rgb| rgb[channel])
-                        };
-                        (0..rest_count).for_each(|k| tally.add(off(of(a, k), of(b, k))));
+                        let both = a.iter().zip(b);
+                        both.for_each(|(a, b)| tally.add(off(a[channel], b[channel])));
+                        // Bands that only one of them has.
+                        let common = a.len().min(b.len());
+                        let left = a[common..].iter().chain(&b[common..]);
+                        left.for_each(|rgb| tally.add(off(rgb[channel], 0.0)));
                     }
                 });
             }

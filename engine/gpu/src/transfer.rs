@@ -167,6 +167,14 @@ mod tests {
     use super::*;
     use crate::DeviceOptions;
 
+    fn device() -> Gpu {
+        Gpu::open(&DeviceOptions {
+            validation: true,
+            ..DeviceOptions::default()
+        })
+        .unwrap()
+    }
+
     fn write<T: Pod>(gpu: &Gpu, buffer: &Buffer<T>, first: usize, data: &[T], piece_bytes: usize) {
         let mut uploads = Uploads::new(gpu, piece_bytes);
         uploads.write(buffer, first, data).unwrap();
@@ -175,11 +183,7 @@ mod tests {
 
     #[test]
     fn pieces_of_any_size_carry_all_the_bytes() {
-        let gpu = Gpu::open(&DeviceOptions {
-            validation: true,
-            ..DeviceOptions::default()
-        })
-        .unwrap();
+        let gpu = device();
         let words: Vec<u32> = (0..1000_u32)
             .map(|i| i.wrapping_mul(2_654_435_761))
             .collect();
@@ -207,11 +211,7 @@ mod tests {
 
     #[test]
     fn buffers_of_any_size_share_two_staging_buffers() {
-        let gpu = Gpu::open(&DeviceOptions {
-            validation: true,
-            ..DeviceOptions::default()
-        })
-        .unwrap();
+        let gpu = device();
         // Smaller, larger and much larger than what came before, and nothing; the last ones are
         // copied by several threads.
         let lens = [3, 1, 700, 0, 20, 1500, 90, 900_001, 600_000];

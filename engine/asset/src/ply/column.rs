@@ -48,7 +48,7 @@ pub(crate) struct Column {
 
 impl Column {
     /// The property's value in `row` as f32; integers keep their number, doubles are rounded.
-    // Inlined: a quarter of the time in which a large file is read went into calls.
+    // Called for every number of a file, also from other codegen units.
     #[inline]
     pub(crate) fn f32_of(self, row: &[u8]) -> f32 {
         match self.scalar {

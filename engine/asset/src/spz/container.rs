@@ -33,8 +33,8 @@ const BYTES_PER_SPLAT_MIN: u64 = 4;
 
 /// Zstandard level: beyond it, files get slower to write but hardly smaller.
 const LEVEL: i32 = 7;
-/// Level of the coefficients after DC, nine tenths of the bytes: higher ones take up to ten times
-/// as long, and captured streets get 0.5 % smaller by them.
+/// Level of the coefficients after DC, two thirds of the bytes of degree 3: higher ones take up to
+/// ten times as long, and captured streets get 0.5 % smaller by them.
 const LEVEL_SH: i32 = 1;
 
 /// Most threads that compress one stream: each holds some ten megabytes.
