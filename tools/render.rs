@@ -17,7 +17,7 @@ use decouplegs_asset::{Layer, write_atomically};
 use decouplegs_gpu::Gpu;
 use decouplegs_render::rendered_image::{Image, ImageFileFormat, contact_sheet, preview};
 use decouplegs_render::{ColorFormat, Outputs, Plane, Planes, RenderOptions};
-use decouplegs_scene::{Camera, Photometry};
+use decouplegs_scene::{Camera, Photometry, release};
 use decouplegs_session::{Session, SessionOptions, World, WorldView};
 
 use self::boxes::BoxList;
@@ -255,6 +255,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         writer.write(path, &sheet, ImageFileFormat::Png)?;
         print(&format!("{}\n", path.display()))?;
     }
+    drop(writer);
+    // The program need not wait for its memory to be given back.
+    release(scene);
     Ok(())
 }
 

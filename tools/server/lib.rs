@@ -7,7 +7,7 @@
 //! | `request_guard`, `incoming` | admission: tokens, limits, deadlines, metrics |
 //! | `sensorsim`, `lidar`, `physics` | the services: messages in, messages out |
 //! | `render_request`, `sweep_request` | a checked request: cameras, LiDARs and agents |
-//! | `scene_registry` | scenes that are served, and their metadata |
+//! | `scene_registry`, `read_ahead` | scenes that are served, their metadata, and the only one read ahead |
 //! | `render_queue`, `devices`, `placement` | requests, and the device that draws a scene |
 //! | `fair_queue` | the order of requests: each connection gets the same time of a device |
 //! | `render_worker`, `scene_renderer` | a thread that draws, and a scene on its device |
@@ -37,6 +37,7 @@ pub mod names;
 pub mod options;
 mod physics;
 mod placement;
+mod read_ahead;
 mod reference_lens;
 mod render_queue;
 mod render_request;

@@ -21,6 +21,7 @@ use crate::image_memory::Images;
 use crate::metrics::Metrics;
 use crate::options::Limits;
 use crate::placement::{Placement, PlacementLimits};
+use crate::read_ahead::ReadAhead;
 use crate::render_request::RenderRequest;
 use crate::render_worker::RenderWorker;
 use crate::request_guard::connection_number;
@@ -39,7 +40,7 @@ pub struct RenderQueue {
 
 impl RenderQueue {
     /// Starts the threads, which draw scenes of `registry` on `gpus` as `render` says: one for each
-    /// device.
+    /// device. What was read `ahead` is not read again.
     ///
     /// # Errors
     /// Returns an error if the operating system gives no threads.
@@ -47,17 +48,18 @@ impl RenderQueue {
         gpus: &[Gpu],
         render: RenderOptions,
         registry: Arc<SceneRegistry>,
+        ahead: ReadAhead,
         limits: &Limits,
         metrics: Arc<Metrics>,
     ) -> Result<(Self, RenderThreads)> {
         let (inboxes, inbox): (Vec<_>, Vec<_>) = gpus.iter().map(|_| channel()).unzip();
         let (loads, to_load) = channel();
-        let to_load = Arc::new(Mutex::new(to_load));
+        let (to_load, ahead) = (Arc::new(Mutex::new(to_load)), Arc::new(ahead));
         for _ in 0..READERS_MIN.max(gpus.len()) {
-            let to_load = Arc::clone(&to_load);
+            let (to_load, ahead) = (Arc::clone(&to_load), Arc::clone(&ahead));
             Builder::new()
                 .name("read-scenes".into())
-                .spawn(move || read_scenes(&to_load))
+                .spawn(move || read_scenes(&to_load, &ahead))
                 .context("no thread")?;
         }
         let placement_limits = PlacementLimits {
@@ -198,7 +200,7 @@ impl RenderThreads {
 
 /// Reads scenes that are asked for, until nobody can ask. A reader that panics has failed to read
 /// one scene.
-fn read_scenes(to_load: &Mutex<Receiver<ToRead>>) {
+fn read_scenes(to_load: &Mutex<Receiver<ToRead>>, ahead: &ReadAhead) {
     loop {
         // Locked only while it waits: the other reader waits for the lock then.
         let next = to_load
@@ -214,7 +216,10 @@ fn read_scenes(to_load: &Mutex<Receiver<ToRead>>) {
             return;
         };
         let since = Instant::now();
-        let read = caught("reading the scene", || open_movable_scene(&path));
+        let read = caught("reading the scene", || match ahead.take(&id) {
+            Some(read) => Ok(read),
+            None => open_movable_scene(&path),
+        });
         let read = read.and_then(|scene| {
             scene.map_err(|error| Status::failed_precondition(error.to_string()))
         });

@@ -11,6 +11,7 @@ use anyhow::{Result, ensure};
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::{Gpu, GpuError};
 use decouplegs::render::RenderOptions;
+use decouplegs::scene::release;
 use decouplegs::session::{Session, SessionError, SessionOptions};
 use tokio::sync::oneshot;
 use tonic::Status;
@@ -209,6 +210,7 @@ impl RenderWorker {
         }
         let staged = scene.map_err(Failed::from).and_then(|scene| {
             let staged = caught("preparing the scene", || self.scene_renderer(id, &scene));
+            release(scene);
             staged.map_err(Failed::from).flatten()
         });
         if let Err(failed) = staged {

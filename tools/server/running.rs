@@ -21,6 +21,7 @@ use crate::metrics::Metrics;
 use crate::names::{LIDAR, PHYSICS, PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
 use crate::options::ServerOptions;
 use crate::physics::Physics;
+use crate::read_ahead::ReadAhead;
 use crate::render_queue::RenderQueue;
 use crate::request_guard::GateLayer;
 use crate::scene_registry::SceneRegistry;
@@ -119,6 +120,7 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
         Some(port) => Some(listen(SocketAddr::new(options.host, port)).await?),
         None => None,
     };
+    let ahead = ReadAhead::begin(&registry);
     let gpus = opened(options)?;
     let scenes = registry.ids().len();
     for gpu in &gpus {
@@ -132,6 +134,7 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
         &gpus,
         options.render(),
         Arc::clone(&registry),
+        ahead,
         &limits,
         Arc::clone(&metrics),
     )?;

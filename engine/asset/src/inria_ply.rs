@@ -74,13 +74,16 @@ fn origin_of(ply: &Ply<'_>) -> Result<DVec3, DecodeError> {
         return Ok(DVec3::ZERO);
     };
     let rows = ply.rows(ELEMENT)?;
-    let (mut least, mut most) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for row in rows.bytes.chunks_exact(rows.stride.max(1)) {
-        let point = DVec3::from_array(std::array::from_fn(|axis| columns[axis].f64_of(row)));
-        if point.is_finite() {
-            (least, most) = (least.min(point), most.max(point));
-        }
-    }
+    let nowhere = || (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    let (least, most) = rows
+        .bytes
+        .par_chunks_exact(rows.stride.max(1))
+        .map(|row| DVec3::from_array(std::array::from_fn(|axis| columns[axis].f64_of(row))))
+        .filter(|point| point.is_finite())
+        .fold(nowhere, |(least, most), point| {
+            (least.min(point), most.max(point))
+        })
+        .reduce(nowhere, |a, b| (a.0.min(b.0), a.1.max(b.1)));
     let largest_m = least.abs().max(most.abs()).max_element();
     if !(EXACT_M..1e12).contains(&largest_m) {
         return Ok(DVec3::ZERO);

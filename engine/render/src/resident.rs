@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytemuck::Zeroable;
 use decouplegs_gpu::{Buffer, Gpu, Uploads};
 use decouplegs_scene::{
-    Bounds, Camera, DetailLevels, Fog, Photometry, SplatCloud, SplatScene, rules, sh,
+    Bounds, Camera, DetailLevels, Fog, Photometry, SplatCloud, SplatScene, release, rules, sh,
 };
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -227,6 +227,7 @@ impl GpuScene {
             instances: uploads.upload("instances", PURPOSE, &pack_pairs(instance_from_splat))?,
         };
         uploads.finish()?;
+        release((prepared, means, shapes));
         Ok(scene)
     }
 
@@ -355,6 +356,9 @@ fn rotation_words(prepared: &[Prepared], storage: Storage) -> Vec<[u32; 4]> {
     }
 }
 
+/// Splats whose coefficients one task encodes.
+const PART_SPLATS: usize = 4096;
+
 /// Words in which the device reads the coefficients of `band`; none above the degree of `cloud`.
 fn band_words(
     cloud: &SplatCloud,
@@ -365,14 +369,16 @@ fn band_words(
     if usize::from(cloud.sh_degree) < band {
         return Vec::new();
     }
+    let count = cloud.len();
     let Some(bits) = storage.sh_bits(band) else {
-        let kept = prepared.par_iter().zip(&cloud.sh_dc);
-        return kept
-            .flat_map_iter(|(splat, dc)| match splat.drawn {
-                true => dc.map(f32::to_bits),
-                false => [0; 3],
-            })
-            .collect();
+        let mut words = vec![0; 3 * count];
+        let slots = words.par_chunks_exact_mut(3);
+        slots
+            .zip(prepared)
+            .zip(&cloud.sh_dc)
+            .filter(|((_, splat), _)| splat.drawn)
+            .for_each(|((slot, _), dc)| slot.copy_from_slice(&dc.map(f32::to_bits)));
+        return words;
     };
     let coefficients = |splat: usize| match band {
         0 => std::slice::from_ref(&cloud.sh_dc[splat]),
@@ -381,17 +387,27 @@ fn band_words(
             &cloud.rest_of(splat)[first..sh::coefficient_count(band as u8) - 1]
         }
     };
-    let encoded: Vec<[u32; sh_codec::WORDS_MAX]> = (0..cloud.len())
-        .into_par_iter()
-        .map(|splat| match prepared[splat].drawn {
-            true => sh_codec::encode_band(coefficients(splat), bits),
-            false => [0; sh_codec::WORDS_MAX],
-        })
-        .collect();
-    (0..storage.sh_words(band))
-        .into_par_iter()
-        .flat_map_iter(|word| encoded.iter().map(move |words| words[word]))
-        .collect()
+    // One plane for each word of a splat, one task for the same splats of all planes.
+    let mut words = vec![0; storage.sh_words(band) * count];
+    let mut parts: Vec<Vec<&mut [u32]>> = Vec::new();
+    parts.resize_with(count.div_ceil(PART_SPLATS), Vec::new);
+    for plane in words.chunks_exact_mut(count.max(1)) {
+        let slots = plane.chunks_mut(PART_SPLATS);
+        parts
+            .iter_mut()
+            .zip(slots)
+            .for_each(|(part, slots)| part.push(slots));
+    }
+    parts.par_iter_mut().enumerate().for_each(|(part, planes)| {
+        let splats = part * PART_SPLATS..count.min((part + 1) * PART_SPLATS);
+        for (slot, splat) in splats.enumerate().filter(|&(_, i)| prepared[i].drawn) {
+            let encoded = sh_codec::encode_band(coefficients(splat), bits);
+            for (plane, word) in planes.iter_mut().zip(encoded) {
+                plane[slot] = word;
+            }
+        }
+    });
+    words
 }
 
 /// Two 16-bit ids a word, the earlier one in the low half.

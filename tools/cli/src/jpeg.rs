@@ -8,8 +8,8 @@
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use rayon::prelude::*;
 
-/// Rows of a strip, a multiple of the rows of a block of blocks.
-const STRIP_ROWS: usize = 64;
+/// Rows of a strip: the rows of one block of blocks. Small images are coded by many threads too.
+const STRIP_ROWS: usize = 16;
 /// Quality from which colors keep the resolution of brightness.
 const FULL_COLOR_FROM: u8 = 90;
 

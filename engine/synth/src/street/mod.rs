@@ -49,7 +49,7 @@ use rayon::prelude::*;
 
 use car::Build;
 use focus::Focus;
-use layout::{Layout, Spot};
+use layout::{Layout, Lot, Spot};
 use light::Light;
 use occluder::Occluder;
 use signals::SignalHead;
@@ -264,19 +264,15 @@ fn background_elements(
 ) -> Vec<Element> {
     // Textures add to the seed, which must leave room.
     let seed = seed & (u64::MAX >> 1);
+    let (far, near): (Vec<&Lot>, Vec<&Lot>) = layout.lots.iter().partition(|lot| lot.far);
     let mut elements = road::road(seed);
-    elements.extend(
-        layout
-            .lots
-            .iter()
-            .filter(|lot| !lot.far)
-            .flat_map(building::building),
-    );
-    elements.extend(layout.trees.iter().flat_map(tree::tree));
-    elements.extend(layout.lamps.iter().flat_map(furniture::lamp));
-    elements.extend(layout.lamps.iter().flat_map(furniture::beside_lamp));
+    elements.extend(of_each(&near, |lot| building::building(lot)));
+    elements.extend(of_each(&layout.trees, tree::tree));
+    elements.extend(of_each(&layout.lamps, furniture::lamp));
+    elements.extend(of_each(&layout.lamps, furniture::beside_lamp));
     elements.extend(signals::traffic_lights());
     let cars: Vec<(Build, Vec<Element>)> = (0..car::VARIANTS)
+        .into_par_iter()
         .map(Build::for_variant)
         .map(|(build, paint)| (build, build.elements(paint)))
         .collect();
@@ -291,17 +287,17 @@ fn background_elements(
         );
     }
     let mut elements: Vec<Element> = elements
-        .into_iter()
+        .into_par_iter()
         .map(|element| focus.on(element))
         .collect();
     // What is far is as coarse as its distance allows from everywhere on the way.
-    elements.extend(
-        layout
-            .lots
-            .iter()
-            .filter(|lot| lot.far)
-            .flat_map(building::building),
-    );
+    elements.extend(of_each(&far, |lot| building::building(lot)));
     elements.extend(sky::far_shell(seed, weather));
     elements
+}
+
+/// The elements that `make` makes of each of `items`, in their order, on all threads.
+fn of_each<T: Sync>(items: &[T], make: fn(&T) -> Vec<Element>) -> Vec<Element> {
+    let made: Vec<Vec<Element>> = items.par_iter().map(make).collect();
+    made.into_iter().flatten().collect()
 }
