@@ -7,7 +7,9 @@
 //! Egos are spread over the way of the scene's ego. Each world has the first AGENTS agents of the
 //! scene (default: all), where they are at another time in each. With PITCH, agents are drawn at a
 //! level of detail whose splats are so many pixels apart at most (0: all of their splats), and with
-//! BACKGROUND_PITCH the background.
+//! BACKGROUND_PITCH the background. Images are counted twice: where each step waits for its images,
+//! as a closed loop does, and where a step is submitted before the images of the one before are
+//! finished, as two halves of the worlds can take turns.
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -49,6 +51,7 @@ impl Course {
         session: &Session,
         scene: &std::sync::Arc<SessionScene>,
         to_host: bool,
+        is_ahead: bool,
     ) -> Result<(), Box<dyn Error>> {
         let mut worlds = vec![World::new(scene); self.worlds];
         for world in &mut worlds {
@@ -59,6 +62,7 @@ impl Course {
         let (mut renderer, mut images) = (session.batch_renderer(), HostImages::default());
         let (mut times_ms, mut gpu_ms, mut seen) = (Vec::new(), Vec::new(), 0);
         let start = Instant::now();
+        let mut since = start;
         for step in 0.. {
             let at = |world: usize| self.time_s(scene, world, step);
             let cameras = (0..self.worlds)
@@ -73,13 +77,21 @@ impl Course {
                 .zip(&cameras)
                 .map(|(world, cameras)| WorldView { world, cameras })
                 .collect();
-            let since = Instant::now();
+            // Who waits for images has moved the worlds before; who does not moves them meanwhile.
+            if !is_ahead {
+                since = Instant::now();
+            }
+            renderer.submit(&views)?;
+            if is_ahead && step == 0 {
+                continue;
+            }
             let frames = if to_host {
-                renderer.draw(&views, &mut images)?
+                renderer.finish(&mut images)?
             } else {
-                renderer.draw_on_device(&views)?.1
+                renderer.finish_on_device()?.1
             };
             times_ms.push(1e3 * since.elapsed().as_secs_f64());
+            since = Instant::now();
             gpu_ms.push(
                 frames
                     .iter()
@@ -99,7 +111,7 @@ impl Course {
         gpu.sort_by(f64::total_cmp);
         let at = |sorted: &[f64], share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize];
         println!(
-            "{} worlds of {} agents ({:.1} in view a world), {}x{}, images on the {}: median {:.2} ms, p99 {:.2} ms ({:.2} ms of it the \
+            "{} worlds of {} agents ({:.1} in view a world), {}x{}, images on the {}, {}: median {:.2} ms, p99 {:.2} ms ({:.2} ms of it the \
              device's), {:.0} images/s over {} calls",
             self.worlds,
             self.agents.min(scene.agents().len()),
@@ -107,6 +119,11 @@ impl Course {
             self.size_px[0],
             self.size_px[1],
             if to_host { "host" } else { "device" },
+            if is_ahead {
+                "a step ahead"
+            } else {
+                "each step waits"
+            },
             at(&wall, 0.5),
             at(&wall, 0.99),
             at(&gpu, 0.5),
@@ -146,8 +163,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         session.gpu().info(),
         scene.background_splats()
     );
-    course.run(&session, &scene, false)?;
-    course.run(&session, &scene, true)?;
+    for (to_host, is_ahead) in [(false, false), (true, false), (false, true), (true, true)] {
+        course.run(&session, &scene, to_host, is_ahead)?;
+    }
     for (purpose, bytes) in session.gpu().memory().bytes_by_purpose {
         println!("{purpose}: {:.1} MB", bytes as f64 / 1e6);
     }

@@ -163,6 +163,7 @@ fn recorded() -> Episode {
         instants: vec![instant(1), instant(2)],
         handovers: vec![],
         commands: Vec::new(),
+        lights: vec![],
     };
     Episode {
         head,

@@ -3,12 +3,14 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use decouplegs::episode::{Site, drive};
+use decouplegs::drive::score::EpisodeScore;
+use decouplegs::episode::{Site, drive, replay};
 use decouplegs::logs::{episode_log, scenario_file};
-use decouplegs::planner::LaneFollow;
+use decouplegs::planner::{ConstantVelocity, LaneFollow};
 use decouplegs::scenario_import::{ImportedScenario, import_open_scenario};
 use decouplegs::scene::episode::Episode;
-use decouplegs::scene::story::Action;
+use decouplegs::scene::scenario::Place;
+use decouplegs::scene::story::{Action, Event};
 use decouplegs::scene::{RoadUser, Scenario};
 use tempfile::TempDir;
 
@@ -160,4 +162,81 @@ fn what_cannot_be_placed_is_said() {
         "<RelativeLanePosition entityRef=\"Overtaker\" dLane=\"0\" ds=\"5\"/>",
     )]);
     assert!(message.contains("it counts from Overtaker"), "{message}");
+}
+
+/// The scenario of the file with a traffic light at s = 250 and events of a story.
+fn with_light_events(events: &str) -> Scenario {
+    let story = format!(
+        "<Story name='lights'><Act name='a'><ManeuverGroup name='g' maximumExecutionCount='1'><Actors selectTriggeringEntities='false'/>\
+         <Maneuver name='m'>{events}</Maneuver></ManeuverGroup></Act></Story></Storyboard>"
+    );
+    let folder = folder(&[("</Storyboard>", &story)]);
+    let road = ROAD.replace("s='900'", "s='250'");
+    assert_ne!(road, ROAD);
+    std::fs::write(folder.path().join("road.xodr"), road).unwrap();
+    let imported = import_open_scenario(&folder.path().join("cut_in.xosc"), None).unwrap();
+    let mut scenario = imported.scenario;
+    // Nobody else: the ego meets the light alone.
+    let own = |event: &Event| event.name.starts_with("light");
+    scenario.story.events.retain(own);
+    scenario.story.actors.clear();
+    // The map is gone with its folder.
+    let path = folder.keep().join("road.xodr");
+    if let Place::Roads { map, .. } = &mut scenario.place {
+        *map = path;
+    }
+    scenario
+}
+
+/// An event from `time_s` on.
+fn light_event(time_s: f64, action: &str) -> String {
+    format!(
+        "<Event name='light' priority='parallel'><Action name='x'><GlobalAction><InfrastructureAction><TrafficSignalAction>{action}</TrafficSignalAction></InfrastructureAction></GlobalAction></Action>\
+         <StartTrigger><ConditionGroup><Condition delay='0'><ByValueCondition><SimulationTimeCondition value='{time_s}' rule='greaterThan'/></ByValueCondition></Condition></ConditionGroup></StartTrigger></Event>"
+    )
+}
+
+#[test]
+fn lights_that_events_change_are_obeyed_scored_logged_and_replayed() {
+    let red = light_event(6.0, "<TrafficSignalStateAction name='light' state='red'/>");
+    let green = light_event(
+        20.0,
+        "<TrafficSignalControllerAction trafficSignalControllerRef='main' phase='go'/>",
+    );
+    let scenario = with_light_events(&(red + &green));
+    let site = Arc::new(Site::open(&scenario.place, Path::new(""), None).unwrap());
+    let episode = drive(&scenario, &site, None, &mut LaneFollow::default(), &mut ())
+        .unwrap()
+        .episode;
+    let at = |time_s: f64| {
+        let mut instants = episode.instants();
+        let found = instants.find(|instant| instant.time_s >= time_s - 1e-6);
+        found.unwrap().ego
+    };
+    // Without the events the light is green when the ego comes, after 10 s.
+    assert!(at(19.0).speed_mps < 0.1 && at(19.0).position_m.x < 250.0);
+    assert!(at(26.0).speed_mps > 5.0 && at(26.0).position_m.x > 250.0);
+    assert_eq!(EpisodeScore::new(&episode).red_lights(), 0);
+    let changes: Vec<_> = episode.steps.iter().flat_map(|step| &step.lights).collect();
+    assert_eq!(changes.len(), 2, "{changes:?}");
+    let bytes = episode_log::encode(&episode).unwrap();
+    let read = episode_log::decode(&bytes).unwrap();
+    assert_eq!(read, episode);
+    let replayed = replay(&read, &site, None, &mut ()).unwrap();
+    assert_eq!(replayed.moved_differently, None);
+    // Who does not look passes at red, by the log alone too.
+    let blind = drive(&scenario, &site, None, &mut ConstantVelocity, &mut ());
+    let blind = blind.unwrap().episode;
+    assert_eq!(EpisodeScore::new(&blind).red_lights(), 1);
+    let read = episode_log::decode(&episode_log::encode(&blind).unwrap()).unwrap();
+    assert_eq!(EpisodeScore::new(&read).red_lights(), 1);
+    // A log whose lights change at another time does not replay.
+    let mut other = episode.clone();
+    let changed = other.steps.iter_mut().find(|step| !step.lights.is_empty());
+    changed.unwrap().lights[0].change.time_s += 0.25;
+    let replayed = replay(&other, &site, None, &mut ()).unwrap();
+    let different = replayed
+        .moved_differently
+        .expect("the light changes differently");
+    assert!(different.contains("traffic lights"), "{different}");
 }

@@ -93,6 +93,7 @@ impl LightForm {
             stop_lines: self.stop_lines.iter().map(LineForm::line).collect(),
             phases: self.phases.iter().map(phase).collect::<Result<_, _>>()?,
             offset_s: self.offset_s,
+            changes: Vec::new(),
         })
     }
 }
@@ -116,7 +117,7 @@ pub fn checked(mut lights: Vec<TrafficLight>) -> Result<Vec<TrafficLight>, Decod
         )));
     }
     for light in &lights {
-        check(light, true).map_err(|fault| {
+        check(light, Least::OF_MAP).map_err(|fault| {
             let (name, reason) = (excerpt(&light.name), fault.reason);
             DecodeError::Malformed(format!("traffic light {name}: {}: {reason}", fault.field))
         })?;
@@ -124,8 +125,33 @@ pub fn checked(mut lights: Vec<TrafficLight>) -> Result<Vec<TrafficLight>, Decod
     Ok(lights)
 }
 
-/// First fault of a light, if any. Only lights of maps may be without phases.
-pub fn check(light: &TrafficLight, in_map: bool) -> Result<(), Fault> {
+/// Least that a light has.
+#[derive(Clone, Copy)]
+pub struct Least {
+    stop_lines: usize,
+    phases: usize,
+}
+
+impl Least {
+    /// Light of a map, which may leave its phases to others.
+    pub const OF_MAP: Self = Self {
+        stop_lines: 1,
+        phases: 0,
+    };
+    /// Light of a scenario.
+    pub const OF_SCENARIO: Self = Self {
+        stop_lines: 1,
+        phases: 1,
+    };
+    /// Light of a scenario that its story names: it may stop nobody.
+    pub const OF_STORY: Self = Self {
+        stop_lines: 0,
+        phases: 1,
+    };
+}
+
+/// First fault of a light, if any.
+pub fn check(light: &TrafficLight, least: Least) -> Result<(), Fault> {
     let fault = |field, reason: String| Err(Fault { field, reason });
     let name_bytes = light.name.len();
     if !(1..=NAME_BYTES_MAX).contains(&name_bytes) {
@@ -133,13 +159,13 @@ pub fn check(light: &TrafficLight, in_map: bool) -> Result<(), Fault> {
         return fault("name", reason);
     }
     let counts = [
-        ("stop_lines", light.stop_lines.len(), 1, LINES_MAX),
         (
-            "phases",
-            light.phases.len(),
-            usize::from(!in_map),
-            PHASES_MAX,
+            "stop_lines",
+            light.stop_lines.len(),
+            least.stop_lines,
+            LINES_MAX,
         ),
+        ("phases", light.phases.len(), least.phases, PHASES_MAX),
     ];
     for (field, count, least, most) in counts {
         if !(least..=most).contains(&count) {

@@ -1,7 +1,7 @@
 //! Traffic lights of a scenario on the lanes of a road graph.
 
 use decouplegs_scene::episode::StopLineRecord;
-use decouplegs_scene::{Invalid, LaneMap, LightColor, StopLine, TrafficLight};
+use decouplegs_scene::{Invalid, LaneMap, LightChange, LightColor, StopLine, TrafficLight};
 use glam::DVec2;
 
 use crate::polyline::Polyline;
@@ -102,7 +102,7 @@ pub struct TrafficLights {
 }
 
 impl TrafficLights {
-    /// `lights` on the driving lanes of `graph`, which is of `map`.
+    /// `lights` on the driving lanes of `graph`, which is of `map`, before any of them changes.
     ///
     /// # Errors
     /// Returns an error if a stop line is on no driving lane of the map, or beyond its end.
@@ -117,10 +117,16 @@ impl TrafficLights {
             }
         }
         lines.sort_by(|a, b| a.lane.cmp(&b.lane).then(a.at_m.total_cmp(&b.at_m)));
-        Ok(Self {
-            lights: lights.to_vec(),
-            lines,
-        })
+        let mut lights = lights.to_vec();
+        lights.iter_mut().for_each(|light| light.changes.clear());
+        Ok(Self { lights, lines })
+    }
+
+    /// Adds a change, which is not before those that are known.
+    pub(crate) fn change(&mut self, light: usize, change: LightChange) {
+        if let Some(light) = self.lights.get_mut(light) {
+            light.changes.push(change);
+        }
     }
 
     /// Index of the light with a name.

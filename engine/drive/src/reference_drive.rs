@@ -11,6 +11,8 @@ const LATERAL_MPS2: f64 = 2.0;
 const STRIDE_M: f64 = 1.0;
 /// Time from green to the first motion, seconds.
 const START_S: f64 = 1.0;
+/// Longest wait at a light, seconds: an event may hold it at red for good.
+const WAIT_S_MAX: f64 = 3600.0;
 /// Speed at a line where the ego waits, m/s.
 const WAITING_MPS: f64 = 0.5;
 
@@ -46,7 +48,7 @@ impl ReferenceDrive {
                 continue;
             }
             let mut green_s = arrival_s + rest_s;
-            for _ in &light.phases {
+            for _ in 0..(1 + light.phases.len()) * (1 + light.changes.len()) {
                 let (color, more_s) = light.phase_at(green_s + 1e-6);
                 if color == LightColor::Green {
                     break;
@@ -55,7 +57,7 @@ impl ReferenceDrive {
                 green_s += rest_s;
             }
             allowed[at] = WAITING_MPS;
-            waits.push((at, green_s + START_S));
+            waits.push((at, green_s.min(arrival_s + WAIT_S_MAX) + START_S));
         }
         Self {
             times_s: times(allowed, start_mps, &waits),

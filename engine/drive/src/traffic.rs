@@ -42,6 +42,7 @@ mod way_ahead;
 
 use std::sync::Arc;
 
+use decouplegs_scene::episode::LightChangeRecord;
 use decouplegs_scene::scenario::{Behavior, Drivers, Scenario};
 use decouplegs_scene::{Invalid, LaneMap, Pedestrian, Story, VehicleSize, VehicleState};
 use glam::DVec2;
@@ -120,11 +121,24 @@ impl Traffic {
         self
     }
 
-    /// Adds traffic lights, which agents obey. Their lanes are those of the traffic's graph.
+    /// Adds traffic lights, which agents obey, before the story that directs them. Their lanes are
+    /// those of the traffic's graph.
     #[must_use]
     pub fn with_lights(mut self, lights: Arc<TrafficLights>) -> Self {
         self.lights = lights;
         self
+    }
+
+    /// Traffic lights as they are now.
+    #[must_use]
+    pub fn lights(&self) -> &TrafficLights {
+        &self.lights
+    }
+
+    /// Takes the changes of traffic lights since this was asked last.
+    pub fn take_light_changes(&mut self) -> Vec<LightChangeRecord> {
+        let stage = self.stage.as_mut();
+        stage.map_or_else(Vec::new, Stage::take_light_changes)
     }
 
     /// Adds stop and yield signs, which agents obey. Their lanes are those of the traffic's graph.
@@ -158,8 +172,8 @@ impl Traffic {
     /// # Errors
     /// Returns an error if an actor's lane is not on the map.
     pub fn with_story(mut self, story: &Story, map: &LaneMap) -> Result<Self, Invalid> {
-        if !story.actors.is_empty() {
-            let stage = Stage::new(story, map)?;
+        if story.directs() {
+            let stage = Stage::new(story, map, &self.lights)?;
             self.states.extend(stage.states());
             self.stage = Some(stage);
         }
@@ -245,6 +259,7 @@ impl Traffic {
         }
         if let Some(stage) = &mut self.stage {
             stage.step(self.time_s, dt_s, ego);
+            self.lights = Arc::clone(stage.lights());
             let first = self.agents.len() + self.pedestrians.len();
             for (state, moved) in self.states[first..].iter_mut().zip(stage.states()) {
                 *state = moved;

@@ -6,6 +6,7 @@ use crate::camera::Intrinsics;
 use crate::obstacle::Obstacle;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
+use crate::traffic_light::LightChange;
 use crate::vehicle::{VehicleSize, VehicleState};
 
 /// Planner of an episode, and its privileges.
@@ -98,7 +99,7 @@ pub struct EpisodeHead {
     pub log_version: u32,
     /// Version of the program.
     pub version: String,
-    /// Scenario that was driven.
+    /// Scenario that was driven, with the changes of its traffic lights so far.
     pub scenario: Scenario,
     /// Planner that drove.
     pub planner: PlannerRecord,
@@ -207,6 +208,17 @@ pub struct EpisodeStep {
     pub handovers: Vec<HandoverRecord>,
     /// Commands to agents that another program drove in it, in ascending order of agents.
     pub commands: Vec<CommandRecord>,
+    /// Changes of traffic lights by events in it, in the order of their times.
+    pub lights: Vec<LightChangeRecord>,
+}
+
+/// Change of a traffic light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightChangeRecord {
+    /// Index of the light in the scenario.
+    pub light: usize,
+    /// Time and course.
+    pub change: LightChange,
 }
 
 /// Command to an agent for one step, in place of the driver model.
@@ -289,6 +301,16 @@ impl Episode {
             instant.road = instant.road.filter(|_| version >= ROAD_VERSION);
         }
         self
+    }
+
+    /// Adds a step. The lights of the scenario change as it says, which scores count by.
+    pub fn push(&mut self, step: EpisodeStep) {
+        for record in &step.lights {
+            if let Some(light) = self.head.scenario.lights.get_mut(record.light) {
+                light.changes.push(record.change);
+            }
+        }
+        self.steps.push(step);
     }
 
     /// All moments in time, the start included.

@@ -7,6 +7,7 @@
 //! [`Pose`] is active: `p_parent = R p_child + t`.
 #![forbid(unsafe_code)]
 
+mod air;
 pub mod bounding_box;
 pub mod bounds;
 pub mod camera;
@@ -50,6 +51,7 @@ pub mod traffic_sign;
 pub mod trajectory;
 pub mod vehicle;
 
+pub use air::{Air, Weather};
 pub use bounds::Bounds;
 pub use camera::{Camera, Intrinsics, Rig, RigCamera, Sensor};
 pub use captured_views::{CapturedView, CapturedViews};
@@ -72,7 +74,7 @@ pub use presence::Presence;
 pub use release::release;
 pub use road_user::RoadUser;
 pub use rules::{DepthOrder, EarlyStop, Rules};
-pub use scenario::{Drivers, Level, Pedestrian, Scenario, Weather};
+pub use scenario::{Drivers, Level, Pedestrian, Scenario};
 pub use shutter::{Shutter, ShutterDirection};
 pub use similarity::Similarity;
 pub use sky::SkyMap;
@@ -80,7 +82,7 @@ pub use splat_scene::{AgentPlacement, ShFrame, SplatScene};
 pub use splats::{SplatCloud, SplatDefect};
 pub use story::Story;
 pub use track::{Track, TrackPoint};
-pub use traffic_light::{LightColor, LightPhase, StopLine, TrafficLight};
+pub use traffic_light::{LightChange, LightColor, LightCourse, LightPhase, StopLine, TrafficLight};
 pub use traffic_sign::{SignKind, TrafficSign};
 pub use trajectory::{TimedPose, Trajectory};
 pub use vehicle::{VehicleSize, VehicleState};

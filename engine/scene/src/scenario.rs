@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use glam::DVec2;
 
+use crate::air::{Air, Weather};
 use crate::road_user::RoadUser;
 use crate::story::{Actor, Story, TrackedAgent};
 use crate::traffic_light::TrafficLight;
@@ -45,42 +46,6 @@ impl Level {
     }
 }
 
-/// Light over a synthetic place.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Weather {
-    /// A sunny afternoon.
-    #[default]
-    Clear,
-    /// Gray light from all of the sky.
-    Overcast,
-    /// A low, orange sun and long shadows.
-    Dusk,
-    /// Street lamps and lit windows.
-    Night,
-}
-
-impl Weather {
-    /// All weathers, from bright to dark.
-    pub const ALL: [Self; 4] = [Self::Clear, Self::Overcast, Self::Dusk, Self::Night];
-
-    /// The name it has in files.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Clear => "clear",
-            Self::Overcast => "overcast",
-            Self::Dusk => "dusk",
-            Self::Night => "night",
-        }
-    }
-
-    /// The weather that a file names so.
-    #[must_use]
-    pub fn by_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|weather| weather.name() == name)
-    }
-}
-
 /// Place of an episode.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Place {
@@ -103,6 +68,8 @@ pub enum Place {
         probe: Option<PathBuf>,
         /// Stops by which the probe's light is made brighter, below zero darker.
         exposure_ev: f64,
+        /// Light where no probe is named, and fog.
+        air: Air,
         /// File of obstacles, drawn as boxes, beside the houses that are generated.
         obstacles: Option<PathBuf>,
         /// Splats of the static part.

@@ -10,6 +10,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 
+use decouplegs_drive::lights::TrafficLights;
 use decouplegs_drive::{RoadGraph, Traffic};
 use decouplegs_scene::VehicleState;
 use decouplegs_sim::scenario_import::import_open_scenario;
@@ -41,7 +42,9 @@ fn compare(scenario: &Path, table: &Path) -> Result<(), Box<dyn std::error::Erro
         .get(&imported.ego)
         .ok_or_else(|| format!("the table has no {}", imported.ego))?;
     let graph = Arc::new(RoadGraph::new(&imported.map)?);
-    let mut traffic = Traffic::new(graph, &[], 1)?.with_story(story, &imported.map)?;
+    let lights = TrafficLights::new(&imported.map, &graph, &imported.scenario.lights)?;
+    let traffic = Traffic::new(graph, &[], 1)?.with_lights(Arc::new(lights));
+    let mut traffic = traffic.with_story(story, &imported.map)?;
     let size = imported.scenario.ego.size;
     let mut worst: Vec<(f64, f64, f64, f64)> = vec![(0.0, 0.0, 0.0, 0.0); story.actors.len()];
     for pair in ego.windows(2) {

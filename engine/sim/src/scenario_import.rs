@@ -9,6 +9,7 @@
 
 mod actions;
 mod cast;
+mod lights;
 mod locate;
 mod map_search;
 mod story;
@@ -23,14 +24,12 @@ use std::path::Path;
 use decouplegs_asset::maps::{MapFormat, open_drive};
 use decouplegs_asset::{AssetError, DecodeError, read_bytes, read_map};
 use decouplegs_drive::route::{LaneSpot, lanes_between, straight_on};
-use decouplegs_logs::open_scenario::{
-    Action, Entity, OpenScenario, Position, SignalPhases, TargetSpeed,
-};
+use decouplegs_logs::open_scenario::{Action, Entity, OpenScenario, Position, TargetSpeed};
 use decouplegs_logs::read_open_scenario;
 use decouplegs_logs::scenario_file::DURATION_S_MAX;
 use decouplegs_scene::scenario::{Drivers, EgoTask, Place};
 use decouplegs_scene::story::{Actor, Dynamics, Who};
-use decouplegs_scene::{LaneMap, Obstacle, ObstacleKind, RoadUser, Scenario, Story, TrafficLight};
+use decouplegs_scene::{LaneMap, Obstacle, ObstacleKind, RoadUser, Scenario, Story};
 use glam::DVec2;
 
 use self::locate::{Located, Locator, Place as Found};
@@ -184,6 +183,7 @@ impl Import<'_> {
                 map: map_path.to_owned(),
                 probe: None,
                 exposure_ev: 0.0,
+                air: self.air(),
                 obstacles: None,
                 background: 1,
                 agent_splats: 1,
@@ -232,7 +232,7 @@ impl Import<'_> {
             });
             *asset += 1;
         }
-        let (story, counts) = self.story(actors, &whos, &mut skipped);
+        let (story, counts) = self.story(actors, &whos, &scenario.lights, &mut skipped);
         scenario.story = story;
         Ok((scenario, obstacles, skipped, counts))
     }
@@ -443,31 +443,6 @@ impl Import<'_> {
                 }
             }
         }
-    }
-
-    /// Lights of the map with the phases of the file. Without phases there, the map's own count.
-    fn lights(&self, skipped: &mut Vec<String>) -> Vec<TrafficLight> {
-        let signals = self.file.signals.iter();
-        let by_id: HashMap<&str, &SignalPhases> = signals
-            .map(|signal| (signal.signal.as_str(), signal))
-            .collect();
-        let mut lights = Vec::new();
-        for light in &self.map.lights {
-            match by_id.get(light.name.as_str()) {
-                Some(signal) => lights.push(TrafficLight {
-                    phases: signal.phases.clone(),
-                    offset_s: signal.offset_s,
-                    ..light.clone()
-                }),
-                None if light.phases.is_empty() => skipped.push(format!(
-                    "the traffic light {} has no phases: vehicles ignore it",
-                    light.name
-                )),
-                None => lights.push(light.clone()),
-            }
-        }
-        lights.retain(|light| !light.stop_lines.is_empty());
-        lights
     }
 }
 

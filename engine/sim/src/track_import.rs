@@ -281,6 +281,7 @@ mod tests {
     use decouplegs_scene::{Lane, TrackPoint};
 
     use super::*;
+    use decouplegs_scene::Air;
 
     /// A straight lane of 200 m to the east.
     fn road() -> LaneMap {
@@ -316,6 +317,7 @@ mod tests {
             map: "road.xml".into(),
             probe: None,
             exposure_ev: 0.0,
+            air: Air::default(),
             obstacles: None,
             background: 1,
             agent_splats: 1,

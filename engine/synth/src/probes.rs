@@ -3,6 +3,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use decouplegs_scene::Weather;
 use decouplegs_scene::light::{PROBE_WIDTH, Probe};
 use glam::DVec3;
 
@@ -126,6 +127,20 @@ fn overcast() -> Environment {
 #[must_use]
 pub fn overcast_probe() -> Probe {
     overcast().probe()
+}
+
+/// The sky of a weather: the light of places that name no probe but a weather.
+#[must_use]
+pub fn probe_of(weather: Weather) -> Probe {
+    let [dusk, ..] = twilights();
+    let [night, _] = nights();
+    match weather {
+        Weather::Clear => clear("clear", 220.0, 50.0),
+        Weather::Overcast => overcast(),
+        Weather::Dusk => dusk,
+        Weather::Night => night,
+    }
+    .probe()
 }
 
 fn twilights() -> [Environment; 3] {

@@ -14,7 +14,7 @@ use decouplegs::logs::{read_hugsim_scenario, read_scenario, write_scenario};
 use decouplegs::recorded::recorded_scenario;
 use decouplegs::scenario_import::import_open_scenario;
 use decouplegs::scene::scenario::Place;
-use decouplegs::scene::{Drivers, LaneMap, Scenario, Weather};
+use decouplegs::scene::{Air, Drivers, LaneMap, Scenario, Weather};
 use serde_json::{Value, json};
 
 use super::folder::RunFolder;
@@ -477,6 +477,7 @@ impl PlaceArguments {
                 map,
                 probe: None,
                 exposure_ev: 0.0,
+                air: Air::default(),
                 obstacles: None,
                 background: 0,
                 agent_splats: 0,

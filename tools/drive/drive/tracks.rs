@@ -12,6 +12,7 @@ use decouplegs::asset::tracks::TrackFormat;
 use decouplegs::drive::generate::PlaceOptions;
 use decouplegs::episode::Site;
 use decouplegs::logs::write_scenario;
+use decouplegs::scene::Air;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::story;
 use decouplegs::track_import::import_tracks;
@@ -144,6 +145,7 @@ fn place_of(options: PlaceOptions) -> Result<Place> {
             map,
             probe: skies.into_iter().next().map(|sky| sky.probe),
             exposure_ev: 0.0,
+            air: Air::default(),
             obstacles: None,
             background,
             agent_splats,

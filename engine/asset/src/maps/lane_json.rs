@@ -32,7 +32,7 @@ use serde::{Deserialize, Serialize};
 
 use super::links::{LaneIndices, join};
 use super::polyline::cleaned;
-use crate::traffic_light_form::{self, Fault, LIGHTS_MAX, LightForm};
+use crate::traffic_light_form::{self, Fault, LIGHTS_MAX, Least, LightForm};
 use crate::traffic_sign_form::{self, SIGNS_MAX, SignForm};
 use crate::xml::excerpt;
 use crate::{AssetError, DecodeError, write_atomically};
@@ -164,7 +164,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
 
 fn light(form: &LightForm) -> Result<TrafficLight, Fault> {
     let light = form.light()?;
-    traffic_light_form::check(&light, true)?;
+    traffic_light_form::check(&light, Least::OF_MAP)?;
     Ok(light)
 }
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use decouplegs_scene::scenario::Place;
-use decouplegs_scene::{Level, Weather};
+use decouplegs_scene::{Air, Level, Weather};
 
 use super::random::Stream;
 use super::rules::weathers;
@@ -101,6 +101,7 @@ impl PlaceOptions {
                     map,
                     probe,
                     exposure_ev,
+                    air: Air::default(),
                     obstacles: None,
                     background,
                     agent_splats,

@@ -147,6 +147,7 @@ fn light_crossing(number: usize, approaches: &[&Approach]) -> Vec<TrafficLight> 
                 phase(LightColor::Red, half_s + ALL_RED_S),
             ],
             offset_s,
+            changes: Vec::new(),
         })
         .collect()
 }

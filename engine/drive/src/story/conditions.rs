@@ -6,6 +6,7 @@ use decouplegs_scene::story::{Condition, Edge, End, Measure, Rule, State, Trigge
 use glam::DVec2;
 
 use super::seen::{Scene, Seen};
+use super::signals::Signals;
 use crate::polyline::wrapped;
 
 /// Speed up to which a road user stands, m/s.
@@ -54,6 +55,7 @@ pub(super) struct Facts<'a> {
     pub past: &'a [Past],
     pub courses: &'a [Course],
     pub variables: &'a HashMap<String, String>,
+    pub signals: &'a Signals,
     pub time_s: f64,
 }
 
@@ -156,6 +158,10 @@ impl Memory {
                     (Ok(found), Ok(value)) => compared(*rule, found, value),
                     _ => (found.trim() == value.trim()) == (*rule != Rule::NotEqual),
                 }
+            }
+            When::Light { light, color } => facts.signals.shows(light, *color, facts.time_s),
+            When::Phase { controller, phase } => {
+                facts.signals.is_in(controller, phase, facts.time_s)
             }
             When::Events { events, state } => are(events, *state, facts, since_s),
             When::Value {

@@ -9,12 +9,14 @@ mod mover;
 mod roads;
 mod seen;
 mod shapes;
+mod signals;
 #[cfg(test)]
 mod tests;
 
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use decouplegs_scene::episode::LightChangeRecord;
 use decouplegs_scene::story::{Action, Change, Priority, Story, Task};
 use decouplegs_scene::{Invalid, LaneMap, VehicleSize, VehicleState};
 
@@ -22,6 +24,8 @@ use self::conditions::{Course, Facts, Past, Watch};
 use self::mover::{Mover, Number};
 use self::roads::Roads;
 use self::seen::{Scene, Seen};
+use self::signals::Signals;
+use crate::lights::TrafficLights;
 
 /// Longest part of a step, seconds.
 const PART_S: f64 = 0.02;
@@ -57,13 +61,19 @@ pub(crate) struct Stage {
     events: Vec<RunningEvent>,
     courses: Vec<Course>,
     variables: HashMap<String, String>,
+    signals: Signals,
     asks_off_road: bool,
 }
 
 impl Stage {
     /// # Errors
-    /// A sentence if an actor's lane is not on the map.
-    pub(crate) fn new(story: &Story, map: &LaneMap) -> Result<Self, Invalid> {
+    /// A sentence if an actor's lane is not on the map, or there is no light or controller of a
+    /// name.
+    pub(crate) fn new(
+        story: &Story,
+        map: &LaneMap,
+        lights: &Arc<TrafficLights>,
+    ) -> Result<Self, Invalid> {
         let roads = Roads::new(map);
         for actor in &story.actors {
             if let Some(lane) = actor.lane.as_ref().filter(|id| roads.find(id).is_none()) {
@@ -98,11 +108,22 @@ impl Stage {
             events: events.collect(),
             courses: vec![Course::default(); story.events.len()],
             variables: story.variables.iter().cloned().collect(),
+            signals: Signals::new(story, lights)?,
             asks_off_road: asks_off_road(story),
             story: Arc::new(story.clone()),
             roads: Arc::new(roads),
             movers,
         })
+    }
+
+    /// Traffic lights as they are now.
+    pub(crate) fn lights(&self) -> &Arc<TrafficLights> {
+        &self.signals.lights
+    }
+
+    /// Takes the changes of lights since this was asked last.
+    pub(crate) fn take_light_changes(&mut self) -> Vec<LightChangeRecord> {
+        std::mem::take(&mut self.signals.changes)
     }
 
     /// States of the actors; `None` while one is hidden.
@@ -173,7 +194,7 @@ impl Stage {
                 &self.seen,
                 &self.past,
                 &self.courses,
-                &self.variables,
+                (&self.variables, &self.signals),
                 time_s,
             );
             let running = &mut self.acts[at];
@@ -206,7 +227,7 @@ impl Stage {
                 &self.seen,
                 &self.past,
                 &self.courses,
-                &self.variables,
+                (&self.variables, &self.signals),
                 time_s,
             );
             if self.events[number].start.holds(&event.start, &facts) {
@@ -268,6 +289,14 @@ impl Stage {
                     _ => value.clone(),
                 };
                 self.variables.insert(variable.clone(), changed);
+                ended.push(number);
+            }
+            Action::Light { light, color } => {
+                self.signals.hold(light, *color, time_s);
+                ended.push(number);
+            }
+            Action::Phase { controller, phase } => {
+                self.signals.begin(controller, phase, time_s);
                 ended.push(number);
             }
             action => {
@@ -353,7 +382,7 @@ fn facts<'a>(
     seen: &'a [Option<Seen>],
     past: &'a [Past],
     courses: &'a [Course],
-    variables: &'a HashMap<String, String>,
+    (variables, signals): (&'a HashMap<String, String>, &'a Signals),
     time_s: f64,
 ) -> Facts<'a> {
     let scene = Scene { roads, all: seen };
@@ -362,6 +391,7 @@ fn facts<'a>(
         past,
         courses,
         variables,
+        signals,
         time_s,
     }
 }

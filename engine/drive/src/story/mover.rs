@@ -211,7 +211,10 @@ impl Mover {
                 });
             }
             // Those that are no motion of an actor.
-            Action::Set { .. } | Action::Wait { .. } => ended.push(number),
+            Action::Set { .. }
+            | Action::Wait { .. }
+            | Action::Light { .. }
+            | Action::Phase { .. } => ended.push(number),
         }
     }
 

@@ -1,6 +1,9 @@
 //! Actors on a straight road: motion against closed forms.
 
 mod events;
+mod signals;
+
+use std::sync::Arc;
 
 use decouplegs_scene::story::{
     Act, Action, Actor, Condition, Dynamics, Edge, Event, Extent, Limits, Priority, Rule, Shape,
@@ -95,7 +98,7 @@ fn story(actors: &[Actor], events: &[Event]) -> Story {
 
 /// Reference points, headings and speeds of all actors after each step of 0.1 s, the start first.
 fn played(story: &Story, steps: usize) -> Vec<Vec<(DVec2, f64, f64)>> {
-    let mut stage = Stage::new(story, &road()).unwrap();
+    let mut stage = Stage::new(story, &road(), &Arc::default()).unwrap();
     let moment = |stage: &Stage| -> Vec<(DVec2, f64, f64)> {
         let states = stage.states().zip(&story.actors);
         states
@@ -148,7 +151,11 @@ fn an_actor_keeps_lane_and_speed_over_roads_and_stands_at_their_end() {
     );
     assert_eq!((yaw_rad, speed_mps), (0.0, 20.0));
     assert_eq!(moments[100][1].0, DVec2::new(1000.0, -1.75));
-    let unknown = Stage::new(&story(&[actor("a", 0.0, 7, 1.0)], &[]), &road());
+    let unknown = Stage::new(
+        &story(&[actor("a", 0.0, 7, 1.0)], &[]),
+        &road(),
+        &Arc::default(),
+    );
     let message = unknown.unwrap_err().to_string();
     assert!(message.contains("no lane 1/0/-7"), "{message}");
 }
@@ -205,11 +212,25 @@ fn speeds_follow_their_shapes() {
     let profile = Action::Profile {
         times_s: vec![1.0, 2.0],
         speeds_mps: vec![16.0, 0.0],
+        limits: Limits::default(),
     };
     let moments = alone(profile, 40);
     near(moments[10].0.x, 113.0, 1e-6);
     near(moments[40].0.x, 129.0, 1e-6);
     assert_eq!(moments[40].2, 0.0);
+    // A first part without a time lasts as long as its limit needs: 6 m/s at 3 m/s^2.
+    let untimed = Action::Profile {
+        times_s: vec![0.0, 1.0],
+        speeds_mps: vec![16.0, 15.0],
+        limits: Limits {
+            acceleration_mps2: Some(3.0),
+            ..Limits::default()
+        },
+    };
+    let moments = alone(untimed, 40);
+    near(moments[10].2, 13.0, 1e-6);
+    near(moments[20].0.x, 126.0, 1e-6);
+    assert_eq!(moments[30].2, 15.0);
     // The limits of a vehicle make it later.
     let mut limited = story(
         &[actor("a", 100.0, 1, 10.0)],
@@ -422,7 +443,7 @@ fn teleports_and_hiding_happen_at_once() {
         &[(B, Action::Show { is_shown: false })],
     ));
     both.actors[0].is_hidden = true;
-    let mut stage = Stage::new(&both, &road()).unwrap();
+    let mut stage = Stage::new(&both, &road(), &Arc::default()).unwrap();
     assert!(stage.states().next().unwrap().is_none());
     for step in 0..12 {
         stage.step(f64::from(step) * 0.1, 0.1, None);
@@ -444,7 +465,7 @@ fn an_attack_meets_an_ego_that_keeps_its_speed() {
     own.center_m = 0.0;
     let attacked = story(&[own.clone()], &[event(Trigger::new(), &[(A, attack)])]);
     let nearest = |story: &Story| {
-        let mut stage = Stage::new(story, &road()).unwrap();
+        let mut stage = Stage::new(story, &road(), &Arc::default()).unwrap();
         let mut nearest_m = f64::INFINITY;
         let mut before = (DVec2::new(80.0, -5.25), 10.0);
         for step in 0..80 {

@@ -146,6 +146,7 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
                 .collect(),
             handovers: vec![],
             commands: Vec::new(),
+            lights: Vec::new(),
         }
     };
     Episode {

@@ -124,6 +124,7 @@ fn saturation(drivers: Drivers, seed: u64) -> f64 {
             phase(LightColor::Green, 300.0),
         ],
         offset_s: 0.0,
+        changes: vec![],
     };
     let map = LaneMap {
         lanes: vec![Lane {

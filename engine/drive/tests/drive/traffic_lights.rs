@@ -36,6 +36,7 @@ pub fn light(name: &str, lines: &[(&str, f64)], offset_s: f64) -> TrafficLight {
             .map(|(color, duration_s)| LightPhase { color, duration_s })
             .into(),
         offset_s,
+        changes: vec![],
     }
 }
 

@@ -40,12 +40,14 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Episode, DecodeError> {
     }
     let missing = "is missing: the log ends without telling how the episode ended; it was cut short, drive the episode again";
     let end = end.ok_or_else(|| at(lines.line + 1, missing.into()))?;
-    Ok(Episode {
+    let mut episode = Episode {
         head,
         start,
-        steps,
+        steps: Vec::with_capacity(steps.len()),
         end,
-    })
+    };
+    steps.into_iter().for_each(|step| episode.push(step));
+    Ok(episode)
 }
 
 fn at(line: usize, reason: String) -> DecodeError {

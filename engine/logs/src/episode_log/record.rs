@@ -2,11 +2,12 @@
 //! stands for.
 
 use decouplegs_scene::episode::{
-    AgentCommand, CommandRecord, DrawnBy, EpisodeTick, HandoverRecord, PlannerRecord, ROAD_VERSION,
-    ReadingRecord, StopLineRecord,
+    AgentCommand, CommandRecord, DrawnBy, EpisodeTick, HandoverRecord, LightChangeRecord,
+    PlannerRecord, ROAD_VERSION, ReadingRecord, StopLineRecord,
 };
 use decouplegs_scene::{
-    EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint, VehicleSize,
+    EpisodeEnd, EpisodeHead, EpisodeStep, LightChange, LightColor, LightCourse, Obstacle,
+    ObstacleKind, Plan, PlanPoint, VehicleSize,
 };
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
@@ -94,6 +95,36 @@ pub(super) struct StepForm {
     handovers: Vec<(usize, f64)>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     commands: Vec<CommandForm>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    lights: Vec<LightChangeForm>,
+}
+
+/// Index of a light, time, and course.
+type LightChangeForm = (usize, f64, CourseForm);
+
+/// A color, or the position in the cycle at time 0.
+#[derive(Deserialize, Serialize)]
+#[serde(untagged)]
+enum CourseForm {
+    Held(LightColor),
+    OffsetS(f64),
+}
+
+fn light_form(record: &LightChangeRecord) -> LightChangeForm {
+    let course = match record.change.course {
+        LightCourse::Held(color) => CourseForm::Held(color),
+        LightCourse::Cycle { offset_s } => CourseForm::OffsetS(offset_s),
+    };
+    (record.light, record.change.time_s, course)
+}
+
+fn light_change((light, time_s, course): LightChangeForm) -> LightChangeRecord {
+    let course = match course {
+        CourseForm::Held(color) => LightCourse::Held(color),
+        CourseForm::OffsetS(offset_s) => LightCourse::Cycle { offset_s },
+    };
+    let change = LightChange { time_s, course };
+    LightChangeRecord { light, change }
 }
 
 /// Agent, acceleration, curvature, and whether it was limited.
@@ -310,6 +341,7 @@ impl StepForm {
             instants,
             handovers,
             commands,
+            lights,
         } = step;
         Self {
             step: *step,
@@ -332,6 +364,7 @@ impl StepForm {
                 .map(|handover| (handover.agent, handover.time_s))
                 .collect(),
             commands: commands.iter().map(command_form).collect(),
+            lights: lights.iter().map(light_form).collect(),
         }
     }
 
@@ -361,6 +394,7 @@ impl StepForm {
             instants: self.instants.into_iter().map(instant).collect(),
             handovers: self.handovers.into_iter().map(handover).collect(),
             commands: self.commands.into_iter().map(command).collect(),
+            lights: self.lights.into_iter().map(light_change).collect(),
         })
     }
 }

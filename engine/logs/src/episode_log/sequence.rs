@@ -2,7 +2,7 @@
 //! finite.
 
 use decouplegs_scene::episode::{EpisodeTick, ROAD_VERSION};
-use decouplegs_scene::{EpisodeEnd, EpisodeHead, EpisodeStep, VehicleState};
+use decouplegs_scene::{EpisodeEnd, EpisodeHead, EpisodeStep, LightCourse, VehicleState};
 
 use super::instant::LANES_VERSION;
 
@@ -12,6 +12,9 @@ use super::instant::LANES_VERSION;
 pub(super) struct Sequence {
     version: u32,
     agents: usize,
+    /// Number of traffic lights, and the time of the last change of one.
+    lights: usize,
+    lights_changed_s: f64,
     next_step: u32,
     time_s: f64,
 }
@@ -55,6 +58,8 @@ impl Sequence {
         let sequence = Self {
             version: head.log_version,
             agents,
+            lights: head.scenario.lights.len(),
+            lights_changed_s: f64::NEG_INFINITY,
             next_step: 0,
             time_s: start.time_s,
         };
@@ -96,6 +101,21 @@ impl Sequence {
                     step.step, handover.agent, self.agents, handover.time_s
                 ));
             }
+        }
+        for record in &step.lights {
+            let offset_s = match record.change.course {
+                LightCourse::Held(_) => 0.0,
+                LightCourse::Cycle { offset_s } => offset_s,
+            };
+            let (at_s, count) = (record.change.time_s, self.lights);
+            let is_told = record.light < count && offset_s.is_finite() && at_s.is_finite();
+            if !is_told || at_s < self.lights_changed_s {
+                return Err(format!(
+                    "step {} changes light {} of {count} at {at_s} s; expected finite numbers in the order of times",
+                    step.step, record.light
+                ));
+            }
+            self.lights_changed_s = at_s;
         }
         let mut before = None;
         for record in &step.commands {

@@ -1,6 +1,7 @@
 //! Actions of entities, and global ones that concern them.
 
 use decouplegs_asset::DecodeError;
+use decouplegs_scene::LightColor;
 use decouplegs_scene::story::{Change, Dynamics, Extent, Limits, Shape, Side};
 
 use super::catalogs::Catalogs;
@@ -57,10 +58,12 @@ pub enum Action {
     },
     /// Has one speed after the other.
     Profile {
-        /// Durations of the parts, seconds.
+        /// Durations of the parts, seconds; 0 for a first part that lasts as long as `limits` need.
         times_s: Vec<f64>,
         /// Speeds at their ends, m/s.
         speeds_mps: Vec<f64>,
+        /// Limits of parts without a time.
+        limits: Limits,
     },
     /// Changes lanes.
     ChangeLane {
@@ -153,6 +156,20 @@ pub enum Action {
         value: String,
         /// Arithmetic with the old value.
         by: Change,
+    },
+    /// Gives a traffic signal a color.
+    Signal {
+        /// Id of the signal in the map.
+        signal: String,
+        /// The color.
+        color: LightColor,
+    },
+    /// Begins a phase of a controller of traffic signals.
+    Phase {
+        /// Name of the controller.
+        controller: String,
+        /// Name of the phase.
+        phase: String,
     },
     /// Does what nothing here shows.
     Unseen,
@@ -349,7 +366,8 @@ fn profile(profile: Node, skipped: &mut Skipped) -> Result<Option<Action>, Decod
         skipped.add(profile, "a profile relative to an entity is not read");
         return Ok(None);
     }
-    let (mut times_s, mut speeds_mps) = (Vec::new(), Vec::new());
+    let limits = limits(profile.first("DynamicConstraints"), true)?;
+    let (mut times_s, mut speeds_mps): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
     for entry in profile.all("SpeedProfileEntry") {
         if times_s.len() == ENTRIES_MAX {
             skipped.add(
@@ -358,16 +376,24 @@ fn profile(profile: Node, skipped: &mut Skipped) -> Result<Option<Action>, Decod
             );
             return Ok(None);
         }
-        if entry.attribute("time")?.is_none() {
-            skipped.add(profile, "a profile without times is not read");
-            return Ok(None);
-        }
-        times_s.push(entry.number("time")?.max(0.0));
-        speeds_mps.push(entry.number("speed")?);
+        let speed_mps = entry.number("speed")?;
+        times_s.push(match (entry.attribute("time")?, speeds_mps.last()) {
+            (Some(_), _) => entry.number("time")?.max(0.0),
+            (None, Some(before_mps)) => limits.least_s(*before_mps, speed_mps),
+            // The speed before is known when the action begins.
+            (None, None) => 0.0,
+        });
+        speeds_mps.push(speed_mps);
     }
+    let first = profile.first("SpeedProfileEntry");
+    let has_time = match first {
+        Some(first) => first.attribute("time")?.is_some(),
+        None => false,
+    };
     Ok(Some(Action::Profile {
         times_s,
         speeds_mps,
+        limits: if has_time { Limits::default() } else { limits },
     }))
 }
 

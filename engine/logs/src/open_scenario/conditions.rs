@@ -4,12 +4,15 @@ use std::sync::Arc;
 
 use decouplegs_asset::DecodeError;
 use decouplegs_asset::xml::excerpt;
+use decouplegs_scene::LightColor;
 use decouplegs_scene::story::{Direction, Edge, Rule, State};
 
 use super::Skipped;
 use super::catalogs::Catalogs;
+use super::measure::{Measure, Target};
 use super::parameters::Node;
-use super::positions::{self, Position};
+use super::positions;
+use super::signals;
 
 /// Most groups of a trigger, most conditions of a group, and most entities of a condition.
 const GROUPS_MAX: usize = 64;
@@ -70,91 +73,22 @@ pub enum When {
         /// Value that it is compared with.
         value: String,
     },
+    /// Color of a traffic signal.
+    Signal {
+        /// Id of the signal in the map.
+        signal: String,
+        /// Color that it is to have.
+        color: LightColor,
+    },
+    /// Phase of a controller of traffic signals.
+    Phase {
+        /// Name of the controller.
+        controller: String,
+        /// Name of the phase that it is to be in.
+        phase: String,
+    },
     /// A statement that is always true, or never.
     Always(bool),
-}
-
-/// Other end of a distance.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Target {
-    /// An entity, by name.
-    Entity(String),
-    /// A place.
-    Place(Position),
-}
-
-/// A value of an entity.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Measure {
-    /// Speed, m/s.
-    Speed,
-    /// Acceleration, m/s^2.
-    Acceleration,
-    /// Speed minus that of another, m/s.
-    RelativeSpeed {
-        /// Name of the other.
-        to: String,
-    },
-    /// Way since the start, meters.
-    Traveled,
-    /// Time for which it stands, seconds.
-    Standing,
-    /// Time for which it is at the end of the road, seconds.
-    AtEnd,
-    /// Time for which it is off the road, seconds.
-    OffRoad,
-    /// Distance, meters.
-    Distance {
-        /// Other end.
-        to: Target,
-        /// Direction in which it is measured.
-        direction: Direction,
-        /// True if it is measured between boxes, not reference points.
-        between_boxes: bool,
-    },
-    /// Distance ahead over its speed, seconds.
-    Headway {
-        /// Name of the one ahead.
-        to: String,
-        /// Direction in which the distance is measured.
-        direction: Direction,
-        /// True if the distance is measured between boxes.
-        between_boxes: bool,
-    },
-    /// Distance over the speed at which it shrinks, seconds.
-    TimeToCollision {
-        /// Entity or place that it would collide with.
-        to: Target,
-        /// Direction in which the distance is measured.
-        direction: Direction,
-        /// True if the distance is measured between boxes.
-        between_boxes: bool,
-    },
-    /// Number of others that it touches: of those named, or of all.
-    Touched {
-        /// Names of the others.
-        with: Vec<String>,
-    },
-    /// Number of others in an area of lanes: of those named, or of all.
-    Near {
-        /// Names of the others.
-        with: Vec<String>,
-        /// Way ahead, meters.
-        ahead_m: f64,
-        /// Way behind, meters.
-        behind_m: f64,
-        /// First and last lane to the left of its own.
-        lanes: [i64; 2],
-        /// True if the distance is between boxes.
-        between_boxes: bool,
-    },
-    /// Angle between its heading and one, radians, without sign.
-    Turn {
-        /// Heading, radians.
-        heading_rad: f64,
-        /// True if it counts from the direction of the lane.
-        is_relative: bool,
-    },
 }
 
 /// Reference to a part of the storyboard, its events unknown until all of it is read.
@@ -317,6 +251,16 @@ fn by_value_kind(
                 rule: rule(kind)?,
                 value: kind.needed_attribute("value")?.into_owned(),
             }))
+        }
+        "TrafficSignalCondition" => {
+            let state = kind.needed_attribute("state")?;
+            let signal = kind.needed_attribute("name")?.into_owned();
+            let color = signals::known(kind, &state, skipped);
+            Ok(color.map(|color| When::Signal { signal, color }))
+        }
+        "TrafficSignalControllerCondition" => {
+            let named = signals::phase(kind, skipped)?;
+            Ok(named.map(|(controller, phase)| When::Phase { controller, phase }))
         }
         _ => {
             skipped.add(kind, "conditions of this kind are not read");

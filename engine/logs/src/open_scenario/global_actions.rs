@@ -1,4 +1,4 @@
-//! Global actions that concern entities, variables and parameters.
+//! Global actions that concern entities, variables, parameters and traffic signals.
 
 use decouplegs_asset::DecodeError;
 use decouplegs_scene::story::Change;
@@ -7,7 +7,7 @@ use super::Skipped;
 use super::actions::{Action, Read};
 use super::catalogs::Catalogs;
 use super::parameters::Node;
-use super::positions;
+use super::{positions, signals};
 
 /// The global action `inner` of the kind `kind`; `None` if it is not read.
 pub(super) fn read(
@@ -80,6 +80,27 @@ pub(super) fn read(
             };
             let actions = [Action::Teleport(place), Action::Show(true)];
             Ok(Some(actions.map(|action| (entity.clone(), action)).into()))
+        }
+        ("InfrastructureAction", Some(inner)) => {
+            let action = inner.elements().next();
+            match action.map(|action| (action.name(), action)) {
+                Some(("TrafficSignalStateAction", action)) => {
+                    let state = action.needed_attribute("state")?;
+                    let signal = action.needed_attribute("name")?.into_owned();
+                    let color = signals::known(action, &state, skipped);
+                    Ok(color.map(|color| vec![(None, Action::Signal { signal, color })]))
+                }
+                Some(("TrafficSignalControllerAction", action)) => {
+                    let named = signals::phase(action, skipped)?;
+                    let phase = |(controller, phase)| Action::Phase { controller, phase };
+                    Ok(named.map(|named| vec![(None, phase(named))]))
+                }
+                _ => unknown(skipped),
+            }
+        }
+        ("EnvironmentAction", _) => {
+            skipped.add(kind, "light and weather change at the start only");
+            Ok(None)
         }
         _ => unknown(skipped),
     }

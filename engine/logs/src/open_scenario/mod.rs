@@ -19,15 +19,17 @@ mod catalogs;
 mod conditions;
 mod curves;
 mod entities;
+mod environment;
 mod expression;
 mod global_actions;
+mod measure;
 mod parameters;
 mod positions;
 mod routes;
 mod signals;
 mod story;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use decouplegs_scene::story::{Limits, Priority};
@@ -41,7 +43,9 @@ use catalogs::Catalogs;
 use parameters::{Assignments, Node, Parameters};
 
 pub use actions::{Action, TargetLane, TargetSpeed};
-pub use conditions::{Condition, Measure, Target, Trigger, When};
+pub use conditions::{Condition, Trigger, When};
+pub use environment::Environment;
+pub use measure::{Measure, Target};
 pub use positions::{Along, Heading, Position};
 
 /// Content of an OpenSCENARIO file.
@@ -53,6 +57,10 @@ pub struct OpenScenario {
     pub entities: Vec<Entity>,
     /// Phases of the map's traffic signals.
     pub signals: Vec<SignalPhases>,
+    /// Controllers of these signals.
+    pub controllers: Vec<SignalController>,
+    /// Light and air at the start; `None` if the file does not tell them.
+    pub environment: Option<Environment>,
     /// Time at which the storyboard stops, seconds.
     pub stop_time_s: Option<f64>,
     /// Actions at the start, besides positions.
@@ -76,6 +84,19 @@ pub struct SignalPhases {
     pub phases: Vec<LightPhase>,
     /// Position in the cycle at time 0, seconds.
     pub offset_s: f64,
+}
+
+/// A controller of traffic signals.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SignalController {
+    /// Name in the file.
+    pub name: String,
+    /// Names of its phases and their durations, seconds.
+    pub phases: Vec<(String, f64)>,
+    /// Position in the cycle at time 0, seconds.
+    pub offset_s: f64,
+    /// Ids of its signals in the map.
+    pub signals: Vec<String>,
 }
 
 /// An act of the storyboard.
@@ -146,6 +167,47 @@ pub struct Entity {
     pub limits: Limits,
 }
 
+impl OpenScenario {
+    /// Ids of the signals that conditions or actions name.
+    #[must_use]
+    pub fn named_signals(&self) -> BTreeSet<&str> {
+        let actions = self.tasks().filter_map(|task| match &task.action {
+            Action::Signal { signal, .. } => Some(&**signal),
+            _ => None,
+        });
+        let conditions = self
+            .conditions()
+            .filter_map(|condition| match &condition.when {
+                When::Signal { signal, .. } => Some(&**signal),
+                _ => None,
+            });
+        actions.chain(conditions).collect()
+    }
+
+    /// True if a condition or an action names a controller of signals.
+    #[must_use]
+    pub fn names_controllers(&self) -> bool {
+        let mut tasks = self.tasks();
+        let mut conditions = self.conditions();
+        tasks.any(|task| matches!(task.action, Action::Phase { .. }))
+            || conditions.any(|condition| matches!(condition.when, When::Phase { .. }))
+    }
+
+    fn tasks(&self) -> impl Iterator<Item = &StoryTask> {
+        let events = self.events.iter().flat_map(|event| &event.tasks);
+        self.init.iter().chain(events)
+    }
+
+    fn conditions(&self) -> impl Iterator<Item = &Condition> {
+        let acts = self.acts.iter().flat_map(|act| {
+            let start = act.start.as_ref();
+            start.into_iter().chain([&act.stop])
+        });
+        let events = self.events.iter().filter_map(|event| event.start.as_ref());
+        acts.chain(events).flatten().flatten()
+    }
+}
+
 /// Reads the OpenSCENARIO file at `path`, and the catalogs that it refers to.
 ///
 /// # Errors
@@ -197,8 +259,10 @@ pub fn decode(
     let map = map.filter(|map: &PathBuf| !map.as_os_str().is_empty());
     let signals = match network {
         Some(network) => signals::read(network, &mut skipped)?,
-        None => Vec::new(),
+        None => signals::Signals::default(),
     };
+    let controllers = signals.controllers.iter();
+    skipped.controllers = controllers.map(|known| known.name.clone()).collect();
     let declared = root.first("VariableDeclarations");
     let declared = declared
         .iter()
@@ -217,7 +281,9 @@ pub fn decode(
     Ok(OpenScenario {
         map,
         entities,
-        signals,
+        signals: signals.phases,
+        controllers: signals.controllers,
+        environment: story.environment,
         stop_time_s: story.stop_time_s,
         init: story.init,
         acts: story.acts,
@@ -243,6 +309,8 @@ struct Skipped {
     points: usize,
     /// Values of variables, and of parameters that conditions ask for, by name.
     variables: BTreeMap<String, String>,
+    /// Names of the controllers of traffic signals.
+    controllers: BTreeSet<String>,
 }
 
 impl Skipped {

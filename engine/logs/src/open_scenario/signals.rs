@@ -1,56 +1,172 @@
-//! Phases of traffic signals.
+//! Traffic signals: controllers and their phases, and states.
 
 use std::collections::HashMap;
 
 use decouplegs_scene::{LightColor, LightPhase};
 
 use super::parameters::Node;
-use super::{SignalPhases, Skipped};
+use super::{SignalController, SignalPhases, Skipped};
 use decouplegs_asset::DecodeError;
 
-/// Phases of all signals of the road network.
-pub(super) fn read(network: Node, skipped: &mut Skipped) -> Result<Vec<SignalPhases>, DecodeError> {
-    let mut signals: Vec<SignalPhases> = Vec::new();
-    let mut by_id: HashMap<String, usize> = HashMap::new();
-    let controllers = network.first("TrafficSignals");
-    for controller in controllers
+/// Most phases of a controller that are read.
+const PHASES_MAX: usize = 100;
+/// Shortest and longest phase, seconds: those of scenario files.
+const PHASE_S: std::ops::RangeInclusive<f64> = 0.1..=3600.0;
+
+/// Controllers of the road network, and the phases of their signals.
+#[derive(Default)]
+pub(super) struct Signals {
+    pub phases: Vec<SignalPhases>,
+    pub controllers: Vec<SignalController>,
+}
+
+/// A controller, and the colors of its signals by phase; `None` where a phase does not tell one.
+struct Read<'a> {
+    controller: SignalController,
+    /// Name of the controller after whose first phase its own begins.
+    after: Option<String>,
+    signals: Vec<(String, Vec<Option<LightColor>>)>,
+    element: Node<'a>,
+}
+
+/// All controllers of the road network.
+pub(super) fn read(network: Node, skipped: &mut Skipped) -> Result<Signals, DecodeError> {
+    let list = network.first("TrafficSignals");
+    let mut found = Vec::new();
+    for controller in list
         .iter()
         .flat_map(|list| list.all("TrafficSignalController"))
     {
-        if controller.element().attribute("reference").is_some() {
-            skipped.add(
-                controller,
-                "it starts after another controller: only `delay` of its own is read",
-            );
-            continue;
-        }
-        // The first phase begins after the delay: that far before the end of the cycle at time 0.
-        let offset_s = -controller.number_or("delay", 0.0)?;
-        for phase in controller.all("Phase") {
-            let duration_s = phase.number("duration")?;
-            for state in phase.all("TrafficSignalState") {
-                let signal = state.needed_attribute("trafficSignalId")?;
-                let Some(color) = color_of(&state.needed_attribute("state")?) else {
-                    skipped.add(
-                        state,
-                        "the state is unknown; expected red, yellow or green, or three lamps as on;off;off",
-                    );
-                    continue;
-                };
-                let next = LightPhase { color, duration_s };
-                let index = *by_id.entry(signal.to_string()).or_insert(signals.len());
-                if index == signals.len() {
-                    signals.push(SignalPhases {
-                        signal: signal.into_owned(),
-                        phases: Vec::new(),
-                        offset_s,
-                    });
+        found.extend(read_controller(controller, skipped)?);
+    }
+    let delays: HashMap<String, (f64, Option<String>)> = found
+        .iter()
+        .map(|read: &Read| {
+            let name = read.controller.name.clone();
+            (name, (-read.controller.offset_s, read.after.clone()))
+        })
+        .collect();
+    let mut signals = Signals::default();
+    let mut by_id: HashMap<String, usize> = HashMap::new();
+    for mut read in found {
+        let (mut delay_s, mut after) = (-read.controller.offset_s, read.after.take());
+        // Controllers may wait for each other in a circle.
+        for _ in 0..delays.len() {
+            let Some(name) = after.take() else { break };
+            match delays.get(&name) {
+                Some((more_s, next)) => {
+                    delay_s += more_s;
+                    after.clone_from(next);
                 }
-                signals[index].phases.push(next);
+                None => skipped.add(
+                    read.element,
+                    "it starts after a controller that is not there",
+                ),
             }
         }
+        // The first phase begins after the delay: that far before the end of the cycle at time 0.
+        read.controller.offset_s = 0.0 - delay_s;
+        for (signal, colors) in read.signals {
+            let phases = phases_of(&read.controller, &colors);
+            read.controller.signals.push(signal.clone());
+            if by_id.insert(signal.clone(), 0).is_some() {
+                skipped.add(
+                    read.element,
+                    "a signal of it has another controller before, which counts",
+                );
+                read.controller.signals.pop();
+                continue;
+            }
+            signals.phases.push(SignalPhases {
+                signal,
+                phases,
+                offset_s: read.controller.offset_s,
+            });
+        }
+        signals.controllers.push(read.controller);
     }
     Ok(signals)
+}
+
+fn read_controller<'a>(
+    controller: Node<'a>,
+    skipped: &mut Skipped,
+) -> Result<Option<Read<'a>>, DecodeError> {
+    let mut read = Read {
+        controller: SignalController {
+            name: controller
+                .attribute("name")?
+                .unwrap_or_default()
+                .into_owned(),
+            phases: Vec::new(),
+            offset_s: -controller.number_or("delay", 0.0)?,
+            signals: Vec::new(),
+        },
+        after: controller.attribute("reference")?.map(Into::into),
+        signals: Vec::new(),
+        element: controller,
+    };
+    let mut by_id: HashMap<String, usize> = HashMap::new();
+    for phase in controller.all("Phase") {
+        let at = read.controller.phases.len();
+        if at == PHASES_MAX {
+            skipped.add(
+                controller,
+                &format!("more than {PHASES_MAX} phases are not read"),
+            );
+            break;
+        }
+        let duration_s = phase.number("duration")?;
+        if duration_s <= 0.0 {
+            continue;
+        }
+        let name = phase.attribute("name")?.unwrap_or_default().into_owned();
+        let duration_s = duration_s.clamp(*PHASE_S.start(), *PHASE_S.end());
+        read.controller.phases.push((name, duration_s));
+        for (_, colors) in &mut read.signals {
+            colors.push(None);
+        }
+        for state in phase.all("TrafficSignalState") {
+            let signal = state.needed_attribute("trafficSignalId")?;
+            let Some(color) = known(state, &state.needed_attribute("state")?, skipped) else {
+                continue;
+            };
+            let next = read.signals.len();
+            let index = *by_id.entry(signal.to_string()).or_insert(next);
+            if index == next {
+                read.signals.push((signal.into_owned(), vec![None; at + 1]));
+            }
+            read.signals[index].1[at] = Some(color);
+        }
+    }
+    Ok((!read.controller.phases.is_empty()).then_some(read))
+}
+
+/// The phases of a signal: in a phase that does not tell its color it keeps the one before.
+fn phases_of(controller: &SignalController, colors: &[Option<LightColor>]) -> Vec<LightPhase> {
+    let last = colors.iter().rev().find_map(|color| *color);
+    let mut color = last.unwrap_or(LightColor::Green);
+    let phases = controller.phases.iter().zip(colors);
+    let phase = phases.map(|((_, duration_s), told)| {
+        color = told.unwrap_or(color);
+        LightPhase {
+            color,
+            duration_s: *duration_s,
+        }
+    });
+    phase.collect()
+}
+
+/// Color of a state; `None` with a sentence if it has none that is known.
+pub(super) fn known(element: Node, state: &str, skipped: &mut Skipped) -> Option<LightColor> {
+    let color = color_of(state);
+    if color.is_none() {
+        skipped.add(
+            element,
+            "the state is unknown; expected red, yellow or green, or three lamps as on;off;off",
+        );
+    }
+    color
 }
 
 /// Color of a state: the standard leaves its text to the simulator.
@@ -73,4 +189,19 @@ fn color_of(state: &str) -> Option<LightColor> {
         (3, 2) => Some(LightColor::Green),
         _ => None,
     }
+}
+
+/// The controller and phase that a condition or an action names; `None` with a sentence if there
+/// is no such controller.
+pub(super) fn phase(
+    element: Node,
+    skipped: &mut Skipped,
+) -> Result<Option<(String, String)>, DecodeError> {
+    let controller = element.needed_attribute("trafficSignalControllerRef")?;
+    let phase = element.needed_attribute("phase")?.into_owned();
+    if !skipped.controllers.contains(&*controller) {
+        skipped.add(element, "there is no controller of this name");
+        return Ok(None);
+    }
+    Ok(Some((controller.into_owned(), phase)))
 }

@@ -9,6 +9,7 @@ use decouplegs_scene::story::Priority;
 use super::actions::{self, Action};
 use super::catalogs::Catalogs;
 use super::conditions::{self, Context, StateReference, Trigger, When};
+use super::environment::{self, Environment};
 use super::parameters::Node;
 use super::{Entity, Position, Skipped, StoryAct, StoryEvent, StoryTask, positions};
 
@@ -16,6 +17,8 @@ use super::{Entity, Position, Skipped, StoryAct, StoryEvent, StoryTask, position
 pub(super) struct Story {
     /// Time at which it stops, seconds.
     pub stop_time_s: Option<f64>,
+    /// Light and air at the start.
+    pub environment: Option<Environment>,
     /// Actions at the start that take time.
     pub init: Vec<StoryTask>,
     /// Acts of the storyboard.
@@ -40,6 +43,7 @@ pub(super) fn read(
         by_name,
         catalogs,
         init: Vec::new(),
+        environment: None,
         events: Vec::new(),
         parts: HashMap::new(),
         starts: HashMap::new(),
@@ -94,10 +98,16 @@ pub(super) fn read(
         }
     }
     reader.start_on_trajectories(skipped);
-    let Reader { init, events, .. } = reader;
+    let Reader {
+        init,
+        environment,
+        events,
+        ..
+    } = reader;
     let stop_time_s = stop_time_s(storyboard, context, skipped);
     Ok(Story {
         stop_time_s,
+        environment,
         init,
         acts,
         events,
@@ -145,6 +155,7 @@ struct Reader<'a, 'r> {
     by_name: HashMap<String, usize>,
     catalogs: &'a Catalogs<'r>,
     init: Vec<StoryTask>,
+    environment: Option<Environment>,
     events: Vec<StoryEvent>,
     /// Events of each part of the storyboard, by its kind and name.
     parts: HashMap<(String, String), Vec<usize>>,
@@ -189,6 +200,11 @@ impl Reader<'_, '_> {
     fn init(&mut self, actions: Node, skipped: &mut Skipped) -> Result<(), DecodeError> {
         let catalogs = self.catalogs;
         for holder in actions.elements() {
+            if let Some(action) = holder.first("EnvironmentAction") {
+                let read = environment::read(action, catalogs, skipped);
+                self.environment = recovered(action, read, skipped).or(self.environment.take());
+                continue;
+            }
             if holder.name() == "GlobalAction" {
                 let read = actions::read(holder, catalogs, skipped)?;
                 self.add_init(holder, "", read.unwrap_or_default());

@@ -11,7 +11,7 @@ use decouplegs_scene::scenario::{
 use decouplegs_scene::{Pedestrian, RoadUser, Scenario, TrafficLight, TrafficSign, VehicleSize};
 
 use super::story::check_story;
-use decouplegs_asset::traffic_light_form::{self, LIGHTS_MAX};
+use decouplegs_asset::traffic_light_form::{self, LIGHTS_MAX, Least};
 use decouplegs_asset::traffic_sign_form::{self, SIGNS_MAX};
 
 /// Most agents of a scenario, pedestrians included.
@@ -57,6 +57,7 @@ const PATH_POINTS_MAX: usize = 1000;
 const PATH_STEP_M: RangeInclusive<f64> = 0.01..=1000.0;
 const WALK_MPS: RangeInclusive<f64> = 0.1..=8.0;
 const EXPOSURE_EV: RangeInclusive<f64> = -20.0..=20.0;
+const VISIBILITY_M: RangeInclusive<f64> = 1.0..=1e6;
 const NEAR_EGO_M: RangeInclusive<f64> = 0.0..=10_000.0;
 const DECELERATION_MPS2: RangeInclusive<f64> = 0.01..=20.0;
 const AMPLITUDE_M: RangeInclusive<f64> = -20.0..=20.0;
@@ -178,7 +179,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
         }
     }
     check_story(&scenario.story, &mut names)?;
-    check_lights(&scenario.lights)?;
+    check_lights(&scenario.lights, &scenario.story.named_lights())?;
     check_signs(&scenario.signs)
 }
 
@@ -194,7 +195,7 @@ fn check_signs(signs: &[TrafficSign]) -> Result<(), Fault> {
     Ok(())
 }
 
-fn check_lights(lights: &[TrafficLight]) -> Result<(), Fault> {
+fn check_lights(lights: &[TrafficLight], named: &HashSet<&str>) -> Result<(), Fault> {
     let at = Table::Light;
     if lights.len() > LIGHTS_MAX {
         let reason = format!("{} lights; expected at most {LIGHTS_MAX}", lights.len());
@@ -202,7 +203,11 @@ fn check_lights(lights: &[TrafficLight]) -> Result<(), Fault> {
     }
     let mut names = HashSet::new();
     for (index, light) in lights.iter().enumerate() {
-        traffic_light_form::check(light, false)
+        let least = match named.contains(&*light.name) {
+            true => Least::OF_STORY,
+            false => Least::OF_SCENARIO,
+        };
+        traffic_light_form::check(light, least)
             .map_err(|fault| Fault::new(at(index), fault.field, fault.reason))?;
         if !names.insert(light.name.as_str()) {
             let reason = format!("'{}' is taken; names must differ", light.name);
@@ -274,6 +279,7 @@ fn check_place(place: &Place) -> Result<(), Fault> {
             map,
             probe,
             exposure_ev,
+            air,
             obstacles,
             background,
             agent_splats,
@@ -286,6 +292,9 @@ fn check_place(place: &Place) -> Result<(), Fault> {
                 .as_deref()
                 .map_or(Ok(()), |probe| check_path("probe", probe))?;
             within(Table::Place, "exposure_ev", *exposure_ev, &EXPOSURE_EV)?;
+            if let Some(visibility_m) = air.visibility_m {
+                within(Table::Place, "visibility_m", visibility_m, &VISIBILITY_M)?;
+            }
             splats(*background, *agent_splats)
         }
         Place::Scene {

@@ -3,7 +3,7 @@
 use decouplegs_scene::scenario::{
     Behavior, DriverKind, Drivers, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
 };
-use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario, Story, VehicleSize, Weather};
+use decouplegs_scene::{Air, Level, Pedestrian, RoadUser, Scenario, Story, VehicleSize, Weather};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
@@ -80,6 +80,10 @@ pub(super) struct RoadsForm {
     pub(super) probe: Option<String>,
     #[serde(default)]
     pub(super) exposure_ev: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) weather: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) visibility_m: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) obstacles: Option<String>,
     pub(super) background: usize,
@@ -316,6 +320,11 @@ fn named<T>(
     })
 }
 
+fn weather_named(name: &str) -> Result<Weather, Fault> {
+    let names = Weather::ALL.map(Weather::name);
+    named(name, Weather::by_name, &names, Table::Place, "weather")
+}
+
 fn place(form: &PlaceForm) -> Result<Place, Fault> {
     Ok(match form {
         PlaceForm::Street(form) => {
@@ -325,10 +334,8 @@ fn place(form: &PlaceForm) -> Result<Place, Fault> {
                 agent_splats,
                 seed,
             } = form.get_ref();
-            let names = Weather::ALL.map(Weather::name);
-            let weather = named(weather, Weather::by_name, &names, Table::Place, "weather")?;
             Place::Street {
-                weather,
+                weather: weather_named(weather)?,
                 background: *background,
                 agent_splats: *agent_splats,
                 seed: seed.0,
@@ -339,6 +346,8 @@ fn place(form: &PlaceForm) -> Result<Place, Fault> {
                 map,
                 probe,
                 exposure_ev,
+                weather,
+                visibility_m,
                 obstacles,
                 background,
                 agent_splats,
@@ -347,6 +356,10 @@ fn place(form: &PlaceForm) -> Result<Place, Fault> {
                 map: map.into(),
                 probe: probe.as_ref().map(Into::into),
                 exposure_ev: *exposure_ev,
+                air: Air {
+                    weather: weather.as_deref().map(weather_named).transpose()?,
+                    visibility_m: *visibility_m,
+                },
                 obstacles: obstacles.as_ref().map(Into::into),
                 background: *background,
                 agent_splats: *agent_splats,

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use decouplegs_scene::story::{Action, Story, TrackedAgent, Trigger, When, Who};
+use decouplegs_scene::story::{Action, LightController, Story, TrackedAgent, Trigger, When, Who};
 use toml::Value;
 
 use super::check::{Fault, Table, check_name, check_size};
@@ -10,6 +10,9 @@ use super::check::{Fault, Table, check_name, check_size};
 /// Events, acts, actions, conditions, variables, and points of a story.
 const PARTS_MAX: usize = 10_000;
 const POINTS_MAX: usize = 200_000;
+/// Phases of a controller, and their durations, seconds: those of a traffic light.
+const PHASES_MAX: usize = 100;
+const PHASE_S: std::ops::RangeInclusive<f64> = 0.1..=3600.0;
 /// Numbers and letters of a story.
 const NUMBER_MAX: f64 = 1e9;
 const TEXT_BYTES_MAX: usize = 1000;
@@ -54,6 +57,7 @@ pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) ->
             ));
         }
     }
+    check_controllers(&story.controllers)?;
     let is_known = |who: Who| who.0 <= story.actors.len();
     for task in tasks {
         if !is_known(task.of) {
@@ -62,6 +66,7 @@ pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) ->
         if let Action::Profile {
             times_s,
             speeds_mps,
+            ..
         } = &task.action
             && times_s.len() != speeds_mps.len()
         {
@@ -108,6 +113,31 @@ pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) ->
     }
     let values = Value::try_from(story).map_err(|error| fault("story", error.to_string()))?;
     check_values(&values)
+}
+
+/// First fault of the controllers of traffic lights, if any.
+fn check_controllers(controllers: &[LightController]) -> Result<(), Fault> {
+    if controllers.len() > PARTS_MAX {
+        let reason = format!(
+            "{} of them; expected at most {PARTS_MAX}",
+            controllers.len()
+        );
+        return Err(fault("controller", reason));
+    }
+    for controller in controllers {
+        let count = controller.phases.len();
+        if !(1..=PHASES_MAX).contains(&count) {
+            let reason = format!("{count} of them; expected 1 to {PHASES_MAX}");
+            return Err(fault("phases", reason));
+        }
+        let mut durations_s = controller.phases.iter().map(|(_, duration_s)| *duration_s);
+        if let Some(duration_s) = durations_s.find(|duration_s| !PHASE_S.contains(duration_s)) {
+            let (from, to) = (PHASE_S.start(), PHASE_S.end());
+            let reason = format!("{duration_s} s; expected {from} to {to}");
+            return Err(fault("phases", reason));
+        }
+    }
+    Ok(())
 }
 
 fn check_tracks<'a>(agents: &'a [TrackedAgent], names: &mut HashSet<&'a str>) -> Result<(), Fault> {
@@ -168,7 +198,7 @@ mod tests {
     fn stories_are_read_and_written() {
         let scenario: Scenario = parse(TEXT).unwrap();
         let story = &scenario.story;
-        assert_eq!((story.actors.len(), story.events[0].actions.len()), (1, 11));
+        assert_eq!((story.actors.len(), story.events[0].actions.len()), (1, 13));
         assert_eq!(scenario.agent(0).0, "b");
         assert_eq!(parse(&to_toml(&scenario).unwrap()).unwrap(), scenario);
     }
@@ -228,6 +258,12 @@ poses = [[0.0, 1.0, 0.1], [1.0, 1.1, 0.1], [2.0, 1.2, 0.1]]
                 "as many times as speeds",
             ),
             ("is_shown = false", "is_gone = false", "is_gone"),
+            (
+                "phases = [[\"go\", 10.0]",
+                "phases = [[\"go\", 0.0]",
+                "phases: 0 s",
+            ),
+            ("color = \"red\"", "color = \"blue\"", "blue"),
             (
                 "every_s = 0.5",
                 "every_s = 5.0",

@@ -6,11 +6,11 @@ use decouplegs_logs::episode_log::{VERSION, decode, encode};
 use decouplegs_logs::{EpisodeLog, read_episode_log};
 use decouplegs_scene::episode::{
     AgentCommand, CommandRecord, DrawnBy, EpisodeTick, HandoverRecord, LaneOffset, LaneRecord,
-    PlannerRecord, ReadingRecord, RoadRecord, StopLineRecord,
+    LightChangeRecord, PlannerRecord, ReadingRecord, RoadRecord, StopLineRecord,
 };
 use decouplegs_scene::{
-    Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Obstacle, ObstacleKind, Plan, PlanPoint,
-    Scenario, VehicleSize, VehicleState,
+    Episode, EpisodeEnd, EpisodeHead, EpisodeStep, LightChange, LightColor, LightCourse, Obstacle,
+    ObstacleKind, Plan, PlanPoint, Scenario, VehicleSize, VehicleState,
 };
 use glam::DVec2;
 use proptest::prelude::*;
@@ -190,7 +190,7 @@ fn episodes() -> impl Strategy<Value = Episode> {
                     other => other,
                 };
                 let mut moment = 0;
-                let agents = head.agent_sizes.len();
+                let (agents, lights) = (head.agent_sizes.len(), head.scenario.lights.len());
                 let command = |agent: usize| CommandRecord {
                     command: AgentCommand {
                         agent,
@@ -207,6 +207,16 @@ fn episodes() -> impl Strategy<Value = Episode> {
                         moment += 1;
                         instant.time_s = f64::from(moment) * substep_s;
                     }
+                    let change = |light| LightChangeRecord {
+                        light,
+                        change: LightChange {
+                            time_s: f64::from(moment) * substep_s,
+                            course: match light {
+                                0 => LightCourse::Held(LightColor::Yellow),
+                                _ => LightCourse::Cycle { offset_s: -1.5 },
+                            },
+                        },
+                    };
                     EpisodeStep {
                         step: step as u32,
                         readings,
@@ -215,14 +225,18 @@ fn episodes() -> impl Strategy<Value = Episode> {
                         instants,
                         handovers: vec![],
                         commands: (0..agents).map(command).collect(),
+                        lights: (0..lights).map(change).collect(),
                     }
                 };
-                Episode {
+                let steps: Vec<EpisodeStep> = steps.into_iter().enumerate().map(number).collect();
+                let mut episode = Episode {
                     head,
                     start,
-                    steps: steps.into_iter().enumerate().map(number).collect(),
+                    steps: vec![],
                     end,
-                }
+                };
+                steps.into_iter().for_each(|step| episode.push(step));
+                episode
             },
         )
     })
@@ -274,6 +288,7 @@ fn small() -> Episode {
             _ => vec![],
         },
         commands: vec![],
+        lights: vec![],
     };
     let planner = PlannerRecord {
         name: "lane-follow".into(),

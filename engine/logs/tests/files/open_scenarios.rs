@@ -1,14 +1,14 @@
 //! OpenSCENARIO files: a small one with each element that is read, faults, and hostile ones.
 
+mod kinds;
+
 use std::path::Path;
 
 use decouplegs_logs::open_scenario::{
     Action, Along, Condition, Measure, OpenScenario, Position, Target, TargetLane, TargetSpeed,
     When, decode,
 };
-use decouplegs_scene::story::{
-    Direction, Dynamics, Edge, Extent, Limits, Priority, Rule, Shape, Side, State,
-};
+use decouplegs_scene::story::{Direction, Dynamics, Edge, Extent, Limits, Rule, Shape, Side};
 use decouplegs_scene::{LightColor, RoadUser};
 use glam::DVec2;
 use proptest::prelude::*;
@@ -426,146 +426,4 @@ fn a_size_that_is_none_is_the_usual_one() {
         "{:?}",
         read.skipped
     );
-}
-
-/// A file with a condition and an action of each kind, in events of one maneuver.
-fn each_kind() -> OpenScenario {
-    let entity = |inner: &str| {
-        format!(
-            "<ByEntityCondition><TriggeringEntities triggeringEntitiesRule='all'><EntityRef entityRef='T'/></TriggeringEntities><EntityCondition>{inner}</EntityCondition></ByEntityCondition>"
-        )
-    };
-    let value = |inner: &str| format!("<ByValueCondition>{inner}</ByValueCondition>");
-    let speed = "<PrivateAction><LongitudinalAction><SpeedAction><SpeedActionDynamics dynamicsShape='cubic' dynamicsDimension='distance' value='9'/><SpeedActionTarget><RelativeTargetSpeed entityRef='Ego' value='-2' speedTargetValueType='delta' continuous='true'/></SpeedActionTarget></SpeedAction></LongitudinalAction></PrivateAction>";
-    let event = |name: &str, condition: &str, action: &str| {
-        format!(
-            "<Event name='{name}' priority='skip' maximumExecutionCount='3'><Action name='a'>{action}</Action><StartTrigger><ConditionGroup><Condition delay='0.5' conditionEdge='falling'>{condition}</Condition></ConditionGroup></StartTrigger></Event>"
-        )
-    };
-    let clearance = "<RelativeClearanceCondition distanceForward='20' distanceBackward='10' freeSpace='true' oppositeLanes='false'><RelativeLaneRange from='-1' to='1'/></RelativeClearanceCondition>";
-    let lane_less = "entityRef='Ego' relativeDistanceType='longitudinal' coordinateSystem='lane' freespace='true' value='7' rule='lessThan'";
-    let events = [
-        event("end", &entity("<EndOfRoadCondition duration='2'/>"), speed),
-        event("off", &entity("<OffroadCondition duration='2'/>"), "<PrivateAction><VisibilityAction graphics='false' sensors='false' traffic='true'/></PrivateAction>"),
-        event("free", &entity(clearance), "<GlobalAction><EntityAction entityRef='T'><DeleteEntityAction/></EntityAction></GlobalAction>"),
-        event("hit", &entity("<CollisionCondition><EntityRef entityRef='Ego'/></CollisionCondition>"), "<PrivateAction><AppearanceAction/></PrivateAction>"),
-        event("near", &entity(&format!("<RelativeDistanceCondition {lane_less}/>")), "<GlobalAction><VariableAction variableRef='v'><ModifyAction><Rule><AddValue value='2'/></Rule></ModifyAction></VariableAction></GlobalAction>"),
-        event("v", &value("<VariableCondition variableRef='v' rule='notEqualTo' value='3'/>"), "<PrivateAction><LateralAction><LaneOffsetAction continuous='false'><LaneOffsetActionDynamics dynamicsShape='sinusoidal' maxLateralAcc='2'/><LaneOffsetTarget><AbsoluteTargetLaneOffset value='0.4'/></LaneOffsetTarget></LaneOffsetAction></LateralAction></PrivateAction>"),
-        event("state", &value("<StoryboardElementStateCondition storyboardElementType='maneuver' storyboardElementRef='m' state='completeState'/>"), "<PrivateAction><TrailerAction/></PrivateAction>"),
-        event("lost", &value("<TrafficSignalCondition name='s' state='green'/>"), speed),
-    ]
-    .concat();
-    let story = format!(
-        "<Story name='s'><Act name='a'><ManeuverGroup name='g' maximumExecutionCount='2'><Actors selectTriggeringEntities='false'><EntityRef entityRef='T'/></Actors><Maneuver name='m'>{events}</Maneuver></ManeuverGroup><StopTrigger><ConditionGroup><Condition delay='0'>{}</Condition></ConditionGroup></StopTrigger></Act></Story>",
-        value("<SimulationTimeCondition value='8' rule='greaterOrEqual'/>")
-    );
-    let vehicle = "<ScenarioObject name='T'><Vehicle vehicleCategory='car'><Performance maxSpeed='40' maxAcceleration='3' maxDeceleration='9'/></Vehicle></ScenarioObject>";
-    let text = small("", vehicle, ["50", "15"])
-        .replace("<CatalogLocations>", "<VariableDeclarations><VariableDeclaration name='v' variableType='integer' value='1'/></VariableDeclarations><CatalogLocations>")
-        .replace("</Storyboard>", &format!("{story}</Storyboard>"));
-    decode(text.as_bytes(), catalog).unwrap()
-}
-
-#[test]
-fn conditions_of_each_kind_are_read() {
-    let read = each_kind();
-    assert_eq!(read.variables, [("v".to_owned(), "1".to_owned())]);
-    assert_eq!(read.entities[1].limits.acceleration_mps2, Some(3.0));
-    assert_eq!(read.acts[0].stop.len(), 1);
-    let of = vec!["T".to_owned()];
-    let measured = |measure: Measure, rule: Rule, value: f64| When::Value {
-        of: of.clone(),
-        all: true,
-        measure,
-        rule,
-        value,
-    };
-    let near = Measure::Near {
-        with: vec![],
-        ahead_m: 20.0,
-        behind_m: 10.0,
-        lanes: [-1, 1],
-        between_boxes: true,
-    };
-    let gap = Measure::Distance {
-        to: Target::Entity("Ego".into()),
-        direction: Direction::AlongLanes,
-        between_boxes: true,
-    };
-    let touched = Measure::Touched {
-        with: vec!["Ego".into()],
-    };
-    let expected = [
-        measured(Measure::AtEnd, Rule::GreaterOrEqual, 2.0),
-        measured(Measure::OffRoad, Rule::GreaterOrEqual, 2.0),
-        measured(near, Rule::Less, 1.0),
-        measured(touched, Rule::GreaterOrEqual, 1.0),
-        measured(gap, Rule::Less, 7.0),
-        When::Variable {
-            variable: "v".into(),
-            rule: Rule::NotEqual,
-            value: "3".into(),
-        },
-        When::Events {
-            events: (0..8).collect(),
-            state: State::Over,
-        },
-    ];
-    for (number, when) in expected.iter().enumerate() {
-        let found = condition(&read, number);
-        assert_eq!(
-            (&found.when, found.delay_s, found.edge),
-            (when, 0.5, Edge::Falling)
-        );
-        let event = &read.events[number];
-        assert_eq!((event.priority, event.executions), (Priority::Skip, 6));
-    }
-    assert_eq!(read.events[7].start, None);
-}
-
-#[test]
-fn actions_of_each_kind_are_read() {
-    let read = each_kind();
-    let lost: Vec<usize> = read.events.iter().map(|event| event.lost).collect();
-    assert_eq!(lost, [0, 0, 0, 0, 0, 0, 1, 0]);
-    let tasks = |number: usize| -> Vec<(&str, &Action)> {
-        let tasks = read.events[number].tasks.iter();
-        tasks
-            .map(|task| (task.actor.as_str(), &task.action))
-            .collect()
-    };
-    let (shape, extent) = (Shape::Cubic, Extent::DistanceM(9.0));
-    let slower = TargetSpeed::Relative {
-        entity: "Ego".into(),
-        factor: 1.0,
-        plus_mps: -2.0,
-        continuous: true,
-    };
-    let dynamics = Dynamics { shape, extent };
-    assert_eq!(
-        tasks(0),
-        [(
-            "T",
-            &Action::Speed {
-                target: slower,
-                dynamics
-            }
-        )]
-    );
-    assert_eq!(tasks(1), [("T", &Action::Show(false))]);
-    assert_eq!(tasks(2), [("T", &Action::Show(false))]);
-    assert_eq!(tasks(3), [("T", &Action::Unseen)]);
-    assert!(
-        matches!(tasks(4)[..], [("", Action::Set { .. })]),
-        "{:?}",
-        tasks(4)
-    );
-    let (shape, extent) = (Shape::Sinusoidal, Extent::LateralMps2(2.0));
-    let aside = Action::Offset {
-        offset_m: 0.4,
-        from: None,
-        dynamics: Dynamics { shape, extent },
-        continuous: false,
-    };
-    assert_eq!(tasks(5), [("T", &aside)]);
 }

@@ -2,12 +2,11 @@
 
 use std::path::Path;
 
-use decouplegs_logs::scenario_file::{self, AGENTS_MAX};
-use decouplegs_logs::{read_scenario, write_scenario};
+use decouplegs_logs::{read_scenario, scenario_file, write_scenario};
 use decouplegs_scene::scenario::{
     After, Behavior, DriverKind, LaneSide, Maneuver, Measure, Measured, Party, Place, Trigger,
 };
-use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
+use decouplegs_scene::{Air, Level, Scenario, VehicleSize, Weather};
 use glam::DVec2;
 use proptest::prelude::*;
 
@@ -43,6 +42,7 @@ fn the_documented_example_means_what_it_says() {
         map: "maps/town.xodr".into(),
         probe: Some("probes/dusk.exr".into()),
         exposure_ev: -1.5,
+        air: Air::default(),
         obstacles: None,
         background: 400_000,
         agent_splats: 10_000,
@@ -441,7 +441,7 @@ fn more_agents_than_allowed_are_refused() {
     scenario.agents[0].behaviors.clear();
     let agent = scenario.agents[0].clone();
     // The pedestrian counts, too.
-    scenario.agents = (1..AGENTS_MAX)
+    scenario.agents = (1..scenario_file::AGENTS_MAX)
         .map(|index| decouplegs_scene::scenario::TrafficAgent {
             name: format!("a{index}"),
             ..agent.clone()

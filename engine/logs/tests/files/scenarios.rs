@@ -5,7 +5,7 @@ use decouplegs_scene::scenario::{
     TrafficAgent, Trigger,
 };
 use decouplegs_scene::{
-    Level, LightColor, LightPhase, Pedestrian, RoadUser, Scenario, SignKind, StopLine,
+    Air, Level, LightColor, LightPhase, Pedestrian, RoadUser, Scenario, SignKind, StopLine,
     TrafficLight, TrafficSign, VehicleSize, Weather,
 };
 use glam::DVec2;
@@ -33,16 +33,24 @@ fn places() -> impl Strategy<Value = Place> {
         ODD_TEXT,
         prop::option::of(ODD_TEXT),
         -20.0f64..=20.0,
+        prop::option::of(select(Weather::ALL.to_vec())),
+        prop::option::of(1.0f64..=1e6),
         counts,
     )
         .prop_map(
-            |(map, probe, exposure_ev, (background, agent_splats))| Place::Roads {
-                map: map.into(),
-                probe: probe.map(Into::into),
-                exposure_ev,
-                obstacles: None,
-                background,
-                agent_splats,
+            |(map, probe, exposure_ev, weather, visibility_m, (background, agent_splats))| {
+                Place::Roads {
+                    map: map.into(),
+                    probe: probe.map(Into::into),
+                    exposure_ev,
+                    air: Air {
+                        weather,
+                        visibility_m,
+                    },
+                    obstacles: None,
+                    background,
+                    agent_splats,
+                }
             },
         );
     let scene =
@@ -297,6 +305,7 @@ fn lights() -> impl Strategy<Value = Vec<TrafficLight>> {
             stop_lines,
             phases,
             offset_s,
+            changes: vec![],
         };
         lights.into_iter().enumerate().map(light).collect()
     })

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Limits, Who};
+use crate::traffic_light::LightColor;
 
 /// Shape of a transition from one value to another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -150,6 +151,9 @@ pub enum Action {
         times_s: Vec<f64>,
         /// Speeds at their ends, m/s.
         speeds_mps: Vec<f64>,
+        /// Limits of the first part, which lasts longer where they need it.
+        #[serde(default, skip_serializing_if = "Limits::is_none")]
+        limits: Limits,
     },
     /// Changes lanes.
     ChangeLane {
@@ -279,6 +283,20 @@ pub enum Action {
         /// Arithmetic with the old value.
         #[serde(default)]
         by: Change,
+    },
+    /// Gives a traffic light a color, which it keeps until another action changes it.
+    Light {
+        /// Name of the light.
+        light: String,
+        /// New color.
+        color: LightColor,
+    },
+    /// Begins a phase of a controller of traffic lights. Its lights follow their phases from there.
+    Phase {
+        /// Name of the controller.
+        controller: String,
+        /// Name of the phase.
+        phase: String,
     },
     /// Takes time.
     Wait {

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Spot, Who};
+use crate::traffic_light::LightColor;
 
 /// Condition of a trigger.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -112,6 +113,20 @@ pub enum When {
         rule: Rule,
         /// Value that it is compared with.
         value: String,
+    },
+    /// Color of a traffic light.
+    Light {
+        /// Name of the light.
+        light: String,
+        /// Color that it is to have.
+        color: LightColor,
+    },
+    /// Phase of a controller of traffic lights.
+    Phase {
+        /// Name of the controller.
+        controller: String,
+        /// Name of the phase that it is to be in.
+        phase: String,
     },
     /// Statement that is always true, or never.
     Always {

@@ -9,6 +9,8 @@ mod action;
 mod condition;
 mod tracks;
 
+use std::collections::HashSet;
+
 use serde::{Deserialize, Serialize};
 
 pub use action::{Action, Change, Dynamics, Extent, Shape, Side, Speed, Spot, TargetLane};
@@ -48,6 +50,9 @@ pub struct Story {
     /// Events in the order in which they are asked.
     #[serde(default, rename = "event", skip_serializing_if = "Vec::is_empty")]
     pub events: Vec<Event>,
+    /// Controllers of traffic lights, which conditions and actions name.
+    #[serde(default, rename = "controller", skip_serializing_if = "Vec::is_empty")]
+    pub controllers: Vec<LightController>,
     /// Road users that follow recorded tracks. Wherever agents have an index, theirs follow those
     /// of the actors.
     #[serde(default, skip_serializing_if = "Tracks::is_default")]
@@ -59,6 +64,82 @@ impl Story {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.actors.is_empty() && self.tracks.agents.is_empty()
+    }
+
+    /// Names of the traffic lights that conditions and actions name, also by their controllers.
+    #[must_use]
+    pub fn named_lights(&self) -> HashSet<&str> {
+        let tasks = self.events.iter().flat_map(|event| &event.actions);
+        let by_actions = tasks.filter_map(|task| match &task.action {
+            Action::Light { light, .. } => Some(&**light),
+            _ => None,
+        });
+        let acts = self.acts.iter().flat_map(|act| [&act.start, &act.stop]);
+        let triggers = acts.chain(self.events.iter().map(|event| &event.start));
+        let conditions = triggers.flatten().flatten();
+        let by_conditions = conditions.filter_map(|condition| match &condition.when {
+            When::Light { light, .. } => Some(&**light),
+            _ => None,
+        });
+        let controlled = self.controllers.iter().flat_map(|one| &one.lights);
+        let controlled = controlled.map(String::as_str);
+        by_actions.chain(by_conditions).chain(controlled).collect()
+    }
+
+    /// True if events direct something: actors or traffic lights.
+    #[must_use]
+    pub fn directs(&self) -> bool {
+        let mut tasks = self.events.iter().flat_map(|event| &event.actions);
+        !self.actors.is_empty()
+            || tasks.any(|task| matches!(task.action, Action::Light { .. } | Action::Phase { .. }))
+    }
+}
+
+/// Controller of traffic lights: names for the phases of their common cycle.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LightController {
+    /// Unique among controllers.
+    pub name: String,
+    /// Names of the phases and their durations, seconds.
+    pub phases: Vec<(String, f64)>,
+    /// Position in the cycle at time 0, seconds.
+    #[serde(default)]
+    pub offset_s: f64,
+    /// Names of its lights, whose phases together last as long as its own.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lights: Vec<String>,
+}
+
+impl LightController {
+    /// Duration of a cycle, seconds.
+    #[must_use]
+    pub fn cycle_s(&self) -> f64 {
+        self.phases.iter().map(|(_, duration_s)| duration_s).sum()
+    }
+
+    /// Name of the phase at a position in the cycle, seconds; `None` without phases.
+    #[must_use]
+    pub fn phase_at(&self, position_s: f64) -> Option<&str> {
+        let mut rest_s = position_s.rem_euclid(self.cycle_s());
+        let found = self.phases.iter().find(|(_, duration_s)| {
+            rest_s -= duration_s;
+            rest_s < 0.0
+        });
+        // Rounding at the end of the cycle.
+        found.or(self.phases.last()).map(|(name, _)| name.as_str())
+    }
+
+    /// Position in the cycle at which the first phase of a name begins, seconds.
+    #[must_use]
+    pub fn begin_of(&self, phase: &str) -> Option<f64> {
+        let at = self.phases.iter().position(|(name, _)| name == phase)?;
+        Some(
+            self.phases[..at]
+                .iter()
+                .map(|(_, duration_s)| duration_s)
+                .sum(),
+        )
     }
 }
 
@@ -115,6 +196,25 @@ pub struct Limits {
     /// Largest deceleration, m/s^2, above zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deceleration_mps2: Option<f64>,
+}
+
+impl Limits {
+    /// True if nothing is limited.
+    #[must_use]
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Least time of a change of speed, seconds; 0 without a limit.
+    #[must_use]
+    pub fn least_s(&self, from_mps: f64, to_mps: f64) -> f64 {
+        let limit = match to_mps >= from_mps {
+            true => self.acceleration_mps2,
+            false => self.deceleration_mps2,
+        };
+        let limit_mps2 = limit.unwrap_or(f64::INFINITY).max(1e-3);
+        (to_mps - from_mps).abs() / limit_mps2
+    }
 }
 
 /// Conditions in groups: all of one group have to hold. Without groups they hold at once.

@@ -144,6 +144,12 @@ fn first_difference(a: &Episode, b: &Episode) -> Option<String> {
                 a.step
             ));
         }
+        if a.lights != b.lights {
+            return Some(format!(
+                "traffic lights change differently in step {}",
+                a.step
+            ));
+        }
         if a.commands != b.commands {
             return Some(format!(
                 "commands to agents are carried out differently in step {}",

@@ -44,10 +44,14 @@ impl Rollout {
         metadata: EpisodeMetadata,
     ) -> Result<Self, EpisodeError> {
         let simulation = Simulation::new(scenario, site)?;
+        // The scenario may be that of a log, whose lights have changed.
+        let mut scenario = scenario.clone();
+        let lights = scenario.lights.iter_mut();
+        lights.for_each(|light| light.changes.clear());
         let head = EpisodeHead {
             log_version: LOG_VERSION,
             version: env!("CARGO_PKG_VERSION").into(),
-            scenario: scenario.clone(),
+            scenario,
             planner: metadata.planner,
             drawn_by: metadata.drawn_by,
             route_m: simulation.route_m(),
@@ -132,9 +136,10 @@ impl Rollout {
         let step = self.next_step();
         let instants = self.simulation.advance(&plan);
         let handovers = self.simulation.take_handovers();
+        let lights = self.simulation.take_light_changes();
         let commands = std::mem::take(&mut self.commands);
         let commands = self.simulation.obeyed(commands);
-        self.episode.steps.push(EpisodeStep {
+        self.episode.push(EpisodeStep {
             step,
             readings,
             plan,
@@ -142,6 +147,7 @@ impl Rollout {
             instants,
             handovers,
             commands,
+            lights,
         });
         self.note_end();
         &self.episode.steps[step as usize]

@@ -12,7 +12,7 @@ use decouplegs_drive::score::RouteProgress;
 use decouplegs_drive::signs::TrafficSigns;
 use decouplegs_drive::{Ego, EgoOptions, OrientedBox, RoadSurface, Route, Traffic, TurnWatch};
 use decouplegs_scene::episode::{
-    EpisodeEnd, EpisodeTick, HandoverRecord, RoadRecord, StopLineRecord,
+    EpisodeEnd, EpisodeTick, HandoverRecord, LightChangeRecord, RoadRecord, StopLineRecord,
 };
 use decouplegs_scene::{
     Motion, Plan, Pose, Scenario, SignKind, Trajectory, VehicleSize, VehicleState,
@@ -47,7 +47,6 @@ pub struct Simulation {
     recorded: Option<Trajectory>,
     traffic: Traffic,
     agent_sizes: Vec<VehicleSize>,
-    lights: Arc<TrafficLights>,
     signs: Arc<TrafficSigns>,
     /// Assets that show the lights, by the index of the light.
     signals: Vec<(usize, Pose)>,
@@ -88,7 +87,7 @@ impl Simulation {
             .map_err(|error| unfit(error.to_string()))?
             .with_drivers(scenario.drivers, &scenario.agents)
             .among(site.obstacles.clone())
-            .with_lights(lights.clone())
+            .with_lights(lights)
             .with_signs(signs.clone())
             .with_pedestrians(&scenario.pedestrians)
             .and_then(|traffic| traffic.with_story(&scenario.story, &site.lanes))
@@ -146,11 +145,10 @@ impl Simulation {
             route,
             recorded,
             ego: Ego::new(state, scenario.ego.size, EgoOptions::default()),
+            signals: site.signal_poses(traffic.lights()),
             traffic,
             agent_sizes,
-            signals: site.signal_poses(&lights),
             sign_posts: site.sign_poses(&signs),
-            lights,
             signs,
             ground_z_m: std::iter::once(Some(start.z))
                 .chain((0..scenario.agent_count()).map(|_| None))
@@ -182,17 +180,17 @@ impl Simulation {
         &self.ego
     }
 
-    /// Traffic lights on the lanes of the site.
+    /// Traffic lights on the lanes of the site, as they are now.
     #[must_use]
     pub fn lights(&self) -> &TrafficLights {
-        &self.lights
+        self.traffic.lights()
     }
 
     /// Stop lines of the lights that are for the ego's way, among all: not those towards
     /// successors that its route does not take.
     pub fn stop_lines(&self) -> impl Iterator<Item = &StopLineRecord> {
         let lanes: Vec<usize> = self.route.lanes().iter().map(|&(_, lane)| lane).collect();
-        let lines = self.lights.lines().iter();
+        let lines = self.lights().lines().iter();
         lines
             .filter(move |line| line.concerns(&lanes))
             .map(|line| &line.record)
@@ -326,6 +324,11 @@ impl Simulation {
         self.traffic.take_handovers()
     }
 
+    /// Changes of traffic lights since this was asked last.
+    pub fn take_light_changes(&mut self) -> Vec<LightChangeRecord> {
+        self.traffic.take_light_changes()
+    }
+
     /// Headings of the ego and then of the agents, radians.
     fn yaws_rad(&self) -> Vec<Option<f64>> {
         let ego = std::iter::once(Some(self.ego.state()));
@@ -412,7 +415,7 @@ impl Simulation {
             .iter()
             .enumerate()
             .map(|(index, &(light, pose))| {
-                let color = self.lights.color_at(light, self.time_s());
+                let color = self.lights().color_at(light, self.time_s());
                 let asset = self.site.signal_asset(color);
                 (format!("signal/{index}"), asset, pose, true)
             });

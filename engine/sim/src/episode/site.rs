@@ -26,6 +26,7 @@ use decouplegs_scene::{
     Trajectory, VehicleSize, Weather,
 };
 use decouplegs_session::{Session, SessionError, SessionScene};
+use decouplegs_synth::probes::probe_of;
 use decouplegs_synth::roads::{self, RoadsOptions};
 use decouplegs_synth::street::signals::{SignalHead, head_assets, post_assets, sign_assets};
 use decouplegs_synth::street::{AssetLight, Capture, Street, StreetOptions};
@@ -152,6 +153,7 @@ impl Site {
                 map,
                 probe,
                 exposure_ev,
+                air,
                 obstacles,
                 background,
                 agent_splats,
@@ -171,7 +173,10 @@ impl Site {
                     return Self::bare(lanes, obstacles, cars.sizes);
                 };
                 let read = |probe: &PathBuf| read_probe(&directory.join(probe));
-                let probe = probe.as_ref().map(read).transpose()?;
+                let probe = match (probe, air.weather) {
+                    (Some(probe), _) => Some(read(probe)?),
+                    (None, weather) => weather.map(probe_of),
+                };
                 let options = RoadsOptions {
                     objects,
                     ..RoadsOptions::new(*background, probe, *exposure_ev)
@@ -180,6 +185,7 @@ impl Site {
                 let splat_scene = SplatScene {
                     origin: drawn.origin,
                     sky: drawn.sky,
+                    fog: air.fog(drawn.sky),
                     ..SplatScene::from_splats(drawn.background)
                 };
                 let cars = Cars {

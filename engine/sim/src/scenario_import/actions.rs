@@ -48,8 +48,21 @@ impl Cast<'_, '_> {
                 action,
             }));
         }
-        if task.action == file::Action::Unseen {
-            return Ok(None);
+        let about_lights = match &task.action {
+            file::Action::Unseen => return Ok(None),
+            file::Action::Signal { signal, color } => Some(Action::Light {
+                light: self.light(signal)?,
+                color: *color,
+            }),
+            file::Action::Phase { controller, phase } => Some(Action::Phase {
+                controller: controller.clone(),
+                phase: phase.clone(),
+            }),
+            _ => None,
+        };
+        if let Some(action) = about_lights {
+            let of = Who::EGO;
+            return Ok(Some(Task { of, action }));
         }
         let index = self.index(&task.actor)?;
         if index == self.import.ego {
@@ -75,9 +88,11 @@ impl Cast<'_, '_> {
             file::Action::Profile {
                 times_s,
                 speeds_mps,
+                limits,
             } => Action::Profile {
                 times_s: times_s.clone(),
                 speeds_mps: speeds_mps.clone(),
+                limits: *limits,
             },
             file::Action::ChangeLane {
                 target,
@@ -135,7 +150,10 @@ impl Cast<'_, '_> {
             file::Action::Show(is_shown) => Action::Show {
                 is_shown: *is_shown,
             },
-            file::Action::Set { .. } | file::Action::Unseen => {
+            file::Action::Set { .. }
+            | file::Action::Signal { .. }
+            | file::Action::Phase { .. }
+            | file::Action::Unseen => {
                 return Err("the action is about no entity".into());
             }
         })
@@ -297,7 +315,16 @@ impl Cast<'_, '_> {
                 let from_mps = std::mem::replace(ego_mps, to_mps);
                 of(dynamics, to_mps - from_mps, 0.5 * (from_mps + to_mps))
             }
-            file::Action::Profile { times_s, .. } => times_s.iter().sum(),
+            file::Action::Profile {
+                times_s,
+                speeds_mps,
+                limits,
+            } => {
+                let last_mps = speeds_mps.last().copied().unwrap_or(*ego_mps);
+                let from_mps = std::mem::replace(ego_mps, last_mps);
+                let first_mps = speeds_mps.first().copied().unwrap_or(from_mps);
+                limits.least_s(from_mps, first_mps) + times_s.iter().sum::<f64>()
+            }
             file::Action::ChangeLane { dynamics, .. } => of(dynamics, LANE_M, *ego_mps),
             file::Action::Offset {
                 dynamics, offset_m, ..

@@ -3,8 +3,10 @@
 use std::collections::HashMap;
 
 use decouplegs_logs::open_scenario::{self as file, StoryEvent, StoryTask, TargetSpeed};
+use decouplegs_scene::TrafficLight;
 use decouplegs_scene::story::{
-    Act, Actor, Condition, Dynamics, Edge, Event, Priority, Story, Tracks, Trigger, When, Who,
+    Act, Actor, Condition, Dynamics, Edge, Event, LightController, Priority, Story, Tracks,
+    Trigger, When, Who,
 };
 
 use super::Import;
@@ -27,9 +29,14 @@ impl Import<'_> {
         &self,
         actors: Vec<Actor>,
         whos: &HashMap<usize, Who>,
+        lights: &[TrafficLight],
         skipped: &mut Vec<String>,
     ) -> (Story, Counts) {
-        let cast = Cast { import: self, whos };
+        let cast = Cast {
+            import: self,
+            whos,
+            lights,
+        };
         let mut counts = Counts::default();
         let mut story = Story {
             ego_center_m: self.file.entities[self.ego].center_m,
@@ -37,6 +44,7 @@ impl Import<'_> {
             actors,
             acts: Vec::new(),
             events: Vec::new(),
+            controllers: self.controllers(lights),
             tracks: Tracks::default(),
         };
         for act in &self.file.acts {
@@ -87,6 +95,26 @@ impl Import<'_> {
             story.events.push(read.event);
         }
         (story, counts)
+    }
+
+    /// The controllers that something of the story may name.
+    fn controllers(&self, lights: &[TrafficLight]) -> Vec<LightController> {
+        let are_named = self.file.names_controllers();
+        let controllers = self.file.controllers.iter().filter(|_| are_named);
+        let is_light = |signal: &&String| lights.iter().any(|light| light.name == **signal);
+        controllers
+            .map(|controller| LightController {
+                name: controller.name.clone(),
+                phases: controller.phases.clone(),
+                offset_s: controller.offset_s,
+                lights: controller
+                    .signals
+                    .iter()
+                    .filter(is_light)
+                    .cloned()
+                    .collect(),
+            })
+            .collect()
     }
 
     fn ego_name(&self) -> &str {

@@ -1,11 +1,13 @@
 //! Events of stories, on the road of `tests`.
 
 use decouplegs_scene::story::{
-    Action, Dynamics, Extent, Shape, Speed, Spot, State, TargetLane, Task, When,
+    Action, Dynamics, Extent, Limits, Shape, Speed, Spot, State, TargetLane, Task, When,
 };
 
-use super::tests::{AT_50, file, import, init, speed, teleport, vehicle};
-use super::{ImportedScenario, Who};
+use decouplegs_scene::{LightColor, Weather};
+
+use super::tests::{AT_50, ROAD, file, import, import_on, init, speed, teleport, vehicle};
+use super::{ImportedScenario, Place, Who};
 
 /// A story of events of T: names, actions and conditions.
 fn story_of(events: &[(&str, String, String)]) -> String {
@@ -68,8 +70,12 @@ fn actions_are_those_of_the_file() {
     let profile = private(
         "<LongitudinalAction><SpeedProfileAction followingMode='position'><SpeedProfileEntry speed='8' time='2'/><SpeedProfileEntry speed='12' time='3'/></SpeedProfileAction></LongitudinalAction>",
     );
-    // Without times the limits of the vehicle would decide: it is listed.
+    // Without times the limits decide: 2 m/s^2 here, and 5 where the file tells none.
     let untimed = profile.replace(" time='3'", "");
+    let limited = untimed.replace(" time='2'", "").replace(
+        "<SpeedProfileEntry speed='8'/>",
+        "<DynamicConstraints maxAcceleration='2' maxDeceleration='4'/><SpeedProfileEntry speed='8'/>",
+    );
     let lamps = private("<AppearanceAction/>");
     let begun = by_value(&state_of("slower", "startTransition"), 0.0);
     let read = with_story(&story_of(&[
@@ -77,9 +83,10 @@ fn actions_are_those_of_the_file() {
         ("right", right, begun),
         ("profile", profile, at(5)),
         ("untimed", untimed, at(9)),
+        ("limited", limited, at(10)),
         ("lamps", lamps, at(9)),
     ]));
-    assert_eq!((read.events, read.events_driven), (4, 3));
+    assert_eq!((read.events, read.events_driven), (5, 5));
     assert_eq!(read.events_unseen, 1);
     let of_t = |action: Action| vec![Task { of: Who(1), action }];
     let expected = [
@@ -104,8 +111,22 @@ fn actions_are_those_of_the_file() {
         of_t(Action::Profile {
             times_s: vec![2.0, 3.0],
             speeds_mps: vec![8.0, 12.0],
+            limits: Limits::default(),
         }),
-        vec![],
+        of_t(Action::Profile {
+            times_s: vec![2.0, 0.8],
+            speeds_mps: vec![8.0, 12.0],
+            limits: Limits::default(),
+        }),
+        of_t(Action::Profile {
+            times_s: vec![0.0, 2.0],
+            speeds_mps: vec![8.0, 12.0],
+            limits: Limits {
+                speed_mps: None,
+                acceleration_mps2: Some(2.0),
+                deceleration_mps2: Some(4.0),
+            },
+        }),
         vec![],
     ];
     assert_eq!(actions_of(&read), expected);
@@ -114,10 +135,6 @@ fn actions_are_those_of_the_file() {
         state: State::Begun,
     };
     assert_eq!(read.scenario.story.events[2].start[0][0].when, when);
-    let skipped = read.skipped.join("\n");
-    for reason in ["a profile without times", "the event untimed is lost"] {
-        assert!(skipped.contains(reason), "{skipped}");
-    }
 }
 
 #[test]
@@ -248,4 +265,112 @@ fn places_of_actions_may_count_from_others_that_drive() {
         })
         .collect();
     assert_eq!(places, expected);
+}
+
+/// The road of the tests with a traffic light at s = 200.
+fn with_light(text: &str) -> ImportedScenario {
+    let signal = "<signals><signal id='7' s='200' t='-4' type='1000001' subtype='-1' dynamic='yes' orientation='+'/></signals></road>";
+    import_on(text, &ROAD.replace("</road>", signal))
+}
+
+#[test]
+fn events_direct_the_lights_of_the_map_and_wait_for_them() {
+    let global = |inner: &str| {
+        format!(
+            "<GlobalAction><InfrastructureAction><TrafficSignalAction>{inner}</TrafficSignalAction></InfrastructureAction></GlobalAction>"
+        )
+    };
+    let red = global("<TrafficSignalStateAction name='7' state='red'/>");
+    let absent = global("<TrafficSignalStateAction name='99' state='red'/>");
+    let stop =
+        global("<TrafficSignalControllerAction trafficSignalControllerRef='c' phase='stop'/>");
+    let is_red = by_value("<TrafficSignalCondition name='7' state='red'/>", 0.0);
+    let entities = vehicle("Ego", "") + &vehicle("T", "");
+    let place = "<LanePosition roadId='1' laneId='-1' s='100'/>";
+    let actions = init("Ego", &teleport(AT_50)) + &init("T", &(teleport(place) + &speed("10")));
+    let story = story_of(&[
+        ("red", red, at(1)),
+        ("slower", speed("3"), is_red),
+        ("absent", absent, at(1)),
+        ("stop", stop, at(3)),
+    ]);
+    let text = file(&entities, &actions, &story);
+    let controller = "<TrafficSignals><TrafficSignalController name='c'><Phase name='go' duration='6'><TrafficSignalState trafficSignalId='7' state='green'/></Phase><Phase name='stop' duration='4'><TrafficSignalState trafficSignalId='7' state='red'/></Phase></TrafficSignalController></TrafficSignals></RoadNetwork>";
+    let read = with_light(&text.replace("</RoadNetwork>", controller));
+    let story = &read.scenario.story;
+    let light = |color| Action::Light {
+        light: "7".into(),
+        color,
+    };
+    assert_eq!(story.events[1].actions[0].action, light(LightColor::Red));
+    let waits = When::Light {
+        light: "7".into(),
+        color: LightColor::Red,
+    };
+    assert_eq!(story.events[2].start[0][0].when, waits);
+    assert_eq!(story.events[3].actions, []);
+    let phase = Action::Phase {
+        controller: "c".into(),
+        phase: "stop".into(),
+    };
+    assert_eq!(story.events[4].actions[0].action, phase);
+    assert_eq!(story.controllers[0].lights, ["7"]);
+    assert_eq!(read.scenario.lights[0].phases.len(), 2);
+    let skipped = read.skipped.join("\n");
+    assert!(
+        skipped.contains("the map has no traffic light 99"),
+        "{skipped}"
+    );
+    // A light that the story alone directs is green until then.
+    let alone = with_light(&file(
+        &entities,
+        &actions,
+        &story_of(&[(
+            "red",
+            global("<TrafficSignalStateAction name='7' state='red'/>"),
+            at(1),
+        )]),
+    ));
+    assert_eq!(alone.scenario.lights[0].color_at(0.0), LightColor::Green);
+    assert!(alone.scenario.story.controllers.is_empty());
+}
+
+#[test]
+fn light_and_air_become_those_of_the_place() {
+    let air = |inner: &str| {
+        let action = format!(
+            "<GlobalAction><EnvironmentAction><Environment name='e'>{inner}</Environment></EnvironmentAction></GlobalAction>"
+        );
+        let actions = action + &init("Ego", &teleport(AT_50));
+        let Place::Roads { air, .. } = import(&file(&vehicle("Ego", ""), &actions, ""))
+            .scenario
+            .place
+        else {
+            panic!("a place that is no map");
+        };
+        (air.weather, air.visibility_m)
+    };
+    let sky = |cloud: &str, sun: f64| {
+        format!(
+            "<Weather cloudState='{cloud}'><Sun azimuth='0' elevation='{sun}' intensity='1'/></Weather>"
+        )
+    };
+    let hour =
+        |hour: u32| format!("<TimeOfDay animation='false' dateTime='2024-03-20T{hour:02}:00:00'/>");
+    for (inner, weather) in [
+        (sky("free", 0.8), Some(Weather::Clear)),
+        (sky("overcast", 0.8), Some(Weather::Overcast)),
+        (sky("free", 0.05), Some(Weather::Dusk)),
+        (sky("overcast", -0.5), Some(Weather::Night)),
+        (hour(12), Some(Weather::Clear)),
+        (hour(18), Some(Weather::Dusk)),
+        (hour(23), Some(Weather::Night)),
+        // The place of the sun counts more.
+        (hour(23) + &sky("free", 0.8), Some(Weather::Clear)),
+        (String::new(), None),
+    ] {
+        assert_eq!(air(&inner), (weather, None), "{inner}");
+    }
+    let fog = "<Weather><Fog visualRange='120'/></Weather>";
+    assert_eq!(air(fog), (None, Some(120.0)));
 }

@@ -8,7 +8,7 @@ use decouplegs_scene::story::{
 
 use super::*;
 
-const ROAD: &str = "<OpenDRIVE><road id='1' length='400' junction='-1'>
+pub(super) const ROAD: &str = "<OpenDRIVE><road id='1' length='400' junction='-1'>
     <planView><geometry s='0' x='0' y='0' hdg='0' length='400'><line/></geometry></planView>
     <lanes><laneSection s='0'><left><lane id='1' type='driving'><width sOffset='0' a='3.5'/></lane></left>
     <right><lane id='-1' type='driving'><width sOffset='0' a='3.5'/></lane>
@@ -49,6 +49,15 @@ pub(super) fn file(entities: &str, actions: &str, stories: &str) -> String {
         <Storyboard><Init><Actions>{actions}</Actions></Init>{stories}
         <StopTrigger><ConditionGroup><Condition delay='0'><ByValueCondition><SimulationTimeCondition value='4' rule='greaterThan'/></ByValueCondition></Condition></ConditionGroup></StopTrigger></Storyboard></OpenSCENARIO>"
     )
+}
+
+/// The scenario of a file whose map is `road`.
+pub(super) fn import_on(text: &str, road: &str) -> ImportedScenario {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.xosc");
+    std::fs::write(&path, text).unwrap();
+    std::fs::write(folder.path().join("m.xodr"), road).unwrap();
+    import_open_scenario(&path, None).unwrap()
 }
 
 fn try_import(text: &str, with_map: bool) -> Result<ImportedScenario, AssetError> {

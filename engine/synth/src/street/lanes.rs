@@ -215,6 +215,7 @@ fn lights() -> Vec<TrafficLight> {
                     phase(LightColor::Red, half_s + ALL_RED_S),
                 ],
                 offset_s,
+                changes: Vec::new(),
             }
         })
         .into()

@@ -69,12 +69,16 @@ impl Mover {
             Action::Profile {
                 times_s,
                 speeds_mps,
-            } if !times_s.is_empty() => Along::Profile {
-                times_s: times_s.clone(),
-                speeds_mps: speeds_mps.clone(),
-                part: 0,
-                change: part(self.speed_mps, speeds_mps[0], times_s[0]),
-            },
+                limits,
+            } if !times_s.is_empty() => {
+                let first_s = limits.least_s(self.speed_mps, speeds_mps[0]);
+                Along::Profile {
+                    times_s: times_s.clone(),
+                    speeds_mps: speeds_mps.clone(),
+                    part: 0,
+                    change: part(self.speed_mps, speeds_mps[0], times_s[0].max(first_s)),
+                }
+            }
             Action::KeepGap {
                 to,
                 gap,

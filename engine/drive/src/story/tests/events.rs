@@ -1,5 +1,7 @@
 //! Events of stories: conditions, priorities and acts.
 
+use std::sync::Arc;
+
 use decouplegs_scene::story::{
     Act, Action, Change, Condition, Direction, Dynamics, Edge, End, Event, Extent, Measure,
     Priority, Rule, Shape, Speed, Spot, State, Trigger, When, Who,
@@ -20,7 +22,7 @@ fn begins_s(start: Trigger, others: &[Event]) -> Option<f64> {
     let pair = [actor("a", 100.0, 1, 10.0), actor("b", 150.0, 1, 5.0)];
     let mut whole = story(&pair, &events);
     whole.variables = vec![("n".into(), "1".into())];
-    let mut stage = Stage::new(&whole, &road()).unwrap();
+    let mut stage = Stage::new(&whole, &road(), &Arc::default()).unwrap();
     let (state, size) = (
         VehicleState {
             position_m: DVec2::new(90.0, -5.25),

@@ -19,7 +19,7 @@ impl Simulation {
         };
         let states = self.traffic.states().iter().enumerate();
         let others = states.filter_map(|(index, state)| Some((index, (*state)?)));
-        let lines = self.lights.lines().iter();
+        let lines = self.lights().lines().iter();
         AgentsObservation {
             step,
             time_s: self.time_s(),
@@ -29,7 +29,7 @@ impl Simulation {
                 .map(|line| {
                     (
                         line.record,
-                        self.lights.color_at(line.record.index, self.time_s()),
+                        self.lights().color_at(line.record.index, self.time_s()),
                     )
                 })
                 .collect(),

@@ -111,7 +111,7 @@ impl Simulation {
                 .collect(),
             stop_lines: self
                 .stop_lines()
-                .map(|&line| (line, self.lights.color_at(line.index, self.time_s())))
+                .map(|&line| (line, self.lights().color_at(line.index, self.time_s())))
                 .collect(),
             signs: self
                 .signs
