@@ -7,10 +7,10 @@ use decouplegs_scene::story::{Change, Dynamics, Extent, Limits, Shape, Side};
 use super::catalogs::Catalogs;
 use super::parameters::Node;
 use super::positions::{self, Position};
-use super::{Skipped, global_actions, routes};
+use super::{Skipped, global_actions, profiles, routes};
 
-/// Most entries of a speed profile that are read.
-const ENTRIES_MAX: usize = 256;
+/// Acceleration and deceleration without a limit in the file, m/s^2.
+pub(super) const USUAL_MPS2: f64 = 5.0;
 /// Lateral acceleration of a change of offset without one, m/s^2.
 const LATERAL_MPS2: f64 = 0.5;
 
@@ -258,7 +258,7 @@ fn longitudinal(action: Node, skipped: &mut Skipped) -> Result<Option<Action>, D
             let dynamics = transition(action.first("SpeedActionDynamics"))?;
             Ok(Some(Action::Speed { target, dynamics }))
         }
-        "SpeedProfileAction" => profile(action, skipped),
+        "SpeedProfileAction" => profiles::read(action, skipped),
         "LongitudinalDistanceAction" => {
             let is_time = action.attribute("timeGap")?.is_some();
             Ok(Some(Action::KeepGap {
@@ -343,7 +343,7 @@ fn lateral(action: Node) -> Result<Option<Action>, DecodeError> {
 }
 
 /// Limits in a `<DynamicConstraints>`; along the road, those that it does not give are usual ones.
-fn limits(constraints: Option<Node>, along: bool) -> Result<Limits, DecodeError> {
+pub(super) fn limits(constraints: Option<Node>, along: bool) -> Result<Limits, DecodeError> {
     let Some(node) = constraints else {
         return Ok(Limits::default());
     };
@@ -353,48 +353,12 @@ fn limits(constraints: Option<Node>, along: bool) -> Result<Limits, DecodeError>
             None => Ok(None),
         }
     };
-    let usual = |found: Option<f64>| found.or(along.then_some(5.0));
+    let usual = |found: Option<f64>| found.or(along.then_some(USUAL_MPS2));
     Ok(Limits {
         speed_mps: of("maxSpeed")?,
         acceleration_mps2: usual(of("maxAcceleration")?),
         deceleration_mps2: usual(of("maxDeceleration")?),
     })
-}
-
-fn profile(profile: Node, skipped: &mut Skipped) -> Result<Option<Action>, DecodeError> {
-    if profile.attribute("entityRef")?.is_some() {
-        skipped.add(profile, "a profile relative to an entity is not read");
-        return Ok(None);
-    }
-    let limits = limits(profile.first("DynamicConstraints"), true)?;
-    let (mut times_s, mut speeds_mps): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
-    for entry in profile.all("SpeedProfileEntry") {
-        if times_s.len() == ENTRIES_MAX {
-            skipped.add(
-                profile,
-                &format!("more than {ENTRIES_MAX} entries are not read"),
-            );
-            return Ok(None);
-        }
-        let speed_mps = entry.number("speed")?;
-        times_s.push(match (entry.attribute("time")?, speeds_mps.last()) {
-            (Some(_), _) => entry.number("time")?.max(0.0),
-            (None, Some(before_mps)) => limits.least_s(*before_mps, speed_mps),
-            // The speed before is known when the action begins.
-            (None, None) => 0.0,
-        });
-        speeds_mps.push(speed_mps);
-    }
-    let first = profile.first("SpeedProfileEntry");
-    let has_time = match first {
-        Some(first) => first.attribute("time")?.is_some(),
-        None => false,
-    };
-    Ok(Some(Action::Profile {
-        times_s,
-        speeds_mps,
-        limits: if has_time { Limits::default() } else { limits },
-    }))
 }
 
 /// Speed in a `<SpeedActionTarget>` or `<FinalSpeed>`.

@@ -25,6 +25,7 @@ mod global_actions;
 mod measure;
 mod parameters;
 mod positions;
+mod profiles;
 mod routes;
 mod signals;
 mod story;

@@ -163,7 +163,7 @@ pub(super) fn known(element: Node, state: &str, skipped: &mut Skipped) -> Option
     if color.is_none() {
         skipped.add(
             element,
-            "the state is unknown; expected red, yellow or green, or three lamps as on;off;off",
+            "the state is unknown; expected red, yellow or green, or lamps as on;off;off or on;off",
         );
     }
     color
@@ -187,6 +187,9 @@ fn color_of(state: &str) -> Option<LightColor> {
         (3, 0) => Some(LightColor::Red),
         (3, 1) => Some(LightColor::Yellow),
         (3, 2) => Some(LightColor::Green),
+        // Lights of pedestrians.
+        (2, 0) => Some(LightColor::Red),
+        (2, 1) => Some(LightColor::Green),
         _ => None,
     }
 }

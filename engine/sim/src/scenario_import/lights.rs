@@ -60,12 +60,8 @@ impl Import<'_> {
                 }),
                 // The story gives it its colors; green until then.
                 None if light.phases.is_empty() && named.contains(&*light.name) => {
-                    let phases = vec![LightPhase {
-                        color: LightColor::Green,
-                        duration_s: GREEN_S,
-                    }];
                     lights.push(TrafficLight {
-                        phases,
+                        phases: green(),
                         ..light.clone()
                     });
                 }
@@ -78,18 +74,29 @@ impl Import<'_> {
         }
         // A light that stops nobody counts where conditions ask for it.
         for id in &named {
-            if let Some(signal) = by_id.get(id)
-                && lights.iter().all(|light| light.name != *id)
-            {
-                lights.push(TrafficLight {
-                    name: signal.signal.clone(),
-                    phases: signal.phases.clone(),
-                    offset_s: signal.offset_s,
-                    ..TrafficLight::default()
-                });
+            if lights.iter().any(|light| light.name == *id) {
+                continue;
             }
+            let told = by_id.get(id);
+            lights.push(TrafficLight {
+                name: (*id).to_owned(),
+                phases: told.map_or_else(green, |signal| signal.phases.clone()),
+                offset_s: told.map_or(0.0, |signal| signal.offset_s),
+                ..TrafficLight::default()
+            });
+            skipped.push(format!(
+                "the traffic signal {id} has no stop line on the map: it stops nobody"
+            ));
         }
         lights.retain(|light| !light.stop_lines.is_empty() || named.contains(&*light.name));
         lights
     }
+}
+
+/// Phases of a light whose colors are those of a story alone: green until then.
+fn green() -> Vec<LightPhase> {
+    vec![LightPhase {
+        color: LightColor::Green,
+        duration_s: GREEN_S,
+    }]
 }
