@@ -285,7 +285,8 @@ impl Mover {
         match &mut self.way {
             Way::Lane(place) => {
                 // A turn of the heading leads no other way; it is where it looks.
-                self.is_at_end = !scene.roads.advance(place, ahead_m, &self.route);
+                let middle_m = scene.roads.along_middle_m(place, ahead_m);
+                self.is_at_end = !scene.roads.advance(place, middle_m, &self.route);
             }
             Way::Line(line, at_m) => {
                 *at_m += ahead_m;

@@ -16,6 +16,8 @@ const ACROSS_M: f64 = 15.0;
 /// Way along lanes within which places are compared, meters, and lanes at most.
 const ALONG_M: f64 = 2000.0;
 const LANES_MAX: usize = 1000;
+/// Way before and after a place over which the turn of its lane is measured, meters.
+const TURN_M: f64 = 2.0;
 /// A foot is beside its lane, not beyond its end, if it is off by no more, meters.
 const BESIDE_M: f64 = 0.5;
 
@@ -195,6 +197,19 @@ impl Roads {
             place.lane = next;
         }
         true
+    }
+
+    /// Way along the middle of a lane beside a way of `way_m`: longer on the inside of a bend,
+    /// shorter on the outside.
+    pub(super) fn along_middle_m(&self, place: &OnLane, way_m: f64) -> f64 {
+        let Some(line) = self.line(place.lane).filter(|_| place.left_m != 0.0) else {
+            return way_m;
+        };
+        let heading_rad = |ahead_m: f64| line.heading_at(place.at_m + ahead_m);
+        let turn_rad = wrapped(heading_rad(TURN_M) - heading_rad(-TURN_M));
+        let share = 1.0 - turn_rad / (2.0 * TURN_M) * place.left_m;
+        // Nearer to the middle of a bend than its lines tell.
+        way_m / share.max(0.1)
     }
 
     /// Lanes beside a place, by how far their middles are to the left of the way it goes, the

@@ -499,3 +499,32 @@ fn an_attack_meets_an_ego_that_keeps_its_speed() {
         "it repeats"
     );
 }
+
+#[test]
+fn an_actor_beside_the_middle_of_a_bend_keeps_its_speed_over_ground() {
+    // A lane on a circle of 50 m to the left.
+    let at = |arc_m: f64| 50.0 * DVec3::new((arc_m / 50.0).sin(), 1.0 - (arc_m / 50.0).cos(), 0.0);
+    let map = LaneMap {
+        lanes: vec![Lane {
+            id: "1/0/-1".into(),
+            kind: LaneKind::Driving,
+            centerline: (0..=200).map(|step| at(0.5 * f64::from(step))).collect(),
+            ..Lane::default()
+        }],
+        ..LaneMap::default()
+    };
+    for (left_m, radius_m) in [(0.0, 50.0), (2.0, 48.0), (-3.0, 53.0)] {
+        let start = at(10.0).truncate() + left_m * DVec2::from_angle(0.2).perp();
+        let actor = Actor {
+            point_m: start.to_array(),
+            heading_rad: 0.2,
+            ..actor("a", 0.0, 1, 10.0)
+        };
+        let mut stage = Stage::new(&story(&[actor], &[]), &map, &Arc::default()).unwrap();
+        for step in 0..40 {
+            stage.step(f64::from(step) * 0.1, 0.1, None);
+        }
+        let yaw_rad = stage.states().next().unwrap().unwrap().yaw_rad;
+        near((yaw_rad - 0.2) * radius_m, 40.0, 0.1);
+    }
+}
