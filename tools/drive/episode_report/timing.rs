@@ -12,8 +12,9 @@ use crate::progress::to_ms;
 /// A part of a step, as reports call it, and its milliseconds.
 type Part = (&'static str, fn(&StepTime) -> f64);
 
-const PARTS: [Part; 6] = [
+const PARTS: [Part; 7] = [
     ("draw", |time| to_ms(time.draw)),
+    ("device", |time| to_ms(time.device)),
     ("hash", |time| to_ms(time.hash)),
     ("advance", |time| to_ms(time.advance)),
     ("keep", |time| to_ms(time.observer)),
@@ -170,7 +171,7 @@ pub fn part(page: &mut Page, scored: &[Scored]) {
     page.heading("Time");
     page.text(&format!(
         "The first {WARM_UP} steps of each episode are left out. The simulator is all but the planner: poses, light, the frame \
-         and its images on the host, sweeps of LiDARs (draw); what is left of hashing them when the planner is done (hash); ego and \
+         and its images on the host, sweeps of LiDARs (draw), of which the device takes a part for the images alone (device); what is left of hashing them when the planner is done (hash); ego and \
          traffic (advance); logs and images that are kept (keep). A device that drew nothing for {} s lowers its clocks: its steps in the next {} s \
          are told apart.",
         IDLE.as_secs_f64(),

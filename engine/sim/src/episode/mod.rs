@@ -102,6 +102,8 @@ impl EpisodeObserver for () {
 pub struct StepTime {
     /// Poses, light, the frame on the device, its images back on the host, and sweeps of LiDARs.
     pub draw: Duration,
+    /// Time of the device for the images, a part of [`StepTime::draw`].
+    pub device: Duration,
     /// Time of the planner.
     pub plan: Duration,
     /// Waiting for the hashes of the images, which are made while the planner plans.
@@ -238,6 +240,7 @@ fn one_step(
     };
     if let Some(renderer) = renderer.as_deref_mut() {
         renderer.draw(rollout.simulation_mut(), number)?;
+        time.device = renderer.device_time();
     }
     time.draw = lap();
     let renderer = renderer.as_deref();

@@ -1,6 +1,7 @@
 //! Readings of the ego's sensors.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use decouplegs_asset::{AssetError, read_lidar};
 use decouplegs_scene::episode::{DrawnBy, ReadingRecord};
@@ -27,6 +28,8 @@ pub struct ObservationRenderer {
     sweeps: Vec<LidarSweep>,
     /// States of the beams of these sweeps. Their memory is used again.
     traced: Vec<TracedSweep>,
+    /// Time of the device for the last images.
+    device_time: Duration,
 }
 
 /// Cameras of `rig` that `cameras` selects, at `size_px` if given.
@@ -118,6 +121,7 @@ impl ObservationRenderer {
             images: HostImages::default(),
             sweeps: Vec::new(),
             traced: Vec::new(),
+            device_time: Duration::ZERO,
         }
     }
 
@@ -179,6 +183,7 @@ impl ObservationRenderer {
     pub fn draw(&mut self, simulation: &mut Simulation, step: u32) -> Result<(), SessionError> {
         self.images.clear();
         self.sweeps.clear();
+        self.device_time = Duration::ZERO;
         if self.rig.sensors.is_empty() || !step.is_multiple_of(self.every) {
             return Ok(());
         }
@@ -208,7 +213,8 @@ impl ObservationRenderer {
         }
         let traced = (self.renderer).trace_all(&self.world, &sweeps, &mut self.traced);
         if !cameras.is_empty() {
-            self.renderer.finish(&mut self.images)?;
+            let frames = self.renderer.finish(&mut self.images)?;
+            self.device_time = frames.iter().map(|frame| frame.gpu_time).sum();
         }
         traced?;
         let returns = self.traced.iter().zip(&options);
@@ -216,6 +222,12 @@ impl ObservationRenderer {
             .map(|(traced, options)| traced.returns(options))
             .collect();
         Ok(())
+    }
+
+    /// Time of the device for the images of the last observation, without their way to the host.
+    #[must_use]
+    pub fn device_time(&self) -> Duration {
+        self.device_time
     }
 
     /// Readings of the last observation.
