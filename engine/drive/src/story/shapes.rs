@@ -45,21 +45,26 @@ pub(super) struct Transition {
     /// Seconds, or meters if it counts the way.
     extent: f64,
     is_of_way: bool,
+    /// Largest change per second, where that gives the extent.
+    rate_per_s: Option<f64>,
     passed: f64,
 }
 
 impl Transition {
     pub(super) fn new(from: f64, to: f64, dynamics: Dynamics) -> Self {
         let change = (to - from).abs();
-        let (slope, curvature) = peaks(dynamics.shape);
+        let (_, curvature) = peaks(dynamics.shape);
+        let rate_per_s = match dynamics.extent {
+            Extent::RatePerS(rate) if rate.abs() > 0.0 => Some(rate.abs()),
+            _ => None,
+        };
         let (extent, is_of_way) = match dynamics.extent {
             Extent::TimeS(time_s) => (time_s, false),
-            Extent::RatePerS(rate) if rate.abs() > 0.0 => (slope * change / rate.abs(), false),
             Extent::LateralMps2(most) if most > 0.0 => ((curvature * change / most).sqrt(), false),
             Extent::RatePerS(_) | Extent::LateralMps2(_) => (0.0, false),
             Extent::DistanceM(way_m) => (way_m, true),
         };
-        Self {
+        let mut transition = Self {
             shape: dynamics.shape,
             from,
             to,
@@ -69,7 +74,18 @@ impl Transition {
                 extent
             },
             is_of_way,
+            rate_per_s,
             passed: 0.0,
+        };
+        transition.aim(to);
+        transition
+    }
+
+    /// Replaces the value at its end. One of a rate keeps its rate, and takes another time.
+    pub(super) fn aim(&mut self, to: f64) {
+        self.to = to;
+        if let Some(rate_per_s) = self.rate_per_s.filter(|_| self.shape != Shape::Step) {
+            self.extent = peaks(self.shape).0 * (to - self.from).abs() / rate_per_s;
         }
     }
 

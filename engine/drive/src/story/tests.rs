@@ -371,6 +371,23 @@ fn gaps_distances_beside_and_speeds_of_others_are_kept() {
     let moments = played(&story(&pair, &events), 30);
     near(moments[5][0].2, 7.0, 1e-9);
     near(moments[30][0].2, 11.0, 1e-9);
+
+    // A rate stays what it is while the speed that is wanted changes: from 10 to 20 + 5 m/s.
+    let at_rate = Action::Speed {
+        target: Speed::Of {
+            who: B,
+            factor: 1.0,
+            plus_mps: 5.0,
+            continuous: false,
+        },
+        dynamics: dynamics(Shape::Linear, Extent::RatePerS(1.0)),
+    };
+    let events = [event(Trigger::new(), &[(A, at_rate)]), events[1].clone()];
+    let from_mps = pair[0].speed_mps;
+    let moments = played(&story(&pair, &events), 200);
+    near(moments[30][0].2, from_mps + 3.0, 1e-6);
+    near(moments[80][0].2, from_mps + 8.0, 1e-6);
+    near(moments[200][0].2, 25.0, 1e-6);
 }
 
 #[test]

@@ -175,7 +175,7 @@ impl Mover {
             }
         );
         if let (Speed::Of { .. }, Some(found_mps)) = (target, speed_of(target, scene)) {
-            to.to = found_mps;
+            to.aim(found_mps);
         }
         let (before_mps, was_done) = (self.speed_mps, to.is_done());
         to.advance(dt_s, 0.0);
