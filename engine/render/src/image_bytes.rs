@@ -90,7 +90,7 @@ impl Renderer {
             "the images are stored as floats"
         );
         bytes.ranges.clear();
-        let Some((view, buffers)) = self.shown_images() else {
+        let (Some((view, buffers)), Some(frame)) = (self.shown_images(), self.shown_frame()) else {
             return Ok(());
         };
         let has_room = |pixels: &Buffer<u32>| pixels.len() >= view.pixels;
@@ -101,9 +101,10 @@ impl Renderer {
                 gpu.buffer("staged_images", PURPOSE, view.pixels, kind)?
             }
         };
-        let mut recorder = self.gpu().record(QueueRole::Main);
+        // On the main queue it would wait for the next frame, which may be in flight.
+        let mut recorder = self.gpu().record(QueueRole::Update);
         recorder.copy(&buffers.images_u8, 0, &pixels, 0, view.pixels);
-        self.gpu().submit(recorder, &[])?.wait()?;
+        self.gpu().submit(recorder, &[frame])?.wait()?;
         bytes.pixels = Some(pixels);
         bytes.ranges = view.ranges();
         Ok(())

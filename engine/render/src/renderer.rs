@@ -356,6 +356,11 @@ impl Renderer {
         Some((&shown.view, &self.slots[shown.slot].images))
     }
 
+    /// The frame that was finished last.
+    pub(crate) fn shown_frame(&self) -> Option<&Ticket> {
+        Some(&self.shown.as_ref()?.frame)
+    }
+
     /// Removes the frame that was finished last, with its images and the size that they were made
     /// for.
     pub(crate) fn take_shown(&mut self) -> Option<(ShownFrame, (usize, usize), OutputBuffers)> {
