@@ -143,7 +143,7 @@ impl Least {
         stop_lines: 1,
         phases: 1,
     };
-    /// Light of a scenario that its story names: it may stop nobody.
+    /// Light of a scenario that its story names, with or without stop lines.
     pub const OF_STORY: Self = Self {
         stop_lines: 0,
         phases: 1,

@@ -5,7 +5,7 @@ use std::thread::Builder;
 /// Drops `value` on another thread: the operating system takes a gigabyte back in a tenth of a
 /// second.
 ///
-/// Where it gives no thread, `value` is dropped before this returns.
+/// Without a thread for it, `value` is dropped before this returns.
 pub fn release<T: Send + 'static>(value: T) {
     // A thread that does not start drops what it was given.
     let _ = Builder::new()

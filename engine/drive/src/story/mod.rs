@@ -399,13 +399,6 @@ fn facts<'a>(
 /// True if a condition asks whether someone is off the road.
 fn asks_off_road(story: &Story) -> bool {
     use decouplegs_scene::story::{Measure, When};
-    let acts = story
-        .acts
-        .iter()
-        .flat_map(|act| act.start.iter().chain(&act.stop));
-    let all = acts
-        .chain(story.events.iter().flat_map(|event| &event.start))
-        .flatten();
     let is_off = |when: &When| {
         matches!(
             when,
@@ -415,5 +408,5 @@ fn asks_off_road(story: &Story) -> bool {
             }
         )
     };
-    all.map(|condition| &condition.when).any(is_off)
+    story.conditions().any(|condition| is_off(&condition.when))
 }

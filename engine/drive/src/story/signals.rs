@@ -32,17 +32,14 @@ impl Signals {
                 .map(|controller| (controller.clone(), controller.offset_s))
                 .collect(),
         };
-        let tasks = story.events.iter().flat_map(|event| &event.actions);
-        for action in tasks.map(|task| &task.action) {
+        for action in story.tasks().map(|task| &task.action) {
             match action {
                 Action::Light { light, .. } => signals.check_light(light)?,
                 Action::Phase { controller, .. } => signals.check_controller(controller)?,
                 _ => {}
             }
         }
-        let acts = story.acts.iter().flat_map(|act| [&act.start, &act.stop]);
-        let triggers = acts.chain(story.events.iter().map(|event| &event.start));
-        for condition in triggers.flatten().flatten() {
+        for condition in story.conditions() {
             match &condition.when {
                 When::Light { light, .. } => signals.check_light(light)?,
                 When::Phase { controller, .. } => signals.check_controller(controller)?,

@@ -23,7 +23,12 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Episode, DecodeError> {
     let (head, start, mut sequence) = first
         .and_then(|line| head(&mut chain, line))
         .map_err(|reason| at(1, reason))?;
-    let mut steps = Vec::new();
+    let mut episode = Episode {
+        head,
+        start,
+        steps: Vec::new(),
+        end: EpisodeEnd::Time,
+    };
     let mut end: Option<EpisodeEnd> = None;
     while let Some(line) = lines.next() {
         let number = lines.line;
@@ -34,19 +39,12 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Episode, DecodeError> {
             .and_then(|line| record(&mut chain, line, &mut sequence))
             .map_err(|reason| at(number, reason))?
         {
-            Decoded::Step(step) => steps.push(step),
+            Decoded::Step(step) => episode.push(step),
             Decoded::End(found) => end = Some(found),
         }
     }
     let missing = "is missing: the log ends without telling how the episode ended; it was cut short, drive the episode again";
-    let end = end.ok_or_else(|| at(lines.line + 1, missing.into()))?;
-    let mut episode = Episode {
-        head,
-        start,
-        steps: Vec::with_capacity(steps.len()),
-        end,
-    };
-    steps.into_iter().for_each(|step| episode.push(step));
+    episode.end = end.ok_or_else(|| at(lines.line + 1, missing.into()))?;
     Ok(episode)
 }
 

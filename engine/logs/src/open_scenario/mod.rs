@@ -88,7 +88,7 @@ pub struct SignalPhases {
 }
 
 /// A controller of traffic signals.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SignalController {
     /// Name in the file.
     pub name: String,

@@ -25,6 +25,7 @@ pub(super) fn read(profile: Node, skipped: &mut Skipped) -> Result<Option<Action
         },
     };
     let (mut times_s, mut speeds_mps): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
+    let mut limits_of_first = Limits::default();
     for entry in profile.all("SpeedProfileEntry") {
         if times_s.len() == ENTRIES_MAX {
             skipped.add(
@@ -38,18 +39,16 @@ pub(super) fn read(profile: Node, skipped: &mut Skipped) -> Result<Option<Action
             (Some(_), _) => entry.number("time")?.max(0.0),
             (None, Some(before_mps)) => limits.least_s(*before_mps, speed_mps),
             // The speed before is known when the action begins.
-            (None, None) => 0.0,
+            (None, None) => {
+                limits_of_first = limits;
+                0.0
+            }
         });
         speeds_mps.push(speed_mps);
     }
-    let first = profile.first("SpeedProfileEntry");
-    let has_time = match first {
-        Some(first) => first.attribute("time")?.is_some(),
-        None => false,
-    };
     Ok(Some(Action::Profile {
         times_s,
         speeds_mps,
-        limits: if has_time { Limits::default() } else { limits },
+        limits: limits_of_first,
     }))
 }

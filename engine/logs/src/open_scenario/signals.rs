@@ -1,6 +1,6 @@
 //! Traffic signals: controllers and their phases, and states.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use decouplegs_scene::{LightColor, LightPhase};
 
@@ -10,6 +10,10 @@ use decouplegs_asset::DecodeError;
 
 /// Most phases of a controller that are read.
 const PHASES_MAX: usize = 100;
+/// Most phases of all signals together: a signal that is named once has as many as its controller.
+const ALL_PHASES_MAX: usize = 1_000_000;
+/// Most controllers that begin one after the other.
+const CHAIN_MAX: usize = 16;
 /// Shortest and longest phase, seconds: those of scenario files.
 const PHASE_S: std::ops::RangeInclusive<f64> = 0.1..=3600.0;
 
@@ -23,7 +27,9 @@ pub(super) struct Signals {
 /// A controller, and the colors of its signals by phase; `None` where a phase does not tell one.
 struct Read<'a> {
     controller: SignalController,
-    /// Name of the controller after whose first phase its own begins.
+    /// Seconds after which its first phase begins, and the controller after whose first phase that
+    /// counts.
+    delay_s: f64,
     after: Option<String>,
     signals: Vec<(String, Vec<Option<LightColor>>)>,
     element: Node<'a>,
@@ -32,60 +38,67 @@ struct Read<'a> {
 /// All controllers of the road network.
 pub(super) fn read(network: Node, skipped: &mut Skipped) -> Result<Signals, DecodeError> {
     let list = network.first("TrafficSignals");
-    let mut found = Vec::new();
+    let mut found: Vec<Read> = Vec::new();
     for controller in list
         .iter()
         .flat_map(|list| list.all("TrafficSignalController"))
     {
         found.extend(read_controller(controller, skipped)?);
     }
-    let delays: HashMap<String, (f64, Option<String>)> = found
+    // Of several with one name the last counts.
+    let by_name: HashMap<&str, &Read> = found
         .iter()
-        .map(|read: &Read| {
-            let name = read.controller.name.clone();
-            (name, (-read.controller.offset_s, read.after.clone()))
-        })
+        .map(|read| (read.controller.name.as_str(), read))
+        .collect();
+    let offsets: Vec<f64> = found
+        .iter()
+        // The first phase begins after the delay: that far before the end of the cycle at time 0.
+        .map(|read| 0.0 - delay_s(read, &by_name, skipped))
         .collect();
     let mut signals = Signals::default();
-    let mut by_id: HashMap<String, usize> = HashMap::new();
-    for mut read in found {
-        let (mut delay_s, mut after) = (-read.controller.offset_s, read.after.take());
-        // Controllers may wait for each other in a circle.
-        for _ in 0..delays.len() {
-            let Some(name) = after.take() else { break };
-            match delays.get(&name) {
-                Some((more_s, next)) => {
-                    delay_s += more_s;
-                    after.clone_from(next);
-                }
-                None => skipped.add(
-                    read.element,
-                    "it starts after a controller that is not there",
-                ),
-            }
-        }
-        // The first phase begins after the delay: that far before the end of the cycle at time 0.
-        read.controller.offset_s = 0.0 - delay_s;
+    let (mut known, mut phases) = (HashSet::new(), 0);
+    for (mut read, offset_s) in found.into_iter().zip(offsets) {
+        read.controller.offset_s = offset_s;
         for (signal, colors) in read.signals {
-            let phases = phases_of(&read.controller, &colors);
-            read.controller.signals.push(signal.clone());
-            if by_id.insert(signal.clone(), 0).is_some() {
-                skipped.add(
-                    read.element,
-                    "a signal of it has another controller before, which counts",
-                );
-                read.controller.signals.pop();
-                continue;
-            }
-            signals.phases.push(SignalPhases {
-                signal,
-                phases,
-                offset_s: read.controller.offset_s,
-            });
+            phases += colors.len();
+            let reason = match known.insert(signal.clone()) {
+                false => "a signal of it has another controller before, which counts",
+                true if phases > ALL_PHASES_MAX => "its signals have more phases than are read",
+                true => {
+                    read.controller.signals.push(signal.clone());
+                    signals.phases.push(SignalPhases {
+                        signal,
+                        phases: phases_of(&read.controller, &colors),
+                        offset_s,
+                    });
+                    continue;
+                }
+            };
+            skipped.add(read.element, reason);
         }
         signals.controllers.push(read.controller);
     }
     Ok(signals)
+}
+
+/// Seconds after which the first phase of a controller begins, with the delays of those that it
+/// waits for.
+fn delay_s(read: &Read, by_name: &HashMap<&str, &Read>, skipped: &mut Skipped) -> f64 {
+    let (mut delay_s, mut after) = (read.delay_s, read.after.as_ref());
+    // Controllers may wait for each other in a circle.
+    for _ in 0..CHAIN_MAX {
+        let Some(name) = after else { break };
+        let Some(other) = by_name.get(name.as_str()) else {
+            skipped.add(
+                read.element,
+                "it starts after a controller that is not there",
+            );
+            break;
+        };
+        delay_s += other.delay_s;
+        after = other.after.as_ref();
+    }
+    delay_s
 }
 
 fn read_controller<'a>(
@@ -98,10 +111,9 @@ fn read_controller<'a>(
                 .attribute("name")?
                 .unwrap_or_default()
                 .into_owned(),
-            phases: Vec::new(),
-            offset_s: -controller.number_or("delay", 0.0)?,
-            signals: Vec::new(),
+            ..SignalController::default()
         },
+        delay_s: controller.number_or("delay", 0.0)?,
         after: controller.attribute("reference")?.map(Into::into),
         signals: Vec::new(),
         element: controller,
@@ -146,15 +158,15 @@ fn read_controller<'a>(
 fn phases_of(controller: &SignalController, colors: &[Option<LightColor>]) -> Vec<LightPhase> {
     let last = colors.iter().rev().find_map(|color| *color);
     let mut color = last.unwrap_or(LightColor::Green);
-    let phases = controller.phases.iter().zip(colors);
-    let phase = phases.map(|((_, duration_s), told)| {
-        color = told.unwrap_or(color);
-        LightPhase {
+    let mut phases = Vec::with_capacity(colors.len());
+    for ((_, duration_s), own) in controller.phases.iter().zip(colors) {
+        color = own.unwrap_or(color);
+        phases.push(LightPhase {
             color,
             duration_s: *duration_s,
-        }
-    });
-    phase.collect()
+        });
+    }
+    phases
 }
 
 /// Color of a state; `None` with a sentence if it has none that is known.

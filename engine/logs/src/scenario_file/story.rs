@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use decouplegs_scene::story::{Action, LightController, Story, TrackedAgent, Trigger, When, Who};
+use decouplegs_scene::story::{Action, LightController, Story, TrackedAgent, When, Who};
 use toml::Value;
 
 use super::check::{Fault, Table, check_name, check_size};
@@ -32,17 +32,12 @@ pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) ->
         }
     }
     check_tracks(&story.tracks.agents, names)?;
-    let acts = story.acts.iter().flat_map(|act| [&act.start, &act.stop]);
-    let triggers: Vec<&Trigger> = acts
-        .chain(story.events.iter().map(|event| &event.start))
-        .collect();
-    let conditions = triggers.iter().flat_map(|trigger| trigger.iter());
-    let tasks = story.events.iter().flat_map(|event| &event.actions);
+    let (tasks, conditions) = (story.tasks(), story.conditions());
     for (field, count, most) in [
         ("act", story.acts.len(), PARTS_MAX),
         ("event", story.events.len(), PARTS_MAX),
         ("actions", tasks.clone().count(), PARTS_MAX),
-        ("start", conditions.clone().map(Vec::len).sum(), PARTS_MAX),
+        ("start", conditions.clone().count(), PARTS_MAX),
         ("variables", story.variables.len(), PARTS_MAX),
         (
             "points_m",
@@ -96,7 +91,7 @@ pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) ->
     {
         return Err(fault("act", format!("there is no act {}", event.act)));
     }
-    for condition in conditions.flatten() {
+    for condition in conditions {
         match &condition.when {
             When::Events { events, .. } => {
                 if let Some(event) = events.iter().find(|event| **event >= story.events.len()) {

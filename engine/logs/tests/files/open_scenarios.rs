@@ -251,6 +251,20 @@ fn large_files_take_linear_time() {
         .collect();
     let from = "<TrafficSignalState trafficSignalId=\"light\" state=\"red\"/>";
     assert_eq!(read(&SCENARIO.replace(from, &states)).signals.len(), 50_001);
+    // Controllers that wait for each other in a circle.
+    let controllers: String = (0..20_000)
+        .map(|id| {
+            format!(
+                "<TrafficSignalController name='c{id}' delay='1' reference='c{}'><Phase name='p' duration='1'/></TrafficSignalController>",
+                (id + 1) % 20_000
+            )
+        })
+        .collect();
+    let text = SCENARIO.replace(
+        "</TrafficSignals>",
+        &format!("{controllers}</TrafficSignals>"),
+    );
+    assert_eq!(read(&text).controllers.len(), 20_001);
     let objects: String = (0..20_000)
         .map(|id| {
             format!(

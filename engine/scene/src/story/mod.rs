@@ -66,21 +66,31 @@ impl Story {
         self.actors.is_empty() && self.tracks.agents.is_empty()
     }
 
+    /// Actions of all events.
+    pub fn tasks(&self) -> impl Iterator<Item = &Task> + Clone {
+        self.events.iter().flat_map(|event| &event.actions)
+    }
+
+    /// Conditions of all acts and events.
+    pub fn conditions(&self) -> impl Iterator<Item = &Condition> + Clone {
+        let acts = self.acts.iter().flat_map(|act| [&act.start, &act.stop]);
+        let triggers = acts.chain(self.events.iter().map(|event| &event.start));
+        triggers.flatten().flatten()
+    }
+
     /// Names of the traffic lights that conditions and actions name, also by their controllers.
     #[must_use]
     pub fn named_lights(&self) -> HashSet<&str> {
-        let tasks = self.events.iter().flat_map(|event| &event.actions);
-        let by_actions = tasks.filter_map(|task| match &task.action {
+        let by_actions = self.tasks().filter_map(|task| match &task.action {
             Action::Light { light, .. } => Some(&**light),
             _ => None,
         });
-        let acts = self.acts.iter().flat_map(|act| [&act.start, &act.stop]);
-        let triggers = acts.chain(self.events.iter().map(|event| &event.start));
-        let conditions = triggers.flatten().flatten();
-        let by_conditions = conditions.filter_map(|condition| match &condition.when {
-            When::Light { light, .. } => Some(&**light),
-            _ => None,
-        });
+        let by_conditions = self
+            .conditions()
+            .filter_map(|condition| match &condition.when {
+                When::Light { light, .. } => Some(&**light),
+                _ => None,
+            });
         let controlled = self.controllers.iter().flat_map(|one| &one.lights);
         let controlled = controlled.map(String::as_str);
         by_actions.chain(by_conditions).chain(controlled).collect()
@@ -89,9 +99,10 @@ impl Story {
     /// True if events direct something: actors or traffic lights.
     #[must_use]
     pub fn directs(&self) -> bool {
-        let mut tasks = self.events.iter().flat_map(|event| &event.actions);
         !self.actors.is_empty()
-            || tasks.any(|task| matches!(task.action, Action::Light { .. } | Action::Phase { .. }))
+            || self
+                .tasks()
+                .any(|task| matches!(task.action, Action::Light { .. } | Action::Phase { .. }))
     }
 }
 

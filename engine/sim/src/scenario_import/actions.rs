@@ -51,7 +51,7 @@ impl Cast<'_, '_> {
         let about_lights = match &task.action {
             file::Action::Unseen => return Ok(None),
             file::Action::Signal { signal, color } => Some(Action::Light {
-                light: self.light(signal)?,
+                light: signal.clone(),
                 color: *color,
             }),
             file::Action::Phase { controller, phase } => Some(Action::Phase {

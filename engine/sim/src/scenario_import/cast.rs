@@ -3,7 +3,6 @@
 use std::collections::HashMap;
 
 use decouplegs_logs::open_scenario::{self as file, Along, Position};
-use decouplegs_scene::TrafficLight;
 use decouplegs_scene::story::{Condition, End, Measure, Spot, Trigger, When, Who};
 
 use super::{Import, Located};
@@ -15,7 +14,6 @@ pub(super) type Lost<T> = Result<T, String>;
 pub(super) struct Cast<'a, 'b> {
     pub import: &'a Import<'b>,
     pub whos: &'a HashMap<usize, Who>,
-    pub lights: &'a [TrafficLight],
 }
 
 impl Cast<'_, '_> {
@@ -28,14 +26,6 @@ impl Cast<'_, '_> {
         let index = self.index(name)?;
         let found = self.whos.get(&index).copied();
         found.ok_or_else(|| format!("{name} takes no part"))
-    }
-
-    /// Name of the light of a signal.
-    pub(super) fn light(&self, signal: &str) -> Lost<String> {
-        match self.lights.iter().any(|light| light.name == signal) {
-            true => Ok(signal.to_owned()),
-            false => Err(format!("the map has no traffic light {signal}")),
-        }
     }
 
     fn located(&self, name: &str) -> Lost<&Located> {
@@ -180,7 +170,7 @@ impl Cast<'_, '_> {
                 value: value.clone(),
             },
             file::When::Signal { signal, color } => When::Light {
-                light: self.light(signal)?,
+                light: signal.clone(),
                 color: *color,
             },
             file::When::Phase { controller, phase } => When::Phase {

@@ -1,6 +1,6 @@
 //! Traffic lights of a file on those of its map, and the light over the place.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use decouplegs_logs::open_scenario::SignalPhases;
 use decouplegs_scene::{Air, LightColor, LightPhase, TrafficLight, Weather};
@@ -72,11 +72,9 @@ impl Import<'_> {
                 None => lights.push(light.clone()),
             }
         }
-        // A light that stops nobody counts where conditions ask for it.
-        for id in &named {
-            if lights.iter().any(|light| light.name == *id) {
-                continue;
-            }
+        // A signal without a stop line counts where conditions ask for it.
+        let on_map: HashSet<&str> = self.map.lights.iter().map(|light| &*light.name).collect();
+        for id in named.iter().filter(|id| !on_map.contains(**id)) {
             let told = by_id.get(id);
             lights.push(TrafficLight {
                 name: (*id).to_owned(),
@@ -85,7 +83,7 @@ impl Import<'_> {
                 ..TrafficLight::default()
             });
             skipped.push(format!(
-                "the traffic signal {id} has no stop line on the map: it stops nobody"
+                "the traffic signal {id} has no stop line on the map: no vehicle obeys it"
             ));
         }
         lights.retain(|light| !light.stop_lines.is_empty() || named.contains(&*light.name));

@@ -1,6 +1,6 @@
 //! The story of a file: its acts and events.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use decouplegs_logs::open_scenario::{self as file, StoryEvent, StoryTask, TargetSpeed};
 use decouplegs_scene::TrafficLight;
@@ -32,11 +32,7 @@ impl Import<'_> {
         lights: &[TrafficLight],
         skipped: &mut Vec<String>,
     ) -> (Story, Counts) {
-        let cast = Cast {
-            import: self,
-            whos,
-            lights,
-        };
+        let cast = Cast { import: self, whos };
         let mut counts = Counts::default();
         let mut story = Story {
             ego_center_m: self.file.entities[self.ego].center_m,
@@ -101,7 +97,8 @@ impl Import<'_> {
     fn controllers(&self, lights: &[TrafficLight]) -> Vec<LightController> {
         let are_named = self.file.names_controllers();
         let controllers = self.file.controllers.iter().filter(|_| are_named);
-        let is_light = |signal: &&String| lights.iter().any(|light| light.name == **signal);
+        let names: HashSet<&String> = lights.iter().map(|light| &light.name).collect();
+        let is_light = |signal: &&String| names.contains(*signal);
         controllers
             .map(|controller| LightController {
                 name: controller.name.clone(),
